@@ -1,13 +1,14 @@
-"""Is the inference right on average? Rank histograms, coverage, reliability of model probabilities, and realised information.
+"""Is the inference right on average? Rank histograms, coverage, reliability of model probabilities,
+and realised information.
 
-  python benchmarks/calibration.py ranks --case stiff-pa [--repeats 100] [--physics full] [--variant tempered]
-  python benchmarks/calibration.py evidence --case stiff-pa --repeats 1
-  python benchmarks/calibration.py gain --case stiff-pa
+  python benchmarks/calibration.py ranks --case stiff-pa [--repeats 100] [--physics full] [--variant
+  tempered] python benchmarks/calibration.py evidence --case stiff-pa --repeats 1 python
+  benchmarks/calibration.py gain --case stiff-pa
 
-Truths (model and gel) are drawn from the prior of a reference case; 81 frames to t* = 4, cut at the second collapse. Results
-are appended to JSON lines in --out as they come, so a run that was cut off continues; `ranks` and `evidence` share them.
-`evidence` takes several cases and numbers of repeats together (comma-separated); each command prints a table and draws a
-figure.
+Truths (model and gel) are drawn from the prior of a reference case; 81 frames to t* = 4, cut at the
+second collapse. Results are appended to JSON lines in --out as they come, so a run that was cut off
+continues; `ranks` and `evidence` share them. `evidence` takes several cases and numbers of repeats
+together (comma-separated); each command prints a table and draws a figure.
 """
 
 import argparse
@@ -45,7 +46,11 @@ WIDE = "wide"
 SIMULATORS = {"polytropic": PolytropicSimulator, "full": TransportSimulator}
 UNCERTAIN = Nuisance(max_radius=0.01, time_zero=0.01, rest_radius=0.03)
 PIXELS = Noise(scale=0.2, floor=0.015)  # .003 in R* everywhere
-ANSWERS = {"gaussian": "Gaussian answer", "reported": "what is reported", "weighted": "weighted draws"}
+ANSWERS = {
+    "gaussian": "Gaussian answer",
+    "reported": "what is reported",
+    "weighted": "weighted draws",
+}
 LEVELS = (0.5, 0.9)
 SEED = 0
 _TOLD = 50  # replicates between lines of progress
@@ -113,16 +118,27 @@ class Job:
     def plan(self) -> Plan:
         """How the truth is observed."""
         kind = VARIANTS[self.variant]
-        return Plan(repeats=self.repeats, noise=kind.noise, nuisance=UNCERTAIN if kind.uncertain else Nuisance())
+        return Plan(
+            repeats=self.repeats,
+            noise=kind.noise,
+            nuisance=UNCERTAIN if kind.uncertain else Nuisance(),
+        )
 
     @property
     def arrangement(self) -> Arrangement:
         """What is calibrated."""
         kind = VARIANTS[self.variant]
-        learn, rounds = kind.learn, NOISE_ROUNDS if kind.estimated else 0
+        learn = kind.learn
+        rounds = NOISE_ROUNDS if kind.estimated else 0
         how = kind.options
-        prior = wide_prior(["nhkv", "gen_qkv"]) if self.case == WIDE else reference_case(self.case).prior
-        whole = Arrangement(prior, (self.design,), self.plan, options=how, learn=learn, noise_rounds=rounds)
+        prior = (
+            wide_prior(["nhkv", "gen_qkv"])
+            if self.case == WIDE
+            else reference_case(self.case).prior
+        )
+        whole = Arrangement(
+            prior, (self.design,), self.plan, options=how, learn=learn, noise_rounds=rounds
+        )
         return replace(whole, samples=kind.samples) if kind.samples else whole
 
     @property
@@ -156,17 +172,24 @@ def replicates(job: Job, count: int, folder: Path) -> list[Replicate]:
     missing = [number for number in range(count) if number not in known]
     started = time.process_time()
     with path.open("a") as stream:
-        for done, replicate in enumerate(calibrate(job.arrangement, job.simulator, missing, seed=job.seed), start=1):
+        for done, replicate in enumerate(
+            calibrate(job.arrangement, job.simulator, missing, seed=job.seed), start=1
+        ):
             stream.write(json.dumps(asdict(replicate)) + "\n")
             stream.flush()
             if done % _TOLD == 0 or done == len(missing):
                 each = (time.process_time() - started) / done
-                print(f"  {path.stem}: {done} of {len(missing)}, {each:.2f} s of CPU each", flush=True)
+                print(
+                    f"  {path.stem}: {done} of {len(missing)}, {each:.2f} s of CPU each", flush=True
+                )
     return [r for r in read(path) if r.number < count]
 
 
 def places(found: list[Replicate], kind: str) -> Iterator[tuple[str, list[float]]]:
-    """Name of each parameter and the places of its truths (of all models that have it); then the log likelihood."""
+    """Name of each parameter and the places of its truths (of all models that have it).
+
+    Then the log likelihood.
+    """
     names = dict.fromkeys(name for r in found for name in r.gaussian)
     for name in names:
         yield name, [getattr(r, kind)[name] for r in found if name in getattr(r, kind)]
@@ -180,16 +203,27 @@ def ranks(job: Job, count: int, folder: Path) -> None:
     every = replicates(job, count, folder)
     found = [r for r in every if r.failure is None]
     verdicts = Counter(r.verdict for r in found)
-    print(f"{job.file(folder).stem}: {len(found)} replicates, {len(every) - len(found)} failed, {dict(verdicts)}")
-    print(f"  not converged {sum(not r.converged for r in found)}, gels redrawn {sum(r.redrawn for r in every)}")
-    figure, axes = plt.subplots(1, len(ANSWERS), figsize=(12.6, 3.4), layout="constrained", sharey=True)
+    print(
+        f"{job.file(folder).stem}: {len(found)} replicates, {len(every) - len(found)} failed, "
+        f"{dict(verdicts)}"
+    )
+    print(
+        f"  not converged {sum(not r.converged for r in found)}, gels redrawn "
+        f"{sum(r.redrawn for r in every)}"
+    )
+    figure, axes = plt.subplots(
+        1, len(ANSWERS), figsize=(12.6, 3.4), layout="constrained", sharey=True
+    )
     for ax, kind, title in zip(axes, ANSWERS, ANSWERS.values(), strict=True):
         for name, values in places(found, kind):
             test = uniformity(values)
             shares = [coverage(values, level) for level in LEVELS]
-            words = ", ".join(f"{c.level:.0%} covers {c.share:.3f} ({c.low:.3f}-{c.high:.3f})" for c in shares)
+            words = ", ".join(
+                f"{c.level:.0%} covers {c.share:.3f} ({c.low:.3f}-{c.high:.3f})" for c in shares
+            )
             print(
-                f"  {kind:8s} {name:14s} n {test.count:4d}  {words}  p: chi-square {test.chi_square_p:.3f}, "
+                f"  {kind:8s} {name:14s} n {test.count:4d}  {words}  p: chi-square "
+                f"{test.chi_square_p:.3f}, "
                 f"ECDF {test.kolmogorov_p:.3f}, spread {test.spread:.3f} {test.spread_p:.3f}"
             )
         plot_places(dict(places(found, kind)), ax=ax)
@@ -207,7 +241,11 @@ def evidence(jobs: list[Job], count: int, folder: Path) -> None:
     _tell("together", found)
     stated, true = _stated(found)
     ax = plot_reliability(reliability(stated, true))
-    save(ax.figure, folder, "evidence-" + "-".join(dict.fromkeys(f"{j.case}-{j.repeats}-{j.physics}" for j in jobs)))
+    save(
+        ax.figure,
+        folder,
+        "evidence-" + "-".join(dict.fromkeys(f"{j.case}-{j.repeats}-{j.physics}" for j in jobs)),
+    )
 
 
 def _stated(found: list[Replicate]) -> tuple[list[float], list[bool]]:
@@ -223,23 +261,39 @@ def _tell(name: str, found: list[Replicate]) -> None:
     right = [r.probabilities[r.model] for r in found]
     wrong = sum(p < 0.01 for p in right)
     print(
-        f"{name}: {len(found)} data sets, P(right) mean {sum(right) / len(right):.3f}, > .99 in {sum(p > 0.99 for p in right)}"
-        f"; wrong model > .99 in {wrong} ({wrong / len(found):.1%})\n  expected calibration error {result.error:.4f} "
-        f"({result.error_low:.4f}-{result.error_high:.4f}), by chance {result.by_chance:.4f}, p {result.p:.3f}"
+        f"{name}: {len(found)} data sets, P(right) mean {sum(right) / len(right):.3f}, > .99 in "
+        f"{sum(p > 0.99 for p in right)}"
+        f"; wrong model > .99 in {wrong} ({wrong / len(found):.1%})\n  expected calibration error "
+        f"{result.error:.4f} "
+        f"({result.error_low:.4f}-{result.error_high:.4f}), by chance {result.by_chance:.4f}, p "
+        f"{result.p:.3f}"
     )
-    for row in zip(result.stated, result.share, result.low, result.high, result.counts, strict=True):
+    for row in zip(
+        result.stated, result.share, result.low, result.high, result.counts, strict=True
+    ):
         print("    stated {:.3f}  true in {:.3f} ({:.3f}-{:.3f})  of {}".format(*row))
 
 
 def gain(job: Job, designs: int, count: int, folder: Path) -> None:
     """Rank correlation of expected with realised information over space-filling designs."""
     points = draw_sobol_samples(DesignSpace().bounds, n=designs, q=1, seed=7)[:, 0]
-    expected, realised, numbers = [], [], None
+    expected = []
+    realised = []
+    numbers = None
     for point in points:
         here = replace(job, design=(float(point[0]), float(point[1])))
-        found = {r.number: r.information for r in replicates(here, count, folder) if r.information is not None}
+        found = {
+            r.number: r.information
+            for r in replicates(here, count, folder)
+            if r.information is not None
+        }
         estimate = expected_information_gain(
-            here.arrangement.prior, point[None], here.simulator, here.plan, estimator=Laplace(draws=256), seed=SEED
+            here.arrangement.prior,
+            point[None],
+            here.simulator,
+            here.plan,
+            estimator=Laplace(draws=256),
+            seed=SEED,
         )
         expected.append(estimate.value)
         realised.append(found)
@@ -250,20 +304,29 @@ def gain(job: Job, designs: int, count: int, folder: Path) -> None:
             f"realised {sum(found.values()) / len(found):.3f} of {len(found)}",
             flush=True,
         )
-    table = torch.tensor([[row[n] for n in sorted(numbers or ())] for row in realised], dtype=torch.float64)
+    table = torch.tensor(
+        [[row[n] for n in sorted(numbers or ())] for row in realised], dtype=torch.float64
+    )
     values = torch.tensor(expected, dtype=torch.float64)
     rho, error = rank_correlation(values, table)
     offset = (table - values[:, None]).mean(0)
-    mean, sd = float(offset.mean()), float(offset.std()) / table.shape[1] ** 0.5
+    mean = float(offset.mean())
+    sd = float(offset.std()) / table.shape[1] ** 0.5
     loss = float(table.mean(1).max() - table.mean(1)[values.argmax()])
     print(
-        f"{len(points)} designs x {table.shape[1]} repeats: Spearman {rho:.3f} +- {error:.3f}, realised less expected "
-        f"{mean:+.3f} +- {sd:.3f} nats, the design expected best loses {loss:.3f} nats of the realised best"
+        f"{len(points)} designs x {table.shape[1]} repeats: Spearman {rho:.3f} +- {error:.3f}, "
+        "realised less expected "
+        f"{mean:+.3f} +- {sd:.3f} nats, the design expected best loses {loss:.3f} nats of the "
+        "realised best"
     )
     figure, ax = plt.subplots(figsize=(4.2, 3.6), layout="constrained")
     ax.errorbar(values, table.mean(1), yerr=table.std(1) / table.shape[1] ** 0.5, fmt="o", ms=4)
     ax.axline((float(values.mean()), float(values.mean())), slope=1.0, color="0.6", lw=1)
-    ax.set(xlabel="expected information gain (nats)", ylabel="realised (nats)", title=f"Spearman {rho:.2f} +- {error:.2f}")
+    ax.set(
+        xlabel="expected information gain (nats)",
+        ylabel="realised (nats)",
+        title=f"Spearman {rho:.2f} +- {error:.2f}",
+    )
     save(figure, folder, f"gain-{job.case}-{job.repeats}-{job.physics}")
 
 
@@ -277,15 +340,23 @@ def save(figure: object, folder: Path, name: str) -> None:
 
 def main() -> None:
     """Run one of the three."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("what", choices=("ranks", "evidence", "gain"))
-    parser.add_argument("--case", default="stiff-pa", help=f"of {', '.join(DESIGNS)}; several for evidence")
+    parser.add_argument(
+        "--case", default="stiff-pa", help=f"of {', '.join(DESIGNS)}; several for evidence"
+    )
     parser.add_argument("--repeats", default="100", help="curves per design; several for evidence")
     parser.add_argument("--replicates", type=int, help="default 250; for gain 30")
     parser.add_argument("--designs", type=int, default=30, help="for gain")
     parser.add_argument("--physics", choices=tuple(SIMULATORS), default="polytropic")
-    parser.add_argument("--variant", choices=VARIANTS, help="of the inference; for gain `quick`, else `default`")
-    parser.add_argument("--out", type=Path, default=Path("out/calibration"), help="folder of results and figures")
+    parser.add_argument(
+        "--variant", choices=VARIANTS, help="of the inference; for gain `quick`, else `default`"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/calibration"), help="folder of results and figures"
+    )
     args = parser.parse_args()
     torch.set_num_threads(1)
     count = args.replicates or (30 if args.what == "gain" else 250)

@@ -1,11 +1,13 @@
-"""How often the calls of a likelihood, an information gain and its acquisition change file on their way to the compiled engine.
+"""How often the calls of a likelihood, an information gain and its acquisition change file on their
+way to the compiled engine.
 
   python benchmarks/call_trace.py [--list]
 
-Every call of a Python function of the package is followed, from the call that a user makes to the compiled engine's first
-bubble. A change of file is a call whose function stands in another file than that of the call before. Each is traced the second
-time it runs, when tables that are made once are made; what the user builds beforehand (prior, simulator, plan, estimator, data)
-is not counted. The bounds are a third of what was counted before the package was rebuilt: 86 and 99.
+Every call of a Python function of the package is followed, from the call that a user makes to the
+compiled engine's first bubble. A change of file is a call whose function stands in another file
+than that of the call before. Each is traced the second time it runs, when tables that are made once
+are made; what the user builds beforehand (prior, simulator, plan, estimator, data) is not counted.
+The bounds are a third of what was counted before the package was rebuilt: 86 and 99.
 """
 
 import argparse
@@ -59,17 +61,26 @@ def visits(found: list[Call]) -> list[tuple[str, list[str]]]:
 
 
 def traced() -> dict[str, list[Call]]:
-    """The calls of one likelihood, of one information gain and of the acquisition that users call, full physics."""
-    case, simulator = reference_case("stiff-pa"), TransportSimulator(threads=1)
-    X, plan, estimator = torch.tensor([[900.0, 0.28]], dtype=torch.float64), Plan(), Laplace(draws=2)
-    shot = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=1).shoot(X[0], seed=0)
+    """The calls of one likelihood, of one information gain and of the acquisition that users call,
+    full physics.
+    """
+    case = reference_case("stiff-pa")
+    simulator = TransportSimulator(threads=1)
+    X = torch.tensor([[900.0, 0.28]], dtype=torch.float64)
+    plan = Plan()
+    estimator = Laplace(draws=2)
+    shot = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=1).shoot(
+        X[0], seed=0
+    )
     posterior = Posterior(case.prior.models[0], ExperimentBatch((shot,)), simulator)
     point = Point(torch.zeros(1, posterior.size, dtype=torch.float64), posterior.still(1))
     acquisition = ExpectedInformationGain(case.prior, simulator, estimator, plan=plan)
     return {
         "likelihood": calls(lambda: posterior.log_joint(point)),
         "information gain": calls(
-            lambda: expected_information_gain(case.prior, X, simulator, plan, estimator=estimator, seed=0)
+            lambda: expected_information_gain(
+                case.prior, X, simulator, plan, estimator=estimator, seed=0
+            )
         ),
         "acquisition": calls(lambda: acquisition(X[None])),
     }
@@ -77,13 +88,16 @@ def traced() -> dict[str, list[Call]]:
 
 def main() -> None:
     """Print the counts."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--list", action="store_true", help="print every call too")
     args = parser.parse_args()
     for name, found in traced().items():
         files = visits(found)
         print(
-            f"{name}: {len(files) - 1} changes of file over {len({file for file, _ in files})} files (at most {BOUNDS[name]})"
+            f"{name}: {len(files) - 1} changes of file over {len({file for file, _ in files})} "
+            f"files (at most {BOUNDS[name]})"
         )
         for file, names in files if args.list else ():
             print(f"  {file}: {', '.join(names)}")

@@ -1,16 +1,19 @@
-"""What kills, full disks and interruptions leave of a campaign: is the resumed journal the uninterrupted one, byte for byte?
+"""What kills, full disks and interruptions leave of a campaign: is the resumed journal the
+uninterrupted one, byte for byte?
 
   python benchmarks/interruptions.py [--data CSV] [--experiments a,b,c] [--goal gel]
       [--every 1] [--random 40] [--json OUT]
 
-Commands of a real campaign (what to shoot first; then a curve told at a time) run in processes of their own, which are
-- killed (SIGKILL) before and in the middle of every operation on the journal, its curves and the result: writes of half the
-  bytes, flushes, renames, truncations, removals;
+Commands of a real campaign (what to shoot first; then a curve told at a time) run in processes of
+their own, which are
+- killed (SIGKILL) before and in the middle of every operation on the journal, its curves and the
+  result: writes of half the bytes, flushes, renames, truncations, removals;
 - given a full disk from every write on, or at one flush;
 - killed, or interrupted (SIGINT), at random times.
-The command is then repeated as a user would: the same line with --resume, and without --tell if the answer is that the curve is
-known. The journal must be that of the uninterrupted command, and no temporary file may be left. Polytropic gas, small searches,
-no figures.
+The command is then repeated as a user would: the same line with --resume, and without --tell if the
+    answer is that the curve is
+known. The journal must be that of the uninterrupted command, and no temporary file may be left.
+Polytropic gas, small searches, no figures.
 """
 
 import argparse
@@ -38,8 +41,13 @@ from imr_torch.cli.common import METHODS
 from imr_torch.files import write_json
 
 WATCHED = ("journal", ".journal", "experiment_", ".experiment_", "campaign.json", ".campaign.json")
-OPTIONS = shlex.split("--models nhkv --policy space-filling --repeats 1 --physics polytropic --threads 1 --quiet")
-GOALS = {"cause": shlex.split("--goal cause --effects sound_speed,surface_tension"), "population": ["--goal", "population"]}
+OPTIONS = shlex.split(
+    "--models nhkv --policy space-filling --repeats 1 --physics polytropic --threads 1 --quiet"
+)
+GOALS = {
+    "cause": shlex.split("--goal cause --effects sound_speed,surface_tension"),
+    "population": ["--goal", "population"],
+}
 QUICK = SearchOptions(raw_samples=12, starts=2)
 EXAMPLE = example_gel()
 
@@ -53,7 +61,10 @@ class Disk:
     """
 
     def __init__(self, at: int = 0, kind: str = "none") -> None:
-        self.at, self.kind, self.done, self.full = at, kind, 0, False
+        self.at = at
+        self.kind = kind
+        self.done = 0
+        self.full = False
 
     def step(self, name: object, *, writes: bool, half: Callable[[], object] | None = None) -> None:
         """One operation on a file; ``half`` does the first half of it."""
@@ -75,8 +86,13 @@ class Disk:
     def watched(self) -> Iterator["Disk"]:
         """Patch the functions through which files are written."""
         names: dict[int, object] = {}
-        open_path, fdopen, os_open = Path.open, os.fdopen, os.open
-        fsync, replace, truncate, unlink = os.fsync, os.replace, os.truncate, os.unlink
+        open_path = Path.open
+        fdopen = os.fdopen
+        os_open = os.open
+        fsync = os.fsync
+        replace = os.replace
+        truncate = os.truncate
+        unlink = os.unlink
 
         def opened(path: Path, mode: str = "r", *args: Any, **kwargs: Any) -> Any:
             stream = open_path(path, mode, *args, **kwargs)
@@ -104,7 +120,11 @@ class Disk:
         with contextlib.ExitStack() as stack:
             for target, name, new in (
                 (Path, "open", opened),
-                (os, "fdopen", lambda fd, *a, **k: _Stream(fdopen(fd, *a, **k), names.get(fd, "other"), self)),
+                (
+                    os,
+                    "fdopen",
+                    lambda fd, *a, **k: _Stream(fdopen(fd, *a, **k), names.get(fd, "other"), self),
+                ),
                 (os, "open", made),
                 (os, "fsync", flushed),
                 (os, "replace", watch(replace, 1)),
@@ -119,7 +139,9 @@ class _Stream:
     """A file whose writes are counted."""
 
     def __init__(self, stream: Any, name: object, disk: Disk) -> None:
-        self._stream, self._name, self._disk = stream, name, disk
+        self._stream = stream
+        self._name = name
+        self._disk = disk
 
     def write(self, data: Any) -> int:
         def half() -> None:
@@ -154,17 +176,30 @@ class Ended:
     operations: int
 
 
-def forked(work: Callable[[], int], disk: Disk | None = None, *, after: float = 0.0, signum: int = signal.SIGKILL) -> Ended:
-    """Run ``work`` in a process of its own, on a disk that may fail, or sent a signal after some seconds."""
+def forked(
+    work: Callable[[], int],
+    disk: Disk | None = None,
+    *,
+    after: float = 0.0,
+    signum: int = signal.SIGKILL,
+) -> Ended:
+    """Run ``work`` in a process of its own, on a disk that may fail, or sent a signal after some
+    seconds.
+    """
     with tempfile.TemporaryDirectory() as folder:
-        said, counted = Path(folder) / "stderr", Path(folder) / "operations"
+        said = Path(folder) / "stderr"
+        counted = Path(folder) / "operations"
         started = time.monotonic()
         child = os.fork()
         if child == 0:
             code = 70
             try:
                 signal.signal(signal.SIGINT, signal.default_int_handler)
-                with said.open("w") as stream, contextlib.redirect_stderr(stream), open(os.devnull, "w") as null:
+                with (
+                    said.open("w") as stream,
+                    contextlib.redirect_stderr(stream),
+                    open(os.devnull, "w") as null,
+                ):
                     disk = disk or Disk()
                     with contextlib.redirect_stdout(null), disk.watched():
                         try:
@@ -174,7 +209,9 @@ def forked(work: Callable[[], int], disk: Disk | None = None, *, after: float = 
                             code = 1
                 counted.write_text(str(disk.done))
             except BaseException as error:
-                said.write_text(f"{said.read_text() if said.exists() else ''}{type(error).__name__}: {error}")
+                said.write_text(
+                    f"{said.read_text() if said.exists() else ''}{type(error).__name__}: {error}"
+                )
             os._exit(code)
         status = None
         while status is None:
@@ -187,7 +224,9 @@ def forked(work: Callable[[], int], disk: Disk | None = None, *, after: float = 
             else:
                 time.sleep(0.002)
         done = int(counted.read_text()) if counted.exists() else -1
-        return Ended(os.waitstatus_to_exitcode(status), said.read_text() if said.exists() else "", done)
+        return Ended(
+            os.waitstatus_to_exitcode(status), said.read_text() if said.exists() else "", done
+        )
 
 
 @dataclass
@@ -214,12 +253,20 @@ class Tally:
 
 def left_over(folder: Path) -> list[str]:
     """Files that should not be there once a command has ended."""
-    return sorted(path.name for path in folder.iterdir() if path.suffix == ".tmp" or path.name == ".journal.owner")
+    return sorted(
+        path.name
+        for path in folder.iterdir()
+        if path.suffix == ".tmp" or path.name == ".journal.owner"
+    )
 
 
 def compare(folder: Path, whole: Path) -> str | None:
     """How a resumed folder differs from the uninterrupted one; None if it does not."""
-    for name in ("journal.jsonl", "journal.head", *(path.name for path in whole.glob("experiment_*.npz"))):
+    for name in (
+        "journal.jsonl",
+        "journal.head",
+        *(path.name for path in whole.glob("experiment_*.npz")),
+    ):
         if (folder / name).read_bytes() != (whole / name).read_bytes():
             return f"{name} differs"
     debris = left_over(folder)
@@ -235,14 +282,29 @@ class RealCampaign:
         options: of every command.
     """
 
-    def __init__(self, folder: Path, curves: Sequence[Path], options: Sequence[str] = OPTIONS) -> None:
-        self.folder, self.curves, self.options = folder, curves, options
+    def __init__(
+        self, folder: Path, curves: Sequence[Path], options: Sequence[str] = OPTIONS
+    ) -> None:
+        self.folder = folder
+        self.curves = curves
+        self.options = options
         self.seconds: list[float] = []
 
     def arguments(self, out: Path, number: int, *, resume: bool, tell: bool = True) -> list[str]:
         """Command ``number``: 0 asks, n tells the n-th curve."""
-        told = ["--rest-radius", "0.2:0.05", "--tell", str(self.curves[number - 1])] if number and tell else []
-        return ["campaign", *self.options, "--out", str(out), *(["--resume"] if resume else []), *told]
+        told = (
+            ["--rest-radius", "0.2:0.05", "--tell", str(self.curves[number - 1])]
+            if number and tell
+            else []
+        )
+        return [
+            "campaign",
+            *self.options,
+            "--out",
+            str(out),
+            *(["--resume"] if resume else []),
+            *told,
+        ]
 
     def whole(self, number: int) -> Path:
         """The folder after an uninterrupted command."""
@@ -268,12 +330,17 @@ class RealCampaign:
             ended = forked(self.work(self.whole(number), number, resume=number > 0))
             self.seconds.append(time.monotonic() - started)
             if ended.code != 0:
-                raise SystemExit(f"The uninterrupted command {number} ended with {ended.code}: {ended.said}")
+                raise SystemExit(
+                    f"The uninterrupted command {number} ended with {ended.code}: {ended.said}"
+                )
             counts.append(ended.operations)
         return counts
 
     def interrupt(self, number: int, disk: Disk | None, **when: Any) -> tuple[Ended, str | None]:
-        """Interrupt command ``number`` and repeat it; returns how it ended, and the problem if there is one."""
+        """Interrupt command ``number`` and repeat it.
+
+        Returns how it ended, and the problem if there is one.
+        """
         out = self.folder / "trial"
         shutil.rmtree(out, ignore_errors=True)
         if number:
@@ -299,9 +366,21 @@ def split(data: Path, names: Sequence[str], folder: Path) -> list[Path]:
     return files
 
 
-def run(real: RealCampaign, every: int, randoms: int, note: Callable[[str], None]) -> dict[str, Tally]:
-    """Interruptions of all commands: at every so many operations (0 for none), and so many at random."""
-    found = {name: Tally() for name in ("killed at a disk operation", "full disk", "killed at random", "Ctrl-C at random")}
+def run(
+    real: RealCampaign, every: int, randoms: int, note: Callable[[str], None]
+) -> dict[str, Tally]:
+    """Interruptions of all commands: at every so many operations (0 for none), and so many at
+    random.
+    """
+    found = {
+        name: Tally()
+        for name in (
+            "killed at a disk operation",
+            "full disk",
+            "killed at random",
+            "Ctrl-C at random",
+        )
+    }
     counts = real.prepare()
     note(f"disk operations of each command {counts}; seconds {[round(s, 1) for s in real.seconds]}")
     for number, count in enumerate(counts):
@@ -310,31 +389,56 @@ def run(real: RealCampaign, every: int, randoms: int, note: Callable[[str], None
             wrong = None if ended.code == -signal.SIGKILL else f"ended with {ended.code}"
             found["killed at a disk operation"].add(problem or wrong)
             ended, problem = real.interrupt(number, Disk(at, "full"))
-            plain = ended.code in (0, 1) and ended.said.count("\n") <= 1 and "Traceback" not in ended.said
-            found["full disk"].add(problem or (None if plain else f"ended with {ended.code}: {ended.said}"))
+            plain = (
+                ended.code in (0, 1)
+                and ended.said.count("\n") <= 1
+                and "Traceback" not in ended.said
+            )
+            found["full disk"].add(
+                problem or (None if plain else f"ended with {ended.code}: {ended.said}")
+            )
         note(f"command {number}: " + ", ".join(f"{k} {v.same}/{v.tried}" for k, v in found.items()))
     source = random.Random(0)
     for _ in range(randoms):
-        for name, signum in (("killed at random", signal.SIGKILL), ("Ctrl-C at random", signal.SIGINT)):
+        for name, signum in (
+            ("killed at random", signal.SIGKILL),
+            ("Ctrl-C at random", signal.SIGINT),
+        ):
             number = source.randrange(len(counts))
             after = 0.05 + source.random() * real.seconds[number]
             ended, problem = real.interrupt(number, None, after=after, signum=signum)
             if ended.code == 0 and problem is None:  # it had finished before
                 continue
-            plain = signum == signal.SIGKILL or (ended.code in (0, 130) and ended.said.count("\n") <= 1)
-            found[name].add(problem or (None if plain else f"after {after:.2f} s ended with {ended.code}: {ended.said}"))
+            plain = signum == signal.SIGKILL or (
+                ended.code in (0, 130) and ended.said.count("\n") <= 1
+            )
+            found[name].add(
+                problem
+                or (None if plain else f"after {after:.2f} s ended with {ended.code}: {ended.said}")
+            )
     note(", ".join(f"{k} {v.same}/{v.tried}" for k, v in found.items()))
     return found
 
 
 def start() -> None:
     """Run the benchmark from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--data", type=Path, default=EXAMPLE)
     parser.add_argument("--experiments", default="shot_1,shot_2,shot_3")
-    parser.add_argument("--goal", choices=("gel", *GOALS), default="gel", help="of the campaign (default gel)")
-    parser.add_argument("--every", type=int, default=1, help="operations from one that is failed to the next, 0 for none")
-    parser.add_argument("--random", type=int, default=40, help="attempts to interrupt at random times, of each kind")
+    parser.add_argument(
+        "--goal", choices=("gel", *GOALS), default="gel", help="of the campaign (default gel)"
+    )
+    parser.add_argument(
+        "--every",
+        type=int,
+        default=1,
+        help="operations from one that is failed to the next, 0 for none",
+    )
+    parser.add_argument(
+        "--random", type=int, default=40, help="attempts to interrupt at random times, of each kind"
+    )
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:

@@ -1,13 +1,16 @@
-"""Are the versions in constraints.txt a complete lock for every supported Python on every supported system?
+"""Are the versions in constraints.txt a complete lock for every supported Python on every supported
+system?
 
   python -m benchmarks.locks [--write] [--folder DIR]
 
-For each version of Python and each system, uv resolves the package with all of its extras under ``constraints.txt``, with
-binary packages alone, by the metadata of the package index. Nothing is installed, so no other interpreter is needed. A
-resolution that fails, or that has to choose a version that ``constraints.txt`` does not name, is reported, and the exit status
-is then 1. --write makes ``constraints.txt`` anew: the versions that it names stay, what a resolution needs beside them is
-added, and what none needs is taken out. --folder keeps each resolution as a file that ``pip install -r`` takes. Needs the extra
-``release``; takes one to three minutes, most of them waiting for the index.
+For each version of Python and each system, uv resolves the package with all of its extras under
+``constraints.txt``, with binary packages alone, by the metadata of the package index. Nothing is
+installed, so no other interpreter is needed. A resolution that fails, or that has to choose a
+version that ``constraints.txt`` does not name, is reported, and the exit status is then 1. --write
+makes ``constraints.txt`` anew: the versions that it names stay, what a resolution needs beside them
+is added, and what none needs is taken out. --folder keeps each resolution as a file that ``pip
+install -r`` takes. Needs the extra ``release``; takes one to three minutes, most of them waiting
+for the index.
 """
 
 import argparse
@@ -34,7 +37,11 @@ Pins = dict[str, str]
 def pins(text: str) -> Pins:
     """The versions that a file of constraints names; names as the index spells them."""
     lines = (line.partition("#")[0].partition(";")[0].strip() for line in text.splitlines())
-    return {_spelled(name): version for name, found, version in (line.partition("==") for line in lines) if found}
+    return {
+        _spelled(name): version
+        for name, found, version in (line.partition("==") for line in lines)
+        if found
+    }
 
 
 def _spelled(name: str) -> str:
@@ -48,7 +55,15 @@ def resolved(python: str, system: str) -> Pins:
         RuntimeError: with what uv says, if nothing fits together or a binary package is missing.
     """
     where = ("--python-version", python, "--python-platform", system, "--only-binary", ":all:")
-    what = ("pyproject.toml", "--all-extras", "--constraint", str(CONSTRAINTS), "--no-header", "--no-annotate", "--quiet")
+    what = (
+        "pyproject.toml",
+        "--all-extras",
+        "--constraint",
+        str(CONSTRAINTS),
+        "--no-header",
+        "--no-annotate",
+        "--quiet",
+    )
     done = subprocess.run(
         (sys.executable, "-m", "uv", "pip", "compile", *what, *where),
         cwd=ROOT,
@@ -63,26 +78,38 @@ def resolved(python: str, system: str) -> Pins:
 
 def unpinned(found: Pins, pinned: Pins) -> list[str]:
     """Packages of a resolution whose version is not the pinned one, or that are not pinned."""
-    return [f"{name}=={version}" for name, version in sorted(found.items()) if pinned.get(name) != version]
+    return [
+        f"{name}=={version}"
+        for name, version in sorted(found.items())
+        if pinned.get(name) != version
+    ]
 
 
 def united(resolutions: list[Pins]) -> Pins:
     """The packages of all resolutions.
 
     Raises:
-        ValueError: if two resolutions have different versions of a package, which one file cannot pin.
+        ValueError: if two resolutions have different versions of a package, which one file cannot
+            pin.
     """
     found: Pins = {}
     for one in resolutions:
         for name, version in one.items():
             if found.setdefault(name, version) != version:
-                raise ValueError(f"{name}: one resolution has {found[name]}, another {version}; pin one that fits both.")
+                raise ValueError(
+                    f"{name}: one resolution has {found[name]}, another {version}; pin one that "
+                    "fits both."
+                )
     return dict(sorted(found.items()))
 
 
 def problems(*, folder: Path | None = None) -> tuple[list[str], list[Pins]]:
-    """What is wrong with the lock, one line a version of Python and system, and the resolutions that succeeded."""
-    pinned, wrong, found = pins(CONSTRAINTS.read_text()), [], []
+    """What is wrong with the lock, one line a version of Python and system, and the resolutions
+    that succeeded.
+    """
+    pinned = pins(CONSTRAINTS.read_text())
+    wrong = []
+    found = []
     places = list(product(PYTHONS, SYSTEMS))
     with ThreadPoolExecutor(_AT_A_TIME) as pool:  # they wait for the index, not for the processor
         for (python, system), one in zip(places, pool.map(_tried, places), strict=True):
@@ -111,9 +138,13 @@ def _write(path: Path, versions: Pins) -> None:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command; the exit status."""
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     options.add_argument("--write", action="store_true", help="make constraints.txt anew")
-    options.add_argument("--folder", metavar="DIR", type=Path, help="keep the lock of each Python and system here")
+    options.add_argument(
+        "--folder", metavar="DIR", type=Path, help="keep the lock of each Python and system here"
+    )
     args = options.parse_args(argv)
     wrong, found = problems(folder=args.folder)
     if args.write and len(found) == len(PYTHONS) * len(SYSTEMS):
@@ -122,7 +153,10 @@ def main(argv: list[str] | None = None) -> int:
         print(f"constraints.txt names {len(versions)} packages")
         return 0
     places = f"Python {', '.join(PYTHONS)} on {', '.join(SYSTEMS)}"
-    print("\n".join(wrong) or f"constraints.txt is a complete lock for {places}: {len(united(found))} packages")
+    print(
+        "\n".join(wrong)
+        or f"constraints.txt is a complete lock for {places}: {len(united(found))} packages"
+    )
     return int(bool(wrong))
 
 

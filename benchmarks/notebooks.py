@@ -1,12 +1,14 @@
-"""Makes the notebooks of the tutorials: runs every script ``tutorials/NN_*.py`` in full and stores its output beside it.
+"""Makes the notebooks of the tutorials: runs every script ``tutorials/NN_*.py`` in full and stores
+its output beside it.
 
   python -m benchmarks.notebooks                # all of them: a quarter of an hour on one core
   python -m benchmarks.notebooks 01 05          # those that begin so
   python -m benchmarks.notebooks --words        # take over changed words between the cells; runs nothing
   python -m benchmarks.notebooks --check        # do the notebooks hold the cells of their scripts? Runs nothing
 
-The scripts are the source (percent format of jupytext); edit those. A notebook that fails is not written. The same cells
-run in the tests with IMR_TORCH_SMOKE=1, which makes them small. Needs the extra ``docs``.
+The scripts are the source (percent format of jupytext); edit those. A notebook that fails is not
+written. The same cells run in the tests with IMR_TORCH_SMOKE=1, which makes them small. Needs the
+extra ``docs``.
 """
 
 import argparse
@@ -23,7 +25,11 @@ _LONGEST = 1800  # seconds that a cell may take
 
 def scripts(*beginnings: str) -> list[Path]:
     """The scripts whose names begin so; all without any."""
-    return [path for path in sorted(TUTORIALS.glob("[0-9]*.py")) if path.name.startswith(beginnings or ("",))]
+    return [
+        path
+        for path in sorted(TUTORIALS.glob("[0-9]*.py"))
+        if path.name.startswith(beginnings or ("",))
+    ]
 
 
 def cells(path: Path) -> list[tuple[str, str]]:
@@ -39,14 +45,26 @@ def executed(path: Path, folder: Path) -> Any:
     from nbclient import NotebookClient
 
     notebook = jupytext.read(path)
-    notebook.metadata["kernelspec"] = {"name": "python3", "display_name": "Python 3", "language": "python"}
-    NotebookClient(notebook, timeout=_LONGEST, kernel_name="python3", resources={"metadata": {"path": str(folder)}}).execute()
+    notebook.metadata["kernelspec"] = {
+        "name": "python3",
+        "display_name": "Python 3",
+        "language": "python",
+    }
+    NotebookClient(
+        notebook,
+        timeout=_LONGEST,
+        kernel_name="python3",
+        resources={"metadata": {"path": str(folder)}},
+    ).execute()
     for number, cell in enumerate(notebook.cells):
         cell["id"] = f"cell-{number}"
         cell.metadata = {}
         if cell.cell_type == "code":
             cell.outputs = [_without_places(x) for x in cell.outputs if x.get("name") != "stderr"]
-    notebook.metadata = {"kernelspec": notebook.metadata["kernelspec"], "language_info": {"name": "python"}}
+    notebook.metadata = {
+        "kernelspec": notebook.metadata["kernelspec"],
+        "language_info": {"name": "python"},
+    }
     return notebook
 
 
@@ -67,28 +85,50 @@ def reworded(path: Path) -> Any:
     """
     import jupytext
 
-    script, notebook = jupytext.read(path), jupytext.read(path.with_suffix(".ipynb"))
+    script = jupytext.read(path)
+    notebook = jupytext.read(path.with_suffix(".ipynb"))
     kinds = [
-        [(cell.cell_type, cell.source if cell.cell_type == "code" else "") for cell in x.cells] for x in (script, notebook)
+        [(cell.cell_type, cell.source if cell.cell_type == "code" else "") for cell in x.cells]
+        for x in (script, notebook)
     ]
     if kinds[0] != kinds[1]:
         raise SystemExit(f"{path.name}: its code has changed; run it again.")
     for old, new in zip(notebook.cells, script.cells, strict=True):
         old.source = new.source
-        old.update({"outputs": [_without_places(x) for x in old.outputs]} if old.cell_type == "code" else {})
+        old.update(
+            {"outputs": [_without_places(x) for x in old.outputs]}
+            if old.cell_type == "code"
+            else {}
+        )
     return notebook
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command; the exit status."""
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    options.add_argument("names", nargs="*", metavar="NN", help="beginnings of names (default: all)")
-    options.add_argument("--check", action="store_true", help="only compare the cells of notebooks and scripts")
-    options.add_argument("--words", action="store_true", help="only take over the text between the cells of code")
+    options = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    options.add_argument(
+        "names", nargs="*", metavar="NN", help="beginnings of names (default: all)"
+    )
+    options.add_argument(
+        "--check", action="store_true", help="only compare the cells of notebooks and scripts"
+    )
+    options.add_argument(
+        "--words", action="store_true", help="only take over the text between the cells of code"
+    )
     args = options.parse_args(argv)
     if args.check:
-        stale = [path.name for path in scripts(*args.names) if cells(path) != cells(path.with_suffix(".ipynb"))]
-        print(f"make these notebooks anew: {', '.join(stale)}" if stale else "every notebook holds the cells of its script")
+        stale = [
+            path.name
+            for path in scripts(*args.names)
+            if cells(path) != cells(path.with_suffix(".ipynb"))
+        ]
+        print(
+            f"make these notebooks anew: {', '.join(stale)}"
+            if stale
+            else "every notebook holds the cells of its script"
+        )
         return int(bool(stale))
     import nbformat
 
@@ -102,7 +142,9 @@ def main(argv: list[str] | None = None) -> int:
             notebook = executed(path, Path(folder))
         nbformat.write(notebook, path.with_suffix(".ipynb"))
         size = path.with_suffix(".ipynb").stat().st_size
-        print(f"{path.stem}: {time.perf_counter() - started:.0f} s, {size / 1e3:.0f} kB", flush=True)
+        print(
+            f"{path.stem}: {time.perf_counter() - started:.0f} s, {size / 1e3:.0f} kB", flush=True
+        )
     return 0
 
 

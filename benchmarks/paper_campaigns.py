@@ -1,7 +1,8 @@
 """The sequential campaigns of the reproduction, and the table that is computed from their journals.
 
-Truth and inference have full physics. Searches take 25 evaluations of the Laplace gain with 16 common draws of each model,
-the later ones five at a time (``mode`` exact), or are the published ones with 1000 draws (``mode`` paper).
+Truth and inference have full physics. Searches take 25 evaluations of the Laplace gain with 16
+common draws of each model, the later ones five at a time (``mode`` exact), or are the published
+ones with 1000 draws (``mode`` paper).
 """
 
 import json
@@ -35,11 +36,15 @@ from imr_torch.observe import SimulatedLaboratory
 from imr_torch.simulate import Accuracy, Simulator, TransportSimulator, process_pool
 
 PLAN = Plan(repeats=100)
-SIMULATOR = TransportSimulator(accuracy=Accuracy(max_steps=20000))  # named, so that journals outlive a change of defaults
+SIMULATOR = TransportSimulator(
+    accuracy=Accuracy(max_steps=20000)
+)  # named, so that journals outlive a change of defaults
 SEARCH = Optimal(Laplace(draws=16), batch=5)
 POLICIES: dict[str, DesignPolicy] = {"optimal": SEARCH, "random": Random()}
 MODES = ("exact", "paper")
-WITHIN, SURE, LEVEL = 0.01, 0.99, 0.9
+WITHIN = 0.01
+SURE = 0.99
+LEVEL = 0.9
 PRECISE = 0.02  # relative sd; an error below 1 % is chance while the sd is of that size
 COMPARED_AT = 3
 
@@ -54,9 +59,11 @@ class Row:
         probability: of the true model.
         errors: relative error of the posterior mean of each parameter.
         sds: relative posterior standard deviation of each parameter.
-        ratios: posterior standard deviation of each control over its Cramer-Rao bound with the prior.
+        ratios: posterior standard deviation of each control over its Cramer-Rao bound with the
+            prior.
         covered: whether the 90 % interval of each parameter holds the truth.
-        volume: log of the posterior's volume over the prior's (determinant of standard deviations of the controls).
+        volume: log of the posterior's volume over the prior's (determinant of standard deviations
+            of the controls).
         entropy: of the whole belief, nats (SI units).
     """
 
@@ -73,14 +80,18 @@ class Row:
 
 def study(folder: Path, case: ReferenceCase, policy: str, mode: str) -> Study:
     """Campaigns of one case, policy and mode."""
-    laboratory = SimulatedLaboratory(SIMULATOR, PARAMETERS.pack(case.truth), noise=PLAN.noise, repeats=PLAN.repeats)
+    laboratory = SimulatedLaboratory(
+        SIMULATOR, PARAMETERS.pack(case.truth), noise=PLAN.noise, repeats=PLAN.repeats
+    )
     settings = CampaignSettings(plan=PLAN, policy=POLICIES[policy])
     if mode == "paper":
         published = CampaignSettings.paper()
         chosen = published.policy if policy == "optimal" else POLICIES[policy]
         settings = CampaignSettings(plan=PLAN, policy=chosen, learner=PaperLearner())
     name = f"{case.key}_{policy}_{mode}"
-    return Study(folder / "campaigns" / name, case.prior, SIMULATOR, laboratory, settings, {"case": case.key})
+    return Study(
+        folder / "campaigns" / name, case.prior, SIMULATOR, laboratory, settings, {"case": case.key}
+    )
 
 
 def run(
@@ -95,10 +106,13 @@ def run(
     quiet: bool = False,
 ) -> None:
     """Continue campaigns, a design of all seeds after the other, and keep the CPU time of each."""
-    work, pool = study(folder, reference_case(case), policy, mode), process_pool(workers) if workers > 1 else None
+    work = study(folder, reference_case(case), policy, mode)
+    pool = process_pool(workers) if workers > 1 else None
     for count in range(1, designs + 1):
         waiting = [seed for seed in seeds if len(work.open(seed).steps) < count]
-        outcomes = run_campaigns(waiting, work, count, executor=pool, progress=None if quiet else print)
+        outcomes = run_campaigns(
+            waiting, work, count, executor=pool, progress=None if quiet else print
+        )
         for outcome in outcomes:
             with (Path(work.folder) / "cpu.jsonl").open("a") as stream:
                 stream.write(json.dumps(asdict(outcome)) + "\n")
@@ -114,18 +128,24 @@ def informations(case: ReferenceCase, designs: Tensor, simulator: Simulator) -> 
     with torch.no_grad():
         seen = respond(shot, part, true_controls(case)[None])
     each = (seen.of_design(number) for number in range(len(designs)))
-    chols = torch.stack([infer(Data(one.radius, PLAN.window(one.radius)), one, PLAN).chol[0] for one in each])
+    chols = torch.stack(
+        [infer(Data(one.radius, PLAN.window(one.radius)), one, PLAN).chol[0] for one in each]
+    )
     return chols @ chols.mT - torch.eye(chols.shape[-1], dtype=torch.float64)
 
 
 def true_controls(case: ReferenceCase) -> Tensor:
     """``d`` tensor, controls of the true gel under its own model."""
     part = case.prior[case.truth_model]
-    return part.to_controls(torch.tensor([case.truth[name] for name in part.names], dtype=torch.float64))
+    return part.to_controls(
+        torch.tensor([case.truth[name] for name in part.names], dtype=torch.float64)
+    )
 
 
 def bounds(case: ReferenceCase, designs: Tensor, simulator: Simulator) -> Tensor:
-    """Cramer-Rao bounds with the prior of the controls' standard deviations after each design: ``E x d``."""
+    """Cramer-Rao bounds with the prior of the controls' standard deviations after each design: ``E
+    x d``.
+    """
     each = informations(case, designs, simulator)
     known = torch.eye(each.shape[-1], dtype=torch.float64) + each.cumsum(0)
     return torch.linalg.inv(known).diagonal(dim1=-2, dim2=-1).sqrt()
@@ -151,19 +171,23 @@ def _row(campaign: Campaign, step: Step, case: ReferenceCase, bound: Tensor) -> 
 
 def read(folder: Path, case: ReferenceCase, policy: str, mode: str) -> dict[int, list[Row]]:
     """All finished designs of all seeds; bounds are computed once and kept beside each journal."""
-    work, found = study(folder, case, policy, mode), {}
+    work = study(folder, case, policy, mode)
+    found = {}
     for path in sorted(Path(work.folder).glob("seed_*")):
         campaign = work.open(int(path.name.removeprefix("seed_")))
         if not campaign.steps:
             continue
-        kept, designs = path / "bounds.json", [list(e.design) for e in campaign.experiments]
+        kept = path / "bounds.json"
+        designs = [list(e.design) for e in campaign.experiments]
         known = json.loads(kept.read_text()) if kept.exists() else {"designs": []}
         if known["designs"] != designs:
             bound = bounds(case, torch.tensor(designs, dtype=torch.float64), work.simulator)
             known = {"designs": designs, "bounds": bound.tolist()}
             write_json(kept, known)
         bound = torch.tensor(known["bounds"], dtype=torch.float64)
-        found[campaign.seed] = [_row(campaign, step, case, bound[step.number - 1]) for step in campaign.steps]
+        found[campaign.seed] = [
+            _row(campaign, step, case, bound[step.number - 1]) for step in campaign.steps
+        ]
     return found
 
 
@@ -187,7 +211,10 @@ def _first(rows: Sequence[Row], reached: Any) -> float:
 
 
 def _for_good(rows: Sequence[Row]) -> float:
-    """Number of the first design from which on every parameter stays within 1 %; infinite when the last is not."""
+    """Number of the first design from which on every parameter stays within 1 %.
+
+    Infinite when the last is not.
+    """
     beyond = [n for n, row in enumerate(rows, start=1) if not _close(row)]
     last = max(beyond, default=0)
     return last + 1.0 if last < len(rows) else math.inf
@@ -199,21 +226,27 @@ def _known(numbers: Sequence[float]) -> list[float | None]:
 
 
 def _covered(seeds: Sequence[list[bool]]) -> dict[str, float | None]:
-    """Share of intervals that cover; its error is over seeds, since the parameters of one seed err together."""
+    """Share of intervals that cover.
+
+    Its error is over seeds, since the parameters of one seed err together.
+    """
     share, error = _mean([statistics.fmean(covered) for covered in seeds])
     return {"share": share, "error": error, "intervals": sum(map(len, seeds))}
 
 
 def summary(seeds: dict[int, list[Row]], cpu: Path) -> dict[str, Any]:
     """The figures of one case, policy and mode."""
-    rows, longest = list(seeds.values()), max(len(r) for r in seeds.values())
+    rows = list(seeds.values())
+    longest = max(len(r) for r in seeds.values())
     until = [_first(r, _close) for r in rows]
     stays = [_for_good(r) for r in rows]
     precise = [_first(r, _precise) for r in rows]
     sure = [_first(r, lambda row: row.probability > SURE) for r in rows]
     at = {n: [r[n - 1] for r in rows if len(r) >= n] for n in range(1, longest + 1)}
     timed = [json.loads(line) for line in cpu.read_text().splitlines()] if cpu.exists() else []
-    seconds = {n: [t["cpu_seconds"] for t in timed if t["designs"] == n and t["made"] == 1] for n in at}
+    seconds = {
+        n: [t["cpu_seconds"] for t in timed if t["designs"] == n and t["made"] == 1] for n in at
+    }
     return {
         "seeds": len(rows),
         "designs_of_each": sorted(len(r) for r in rows),
@@ -226,9 +259,15 @@ def summary(seeds: dict[int, list[Row]], cpu: Path) -> dict[str, Any]:
             n: {
                 "seeds": len(group),
                 "worst_error_median": statistics.median(max(row.errors) for row in group),
-                "errors_median": [statistics.median(e) for e in zip(*(row.errors for row in group), strict=True)],
-                "sds_median": [statistics.median(e) for e in zip(*(row.sds for row in group), strict=True)],
-                "ratio_to_bound_median": [statistics.median(e) for e in zip(*(row.ratios for row in group), strict=True)],
+                "errors_median": [
+                    statistics.median(e) for e in zip(*(row.errors for row in group), strict=True)
+                ],
+                "sds_median": [
+                    statistics.median(e) for e in zip(*(row.sds for row in group), strict=True)
+                ],
+                "ratio_to_bound_median": [
+                    statistics.median(e) for e in zip(*(row.ratios for row in group), strict=True)
+                ],
                 "probability_mean": statistics.fmean(row.probability for row in group),
                 "coverage": _covered([row.covered for row in group]),
                 "volume": _mean([row.volume for row in group]),
@@ -239,9 +278,14 @@ def summary(seeds: dict[int, list[Row]], cpu: Path) -> dict[str, Any]:
     }
 
 
-def _against(first: dict[int, list[Row]], second: dict[int, list[Row]], value: Any) -> dict[str, float] | None:
+def _against(
+    first: dict[int, list[Row]], second: dict[int, list[Row]], value: Any
+) -> dict[str, float] | None:
     """Difference of means over seeds with its standard error, of seeds that have the value."""
-    groups = [[v for rows in seeds.values() if (v := value(rows)) is not None] for seeds in (first, second)]
+    groups = [
+        [v for rows in seeds.values() if (v := value(rows)) is not None]
+        for seeds in (first, second)
+    ]
     if min(map(len, groups)) < 2:
         return None
     difference = statistics.fmean(groups[0]) - statistics.fmean(groups[1])
@@ -250,7 +294,10 @@ def _against(first: dict[int, list[Row]], second: dict[int, list[Row]], value: A
 
 
 def _policies(optimal: dict[int, list[Row]], random: dict[int, list[Row]]) -> dict[str, Any]:
-    """What optimal designs save; where the longest campaigns were not enough, one design more is counted."""
+    """What optimal designs save.
+
+    Where the longest campaigns were not enough, one design more is counted.
+    """
     longest = max(len(rows) for seeds in (optimal, random) for rows in seeds.values())
 
     def against(value: Any, least: int) -> dict[str, Any] | None:
@@ -262,7 +309,10 @@ def _policies(optimal: dict[int, list[Row]], random: dict[int, list[Row]]) -> di
     def worst(rows: list[Row]) -> float:
         return math.log(max(rows[COMPARED_AT - 1].sds))
 
-    volumes = {f"log volume after {n}": against(lambda rows, n=n: rows[n - 1].volume, n) for n in range(1, longest + 1)}
+    volumes = {
+        f"log volume after {n}": against(lambda rows, n=n: rows[n - 1].volume, n)
+        for n in range(1, longest + 1)
+    }
     return volumes | {
         f"log worst relative sd after {COMPARED_AT}": against(worst, COMPARED_AT),
         "designs until within 1 %": designs(lambda rows: _first(rows, _close)),
@@ -272,7 +322,9 @@ def _policies(optimal: dict[int, list[Row]], random: dict[int, list[Row]]) -> di
 
 
 def table(folder: Path) -> dict[str, Any]:
-    """All figures of the table, of whatever campaigns there are, and what differs between optimal and random designs."""
+    """All figures of the table, of whatever campaigns there are, and what differs between optimal
+    and random designs.
+    """
     document: dict[str, Any] = {}
     for case in CASES.values():
         for mode in MODES:
@@ -282,5 +334,7 @@ def table(folder: Path) -> dict[str, Any]:
                     name = f"{case.key}_{policy}_{mode}"
                     document[name] = summary(seeds, folder / "campaigns" / name / "cpu.jsonl")
             if all(found.values()):
-                document[f"{case.key}_{mode}: optimal minus random"] = _policies(found["optimal"], found["random"])
+                document[f"{case.key}_{mode}: optimal minus random"] = _policies(
+                    found["optimal"], found["random"]
+                )
     return document

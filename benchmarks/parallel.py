@@ -1,9 +1,11 @@
-"""What worker processes cost and gain: one batch with full physics, here and on pools that are already running.
+"""What worker processes cost and gain: one batch with full physics, here and on pools that are
+already running.
 
   python benchmarks/parallel.py [--count 2000] [--workers 1,2] [--chunk 500] [--json OUT]
 
-Bubbles as in `benchmarks/solver.py`. CPU time is that of all processes, less what they took to start; wall time means
-something on an idle machine only. That results are the same bit for bit on every pool is checked.
+Bubbles as in `benchmarks/solver.py`. CPU time is that of all processes, less what they took to
+start; wall time means something on an idle machine only. That results are the same bit for bit on
+every pool is checked.
 """
 
 import argparse
@@ -35,10 +37,13 @@ def run(simulator: Simulator, count: int) -> tuple[float, torch.Tensor]:
 def run_on(workers: int, count: int, chunk: int) -> tuple[float, float, torch.Tensor]:
     """Wall and CPU time of a batch of ``count`` on running ``workers``, and its radii."""
     used = []
-    wall, radius = 0.0, torch.empty(0)
+    wall = 0.0
+    radius = torch.empty(0)
     for work in (False, True):
         before = cpu_seconds()
-        with ParallelSimulator(TransportSimulator(), partial(process_pool, workers), chunk=chunk) as parallel:
+        with ParallelSimulator(
+            TransportSimulator(), partial(process_pool, workers), chunk=chunk
+        ) as parallel:
             parallel(*draws(chunk * workers, "cpu"), TIMES[:2])  # processes start and import
             if work:
                 wall, radius = run(parallel, count)
@@ -48,7 +53,9 @@ def run_on(workers: int, count: int, chunk: int) -> tuple[float, float, torch.Te
 
 def main() -> None:
     """Measure, print, write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--count", type=int, default=2000)
     parser.add_argument("--workers", default="1,2", metavar="N,...")
     parser.add_argument("--chunk", type=int, default=500)
@@ -57,7 +64,8 @@ def main() -> None:
     torch.set_num_threads(1)
     started = cpu_seconds()
     wall, _ = run(TransportSimulator(), args.count)
-    result, radii = {"here_wall_s": wall, "here_cpu_s": cpu_seconds() - started}, []
+    result = {"here_wall_s": wall, "here_cpu_s": cpu_seconds() - started}
+    radii = []
     for workers in map(int, args.workers.split(",")):
         wall, used, radius = run_on(workers, args.count, args.chunk)
         result |= {f"workers_{workers}_wall_s": wall, f"workers_{workers}_cpu_s": used}

@@ -1,20 +1,24 @@
-"""What the program says of measured gels: every set of a folder by one code, and the controls that the answers must pass.
+"""What the program says of measured gels: every set of a folder by one code, and the controls that
+the answers must pass.
 
   python benchmarks/real_gels.py run FOLDER --json real_gels.jsonl
   python benchmarks/real_gels.py table --json real_gels.jsonl --page real_gels.md
 
-FOLDER holds a CSV file a gel and a JSON file beside it. `run` appends a line a set and task, and passes over what has a line.
-Of each set at most `--max-curves` are taken (default 4), evenly spread over those that can be fitted and whose tail does not
-grow again. Curves that figures show go into a file of their own beside the record. The medium is stated (`SETS`); models with
-heat and vapour transport. Tasks:
+FOLDER holds a CSV file a gel and a JSON file beside it. `run` appends a line a set and task, and
+passes over what has a line. Of each set at most `--max-curves` are taken (default 4), evenly spread
+over those that can be fitted and whose tail does not grow again. Curves that figures show go into a
+file of their own beside the record. The medium is stated (`SETS`); models with heat and vapour
+transport. Tasks:
 
 - `characterize`: Newtonian, NHKV and generalised QKV.
-- `diagnose`: additions selected stepwise on every second curve, at most four, judged on the other curves, which no fit saw. Two
-  curves have two halves of one, one curve has none and its additions are judged in sample.
+- `diagnose`: additions selected stepwise on every second curve, at most four, judged on the other
+  curves, which no fit saw. Two curves have two halves of one, one curve has none and its additions
+  are judged in sample.
 - `other half`: the first addition of those other curves.
 - `halves`: the first addition of either half of all curves, of 20 at most.
 
-`table` writes one page, with the controls (`real_gels_controls.py`) and a figure a set (`real_gels_page.py`).
+`table` writes one page, with the controls (`real_gels_controls.py`) and a figure a set
+(`real_gels_page.py`).
 """
 
 import argparse
@@ -40,7 +44,14 @@ from imr_torch.gap.document import differing_document, selection_document
 from imr_torch.gap.parts import closed_by
 from imr_torch.gap.stepwise import select_stepwise
 from imr_torch.material import Effect, ModelBelief, wide_prior
-from imr_torch.observe import Experiment, ExperimentBatch, GelMedium, TraceSet, find_landmarks, prepare
+from imr_torch.observe import (
+    Experiment,
+    ExperimentBatch,
+    GelMedium,
+    TraceSet,
+    find_landmarks,
+    prepare,
+)
 from imr_torch.random import child
 from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
 
@@ -71,7 +82,9 @@ SETS: dict[str, str] = {
 measured value; gel03 and gel25 are agarose of .3 and 2.5 % by inference, and lie between the two that are stated."""
 
 TASKS = ("characterize", "diagnose", "other half", "halves")
-BASE, MOST, SEED = "nhkv", 4, 0
+BASE = "nhkv"
+MOST = 4
+SEED = 0
 HALVED = 20  # curves that are divided into halves, at most
 _DROP_BEHIND = 50.0  # nats by which a model must be behind to be left there
 
@@ -123,7 +136,13 @@ class Asked:
         stated = medium_of(traces, medium, simulator.conditions.surroundings)
         experiments = prepare(traces, stated.surroundings, rest_radius=rest).experiments
         base = stated.believed_of(wide_prior((BASE,)).models[0])
-        return cls((experiments[::2], experiments[1::2]), base, _effects(stated), stated.applied(simulator), rest is not None)
+        return cls(
+            (experiments[::2], experiments[1::2]),
+            base,
+            _effects(stated),
+            stated.applied(simulator),
+            rest is not None,
+        )
 
     def diagnosis(self, half: int, most: int) -> GapReport:
         """Of one half."""
@@ -152,27 +171,39 @@ def halved(file: Path, most: int, medium: str) -> dict[str, Any]:
     found = []
     for half in (0, 1):
         report = asked.diagnosis(half, 1)
-        row = {"curves": [e.label for e in report.batch.experiments], "gap": report.found, "p_gap": report.gap.p_value}
+        row = {
+            "curves": [e.label for e in report.batch.experiments],
+            "gap": report.found,
+            "p_gap": report.gap.p_value,
+        }
         row |= {"converged": report.converged, "ladder": None}
         if report.found:
             inquiry = Inquiry(report.null.prior, asked.effects, report.batch, asked.simulator)
             tested = {step.winner: step.left for step in report.steps if step.left}
             here = (inquiry, report.null, report.gap, report.fits)
-            selection = select_stepwise(*here, tested=tested, most=1, seed=_seed(half), progress=_progress)
+            selection = select_stepwise(
+                *here, tested=tested, most=1, seed=_seed(half), progress=_progress
+            )
             row |= {"ladder": selection_document(selection), "unsettled": list(selection.unsettled)}
         found.append(row)
     return {"halves": found}
 
 
 def diagnosed(file: Path, most: int, medium: str, *, other: bool) -> dict[str, Any]:
-    """Verdict and selection of every second curve, judged on the others; of the ``other`` half its first addition only."""
+    """Verdict and selection of every second curve, judged on the others.
+
+    Of the ``other`` half its first addition only.
+    """
     asked = Asked.of(file, most, medium)
     fitted, unseen = asked.halves[::-1] if other else asked.halves
     if not fitted:
         return {"skipped": "one curve has no other half"}
     additions, half = (1, 1) if other else (MOST, 0)
     report = asked.diagnosis(half, additions)
-    noise, simulator, effects, seed = report.batch.noise, asked.simulator, asked.effects, _seed(half)
+    noise = report.batch.noise
+    simulator = asked.simulator
+    effects = asked.effects
+    seed = _seed(half)
     row = {
         "curves": [e.label for e in fitted],
         "unseen": [e.label for e in unseen],
@@ -187,28 +218,44 @@ def diagnosed(file: Path, most: int, medium: str, *, other: bool) -> dict[str, A
         "seconds_diagnose": time.process_time() - _started[-1],
     }
     if not report.found:
-        return row | {"converged": report.converged, "ladder": None, "shown": _shown(report.batch, {"none": report.null})}
-    selection = closed_by(report, simulator, unseen, most=additions, seed=seed, progress=_progress)[0]
+        return row | {
+            "converged": report.converged,
+            "ladder": None,
+            "shown": _shown(report.batch, {"none": report.null}),
+        }
+    selection = closed_by(report, simulator, unseen, most=additions, seed=seed, progress=_progress)[
+        0
+    ]
     fits = {step.name: step.fit for step in (selection.steps[0], selection.steps[-1])}
-    said = {"converged": report.converged, "ladder": selection_document(selection), "sentence": str(selection)}
+    said = {
+        "converged": report.converged,
+        "ladder": selection_document(selection),
+        "sentence": str(selection),
+    }
     said |= {"differing": differing_document(selection)}
     return row | said | {"shown": _shown(report.batch, fits)}
 
 
 def _effects(medium: GelMedium) -> tuple[Any, ...]:
     """The library less what is inferred with the medium."""
-    return tuple(effect for effect in library(base=BASE) if not set(effect.names) & set(medium.priors))
+    return tuple(
+        effect for effect in library(base=BASE) if not set(effect.names) & set(medium.priors)
+    )
 
 
 def _shown(batch: ExperimentBatch, fits: dict[str, Any]) -> list[dict[str, Any]]:
     """Curves, their noise under the base model, and predictions, for figures and residuals."""
-    sd, base = batch.sd(next(iter(fits.values())).prediction), []
+    sd = batch.sd(next(iter(fits.values())).prediction)
+    base = []
     for e, experiment in enumerate(batch.experiments):
         seen = batch.mask[e]
         values = {"t": batch.times[e], "R": batch.mean[e], "sd": sd[e]}
         values |= {name: fit.prediction[e] for name, fit in fits.items()}
         rounded = {name: [round(x, 5) for x in row[seen].tolist()] for name, row in values.items()}
-        base.append({"id": experiment.label, "We": experiment.design[0], "R_inf*": experiment.design[1]} | rounded)
+        base.append(
+            {"id": experiment.label, "We": experiment.design[0], "R_inf*": experiment.design[1]}
+            | rounded
+        )
     return base
 
 
@@ -224,8 +271,13 @@ def run(args: argparse.Namespace) -> None:
     """Append what is missing to the record."""
     warnings.simplefilter("ignore")
     torch.set_num_threads(1)
-    path, files = Path(args.json), {f.stem: f for f in chosen_files(args.folder, None)}
-    names = [name for name in SETS if name in files and (args.sets is None or name.startswith(tuple(args.sets.split(","))))]
+    path = Path(args.json)
+    files = {f.stem: f for f in chosen_files(args.folder, None)}
+    names = [
+        name
+        for name in SETS
+        if name in files and (args.sets is None or name.startswith(tuple(args.sets.split(","))))
+    ]
     done = {(row["set"], row["task"]) for row in rows(path)}
     tasks: dict[str, Callable[[Path, int, str], dict[str, Any]]] = {
         "characterize": characterized,
@@ -239,27 +291,46 @@ def run(args: argparse.Namespace) -> None:
                 continue
             print(f"{name}: {task}", flush=True)
             _started.append(time.process_time())
-            row: dict[str, Any] = {"set": name, "task": task, "stated": SETS[name], "max_curves": args.max_curves}
+            row: dict[str, Any] = {
+                "set": name,
+                "task": task,
+                "stated": SETS[name],
+                "max_curves": args.max_curves,
+            }
             try:
                 row |= tasks[task](files[name], args.max_curves, SETS[name])
-            except (ImrError, RuntimeError) as error:  # torch reports a singular matrix as the latter
-                row["failure"] = f"{type(error).__name__}: {error}".replace(f"{files[name].parent}/", "")
+            except (
+                ImrError,
+                RuntimeError,
+            ) as error:  # torch reports a singular matrix as the latter
+                row["failure"] = f"{type(error).__name__}: {error}".replace(
+                    f"{files[name].parent}/", ""
+                )
             row["cpu"] = time.process_time() - _started[-1]
             if shown := row.pop("shown", None):
                 with curves_file(path).open("a", encoding="utf-8") as drawn:
                     drawn.write(json.dumps({"set": name, "task": task, "shown": shown}) + "\n")
             stream.write(json.dumps(row) + "\n")
             stream.flush()
-            print(f"  done in {row['cpu']:.1f} s{': ' + row['failure'] if 'failure' in row else ''}", flush=True)
+            print(
+                f"  done in {row['cpu']:.1f} s{': ' + row['failure'] if 'failure' in row else ''}",
+                flush=True,
+            )
 
 
 def rows(path: Path) -> list[dict[str, Any]]:
     """The lines of a record; none where there is no file."""
-    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()] if path.exists() else []
+    return (
+        [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+        if path.exists()
+        else []
+    )
 
 
 def curves_file(record: Path) -> Path:
-    """Beside a record: the measured curves and predictions that figures show; most data may not be passed on with results."""
+    """Beside a record: the measured curves and predictions that figures show; most data may not be
+    passed on with results.
+    """
     return record.with_suffix(".curves.jsonl")
 
 
@@ -268,26 +339,36 @@ def table(args: argparse.Namespace) -> None:
     from real_gels_page import write_page
 
     record = Path(args.json)
-    curves = {row["set"]: row["shown"] for row in rows(curves_file(record)) if row["task"] == "diagnose"}
+    curves = {
+        row["set"]: row["shown"] for row in rows(curves_file(record)) if row["task"] == "diagnose"
+    }
     write_page(rows(record), curves, Path(args.page))
     print(f"wrote {args.page}")
 
 
 def main() -> None:
     """Parse and run."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     commands = parser.add_subparsers(required=True)
     work = commands.add_parser("run")
     work.add_argument("folder", type=Path)
-    work.add_argument("--sets", help="only sets whose names begin with one of these, comma-separated")
+    work.add_argument(
+        "--sets", help="only sets whose names begin with one of these, comma-separated"
+    )
     work.add_argument("--tasks", default=",".join(TASKS), help="comma-separated")
     work.add_argument("--max-curves", type=int, default=4, help="most curves of a set; 0 for all")
     work.set_defaults(function=run)
     show = commands.add_parser("table")
-    show.add_argument("--page", default="real_gels.md", help="figures go into a folder of that name beside it")
+    show.add_argument(
+        "--page", default="real_gels.md", help="figures go into a folder of that name beside it"
+    )
     show.set_defaults(function=table)
     for command in (work, show):
-        command.add_argument("--json", default="real_gels.jsonl", help="the record, one JSON line a set and task")
+        command.add_argument(
+            "--json", default="real_gels.jsonl", help="the record, one JSON line a set and task"
+        )
     args = parser.parse_args()
     args.function(args)
 

@@ -1,13 +1,17 @@
-"""The release checklist: are the packages complete, do they install from nothing, and do all files name one version?
+"""The release checklist: are the packages complete, do they install from nothing, and do all files
+name one version?
 
   python -m benchmarks.release [--draft] [--dist DIR]
 
-In this order: version in pyproject.toml, CITATION.cff and CHANGELOG.md; wheel and sdist, built in isolation; their metadata
-(twine) and files; pinned versions, which must be a complete lock for every supported Python and system (benchmarks/locks.py);
-a fresh environment outside the checkout with the wheel alone, where ``imr-torch --version``, ``python -m imr_torch``, the help
-of every subcommand and ``imr-torch demo --short`` must run. --draft does not ask CHANGELOG.md for a heading of the version,
-since changes stand under "Unreleased" until the day of the release. Needs the extra ``release`` and a package index; takes five
-to eight minutes, most of them for the download of PyTorch and for the index. Exit status 1 if a check fails.
+In this order: version in pyproject.toml, CITATION.cff and CHANGELOG.md; wheel and sdist, built in
+    isolation; their metadata
+(twine) and files; pinned versions, which must be a complete lock for every supported Python and
+system (benchmarks/locks.py); a fresh environment outside the checkout with the wheel alone, where
+``imr-torch --version``, ``python -m imr_torch``, the help of every subcommand and ``imr-torch demo
+--short`` must run. --draft does not ask CHANGELOG.md for a heading of the version, since changes
+stand under "Unreleased" until the day of the release. Needs the extra ``release`` and a package
+index; takes five to eight minutes, most of them for the download of PyTorch and for the index. Exit
+status 1 if a check fails.
 """
 
 import argparse
@@ -25,7 +29,12 @@ from pathlib import Path
 from benchmarks.locks import problems
 
 ROOT = Path(__file__).resolve().parents[1]
-IN_WHEEL = ("imr_torch/py.typed", "imr_torch/data/example_gel.csv", "imr_torch/data/example_gel.json", "imr_torch/cli/demo.py")
+IN_WHEEL = (
+    "imr_torch/py.typed",
+    "imr_torch/data/example_gel.csv",
+    "imr_torch/data/example_gel.json",
+    "imr_torch/cli/demo.py",
+)
 IN_SDIST = (
     "LICENSE",
     "CITATION.cff",
@@ -60,8 +69,12 @@ def disagreements(stated: str, citation: str, changelog: str, *, draft: bool = F
     wrong = []
     cited = re.search(r"^version: *['\"]?([^\s'\"]+)", citation, re.MULTILINE)
     if cited is None or cited[1] != stated:
-        wrong.append(f"CITATION.cff has version {cited[1] if cited else 'none'}, pyproject.toml {stated}")
-    if not draft and not re.search(rf"^## \[{re.escape(stated)}\] - \d{{4}}-\d\d-\d\d$", changelog, re.MULTILINE):
+        wrong.append(
+            f"CITATION.cff has version {cited[1] if cited else 'none'}, pyproject.toml {stated}"
+        )
+    if not draft and not re.search(
+        rf"^## \[{re.escape(stated)}\] - \d{{4}}-\d\d-\d\d$", changelog, re.MULTILINE
+    ):
         wrong.append(f"CHANGELOG.md has no heading '## [{stated}] - YYYY-MM-DD'")
     return wrong
 
@@ -79,7 +92,10 @@ def ran(*command: str | Path, cwd: Path | None = None) -> str:
     """
     done = subprocess.run([str(x) for x in command], cwd=cwd, capture_output=True, text=True)
     if done.returncode != 0:
-        raise RuntimeError(f"{' '.join(map(str, command))} ended with {done.returncode}: {(done.stdout + done.stderr)[-1500:]}")
+        raise RuntimeError(
+            f"{' '.join(map(str, command))} ended with {done.returncode}: "
+            f"{(done.stdout + done.stderr)[-1500:]}"
+        )
     return done.stdout
 
 
@@ -108,12 +124,16 @@ def contents(wheel: Path, sdist: Path) -> list[str]:
 
 
 def installed(wheel: Path, home: Path) -> list[str]:
-    """What does not work of the wheel in a fresh environment, run from a folder without the checkout."""
+    """What does not work of the wheel in a fresh environment, run from a folder without the
+    checkout.
+    """
     venv.create(home / "venv", with_pip=True)
     scripts = home / "venv" / ("Scripts" if sys.platform == "win32" else "bin")
-    python, command = scripts / "python", scripts / "imr-torch"
+    python = scripts / "python"
+    command = scripts / "imr-torch"
     ran(python, "-m", "pip", "install", "--quiet", "-c", ROOT / "constraints.txt", wheel)
-    wrong, expected = [], f"imr-torch {version()}"
+    wrong = []
+    expected = f"imr-torch {version()}"
     for way in ((command,), (python, "-m", "imr_torch")):
         if (said := ran(*way, "--version", cwd=home).strip()) != expected:
             wrong.append(f"{way} --version says {said!r} in place of {expected!r}")
@@ -121,14 +141,24 @@ def installed(wheel: Path, home: Path) -> list[str]:
     for name in ran(python, "-c", script, cwd=home).split():
         ran(command, name, "--help", cwd=home)
     ran(command, "demo", "--short", "--quiet", cwd=home)
-    return wrong + [f"the demo wrote no {name}" for name in FROM_DEMO if not (home / "imr_torch_demo" / name).is_file()]
+    return wrong + [
+        f"the demo wrote no {name}"
+        for name in FROM_DEMO
+        if not (home / "imr_torch_demo" / name).is_file()
+    ]
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run the checks in turn; the exit status."""
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    options.add_argument("--draft", action="store_true", help="the changelog need not name the version yet")
-    options.add_argument("--dist", metavar="DIR", help="keep wheel and sdist here (default: nowhere)")
+    options = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    options.add_argument(
+        "--draft", action="store_true", help="the changelog need not name the version yet"
+    )
+    options.add_argument(
+        "--dist", metavar="DIR", help="keep wheel and sdist here (default: nowhere)"
+    )
     args = options.parse_args(argv)
     texts = [(ROOT / name).read_text() for name in ("CITATION.cff", "CHANGELOG.md")]
     with tempfile.TemporaryDirectory() as made:
@@ -140,7 +170,10 @@ def main(argv: list[str] | None = None) -> int:
         except RuntimeError as error:
             print(f"FAILED build: {error}")
             return 1
-        print(f"built {wheel.name} ({wheel.stat().st_size / 1e3:.0f} kB), {sdist.name} ({sdist.stat().st_size / 1e3:.0f} kB)")
+        print(
+            f"built {wheel.name} ({wheel.stat().st_size / 1e3:.0f} kB), {sdist.name} "
+            f"({sdist.stat().st_size / 1e3:.0f} kB)"
+        )
         failed += _checked("metadata", lambda: metadata(wheel, sdist))
         failed += _checked("files", lambda: contents(wheel, sdist))
         failed += _checked("pinned versions", lambda: problems()[0])
@@ -155,7 +188,11 @@ def _checked(name: str, check: Callable[[], list[str]]) -> int:
         wrong = check()
     except RuntimeError as error:
         wrong = [str(error)]
-    print(f"{'FAILED' if wrong else 'ok    '} {name}" + "".join(f"\n         {line}" for line in wrong), flush=True)
+    print(
+        f"{'FAILED' if wrong else 'ok    '} {name}"
+        + "".join(f"\n         {line}" for line in wrong),
+        flush=True,
+    )
     return int(bool(wrong))
 
 

@@ -1,10 +1,11 @@
-"""How often a solve fails over a box far wider than any gel, by model, and how long the slowest draw takes.
+"""How often a solve fails over a box far wider than any gel, by model, and how long the slowest
+draw takes.
 
   python benchmarks/robustness.py [--draws 10000] [--seed 0] [--json OUT]
 
-Draws are shared among all registered models, uniform over We 50-2000, R_inf* .08-.5 and the parameters of the model in
-``BOX``, integrated to t* = 4, one after the other. Failures are counted by status, apart for gels whose strain energy has no
-lower bound (alpha < 0).
+Draws are shared among all registered models, uniform over We 50-2000, R_inf* .08-.5 and the
+parameters of the model in ``BOX``, integrated to t* = 4, one after the other. Failures are counted
+by status, apart for gels whose strain energy has no lower bound (alpha < 0).
 """
 
 import argparse
@@ -47,7 +48,9 @@ def draws(model: str, count: int, seed: int) -> tuple[torch.Tensor, torch.Tensor
 
 def main() -> None:
     """Draw, solve, count."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--draws", type=int, default=10000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", metavar="OUT")
@@ -57,14 +60,17 @@ def main() -> None:
     result = {}
     for simulator in (PolytropicSimulator(threads=1), TransportSimulator(threads=1)):
         kind = type(simulator).__name__
-        slowest, total, failures = 0.0, 0.0, {}
+        slowest = 0.0
+        total = 0.0
+        failures = {}
         for model in MATERIALS:
             gels, designs = draws(model, args.draws // len(MATERIALS), args.seed)
             for gel, design in zip(gels, designs, strict=True):
                 start = time.process_time()
                 status = Status(int(simulator(gel, design, times).status))
                 taken = time.process_time() - start
-                slowest, total = max(slowest, taken), total + taken
+                slowest = max(slowest, taken)
+                total = total + taken
                 if status != Status.DONE:
                     label = f"{model}, {status.name}"
                     failures[label] = failures.get(label, 0) + 1

@@ -1,9 +1,11 @@
-"""Bubbles by SciPy, and on finite differences: steps, process CPU time, and the distance to the toolkit's own solver.
+"""Bubbles by SciPy, and on finite differences: steps, process CPU time, and the distance to the
+toolkit's own solver.
 
   python benchmarks/scipy_reference.py
 
-One mild bubble (We 300, R_inf* .3, qKV). SciPy on 10 + 10 modes and t* up to 2.5, against the toolkit's solver at
-tolerance 1e-6 on the same modes; grids up to t* = 1.5, against a converged spectral one.
+One mild bubble (We 300, R_inf* .3, qKV). SciPy on 10 + 10 modes and t* up to 2.5, against the
+toolkit's solver at tolerance 1e-6 on the same modes; grids up to t* = 1.5, against a converged
+spectral one.
 """
 
 import time
@@ -32,7 +34,10 @@ def compare(label: str, simulator: Simulator, reference: Tensor, last: float) ->
     started = time.process_time()
     solution = simulator(GEL, DESIGN, times(last))
     error = float((solution.radius - reference).abs().max())
-    print(f"{label:32} {int(solution.steps):6} {time.process_time() - started:8.2f} s {error:10.1e}", flush=True)
+    print(
+        f"{label:32} {int(solution.steps):6} {time.process_time() - started:8.2f} s {error:10.1e}",
+        flush=True,
+    )
 
 
 def times(last: float) -> Tensor:
@@ -47,14 +52,28 @@ def main() -> None:
     for method, rtol in (("BDF", 1e-5), ("BDF", 1e-7), ("Radau", 1e-5), ("LSODA", 1e-5)):
         stiff = ScipySimulator(resolution=MODES, method=method, rtol=rtol, atol=1e-2 * rtol)
         compare(f"{method}, {rtol:g}", stiff, radius, 2.5)
-    radius = PolytropicSimulator(stepping=Stepping(0.01, max_steps=10**6))(GEL, DESIGN, times(2.5)).radius
+    radius = PolytropicSimulator(stepping=Stepping(0.01, max_steps=10**6))(
+        GEL, DESIGN, times(2.5)
+    ).radius
     compare(
-        "polytropic, LSODA, 1e-12", ScipySimulator(physics="polytropic", method="LSODA", rtol=1e-12, atol=1e-14), radius, 2.5
+        "polytropic, LSODA, 1e-12",
+        ScipySimulator(physics="polytropic", method="LSODA", rtol=1e-12, atol=1e-14),
+        radius,
+        2.5,
     )
-    radius = TransportSimulator(accuracy=Accuracy(1e-7, Resolution(24, 28)))(GEL, DESIGN, times(1.5)).radius
-    grids = [Resolution(n, n, kind="finite_difference") for n in (20, 40, 80)] + [Resolution(80, 80, reach=2.0, kind="authors")]
+    radius = TransportSimulator(accuracy=Accuracy(1e-7, Resolution(24, 28)))(
+        GEL, DESIGN, times(1.5)
+    ).radius
+    grids = [Resolution(n, n, kind="finite_difference") for n in (20, 40, 80)] + [
+        Resolution(80, 80, reach=2.0, kind="authors")
+    ]
     for grid in grids:
-        compare(f"{grid.kind}, {grid.inside} nodes", TransportSimulator(accuracy=Accuracy(1e-6, grid)), radius, 1.5)
+        compare(
+            f"{grid.kind}, {grid.inside} nodes",
+            TransportSimulator(accuracy=Accuracy(1e-6, grid)),
+            radius,
+            1.5,
+        )
 
 
 if __name__ == "__main__":

@@ -1,11 +1,13 @@
-"""Speed and accuracy of both engines: process CPU time (on a GPU wall time), one thread, medians over repeats.
+"""Speed and accuracy of both engines: process CPU time (on a GPU wall time), one thread, medians
+over repeats.
 
   python benchmarks/solver.py [--json OUT] [--repeats 5] [--device cpu]
 
-Bubbles are drawn from the prior of the stiff-PA reference case, designs uniformly from We 100-1000 and R_inf* .14-.30, with
-81 samples of t* in [0, 4]; every call that is timed has bubbles of its own. Errors of the polytropic solver are against itself
-at a third of the step, those of the full physics against its `reference` setting. Beside them, in the same run, what a user
-would do without this package: torchdiffeq's dopri5 with one step for the batch, and a loop over bubbles with SciPy.
+Bubbles are drawn from the prior of the stiff-PA reference case, designs uniformly from We 100-1000
+and R_inf* .14-.30, with 81 samples of t* in [0, 4]; every call that is timed has bubbles of its
+own. Errors of the polytropic solver are against itself at a third of the step, those of the full
+physics against its `reference` setting. Beside them, in the same run, what a user would do without
+this package: torchdiffeq's dopri5 with one step for the batch, and a loop over bubbles with SciPy.
 """
 
 import argparse
@@ -44,13 +46,18 @@ TIMES = torch.linspace(0.0, 4.0, 81, dtype=torch.float64)
 def draws(count: int, device: str, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
     """Parameters ``count x p`` and designs ``count x 2`` of the benchmark."""
     parameters = reference_case("stiff-pa").prior.sample(count, seed=seed).parameters
-    unit = torch.rand(count, 2, generator=torch.Generator().manual_seed(seed + 1), dtype=torch.float64)
+    unit = torch.rand(
+        count, 2, generator=torch.Generator().manual_seed(seed + 1), dtype=torch.float64
+    )
     low, high = torch.tensor([[100.0, 0.14], [1000.0, 0.30]], dtype=torch.float64)
     return parameters.to(device), (low + (high - low) * unit).to(device)
 
 
 def seconds_of(work: Callable[[], Any], repeats: int, device: str = "cpu") -> float:
-    """Median process CPU time of ``work`` after one warm-up; on a GPU wall time until the device is done."""
+    """Median process CPU time of ``work`` after one warm-up.
+
+    On a GPU wall time until the device is done.
+    """
 
     def now() -> float:
         if device == "cpu":
@@ -74,8 +81,12 @@ def simulate(simulator: Simulator, count: int, device: str, seed: int = 0) -> to
 
 
 def milliseconds(simulator: Simulator, count: int, repeats: int, device: str = "cpu") -> float:
-    """Median milliseconds a bubble in batches of ``count``; new bubbles in each, since a simulator remembers its steps."""
-    batches, times = iter([draws(count, device, seed) for seed in range(100, 101 + repeats)]), TIMES.to(device)
+    """Median milliseconds a bubble in batches of ``count``.
+
+    New bubbles in each, since a simulator remembers its steps.
+    """
+    batches = iter([draws(count, device, seed) for seed in range(100, 101 + repeats)])
+    times = TIMES.to(device)
 
     def work() -> None:
         parameters, designs = next(batches)
@@ -84,19 +95,26 @@ def milliseconds(simulator: Simulator, count: int, repeats: int, device: str = "
     return 1e3 * seconds_of(work, repeats, device) / count
 
 
-def errors(simulator: Simulator, reference: Simulator, count: int, device: str) -> tuple[float, float]:
+def errors(
+    simulator: Simulator, reference: Simulator, count: int, device: str
+) -> tuple[float, float]:
     """Median and largest over bubbles of the largest error in R*."""
     error = (simulate(simulator, count, device) - simulate(reference, count, device)).abs().amax(1)
     return float(error.median()), float(error.max())
 
 
 def bundle_milliseconds(simulator: TransportSimulator, width: int, repeats: int) -> float:
-    """Median milliseconds of a leader and followers that differ from it by a millionth of G; a new leader each time."""
+    """Median milliseconds of a leader and followers that differ from it by a millionth of G.
+
+    A new leader each time.
+    """
     bundles = []
     for seed in range(100, 101 + repeats):
         parameters, designs = draws(1, "cpu", seed)
         members = parameters[:, None].repeat(1, width, 1)
-        members[:, 1:, PARAMETERS.index(["G"])] *= 1.0 + 1e-6 * torch.arange(1, width, dtype=torch.float64)[:, None]
+        members[:, 1:, PARAMETERS.index(["G"])] *= (
+            1.0 + 1e-6 * torch.arange(1, width, dtype=torch.float64)[:, None]
+        )
         bundles.append((members, designs[:, None]))
     waiting = iter(bundles)
     return 1e3 * seconds_of(lambda: simulator.bundle(*next(waiting), TIMES), repeats)
@@ -117,11 +135,15 @@ def speedup(count: int, repeats: int) -> float:
 
 
 def compile_seconds() -> float:
-    """Process CPU time of compiling both entry points into an empty folder, in a process of its own."""
+    """Process CPU time of compiling both entry points into an empty folder, in a process of its
+    own.
+    """
     with tempfile.TemporaryDirectory() as folder:
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         command = [sys.executable, "-m", "imr_torch.simulate.compiled"]
-        subprocess.run(command, env=os.environ | {"IMR_TORCH_CACHE": folder}, check=True, capture_output=True)
+        subprocess.run(
+            command, env=os.environ | {"IMR_TORCH_CACHE": folder}, check=True, capture_output=True
+        )
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
 
@@ -140,14 +162,20 @@ def plain_dopri5(count: int) -> Callable[[], Any]:
 
 
 def on_device(device: str) -> dict[str, float]:
-    """Milliseconds of wall time a bubble by the tensor engine there, and the largest differences from the compiled engine."""
+    """Milliseconds of wall time a bubble by the tensor engine there, and the largest differences
+    from the compiled engine.
+    """
     result: dict[str, float] = {}
     simulators: tuple[Simulator, ...] = (TransportSimulator(), PolytropicSimulator())
     for simulator in simulators:
         name = type(simulator).__name__
-        there, here = simulate(simulator, 1000, device).cpu(), simulate(simulator, 1000, "cpu")
+        there = simulate(simulator, 1000, device).cpu()
+        here = simulate(simulator, 1000, "cpu")
         error = (there - here).abs().amax(1)
-        result |= {f"{name}_median_difference": float(error.median()), f"{name}_max_difference": float(error.max())}
+        result |= {
+            f"{name}_median_difference": float(error.median()),
+            f"{name}_max_difference": float(error.max()),
+        }
         for count in (48, 1000, 10_000, 100_000):
             torch.cuda.reset_peak_memory_stats()
             repeats = 3 if count < 10_000 else 1
@@ -159,7 +187,9 @@ def on_device(device: str) -> dict[str, float]:
 
 def main() -> None:
     """Measure, print, write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--json", metavar="OUT")
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--device", default="cpu")
@@ -172,17 +202,25 @@ def main() -> None:
     result["compile_s"] = compile_seconds()
     for name, stepping in STEPPINGS.items():
         simulator = PolytropicSimulator(stepping=stepping, threads=1)
-        finer = PolytropicSimulator(stepping=replace(stepping, step=stepping.step / 3.0, max_steps=10**6))
+        finer = PolytropicSimulator(
+            stepping=replace(stepping, step=stepping.step / 3.0, max_steps=10**6)
+        )
         median, largest = errors(simulator, finer, 1000, args.device)
         result |= {f"polytropic_median_dr_{name}": median, f"polytropic_max_dr_{name}": largest}
-    full, polytropic = TransportSimulator(threads=1), PolytropicSimulator(threads=1)
-    for name, simulator, counts in (("full", full, (1, 8, 48, 1000)), ("polytropic", polytropic, (1, 48, 1000, 10000))):
+    full = TransportSimulator(threads=1)
+    polytropic = PolytropicSimulator(threads=1)
+    for name, simulator, counts in (
+        ("full", full, (1, 8, 48, 1000)),
+        ("polytropic", polytropic, (1, 48, 1000, 10000)),
+    ):
         for count in counts:
             repeats = 9 * args.repeats if count < 10 else args.repeats
             result[f"{name}_{count}_ms"] = milliseconds(simulator, count, repeats)
     result["bundle_8_ms"] = bundle_milliseconds(full, 8, 3 * args.repeats)
     for count in (48, 1000):
-        result[f"tensor_{count}_ms"] = milliseconds(TransportSimulator(engine="torchdiffeq"), count, 1)
+        result[f"tensor_{count}_ms"] = milliseconds(
+            TransportSimulator(engine="torchdiffeq"), count, 1
+        )
     result["speedup_2_threads"] = speedup(1000, args.repeats)
     result["peak_mib"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     reference = TransportSimulator(accuracy=ACCURACIES["reference"])

@@ -1,4 +1,6 @@
-"""Settings of the documentation, and the pages that are generated from the package when it is built."""
+"""Settings of the documentation, and the pages that are generated from the package when it is
+built.
+"""
 
 import sys
 from pathlib import Path

@@ -1,10 +1,12 @@
 """Inertial microcavitation rheometry in PyTorch.
 
-What the gel is (:mod:`~imr_torch.material`), what the bubble does (:mod:`~imr_torch.simulate`), what the camera sees
-(:mod:`~imr_torch.observe`), what we learn (:mod:`~imr_torch.assimilate`), which model (:mod:`~imr_torch.select`), what to
-shoot next (:mod:`~imr_torch.design`), and again (:mod:`~imr_torch.campaign`). A stage imports only stages before it.
+What the gel is (:mod:`~imr_torch.material`), what the bubble does (:mod:`~imr_torch.simulate`),
+what the camera sees (:mod:`~imr_torch.observe`), what we learn (:mod:`~imr_torch.assimilate`),
+which model (:mod:`~imr_torch.select`), what to shoot next (:mod:`~imr_torch.design`), and again
+(:mod:`~imr_torch.campaign`). A stage imports only stages before it.
 
-The names below are imported when they are first used, so that ``imr-torch --help`` does not wait for PyTorch.
+The names below are imported when they are first used, so that ``imr-torch --help`` does not wait
+for PyTorch.
 """
 
 import importlib

@@ -1,7 +1,10 @@
-"""Characterisation of many shots: every file by itself, in any number of processes, with a summary over all.
+"""Characterisation of many shots: every file by itself, in any number of processes, with a summary
+over all.
 
-A result is written as soon as it is there, atomically, with a key of all that went into it: the content of the file and of the
-JSON file beside it, and the options. A run that was cut off goes on with the shots whose key has no result.
+A result is written as soon as it is there, atomically, with a key of all that went into it: the
+    content of the file and of the
+JSON file beside it, and the options. A run that was cut off goes on with the shots whose key has no
+result.
 """
 
 import csv
@@ -9,7 +12,14 @@ import hashlib
 import io
 import json
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    wait,
+)
 from contextlib import closing
 from dataclasses import dataclass, field
 from importlib.metadata import version
@@ -33,7 +43,9 @@ if TYPE_CHECKING:
 SHOTS = "shots"
 """Folder of the results, below that of the run."""
 
-DONE, NOT_CONVERGED, FAILED = "done", "not converged", "failed"
+DONE = "done"
+NOT_CONVERGED = "not converged"
+FAILED = "failed"
 _WINDOW = 64  # shots handed to an executor at a time
 _FEATURES = ("status", "file", "curves", "frames", "We", "R_inf*", "model", "probability")
 
@@ -46,12 +58,14 @@ class BatchOptions:
         prior: what is believed before.
         simulator: makes the bubbles; on one thread where processes share the work.
         layout: how files are read.
-        each: whether every curve of a file is a shot; else the curves of a file are fitted together, as one.
+        each: whether every curve of a file is a shot; else the curves of a file are fitted
+            together, as one.
         collapses: as for :func:`imr_torch.characterize`.
         rest_radius: as for :func:`imr_torch.characterize`.
         estimate_noise: as for :func:`imr_torch.characterize`.
         options: as for :func:`imr_torch.characterize`.
-        medium: what is stated about the medium of all; it counts before what the file beside each shot states.
+        medium: what is stated about the medium of all; it counts before what the file beside each
+            shot states.
         seed: as for :func:`imr_torch.characterize`.
 
     >>> from imr_torch import PolytropicSimulator, wide_prior
@@ -73,8 +87,20 @@ class BatchOptions:
 
     def key(self) -> str:
         """Hash of everything that has a say in a result."""
-        parts = [json.dumps(self.prior.to_dict(), sort_keys=True), repr(self.simulator), repr(self.layout), self.each]
-        parts += [self.collapses, self.rest_radius, self.estimate_noise, repr(self.options), self.seed, version("imr-torch")]
+        parts = [
+            json.dumps(self.prior.to_dict(), sort_keys=True),
+            repr(self.simulator),
+            repr(self.layout),
+            self.each,
+        ]
+        parts += [
+            self.collapses,
+            self.rest_radius,
+            self.estimate_noise,
+            repr(self.options),
+            self.seed,
+            version("imr-torch"),
+        ]
         parts += [repr(self.medium)] if self.medium else []
         return hashlib.sha256("\n".join(map(str, parts)).encode()).hexdigest()
 
@@ -103,9 +129,10 @@ class BatchSummary:
     """One row per shot.
 
     Args:
-        rows: ``shot``, ``status`` (done, not converged, failed), ``file``, ``curves``, ``frames``, ``We``, ``R_inf*``,
-            ``model`` and its ``probability``, ``<parameter>_low``, ``<parameter>`` and ``<parameter>_high`` (5, 50, 95 %
-            quantile of the most probable model, SI), ``rmse``, ``verdict``, ``cpu_seconds``, ``error``.
+        rows: ``shot``, ``status`` (done, not converged, failed), ``file``, ``curves``, ``frames``,
+            ``We``, ``R_inf*``, ``model`` and its ``probability``, ``<parameter>_low``,
+            ``<parameter>`` and ``<parameter>_high`` (5, 50, 95 % quantile of the most probable
+            model, SI), ``rmse``, ``verdict``, ``cpu_seconds``, ``error``.
 
     >>> from imr_torch.batch import BatchSummary
     >>> failed = {"shot": "b", "status": "failed", "error": "no bubble"}
@@ -120,7 +147,11 @@ class BatchSummary:
     def columns(self) -> tuple[str, ...]:
         """All columns, in order: parameters in the order of the package."""
         found = {name for row in self.rows for name in row}
-        known = ("shot", *_FEATURES, *(n for p in PARAMETERS.names for n in (f"{p}_low", p, f"{p}_high")))
+        known = (
+            "shot",
+            *_FEATURES,
+            *(n for p in PARAMETERS.names for n in (f"{p}_low", p, f"{p}_high")),
+        )
         last = ("rmse", "verdict", "cpu_seconds", "error")
         return tuple(name for name in (*known, *last) if name in found)
 
@@ -135,8 +166,20 @@ class BatchSummary:
 
     def report(self) -> str:
         """How many shots have a result, and why others have none, as text."""
-        lines = [f"{len(self.rows)} shot(s): " + ", ".join(f"{self.count(s)} {s}" for s in (DONE, NOT_CONVERGED, FAILED))]
-        return "\n".join([*lines, *(f"  {row['shot']}: {row['error']}" for row in self.rows if row["status"] == FAILED)])
+        lines = [
+            f"{len(self.rows)} shot(s): "
+            + ", ".join(f"{self.count(s)} {s}" for s in (DONE, NOT_CONVERGED, FAILED))
+        ]
+        return "\n".join(
+            [
+                *lines,
+                *(
+                    f"  {row['shot']}: {row['error']}"
+                    for row in self.rows
+                    if row["status"] == FAILED
+                ),
+            ]
+        )
 
     def to_csv(self) -> str:
         """The rows as CSV with a header; numbers keep every bit."""
@@ -183,9 +226,11 @@ def run_batch(
 
     Args:
         paths: files, folders or patterns, as for :func:`imr_torch.load_traces`.
-        folder: where results go: ``shots/<name>.json``, each a result as of ``imr-torch characterize``.
+        folder: where results go: ``shots/<name>.json``, each a result as of ``imr-torch
+            characterize``.
         options: what is done with each.
-        executor: any ``concurrent.futures.Executor``, or a function that makes one, so that a pool that broke is replaced;
+        executor: any ``concurrent.futures.Executor``, or a function that makes one, so that a pool
+            that broke is replaced;
             None: one shot after the other in this process.
         window: shots handed to the executor at a time; as many as it has workers keep all busy.
         progress: called with a line per shot.
@@ -206,8 +251,11 @@ def run_batch(
     """
     if window < 1:
         raise InputDataError(f"run_batch: window is {window}; expected at least 1.")
-    files, run = find_files(*paths), _Run(Path(folder), options)
-    old, order, wanted = _results(run.folder / SHOTS), [], []
+    files = find_files(*paths)
+    run = _Run(Path(folder), options)
+    old = _results(run.folder / SHOTS)
+    order = []
+    wanted = []
     for shot in _shots(files, options):
         order.append(shot.name)
         earlier = old.get(shot.key)
@@ -216,12 +264,21 @@ def run_batch(
         elif earlier is not None and earlier.get("shot") == shot.name:
             run.rows[shot.name] = _row(shot, earlier)
         elif earlier is not None:  # under another name
-            run.keep(shot, {name: value for name, value in earlier.items() if name not in ("shot", "file", "key")})
+            run.keep(
+                shot,
+                {
+                    name: value
+                    for name, value in earlier.items()
+                    if name not in ("shot", "file", "key")
+                },
+            )
         else:
             wanted.append(shot)
     if progress:
         done = sum(row["status"] != FAILED for row in run.rows.values())
-        progress(f"{len(order)} shot(s) in {len(files)} file(s): {len(wanted)} to do, {done} done before")
+        progress(
+            f"{len(order)} shot(s) in {len(files)} file(s): {len(wanted)} to do, {done} done before"
+        )
     if executor is None:
         finished = ((shot, characterize_shot(shot.traces, options)) for shot in wanted)
     else:
@@ -231,7 +288,9 @@ def run_batch(
             for number, (shot, document) in enumerate(finished, 1):
                 run.keep(shot, document)
                 if progress:
-                    progress(f"{number} of {len(wanted)}: {shot.name} {run.rows[shot.name]['status']}")
+                    progress(
+                        f"{number} of {len(wanted)}: {shot.name} {run.rows[shot.name]['status']}"
+                    )
     finally:
         summary = BatchSummary(tuple(run.rows[name] for name in order if name in run.rows))
         if summary.rows:
@@ -257,7 +316,11 @@ def characterize_shot(traces: TraceSet | None, options: BatchOptions) -> dict[st
             seed=options.seed,
         )
         frames = sum(len(experiment.times) for experiment in result.experiments)
-        document = {"converged": result.assimilation.converged, "frames_fitted": frames, **result.to_dict()}
+        document = {
+            "converged": result.assimilation.converged,
+            "frames_fitted": frames,
+            **result.to_dict(),
+        }
         json.dumps(document, allow_nan=False)  # what cannot be written is an error of this shot
         return document
     except ImrError as error:
@@ -267,10 +330,17 @@ def characterize_shot(traces: TraceSet | None, options: BatchOptions) -> dict[st
 
 
 def _spread(
-    shots: Sequence[Shot], options: BatchOptions, executor: Executor | Callable[[], Executor], window: int
+    shots: Sequence[Shot],
+    options: BatchOptions,
+    executor: Executor | Callable[[], Executor],
+    window: int,
 ) -> Generator[tuple[Shot, dict[str, Any]], None, None]:
-    """Results as they come from an executor. When it breaks, unfinished shots are tried again one by one."""
-    waiting, suspects = list(reversed(shots)), []
+    """Results as they come from an executor.
+
+    When it breaks, unfinished shots are tried again one by one.
+    """
+    waiting = list(reversed(shots))
+    suspects = []
     pool = executor if isinstance(executor, Executor) else executor()
     running: dict[Future[dict[str, Any]], tuple[Shot, bool]] = {}
     try:
@@ -282,7 +352,13 @@ def _spread(
                     running[pool.submit(characterize_shot, shot.traces, options)] = (shot, alone)
                 except BrokenExecutor as error:  # it broke since the last look
                     if isinstance(executor, Executor):
-                        yield shot, {"error": f"the executor no longer works ({error}); start the run again"}
+                        yield (
+                            shot,
+                            {
+                                "error": "the executor no longer works "
+                                f"({error}); start the run again"
+                            },
+                        )
                         continue
                     (suspects if alone else waiting).append(shot)
                     pool = executor() if not running else pool
@@ -294,13 +370,20 @@ def _spread(
                 error = CancelledError() if future.cancelled() else future.exception()
                 if error is None:
                     yield shot, future.result()
-                elif isinstance(error, BrokenExecutor) and not tried_alone and not isinstance(executor, Executor):
+                elif (
+                    isinstance(error, BrokenExecutor)
+                    and not tried_alone
+                    and not isinstance(executor, Executor)
+                ):
                     suspects.append(shot)
                     broken = True
                 else:
                     broken = broken or isinstance(error, BrokenExecutor)
                     why = f"{type(error).__name__}: {error}"
-                    yield shot, {"error": f"the worker that had it ended ({why}); give it more memory"}
+                    yield (
+                        shot,
+                        {"error": f"the worker that had it ended ({why}); give it more memory"},
+                    )
             if broken and not isinstance(executor, Executor):
                 suspects += [shot for shot, _ in running.values()]
                 running.clear()
@@ -313,17 +396,21 @@ def _spread(
 
 def _shots(files: Sequence[Path], options: BatchOptions) -> Iterator[Shot]:
     """The shots of all files, read one after the other."""
-    of_options, names = options.key(), _names(files)
+    of_options = options.key()
+    names = _names(files)
     for path, name in zip(files, names, strict=True):
         try:
-            traces, key = load_traces(path, layout=options.layout), _key(path, of_options)
+            traces = load_traces(path, layout=options.layout)
+            key = _key(path, of_options)
         except (ImrError, OSError) as error:
             yield Shot(name, str(path), None, "", str(error))
             continue
         if not options.each or len(traces) == 1:
             yield Shot(name, str(path), traces, key)
             continue
-        for label in _unique([f"{name}_{_plain(trace.experiment_id)}" for trace in traces], traces.ids):
+        for label in _unique(
+            [f"{name}_{_plain(trace.experiment_id)}" for trace in traces], traces.ids
+        ):
             trace_id = traces.ids[label[0]]
             yield Shot(label[1], str(path), traces.select([trace_id]), _hash(key, trace_id))
 
@@ -331,8 +418,13 @@ def _shots(files: Sequence[Path], options: BatchOptions) -> Iterator[Shot]:
 def _key(path: Path, of_options: str) -> str:
     """Hash of a file by name and content, of the JSON file beside it, and of the options."""
     beside = path.with_suffix(".json")
-    contents = [path.read_bytes(), beside.read_bytes() if beside.is_file() and beside != path else b""]
-    return _hash(of_options, path.name, *(hashlib.sha256(content).hexdigest() for content in contents))
+    contents = [
+        path.read_bytes(),
+        beside.read_bytes() if beside.is_file() and beside != path else b"",
+    ]
+    return _hash(
+        of_options, path.name, *(hashlib.sha256(content).hexdigest() for content in contents)
+    )
 
 
 def _hash(*parts: str) -> str:
@@ -341,12 +433,20 @@ def _hash(*parts: str) -> str:
 
 def _names(files: Sequence[Path]) -> list[str]:
     """Names of results: the stems of the files, with their folder and ending where stems clash."""
-    return [name for _, name in _unique([_plain(p.stem) for p in files], [f"{p.parent.name}_{p.name}" for p in files])]
+    return [
+        name
+        for _, name in _unique(
+            [_plain(p.stem) for p in files], [f"{p.parent.name}_{p.name}" for p in files]
+        )
+    ]
 
 
 def _unique(names: Sequence[str], longer: Sequence[str]) -> list[tuple[int, str]]:
     """Places and names, those that clash made longer, and numbered if they still do."""
-    chosen = [name if names.count(name) == 1 else _plain(long) for name, long in zip(names, longer, strict=True)]
+    chosen = [
+        name if names.count(name) == 1 else _plain(long)
+        for name, long in zip(names, longer, strict=True)
+    ]
     seen: dict[str, int] = {}
     found = []
     for i, name in enumerate(chosen):
@@ -379,7 +479,8 @@ def _row(shot: Shot, document: Mapping[str, Any]) -> dict[str, Any]:
     if document.get("error"):
         return {**row, "status": FAILED, "error": document["error"]}
     saved = SavedCharacterization.from_dict(document, source=shot.name)
-    entry, experiments = document["models"][saved.best], document["experiments"]
+    entry = document["models"][saved.best]
+    experiments = document["experiments"]
     row |= {
         "status": DONE if document["converged"] else NOT_CONVERGED,
         "curves": len(experiments),

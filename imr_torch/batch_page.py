@@ -35,7 +35,8 @@ def write_summary(summary: BatchSummary, path: str | Path) -> Path:
 def _page(summary: BatchSummary) -> str:
     pictures = [
         Picture(
-            f"{_heading(PARAMETERS[name])} of each shot with its 90 % interval; dashed: the median of those to be quoted.",
+            f"{_heading(PARAMETERS[name])} of each shot with its 90 % interval; dashed: the "
+            "median of those to be quoted.",
             f"{name} of each shot with its 90 % interval; the table gives the numbers.",
             _figure_of(plot_shots(summary, name)),
         )
@@ -59,7 +60,9 @@ def _page(summary: BatchSummary) -> str:
     blocks = [
         Block("Shots without a result", (_failures(failed),)) if failed else None,
         Block("Parameters over the shots", tuple(pictures)) if pictures else None,
-        Block("Shots", (Table(tuple(_line(row, names) for row in made), head, doubtful),)) if made else None,
+        Block("Shots", (Table(tuple(_line(row, names) for row in made), head, doubtful),))
+        if made
+        else None,
     ]
     text = page(
         "Summary of shots",
@@ -67,7 +70,8 @@ def _page(summary: BatchSummary) -> str:
         [block for block in blocks if block is not None],
         warning=bool(failed or doubtful),
         next_step=_next_step(len(failed), len(doubtful)),
-        footer=f"imr_torch {version('imr-torch')}, {datetime.now(UTC).isoformat(timespec='seconds')}",
+        footer=f"imr_torch {version('imr-torch')}, "
+        f"{datetime.now(UTC).isoformat(timespec='seconds')}",
     )
     for picture in pictures:
         plt.close(picture.figure)
@@ -75,7 +79,8 @@ def _page(summary: BatchSummary) -> str:
 
 
 _MEANING = (
-    "Intervals hold 90 % of the posterior of the most probable model of each shot. Those of shots that have not converged, or "
+    "Intervals hold 90 % of the posterior of the most probable model of each shot. Those of shots "
+    "that have not converged, or "
     "whose weighted draws are not reliable (verdict refused), are orange and not to be quoted."
 )
 
@@ -83,15 +88,23 @@ _MEANING = (
 def _next_step(failed: int, doubtful: int) -> str:
     if failed:
         return (
-            f"Correct the {failed} file(s) without a result and run the same command again: it computes only what is missing."
+            f"Correct the {failed} file(s) without a result and run the same command again: it "
+            "computes only what is missing."
         )
     if doubtful:
-        return f"Look at the {doubtful} orange shot(s) one by one: imr-torch characterize FILE --effort thorough."
+        return (
+            f"Look at the {doubtful} orange shot(s) one by one: imr-torch characterize FILE "
+            "--effort thorough."
+        )
     return "Compare two gels: imr-torch compare shots/A.json shots/B.json."
 
 
 def _failures(rows: Sequence[Mapping[str, Any]]) -> Table:
-    return Table(tuple((row["shot"], row["error"]) for row in rows), ("shot", "why"), frozenset(range(len(rows))))
+    return Table(
+        tuple((row["shot"], row["error"]) for row in rows),
+        ("shot", "why"),
+        frozenset(range(len(rows))),
+    )
 
 
 def _figure_of(ax: Axes) -> Figure:
@@ -110,7 +123,14 @@ def _heading(parameter: Parameter) -> str:
 
 
 def _line(row: Mapping[str, Any], names: Sequence[str]) -> tuple[str, ...]:
-    cells = [row["shot"], row["status"], str(row["curves"]), f"{row['We']:.0f}", f"{row['R_inf*']:.3f}", row["model"]]
+    cells = [
+        row["shot"],
+        row["status"],
+        str(row["curves"]),
+        f"{row['We']:.0f}",
+        f"{row['R_inf*']:.3f}",
+        row["model"],
+    ]
     cells += [f"{row['probability']:.3f}", *(_interval(row, PARAMETERS[name]) for name in names)]
     return (*cells, "" if row.get("rmse") is None else f"{row['rmse']:.4f}")
 
@@ -118,12 +138,15 @@ def _line(row: Mapping[str, Any], names: Sequence[str]) -> tuple[str, ...]:
 def _interval(row: Mapping[str, Any], parameter: Parameter) -> str:
     if row.get(parameter.name) is None:
         return ""
-    low, middle, high = (parameter.display_scale * row[f"{parameter.name}{end}"] for end in ("_low", "", "_high"))
+    low, middle, high = (
+        parameter.display_scale * row[f"{parameter.name}{end}"] for end in ("_low", "", "_high")
+    )
     return f"{middle:.4g} ({low:.3g} to {high:.3g})"
 
 
 def plot_shots(summary: BatchSummary, name: str, *, ax: Axes | None = None) -> Axes:
-    """A parameter with its 90 % interval over the shots that have it; those that are not to be quoted are orange.
+    """A parameter with its 90 % interval over the shots that have it; those that are not to be
+    quoted are orange.
 
     >>> from imr_torch.batch import BatchSummary
     >>> from imr_torch.batch_page import plot_shots
@@ -137,14 +160,26 @@ def plot_shots(summary: BatchSummary, name: str, *, ax: Axes | None = None) -> A
         ax = plt.subplots(figsize=(min(4.0 + 0.22 * len(rows), 12.0), 3.4), layout="constrained")[1]
     for color, usable in ((_MODEL, True), (_DOUBTFUL, False)):
         places = [i for i, row in enumerate(rows) if _usable(row) == usable]
-        ends = [[parameter.display_scale * rows[i][f"{name}{end}"] for i in places] for end in ("_low", "", "_high")]
-        reach = [[max(y - x, 0.0) for x, y in zip(ends[k], ends[k + 1], strict=True)] for k in (0, 1)]
+        ends = [
+            [parameter.display_scale * rows[i][f"{name}{end}"] for i in places]
+            for end in ("_low", "", "_high")
+        ]
+        reach = [
+            [max(y - x, 0.0) for x, y in zip(ends[k], ends[k + 1], strict=True)] for k in (0, 1)
+        ]
         ax.errorbar(places, ends[1], reach, fmt="o", ms=4, capsize=2, color=color)
     done = sorted(parameter.display_scale * row[name] for row in rows if _usable(row))
     if len(done) > 1:
-        ax.axhline(0.5 * (done[(len(done) - 1) // 2] + done[len(done) // 2]), color="#222222", lw=1, ls="--")
+        ax.axhline(
+            0.5 * (done[(len(done) - 1) // 2] + done[len(done) // 2]),
+            color="#222222",
+            lw=1,
+            ls="--",
+        )
     if 0 < len(rows) <= _NAMED:
-        ax.set_xticks(range(len(rows)), [row["shot"] for row in rows], rotation=60, ha="right", fontsize=7)
+        ax.set_xticks(
+            range(len(rows)), [row["shot"] for row in rows], rotation=60, ha="right", fontsize=7
+        )
     if done and done[0] > 0.0 and done[-1] > 20.0 * done[0]:
         ax.set_yscale("log")
     ax.set(xlabel="shot", ylabel=_heading(parameter))

@@ -1,8 +1,9 @@
 """Comparison of two gels from their results: do they differ, in which parameter, and by how much.
 
-The difference and the ratio of a parameter are those of all pairs of weighted draws, one of each posterior. The Bayes factor of
-one gel against two with the same prior is the integral of ``p(theta | a) p(theta | b) / p(theta)``, which Gaussian posteriors
-give in closed form; it is stated only where the weighted draws confirm both Gaussians.
+The difference and the ratio of a parameter are those of all pairs of weighted draws, one of each
+posterior. The Bayes factor of one gel against two with the same prior is the integral of ``p(theta
+| a) p(theta | b) / p(theta)``, which Gaussian posteriors give in closed form; it is stated only
+where the weighted draws confirm both Gaussians.
 """
 
 import math
@@ -59,8 +60,8 @@ class Comparison:
         names: of the two results.
         model: whose parameters are compared.
         parameters: one comparison per parameter.
-        log_bayes_factor: log of the probability of both data sets if the gels are one, over that if they are two, nats; None
-            where it cannot be had.
+        log_bayes_factor: log of the probability of both data sets if the gels are one, over that if
+            they are two, nats; None where it cannot be had.
         reason: why it cannot be had, else which models it is about.
         cautions: what makes the numbers doubtful.
 
@@ -99,7 +100,10 @@ class Comparison:
         for parameter in self.parameters:
             if parameter.name == name:
                 return parameter
-        raise InputDataError(f"No parameter {name!r}; {self.model!r} has {', '.join(p.name for p in self.parameters)}.")
+        raise InputDataError(
+            f"No parameter {name!r}; {self.model!r} has "
+            f"{', '.join(p.name for p in self.parameters)}."
+        )
 
     def report(self) -> str:
         """The comparison as text."""
@@ -114,8 +118,15 @@ class Comparison:
             lines.append(f"No Bayes factor: {self.reason}.")
         else:
             value = self.log_bayes_factor
-            shown = f"{value:.1f}" if abs(value) <= _SHOWN else f"{'below -' if value < 0 else 'above '}{_SHOWN:.0f}"
-            lines.append(f"log Bayes factor, one gel against two with the same prior: {shown} nats ({self.reason})")
+            shown = (
+                f"{value:.1f}"
+                if abs(value) <= _SHOWN
+                else f"{'below -' if value < 0 else 'above '}{_SHOWN:.0f}"
+            )
+            lines.append(
+                f"log Bayes factor, one gel against two with the same prior: {shown} nats "
+                f"({self.reason})"
+            )
         lines.append(f"\n{material(self.model).title}: a = {a}, b = {b}")
         scales = {p.name: p for p in material(self.model).parameters}
         for p in self.parameters:
@@ -124,7 +135,8 @@ class Comparison:
             low, middle, high = (entry.display_scale * x for x in p.difference)
             lines.append(
                 f"  {p.name:6s} a/b {p.ratio[1]:.3g} (90 %: {p.ratio[0]:.3g} to {p.ratio[2]:.3g}), "
-                f"a - b {middle:.3g} {unit} ({low:.3g} to {high:.3g}), P(a > b) {_probability(p.probability_greater)}"
+                f"a - b {middle:.3g} {unit} ({low:.3g} to {high:.3g}), P(a > b) "
+                f"{_probability(p.probability_greater)}"
             )
         return "\n".join([*lines, *(f"Caution: {text}." for text in self.cautions)])
 
@@ -134,8 +146,14 @@ class Comparison:
             {
                 "parameter": p.name,
                 "probability_greater": p.probability_greater,
-                **{f"ratio_{level}": x for level, x in zip(("low", "median", "high"), p.ratio, strict=True)},
-                **{f"difference_{level}": x for level, x in zip(("low", "median", "high"), p.difference, strict=True)},
+                **{
+                    f"ratio_{level}": x
+                    for level, x in zip(("low", "median", "high"), p.ratio, strict=True)
+                },
+                **{
+                    f"difference_{level}": x
+                    for level, x in zip(("low", "median", "high"), p.difference, strict=True)
+                },
             }
             for p in self.parameters
         ]
@@ -191,7 +209,8 @@ def compare(
     common = [key for key in a.posterior.keys if key in b.posterior.keys]
     if not common:
         raise InputDataError(
-            f"{a.source} has the models {', '.join(a.posterior.keys)} and {b.source} {', '.join(b.posterior.keys)}; fit a "
+            f"{a.source} has the models {', '.join(a.posterior.keys)} and {b.source} "
+            f"{', '.join(b.posterior.keys)}; fit a "
             "model to both with --models."
         )
     if model is not None and model not in common:
@@ -201,7 +220,9 @@ def compare(
     parameters = tuple(_parameter(name, *draws) for name in draws[0].names)
     value, reason = _log_bayes_factor(a, b, common if model is None else [chosen])
     labels = names or (a.source, b.source)
-    return Comparison(labels, chosen, parameters, value, reason, tuple(_cautions(a, b, chosen, labels)))
+    return Comparison(
+        labels, chosen, parameters, value, reason, tuple(_cautions(a, b, chosen, labels))
+    )
 
 
 def _parameter(name: str, a: WeightedDraws, b: WeightedDraws) -> ParameterComparison:
@@ -211,19 +232,25 @@ def _parameter(name: str, a: WeightedDraws, b: WeightedDraws) -> ParameterCompar
     difference = (first[:, None] - second).flatten()
     ratio = (first[:, None] / second).flatten()
     greater = float((weights * ((difference > 0.0).double() + 0.5 * (difference == 0.0))).sum())
-    return ParameterComparison(name, min(greater, 1.0), _quantiles(ratio, weights), _quantiles(difference, weights))
+    return ParameterComparison(
+        name, min(greater, 1.0), _quantiles(ratio, weights), _quantiles(difference, weights)
+    )
 
 
 def _quantiles(values: Tensor, weights: Tensor) -> tuple[float, float, float]:
     """5, 50 and 95 % quantile of weighted values."""
     order = values.argsort()
     below = weights[order].cumsum(0)
-    places = torch.searchsorted(below, torch.tensor(LEVELS, dtype=below.dtype) * below[-1]).clamp_max(len(values) - 1)
+    places = torch.searchsorted(
+        below, torch.tensor(LEVELS, dtype=below.dtype) * below[-1]
+    ).clamp_max(len(values) - 1)
     low, middle, high = values[order][places].tolist()
     return low, middle, high
 
 
-def _cautions(a: SavedCharacterization, b: SavedCharacterization, model: str, names: Sequence[str]) -> list[str]:
+def _cautions(
+    a: SavedCharacterization, b: SavedCharacterization, model: str, names: Sequence[str]
+) -> list[str]:
     found = []
     for result, name in ((a, names[0]), (b, names[1])):
         if not result.converged(model):
@@ -231,16 +258,21 @@ def _cautions(a: SavedCharacterization, b: SavedCharacterization, model: str, na
         if result.verdict(model) == "refused":
             found.append(f"neither the Gaussian of {name} nor its weighted draws are reliable")
         if not result.draws(model).weighted:
-            found.append(f"{name} holds no weighted draws, so its Gaussian approximation is drawn from")
+            found.append(
+                f"{name} holds no weighted draws, so its Gaussian approximation is drawn from"
+            )
     if a.document == b.document:
         found.append("the two results are the same, so their data are not independent")
     return found
 
 
-def _log_bayes_factor(a: SavedCharacterization, b: SavedCharacterization, models: Sequence[str]) -> tuple[float | None, str]:
+def _log_bayes_factor(
+    a: SavedCharacterization, b: SavedCharacterization, models: Sequence[str]
+) -> tuple[float | None, str]:
     """Log Bayes factor of one gel against two, and what it is about or why there is none.
 
-    Over several models, ``sum_m P(m | a) P(m | b) / P(m) B_m``, where ``B_m`` is the factor within a model.
+    Over several models, ``sum_m P(m | a) P(m | b) / P(m) B_m``, where ``B_m`` is the factor within
+    a model.
     """
     if a.prior is None or b.prior is None:
         return None, "a result does not hold its prior; characterise the gel again"
@@ -252,7 +284,11 @@ def _log_bayes_factor(a: SavedCharacterization, b: SavedCharacterization, models
     terms = []
     for key in models:
         if not _same_prior(a.prior[key], b.prior[key]):
-            return None, f"the priors of {key} differ between the two results; characterise both with the same one"
+            return (
+                None,
+                f"the priors of {key} differ between the two results; characterise both with the "
+                "same one",
+            )
         weight = 0.0
         if every:
             logs = [float(_log_priors(x, [key])) for x in (a.posterior, b.posterior, a.prior)]
@@ -261,7 +297,10 @@ def _log_bayes_factor(a: SavedCharacterization, b: SavedCharacterization, models
                 continue
         wrong = next((x for x in (a, b) if x.verdict(key) != "trusted"), None)
         if wrong is not None:
-            return None, f"the posterior of {key} from {wrong.source} is not Gaussian by its weighted draws"
+            return (
+                None,
+                f"the posterior of {key} from {wrong.source} is not Gaussian by its weighted draws",
+            )
         factor = _gaussian_factor(a.posterior[key], b.posterior[key], a.prior[key])
         if factor is None:
             return None, f"a posterior of {key} is hardly narrower than its prior"
@@ -282,7 +321,10 @@ def _same_prior(a: ModelBelief, b: ModelBelief) -> bool:
 
 
 def _gaussian_factor(a: ModelBelief, b: ModelBelief, prior: ModelBelief) -> float | None:
-    """Log of the integral of ``N_a N_b / N_prior`` over the controls; None where it does not exist."""
+    """Log of the integral of ``N_a N_b / N_prior`` over the controls.
+
+    None where it does not exist.
+    """
     eye = torch.eye(len(prior.mean), dtype=prior.mean.dtype)
     forms = []
     for part in (a, b, prior):

@@ -1,9 +1,11 @@
-"""Elementary functions of physical laws, and :func:`compiled`: one source of a law for tensors and for numbers.
+"""Elementary functions of physical laws, and :func:`compiled`: one source of a law for tensors and
+for numbers.
 
-A *law* (a stress, a radial equation, what an effect adds) is a plain function of scalars, written with arithmetic and the
-functions of this module. Called with tensors it works on whole batches; :func:`compiled` takes the same source with each
-function replaced by its counterpart for numbers and compiles it. Such a law is analytic in every argument by construction
-(``abs``, comparisons of complex numbers and the like do not exist here), so a complex step through it gives its slopes
+A *law* (a stress, a radial equation, what an effect adds) is a plain function of scalars, written
+with arithmetic and the functions of this module. Called with tensors it works on whole batches;
+:func:`compiled` takes the same source with each function replaced by its counterpart for numbers
+and compiles it. Such a law is analytic in every argument by construction (``abs``, comparisons of
+complex numbers and the like do not exist here), so a complex step through it gives its slopes
 (Squire & Trapp, SIAM Rev. 40, 1998).
 """
 
@@ -25,17 +27,29 @@ Scalar: TypeAlias = Any
 """What a law computes with: tensors of a common shape, or numbers, real or complex."""
 Law = Callable[..., Any]
 
-exp, log, sqrt, sin, cos, cosh, asinh = torch.exp, torch.log, torch.sqrt, torch.sin, torch.cos, torch.cosh, torch.asinh
-expm1, log1p = torch.expm1, torch.log1p
+exp = torch.exp
+log = torch.log
+sqrt = torch.sqrt
+sin = torch.sin
+cos = torch.cos
+cosh = torch.cosh
+asinh = torch.asinh
+expm1 = torch.expm1
+log1p = torch.log1p
 
 
 def where(condition: Scalar, chosen: Scalar, other: Scalar) -> Tensor:
-    """``chosen`` where the condition holds, else ``other``; the condition compares real numbers, see :func:`real`."""
+    """``chosen`` where the condition holds, else ``other``.
+
+    The condition compares real numbers, see :func:`real`.
+    """
     return torch.where(condition, chosen, other)
 
 
 def real(x: Scalar) -> Tensor:
-    """The real part, for conditions: inside a derivative by complex step, a variable carries an imaginary part."""
+    """The real part, for conditions: inside a derivative by complex step, a variable carries an
+    imaginary part.
+    """
     return torch.real(x)
 
 
@@ -64,8 +78,15 @@ class Quadrature:
 
 
 def find(knots: Tensor, x: Scalar) -> Tensor:
-    """Number of the interval between rising knots that holds ``x``; the first or last one outside."""
-    return torch.searchsorted(knots, real(x).detach().contiguous(), right=True).sub(1).clamp(0, len(knots) - 2)
+    """Number of the interval between rising knots that holds ``x``.
+
+    The first or last one outside.
+    """
+    return (
+        torch.searchsorted(knots, real(x).detach().contiguous(), right=True)
+        .sub(1)
+        .clamp(0, len(knots) - 2)
+    )
 
 
 class NoCompiledForm(UnsupportedError):
@@ -90,23 +111,33 @@ def compiled(law: Law, fields: tuple[str, ...] = ()) -> Any:
 
 
 def kernel(
-    function: Callable[..., Any], *, cache: bool = False, inline: Literal["never", "machine", "source"] = "never"
+    function: Callable[..., Any],
+    *,
+    cache: bool = False,
+    inline: Literal["never", "machine", "source"] = "never",
 ) -> Any:
     """Compile a function for numbers and arrays.
 
-    Division by zero gives an infinity, the interpreter is not held, and arrays are not counted by reference (that would take as
-    long as the arithmetic), so the function may allocate none.
+    Division by zero gives an infinity, the interpreter is not held, and arrays are not counted by
+    reference (that would take as long as the arithmetic), so the function may allocate none.
 
     Args:
         function: a plain function.
         cache: whether the machine code is kept beside the function's file.
-        inline: whether callers take it in, as machine code (short calls would pass hundreds of array bounds) or as source
-            (which saves compiling it by itself, where it is called once).
+        inline: whether callers take it in, as machine code (short calls would pass hundreds of
+            array bounds) or as source (which saves compiling it by itself, where it is called
+            once).
     """
     from numba import njit
 
     whole = "always" if inline == "source" else "never"
-    flags = {"error_model": "numpy", "nogil": True, "_nrt": False, "inline": whole, "forceinline": inline == "machine"}
+    flags = {
+        "error_model": "numpy",
+        "nogil": True,
+        "_nrt": False,
+        "inline": whole,
+        "forceinline": inline == "machine",
+    }
     return njit(cache=cache, **flags)(function)
 
 
@@ -125,21 +156,32 @@ def _rebound(law: Law, fields: tuple[str, ...]) -> Law:
     if not isinstance(law, types.FunctionType) or law.__closure__:
         raise NoCompiledForm(f"{law!r} is not a plain function at the top of a module.")
     counterparts = _counterparts()
-    scope: dict[str, Any] = {"__builtins__": builtins, "__name__": __name__}  # a module that can be imported later
+    scope: dict[str, Any] = {
+        "__builtins__": builtins,
+        "__name__": __name__,
+    }  # a module that can be imported later
     used, attributes = names_in(law)
     for name in used:
         value = law.__globals__.get(name)
         if value is not None:
             scope[name] = _counterpart(law, name, value, counterparts, fields)
         elif name not in ("range", "len", "float"):
-            raise NoCompiledForm(f"{law.__qualname__} uses {name!r}, which has no compiled form; see imr_torch.elementary.")
+            raise NoCompiledForm(
+                f"{law.__qualname__} uses {name!r}, which has no compiled form; see "
+                "imr_torch.elementary."
+            )
     for name in attributes:
         if name not in fields:
-            raise NoCompiledForm(f"{law.__qualname__} uses .{name}, which only tensors have; see imr_torch.elementary.")
+            raise NoCompiledForm(
+                f"{law.__qualname__} uses .{name}, which only tensors have; see "
+                "imr_torch.elementary."
+            )
     return types.FunctionType(law.__code__, scope, law.__name__, law.__defaults__)
 
 
-def _counterpart(law: Law, name: str, value: Any, counterparts: dict[Any, Any], fields: tuple[str, ...]) -> Any:
+def _counterpart(
+    law: Law, name: str, value: Any, counterparts: dict[Any, Any], fields: tuple[str, ...]
+) -> Any:
     """What stands in a compiled law for one of its globals."""
     if isinstance(value, (bool, int, float)):
         return value
@@ -151,7 +193,9 @@ def _counterpart(law: Law, name: str, value: Any, counterparts: dict[Any, Any], 
         return compiled(value, fields)
     if isinstance(value, type) and issubclass(value, tuple):
         return value
-    raise NoCompiledForm(f"{law.__qualname__} uses {name!r} ({type(value).__name__}), which has no compiled form.")
+    raise NoCompiledForm(
+        f"{law.__qualname__} uses {name!r} ({type(value).__name__}), which has no compiled form."
+    )
 
 
 @functools.cache
@@ -170,7 +214,8 @@ def _compiled_quadrature(sum_: Quadrature, fields: tuple[str, ...]) -> Any:
 
 
 def code_of(function: Law) -> Iterator[bytes]:
-    """Everything that the meaning of a function depends on: its code, constants and defaults, and those of all that it calls.
+    """Everything that the meaning of a function depends on: its code, constants and defaults, and
+    those of all that it calls.
 
     Docstrings, comments and whatever the function does not use are left out.
     """
@@ -184,7 +229,9 @@ def _code_of(function: Law, seen: set[Any]) -> Iterator[bytes]:
     code = function.__code__
     constants = [c for c in code.co_consts if c != function.__doc__]
     defaults = (function.__defaults__, function.__kwdefaults__)
-    yield repr((function.__qualname__, code.co_code, code.co_names, code.co_varnames, constants, defaults)).encode()
+    yield repr(
+        (function.__qualname__, code.co_code, code.co_names, code.co_varnames, constants, defaults)
+    ).encode()
     for name in names_in(function)[0]:
         yield name.encode()
         yield from _value_of(function.__globals__.get(name), seen)
@@ -213,11 +260,22 @@ def names_in(function: Law) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """
     code = function.__code__
     if any(isinstance(constant, types.CodeType) for constant in code.co_consts):
-        raise NoCompiledForm(f"{function.__qualname__} holds a function of its own; put it at the top of the module.")
+        raise NoCompiledForm(
+            f"{function.__qualname__} holds a function of its own; put it at the top of the module."
+        )
     named: dict[bool, dict[str, None]] = {True: {}, False: {}}
     for instruction in dis.get_instructions(code):
-        if instruction.opname in ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_ATTR", "LOAD_METHOD", "STORE_ATTR", "STORE_GLOBAL"):
-            named["GLOBAL" in instruction.opname or instruction.opname == "LOAD_NAME"][instruction.argval] = None
+        if instruction.opname in (
+            "LOAD_GLOBAL",
+            "LOAD_NAME",
+            "LOAD_ATTR",
+            "LOAD_METHOD",
+            "STORE_ATTR",
+            "STORE_GLOBAL",
+        ):
+            named["GLOBAL" in instruction.opname or instruction.opname == "LOAD_NAME"][
+                instruction.argval
+            ] = None
     return tuple(named[True]), tuple(named[False])
 
 
@@ -241,7 +299,10 @@ def _counterparts() -> dict[Any, Any]:
     def find_number(knots, x):
         return min(max(np.searchsorted(knots, x.real, side="right") - 1, 0), len(knots) - 2)
 
-    same = {getattr(torch, name): getattr(np, name) for name in ["exp", "log", "sqrt", "sin", "cos", "cosh", "expm1", "log1p"]}
+    same = {
+        getattr(torch, name): getattr(np, name)
+        for name in ["exp", "log", "sqrt", "sin", "cos", "cosh", "expm1", "log1p"]
+    }
     return same | {
         asinh: np.arcsinh,
         where: where_number,

@@ -1,7 +1,8 @@
 """The errors and warnings of the toolkit: one root class of each, and its subclasses.
 
-A message says what was expected, what came, and what to do next. A bubble whose solve fails is *not* an error:
-it is a :class:`imr_torch.simulate.Status` on that member, and the rest of the batch goes on.
+A message says what was expected, what came, and what to do next. A bubble whose solve fails is
+*not* an error: it is a :class:`imr_torch.simulate.Status` on that member, and the rest of the batch
+goes on.
 """
 
 

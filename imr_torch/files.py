@@ -18,7 +18,8 @@ _DIGITS = 7  # after the decimal point, of numbers that are only drawn
 
 
 def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
-    """Let ``write`` fill a temporary file beside ``path``, flush it to disk and rename it into place.
+    """Let ``write`` fill a temporary file beside ``path``, flush it to disk and rename it into
+    place.
 
     >>> import tempfile
     >>> from pathlib import Path
@@ -35,7 +36,9 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
             write(stream)
         return
     temporary = path.with_name(f".{path.name[:100]}.{secrets.token_hex(6)}{_TEMPORARY}")
-    descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
+    descriptor = os.open(
+        temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666
+    )
     try:
         with os.fdopen(descriptor, "wb") as stream:
             write(stream)
@@ -45,7 +48,9 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
         _flush_folder(path.parent)
     except BaseException as error:
         Path(temporary).unlink(missing_ok=True)
-        if isinstance(error, OSError) and error.errno is not None and error.filename is None:  # such as a full disk
+        if (
+            isinstance(error, OSError) and error.errno is not None and error.filename is None
+        ):  # such as a full disk
             raise OSError(error.errno, error.strerror, str(path)) from error
         raise
 
@@ -59,7 +64,8 @@ def check_target(path: str | Path, option: str, *, folder: bool = False) -> None
         folder: whether it is to be a folder.
 
     Raises:
-        InputDataError: if it is of the other kind, or it or the nearest folder above it cannot be written to.
+        InputDataError: if it is of the other kind, or it or the nearest folder above it cannot be
+            written to.
 
     >>> import tempfile
     >>> from imr_torch.files import check_target
@@ -67,27 +73,44 @@ def check_target(path: str | Path, option: str, *, folder: bool = False) -> None
     ...     check_target(f"{home}/new/fit.json", "--json")
     """
     if not str(path) or "\0" in str(path):
-        raise InputDataError(f"{option} is {str(path)!r}, which names no {'folder' if folder else 'file'}; give a name.")
+        raise InputDataError(
+            f"{option} is {str(path)!r}, which names no {'folder' if folder else 'file'}; give a "
+            "name."
+        )
     try:
         _check_place(Path(path), option, folder)
     except OSError as error:
         raise InputDataError(
-            f"{option} is {str(path)[:60]!r}, which cannot be written ({error.strerror or error}); give another place."
+            f"{option} is {str(path)[:60]!r}, which cannot be written "
+            f"({error.strerror or error}); give another place."
         ) from None
 
 
 def _check_place(target: Path, option: str, folder: bool) -> None:
     """What :func:`check_target` refuses of a path that can be looked up."""
     if len(target.name.encode()) > _LONGEST_NAME:
-        raise InputDataError(f"{option} has a name of {len(target.name.encode())} bytes; give one of {_LONGEST_NAME} at most.")
+        raise InputDataError(
+            f"{option} has a name of {len(target.name.encode())} bytes; give one of "
+            f"{_LONGEST_NAME} at most."
+        )
     if target.exists() and target.is_dir() != folder:
-        raise InputDataError(f"{option} is {str(target)!r}, which is {'a file' if folder else 'a folder'}; give another name.")
+        raise InputDataError(
+            f"{option} is {str(target)!r}, which is {'a file' if folder else 'a folder'}; give "
+            "another name."
+        )
     nearest = next(place for place in (target, *target.absolute().parents) if place.exists())
     if nearest != target and not nearest.is_dir():
-        raise InputDataError(f"{option} is {str(target)!r}, and {str(nearest)!r} is no folder; give another name.")
+        raise InputDataError(
+            f"{option} is {str(target)!r}, and {str(nearest)!r} is no folder; give another name."
+        )
     if not os.access(nearest, os.W_OK):
-        raise InputDataError(f"{option} is {str(target)!r}, and {str(nearest)!r} may not be written to; give another folder.")
-    if not target.exists() or nearest.is_dir():  # a file system that takes no files says so here alone
+        raise InputDataError(
+            f"{option} is {str(target)!r}, and {str(nearest)!r} may not be written to; give "
+            "another folder."
+        )
+    if (
+        not target.exists() or nearest.is_dir()
+    ):  # a file system that takes no files says so here alone
         with tempfile.TemporaryFile(dir=nearest):
             pass
 
@@ -125,7 +148,8 @@ def remove_temporaries(folder: Path, *names: str) -> None:
 
 
 def write_json(path: str | Path, document: Any) -> None:
-    """Write ``document`` as indented JSON, atomically. Non-finite numbers are refused, since JSON cannot represent them.
+    """Write ``document`` as indented JSON, atomically. Non-finite numbers are refused, since JSON
+    cannot represent them.
 
     >>> import tempfile
     >>> from pathlib import Path
@@ -162,7 +186,8 @@ def without_nonfinite(document: Any) -> tuple[Any, list[str]]:
 
 
 def drawn_numbers(values: Any) -> list[float | None]:
-    """Numbers of a curve that is only drawn, for JSON, which has no NaN: seven digits, and None where one is not finite.
+    """Numbers of a curve that is only drawn, for JSON, which has no NaN: seven digits, and None
+    where one is not finite.
 
     Args:
         values: a one-dimensional tensor or array.
@@ -183,7 +208,8 @@ def read_json(path: str | Path, *, expected: str = "expected JSON") -> Any:
         expected: what it should be, for messages.
 
     Raises:
-        InputDataError: if it cannot be read, is no JSON in UTF-8, nests too deep, or repeats a name.
+        InputDataError: if it cannot be read, is no JSON in UTF-8, nests too deep, or repeats a
+            name.
 
     >>> import tempfile
     >>> from pathlib import Path
@@ -196,8 +222,14 @@ def read_json(path: str | Path, *, expected: str = "expected JSON") -> Any:
     try:
         return json.loads(Path(path).read_text(encoding="utf-8-sig"), object_pairs_hook=_once)
     except (OSError, ValueError, RecursionError) as error:
-        why = "its values are nested too deep" if isinstance(error, RecursionError) else f"{type(error).__name__}: {error}"
-        raise InputDataError(f"{path}: cannot be used ({why}); {expected}: correct it, or move it away.") from None
+        why = (
+            "its values are nested too deep"
+            if isinstance(error, RecursionError)
+            else f"{type(error).__name__}: {error}"
+        )
+        raise InputDataError(
+            f"{path}: cannot be used ({why}); {expected}: correct it, or move it away."
+        ) from None
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

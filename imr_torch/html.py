@@ -1,7 +1,9 @@
-"""A page as one self-contained HTML file: a verdict, a table of facts, figures, sections, and details folded away.
+"""A page as one self-contained HTML file: a verdict, a table of facts, figures, sections, and
+details folded away.
 
-Nothing is fetched and nothing runs, so the file can be mailed and kept. All text is escaped here; figures are embedded as
-images with alternative texts. The page is readable on a screen 400 pixels wide.
+Nothing is fetched and nothing runs, so the file can be mailed and kept. All text is escaped here;
+figures are embedded as images with alternative texts. The page is readable on a screen 400 pixels
+wide.
 """
 
 import base64
@@ -114,7 +116,13 @@ class Preformatted:
 
 
 def page(
-    title: str, verdict: Sequence[str], blocks: Sequence[Block], *, warning: bool = False, next_step: str = "", footer: str = ""
+    title: str,
+    verdict: Sequence[str],
+    blocks: Sequence[Block],
+    *,
+    warning: bool = False,
+    next_step: str = "",
+    footer: str = "",
 ) -> str:
     """A page as HTML.
 
@@ -132,11 +140,16 @@ def page(
     (True, True)
     """
     first, *rest = verdict
-    body = [f"<h1>{escape(title)}</h1>", f'<p class="verdict{" warning" if warning else ""}">{escape(first)}</p>']
+    body = [
+        f"<h1>{escape(title)}</h1>",
+        f'<p class="verdict{" warning" if warning else ""}">{escape(first)}</p>',
+    ]
     body += [f"<p>{escape(sentence)}</p>" for sentence in rest]
     body += [_block(block) for block in blocks if not block.folded]
     if next_step:
-        body.append(f'<section><h2>What to do next</h2><p class="next">{escape(next_step)}</p></section>')
+        body.append(
+            f'<section><h2>What to do next</h2><p class="next">{escape(next_step)}</p></section>'
+        )
     body += [_block(block) for block in blocks if block.folded]
     if footer:
         body.append(f"<footer><p><small>{escape(footer)}</small></p></footer>")
@@ -145,7 +158,10 @@ def page(
     # an empty icon, because browsers ask for one otherwise
     head += f'<link rel="icon" href="data:,"><style>{_STYLE}</style>'
     text = "\n".join(body)
-    return f'<!DOCTYPE html>\n<html lang="en"><head>{head}</head>\n<body><main>\n{text}\n</main></body></html>\n'
+    return (
+        "<!DOCTYPE html>\n<html "
+        f'lang="en"><head>{head}</head>\n<body><main>\n{text}\n</main></body></html>\n'
+    )
 
 
 def write(text: str, path: str | Path) -> Path:
@@ -165,9 +181,15 @@ def write(text: str, path: str | Path) -> Path:
 def _block(block: Block) -> str:
     """A section; sentences side by side are a list, pictures side by side a grid."""
     parts = []
-    for kind, items in groupby(block.content, key=lambda item: type(item) if isinstance(item, str | Picture) else None):
-        inside = [f"<li>{escape(item)}</li>" if isinstance(item, str) else _item(item) for item in items]
-        before, after = {str: ("<ul>", "</ul>"), Picture: ('<div class="figures">', "</div>")}.get(kind, ("", ""))
+    for kind, items in groupby(
+        block.content, key=lambda item: type(item) if isinstance(item, str | Picture) else None
+    ):
+        inside = [
+            f"<li>{escape(item)}</li>" if isinstance(item, str) else _item(item) for item in items
+        ]
+        before, after = {str: ("<ul>", "</ul>"), Picture: ('<div class="figures">', "</div>")}.get(
+            kind, ("", "")
+        )
         parts.append(before + "\n".join(inside) + after)
     text = "\n".join(parts)
     if block.folded:
@@ -181,11 +203,16 @@ def _item(item: Table | Picture | Preformatted) -> str:
     if isinstance(item, Picture):
         return _embedded(item)
     if not item.head:
-        rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(' '.join(values))}</td></tr>" for name, *values in item.rows)
+        rows = "".join(
+            f"<tr><th>{escape(name)}</th><td>{escape(' '.join(values))}</td></tr>"
+            for name, *values in item.rows
+        )
         return f'<table class="facts">{rows}</table>'
     head = "".join(f"<th>{escape(cell)}</th>" for cell in item.head)
     rows = "".join(
-        f"<tr{' class=marked' * (number in item.marked)}>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>"
+        f"<tr{' class=marked' * (number in item.marked)}>"
+        + "".join(f"<td>{escape(cell)}</td>" for cell in row)
+        + "</tr>"
         for number, row in enumerate(item.rows)
     )
     return f'<div class="wide"><table><tr>{head}</tr>{rows}</table></div>'

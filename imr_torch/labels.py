@@ -1,7 +1,9 @@
-"""Text that comes from data: labels as plain text in figures, as parts of file names, and symbols of parameters.
+"""Text that comes from data: labels as plain text in figures, as parts of file names, and symbols
+of parameters.
 
-An experiment may be called anything, ``$x_{bad$`` or 300 letters long. Matplotlib reads ``$`` as mathematics and file systems
-read ``/`` as a folder, so a label passes through one of these functions before it is drawn or names a file.
+An experiment may be called anything, ``$x_{bad$`` or 300 letters long. Matplotlib reads ``$`` as
+mathematics and file systems read ``/`` as a folder, so a label passes through one of these
+functions before it is drawn or names a file.
 """
 
 import hashlib
@@ -33,7 +35,8 @@ REST_RADIUS = r"$R_\infty^* = R_\infty/R_\mathrm{max}$"
 
 
 def plain(label: str, longest: int = _LONGEST) -> str:
-    r"""A label as plain text for a figure: one line, shortened in the middle, never parsed as mathematics.
+    r"""A label as plain text for a figure: one line, shortened in the middle, never parsed as
+    mathematics.
 
     >>> from imr_torch.labels import plain
     >>> print(plain("$x_{bad$"), plain("a" * 300, longest=9))
@@ -47,14 +50,18 @@ def plain(label: str, longest: int = _LONGEST) -> str:
 
 
 def model_probability(value: float, error: float) -> str:
-    """The probability of a model with the error of its computation; undecided where that leaves it open.
+    """The probability of a model with the error of its computation; undecided where that leaves it
+    open.
 
     >>> from imr_torch.labels import model_probability
     >>> model_probability(0.964, 0.027), model_probability(0.888, 0.838)[:22]
     ('probability 0.964 +- 0.027', 'probability undecided ')
     """
     if error > _OPEN and error >= min(value, 1.0 - value):
-        return f"probability undecided ({value:.2f} by too few draws, error {error:.2f}; effort='thorough' draws more)"
+        return (
+            f"probability undecided ({value:.2f} by too few draws, error {error:.2f}; "
+            "effort='thorough' draws more)"
+        )
     return f"probability {value:.3f} +- {error:.3f}"
 
 
@@ -72,7 +79,8 @@ def file_name(label: str) -> str:
 
 
 def symbol(name: str) -> str:
-    r"""A parameter as it is printed in the literature, for a figure; its name where there is no symbol.
+    r"""A parameter as it is printed in the literature, for a figure; its name where there is no
+    symbol.
 
     >>> from imr_torch.labels import symbol
     >>> symbol("mu"), symbol("gas_loss")

@@ -1,6 +1,8 @@
-"""Figures: curves with their posterior predictive band, parameters, model probabilities, the information map.
+"""Figures: curves with their posterior predictive band, parameters, model probabilities, the
+information map.
 
-Every ``plot_*`` draws into ``ax`` (a new figure when None) and returns the axes; nothing is shown or saved here.
+Every ``plot_*`` draws into ``ax`` (a new figure when None) and returns the axes; nothing is shown
+or saved here.
 """
 
 import math
@@ -22,9 +24,22 @@ from imr_torch.observe import Experiment
 from imr_torch.simulate import Solution
 from imr_torch.units import Surroundings
 
-DATA, MODEL, SECOND, TRUTH = "#222222", "#0072B2", "#E69F00", "#D55E00"  # safe for colour-blind readers
+DATA, MODEL, SECOND, TRUTH = (
+    "#222222",
+    "#0072B2",
+    "#E69F00",
+    "#D55E00",
+)  # safe for colour-blind readers
 PALE = "#B8B8B8"  # frames that were not fitted
-CYCLE = (MODEL, TRUTH, "#009E73", SECOND, "#CC79A7", "#56B4E9", DATA)  # several curves in one panel (Okabe and Ito 2008)
+CYCLE = (
+    MODEL,
+    TRUTH,
+    "#009E73",
+    SECOND,
+    "#CC79A7",
+    "#56B4E9",
+    DATA,
+)  # several curves in one panel (Okabe and Ito 2008)
 _CURVES_SHOWN = 12
 _WIDE = 30.0  # ratio of the largest to the smallest value from which on an axis is logarithmic
 _LINE = 0.06  # part of an axis below which a density is a line, and is drawn again in an inset
@@ -38,7 +53,9 @@ def _axes(ax: Axes | None, size: tuple[float, float] = (5.2, 3.4)) -> Axes:
     return plt.subplots(figsize=size, layout="constrained")[1]
 
 
-def plot_solution(solution: Solution, *, ax: Axes | None = None, labels: Sequence[str] | None = None) -> Axes:
+def plot_solution(
+    solution: Solution, *, ax: Axes | None = None, labels: Sequence[str] | None = None
+) -> Axes:
     """Radius over time of each bubble of a flat batch (``B x n_t``)."""
     ax = _axes(ax)
     ax.set_prop_cycle(color=CYCLE)
@@ -69,13 +86,15 @@ def _scaled(factor: float) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
 
 def plot_experiment(
     experiment: Experiment,
-    band: tuple[Float[Tensor, "dense"], Float[Tensor, "dense"], Float[Tensor, "dense"]] | None = None,
+    band: tuple[Float[Tensor, "dense"], Float[Tensor, "dense"], Float[Tensor, "dense"]]
+    | None = None,
     *,
     ax: Axes | None = None,
     times: Float[Tensor, "dense"] | None = None,
     surroundings: Surroundings | None = None,
 ) -> Axes:
-    """Measured curves of one experiment and, if given, the 5, 50 and 95 % posterior predictive quantiles (``n_t`` each).
+    """Measured curves of one experiment and, if given, the 5, 50 and 95 % posterior predictive
+    quantiles (``n_t`` each).
 
     Args:
         experiment: the curves.
@@ -85,7 +104,13 @@ def plot_experiment(
         surroundings: the liquid side; with it, us and um are second axes.
     """
     ax = _axes(ax)
-    style = {"ms": 3, "color": DATA, "alpha": 0.5 if experiment.repeats == 1 else 0.15, "ls": "none", "marker": "."}
+    style = {
+        "ms": 3,
+        "color": DATA,
+        "alpha": 0.5 if experiment.repeats == 1 else 0.15,
+        "ls": "none",
+        "marker": ".",
+    }
     for curve in experiment.radius[:_CURVES_SHOWN]:
         ax.plot(experiment.times, curve, **style)
     if band is not None:
@@ -111,20 +136,31 @@ def _entry(belief: ModelBelief, name: str) -> Parameter:
 
 
 def plot_parameter(
-    beliefs: Sequence[tuple[str, ModelBelief]], name: str, *, truth: float | None = None, ax: Axes | None = None
+    beliefs: Sequence[tuple[str, ModelBelief]],
+    name: str,
+    *,
+    truth: float | None = None,
+    ax: Axes | None = None,
 ) -> Axes:
     """Density of one parameter under several beliefs of a model (for example prior and posterior).
 
-    The axis is logarithmic where the widest belief spans more than a factor of 30; a density that is a line there too is
-    drawn again in an inset.
+    The axis is logarithmic where the widest belief spans more than a factor of 30; a density that
+    is a line there too is drawn again in an inset.
     """
     ax = _axes(ax, (4.2, 3.0))
     levels = torch.linspace(0.002, 0.998, 400, dtype=torch.float64)
     rows = [
-        (plain(label), belief.quantile(levels)[:, belief.names.index(name)] * _entry(belief, name).display_scale, color)
+        (
+            plain(label),
+            belief.quantile(levels)[:, belief.names.index(name)]
+            * _entry(belief, name).display_scale,
+            color,
+        )
         for (label, belief), color in zip(beliefs, (SECOND, MODEL, TRUTH, DATA), strict=False)
     ]
-    low, high = (float(f(torch.stack([values for _, values, _ in rows]))) for f in (torch.amin, torch.amax))
+    low, high = (
+        float(f(torch.stack([values for _, values, _ in rows]))) for f in (torch.amin, torch.amax)
+    )
     logarithmic = low > 0.0 and high > _WIDE * low
     for label, values, color in rows:
         ax.plot(*_density(values, levels, logarithmic), color=color, label=label)
@@ -133,15 +169,26 @@ def plot_parameter(
         ax.axvline(truth * scale, color=TRUTH, ls="--", lw=1)
     if logarithmic:
         ax.set_xscale("log")
-    ax.set(yticks=[], ylabel="density (scaled)", xlabel=_label(_entry(beliefs[0][1], name)), ylim=(0.0, 1.45))
+    ax.set(
+        yticks=[],
+        ylabel="density (scaled)",
+        xlabel=_label(_entry(beliefs[0][1], name)),
+        ylim=(0.0, 1.45),
+    )
     ax.legend(frameon=False, fontsize=8, loc="upper left", ncols=2)
     last = rows[-1][1]
     width = (
-        math.log(float(last[-1] / last[0])) / math.log(high / low) if logarithmic else float(last[-1] - last[0]) / (high - low)
+        math.log(float(last[-1] / last[0])) / math.log(high / low)
+        if logarithmic
+        else float(last[-1] - last[0]) / (high - low)
     )
     if width < _LINE:
         middle = 0.5 * float(last[0] + last[-1])
-        place = math.log(middle / low) / math.log(high / low) if logarithmic else (middle - low) / (high - low)
+        place = (
+            math.log(middle / low) / math.log(high / low)
+            if logarithmic
+            else (middle - low) / (high - low)
+        )
         inset = ax.inset_axes((0.08 if place > 0.5 else 0.62, 0.36, 0.32, 0.36))
         inset.plot(*_density(last, levels, False), color=rows[-1][2])
         inset.set(yticks=[], ylim=(0.0, 1.1))
@@ -153,7 +200,10 @@ def plot_parameter(
 
 
 def _density(values: Tensor, levels: Tensor, logarithmic: bool) -> tuple[Tensor, Tensor]:
-    """Points of a density, at most 1, from its quantiles; of the logarithm of the parameter on a logarithmic axis."""
+    """Points of a density, at most 1, from its quantiles.
+
+    Of the logarithm of the parameter on a logarithmic axis.
+    """
     at = values.log() if logarithmic else values
     density = levels.diff() / at.diff().clamp_min(1e-300)
     middle = 0.5 * (at[1:] + at[:-1])
@@ -161,7 +211,8 @@ def _density(values: Tensor, levels: Tensor, logarithmic: bool) -> tuple[Tensor,
 
 
 def draw_parameters(belief: ModelBelief, *, seed: int = 0) -> Figure:
-    """Joint plot of the parameters of a belief: a density of each, and draws with contours of every pair.
+    """Joint plot of the parameters of a belief: a density of each, and draws with contours of every
+    pair.
 
     Args:
         belief: of one model.
@@ -169,8 +220,16 @@ def draw_parameters(belief: ModelBelief, *, seed: int = 0) -> Figure:
     """
     names = belief.names
     size = len(names)
-    figure, axes = plt.subplots(size, size, figsize=(1.2 + 2.3 * size, 1.0 + 2.1 * size), layout="constrained", squeeze=False)
-    scales = torch.tensor([_entry(belief, name).display_scale for name in names], dtype=torch.float64)
+    figure, axes = plt.subplots(
+        size,
+        size,
+        figsize=(1.2 + 2.3 * size, 1.0 + 2.1 * size),
+        layout="constrained",
+        squeeze=False,
+    )
+    scales = torch.tensor(
+        [_entry(belief, name).display_scale for name in names], dtype=torch.float64
+    )
     draws = belief.physical(belief.controls(_DRAWS, seed=seed)) * scales
     levels = torch.linspace(0.002, 0.998, 400, dtype=torch.float64)
     marginals = belief.quantile(levels) * scales
@@ -187,11 +246,18 @@ def draw_parameters(belief: ModelBelief, *, seed: int = 0) -> Figure:
                 low, middle, high = (belief.quantile([0.05, 0.5, 0.95])[:, j] * scales[j]).tolist()
                 ax.axvspan(low, high, color=MODEL, alpha=0.12, lw=0)
                 ax.set(yticks=[], ylim=(0.0, 1.1))
-                ax.set_title(f"{symbol(names[j])} = {middle:.3g} ({low:.3g} to {high:.3g})", fontsize=8)
+                ax.set_title(
+                    f"{symbol(names[j])} = {middle:.3g} ({low:.3g} to {high:.3g})", fontsize=8
+                )
             else:
                 _pair(ax, draws[:, j], draws[:, i])
-                tall = float(marginals[0, i]) > 0.0 and float(marginals[-1, i]) > _WIDE * float(marginals[0, i])
-                ax.set(ylim=(float(marginals[0, i]), float(marginals[-1, i])), yscale="log" if tall else "linear")
+                tall = float(marginals[0, i]) > 0.0 and float(marginals[-1, i]) > _WIDE * float(
+                    marginals[0, i]
+                )
+                ax.set(
+                    ylim=(float(marginals[0, i]), float(marginals[-1, i])),
+                    yscale="log" if tall else "linear",
+                )
             ax.set(xlim=(float(span[0]), float(span[-1])), xscale="log" if wide else "linear")
             if i == size - 1:
                 ax.set_xlabel(_label(_entry(belief, names[j])))
@@ -204,7 +270,8 @@ def _pair(ax: Axes, x: Tensor, y: Tensor) -> None:
     """Draws of two parameters with smoothed contours that hold half and nine tenths of them."""
     ax.plot(x, y, ".", ms=1.5, color=MODEL, alpha=0.25)
     points = torch.stack((x, y))
-    centre, spread = points.mean(1, keepdim=True), points.std(1, keepdim=True).clamp_min(1e-300)
+    centre = points.mean(1, keepdim=True)
+    spread = points.std(1, keepdim=True).clamp_min(1e-300)
     z = (points - centre) / spread
     grid = torch.linspace(-3.5, 3.5, _GRID, dtype=torch.float64)
     width = 1.5 * len(x) ** (-1.0 / 6.0)
@@ -214,7 +281,12 @@ def _pair(ax: Axes, x: Tensor, y: Tensor) -> None:
     held = ordered.cumsum(0) / ordered.sum()
     levels = [float(ordered[int((held < share).sum())]) for share in (0.9, 0.5)]
     ax.contour(
-        grid * spread[0] + centre[0], grid * spread[1] + centre[1], density, levels=levels, colors=[DATA], linewidths=0.9
+        grid * spread[0] + centre[0],
+        grid * spread[1] + centre[1],
+        density,
+        levels=levels,
+        colors=[DATA],
+        linewidths=0.9,
     )
 
 
@@ -226,16 +298,31 @@ def plot_probabilities(beliefs: Sequence[tuple[str, Belief]], *, ax: Axes | None
     for i, key in enumerate(keys):
         heights = [belief.probabilities[key] for _, belief in beliefs]
         places = [j + (i - (len(keys) - 1) / 2) * width for j in range(len(beliefs))]
-        ax.bar(places, heights, width, color=CYCLE[i % len(CYCLE)], label=beliefs[0][1][key].material.title)
-    ax.set(xticks=range(len(beliefs)), xticklabels=[plain(label) for label, _ in beliefs], ylim=(0, 1.02), ylabel="probability")
+        ax.bar(
+            places,
+            heights,
+            width,
+            color=CYCLE[i % len(CYCLE)],
+            label=beliefs[0][1][key].material.title,
+        )
+    ax.set(
+        xticks=range(len(beliefs)),
+        xticklabels=[plain(label) for label, _ in beliefs],
+        ylim=(0, 1.02),
+        ylabel="probability",
+    )
     ax.legend(frameon=False, fontsize=8)
     return ax
 
 
 def information_map(search: DesignSearch) -> dict[str, Any]:
-    """The surrogate's expected information gain over the design space, JSON-ready: We, R_inf*, and rows of nats over We."""
+    """The surrogate's expected information gain over the design space, JSON-ready: We, R_inf*, and
+    rows of nats over We.
+    """
     low, high = search.optimizer.space.bounds
-    weber, rest = (torch.linspace(float(low[i]), float(high[i]), _GRID, dtype=torch.float64) for i in (0, 1))
+    weber, rest = (
+        torch.linspace(float(low[i]), float(high[i]), _GRID, dtype=torch.float64) for i in (0, 1)
+    )
     grid = torch.stack(torch.meshgrid(weber, rest, indexing="xy"), dim=-1)
     model = search.optimizer.model()
     with torch.no_grad():
@@ -243,13 +330,17 @@ def information_map(search: DesignSearch) -> dict[str, Any]:
     return {"We": weber.tolist(), "R_inf*": rest.tolist(), "nats": mean.tolist()}
 
 
-def plot_information(search: DesignSearch, *, ax: Axes | None = None, surroundings: Surroundings | None = None) -> Axes:
-    """Map of the expected information gain over designs, with the evaluated designs and the chosen one.
+def plot_information(
+    search: DesignSearch, *, ax: Axes | None = None, surroundings: Surroundings | None = None
+) -> Axes:
+    """Map of the expected information gain over designs, with the evaluated designs and the chosen
+    one.
 
     Args:
         search: a finished search.
         ax: where to draw.
-        surroundings: the liquid side, which fixes Rmax of a Weber number; the default one when not given.
+        surroundings: the liquid side, which fixes Rmax of a Weber number; the default one when not
+            given.
     """
     evaluated = [{"We": float(we), "R_inf*": float(rest)} for we, rest in search.designs]
     weber, rest = search.recommendation.design.tolist()
@@ -274,18 +365,28 @@ def draw_information(
         ax: where to draw.
     """
     ax = _axes(ax, (5.6, 4.2))
-    weber, rest = torch.tensor(values["We"]), torch.tensor(values["R_inf*"])
+    weber = torch.tensor(values["We"])
+    rest = torch.tensor(values["R_inf*"])
     filled = ax.contourf(weber, rest, torch.tensor(values["nats"]), levels=15, cmap="viridis")
     ax.figure.colorbar(filled, ax=ax, label="expected information gain (nats)")
     places = [[row[name] for row in evaluated] for name in ("We", "R_inf*")]
-    ax.plot(*places, "o", ms=3.5, color="white", mec="black", mew=0.4, label="evaluated", clip_on=False)
+    ax.plot(
+        *places, "o", ms=3.5, color="white", mec="black", mew=0.4, label="evaluated", clip_on=False
+    )
     at = (chosen["We"], chosen["R_inf*"])
     ax.plot(*at, "*", ms=16, ls="none", color=TRUTH, mec="white", label="chosen", zorder=5)
     for setter, axis in ((ax.set_xlim, weber), (ax.set_ylim, rest)):
         margin = 0.05 * float(axis[-1] - axis[0])  # so that a star on the border is whole
         setter(float(axis[0]) - margin, float(axis[-1]) + margin)
     ax.set(xlabel=WEBER, ylabel=REST_RADIUS)
-    ax.legend(frameon=False, fontsize=8, ncols=2, loc="upper left", bbox_to_anchor=(0.0, -0.16), borderaxespad=0.0)
+    ax.legend(
+        frameon=False,
+        fontsize=8,
+        ncols=2,
+        loc="upper left",
+        bbox_to_anchor=(0.0, -0.16),
+        borderaxespad=0.0,
+    )
     if "Rmax_m" in chosen:
         factor = 1e6 * chosen["Rmax_m"] / chosen["We"]
         second = ax.secondary_xaxis("top", functions=_scaled(factor))
@@ -294,7 +395,10 @@ def draw_information(
 
 
 def plot_places(places: Mapping[str, Sequence[float]], *, ax: Axes | None = None) -> Axes:
-    """Empirical distribution of where truths lie in their posteriors, less the diagonal; in the band 95 % of the time."""
+    """Empirical distribution of where truths lie in their posteriors, less the diagonal.
+
+    In the band 95 % of the time.
+    """
     ax = _axes(ax)
     ax.set_prop_cycle(color=CYCLE)
     for name, values in places.items():
@@ -304,7 +408,11 @@ def plot_places(places: Mapping[str, Sequence[float]], *, ax: Axes | None = None
     if places:
         width = envelope(min(len(values) for values in places.values()))
         ax.axhspan(-width, width, color=DATA, alpha=0.12, lw=0)
-    ax.set(xlim=(0, 1), xlabel="place of the truth in its posterior", ylabel="share below, less uniform")
+    ax.set(
+        xlim=(0, 1),
+        xlabel="place of the truth in its posterior",
+        ylabel="share below, less uniform",
+    )
     ax.legend(frameon=False, fontsize=8)
     return ax
 
@@ -313,12 +421,19 @@ def plot_reliability(result: Reliability, *, ax: Axes | None = None) -> Axes:
     """Share of cases that came true over the probability that was stated, with 95 % intervals."""
     ax = _axes(ax, (4.0, 3.6))
     share = torch.tensor(result.share)
-    reach = torch.stack((share - torch.tensor(result.low), torch.tensor(result.high) - share)).clamp_min(0.0)
+    reach = torch.stack(
+        (share - torch.tensor(result.low), torch.tensor(result.high) - share)
+    ).clamp_min(0.0)
     ax.plot((0, 1), (0, 1), color=DATA, lw=1, alpha=0.4)
     ax.errorbar(result.stated, result.share, yerr=reach, fmt="o", color=MODEL, ms=4, capsize=2)
     for x, y, count in zip(result.stated, result.share, result.counts, strict=True):
         ax.annotate(str(count), (x, y), xytext=(5, -9), textcoords="offset points", fontsize=7)
     title = f"calibration error {result.error:.3f}, by chance {result.by_chance:.3f}"
-    ax.set(xlabel="stated probability", ylabel="share that came true", xlim=(-0.02, 1.02), ylim=(-0.02, 1.02))
+    ax.set(
+        xlabel="stated probability",
+        ylabel="share that came true",
+        xlim=(-0.02, 1.02),
+        ylim=(-0.02, 1.02),
+    )
     ax.set_title(title, fontsize=9)
     return ax

@@ -1,7 +1,9 @@
-"""Reproducible seeds: each stochastic step has its own, a function of the main seed and the name of the step.
+"""Reproducible seeds: each stochastic step has its own, a function of the main seed and the name of
+the step.
 
-``child(seed, "eig", 3)`` depends on the names only, never on how many numbers were drawn before, so a resumed campaign
-draws exactly what the uninterrupted one would have drawn. The global generator is never touched here.
+``child(seed, "eig", 3)`` depends on the names only, never on how many numbers were drawn before, so
+a resumed campaign draws exactly what the uninterrupted one would have drawn. The global generator
+is never touched here.
 """
 
 import hashlib

@@ -1,6 +1,8 @@
-"""Results of :func:`imr_torch.characterize`, read from their JSON files: posterior, weighted draws, a table.
+"""Results of :func:`imr_torch.characterize`, read from their JSON files: posterior, weighted draws,
+a table.
 
-A result file holds all that is needed to compare gels and to go on from a posterior, not the fits themselves.
+A result file holds all that is needed to compare gels and to go on from a posterior, not the fits
+themselves.
 """
 
 from collections.abc import Mapping, Sequence
@@ -32,7 +34,8 @@ class WeightedDraws:
         names: the free parameters.
         values: ``n x d`` tensor, SI.
         weights: ``n`` tensor, sums to 1.
-        weighted: whether the weights are those of the exact posterior; if not, the draws are of its Gaussian approximation.
+        weighted: whether the weights are those of the exact posterior; if not, the draws are of its
+            Gaussian approximation.
     """
 
     names: tuple[str, ...]
@@ -42,7 +45,9 @@ class WeightedDraws:
 
 
 def draws_to_dict(assimilation: Assimilation) -> dict[str, Any]:
-    """The weighted draws of each model that has some, JSON-ready: ``weights`` and one list of SI values per parameter."""
+    """The weighted draws of each model that has some, JSON-ready: ``weights`` and one list of SI
+    values per parameter.
+    """
     found = {}
     for fit in assimilation.fits:
         if fit.sample is None:
@@ -94,8 +99,15 @@ class SavedCharacterization:
             InputDataError: if the document is of another kind.
         """
         if isinstance(document, dict) and "each" in document:
-            raise InputDataError(f"{source}: holds the results of several curves (--each); run imr-torch batch --each instead.")
-        if not isinstance(document, dict) or not isinstance(document.get("models"), dict) or "belief" not in document:
+            raise InputDataError(
+                f"{source}: holds the results of several curves (--each); run imr-torch batch "
+                "--each instead."
+            )
+        if (
+            not isinstance(document, dict)
+            or not isinstance(document.get("models"), dict)
+            or "belief" not in document
+        ):
             raise InputDataError(f"{source}: holds no 'models' and 'belief'; {_EXPECTED}.")
         try:
             before = document.get("prior")
@@ -103,9 +115,13 @@ class SavedCharacterization:
             prior = None if before is None else Belief.from_dict(before)
         except InputDataError as error:
             raise InputDataError(f"{source}: {error}") from None
-        missing = [key for key in posterior.keys if not isinstance(document["models"].get(key), dict)]
+        missing = [
+            key for key in posterior.keys if not isinstance(document["models"].get(key), dict)
+        ]
         if missing:
-            raise InputDataError(f"{source}: 'models' lacks {missing[0]!r}, which 'belief' has; {_EXPECTED}.")
+            raise InputDataError(
+                f"{source}: 'models' lacks {missing[0]!r}, which 'belief' has; {_EXPECTED}."
+            )
         return cls(document, posterior, prior, source)
 
     @property
@@ -119,11 +135,15 @@ class SavedCharacterization:
         return self.posterior.best.model
 
     def intervals(self, model: str | None = None) -> dict[str, list[float]]:
-        """Parameter -> [5 %, 50 %, 95 %] quantile of a model (the most probable when not given), SI."""
+        """Parameter -> [5 %, 50 %, 95 %] quantile of a model (the most probable when not given),
+        SI.
+        """
         return dict(self._model(model).get("intervals", {}))
 
     def verdict(self, model: str | None = None) -> str:
-        """Whether the Gaussian of a model is to be used: ``"trusted"``, ``"repaired"``, ``"refused"`` or ``"unchecked"``."""
+        """Whether the Gaussian of a model is to be used: ``"trusted"``, ``"repaired"``,
+        ``"refused"`` or ``"unchecked"``.
+        """
         return str(self._model(model).get("verdict", "unchecked"))
 
     def converged(self, model: str | None = None) -> bool:
@@ -140,25 +160,44 @@ class SavedCharacterization:
             InputDataError: if the model is not part of the result, or its draws are incomplete.
         """
         part = self.posterior[model or self.best]
-        known = self.document.get("weighted_draws") or self.document.get("weighed_draws", {})  # the key of version 0.1.0
+        known = self.document.get("weighted_draws") or self.document.get(
+            "weighed_draws", {}
+        )  # the key of version 0.1.0
         entry = known.get(part.model)
         if entry is None:
             values = part.physical(part.controls(_GAUSSIAN_DRAWS, seed=seed))
-            return WeightedDraws(part.names, values, torch.full((len(values),), 1.0 / len(values), dtype=values.dtype), False)
+            return WeightedDraws(
+                part.names,
+                values,
+                torch.full((len(values),), 1.0 / len(values), dtype=values.dtype),
+                False,
+            )
         try:
-            values = torch.tensor([entry["values"][name] for name in part.names], dtype=torch.float64).mT
+            values = torch.tensor(
+                [entry["values"][name] for name in part.names], dtype=torch.float64
+            ).mT
             weights = torch.tensor(entry["weights"], dtype=torch.float64)
         except (KeyError, TypeError, ValueError) as error:
-            raise InputDataError(f"{self.source}: draws of {part.model!r} are not whole ({error}); {_EXPECTED}.") from None
-        if weights.shape != values.shape[:1] or not bool((weights >= 0.0).all()) or not float(weights.sum()) > 0.0:
-            raise InputDataError(f"{self.source}: draws of {part.model!r} have no weights that fit them; {_EXPECTED}.")
+            raise InputDataError(
+                f"{self.source}: draws of {part.model!r} are not whole ({error}); {_EXPECTED}."
+            ) from None
+        if (
+            weights.shape != values.shape[:1]
+            or not bool((weights >= 0.0).all())
+            or not float(weights.sum()) > 0.0
+        ):
+            raise InputDataError(
+                f"{self.source}: draws of {part.model!r} have no weights that fit them; "
+                f"{_EXPECTED}."
+            )
         return WeightedDraws(part.names, values, weights / weights.sum(), True)
 
     def rows(self) -> list[dict[str, Any]]:
         """One row per model and parameter: SI quantiles, probability and certificate of the model."""
         found = []
         for key in self.posterior.keys:
-            entry, units = self._model(key), {p.name: p.unit for p in material(key).parameters}
+            entry = self._model(key)
+            units = {p.name: p.unit for p in material(key).parameters}
             for name, (low, middle, high) in self.intervals(key).items():
                 found.append(
                     {
@@ -195,5 +234,7 @@ def to_dataframe(rows: Sequence[Mapping[str, Any]]) -> "pandas.DataFrame":
     try:
         import pandas
     except ImportError:
-        raise UnsupportedError("to_dataframe needs pandas: pip install pandas; rows() gives the same as a list.") from None
+        raise UnsupportedError(
+            "to_dataframe needs pandas: pip install pandas; rows() gives the same as a list."
+        ) from None
     return pandas.DataFrame([dict(row) for row in rows])

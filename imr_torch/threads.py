@@ -1,8 +1,9 @@
 """Threads of tensor operators: one, where tensors are small.
 
-Fits, designs and campaigns work on tensors of some hundred numbers. PyTorch shares even these among all cores, which gains
-nothing on an idle machine and costs tens of times the work where other programs use the cores as well. The bubble solver has
-threads of its own (``threads=`` of the simulators), which this does not touch.
+Fits, designs and campaigns work on tensors of some hundred numbers. PyTorch shares even these among
+all cores, which gains nothing on an idle machine and costs tens of times the work where other
+programs use the cores as well. The bubble solver has threads of its own (``threads=`` of the
+simulators), which this does not touch.
 """
 
 import os
@@ -13,14 +14,19 @@ from threading import Lock
 import torch
 
 _lock = Lock()
-_blocks = {"open": 0, "before": 1}  # how many blocks are open in this process, and the threads before the first of them
+_blocks = {
+    "open": 0,
+    "before": 1,
+}  # how many blocks are open in this process, and the threads before the first of them
 
 
 @contextmanager
 def one_torch_thread() -> Iterator[None]:
-    """Compute with one thread of PyTorch inside, and with as many as before afterwards; also a decorator of functions.
+    """Compute with one thread of PyTorch inside, and with as many as before afterwards; also a
+    decorator of functions.
 
-    Blocks may overlap in several Python threads: the last one to end restores what was before the first.
+    Blocks may overlap in several Python threads: the last one to end restores what was before the
+        first.
 
     >>> import torch
     >>> from imr_torch.threads import one_torch_thread

@@ -1,11 +1,14 @@
 """Types that every stage shares.
 
-Annotations name the axes of a tensor, ``Float[Tensor, "*batch experiments frames"]``: an axis has one size throughout a call,
-``*`` is any number of axes, ``#`` broadcasts, ``_`` is free; ``parameters`` is the parameter vector, ``controls`` the free
-parameters of one model, ``members`` the bubbles of a batch. ``pytest --check-shapes`` checks them in every call.
+Annotations name the axes of a tensor, ``Float[Tensor, "*batch experiments frames"]``: an axis has
+one size throughout a call, ``*`` is any number of axes, ``#`` broadcasts, ``_`` is free;
+``parameters`` is the parameter vector, ``controls`` the free parameters of one model, ``members``
+the bubbles of a batch. ``pytest --check-shapes`` checks them in every call.
 
-Shape words in docstrings follow BoTorch: ``batch_shape`` is any leading shape, ``q`` designs considered together, ``p`` the
-length of the parameter vector, ``d`` the free parameters of one model, ``E`` experiments, ``T`` or ``n_t`` frames.
+Shape words in docstrings follow BoTorch: ``batch_shape`` is any leading shape, ``q`` designs
+    considered together, ``p`` the
+length of the parameter vector, ``d`` the free parameters of one model, ``E`` experiments, ``T`` or
+``n_t`` frames.
 """
 
 from collections.abc import Callable

@@ -1,4 +1,7 @@
-"""Fixtures shared by all tests: one thread, float64 tensors made explicitly, and the reference data where they exist."""
+"""Fixtures shared by all tests:
+
+one thread, float64 tensors made explicitly, and the reference data where they exist.
+"""
 
 import gc
 import os
@@ -21,11 +24,14 @@ ROOT = Path(__file__).resolve().parents[1]
 def shared() -> Path:
     """Folder of the real experiments and reference curves, which the project may use and not ship.
 
-    Looked for at ``$IMR_TORCH_SHARED``, else in ``shared`` beside the checkout; tests that need it skip without it.
+    Looked for at ``$IMR_TORCH_SHARED``, else in ``shared`` beside the checkout; tests that need it
+    skip without it.
     """
     folder = Path(os.environ.get("IMR_TORCH_SHARED", ROOT.parent / "shared"))
     if not (folder / "data").is_dir():
-        pytest.skip(f"reference data not found at {folder}; set IMR_TORCH_SHARED to the folder that holds data/ and reference/")
+        pytest.skip(
+            f"reference data not found at {folder}; set IMR_TORCH_SHARED to the folder that holds data/ and reference/"
+        )
     return folder
 
 
@@ -46,7 +52,11 @@ def rendered() -> Iterator[None]:
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """``--check-shapes``: every call checks the annotated shapes."""
-    parser.addoption("--check-shapes", action="store_true", help="check the annotated tensor shapes in every call")
+    parser.addoption(
+        "--check-shapes",
+        action="store_true",
+        help="check the annotated tensor shapes in every call",
+    )
 
 
 def pytest_collection_finish() -> None:

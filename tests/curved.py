@@ -53,8 +53,13 @@ class Quadrature:
         return float(self.weights[self.controls[:, column] < value].sum())
 
 
-def quadrature(fit: ModelFit, batch: ExperimentBatch, simulator: CurvedSimulator, *, points: int = 401) -> Quadrature:
-    """Rectangle rule over +-6 prior standard deviations: spectrally accurate for a density that vanishes at the edges."""
+def quadrature(
+    fit: ModelFit, batch: ExperimentBatch, simulator: CurvedSimulator, *, points: int = 401
+) -> Quadrature:
+    """Rectangle rule over +-6 prior standard deviations:
+
+    spectrally accurate for a density that vanishes at the edges.
+    """
     axis = torch.linspace(-6.0, 6.0, points, dtype=torch.float64)
     controls = torch.cartesian_prod(axis, axis)
     likelihood = batch.log_likelihood(predict(simulator, fit.parameters(controls), batch)).sum(-1)
@@ -63,4 +68,6 @@ def quadrature(fit: ModelFit, batch: ExperimentBatch, simulator: CurvedSimulator
     mean = weights @ controls
     covariance = (weights[:, None] * (controls - mean)).mT @ (controls - mean)
     cell = 2.0 * math.log(float(axis[1] - axis[0]))
-    return Quadrature(mean, covariance, float(torch.logsumexp(logs, dim=0)) + cell, controls, weights)
+    return Quadrature(
+        mean, covariance, float(torch.logsumexp(logs, dim=0)) + cell, controls, weights
+    )

@@ -15,7 +15,8 @@ class Slow(LinearSimulator):
     """What parameters add changes as slowly as the residuals of a misfit drift."""
 
     def _columns(self, frames: int, weber: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
-        k, j = torch.arange(frames, dtype=torch.float64)[:, None], which.double()
+        k = torch.arange(frames, dtype=torch.float64)[:, None]
+        j = which.double()
         units = tensor(*[self.units.get(name, 1.0) for name in PARAMETERS.names])[which]
         return 0.1 * torch.cos((0.05 + 0.04 * j) * k + j) / units
 
@@ -31,6 +32,11 @@ def drifting(seed: int, *, alone: bool = False) -> tuple[ExperimentBatch, torch.
     times = torch.linspace(0.05, 2.5, 40, dtype=torch.float64)
     clean = Slow()(PART.to_si(gel), tensor(400.0, 0.2), times).radius
     noise = replace(NOISE, correlation_time=0.4)
-    seen = torch.stack([noise.draw(clean[k % len(gel)], times, 1, generator=source)[0] for k in range(4)])
-    shots = tuple(Experiment(f"{number}", (400.0, 0.2), times, curve[None]) for number, curve in enumerate(seen))
+    seen = torch.stack(
+        [noise.draw(clean[k % len(gel)], times, 1, generator=source)[0] for k in range(4)]
+    )
+    shots = tuple(
+        Experiment(f"{number}", (400.0, 0.2), times, curve[None])
+        for number, curve in enumerate(seen)
+    )
     return ExperimentBatch(shots, NOISE), gel if alone else gel[0]

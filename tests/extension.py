@@ -13,7 +13,14 @@ import torch
 from imr_torch import characterize, load_traces
 from imr_torch.assimilate import SearchOptions
 from imr_torch.campaign import Campaign, CampaignSettings, Optimal
-from imr_torch.design import ExpectedInformationGain, InformationEstimator, InformationGain, Plan, Shot, search_design
+from imr_torch.design import (
+    ExpectedInformationGain,
+    InformationEstimator,
+    InformationGain,
+    Plan,
+    Shot,
+    search_design,
+)
 from imr_torch.design.response import radii
 from imr_torch.elementary import Scalar, exp
 from imr_torch.gap import diagnose
@@ -33,31 +40,59 @@ from imr_torch.material import (
 )
 from imr_torch.material.elastic import NEO_HOOKEAN
 from imr_torch.material.viscous import NEWTONIAN
-from imr_torch.observe import Given, RadiusTrace, Reader, SimulatedLaboratory, TraceSet, register_reader
+from imr_torch.observe import (
+    Given,
+    RadiusTrace,
+    Reader,
+    SimulatedLaboratory,
+    TraceSet,
+    register_reader,
+)
 from imr_torch.simulate import PolytropicSimulator
 
-# ---------------------------------------------------------------- a file format: "IMR", Rmax and R_inf in um, then us; um
+# ---------------------------------------------------------------- a file format: "IMR", Rmax and
+# R_inf in um, then us; um
 
 
 def read(path: Path) -> TraceSet:
     _, top, rest, *rows = path.read_text().splitlines()
-    time, radius = 1e-6 * torch.tensor([[float(x) for x in row.split(";")] for row in rows], dtype=torch.float64).T
-    given = Given(max_radius_m=1e-6 * float(top), time_of_max_s=0.0, rest_radius_m=1e-6 * float(rest))
+    time, radius = (
+        1e-6
+        * torch.tensor([[float(x) for x in row.split(";")] for row in rows], dtype=torch.float64).T
+    )
+    given = Given(
+        max_radius_m=1e-6 * float(top), time_of_max_s=0.0, rest_radius_m=1e-6 * float(rest)
+    )
     return TraceSet((RadiusTrace(path.stem, time, radius, str(path), given),))
 
 
 register_reader(Reader("semicolons", lambda path, head: head.startswith(b"IMR\n"), read))
 
-# ---------------------------------------------------------------- a constitutive model: a second spring, of Mooney and Rivlin
+# ---------------------------------------------------------------- a constitutive model: a second
+# spring, of Mooney and Rivlin
 
 PARAMETERS.register(
-    Parameter("G_second", "second modulus", "Pa", "pressure", 0.0, 1e7, 0.0, 1e-3, "kPa", prior=LogNormal(5e3, 5.0))
+    Parameter(
+        "G_second",
+        "second modulus",
+        "Pa",
+        "pressure",
+        0.0,
+        1e7,
+        0.0,
+        1e-3,
+        "kPa",
+        prior=LogNormal(5e3, 5.0),
+    )
 )
 
 
-def mooney(radius: Scalar, velocity: Scalar, rest_radius: Scalar, G_second: Scalar) -> tuple[Scalar, ...]:
+def mooney(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, G_second: Scalar
+) -> tuple[Scalar, ...]:
     """``S = -G_2 (2 l - 1 - 1/l^2)`` with ``l = R/R_inf``."""
-    stretch, inverse = radius / rest_radius, rest_radius / radius
+    stretch = radius / rest_radius
+    inverse = rest_radius / radius
     value = -G_second * (2.0 * stretch - 1.0 - inverse * inverse)
     return value, -2.0 * G_second * (stretch + inverse * inverse) * velocity / radius, 0.0
 
@@ -68,15 +103,20 @@ SECOND = register_term(StressTerm(mooney, switch="G_second"))
 class MooneyRivlin(Material):
     """Two springs beside a dashpot."""
 
-    key, title, reference = "two_springs", "Mooney-Rivlin KV", "Mooney, J. Appl. Phys. 11 (1940)"
+    key = "two_springs"
+    title = "Mooney-Rivlin KV"
+    reference = "Mooney, J. Appl. Phys. 11 (1940)"
     terms = (NEWTONIAN, NEO_HOOKEAN, SECOND)
 
 
 register(MooneyRivlin())
 
-# ---------------------------------------------------------------- an effect: a far-field pressure that fades, with its own shape
+# ---------------------------------------------------------------- an effect: a far-field pressure
+# that fades, with its own shape
 
-PARAMETERS.register(Parameter("surge", "far-field pressure that fades, over p_inf", "1", "none", -0.5, 0.5, 0.0))
+PARAMETERS.register(
+    Parameter("surge", "far-field pressure that fades, over p_inf", "1", "none", -0.5, 0.5, 0.0)
+)
 
 
 def surge(time: Scalar, surge: Scalar) -> tuple[Scalar, Scalar, Scalar]:
@@ -86,11 +126,18 @@ def surge(time: Scalar, surge: Scalar) -> tuple[Scalar, Scalar, Scalar]:
 
 
 register_effect(
-    Effect("surge", "the far-field pressure fades", "driving", {"surge": TruncatedNormal(0.0, 0.1)}, far_field=surge)
+    Effect(
+        "surge",
+        "the far-field pressure fades",
+        "driving",
+        {"surge": TruncatedNormal(0.0, 0.1)},
+        far_field=surge,
+    )
 )
 
 
-# ---------------------------------------------------------------- an estimator of the information gain: a Gaussian channel a frame
+# ---------------------------------------------------------------- an estimator of the information
+# gain: a Gaussian channel a frame
 
 
 @dataclass(frozen=True)
@@ -102,7 +149,9 @@ class GaussianChannel(InformationEstimator):
     def __call__(self, shot: Shot, generator: torch.Generator) -> InformationGain:
         """See :class:`InformationEstimator`."""
         nats = torch.zeros((), dtype=torch.float64)
-        for part, weight in zip(shot.belief.models, shot.belief.log_probabilities.exp(), strict=True):
+        for part, weight in zip(
+            shot.belief.models, shot.belief.log_probabilities.exp(), strict=True
+        ):
             v = torch.randn(self.draws, len(part.names), generator=generator, dtype=torch.float64)
             seen = radii(shot, part, v)
             noise = shot.plan.noise.sd(seen, shot.plan.times).square().mean(0) / shot.plan.repeats
@@ -113,21 +162,27 @@ class GaussianChannel(InformationEstimator):
 
 def main(folder: Path) -> None:
     """File, model, effect, estimator."""
-    simulator, times = PolytropicSimulator(), torch.linspace(0.0, 2.4, 73, dtype=torch.float64)
+    simulator = PolytropicSimulator()
+    times = torch.linspace(0.0, 2.4, 73, dtype=torch.float64)
     gel = PARAMETERS.pack({"G": 2000.0, "mu": 0.1, "G_second": 8000.0})
     design = torch.tensor([400.0, 0.2], dtype=torch.float64)
     outer = simulator.conditions.surroundings
     top = float(outer.max_radius(design[0]))
     shot = SimulatedLaboratory(simulator, gel, repeats=1, times=times).shoot(design, seed=0)
     seconds = shot.times * outer.time_scale(top)
-    lines = [f"{1e6 * t!r};{1e6 * top * r!r}" for t, r in zip(seconds.tolist(), shot.radius[0].tolist(), strict=True)]
+    lines = [
+        f"{1e6 * t!r};{1e6 * top * r!r}"
+        for t, r in zip(seconds.tolist(), shot.radius[0].tolist(), strict=True)
+    ]
     file = folder / "gel.imr"
     file.write_text("\n".join(["IMR", repr(1e6 * top), repr(0.2e6 * top), *lines]))
     traces = load_traces(file)
     print("file", len(traces[0]), round(1e6 * float(traces[0].radius_m.max())))
 
     options = SearchOptions(raw_samples=48, starts=2)
-    found = characterize(traces, prior=wide_prior(("nhkv", "two_springs")), simulator=simulator, options=options)
+    found = characterize(
+        traces, prior=wide_prior(("nhkv", "two_springs")), simulator=simulator, options=options
+    )
     print("model", found.posterior.best.model, ",".join(found.posterior.best.names))
 
     laboratory = SimulatedLaboratory(
@@ -139,14 +194,21 @@ def main(folder: Path) -> None:
     report = diagnose(shots, effects=rivals, noise=laboratory.noise, simulator=simulator)
     print("effect", report.verdict, "+".join(report.cause))
 
-    prior, plan, own = wide_prior(("nhkv", "two_springs")), Plan(), GaussianChannel()
+    prior = wide_prior(("nhkv", "two_springs"))
+    plan = Plan()
+    own = GaussianChannel()
     acquisition = ExpectedInformationGain(prior, simulator, own, plan=plan)
     search = search_design(acquisition, seed=0, q=2, evaluations=4, initial=3)
     settings = CampaignSettings(plan=plan, policy=Optimal(own, evaluations=3, initial=2))
     campaign = Campaign(folder / "campaign", prior, simulator, settings=settings, seed=0)
     asked = campaign.ask()
     again = Campaign(folder / "campaign", prior, simulator, settings=settings, seed=0).ask()
-    print("estimator", len(search.chosen), asked.gain is not None, torch.equal(asked.design, again.design))
+    print(
+        "estimator",
+        len(search.chosen),
+        asked.gain is not None,
+        torch.equal(asked.design, again.design),
+    )
 
 
 if __name__ == "__main__":

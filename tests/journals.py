@@ -10,13 +10,16 @@ from imr_torch.campaign import Journal
 def cut(source: Path, target: Path, events: int, torn: float = 0.0) -> Path:
     """A copy of a campaign's folder that was killed after some events, with a share of the next line written."""
     shutil.copytree(source, target)
-    path, head = target / "journal.jsonl", target / "journal.head"
+    path = target / "journal.jsonl"
+    head = target / "journal.head"
     lines = path.read_bytes().splitlines(keepends=True)
     tail = lines[events][: int(torn * len(lines[events]))] if events < len(lines) else b""
     path.write_bytes(b"".join(lines[:events]) + tail)
     head.unlink()
     if events:
-        head.write_text(json.dumps({"lines": events, "check": json.loads(lines[events - 1])["check"]}))
+        head.write_text(
+            json.dumps({"lines": events, "check": json.loads(lines[events - 1])["check"]})
+        )
     return target
 
 
@@ -26,5 +29,7 @@ def rewritten(folder: Path, events: list[dict]) -> Path:
         (folder / name).unlink(missing_ok=True)
     journal = Journal(folder)
     for event in events:
-        journal.append(event["event"], **{key: value for key, value in event.items() if key != "event"})
+        journal.append(
+            event["event"], **{key: value for key, value in event.items() if key != "event"}
+        )
     return journal.path

@@ -28,11 +28,13 @@ _MANY = 1000  # rows from which on those of one Weber number are computed togeth
 class LinearSimulator:
     """``R = .6 + .3 t + .5 R_inf* + sum_j b_j(frame, We) theta_j / scale_j``: exactly linear, nuisances included.
 
-    The columns depend on the number of the frame and not on its time, so a shift of the clock adds ``.3`` times itself.
-    ``We`` takes part in them, so ``max_radius`` is the one nuisance that is not linear.
+    The columns depend on the number of the frame and not on its time, so a shift of the clock adds
+    ``.3`` times itself. ``We`` takes part in them, so ``max_radius`` is the one nuisance that is
+    not linear.
 
     Args:
-        units: what one prior unit of each parameter is (a change of it is a change of the parameters' units).
+        units: what one prior unit of each parameter is (a change of it is a change of the
+            parameters' units).
         limit: parameters above these values fail.
         fails: whether everything fails.
     """
@@ -50,12 +52,16 @@ class LinearSimulator:
 
     def _columns(self, frames: int, weber: Tensor, which: Tensor) -> Tensor:
         """Those of some parameters, by their places."""
-        k, j = torch.arange(frames, dtype=torch.float64)[:, None], which.double()
+        k = torch.arange(frames, dtype=torch.float64)[:, None]
+        j = which.double()
         units = tensor(*[self.units.get(name, 1.0) for name in PARAMETERS.names])[which]
         return 0.1 * torch.cos((0.5 + 0.4 * j) * k + 0.003 * weber[..., None, None] + j) / units
 
     def _gel(self, parameters: Tensor, weber: Tensor, frames: int) -> Tensor:
-        """What the gel adds, ``n x frames``: once a Weber number, and of parameters that are not zero."""
+        """What the gel adds, ``n x frames``:
+
+        once a Weber number, and of parameters that are not zero.
+        """
         which = parameters.detach().ne(0.0).any(0).nonzero()[:, 0]
         different, place = weber.detach().unique(return_inverse=True)
         if weber.requires_grad or len(weber) < _MANY or len(different) > 8:
@@ -76,39 +82,70 @@ class LinearSimulator:
         radius = torch.where(bad[:, None], torch.nan, radius).reshape(*shape, -1)
         status = torch.where(bad, int(Status.NON_FINITE), int(Status.DONE)).reshape(shape)
         none = torch.zeros_like(radius)
-        return Solution(times.reshape(*shape, -1), radius, none, none, status, torch.ones_like(status))
+        return Solution(
+            times.reshape(*shape, -1), radius, none, none, status, torch.ones_like(status)
+        )
 
     def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
         return self(parameters, designs, times)
 
 
 def prior(models: tuple[str, ...] = MODELS, *, correlated: bool = False) -> Belief:
-    """Unbounded normals; ``correlated`` gives the controls a Gaussian that is not the standard one."""
-    belief = Belief.prior({m: {n: TruncatedNormal(MEANS[n], SDS[n]) for n in material(m).free} for m in models})
+    """Unbounded normals;
+
+    ``correlated`` gives the controls a Gaussian that is not the standard one.
+    """
+    belief = Belief.prior(
+        {m: {n: TruncatedNormal(MEANS[n], SDS[n]) for n in material(m).free} for m in models}
+    )
     if not correlated:
         return belief
     parts = []
     for part in belief.models:
         d = len(part.names)
         source = torch.Generator().manual_seed(d)
-        chol = torch.tril(0.4 * torch.randn(d, d, generator=source, dtype=torch.float64), -1) + torch.eye(d) * 0.7
-        parts.append(part.with_gaussian(0.3 * torch.randn(d, generator=source, dtype=torch.float64), chol))
+        chol = (
+            torch.tril(0.4 * torch.randn(d, d, generator=source, dtype=torch.float64), -1)
+            + torch.eye(d) * 0.7
+        )
+        parts.append(
+            part.with_gaussian(0.3 * torch.randn(d, generator=source, dtype=torch.float64), chol)
+        )
     return Belief(tuple(parts), belief.log_probabilities)
 
 
-def experiments(count: int = 3, *, nuisance: Nuisance | None = None, noise: Noise = NOISE, seed: int = 0) -> ExperimentBatch:
-    """Experiments on one gel: each with its own design, number and spacing of frames, and repeats; last frames unequal."""
+def experiments(
+    count: int = 3, *, nuisance: Nuisance | None = None, noise: Noise = NOISE, seed: int = 0
+) -> ExperimentBatch:
+    """Experiments on one gel:
+
+    each with its own design, number and spacing of frames, and repeats; last frames unequal.
+    """
     source = torch.Generator().manual_seed(seed)
     truth = PARAMETERS.pack({n: tensor(MEANS[n] + 0.6 * SDS[n])[0] for n in ("G", "mu")})
     nuisance = nuisance or Nuisance()
     made = []
     for e in range(count):
         frames = 9 + 3 * ((e + seed) % 3)
-        times = 0.1 * e + torch.cumsum(0.1 + 0.2 * torch.rand(frames, generator=source, dtype=torch.float64), 0)
+        times = 0.1 * e + torch.cumsum(
+            0.1 + 0.2 * torch.rand(frames, generator=source, dtype=torch.float64), 0
+        )
         design = (300.0 + 250.0 * e, 0.15 + 0.05 * e)
         shift = torch.randn(3, generator=source, dtype=torch.float64) * nuisance.sds()
-        clean = LinearSimulator()(truth, tensor(*design), times).radius + 0.3 * shift[1] + 0.5 * design[1] * shift[2]
-        made.append(Experiment(f"e{e}", design, times, noise.draw(clean, times, 1 + (e + 1) % 3, generator=source), nuisance))
+        clean = (
+            LinearSimulator()(truth, tensor(*design), times).radius
+            + 0.3 * shift[1]
+            + 0.5 * design[1] * shift[2]
+        )
+        made.append(
+            Experiment(
+                f"e{e}",
+                design,
+                times,
+                noise.draw(clean, times, 1 + (e + 1) % 3, generator=source),
+                nuisance,
+            )
+        )
     return ExperimentBatch(tuple(made), noise)
 
 
@@ -129,17 +166,32 @@ class Exact:
     log_evidence: float
 
 
-def exact(part: ModelBelief, batch: ExperimentBatch, simulator: LinearSimulator | None = None) -> Exact:
-    """Dense algebra over every single observation: ``y = m + A x + e`` with ``x = (v, w_1, ..., w_E)`` standard normal."""
+def exact(
+    part: ModelBelief, batch: ExperimentBatch, simulator: LinearSimulator | None = None
+) -> Exact:
+    """Dense algebra over every single observation:
+
+    ``y = m + A x + e`` with ``x = (v, w_1, ..., w_E)`` standard normal.
+    """
     simulator = simulator or LinearSimulator()
-    d, count = len(part.names), len(batch.experiments)
-    slopes = torch.stack([m.to_physical(tensor(1.0)) - m.to_physical(tensor(0.0)) for m in part.marginals])
+    d = len(part.names)
+    count = len(batch.experiments)
+    slopes = torch.stack(
+        [m.to_physical(tensor(1.0)) - m.to_physical(tensor(0.0)) for m in part.marginals]
+    )
     start = part.parameters(part.mean)
-    observed, means, rows, noises = [], [], [], []
+    observed = []
+    means = []
+    rows = []
+    noises = []
     for e, shot in enumerate(batch.experiments):
         frames = shot.times.shape[0]
         design = tensor(*shot.design)
-        columns = simulator.columns(frames, design[0])[:, PARAMETERS.index(part.names)] * slopes[:, 0] @ part.chol
+        columns = (
+            simulator.columns(frames, design[0])[:, PARAMETERS.index(part.names)]
+            * slopes[:, 0]
+            @ part.chol
+        )
         nuisance = torch.zeros(frames, 3 * count, dtype=torch.float64)
         nuisance[:, 3 * e + 1] = simulator.time_slope * shot.nuisance.time_zero
         nuisance[:, 3 * e + 2] = simulator.rest_slope * shot.design[1] * shot.nuisance.rest_radius
@@ -152,11 +204,14 @@ def exact(part: ModelBelief, batch: ExperimentBatch, simulator: LinearSimulator 
             means.append(expected)
             rows.append(torch.cat((columns, nuisance), dim=1))
             noises.append((batch.noise.scale * batch.noise.floor) ** 2 * correlation)
-    y, m, A, R = torch.cat(observed), torch.cat(means), torch.cat(rows), torch.block_diag(*noises)
+    y = torch.cat(observed)
+    m = torch.cat(means)
+    A = torch.cat(rows)
+    R = torch.block_diag(*noises)
     root = torch.linalg.cholesky(A @ A.mT + R)
-    a, z = torch.linalg.solve_triangular(root, torch.cat((A, (y - m)[:, None]), dim=1), upper=False).split(
-        (A.shape[1], 1), dim=1
-    )
+    a, z = torch.linalg.solve_triangular(
+        root, torch.cat((A, (y - m)[:, None]), dim=1), upper=False
+    ).split((A.shape[1], 1), dim=1)
     mean = (a.mT @ z)[:, 0]
     covariance = torch.eye(A.shape[1], dtype=torch.float64) - a.mT @ a
     logdet = 2.0 * root.diagonal().log().sum()

@@ -1,10 +1,11 @@
 """Runs scripts in processes of their own that find the libraries loaded: forked from one process that has imported them.
 
-Loading PyTorch, Numba, SciPy, BoTorch and Matplotlib takes seconds of each process that simulates. The process that forks, run as
-``python tests/processes.py``, imports these and nothing of the package, so that a script finds the registries as a fresh
-interpreter would. It also lets Numba read the types that it compiles for, which it puts off until it first compiles, and leaves
-all this out of garbage collections: one that visits the objects of the libraries makes the forked process copy them. Where
-processes cannot be forked, a script runs in a fresh interpreter.
+Loading PyTorch, Numba, SciPy, BoTorch and Matplotlib takes seconds of each process that simulates.
+The process that forks, run as ``python tests/processes.py``, imports these and nothing of the
+package, so that a script finds the registries as a fresh interpreter would. It also lets Numba read
+the types that it compiles for, which it puts off until it first compiles, and leaves all this out
+of garbage collections: one that visits the objects of the libraries makes the forked process copy
+them. Where processes cannot be forked, a script runs in a fresh interpreter.
 """
 
 import gc
@@ -21,9 +22,31 @@ from types import ModuleType
 
 ROOT = Path(__file__).resolve().parents[1]
 LIBRARIES = (  # dependencies of the package
-    *("torch", "torchdiffeq", "jaxtyping", "numba", "filelock", "h5py", "pymatreader", "arviz_stats.base.array"),
-    *("scipy.stats", "scipy.optimize", "scipy.integrate", "scipy.special", "scipy.io", "matplotlib.pyplot"),
-    *("gpytorch.mlls", "botorch.acquisition.logei", "botorch.models", "botorch.fit", "botorch.optim"),
+    *(
+        "torch",
+        "torchdiffeq",
+        "jaxtyping",
+        "numba",
+        "filelock",
+        "h5py",
+        "pymatreader",
+        "arviz_stats.base.array",
+    ),
+    *(
+        "scipy.stats",
+        "scipy.optimize",
+        "scipy.integrate",
+        "scipy.special",
+        "scipy.io",
+        "matplotlib.pyplot",
+    ),
+    *(
+        "gpytorch.mlls",
+        "botorch.acquisition.logei",
+        "botorch.models",
+        "botorch.fit",
+        "botorch.optim",
+    ),
     "torch.fx.experimental.symbolic_shapes",  # which PyTorch imports when shapes are first broadcast
 )
 
@@ -35,7 +58,11 @@ class Processes:
         self._server: subprocess.Popen[str] | None = None
 
     def run(
-        self, script: Path | str, *arguments: str, env: Mapping[str, str] | None = None, timeout: int = 600
+        self,
+        script: Path | str,
+        *arguments: str,
+        env: Mapping[str, str] | None = None,
+        timeout: int = 600,
     ) -> subprocess.CompletedProcess[str]:
         """A file, or source as of ``python -c``; with variables of the environment beside those of this process.
 
@@ -43,19 +70,46 @@ class Processes:
         """
         own = dict(env or {})
         if not hasattr(os, "fork"):
-            command = [sys.executable, *(["-c"] if isinstance(script, str) else []), str(script), *arguments]
-            return subprocess.run(command, env=os.environ | own, cwd=ROOT, capture_output=True, text=True, timeout=timeout)
+            command = [
+                sys.executable,
+                *(["-c"] if isinstance(script, str) else []),
+                str(script),
+                *arguments,
+            ]
+            return subprocess.run(
+                command,
+                env=os.environ | own,
+                cwd=ROOT,
+                capture_output=True,
+                text=True,
+                timeout=timeout,
+            )
         with tempfile.TemporaryDirectory() as folder:
             out, err = (Path(folder) / name for name in ("out", "err"))
-            job = {"file": str(script) if isinstance(script, Path) else None, "source": str(script), "arguments": arguments}
-            status = self._ask(job | {"env": own, "timeout": timeout, "out": str(out), "err": str(err)})
-            return subprocess.CompletedProcess([str(script), *arguments], status, out.read_text(), err.read_text())
+            job = {
+                "file": str(script) if isinstance(script, Path) else None,
+                "source": str(script),
+                "arguments": arguments,
+            }
+            status = self._ask(
+                job | {"env": own, "timeout": timeout, "out": str(out), "err": str(err)}
+            )
+            return subprocess.CompletedProcess(
+                [str(script), *arguments], status, out.read_text(), err.read_text()
+            )
 
     def _ask(self, job: dict[str, object]) -> int:
         if self._server is None:
-            command, env = [sys.executable, __file__], os.environ | {"OMP_NUM_THREADS": "1"}
+            command = [sys.executable, __file__]
+            env = os.environ | {"OMP_NUM_THREADS": "1"}
             self._server = subprocess.Popen(
-                command, env=env, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
+                command,
+                env=env,
+                cwd=ROOT,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                text=True,
+                bufsize=1,
             )
         assert self._server.stdin is not None
         assert self._server.stdout is not None
@@ -70,7 +124,10 @@ class Processes:
 
 
 def serve() -> dict | None:
-    """Fork for each line of the standard input and print the status; in a process that was forked, return what it has to run."""
+    """Fork for each line of the standard input and print the status;
+
+    in a process that was forked, return what it has to run.
+    """
     while line := sys.stdin.readline():
         child = os.fork()
         if child == 0:

@@ -1,7 +1,7 @@
 """Checks the annotated shapes at run time: ``pytest --check-shapes`` imports the package with jaxtyping's import hook.
 
-Only functions and dataclasses with an annotated tensor are wrapped. The others stay plain functions, as the compiled engine
-needs its laws, and cost nothing more; their types are pyright's.
+Only functions and dataclasses with an annotated tensor are wrapped. The others stay plain
+functions, as the compiled engine needs its laws, and cost nothing more; their types are pyright's.
 """
 
 import types
@@ -21,7 +21,9 @@ def has_shape(hint: Any) -> bool:
 
 def checked(function: Callable[..., Any]) -> Callable[..., Any]:
     """The run-time check of the annotated tensors of one function, and of no other argument."""
-    function.__annotations__ = {name: hint for name, hint in function.__annotations__.items() if has_shape(hint)}
+    function.__annotations__ = {
+        name: hint for name, hint in function.__annotations__.items() if has_shape(hint)
+    }
     return beartype(function)
 
 
@@ -29,7 +31,9 @@ def jaxtyped(*, typechecker: Callable[..., Any]) -> Callable[[Any], Any]:
     """What the import hook puts on every function and class: jaxtyping's decorator, or nothing."""
 
     def decorate(found: Any) -> Any:
-        plain = isinstance(found, types.FunctionType) and not any(map(has_shape, found.__annotations__.values()))
+        plain = isinstance(found, types.FunctionType) and not any(
+            map(has_shape, found.__annotations__.values())
+        )
         return found if plain else _jaxtyped(typechecker=typechecker)(found)
 
     return decorate

@@ -26,12 +26,21 @@ class StubLearner:
     def check(self, batch: ExperimentBatch) -> None:
         pass
 
-    def learn(self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None) -> Inference:
-        batch, parts = observations.batch, []
+    def learn(
+        self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None
+    ) -> Inference:
+        batch = observations.batch
+        parts = []
         if max(float(e.mean.mean()) for e in batch.experiments) > self.fails_above:
             raise ConvergenceError("The stub did not converge.")
         for part in observations.prior.models:
             source = generator(child(observations.seed, "stub", len(batch.experiments)))
-            mean = torch.randn(len(part.names), generator=source, dtype=torch.float64) * batch.mean.sum()
+            mean = (
+                torch.randn(len(part.names), generator=source, dtype=torch.float64)
+                * batch.mean.sum()
+            )
             parts.append(part.with_gaussian(mean, part.chol * 0.5))
-        return Inference(Belief(tuple(parts), observations.prior.log_probabilities), record={"count": len(batch.experiments)})
+        return Inference(
+            Belief(tuple(parts), observations.prior.log_probabilities),
+            record={"count": len(batch.experiments)},
+        )

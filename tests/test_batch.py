@@ -1,4 +1,7 @@
-"""Many shots: every file has a result or a reason, runs resume, and pools that break cost only their shot."""
+"""Many shots:
+
+every file has a result or a reason, runs resume, and pools that break cost only their shot.
+"""
 
 import csv
 import json
@@ -42,7 +45,8 @@ def curve(stiffness: float) -> str:
     bubble = PolytropicSimulator()(gel, torch.tensor([200.0, 0.2]).double(), times)
     seconds = times * Surroundings().time_scale(SIZE)
     return "t (us),R (um)\n" + "".join(
-        f"{1e6 * t},{1e6 * SIZE * r}\n" for t, r in zip(seconds.tolist(), bubble.radius.flatten().tolist(), strict=True)
+        f"{1e6 * t},{1e6 * SIZE * r}\n"
+        for t, r in zip(seconds.tolist(), bubble.radius.flatten().tolist(), strict=True)
     )
 
 
@@ -93,7 +97,9 @@ def test_that_every_file_has_a_result_or_a_reason(shots: Path, tmp_path: Path) -
     assert frame["G"].notna().sum() == 3
 
 
-def test_that_a_result_reopens_with_its_posterior_its_draws_and_its_table(shots: Path, tmp_path: Path) -> None:
+def test_that_a_result_reopens_with_its_posterior_its_draws_and_its_table(
+    shots: Path, tmp_path: Path
+) -> None:
     result = characterize(
         load_traces(shots / "gel_1.csv"),
         prior=OPTIONS.prior,
@@ -122,11 +128,16 @@ def test_that_a_result_reopens_with_its_posterior_its_draws_and_its_table(shots:
 
 def test_that_a_table_needs_pandas_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(UnsupportedError, match=r"to_dataframe needs pandas: pip install pandas; rows\(\) gives the same"):
+    with pytest.raises(
+        UnsupportedError,
+        match=r"to_dataframe needs pandas: pip install pandas; rows\(\) gives the same",
+    ):
         to_dataframe([{"a": 1}])
 
 
-def test_that_a_run_goes_on_with_what_is_missing_or_has_changed(shots: Path, tmp_path: Path, calls: list[str]) -> None:
+def test_that_a_run_goes_on_with_what_is_missing_or_has_changed(
+    shots: Path, tmp_path: Path, calls: list[str]
+) -> None:
     out = tmp_path / "out"
     first = run_batch(shots, folder=out, options=OPTIONS)
     assert calls == ["gel_0", "gel_1", "gel_2"]
@@ -149,8 +160,11 @@ def test_that_a_run_goes_on_with_what_is_missing_or_has_changed(shots: Path, tmp
     assert calls[7:] == ["gel_0", "gel_1", "gel_2"]
 
 
-def test_that_an_interrupted_run_keeps_what_is_done(shots: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    out, done = tmp_path / "out", []
+def test_that_an_interrupted_run_keeps_what_is_done(
+    shots: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    done = []
 
     def interrupted(traces, options):
         if len(done) == 1:
@@ -179,12 +193,18 @@ def test_that_any_executor_gives_the_same_results(shots: Path, tmp_path: Path) -
         together = run_batch(shots, folder=tmp_path / "b", options=OPTIONS, executor=executor)
     drop = {"cpu_seconds"}
     for a, b in zip(alone.rows, together.rows, strict=True):
-        assert {k: v for k, v in a.items() if k not in drop} == {k: v for k, v in b.items() if k not in drop}
+        assert {k: v for k, v in a.items() if k not in drop} == {
+            k: v for k, v in b.items() if k not in drop
+        }
 
 
-def test_that_a_worker_that_dies_costs_its_own_shot_alone(shots: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_that_a_worker_that_dies_costs_its_own_shot_alone(
+    shots: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(batch, "characterize_shot", fatal)
-    summary = run_batch(shots, folder=tmp_path / "out", options=OPTIONS, executor=partial(process_pool, 2), window=2)
+    summary = run_batch(
+        shots, folder=tmp_path / "out", options=OPTIONS, executor=partial(process_pool, 2), window=2
+    )
     errors = {row["shot"]: row["error"] for row in summary.rows}
     assert errors["gel_0"] == "gel_0 was here"
     assert errors["gel_2"] == "gel_2 was here"
@@ -197,27 +217,60 @@ def test_that_an_error_of_any_kind_in_a_shot_is_its_own(shots: Path) -> None:
     assert list(document) == ["error"]
 
 
-def test_that_curves_of_a_file_are_one_shot_or_each_its_own(tmp_path: Path, calls: list[str]) -> None:
+def test_that_curves_of_a_file_are_one_shot_or_each_its_own(
+    tmp_path: Path, calls: list[str]
+) -> None:
     lines = curve(8e3).splitlines()[1:]
-    (tmp_path / "gel.csv").write_text("t (us),R1 (um),R2 (um)\n" + "".join(f"{x},{x.split(',')[1]}\n" for x in lines))
+    (tmp_path / "gel.csv").write_text(
+        "t (us),R1 (um),R2 (um)\n" + "".join(f"{x},{x.split(',')[1]}\n" for x in lines)
+    )
     together = run_batch(tmp_path / "gel.csv", folder=tmp_path / "a", options=OPTIONS)
     assert [(row["shot"], row["curves"]) for row in together.rows] == [("gel", 2)]
-    each = run_batch(tmp_path / "gel.csv", folder=tmp_path / "b", options=BatchOptions(**{**vars(OPTIONS), "each": True}))
-    assert [(row["shot"], row["curves"]) for row in each.rows] == [("gel_R1__um_", 1), ("gel_R2__um_", 1)]
-    assert each.rows[0]["G_high"] - each.rows[0]["G_low"] > 1.2 * (together.rows[0]["G_high"] - together.rows[0]["G_low"])
+    each = run_batch(
+        tmp_path / "gel.csv",
+        folder=tmp_path / "b",
+        options=BatchOptions(**{**vars(OPTIONS), "each": True}),
+    )
+    assert [(row["shot"], row["curves"]) for row in each.rows] == [
+        ("gel_R1__um_", 1),
+        ("gel_R2__um_", 1),
+    ]
+    assert each.rows[0]["G_high"] - each.rows[0]["G_low"] > 1.2 * (
+        together.rows[0]["G_high"] - together.rows[0]["G_low"]
+    )
 
 
 def test_that_files_of_one_name_have_results_of_their_own(tmp_path: Path, calls: list[str]) -> None:
     for day in ("day1", "day2"):
         (tmp_path / day).mkdir()
         (tmp_path / day / "gel.csv").write_text("t,R\n")
-    summary = run_batch(tmp_path / "day1", tmp_path / "day2", folder=tmp_path / "out", options=OPTIONS)
+    summary = run_batch(
+        tmp_path / "day1", tmp_path / "day2", folder=tmp_path / "out", options=OPTIONS
+    )
     assert [row["shot"] for row in summary.rows] == ["day1_gel_csv", "day2_gel_csv"]
 
 
 ROWS = (
-    {"shot": "a<b", "status": "done", "file": "a", "curves": 1, "frames": 9, "We": 300.0, "R_inf*": 0.2, "model": "nhkv"}
-    | {"probability": 1.0, "rmse": 0.01, "G_low": 4e3, "G": 5e3, "G_high": 6e3, "mu_low": 0.1, "mu": 0.2, "mu_high": 0.3},
+    {
+        "shot": "a<b",
+        "status": "done",
+        "file": "a",
+        "curves": 1,
+        "frames": 9,
+        "We": 300.0,
+        "R_inf*": 0.2,
+        "model": "nhkv",
+    }
+    | {
+        "probability": 1.0,
+        "rmse": 0.01,
+        "G_low": 4e3,
+        "G": 5e3,
+        "G_high": 6e3,
+        "mu_low": 0.1,
+        "mu": 0.2,
+        "mu_high": 0.3,
+    },
     {"shot": "b", "status": "failed", "file": "b", "error": "no <bubble>"},
 )
 
@@ -234,16 +287,35 @@ def test_that_the_page_has_a_line_a_shot_and_a_plot_a_parameter(tmp_path: Path) 
     assert [label.get_text() for label in ax.get_xticklabels()] == ["a<b"]
 
 
-COMMAND = ["--models", "nhkv", "--physics", "polytropic", "--quiet", "--rest-radius", "0.2:0.002", "--noise", "published"]
+COMMAND = [
+    "--models",
+    "nhkv",
+    "--physics",
+    "polytropic",
+    "--quiet",
+    "--rest-radius",
+    "0.2:0.002",
+    "--noise",
+    "published",
+]
 
 
-def test_that_the_command_writes_all_and_tells_of_failures(shots: Path, tmp_path: Path, capsys) -> None:
+def test_that_the_command_writes_all_and_tells_of_failures(
+    shots: Path, tmp_path: Path, capsys
+) -> None:
     out = tmp_path / "out"
     assert main(["batch", str(shots), "--out", str(out), "--workers", "1", *COMMAND]) == 2
     captured = capsys.readouterr()
     assert "4 shot(s): 3 done, 0 not converged, 1 failed" in captured.out
-    assert "1 of 4 shots have no result, for the reasons above; the others are written" in captured.err
-    assert {path.name for path in out.iterdir()} == {"shots", "summary.csv", "summary.html", "batch.json"}
+    assert (
+        "1 of 4 shots have no result, for the reasons above; the others are written" in captured.err
+    )
+    assert {path.name for path in out.iterdir()} == {
+        "shots",
+        "summary.csv",
+        "summary.html",
+        "batch.json",
+    }
     assert len(json.loads((out / "batch.json").read_text())["shots"]) == 4
     (shots / "bad.csv").unlink()
     assert main(["batch", str(shots), "--out", str(out), "--workers", "1", *COMMAND]) == 0
@@ -260,25 +332,48 @@ def test_that_the_command_writes_all_and_tells_of_failures(shots: Path, tmp_path
     ("arguments", "message"),
     [
         (["{in}", "--out", "{in}"], "the folder of the curves; name another one"),
-        (["{in}", "--out", "{in}/bad.csv"], "--out is .*bad.csv', which is a file; give another name"),
+        (
+            ["{in}", "--out", "{in}/bad.csv"],
+            "--out is .*bad.csv', which is a file; give another name",
+        ),
         (["{in}", "--out", "{out}", "--workers", "0"], "--workers is 0; expected at least 1"),
         (["{in}", "--out", "{out}", "--collapses", "0"], "--collapses is 0; expected at least 1"),
-        (["{in}", "--out", "{out}", "--workers", "2", "--cluster", "x"], "--workers and --cluster both say who does the work"),
+        (
+            ["{in}", "--out", "{out}", "--workers", "2", "--cluster", "x"],
+            "--workers and --cluster both say who does the work",
+        ),
         (["{in}/none*", "--out", "{out}"], "no file fits this pattern"),
         (["{in}", "--out", "{out}", "--layout", "radius"], "--layout: cannot use 'radius'"),
     ],
 )
-def test_that_bad_options_end_with_a_message_before_any_work(arguments, message, shots: Path, tmp_path: Path, capsys) -> None:
+def test_that_bad_options_end_with_a_message_before_any_work(
+    arguments, message, shots: Path, tmp_path: Path, capsys
+) -> None:
     names = {"in": shots, "out": tmp_path / "out"}
     assert main(["batch", *(a.format(**names) for a in arguments), "--quiet"]) == 2
     assert re.search(message, capsys.readouterr().err)
     assert not (tmp_path / "out").exists()
 
 
-def test_that_a_scheduler_that_does_not_answer_is_named(shots: Path, tmp_path: Path, capsys, monkeypatch) -> None:
+def test_that_a_scheduler_that_does_not_answer_is_named(
+    shots: Path, tmp_path: Path, capsys, monkeypatch
+) -> None:
     pytest.importorskip("distributed")
     monkeypatch.setattr("imr_torch.cli.batch._ANSWER_WITHIN", 1)
-    assert main(["batch", str(shots), "--out", str(tmp_path / "out"), "--cluster", "tcp://127.0.0.1:9", *COMMAND]) == 2
+    assert (
+        main(
+            [
+                "batch",
+                str(shots),
+                "--out",
+                str(tmp_path / "out"),
+                "--cluster",
+                "tcp://127.0.0.1:9",
+                *COMMAND,
+            ]
+        )
+        == 2
+    )
     assert "--cluster: no scheduler answers at 'tcp://127.0.0.1:9'" in capsys.readouterr().err
 
 
@@ -287,7 +382,9 @@ def test_that_a_window_below_one_is_refused(tmp_path: Path) -> None:
         run_batch(tmp_path, folder=tmp_path, options=OPTIONS, window=0)
 
 
-def test_that_no_more_shots_than_the_window_are_in_hand(shots: Path, tmp_path: Path, calls: list[str]) -> None:
+def test_that_no_more_shots_than_the_window_are_in_hand(
+    shots: Path, tmp_path: Path, calls: list[str]
+) -> None:
     class Counting(ThreadPoolExecutor):
         handed = most = 0
 
@@ -308,6 +405,13 @@ def test_that_the_workers_of_a_dask_cluster_do_it(shots: Path, tmp_path: Path, c
     distributed = pytest.importorskip("distributed")
     place = {"n_workers": 1, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
     with distributed.LocalCluster(protocol="tcp://", host="127.0.0.1", **place) as cluster:
-        arguments = ["batch", str(shots), "--out", str(tmp_path / "out"), "--cluster", cluster.scheduler_address]
+        arguments = [
+            "batch",
+            str(shots),
+            "--out",
+            str(tmp_path / "out"),
+            "--cluster",
+            cluster.scheduler_address,
+        ]
         assert main([*arguments, *COMMAND]) == 2
     assert "4 shot(s): 3 done, 0 not converged, 1 failed" in capsys.readouterr().out

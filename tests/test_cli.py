@@ -38,7 +38,9 @@ def test_help_teaches_with_an_example(command, capsys):
     with pytest.raises(SystemExit) as stop:
         main([command, "--help"])
     assert stop.value.code == 0
-    assert f"imr-torch {command} " in capsys.readouterr().out.split("options:")[0].split("\n\n", 1)[1]
+    assert (
+        f"imr-torch {command} " in capsys.readouterr().out.split("options:")[0].split("\n\n", 1)[1]
+    )
 
 
 @pytest.mark.parametrize(
@@ -61,7 +63,12 @@ def test_that_an_option_that_would_do_nothing_is_refused(line, capsys):
 def test_simulate_writes_the_curve_and_a_figure(rendered, tmp_path, capsys):
     out = tmp_path / "bubble"
     gel = ["--set", "G=8310,mu=0.093"]
-    assert main(["simulate", *gel, "--we", "300", "--rinf", "0.2", "--out", str(out), "--frames", "41"]) == 0
+    assert (
+        main(
+            ["simulate", *gel, "--we", "300", "--rinf", "0.2", "--out", str(out), "--frames", "41"]
+        )
+        == 0
+    )
     result = json.loads((out / "simulate.json").read_text())
     assert len(result["R_star"]) == len(result["time_s"]) == 41
     assert result["R_star"][0] == 1.0
@@ -74,7 +81,17 @@ def test_simulate_writes_the_curve_and_a_figure(rendered, tmp_path, capsys):
 def test_characterize_finds_the_gel_that_ships_with_the_project(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("imr_torch.cli.figures.WRITTEN", ("png", "pdf"))
     out = tmp_path / "result"
-    arguments = ["characterize", str(EXAMPLE), "--models", "nhkv", "--noise", "published", "--quiet", "--out", str(out)]
+    arguments = [
+        "characterize",
+        str(EXAMPLE),
+        "--models",
+        "nhkv",
+        "--noise",
+        "published",
+        "--quiet",
+        "--out",
+        str(out),
+    ]
     assert main([*arguments, "--experiments", "shot_1,shot_3"]) == 0
     result = json.loads((out / "characterize.json").read_text())
     assert [e["id"] for e in result["experiments"]] == ["shot_1", "shot_3"]
@@ -85,7 +102,14 @@ def test_characterize_finds_the_gel_that_ships_with_the_project(tmp_path, capsys
         assert low < TRUTH[name] < high
         assert middle == pytest.approx(TRUTH[name], rel=0.1)
     figures = {path.name for path in out.glob("*.png")}
-    names = ("curve_shot_1", "curve_shot_3", "residuals", "parameters", "parameter_G", "parameter_mu")
+    names = (
+        "curve_shot_1",
+        "curve_shot_3",
+        "residuals",
+        "parameters",
+        "parameter_G",
+        "parameter_mu",
+    )
     assert figures == {f"{name}.png" for name in names}
     assert {path.stem for path in out.glob("*.pdf")} == set(names)
     assert "4 curve(s)" not in (out / "report.txt").read_text()
@@ -104,9 +128,21 @@ def test_characterize_scores_models_by_held_out_curves(tmp_path, capsys):
 
 def test_design_names_several_designs_and_what_each_adds(tmp_path, capsys):
     out = tmp_path / "day"
-    options = ["--we-range", "200:400", "--rinf-range", "0.18:0.24", "--evaluations", "3", "--draws", "3", "--q", "2"]
+    options = [
+        "--we-range",
+        "200:400",
+        "--rinf-range",
+        "0.18:0.24",
+        "--evaluations",
+        "3",
+        "--draws",
+        "3",
+        "--q",
+        "2",
+    ]
     assert main(["design", "--case", "soft-pa", *options, *QUICK, "--out", str(out)]) == 0
-    result, said = json.loads((out / "design.json").read_text()), capsys.readouterr().out
+    result = json.loads((out / "design.json").read_text())
+    said = capsys.readouterr().out
     assert result["joint_eig"] == pytest.approx(result["eig"] + result["further"][0]["eig"])
     assert 200.0 <= result["further"][0]["design"]["We"] <= 400.0
     assert (out / "information_2.png").exists()
@@ -136,7 +172,18 @@ def test_design_recommends_inside_the_space_and_draws_its_map(rendered, tmp_path
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory):
     out = tmp_path_factory.mktemp("cli") / "demo"
-    arguments = ["campaign", "--case", "soft-pa", "--designs", "1", "--evaluations", "4", *QUICK, "--out", str(out)]
+    arguments = [
+        "campaign",
+        "--case",
+        "soft-pa",
+        "--designs",
+        "1",
+        "--evaluations",
+        "4",
+        *QUICK,
+        "--out",
+        str(out),
+    ]
     assert main(arguments) == 0
     return arguments, out
 
@@ -151,17 +198,26 @@ def test_campaign_reports_designs_errors_probabilities_intervals_and_cost(simula
     low, _, high = result["intervals"]["nhkv"]["G"]
     assert low < high < 1e5
     assert result["cpu_seconds"] > 0
-    assert {"information_001.png", "curve_001.png", "models.png", "parameter_G.png"} <= {p.name for p in out.glob("*.png")}
+    assert {"information_001.png", "curve_001.png", "models.png", "parameter_G.png"} <= {
+        p.name for p in out.glob("*.png")
+    }
 
 
-def test_that_the_page_and_the_figures_of_a_campaign_come_from_its_json_alone(rendered, simulated, tmp_path, capsys):
+def test_that_the_page_and_the_figures_of_a_campaign_come_from_its_json_alone(
+    rendered, simulated, tmp_path, capsys
+):
     document = json.loads((simulated[1] / "campaign.json").read_text())
     assert [curve["number"] for curve in document["curves"]] == [1]
     names = {figure.name for figure in draw_figures(document)}
     assert names == {"models", "parameter_G", "parameter_mu", "information_001", "curve_001"}
     copy = tmp_path / "campaign.json"
     copy.write_text(json.dumps(document))
-    assert main(["plot", str(copy), "--format", "png", "--html", str(tmp_path / "page.html"), "--quiet"]) == 0
+    assert (
+        main(
+            ["plot", str(copy), "--format", "png", "--html", str(tmp_path / "page.html"), "--quiet"]
+        )
+        == 0
+    )
     assert {path.stem for path in tmp_path.glob("*.png")} == names
     page = (tmp_path / "page.html").read_text()
     assert "After 1 experiment(s) NHKV has a probability of" in page
@@ -179,7 +235,8 @@ def test_campaign_does_not_overwrite_and_resumes(simulated, capsys):
     assert main(arguments) == 2
     assert "give --resume to continue it, or another --out" in capsys.readouterr().err
     assert main([*arguments, "--resume"]) == 0
-    after, first = json.loads((out / "campaign.json").read_text()), json.loads(before)
+    after = json.loads((out / "campaign.json").read_text())
+    first = json.loads(before)
     assert after["belief"] == first["belief"]
     assert after["designs"] == first["designs"]
 
@@ -207,7 +264,18 @@ def test_campaign_shoots_a_list_and_stops_when_enough_is_known(tmp_path):
 
 def test_campaign_learns_as_published_when_asked_to(tmp_path):
     out = tmp_path / "paper"
-    arguments = ["campaign", "--case", "soft-pa", "--designs", "1", "--evaluations", "3", "--method", "paper", *QUICK]
+    arguments = [
+        "campaign",
+        "--case",
+        "soft-pa",
+        "--designs",
+        "1",
+        "--evaluations",
+        "3",
+        "--method",
+        "paper",
+        *QUICK,
+    ]
     assert main([*arguments, "--out", str(out)]) == 0
     result = json.loads((out / "campaign.json").read_text())
     low, middle, high = result["intervals"]["nhkv"]["mu"]
@@ -216,25 +284,50 @@ def test_campaign_learns_as_published_when_asked_to(tmp_path):
     assert "PaperLearner" in journal
     assert "probabilities_of_this_design" in journal
     asked = next(json.loads(line) for line in journal.splitlines() if '"event": "ask"' in line)
-    assert asked["gain"] == max(row["parameters"] + row["model"] for row in asked["evaluations"]) < 6.91  # log 1000
+    assert (
+        asked["gain"]
+        == max(row["parameters"] + row["model"] for row in asked["evaluations"])
+        < 6.91
+    )  # log 1000
 
 
 def shot_csv(path, seed=3):
-    """A bubble of polytropic gas in a gel of TRUTH as a camera of .003 in R* films it; R_inf* is .21."""
-    simulator, source = PolytropicSimulator(), torch.Generator().manual_seed(seed)
+    """A bubble of polytropic gas in a gel of TRUTH as a camera of .003 in R* films it;
+
+    R_inf* is .21.
+    """
+    simulator = PolytropicSimulator()
+    source = torch.Generator().manual_seed(seed)
     surroundings = simulator.conditions.surroundings
     times = torch.arange(1, 75, dtype=torch.float64) * 1e-6
     design = torch.tensor([surroundings.weber(300e-6), 0.21], dtype=torch.float64)
-    radius = simulator(PARAMETERS.pack(TRUTH), design, times / surroundings.time_scale(300e-6)).radius
+    radius = simulator(
+        PARAMETERS.pack(TRUTH), design, times / surroundings.time_scale(300e-6)
+    ).radius
     filmed = radius + 0.003 * torch.randn(len(times), generator=source, dtype=torch.float64)
-    rows = (f"a,{t:.4e},{r:.5e}\n" for t, r in zip(times.tolist(), (300e-6 * filmed).tolist(), strict=True))
+    rows = (
+        f"a,{t:.4e},{r:.5e}\n"
+        for t, r in zip(times.tolist(), (300e-6 * filmed).tolist(), strict=True)
+    )
     path.write_text(TABLE + "".join(rows))
 
 
 def test_a_real_campaign_asks_learns_from_told_files_and_asks_again(tmp_path, capsys):
-    out, shot = tmp_path / "gel", tmp_path / "shot.csv"
+    out = tmp_path / "gel"
+    shot = tmp_path / "shot.csv"
     shot_csv(shot)
-    base = ["campaign", "--models", "nhkv", "--evaluations", "4", "--repeats", "1", *QUICK, "--out", str(out)]
+    base = [
+        "campaign",
+        "--models",
+        "nhkv",
+        "--evaluations",
+        "4",
+        "--repeats",
+        "1",
+        *QUICK,
+        "--out",
+        str(out),
+    ]
     assert main(base) == 0
     first = capsys.readouterr().out
     assert "Shoot next: We = " in first
@@ -249,7 +342,16 @@ def test_a_real_campaign_asks_learns_from_told_files_and_asks_again(tmp_path, ca
     assert "x the published law" in second
     low, _, high = result["intervals"]["nhkv"]["G"]
     assert low < TRUTH["G"] < high
-    ending = ["campaign", "--models", "nhkv", "--policy", "space-filling", "--stop", "designs=1", *QUICK]
+    ending = [
+        "campaign",
+        "--models",
+        "nhkv",
+        "--policy",
+        "space-filling",
+        "--stop",
+        "designs=1",
+        *QUICK,
+    ]
     new = ["--repeats", "1", "--out", str(tmp_path / "other")]
     assert main([*ending, *new, *rest, "--tell", str(shot)]) == 0
     assert "Enough: 1 designs were shot" in capsys.readouterr().out
@@ -288,7 +390,8 @@ def test_that_resume_learns_what_a_killed_tell_did_not(told_once, tmp_path, caps
 
 def test_that_a_file_is_told_once_and_forgotten_by_its_number(told_once, tmp_path, capsys):
     whole, shot = told_once
-    out, other = tmp_path / "gel", tmp_path / "other.csv"
+    out = tmp_path / "gel"
+    other = tmp_path / "other.csv"
     shutil.copytree(whole, out)
     before = (out / "journal.jsonl").read_bytes()
     assert main(real(out, "--resume", "--tell", shot)) == 2
@@ -306,16 +409,35 @@ def test_that_a_file_is_told_once_and_forgotten_by_its_number(told_once, tmp_pat
     assert "There is no experiment 1 to forget" in capsys.readouterr().err
 
 
-def test_that_a_refused_tell_leaves_no_journal_that_refuses_the_corrected_command(told_once, tmp_path, capsys):
+def test_that_a_refused_tell_leaves_no_journal_that_refuses_the_corrected_command(
+    told_once, tmp_path, capsys
+):
     _, shot = told_once
-    bad, out = tmp_path / "bad.csv", tmp_path / "gel"
+    bad = tmp_path / "bad.csv"
+    out = tmp_path / "gel"
     header, *rows = shot.read_text().splitlines()
     cells = [row.split(",") for row in rows]
-    bad.write_text("\n".join([header, *(f"{a},{1e3 * float(t):.6e},{r}" for a, t, r in cells)]) + "\n")
+    bad.write_text(
+        "\n".join([header, *(f"{a},{1e3 * float(t):.6e},{r}" for a, t, r in cells)]) + "\n"
+    )
     assert main(real(out, "--tell", bad)) == 2
     assert "the first collapse is at t* = 90" in capsys.readouterr().err
     assert not (out / "journal.jsonl").exists()
-    assert main(["campaign", "--models", "nhkv,newtonian", "--policy", "random", *QUICK, "--out", str(out)]) == 0
+    assert (
+        main(
+            [
+                "campaign",
+                "--models",
+                "nhkv,newtonian",
+                "--policy",
+                "random",
+                *QUICK,
+                "--out",
+                str(out),
+            ]
+        )
+        == 0
+    )
 
 
 def test_that_a_campaign_on_workers_is_resumed_on_any_number_of_them(tmp_path):
@@ -337,7 +459,10 @@ def test_that_a_folder_in_use_and_a_full_disk_are_one_line_each(told_once, tmp_p
     with Disk(2, "full").watched():
         assert main(real(out, "--resume", "--forget", 1)) == 1
     said = capsys.readouterr().err
-    assert "journal.jsonl cannot be read or written: No space left on device; the last event was not recorded" in said
+    assert (
+        "journal.jsonl cannot be read or written: No space left on device; the last event was not recorded"
+        in said
+    )
     assert said.count("\n") == 1
     assert (out / "journal.jsonl").read_bytes() == before
 
@@ -364,8 +489,12 @@ def test_that_a_reference_case_is_observed_as_published_and_a_gel_of_ones_own_as
         assert plan_of(parser().parse_args(["design", *gel, "--repeats", "3"])).repeats == 3
 
 
-@pytest.mark.parametrize(("about", "rounds"), [(["--case", "soft-pa"], 0), (["--models", "nhkv"], 2)])
-def test_that_the_noise_of_told_files_is_estimated_and_that_of_a_simulated_camera_known(about, rounds):
+@pytest.mark.parametrize(
+    ("about", "rounds"), [(["--case", "soft-pa"], 0), (["--models", "nhkv"], 2)]
+)
+def test_that_the_noise_of_told_files_is_estimated_and_that_of_a_simulated_camera_known(
+    about, rounds
+):
     learner = settings_of(parser().parse_args(["campaign", *about, "--out", "x"])).learner
     assert learner.noise_rounds == rounds
 
@@ -385,38 +514,80 @@ CURVE = "".join(f"a,{i}e-6,{(300 - 9 * i if i < 30 else 10 + i) * 1e-6}\n" for i
     ("arguments", "message"),
     [
         (["characterize", "nowhere.csv"], r"nowhere\.csv.*(not found|does not exist|no such file)"),
-        (["characterize", "{file}", "--models", "maxwell9"], "Unknown model 'maxwell9'; known are newtonian, nhe, nhkv"),
-        (["characterize", "{file}", "--models", "qkv"], r"takes \['G'\] as known; give its value in SI units"),
-        (["characterize", "{file}", "--experiments", "b"], "No experiment 'b' among the 1 loaded: a"),
+        (
+            ["characterize", "{file}", "--models", "maxwell9"],
+            "Unknown model 'maxwell9'; known are newtonian, nhe, nhkv",
+        ),
+        (
+            ["characterize", "{file}", "--models", "qkv"],
+            r"takes \['G'\] as known; give its value in SI units",
+        ),
+        (
+            ["characterize", "{file}", "--experiments", "b"],
+            "No experiment 'b' among the 1 loaded: a",
+        ),
         (
             ["characterize", "{file}", "--rest-radius", "1.2:0.1"],
             "--rest-radius is .1.2:0.1.; expected R_inf/Rmax between 0 and 1",
         ),
-        (["characterize", "{file}", "--rest-radius", "wide"], "--rest-radius: 'wide' is not VALUE:VALUE, for example 0.2:0.1"),
+        (
+            ["characterize", "{file}", "--rest-radius", "wide"],
+            "--rest-radius: 'wide' is not VALUE:VALUE, for example 0.2:0.1",
+        ),
         (["characterize", "{file}", "--belief", "{file}"], "not a saved belief"),
         (
             ["characterize", "{file}", "--scores", "--rest-radius", "0.2:0.1"],
             "Scores hold curves out, and there is 1; give at least two",
         ),
-        (["characterize", "{file}", "--scores", "--each"], "--scores predicts curves from others, and --each fits every one"),
+        (
+            ["characterize", "{file}", "--scores", "--each"],
+            "--scores predicts curves from others, and --each fits every one",
+        ),
         (["characterize", "{file}", "--known", "G"], "--known: 'G' is not NAME=NUMBER"),
         (["simulate", "--set", "G=1e4"], "model 'nhkv' has the parameters G, mu; got G"),
-        (["simulate", "--set", "G=-5,mu=0.1"], r"Parameter 'G' is -5 Pa; expected a value in \[0, 1e\+07\] Pa"),
-        (["simulate", "--set", "G=1e4,mu=0.1", "--rinf", "1.0"], r"\(300, 1\): expected We > 0 and 0 < R_inf\* < 1"),
+        (
+            ["simulate", "--set", "G=-5,mu=0.1"],
+            r"Parameter 'G' is -5 Pa; expected a value in \[0, 1e\+07\] Pa",
+        ),
+        (
+            ["simulate", "--set", "G=1e4,mu=0.1", "--rinf", "1.0"],
+            r"\(300, 1\): expected We > 0 and 0 < R_inf\* < 1",
+        ),
         (["simulate", "--set", "G=1e4,mu=0.1", "--frames", "1"], "--frames is 1"),
-        (["design", "--case", "soft-pa", "--we-range", "900:100"], r"weber is \(900.0, 100.0\); expected 0 < lower < upper"),
+        (
+            ["design", "--case", "soft-pa", "--we-range", "900:100"],
+            r"weber is \(900.0, 100.0\); expected 0 < lower < upper",
+        ),
         (["design", "--case", "soft-pa", "--workers", "0"], "--workers is 0; expected at least 1"),
-        (["design", "--case", "soft-pa", "--belief", "x.json"], "--belief and --case both name a prior"),
+        (
+            ["design", "--case", "soft-pa", "--belief", "x.json"],
+            "--belief and --case both name a prior",
+        ),
         (["design", "--case", "soft-pa", "--q", "0", *QUICK], "q is 0; expected at least 1"),
-        (["campaign", "--case", "soft-pa", "--out", "{folder}", "--q", "0"], "--q is 0; expected at least 1"),
-        (["campaign", "--case", "soft-pa", "--out", "{folder}", "--designs", "0"], "--designs is 0; expected at least 1"),
+        (
+            ["campaign", "--case", "soft-pa", "--out", "{folder}", "--q", "0"],
+            "--q is 0; expected at least 1",
+        ),
+        (
+            ["campaign", "--case", "soft-pa", "--out", "{folder}", "--designs", "0"],
+            "--designs is 0; expected at least 1",
+        ),
         (
             ["campaign", "--case", "soft-pa", "--out", "{folder}", "--policy", "best"],
             "--policy is 'best'; expected optimal, random",
         ),
-        (["campaign", "--case", "soft-pa", "--out", "{folder}", "--policy", "300:a"], "--policy: '300:a' is not VALUE:VALUE"),
-        (["campaign", "--case", "soft-pa", "--out", "{folder}", "--policy", "nan:.2"], "--policy: 'nan:.2' is not VALUE:VALUE"),
-        (["campaign", "--case", "soft-pa", "--out", "{folder}", "--policy", "2000:.2"], r"\(2000, 0.2\) is outside"),
+        (
+            ["campaign", "--case", "soft-pa", "--out", "{folder}", "--policy", "300:a"],
+            "--policy: '300:a' is not VALUE:VALUE",
+        ),
+        (
+            ["campaign", "--case", "soft-pa", "--out", "{folder}", "--policy", "nan:.2"],
+            "--policy: 'nan:.2' is not VALUE:VALUE",
+        ),
+        (
+            ["campaign", "--case", "soft-pa", "--out", "{folder}", "--policy", "2000:.2"],
+            r"\(2000, 0.2\) is outside",
+        ),
         (
             ["campaign", "--case", "soft-pa", "--out", "{folder}", "--policy", "300:.2"],
             "--policy lists 1 designs and --designs is 2; list as many",
@@ -425,9 +596,18 @@ CURVE = "".join(f"a,{i}e-6,{(300 - 9 * i if i < 30 else 10 + i) * 1e-6}\n" for i
             ["campaign", "--models", "nhkv", "--out", "{folder}", "--forget", "1"],
             "holds no journal to resume; leave --forget away",
         ),
-        (["campaign", "--case", "soft-pa", "--out", "{folder}", "--stop", "luck=7"], "'luck=7' is not a stopping rule"),
-        (["campaign", "--case", "soft-pa", "--out", "{folder}", "--resume"], "holds no journal to resume"),
-        (["campaign", "--case", "soft-pa", "--out", "{folder}", "--tell", "{file}"], "give one of the two"),
+        (
+            ["campaign", "--case", "soft-pa", "--out", "{folder}", "--stop", "luck=7"],
+            "'luck=7' is not a stopping rule",
+        ),
+        (
+            ["campaign", "--case", "soft-pa", "--out", "{folder}", "--resume"],
+            "holds no journal to resume",
+        ),
+        (
+            ["campaign", "--case", "soft-pa", "--out", "{folder}", "--tell", "{file}"],
+            "give one of the two",
+        ),
     ],
     ids=lambda value: "" if isinstance(value, str) else " ".join(value[:1] + value[-2:]),
 )

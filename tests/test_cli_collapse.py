@@ -1,4 +1,7 @@
-"""Tables of collapse times on the command line: result, figure and page; options about curves are refused beside them."""
+"""Tables of collapse times on the command line:
+
+result, figure and page; options about curves are refused beside them.
+"""
 
 import json
 from pathlib import Path
@@ -24,23 +27,43 @@ def keep_threads():
 
 def test_that_a_table_gives_result_figure_and_page(tmp_path, capsys) -> None:
     names = ",".join(f"pimr_pa_05_{i:02d}" for i in range(1, 14))
-    page, out = tmp_path / "page.html", tmp_path / "out"
-    code = main(["characterize", str(TABLE), *QUICK, "--experiments", names, "--html", str(page), "--out", str(out)])
+    page = tmp_path / "page.html"
+    out = tmp_path / "out"
+    code = main(
+        [
+            "characterize",
+            str(TABLE),
+            *QUICK,
+            "--experiments",
+            names,
+            "--html",
+            str(page),
+            "--out",
+            str(out),
+        ]
+    )
     assert code == 0
-    said, document = capsys.readouterr().out, json.loads((out / "characterize.json").read_text())
+    said = capsys.readouterr().out
+    document = json.loads((out / "characterize.json").read_text())
     assert "13 shot(s) of which the collapse time alone is known" in said
     assert "density 998.2 kg/m^3 (polyacrylamide" in said  # stated in the JSON beside
     assert [x["id"] for x in document["collapse_times"]] == names.split(",")
     assert document["curves"] == []
     assert document["collapse_times"][0]["Rmax_m"] == pytest.approx(3.4017647e-4, rel=1e-6)
-    assert abs(document["collapse_times"][0]["t_star"] - document["collapse_times"][0]["predicted"]) < 0.03
+    assert (
+        abs(document["collapse_times"][0]["t_star"] - document["collapse_times"][0]["predicted"])
+        < 0.03
+    )
     low, middle, high = document["models"]["nhkv"]["intervals"]["G"]
     assert 500.0 < low < middle < high < 20e3
     assert "Error of a collapse time" in page.read_text()
     assert "root mean square" in page.read_text()
     assert (out / "collapse_times.png").exists()
     assert "collapse_times" in [figure.name for figure in draw_figures(document)]
-    assert "It was not tested whether the model explains the collapse times" in characterization_page(document)
+    assert (
+        "It was not tested whether the model explains the collapse times"
+        in characterization_page(document)
+    )
 
 
 @pytest.mark.parametrize("option", ["--each", "--scores", "--population"])
@@ -60,5 +83,8 @@ def test_that_other_commands_and_unknown_names_are_refused(capsys) -> None:
 def test_that_the_data_carry_their_notice(name: str, count: int) -> None:
     document = json.loads((DATA / f"{name}.json").read_text())
     assert document["licence"] == "BSD-3-Clause, Copyright (c) 2025, Zhiren Zhu"
-    assert "Redistributions of source code must retain the above copyright notice" in document["licence_text"]
+    assert (
+        "Redistributions of source code must retain the above copyright notice"
+        in document["licence_text"]
+    )
     assert len(load_collapse_times(DATA / f"{name}.csv")) == count

@@ -34,34 +34,75 @@ def keep_threads():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["design", "--case", "soft-pa", "--models", "nhkv"], "--models has no effect beside --case"),
-        (["design", "--belief", "x.json", "--known", "G=1"], "--known has no effect beside --belief"),
+        (
+            ["design", "--case", "soft-pa", "--models", "nhkv"],
+            "--models has no effect beside --case",
+        ),
+        (
+            ["design", "--belief", "x.json", "--known", "G=1"],
+            "--known has no effect beside --belief",
+        ),
         (["design", "--models", "nhkv,nhkv"], "name at least one, each once"),
-        (["design", "--models", "nhkv", "--known", "tau=1e-6"], "'tau' is a parameter of none of nhkv"),
-        (["design", "--models", "nhkv", "--known", "G=-1"], r"Parameter 'G' is -1 Pa; expected a value in"),
-        (["design", "--models", "nhkv", "--known", "G=nan"], r"Parameter 'G' is nan Pa; expected a value in"),
+        (
+            ["design", "--models", "nhkv", "--known", "tau=1e-6"],
+            "'tau' is a parameter of none of nhkv",
+        ),
+        (
+            ["design", "--models", "nhkv", "--known", "G=-1"],
+            r"Parameter 'G' is -1 Pa; expected a value in",
+        ),
+        (
+            ["design", "--models", "nhkv", "--known", "G=nan"],
+            r"Parameter 'G' is nan Pa; expected a value in",
+        ),
         (["design", "--models", "nhkv", "--known", "G=1e3,mu=0.1"], "nothing is left to infer"),
-        (["simulate", "--set", "G=1,G=8310,mu=0.1"], "--set: G is given twice, 1 and 8310; give it once"),
-        (["simulate", "--set", "G=1,mu=0.1", "--threads", "0"], "--threads is 0; expected at least 1"),
-        (["simulate", "--set", "G=1,mu=0.1", "--frames", "10000000000"], "--frames is 10000000000; expected 2 to 1000000"),
+        (
+            ["simulate", "--set", "G=1,G=8310,mu=0.1"],
+            "--set: G is given twice, 1 and 8310; give it once",
+        ),
+        (
+            ["simulate", "--set", "G=1,mu=0.1", "--threads", "0"],
+            "--threads is 0; expected at least 1",
+        ),
+        (
+            ["simulate", "--set", "G=1,mu=0.1", "--frames", "10000000000"],
+            "--frames is 10000000000; expected 2 to 1000000",
+        ),
         (["simulate", "--set", "G=1,mu=0.1", "--until", "inf"], "--until is inf; expected a time"),
         ([*FIT, "--experiments", ""], "--experiments is ''; name at least one"),
         ([*FIT, "--experiments", "shot_1,shot_1"], "each once, separated by commas"),
         ([*FIT, "--collapses", "0"], "collapses is 0; the fitted window needs at least 1"),
         ([*FIT, "--rest-radius", "0.2:-1"], "--rest-radius is .0.2:-1.; expected"),
-        (["diagnose", "{set}", "--collapses", "3"], "--collapses is about files of curves, and has no effect on sets"),
-        (["diagnose", "{set}", "--rest-radius", "0.2:0.1"], "--rest-radius is about files of curves"),
+        (
+            ["diagnose", "{set}", "--collapses", "3"],
+            "--collapses is about files of curves, and has no effect on sets",
+        ),
+        (
+            ["diagnose", "{set}", "--rest-radius", "0.2:0.1"],
+            "--rest-radius is about files of curves",
+        ),
         (["diagnose", "{set}", "--layout", "radius=R"], "--layout is about files of curves"),
         (["diagnose", "{set}", "--effects", ","], "--effects is ','; name at least one"),
         ([*FIT, "--json", "{folder}"], "--json is .* which is a folder; give another name"),
         ([*FIT, "--out", "{set}"], "--out is .* which is a file; give another name"),
         ([*FIT, "--json", "{set}/fit.json"], "set.npz' is no folder"),
-        ([*FIT, "--json", "{folder}/" + 300 * "x"], "--json has a name of 300 bytes; give one of 200 at most"),
+        (
+            [*FIT, "--json", "{folder}/" + 300 * "x"],
+            "--json has a name of 300 bytes; give one of 200 at most",
+        ),
         (["diagnose", "{set}", "--html", "{folder}"], "--html is .* which is a folder"),
     ],
 )
-def test_that_what_would_be_ignored_or_lost_is_refused_before_any_work(arguments, message, tmp_path, capsys):
-    np.savez(tmp_path / "set.npz", time_s=np.zeros((1, 2)), radius_m=np.zeros((1, 1, 2)), we=[300.0], rinf_star=[0.2])
+def test_that_what_would_be_ignored_or_lost_is_refused_before_any_work(
+    arguments, message, tmp_path, capsys
+):
+    np.savez(
+        tmp_path / "set.npz",
+        time_s=np.zeros((1, 2)),
+        radius_m=np.zeros((1, 1, 2)),
+        we=[300.0],
+        rinf_star=[0.2],
+    )
     names = {"set": tmp_path / "set.npz", "folder": tmp_path}
     assert main([a.format(**names) for a in arguments]) == 2
     said = capsys.readouterr().err
@@ -73,8 +114,12 @@ def test_that_a_known_parameter_is_not_inferred() -> None:
     part = wide_prior(["nhkv"], known={"mu": 0.1})["nhkv"]
     assert part.names == ("G",)
     assert part.known == {"mu": 0.1}
-    assert Belief.from_dict(Belief((part,), torch.zeros(1, dtype=torch.float64)).to_dict())["nhkv"].names == ("G",)
-    both = wide_prior(["nhkv", "qkv"], known={"G": 2770.0})  # of qKV alone, which takes it as measured
+    assert Belief.from_dict(Belief((part,), torch.zeros(1, dtype=torch.float64)).to_dict())[
+        "nhkv"
+    ].names == ("G",)
+    both = wide_prior(
+        ["nhkv", "qkv"], known={"G": 2770.0}
+    )  # of qKV alone, which takes it as measured
     assert both["nhkv"].names == ("G", "mu")
     assert both["qkv"].known == {"G": 2770.0}
 
@@ -88,7 +133,8 @@ def test_that_a_fit_keeps_what_is_known(tmp_path) -> None:
 
 def test_that_a_saved_cloud_that_is_not_finite_or_fits_nothing_is_refused() -> None:
     part = wide_prior(["nhkv"])["nhkv"]
-    draws, eyes = torch.zeros(3, 2, dtype=torch.float64), torch.eye(2, dtype=torch.float64).expand(3, 2, 2)
+    draws = torch.zeros(3, 2, dtype=torch.float64)
+    eyes = torch.eye(2, dtype=torch.float64).expand(3, 2, 2)
     good = part.with_cloud(cloud(draws, eyes))
     assert isinstance(good, ModelBelief)
     with pytest.raises(InputDataError, match="must be finite"):
@@ -100,12 +146,24 @@ def test_that_a_saved_cloud_that_is_not_finite_or_fits_nothing_is_refused() -> N
 def test_that_a_curve_that_cannot_be_fitted_does_not_stop_the_others(tmp_path, capsys) -> None:
     rows = EXAMPLE.read_text().splitlines()
     kept = [row for row in rows if row.startswith(("experiment_id", "shot_1,", "shot_2,"))]
-    bad = [re.sub("^shot_2,([^,]*)", lambda m: f"shot_2,{1e3 * float(m.group(1))}", row) for row in kept]  # ms in one of them
+    bad = [
+        re.sub("^shot_2,([^,]*)", lambda m: f"shot_2,{1e3 * float(m.group(1))}", row)
+        for row in kept
+    ]  # ms in one of them
     (tmp_path / "gel.csv").write_text("\n".join(bad) + "\n")
     beside = json.loads(EXAMPLE.with_suffix(".json").read_text())
     (tmp_path / "gel.json").write_text(json.dumps(beside))
     document = tmp_path / "each.json"
-    arguments = ["characterize", str(tmp_path / "gel.csv"), "--each", "--models", "nhkv", "--noise", "published", *QUICK]
+    arguments = [
+        "characterize",
+        str(tmp_path / "gel.csv"),
+        "--each",
+        "--models",
+        "nhkv",
+        "--noise",
+        "published",
+        *QUICK,
+    ]
     assert main([*arguments, "--json", str(document)]) == 2
     each = json.loads(document.read_text())["each"]
     assert "models" in each["shot_1"]
@@ -113,7 +171,9 @@ def test_that_a_curve_that_cannot_be_fitted_does_not_stop_the_others(tmp_path, c
     assert "1 of 2 curves have no result to be used: shot_2" in capsys.readouterr().err
 
 
-def test_that_a_fit_that_has_not_converged_ends_with_its_status(tmp_path, capsys, monkeypatch) -> None:
+def test_that_a_fit_that_has_not_converged_ends_with_its_status(
+    tmp_path, capsys, monkeypatch
+) -> None:
     module = sys.modules[characterize.__module__]
     whole = module.assimilate_estimating_noise
 
@@ -157,14 +217,24 @@ def test_that_a_folder_that_may_not_be_written_to_is_refused(tmp_path, monkeypat
 
 
 def run(*arguments: str, **more) -> subprocess.CompletedProcess:
-    return subprocess.run([sys.executable, "-m", "imr_torch", *arguments], capture_output=True, text=True, check=False, **more)
+    return subprocess.run(
+        [sys.executable, "-m", "imr_torch", *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        **more,
+    )
 
 
 def test_that_letters_a_terminal_lacks_do_not_end_the_command(tmp_path) -> None:
     table = EXAMPLE.read_text().replace("shot_1", "Schuss_\u00e4")
     (tmp_path / "gel.csv").write_text(table, encoding="utf-8")
     done = run(
-        "characterize", str(tmp_path / "gel.csv"), "--experiments", "nothing", env=os.environ | {"PYTHONIOENCODING": "ascii"}
+        "characterize",
+        str(tmp_path / "gel.csv"),
+        "--experiments",
+        "nothing",
+        env=os.environ | {"PYTHONIOENCODING": "ascii"},
     )
     assert done.returncode == 2
     assert "Schuss_\\xe4" in done.stderr
@@ -193,11 +263,22 @@ def test_that_an_interruption_is_said_in_a_line(monkeypatch, capsys) -> None:
 
 
 def test_that_intervals_that_draws_did_not_settle_say_what_to_do(capsys) -> None:
-    both = ["characterize", str(EXAMPLE), "--models", "nhkv,gen_qkv", "--noise", "published", *QUICK]
+    both = [
+        "characterize",
+        str(EXAMPLE),
+        "--models",
+        "nhkv,gen_qkv",
+        "--noise",
+        "published",
+        *QUICK,
+    ]
     assert main(both) == 0
     normal = capsys.readouterr().out
     assert main([*both, "--effort", "thorough"]) == 0
     thorough = capsys.readouterr().out
     (line,) = (line for line in normal.splitlines() if "intervals not reliable" in line)
-    assert "few draws, since it is improbable; effort='thorough' (--effort thorough) weighs more" in line
+    assert (
+        "few draws, since it is improbable; effort='thorough' (--effort thorough) weighs more"
+        in line
+    )
     assert "intervals not reliable" not in thorough

@@ -1,4 +1,7 @@
-"""``--medium`` on the command line: stated values reach the bubbles and the documents, and what cannot be is refused."""
+"""``--medium`` on the command line:
+
+stated values reach the bubbles and the documents, and what cannot be is refused.
+"""
 
 import json
 import math
@@ -26,13 +29,20 @@ def keep_threads():
 
 def shot(folder: Path, medium: object = None) -> Path:
     """A curve in a gel of 1150 kg/m^3, and what the JSON beside it states."""
-    simulator, times, size = PolytropicSimulator(), torch.arange(1, 75, dtype=torch.float64) * 1e-6, 300e-6
+    simulator = PolytropicSimulator()
+    times = torch.arange(1, 75, dtype=torch.float64) * 1e-6
+    size = 300e-6
     conditions = type(simulator.conditions)(surroundings=DENSE)
     design = torch.tensor([DENSE.weber(size), 0.21], dtype=torch.float64)
     gel = PARAMETERS.pack({"G": 8310.0, "mu": 0.093})
     radius = type(simulator)(conditions)(gel, design, times / DENSE.time_scale(size)).radius
-    noise = 0.003 * torch.randn(len(times), generator=torch.Generator().manual_seed(3), dtype=torch.float64)
-    rows = (f"a,{t:.4e},{r:.5e}\n" for t, r in zip(times.tolist(), (size * (radius + noise)).tolist(), strict=True))
+    noise = 0.003 * torch.randn(
+        len(times), generator=torch.Generator().manual_seed(3), dtype=torch.float64
+    )
+    rows = (
+        f"a,{t:.4e},{r:.5e}\n"
+        for t, r in zip(times.tolist(), (size * (radius + noise)).tolist(), strict=True)
+    )
     (folder / "shot.csv").write_text("experiment_id,time_s,radius_m\n" + "".join(rows))
     if medium is not None:
         (folder / "shot.json").write_text(json.dumps({"medium": medium}))
@@ -40,13 +50,28 @@ def shot(folder: Path, medium: object = None) -> Path:
 
 
 def fit(path: Path, *more: str) -> list[str]:
-    return ["characterize", str(path), "--models", "nhkv", "--rest-radius", "0.21:0.002", *QUICK, *more]
+    return [
+        "characterize",
+        str(path),
+        "--models",
+        "nhkv",
+        "--rest-radius",
+        "0.21:0.002",
+        *QUICK,
+        *more,
+    ]
 
 
 def test_that_a_stated_density_gives_the_gel_and_an_assumed_one_is_named(tmp_path, capsys) -> None:
-    path, result, page = shot(tmp_path), tmp_path / "fit.json", tmp_path / "fit.html"
-    assert main([*fit(path, "--medium", "density=1150"), "--json", str(result), "--html", str(page)]) == 0
-    said, document = capsys.readouterr().out, json.loads(result.read_text())
+    path = shot(tmp_path)
+    result = tmp_path / "fit.json"
+    page = tmp_path / "fit.html"
+    assert (
+        main([*fit(path, "--medium", "density=1150"), "--json", str(result), "--html", str(page)])
+        == 0
+    )
+    said = capsys.readouterr().out
+    document = json.loads(result.read_text())
     assert "Medium: density 1150 kg/m^3 (--medium); pressure" in said
     assert document["medium"]["density"] == {
         "value": 1150.0,
@@ -55,7 +80,9 @@ def test_that_a_stated_density_gives_the_gel_and_an_assumed_one_is_named(tmp_pat
         "stated": True,
         "source": "--medium",
     }
-    assert document["curves"][0]["time_scale_s"] == pytest.approx(float(DENSE.time_scale(300e-6)), rel=0.01)
+    assert document["curves"][0]["time_scale_s"] == pytest.approx(
+        float(DENSE.time_scale(300e-6)), rel=0.01
+    )
     assert document["models"]["nhkv"]["intervals"]["G"][1] == pytest.approx(8310.0, rel=0.1)
     assert "density 1150 kg/m^3 (--medium)" in page.read_text()
     assert "--medium density=1150" in document["fit_test"]["command"]
@@ -68,7 +95,8 @@ def test_that_a_stated_density_gives_the_gel_and_an_assumed_one_is_named(tmp_pat
 
 
 def test_that_the_file_states_the_medium_and_the_command_counts_first(tmp_path, capsys) -> None:
-    path, result = shot(tmp_path, {"density": [1150, 30]}), tmp_path / "fit.json"
+    path = shot(tmp_path, {"density": [1150, 30]})
+    result = tmp_path / "fit.json"
     assert main([*fit(path), "--json", str(result)]) == 0
     document = json.loads(result.read_text())
     assert list(document["models"]) == ["nhkv+density"]
@@ -82,14 +110,28 @@ def test_that_simulate_makes_the_bubble_of_the_medium(tmp_path) -> None:
     seconds = []
     for medium in (["--medium", "density=1150"], []):
         name = tmp_path / "bubble.json"
-        assert main(["simulate", "--set", "G=8310,mu=0.093", *medium, *QUICK, "--json", str(name)]) == 0
+        assert (
+            main(["simulate", "--set", "G=8310,mu=0.093", *medium, *QUICK, "--json", str(name)])
+            == 0
+        )
         seconds.append(json.loads(name.read_text())["time_s"][-1])
     assert seconds[0] / seconds[1] == pytest.approx(math.sqrt(1150.0 / 1060.0))
 
 
 def test_that_diagnose_fits_in_the_stated_medium(tmp_path, capsys) -> None:
-    path, result = shot(tmp_path), tmp_path / "gap.json"
-    base = ["diagnose", str(path), "--rest-radius", "0.21:0.002", "--effects", "sound_speed", *QUICK, "--json", str(result)]
+    path = shot(tmp_path)
+    result = tmp_path / "gap.json"
+    base = [
+        "diagnose",
+        str(path),
+        "--rest-radius",
+        "0.21:0.002",
+        "--effects",
+        "sound_speed",
+        *QUICK,
+        "--json",
+        str(result),
+    ]
     assert main([*base, "--medium", "density=1150"]) == 0
     assert "Medium: density 1150 kg/m^3 (--medium)" in capsys.readouterr().out
     document = json.loads(result.read_text())
@@ -99,7 +141,18 @@ def test_that_diagnose_fits_in_the_stated_medium(tmp_path, capsys) -> None:
 
 def test_that_a_campaign_is_of_one_medium(tmp_path, capsys) -> None:
     out = tmp_path / "gel"
-    base = ["campaign", "--models", "nhkv", "--policy", "space-filling", "--repeats", "1", *QUICK, "--out", str(out)]
+    base = [
+        "campaign",
+        "--models",
+        "nhkv",
+        "--policy",
+        "space-filling",
+        "--repeats",
+        "1",
+        *QUICK,
+        "--out",
+        str(out),
+    ]
     rest = ["--rest-radius", "0.21:0.005"]
     assert main([*base, "--medium", "density=1150:10"]) == 0
     start = json.loads((out / "journal.jsonl").read_text().splitlines()[0])
@@ -121,31 +174,68 @@ def test_that_a_batch_takes_the_medium_of_each_file_or_that_of_all(tmp_path) -> 
     folder = tmp_path / "in"
     folder.mkdir()
     shot(folder, {"density": 1150})
-    base = ["batch", str(folder), "--models", "nhkv", "--rest-radius", "0.21:0.002", "--workers", "1", *QUICK]
+    base = [
+        "batch",
+        str(folder),
+        "--models",
+        "nhkv",
+        "--rest-radius",
+        "0.21:0.002",
+        "--workers",
+        "1",
+        *QUICK,
+    ]
     values = []
     for more in ([], ["--medium", "density=1100"], []):
         assert main([*base, "--out", str(tmp_path / "out"), *more]) in (0, 1)
-        values.append(json.loads((tmp_path / "out" / "shots" / "shot.json").read_text())["medium"]["density"]["value"])
+        values.append(
+            json.loads((tmp_path / "out" / "shots" / "shot.json").read_text())["medium"]["density"][
+                "value"
+            ]
+        )
     assert values == [1150.0, 1100.0, 1150.0]
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["simulate", "--set", "G=1,mu=1", "--medium", "density=1060:10"], "gives density a standard deviation, and simulate"),
+        (
+            ["simulate", "--set", "G=1,mu=1", "--medium", "density=1060:10"],
+            "gives density a standard deviation, and simulate",
+        ),
         (["simulate", "--set", "G=1,mu=1", "--medium", "density=1.06"], "It looks like g/cm"),
-        (["design", "--models", "nhkv", "--medium", "temperature=37"], "It looks like degrees Celsius"),
+        (
+            ["design", "--models", "nhkv", "--medium", "temperature=37"],
+            "It looks like degrees Celsius",
+        ),
         (["characterize", "{path}", "--medium", "beer"], "--medium: Unknown medium 'beer'"),
-        (["batch", "{path}", "--out", "{path}.d", "--medium", "density"], "Unknown medium 'density'"),
+        (
+            ["batch", "{path}", "--out", "{path}.d", "--medium", "density"],
+            "Unknown medium 'density'",
+        ),
         (["diagnose", "{path}", "--medium", "density=1060:0"], "expected above 0"),
         (
-            ["diagnose", "{path}", "--medium", "density=1060:9", "--effects", "density", "--rest-radius", "0.2:0.1"],
+            [
+                "diagnose",
+                "{path}",
+                "--medium",
+                "density=1060:9",
+                "--effects",
+                "density",
+                "--rest-radius",
+                "0.2:0.1",
+            ],
             "is inferred",
         ),
-        (["campaign", "--case", "soft-pa", "--out", "{path}.d", "--medium", "gelatin_10"], "state values alone"),
+        (
+            ["campaign", "--case", "soft-pa", "--out", "{path}.d", "--medium", "gelatin_10"],
+            "state values alone",
+        ),
     ],
 )
-def test_that_a_medium_that_cannot_be_is_refused_before_any_work(arguments, message, tmp_path, capsys) -> None:
+def test_that_a_medium_that_cannot_be_is_refused_before_any_work(
+    arguments, message, tmp_path, capsys
+) -> None:
     path = shot(tmp_path)
     assert main([a.format(path=path) for a in arguments] + ["--quiet"]) == 2
     said = capsys.readouterr().err

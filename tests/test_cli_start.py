@@ -1,4 +1,7 @@
-"""The command line before any work: help, version and mistakes answer without PyTorch; the demo; completion of commands."""
+"""The command line before any work:
+
+help, version and mistakes answer without PyTorch; the demo; completion of commands.
+"""
 
 import json
 import subprocess
@@ -24,7 +27,9 @@ from imr_torch.population import SCALE
 from imr_torch.simulate import ENGINES
 
 HEAVY = ("torch", "numpy", "botorch", "matplotlib", "numba", "scipy")
-BUILT_IN = [name for name, kind in MATERIALS.items() if type(kind).__module__.startswith("imr_torch.")]
+BUILT_IN = [
+    name for name, kind in MATERIALS.items() if type(kind).__module__.startswith("imr_torch.")
+]
 
 
 @pytest.mark.parametrize(
@@ -43,7 +48,9 @@ def test_that_help_version_and_mistakes_import_nothing_heavy(arguments, status):
         f"try:\n    status = main({arguments!r})\nexcept SystemExit as stop:\n    status = stop.code\n"
         f"print([name for name in {HEAVY!r} if name in sys.modules], status)"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
     assert done.stdout.splitlines()[-1] == f"[] {status}"
 
 
@@ -68,7 +75,10 @@ def test_that_the_version_is_that_of_the_package(capsys):
         (names.STRATEGIES, STRATEGIES),
         (names.ESTIMATORS, ESTIMATORS),
         (names.FORMATS, FORMATS),
-        ((names.SCATTER_SCALE, names.EVALUATIONS, names.EFFECTS_ADDED), (SCALE, Optimal.evaluations, MOST)),
+        (
+            (names.SCATTER_SCALE, names.EVALUATIONS, names.EFFECTS_ADDED),
+            (SCALE, Optimal.evaluations, MOST),
+        ),
     ],
 )
 def test_that_names_written_out_for_help_are_those_of_the_registries(written, meant):
@@ -96,10 +106,13 @@ def test_that_the_demo_refuses_a_folder_with_files_and_keeps_them(tmp_path, caps
     assert mine.read_text() == "years of work"
 
 
-def test_that_the_demo_passes_options_on_resumes_and_keeps_other_files(tmp_path, monkeypatch, capsys):
+def test_that_the_demo_passes_options_on_resumes_and_keeps_other_files(
+    tmp_path, monkeypatch, capsys
+):
     ran = []
     monkeypatch.setattr("imr_torch.cli.main", lambda command: ran.append(command) or 0)
-    out, kept = tmp_path / "first look", tmp_path / "first look" / "notes.txt"
+    out = tmp_path / "first look"
+    kept = tmp_path / "first look" / "notes.txt"
     args = parser().parse_args(["demo", "--out", str(out), "--threads", "1", "--quiet"])
     demo.run(args)
     assert [command[0] for command in ran] == ["characterize", "campaign"]

@@ -1,4 +1,7 @@
-"""Comparison of two gels: closed forms for Gaussians, weighted draws as they are, and silence where there is no basis."""
+"""Comparison of two gels:
+
+closed forms for Gaussians, weighted draws as they are, and silence where there is no basis.
+"""
 
 import json
 import math
@@ -19,12 +22,16 @@ PRIOR = wide_prior(["nhkv"])
 TRUSTED = {"verdict": "trusted", "certificate": {"converged": True}}
 
 
-def gel(datum: tuple[float, float], sd: float, *, prior: Belief = PRIOR, **changes: Any) -> SavedCharacterization:
+def gel(
+    datum: tuple[float, float], sd: float, *, prior: Belief = PRIOR, **changes: Any
+) -> SavedCharacterization:
     """The result for a datum of each control with independent noise, under a standard normal prior."""
     precision = 1.0 + 1.0 / sd**2
     mean = torch.tensor(datum, dtype=torch.float64) / sd**2 / precision
     chol = torch.eye(2, dtype=torch.float64) / math.sqrt(precision)
-    belief = Belief(tuple(part.with_gaussian(mean, chol) for part in prior.models), prior.log_probabilities)
+    belief = Belief(
+        tuple(part.with_gaussian(mean, chol) for part in prior.models), prior.log_probabilities
+    )
     models = {part.model: TRUSTED for part in prior.models}
     document = {"prior": prior.to_dict(), "belief": belief.to_dict(), "models": models, **changes}
     return SavedCharacterization.from_dict(document, source=f"gel {datum}")
@@ -34,14 +41,20 @@ def evidence(data: torch.Tensor, sd: float) -> float:
     """Log density of repeated data of one gel's control, its control integrated out."""
     count = len(data)
     covariance = sd**2 * torch.eye(count, dtype=torch.float64) + 1.0
-    normal = torch.distributions.MultivariateNormal(torch.zeros(count, dtype=torch.float64), covariance)
+    normal = torch.distributions.MultivariateNormal(
+        torch.zeros(count, dtype=torch.float64), covariance
+    )
     return float(normal.log_prob(data))
 
 
 @pytest.mark.parametrize("other", [(0.3, -0.2), (0.5, 0.0), (2.0, -0.2)])
 def test_that_the_bayes_factor_is_that_of_the_closed_form(other: tuple[float, float]) -> None:
-    one, sd = (0.3, -0.2), 0.25
-    together = sum(evidence(torch.tensor([x, y], dtype=torch.float64), sd) for x, y in zip(one, other, strict=True))
+    one = (0.3, -0.2)
+    sd = 0.25
+    together = sum(
+        evidence(torch.tensor([x, y], dtype=torch.float64), sd)
+        for x, y in zip(one, other, strict=True)
+    )
     apart = sum(evidence(torch.tensor([x], dtype=torch.float64), sd) for x in (*one, *other))
     found = compare(gel(one, sd), gel(other, sd))
     assert found.log_bayes_factor == pytest.approx(together - apart, abs=1e-9)
@@ -53,12 +66,20 @@ def test_that_models_count_by_their_probabilities() -> None:
     for _ in range(2):
         part = prior["nhkv"]
         nhkv = part.with_gaussian(part.mean, 0.1 * part.chol)
-        other = prior["newtonian"].with_gaussian(prior["newtonian"].mean, 0.1 * prior["newtonian"].chol)
+        other = prior["newtonian"].with_gaussian(
+            prior["newtonian"].mean, 0.1 * prior["newtonian"].chol
+        )
         belief = Belief((nhkv, other), torch.log(torch.tensor([0.9, 0.1], dtype=torch.float64)))
         models = {"nhkv": TRUSTED, "newtonian": TRUSTED}
-        twins.append(SavedCharacterization.from_dict({"prior": prior.to_dict(), "belief": belief.to_dict(), "models": models}))
+        twins.append(
+            SavedCharacterization.from_dict(
+                {"prior": prior.to_dict(), "belief": belief.to_dict(), "models": models}
+            )
+        )
     overlap = -0.5 * math.log(0.01 * (2 - 0.01))  # of one control, sd .1 in both, 1 in the prior
-    expected = math.log(0.9 * 0.9 / 0.5 * math.exp(2 * overlap) + 0.1 * 0.1 / 0.5 * math.exp(overlap))
+    expected = math.log(
+        0.9 * 0.9 / 0.5 * math.exp(2 * overlap) + 0.1 * 0.1 / 0.5 * math.exp(overlap)
+    )
     assert compare(*twins).log_bayes_factor == pytest.approx(expected, abs=1e-9)
     assert compare(*twins, model="nhkv").log_bayes_factor == pytest.approx(2 * overlap, abs=1e-9)
 
@@ -92,7 +113,9 @@ def test_that_parameters_are_compared_over_all_pairs_of_weighted_draws() -> None
         ),
     ],
 )
-def test_that_there_is_no_bayes_factor_without_its_basis(change: dict[str, Any], reason: str) -> None:
+def test_that_there_is_no_bayes_factor_without_its_basis(
+    change: dict[str, Any], reason: str
+) -> None:
     document = {**gel((0.3, 0.0), 0.02).document, **change}
     document.pop(document.pop("without", ""), None)
     found = compare(SavedCharacterization.from_dict(document), gel((0.9, 0.0), 0.02))
@@ -105,12 +128,17 @@ def test_that_there_is_no_bayes_factor_without_its_basis(change: dict[str, Any],
 def test_that_priors_that_differ_give_no_bayes_factor() -> None:
     part = PRIOR["nhkv"]
     moved = Belief((part.with_gaussian(part.mean + 0.1, part.chol),), PRIOR.log_probabilities)
-    assert "priors of nhkv differ" in compare(gel((0.3, 0.0), 0.02), gel((0.3, 0.0), 0.02, prior=moved)).reason
+    assert (
+        "priors of nhkv differ"
+        in compare(gel((0.3, 0.0), 0.02), gel((0.3, 0.0), 0.02, prior=moved)).reason
+    )
 
 
 def test_that_doubtful_results_are_compared_with_a_caution() -> None:
     bad = {"verdict": "refused", "certificate": {"converged": False}}
-    found = compare(gel((0.3, 0.0), 0.1, models={"nhkv": bad}), gel((0.3, 0.0), 0.1), names=("a", "b"))
+    found = compare(
+        gel((0.3, 0.0), 0.1, models={"nhkv": bad}), gel((0.3, 0.0), 0.1), names=("a", "b")
+    )
     text = " ".join(found.cautions)
     assert "the fit of nhkv to a has not converged" in text
     assert "neither the Gaussian of a nor its weighted draws are reliable" in text
@@ -127,11 +155,20 @@ def test_that_a_comparison_is_a_table_and_a_document() -> None:
 
 
 DOCUMENTS = {
-    "no JSON": ("{", r"a\.json: cannot be used \(JSONDecodeError.*expected a result of imr-torch characterize"),
+    "no JSON": (
+        "{",
+        r"a\.json: cannot be used \(JSONDecodeError.*expected a result of imr-torch characterize",
+    ),
     "another document": ('{"a": 1}', r"a\.json: holds no 'models' and 'belief'; expected a result"),
     "a list": ("[1]", r"a\.json: holds no 'models' and 'belief'"),
-    "many results": ('{"each": {}}', r"a\.json: holds the results of several curves \(--each\); run imr-torch batch --each"),
-    "a broken belief": ('{"models": {}, "belief": {}}', r"a\.json: Expected a document of the format 'imr_torch belief 1'"),
+    "many results": (
+        '{"each": {}}',
+        r"a\.json: holds the results of several curves \(--each\); run imr-torch batch --each",
+    ),
+    "a broken belief": (
+        '{"models": {}, "belief": {}}',
+        r"a\.json: Expected a document of the format 'imr_torch belief 1'",
+    ),
     "deep": ("[" * 100_000, r"a\.json: cannot be used \(its values are nested too deep\)"),
 }
 
@@ -148,13 +185,18 @@ def test_that_files_of_other_kinds_are_named(name: str, tmp_path: Path, capsys) 
 def test_that_results_without_a_common_model_are_refused(tmp_path: Path) -> None:
     other = wide_prior(["newtonian"])
     document = {"belief": other.to_dict(), "models": {"newtonian": TRUSTED}}
-    with pytest.raises(InputDataError, match=r"has the models nhkv and result newtonian; fit a model to both with --models"):
+    with pytest.raises(
+        InputDataError,
+        match=r"has the models nhkv and result newtonian; fit a model to both with --models",
+    ):
         compare(gel((0.3, 0.0), 0.1), SavedCharacterization.from_dict(document))
     with pytest.raises(InputDataError, match="--model is 'zener'; both results have nhkv"):
         compare(gel((0.3, 0.0), 0.1), gel((0.3, 0.0), 0.1), model="zener")
 
 
-@pytest.mark.parametrize("draws", [{"weights": [1.0]}, {"weights": [1.0], "values": {"G": [1.0, 2.0], "mu": [1.0, 2.0]}}])
+@pytest.mark.parametrize(
+    "draws", [{"weights": [1.0]}, {"weights": [1.0], "values": {"G": [1.0, 2.0], "mu": [1.0, 2.0]}}]
+)
 def test_that_draws_that_are_not_whole_are_refused(draws: dict[str, Any]) -> None:
     with pytest.raises(InputDataError, match="draws of 'nhkv'"):
         compare(gel((0.3, 0.0), 0.1, weighted_draws={"nhkv": draws}), gel((0.3, 0.0), 0.1))

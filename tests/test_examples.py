@@ -12,10 +12,24 @@ import torch
 
 import imr_torch
 
-STAGES = ("material", "simulate", "observe", "assimilate", "select", "population", "design", "campaign", "calibration", "gap")
+STAGES = (
+    "material",
+    "simulate",
+    "observe",
+    "assimilate",
+    "select",
+    "population",
+    "design",
+    "campaign",
+    "calibration",
+    "gap",
+)
 OTHERS = ("characterization", "export", "units", "files", "random", "labels", "html", "results")
 PUBLIC = ("imr_torch", *(f"imr_torch.{name}" for name in (*STAGES, *OTHERS)))
-NEEDS = {"imr_torch.export.arviz": ("xarray", "arviz_base", "h5netcdf"), "imr_torch.assimilate.nuts": ("pyro",)}
+NEEDS = {
+    "imr_torch.export.arviz": ("xarray", "arviz_base", "h5netcdf"),
+    "imr_torch.assimilate.nuts": ("pyro",),
+}
 OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 
@@ -37,10 +51,17 @@ def examples() -> list[doctest.DocTest]:
 
 
 def public_objects() -> dict[str, object]:
-    """Name -> class or function that a package exports, wherever it is defined; type aliases and data are left out."""
+    """Name -> class or function that a package exports, wherever it is defined;
+
+    type aliases and data are left out.
+    """
     found = {}
     for package in map(importlib.import_module, PUBLIC):
-        own = [name for name, value in vars(package).items() if getattr(value, "__module__", "") == package.__name__]
+        own = [
+            name
+            for name, value in vars(package).items()
+            if getattr(value, "__module__", "") == package.__name__
+        ]
         for name in getattr(package, "__all__", [name for name in own if not name.startswith("_")]):
             value = getattr(package, name)
             if inspect.isclass(value) or inspect.isfunction(value):
@@ -56,7 +77,11 @@ def test_that_the_example_prints_what_it_says(example: doctest.DocTest) -> None:
                 pytest.importorskip(name)
     said: list[str] = []
     with torch.random.fork_rng(devices=[]):
-        failed = doctest.DocTestRunner(optionflags=OPTIONS, verbose=False).run(example, out=said.append).failed
+        failed = (
+            doctest.DocTestRunner(optionflags=OPTIONS, verbose=False)
+            .run(example, out=said.append)
+            .failed
+        )
     assert failed == 0, "".join(said)
 
 

@@ -9,7 +9,9 @@ from imr_torch.observe import READERS, Layout, Reader, TraceSet, load_traces, re
 from tests.processes import Processes
 
 
-def test_that_a_format_a_model_an_effect_and_an_estimator_are_added_from_outside(tmp_path: Path, processes: Processes) -> None:
+def test_that_a_format_a_model_an_effect_and_an_estimator_are_added_from_outside(
+    tmp_path: Path, processes: Processes
+) -> None:
     """In a process of its own, since registries are shared by all tests."""
     ran = processes.run(Path(__file__).with_name("extension.py"), str(tmp_path), timeout=900)
     assert ran.returncode == 0, ran.stderr
@@ -22,7 +24,8 @@ def test_that_a_format_a_model_an_effect_and_an_estimator_are_added_from_outside
 
 
 def test_that_a_reader_is_asked_first_and_takes_no_layout(tmp_path: Path) -> None:
-    file, asked = tmp_path / "a.csv", []
+    file = tmp_path / "a.csv"
+    asked = []
     file.write_text("MINE\n1,2\n")
 
     def read(path: Path) -> TraceSet:
@@ -35,7 +38,9 @@ def test_that_a_reader_is_asked_first_and_takes_no_layout(tmp_path: Path) -> Non
         assert asked == [file]
         with pytest.raises(InputDataError, match="is read as 'mine', which takes no layout"):
             load_traces(file, layout=Layout("r", radius_unit="um", time="t"))
-        with pytest.raises(InputDataError, match="A reader of the name 'mine' is registered already"):
+        with pytest.raises(
+            InputDataError, match="A reader of the name 'mine' is registered already"
+        ):
             register_reader(Reader("mine", lambda path, head: True, read))
     finally:
         del READERS["mine"]

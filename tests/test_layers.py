@@ -1,4 +1,7 @@
-"""The tree is the data flow: a stage imports itself, earlier stages and the base modules, and nothing else of the package."""
+"""The tree is the data flow:
+
+a stage imports itself, earlier stages and the base modules, and nothing else of the package.
+"""
 
 import ast
 from pathlib import Path
@@ -28,14 +31,26 @@ STAGES = (
     "export",
 )
 BASE = ("errors", "units", "random", "files", "types", "threads", "elementary", "labels", "html")
-ROOMS = ("example", "saved", "characterization", "results", "compare", "batch", "batch_page", "plot", "cli", "app")
+ROOMS = (
+    "example",
+    "saved",
+    "characterization",
+    "results",
+    "compare",
+    "batch",
+    "batch_page",
+    "plot",
+    "cli",
+    "app",
+)
 """What is made of the stages: may import these and one another."""
 
 
 def imported(source: str, module: tuple[str, ...], is_package: bool) -> list[tuple[int, str]]:
     """Line and first component below ``imr_torch`` of every import of the package, at any depth of the source.
 
-    ``from imr_torch import x`` counts as ``x``, ``import imr_torch`` as ``"*"`` (it can reach anything).
+    ``from imr_torch import x`` counts as ``x``, ``import imr_torch`` as ``"*"`` (it can reach
+    anything).
     """
     here = module if is_package else module[:-1]
     found = []
@@ -52,7 +67,11 @@ def imported(source: str, module: tuple[str, ...], is_package: bool) -> list[tup
             paths = [[*stem, alias.name] for alias in node.names]
         else:
             continue
-        found += [(node.lineno, path[1] if len(path) > 1 else "*") for path in paths if path[0] == "imr_torch"]
+        found += [
+            (node.lineno, path[1] if len(path) > 1 else "*")
+            for path in paths
+            if path[0] == "imr_torch"
+        ]
     return found
 
 
@@ -70,7 +89,11 @@ def violations(source: str, module: tuple[str, ...], is_package: bool = False) -
     else:
         return [f"{'.'.join(module)} is in no stage and no room"]
     name = ".".join(module)
-    return [f"{name}:{line} imports {what}" for line, what in imported(source, module, is_package) if what not in allowed]
+    return [
+        f"{name}:{line} imports {what}"
+        for line, what in imported(source, module, is_package)
+        if what not in allowed
+    ]
 
 
 def modules() -> list[tuple[Path, tuple[str, ...], bool]]:
@@ -83,16 +106,31 @@ def modules() -> list[tuple[Path, tuple[str, ...], bool]]:
 
 
 @pytest.mark.parametrize(
-    ("path", "module", "is_package"), [pytest.param(*m, id=".".join(m[1]) or "imr_torch") for m in modules()]
+    ("path", "module", "is_package"),
+    [pytest.param(*m, id=".".join(m[1]) or "imr_torch") for m in modules()],
 )
-def test_that_a_module_imports_only_what_comes_before_it(path: Path, module: tuple[str, ...], is_package: bool) -> None:
+def test_that_a_module_imports_only_what_comes_before_it(
+    path: Path, module: tuple[str, ...], is_package: bool
+) -> None:
     assert violations(path.read_text(), module, is_package) == []
 
 
 def test_that_the_stages_that_exist_were_looked_at() -> None:
     seen = {module[0] for _, module, _ in modules() if module}
-    assert {"material", "simulate", "observe", "assimilate", "select", "errors", "units", "random", "files"} <= seen
-    reads = sum(bool(imported(path.read_text(), module, package)) for path, module, package in modules())
+    assert {
+        "material",
+        "simulate",
+        "observe",
+        "assimilate",
+        "select",
+        "errors",
+        "units",
+        "random",
+        "files",
+    } <= seen
+    reads = sum(
+        bool(imported(path.read_text(), module, package)) for path, module, package in modules()
+    )
     assert reads > 20
 
 
@@ -112,13 +150,27 @@ def test_that_the_stages_that_exist_were_looked_at() -> None:
         ("if True:\n    import imr_torch.gap", ("campaign", "loop"), "gap"),
         ("from imr_torch.export import to_arviz", ("campaign", "loop"), "export"),
         ("from imr_torch.cli import main", ("export", "arviz"), "cli"),
-        ("from imr_torch.characterization import characterize", ("export", "arviz"), "characterization"),
-        ('import importlib\nimportlib.import_module("imr_torch.observe")', ("simulate",), "observe"),
-        ('from importlib import import_module\nimport_module("imr_torch.simulate")', ("material",), "simulate"),
+        (
+            "from imr_torch.characterization import characterize",
+            ("export", "arviz"),
+            "characterization",
+        ),
+        (
+            'import importlib\nimportlib.import_module("imr_torch.observe")',
+            ("simulate",),
+            "observe",
+        ),
+        (
+            'from importlib import import_module\nimport_module("imr_torch.simulate")',
+            ("material",),
+            "simulate",
+        ),
         ("from imr_torch.paper import figure", ("results", "page"), "paper"),
     ],
 )
-def test_that_the_checker_finds_an_import_against_the_flow(source: str, module: tuple[str, ...], culprit: str) -> None:
+def test_that_the_checker_finds_an_import_against_the_flow(
+    source: str, module: tuple[str, ...], culprit: str
+) -> None:
     (message,) = violations(source, module)
     assert message.endswith(f"imports {culprit}")
 
@@ -126,16 +178,26 @@ def test_that_the_checker_finds_an_import_against_the_flow(source: str, module: 
 @pytest.mark.parametrize(
     ("source", "module", "is_package"),
     [
-        ("from imr_torch.material import Belief\nimport torch\nfrom .wall import x", ("simulate", "clock"), False),
+        (
+            "from imr_torch.material import Belief\nimport torch\nfrom .wall import x",
+            ("simulate", "clock"),
+            False,
+        ),
         ("from . import wall\nfrom ..errors import ImrError", ("simulate",), True),
         ("from imr_torch.errors import ImrError", ("random",), False),
         ("from imr_torch.gap import Gap\nimport imr_torch", ("cli", "common"), False),
-        ("from imr_torch.campaign import Campaign\nfrom imr_torch.assimilate import Assimilation", ("export", "arviz"), False),
+        (
+            "from imr_torch.campaign import Campaign\nfrom imr_torch.assimilate import Assimilation",
+            ("export", "arviz"),
+            False,
+        ),
         ("from imr_torch.export import to_arviz", ("cli", "common"), False),
         ("from imr_torch_extras import thing", ("material", "terms"), False),
     ],
 )
-def test_that_the_checker_is_silent_on_the_flow(source: str, module: tuple[str, ...], is_package: bool) -> None:
+def test_that_the_checker_is_silent_on_the_flow(
+    source: str, module: tuple[str, ...], is_package: bool
+) -> None:
     assert violations(source, module, is_package) == []
 
 
@@ -157,7 +219,11 @@ def circles(files: list[tuple[Path, tuple[str, ...], bool]]) -> list[set[str]]:
         for name in sources:
             if middle in reach[name]:
                 reach[name] |= reach[middle]
-    return [{name} | {other for other in reach[name] if name in reach[other]} for name in sources if name in reach[name]]
+    return [
+        {name} | {other for other in reach[name] if name in reach[other]}
+        for name in sources
+        if name in reach[name]
+    ]
 
 
 def test_that_no_modules_import_each_other() -> None:
@@ -174,16 +240,26 @@ def test_that_material_stands_alone(processes: Processes) -> None:
 
 
 def test_that_effects_of_the_bubble_have_their_physics_once_bubbles_are_simulated() -> None:
-    of_the_bubble = [effect for effect in LIBRARY.values() if effect.place in ("gas", "liquid", "driving")]
+    of_the_bubble = [
+        effect for effect in LIBRARY.values() if effect.place in ("gas", "liquid", "driving")
+    ]
     assert len(of_the_bubble) > 12
-    assert [effect.name for effect in of_the_bubble if not effect.physical and effect.name != "energy_loss"] == []
+    assert [
+        effect.name
+        for effect in of_the_bubble
+        if not effect.physical and effect.name != "energy_loss"
+    ] == []
     with pytest.raises(InputDataError, match="has no law 'setting' to give"):
         give_physics("wall", setting=LIBRARY["wall"].setting)
 
 
-def test_that_a_parameter_vector_has_all_entries_whatever_is_imported_first(processes: Processes) -> None:
+def test_that_a_parameter_vector_has_all_entries_whatever_is_imported_first(
+    processes: Processes,
+) -> None:
     """Processes that were started to simulate import no later stage, and read vectors of a process that did."""
     script = "import imr_torch.{}\nfrom imr_torch.material import PARAMETERS, LIBRARY\nprint([*PARAMETERS.names], [*LIBRARY])"
-    ran = [processes.run(script.format(stage)) for stage in ("material", "simulate", "observe", "gap")]
+    ran = [
+        processes.run(script.format(stage)) for stage in ("material", "simulate", "observe", "gap")
+    ]
     assert [done.stderr for done in ran if done.returncode] == []
     assert len({done.stdout for done in ran}) == 1

@@ -26,20 +26,27 @@ def test_that_resolutions_are_united_in_order():
 
 
 def test_that_two_versions_of_a_package_are_refused():
-    with pytest.raises(ValueError, match=r"a: one resolution has 1, another 2; pin one that fits both"):
+    with pytest.raises(
+        ValueError, match=r"a: one resolution has 1, another 2; pin one that fits both"
+    ):
         united([{"a": "1"}, {"a": "2"}])
 
 
 def test_that_every_requirement_of_the_package_is_pinned():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    asked = [*project["dependencies"], *(line for extra in project["optional-dependencies"].values() for line in extra)]
+    asked = [
+        *project["dependencies"],
+        *(line for extra in project["optional-dependencies"].values() for line in extra),
+    ]
     pinned = pins(CONSTRAINTS.read_text())
-    assert [line for line in asked if line.partition(">=")[0].partition("<")[0].lower() not in pinned] == []
+    assert [
+        line for line in asked if line.partition(">=")[0].partition("<")[0].lower() not in pinned
+    ] == []
 
 
 def test_that_the_versions_are_those_that_the_package_names():
     named = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert named["requires-python"] == f">={PYTHONS[0]}"
-    assert [f"Programming Language :: Python :: {number}" in named["classifiers"] for number in PYTHONS] == [True] * len(
-        PYTHONS
-    )
+    assert [
+        f"Programming Language :: Python :: {number}" in named["classifiers"] for number in PYTHONS
+    ] == [True] * len(PYTHONS)

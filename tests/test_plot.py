@@ -6,7 +6,13 @@ import torch
 
 from imr_torch import wide_prior
 from imr_torch.observe import Experiment
-from imr_torch.plot import draw_information, draw_parameters, plot_experiment, plot_parameter, plot_probabilities
+from imr_torch.plot import (
+    draw_information,
+    draw_parameters,
+    plot_experiment,
+    plot_parameter,
+    plot_probabilities,
+)
 from imr_torch.units import Surroundings
 
 
@@ -48,7 +54,9 @@ def test_that_second_axes_are_in_laboratory_units():
     ax.figure.canvas.draw()
     top, right = ax.child_axes
     size = float(surroundings.max_radius(300.0))
-    assert top.get_xlim()[1] == pytest.approx(1e6 * surroundings.time_scale(size) * ax.get_xlim()[1])
+    assert top.get_xlim()[1] == pytest.approx(
+        1e6 * surroundings.time_scale(size) * ax.get_xlim()[1]
+    )
     assert right.get_ylim()[1] == pytest.approx(1e6 * size * ax.get_ylim()[1])
 
 

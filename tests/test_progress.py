@@ -1,4 +1,7 @@
-"""Progress as a person meets it: one line with stage, step and time left; details only when asked for."""
+"""Progress as a person meets it:
+
+one line with stage, step and time left; details only when asked for.
+"""
 
 import io
 import re
@@ -9,7 +12,9 @@ import pytest
 from imr_torch.cli import main
 from imr_torch.cli.progress import DESIGN, DIAGNOSE, Terminal, characterize_stages
 
-LONG = "assimilation: iteration 4, " + ", ".join(f"model{i} cost -606.92 gradient 5.6e+01" for i in range(30))
+LONG = "assimilation: iteration 4, " + ", ".join(
+    f"model{i} cost -606.92 gradient 5.6e+01" for i in range(30)
+)
 
 
 class Clock:
@@ -21,7 +26,8 @@ class Clock:
 
 
 def terminal(stages=(), *, live=False, **options):
-    stream, clock = io.StringIO(), Clock()
+    stream = io.StringIO()
+    clock = Clock()
     made = Terminal("characterize", stream=stream, live=live, clock=clock, **options)
     made.plan(stages)
     return made, stream, clock
@@ -105,7 +111,16 @@ def test_that_the_line_moves_while_nothing_is_reported(monkeypatch):
 
 @pytest.mark.parametrize(("option", "shown"), [([], False), (["--verbose"], True)])
 def test_that_a_command_shows_details_only_when_asked(option, shown, capsys):
-    space = ["--we-range", "200:400", "--evaluations", "3", "--draws", "2", "--physics", "polytropic"]
+    space = [
+        "--we-range",
+        "200:400",
+        "--evaluations",
+        "3",
+        "--draws",
+        "2",
+        "--physics",
+        "polytropic",
+    ]
     assert main(["design", "--case", "soft-pa", *space, *option]) == 0
     said = capsys.readouterr().err
     assert ("EIG" in said) is shown

@@ -17,12 +17,26 @@ def test_that_a_child_seed_depends_on_its_path_and_not_on_what_was_drawn() -> No
 
 
 def test_that_a_child_seed_is_the_same_in_every_process_and_version() -> None:
-    """The first 63 bits of SHA-256 of the path: not Python's ``hash``, which is salted per process."""
+    """The first 63 bits of SHA-256 of the path:
+
+    not Python's ``hash``, which is salted per process.
+    """
     assert child(0) == 3456079177858693020
 
 
 def test_that_different_paths_and_seeds_have_different_children() -> None:
-    paths = [(), ("a",), ("b",), ("a", "b"), ("b", "a"), ("a", 0), ("a", 1), ("a", 10), (1,), (1, 0)]
+    paths = [
+        (),
+        ("a",),
+        ("b",),
+        ("a", "b"),
+        ("b", "a"),
+        ("a", 0),
+        ("a", 1),
+        ("a", 10),
+        (1,),
+        (1, 0),
+    ]
     seeds = [child(seed, *path) for seed, path in itertools.product((0, 1, 10, 2**40), paths)]
     assert len(set(seeds)) == len(seeds)
 
@@ -36,7 +50,9 @@ def test_that_a_child_seed_is_one_that_torch_takes() -> None:
 
 def test_that_the_bits_of_child_seeds_are_fair() -> None:
     n = 2000
-    bits = torch.tensor([[child(0, name) >> i & 1 for i in range(63)] for name in range(n)], dtype=torch.float64)
+    bits = torch.tensor(
+        [[child(0, name) >> i & 1 for i in range(63)] for name in range(n)], dtype=torch.float64
+    )
     assert float((bits.mean(0) - 0.5).abs().max()) < 4.5 * 0.5 / n**0.5
 
 
@@ -52,7 +68,9 @@ def test_that_a_seed_gives_a_fresh_generator_each_time() -> None:
     assert torch.equal(first, second)
 
 
-@pytest.mark.parametrize("call", [lambda: child(1, "a"), lambda: torch.randn(3, generator=generator(1))])
+@pytest.mark.parametrize(
+    "call", [lambda: child(1, "a"), lambda: torch.randn(3, generator=generator(1))]
+)
 def test_that_the_global_generator_is_not_touched(call) -> None:
     state = torch.get_rng_state()
     call()

@@ -4,7 +4,10 @@ import pytest
 
 from benchmarks.release import IN_SDIST, ROOT, disagreements, missing, version
 
-CITATION, CHANGELOG = "cff-version: 1.2.0\nversion: 1.4.0\n", "# Changelog\n\n## [Unreleased]\n\n## [1.4.0] - 2026-11-24\n"
+CITATION, CHANGELOG = (
+    "cff-version: 1.2.0\nversion: 1.4.0\n",
+    "# Changelog\n\n## [Unreleased]\n\n## [1.4.0] - 2026-11-24\n",
+)
 
 
 def test_that_files_that_agree_pass():
@@ -16,7 +19,11 @@ def test_that_files_that_agree_pass():
     [
         (CITATION.replace("1.4.0", "1.3.0"), CHANGELOG, "CITATION.cff has version 1.3.0"),
         ("cff-version: 1.4.0\n", CHANGELOG, "CITATION.cff has version none"),
-        (CITATION, CHANGELOG.replace("[1.4.0] - 2026-11-24", "[1.4.0]"), "CHANGELOG.md has no heading"),
+        (
+            CITATION,
+            CHANGELOG.replace("[1.4.0] - 2026-11-24", "[1.4.0]"),
+            "CHANGELOG.md has no heading",
+        ),
         (CITATION, CHANGELOG.replace("1.4.0", "114.0"), "CHANGELOG.md has no heading"),
     ],
 )

@@ -1,4 +1,7 @@
-"""The shapes in the annotations hold: a part of the tests runs once more, with every annotated tensor checked."""
+"""The shapes in the annotations hold:
+
+a part of the tests runs once more, with every annotated tensor checked.
+"""
 
 import os
 import re
@@ -26,7 +29,17 @@ CHECKED = (
     "tests/export/test_sbi.py",
     "tests/test_examples.py",
 )
-STAGES = ("material", "simulate", "observe", "assimilate", "goodness", "select", "calibration", "gap", "export")
+STAGES = (
+    "material",
+    "simulate",
+    "observe",
+    "assimilate",
+    "goodness",
+    "select",
+    "calibration",
+    "gap",
+    "export",
+)
 SLOW = (
     "integrates_to_one",
     "are_scipys",
@@ -73,14 +86,18 @@ def ran(*arguments: str) -> str:
     """Standard output of pytest with the shapes checked."""
     options = ("--check-shapes", "--tb=short", "-rfE", "-p", "no:cacheprovider")
     command = (sys.executable, "-m", "pytest", *options, *arguments)
-    done = subprocess.run(command, cwd=ROOT, env=os.environ | {"OMP_NUM_THREADS": "1"}, capture_output=True, text=True)
+    done = subprocess.run(
+        command, cwd=ROOT, env=os.environ | {"OMP_NUM_THREADS": "1"}, capture_output=True, text=True
+    )
     assert re.search(r"\d+ passed", done.stdout), done.stdout[-8000:] + done.stderr[-2000:]
     return done.stdout
 
 
 def test_that_tensors_have_the_shapes_of_their_annotations(checked: str) -> None:
     failed = re.findall(r"^(?:FAILED|ERROR) \S*?((?:::)?[^/\s]+)(?:\s|$)", checked, re.MULTILINE)
-    assert failed == ["::test_that_does_not_fit"], checked[-8000:]  # of a file outside of the project
+    assert failed == ["::test_that_does_not_fit"], checked[
+        -8000:
+    ]  # of a file outside of the project
     assert int(re.findall(r"(\d+) passed", checked)[-1]) > 600
 
 

@@ -22,7 +22,13 @@ def test_that_a_fit_sees_one_thread_and_the_caller_its_own() -> None:
     before = torch.get_num_threads()
     torch.set_num_threads(2)
     try:
-        assimilate(prior(("nhkv",)), experiments(1), Watching(), seed=0, options=SearchOptions(raw_samples=8, starts=2))
+        assimilate(
+            prior(("nhkv",)),
+            experiments(1),
+            Watching(),
+            seed=0,
+            options=SearchOptions(raw_samples=8, starts=2),
+        )
         assert (seen, torch.get_num_threads()) == ({1}, 2)
         with pytest.raises(InputDataError), one_torch_thread():
             load_traces("nowhere.csv")
@@ -35,7 +41,8 @@ def test_that_blocks_that_overlap_leave_as_many_threads_as_were_before_the_first
     before = torch.get_num_threads()
     torch.set_num_threads(2)
     try:
-        first, second = one_torch_thread(), one_torch_thread()
+        first = one_torch_thread()
+        second = one_torch_thread()
         first.__enter__()
         second.__enter__()
         first.__exit__(None, None, None)

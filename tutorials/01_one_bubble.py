@@ -70,7 +70,9 @@ assert bool(solution.ok.all())
 reference = PolytropicSimulator(stepping=STEPPINGS["reference"])(gels, design, times)
 for name in ("fast", "default"):
     coarse = PolytropicSimulator(stepping=STEPPINGS[name])(gels, design, times)
-    print(f"{name:8s} largest error in R* {float((coarse.radius - reference.radius).abs().max()):.1e}")
+    print(
+        f"{name:8s} largest error in R* {float((coarse.radius - reference.radius).abs().max()):.1e}"
+    )
 
 # %% [markdown]
 # ## Many bubbles cost little

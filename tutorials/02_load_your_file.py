@@ -44,9 +44,13 @@ print(traces.report())
 
 # %%
 marks = find_landmarks(traces["shot_2"])
-print(f"Rmax {1e6 * marks.max_radius_m:.2f} +- {1e6 * marks.max_radius_sd_m:.2f} um ({marks.max_method})")
+print(
+    f"Rmax {1e6 * marks.max_radius_m:.2f} +- {1e6 * marks.max_radius_sd_m:.2f} um ({marks.max_method})"
+)
 if marks.rest_radius_m is not None and marks.rest_radius_sd_m is not None:
-    print(f"R_inf {1e6 * marks.rest_radius_m:.2f} +- {1e6 * marks.rest_radius_sd_m:.2f} um ({marks.rest_method})")
+    print(
+        f"R_inf {1e6 * marks.rest_radius_m:.2f} +- {1e6 * marks.rest_radius_sd_m:.2f} um ({marks.rest_method})"
+    )
 print("first collapse at", f"{1e6 * marks.collapse_times_s[0]:.1f} us")
 
 # %% [markdown]
@@ -56,8 +60,18 @@ print("first collapse at", f"{1e6 * marks.collapse_times_s[0]:.1f} us")
 # %%
 time_us = np.arange(0.0, 200.0, 2.0)
 radius_px = 100.0 * np.abs(np.cos(time_us / 30.0)) * np.exp(-time_us / 80.0) + 20.0
-savemat(OUT / "mine.mat", {"Rpix": radius_px, "frames": np.arange(len(time_us)), "scale": 2.5e-6, "dt": 2e-6})
-layout = Layout("Rpix", radius_unit="px", time="frames", time_unit="frames", frame_interval="dt", pixel_size="scale")
+savemat(
+    OUT / "mine.mat",
+    {"Rpix": radius_px, "frames": np.arange(len(time_us)), "scale": 2.5e-6, "dt": 2e-6},
+)
+layout = Layout(
+    "Rpix",
+    radius_unit="px",
+    time="frames",
+    time_unit="frames",
+    frame_interval="dt",
+    pixel_size="scale",
+)
 print(load_traces(OUT / "mine.mat", layout=layout).report())
 print("known layouts:", ", ".join(KNOWN_LAYOUTS))
 
@@ -85,8 +99,12 @@ print(result.report())
 # %%
 # the prediction is drawn at times between the frames too, since the collapse is shorter than the distance of two frames
 best, last = result.posterior.best.model, float(result.experiments[0].times.max())
-times = torch.linspace(0.0, last, 60 if SMOKE else 500, dtype=torch.float64).expand(len(result.experiments), -1)
+times = torch.linspace(0.0, last, 60 if SMOKE else 500, dtype=torch.float64).expand(
+    len(result.experiments), -1
+)
 draws = 10 if SMOKE else 100
-band = predictive_band(result.assimilation, result.posterior, TransportSimulator(), best, draws=draws, times=times)
+band = predictive_band(
+    result.assimilation, result.posterior, TransportSimulator(), best, draws=draws, times=times
+)
 ax = plot_experiment(result.experiments[0], (band[0][0], band[1][0], band[2][0]), times=times[0])
 ax.figure.savefig(OUT / "fit.png")

@@ -31,7 +31,9 @@ OUT = Path(tempfile.mkdtemp()) if SMOKE else Path("out/03")
 case = reference_case("stiff-pa")
 for part in case.prior.models:
     for name, mean, sd in zip(part.names, part.means.tolist(), part.sds.tolist(), strict=True):
-        print(f"{part.material.title:10s} {name:6s} {mean:10.4g} +- {sd:.3g} {PARAMETERS[name].unit}")
+        print(
+            f"{part.material.title:10s} {name:6s} {mean:10.4g} +- {sd:.3g} {PARAMETERS[name].unit}"
+        )
 
 # %% [markdown]
 # ## The laboratory and the campaign

@@ -50,7 +50,16 @@ SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
 # %%
 PARAMETERS.register(
     Parameter(
-        "G_mooney", "second Mooney-Rivlin modulus", "Pa", "pressure", 0.0, 1e6, 0.0, 1e-3, "kPa", prior=LogNormal(1e3, 3.0)
+        "G_mooney",
+        "second Mooney-Rivlin modulus",
+        "Pa",
+        "pressure",
+        0.0,
+        1e6,
+        0.0,
+        1e-3,
+        "kPa",
+        prior=LogNormal(1e3, 3.0),
     )
 )
 
@@ -67,7 +76,9 @@ PARAMETERS.register(
 
 
 # %%
-def mooney(radius: Scalar, velocity: Scalar, rest_radius: Scalar, G_mooney: Scalar) -> tuple[Scalar, ...]:
+def mooney(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, G_mooney: Scalar
+) -> tuple[Scalar, ...]:
     """``S = -G_2 (2 l - 1 - 1/l^2)`` with ``l = R/R_inf``."""
     stretch, inverse = radius / rest_radius, rest_radius / radius
     value = -G_mooney * (2.0 * stretch - 1.0 - inverse * inverse)
@@ -107,7 +118,9 @@ for stretch, value in zip((one / rest).tolist(), stress.value.tolist(), strict=T
     expected = -quad(lambda b: 0.5 * (4.0 * b**3 - 4.0 * b**-3) / (b**3 - 1.0), 1.0, stretch)[0]
     print(f"l = {stretch:.2f}: S = {value:+.6f}, by quadrature {expected:+.6f}")
     assert abs(value - expected) < 1e-9
-(by_radius,) = derivatives(lambda radius: MOONEY(radius, velocity, rest, theta).value, (one,), analytic=MOONEY.compilable)
+(by_radius,) = derivatives(
+    lambda radius: MOONEY(radius, velocity, rest, theta).value, (one,), analytic=MOONEY.compilable
+)
 assert torch.allclose(stress.rate, by_radius * velocity)
 
 # %% [markdown]
@@ -119,15 +132,42 @@ assert torch.allclose(stress.rate, by_radius * velocity)
 
 # %%
 PARAMETERS.register(
-    Parameter("G_fast", "modulus that fades", "Pa", "pressure", 0.0, 1e7, 0.0, 1e-3, "kPa", prior=LogNormal(1e4, 5.0))
+    Parameter(
+        "G_fast",
+        "modulus that fades",
+        "Pa",
+        "pressure",
+        0.0,
+        1e7,
+        0.0,
+        1e-3,
+        "kPa",
+        prior=LogNormal(1e4, 5.0),
+    )
 )
 PARAMETERS.register(
-    Parameter("tau_fast", "time in which it fades", "s", "time", 1e-9, 1.0, 1e-5, 1e6, "us", prior=LogNormal(1e-5, 5.0))
+    Parameter(
+        "tau_fast",
+        "time in which it fades",
+        "s",
+        "time",
+        1e-9,
+        1.0,
+        1e-5,
+        1e6,
+        "us",
+        prior=LogNormal(1e-5, 5.0),
+    )
 )
 
 
 def fading_spring(
-    radius: Scalar, velocity: Scalar, rest_radius: Scalar, held: Scalar, G_fast: Scalar, tau_fast: Scalar
+    radius: Scalar,
+    velocity: Scalar,
+    rest_radius: Scalar,
+    held: Scalar,
+    G_fast: Scalar,
+    tau_fast: Scalar,
 ) -> tuple[Scalar, ...]:
     """``Z' = dS_e/dt - Z/De`` with the neo-Hookean ``S_e`` of the modulus ``G_fast``; ``S = Z``."""
     change = neo_hookean(radius, velocity, rest_radius, G_fast)[1] - held / tau_fast
@@ -158,16 +198,26 @@ register(FadingSolid())
 
 # %%
 base = {"G": 3000.0, "mu": 0.1}
-gels = torch.stack([PARAMETERS.pack(base | extra) for extra in ({}, {"G_mooney": 1500.0}, {"G_fast": 2e4, "tau_fast": 1e-5})])
+gels = torch.stack(
+    [
+        PARAMETERS.pack(base | extra)
+        for extra in ({}, {"G_mooney": 1500.0}, {"G_fast": 2e4, "tau_fast": 1e-5})
+    ]
+)
 design = torch.tensor([550.0, 0.22], dtype=torch.float64)
 times = torch.linspace(0.0, 2.5, 251, dtype=torch.float64)
 engine = "torchdiffeq" if SMOKE else "compiled"  # the same numbers; tensors need no compilation
-for simulator in (PolytropicSimulator(), TransportSimulator(accuracy=ACCURACIES["fast"], engine=engine)):
+for simulator in (
+    PolytropicSimulator(),
+    TransportSimulator(accuracy=ACCURACIES["fast"], engine=engine),
+):
     solution = simulator(gels, design, times)
     assert bool(solution.ok.all())
     smallest, rebound = solution.radius.amin(1), solution.radius[:, len(times) // 2 :].amax(1)
     print(type(simulator).__name__)
-    for key, low, high in zip(("nhkv", "mooney", "fading"), smallest.tolist(), rebound.tolist(), strict=True):
+    for key, low, high in zip(
+        ("nhkv", "mooney", "fading"), smallest.tolist(), rebound.tolist(), strict=True
+    ):
         print(f"  {key:8s} smallest R* {low:.3f}, rebound {high:.3f}")
 
 # %% [markdown]

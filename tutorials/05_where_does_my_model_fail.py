@@ -42,7 +42,9 @@ simulator = PolytropicSimulator()
 secret = PARAMETERS.pack({"G": 8000.0, "mu": 0.08, "sound_speed": 0.5})
 times = torch.linspace(0.0, 2.6, 53, dtype=torch.float64)
 laboratory = SimulatedLaboratory(simulator, secret, repeats=10, times=times)
-designs = torch.tensor([[200.0, 0.20], [600.0, 0.17], [400.0, 0.25]], dtype=torch.float64)[: 2 if SMOKE else 3]
+designs = torch.tensor([[200.0, 0.20], [600.0, 0.17], [400.0, 0.25]], dtype=torch.float64)[
+    : 2 if SMOKE else 3
+]
 experiments = [laboratory.shoot(design, seed=i) for i, design in enumerate(designs)]
 offered = library(("sound_speed", "rinf_bias", "strain_stiffening") if SMOKE else None)
 
@@ -63,7 +65,10 @@ plots.plot_scores(report.gap).figure.savefig(OUT / "tests.png")
 # and "other".
 
 # %%
-without = library(("rinf_bias", "strain_stiffening", "refraction") if SMOKE else None, without=("sound_speed", "heat_exchange"))
+without = library(
+    ("rinf_bias", "strain_stiffening", "refraction") if SMOKE else None,
+    without=("sound_speed", "heat_exchange"),
+)
 blind = diagnose(experiments, effects=without, simulator=simulator)
 print(blind.verdict, blind.cause, "-", blind.reason)
 
@@ -87,4 +92,10 @@ print(f"noise {report.batch.noise}")
 parts = examine(report, physics)
 print(describe(report, parts))
 write_page(report, OUT / "example_gel.html", parts, title="Example gel")
-print({key: value for key, value in to_json(report, parts).items() if key in ("gap", "p_gap", "verdict", "cause", "converged")})
+print(
+    {
+        key: value
+        for key, value in to_json(report, parts).items()
+        if key in ("gap", "p_gap", "verdict", "cause", "converged")
+    }
+)

@@ -27,8 +27,12 @@ SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
 # %%
 simulator = PolytropicSimulator()
 secret = PARAMETERS.pack({"G": 2500.0, "mu": 0.12, "alpha": 0.1})
-laboratory = SimulatedLaboratory(simulator, secret, repeats=1, times=torch.linspace(0.0, 3.0, 61, dtype=torch.float64))
-designs = torch.tensor([[300.0, 0.25], [800.0, 0.17], [500.0, 0.20]], dtype=torch.float64)[: 2 if SMOKE else 3]
+laboratory = SimulatedLaboratory(
+    simulator, secret, repeats=1, times=torch.linspace(0.0, 3.0, 61, dtype=torch.float64)
+)
+designs = torch.tensor([[300.0, 0.25], [800.0, 0.17], [500.0, 0.20]], dtype=torch.float64)[
+    : 2 if SMOKE else 3
+]
 batch = ExperimentBatch(tuple(laboratory.shoot(design, seed=i) for i, design in enumerate(designs)))
 
 # %% [markdown]
@@ -40,9 +44,16 @@ batch = ExperimentBatch(tuple(laboratory.shoot(design, seed=i) for i, design in 
 # %%
 prior = wide_prior(("newtonian", "nhkv", "gen_qkv"))
 options = SearchOptions(raw_samples=24, starts=2) if SMOKE else SearchOptions()
-fits = weigh(assimilate(prior, batch, simulator, seed=0, options=options), simulator, seed=0, samples=64 if SMOKE else 256)
+fits = weigh(
+    assimilate(prior, batch, simulator, seed=0, options=options),
+    simulator,
+    seed=0,
+    samples=64 if SMOKE else 256,
+)
 for fit in fits.fits:
-    print(f"{fit.prior.material.title}: RMSE {fits.rmse(fit.model):.4f} in R*\n  {fit.certificate}\n  {fit.trust}")
+    print(
+        f"{fit.prior.material.title}: RMSE {fits.rmse(fit.model):.4f} in R*\n  {fit.certificate}\n  {fit.trust}"
+    )
 
 # %% [markdown]
 # ## Model probabilities
@@ -53,7 +64,9 @@ for fit in fits.fits:
 found = evidences(fits)
 posterior, errors = update(fits, found), probability_errors(prior, found)
 for e in found:
-    print(f"{e.model:10s} log evidence {e.value:9.2f} +- {e.error:.2f}  probability {posterior.probabilities[e.model]:.4f}")
+    print(
+        f"{e.model:10s} log evidence {e.value:9.2f} +- {e.error:.2f}  probability {posterior.probabilities[e.model]:.4f}"
+    )
 print("errors of the probabilities:", {key: round(value, 4) for key, value in errors.items()})
 
 # %% [markdown]
@@ -66,7 +79,9 @@ print("errors of the probabilities:", {key: round(value, 4) for key, value in er
 scores = cross_validate(fits, simulator, seed=0, options=options, samples=64 if SMOKE else 256)
 for score in scores:
     how = "fitted again" if score.refitted else "reweighted"
-    print(f"{score.held_out[0]:24s} {score.model:10s} {score.value:9.2f} +- {score.error:.2f} nats ({how})")
+    print(
+        f"{score.held_out[0]:24s} {score.model:10s} {score.value:9.2f} +- {score.error:.2f} nats ({how})"
+    )
 print("in all:", {total.model: round(total.value, 1) for total in sum_over_folds(scores)})
 
 # %% [markdown]
@@ -77,4 +92,7 @@ print("in all:", {total.model: round(total.value, 1) for total in sum_over_folds
 # %%
 best = posterior.best.model
 assert fits[best].certificate.converged
-print(f"{best}: RMSE by experiment", {k: round(v, 4) for k, v in fits.rmse_by_experiment(best).items()})
+print(
+    f"{best}: RMSE by experiment",
+    {k: round(v, 4) for k, v in fits.rmse_by_experiment(best).items()},
+)

@@ -34,7 +34,13 @@ OUT.mkdir(parents=True, exist_ok=True)
 # %%
 plan = Plan(times=torch.linspace(0.0, 2.5, 51, dtype=torch.float64), repeats=5)
 options = SearchOptions(raw_samples=24, starts=2) if SMOKE else SearchOptions()
-mine = Arrangement(reference_case("soft-pa").prior, ((400.0, 0.22),), plan, samples=64 if SMOKE else 256, options=options)
+mine = Arrangement(
+    reference_case("soft-pa").prior,
+    ((400.0, 0.22),),
+    plan,
+    samples=64 if SMOKE else 256,
+    options=options,
+)
 count = 12 if SMOKE else 100
 replicates = list(calibrate(mine, PolytropicSimulator(), range(count), seed=0))
 
@@ -53,7 +59,9 @@ def judge(replicates):
             f"{name:3s} 90 % intervals hold {hold.share:.2f} of {test.count} truths ({hold.low:.2f} to {hold.high:.2f}); "
             f"spread {test.spread:.2f}, p {test.p:.3g}"
         )
-    return {name: [r.reported[name] for r in replicates if r.failure is None] for name in ("G", "mu")}
+    return {
+        name: [r.reported[name] for r in replicates if r.failure is None] for name in ("G", "mu")
+    }
 
 
 plot_places(judge(replicates)).figure.savefig(OUT / "places.png")
@@ -64,7 +72,9 @@ plot_places(judge(replicates)).figure.savefig(OUT / "places.png")
 # %%
 stated = [r.probabilities["nhkv"] for r in replicates if r.failure is None]
 result = reliability(stated, [r.model == "nhkv" for r in replicates if r.failure is None], bins=5)
-print(f"calibration error {result.error:.3f}; chance alone leaves {result.by_chance:.3f} (p {result.p:.2f})")
+print(
+    f"calibration error {result.error:.3f}; chance alone leaves {result.by_chance:.3f} (p {result.p:.2f})"
+)
 plot_reliability(result).figure.savefig(OUT / "reliability.png")
 
 # %% [markdown]

@@ -53,7 +53,9 @@ acquisition = ExpectedInformationGain(prior, simulator, laplace, plan=plan, spac
 X = torch.tensor([[[900.0, 0.28]], [[300.0, 0.20]]], dtype=torch.float64)  # batch_shape x q x 2
 print("gain in nats:", acquisition(X).tolist())
 gain = acquisition.estimate(X[0])
-print(f"of which {gain.parameters:.2f} about parameters, {gain.model:.2f} about the model; +- {gain.variance**0.5:.2f}")
+print(
+    f"of which {gain.parameters:.2f} about parameters, {gain.model:.2f} about the model; +- {gain.variance**0.5:.2f}"
+)
 
 # %% [markdown]
 # ## BoTorch maximises it directly
@@ -66,9 +68,16 @@ with manual_seed(0):
         q=1,
         num_restarts=1,
         raw_samples=4 if SMOKE else 16,
-        options={"with_grad": False, "method": "Nelder-Mead", "xatol": 10.0, "fatol": 0.5 if SMOKE else 0.02},
+        options={
+            "with_grad": False,
+            "method": "Nelder-Mead",
+            "xatol": 10.0,
+            "fatol": 0.5 if SMOKE else 0.02,
+        },
     )
-print(f"direct: We {float(best[0, 0]):.0f}, R_inf* {float(best[0, 1]):.3f}, {float(value):.2f} nats")
+print(
+    f"direct: We {float(best[0, 0]):.0f}, R_inf* {float(best[0, 1]):.3f}, {float(value):.2f} nats"
+)
 
 # %% [markdown]
 # ## Or through a surrogate
@@ -77,7 +86,11 @@ print(f"direct: We {float(best[0, 0]):.0f}, R_inf* {float(best[0, 1]):.3f}, {flo
 
 # %%
 search = search_design(
-    acquisition, seed=0, strategy=Strategy("qLogNEI"), evaluations=5 if SMOKE else 25, initial=4 if SMOKE else 10
+    acquisition,
+    seed=0,
+    strategy=Strategy("qLogNEI"),
+    evaluations=5 if SMOKE else 25,
+    initial=4 if SMOKE else 10,
 )
 chosen = search.recommendation
 print(
@@ -93,14 +106,18 @@ plot_information(search).figure.savefig(OUT / "information.png")
 one, other = chosen.design, torch.tensor([900.0, 0.15], dtype=torch.float64)
 for name, second in (("the same design again", one), ("another stretch", other)):
     pair = acquisition.estimate(torch.stack((one, second)))
-    print(f"{name}: {pair.value:.2f} nats together, {pair.value - acquisition.estimate(one[None]).value:.2f} more than alone")
+    print(
+        f"{name}: {pair.value:.2f} nats together, {pair.value - acquisition.estimate(one[None]).value:.2f} more than alone"
+    )
 
 # %% [markdown]
 # `search_design(..., q=3)` finds such sets, one design after the other with those before it pending (`X_pending`), and says
 # what each adds. On the command line: `imr-torch design --case stiff-pa --q 3`.
 
 # %%
-pair = search_design(acquisition, seed=0, q=2, evaluations=5 if SMOKE else 15, initial=4 if SMOKE else 8)
+pair = search_design(
+    acquisition, seed=0, q=2, evaluations=5 if SMOKE else 15, initial=4 if SMOKE else 8
+)
 for design, nats in zip(pair.chosen, pair.increments, strict=True):
     print(f"{space.describe(design, simulator.conditions.surroundings)} adds {nats:.2f} nats")
 
@@ -116,10 +133,19 @@ class Half(InformationEstimator):
 
     def __call__(self, shot: Shot, generator: torch.Generator) -> InformationGain:
         gain = self.of(shot, generator)
-        return replace(gain, parameters=gain.parameters / 2, model=gain.model / 2, variance=gain.variance / 4, influence=())
+        return replace(
+            gain,
+            parameters=gain.parameters / 2,
+            model=gain.model / 2,
+            variance=gain.variance / 4,
+            influence=(),
+        )
 
 
-print("half of it:", ExpectedInformationGain(prior, simulator, Half(laplace), plan=plan, seed=1)(X).tolist())
+print(
+    "half of it:",
+    ExpectedInformationGain(prior, simulator, Half(laplace), plan=plan, seed=1)(X).tolist(),
+)
 
 # %% [markdown]
 # ## How far to trust the number
@@ -128,6 +154,8 @@ print("half of it:", ExpectedInformationGain(prior, simulator, Half(laplace), pl
 # %%
 sizes = {"draws": 4 if SMOKE else 32, "inner": 8 if SMOKE else 64}
 lower, upper = AdaptiveContrastive(**sizes), ImportanceSampling(**sizes)
-bracket = information_bracket(prior, chosen.design[None], simulator, plan, lower=lower, upper=upper, seed=2)
+bracket = information_bracket(
+    prior, chosen.design[None], simulator, plan, lower=lower, upper=upper, seed=2
+)
 for name, bound in (("lower", bracket.lower), ("upper", bracket.upper)):
     print(f"{name} bound {bound.value:.2f} +- {bound.variance**0.5:.2f} nats")

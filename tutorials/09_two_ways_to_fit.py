@@ -18,7 +18,13 @@ import os
 import torch
 
 from imr_torch import example_gel, load_traces
-from imr_torch.assimilate import En4DVarOptions, SearchOptions, assimilate, assimilate_en4dvar, weigh
+from imr_torch.assimilate import (
+    En4DVarOptions,
+    SearchOptions,
+    assimilate,
+    assimilate_en4dvar,
+    weigh,
+)
 from imr_torch.material import PARAMETERS, wide_prior
 from imr_torch.observe import ExperimentBatch, Noise, prepare
 from imr_torch.simulate import PolytropicSimulator
@@ -40,9 +46,17 @@ prior = wide_prior(("nhkv",))
 # ## Fit, and weigh
 
 # %%
-default = assimilate(prior, batch, simulator, seed=0, options=SearchOptions(raw_samples=48, starts=2) if SMOKE else None)
+default = assimilate(
+    prior,
+    batch,
+    simulator,
+    seed=0,
+    options=SearchOptions(raw_samples=48, starts=2) if SMOKE else None,
+)
 ensemble = assimilate_en4dvar(prior, batch, simulator, seed=0)
-tempered = assimilate_en4dvar(prior, batch, simulator, seed=0, options=En4DVarOptions(tempered=True))
+tempered = assimilate_en4dvar(
+    prior, batch, simulator, seed=0, options=En4DVarOptions(tempered=True)
+)
 
 
 def tell(name, result):
@@ -50,7 +64,9 @@ def tell(name, result):
     words = []
     for parameter, mean, sd in zip(part.names, part.means.tolist(), part.sds.tolist(), strict=True):
         entry = PARAMETERS[parameter]
-        words.append(f"{entry.display_scale * mean:.4g} +- {entry.display_scale * sd:.2g} {entry.display_unit or entry.unit}")
+        words.append(
+            f"{entry.display_scale * mean:.4g} +- {entry.display_scale * sd:.2g} {entry.display_unit or entry.unit}"
+        )
     print(f"{name:22s} {', '.join(words)}   ({result.fits[0].certificate})")
     return part
 
@@ -60,7 +76,10 @@ parts = [tell(name, result) for name, result in found.items()]
 sds = parts[0].chol.norm(dim=1)
 assert bool(((parts[0].mean - parts[1].mean).abs() < 0.5 * sds).all())
 assert bool((parts[2].chol.norm(dim=1) > 2.0 * sds).all())
-print("widths, tempered over exact:", [round(x, 1) for x in (torch.linalg.norm(parts[2].chol, dim=1) / sds).tolist()])
+print(
+    "widths, tempered over exact:",
+    [round(x, 1) for x in (torch.linalg.norm(parts[2].chol, dim=1) / sds).tolist()],
+)
 
 # %% [markdown]
 # ## Which to use

@@ -15,7 +15,15 @@ import torch
 from imr_torch.assimilate import SearchOptions, assimilate
 from imr_torch.elementary import Scalar, exp
 from imr_torch.gap import describe, diagnose, examine
-from imr_torch.material import PARAMETERS, Effect, Parameter, TruncatedNormal, library, register_effect, wide_prior
+from imr_torch.material import (
+    PARAMETERS,
+    Effect,
+    Parameter,
+    TruncatedNormal,
+    library,
+    register_effect,
+    wide_prior,
+)
 from imr_torch.observe import ExperimentBatch, Film, SimulatedLaboratory, predict
 from imr_torch.plot import plot_solution
 from imr_torch.simulate import PolytropicSimulator
@@ -31,7 +39,14 @@ SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
 prior = TruncatedNormal(0.0, 0.03)
 parameter = PARAMETERS.register(
     Parameter(
-        "fading_pressure", "far-field pressure beyond p_inf at time zero, over p_inf", "1", "none", -0.5, 0.5, 0.0, prior=prior
+        "fading_pressure",
+        "far-field pressure beyond p_inf at time zero, over p_inf",
+        "1",
+        "none",
+        -0.5,
+        0.5,
+        0.0,
+        prior=prior,
     )
 )
 
@@ -73,8 +88,12 @@ simulator = PolytropicSimulator()
 design = torch.tensor([450.0, 0.20], dtype=torch.float64)
 times = torch.linspace(0.0, 3.0, 301, dtype=torch.float64)
 sizes = [0.0, 0.05, 0.1]
-gels = PARAMETERS.pack({"G": 5000.0, "mu": 0.1, "fading_pressure": torch.tensor(sizes, dtype=torch.float64)})
-ax = plot_solution(simulator(gels, design, times), labels=[f"{100 * size:g} % of p_inf" for size in sizes])
+gels = PARAMETERS.pack(
+    {"G": 5000.0, "mu": 0.1, "fading_pressure": torch.tensor(sizes, dtype=torch.float64)}
+)
+ax = plot_solution(
+    simulator(gels, design, times), labels=[f"{100 * size:g} % of p_inf" for size in sizes]
+)
 
 # %% [markdown]
 # Check the sign before you believe a law: a higher pressure makes the bubble collapse earlier.
@@ -95,8 +114,12 @@ assert first[2] < first[1] < first[0]
 truth = PARAMETERS.pack({"G": 5000.0, "mu": 0.1, "fading_pressure": 0.05})
 laboratory = SimulatedLaboratory(simulator, truth, repeats=10)
 designs = torch.tensor([[300.0, 0.18], [650.0, 0.22]], dtype=torch.float64)
-experiments = tuple(laboratory.shoot(row, seed=number) for number, row in enumerate(designs, start=1))
-rivals = ("fading_pressure", "far_field_pressure", "sound_speed") + (() if SMOKE else ("heat_exchange", "rinf_bias", "wall"))
+experiments = tuple(
+    laboratory.shoot(row, seed=number) for number, row in enumerate(designs, start=1)
+)
+rivals = ("fading_pressure", "far_field_pressure", "sound_speed") + (
+    () if SMOKE else ("heat_exchange", "rinf_bias", "wall")
+)
 report = diagnose(experiments, effects=library(rivals), simulator=simulator, seed=0)
 print(describe(report, examine(report, simulator, seed=0)))
 
@@ -109,4 +132,10 @@ batch = ExperimentBatch(experiments, laboratory.noise)
 options = SearchOptions(raw_samples=32, starts=2) if SMOKE else None
 for model in ("nhkv", "nhkv+fading_pressure"):
     fit = assimilate(wide_prior([model]), batch, simulator, seed=1, options=options)[model]
-    print(model, {name: round(float(x), 4) for name, x in zip(fit.posterior.names, fit.posterior.means, strict=True)})
+    print(
+        model,
+        {
+            name: round(float(x), 4)
+            for name, x in zip(fit.posterior.names, fit.posterior.means, strict=True)
+        },
+    )

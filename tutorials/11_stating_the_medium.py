@@ -34,7 +34,9 @@ print("\n".join(line for line in assumed.report().splitlines() if "assumed" in l
 # Say that you weighted the gel: 1092 kg/m^3. The example gel was simulated with 1060 kg/m^3 and G = 8.31 kPa, so this is wrong.
 
 # %%
-heavier = characterize(traces, prior=prior, estimate_noise=False, options=options, medium="density=1092")
+heavier = characterize(
+    traces, prior=prior, estimate_noise=False, options=options, medium="density=1092"
+)
 found = {}
 for name, result in (("assumed 1060", assumed), ("stated 1092", heavier)):
     found[name] = [1e-3 * x for x in intervals(result.posterior.best)["G"]]
@@ -47,11 +49,15 @@ for name, result in (("assumed 1060", assumed), ("stated 1092", heavier)):
 # is honest. The last line says what the curves have told about the density itself.
 
 # %%
-honest = characterize(traces, prior=prior, estimate_noise=False, options=options, medium="density=1070:20")
+honest = characterize(
+    traces, prior=prior, estimate_noise=False, options=options, medium="density=1070:20"
+)
 found["1070 +- 20"] = [1e-3 * x for x in intervals(honest.posterior.best)["G"]]
 low, middle, high = found["1070 +- 20"]
 print(f"1070 +- 20: G = {middle:.2f} kPa (90 %: {low:.2f} to {high:.2f})")
-print("\n".join(line.strip() for line in honest.report().splitlines() if "density was stated" in line))
+print(
+    "\n".join(line.strip() for line in honest.report().splitlines() if "density was stated" in line)
+)
 
 # %%
 figure, ax = plt.subplots(figsize=(5.2, 2.2), layout="constrained")
@@ -59,7 +65,12 @@ for row, (low, middle, high) in enumerate(found.values()):
     ax.plot([low, high], [row, row], color=MODEL)
     ax.plot(middle, row, "o", color=MODEL)
 ax.axvline(8.31, color=TRUTH, linestyle="--", label="truth")
-ax.set(yticks=range(len(found)), ylim=(len(found) - 0.5, -0.5), xlabel="G (kPa), 90 % interval", ylabel="density (kg/m$^3$)")
+ax.set(
+    yticks=range(len(found)),
+    ylim=(len(found) - 0.5, -0.5),
+    xlabel="G (kPa), 90 % interval",
+    ylabel="density (kg/m$^3$)",
+)
 ax.set_yticklabels(found)
 legend = ax.legend(frameon=False)
 

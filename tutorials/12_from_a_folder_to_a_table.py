@@ -42,7 +42,10 @@ for number in range(shots):
     design = torch.tensor([float(surroundings.weber(largest)), 0.2], dtype=torch.float64)
     radius = simulator(gel[None], design, times / scale).radius[0]
     radius = radius + 0.003 * torch.randn(len(times), generator=noise, dtype=torch.float64)
-    lines = [f"{1e6 * t:.2f},{1e6 * largest * r:.3f}" for t, r in zip(times.tolist(), radius.tolist(), strict=True)]
+    lines = [
+        f"{1e6 * t:.2f},{1e6 * largest * r:.3f}"
+        for t, r in zip(times.tolist(), radius.tolist(), strict=True)
+    ]
     (day / f"shot_{number + 1}.csv").write_text("time (us),R (um)\n" + "\n".join(lines))
 (day / "shot_9.csv").write_text("time (us),R (um)\n0,250\n1,oops\n")
 print(sorted(path.name for path in day.iterdir()))
@@ -54,7 +57,9 @@ print(sorted(path.name for path in day.iterdir()))
 # default for real gels.)
 
 # %%
-options = BatchOptions(wide_prior(["nhkv"]), simulator, rest_radius=(0.2, 0.01), estimate_noise=False)
+options = BatchOptions(
+    wide_prior(["nhkv"]), simulator, rest_radius=(0.2, 0.01), estimate_noise=False
+)
 summary = run_batch(day, folder=HOME / "results", options=options)
 print(summary.report())
 
@@ -80,10 +85,22 @@ print(", ".join(rows[0]))
 
 # %%
 low, middle, high = ([1e-3 * float(row[name]) for row in rows] for name in ("G_low", "G", "G_high"))
-errors = [[m - a for m, a in zip(middle, low, strict=True)], [b - m for m, b in zip(middle, high, strict=True)]]
+errors = [
+    [m - a for m, a in zip(middle, low, strict=True)],
+    [b - m for m, b in zip(middle, high, strict=True)],
+]
 figure, ax = plt.subplots(figsize=(5.2, 3.2), layout="constrained")
-ax.errorbar([row["shot"] for row in rows], middle, errors, fmt="o", color="#0072B2", label="inferred, 90 %")
-ax.plot([f"shot_{number + 1}" for number in range(shots)], 1e-3 * modulus, "_", color="#D55E00", markersize=14, label="truth")
+ax.errorbar(
+    [row["shot"] for row in rows], middle, errors, fmt="o", color="#0072B2", label="inferred, 90 %"
+)
+ax.plot(
+    [f"shot_{number + 1}" for number in range(shots)],
+    1e-3 * modulus,
+    "_",
+    color="#D55E00",
+    markersize=14,
+    label="truth",
+)
 ax.set_ylabel("G (kPa)")
 ax.set_ylim(0.0, None)
 ax.tick_params(axis="x", rotation=45)

@@ -31,15 +31,21 @@ SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
 simulator = PolytropicSimulator()
 prior = wide_prior(["nhkv"])["nhkv"]
 count = 4 if SMOKE else 8
-designs = torch.tensor([[350.0 + 30.0 * number, 0.2] for number in range(count)], dtype=torch.float64)
+designs = torch.tensor(
+    [[350.0 + 30.0 * number, 0.2] for number in range(count)], dtype=torch.float64
+)
 
 
 def shots_of(scatter):
     """Shots of gels whose log modulus scatters so, and the moduli."""
-    moduli = 8000.0 * torch.exp(scatter * torch.randn(count, generator=generator(5), dtype=torch.float64))
+    moduli = 8000.0 * torch.exp(
+        scatter * torch.randn(count, generator=generator(5), dtype=torch.float64)
+    )
     shots = []
     for number, (design, modulus) in enumerate(zip(designs, moduli.tolist(), strict=True), start=1):
-        laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack({"G": modulus, "mu": 0.09}), repeats=2)
+        laboratory = SimulatedLaboratory(
+            simulator, PARAMETERS.pack({"G": modulus, "mu": 0.09}), repeats=2
+        )
         shots.append(laboratory.shoot(design, seed=number, label=f"shot {number}"))
     return shots, moduli
 
@@ -57,7 +63,9 @@ for name, (shots, _) in gels.items():
     fits = fit_shots(prior, shots, simulator, rounds=0, samples=64 if SMOKE else 256)
     populations[name] = found = infer_population(fits, draws=1024 if SMOKE else 8192)
     print(f"{name}: {found.sentence}")
-    print(f"  evidence of any scatter {found.any_scatter}; of G {found.by_parameter['G']}; of mu {found.by_parameter['mu']}")
+    print(
+        f"  evidence of any scatter {found.any_scatter}; of G {found.by_parameter['G']}; of mu {found.by_parameter['mu']}"
+    )
     low, middle, high = found.scatter("G")
     print(f"  scatter of log G {middle:.2f} (90 %: {low:.2f} to {high:.2f})")
 if not SMOKE:
@@ -71,7 +79,9 @@ if not SMOKE:
 # gels of shots to come.
 
 # %%
-figure, axes = plt.subplots(1, 2, figsize=(8.0, 3.4), sharex=True, sharey=True, layout="constrained")
+figure, axes = plt.subplots(
+    1, 2, figsize=(8.0, 3.4), sharex=True, sharey=True, layout="constrained"
+)
 for ax, (name, found) in zip(axes, populations.items(), strict=True):
     low, middle, high = (1e-3 * x for x in found.median("G"))
     ax.axvspan(low, high, color=MODEL, alpha=0.15, linewidth=0)
@@ -79,13 +89,32 @@ for ax, (name, found) in zip(axes, populations.items(), strict=True):
         ax.axvline(1e-3 * end, color=MODEL, linestyle=":")
     for row, label in enumerate(found.labels):
         alone, given_all = found.alone(label, "G"), found.shot(label, "G")
-        ax.plot([1e-3 * alone[0], 1e-3 * alone[2]], [row - 0.15] * 2, color=PALE, linewidth=3, label="alone")
-        ax.plot([1e-3 * given_all[0], 1e-3 * given_all[2]], [row + 0.15] * 2, color=MODEL, label="given all")
+        ax.plot(
+            [1e-3 * alone[0], 1e-3 * alone[2]],
+            [row - 0.15] * 2,
+            color=PALE,
+            linewidth=3,
+            label="alone",
+        )
+        ax.plot(
+            [1e-3 * given_all[0], 1e-3 * given_all[2]],
+            [row + 0.15] * 2,
+            color=MODEL,
+            label="given all",
+        )
     ax.plot(1e-3 * gels[name][1], range(count), "|", color=TRUTH, markersize=14, label="truth")
-    ax.set(title=name, xlabel="G (kPa)", yticks=range(count), yticklabels=found.labels, ylim=(count - 0.5, -0.5))
+    ax.set(
+        title=name,
+        xlabel="G (kPa)",
+        yticks=range(count),
+        yticklabels=found.labels,
+        ylim=(count - 0.5, -0.5),
+    )
 handles, labels = axes[0].get_legend_handles_labels()
 unique = dict(zip(labels, handles, strict=True))
-legend = figure.legend(unique.values(), unique.keys(), loc="outside lower center", ncols=3, frameon=False)
+legend = figure.legend(
+    unique.values(), unique.keys(), loc="outside lower center", ncols=3, frameon=False
+)
 
 # %% [markdown]
 # ## With files

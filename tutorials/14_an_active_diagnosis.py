@@ -35,7 +35,9 @@ simulator = PolytropicSimulator()
 plan = Plan(times=torch.linspace(0.0, 2.5, 51, dtype=torch.float64), repeats=3, collapses=None)
 truth = PARAMETERS.pack({"G": 8000.0, "mu": 0.08, "damage": 0.02})
 laboratory = SimulatedLaboratory(simulator, truth, times=plan.times, repeats=plan.repeats)
-causes = ("damage", "strain_stiffening", "sound_speed") + (() if SMOKE else ("heat_exchange", "rinf_bias", "shear_thinning"))
+causes = ("damage", "strain_stiffening", "sound_speed") + (
+    () if SMOKE else ("heat_exchange", "rinf_bias", "shear_thinning")
+)
 
 # %% [markdown]
 # ## The campaign
@@ -51,10 +53,19 @@ campaign = Campaign(HOME, wide_prior(["nhkv"]), simulator, settings=settings, se
 # %%
 for number in range(1, (1 if SMOKE else 6) + 1):
     proposal = campaign.ask()
-    print(f"{number}. shoot", settings.space.describe(proposal.design, simulator.conditions.surroundings))
-    finding = campaign.tell(laboratory.shoot(proposal.design, seed=child(1, "shoot", number))).finding
+    print(
+        f"{number}. shoot",
+        settings.space.describe(proposal.design, simulator.conditions.surroundings),
+    )
+    finding = campaign.tell(
+        laboratory.shoot(proposal.design, seed=child(1, "shoot", number))
+    ).finding
     ranked = sorted(finding.probabilities.items(), key=lambda item: -item[1])[:3]
-    print("   ", ", ".join(f"{name} {probability:.2f}" for name, probability in ranked) or "no test rejects the model yet")
+    print(
+        "   ",
+        ", ".join(f"{name} {probability:.2f}" for name, probability in ranked)
+        or "no test rejects the model yet",
+    )
     if campaign.reason_to_stop():
         print(f"stop: {campaign.reason_to_stop()}")
         break

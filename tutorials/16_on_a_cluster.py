@@ -34,9 +34,14 @@ times = torch.arange(0.0, 2.8 * scale, 1e-6, dtype=torch.float64)
 (HOME / "day1").mkdir()
 for number in range(2 if SMOKE else 8):
     gel = PARAMETERS.pack({"G": 6000.0 + 300.0 * number, "mu": 0.1})
-    radius = simulator(gel[None], torch.tensor([weber, 0.2], dtype=torch.float64), times / scale).radius[0]
+    radius = simulator(
+        gel[None], torch.tensor([weber, 0.2], dtype=torch.float64), times / scale
+    ).radius[0]
     radius = radius + 0.003 * torch.randn(len(times), generator=noise, dtype=torch.float64)
-    lines = [f"{1e6 * t:.2f},{300.0 * r:.3f}" for t, r in zip(times.tolist(), radius.tolist(), strict=True)]
+    lines = [
+        f"{1e6 * t:.2f},{300.0 * r:.3f}"
+        for t, r in zip(times.tolist(), radius.tolist(), strict=True)
+    ]
     (HOME / "day1" / f"shot_{number + 1}.csv").write_text("time (us),R (um)\n" + "\n".join(lines))
 
 # %% [markdown]
@@ -59,9 +64,13 @@ print(f"{len(client.scheduler_info()['workers'])} workers")
 # `imr-torch batch day1/ --out results --cluster tcp://SCHEDULER:8786`.
 
 # %%
-options = BatchOptions(wide_prior(["nhkv"]), simulator, rest_radius=(0.2, 0.01), estimate_noise=False)
+options = BatchOptions(
+    wide_prior(["nhkv"]), simulator, rest_radius=(0.2, 0.01), estimate_noise=False
+)
 with client.get_executor() as executor:
-    summary = run_batch(HOME / "day1", folder=HOME / "results", options=options, executor=executor, window=64)
+    summary = run_batch(
+        HOME / "day1", folder=HOME / "results", options=options, executor=executor, window=64
+    )
 print(summary.report())
 for row in summary.rows:
     interval = f"{row['G']:.0f} Pa (90 %: {row['G_low']:.0f} to {row['G_high']:.0f})"

@@ -23,7 +23,9 @@ from imr_torch.plot import plot_places
 try:
     from sbi.inference import NPE
 except ImportError:
-    raise SystemExit("This tutorial needs sbi: pip install sbi. Nothing else of the toolkit does.") from None
+    raise SystemExit(
+        "This tutorial needs sbi: pip install sbi. Nothing else of the toolkit does."
+    ) from None
 
 SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
 
@@ -71,9 +73,14 @@ plan = Plan(times=times, repeats=1, collapses=None)
 laboratory = SimulatedLaboratory(bubbles, PARAMETERS.pack(truth), times=times, repeats=1)
 experiment = laboratory.shoot(design, seed=1)
 options = SearchOptions(raw_samples=32, starts=2) if SMOKE else None
-fit = assimilate(belief, ExperimentBatch((experiment,), laboratory.noise), bubbles, seed=1, options=options)["nhkv"]
+fit = assimilate(
+    belief, ExperimentBatch((experiment,), laboratory.noise), bubbles, seed=1, options=options
+)["nhkv"]
 levels = torch.tensor([0.05, 0.5, 0.95], dtype=torch.float64)
-neural, fitted = draws(experiment.radius[0]).quantile(levels, 0), fit.posterior.quantile(levels.tolist())
+neural, fitted = (
+    draws(experiment.radius[0]).quantile(levels, 0),
+    fit.posterior.quantile(levels.tolist()),
+)
 for column, name in enumerate(part.names):
     entry = PARAMETERS[name]
     print(f"{name} (truth {truth[name]:g} {entry.unit})")
@@ -97,9 +104,13 @@ def by_network(batch, model, seed):
 
 
 places = {}
-replicates = list(calibrate(arrangement, bubbles, range(12 if SMOKE else 200), seed=0, infer=by_network))
+replicates = list(
+    calibrate(arrangement, bubbles, range(12 if SMOKE else 200), seed=0, infer=by_network)
+)
 for name in part.names:
-    places[name] = [replicate.reported[name] for replicate in replicates if replicate.failure is None]
+    places[name] = [
+        replicate.reported[name] for replicate in replicates if replicate.failure is None
+    ]
     test, hold = uniformity(places[name]), coverage(places[name], 0.9)
     print(
         f"{name:2s} 90 % intervals hold {hold.share:.2f} of {test.count} truths ({hold.low:.2f} to {hold.high:.2f}); "

@@ -16,7 +16,15 @@ import matplotlib.pyplot as plt
 import torch
 
 from imr_torch import PolytropicSimulator, wide_prior
-from imr_torch.campaign import AnyOf, Campaign, CampaignSettings, Designs, GainBelow, LearnPopulation, PopulationLearner
+from imr_torch.campaign import (
+    AnyOf,
+    Campaign,
+    CampaignSettings,
+    Designs,
+    GainBelow,
+    LearnPopulation,
+    PopulationLearner,
+)
 from imr_torch.design import Plan
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Noise, SimulatedLaboratory
@@ -39,7 +47,10 @@ MEDIAN, SCATTER = {"G": 8000.0, "mu": 0.09}, {"G": 0.2, "mu": 0.1}
 def shoot(design, number):
     """One curve of a gel from the population."""
     source = generator(child(2, "gel", number))
-    gel = {name: MEDIAN[name] * math.exp(SCATTER[name] * float(torch.randn((), generator=source))) for name in MEDIAN}
+    gel = {
+        name: MEDIAN[name] * math.exp(SCATTER[name] * float(torch.randn((), generator=source)))
+        for name in MEDIAN
+    }
     laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(gel), noise=noise, repeats=1)
     return laboratory.shoot(design, seed=child(2, "noise", number), label=f"shot {number}")
 
@@ -52,7 +63,9 @@ def shoot(design, number):
 # %%
 learner = PopulationLearner(samples=64 if SMOKE else 256)
 stop = AnyOf((Designs(2 if SMOKE else 8), GainBelow(0.1)))
-settings = CampaignSettings(plan=Plan(repeats=1, noise=noise), policy=LearnPopulation(learner), learner=learner, stop=stop)
+settings = CampaignSettings(
+    plan=Plan(repeats=1, noise=noise), policy=LearnPopulation(learner), learner=learner, stop=stop
+)
 campaign = Campaign(HOME, wide_prior(["nhkv"]), simulator, settings=settings, seed=1)
 
 # %%
@@ -71,7 +84,9 @@ while not (reason := campaign.reason_to_stop()):
         f" ({found[name]['scatter'][0]:.2f} to {found[name]['scatter'][2]:.2f})"
         for name in MEDIAN
     ]
-    print(f"{number}. We {proposal.design[0]:.0f}, R_inf* {proposal.design[1]:.3f}: {'; '.join(words)}")
+    print(
+        f"{number}. We {proposal.design[0]:.0f}, R_inf* {proposal.design[1]:.3f}: {'; '.join(words)}"
+    )
 print(f"stop: {reason}")
 
 # %% [markdown]
@@ -89,7 +104,11 @@ for column, name in enumerate(MEDIAN):
         axes[row, column].fill_between(shots, low, high, color=PALE)
         axes[row, column].plot(shots, middle, "o-", color=MODEL, ms=4)
         axes[row, column].axhline(truth, color=TRUTH, ls="--")
-        label = f"median of {name} ({PARAMETERS[name].unit})" if what == "median" else f"scatter of ln {name}"
+        label = (
+            f"median of {name} ({PARAMETERS[name].unit})"
+            if what == "median"
+            else f"scatter of ln {name}"
+        )
         axes[row, column].set_ylabel(label)
     axes[1, column].set_xlabel("shots")
 
@@ -100,7 +119,9 @@ for column, name in enumerate(MEDIAN):
 # %%
 for name, entry in (history[-1][1] if history else {}).items():
     low, middle, high = entry["next_shot"]
-    print(f"{name} of the next shot: {middle:.3g} (90 %: {low:.3g} to {high:.3g}) {PARAMETERS[name].unit}")
+    print(
+        f"{name} of the next shot: {middle:.3g} (90 %: {low:.3g} to {high:.3g}) {PARAMETERS[name].unit}"
+    )
 
 # %% [markdown]
 # ## With your laboratory

@@ -23,15 +23,23 @@ measured = []
 with (FOLDER / "example_gel.csv").open("w", newline="") as stream:
     table = csv.writer(stream)
     table.writerow(["experiment_id", "time_s", "radius_m"])
-    for number, (max_radius, rest) in enumerate([(250e-6, 0.17), (300e-6, 0.21), (350e-6, 0.19), (400e-6, 0.23)], start=1):
+    for number, (max_radius, rest) in enumerate(
+        [(250e-6, 0.17), (300e-6, 0.21), (350e-6, 0.19), (400e-6, 0.23)], start=1
+    ):
         scale = float(surroundings.time_scale(max_radius))
         times = torch.arange(0.3e-6, 2.6 * scale, 1e-6, dtype=torch.float64)
         design = torch.tensor([surroundings.weber(max_radius), rest], dtype=torch.float64)
         solution = simulator(gel, design, times / scale)
         noise = 0.003 * torch.randn(len(times), generator=source, dtype=torch.float64)
-        for time, radius in zip(times.tolist(), (max_radius * (solution.radius + noise)).tolist(), strict=True):
+        for time, radius in zip(
+            times.tolist(), (max_radius * (solution.radius + noise)).tolist(), strict=True
+        ):
             table.writerow([f"shot_{number}", f"{time:.4e}", f"{radius:.5e}"])
         error = 1.0 + 0.01 * float(torch.randn((), generator=source, dtype=torch.float64))
-        entry = {"experiment_id": f"shot_{number}", "Rinf_m": error * rest * max_radius, "Rinf_settled": True}
+        entry = {
+            "experiment_id": f"shot_{number}",
+            "Rinf_m": error * rest * max_radius,
+            "Rinf_settled": True,
+        }
         measured.append(entry | {"Rinf_tail_std_m": 0.01 * rest * max_radius})
 write_json(FOLDER / "example_gel.json", {"material": "synthetic NHKV gel", "experiments": measured})

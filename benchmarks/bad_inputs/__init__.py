@@ -1,17 +1,21 @@
-"""Bad inputs as one set, through the command line: is each refused in one clear line, before any fit?
+"""Bad inputs as one set, through the command line: is each refused in one clear line, before any
+fit?
 
   python -m benchmarks.bad_inputs [--only TEXT] [--kind NAME] [--fuzz 40] [--json OUT]
 
-Every case is a command in a folder of its own, run in this process with all fits replaced by a stop. A case is
+Every case is a command in a folder of its own, run in this process with all fits replaced by a
+stop. A case is
 
-- handled, if it must be refused and ends with status 2 (1 for a target that cannot be written) and one line on standard error
-  that holds the name of the file, field or option; or if it must be warned of, reaches the fit, and the warning was printed;
+- handled, if it must be refused and ends with status 2 (1 for a target that cannot be written) and
+  one line on standard error that holds the name of the file, field or option; or if it must be
+  warned of, reaches the fit, and the warning was printed;
 - accepted, if it reached the fit or a result although it should have been refused or warned of;
 - a traceback, if anything but an error of the toolkit came out;
 - unclear, if it was refused in several lines, or without the name.
 
-Damaged files (bytes removed, changed or doubled, values of JSON replaced, with a fixed seed) may be accepted where what is
-left is a valid file; they may not end in a traceback, nor without the name of the file.
+Damaged files (bytes removed, changed or doubled, values of JSON replaced, with a fixed seed) may be
+accepted where what is left is a valid file; they may not end in a traceback, nor without the name
+of the file.
 """
 
 import contextlib
@@ -49,8 +53,27 @@ def prepared(folder: Path) -> None:
     good(folder)
     archive()(folder)
     write_json(folder / "belief.json", wide_prior(["nhkv", "gen_qkv"]).to_dict())
-    told = ["campaign", *MODELS, "--policy", "space-filling", "--repeats", "1", "--out", str(folder / "gel"), *QUICK]
-    fit = ["characterize", str(folder / "gel.csv"), *MODELS, "--noise", "published", *QUICK, "--json", str(folder / "fit.json")]
+    told = [
+        "campaign",
+        *MODELS,
+        "--policy",
+        "space-filling",
+        "--repeats",
+        "1",
+        "--out",
+        str(folder / "gel"),
+        *QUICK,
+    ]
+    fit = [
+        "characterize",
+        str(folder / "gel.csv"),
+        *MODELS,
+        "--noise",
+        "published",
+        *QUICK,
+        "--json",
+        str(folder / "fit.json"),
+    ]
     with mock.patch.object(campaign_command, "_figures"), mock.patch.dict(METHODS, SMALL):
         for arguments in (told, [*told, "--resume", "--tell", str(folder / "gel.csv")], fit):
             with contextlib.redirect_stdout(io.StringIO()):

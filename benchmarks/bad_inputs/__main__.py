@@ -15,10 +15,14 @@ from imr_torch.files import write_json
 
 def start() -> int:
     """Run the benchmark from the command line."""
-    parser = argparse.ArgumentParser(description=bad_inputs.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=bad_inputs.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--only", default="", help="cases whose name holds this")
     parser.add_argument("--kind", default="", help="cases of this kind")
-    parser.add_argument("--fuzz", type=int, default=40, help="damaged files of each kind (default 40)")
+    parser.add_argument(
+        "--fuzz", type=int, default=40, help="damaged files of each kind (default 40)"
+    )
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     torch.set_num_threads(1)
@@ -31,22 +35,33 @@ def start() -> int:
                 if found[-1].verdict != "handled":
                     last = found[-1]
                     print(
-                        f"{last.verdict}: {case.kind}: {case.name} ({last.seconds:.1f} s): {last.said.strip()[-300:]}",
+                        f"{last.verdict}: {case.kind}: {case.name} ({last.seconds:.1f} s): "
+                        f"{last.said.strip()[-300:]}",
                         flush=True,
                     )
     table_ = Counter((outcome.case.kind, outcome.verdict) for outcome in found)
     verdicts = ("handled", "accepted", "traceback", "unclear", "slow")
     print(f"{'kind':10s}" + "".join(f"{name:>11s}" for name in ("tried", *verdicts)))
     for kind in [*dict.fromkeys(outcome.case.kind for outcome in found), "all"]:
-        row = [sum(n for (k, v), n in table_.items() if kind in (k, "all") and v == name) for name in verdicts]
+        row = [
+            sum(n for (k, v), n in table_.items() if kind in (k, "all") and v == name)
+            for name in verdicts
+        ]
         print(f"{kind:10s}" + "".join(f"{n:11d}" for n in (sum(row), *row)))
     used = sum(outcome.case.damaged and outcome.reached for outcome in found)
     print(
-        f"{used} of {sum(outcome.case.damaged for outcome in found)} damaged files were used, what is left of them being valid"
+        f"{used} of {sum(outcome.case.damaged for outcome in found)} damaged files were used, "
+        "what is left of them being valid"
     )
     print(f"slowest {max((o.seconds for o in found), default=0.0):.1f} s")
     if args.json:
-        write_json(args.json, [{"kind": o.case.kind, "name": o.case.name, "verdict": o.verdict, "said": o.said} for o in found])
+        write_json(
+            args.json,
+            [
+                {"kind": o.case.kind, "name": o.case.name, "verdict": o.verdict, "said": o.said}
+                for o in found
+            ],
+        )
     return int(any(o.verdict != "handled" for o in found))
 
 

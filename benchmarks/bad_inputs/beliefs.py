@@ -13,7 +13,11 @@ def beliefs(belief: dict[str, Any]) -> Iterator[Case]:
     def case(name: str, content: Any) -> Case:
         text = content if isinstance(content, str) else json.dumps(content)
         return Case(
-            "belief", name, ("design", "--belief", "b.json", *QUICK), "b.json", lambda here: (here / "b.json").write_text(text)
+            "belief",
+            name,
+            ("design", "--belief", "b.json", *QUICK),
+            "b.json",
+            lambda here: (here / "b.json").write_text(text),
         )
 
     for name, text in {
@@ -33,7 +37,9 @@ def beliefs(belief: dict[str, Any]) -> Iterator[Case]:
             old = at(belief, path)
             if isinstance(old, str) and value == "x" and path[-1] not in ("model", "kind", "name"):
                 continue
-            if (old is None and value is None) or (path[0] == "log_probabilities" and value is None):  # null is none at all
+            if (old is None and value is None) or (
+                path[0] == "log_probabilities" and value is None
+            ):  # null is none at all
                 continue
             yield case(f"{'.'.join(map(str, path))} {value!r}", replaced(belief, path, value))
     for key in belief:

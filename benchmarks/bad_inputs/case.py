@@ -12,7 +12,8 @@ EXAMPLE = example_gel()
 QUICK = ("--physics", "polytropic", "--threads", "1", "--quiet")
 MODELS = ("--models", "nhkv")
 FIT = ("characterize", "gel.csv", *MODELS, *QUICK)
-NAN, INF = float("nan"), float("inf")
+NAN = float("nan")
+INF = float("inf")
 
 
 @dataclass(frozen=True)
@@ -52,17 +53,32 @@ def text_of(rows: Sequence[Sequence[str]]) -> str:
 
 def beside(**more: Any) -> dict[str, Any]:
     """The JSON file beside the example's first curve."""
-    entry = {"experiment_id": "shot_1", "Rinf_m": 4.255438378704616e-05, "Rinf_settled": True, "Rinf_tail_std_m": 4.25e-07}
+    entry = {
+        "experiment_id": "shot_1",
+        "Rinf_m": 4.255438378704616e-05,
+        "Rinf_settled": True,
+        "Rinf_tail_std_m": 4.25e-07,
+    }
     return {"experiments": [entry | more]}
 
 
-def table(content: str | bytes, name: str = "gel.csv", sidecar: Any = None) -> Callable[[Path], object]:
-    """Writes a table, and the JSON file beside it (that of the example when None, none when ``False``)."""
+def table(
+    content: str | bytes, name: str = "gel.csv", sidecar: Any = None
+) -> Callable[[Path], object]:
+    """Writes a table, and the JSON file beside it (that of the example when None, none when
+    ``False``).
+    """
 
     def make(here: Path) -> None:
         (here / name).write_bytes(content if isinstance(content, bytes) else content.encode())
         if sidecar is not False:
-            text = json.dumps(beside()) if sidecar is None else sidecar if isinstance(sidecar, str) else json.dumps(sidecar)
+            text = (
+                json.dumps(beside())
+                if sidecar is None
+                else sidecar
+                if isinstance(sidecar, str)
+                else json.dumps(sidecar)
+            )
             (here / name).with_suffix(".json").write_text(text)
 
     return make
@@ -72,7 +88,9 @@ def good(here: Path) -> None:
     table(text_of(example()))(here)
 
 
-def changed(change: Callable[[list[list[str]]], Any], sidecar: Any = None) -> Callable[[Path], object]:
+def changed(
+    change: Callable[[list[list[str]]], Any], sidecar: Any = None
+) -> Callable[[Path], object]:
     """The example after a change of its rows."""
     rows = example()
     result = change(rows)

@@ -5,13 +5,25 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from benchmarks.bad_inputs.case import FIT, Case, beside, cell, changed, example, scaled, table, text_of
+from benchmarks.bad_inputs.case import (
+    FIT,
+    Case,
+    beside,
+    cell,
+    changed,
+    example,
+    scaled,
+    table,
+    text_of,
+)
 
 
 def tables() -> Iterator[Case]:
     """Tables of one curve."""
 
-    def case(name: str, make: Callable[[Path], object], about: str = "gel.csv", **more: Any) -> Case:
+    def case(
+        name: str, make: Callable[[Path], object], about: str = "gel.csv", **more: Any
+    ) -> Case:
         return Case("table", name, FIT, about, make, **more)
 
     texts: dict[str, str | bytes] = {
@@ -37,8 +49,10 @@ def tables() -> Iterator[Case]:
         "columns swapped in the header": "experiment_id,radius_m,time_s\n" + text_of(example()[1:]),
         "two columns named alike": "experiment_id,time_s,radius_m,radius_m\n"
         + "".join(f"a,{i}e-6,1e-4,1e-4\n" for i in range(9)),
-        "time twice": "time_s,time_s,radius_m\n" + "".join(f"{i}e-6,{i}e-6,1e-4\n" for i in range(9)),
-        "radius and diameter": "t (us),R (um),D (um)\n" + "".join(f"{i},{250 - i},{500 - 2 * i}\n" for i in range(9)),
+        "time twice": "time_s,time_s,radius_m\n"
+        + "".join(f"{i}e-6,{i}e-6,1e-4\n" for i in range(9)),
+        "radius and diameter": "t (us),R (um),D (um)\n"
+        + "".join(f"{i},{250 - i},{500 - 2 * i}\n" for i in range(9)),
         "area": "t (us),area (um^2)\n" + "".join(f"{i},{250 - i}\n" for i in range(9)),
         "unknown unit": "t (fortnights),R (um)\n" + "".join(f"{i},{250 - i}\n" for i in range(9)),
         "a million columns": ",".join(f"c{i}" for i in range(200_000)) + "\n",
@@ -48,15 +62,32 @@ def tables() -> Iterator[Case]:
         "latin-1": text_of(example()).replace("shot_1", "schu\xdf").encode("latin-1"),
         "old Mac lines with blanks": text_of(example()).replace("\n", "\r\r"),
         "tabs in half of the rows": "".join(
-            line.replace(",", "\t") if i % 2 else line for i, line in enumerate(text_of(example()).splitlines(keepends=True))
+            line.replace(",", "\t") if i % 2 else line
+            for i, line in enumerate(text_of(example()).splitlines(keepends=True))
         ),
         "rows of two lengths": text_of(example()) + "shot_1,1,2,3\n",
-        "a zero byte inside": text_of(example()).encode().replace(b"2.49666e-04", b"2.49\x00666e-04"),
+        "a zero byte inside": text_of(example())
+        .encode()
+        .replace(b"2.49666e-04", b"2.49\x00666e-04"),
     }
     allowed = {"old Mac lines with blanks", "latin-1"}
     for name, content in texts.items():
         yield case(name, table(content), damaged=name in allowed)
-    values = ("nan?", "1e", "1,5", "0x1F", "1e400", "-1e400", "inf", "-inf", "None", "#REF!", "=1+1", "1_0e-5", "٣")
+    values = (
+        "nan?",
+        "1e",
+        "1,5",
+        "0x1F",
+        "1e400",
+        "-1e400",
+        "inf",
+        "-inf",
+        "None",
+        "#REF!",
+        "=1+1",
+        "1_0e-5",
+        "٣",
+    )
     for value in values:
         yield case(f"radius {value}", cell(10, 2, value))
     for value in ("inf", "-1", "1e400", "12:00", "2026-01-01", "0x10", "1e-6s"):
@@ -78,26 +109,49 @@ def tables() -> Iterator[Case]:
     yield case("all radii the same", rows(lambda r: [r[0], *[[x[0], x[1], "2e-4"] for x in r[1:]]]))
     yield case("all radii zero", rows(lambda r: [r[0], *[[x[0], x[1], "0"] for x in r[1:]]]))
     yield case("all radii missing", rows(lambda r: [r[0], *[[x[0], x[1], "nan"] for x in r[1:]]]))
-    yield case("only growth", rows(lambda r: [r[0], *[[x[0], x[1], repr(1e-5 * (i + 3))] for i, x in enumerate(r[1:])]]))
-    yield case("rising for ever", rows(lambda r: [r[0], *[[x[0], x[1], repr(1e-4 + 1e-6 * i)] for i, x in enumerate(r[1:])]]))
+    yield case(
+        "only growth",
+        rows(lambda r: [r[0], *[[x[0], x[1], repr(1e-5 * (i + 3))] for i, x in enumerate(r[1:])]]),
+    )
+    yield case(
+        "rising for ever",
+        rows(lambda r: [r[0], *[[x[0], x[1], repr(1e-4 + 1e-6 * i)] for i, x in enumerate(r[1:])]]),
+    )
     yield case("one frame ten times as large", cell(30, 2, "2.5e-3"))
     yield case("one frame twice as large", cell(30, 2, "5e-4"))
     yield case(
         "every second radius negative",
-        rows(lambda r: [r[0], *[[x[0], x[1], ("-" if i % 2 else "") + x[2]] for i, x in enumerate(r[1:])]]),
+        rows(
+            lambda r: [
+                r[0],
+                *[[x[0], x[1], ("-" if i % 2 else "") + x[2]] for i, x in enumerate(r[1:])],
+            ]
+        ),
     )
     yield case(
         "noise alone",
-        rows(lambda r: [r[0], *[[x[0], x[1], repr(1e-4 * (1 + random.Random(i).random()))] for i, x in enumerate(r[1:])]]),
+        rows(
+            lambda r: [
+                r[0],
+                *[
+                    [x[0], x[1], repr(1e-4 * (1 + random.Random(i).random()))]
+                    for i, x in enumerate(r[1:])
+                ],
+            ]
+        ),
     )
     no_rest = {"experiments": [{"experiment_id": "shot_1"}]}
-    yield case("no rest radius in a short record", changed(lambda r: r[:24], sidecar=no_rest), about="gel")
+    yield case(
+        "no rest radius in a short record", changed(lambda r: r[:24], sidecar=no_rest), about="gel"
+    )
     yield case("some frames missing", cell(10, 2, "nan"), warned="row(s) 11")
     yield case("lost frames as empty", cell(10, 2, ""), warned="row(s) 11")
     yield case("Windows lines", table(text_of(example()).replace("\n", "\r\n")), warned="shot_1")
     yield case("mark before the header", table("\ufeff" + text_of(example())), warned="shot_1")
     yield case("UTF-16", table(text_of(example()).encode("utf-16")), warned="shot_1")
-    yield case("quoted ids", table(text_of(example()).replace("shot_1", '"shot_1"')), warned="shot_1")
+    yield case(
+        "quoted ids", table(text_of(example()).replace("shot_1", '"shot_1"')), warned="shot_1"
+    )
 
 
 def scales() -> Iterator[Case]:
@@ -106,14 +160,33 @@ def scales() -> Iterator[Case]:
     def case(name: str, make: Callable[[Path], object], about: str = "shot_1", **more: Any) -> Case:
         return Case("scale", name, FIT, about, make, **more)
 
-    for name, factor in (("um", 1e6), ("mm", 1e3), ("cm", 1e2), ("nm", 1e9), ("tenth", 0.1), ("hundredth", 0.01)):
+    for name, factor in (
+        ("um", 1e6),
+        ("mm", 1e3),
+        ("cm", 1e2),
+        ("nm", 1e9),
+        ("tenth", 0.1),
+        ("hundredth", 0.01),
+    ):
         yield case(f"radius in {name}", scaled(2, factor))
-    for name, factor in (("ms", 1e3), ("us", 1e6), ("ns", 1e9), ("ten times", 10.0), ("a tenth", 0.1), ("hundredth", 0.01)):
+    for name, factor in (
+        ("ms", 1e3),
+        ("us", 1e6),
+        ("ns", 1e9),
+        ("ten times", 10.0),
+        ("a tenth", 0.1),
+        ("hundredth", 0.01),
+    ):
         yield case(f"time in {name}", scaled(1, factor))
     yield case("diameters", scaled(2, 2.0, sidecar=beside(Rinf_m=8.5e-5)), warned="aution")
     yield case(
         "both in um and us",
-        changed(lambda r: [r[0], *[[x[0], repr(1e6 * float(x[1])), repr(1e6 * float(x[2]))] for x in r[1:]]]),
+        changed(
+            lambda r: [
+                r[0],
+                *[[x[0], repr(1e6 * float(x[1])), repr(1e6 * float(x[2]))] for x in r[1:]],
+            ]
+        ),
     )
     yield case("time negative", scaled(1, -1.0))
     yield case("shifted by half a record", changed(lambda r: [r[0], *r[40:]]), warned="aution")
@@ -123,4 +196,7 @@ def scales() -> Iterator[Case]:
         ("Rinf_m", 3e-4), ("Rmax_sd_m", -1e-6), ("Rinf_sd_m", -1e-6), ("Rmax_sd_m", 1.0), ("Rinf_sd_m", 1.0),
         ("Rinf_sd_m", 1e-2), ("t_Rmax_s", 1.0), ("t_Rmax_s", 5e-5), ("t_Rmax_s", 2e-5), ("t_Rmax_s", -1e-3),
     ):  # fmt: skip
-        yield case(f"stated {field_} {value:g}", table(text_of(example()), sidecar=beside(**{field_: value})))
+        yield case(
+            f"stated {field_} {value:g}",
+            table(text_of(example()), sidecar=beside(**{field_: value})),
+        )

@@ -11,13 +11,22 @@ from benchmarks.bad_inputs.case import FIT, MODELS, QUICK, Case
 def damage(content: bytes, source: random.Random) -> bytes:
     """A file after one random accident."""
     size = len(content)
-    place, length = source.randrange(size), source.randrange(1, 40)
+    place = source.randrange(size)
+    length = source.randrange(1, 40)
     kinds: list[Callable[[], bytes]] = [
         lambda: content[:place],
         lambda: content[place:],
         lambda: content[:place] + content[place + length :],
-        lambda: content[:place] + bytes(source.randrange(256) for _ in range(length)) + content[place + length :],
-        lambda: content[:place] + bytes([content[place] ^ (1 << source.randrange(8))]) + content[place + 1 :],
+        lambda: (
+            content[:place]
+            + bytes(source.randrange(256) for _ in range(length))
+            + content[place + length :]
+        ),
+        lambda: (
+            content[:place]
+            + bytes([content[place] ^ (1 << source.randrange(8))])
+            + content[place + 1 :]
+        ),
         lambda: content[: place + length] + content[place:],
         lambda: (
             content[:place]
@@ -50,7 +59,18 @@ def damage(content: bytes, source: random.Random) -> bytes:
 
 def damaged(folder: Path, count: int) -> Iterator[Case]:
     """``count`` accidents of each kind of file; ``folder`` holds good ones."""
-    campaign = ("campaign", *MODELS, "--policy", "space-filling", "--repeats", "1", "--out", "{here}/gel", "--resume", *QUICK)
+    campaign = (
+        "campaign",
+        *MODELS,
+        "--policy",
+        "space-filling",
+        "--repeats",
+        "1",
+        "--out",
+        "{here}/gel",
+        "--resume",
+        *QUICK,
+    )
     kinds: dict[str, tuple[tuple[str, ...], str, str]] = {
         "table": (FIT, "gel.csv", ""),
         "sidecar": (FIT, "gel.json", "gel"),
@@ -60,10 +80,15 @@ def damaged(folder: Path, count: int) -> Iterator[Case]:
         "head": (campaign, "gel/journal.head", "journal"),
         "curve": (campaign, "gel/experiment_001.npz", "experiment_001"),
         "compare": (("compare", "fit.json", "other.json", "--quiet"), "fit.json", ""),
-        "plot": (("plot", "fit.json", "--out", "{here}/figures", "--format", "png", "--quiet"), "fit.json", ""),
+        "plot": (
+            ("plot", "fit.json", "--out", "{here}/figures", "--format", "png", "--quiet"),
+            "fit.json",
+            "",
+        ),
     }
     for kind, (arguments, name, about) in kinds.items():
-        source, content = random.Random(kind), (folder / name).read_bytes()
+        source = random.Random(kind)
+        content = (folder / name).read_bytes()
         for number in range(count if kind != "plot" else count // 4):
             new = damage(content, source)
 
@@ -71,4 +96,11 @@ def damaged(folder: Path, count: int) -> Iterator[Case]:
                 shutil.copytree(folder, here, dirs_exist_ok=True)
                 (here / name).write_bytes(new)
 
-            yield Case("damaged", f"{kind} {number}", arguments, about or Path(name).name, make, damaged=True)
+            yield Case(
+                "damaged",
+                f"{kind} {number}",
+                arguments,
+                about or Path(name).name,
+                make,
+                damaged=True,
+            )

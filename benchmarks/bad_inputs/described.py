@@ -53,7 +53,9 @@ def sidecars() -> Iterator[Case]:
 
 def layouts() -> Iterator[Case]:
     """The option --layout."""
-    plain = "t,R\n" + "".join(f"{float(r[1]) * 1e6!r},{float(r[2]) * 1e6!r}\n" for r in example()[1:])
+    plain = "t,R\n" + "".join(
+        f"{float(r[1]) * 1e6!r},{float(r[2]) * 1e6!r}\n" for r in example()[1:]
+    )
     alone = {"Rinf_m": 4.25e-5, "Rinf_settled": True}
     for text, about in {
         "": "layout", ",": "layout", "radius": "layout", "radius=": "layout", "=R": "layout", "radius=R": "layout",
@@ -74,4 +76,6 @@ def layouts() -> Iterator[Case]:
         "radius=R,radius_unit=um,time=t,time_unit=us,inserted_peak=no": "inserted_peak",
         "radius=*,radius_unit=um,time=t,time_unit=us,experiment=R": "radius=*",
     }.items():  # fmt: skip
-        yield Case("layout", text or "empty", (*FIT, "--layout", text), about, table(plain, sidecar=alone))
+        yield Case(
+            "layout", text or "empty", (*FIT, "--layout", text), about, table(plain, sidecar=alone)
+        )

@@ -22,8 +22,14 @@ def results(result: Path) -> Iterator[Case]:
             shutil.copy(result, here / "b.json")
 
         page = () if name == "each" else ("--html", "{here}/page.html")
-        files = ("a.json", "--out", "{here}/figures", *page) if command == "plot" else ("a.json", "b.json")
-        return Case("result", f"{command} {name}", (command, *files, "--quiet"), "a.json", make, **more)
+        files = (
+            ("a.json", "--out", "{here}/figures", *page)
+            if command == "plot"
+            else ("a.json", "b.json")
+        )
+        return Case(
+            "result", f"{command} {name}", (command, *files, "--quiet"), "a.json", make, **more
+        )
 
     for command in ("plot", "compare"):
         for name, text in {
@@ -48,12 +54,18 @@ def results(result: Path) -> Iterator[Case]:
                 yield case(command, f"{key} {value!r}", document | {key: value})
         yield case(command, "each", {"schema": document["schema"], "each": {"a": 5}})
     yield case("plot", "version 99", document | {"schema": document["schema"] | {"version": 99}})
-    yield case("plot", "version a text", document | {"schema": document["schema"] | {"version": "1"}})
+    yield case(
+        "plot", "version a text", document | {"schema": document["schema"] | {"version": "1"}}
+    )
     curve = document["curves"][0]
     for key in curve:
         if key in ("We", "R_inf*", "R_inf_m", "source", "time_of_max_s"):
             continue
-        yield case("plot", f"curve without {key}", document | {"curves": [{k: v for k, v in curve.items() if k != key}]})
+        yield case(
+            "plot",
+            f"curve without {key}",
+            document | {"curves": [{k: v for k, v in curve.items() if k != key}]},
+        )
         yield case("plot", f"curve {key} null", document | {"curves": [curve | {key: None}]})
     yield case(
         "plot",
@@ -62,16 +74,27 @@ def results(result: Path) -> Iterator[Case]:
     )
     key = next(iter(document["models"]))
     names = list(document["models"][key]["intervals"])
-    part = {"values": [1.0, 2.0, 3.0], "nats_lost": [1.0, 0.0, 1.0], "converged": [True] * 3, "limits_95": [None, 2.5]}
+    part = {
+        "values": [1.0, 2.0, 3.0],
+        "nats_lost": [1.0, 0.0, 1.0],
+        "converged": [True] * 3,
+        "limits_95": [None, 2.5],
+    }
     part |= {"bounded": "from above"}
     for name, profiles in {
         "a number": 5,
         "of another model": {"qkv": {}},
         "of numbers": {key: 5},
         "of another parameter": {key: {"tau": part}},
-        **{f"without {x}": {key: {names[0]: {k: v for k, v in part.items() if k != x}}} for x in part},
+        **{
+            f"without {x}": {key: {names[0]: {k: v for k, v in part.items() if k != x}}}
+            for x in part
+        },
         **{f"{x} null": {key: {names[0]: part | {x: None}}} for x in part},
-        **{f"{x} shorter": {key: {names[0]: part | {x: part[x][:2]}}} for x in ("values", "nats_lost", "converged")},
+        **{
+            f"{x} shorter": {key: {names[0]: part | {x: part[x][:2]}}}
+            for x in ("values", "nats_lost", "converged")
+        },
         "values texts": {key: {names[0]: part | {"values": ["a", "b", "c"]}}},
         "no values": {key: {names[0]: part | {"values": [], "nats_lost": [], "converged": []}}},
         "three limits": {key: {names[0]: part | {"limits_95": [1.0, 2.0, 3.0]}}},

@@ -14,11 +14,26 @@ from imr_torch.campaign import Journal
 
 def journals(whole: Path) -> Iterator[Case]:
     """Folders of campaigns; ``whole`` is a good one."""
-    base = ("campaign", *MODELS, "--policy", "space-filling", "--repeats", "1", "--out", "{here}/gel", "--resume", *QUICK)
+    base = (
+        "campaign",
+        *MODELS,
+        "--policy",
+        "space-filling",
+        "--repeats",
+        "1",
+        "--out",
+        "{here}/gel",
+        "--resume",
+        *QUICK,
+    )
     lines = (whole / "journal.jsonl").read_bytes().splitlines(keepends=True)
 
     def case(
-        name: str, change: Callable[[Path], object], about: str = "journal", arguments: tuple[str, ...] = base, **more: Any
+        name: str,
+        change: Callable[[Path], object],
+        about: str = "journal",
+        arguments: tuple[str, ...] = base,
+        **more: Any,
     ) -> Case:
         def make(here: Path) -> None:
             shutil.copytree(whole, here / "gel")
@@ -33,10 +48,14 @@ def journals(whole: Path) -> Iterator[Case]:
     for number in range(len(lines)):
         others = lines[:number] + lines[number + 1 :]
         yield case(f"without line {number + 1}", content("journal.jsonl", b"".join(others)))
-        yield case(f"line {number + 1} twice", content("journal.jsonl", b"".join(lines[: number + 1] + lines[number:])))
+        yield case(
+            f"line {number + 1} twice",
+            content("journal.jsonl", b"".join(lines[: number + 1] + lines[number:])),
+        )
         edited = lines[number].replace(b'"event"', b'"Event"', 1)
         yield case(
-            f"line {number + 1} edited", content("journal.jsonl", b"".join([*lines[:number], edited, *lines[number + 1 :]]))
+            f"line {number + 1} edited",
+            content("journal.jsonl", b"".join([*lines[:number], edited, *lines[number + 1 :]])),
         )
         for text in (
             b"5\n",
@@ -60,7 +79,9 @@ def journals(whole: Path) -> Iterator[Case]:
     yield case("empty journal", content("journal.jsonl", b""))
     yield case("no journal", lambda gel: (gel / "journal.jsonl").unlink())
     yield case(
-        "journal a folder", lambda gel: ((gel / "journal.jsonl").unlink(), (gel / "journal.jsonl").mkdir()), status=(1, 2)
+        "journal a folder",
+        lambda gel: ((gel / "journal.jsonl").unlink(), (gel / "journal.jsonl").mkdir()),
+        status=(1, 2),
     )
     for text in (
         b"",
@@ -79,17 +100,32 @@ def journals(whole: Path) -> Iterator[Case]:
     yield case("curve removed", lambda gel: (gel / curve).unlink(), about=curve)
     yield case("curve empty", content(curve, b""), about=curve)
     yield case("curve cut", content(curve, (whole / curve).read_bytes()[:100]), about=curve)
-    yield case("curve another", lambda gel: np.savez(gel / curve, times=[0.0], radius=[[1.0]]), about=curve)
-    yield case("not resumed", lambda gel: None, "--resume", tuple(x for x in base if x != "--resume"))
+    yield case(
+        "curve another", lambda gel: np.savez(gel / curve, times=[0.0], radius=[[1.0]]), about=curve
+    )
+    yield case(
+        "not resumed", lambda gel: None, "--resume", tuple(x for x in base if x != "--resume")
+    )
     yield case("another seed", lambda gel: None, arguments=(*base, "--seed", "3"))
-    yield case("another model", lambda gel: None, arguments=tuple(x.replace("nhkv", "newtonian") for x in base))
+    yield case(
+        "another model",
+        lambda gel: None,
+        arguments=tuple(x.replace("nhkv", "newtonian") for x in base),
+    )
     yield case("told again", lambda gel: None, arguments=(*base, "--tell", "gel.csv"))
     for number in ("0", "-1", "99"):
-        yield case(f"forget {number}", lambda gel: None, f"experiment {number}", (*base, "--forget", number))
+        yield case(
+            f"forget {number}",
+            lambda gel: None,
+            f"experiment {number}",
+            (*base, "--forget", number),
+        )
     events = Journal(whole).events
     for number, event in enumerate(events):
         for path in leaves(event):
-            if path[0] == "event" or (number == 0 and path[0] in ("prior", "settings", "note", "simulator")):
+            if path[0] == "event" or (
+                number == 0 and path[0] in ("prior", "settings", "note", "simulator")
+            ):
                 continue
             for value in (None, "x", [], -7):
                 old = at(event, path)
@@ -129,4 +165,6 @@ def rewrite(folder: Path, events: Sequence[dict[str, Any]]) -> None:
         (folder / name).unlink()
     journal = Journal(folder)
     for event in events:
-        journal.append(event["event"], **{key: value for key, value in event.items() if key != "event"})
+        journal.append(
+            event["event"], **{key: value for key, value in event.items() if key != "event"}
+        )

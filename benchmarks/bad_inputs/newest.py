@@ -7,7 +7,11 @@ from benchmarks.bad_inputs.case import MODELS, QUICK, Case, example, good, table
 
 TIMED = ("characterize", "times.csv", *MODELS, *QUICK)
 HEAD = "experiment_id,rmax_m,stretch,collapse_time_s"
-ROWS = (("a", "2.5e-4", "5.0", "2.45e-5"), ("b", "3.0e-4", "6.0", "2.9e-5"), ("c", "2.0e-4", "5.5", "1.95e-5"))
+ROWS = (
+    ("a", "2.5e-4", "5.0", "2.45e-5"),
+    ("b", "3.0e-4", "6.0", "2.9e-5"),
+    ("c", "2.0e-4", "5.5", "1.95e-5"),
+)
 
 
 def newest() -> Iterator[Case]:
@@ -56,8 +60,18 @@ def asked_of_fits() -> Iterator[Case]:
         yield Case("new", f"characterize {' '.join(words)}", (*plain, *words), about, good)
 
     for scale in ("0", "-1", "nan", "inf"):
-        words = ("characterize", "two.csv", *MODELS, "--population", f"--scatter-scale={scale}", "--rest-radius=.2:.01", *QUICK)
-        make = lambda here: table(text_of(example(("shot_1", "shot_2"))), "two.csv", sidecar=False)(here)  # noqa: E731
+        words = (
+            "characterize",
+            "two.csv",
+            *MODELS,
+            "--population",
+            f"--scatter-scale={scale}",
+            "--rest-radius=.2:.01",
+            *QUICK,
+        )
+        make = lambda here: table(text_of(example(("shot_1", "shot_2"))), "two.csv", sidecar=False)(  # noqa: E731
+            here
+        )
         yield Case("new", f"--scatter-scale={scale}", words, "scatter_scale", make)
 
 
@@ -85,7 +99,10 @@ def hunts() -> Iterator[Case]:
     }.items():  # fmt: skip
         yield Case("new", f"campaign --goal=population {' '.join(words)}", (*base, *words), about)
     yield Case(
-        "new", "--stop=cause for a gel", ("campaign", *MODELS, "--out", "{here}/gel", *QUICK, "--stop=cause=.9"), "cause"
+        "new",
+        "--stop=cause for a gel",
+        ("campaign", *MODELS, "--out", "{here}/gel", *QUICK, "--stop=cause=.9"),
+        "cause",
     )
 
 
@@ -108,7 +125,13 @@ def times() -> Iterator[Case]:
         3: ("", "nan", "inf", "0", "-2e-5", "x", "24.5", "2.45e-2", "2.45e-8", "2.45e-4", "1e-400"),
     }.items():
         for value in values:
-            yield Case("new", f"times {HEAD.split(',')[column]} {value!r}", TIMED, "times.csv", changed(0, column, value))
+            yield Case(
+                "new",
+                f"times {HEAD.split(',')[column]} {value!r}",
+                TIMED,
+                "times.csv",
+                changed(0, column, value),
+            )
     for error, values in {
         "collapse_time_sd_s": ("-1e-8", "nan", "x", "inf", "1", "0"),
         "rmax_sd_m": ("-1e-6", "nan", "x", "1"),
@@ -137,15 +160,37 @@ def times() -> Iterator[Case]:
         ("batch", "times.csv", "--out", "{here}/out", "--workers", "1", *QUICK),
         ("campaign", *MODELS, "--out", "{here}/gel", "--tell", "times.csv", *QUICK),
     ):
-        yield Case("new", f"times for {words[0]}", words, "shots" if words[0] == "batch" else "times", whole)
+        yield Case(
+            "new",
+            f"times for {words[0]}",
+            words,
+            "shots" if words[0] == "batch" else "times",
+            whole,
+        )
 
     def both(here: Path) -> None:
         good(here)
         written([HEAD, "shot_1,2.5e-4,5.0,2.45e-5"])(here)
 
-    yield Case("new", "times of a curve", ("characterize", "gel.csv", "times.csv", *MODELS, *QUICK), "shot_1", both)
-    yield Case("new", "--layout of times", (*TIMED, "--layout=radius=R,radius_unit=um,time=t,time_unit=us"), "--layout", whole)
-    yield Case("new", "--rest-radius of times", (*TIMED, "--rest-radius=.2:.1"), "--rest-radius", whole)
+    yield Case(
+        "new",
+        "times of a curve",
+        ("characterize", "gel.csv", "times.csv", *MODELS, *QUICK),
+        "shot_1",
+        both,
+    )
+    yield Case(
+        "new",
+        "--layout of times",
+        (*TIMED, "--layout=radius=R,radius_unit=um,time=t,time_unit=us"),
+        "--layout",
+        whole,
+    )
+    yield Case(
+        "new", "--rest-radius of times", (*TIMED, "--rest-radius=.2:.1"), "--rest-radius", whole
+    )
     yield Case("new", "--collapses of times", (*TIMED, "--collapses=1"), "--collapses", whole)
     yield Case("new", "--frames of times", (*TIMED, "--frames=robust"), "--frames", whole)
-    yield Case("new", "--json over the times", (*TIMED, "--json", "{here}/times.csv"), "--json", whole)
+    yield Case(
+        "new", "--json over the times", (*TIMED, "--json", "{here}/times.csv"), "--json", whole
+    )

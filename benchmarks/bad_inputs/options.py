@@ -24,7 +24,13 @@ def options() -> Iterator[Case]:
         (("--each", "--html=x.html"), "--html"),
         (("--each", "--scores"), "--scores"),
     ):
-        yield Case("option", f"characterize {' '.join(pair)}", ("characterize", "gel.csv", *QUICK, *pair), about, good)
+        yield Case(
+            "option",
+            f"characterize {' '.join(pair)}",
+            ("characterize", "gel.csv", *QUICK, *pair),
+            about,
+            good,
+        )
     for files, about in (
         (("none.csv",), "none.csv"),
         (("gel.csv", "gel.csv"), "shot_1"),
@@ -34,7 +40,13 @@ def options() -> Iterator[Case]:
         ((), "FILE"),
     ):
         make = lambda here: (good(here), (here / "empty").mkdir())  # noqa: E731
-        yield Case("option", f"characterize files {files}", ("characterize", *files, *MODELS, *QUICK), about, make)
+        yield Case(
+            "option",
+            f"characterize files {files}",
+            ("characterize", *files, *MODELS, *QUICK),
+            about,
+            make,
+        )
     simulated: dict[str, str] = {
         "--set=": "--set", "--set=G=1": "--set", "--set=G=1,mu=x": "mu", "--set=G=1,mu=-1": "mu", "--set=G=nan,mu=0.1": "G", "--set=G=1,mu=0.1,tau=1": "--set", "--set=G=1,G=8310,mu=.1": "G", "--set=G=inf,mu=.1": "G",
         "--model=x": "model", "--we=0": "--we", "--we=-1": "--we", "--we=nan": "--we", "--we=inf": "--we", "--we=1e30": "--we", "--we=x": "--we", "--rinf=0": "R_inf", "--rinf=1": "R_inf", "--rinf=2": "R_inf", "--rinf=-0.1": "R_inf",
@@ -42,7 +54,12 @@ def options() -> Iterator[Case]:
         "--frames=-5": "--frames", "--frames=10000000000": "--frames", "--frames=x": "--frames", "--accuracy=x": "--accuracy", "--threads=0": "--threads",
     }  # fmt: skip
     for option, about in simulated.items():
-        yield Case("option", f"simulate {option}", ("simulate", "--set", "G=8310,mu=0.093", *QUICK, option), about)
+        yield Case(
+            "option",
+            f"simulate {option}",
+            ("simulate", "--set", "G=8310,mu=0.093", *QUICK, option),
+            about,
+        )
     searched: dict[str, str] = {
         "--we-range=": "--we-range", "--we-range=100": "--we-range", "--we-range=1000:100": "--we-range", "--we-range=100:100": "--we-range", "--we-range=-1:100": "--we-range", "--we-range=0:100": "--we-range", "--we-range=nan:100": "--we-range", "--we-range=1:inf": "--we-range",
         "--rinf-range=0.3:0.1": "--rinf-range", "--rinf-range=0:0.3": "--rinf-range", "--rinf-range=0.1:1.5": "--rinf-range", "--rinf-range=a:b": "--rinf-range", "--repeats=0": "repeats", "--repeats=-1": "repeats", "--repeats=x": "--repeats", "--evaluations=0": "evaluations",
@@ -50,7 +67,12 @@ def options() -> Iterator[Case]:
     }  # fmt: skip
     for option, about in searched.items():
         yield Case("option", f"design {option}", ("design", *MODELS, *QUICK, option), about)
-        yield Case("option", f"campaign {option}", ("campaign", *MODELS, "--out", "{here}/gel", *QUICK, option), about)
+        yield Case(
+            "option",
+            f"campaign {option}",
+            ("campaign", *MODELS, "--out", "{here}/gel", *QUICK, option),
+            about,
+        )
     only_design = {
         "--draws=0": "draws",
         "--draws=-1": "draws",
@@ -68,7 +90,12 @@ def options() -> Iterator[Case]:
         "--tell=none.csv": "none.csv", "--rest-radius=0.2:0.1": "--rest-radius", "--layout=radius=R": "--layout", "--layout=": "--layout",
     }  # fmt: skip
     for option, about in runs.items():
-        yield Case("option", f"campaign {option}", ("campaign", *MODELS, "--out", "{here}/gel", *QUICK, option), about)
+        yield Case(
+            "option",
+            f"campaign {option}",
+            ("campaign", *MODELS, "--out", "{here}/gel", *QUICK, option),
+            about,
+        )
     yield Case(
         "option",
         "simulate --rinf=1e-9",
@@ -76,7 +103,9 @@ def options() -> Iterator[Case]:
         "steps",
         status=(1, 2),
     )
-    yield Case("option", "design --belief=none.json", ("design", *QUICK, "--belief=none.json"), "none.json")
+    yield Case(
+        "option", "design --belief=none.json", ("design", *QUICK, "--belief=none.json"), "none.json"
+    )
     yield Case("option", "campaign without --out", ("campaign", *MODELS, *QUICK), "--out")
     yield Case(
         "option",
@@ -92,7 +121,10 @@ def options() -> Iterator[Case]:
     }  # fmt: skip
     for options, about in hunts.items():
         yield Case(
-            "option", f"campaign {' '.join(options)}", ("campaign", *MODELS, "--out", "{here}/gel", *QUICK, *options), about
+            "option",
+            f"campaign {' '.join(options)}",
+            ("campaign", *MODELS, "--out", "{here}/gel", *QUICK, *options),
+            about,
         )
     for hidden, about in {
         "": "--hide",
@@ -101,12 +133,31 @@ def options() -> Iterator[Case]:
         "sound_speed=x": "--hide",
         "sound_speed=-9": "sound_speed",
     }.items():
-        words = ("campaign", "--goal=cause", "--case=soft-pa", f"--hide={hidden}", "--out", "{here}/gel", *QUICK)
+        words = (
+            "campaign",
+            "--goal=cause",
+            "--case=soft-pa",
+            f"--hide={hidden}",
+            "--out",
+            "{here}/gel",
+            *QUICK,
+        )
         yield Case("option", f"campaign --hide={hidden}", words, about)
     yield Case(
         "option",
         "campaign more designs than listed",
-        ("campaign", "--case", "soft-pa", "--out", "{here}/gel", *QUICK, "--policy", "400:.2", "--designs", "3"),
+        (
+            "campaign",
+            "--case",
+            "soft-pa",
+            "--out",
+            "{here}/gel",
+            *QUICK,
+            "--policy",
+            "400:.2",
+            "--designs",
+            "3",
+        ),
         "--policy",
     )
     looked: dict[str, str] = {
@@ -114,7 +165,9 @@ def options() -> Iterator[Case]:
         "--heldout=none": "none", "--heldout=shot_1": "--heldout", "--experiments=none": "none", "--experiments=": "--experiments", "--collapses=0": "ollapses", "--rest-radius=1:1": "--rest-radius", "--noise=x": "--noise", "--workers=0": "--workers", "--layout=radius": "radius", "--html=": "--html", "--seed=-1": "--seed",
     }  # fmt: skip
     for option, about in looked.items():
-        yield Case("option", f"diagnose {option}", ("diagnose", "gel.csv", *QUICK, option), about, good)
+        yield Case(
+            "option", f"diagnose {option}", ("diagnose", "gel.csv", *QUICK, option), about, good
+        )
     yield Case(
         "option",
         "diagnose --effects --without",
@@ -144,7 +197,13 @@ def options() -> Iterator[Case]:
             option,
         )
         yield Case("option", f"batch {option}", arguments, about, good)
-    yield Case("option", "batch into its own folder", ("batch", "{here}", "--out", "{here}", *QUICK), "--out", good)
+    yield Case(
+        "option",
+        "batch into its own folder",
+        ("batch", "{here}", "--out", "{here}", *QUICK),
+        "--out",
+        good,
+    )
     yield Case(
         "option",
         "batch of a bad file",
@@ -152,5 +211,12 @@ def options() -> Iterator[Case]:
         "shots",
         table("a,b\n1,2\n"),
     )
-    for arguments in ((), ("none",), ("--version=3",), ("characterize",), ("plot",), ("compare", "a.json")):
+    for arguments in (
+        (),
+        ("none",),
+        ("--version=3",),
+        ("characterize",),
+        ("plot",),
+        ("compare", "a.json"),
+    ):
         yield Case("option", f"command {arguments}", arguments, "imr-torch")

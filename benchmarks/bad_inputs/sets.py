@@ -13,8 +13,11 @@ from benchmarks.bad_inputs.case import INF, MODELS, NAN, QUICK, Case, good
 
 def archive(**arrays: Any) -> Callable[[Path], object]:
     """Writes a set, the good one with some arrays changed; None leaves one out."""
-    times, sizes = np.linspace(0.0, 80e-6, 41), (2.5e-4, 2.6e-4)
-    radius = np.stack([[size * np.abs(np.cos(times / 25e-6)).clip(0.2) for _ in range(2)] for size in sizes])
+    times = np.linspace(0.0, 80e-6, 41)
+    sizes = (2.5e-4, 2.6e-4)
+    radius = np.stack(
+        [[size * np.abs(np.cos(times / 25e-6)).clip(0.2) for _ in range(2)] for size in sizes]
+    )
     whole = {
         "time_s": np.stack([times, times]),
         "radius_m": radius,
@@ -24,7 +27,9 @@ def archive(**arrays: Any) -> Callable[[Path], object]:
     whole |= arrays
 
     def make(here: Path) -> None:
-        np.savez(here / "set.npz", **{name: value for name, value in whole.items() if value is not None})
+        np.savez(
+            here / "set.npz", **{name: value for name, value in whole.items() if value is not None}
+        )
 
     return make
 
@@ -72,7 +77,9 @@ def sets() -> Iterator[Case]:
             header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (10000000000000,), }"
             header += b" " * (118 - len(header)) + b"\n"
             for name in whole:
-                target.writestr(f"{name}.npy", b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
+                target.writestr(
+                    f"{name}.npy", b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header
+                )
 
     yield Case("set", "empty file", base, "set.npz", raw(b""))
     yield Case("set", "text", base, "set.npz", raw(b"hello"))
@@ -81,7 +88,11 @@ def sets() -> Iterator[Case]:
     yield Case("set", "missing", base, "set.npz")
     yield Case("set", "is a folder", base, "set.npz", lambda here: (here / "set.npz").mkdir())
     yield Case(
-        "set", "beside a table", ("diagnose", "set.npz", "gel.csv", *QUICK), ".npz", lambda here: (archive()(here), good(here))
+        "set",
+        "beside a table",
+        ("diagnose", "set.npz", "gel.csv", *QUICK),
+        ".npz",
+        lambda here: (archive()(here), good(here)),
     )
     for name in ("0-d", "no radius_m", "lengths differ"):
         arrays = {
@@ -90,7 +101,9 @@ def sets() -> Iterator[Case]:
             "lengths differ": {"time_s": [0.0, 1e-6], "radius_m": [1e-4]},
         }[name]
         make = lambda here, arrays=arrays: np.savez(here / "gel.npz", **arrays)  # noqa: E731
-        yield Case("set", f"curve {name}", ("characterize", "gel.npz", *MODELS, *QUICK), "gel.npz", make)
+        yield Case(
+            "set", f"curve {name}", ("characterize", "gel.npz", *MODELS, *QUICK), "gel.npz", make
+        )
     for suffix, content in (
         (".mat", b"MATLAB 5.0 MAT-file" + b"\0" * 200),
         (".mat", b"\x89HDF\r\n\x1a\n" + b"\0" * 64),
@@ -100,5 +113,9 @@ def sets() -> Iterator[Case]:
     ):
         make = lambda here, s=suffix, c=content: (here / f"gel{s}").write_bytes(c)  # noqa: E731
         yield Case(
-            "set", f"{suffix} of {content[:8]!r}", ("characterize", f"gel{suffix}", *MODELS, *QUICK), f"gel{suffix}", make
+            "set",
+            f"{suffix} of {content[:8]!r}",
+            ("characterize", f"gel{suffix}", *MODELS, *QUICK),
+            f"gel{suffix}",
+            make,
         )

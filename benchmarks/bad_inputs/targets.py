@@ -30,11 +30,39 @@ def targets() -> Iterator[Case]:
                 ("zero byte", "a\0b"),
                 ("long path", "{here}/" + "y/" * 2500 + "x"),
             ):
-                yield Case("target", f"{command} {option} {name}", (*first, *QUICK, option, place), option, make, status=(1, 2))
-    yield Case("target", "campaign --out a file", ("campaign", *MODELS, "--out", "{here}/file", *QUICK), "--out", make)
-    yield Case("target", "same file for --json and --html", (*FIT, "--json", "{here}/a", "--html", "{here}/a"), "--html", good)
+                yield Case(
+                    "target",
+                    f"{command} {option} {name}",
+                    (*first, *QUICK, option, place),
+                    option,
+                    make,
+                    status=(1, 2),
+                )
+    yield Case(
+        "target",
+        "campaign --out a file",
+        ("campaign", *MODELS, "--out", "{here}/file", *QUICK),
+        "--out",
+        make,
+    )
+    yield Case(
+        "target",
+        "same file for --json and --html",
+        (*FIT, "--json", "{here}/a", "--html", "{here}/a"),
+        "--html",
+        good,
+    )
     yield Case("target", "--json over the data", (*FIT, "--json", "{here}/gel.csv"), "--json", good)
-    yield Case("target", "--json over the JSON beside", (*FIT, "--json", "{here}/gel.json"), "--json", good)
+    yield Case(
+        "target", "--json over the JSON beside", (*FIT, "--json", "{here}/gel.json"), "--json", good
+    )
     yield Case("target", "--html over the data", (*FIT, "--html", "{here}/gel.csv"), "--html", good)
     if Path("/proc/version").exists():
-        yield Case("target", "--out in a system folder", (*FIT, "--out", "/proc/imr"), "--out", good, status=(1, 2))
+        yield Case(
+            "target",
+            "--out in a system folder",
+            (*FIT, "--out", "/proc/imr"),
+            "--out",
+            good,
+            status=(1, 2),
+        )

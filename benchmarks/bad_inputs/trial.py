@@ -29,7 +29,9 @@ class Reached(BaseException):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a case came to: ``handled``, ``accepted``, ``traceback`` or ``unclear``, and what was said."""
+    """What a case came to: ``handled``, ``accepted``, ``traceback`` or ``unclear``, and what was
+    said.
+    """
 
     case: Case
     verdict: str
@@ -64,12 +66,21 @@ def tried(case: Case, home: Path) -> Outcome:
     shutil.rmtree(here, ignore_errors=True)
     here.mkdir()
     case.make(here)
-    out, err = io.StringIO(), io.StringIO()
-    started, reached, code, crashed = time.perf_counter(), False, 0, ""
+    out = io.StringIO()
+    err = io.StringIO()
+    started = time.perf_counter()
+    reached = False
+    code = 0
+    crashed = ""
     before = os.getcwd()
     os.chdir(here)
     try:
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), without_fits(), warnings.catch_warnings():
+        with (
+            contextlib.redirect_stdout(out),
+            contextlib.redirect_stderr(err),
+            without_fits(),
+            warnings.catch_warnings(),
+        ):
             warnings.simplefilter("error", RuntimeWarning)
             code = main([text.replace("{here}", str(here)) for text in case.arguments])
     except Reached:
@@ -81,7 +92,8 @@ def tried(case: Case, home: Path) -> Outcome:
     finally:
         os.chdir(before)
     seconds = time.perf_counter() - started
-    said, printed = err.getvalue(), out.getvalue()
+    said = err.getvalue()
+    printed = out.getvalue()
     return Outcome(
         case,
         _verdict(case, code, reached, crashed, said, printed, seconds),
@@ -91,13 +103,19 @@ def tried(case: Case, home: Path) -> Outcome:
     )
 
 
-def _verdict(case: Case, code: int, reached: bool, crashed: str, said: str, printed: str, seconds: float) -> str:
+def _verdict(
+    case: Case, code: int, reached: bool, crashed: str, said: str, printed: str, seconds: float
+) -> str:
     if crashed or "Traceback" in said:
         return "traceback"
     if seconds > LONGEST:
         return "slow"
     if case.warned:
-        return "handled" if (reached or code in (0, 1)) and case.warned in said + printed else "unclear"
+        return (
+            "handled"
+            if (reached or code in (0, 1)) and case.warned in said + printed
+            else "unclear"
+        )
     if reached or code == 0:
         return "handled" if case.damaged else "accepted"
     usage = said.startswith("usage:")

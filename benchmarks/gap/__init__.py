@@ -1,1 +1,3 @@
-"""The scored benchmark of the gap diagnosis: synthetic sets, verdicts on them, and how often they are right."""
+"""The scored benchmark of the gap diagnosis: synthetic sets, verdicts on them, and how often they
+are right.
+"""

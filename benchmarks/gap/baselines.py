@@ -1,8 +1,10 @@
-"""What one would do without this diagnosis, on the same data: five usual ways, each as its authors mean it to be used.
+"""What one would do without this diagnosis, on the same data: five usual ways, each as its authors
+mean it to be used.
 
-A chi-square test with the best evidence of a closed library; a Gaussian-process discrepancy of the output (Kennedy & O'Hagan,
-J. R. Stat. Soc. B 63, 2001); a generic state closure; parameters over moving windows (Chu et al. 2026, arXiv 2606.13584); the
-discrepancy of the data to the prior predictive, as sbi scores it.
+A chi-square test with the best evidence of a closed library; a Gaussian-process discrepancy of the
+output (Kennedy & O'Hagan, J. R. Stat. Soc. B 63, 2001); a generic state closure; parameters over
+moving windows (Chu et al. 2026, arXiv 2606.13584); the discrepancy of the data to the prior
+predictive, as sbi scores it.
 """
 
 import warnings
@@ -51,7 +53,9 @@ def baselines(
     windows = moving_windows(report.null, line, report.batch, simulator)
     return {
         "chi_square_p": p_chi_square,
-        "closed_set": _closed_set(report, offered, simulator, seed) if p_chi_square < LEVEL else None,
+        "closed_set": _closed_set(report, offered, simulator, seed)
+        if p_chi_square < LEVEL
+        else None,
         "gp_closed": gp_discrepancy(report.batch, line),
         "closure_p": next((b.p_value for b in report.gap.blocks if b.name == STATE_LAW), 1.0),
         "windows_p": min(1.0, len(windows.names) * float(windows.p_constant.min())),
@@ -59,8 +63,13 @@ def baselines(
     }
 
 
-def _closed_set(report: GapReport, offered: Sequence[Effect], simulator: Simulator, seed: int) -> str:
-    """The single effect of largest evidence; fitted here where the diagnosis saw no gap and so fitted none."""
+def _closed_set(
+    report: GapReport, offered: Sequence[Effect], simulator: Simulator, seed: int
+) -> str:
+    """The single effect of largest evidence.
+
+    Fitted here where the diagnosis saw no gap and so fitted none.
+    """
     if report.attribution is not None:
         return report.attribution.winner.split("+")[0]  # selection starts with that effect
     hypotheses = [Hypothesis(report.null.prior, (effect,)) for effect in offered]
@@ -71,23 +80,25 @@ def _closed_set(report: GapReport, offered: Sequence[Effect], simulator: Simulat
 def gp_discrepancy(batch: ExperimentBatch, line: Linearisation) -> float | None:
     """Share of the held-out gap that a Gaussian process over (t*, log We, R_inf*) closes.
 
-    It learns the null fit's residual on all designs but one and predicts that one, for up to three designs in turn. The null
-    fit has seen all of them, to the advantage of neither.
+    It learns the null fit's residual on all designs but one and predicts that one, for up to three
+    designs in turn. The null fit has seen all of them, to the advantage of neither.
 
     Args:
         batch: the data.
         line: the null fit's neighbourhood.
 
     Returns:
-        ``1 - D_gp/D_null`` with the squared bias ``D`` of :mod:`imr_torch.gap.shrinkage`; None with one design, or where the
-        null fit leaves no gap.
+        ``1 - D_gp/D_null`` with the squared bias ``D`` of :mod:`imr_torch.gap.shrinkage`; None with
+        one design, or where the null fit leaves no gap.
     """
     count = len(batch.experiments)
     if count < 2:
         return None
     residual = batch.mean - line.prediction
     variance = line.sd.square() / batch.counts
-    place = torch.stack((batch.designs[:, 0].log(), batch.designs[:, 1]), 1)[:, None].expand(-1, batch.times.shape[1], -1)
+    place = torch.stack((batch.designs[:, 0].log(), batch.designs[:, 1]), 1)[:, None].expand(
+        -1, batch.times.shape[1], -1
+    )
     inputs = torch.cat((batch.times[..., None], place), -1)
     before = after = 0.0
     for out in range(min(_FOLDS, count)):
@@ -95,7 +106,12 @@ def gp_discrepancy(batch: ExperimentBatch, line: Linearisation) -> float | None:
         learn[out] = False
         held = batch.mask[out]
         stride = -(-int(learn.sum()) // _POINTS)
-        guess = _predicted(inputs[learn][::stride], residual[learn][::stride], variance[learn][::stride], inputs[out][held])
+        guess = _predicted(
+            inputs[learn][::stride],
+            residual[learn][::stride],
+            variance[learn][::stride],
+            inputs[out][held],
+        )
         before += _square_bias(residual[out][held], variance[out][held])
         after += _square_bias(residual[out][held] - guess, variance[out][held])
     return 1.0 - after / before if before > 0.0 else None
@@ -111,10 +127,17 @@ def _predicted(X: Tensor, Y: Tensor, Yvar: Tensor, where: Tensor) -> Tensor:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InputDataWarning)
         model = SingleTaskGP(
-            X, Y[:, None], Yvar[:, None], outcome_transform=Standardize(1), input_transform=Normalize(X.shape[1])
+            X,
+            Y[:, None],
+            Yvar[:, None],
+            outcome_transform=Standardize(1),
+            input_transform=Normalize(X.shape[1]),
         )
         try:
-            fit_gpytorch_mll(ExactMarginalLogLikelihood(model.likelihood, model), optimizer_kwargs={"options": {"maxiter": 60}})
+            fit_gpytorch_mll(
+                ExactMarginalLogLikelihood(model.likelihood, model),
+                optimizer_kwargs={"options": {"maxiter": 60}},
+            )
         except ModelFittingError:
             return torch.zeros(len(where), dtype=where.dtype)
         with torch.no_grad():

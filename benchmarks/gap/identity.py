@@ -1,7 +1,9 @@
-"""What the choice of shots is worth: sets that leave several causes, and further shots, chosen or random, until one is named.
+"""What the choice of shots is worth: sets that leave several causes, and further shots, chosen or
+random, until one is named.
 
-Both arms begin with the same data, and each further shot has as many repeats and the same nuisances. An arm ends when the
-diagnosis names one cause alone, right or wrong, or after ``SHOTS`` shots.
+Both arms begin with the same data, and each further shot has as many repeats and the same
+nuisances. An arm ends when the diagnosis names one cause alone, right or wrong, or after ``SHOTS``
+shots.
 """
 
 from typing import Any
@@ -23,16 +25,18 @@ _PRIOR = wide_prior(("nhkv",))
 
 
 def compare_designs(task: Task, simulator: Simulator) -> dict[str, Any]:
-    """Further shots at a set whose diagnosis leaves several causes, chosen and random, ready for JSON.
+    """Further shots at a set whose diagnosis leaves several causes, chosen and random, ready for
+    JSON.
 
     Args:
         task: of kind ``"next"``.
         simulator: of the fits.
 
     Returns:
-        ``ambiguous``: whether a gap was found and no cause named alone; then, by arm, ``named`` (the shot after which a cause
-        was named alone, None if none), ``right`` (whether it was the true one), ``p_true`` after the last shot and ``shots``,
-        the designs.
+        ``ambiguous``: whether a gap was found and no cause named alone; then, by arm, ``named``
+            (the shot after which a cause
+        was named alone, None if none), ``right`` (whether it was the true one), ``p_true`` after
+        the last shot and ``shots``, the designs.
 
     Raises:
         ConvergenceError: if a bubble of the truth cannot be simulated.
@@ -50,19 +54,33 @@ def compare_designs(task: Task, simulator: Simulator) -> dict[str, Any]:
     if not line["ambiguous"]:
         return line
     found = {name: _arm(policy, data, learner, task, simulator) for name, policy in arms.items()}
-    return line | {key: {name: own[key] for name, own in found.items()} for key in ("named", "right", "p_true", "shots")}
+    return line | {
+        key: {name: own[key] for name, own in found.items()}
+        for key in ("named", "right", "p_true", "shots")
+    }
 
 
-def _arm(policy: DesignPolicy, data: SyntheticSet, learner: CauseLearner, task: Task, simulator: Simulator) -> dict[str, Any]:
+def _arm(
+    policy: DesignPolicy,
+    data: SyntheticSet,
+    learner: CauseLearner,
+    task: Task,
+    simulator: Simulator,
+) -> dict[str, Any]:
     """Shots by one policy until a cause is named alone."""
     source = generator(child(task.seed, task.key, "arm"))
     nuisance = NUISANCE if task.nuisances else Nuisance()
     plan = Plan(repeats=task.repeats, nuisance=nuisance, collapses=None)
-    experiments, shots = list(data.experiments), []
-    report, named = _diagnosed(learner, experiments, task, simulator), None
+    experiments = list(data.experiments)
+    shots = []
+    report = _diagnosed(learner, experiments, task, simulator)
+    named = None
     for shot in range(1, SHOTS + 1):
-        number, batch = len(experiments) + 1, ExperimentBatch(tuple(experiments))
-        situation = Situation(number, _PRIOR, simulator, DesignSpace(), plan, task.seed, prior=_PRIOR, batch=batch)
+        number = len(experiments) + 1
+        batch = ExperimentBatch(tuple(experiments))
+        situation = Situation(
+            number, _PRIOR, simulator, DesignSpace(), plan, task.seed, prior=_PRIOR, batch=batch
+        )
         design = policy.choose(situation).design
         shots.append(design.tolist())
         experiments.append(_shoot(data, design, task, source, f"shot {shot}"))
@@ -78,20 +96,30 @@ def _arm(policy: DesignPolicy, data: SyntheticSet, learner: CauseLearner, task: 
     }
 
 
-def _diagnosed(learner: CauseLearner, experiments: Any, task: Task, simulator: Simulator) -> GapReport:
+def _diagnosed(
+    learner: CauseLearner, experiments: Any, task: Task, simulator: Simulator
+) -> GapReport:
     return learner.diagnose(_PRIOR, ExperimentBatch(tuple(experiments)), simulator, task.seed)
 
 
 def _probability(report: GapReport, truth: str) -> float:
     """Of the true effect's family, alone; 0 where no cause was fitted."""
     posterior = {} if report.attribution is None else report.attribution.posterior
-    return sum(p for name, p in posterior.items() if name in LIBRARY and LIBRARY[name].family == LIBRARY[truth].family)
+    return sum(
+        p
+        for name, p in posterior.items()
+        if name in LIBRARY and LIBRARY[name].family == LIBRARY[truth].family
+    )
 
 
-def _shoot(data: SyntheticSet, design: torch.Tensor, task: Task, source: torch.Generator, label: str) -> Experiment:
+def _shoot(
+    data: SyntheticSet, design: torch.Tensor, task: Task, source: torch.Generator, label: str
+) -> Experiment:
     """One experiment on the set's gel."""
     filmed = film(data.values, make_plan(design[None], task), task, source)
     if filmed is None:
-        raise ConvergenceError(f"The bubble at the design {design.tolist()} could not be simulated.")
+        raise ConvergenceError(
+            f"The bubble at the design {design.tolist()} could not be simulated."
+        )
     (shot,) = filmed[0]
     return Experiment(label, shot.design, shot.times, shot.radius, shot.nuisance)

@@ -1,8 +1,11 @@
-"""The maximum mean discrepancy of the data to the prior predictive, the score by which sbi tells misspecified simulators.
+"""The maximum mean discrepancy of the data to the prior predictive, the score by which sbi tells
+misspecified simulators.
 
-Schmitt et al. (Detecting model misspecification in amortized Bayesian inference, GCPR 2023): the squared discrepancy between
-observed data sets and simulated ones, with its null distribution from simulated ones in the place of the observed. Kernel:
-Gaussian, of the median distance (Gretton et al., J. Mach. Learn. Res. 13, 2012, Eq. 3 for the unbiased estimate).
+Schmitt et al. (Detecting model misspecification in amortized Bayesian inference, GCPR 2023): the
+    squared discrepancy between
+observed data sets and simulated ones, with its null distribution from simulated ones in the place
+of the observed. Kernel: Gaussian, of the median distance (Gretton et al., J. Mach. Learn. Res. 13,
+2012, Eq. 3 for the unbiased estimate).
 """
 
 import torch
@@ -17,7 +20,9 @@ _SIMULATIONS = 500
 _SHUFFLES = 400
 
 
-def mmd_p_value(observed: Tensor, simulated: Tensor, *, seed: int, shuffles: int = _SHUFFLES) -> float:
+def mmd_p_value(
+    observed: Tensor, simulated: Tensor, *, seed: int, shuffles: int = _SHUFFLES
+) -> float:
     """How often simulated sets lie as far from the others as the observed ones.
 
     Args:
@@ -31,7 +36,8 @@ def mmd_p_value(observed: Tensor, simulated: Tensor, *, seed: int, shuffles: int
     distance = torch.cdist(rows, rows).square()
     own = distance[len(observed) :, len(observed) :]
     kernel = torch.exp(-distance / own[own > 0.0].median())
-    n, count = len(observed), len(rows)
+    n = len(observed)
+    count = len(rows)
     found = _mmd(kernel, torch.arange(n), torch.arange(n, count))
     null = []
     for _ in range(shuffles):
@@ -41,20 +47,30 @@ def mmd_p_value(observed: Tensor, simulated: Tensor, *, seed: int, shuffles: int
 
 
 def _mmd(kernel: Tensor, first: Tensor, second: Tensor) -> float:
-    """Unbiased square of the discrepancy between two sets of rows; without the first term where the first set is one row."""
+    """Unbiased square of the discrepancy between two sets of rows.
+
+    Without the first term where the first set is one row.
+    """
     across = float(kernel[first][:, second].mean())
     return _within(kernel, first) + _within(kernel, second) - 2.0 * across
 
 
 def _within(kernel: Tensor, rows: Tensor) -> float:
-    part, n = kernel[rows][:, rows], len(rows)
+    part = kernel[rows][:, rows]
+    n = len(rows)
     return float((part.sum() - part.diagonal().sum()) / (n * (n - 1))) if n > 1 else 0.0
 
 
 def prior_predictive_mmd(
-    prior: ModelBelief, batch: ExperimentBatch, simulator: Simulator, *, seed: int, simulations: int = _SIMULATIONS
+    prior: ModelBelief,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    *,
+    seed: int,
+    simulations: int = _SIMULATIONS,
 ) -> float:
-    """:func:`mmd_p_value` of the mean curves of a batch, all designs side by side, in units of the spread of each frame.
+    """:func:`mmd_p_value` of the mean curves of a batch, all designs side by side, in units of the
+    spread of each frame.
 
     Args:
         prior: of the base model.
@@ -64,13 +80,16 @@ def prior_predictive_mmd(
         simulations: data sets of the prior predictive; those that fail are left out.
     """
     source = generator(child(seed, "mmd"))
-    gels = prior.parameters(torch.randn(simulations, len(prior.names), generator=source, dtype=torch.float64))
+    gels = prior.parameters(
+        torch.randn(simulations, len(prior.names), generator=source, dtype=torch.float64)
+    )
     shifts = torch.stack([shot.nuisance.sds() for shot in batch.experiments])
     drawn = shifts * torch.randn(simulations, *shifts.shape, generator=source, dtype=torch.float64)
     seen = predict(simulator, gels, batch, drawn)
     noise = torch.randn(seen.shape, generator=source, dtype=torch.float64)
     seen = seen + batch.sd(seen) / batch.counts.clamp(min=1.0).sqrt() * noise
-    rows, observed = seen[:, batch.mask], batch.mean[batch.mask]
+    rows = seen[:, batch.mask]
+    observed = batch.mean[batch.mask]
     rows = rows[torch.isfinite(rows).all(1)]
     spread = rows.std(0).clamp(min=1e-6)
     return mmd_p_value((observed / spread)[None], rows / spread, seed=child(seed, "shuffles"))

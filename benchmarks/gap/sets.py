@@ -1,8 +1,10 @@
-"""Synthetic sets whose truth is known: a random gel and designs, with no effect, one, or two, as a camera would film them.
+"""Synthetic sets whose truth is known: a random gel and designs, with no effect, one, or two, as a
+camera would film them.
 
-Effects act through the library, so this tests the diagnosis where its closures are right; whether it survives those of
-another hand is for data from elsewhere. Truths are simulated by another setting than the diagnosis simulates by: finer in
-time and with more modes (``reference``: 32 + 40), or with another number of them (``modes``: 24 + 28).
+Effects act through the library, so this tests the diagnosis where its closures are right; whether
+it survives those of another hand is for data from elsewhere. Truths are simulated by another
+setting than the diagnosis simulates by: finer in time and with more modes (``reference``: 32 + 40),
+or with another number of them (``modes``: 24 + 28).
 """
 
 import math
@@ -18,7 +20,14 @@ from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, predict
 from imr_torch.observe.sets import NUISANCE
 from imr_torch.random import child, generator
-from imr_torch.simulate import ACCURACIES, STEPPINGS, Accuracy, PolytropicSimulator, Resolution, TransportSimulator
+from imr_torch.simulate import (
+    ACCURACIES,
+    STEPPINGS,
+    Accuracy,
+    PolytropicSimulator,
+    Resolution,
+    TransportSimulator,
+)
 
 KINDS = ("none", "effect", "withheld", "pair", "next")
 PHYSICS = ("polytropic", "transport")
@@ -27,12 +36,19 @@ _MODES = Accuracy(1e-6, Resolution(24, 28), max_steps=100000)
 UNSEEN = 2  # designs beside those diagnosed, to judge shrinkage on
 
 GEL = {"G": (2e3, 15e3), "mu": (0.03, 0.3)}
-_WEBER, _REST = (100.0, 1000.0), (0.14, 0.30)
+_WEBER = (100.0, 1000.0)
+_REST = (0.14, 0.30)
 _APART = 0.1  # least distance of two designs, both coordinates scaled to 1
 _AMPLITUDE = (0.2, 2.0)  # in prior standard deviations
 _ACTS = 0.1  # least sd: what acts less does nothing in this physics
 _SEEN = 4.0  # sd beside a refit at which an effect counts as detectable
-_DRAWS = {"none": 0, "effect": 4, "withheld": 4, "pair": 8, "next": 4}  # effects drawn, of which detectable ones come first
+_DRAWS = {
+    "none": 0,
+    "effect": 4,
+    "withheld": 4,
+    "pair": 8,
+    "next": 4,
+}  # effects drawn, of which detectable ones come first
 _ATTEMPTS = 20
 
 
@@ -46,9 +62,12 @@ class Task:
         repeats: curves a design.
         physics: one of ``PHYSICS``.
         seed: of the set and of its diagnosis.
-        nuisances: whether each experiment has errors of Rmax, time zero and R_inf, which the diagnosis knows about.
-        effects: names that truths are drawn from and that are offered; the whole library when empty.
-        truths: one of ``TRUTHS``, by what the truth is simulated; polytropic ones are by finer steps in either case.
+        nuisances: whether each experiment has errors of Rmax, time zero and R_inf, which the
+            diagnosis knows about.
+        effects: names that truths are drawn from and that are offered; the whole library when
+            empty.
+        truths: one of ``TRUTHS``, by what the truth is simulated; polytropic ones are by finer
+            steps in either case.
     """
 
     kind: str
@@ -63,11 +82,15 @@ class Task:
     def __post_init__(self) -> None:
         if self.kind not in KINDS or self.physics not in PHYSICS or self.truths not in TRUTHS:
             raise InputDataError(
-                f"Task: expected a kind of {KINDS}, a physics of {PHYSICS} and truths of {TRUTHS}, got {self.kind}, "
+                f"Task: expected a kind of {KINDS}, a physics of {PHYSICS} and truths of "
+                f"{TRUTHS}, got {self.kind}, "
                 f"{self.physics}, {self.truths}."
             )
         if self.designs < 1 or self.repeats < 1:
-            raise InputDataError(f"Task: {self.designs} designs x {self.repeats} repeats; expected at least 1 of each.")
+            raise InputDataError(
+                f"Task: {self.designs} designs x {self.repeats} repeats; expected at least 1 of "
+                "each."
+            )
 
     @property
     def size(self) -> str:
@@ -86,12 +109,16 @@ class Task:
         return library(self.effects or None)
 
     def simulator(self, *, fine: bool = False) -> PolytropicSimulator | TransportSimulator:
-        """The simulator of the diagnosis, or that of the truth, which has another discretisation error."""
+        """The simulator of the diagnosis, or that of the truth, which has another discretisation
+        error.
+        """
         if self.physics == "polytropic":
             return PolytropicSimulator(stepping=STEPPINGS["reference" if fine else "default"])
         if not fine:
             return TransportSimulator(accuracy=ACCURACIES["search"])
-        return TransportSimulator(accuracy=_MODES if self.truths == "modes" else ACCURACIES["reference"])
+        return TransportSimulator(
+            accuracy=_MODES if self.truths == "modes" else ACCURACIES["reference"]
+        )
 
 
 @dataclass(frozen=True)
@@ -105,7 +132,8 @@ class SyntheticSet:
         truth: names of the effects that act.
         offered: the library of the diagnosis.
         values: true parameters beside neutral ones, SI.
-        signal: sd that a refit of G, mu and nuisances leaves of each effect in the data that are diagnosed.
+        signal: sd that a refit of G, mu and nuisances leaves of each effect in the data that are
+            diagnosed.
     """
 
     experiments: tuple[Experiment, ...]
@@ -144,7 +172,9 @@ def make_set(task: Task) -> SyntheticSet:
 def _try(task: Task, source: torch.Generator) -> SyntheticSet | None:
     gel = {name: _log_uniform(bounds, source) for name, bounds in GEL.items()}
     plan = make_plan(draw_designs(task.designs + UNSEEN, source), task)
-    drawn = [draw_effect(_one_of(task.candidates, source), source) for _ in range(_DRAWS[task.kind])]
+    drawn = [
+        draw_effect(_one_of(task.candidates, source), source) for _ in range(_DRAWS[task.kind])
+    ]
     diagnosed = ExperimentBatch(plan.experiments[: task.designs])
     shown = signals(gel, [changed for _, changed in drawn], diagnosed, task.simulator())
     chosen = choose(drawn, shown, {"none": 0, "pair": 2}.get(task.kind, 1))
@@ -159,19 +189,38 @@ def _try(task: Task, source: torch.Generator) -> SyntheticSet | None:
     hidden = {drawn[i][0].family for i in chosen} if task.kind == "withheld" else set()
     offered = tuple(effect for effect in task.candidates if effect.family not in hidden)
     signal = {drawn[i][0].name: shown[i] for i in chosen}
-    return SyntheticSet(experiments[: task.designs], experiments[task.designs :], curves, truth, offered, values, signal)
+    return SyntheticSet(
+        experiments[: task.designs],
+        experiments[task.designs :],
+        curves,
+        truth,
+        offered,
+        values,
+        signal,
+    )
 
 
 def film(
     values: dict[str, float], plan: ExperimentBatch, task: Task, source: torch.Generator
 ) -> tuple[tuple[Experiment, ...], Tensor] | None:
-    """Shoot a plan: what the camera gives, and the true curves (``E x n_t``); None where a bubble cannot be simulated."""
-    shifts = torch.randn(1, len(plan.experiments), 3, generator=source, dtype=torch.float64) * plan.nuisance_sds
+    """Shoot a plan: what the camera gives, and the true curves (``E x n_t``); None where a bubble
+    cannot be simulated.
+    """
+    shifts = (
+        torch.randn(1, len(plan.experiments), 3, generator=source, dtype=torch.float64)
+        * plan.nuisance_sds
+    )
     curves = predict(task.simulator(fine=True), PARAMETERS.pack(values)[None], plan, shifts)[0]
     if not bool(torch.isfinite(curves).all()):
         return None
     filmed = tuple(
-        Experiment(e.label, e.design, e.times, Noise().draw(r, e.times, task.repeats, generator=source), e.nuisance)
+        Experiment(
+            e.label,
+            e.design,
+            e.times,
+            Noise().draw(r, e.times, task.repeats, generator=source),
+            e.nuisance,
+        )
         for e, r in zip(plan.experiments, curves, strict=True)
     )
     return filmed, curves
@@ -183,7 +232,9 @@ def _one_of(effects: tuple[Effect, ...], source: torch.Generator) -> Effect:
 
 def _log_uniform(bounds: tuple[float, float], source: torch.Generator) -> float:
     low, high = map(math.log, bounds)
-    return math.exp(low + (high - low) * float(torch.rand((), generator=source, dtype=torch.float64)))
+    return math.exp(
+        low + (high - low) * float(torch.rand((), generator=source, dtype=torch.float64))
+    )
 
 
 def draw_designs(count: int, source: torch.Generator) -> Tensor:
@@ -201,13 +252,18 @@ def draw_designs(count: int, source: torch.Generator) -> Tensor:
 def make_plan(designs: Tensor, task: Task) -> ExperimentBatch:
     """Experiments before they are shot."""
     times = torch.linspace(0.0, 4.0, 81, dtype=torch.float64)
-    nuisance, blank = NUISANCE if task.nuisances else Nuisance(), torch.ones(task.repeats, 81, dtype=torch.float64)
+    nuisance = NUISANCE if task.nuisances else Nuisance()
+    blank = torch.ones(task.repeats, 81, dtype=torch.float64)
     pairs = [(weber, rest) for weber, rest in designs.tolist()]
-    return ExperimentBatch(tuple(Experiment(f"design {i}", d, times, blank, nuisance) for i, d in enumerate(pairs)))
+    return ExperimentBatch(
+        tuple(Experiment(f"design {i}", d, times, blank, nuisance) for i, d in enumerate(pairs))
+    )
 
 
 def draw_effect(effect: Effect, source: torch.Generator) -> tuple[Effect, dict[str, float]]:
-    """An effect with random values: its amplitude .2 to 2 prior standard deviations, the others from their priors."""
+    """An effect with random values: its amplitude .2 to 2 prior standard deviations, the others
+    from their priors.
+    """
     values = {}
     for i, (name, prior) in enumerate(effect.priors.items()):
         u = torch.randn((), generator=source, dtype=torch.float64)
@@ -216,13 +272,17 @@ def draw_effect(effect: Effect, source: torch.Generator) -> tuple[Effect, dict[s
             continue
         size = prior.sd * _log_uniform(_AMPLITUDE, source)  # type: ignore[attr-defined]  # amplitudes are truncated normal
         signed = math.copysign(size, float(u))
-        lower, upper = max(prior.lower, PARAMETERS[name].lower), min(prior.upper, PARAMETERS[name].upper)
+        lower = max(prior.lower, PARAMETERS[name].lower)
+        upper = min(prior.upper, PARAMETERS[name].upper)
         values[name] = signed if lower <= signed <= upper else min(size, upper)
     return effect, values
 
 
-def choose(drawn: list[tuple[Effect, dict[str, float]]], signals: list[float], count: int) -> list[int] | None:
-    """Which draws become the truth: of different families, the first that are detectable, else the strongest.
+def choose(
+    drawn: list[tuple[Effect, dict[str, float]]], signals: list[float], count: int
+) -> list[int] | None:
+    """Which draws become the truth: of different families, the first that are detectable, else the
+    strongest.
 
     Returns:
         Places in ``drawn``; None if too few act at all.

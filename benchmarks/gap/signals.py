@@ -1,6 +1,8 @@
-"""How much of an effect shows: what a refit of the gel, and of what is uncertain in each experiment, leaves of it in sd.
+"""How much of an effect shows: what a refit of the gel, and of what is uncertain in each
+experiment, leaves of it in sd.
 
-The refit is a real one, of the true curve without noise: most effects are taken back further than to first order. It is apart
+The refit is a real one, of the true curve without noise: most effects are taken back further than
+    to first order. It is apart
 from the fits under test: SciPy's trust-region least squares from the true gel.
 """
 
@@ -29,44 +31,66 @@ _FAILED = 1e3  # residual of every frame where a bubble has no curve: no step go
 
 
 def signals(
-    gel: Mapping[str, float], effects: Sequence[Mapping[str, float]], plan: ExperimentBatch, simulator: Simulator
+    gel: Mapping[str, float],
+    effects: Sequence[Mapping[str, float]],
+    plan: ExperimentBatch,
+    simulator: Simulator,
 ) -> list[float]:
     """What a refit leaves of each effect.
 
     Args:
         gel: G and mu, SI.
         effects: changed parameters of each, SI.
-        plan: the experiments, with as many repeats as are shot; their nuisances are refitted with their priors.
+        plan: the experiments, with as many repeats as are shot; their nuisances are refitted with
+            their priors.
         simulator: makes the bubbles.
 
     Returns:
-        Length of each residual, in standard deviations of the data; NaN for an effect that has no curve.
+        Length of each residual, in standard deviations of the data; NaN for an effect that has no
+        curve.
     """
     if not effects:
         return []
-    curves = predict(simulator, torch.stack([PARAMETERS.pack({**gel, **effect}) for effect in effects]), plan)
+    curves = predict(
+        simulator, torch.stack([PARAMETERS.pack({**gel, **effect}) for effect in effects]), plan
+    )
     return [_refit(gel, curve, plan.mask, plan, simulator)[0] for curve in curves]
 
 
 def signal_by_phase(
-    gel: Mapping[str, float], effect: Mapping[str, float], plan: ExperimentBatch, simulator: Simulator
+    gel: Mapping[str, float],
+    effect: Mapping[str, float],
+    plan: ExperimentBatch,
+    simulator: Simulator,
 ) -> list[float]:
-    """What a refit of the frames up to the end of each of ``PHASES`` leaves of an effect; see :func:`signals`.
+    """What a refit of the frames up to the end of each of ``PHASES`` leaves of an effect; see
+    :func:`signals`.
 
-    Few frames have minima that the whole does not; where all frames lead is tried for each phase too.
+    Few frames have minima that the whole does not; where all frames lead is tried for each phase
+    too.
     """
-    without, curve = predict(simulator, torch.stack([PARAMETERS.pack(gel), PARAMETERS.pack({**gel, **effect})]), plan)
+    without, curve = predict(
+        simulator, torch.stack([PARAMETERS.pack(gel), PARAMETERS.pack({**gel, **effect})]), plan
+    )
     clock = phase_clock(plan.times, without, plan.mask)
     phase = torch.tensor([[PHASES.index(phase_name(c)) for c in row] for row in clock.tolist()])
     _, whole = _refit(gel, curve, plan.mask, plan, simulator)
     parts = [plan.mask & (phase <= last) for last in range(len(PHASES))]
-    return [min(_refit(gel, curve, frames, plan, simulator, start=start)[0] for start in (None, whole)) for frames in parts]
+    return [
+        min(_refit(gel, curve, frames, plan, simulator, start=start)[0] for start in (None, whole))
+        for frames in parts
+    ]
 
 
 def beside_rival(
-    gel: Mapping[str, float], truth: Mapping[str, float], rival: Effect, plan: ExperimentBatch, simulator: Simulator
+    gel: Mapping[str, float],
+    truth: Mapping[str, float],
+    rival: Effect,
+    plan: ExperimentBatch,
+    simulator: Simulator,
 ) -> float:
-    """What a refit of the gel and of another effect leaves of a true one, in standard deviations of the data.
+    """What a refit of the gel and of another effect leaves of a true one, in standard deviations of
+    the data.
 
     Args:
         gel: G and mu, SI.
@@ -76,7 +100,10 @@ def beside_rival(
         simulator: makes the bubbles.
     """
     curve = predict(simulator, PARAMETERS.pack({**gel, **truth})[None], plan)[0]
-    return min(_refit(gel, curve, plan.mask, plan, simulator, rival=(rival, values))[0] for values in rival.starts)
+    return min(
+        _refit(gel, curve, plan.mask, plan, simulator, rival=(rival, values))[0]
+        for values in rival.starts
+    )
 
 
 def _refit(
@@ -91,14 +118,19 @@ def _refit(
 ) -> tuple[float, Vector]:
     """Length of what a refit leaves of a true curve (``E x T``) in some frames, and where it ended.
 
-    Places are moves of the log of each parameter of the gel, then controls of the parameters of a rival, which begin at given
-    values, then moves of each uncertain nuisance of each experiment in prior sd.
+    Places are moves of the log of each parameter of the gel, then controls of the parameters of a
+    rival, which begin at given values, then moves of each uncertain nuisance of each experiment in
+    prior sd.
     """
     uncertain: list[int] = torch.nonzero((plan.nuisance_sds > 0.0).any(0))[:, 0].tolist()
-    experiments, sd = len(plan.experiments), plan.sd(curve)
+    experiments = len(plan.experiments)
+    sd = plan.sd(curve)
     priors = {} if rival is None else rival[0].priors
     values = () if rival is None else rival[1]
-    begun = [float(prior.to_control(torch.tensor(x).double())) for prior, x in zip(priors.values(), values, strict=True)]
+    begun = [
+        float(prior.to_control(torch.tensor(x).double()))
+        for prior, x in zip(priors.values(), values, strict=True)
+    ]
     own = len(gel) + len(priors)
     still = np.concatenate((np.zeros(len(gel)), begun, np.zeros(experiments * len(uncertain))))
     if not bool(torch.isfinite(curve[frames]).all()):
@@ -108,7 +140,12 @@ def _refit(
         moved = torch.tensor(list(gel.values()), dtype=torch.float64) * x[:, : len(gel)].exp()
         beside = [prior.to_physical(x[:, len(gel) + i]) for i, prior in enumerate(priors.values())]
         physical = torch.cat((moved, *(column[:, None] for column in beside)), 1)
-        rows = torch.stack([PARAMETERS.pack(dict(zip((*gel, *priors), row, strict=True))) for row in physical.tolist()])
+        rows = torch.stack(
+            [
+                PARAMETERS.pack(dict(zip((*gel, *priors), row, strict=True)))
+                for row in physical.tolist()
+            ]
+        )
         shifts = x.new_zeros(len(x), experiments, 3)
         shifts[..., uncertain] = x[:, own:].unflatten(1, (experiments, len(uncertain)))
         return rows, shifts * plan.nuisance_sds
@@ -123,16 +160,24 @@ def _refit(
 
     def slopes(x: Vector) -> Vector:
         # a nuisance moves its own experiment alone, so that of all experiments is moved at once
-        everywhere = torch.block_diag(torch.eye(own), torch.eye(len(uncertain)).repeat(1, experiments)).double()
-        rows, shifts = place(torch.from_numpy(x) + _NUDGE * torch.cat((everywhere.new_zeros(1, len(x)), everywhere)))
+        everywhere = torch.block_diag(
+            torch.eye(own), torch.eye(len(uncertain)).repeat(1, experiments)
+        ).double()
+        rows, shifts = place(
+            torch.from_numpy(x) + _NUDGE * torch.cat((everywhere.new_zeros(1, len(x)), everywhere))
+        )
         radius = predict(simulator, rows[None], plan, shifts[None], bundled=True)[0]
         moved = (radius[1:] - radius[0]) / _NUDGE
-        alone = torch.eye(experiments, dtype=torch.float64)[:, None, :, None] * moved[own:]  # E x C x E x T
+        alone = (
+            torch.eye(experiments, dtype=torch.float64)[:, None, :, None] * moved[own:]
+        )  # E x C x E x T
         columns = whitened(curve + torch.cat((moved[:own], alone.flatten(0, 1)))).nan_to_num()
         believed = torch.eye(len(x), dtype=torch.float64)[:, len(gel) :]
         return torch.cat((columns, believed), 1).mT.numpy()
 
     farthest = np.repeat((_FARTHEST, _UNLIKELY, np.inf), (len(gel), len(priors), len(still) - own))
     begin = (still if start is None else start).clip(-farthest, farthest)
-    found = least_squares(residual, begin, slopes, (-farthest, farthest), ftol=_TOLERANCE, max_nfev=_EVALUATIONS)
+    found = least_squares(
+        residual, begin, slopes, (-farthest, farthest), ftol=_TOLERANCE, max_nfev=_EVALUATIONS
+    )
     return math.sqrt(2.0 * found.cost), found.x

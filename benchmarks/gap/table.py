@@ -1,7 +1,9 @@
-"""The scored table: every figure with its number of sets, a 90 % interval and what it should be, from the lines of a run.
+"""The scored table: every figure with its number of sets, a 90 % interval and what it should be,
+from the lines of a run.
 
-Shares have Clopper-Pearson intervals, quantiles those of order statistics. A line counts once; sets that failed count as
-undecided. Controls must be at chance: the same verdicts against shuffled truths, and a classifier that sees no curve.
+Shares have Clopper-Pearson intervals, quantiles those of order statistics. A line counts once; sets
+that failed count as undecided. Controls must be at chance: the same verdicts against shuffled
+truths, and a classifier that sees no curve.
 """
 
 import json
@@ -28,7 +30,10 @@ _PERMUTATIONS = 200
 
 
 def read_lines(path: str | Path) -> list[dict[str, Any]]:
-    """Lines of a run, one a key; a line that was torn by an interruption is passed over, its set is run again."""
+    """Lines of a run, one a key.
+
+    A line that was torn by an interruption is passed over, its set is run again.
+    """
     found: dict[str, dict[str, Any]] = {}
     file = Path(path)
     for text in file.read_text().splitlines() if file.exists() else ():
@@ -86,9 +91,18 @@ class Row:
         wanted = f"{self.must or ''} | {self.stretch or ''}"
         if not self.count:
             return f"| {self.figure} | {self.size} | - | 0 | - | {wanted} | |"
-        met = "" if self.must is None else "met" if self.must.low <= self.value <= self.must.high else "missed"
+        met = (
+            ""
+            if self.must is None
+            else "met"
+            if self.must.low <= self.value <= self.must.high
+            else "missed"
+        )
         interval = f"{self.low:.3f} to {self.high:.3f}"
-        return f"| {self.figure} | {self.size} | {self.value:.3f} | {self.count} | {interval} | {wanted} | {met} |"
+        return (
+            f"| {self.figure} | {self.size} | {self.value:.3f} | {self.count} | {interval} | "
+            f"{wanted} | {met} |"
+        )
 
 
 def clopper_pearson(hits: int, count: int, level: float = 0.9) -> tuple[float, float]:
@@ -127,7 +141,9 @@ def named(line: Line) -> bool:
 
 def named_right(line: Line) -> bool:
     """Exact or in the declared class; an effect too many is wrong."""
-    return named(line) and not line["selected"] and families(line["truth"]) <= families(line["cause"])
+    return (
+        named(line) and not line["selected"] and families(line["truth"]) <= families(line["cause"])
+    )
 
 
 def first_right(line: Line) -> bool:
@@ -150,11 +166,17 @@ Wanted = Mapping[str, tuple[Range | None, Range | None]]
 
 
 def _at_least(**sizes: tuple[float, float]) -> Wanted:
-    return {size.strip("_"): (Range(low=must), Range(low=stretch)) for size, (must, stretch) in sizes.items()}
+    return {
+        size.strip("_"): (Range(low=must), Range(low=stretch))
+        for size, (must, stretch) in sizes.items()
+    }
 
 
 def _at_most(**sizes: tuple[float, float]) -> Wanted:
-    return {size.strip("_"): (Range(high=must), Range(high=stretch)) for size, (must, stretch) in sizes.items()}
+    return {
+        size.strip("_"): (Range(high=must), Range(high=stretch))
+        for size, (must, stretch) in sizes.items()
+    }
 
 
 _EACH: Wanted = dict.fromkeys(("3x10", "10x10", "3x100"), (None, None))
@@ -165,8 +187,9 @@ def posterior(line: Line, *, given_library: bool) -> list[tuple[frozenset[str], 
 
     Args:
         line: of a set with a posterior.
-        given_library: whether ``"other"`` is left out and the rest scaled to one. Its prior share of .1 stays where the winner
-            is adequate, so that without this no class can be more probable than .9.
+        given_library: whether ``"other"`` is left out and the rest scaled to one. Its prior share
+            of .1 stays where the winner is adequate, so that without this no class can be more
+            probable than .9.
     """
     total: Counter[frozenset[str]] = Counter()
     for entry, probability in line["posterior"].items():
@@ -178,7 +201,8 @@ def posterior(line: Line, *, given_library: bool) -> list[tuple[frozenset[str], 
 
 def credible(line: Line, *, given_library: bool, level: float = 0.95) -> list[frozenset[str]]:
     """The most probable classes that together reach a level."""
-    chosen, reached = [], 0.0
+    chosen = []
+    reached = 0.0
     for classes, probability in posterior(line, given_library=given_library):
         if reached >= level:
             break
@@ -192,7 +216,9 @@ def _attributed(line: Line) -> bool:
 
 
 def _about_posteriors(*, given_library: bool) -> tuple[tuple[str, Test, Test, Wanted], ...]:
-    """Figures of the posterior, as it is or given that the cause is in the library, which it is in these sets."""
+    """Figures of the posterior, as it is or given that the cause is in the library, which it is in
+    these sets.
+    """
     suffix = ", given the library" if given_library else ""
 
     def best(line: Line) -> tuple[frozenset[str], float]:
@@ -302,9 +328,17 @@ SHARES: tuple[tuple[str, Test, Test, Wanted], ...] = (
     *(
         (f"baseline {words}: {what}", _kind(kind, _has("baselines")), _rejects(name), wanted)
         for words, name in _BASELINES
-        for what, kind, wanted in (("false alarm", "none", {ALL: (None, None)}), ("detected", "effect", _EACH))
+        for what, kind, wanted in (
+            ("false alarm", "none", {ALL: (None, None)}),
+            ("detected", "effect", _EACH),
+        )
     ),
-    ("baseline chi-square + evidence: named right", _kind("effect", _exact, _has("baselines")), _closed_right, _EACH),
+    (
+        "baseline chi-square + evidence: named right",
+        _kind("effect", _exact, _has("baselines")),
+        _closed_right,
+        _EACH,
+    ),
     (
         "baseline chi-square + evidence: wrong name on a withheld effect, given detected",
         _kind("withheld", _has("baselines"), _rejects("chi_square_p")),
@@ -322,69 +356,160 @@ def shares(lines: Sequence[Line]) -> list[Row]:
         for size, (must, stretch) in wanted.items():
             hits = [hit(line) for line in lines if size in (ALL, line["size"]) and counts(line)]
             value = sum(hits) / len(hits) if hits else math.nan
-            rows.append(Row(figure, size, value, len(hits), *clopper_pearson(sum(hits), len(hits)), must, stretch))
+            rows.append(
+                Row(
+                    figure,
+                    size,
+                    value,
+                    len(hits),
+                    *clopper_pearson(sum(hits), len(hits)),
+                    must,
+                    stretch,
+                )
+            )
     return rows
 
 
 def quantile_row(
-    figure: str, size: str, values: Sequence[float], level: float, must: Range | None = None, stretch: Range | None = None
+    figure: str,
+    size: str,
+    values: Sequence[float],
+    level: float,
+    must: Range | None = None,
+    stretch: Range | None = None,
 ) -> Row:
     """A quantile with its distribution-free 90 % interval between order statistics."""
     if not values:
         return Row(figure, size, math.nan, 0, math.nan, math.nan, must, stretch)
-    ordered, count = sorted(values), len(values)
+    ordered = sorted(values)
+    count = len(values)
     low, high = (ordered[min(int(binom.ppf(p, count, level)), count - 1)] for p in (0.05, 0.95))
     value = float(torch.tensor(ordered, dtype=torch.float64).quantile(level))
     return Row(figure, size, value, count, low, high, must, stretch)
 
 
 def amounts(lines: Sequence[Line]) -> list[Row]:
-    """All figures that are amounts: set size, shrinkage, the share of the gap that a Gaussian process closes."""
+    """All figures that are amounts: set size, shrinkage, the share of the gap that a Gaussian
+    process closes.
+    """
     rows = []
     small = [line for line in lines if line["size"] == "3x10"]
     for given, words in ((False, ""), (True, ", given the library")):
-        counts = [float(len(credible(line, given_library=given))) for line in small if _attributed(line)]
+        counts = [
+            float(len(credible(line, given_library=given))) for line in small if _attributed(line)
+        ]
         mean, error = _mean(counts)
         wanted = Range(high=2.0), Range(high=1.5)
-        rows.append(Row(f"mean size of the 95 % set{words}", "3x10", mean, len(counts), mean - error, mean + error, *wanted))
+        rows.append(
+            Row(
+                f"mean size of the 95 % set{words}",
+                "3x10",
+                mean,
+                len(counts),
+                mean - error,
+                mean + error,
+                *wanted,
+            )
+        )
     closed = [line["shrinkage_true"] for line in small if line.get("shrinkage_true") is not None]
     figure = "held-out gap closed by the right effect"
-    rows.append(quantile_row(f"{figure}, median", "3x10", closed, 0.5, Range(low=0.90), Range(low=0.95)))
-    rows.append(quantile_row(f"{figure}, 10th percentile", "3x10", closed, 0.1, Range(low=0.75), Range(low=0.90)))
-    ahead = [line["truth_ahead"] for line in lines if line["kind"] == "withheld" and named(line) and _has("truth_ahead")(line)]
+    rows.append(
+        quantile_row(f"{figure}, median", "3x10", closed, 0.5, Range(low=0.90), Range(low=0.95))
+    )
+    rows.append(
+        quantile_row(
+            f"{figure}, 10th percentile", "3x10", closed, 0.1, Range(low=0.75), Range(low=0.90)
+        )
+    )
+    ahead = [
+        line["truth_ahead"]
+        for line in lines
+        if line["kind"] == "withheld" and named(line) and _has("truth_ahead")(line)
+    ]
     for words, level in (("median", 0.5), ("90th percentile", 0.9)):
         rows.append(
-            quantile_row(f"nats by which a withheld effect beats the wrong name given to it, {words}", ALL, ahead, level)
+            quantile_row(
+                f"nats by which a withheld effect beats the wrong name given to it, {words}",
+                ALL,
+                ahead,
+                level,
+            )
         )
     rows += _active([line for line in lines if line.get("ambiguous")])
     for size in _EACH:
-        found = [line for line in lines if line["kind"] == "effect" and line["size"] == size and detected(line)]
+        found = [
+            line
+            for line in lines
+            if line["kind"] == "effect" and line["size"] == size and detected(line)
+        ]
         shares_closed = [line["baselines"]["gp_closed"] for line in found if line.get("baselines")]
         known = [share for share in shares_closed if share is not None]
-        rows.append(quantile_row("baseline Gaussian process: held-out gap closed where detected, median", size, known, 0.5))
+        rows.append(
+            quantile_row(
+                "baseline Gaussian process: held-out gap closed where detected, median",
+                size,
+                known,
+                0.5,
+            )
+        )
     return rows
 
 
 def _active(lines: Sequence[Line]) -> list[Row]:
-    """Further shots at sets that leave several causes: how often and after how many shots the truth is named alone."""
+    """Further shots at sets that leave several causes: how often and after how many shots the truth
+    is named alone.
+    """
     rows = []
-    for arm, must, stretch in (("chosen", Range(low=0.85), Range(low=0.95)), ("random", None, None)):
+    for arm, must, stretch in (
+        ("chosen", Range(low=0.85), Range(low=0.95)),
+        ("random", None, None),
+    ):
         right = sum(line["right"][arm] for line in lines)
         figure = f"still ambiguous: truth named alone after at most {SHOTS} further shots, {arm}"
         share = right / len(lines) if lines else math.nan
-        rows.append(Row(figure, ALL, share, len(lines), *clopper_pearson(right, len(lines)), must, stretch))
+        rows.append(
+            Row(figure, ALL, share, len(lines), *clopper_pearson(right, len(lines)), must, stretch)
+        )
         wrong = sum(line["named"][arm] is not None and not line["right"][arm] for line in lines)
         share = wrong / len(lines) if lines else math.nan
-        rows.append(Row(f"the same, another named alone, {arm}", ALL, share, len(lines), *clopper_pearson(wrong, len(lines))))
+        rows.append(
+            Row(
+                f"the same, another named alone, {arm}",
+                ALL,
+                share,
+                len(lines),
+                *clopper_pearson(wrong, len(lines)),
+            )
+        )
     spent = {arm: [line["named"][arm] or SHOTS for line in lines] for arm in ("chosen", "random")}
     ratio = sum(spent["chosen"]) / sum(spent["random"]) if lines else math.nan
     figure = f"shots until a cause is named alone, at most {SHOTS}, chosen over random"
-    rows.append(Row(figure, ALL, ratio, len(lines), math.nan, math.nan, Range(high=0.6), Range(high=0.4)))
+    rows.append(
+        Row(figure, ALL, ratio, len(lines), math.nan, math.nan, Range(high=0.6), Range(high=0.4))
+    )
     both = [line["named"] for line in lines if all(line["right"].values())]
     random = sum(named["random"] for named in both) or math.nan
     figure = "the same, of sets in which both name the truth"
-    rows.append(Row(figure, ALL, sum(named["chosen"] for named in both) / random, len(both), math.nan, math.nan))
-    rows.append(Row("the same, if every chosen one needed one shot", ALL, len(both) / random, len(both), math.nan, math.nan))
+    rows.append(
+        Row(
+            figure,
+            ALL,
+            sum(named["chosen"] for named in both) / random,
+            len(both),
+            math.nan,
+            math.nan,
+        )
+    )
+    rows.append(
+        Row(
+            "the same, if every chosen one needed one shot",
+            ALL,
+            len(both) / random,
+            len(both),
+            math.nan,
+            math.nan,
+        )
+    )
     mean, error = _mean([line["p_true"]["chosen"] - line["p_true"]["random"] for line in lines])
     figure = "P(true effect) after the last shot, chosen less random, mean"
     rows.append(Row(figure, ALL, mean, len(lines), mean - error, mean + error))
@@ -396,38 +521,60 @@ def _mean(values: Sequence[float]) -> tuple[float, float]:
     if not values:
         return math.nan, math.nan
     x = torch.tensor(values, dtype=torch.float64)
-    return float(x.mean()), 1.645 * float(x.std()) / math.sqrt(len(values)) if len(values) > 1 else math.nan
+    return float(x.mean()), 1.645 * float(x.std()) / math.sqrt(len(values)) if len(
+        values
+    ) > 1 else math.nan
 
 
 def controls(lines: Sequence[Line], *, seed: int = 0) -> list[Row]:
-    """What must be at chance: verdicts against shuffled truths, and truths guessed from the designs alone."""
+    """What must be at chance: verdicts against shuffled truths, and truths guessed from the designs
+    alone.
+    """
     known = [line for line in lines if line["kind"] == "effect" and line["truth"]]
     if len(known) < 2:
         return []
     count = len(known)
     common = Counter(families(line["truth"]) for line in known).most_common(1)[0][1] / count
-    source, hits = generator(seed), 0
+    source = generator(seed)
+    hits = 0
     for _ in range(_PERMUTATIONS):
         order = torch.randperm(count, generator=source).tolist()
-        hits += sum(named_right({**line, "truth": known[i]["truth"]}) for line, i in zip(known, order, strict=True))
+        hits += sum(
+            named_right({**line, "truth": known[i]["truth"]})
+            for line, i in zip(known, order, strict=True)
+        )
     hits = round(hits / _PERMUTATIONS)
     guessed = sum(guess_from_designs(known))
     chance = Range(high=common)
     return [
         Row(name, ALL, n / count, count, *clopper_pearson(n, count), chance)
-        for name, n in (("control: shuffled truths, named right", hits), ("control: guessed from the designs alone", guessed))
+        for name, n in (
+            ("control: shuffled truths, named right", hits),
+            ("control: guessed from the designs alone", guessed),
+        )
     ]
 
 
 def guess_from_designs(lines: Sequence[Line]) -> list[bool]:
-    """Whether the nearest centroid of the other sets' designs and sizes gives each set's truth; no curve is looked at."""
+    """Whether the nearest centroid of the other sets' designs and sizes gives each set's truth.
+
+    No curve is looked at.
+    """
     rows = []
     for line in lines:
         designs = torch.tensor(line["designs"], dtype=torch.float64)
         designs[:, 0] = designs[:, 0].log()
         repeats = math.log(int(line["size"].split("x")[1]))
         spread = designs.std(0) if len(designs) > 1 else torch.zeros(2, dtype=torch.float64)
-        rows.append(torch.cat((designs.mean(0), spread, torch.tensor([len(designs), repeats], dtype=torch.float64))))
+        rows.append(
+            torch.cat(
+                (
+                    designs.mean(0),
+                    spread,
+                    torch.tensor([len(designs), repeats], dtype=torch.float64),
+                )
+            )
+        )
     features = torch.stack(rows)
     features = (features - features.mean(0)) / features.std(0).clamp_min(1e-9)
     labels = [families(line["truth"]) for line in lines]
@@ -449,10 +596,14 @@ def table(lines: Sequence[Line]) -> str:
         own = [line for line in lines if line["physics"] == physics]
         hashes = sorted({line["frozen"] for line in own})
         failed = sum("error" in line for line in own)
-        head = f"Physics {physics}: {len(own)} sets, {failed} failed, thresholds {', '.join(hashes)}."
+        head = (
+            f"Physics {physics}: {len(own)} sets, {failed} failed, thresholds {', '.join(hashes)}."
+        )
         if len(hashes) > 1:
             head += " THRESHOLDS OR LIBRARY CHANGED BETWEEN SETS: this is no frozen run."
-        unsound = sum(not line.get("converged", True) for line in own)  # shots alone rest on no one fit
+        unsound = sum(
+            not line.get("converged", True) for line in own
+        )  # shots alone rest on no one fit
         rows = [*shares(own), *amounts(own), *controls(own)]
         pages.append(
             "\n".join(

@@ -1,4 +1,6 @@
-"""The pages of the programming interface: every public name of every public package, once, by autodoc."""
+"""The pages of the programming interface: every public name of every public package, once, by
+autodoc.
+"""
 
 import ast
 import importlib
@@ -53,22 +55,36 @@ class Entry:
 
 
 def public_names(module: ModuleType) -> list[str]:
-    """``__all__``, or what a module defines itself without an underscore, in the order of its source."""
+    """``__all__``, or what a module defines itself without an underscore, in the order of its
+    source.
+    """
     if hasattr(module, "__all__"):
         return list(module.__all__)
     tree = ast.parse(inspect.getsource(module))
     own = [node.name for node in tree.body if isinstance(node, ast.ClassDef | ast.FunctionDef)]
-    return [name for name in [*own, *said_of_data(Path(str(module.__file__)))] if not name.startswith("_")]
+    return [
+        name
+        for name in [*own, *said_of_data(Path(str(module.__file__)))]
+        if not name.startswith("_")
+    ]
 
 
 def said_of_data(path: Path) -> dict[str, str]:
-    """Name -> the string below its assignment, of the module-level names of a file or of all files below a package."""
+    """Name -> the string below its assignment, of the module-level names of a file or of all files
+    below a package.
+    """
     found = {}
     for file in sorted(path.parent.rglob("*.py")) if path.name == "__init__.py" else [path]:
         body = ast.parse(file.read_text(encoding="utf-8")).body
         for node, after in pairwise(body):
-            target = node.targets[0] if isinstance(node, ast.Assign) else getattr(node, "target", None)
-            if isinstance(target, ast.Name) and isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
+            target = (
+                node.targets[0] if isinstance(node, ast.Assign) else getattr(node, "target", None)
+            )
+            if (
+                isinstance(target, ast.Name)
+                and isinstance(after, ast.Expr)
+                and isinstance(after.value, ast.Constant)
+            ):
                 found[target.id] = inspect.cleandoc(str(after.value.value))
     return found
 
@@ -88,8 +104,12 @@ def entries() -> dict[str, list[Entry]]:
         pages[package] = []
         for name in public_names(module):
             value = getattr(module, name)
-            shared = kind_of(value) != "data" or isinstance(value, dict) or hasattr(value, "__dict__")
-            identity = id(value) if shared else (package, name)  # equal numbers and strings may be one object
+            shared = (
+                kind_of(value) != "data" or isinstance(value, dict) or hasattr(value, "__dict__")
+            )
+            identity = (
+                id(value) if shared else (package, name)
+            )  # equal numbers and strings may be one object
             if identity not in seen and not inspect.ismodule(value):
                 seen.add(identity)
                 pages[package].append(Entry(name, f"imr_torch.{package}", kind_of(value)))
@@ -100,11 +120,25 @@ def page(package: str, question: str, found: list[Entry]) -> str:
     """The page of a package, in reStructuredText."""
     title = f"imr_torch.{package}"
     said = said_of_data(Path(str(importlib.import_module(title).__file__)))
-    lines = [title, "=" * len(title), "", f"*{question}*", "", f".. automodule:: {title}", "   :no-members:", ""]
+    lines = [
+        title,
+        "=" * len(title),
+        "",
+        f"*{question}*",
+        "",
+        f".. automodule:: {title}",
+        "   :no-members:",
+        "",
+    ]
     for entry in found:
         if entry.kind == "data":
             text = said.get(entry.name, "A value of this module.").splitlines()
-            lines += [f".. py:data:: {entry.module}.{entry.name}", "", *(f"   {line}" for line in text), ""]
+            lines += [
+                f".. py:data:: {entry.module}.{entry.name}",
+                "",
+                *(f"   {line}" for line in text),
+                "",
+            ]
             continue
         lines += [f".. auto{entry.kind}:: {entry.module}.{entry.name}"]
         lines += ["   :members:"] if entry.kind == "class" else []
@@ -117,13 +151,20 @@ def index(pages: dict[str, list[Entry]]) -> str:
     import imr_torch
 
     homes = {entry.name: entry.module for found in pages.values() for entry in found}
-    top = "\n".join(f"- `{name}`: [{homes[name]}]({homes[name].rpartition('.')[2]}.rst)" for name in imr_torch.__all__)
+    top = "\n".join(
+        f"- `{name}`: [{homes[name]}]({homes[name].rpartition('.')[2]}.rst)"
+        for name in imr_torch.__all__
+    )
     names = "\n".join(package for package in pages)
-    lines = "\n".join(f"- [imr_torch.{name}]({name}.rst): {question}" for name, question in PACKAGES.items())
+    lines = "\n".join(
+        f"- [imr_torch.{name}]({name}.rst): {question}" for name, question in PACKAGES.items()
+    )
     return (
-        "# Programming interface\n\nEvery public name, with shapes, units, errors and an example that the tests run. "
+        "# Programming interface\n\nEvery public name, with shapes, units, errors and an example "
+        "that the tests run. "
         "The modules are in the order of the data; a module imports only modules above it.\n\n"
-        f"{lines}\n\n## Names of `imr_torch` itself\n\n{top}\n\n```{{toctree}}\n:hidden:\n\n{names}\n```\n"
+        f"{lines}\n\n## Names of `imr_torch` "
+        f"itself\n\n{top}\n\n```{{toctree}}\n:hidden:\n\n{names}\n```\n"
     )
 
 

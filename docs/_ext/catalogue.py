@@ -1,4 +1,6 @@
-"""Sphinx extension: one page for each constitutive model and effect of the registries, with its equation and its picture."""
+"""Sphinx extension: one page for each constitutive model and effect of the registries, with its
+equation and its picture.
+"""
 
 from pathlib import Path
 
@@ -11,7 +13,16 @@ from matplotlib import pyplot as plt
 from pages import Folder, table
 
 from imr_torch.labels import file_name
-from imr_torch.material import LIBRARY, MATERIALS, PARAMETERS, Effect, LogNormal, Marginal, Material, TruncatedNormal
+from imr_torch.material import (
+    LIBRARY,
+    MATERIALS,
+    PARAMETERS,
+    Effect,
+    LogNormal,
+    Marginal,
+    Material,
+    TruncatedNormal,
+)
 from imr_torch.observe import Film, predict
 from imr_torch.simulate import ACCURACIES, TransportSimulator
 
@@ -44,7 +55,13 @@ _DESIGN = (450.0, 0.20)
 _TIMES = torch.linspace(0.0, 3.0, 301, dtype=torch.float64)
 _COLOURS = ("#0072B2", "#D55E00", "#009E73")
 _SMALL = 0.2  # of the amplitude at which fits start: where changes are compared, they are linear
-_EXTENDS = {"qkv": "alpha", "gen_qkv": "alpha", "fung2": "alpha_fung2", "fungexp": "alpha_fung", "carreau": "thinning"}
+_EXTENDS = {
+    "qkv": "alpha",
+    "gen_qkv": "alpha",
+    "fung2": "alpha_fung2",
+    "fungexp": "alpha_fung",
+    "carreau": "thinning",
+}
 _EXTENDS |= {"zener": "tau", "sns": "tau_sns"}
 
 
@@ -52,7 +69,9 @@ def curves(rows: list[dict[str, float]]) -> np.ndarray:
     """``K x T`` radii as filmed."""
     film = Film(torch.tensor([_DESIGN], dtype=torch.float64), _TIMES[None])
     simulator = TransportSimulator(accuracy=ACCURACIES["search"], threads=1)
-    return predict(simulator, torch.stack([PARAMETERS.pack(row) for row in rows]), film)[:, 0].numpy()
+    return predict(simulator, torch.stack([PARAMETERS.pack(row) for row in rows]), film)[
+        :, 0
+    ].numpy()
 
 
 def prior_text(prior: Marginal | None) -> str:
@@ -67,15 +86,29 @@ def prior_text(prior: Marginal | None) -> str:
     return "" if prior is None else str(prior)
 
 
-def parameter_table(names: tuple[str, ...], priors: dict[str, Marginal | None], known: tuple[str, ...] = ()) -> str:
+def parameter_table(
+    names: tuple[str, ...], priors: dict[str, Marginal | None], known: tuple[str, ...] = ()
+) -> str:
     """Parameters with units, bounds, the value at which they do nothing, and the prior."""
     rows = []
     for name in names:
         entry = PARAMETERS[name]
         unit = "" if entry.unit == "1" else entry.unit
         prior = "must be measured independently" if name in known else prior_text(priors.get(name))
-        rows.append((f"`{name}`", entry.meaning, unit, f"{entry.lower:g} to {entry.upper:g}", f"{entry.neutral:g}", prior))
-    return table(("name", "meaning", "SI unit", "allowed", "does nothing at", "prior where it is inferred"), rows)
+        rows.append(
+            (
+                f"`{name}`",
+                entry.meaning,
+                unit,
+                f"{entry.lower:g} to {entry.upper:g}",
+                f"{entry.neutral:g}",
+                prior,
+            )
+        )
+    return table(
+        ("name", "meaning", "SI unit", "allowed", "does nothing at", "prior where it is inferred"),
+        rows,
+    )
 
 
 def _save(figure: plt.Figure, path: Path) -> None:
@@ -89,9 +122,21 @@ def draw_model(model: Material, name: str, path: Path) -> None:
     entry = PARAMETERS[name]
     values = [min(entry.upper, share * centre[name]) for share in (1.0 / 3.0, 1.0, 3.0)]
     figure, axis = plt.subplots(figsize=(3.4, 2.7), layout="constrained")
-    for value, radius, colour in zip(values, curves([{**centre, name: x} for x in values]), _COLOURS, strict=True):
-        axis.plot(_TIMES, radius, color=colour, label=f"{entry.display_scale * value:.3g} {_unit(name)}".strip())
-    axis.set(xlabel=r"$t\,U_c/R_\mathrm{max}$", ylabel=r"$R/R_\mathrm{max}$", ylim=(0.0, 1.15), title=name)
+    for value, radius, colour in zip(
+        values, curves([{**centre, name: x} for x in values]), _COLOURS, strict=True
+    ):
+        axis.plot(
+            _TIMES,
+            radius,
+            color=colour,
+            label=f"{entry.display_scale * value:.3g} {_unit(name)}".strip(),
+        )
+    axis.set(
+        xlabel=r"$t\,U_c/R_\mathrm{max}$",
+        ylabel=r"$R/R_\mathrm{max}$",
+        ylim=(0.0, 1.15),
+        title=name,
+    )
     axis.legend(fontsize="small", frameon=False, loc="upper right")
     _save(figure, path)
 
@@ -125,7 +170,13 @@ def draw_effect(effect: Effect, path: Path) -> None:
 
 def _median(name: str) -> float:
     prior = PARAMETERS[name].prior
-    return prior.median if isinstance(prior, LogNormal) else 0.5 * prior.sd if isinstance(prior, TruncatedNormal) else 0.1
+    return (
+        prior.median
+        if isinstance(prior, LogNormal)
+        else 0.5 * prior.sd
+        if isinstance(prior, TruncatedNormal)
+        else 0.1
+    )
 
 
 def _unit(name: str) -> str:
@@ -138,7 +189,10 @@ def compared() -> LookAlikes:
     changes = {}
     for name, effect in LIBRARY.items():
         amplitude, *shape = effect.starts[0]
-        changes[name] = {**BASE, **dict(zip(effect.names, (_SMALL * amplitude, *shape), strict=True))}
+        changes[name] = {
+            **BASE,
+            **dict(zip(effect.names, (_SMALL * amplitude, *shape), strict=True)),
+        }
     for key, switch in _EXTENDS.items():
         own = {name: TYPICAL[name] for name in MATERIALS[key].names if name not in BASE}
         changes[f"model {key}"] = {**BASE, **own, switch: _SMALL * own[switch]}
@@ -148,11 +202,20 @@ def compared() -> LookAlikes:
 def likeness_text(found: LookAlikes, name: str) -> str:
     """The table of look-alikes, or why there is none."""
     if name not in found.left:
-        return "To first order G, mu, Rmax, time zero and R_inf absorb all that it does: it cannot be told from them.\n"
-    share = f"Of its change of R(t), G, mu, Rmax, time zero and R_inf absorb {100.0 * found.absorbed(name):.3g} %. "
+        return (
+            "To first order G, mu, Rmax, time zero and R_inf absorb all that it does: it cannot "
+            "be told from them.\n"
+        )
+    share = (
+        "Of its change of R(t), G, mu, Rmax, time zero and R_inf absorb "
+        f"{100.0 * found.absorbed(name):.3g} %. "
+    )
     nearest = found.nearest(name)
     if not nearest:
-        return share + "What remains encloses an angle of more than 60 degrees with that of every other entry.\n"
+        return share + (
+            "What remains encloses an angle of more than 60 degrees with that of every other "
+            "entry.\n"
+        )
     rows = [
         (
             _link(one.name),
@@ -164,13 +227,18 @@ def likeness_text(found: LookAlikes, name: str) -> str:
     ]
     head = ("looks like", "angle", "left after the best match", "what is left is largest")
     return (
-        f"{share}What remains looks most like:\n\n{table(head, rows)}\n[How these angles are computed](index.md#look-alikes).\n"
+        f"{share}What remains looks most like:\n\n{table(head, rows)}\n[How these angles are "
+        "computed](index.md#look-alikes).\n"
     )
 
 
 def _link(name: str) -> str:
     kind, _, key = name.rpartition(" ")
-    return f"[{MATERIALS[key].title} (model)](model-{key}.md)" if kind else f"[{key}](effect-{file_name(key)}.md)"
+    return (
+        f"[{MATERIALS[key].title} (model)](model-{key}.md)"
+        if kind
+        else f"[{key}](effect-{file_name(key)}.md)"
+    )
 
 
 def equations(text: str) -> str:
@@ -182,7 +250,11 @@ def model_page(model: Material, found: LookAlikes) -> str:
     """The page of a constitutive model."""
     doc = (type(model).__doc__ or "").strip()
     priors = {name: PARAMETERS[name].prior for name in model.names}
-    alike = f"## Look-alikes\n\n{likeness_text(found, f'model {model.key}')}\n" if model.key in _EXTENDS else ""
+    alike = (
+        f"## Look-alikes\n\n{likeness_text(found, f'model {model.key}')}\n"
+        if model.key in _EXTENDS
+        else ""
+    )
     return f"""# {model.title}
 
 {doc} On the command line and in Python it is called `{model.key}`.
@@ -212,8 +284,16 @@ R_inf/Rmax {_DESIGN[1]:g}, heat and vapour transport.
 
 def effect_page(effect: Effect, found: LookAlikes) -> str:
     """The page of an effect."""
-    group = [other.name for other in LIBRARY.values() if other.family == effect.family and other is not effect]
-    same = f"A diagnosis reports it in one class with {', '.join(_link(x) for x in group)}.\n\n" if group else ""
+    group = [
+        other.name
+        for other in LIBRARY.values()
+        if other.family == effect.family and other is not effect
+    ]
+    same = (
+        f"A diagnosis reports it in one class with {', '.join(_link(x) for x in group)}.\n\n"
+        if group
+        else ""
+    )
     needs = f"It acts only on models that have `{effect.needs}`.\n\n" if effect.needs else ""
     return f"""# {effect.name}
 
@@ -257,7 +337,11 @@ def _laws(effect: Effect) -> str:
     """What the code says of its law."""
     from imr_torch.material.integral import TERMS
 
-    laws = [law for law in (effect.setting, effect.gas_loss, effect.vapour, effect.far_field) if law is not None]
+    laws = [
+        law
+        for law in (effect.setting, effect.gas_loss, effect.vapour, effect.far_field)
+        if law is not None
+    ]
     laws += [] if laws else [term.law for term in TERMS if term.switch == effect.names[0]]
     said = [" ".join((law.__doc__ or "").split()).replace("``", "`") for law in laws]
     told = [text for text in said if text and text.rstrip(".").lower() != effect.meaning.lower()]
@@ -279,18 +363,30 @@ def index_page() -> str:
     )
     effects = "\n".join(
         f"### Of {words}\n\n"
-        + table(("effect", "meaning"), ((_link(e.name), e.meaning) for e in LIBRARY.values() if e.place == place))
+        + table(
+            ("effect", "meaning"),
+            ((_link(e.name), e.meaning) for e in LIBRARY.values() if e.place == place),
+        )
         for place, words in PLACES.items()
     )
-    pages = "\n".join([*(f"model-{key}" for key in MATERIALS), *(f"effect-{file_name(name)}" for name in LIBRARY)])
-    return (Path(__file__).parent / "catalogue_index.md").read_text().format(models=models, effects=effects, pages=pages)
+    pages = "\n".join(
+        [*(f"model-{key}" for key in MATERIALS), *(f"effect-{file_name(name)}" for name in LIBRARY)]
+    )
+    return (
+        (Path(__file__).parent / "catalogue_index.md")
+        .read_text()
+        .format(models=models, effects=effects, pages=pages)
+    )
 
 
 def generate(folder: Path) -> None:
     """Write all pages and pictures."""
     matplotlib.use("agg")
     found = compared()
-    with Folder(folder) as out, plt.rc_context({"axes.spines.top": False, "axes.spines.right": False, "font.size": 9}):
+    with (
+        Folder(folder) as out,
+        plt.rc_context({"axes.spines.top": False, "axes.spines.right": False, "font.size": 9}),
+    ):
         out.write("index.md", index_page())
         for model in MATERIALS.values():
             out.write(f"model-{model.key}.md", model_page(model, found))

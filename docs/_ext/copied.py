@@ -1,4 +1,6 @@
-"""Pages that are files of the project: the notebooks of the tutorials, the measured results, the changelog."""
+"""Pages that are files of the project: the notebooks of the tutorials, the measured results, the
+changelog.
+"""
 
 import json
 import re
@@ -24,27 +26,40 @@ def generate(docs: Path) -> None:
         page = (Path(__file__).parent / "tutorials_index.md").read_text()
         names = "\n".join(path.stem for path in notebooks)
         rows = [row_of(path.stem, path.read_text(encoding="utf-8")) for path in notebooks]
-        page = page.replace("{pages}", names).replace("{table}", table(("tutorial", "you will be able to", "takes"), rows))
+        page = page.replace("{pages}", names).replace(
+            "{table}", table(("tutorial", "you will be able to", "takes"), rows)
+        )
         out.write("index.md", page)
     with Folder(docs / "measured") as out:
-        out.write("index.md", measured((ROOT / "benchmarks" / "RESULTS.md").read_text(encoding="utf-8")))
+        out.write(
+            "index.md", measured((ROOT / "benchmarks" / "RESULTS.md").read_text(encoding="utf-8"))
+        )
         out.write("changelog.md", changes((ROOT / "CHANGELOG.md").read_text(encoding="utf-8")))
 
 
 def row_of(name: str, notebook: str) -> tuple[str, str, str]:
-    """Link, what the reader will be able to do, and how long it takes, from the first cell of a notebook."""
+    """Link, what the reader will be able to do, and how long it takes, from the first cell of a
+    notebook.
+    """
     first = "".join(json.loads(notebook)["cells"][0]["source"])
     said = " ".join(first.partition("\n\n")[0].split())
     able = re.search(r"You will be able to (.+?)\. Takes (.+?)(?: on one core)?[.;]", said)
     if able is None:
-        raise ValueError(f"the first cell of {name} does not say what it is good for and how long it takes")
+        raise ValueError(
+            f"the first cell of {name} does not say what it is good for and how long it takes"
+        )
     return f"[{first.splitlines()[0].lstrip('# ')}]({name}.ipynb)", able[1], able[2]
 
 
 def measured(text: str) -> str:
     """The results as a page; what names other files of the project stays text."""
-    starred = text.replace("(*)", r"(\*)")  # two of them in a line would set what is between them in italics
-    return starred.replace("# Results\n", f"# Measured\n\n{READ}", 1) + "\n```{toctree}\n:hidden:\n\nchangelog\n```\n"
+    starred = text.replace(
+        "(*)", r"(\*)"
+    )  # two of them in a line would set what is between them in italics
+    return (
+        starred.replace("# Results\n", f"# Measured\n\n{READ}", 1)
+        + "\n```{toctree}\n:hidden:\n\nchangelog\n```\n"
+    )
 
 
 def changes(text: str) -> str:

@@ -1,4 +1,5 @@
-r"""Equations of the catalogue in LaTeX: one for each built-in constitutive model and effect, by its key in the registry.
+r"""Equations of the catalogue in LaTeX: one for each built-in constitutive model and effect, by its
+key in the registry.
 
 The code of the laws is the definition; a test asks that every entry of the registries has an equation here. All are in
 dimensional form. ``\lambda = R/R_\infty`` is the stretch ratio at the wall, ``b`` the hoop stretch within the gel.
@@ -7,14 +8,21 @@ dimensional form. ``\lambda = R/R_\infty`` is the stretch ratio at the wall, ``b
 _NH = r"-\frac{G}{2}\left(5 - \frac{4}{\lambda} - \frac{1}{\lambda^4}\right)"
 _NEWTON = r"-\frac{4\mu\dot R}{R}"
 _QKV = (
-    r"\alpha G\left(\frac{177}{20} + \frac{1}{4\lambda^8} + \frac{2}{5\lambda^5} - \frac{3}{2\lambda^4}"
+    r"\alpha G\left(\frac{177}{20} + \frac{1}{4\lambda^8} + \frac{2}{5\lambda^5} - "
+    r"\frac{3}{2\lambda^4}"
     r" + \frac{2}{\lambda^2} - \frac{6}{\lambda} - 4\lambda\right)"
 )
 _LINEAR = r"-\frac{4}{3}G_\mathrm{lin}\left(1 - \frac{1}{\lambda^3}\right)"
-_FUNG = r"2G\int_1^{\lambda}\left(\frac{1}{b^2} + \frac{1}{b^5}\right)%s\,\mathrm{d}b, \qquad x = b^{-4} + 2b^2 - 3"
-_MAXWELL = r"\frac{Z}{R^3} - \frac{4 s \mu\dot R}{R}, \qquad \tau\dot Z + Z = -4(1 - s)\,\mu R^2\dot R"
+_FUNG = (
+    r"2G\int_1^{\lambda}\left(\frac{1}{b^2} + \frac{1}{b^5}\right)%s\,\mathrm{d}b, \qquad x = "
+    r"b^{-4} + 2b^2 - 3"
+)
+_MAXWELL = (
+    r"\frac{Z}{R^3} - \frac{4 s \mu\dot R}{R}, \qquad \tau\dot Z + Z = -4(1 - s)\,\mu R^2\dot R"
+)
 _SOLID = (
-    r"\dot S = \frac{S_\mathrm{e} - S}{\tau} - \frac{4\mu}{\tau}\frac{\dot R}{R} - f\,\frac{\dot R}{R}, \qquad "
+    r"\dot S = \frac{S_\mathrm{e} - S}{\tau} - \frac{4\mu}{\tau}\frac{\dot R}{R} - f\,\frac{\dot "
+    r"R}{R}, \qquad "
     r"S_\mathrm{e} = %s, \qquad f = %s"
 )
 _THIN = (
@@ -38,11 +46,13 @@ MODELS = {
     "sns": _SOLID
     % (
         _NH,
-        r"\frac{4G}{\lambda^3 - 1}\left(\frac{3}{14}\lambda^3 + \lambda^2 - \frac{3}{2\lambda} + \frac{2}{7\lambda^4}\right)",
+        r"\frac{4G}{\lambda^3 - 1}\left(\frac{3}{14}\lambda^3 + \lambda^2 - \frac{3}{2\lambda} + "
+        r"\frac{2}{7\lambda^4}\right)",
     ),
     "ucm": (
         r"S = \frac{Z_1 + Z_2}{R^3} - \frac{4 s\mu\dot R}{R}, \qquad "
-        r"\tau\dot Z_1 + \left(1 - 2\tau\frac{\dot R}{R}\right)Z_1 = \tau\dot Z_2 + \left(1 + \tau\frac{\dot R}{R}\right)Z_2"
+        r"\tau\dot Z_1 + \left(1 - 2\tau\frac{\dot R}{R}\right)Z_1 = \tau\dot Z_2 + \left(1 + "
+        r"\tau\frac{\dot R}{R}\right)Z_2"
         r" = -2(1 - s)\,\mu R^2\dot R"
     ),
     "carreau": f"S = {_NH} {_THIN}",
@@ -51,21 +61,27 @@ MODELS = {
 
 EFFECTS = {
     "strain_stiffening": f"\\Delta S = {_QKV}",
-    "stress_relaxation": r"\tau\dot Z + Z = -4\mu R^2\dot R \quad\text{in place of}\quad Z = -4\mu R^2\dot R",
+    "stress_relaxation": r"\tau\dot Z + Z = -4\mu R^2\dot R \quad\text{in "
+    r"place of}\quad Z = -4\mu R^2\dot R",
     "shear_thinning": r"\mu \to \mu\left(1 + (t_s\dot\gamma)^2\right)^{-s/2}",
-    "damage": r"S_\mathrm{e} \to (1 - D)\,S_\mathrm{e}, \qquad \dot D = k\,(1 - D)\,\frac{|\dot R|}{R}",
-    "healing_damage": r"S_\mathrm{e} \to (1 - D)\,S_\mathrm{e}, \qquad \dot D = k\,(1 - D)\,\frac{|\dot R|}{R} - \frac{D}{t_h}",
-    "viscous_damage": r"S_\mathrm{v} \to (1 - D)\,S_\mathrm{v}, \qquad \dot D = k\,(1 - D)\,\frac{|\dot R|}{R}",
+    "damage": r"S_\mathrm{e} \to (1 - D)\,S_\mathrm{e}, "
+    r"\qquad \dot D = k\,(1 - D)\,\frac{|\dot R|}{R}",
+    "healing_damage": r"S_\mathrm{e} \to (1 - D)\,S_\mathrm{e}, \qquad \dot D = k\,(1 - D)\,\frac{|\dot R|}{R} "
+    r"- \frac{D}{t_h}",
+    "viscous_damage": r"S_\mathrm{v} \to (1 - D)\,S_\mathrm{v}, "
+    r"\qquad \dot D = k\,(1 - D)\,\frac{|\dot R|}{R}",
     "yield_stress": r"\Delta S = -2\tau_y\,\mathrm{sign}(\dot R)\,\ln\frac{r_y}{R}",
     "graded_modulus": r"G \to G\left(1 + g\,(R_\infty/r_0)^3\right)",
     "permanent_set": (
-        r"S_\mathrm{e}(R/R_\infty) \to S_\mathrm{e}(R/R_0), \qquad R_0 = R_\infty + s\,(R_\mathrm{max} - R_\infty)"
+        r"S_\mathrm{e}(R/R_\infty) \to S_\mathrm{e}(R/R_0), \qquad R_0 = R_\infty + "
+        r"s\,(R_\mathrm{max} - R_\infty)"
     ),
     "heat_exchange": r"k_\mathrm{gas} \to k_\mathrm{gas}\,e^{h}",
     "vapour_pressure": r"p_\mathrm{v} \to p_\mathrm{v} + v\,p_\infty",
     "condensation": r"p_\mathrm{v} \to p_\mathrm{v}\left(P/P(0)\right)^{c}",
     "gas_loss": (
-        r"-\frac{\dot n}{n} = \eta\,\frac{|\dot R|}{R}\left(1 - \frac{R}{R_\infty}\right)^2 \quad\text{while } R < R_\infty"
+        r"-\frac{\dot n}{n} = \eta\,\frac{|\dot R|}{R}\left(1 - \frac{R}{R_\infty}\right)^2 "
+        r"\quad\text{while } R < R_\infty"
     ),
     "sound_speed": r"c \to c\,e^{x}",
     "surface_tension": r"\gamma \to \gamma\,e^{x} \quad\text{at the wall}",

@@ -1,4 +1,5 @@
-"""Which entries of the catalogue change R(t) alike, once the usual parameters have been fitted, and what tells them apart.
+"""Which entries of the catalogue change R(t) alike, once the usual parameters have been fitted, and
+what tells them apart.
 
 Each entry changes the curves of one base gel at three designs. What G, mu and each curve's Rmax, time zero and R_inf,
 within their prior, can absorb to first order is projected out, as a diagnosis does (imr_torch.goodness.linear). The angle
@@ -24,7 +25,13 @@ NOISE = 0.003
 NUISANCES = (0.01, 0.01, 0.03)
 """Prior standard deviations of Rmax (relative), time zero (in Rmax/U_c) and R_inf (relative)."""
 _STEP = 1e-2  # of the fitted parameters, relative to their size or prior
-_PHASES = ("before the first collapse", "at the first collapse", "in the first rebound", "at the second collapse", "later")
+_PHASES = (
+    "before the first collapse",
+    "at the first collapse",
+    "in the first rebound",
+    "at the second collapse",
+    "later",
+)
 _NEAR = 0.08  # in Rmax/U_c, what counts as at a collapse
 
 
@@ -34,14 +41,18 @@ def film() -> Film:
 
 
 def curves(rows: list[dict[str, float]], shifts: torch.Tensor | None = None) -> np.ndarray:
-    """``K x E x T`` radii as filmed, of parameters given one dictionary a row; NaN where a solve failed."""
+    """``K x E x T`` radii as filmed, of parameters given one dictionary a row; NaN where a solve
+    failed.
+    """
     parameters = torch.stack([PARAMETERS.pack(row) for row in rows])
     return predict(SIMULATOR, parameters, film(), shifts).numpy()
 
 
 @dataclass(frozen=True)
 class Likeness:
-    """Another entry that looks alike: the angle between the changes in degrees, and where the rest is largest."""
+    """Another entry that looks alike: the angle between the changes in degrees, and where the rest
+    is largest.
+    """
 
     name: str
     angle: float
@@ -60,7 +71,11 @@ class LookAlikes:
         self.base = curves([BASE])[0]
         self.free = len(DESIGNS) * len(NUISANCES)
         changed = curves(list(changes.values())) - self.base
-        self.raw = {name: self._row(row) for name, row in zip(changes, changed, strict=True) if np.isfinite(row).all()}
+        self.raw = {
+            name: self._row(row)
+            for name, row in zip(changes, changed, strict=True)
+            if np.isfinite(row).all()
+        }
 
     def _row(self, change: np.ndarray) -> np.ndarray:
         """A change of the curves over the noise, with zeros for the priors of the nuisances."""
@@ -69,7 +84,10 @@ class LookAlikes:
     @cached_property
     def fitted(self) -> np.ndarray:
         """``N x k`` orthonormal basis of what gel and nuisances absorb."""
-        gel = curves([{**BASE, name: value * (1.0 + _STEP)} for name, value in BASE.items()]) - self.base
+        gel = (
+            curves([{**BASE, name: value * (1.0 + _STEP)} for name, value in BASE.items()])
+            - self.base
+        )
         columns = [self._row(row) / _STEP for row in gel]
         for number in range(self.free):
             experiment, kind = divmod(number, len(NUISANCES))
@@ -82,7 +100,9 @@ class LookAlikes:
 
     @cached_property
     def left(self) -> dict[str, np.ndarray]:
-        """Name -> unit change that is left beside the fitted parameters; entries that are absorbed wholly are left out."""
+        """Name -> unit change that is left beside the fitted parameters; entries that are absorbed
+        wholly are left out.
+        """
         found = {}
         for name, row in self.raw.items():
             rest = row - self.fitted @ (self.fitted.T @ row)
@@ -96,7 +116,9 @@ class LookAlikes:
         return float(np.linalg.norm(self.fitted.T @ row) / np.linalg.norm(row))
 
     def nearest(self, name: str, *, most: int = 4, within: float = 60.0) -> list[Likeness]:
-        """The entries whose changes enclose the smallest angles with that of ``name``, up to ``within`` degrees."""
+        """The entries whose changes enclose the smallest angles with that of ``name``, up to
+        ``within`` degrees.
+        """
         if name not in self.left:
             return []
         own, found = self.left[name], []
@@ -108,7 +130,9 @@ class LookAlikes:
         return sorted(found, key=lambda one: one.angle)[:most]
 
     def _where(self, rest: np.ndarray) -> tuple[str, float]:
-        """The phase of a bubble's life with most of what is left, and the Weber number of the design."""
+        """The phase of a bubble's life with most of what is left, and the Weber number of the
+        design.
+        """
         square = rest[: -self.free].reshape(self.base.shape) ** 2
         design = int(square.sum(1).argmax())
         phases = _phase(self.base[design])

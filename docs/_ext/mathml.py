@@ -1,4 +1,6 @@
-"""Sphinx extension: equations as MathML, which browsers draw themselves, without network or JavaScript."""
+"""Sphinx extension: equations as MathML, which browsers draw themselves, without network or
+JavaScript.
+"""
 
 from docutils import nodes
 from latex2mathml.converter import convert

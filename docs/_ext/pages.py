@@ -1,4 +1,6 @@
-"""Writes generated pages, only where their text changes, and removes pages of entries that are gone."""
+"""Writes generated pages, only where their text changes, and removes pages of entries that are
+gone.
+"""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -41,4 +43,9 @@ class Folder:
 def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """A Markdown table."""
     lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(str(x).replace("|", "\\|") for x in line) + " |" for line in lines) + "\n"
+    return (
+        "\n".join(
+            "| " + " | ".join(str(x).replace("|", "\\|") for x in line) + " |" for line in lines
+        )
+        + "\n"
+    )

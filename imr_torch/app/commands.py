@@ -24,7 +24,11 @@ class Data:
 
     def arguments(self) -> list[str]:
         """Files and options that say how they are read."""
-        pairs = (("--layout", self.layout), ("--experiments", ",".join(self.experiments)), ("--medium", self.medium))
+        pairs = (
+            ("--layout", self.layout),
+            ("--experiments", ",".join(self.experiments)),
+            ("--medium", self.medium),
+        )
         return [*self.files, *(part for option, text in pairs if text for part in (option, text))]
 
 
@@ -59,7 +63,9 @@ class Characterize:
     def arguments(self, folder: str) -> list[str]:
         """The arguments; results go to ``folder``."""
         words = ["characterize", *self.data.arguments()]
-        words += ["--models", ",".join(self.models)] if ",".join(self.models) != DEFAULT_MODELS else []
+        words += (
+            ["--models", ",".join(self.models)] if ",".join(self.models) != DEFAULT_MODELS else []
+        )
         words += ["--known", self.known] if self.known else []
         words += ["--rest-radius", self.rest_radius] if self.rest_radius else []
         words += ["--collapses", str(self.collapses)] if self.collapses != COLLAPSES else []
@@ -111,7 +117,8 @@ class Design:
     """``imr-torch design``.
 
     Args:
-        belief: result of an earlier characterisation that the design builds on; empty: the wide prior over ``models``.
+        belief: result of an earlier characterisation that the design builds on; empty: the wide
+            prior over ``models``.
         models: candidate models, where there is no earlier result.
         medium: what is stated of the medium.
         physics: which simulator.
@@ -138,7 +145,10 @@ class Design:
 
     def arguments(self, folder: str) -> list[str]:
         """The arguments; results go to ``folder``."""
-        words = ["design", *(["--belief", self.belief] if self.belief else ["--models", ",".join(self.models)])]
+        words = [
+            "design",
+            *(["--belief", self.belief] if self.belief else ["--models", ",".join(self.models)]),
+        ]
         for option, text, default in (
             ("--q", str(self.count), "1"),
             ("--medium", self.medium, ""),

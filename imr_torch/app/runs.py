@@ -1,7 +1,9 @@
-"""Commands as processes: one at a time, with progress and messages; each writes into a folder of its own.
+"""Commands as processes: one at a time, with progress and messages; each writes into a folder of
+its own.
 
-``results/003_characterize/`` holds what the command wrote, ``run.json`` (arguments, times, exit status), ``output.txt`` and
-``messages.txt``. A folder whose run has no exit status and is not running was interrupted with the application.
+``results/003_characterize/`` holds what the command wrote, ``run.json`` (arguments, times, exit
+status), ``output.txt`` and ``messages.txt``. A folder whose run has no exit status and is not
+running was interrupted with the application.
 """
 
 import io
@@ -24,8 +26,17 @@ from imr_torch.files import read_json, write_atomically, write_json
 _COMMAND = "import sys; from imr_torch.cli import main; sys.exit(main(sys.argv[1:], live=True))"
 _TIME = re.compile(r"((?:\d+:)?\d+:\d\d), about ((?:\d+:)?\d+:\d\d) left")
 _PATIENCE = 10.0  # seconds that a stopped command has to end by itself
-_ANSWERED = (0, 2, 130)  # exit statuses with which a command ends by itself, or answers that it is stopped
-_STATUS = {0: "done", 1: "not converged, or a file could not be written", 2: "the input cannot be used", 130: "stopped"}
+_ANSWERED = (
+    0,
+    2,
+    130,
+)  # exit statuses with which a command ends by itself, or answers that it is stopped
+_STATUS = {
+    0: "done",
+    1: "not converged, or a file could not be written",
+    2: "the input cannot be used",
+    130: "stopped",
+}
 
 
 @dataclass(frozen=True)
@@ -98,7 +109,10 @@ class Run:
     """
 
     def __init__(self, result: Result, home: Path) -> None:
-        self.result, self.line, self._messages, self._stopping = result, "starting", "", False
+        self.result = result
+        self.line = "starting"
+        self._messages = ""
+        self._stopping = False
         new_group = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)
         self._process = subprocess.Popen(
             [sys.executable, "-c", _COMMAND, *result.arguments],
@@ -110,7 +124,10 @@ class Run:
             creationflags=new_group,
         )
         self._output: list[bytes] = []
-        self._readers = [threading.Thread(target=read, daemon=True) for read in (self._read_output, self._read_messages)]
+        self._readers = [
+            threading.Thread(target=read, daemon=True)
+            for read in (self._read_output, self._read_messages)
+        ]
         for reader in self._readers:
             reader.start()
         self._end = threading.Thread(target=self._finish, daemon=True)
@@ -155,7 +172,9 @@ class Run:
         """Standard error: a line that ends with a carriage return is progress, any other a message."""
         assert self._process.stderr is not None
         pending = ""
-        reader = io.TextIOWrapper(self._process.stderr, encoding="utf-8", errors="replace", newline="")
+        reader = io.TextIOWrapper(
+            self._process.stderr, encoding="utf-8", errors="replace", newline=""
+        )
         while character := reader.read(1):
             if character not in "\r\n":
                 pending += character
@@ -171,9 +190,13 @@ class Run:
         status = self._process.wait()
         for reader in self._readers:
             reader.join()
-        folder, messages = self.result.folder, self._messages
-        if self._stopping and status not in _ANSWERED:  # before Python could answer, or killed since it did not
-            status, messages = 130, ""
+        folder = self.result.folder
+        messages = self._messages
+        if (
+            self._stopping and status not in _ANSWERED
+        ):  # before Python could answer, or killed since it did not
+            status = 130
+            messages = ""
         write_atomically(folder / "output.txt", lambda stream: stream.write(b"".join(self._output)))
         write_atomically(folder / "messages.txt", lambda stream: stream.write(messages.encode()))
         _write_record(self.result, status)
@@ -187,7 +210,8 @@ class Runs:
     """
 
     def __init__(self, home: Path) -> None:
-        self.home, self.folder = home, home / "results"
+        self.home = home
+        self.folder = home / "results"
         self.current: Run | None = None
 
     @property
@@ -197,7 +221,9 @@ class Runs:
 
     def next_folder(self, kind: str) -> str:
         """The folder of the next run, relative to ``home``."""
-        taken = [int(m[1]) for path in self.folder.glob("*_*") if (m := re.match(r"(\d+)_", path.name))]
+        taken = [
+            int(m[1]) for path in self.folder.glob("*_*") if (m := re.match(r"(\d+)_", path.name))
+        ]
         return f"results/{max(taken, default=0) + 1:03d}_{kind}"
 
     def start(self, arguments: Callable[[str], list[str]], kind: str) -> Run:
@@ -223,7 +249,11 @@ class Runs:
     def results(self) -> list[Result]:
         """All runs that have ended, the latest first."""
         running = self.current.result.folder if self.busy and self.current else None
-        found = [_read_record(path.parent) for path in self.folder.glob("*/run.json") if path.parent != running]
+        found = [
+            _read_record(path.parent)
+            for path in self.folder.glob("*/run.json")
+            if path.parent != running
+        ]
         return sorted(found, key=lambda result: result.name, reverse=True)
 
     def result(self, name: str) -> Result:
@@ -239,7 +269,9 @@ class Runs:
 
 
 def _seconds(clock: str) -> float:
-    return float(sum(60**power * int(part) for power, part in enumerate(reversed(clock.split(":")))))
+    return float(
+        sum(60**power * int(part) for power, part in enumerate(reversed(clock.split(":"))))
+    )
 
 
 def _write_record(result: Result, status: int | None) -> None:

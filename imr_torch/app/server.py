@@ -1,7 +1,8 @@
-"""The page with its five tabs, the server on this machine alone, and the routes that hand out results.
+"""The page with its five tabs, the server on this machine alone, and the routes that hand out
+results.
 
-The forms of a page belong to the browser tab that shows it; files, what is stated, and results are those of the folder, so a
-page that is loaded again shows the same.
+The forms of a page belong to the browser tab that shows it; files, what is stated, and results are
+those of the folder, so a page that is loaded again shows the same.
 """
 
 import secrets
@@ -39,7 +40,9 @@ iframe.page { width: 100%; height: 78vh; border: 1px solid #ccc; background: #ff
 """
 
 
-def serve(folder: Path, *, port: int = 0, browser: bool = True, say: Callable[[str], None] = print) -> None:
+def serve(
+    folder: Path, *, port: int = 0, browser: bool = True, say: Callable[[str], None] = print
+) -> None:
     """Serve the application until it is interrupted.
 
     Args:
@@ -56,15 +59,21 @@ def serve(folder: Path, *, port: int = 0, browser: bool = True, say: Callable[[s
     try:
         lock.acquire()
     except Timeout:
-        raise InputDataError(f"{folder} is in use by another application; close that one, or give another --out.") from None
+        raise InputDataError(
+            f"{folder} is in use by another application; close that one, or give another --out."
+        ) from None
     with lock:
-        number, token = _free_port(port), secrets.token_urlsafe(24)
-        workspace, runs = Workspace(folder), Runs(folder.resolve())
+        number = _free_port(port)
+        token = secrets.token_urlsafe(24)
+        workspace = Workspace(folder)
+        runs = Runs(folder.resolve())
         app.add_middleware(Guard, token=token, port=number)
         _add_routes(runs)
         app.on_shutdown(lambda: _end(runs))
         address = f"http://{HOST}:{number}/?token={token}"
-        waiting = threading.Thread(target=_announce, args=(address, number, folder, say, browser), daemon=True)
+        waiting = threading.Thread(
+            target=_announce, args=(address, number, folder, say, browser), daemon=True
+        )
         app.on_startup(waiting.start)
         ui.run(
             lambda: _page(workspace, runs),
@@ -89,11 +98,15 @@ def _free_port(port: int) -> int:
         try:
             probe.bind((HOST, port))
         except (OSError, OverflowError) as error:
-            raise InputDataError(f"--port is {port}, which cannot be used ({error}); give another, or leave it out.") from None
+            raise InputDataError(
+                f"--port is {port}, which cannot be used ({error}); give another, or leave it out."
+            ) from None
         return probe.getsockname()[1]
 
 
-def _announce(address: str, port: int, folder: Path, say: Callable[[str], None], browser: bool) -> None:
+def _announce(
+    address: str, port: int, folder: Path, say: Callable[[str], None], browser: bool
+) -> None:
     """Say the address as soon as the server answers, and open it."""
     while True:
         with suppress(OSError), closing(socket.create_connection((HOST, port), timeout=1.0)):
@@ -119,7 +132,10 @@ def _add_routes(runs: Runs) -> None:
         found = _result_page(runs, name)
         if found is None:
             return Response("There is no such page.", 404, media_type="text/plain")
-        policy = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'self'; sandbox"
+        policy = (
+            "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors "
+            "'self'; sandbox"
+        )
         return Response(found, media_type="text/html", headers={"Content-Security-Policy": policy})
 
     @app.get("/result/{name}/archive")
@@ -129,7 +145,9 @@ def _add_routes(runs: Runs) -> None:
         except InputDataError as error:
             return Response(str(error), 404, media_type="text/plain")
         disposition = f'attachment; filename="{name}.zip"'
-        return Response(content, media_type="application/zip", headers={"Content-Disposition": disposition})
+        return Response(
+            content, media_type="application/zip", headers={"Content-Disposition": disposition}
+        )
 
 
 def _result_page(runs: Runs, name: str) -> bytes | None:
@@ -148,7 +166,9 @@ def _page(workspace: Workspace, runs: Runs) -> None:
     with ui.header().classes("items-center q-py-xs"):
         ui.label("imr_torch").classes("text-h6")
         ui.label(str(workspace.folder)).classes("text-caption gt-xs")
-    with ui.tabs().props("align=left outside-arrows mobile-arrows no-caps").classes("w-full") as tabs:
+    with (
+        ui.tabs().props("align=left outside-arrows mobile-arrows no-caps").classes("w-full") as tabs
+    ):
         for number, name in enumerate(names, start=1):
             ui.tab(name, f"{number} {name}")
 

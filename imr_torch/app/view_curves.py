@@ -1,4 +1,6 @@
-"""The tab of curves: the frames of one, with the maximum, R_inf and the end of the window as lines that can be moved."""
+"""The tab of curves: the frames of one, with the maximum, R_inf and the end of the window as lines
+that can be moved.
+"""
 
 from typing import Any
 
@@ -21,7 +23,12 @@ _FIELDS = {
 }
 _LINES = ("t_Rmax_s", "Rmax_m", "Rinf_m", "window_end_s")
 """What the lines of the figure show, in their order."""
-_NAMES = {"t_Rmax_s": "maximum", "Rmax_m": "Rmax", "Rinf_m": "R_inf", "window_end_s": "end of window"}
+_NAMES = {
+    "t_Rmax_s": "maximum",
+    "Rmax_m": "Rmax",
+    "Rinf_m": "R_inf",
+    "window_end_s": "end of window",
+}
 _PAIRS = {"Rmax_m": "Rmax_sd_m", "Rinf_m": "Rinf_sd_m"}
 
 
@@ -34,7 +41,8 @@ class CurvesView:
 
     def __init__(self, workspace: Workspace) -> None:
         self.workspace = workspace
-        self.name, self.collapses = "", COLLAPSES
+        self.name = ""
+        self.collapses = COLLAPSES
 
     @ui.refreshable_method
     def show(self) -> None:
@@ -49,15 +57,20 @@ class CurvesView:
             return
         self.name = self.name if self.name in names else names[0]
         with ui.row().classes("items-center"):
-            ui.select(names, value=self.name, label="Curve", on_change=self._choose).style("min-width: 12rem")
+            ui.select(names, value=self.name, label="Curve", on_change=self._choose).style(
+                "min-width: 12rem"
+            )
             ui.button(icon="chevron_left", on_click=lambda: self._step(names, -1)).props(
                 'flat round aria-label="Previous curve"'
             )
-            ui.button(icon="chevron_right", on_click=lambda: self._step(names, +1)).props('flat round aria-label="Next curve"')
+            ui.button(icon="chevron_right", on_click=lambda: self._step(names, +1)).props(
+                'flat round aria-label="Next curve"'
+            )
             ui.label(f"{names.index(self.name) + 1} of {len(names)}").classes("quiet")
         view = self.workspace.curve(self.name, self.collapses)
         ui.label(
-            "Move the lines with the mouse or type values. Empty fields are found in the frames; what is stated is written "
+            "Move the lines with the mouse or type values. Empty fields are found in the frames; "
+            "what is stated is written "
             "into the JSON file beside the table and counts in every command."
         ).classes("quiet")
         plot = ui.plotly(figure(view)).classes("w-full").style("height: min(26rem, 70vh)")
@@ -80,7 +93,9 @@ class CurvesView:
                 ).props("clearable debounce=700 stack-label").style("width: 10rem").on_value_change(
                     lambda event, key=key: self._typed(view, key, event.value)
                 )
-            ui.button("As found", on_click=lambda: self._state(view, {})).props("outline no-caps").set_enabled(bool(stated))
+            ui.button("As found", on_click=lambda: self._state(view, {})).props(
+                "outline no-caps"
+            ).set_enabled(bool(stated))
 
     def _choose(self, event: events.ValueChangeEventArguments) -> None:
         self.name = event.value
@@ -104,7 +119,8 @@ class CurvesView:
         if (change := moved_line(event.args)) is None:
             return
         key, value = change
-        values, sd = stated_values(view) | {key: value}, _PAIRS.get(key)
+        values = stated_values(view) | {key: value}
+        sd = _PAIRS.get(key)
         if sd is not None and sd not in values and (known := found_values(view)[sd]) is not None:
             values[sd] = known
         self._state(view, values)
@@ -127,11 +143,15 @@ def stated_values(view: CurveView) -> dict[str, float]:
 def found_values(view: CurveView) -> dict[str, float | None]:
     """What counts for a curve, stated or found, by the names of the JSON file."""
     marks = view.landmarks
-    return {key: view.window_end_s if key == "window_end_s" else getattr(marks, field) for key, field in OVERRIDES.items()}
+    return {
+        key: view.window_end_s if key == "window_end_s" else getattr(marks, field)
+        for key, field in OVERRIDES.items()
+    }
 
 
 def moved_line(change: dict[str, Any]) -> tuple[str, float] | None:
-    """Which line was moved where, from what the figure reports; in SI units; None for any other change.
+    """Which line was moved where, from what the figure reports; in SI units; None for any other
+    change.
 
     >>> from imr_torch.app.view_curves import moved_line
     >>> moved_line({"shapes[2].y0": 40.0, "shapes[2].y1": 44.0, "shapes[2].x0": 0.1})
@@ -139,7 +159,11 @@ def moved_line(change: dict[str, Any]) -> tuple[str, float] | None:
     """
     for number, key in enumerate(_LINES):
         axis = "x" if key.endswith("_s") else "y"
-        ends = [change[f"shapes[{number}].{axis}{end}"] for end in (0, 1) if f"shapes[{number}].{axis}{end}" in change]
+        ends = [
+            change[f"shapes[{number}].{axis}{end}"]
+            for end in (0, 1)
+            if f"shapes[{number}].{axis}{end}" in change
+        ]
         if ends:
             return key, round(sum(ends) / len(ends), 4) / _MICRO
     return None
@@ -147,7 +171,8 @@ def moved_line(change: dict[str, Any]) -> tuple[str, float] | None:
 
 def figure(view: CurveView) -> dict[str, Any]:
     """The frames in us and um with the lines, as plotly takes it."""
-    time, radius = (_MICRO * view.trace.time_s).tolist(), (_MICRO * view.trace.radius_m).tolist()
+    time = (_MICRO * view.trace.time_s).tolist()
+    radius = (_MICRO * view.trace.radius_m).tolist()
     first, last = view.fitted or (len(time), len(time) - 1)
     chosen = set(range(first, last + 1))
     found = found_values(view)
@@ -160,12 +185,18 @@ def figure(view: CurveView) -> dict[str, Any]:
             "y": [r for i, r in enumerate(radius) if (i in chosen) == inside],
             "marker": {"size": 6, "color": colour},
         }
-        for name, inside, colour in (("fitted frames", True, _FITTED), ("frames not fitted", False, _OUTSIDE))
+        for name, inside, colour in (
+            ("fitted frames", True, _FITTED),
+            ("frames not fitted", False, _OUTSIDE),
+        )
     ]
     lines = [
         _line(key, found[key], colour, dash)
         for key, colour, dash in zip(
-            _LINES, (_MAXIMUM, _MAXIMUM, _REST, _WINDOW), ("solid", "solid", "dash", "dot"), strict=True
+            _LINES,
+            (_MAXIMUM, _MAXIMUM, _REST, _WINDOW),
+            ("solid", "solid", "dash", "dot"),
+            strict=True,
         )
     ]
     layout = {
@@ -191,8 +222,14 @@ def _line(key: str, value: float | None, colour: str, dash: str) -> dict[str, An
         if key.endswith("_s")
         else {"y0": at, "y1": at, "x0": 0, "x1": 1, "xref": "paper"}
     )
-    side = "left" if key == "t_Rmax_s" else "right"  # towards the frames between the two vertical lines
-    upright = {"textangle": 0, "textposition": "start", "xanchor": side} if key.endswith("_s") else {"textposition": "end"}
+    side = (
+        "left" if key == "t_Rmax_s" else "right"
+    )  # towards the frames between the two vertical lines
+    upright = (
+        {"textangle": 0, "textposition": "start", "xanchor": side}
+        if key.endswith("_s")
+        else {"textposition": "end"}
+    )
     label = {"text": _NAMES[key], "font": {"size": 11, "color": colour}, **upright}
     line = {"color": colour, "width": 2, "dash": dash}
     return {"type": "line", "visible": value is not None, "line": line, "label": label} | place

@@ -8,8 +8,10 @@ from imr_torch.app.workspace import ENDINGS, LARGEST_FILE, FileState, Workspace
 from imr_torch.errors import ImrError
 
 _HELP = (
-    "Tables with the columns experiment_id, time_s, radius_m, or with units in the header; MATLAB files; .xlsx; .npz; and the "
-    "JSON file of the same name beside a table. All curves that are used together are taken to be of one gel."
+    "Tables with the columns experiment_id, time_s, radius_m, or with units in the header; MATLAB "
+    "files; .xlsx; .npz; and the "
+    "JSON file of the same name beside a table. All curves that are used together are taken to be "
+    "of one gel."
 )
 
 
@@ -22,7 +24,8 @@ class FilesView:
     """
 
     def __init__(self, workspace: Workspace, go: Callable[[str], None]) -> None:
-        self.workspace, self.go = workspace, go
+        self.workspace = workspace
+        self.go = go
 
     @ui.refreshable_method
     def show(self) -> None:
@@ -36,8 +39,12 @@ class FilesView:
                 max_file_size=LARGEST_FILE,
                 on_upload=self._take,
                 on_multi_upload=lambda _: self.show.refresh(),
-                on_rejected=lambda _: ui.notify(f"Files of curves end in {', '.join(ENDINGS)}.", type="warning"),
-            ).props(f'accept="{",".join(ENDINGS)}" flat bordered').classes("w-full").style("max-width: 34rem")
+                on_rejected=lambda _: ui.notify(
+                    f"Files of curves end in {', '.join(ENDINGS)}.", type="warning"
+                ),
+            ).props(f'accept="{",".join(ENDINGS)}" flat bordered').classes("w-full").style(
+                "max-width: 34rem"
+            )
             ui.button("Take the example gel", on_click=self._example).props("outline no-caps")
         files = self.workspace.files()
         if files:
@@ -51,7 +58,9 @@ class FilesView:
             ui.label(str(error)).classes("problem")
             return
         if len(traces):
-            with ui.expansion(f"What was read: {len(traces)} curve(s)", icon="list").classes("w-full"):
+            with ui.expansion(f"What was read: {len(traces)} curve(s)", icon="list").classes(
+                "w-full"
+            ):
                 ui.label(traces.report()).style("white-space: pre-wrap").classes("text-body2")
             ui.button("Look at the curves", on_click=lambda: self.go("Curves")).props("no-caps")
 
@@ -62,15 +71,27 @@ class FilesView:
             )
             with ui.column().classes("gap-0"):
                 ui.label(file.name).style("overflow-wrap: anywhere")
-                held = f"{file.curves} curve(s)" if file.curves else f"{file.shots} shot(s) of collapse times"
-                ui.label(file.problem or held).classes("problem" if file.problem else "quiet").style("overflow-wrap: anywhere")
+                held = (
+                    f"{file.curves} curve(s)"
+                    if file.curves
+                    else f"{file.shots} shot(s) of collapse times"
+                )
+                ui.label(file.problem or held).classes(
+                    "problem" if file.problem else "quiet"
+                ).style("overflow-wrap: anywhere")
 
     def _layout(self) -> None:
         """How the files are to be read, where their names do not say it."""
         text = self.workspace.settings["layout"]
-        with ui.expansion("How to read files whose headers do not say it", icon="tune", value=bool(text)).classes("w-full"):
-            field = ui.input("Layout", value=text, placeholder="radius=R,radius_unit=um,time=t,time_unit=us").classes("w-full")
-            ui.button("Read the files again", on_click=lambda: self._set_layout(field.value or "")).props("outline no-caps")
+        with ui.expansion(
+            "How to read files whose headers do not say it", icon="tune", value=bool(text)
+        ).classes("w-full"):
+            field = ui.input(
+                "Layout", value=text, placeholder="radius=R,radius_unit=um,time=t,time_unit=us"
+            ).classes("w-full")
+            ui.button(
+                "Read the files again", on_click=lambda: self._set_layout(field.value or "")
+            ).props("outline no-caps")
 
     async def _take(self, event: events.UploadEventArguments) -> None:
         try:

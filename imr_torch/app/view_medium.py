@@ -1,4 +1,6 @@
-"""The tab of the medium: a named one, properties with standard deviations, and what follows from files and statements."""
+"""The tab of the medium: a named one, properties with standard deviations, and what follows from
+files and statements.
+"""
 
 from nicegui import ui
 
@@ -25,7 +27,8 @@ class MediumView:
         text = self.workspace.settings["medium"]
         said = Statement.from_text(text) if text else Statement()
         ui.label(
-            "What is stated here counts before what the files say; what nobody states is assumed. A standard deviation makes a "
+            "What is stated here counts before what the files say; what nobody states is assumed. "
+            "A standard deviation makes a "
             "property part of the fit."
         ).classes("quiet")
         names = {"": "none named", **{name: name for name in MEDIA}}
@@ -37,11 +40,15 @@ class MediumView:
                 label = f"{key.replace('_', ' ')} ({known.unit})"
                 fields[key] = (
                     ui.number(label, value=value).props("clearable").style("width: 13rem"),
-                    ui.number("sd", value=sd).props(f'clearable aria-label="sd of {label}"').style("width: 8rem"),
+                    ui.number("sd", value=sd)
+                    .props(f'clearable aria-label="sd of {label}"')
+                    .style("width: 8rem"),
                 )
         ui.button(
             "State it",
-            on_click=lambda: self._set(name.value, {key: (a.value, b.value) for key, (a, b) in fields.items()}),
+            on_click=lambda: self._set(
+                name.value, {key: (a.value, b.value) for key, (a, b) in fields.items()}
+            ),
         ).props("no-caps")
         try:
             ui.label(self.workspace.medium().report()).style("white-space: pre-wrap")

@@ -1,4 +1,6 @@
-"""The tab of results: every run, the page that its command wrote, what it printed, and all its files to download."""
+"""The tab of results: every run, the page that its command wrote, what it printed, and all its
+files to download.
+"""
 
 from nicegui import ui
 
@@ -13,7 +15,8 @@ class ResultsView:
     """
 
     def __init__(self, runs: Runs) -> None:
-        self.runs, self.name = runs, ""
+        self.runs = runs
+        self.name = ""
 
     @ui.refreshable_method
     def show(self) -> None:
@@ -26,9 +29,12 @@ class ResultsView:
         result = results[self.name if self.name in results else latest]
         names = {name: f"{name}: {one.outcome}" for name, one in results.items()}
         with ui.row().classes("w-full items-center"):
-            ui.select(names, value=result.name, label="Result", on_change=lambda event: self._choose(event.value)).style(
-                "min-width: min(24rem, 100%)"
-            )
+            ui.select(
+                names,
+                value=result.name,
+                label="Result",
+                on_change=lambda event: self._choose(event.value),
+            ).style("min-width: min(24rem, 100%)")
             ui.link("Download everything (zip)", f"/result/{result.name}/archive")
             if result.page:
                 ui.link("Open the page by itself", f"/result/{result.name}/page", new_tab=True)
@@ -38,15 +44,19 @@ class ResultsView:
 
     def _content(self, result: Result) -> None:
         if result.status != 0:
-            ui.label(f"{result.outcome}. {result.text('messages.txt')}").classes("problem").style("white-space: pre-wrap")
-        if result.page:
-            ui.element("iframe").props(f'src="/result/{result.name}/page" title="Page of {result.name}" sandbox=""').classes(
-                "page"
+            ui.label(f"{result.outcome}. {result.text('messages.txt')}").classes("problem").style(
+                "white-space: pre-wrap"
             )
+        if result.page:
+            ui.element("iframe").props(
+                f'src="/result/{result.name}/page" title="Page of {result.name}" sandbox=""'
+            ).classes("page")
         output = result.text("output.txt")
         if output:
             with ui.expansion("What the command printed", icon="notes").classes("w-full"):
-                ui.label(output).style("white-space: pre-wrap; overflow-wrap: anywhere").classes("text-body2")
+                ui.label(output).style("white-space: pre-wrap; overflow-wrap: anywhere").classes(
+                    "text-body2"
+                )
 
     def _choose(self, name: str) -> None:
         self.name = name

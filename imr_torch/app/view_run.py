@@ -1,4 +1,6 @@
-"""The tab that runs commands: three forms, the command line that they make, progress, and a button that stops it."""
+"""The tab that runs commands: three forms, the command line that they make, progress, and a button
+that stops it.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -8,7 +10,15 @@ from nicegui import ui
 from imr_torch.app.commands import Characterize, Data, Design, Diagnose
 from imr_torch.app.runs import Run, Runs, command_line
 from imr_torch.app.workspace import Workspace
-from imr_torch.cli.options.names import COLLAPSES, DEFAULT_MODELS, EFFECTS_ADDED, EVALUATIONS, MODELS, PHYSICS, TARGETS
+from imr_torch.cli.options.names import (
+    COLLAPSES,
+    DEFAULT_MODELS,
+    EFFECTS_ADDED,
+    EVALUATIONS,
+    MODELS,
+    PHYSICS,
+    TARGETS,
+)
 from imr_torch.errors import ImrError
 
 _KINDS = {"characterize": "Characterise", "diagnose": "Diagnose", "design": "Next design"}
@@ -49,16 +59,25 @@ class RunView:
     """
 
     def __init__(self, workspace: Workspace, runs: Runs, go: Callable[[str], None]) -> None:
-        self.workspace, self.runs, self.go = workspace, runs, go
-        self.kind, self.values = "characterize", dict(_DEFAULTS)
+        self.workspace = workspace
+        self.runs = runs
+        self.go = go
+        self.kind = "characterize"
+        self.values = dict(_DEFAULTS)
         self.shown: Run | None = runs.current if runs.busy else None
 
     @ui.refreshable_method
     def show(self) -> None:
         """Draw it."""
-        ui.toggle(_KINDS, value=self.kind, on_change=lambda event: self._choose(event.value)).props("no-caps")
-        {"characterize": self._characterize, "diagnose": self._diagnose, "design": self._design}[self.kind]()
-        ui.label("The command, which does the same on a command line in this folder:").classes("quiet q-mt-sm")
+        ui.toggle(_KINDS, value=self.kind, on_change=lambda event: self._choose(event.value)).props(
+            "no-caps"
+        )
+        {"characterize": self._characterize, "diagnose": self._diagnose, "design": self._design}[
+            self.kind
+        ]()
+        ui.label("The command, which does the same on a command line in this folder:").classes(
+            "quiet q-mt-sm"
+        )
         self._line()
         with ui.row().classes("items-center"):
             ui.button("Run", icon="play_arrow", on_click=self._start).props("no-caps")
@@ -83,21 +102,29 @@ class RunView:
             ui.label(command_line(list(run.result.arguments))).classes("command")
             if run.running:
                 part = run.part
-                ui.linear_progress(value=part or 0.0, show_value=False).props("indeterminate" if part is None else "")
+                ui.linear_progress(value=part or 0.0, show_value=False).props(
+                    "indeterminate" if part is None else ""
+                )
                 ui.label(run.line).style("overflow-wrap: anywhere")
                 ui.button("Stop", icon="stop", on_click=run.stop).props("outline no-caps")
                 return
             result = self.runs.result(run.result.name)
-            ui.label(f"{result.name}: {result.outcome}").classes("" if result.status == 0 else "problem")
+            ui.label(f"{result.name}: {result.outcome}").classes(
+                "" if result.status == 0 else "problem"
+            )
             if result.status:
-                ui.label(result.text("messages.txt")).style("white-space: pre-wrap; overflow-wrap: anywhere")
+                ui.label(result.text("messages.txt")).style(
+                    "white-space: pre-wrap; overflow-wrap: anywhere"
+                )
             ui.button("See the result", on_click=lambda: self.go("Results")).props("no-caps")
 
     def _tick(self) -> None:
         """Show how a run goes on, and once how it ended."""
         if self.shown is None and self.runs.busy:
             self.shown = self.runs.current
-        if self.shown is not None and (self.shown.running or not getattr(self.shown, "seen", False)):
+        if self.shown is not None and (
+            self.shown.running or not getattr(self.shown, "seen", False)
+        ):
             self.shown.seen = not self.shown.running  # type: ignore[attr-defined]
             self._progress.refresh()
 
@@ -116,7 +143,8 @@ class RunView:
 
     def _arguments(self, folder: str) -> list[str]:
         """The arguments of the chosen command as the form says them."""
-        get, settings = self.values, self.workspace.settings
+        get = self.values
+        settings = self.workspace.settings
         if self.kind == "design":
             return Design(
                 belief=get["belief"] or "",
@@ -129,7 +157,9 @@ class RunView:
                 count=int(get["count"] or 1),
                 evaluations=int(get["evaluations"] or EVALUATIONS),
             ).arguments(folder)
-        data = Data(self.workspace.usable(), settings["layout"], settings["medium"], get["experiments"])
+        data = Data(
+            self.workspace.usable(), settings["layout"], settings["medium"], get["experiments"]
+        )
         same = {
             "known": get["known"],
             "physics": get["physics"],
@@ -137,9 +167,13 @@ class RunView:
             "rest_radius": get["rest_radius"],
         }
         if self.kind == "diagnose":
-            return Diagnose(data, base=get["base"], most=int(get["most"] or EFFECTS_ADDED), **same).arguments(folder)
+            return Diagnose(
+                data, base=get["base"], most=int(get["most"] or EFFECTS_ADDED), **same
+            ).arguments(folder)
         further = [name for name in _FURTHER if get[name]]
-        return Characterize(data, models=get["models"], robust=get["robust"], further=further, **same).arguments(folder)
+        return Characterize(
+            data, models=get["models"], robust=get["robust"], further=further, **same
+        ).arguments(folder)
 
     def _characterize(self) -> None:
         self._curves()
@@ -149,9 +183,15 @@ class RunView:
             self._number("collapses", "Collapses in the window")
         with ui.row().classes("w-full"):
             for name, text in _FURTHER.items():
-                ui.checkbox(text, value=self.values[name], on_change=lambda e, name=name: self._set(name, e.value))
+                ui.checkbox(
+                    text,
+                    value=self.values[name],
+                    on_change=lambda e, name=name: self._set(name, e.value),
+                )
             ui.checkbox(
-                "leave single bad frames out", value=self.values["robust"], on_change=lambda e: self._set("robust", e.value)
+                "leave single bad frames out",
+                value=self.values["robust"],
+                on_change=lambda e: self._set("robust", e.value),
             )
         self._known()
 
@@ -226,12 +266,17 @@ class RunView:
 
     def _select(self, key: str, options: Any, label: str) -> None:
         choices = options if isinstance(options, dict) else list(options)
-        ui.select(choices, value=self.values[key], label=label, on_change=lambda e: self._chosen(key, e.value)).style(
-            "min-width: 14rem"
-        )
+        ui.select(
+            choices,
+            value=self.values[key],
+            label=label,
+            on_change=lambda e: self._chosen(key, e.value),
+        ).style("min-width: 14rem")
 
     def _number(self, key: str, label: str) -> None:
-        ui.number(label, value=self.values[key], on_change=lambda e: self._set(key, e.value)).style("width: 11rem")
+        ui.number(label, value=self.values[key], on_change=lambda e: self._set(key, e.value)).style(
+            "width: 11rem"
+        )
 
     def _chosen(self, key: str, value: Any) -> None:
         self._set(key, value)

@@ -1,8 +1,10 @@
-"""The folder of an application: uploaded files, what a person states about them, settings, and results.
+"""The folder of an application: uploaded files, what a person states about them, settings, and
+results.
 
-``files/`` holds curves and the JSON files beside them, ``results/`` a folder a run, ``set_aside/`` files that were replaced or
-taken out, ``settings.json`` the layout and the medium. Everything is written at once and nothing is deleted, so that the
-application can be ended and started again at any time.
+``files/`` holds curves and the JSON files beside them, ``results/`` a folder a run, ``set_aside/``
+files that were replaced or taken out, ``settings.json`` the layout and the medium. Everything is
+written at once and nothing is deleted, so that the application can be ended and started again at
+any time.
 """
 
 import secrets
@@ -96,7 +98,8 @@ class Workspace:
 
     def __init__(self, folder: Path) -> None:
         self.folder = Path(folder).resolve()
-        self.files_folder, self.results_folder = self.folder / "files", self.folder / "results"
+        self.files_folder = self.folder / "files"
+        self.results_folder = self.folder / "results"
         for path in (self.files_folder, self.results_folder):
             path.mkdir(parents=True, exist_ok=True)
 
@@ -111,10 +114,12 @@ class Workspace:
             What was done, a sentence.
 
         Raises:
-            InputDataError: if the ending is not known, the name cannot be used, or the file is empty or too large.
+            InputDataError: if the ending is not known, the name cannot be used, or the file is
+                empty or too large.
         """
         name = check_name(name, len(content))
-        target, before = self.files_folder / name, ""
+        target = self.files_folder / name
+        before = ""
         if target.exists():
             if target.read_bytes() == content:
                 return f"{name} is there already."
@@ -133,7 +138,9 @@ class Workspace:
         check_name(name, 1)
         where = self._set_aside(name)
         beside = (self.files_folder / name).with_suffix(".json")
-        if beside.exists() and not [p for p in self.files_folder.glob(f"{beside.stem}.*") if p != beside]:
+        if beside.exists() and not [
+            p for p in self.files_folder.glob(f"{beside.stem}.*") if p != beside
+        ]:
             self._set_aside(beside.name)
         return f"{name} is set aside as {where}."
 
@@ -146,9 +153,16 @@ class Workspace:
 
     @property
     def settings(self) -> dict[str, str]:
-        """``layout`` and ``medium`` as text, as the options of the commands take them; empty where nothing is stated."""
+        """``layout`` and ``medium`` as text, as the options of the commands take them.
+
+        Empty where nothing is stated.
+        """
         path = self.folder / "settings.json"
-        found = read_json(path, expected="expected the settings of an application") if path.exists() else {}
+        found = (
+            read_json(path, expected="expected the settings of an application")
+            if path.exists()
+            else {}
+        )
         return {name: str(found.get(name, "")) for name in _SETTINGS}
 
     def set_layout(self, text: str) -> None:
@@ -185,7 +199,9 @@ class Workspace:
     @property
     def _paths(self) -> list[Path]:
         inside = sorted(self.files_folder.iterdir())
-        return [p for p in inside if p.suffix.lower() in SUFFIXES and not p.name.startswith((".", "~$"))]
+        return [
+            p for p in inside if p.suffix.lower() in SUFFIXES and not p.name.startswith((".", "~$"))
+        ]
 
     def files(self) -> list[FileState]:
         """The files of curves and collapse times, each with whether it can be used."""
@@ -197,15 +213,21 @@ class Workspace:
                 return FileState(path.name, shots=len(load_collapse_times(path)))
             return FileState(path.name, curves=len(self._load(path)))
         except ImrError as error:
-            return FileState(path.name, problem=str(error).replace(f"{self.folder}", "").lstrip("/\\"))
+            return FileState(
+                path.name, problem=str(error).replace(f"{self.folder}", "").lstrip("/\\")
+            )
 
     def _load(self, path: Path) -> TraceSet:
         beside = path.with_suffix(".json")
-        stamps = tuple((p.stat().st_mtime_ns, p.stat().st_size) if p.exists() else None for p in (path, beside))
+        stamps = tuple(
+            (p.stat().st_mtime_ns, p.stat().st_size) if p.exists() else None for p in (path, beside)
+        )
         return _load_once(path, stamps, self.settings["layout"])
 
     def usable(self) -> list[str]:
-        """Names of the files that can be used, relative to the folder, as the commands are given them."""
+        """Names of the files that can be used, relative to the folder, as the commands are given
+        them.
+        """
         return [f"files/{file.name}" for file in self.files() if not file.problem]
 
     def traces(self) -> TraceSet:
@@ -214,7 +236,11 @@ class Workspace:
         Raises:
             InputDataError: if two files hold curves of one name.
         """
-        found = [self._load(self.files_folder / file.name) for file in self.files() if file.curves and not file.problem]
+        found = [
+            self._load(self.files_folder / file.name)
+            for file in self.files()
+            if file.curves and not file.problem
+        ]
         traces = tuple(trace for one in found for trace in one)
         left_out = tuple(x for one in found for x in one.left_out)
         return TraceSet(traces, left_out, tuple(note for one in found for note in one.notes))
@@ -229,7 +255,14 @@ class Workspace:
             surroundings = self.medium().surroundings
             prepared = prepare(traces.select([name]), surroundings, collapses=collapses)
         except ImrError as error:
-            return CurveView(trace, marks, None, None, str(error).replace(f"{self.folder}", "").lstrip("/\\"), alone)
+            return CurveView(
+                trace,
+                marks,
+                None,
+                None,
+                str(error).replace(f"{self.folder}", "").lstrip("/\\"),
+                alone,
+            )
         count, before, after = prepared.frames[name]
         return CurveView(
             trace,
@@ -253,17 +286,27 @@ def check_name(name: str, size: int) -> str:
     """The name of an uploaded file, without folders.
 
     Raises:
-        InputDataError: if the ending is not known, the name cannot be used, or the file is empty or too large.
+        InputDataError: if the ending is not known, the name cannot be used, or the file is empty or
+            too large.
 
     >>> from imr_torch.app.workspace import check_name
     >>> check_name("../../day 1/gel.csv", 10)
     'gel.csv'
     """
     base = name.replace("\\", "/").rpartition("/")[2].strip()
-    if not base or base.startswith((".", "~")) or not base.isprintable() or len(base.encode()) > _LONGEST_NAME:
-        raise InputDataError(f"{name[:80]!r} is no name of a file that can be kept; rename it and drop it again.")
+    if (
+        not base
+        or base.startswith((".", "~"))
+        or not base.isprintable()
+        or len(base.encode()) > _LONGEST_NAME
+    ):
+        raise InputDataError(
+            f"{name[:80]!r} is no name of a file that can be kept; rename it and drop it again."
+        )
     if Path(base).suffix.lower() not in ENDINGS:
-        raise InputDataError(f"{base}: files of curves end in {', '.join(ENDINGS)}; convert it, or leave it out.")
+        raise InputDataError(
+            f"{base}: files of curves end in {', '.join(ENDINGS)}; convert it, or leave it out."
+        )
     if not 0 < size <= LARGEST_FILE:
         raise InputDataError(f"{base} has {size} bytes; expected 1 to {LARGEST_FILE}.")
     return base

@@ -1,4 +1,6 @@
-"""Inference: from experiments to the posterior of each model's parameters, with a convergence certificate."""
+"""Inference: from experiments to the posterior of each model's parameters, with a convergence
+certificate.
+"""
 
 from imr_torch.assimilate.bad_frames import BadFrame, BadFrames, find_bad_frames
 from imr_torch.assimilate.en4dvar import assimilate_en4dvar
@@ -6,15 +8,28 @@ from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit, Verdic
 from imr_torch.assimilate.forward import ForwardModel, Point
 from imr_torch.assimilate.frame_jitter import FrameJitter, find_frame_jitter
 from imr_torch.assimilate.frame_noise import FrameNoise, FrameNoisePrior, infer_frame_noise
-from imr_torch.assimilate.gauss_newton import NormalEquations, ensemble_sensitivity, normal_equations
+from imr_torch.assimilate.gauss_newton import (
+    NormalEquations,
+    ensemble_sensitivity,
+    normal_equations,
+)
 from imr_torch.assimilate.importance import ImportanceSample
 from imr_torch.assimilate.map_fit import assimilate
-from imr_torch.assimilate.noise_estimation import NOISE_ROUNDS, assimilate_estimating_noise, noise_nodes
+from imr_torch.assimilate.noise_estimation import (
+    NOISE_ROUNDS,
+    assimilate_estimating_noise,
+    noise_nodes,
+)
 from imr_torch.assimilate.noise_posterior import NoiseNodes
 from imr_torch.assimilate.options import En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.assimilate.posterior import Neighbourhood, Posterior
 from imr_torch.assimilate.profile import Profile, profile
-from imr_torch.assimilate.published import PublishedFit, PublishedOptions, as_one_curve, assimilate_published
+from imr_torch.assimilate.published import (
+    PublishedFit,
+    PublishedOptions,
+    as_one_curve,
+    assimilate_published,
+)
 from imr_torch.assimilate.weighing import weigh
 
 __all__ = [

@@ -1,9 +1,11 @@
-"""Single bad frames: the posterior probability of each frame that its error is far larger than the noise, and what it changes.
+"""Single bad frames: the posterior probability of each frame that its error is far larger than the
+noise, and what it changes.
 
-Each frame is bad with a small prior probability, and then has an extra, independent error of eight times its noise (a
-contamination model: Box & Tiao, Biometrika 55, 1968). A frame is compared with all others through the fitted model: its
-deletion residual, from the joint Gaussian of frames, gel and nuisances linearised about the fit, so that correlated noise and
-what was fitted are accounted for. Which frames are bad is found one frame after the other (iterated conditional modes), so the
+Each frame is bad with a small prior probability, and then has an extra, independent error of eight
+times its noise (a contamination model: Box & Tiao, Biometrika 55, 1968). A frame is compared with
+all others through the fitted model: its deletion residual, from the joint Gaussian of frames, gel
+and nuisances linearised about the fit, so that correlated noise and what was fitted are accounted
+for. Which frames are bad is found one frame after the other (iterated conditional modes), so the
 probabilities are given the other frames that are named.
 """
 
@@ -48,8 +50,10 @@ class BadFrame:
         probability: that it is bad, given the other frames that are named.
         error: observed minus expected from all other frames, R*.
         sigma: the same in standard deviations of what is expected.
-        near_collapse: whether it is at or next to a collapse, where a model that misses the curve errs in single frames too.
-        in_run: whether it is one of three or more such frames side by side, which is no single bad frame but a misfit.
+        near_collapse: whether it is at or next to a collapse, where a model that misses the curve
+            errs in single frames too.
+        in_run: whether it is one of three or more such frames side by side, which is no single bad
+            frame but a misfit.
 
     >>> from imr_torch.assimilate import BadFrame
     >>> print(BadFrame("shot 2", 12, 0.61, 0.98, 0.043, 6.1, False))
@@ -67,14 +71,24 @@ class BadFrame:
 
     @property
     def single(self) -> bool:
-        """Whether it stands alone away from collapses; at one, a frame is no longer linear in gel and nuisances."""
+        """Whether it stands alone away from collapses.
+
+        At one, a frame is no longer linear in gel and nuisances.
+        """
         return not (self.near_collapse or self.in_run)
 
     def __str__(self) -> str:
-        collapse = "; next to a collapse, where a model that misses the curve looks the same" if self.near_collapse else ""
-        collapse += "; in a run of such frames, so more likely a misfit of the model" if self.in_run else ""
+        collapse = (
+            "; next to a collapse, where a model that misses the curve looks the same"
+            if self.near_collapse
+            else ""
+        )
+        collapse += (
+            "; in a run of such frames, so more likely a misfit of the model" if self.in_run else ""
+        )
         return (
-            f"{self.experiment}, frame {self.frame} (t* {self.time:.3f}): {abs(self.sigma):.1f} sd off "
+            f"{self.experiment}, frame {self.frame} (t* {self.time:.3f}): {abs(self.sigma):.1f} "
+            "sd off "
             f"({self.error:+.4f} in R*), bad with probability {self.probability:.2f}{collapse}"
         )
 
@@ -85,8 +99,10 @@ class BadFrames:
 
     Args:
         model: key of the model.
-        frames: those that are bad with a probability above one half, in the order of curves and frames.
-        without: the model's posterior without those that stand alone, to first order; None where there are none.
+        frames: those that are bad with a probability above one half, in the order of curves and
+            frames.
+        without: the model's posterior without those that stand alone, to first order; None where
+            there are none.
         reason: why it was not tested; empty where it was.
 
     >>> from imr_torch.assimilate import BadFrames
@@ -144,15 +160,26 @@ class JointGaussian:
     slopes: Float[Tensor, "kept controls"]
 
     def with_bad(
-        self, bad: Bool[Tensor, "kept"], factor: float = 1.0, *, extra: Float[Tensor, "kept"] | None = None
+        self,
+        bad: Bool[Tensor, "kept"],
+        factor: float = 1.0,
+        *,
+        extra: Float[Tensor, "kept"] | None = None,
     ) -> "JointGaussian":
-        """With the extra error (variances ``N``; that of a bad frame by default), times a factor, of some frames (booleans)."""
+        """With the extra error (variances ``N``.
+
+        That of a bad frame by default), times a factor, of some frames (booleans).
+        """
         at = torch.nonzero(bad)[:, 0]
         columns = self.precision[:, at]
-        inner = torch.diag(1.0 / (factor * (self.extra if extra is None else extra)[at])) + columns[at]
+        inner = (
+            torch.diag(1.0 / (factor * (self.extra if extra is None else extra)[at])) + columns[at]
+        )
         solved = torch.linalg.solve(inner, torch.cat((columns.mT, self.pull[at, None]), 1))
         pull = self.pull - columns @ solved[:, -1]
-        return JointGaussian(self.precision - columns @ solved[:, :-1], pull, self.extra, self.slopes)
+        return JointGaussian(
+            self.precision - columns @ solved[:, :-1], pull, self.extra, self.slopes
+        )
 
     @property
     def deletion(self) -> tuple[Float[Tensor, "kept"], Float[Tensor, "kept"]]:
@@ -167,10 +194,13 @@ class JointGaussian:
         return self.slopes.mT @ self.pull, eye - self.slopes.mT @ self.precision @ self.slopes
 
     def moved(self, fit: ModelFit, to: "JointGaussian") -> ModelBelief:
-        """A fit's reported posterior with the first-order change of mean and covariance from this Gaussian to another."""
+        """A fit's reported posterior with the first-order change of mean and covariance from this
+        Gaussian to another.
+        """
         (mean, covariance), (moved, wider) = self.gel, to.gel
         before, after = (torch.linalg.cholesky(x) for x in (covariance, wider))
-        belief, prior = fit.posterior, fit.prior
+        belief = fit.posterior
+        prior = fit.prior
         chol = belief.chol @ torch.linalg.solve_triangular(before, after, upper=False)
         return prior.with_gaussian(belief.mean + prior.chol @ (moved - mean), chol)
 
@@ -178,13 +208,15 @@ class JointGaussian:
 def find_bad_frames(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> BadFrames:
     """Find single frames whose error is far larger than the noise.
 
-    The noise of the batch is used with its correlation; where the residuals of the frames that are not named are smaller than
-    it says, it is taken to be as small as they are (at least half), since bad frames widen an estimate of the noise.
+    The noise of the batch is used with its correlation; where the residuals of the frames that are
+    not named are smaller than it says, it is taken to be as small as they are (at least half),
+    since bad frames widen an estimate of the noise.
 
     Args:
         fit: a fit that has converged.
         batch: its data and noise.
-        simulator: makes the bubbles; one bubble, and one for each parameter and nuisance of every experiment.
+        simulator: makes the bubbles; one bubble, and one for each parameter and nuisance of every
+            experiment.
 
     Returns:
         The frames; none, with the reason, where there are more than 3000 frames or a bubble fails.
@@ -205,18 +237,29 @@ def find_bad_frames(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator)
     [('shot 1', 7)]
     """
     if int(batch.mask.sum()) > _MOST:
-        return BadFrames(fit.model, (), reason=f"there are {int(batch.mask.sum())} frames, and the test takes {_MOST} at most.")
+        return BadFrames(
+            fit.model,
+            (),
+            reason=f"there are {int(batch.mask.sum())} frames, and the test takes {_MOST} at most.",
+        )
     near = Posterior(fit.prior, batch, simulator).neighbourhood(fit.point)
     if not bool(torch.isfinite(near.prediction).all()):
-        return BadFrames(fit.model, (), reason=f"a bubble beside the fit of {fit.model} could not be simulated.")
+        return BadFrames(
+            fit.model, (), reason=f"a bubble beside the fit of {fit.model} could not be simulated."
+        )
     whole = joint_gaussian(fit, batch, near.centre, near.slopes)
     bad, probability, size = _search(whole)
     if not bool(bad.any()):
         return BadFrames(fit.model, ())
     if float(bad.double().mean()) > _LARGEST:
-        return BadFrames(fit.model, (), reason="too many frames are off for single ones to be told from a misfit of the model.")
+        return BadFrames(
+            fit.model,
+            (),
+            reason="too many frames are off for single ones to be told from a misfit of the model.",
+        )
     others = _each_without_itself(whole, bad)
-    where, frames = torch.nonzero(batch.mask), []
+    where = torch.nonzero(batch.mask)
+    frames = []
     for n in torch.nonzero(bad)[:, 0].tolist():
         e, frame = where[n].tolist()
         error, variance = (float(x[n]) for x in others)
@@ -243,15 +286,21 @@ def joint_gaussian(
     fit: ModelFit,
     batch: ExperimentBatch,
     centre: Float[Tensor, "experiments frames"],
-    slopes: tuple[Float[Tensor, "experiments frames controls"], Float[Tensor, "experiments frames nuisances"]],
+    slopes: tuple[
+        Float[Tensor, "experiments frames controls"], Float[Tensor, "experiments frames nuisances"]
+    ],
 ) -> JointGaussian:
     """The joint Gaussian of all frames, linearised about a fit."""
     by_gel, by_nuisance = slopes
-    count, frames = len(batch.experiments), batch.mask
-    own = torch.eye(count, dtype=torch.float64)[:, None, :, None] * by_nuisance[:, :, None]  # E x T x E x 3
+    count = len(batch.experiments)
+    frames = batch.mask
+    own = (
+        torch.eye(count, dtype=torch.float64)[:, None, :, None] * by_nuisance[:, :, None]
+    )  # E x T x E x 3
     columns = torch.cat((by_gel[frames], own.flatten(2)[frames]), 1)
     point = torch.cat((fit.mean, fit.nuisances.flatten()))
-    sd, size = batch.sd(centre), int(frames.sum())
+    sd = batch.sd(centre)
+    size = int(frames.sum())
     unit = torch.zeros(size, *frames.shape, dtype=torch.float64)
     unit[:, frames] = torch.eye(size, dtype=torch.float64)
     root = batch.whiten(unit, sd)[:, frames].mT  # N x N, whitens
@@ -266,7 +315,8 @@ def joint_gaussian(
 
 def _log_odds(error: Tensor, variance: Tensor, extra: Tensor, size: float) -> Tensor:
     """Log posterior odds of a frame to be bad; all variances are times ``size**2``."""
-    good, bad = size**2 * variance, size**2 * (variance + extra)
+    good = size**2 * variance
+    bad = size**2 * (variance + extra)
     likelihood = 0.5 * error.square() * (1.0 / good - 1.0 / bad) + 0.5 * (good / bad).log()
     return likelihood + math.log(PRIOR / (1.0 - PRIOR))
 
@@ -274,7 +324,8 @@ def _log_odds(error: Tensor, variance: Tensor, extra: Tensor, size: float) -> Te
 def _each_without_itself(whole: JointGaussian, bad: Tensor) -> tuple[Tensor, Tensor]:
     """Deletion residuals and variances given the other bad frames, also of those that are bad."""
     error, variance = whole.with_bad(bad).deletion
-    error, variance = error.clone(), variance.clone()
+    error = error.clone()
+    variance = variance.clone()
     for n in torch.nonzero(bad)[:, 0].tolist():
         rest = bad.clone()
         rest[n] = False
@@ -284,14 +335,18 @@ def _each_without_itself(whole: JointGaussian, bad: Tensor) -> tuple[Tensor, Ten
 
 
 def _search(whole: JointGaussian) -> tuple[Tensor, Tensor, float]:
-    """Which frames are bad, the probability of each, and the noise of the others over that of the fit."""
+    """Which frames are bad, the probability of each, and the noise of the others over that of the
+    fit.
+    """
     bad = torch.zeros_like(whole.pull, dtype=torch.bool)
     error, variance = whole.deletion
     size = min(1.0, max(_LEAST, SD_OVER_MAD * float((error.abs() / variance.sqrt()).median())))
     probability = torch.zeros_like(whole.pull)
     for _ in range(_ROUNDS):
         before = bad.clone()
-        while float(bad.double().mean()) <= _LARGEST:  # the worst first, since a bad frame makes its neighbours look bad
+        while (
+            float(bad.double().mean()) <= _LARGEST
+        ):  # the worst first, since a bad frame makes its neighbours look bad
             error, variance = _each_without_itself(whole, bad)
             probability = torch.sigmoid(_log_odds(error, variance, whole.extra, size))
             worst = torch.where(bad, 0.0, probability).argmax()
@@ -307,7 +362,9 @@ def _search(whole: JointGaussian) -> tuple[Tensor, Tensor, float]:
 
 
 def _in_run(bad: Tensor, frame: int) -> bool:
-    """Whether a frame is one of ``_RUN`` or more bad ones side by side, of the ``T`` frames of a curve."""
+    """Whether a frame is one of ``_RUN`` or more bad ones side by side, of the ``T`` frames of a
+    curve.
+    """
     first = last = frame
     while first > 0 and bool(bad[first - 1]):
         first -= 1

@@ -1,10 +1,13 @@
-"""Search for lower minima of the cost over the nuisances of single experiments, at the gel where a fit ended.
+"""Search for lower minima of the cost over the nuisances of single experiments, at the gel where a
+fit ended.
 
-A frame next to a collapse gives the cost a local minimum for either side of it: in time zero, with Rmax and R_inf to match.
-Starts of a search differ in the gel and not in these, so all of them may agree on the wrong one. At a fixed gel experiments are
-independent, and each can be searched at little cost: one bubble, read at other times, shows the whole profile of the cost
-over time zero, and one each the change with Rmax and R_inf. From the lowest minima of that profile a few Gauss-Newton steps of
-all nuisances follow, and the lowest end counts.
+A frame next to a collapse gives the cost a local minimum for either side of it: in time zero, with
+    Rmax and R_inf to match.
+Starts of a search differ in the gel and not in these, so all of them may agree on the wrong one. At
+a fixed gel experiments are independent, and each can be searched at little cost: one bubble, read
+at other times, shows the whole profile of the cost over time zero, and one each the change with
+Rmax and R_inf. From the lowest minima of that profile a few Gauss-Newton steps of all nuisances
+follow, and the lowest end counts.
 """
 
 import torch
@@ -20,12 +23,17 @@ from imr_torch.simulate import EARLIEST
 
 _TIME_ZERO = NUISANCES.index("time_zero")
 _REACH, _PLACES = 3.0, 61  # prior standard deviations on either side, and places in all: .1 apart
-_BASINS, _STEPS = 4, 4
+_BASINS = 4
+_STEPS = 4
 _MARGIN = 1e-6  # from the earliest time of a bubble, against rounding
-_DISTINCT = 1e-13  # between times that may coincide, as places are apart by what frames may be apart by
+_DISTINCT = (
+    1e-13  # between times that may coincide, as places are apart by what frames may be apart by
+)
 
 
-def deeper_nuisances(posterior: Posterior, point: Point) -> Float[Tensor, "models experiments nuisances"]:
+def deeper_nuisances(
+    posterior: Posterior, point: Point
+) -> Float[Tensor, "models experiments nuisances"]:
     """Nuisances in the deepest basin of each experiment that is found at fixed gels.
 
     Args:
@@ -39,21 +47,26 @@ def deeper_nuisances(posterior: Posterior, point: Point) -> Float[Tensor, "model
     if not bool(movable.any()):
         return point.nuisances
     places = _lowest_places(posterior, point)
-    gels, flat = point.gel.repeat_interleave(_BASINS, 0), places.flatten(0, 1)
+    gels = point.gel.repeat_interleave(_BASINS, 0)
+    flat = places.flatten(0, 1)
     width = flat.shape[-1]
     unit = torch.eye(width, dtype=torch.float64).expand(*flat.shape[:2], width, width)
     for _ in range(_STEPS):
         flat = conditional_nuisances(posterior, Point(gels, flat), unit)[0]
     before = _cost(posterior, point)  # M x E
     cost, place = _cost(posterior, Point(gels, flat)).unflatten(0, places.shape[:2]).min(1)
-    found = flat.unflatten(0, places.shape[:2]).gather(1, place[:, None, :, None].expand(-1, 1, -1, width))[:, 0]
+    found = flat.unflatten(0, places.shape[:2]).gather(
+        1, place[:, None, :, None].expand(-1, 1, -1, width)
+    )[:, 0]
     return torch.where((movable & (cost < before - ONE_MINIMUM))[..., None], found, point.nuisances)
 
 
 def _lowest_places(posterior: Posterior, point: Point) -> Tensor:
-    """Nuisances ``M x _BASINS x E x w`` at the lowest minima of each experiment's profile over time zero.
+    """Nuisances ``M x _BASINS x E x w`` at the lowest minima of each experiment's profile over time
+    zero.
 
-    At each place Rmax and R_inf take one Gauss-Newton step, and the profile is what the cost is then expected to be.
+    At each place Rmax and R_inf take one Gauss-Newton step, and the profile is what the cost is
+    then expected to be.
     """
     batch = posterior.batch
     reach = _reach(posterior, point.nuisances)
@@ -65,36 +78,56 @@ def _lowest_places(posterior: Posterior, point: Point) -> Tensor:
     still = moved.clone()
     still[..., _TIME_ZERO] = 0.0  # where its prior does not pull: it is to stay
     gels = point.gel[:, None].expand(-1, _PLACES, -1)
-    equations = Neighbourhood(posterior, Point(gels, still), gels.unsqueeze(-2)[..., :0, :], prediction).equations
-    gradient, root = equations.nuisance_gradient, torch.linalg.cholesky(equations.nuisance_hessian)
+    equations = Neighbourhood(
+        posterior, Point(gels, still), gels.unsqueeze(-2)[..., :0, :], prediction
+    ).equations
+    gradient = equations.nuisance_gradient
+    root = torch.linalg.cholesky(equations.nuisance_hessian)
     step = -torch.cholesky_solve(gradient[..., None], root)[..., 0]
-    cost = 0.5 * moved.square().sum(-1) - batch.log_likelihood(prediction[:, :, 0]) + 0.5 * (gradient * step).sum(-1)
+    cost = (
+        0.5 * moved.square().sum(-1)
+        - batch.log_likelihood(prediction[:, :, 0])
+        + 0.5 * (gradient * step).sum(-1)
+    )
     chosen = _minima(torch.where(known, cost, torch.inf))
     return (moved + step).gather(1, chosen[..., None].expand(-1, -1, -1, step.shape[-1]))
 
 
 def _reach(posterior: Posterior, nuisances: Tensor) -> Tensor:
-    """Shifts of time zero that are tried, ``P x E`` tensor, dimensionless; none moves a frame to before the bubble exists."""
+    """Shifts of time zero that are tried, ``P x E`` tensor, dimensionless.
+
+    None moves a frame to before the bubble exists.
+    """
     batch = posterior.batch
     shifts = nuisances * batch.nuisance_sds
     first = EARLIEST * (1.0 + shifts[..., 0]) - batch.times[:, 0] - shifts[..., _TIME_ZERO]
-    reach = torch.linspace(-_REACH, _REACH, _PLACES, dtype=torch.float64)[:, None] * batch.nuisance_sds[:, _TIME_ZERO]
+    reach = (
+        torch.linspace(-_REACH, _REACH, _PLACES, dtype=torch.float64)[:, None]
+        * batch.nuisance_sds[:, _TIME_ZERO]
+    )
     return reach.maximum((first + _MARGIN).amax(0).clamp_max(0.0))
 
 
 def _minima(cost: Tensor) -> Tensor:
-    """``M x _BASINS x E`` indices of the lowest minima of profiles ``M x P x E``; any others where there are fewer."""
+    """``M x _BASINS x E`` indices of the lowest minima of profiles ``M x P x E``.
+
+    Any others where there are fewer.
+    """
     beyond = torch.full_like(cost[:, :1], torch.inf)
-    lowest = (cost <= torch.cat((beyond, cost[:, :-1]), 1)) & (cost <= torch.cat((cost[:, 1:], beyond), 1))
+    lowest = (cost <= torch.cat((beyond, cost[:, :-1]), 1)) & (
+        cost <= torch.cat((cost[:, 1:], beyond), 1)
+    )
     return torch.where(lowest, cost, torch.inf).topk(_BASINS, dim=1, largest=False).indices
 
 
 def _predict_moved(posterior: Posterior, point: Point, reach: Tensor) -> Tensor:
-    """Predictions ``M x P x (1 + S) x E x T`` with time zero moved by ``reach`` (``P x E``): there, and with nuisances moved.
+    """Predictions ``M x P x (1 + S) x E x T`` with time zero moved by ``reach`` (``P x E``): there,
+    and with nuisances moved.
 
     The uncertain nuisances are those of the posterior, but that time zero is not moved again.
     """
-    batch, uncertain = posterior.batch, posterior.uncertain.tolist()
+    batch = posterior.batch
+    uncertain = posterior.uncertain.tolist()
     columns = [column for column in uncertain if column != _TIME_ZERO]
     sides = STEP * torch.eye(batch.nuisance_sds.shape[1], dtype=torch.float64)[columns]
     points = torch.cat((point.nuisances[:, None], point.nuisances[:, None] + sides[:, None]), 1)
@@ -108,13 +141,18 @@ def _predict_moved(posterior: Posterior, point: Point, reach: Tensor) -> Tensor:
         times=times,
         bundled=True,
     )
-    seen = seen.gather(-1, order.argsort(1).expand(seen.shape)).unflatten(-1, (_PLACES, -1))  # M x (1 + S') x E x P x T
+    seen = seen.gather(-1, order.argsort(1).expand(seen.shape)).unflatten(
+        -1, (_PLACES, -1)
+    )  # M x (1 + S') x E x P x T
     seen = torch.where(batch.mask[:, None], seen, 0.0).movedim(-2, 1)
     rows = [0] + [1 + columns.index(column) if column in columns else 0 for column in uncertain]
     return seen[:, :, rows]
 
 
 def _cost(posterior: Posterior, point: Point) -> Tensor:
-    """Negative log of likelihood x prior of the nuisances of each experiment, ``n x E``; infinite where there is no bubble."""
+    """Negative log of likelihood x prior of the nuisances of each experiment, ``n x E``.
+
+    Infinite where there is no bubble.
+    """
     likelihood = posterior.batch.log_likelihood(posterior.predict(point))
     return (0.5 * point.nuisances.square().sum(-1) - likelihood).nan_to_num(nan=torch.inf)

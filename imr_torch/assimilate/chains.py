@@ -1,8 +1,9 @@
-"""The state of a multistart search: position, cost and linearisation of each chain, and which chains are active.
+"""The state of a multistart search: position, cost and linearisation of each chain, and which
+chains are active.
 
 Steps of a search (:mod:`~imr_torch.assimilate.descent`, :mod:`~imr_torch.assimilate.multistart`,
-:mod:`~imr_torch.assimilate.basins`, :mod:`~imr_torch.assimilate.polish`) take a state and return another; none is changed in
-place.
+:mod:`~imr_torch.assimilate.basins`, :mod:`~imr_torch.assimilate.polish`) take a state and return
+another; none is changed in place.
 """
 
 from collections.abc import Sequence
@@ -44,11 +45,14 @@ class Chains:
         finished: ``C`` booleans.
         around: per chain its point and the points beside it, simulated; None where not done.
         equations: per chain the last linearisation.
-        origin: per chain the points simulated for the last linearisation, if by the solver steps of its leader; else None.
-        curvature: of the cost, beside that of Gauss and Newton (:mod:`imr_torch.assimilate.curvature`); zero where not known,
-            and of no size where there are too many coordinates.
+        origin: per chain the points simulated for the last linearisation, if by the solver steps of
+            its leader; else None.
+        curvature: of the cost, beside that of Gauss and Newton
+            (:mod:`imr_torch.assimilate.curvature`); zero where not known, and of no size where
+            there are too many coordinates.
         restarts: how often chains were restarted.
-        simulated: bubbles simulated for sensitivities so far; ``failed`` is how many of them failed.
+        simulated: bubbles simulated for sensitivities so far; ``failed`` is how many of them
+            failed.
         failed: see ``simulated``.
     """
 
@@ -84,9 +88,11 @@ class Chains:
             point: where they begin.
             masking: whether frames next to collapses are left out at first.
         """
-        seen, count = posterior.predict(point), len(point.gel)
+        seen = posterior.predict(point)
+        count = len(point.gel)
         cost = -posterior.log_joint(point, seen)
-        masked, numbers = Masked.of(posterior), torch.zeros(count, dtype=torch.float64)
+        masked = Masked.of(posterior)
+        numbers = torch.zeros(count, dtype=torch.float64)
         joint = posterior.size + point.nuisances[0].numel()
         joint = joint if joint <= MOST else 0
         return cls(
@@ -130,14 +136,20 @@ class Chains:
         return float(self.cost.min())
 
     def put(self, rows: Int[Tensor, "rows"], **values: Any) -> "Chains":
-        """The state with values of some chains replaced: a tensor, a :class:`Point`, or one value for all of them."""
+        """The state with values of some chains replaced: a tensor, a :class:`Point`, or one value
+        for all of them.
+        """
         changed: dict[str, Any] = {}
         for name, value in values.items():
             old = getattr(self, name)
             if isinstance(old, Point):
                 changed[name] = old.put(rows, value)
             elif isinstance(old, tuple):
-                new = dict(zip(rows.tolist(), value, strict=True)) if value is not None else dict.fromkeys(rows.tolist())
+                new = (
+                    dict(zip(rows.tolist(), value, strict=True))
+                    if value is not None
+                    else dict.fromkeys(rows.tolist())
+                )
                 changed[name] = tuple(new.get(i, entry) for i, entry in enumerate(old))
             else:
                 changed[name] = old.index_put((rows,), torch.as_tensor(value, dtype=old.dtype))

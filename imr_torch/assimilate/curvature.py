@@ -1,10 +1,12 @@
-"""Curvature of the cost that Gauss-Newton leaves out, estimated from how sensitivities change between points.
+"""Curvature of the cost that Gauss-Newton leaves out, estimated from how sensitivities change
+between points.
 
-The Hessian of the cost has a part that comes from residuals and second derivatives of predictions. Where a model misses the
-data by tens of standard deviations it is as large as the part of Gauss and Newton, and without it a descent converges slowly.
-The structured secant update of Dennis, Gay & Welsch (ACM Trans. Math. Softw. 7, 1981, section 3) estimates it from the
-sensitivities at two points, which a descent has anyway. The estimate is symmetric and need not be positive: steps that use it
-are taken only where they lower the exact cost.
+The Hessian of the cost has a part that comes from residuals and second derivatives of predictions.
+Where a model misses the data by tens of standard deviations it is as large as the part of Gauss and
+Newton, and without it a descent converges slowly. The structured secant update of Dennis, Gay &
+Welsch (ACM Trans. Math. Softw. 7, 1981, section 3) estimates it from the sensitivities at two
+points, which a descent has anyway. The estimate is symmetric and need not be positive: steps that
+use it are taken only where they lower the exact cost.
 """
 
 import torch
@@ -34,13 +36,20 @@ def updated(
     step = _joined(new.point.gel - old.point.gel, new.point.nuisances - old.point.nuisances)
     rise = _gradient(new_equations) - _gradient(old_equations)
     slope = new.posterior.likelihood_slope(new.centre)[..., None]
-    by_gel, by_nuisance = (((now - was).mT @ slope)[..., 0] for was, now in zip(old.slopes, new.slopes, strict=True))
-    bend = _joined(by_gel.sum(-2), by_nuisance)  # of the gradient, what the change of sensitivities makes
+    by_gel, by_nuisance = (
+        ((now - was).mT @ slope)[..., 0] for was, now in zip(old.slopes, new.slopes, strict=True)
+    )
+    bend = _joined(
+        by_gel.sum(-2), by_nuisance
+    )  # of the gradient, what the change of sensitivities makes
     expected = (curvature @ step[..., None])[..., 0]
     size = (_dot(step, bend).abs() / _dot(step, expected).abs().clamp_min(1e-300)).clamp_max(1.0)
-    missed, along = bend - size[:, None] * expected, _dot(step, rise)[:, None, None]
+    missed = bend - size[:, None] * expected
+    along = _dot(step, rise)[:, None, None]
     outer = missed[:, :, None] * rise[:, None, :]
-    back = (_dot(missed, step)[:, None, None] / along.square()) * rise[:, :, None] * rise[:, None, :]
+    back = (
+        (_dot(missed, step)[:, None, None] / along.square()) * rise[:, :, None] * rise[:, None, :]
+    )
     moved = size[:, None, None] * curvature + (outer + outer.mT) / along - back
     usable = (along > 0.0) & torch.isfinite(moved).flatten(1).all(1)[:, None, None]
     return torch.where(usable, moved, curvature)
@@ -51,7 +60,8 @@ def damped_step(
     curvature: Float[Tensor, "chains coordinates coordinates"],
     damping: Float[Tensor, "chains"],
 ) -> tuple[Float[Tensor, "chains controls"], Float[Tensor, "chains experiments nuisances"]]:
-    """Levenberg-Marquardt steps of gel and nuisances that know the curvature; without it where they would go uphill.
+    """Levenberg-Marquardt steps of gel and nuisances that know the curvature; without it where they
+    would go uphill.
 
     Args:
         equations: of ``C`` chains.
@@ -61,13 +71,20 @@ def damped_step(
     gel, nuisances = equations.step(damping)
     if not bool(curvature.any()):
         return gel, nuisances
-    hessian, size = _hessian(equations), gel.shape[-1]
-    damped = hessian + damping[:, None, None] * torch.diag_embed(hessian.diagonal(dim1=-2, dim2=-1)) + curvature
+    hessian = _hessian(equations)
+    size = gel.shape[-1]
+    damped = (
+        hessian
+        + damping[:, None, None] * torch.diag_embed(hessian.diagonal(dim1=-2, dim2=-1))
+        + curvature
+    )
     chol, info = torch.linalg.cholesky_ex(damped)
     step = -torch.cholesky_solve(_gradient(equations)[..., None], chol)[..., 0]
     downhill = (info == 0) & torch.isfinite(step).all(-1)
     gel = torch.where(downhill[:, None], step[:, :size], gel)
-    return gel, torch.where(downhill[:, None, None], step[:, size:].reshape(nuisances.shape), nuisances)
+    return gel, torch.where(
+        downhill[:, None, None], step[:, size:].reshape(nuisances.shape), nuisances
+    )
 
 
 def _dot(one: Tensor, other: Tensor) -> Tensor:
@@ -86,9 +103,15 @@ def _gradient(equations: NormalEquations) -> Tensor:
 def _hessian(equations: NormalEquations) -> Tensor:
     """``C x D x D``, the arrow as a full matrix."""
     chains, experiments, width, size = equations.cross.shape
-    full = torch.zeros(chains, size + experiments * width, size + experiments * width, dtype=torch.float64)
+    full = torch.zeros(
+        chains, size + experiments * width, size + experiments * width, dtype=torch.float64
+    )
     cross = equations.cross.reshape(chains, experiments * width, size)
-    full[:, :size, :size], full[:, size:, :size], full[:, :size, size:] = equations.gel_hessian, cross, cross.mT
+    full[:, :size, :size], full[:, size:, :size], full[:, :size, size:] = (
+        equations.gel_hessian,
+        cross,
+        cross.mT,
+    )
     for e in range(experiments):
         own = slice(size + e * width, size + (e + 1) * width)
         full[:, own, own] = equations.nuisance_hessian[:, e]

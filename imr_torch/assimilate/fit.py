@@ -1,7 +1,9 @@
-"""Results of an assimilation: the fitted Gaussian of each model, whether the fit converged, and whether a Gaussian suffices.
+"""Results of an assimilation: the fitted Gaussian of each model, whether the fit converged, and
+whether a Gaussian suffices.
 
-The certificate says whether the optimum was found; the importance sample, once :func:`imr_torch.assimilate.weigh` has
-drawn it, says whether the Gaussian about the optimum approximates the posterior, and gives corrected moments where not.
+The certificate says whether the optimum was found; the importance sample, once
+:func:`imr_torch.assimilate.weigh` has drawn it, says whether the Gaussian about the optimum
+approximates the posterior, and gives corrected moments where not.
 """
 
 from dataclasses import dataclass, replace
@@ -39,9 +41,11 @@ class Certificate:
     """Convergence of a fit: the gradient at its end, and the agreement between its two best starts.
 
     Args:
-        gradient: length of the gradient in posterior standard deviations; below the tolerance at a minimum.
-        agreement: cost of the second best start minus that of the best, in nats; ``inf`` when only one start ended well. Of
-            ensemble 4D-Var, the difference between the costs at the ends of the last two cycles.
+        gradient: length of the gradient in posterior standard deviations; below the tolerance at a
+            minimum.
+        agreement: cost of the second best start minus that of the best, in nats; ``inf`` when only
+            one start ended well. Of ensemble 4D-Var, the difference between the costs at the ends
+            of the last two cycles.
         iterations: Gauss-Newton iterations of the best start.
         failed_members: share of ensemble members whose solve failed.
         converged: whether gradient and agreement are within the tolerances asked for.
@@ -50,7 +54,8 @@ class Certificate:
     >>> from imr_torch.assimilate import Certificate
     >>> certificate = Certificate(gradient=2e-4, agreement=1e-3, iterations=9, failed_members=0.0, converged=True)
     >>> print(certificate)
-    converged (gradient 2.0e-04 sd, starts agree within 0.001 nats, 9 iterations, 0.0 % of members failed)
+    converged (gradient 2.0e-04 sd, starts agree within 0.001 nats, 9 iterations, 0.0 % of members
+    failed)
     """
 
     gradient: float
@@ -62,18 +67,23 @@ class Certificate:
 
     @property
     def nearly_converged(self) -> bool:
-        """Whether gradient and agreement are below 0.1: the cost can then fall by about a hundredth of a nat."""
+        """Whether gradient and agreement are below 0.1: the cost can then fall by about a hundredth
+        of a nat.
+        """
         return self.gradient < NEARLY and self.agreement < NEARLY
 
     @property
     def usable(self) -> bool:
-        """Whether it has converged or nearly so: no conclusion would change by the hundredth of a nat that is left."""
+        """Whether it has converged or nearly so: no conclusion would change by the hundredth of a
+        nat that is left.
+        """
         return self.converged or self.nearly_converged
 
     def __str__(self) -> str:
         word = "converged" if self.converged else "NOT CONVERGED"
         return (
-            f"{word} (gradient {self.gradient:.1e} sd, {self.compared} agree within {self.agreement:.2g} nats, "
+            f"{word} (gradient {self.gradient:.1e} sd, {self.compared} agree within "
+            f"{self.agreement:.2g} nats, "
             f"{self.iterations} iterations, {100 * self.failed_members:.1f} % of members failed)"
         )
 
@@ -94,7 +104,8 @@ class Verdict(Enum):
 
 @dataclass(frozen=True)
 class ModelFit:
-    """The fit of one model. The control ``v`` is the prior's own standard normal: ``z = mean + chol v``.
+    """The fit of one model. The control ``v`` is the prior's own standard normal: ``z = mean + chol
+    v``.
 
     Args:
         prior: the model's belief before the data.
@@ -103,10 +114,12 @@ class ModelFit:
         nuisances: standardised nuisances at the optimum.
         nuisance_response: how they move with ``v``.
         nuisance_chol: lower Cholesky factors of the nuisances' Hessian.
-        cost: negative log of likelihood x prior at the optimum, without the constants of the priors.
+        cost: negative log of likelihood x prior at the optimum, without the constants of the
+            priors.
         prediction: R/Rmax at the optimum.
         certificate: whether it converged.
-        sample: draws weighted by the exact posterior; None before :func:`imr_torch.assimilate.weigh`.
+        sample: draws weighted by the exact posterior; None before
+            :func:`imr_torch.assimilate.weigh`.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, reference_case
@@ -135,7 +148,9 @@ class ModelFit:
     sample: ImportanceSample | None = None
 
     def far_behind(self, best: float) -> bool:
-        """Whether the cost is far above ``best`` (the lowest of all models), by more than further fitting can lower it."""
+        """Whether the cost is far above ``best`` (the lowest of all models), by more than further
+        fitting can lower it.
+        """
         if self.certificate.nearly_converged:
             return self.cost > best + _OUT
         return self.cost - PROMISED * self.certificate.gradient**2 > best + _FAR_OUT
@@ -151,7 +166,8 @@ class ModelFit:
         return self.prior.model
 
     def of_curves(self, batch: ExperimentBatch) -> "tuple[ModelFit, ExperimentBatch]":
-        """The fit and its data without shots of collapse times, as if the curves alone had been fitted; no draws if any left.
+        """The fit and its data without shots of collapse times, as if the curves alone had been
+        fitted; no draws if any left.
 
         Args:
             batch: the data.
@@ -179,41 +195,53 @@ class ModelFit:
     def posterior(self) -> ModelBelief:
         """The belief after the data, in controls a Gaussian.
 
-        ``TRUSTED``: the fitted one with its mean and covariance corrected by the weighted draws. ``REPAIRED``: with the moments
-        of the weighted draws, and 64 of these for its shape. Else the fitted one; where the noise is uncertain, integrated over
-        it to first order.
+        ``TRUSTED``: the fitted one with its mean and covariance corrected by the weighted draws.
+            ``REPAIRED``: with the moments
+        of the weighted draws, and 64 of these for its shape. Else the fitted one; where the noise
+        is uncertain, integrated over it to first order.
         """
         if self.verdict is not Verdict.REPAIRED:
-            mean, chol = self.mean, self.chol
+            mean = self.mean
+            chol = self.chol
             noise = None if self.sample is None else self.sample.noise
             if self.sample is not None and self.verdict is Verdict.TRUSTED:
                 mean, chol = self.sample.corrected(mean, chol)
             elif noise is not None:
-                mean, chol = noise.about.mean, noise.about.chol
+                mean = noise.about.mean
+                chol = noise.about.chol
             return self._believed(mean, chol @ chol.mT)
         sample = self.sample
         assert sample is not None
         belief = self._believed(sample.mean, sample.covariance)
         if sample.precisions is None:
             return belief
-        chosen, unscale = sample.spaced(_CLOUD), torch.linalg.inv(self.prior.chol)
+        chosen = sample.spaced(_CLOUD)
+        unscale = torch.linalg.inv(self.prior.chol)
         levels = torch.special.ndtr(torch.tensor(Cloud.SCORES, dtype=torch.float64))
         columns = self.prior.unwhitened(sample.controls).unbind(1)
-        marginals = torch.stack([weighted_quantiles(column, sample.weights, levels) for column in columns], 1)
+        marginals = torch.stack(
+            [weighted_quantiles(column, sample.weights, levels) for column in columns], 1
+        )
         precisions = unscale.mT @ sample.precisions[chosen] @ unscale
-        return belief.with_cloud(Cloud(self.prior.unwhitened(sample.controls[chosen]), precisions, marginals))
+        return belief.with_cloud(
+            Cloud(self.prior.unwhitened(sample.controls[chosen]), precisions, marginals)
+        )
 
     def _believed(self, mean: Tensor, covariance: Tensor) -> ModelBelief:
         """The prior with a Gaussian of ``v``."""
         covariance = self.prior.chol @ covariance @ self.prior.chol.mT
-        return self.prior.with_gaussian(self.prior.unwhitened(mean), torch.linalg.cholesky(covariance))
+        return self.prior.with_gaussian(
+            self.prior.unwhitened(mean), torch.linalg.cholesky(covariance)
+        )
 
     @property
     def verdict(self) -> Verdict:
         """Whether the fitted Gaussian has the moments of the posterior.
 
-        ``TRUSTED``: importance weights are reliable and, with the noise that the fit was made with, confirm its mean and
-        covariance. ``REPAIRED``: they are reliable and give other moments, which agree with those that the proposal of the last
+        ``TRUSTED``: importance weights are reliable and, with the noise that the fit was made with,
+            confirm its mean and
+        covariance. ``REPAIRED``: they are reliable and give other moments, which agree with those
+            that the proposal of the last
         round was made for. ``REFUSED``: neither.
         """
         sample = self.sample
@@ -231,16 +259,23 @@ class ModelFit:
         sample = self.sample
         shape = f"k {sample.pareto_k:.2f}"
         if sample.rounds > 1:
-            shape = f"k {sample.first_shape:.2f}, {sample.pareto_k:.2f} after {sample.rounds} rounds"
+            shape = (
+                f"k {sample.first_shape:.2f}, {sample.pareto_k:.2f} after {sample.rounds} rounds"
+            )
         shape += f", effective {sample.effective_samples:.0f} of {len(sample)}"
         if self.verdict is Verdict.TRUSTED:
             return f"intervals trusted: weighted draws confirm the fitted Gaussian ({shape})"
         if self.verdict is Verdict.REPAIRED:
             moved = ((sample.mean - self.mean).abs() / torch.linalg.norm(self.chol, dim=1)).amax()
-            return f"intervals repaired: of weighted draws, {float(moved):.2f} sd from the fitted Gaussian at most ({shape})"
+            return (
+                f"intervals repaired: of weighted draws, {float(moved):.2f} sd from the fitted "
+                f"Gaussian at most ({shape})"
+            )
         return f"intervals not reliable: quote none of this model ({shape})"
 
-    def nuisances_at(self, controls: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch experiments nuisances"]:
+    def nuisances_at(
+        self, controls: Float[Tensor, "*batch controls"]
+    ) -> Float[Tensor, "*batch experiments nuisances"]:
         """Most probable nuisances given the gel, linearised."""
         deviation = controls - self.mean
         return self.nuisances + (self.nuisance_response @ deviation[..., None, :, None])[..., 0]
@@ -249,9 +284,13 @@ class ModelFit:
         self, noise: Float[Tensor, "*batch experiments nuisances"]
     ) -> Float[Tensor, "*batch experiments nuisances"]:
         """Standard normal numbers ``... x E x w`` as deviations of the nuisances given the gel."""
-        return torch.linalg.solve_triangular(self.nuisance_chol.mT, noise[..., None], upper=True)[..., 0]
+        return torch.linalg.solve_triangular(self.nuisance_chol.mT, noise[..., None], upper=True)[
+            ..., 0
+        ]
 
-    def parameters(self, controls: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch parameters"]:
+    def parameters(
+        self, controls: Float[Tensor, "*batch controls"]
+    ) -> Float[Tensor, "*batch parameters"]:
         """Shared parameter vectors at controls ``v``, SI."""
         return self.prior.to_si(controls)
 
@@ -287,10 +326,12 @@ class Assimilation:
 
     @property
     def converged(self) -> bool:
-        """Whether every model's fit converged, or has a cost so far above the best that its probability is practically zero.
+        """Whether every model's fit converged, or has a cost so far above the best that its
+        probability is practically zero.
 
-        A model that misses the data has large residuals, with which Gauss-Newton may not reach the tolerance of the gradient,
-        and its starts may have been dropped (``SearchOptions.drop_behind``).
+        A model that misses the data has large residuals, with which Gauss-Newton may not reach the
+        tolerance of the gradient, and its starts may have been dropped
+        (``SearchOptions.drop_behind``).
         """
         best = min(fit.cost for fit in self.fits)
         return all(fit.certificate.converged or fit.far_behind(best) for fit in self.fits)
@@ -299,14 +340,27 @@ class Assimilation:
         return next(fit for fit in self.fits if fit.model == model)
 
     def rmse(self, model: str) -> float:
-        """Root mean square residual of the mean curves in R*, over all frames in the window; of collapse times alone in t*."""
+        """Root mean square residual of the mean curves in R*, over all frames in the window.
+
+        Of collapse times alone in t*.
+        """
         curves = self.batch.mask & ~self.batch.collapse[:, None]
-        residual = (self.batch.mean - self[model].prediction)[curves if bool(curves.any()) else self.batch.mask]
+        residual = (self.batch.mean - self[model].prediction)[
+            curves if bool(curves.any()) else self.batch.mask
+        ]
         return float(residual.square().mean().sqrt())
 
     def rmse_by_experiment(self, model: str) -> dict[str, float]:
-        """The same for each curve, or each shot if there are none; one that stands out is of another gel, or wrongly scaled."""
-        square = torch.where(self.batch.mask, self.batch.mean - self[model].prediction, 0.0).square().sum(1)
-        values, mixed = (square / self.batch.mask.sum(1)).sqrt().tolist(), bool((~self.batch.collapse).any())
+        """The same for each curve, or each shot if there are none.
+
+        One that stands out is of another gel, or wrongly scaled.
+        """
+        square = (
+            torch.where(self.batch.mask, self.batch.mean - self[model].prediction, 0.0)
+            .square()
+            .sum(1)
+        )
+        values = (square / self.batch.mask.sum(1)).sqrt().tolist()
+        mixed = bool((~self.batch.collapse).any())
         pairs = zip(self.batch.experiments, values, strict=True)
         return {e.label: value for e, value in pairs if not mixed or e.kind == "radius"}

@@ -1,13 +1,17 @@
-"""Jitter of frame times: how far each frame is from the time that its number says, by how much noisier fast frames are.
+"""Jitter of frame times: how far each frame is from the time that its number says, by how much
+noisier fast frames are.
 
-A frame that is off by ``e`` in time is off by ``e dR*/dt*`` in radius, independently of its neighbours. The frames are a joint
-Gaussian, linearised about the fit, gel and nuisances integrated out (as for bad frames); jitter of standard deviation ``s``
-adds ``(s dR*/dt*)^2`` to their variances, the slope averaged over as wide a time. The likelihood of ``s``, with the size of all
-other noise integrated over its Jeffreys prior, is exact for that Gaussian; ``s`` has a half-normal prior of a tenth of a frame
-interval.
+A frame that is off by ``e`` in time is off by ``e dR*/dt*`` in radius, independently of its
+neighbours. The frames are a joint Gaussian, linearised about the fit, gel and nuisances integrated
+out (as for bad frames); jitter of standard deviation ``s`` adds ``(s dR*/dt*)^2`` to their
+variances, the slope averaged over as wide a time. The likelihood of ``s``, with the size of all
+other noise integrated over its Jeffreys prior, is exact for that Gaussian; ``s`` has a half-normal
+prior of a tenth of a frame interval.
 
-What else errs where the bubble is fast looks alike: a model that misses the collapse, an exposure that blurs it. Those err
-smoothly along a curve and the same way in each, which jitter does not; a correlated noise law takes up most of that.
+What else errs where the bubble is fast looks alike: a model that misses the collapse, an exposure
+    that blurs it. Those err
+smoothly along a curve and the same way in each, which jitter does not; a correlated noise law takes
+up most of that.
 """
 
 import math
@@ -42,15 +46,18 @@ class FrameJitter:
 
     Args:
         model: key of the model.
-        sd: 5 %, 50 % and 95 % of its posterior standard deviation, t*; None where it was not tested.
+        sd: 5 %, 50 % and 95 % of its posterior standard deviation, t*; None where it was not
+            tested.
         evidence: log evidence of jitter over none, nats.
         frame_interval: median over all curves, t*.
-        with_jitter: the posterior with jitter of the median size, to first order; None where none was found.
+        with_jitter: the posterior with jitter of the median size, to first order; None where none
+            was found.
         reason: why it was not tested.
 
     >>> from imr_torch.assimilate import FrameJitter
     >>> print(FrameJitter("nhkv", (0.003, 0.004, 0.005), 8.2, 0.04))
-    Frame times jitter by 0.0040 (0.0030-0.0050) in t*, 10 % of a frame interval (8.2 nats over none), or the model misses \
+    Frame times jitter by 0.0040 (0.0030-0.0050) in t*, 10 % of a frame interval (8.2 nats over
+    none), or the model misses \
 frames in which the bubble is fast.
     >>> print(FrameJitter("nhkv", (0.0, 0.001, 0.002), -1.1, 0.04))
     No jitter of frame times is seen: less than 0.0020 in t*, 5 % of a frame interval.
@@ -74,21 +81,37 @@ frames in which the bubble is fast.
         low, middle, high = self.sd
         if not self.found:
             share = high / self.frame_interval
-            return f"No jitter of frame times is seen: less than {high:.4f} in t*, {100 * share:.0f} % of a frame interval."
+            return (
+                f"No jitter of frame times is seen: less than {high:.4f} in t*, {100 * share:.0f} "
+                "% of a frame interval."
+            )
         said = (
-            f"Frame times jitter by {middle:.4f} ({low:.4f}-{high:.4f}) in t*, {100 * middle / self.frame_interval:.0f} % of a "
-            f"frame interval ({self.evidence:.1f} nats over none), or the model misses frames in which the bubble is fast."
+            f"Frame times jitter by {middle:.4f} ({low:.4f}-{high:.4f}) in t*, "
+            f"{100 * middle / self.frame_interval:.0f} % of a "
+            f"frame interval ({self.evidence:.1f} nats over none), or the model misses frames in "
+            "which the bubble is fast."
         )
         if self.with_jitter is None:
             return said
-        rows = zip(self.with_jitter.names, self.with_jitter.quantile(_LEVELS).T.tolist(), strict=True)
-        return f"{said} With it, to first order: {'; '.join(f'{n} {PARAMETERS[n].interval(*q)}' for n, q in rows)}"
+        rows = zip(
+            self.with_jitter.names, self.with_jitter.quantile(_LEVELS).T.tolist(), strict=True
+        )
+        return (
+            f"{said} With it, to first order: "
+            f"{'; '.join(f'{n} {PARAMETERS[n].interval(*q)}' for n, q in rows)}"
+        )
 
     def to_dict(self) -> dict[str, object]:
         """JSON-ready values."""
         intervals = None
         if self.with_jitter is not None:
-            intervals = dict(zip(self.with_jitter.names, self.with_jitter.quantile(_LEVELS).T.tolist(), strict=True))
+            intervals = dict(
+                zip(
+                    self.with_jitter.names,
+                    self.with_jitter.quantile(_LEVELS).T.tolist(),
+                    strict=True,
+                )
+            )
         return {
             "model": self.model,
             "sd": None if self.sd is None else list(self.sd),
@@ -107,11 +130,12 @@ def find_frame_jitter(fit: ModelFit, batch: ExperimentBatch, simulator: Simulato
     Args:
         fit: a fit that has converged.
         batch: its data and noise.
-        simulator: makes the bubbles; five bubbles, and one for each parameter and nuisance of every experiment.
+        simulator: makes the bubbles; five bubbles, and one for each parameter and nuisance of every
+            experiment.
 
     Returns:
-        The jitter; untested, with the reason, where there are more than 2000 frames, a bubble fails or frames would change
-        places.
+        The jitter; untested, with the reason, where there are more than 2000 frames, a bubble fails
+        or frames would change places.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, wide_prior
@@ -134,29 +158,47 @@ def find_frame_jitter(fit: ModelFit, batch: ExperimentBatch, simulator: Simulato
     whole = joint_gaussian(fit, batch, near.centre, near.slopes)
     square = float(whole.pull @ torch.linalg.solve(whole.precision, whole.pull))
     free = frames - whole.slopes.shape[1] - int((batch.nuisance_sds > 0.0).sum())
-    sd, evidence, by_time = (0.0, _STEP * interval, 0.0), 0.0, whole.pull
+    sd = (0.0, _STEP * interval, 0.0)
+    evidence = 0.0
+    by_time = whole.pull
     for _ in range(_ROUNDS):
         if not 0.0 < sd[1] < interval:  # frames would change places
-            reason = "the likeliest jitter is above a frame interval, which is no jitter: the model misses the curves."
+            reason = (
+                "the likeliest jitter is above a frame interval, which is no jitter: the model "
+                "misses the curves."
+            )
             return FrameJitter(fit.model, None, 0.0, interval, reason=reason)
-        by_time = (_change(fit, batch, near.centre, simulator, sd[1]) / (sd[1] * batch.counts.sqrt()))[batch.mask]
+        by_time = (
+            _change(fit, batch, near.centre, simulator, sd[1]) / (sd[1] * batch.counts.sqrt())
+        )[batch.mask]
         if not bool(torch.isfinite(near.prediction).all() & torch.isfinite(by_time).all()):
             reason = f"a bubble beside the fit of {fit.model} could not be simulated."
             return FrameJitter(fit.model, None, 0.0, interval, reason=reason)
-        jitter = _Jitter(by_time[:, None] * whole.precision * by_time, by_time * whole.pull, square, free)
+        jitter = _Jitter(
+            by_time[:, None] * whole.precision * by_time, by_time * whole.pull, square, free
+        )
         sd, evidence = jitter.posterior(interval)
     result = FrameJitter(fit.model, sd, evidence, interval)
     if not result.found:
         return result
-    changed = whole.with_bad(torch.ones(frames, dtype=torch.bool), 1.0, extra=(sd[1] * by_time).square().clamp_min(1e-20))
+    changed = whole.with_bad(
+        torch.ones(frames, dtype=torch.bool), 1.0, extra=(sd[1] * by_time).square().clamp_min(1e-20)
+    )
     return FrameJitter(fit.model, sd, evidence, interval, whole.moved(fit, changed))
 
 
-def _change(fit: ModelFit, batch: ExperimentBatch, centre: Tensor, simulator: Simulator, sd: float) -> Tensor:
-    """``E x T`` tensor: root mean square change of R* by jitter, from three nodes of Gauss-Hermite quadrature."""
-    parameters, shifts = fit.parameters(fit.mean), fit.nuisances * batch.nuisance_sds
+def _change(
+    fit: ModelFit, batch: ExperimentBatch, centre: Tensor, simulator: Simulator, sd: float
+) -> Tensor:
+    """``E x T`` tensor: root mean square change of R* by jitter, from three nodes of Gauss-Hermite
+    quadrature.
+    """
+    parameters = fit.parameters(fit.mean)
+    shifts = fit.nuisances * batch.nuisance_sds
     sides = [(batch.times + side * math.sqrt(3.0) * sd).clamp_min(0.0) for side in (-1.0, 1.0)]
-    moved = torch.stack([predict(simulator, parameters, batch, shifts, times=times) for times in sides])
+    moved = torch.stack(
+        [predict(simulator, parameters, batch, shifts, times=times) for times in sides]
+    )
     return ((moved - centre).square().sum(0) / 6.0).sqrt()
 
 
@@ -165,7 +207,8 @@ class _Jitter:
     """The likelihood of jitter in closed form, by eigenvalues.
 
     Args:
-        inner: ``N x N`` tensor, the precision of the frames scaled by what jitter of one t* adds to each.
+        inner: ``N x N`` tensor, the precision of the frames scaled by what jitter of one t* adds to
+            each.
         pull: ``N`` tensor, precision times residual, scaled likewise.
         square: squared residual without jitter, in standard deviations.
         free: degrees of freedom.
@@ -179,20 +222,31 @@ class _Jitter:
     def posterior(self, interval: float) -> tuple[tuple[float, float, float], float]:
         """Quantiles of the jitter, t*, and its log evidence over none.
 
-        The grid is of jitter in proportion to the other noise, whose likeliest size beside it gives that of the jitter.
+        The grid is of jitter in proportion to the other noise, whose likeliest size beside it gives
+        that of the jitter.
         """
         eigenvalues, vectors = torch.linalg.eigh(self.inner)
-        eigenvalues, pulled = eigenvalues.clamp_min(0.0), (vectors.mT @ self.pull).square()
-        ratio = interval * torch.logspace(math.log10(_SPAN[0]), math.log10(_SPAN[1]), _GRID, dtype=torch.float64)
+        eigenvalues = eigenvalues.clamp_min(0.0)
+        pulled = (vectors.mT @ self.pull).square()
+        ratio = interval * torch.logspace(
+            math.log10(_SPAN[0]), math.log10(_SPAN[1]), _GRID, dtype=torch.float64
+        )
         grown = 1.0 + ratio[:, None].square() * eigenvalues
         square = self.square - (ratio[:, None].square() * pulled / grown).sum(1)
         log_likelihood = -0.5 * grown.log().sum(1) - 0.5 * self.free * (square / self.square).log()
         sd = ratio * (square / self.free).sqrt()
         z = sd / (SCALE * interval)
-        weight = 2.0 / (SCALE * interval * math.sqrt(2.0 * math.pi)) * torch.exp(-0.5 * z.square()) * _cells(sd)
+        weight = (
+            2.0
+            / (SCALE * interval * math.sqrt(2.0 * math.pi))
+            * torch.exp(-0.5 * z.square())
+            * _cells(sd)
+        )
         joint = log_likelihood + weight.clamp_min(1e-300).log()
         shares = torch.softmax(joint, 0).cumsum(0)
-        low, middle, high = (float(sd[int((shares < level).sum().clamp_max(_GRID - 1))]) for level in _LEVELS)
+        low, middle, high = (
+            float(sd[int((shares < level).sum().clamp_max(_GRID - 1))]) for level in _LEVELS
+        )
         return (low, middle, high), float(torch.logsumexp(joint, 0))
 
 

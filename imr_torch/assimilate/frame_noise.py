@@ -1,20 +1,26 @@
-"""The noise of single frames, inferred about a fit in such a way that a misfit of the model is not taken for noise.
+"""The noise of single frames, inferred about a fit in such a way that a misfit of the model is not
+taken for noise.
 
-A misfit is smooth from frame to frame, but next to a collapse, where the radius itself bends within a frame. So the residual of
-a fit is taken as the sum of four things: what the gel and the nuisances can still move; a smooth deviation of unknown size and
-duration (a Gaussian process with Matern-3/2 covariance, of each curve its own); a deviation in proportion to how much the curve
-bends between neighbouring frames; and noise that is independent between frames, whose law is wanted. All but the last are
-integrated out. Where the model is right the posterior of the law is that of its residuals (restricted maximum likelihood);
-where it is not, the smooth deviation takes the misfit up, and the law is what the roughness of the curves says.
+A misfit is smooth from frame to frame, but next to a collapse, where the radius itself bends within
+a frame. So the residual of a fit is taken as the sum of four things: what the gel and the nuisances
+can still move; a smooth deviation of unknown size and duration (a Gaussian process with Matern-3/2
+covariance, of each curve its own); a deviation in proportion to how much the curve bends between
+neighbouring frames; and noise that is independent between frames, whose law is wanted. All but the
+last are integrated out. Where the model is right the posterior of the law is that of its residuals
+(restricted maximum likelihood); where it is not, the smooth deviation takes the misfit up, and the
+law is what the roughness of the curves says.
 
-Where designs were repeated, the repeats decide: their deviations from their mean hold the camera's noise alone.
+Where designs were repeated, the repeats decide: their deviations from their mean hold the camera's
+    noise alone.
 
-The law is ``scale * sqrt((slope |R*-1| + drift t*)^2 + floor^2)`` with free proportions. One curve whose noise is not that of
-the others gets a factor of its own. Gaussian processes by their state space: Hartikainen & Sarkka, IEEE MLSP 2010.
+The law is ``scale * sqrt((slope |R*-1| + drift t*)^2 + floor^2)`` with free proportions. One curve
+whose noise is not that of the others gets a factor of its own. Gaussian processes by their state
+space: Hartikainen & Sarkka, IEEE MLSP 2010.
 
-Intervals of the gel are another question. Fits take frames as independent, with the law that is most probable if residuals are
-nothing else, so that they pass through the curves also where the model misses them. What residuals have in common makes their
-intervals too narrow then; :attr:`FrameNoise.widened` says by how much. Where the model is right both laws are one.
+Intervals of the gel are another question. Fits take frames as independent, with the law that is
+most probable if residuals are nothing else, so that they pass through the curves also where the
+model misses them. What residuals have in common makes their intervals too narrow then;
+:attr:`FrameNoise.widened` says by how much. Where the model is right both laws are one.
 """
 
 import math
@@ -48,19 +54,21 @@ class FrameNoisePrior:
 
     Args:
         law: the published proportion of ``slope`` to ``drift``, about which others are tried.
-        balances: factors on the published ratio of ``slope`` to ``drift``, with their probabilities; 0 is noise that grows with
-            time alone, infinity noise that grows with ``|R* - 1|`` alone.
+        balances: factors on the published ratio of ``slope`` to ``drift``, with their
+            probabilities; 0 is noise that grows with time alone, infinity noise that grows with
+            ``|R* - 1|`` alone.
         floors: constant parts at scale 1, R*.
-        level: prior median of the noise, root mean square over all frames in R*, and the standard deviation of its logarithm,
-            which matters where there are few frames.
-        few: frames in all below which the noise is no less than ``law``: amounts read off a handful of frames may be several
-            times too small by chance.
+        level: prior median of the noise, root mean square over all frames in R*, and the standard
+            deviation of its logarithm, which matters where there are few frames.
+        few: frames in all below which the noise is no less than ``law``: amounts read off a handful
+            of frames may be several times too small by chance.
         least: smallest constant part, R*: bubbles are not computed more exactly than that.
         amounts: standard deviation of the smooth deviation, over that of the noise.
         durations: lag at which its correlation has fallen to 1/e, t*; never less than 2.5 frames.
-        bends: deviations next to collapses, over the bend of the curve between neighbouring frames (at scale 1).
-        none: probability that there is neither of these; a smooth one alone, one next to collapses alone and both are equally
-            probable otherwise.
+        bends: deviations next to collapses, over the bend of the curve between neighbouring frames
+            (at scale 1).
+        none: probability that there is neither of these; a smooth one alone, one next to collapses
+            alone and both are equally probable otherwise.
         own: probability that the noise of one curve differs from that of the others.
 
     >>> from imr_torch.assimilate.frame_noise import FrameNoisePrior
@@ -69,7 +77,13 @@ class FrameNoisePrior:
     """
 
     law: Noise = field(default_factory=Noise)
-    balances: tuple[tuple[float, float], ...] = ((0.0, 0.1), (1.0 / 3.0, 0.15), (1.0, 0.5), (3.0, 0.15), (math.inf, 0.1))
+    balances: tuple[tuple[float, float], ...] = (
+        (0.0, 0.1),
+        (1.0 / 3.0, 0.15),
+        (1.0, 0.5),
+        (3.0, 0.15),
+        (math.inf, 0.1),
+    )
     floors: tuple[float, ...] = tuple(0.0005 * 2.0**k for k in range(8))
     level: tuple[float, float] = (0.004, 1.5)
     few: int = 40
@@ -86,13 +100,15 @@ class FrameNoise:
     """The noise of single frames.
 
     Args:
-        law: central law: the most probable one, at the posterior mean of its logarithm at the frames.
+        law: central law: the most probable one, at the posterior mean of its logarithm at the
+            frames.
         laws: the posterior.
         factors: of each experiment, its noise over the law; 1 where it is that of the others.
         factor_sds: standard deviations of their logarithms.
-        independent: the central law and the posterior if residuals are independent; as the two above when not given.
-        widened: factor by which 90 % intervals of the gel by that law are to be wider, for what residuals have in common; near
-            1 where the model explains the curves.
+        independent: the central law and the posterior if residuals are independent; as the two
+            above when not given.
+        widened: factor by which 90 % intervals of the gel by that law are to be wider, for what
+            residuals have in common; near 1 where the model explains the curves.
 
     >>> import torch
     >>> from dataclasses import replace
@@ -115,11 +131,18 @@ class FrameNoise:
     widened: float = 1.0
 
     def for_fits(self, *, widen: bool) -> "FrameNoise":
-        """The laws of independent residuals, enlarged if intervals are to be right; with those of single frames."""
+        """The laws of independent residuals, enlarged if intervals are to be right.
+
+        With those of single frames.
+        """
         factor = self.widened if widen else 1.0
         law, laws = self.independent or (self.law, self.laws)
-        enlarged = tuple(replace(one, scale=one.scale * factor, widened=factor) for one in (law, *laws.laws))
-        return replace(self, law=enlarged[0], laws=replace(laws, laws=enlarged[1:], frames=self.laws))
+        enlarged = tuple(
+            replace(one, scale=one.scale * factor, widened=factor) for one in (law, *laws.laws)
+        )
+        return replace(
+            self, law=enlarged[0], laws=replace(laws, laws=enlarged[1:], frames=self.laws)
+        )
 
     def of_curve(self, number: int) -> "FrameNoise":
         """The noise of one of the curves."""
@@ -138,8 +161,11 @@ class FrameNoise:
         return replace(batch, experiments=tuple(experiments), noise=self.law, noise_laws=self.laws)
 
 
-def infer_frame_noise(near: Neighbourhood | Sequence[Neighbourhood], prior: FrameNoisePrior | None = None) -> FrameNoise:
-    """The posterior of the noise law about a fit, or about several fits with gels of their own and one noise.
+def infer_frame_noise(
+    near: Neighbourhood | Sequence[Neighbourhood], prior: FrameNoisePrior | None = None
+) -> FrameNoise:
+    """The posterior of the noise law about a fit, or about several fits with gels of their own and
+    one noise.
 
     Args:
         near: each fitted point with its local sensitivities; its batch holds curves only.
@@ -161,11 +187,14 @@ def infer_frame_noise(near: Neighbourhood | Sequence[Neighbourhood], prior: Fram
     True
     """
     fits = (near,) if isinstance(near, Neighbourhood) else tuple(near)
-    prior, curves = prior or FrameNoisePrior(), [e for one in fits for e in one.posterior.batch.curves]
+    prior = prior or FrameNoisePrior()
+    curves = [e for one in fits for e in one.posterior.batch.curves]
     if all(e.repeats > 1 for e in curves):
         law, laws = law_of_repeats([one.posterior.batch for one in fits], prior.law)
         independent, widened = _of_all_residuals(fits, law)
-        return FrameNoise(law, laws, (1.0,) * len(curves), (0.0,) * len(curves), independent, widened)
+        return FrameNoise(
+            law, laws, (1.0,) * len(curves), (0.0,) * len(curves), independent, widened
+        )
     grid = _Grid.of(fits, prior)
     factors = torch.ones(len(curves), dtype=torch.float64)
     sds = torch.zeros_like(factors)
@@ -183,7 +212,9 @@ def infer_frame_noise(near: Neighbourhood | Sequence[Neighbourhood], prior: Fram
 
 @dataclass(frozen=True)
 class _Found:
-    """Log weights of all combinations, and their log scales with standard deviations: ``J`` tensors."""
+    """Log weights of all combinations, and their log scales with standard deviations: ``J``
+    tensors.
+    """
 
     log_weights: Tensor
     log_scales: Tensor
@@ -197,7 +228,8 @@ class _Curves:
     Args:
         near: the fitted point.
         rows: frames that are used, ``E x T`` boolean tensor.
-        bend: ``E x T`` tensor, how far each frame lies off the cubic through its neighbours, in the fitted curve.
+        bend: ``E x T`` tensor, how far each frame lies off the cubic through its neighbours, in the
+            fitted curve.
         place: which of all curves of all fits they are.
     """
 
@@ -209,43 +241,75 @@ class _Curves:
     @staticmethod
     def of(fits: Sequence[Neighbourhood]) -> "tuple[_Curves, ...]":
         """Those of each fit."""
-        found, first = [], 0
+        found = []
+        first = 0
         for near in fits:
-            batch, count = near.posterior.batch, len(near.centre)
-            found.append(_Curves(near, _thinned(batch.mask), bends(batch, near.centre), slice(first, first + count)))
+            batch = near.posterior.batch
+            count = len(near.centre)
+            found.append(
+                _Curves(
+                    near,
+                    _thinned(batch.mask),
+                    bends(batch, near.centre),
+                    slice(first, first + count),
+                )
+            )
             first += count
         return tuple(found)
 
     def variance(self, values: Tensor) -> Tensor:
         """``J x E x T`` tensor, variance of the noise at scale 1, without that of deviations."""
         slope, drift, floor = (values[:, i, None, None] for i in range(3))
-        batch, radius = self.near.posterior.batch, self.near.centre
+        batch = self.near.posterior.batch
+        radius = self.near.centre
         return (slope * (radius - 1.0).abs() + drift * batch.times).square() + floor.square()
 
-    def whitened(self, values: Tensor, factors: Tensor, level: Tensor, columns: Tensor) -> tuple[Tensor, Tensor]:
-        """Columns ``C x E x T`` under each combination, ``J x C x E x T``, and half the log determinants, ``J x E``."""
+    def whitened(
+        self, values: Tensor, factors: Tensor, level: Tensor, columns: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Columns ``C x E x T`` under each combination, ``J x C x E x T``, and half the log
+        determinants, ``J x E``.
+        """
         noise = self.variance(values) * factors[self.place, None].square()
         noise = noise + (values[:, 5, None, None] * self.bend).square()
-        smooth, rates = values[:, 3].square() * level, MATERN / values[:, 4]
-        return matern_whitened(self.near.posterior.batch.times, self.rows, noise, smooth, rates, columns)
+        smooth = values[:, 3].square() * level
+        rates = MATERN / values[:, 4]
+        return matern_whitened(
+            self.near.posterior.batch.times, self.rows, noise, smooth, rates, columns
+        )
 
     @property
     def residual(self) -> Tensor:
-        """``E x T`` tensor, of the mean of repeats, in units of one repeat's noise; 0 for frames that are not used."""
+        """``E x T`` tensor, of the mean of repeats, in units of one repeat's noise.
+
+        0 for frames that are not used.
+        """
         batch = self.near.posterior.batch
         return torch.where(self.rows, (batch.mean - self.near.centre) * batch.counts.sqrt(), 0.0)
 
     def local(self, values: Tensor, factors: Tensor, level: Tensor) -> LocalNoise:
         """What the linearisation says of the data under each combination, at scale 1."""
-        near, root = self.near, self.near.posterior.batch.counts.sqrt()
-        slopes = [torch.where(self.rows, x.movedim(-1, 0) * root, 0.0).nan_to_num() for x in near.slopes]
-        columns, parts = torch.cat((self.residual[None], *slopes)), []
+        near = self.near
+        root = self.near.posterior.batch.counts.sqrt()
+        slopes = [
+            torch.where(self.rows, x.movedim(-1, 0) * root, 0.0).nan_to_num() for x in near.slopes
+        ]
+        columns = torch.cat((self.residual[None], *slopes))
+        parts = []
         for some, own_level in zip(values.split(_AT_ONCE), level.split(_AT_ONCE), strict=True):
             seen, log_det = self.whitened(some, factors, own_level, columns)
-            parts.append((seen[:, 0].square().sum((1, 2)), log_det.sum(1), *equation_blocks(seen, len(slopes[0]))))
+            parts.append(
+                (
+                    seen[:, 0].square().sum((1, 2)),
+                    log_det.sum(1),
+                    *equation_blocks(seen, len(slopes[0])),
+                )
+            )
         square, normaliser, *blocks = (torch.cat(x) for x in zip(*parts, strict=True))
         point = (near.point.gel, near.point.nuisances)
-        return LocalNoise(square, normaliser, float(self.rows.sum()), NormalEquations(*blocks), point)
+        return LocalNoise(
+            square, normaliser, float(self.rows.sum()), NormalEquations(*blocks), point
+        )
 
 
 @dataclass(frozen=True)
@@ -255,7 +319,8 @@ class _Grid:
     Args:
         curves: of each fit.
         prior: of the law.
-        values: ``J x 6`` tensor: slope, drift, floor, amount and duration of the smooth deviation, bend; at scale 1.
+        values: ``J x 6`` tensor: slope, drift, floor, amount and duration of the smooth deviation,
+            bend; at scale 1.
         log_prior: ``J`` tensor.
     """
 
@@ -267,8 +332,11 @@ class _Grid:
     @classmethod
     def of(cls, fits: Sequence[Neighbourhood], prior: FrameNoisePrior) -> "_Grid":
         """The grid about fitted points."""
-        rows, logs = [], []
-        for (balance, weight), floor, (*deviation, share) in product(prior.balances, prior.floors, _deviations(fits, prior)):
+        rows = []
+        logs = []
+        for (balance, weight), floor, (*deviation, share) in product(
+            prior.balances, prior.floors, _deviations(fits, prior)
+        ):
             rows.append((*_balanced(prior.law, balance), floor, *deviation))
             logs.append(math.log(weight * share / len(prior.floors)))
         values, log_prior = (torch.tensor(x, dtype=torch.float64) for x in (rows, logs))
@@ -276,7 +344,10 @@ class _Grid:
 
     def level(self, factors: Tensor) -> Tensor:
         """``J`` tensor, mean variance of the noise over the frames that are used."""
-        sums = [(c.variance(self.values) * factors[c.place, None].square() * c.rows).sum((1, 2)) for c in self.curves]
+        sums = [
+            (c.variance(self.values) * factors[c.place, None].square() * c.rows).sum((1, 2))
+            for c in self.curves
+        ]
         return torch.stack(sums).sum(0) / sum(c.rows.sum() for c in self.curves)
 
     def posterior(self, factors: Tensor) -> _Found:
@@ -287,7 +358,8 @@ class _Grid:
         median, wide = self.prior.level
         ahead = math.log(median) - 0.5 * level.log() - likely
         both = widths.square() + wide**2
-        log_scales, sds = likely + widths.square() / both * ahead, widths * wide / both.sqrt()
+        log_scales = likely + widths.square() / both * ahead
+        sds = widths * wide / both.sqrt()
         marginal = torch.stack([one.marginal(likely[:, None])[:, 0] for one in local]).sum(0)
         value = marginal + sds.log() - 0.5 * ahead.square() / both + self.log_prior
         too_small = log_scales + self.values[:, 2].log() < math.log(self.prior.least)
@@ -295,23 +367,37 @@ class _Grid:
             value = torch.where(too_small, -torch.inf, value)
         return _Found(value - value.logsumexp(0), log_scales, sds)
 
-    def outlier(self, found: _Found, factors: Tensor, chance: float) -> tuple[int, float, float] | None:
-        """The curve whose noise most clearly differs from that of the others: number, log factor and its sd."""
+    def outlier(
+        self, found: _Found, factors: Tensor, chance: float
+    ) -> tuple[int, float, float] | None:
+        """The curve whose noise most clearly differs from that of the others: number, log factor
+        and its sd.
+        """
         best = int(found.log_weights.argmax())
-        values, level, squares, frames, fitted = self.values[best : best + 1], self.level(factors)[best : best + 1], [], [], []
+        values = self.values[best : best + 1]
+        level = self.level(factors)[best : best + 1]
+        squares = []
+        frames = []
+        fitted = []
         for c in self.curves:
             seen, _ = c.whitened(values, factors, level, c.residual[None])
             by_gel, by_nuisance = c.near.slopes
             squares.append(seen[0, 0].square().sum(-1))
             frames.append(c.rows.sum(1))
-            fitted.append(torch.full_like(squares[-1], by_gel.shape[-1] / len(by_gel) + by_nuisance.shape[-1]))
-        square, used = torch.cat(squares), torch.cat(frames)
+            fitted.append(
+                torch.full_like(squares[-1], by_gel.shape[-1] / len(by_gel) + by_nuisance.shape[-1])
+            )
+        square = torch.cat(squares)
+        used = torch.cat(frames)
         count = (used - torch.cat(fitted)).clamp_min(1.0)
         others = square.sum() - square, count.sum() - count
         log_factor = 0.5 * (square / count / (others[0] / others[1])).log()
         variance = 0.5 / count + 0.5 / others[1]
         wide = variance + _OWN_SD**2
-        gain = 0.5 * log_factor.square() * (1.0 / variance - 1.0 / wide) - 0.5 * (wide / variance).log()
+        gain = (
+            0.5 * log_factor.square() * (1.0 / variance - 1.0 / wide)
+            - 0.5 * (wide / variance).log()
+        )
         gain = torch.where((used >= _FEWEST) & (factors == 1.0), gain, -torch.inf)
         first = int(gain.argmax())
         if float(gain[first]) < math.log((1.0 - chance) / chance * len(square)):
@@ -320,18 +406,28 @@ class _Grid:
 
     def log_sd(self, law: Noise) -> Tensor:
         """Logarithms of a law at all frames that are used."""
-        return torch.cat([law.sd(c.near.centre, c.near.posterior.batch.times)[c.rows].log() for c in self.curves])
+        return torch.cat(
+            [law.sd(c.near.centre, c.near.posterior.batch.times)[c.rows].log() for c in self.curves]
+        )
 
     def concluded(self, found: _Found, factors: Tensor, factor_sds: Tensor) -> FrameNoise:
-        """What is known of the noise of frames, of that of independent residuals, and what the rest does to intervals."""
+        """What is known of the noise of frames, of that of independent residuals, and what the rest
+        does to intervals.
+        """
         law, laws = self.summed(found, torch.isfinite(found.log_weights))
         independent = self.summed(found, (self.values[:, 3] == 0.0) & (self.values[:, 5] == 0.0))
         widened = interval_factor([c.near for c in self.curves], independent[0])
-        return FrameNoise(law, laws, tuple(factors.tolist()), tuple(factor_sds.tolist()), independent, widened)
+        return FrameNoise(
+            law, laws, tuple(factors.tolist()), tuple(factor_sds.tolist()), independent, widened
+        )
 
     def summed(self, found: _Found, rows: Tensor) -> tuple[Noise, NoiseLaws]:
-        """Laws alike in all but their deviations together, of some of the combinations, and the central one."""
-        laws, weights, sds = [], [], []
+        """Laws alike in all but their deviations together, of some of the combinations, and the
+        central one.
+        """
+        laws = []
+        weights = []
+        sds = []
         keys, group = self.values[:, :3].unique(dim=0, return_inverse=True)
         for number, (slope, drift, floor) in enumerate(keys.tolist()):
             own = (group == number) & rows & torch.isfinite(found.log_weights)
@@ -340,8 +436,14 @@ class _Grid:
             total = float(found.log_weights[own].logsumexp(0))
             share = torch.softmax(found.log_weights[own], 0)
             centre = float(share @ found.log_scales[own])
-            spread = float(share @ (found.sds[own].square() + (found.log_scales[own] - centre).square()))
-            laws.append(replace(self.prior.law, scale=math.exp(centre), slope=slope, drift=drift, floor=floor))
+            spread = float(
+                share @ (found.sds[own].square() + (found.log_scales[own] - centre).square())
+            )
+            laws.append(
+                replace(
+                    self.prior.law, scale=math.exp(centre), slope=slope, drift=drift, floor=floor
+                )
+            )
             weights.append(total)
             sds.append(math.sqrt(spread))
         shares = torch.softmax(torch.tensor(weights, dtype=torch.float64), 0)
@@ -350,16 +452,27 @@ class _Grid:
         share = shares[kept] / shares[kept].sum()
         known = NoiseLaws(chosen, share, torch.tensor(sds, dtype=torch.float64)[kept])
         logs = torch.stack([self.log_sd(law) for law in chosen])
-        best, centre = int(share.argmax()), (share @ logs).mean()
+        best = int(share.argmax())
+        centre = (share @ logs).mean()
         raised = 0.0
         if sum(int(c.rows.sum()) for c in self.curves) < self.prior.few:
             raised = max(0.0, float(self.log_sd(self.prior.law).mean() - centre))
-            known = replace(known, laws=tuple(replace(law, scale=law.scale * math.exp(raised)) for law in chosen))
-        return replace(chosen[best], scale=chosen[best].scale * math.exp(float(centre - logs[best].mean()) + raised)), known
+            known = replace(
+                known,
+                laws=tuple(replace(law, scale=law.scale * math.exp(raised)) for law in chosen),
+            )
+        return replace(
+            chosen[best],
+            scale=chosen[best].scale * math.exp(float(centre - logs[best].mean()) + raised),
+        ), known
 
 
-def _of_all_residuals(fits: Sequence[Neighbourhood], law: Noise) -> tuple[tuple[Noise, NoiseLaws] | None, float]:
-    """The law of independent residuals where a fit leaves more than the scatter of repeats, and the factor for intervals."""
+def _of_all_residuals(
+    fits: Sequence[Neighbourhood], law: Noise
+) -> tuple[tuple[Noise, NoiseLaws] | None, float]:
+    """The law of independent residuals where a fit leaves more than the scatter of repeats, and the
+    factor for intervals.
+    """
     whole, _ = best_scales([LocalNoise.of(near, (law,)) for near in fits])
     if math.exp(float(whole)) < _MISSED * law.scale:
         return None, 1.0
@@ -370,16 +483,26 @@ def _of_all_residuals(fits: Sequence[Neighbourhood], law: Noise) -> tuple[tuple[
     return (independent, laws), interval_factor(fits, independent)
 
 
-def _deviations(fits: Sequence[Neighbourhood], prior: FrameNoisePrior) -> list[tuple[float, float, float, float]]:
+def _deviations(
+    fits: Sequence[Neighbourhood], prior: FrameNoisePrior
+) -> list[tuple[float, float, float, float]]:
     """Amount, duration and bend of every deviation that is tried, with its prior probability."""
-    spacing = torch.cat([e.times.diff() for near in fits for e in near.posterior.batch.curves]).median()
-    smooth = [(amount, max(lag, 2.5 * float(spacing))) for amount, lag in product(prior.amounts, prior.durations)]
+    spacing = torch.cat(
+        [e.times.diff() for near in fits for e in near.posterior.batch.curves]
+    ).median()
+    smooth = [
+        (amount, max(lag, 2.5 * float(spacing)))
+        for amount, lag in product(prior.amounts, prior.durations)
+    ]
     third = (1.0 - prior.none) / 3.0
     found = [(0.0, 1.0, 0.0, prior.none)]
     found += [(amount, lag, 0.0, third / len(smooth)) for amount, lag in smooth]
     found += [(0.0, 1.0, bend, third / len(prior.bends)) for bend in prior.bends]
     both = third / (len(smooth) * len(prior.bends))
-    return [*found, *((amount, lag, bend, both) for (amount, lag), bend in product(smooth, prior.bends))]
+    return [
+        *found,
+        *((amount, lag, bend, both) for (amount, lag), bend in product(smooth, prior.bends)),
+    ]
 
 
 def _balanced(law: Noise, balance: float) -> tuple[float, float]:

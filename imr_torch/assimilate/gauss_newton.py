@@ -1,8 +1,9 @@
 """Gauss-Newton algebra of one gel seen in several experiments, each with nuisances of its own.
 
-The controls are ``v`` (the gel, shared by all experiments) and ``w_e`` (the nuisances of experiment ``e``), all with
-standard normal priors. The normal matrix is an arrow: nuisances of different experiments meet only through the gel, so
-they are eliminated one experiment at a time (Schur complement), and any number of experiments costs the same per piece.
+The controls are ``v`` (the gel, shared by all experiments) and ``w_e`` (the nuisances of experiment
+``e``), all with standard normal priors. The normal matrix is an arrow: nuisances of different
+experiments meet only through the gel, so they are eliminated one experiment at a time (Schur
+complement), and any number of experiments costs the same per piece.
 """
 
 from collections.abc import Sequence
@@ -67,22 +68,33 @@ class NormalEquations:
         """Those of some of the points."""
         return NormalEquations(*(getattr(self, block.name)[rows] for block in fields(self)))
 
-    def where(self, condition: Bool[Tensor, "chains"], others: "NormalEquations") -> "NormalEquations":
+    def where(
+        self, condition: Bool[Tensor, "chains"], others: "NormalEquations"
+    ) -> "NormalEquations":
         """These where the condition (``C`` booleans) holds, else the others."""
         pairs = ((getattr(self, block.name), getattr(others, block.name)) for block in fields(self))
-        return NormalEquations(*(torch.where(condition.view(-1, *[1] * (one.ndim - 1)), one, two) for one, two in pairs))
+        return NormalEquations(
+            *(
+                torch.where(condition.view(-1, *[1] * (one.ndim - 1)), one, two)
+                for one, two in pairs
+            )
+        )
 
     @cached_property
     def reduced(self) -> Reduced:
         """The undamped equations of the gel."""
-        return self._eliminate(torch.zeros(self.gel_gradient.shape[:-1], dtype=self.gel_gradient.dtype))
+        return self._eliminate(
+            torch.zeros(self.gel_gradient.shape[:-1], dtype=self.gel_gradient.dtype)
+        )
 
     def _eliminate(self, damping: Tensor) -> Reduced:
         gel = _damped(self.gel_hessian, damping)
         chol = torch.linalg.cholesky(_damped(self.nuisance_hessian, damping[..., None]))
         response = -torch.cholesky_solve(self.cross, chol)
         step = -torch.cholesky_solve(self.nuisance_gradient[..., None], chol)[..., 0]
-        gradient = self.gel_gradient + (response.mT @ self.nuisance_gradient[..., None])[..., 0].sum(-2)
+        gradient = self.gel_gradient + (response.mT @ self.nuisance_gradient[..., None])[
+            ..., 0
+        ].sum(-2)
         hessian = gel + (self.cross.mT @ response).sum(-3)
         log_det = 2.0 * chol.diagonal(dim1=-2, dim2=-1).log().sum((-2, -1))
         return Reduced(gradient, definite(0.5 * (hessian + hessian.mT)), step, response, log_det)
@@ -91,35 +103,52 @@ class NormalEquations:
     def whitened_gradient(self) -> Float[Tensor, "*batch"]:
         """Length of the joint gradient in posterior standard deviations; 0 at the optimum."""
         chol = torch.linalg.cholesky(self.reduced.hessian)
-        gel = torch.linalg.solve_triangular(chol, self.reduced.gradient[..., None], upper=False).square().sum((-2, -1))
+        gel = (
+            torch.linalg.solve_triangular(chol, self.reduced.gradient[..., None], upper=False)
+            .square()
+            .sum((-2, -1))
+        )
         nuisances = -(self.nuisance_gradient * self.reduced.nuisance_step).sum((-2, -1))
         return (gel + nuisances).sqrt()
 
     @property
     def posterior_chol(self) -> Float[Tensor, "*batch controls controls"]:
-        """``... x d x d`` lower Cholesky factor of the inverse Hessian of the gel, nuisances marginalised."""
+        """``... x d x d`` lower Cholesky factor of the inverse Hessian of the gel, nuisances
+        marginalised.
+        """
         return inverse_chol(self.reduced.hessian)
 
     def step(
         self, damping: Float[Tensor, "*#batch"]
     ) -> tuple[Float[Tensor, "*#batch controls"], Float[Tensor, "*#batch experiments nuisances"]]:
-        """Levenberg-Marquardt steps of gel (``... x d``) and nuisances (``... x E x w``) for a ``...`` damping."""
+        """Levenberg-Marquardt steps of gel (``...
+
+        x d``) and nuisances (``... x E x w``) for a ``...`` damping.
+        """
         damped = self._eliminate(damping)
         gel = -torch.linalg.solve(damped.hessian, damped.gradient[..., None])[..., 0]
-        return gel, damped.nuisance_step + (damped.nuisance_response @ gel[..., None, :, None])[..., 0]
+        return gel, damped.nuisance_step + (damped.nuisance_response @ gel[..., None, :, None])[
+            ..., 0
+        ]
 
 
 def stacked(parts: Sequence[NormalEquations]) -> NormalEquations:
     """Equations of single points as those of ``C`` points."""
-    return NormalEquations(*(torch.stack([getattr(p, b.name) for p in parts]) for b in fields(NormalEquations)))
+    return NormalEquations(
+        *(torch.stack([getattr(p, b.name) for p in parts]) for b in fields(NormalEquations))
+    )
 
 
-def definite(hessian: Float[Tensor, "*batch controls controls"]) -> Float[Tensor, "*batch controls controls"]:
-    """Hessians ``... x d x d`` in controls, with eigenvalues of at least 1 where rounding has left one that is not positive.
+def definite(
+    hessian: Float[Tensor, "*batch controls controls"],
+) -> Float[Tensor, "*batch controls controls"]:
+    """Hessians ``... x d x d`` in controls, with eigenvalues of at least 1 where rounding has left
+    one that is not positive.
 
-    The prior's own Hessian is the identity, so no exact one is smaller. Sensitivities of 1e8 standard deviations, at the
-    edge of where bubbles can be simulated, lose it in the sum with their squares or in the elimination of the nuisances. The
-    eigenvalues are also no less than what rounding leaves of the largest, so that the matrix can be factored.
+    The prior's own Hessian is the identity, so no exact one is smaller. Sensitivities of 1e8
+    standard deviations, at the edge of where bubbles can be simulated, lose it in the sum with
+    their squares or in the elimination of the nuisances. The eigenvalues are also no less than what
+    rounding leaves of the largest, so that the matrix can be factored.
 
     >>> import torch
     >>> from imr_torch.assimilate.gauss_newton import definite
@@ -135,11 +164,14 @@ def definite(hessian: Float[Tensor, "*batch controls controls"]) -> Float[Tensor
     return torch.where(lost[..., None, None], 0.5 * (mended + mended.mT), hessian)
 
 
-def inverse_chol(hessian: Float[Tensor, "*batch controls controls"]) -> Float[Tensor, "*batch controls controls"]:
-    """Lower Cholesky factors ``... x d x d`` of the inverses of positive definite matrices, ill-conditioned ones too.
+def inverse_chol(
+    hessian: Float[Tensor, "*batch controls controls"],
+) -> Float[Tensor, "*batch controls controls"]:
+    """Lower Cholesky factors ``... x d x d`` of the inverses of positive definite matrices,
+    ill-conditioned ones too.
 
-    With rows and columns reversed, a factor of the matrix gives one of its inverse, so that no inverse is factored; where
-    rounding leaves none at all, the prior's, the identity, is returned.
+    With rows and columns reversed, a factor of the matrix gives one of its inverse, so that no
+    inverse is factored; where rounding leaves none at all, the prior's, the identity, is returned.
 
     >>> import torch
     >>> from imr_torch.assimilate.gauss_newton import inverse_chol
@@ -152,7 +184,9 @@ def inverse_chol(hessian: Float[Tensor, "*batch controls controls"]) -> Float[Te
     if not bool((info > 0).any()):
         return chol
     chol, info = torch.linalg.cholesky_ex(hessian.flip((-2, -1)))
-    chol = torch.where((info > 0)[..., None, None], torch.eye(chol.shape[-1], dtype=chol.dtype), chol)
+    chol = torch.where(
+        (info > 0)[..., None, None], torch.eye(chol.shape[-1], dtype=chol.dtype), chol
+    )
     eye = torch.eye(chol.shape[-1], dtype=chol.dtype, device=chol.device).expand_as(chol)
     return torch.linalg.solve_triangular(chol, eye, upper=False).mT.flip((-2, -1)).tril()
 
@@ -165,9 +199,12 @@ def _damped(hessian: Tensor, damping: Tensor) -> Tensor:
 def normal_equations(
     gel: Float[Tensor, "*#batch controls"],
     nuisances: Float[Tensor, "*#batch experiments nuisances"],
-    gradients: tuple[Float[Tensor, "*#batch controls"], Float[Tensor, "*#batch experiments nuisances"]],
+    gradients: tuple[
+        Float[Tensor, "*#batch controls"], Float[Tensor, "*#batch experiments nuisances"]
+    ],
     sensitivities: tuple[
-        Float[Tensor, "*#batch experiments frames controls"], Float[Tensor, "*#batch experiments frames nuisances"]
+        Float[Tensor, "*#batch experiments frames controls"],
+        Float[Tensor, "*#batch experiments frames nuisances"],
     ],
 ) -> NormalEquations:
     """Assemble the arrow.
@@ -175,8 +212,10 @@ def normal_equations(
     Args:
         gel: controls ``v``.
         nuisances: controls ``w``.
-        gradients: of the negative log likelihood over ``v`` (``... x d``) and ``w`` (``... x E x w``).
-        sensitivities: of the whitened predictions over ``v`` (``... x E x T x d``) and ``w`` (``... x E x T x w``).
+        gradients: of the negative log likelihood over ``v`` (``... x d``) and ``w`` (``... x E x
+            w``).
+        sensitivities: of the whitened predictions over ``v`` (``... x E x T x d``) and ``w`` (``...
+            x E x T x w``).
 
     Returns:
         The normal equations.
@@ -203,12 +242,14 @@ def normal_equations(
 
 
 def ensemble_sensitivity(
-    anomalies: Float[Tensor, "*#batch members controls"], responses: Float[Tensor, "*#batch members outputs"]
+    anomalies: Float[Tensor, "*#batch members controls"],
+    responses: Float[Tensor, "*#batch members outputs"],
 ) -> Float[Tensor, "*#batch outputs controls"]:
     """Sensitivity of predictions to controls by regression over an ensemble.
 
-    Exact for a linear model and any ensemble of more members than controls (the bundle form of the iterative ensemble
-    Kalman smoother: Bocquet & Sakov, Nonlin. Processes Geophys. 20, 2013, section 2).
+    Exact for a linear model and any ensemble of more members than controls (the bundle form of the
+    iterative ensemble Kalman smoother: Bocquet & Sakov, Nonlin. Processes Geophys. 20, 2013,
+    section 2).
 
     Args:
         anomalies: members' controls minus the centre.

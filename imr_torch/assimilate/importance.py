@@ -1,8 +1,10 @@
-"""Importance sampling of a posterior: one set of draws gives evidence, moments and a diagnosis of their reliability.
+"""Importance sampling of a posterior: one set of draws gives evidence, moments and a diagnosis of
+their reliability.
 
-Draws ``v`` of a heavy-tailed proposal (:mod:`imr_torch.assimilate.proposals`) are weighted by the exact posterior; the tail of
-the weights is smoothed by a generalised Pareto distribution, whose shape ``k`` says whether the mean of the weights can be
-estimated (Vehtari, Simpson, Gelman, Yao & Gabry, JMLR 25(72), 2024).
+Draws ``v`` of a heavy-tailed proposal (:mod:`imr_torch.assimilate.proposals`) are weighted by the
+exact posterior; the tail of the weights is smoothed by a generalised Pareto distribution, whose
+shape ``k`` says whether the mean of the weights can be estimated (Vehtari, Simpson, Gelman, Yao &
+Gabry, JMLR 25(72), 2024).
 """
 
 import math
@@ -18,7 +20,9 @@ from torch import Tensor
 from imr_torch.assimilate.noise_posterior import NoiseMixture, NoiseNodes
 from imr_torch.observe import Noise
 
-_ENOUGH = 20.0  # effective samples, and a tenth of all, below which no estimate is taken as reliable
+_ENOUGH = (
+    20.0  # effective samples, and a tenth of all, below which no estimate is taken as reliable
+)
 _LARGEST_SHAPE = 2.0  # of a tail, in an error; beyond it nothing is known
 _SHORTEST_TAIL = 5  # weights to which a generalised Pareto distribution can be fitted
 
@@ -29,25 +33,33 @@ def kish(weights: Float[Tensor, "draws"]) -> Float[Tensor, ""]:
 
 
 def smooth(log_weights: Float[Tensor, "draws"]) -> tuple[Float[Tensor, "draws"], float]:
-    """Pareto-smoothed log weights on the scale of the given ones, and the shape ``k`` of their tail.
+    """Pareto-smoothed log weights on the scale of the given ones, and the shape ``k`` of their
+    tail.
 
     Args:
         log_weights: ``-inf`` for draws that count for nothing.
 
     Returns:
-        The smoothed weights, and ``k``: infinite where too few weights count for a tail to be fitted.
+        The smoothed weights, and ``k``: infinite where too few weights count for a tail to be
+            fitted.
     """
-    from arviz_stats.base.array import array_stats  # here: where xarray is installed too, it takes a second to import
+    from arviz_stats.base.array import (
+        array_stats,
+    )  # here: where xarray is installed too, it takes a second to import
 
     possible = torch.nonzero(torch.isfinite(log_weights))[:, 0]
     some = log_weights[possible]
     if len(some) < 5 * _SHORTEST_TAIL or float(some.amax() - some.amin()) < 1e-9:
         return log_weights, 0.0 if len(some) >= 5 * _SHORTEST_TAIL else math.inf
-    floor = some.amax() - 600.0  # what is smaller is nothing beside the largest, and would underflow in the fit
+    floor = (
+        some.amax() - 600.0
+    )  # what is smaller is nothing beside the largest, and would underflow in the fit
     with np.errstate(all="ignore"):  # a tail that underflows gives NaN, which is dealt with below
         smoothed, shape = array_stats.psislw(-some.clamp_min(floor).numpy())
     least = int(some.argmin())
-    values = torch.as_tensor(smoothed) - smoothed[least] + some[least].clamp_min(floor)  # undo its normalisation
+    values = (
+        torch.as_tensor(smoothed) - smoothed[least] + some[least].clamp_min(floor)
+    )  # undo its normalisation
     shape = float(shape)
     if not math.isfinite(shape) or not bool(torch.isfinite(values).all()):
         return log_weights, math.inf
@@ -55,7 +67,9 @@ def smooth(log_weights: Float[Tensor, "draws"]) -> tuple[Float[Tensor, "draws"],
 
 
 def largest_shape(count: int) -> float:
-    """The ``k`` up to which ``count`` weights give estimates with an error to be believed (Vehtari et al. 2024, 3.2)."""
+    """The ``k`` up to which ``count`` weights give estimates with an error to be believed (Vehtari
+    et al. 2024, 3.2).
+    """
     return min(1.0 - 1.0 / math.log10(max(count, 2)), 0.7)
 
 
@@ -78,7 +92,8 @@ def weighted_quantiles(
     order = values.argsort()
     below = weights[order].cumsum(0) - 0.5 * weights[order]
     right = torch.searchsorted(below, levels).clamp(1, len(values) - 1)
-    low, high = below[right - 1], below[right]
+    low = below[right - 1]
+    high = below[right]
     share = ((levels - low) / (high - low).clamp_min(1e-300)).clamp(0.0, 1.0)
     return torch.lerp(values[order][right - 1], values[order][right], share)
 
@@ -90,7 +105,8 @@ class NoiseSample:
     Args:
         nodes: ``M`` laws with their weights.
         about: the posterior over all laws, to first order.
-        by_experiment: log likelihood of each experiment under each law, its nuisances integrated out.
+        by_experiment: log likelihood of each experiment under each law, its nuisances integrated
+            out.
         drawn: one law of each draw, from its conditional posterior.
     """
 
@@ -101,7 +117,9 @@ class NoiseSample:
 
     def likelihood_of(self, experiments: Sequence[int]) -> Float[Tensor, "draws"]:
         """Log likelihood of some experiments together, the noise integrated over its prior."""
-        return torch.logsumexp(self.by_experiment[:, :, list(experiments)].sum(2) + self.nodes.log_prior.flatten(), 1)
+        return torch.logsumexp(
+            self.by_experiment[:, :, list(experiments)].sum(2) + self.nodes.log_prior.flatten(), 1
+        )
 
     @cached_property
     def log_likelihood(self) -> Float[Tensor, "draws"]:
@@ -116,17 +134,19 @@ class ImportanceSample:
     Args:
         controls: draws of the gel's controls ``v``.
         log_prior: log density of ``v`` under the prior, a standard normal.
-        by_experiment: log likelihood of each experiment given ``v``, its nuisances integrated out (without
-            bias before the logarithm); ``-inf`` where a solve failed. Of the noise that the fit was made with.
+        by_experiment: log likelihood of each experiment given ``v``, its nuisances integrated out
+            (without bias before the logarithm); ``-inf`` where a solve failed. Of the noise that
+            the fit was made with.
         log_proposal: log density of the proposal.
         nuisances: one draw of the nuisances given ``v`` and the data for each draw.
         centre: mean of ``v`` that the proposal was made for.
         spread: Cholesky factor of the covariance that it was made for.
         first_shape: ``k`` of the first round, whose proposal is the Gaussian with heavier tails.
-        rounds: how many rounds of draws were made; these are of the last one, and its proposal does not depend on them.
+        rounds: how many rounds of draws were made; these are of the last one, and its proposal does
+            not depend on them.
         precisions: of the posterior about each draw; None where not known.
-        noise: the draws under other noise laws, over which weights and all that follows are integrated; None where the noise
-            is taken as known.
+        noise: the draws under other noise laws, over which weights and all that follows are
+            integrated; None where the noise is taken as known.
 
     >>> import torch
     >>> from imr_torch.assimilate import ImportanceSample
@@ -157,7 +177,10 @@ class ImportanceSample:
 
     @property
     def log_likelihood(self) -> Float[Tensor, "draws"]:
-        """``n`` tensor, of all experiments; nuisances are integrated out, and the noise where it is uncertain."""
+        """``n`` tensor, of all experiments.
+
+        Nuisances are integrated out, and the noise where it is uncertain.
+        """
         return self.by_experiment.sum(1) if self.noise is None else self.noise.log_likelihood
 
     @property
@@ -171,7 +194,10 @@ class ImportanceSample:
         return self.by_experiment.sum(1) + self.log_prior
 
     def without(self, experiments: Sequence[int]) -> Float[Tensor, "draws"]:
-        """Log density of some experiments given gel and all the others; nuisances and noise integrated out."""
+        """Log density of some experiments given gel and all the others.
+
+        Nuisances and noise integrated out.
+        """
         if self.noise is None:
             return self.by_experiment[:, list(experiments)].sum(1)
         others = [e for e in range(self.by_experiment.shape[1]) if e not in experiments]
@@ -213,7 +239,10 @@ class ImportanceSample:
 
     @cached_property
     def surprise(self) -> float:
-        """How far the moments are from those that the proposal was made for; see :meth:`divergence`."""
+        """How far the moments are from those that the proposal was made for.
+
+        See :meth:`divergence`.
+        """
         return self.divergence(self.centre, self.spread)
 
     @cached_property
@@ -226,8 +255,9 @@ class ImportanceSample:
     ) -> tuple[Float[Tensor, "controls"], Float[Tensor, "controls controls"]]:
         """Mean and covariance of the posterior, from those of a Gaussian near it.
 
-        What is added is the difference between two weighings of the same draws, by the posterior and by the Gaussian, so most
-        of the chance in them cancels, and all of it where the Gaussian is the posterior.
+        What is added is the difference between two weighings of the same draws, by the posterior
+        and by the Gaussian, so most of the chance in them cancels, and all of it where the Gaussian
+        is the posterior.
 
         Args:
             mean: ``d`` tensor.
@@ -239,17 +269,26 @@ class ImportanceSample:
         deviation = self.controls - centre
         before = torch.linalg.cholesky((weights[:, None] * deviation).mT @ deviation)
         after = torch.linalg.cholesky(self.covariance)
-        return mean + self.mean - centre, chol @ torch.linalg.solve_triangular(before, after, upper=False)
+        return mean + self.mean - centre, chol @ torch.linalg.solve_triangular(
+            before, after, upper=False
+        )
 
     def noise_laws(self, count: int) -> list[Noise] | None:
         """``count`` noise laws of the posterior, of equal weight; None where the noise is known."""
-        return None if self.noise is None else [self.noise.nodes.law(int(n)) for n in self.noise.drawn[self.spaced(count)]]
+        return (
+            None
+            if self.noise is None
+            else [self.noise.nodes.law(int(n)) for n in self.noise.drawn[self.spaced(count)]]
+        )
 
-    def divergence(self, mean: Float[Tensor, "controls"], chol: Float[Tensor, "controls controls"]) -> float:
-        """Kullback-Leibler divergence of a Gaussian from that with the moments found, nats, less its expectation by chance.
+    def divergence(
+        self, mean: Float[Tensor, "controls"], chol: Float[Tensor, "controls controls"]
+    ) -> float:
+        """Kullback-Leibler divergence of a Gaussian from that with the moments found, nats, less
+        its expectation by chance.
 
-        With ``n`` effective draws that is ``d (d + 3)/(4 n)``: half a chi-square of as many degrees of freedom
-        as there are moments, over ``n``.
+        With ``n`` effective draws that is ``d (d + 3)/(4 n)``: half a chi-square of as many degrees
+        of freedom as there are moments, over ``n``.
 
         Args:
             mean: ``d`` tensor.
@@ -257,8 +296,12 @@ class ImportanceSample:
         """
         size = len(mean)
         shift = torch.linalg.solve_triangular(chol, (self.mean - mean)[:, None], upper=False)
-        root = torch.linalg.solve_triangular(chol, torch.linalg.cholesky(self.covariance), upper=False)
-        value = 0.5 * (shift.square().sum() + root.square().sum() - size) - root.diagonal().log().sum()
+        root = torch.linalg.solve_triangular(
+            chol, torch.linalg.cholesky(self.covariance), upper=False
+        )
+        value = (
+            0.5 * (shift.square().sum() + root.square().sum() - size) - root.diagonal().log().sum()
+        )
         return float(value) - size * (size + 3) / (4.0 * self.effective_samples)
 
     @property
@@ -268,7 +311,9 @@ class ImportanceSample:
 
     @property
     def log_evidence_error(self) -> float:
-        """Monte Carlo standard error of ``log_evidence``: by the delta method, larger where the draws are not reliable."""
+        """Monte Carlo standard error of ``log_evidence``: by the delta method, larger where the
+        draws are not reliable.
+        """
         return self._spread if self.reliable else self.doubtful_error
 
     @property
@@ -279,12 +324,16 @@ class ImportanceSample:
     def doubtful_error(self) -> float:
         """The same with what the tail of the weights may hide.
 
-        The mean of ``n`` weights whose tail has a shape ``k`` above 1/2 converges as ``n^(k - 1)`` (Vehtari et al. 2024),
-        mostly from below, and the spread of the weights that were drawn does not show it. ``k`` is taken one standard deviation
-        above its estimate.
+        The mean of ``n`` weights whose tail has a shape ``k`` above 1/2 converges as ``n^(k - 1)``
+        (Vehtari et al. 2024), mostly from below, and the spread of the weights that were drawn does
+        not show it. ``k`` is taken one standard deviation above its estimate.
         """
-        count, shape = len(self), min(self.pareto_k, _LARGEST_SHAPE)
-        shape = min(shape + (1.0 + shape) / math.sqrt(min(0.2 * count, 3.0 * math.sqrt(count))), _LARGEST_SHAPE)
+        count = len(self)
+        shape = min(self.pareto_k, _LARGEST_SHAPE)
+        shape = min(
+            shape + (1.0 + shape) / math.sqrt(min(0.2 * count, 3.0 * math.sqrt(count))),
+            _LARGEST_SHAPE,
+        )
         return math.hypot(self._spread, max(count ** (shape - 1.0) - count**-0.5, 0.0))
 
     @cached_property
@@ -305,18 +354,24 @@ class ImportanceSample:
 
     @property
     def sd_error(self) -> Float[Tensor, "controls"]:
-        """``d`` tensor, Monte Carlo standard error of the square roots of the diagonal of ``covariance``."""
+        """``d`` tensor, Monte Carlo standard error of the square roots of the diagonal of
+        ``covariance``.
+        """
         variance = self.covariance.diagonal()
         excess = (self.controls - self.mean).square() - variance
         return (self.weights.square() @ excess.square()).sqrt() / (2.0 * variance.sqrt())
 
     def spaced(self, count: int) -> Int[Tensor, "count"]:
-        """Indices of ``count`` draws of equal weight, the same whenever asked for (systematic resampling)."""
+        """Indices of ``count`` draws of equal weight, the same whenever asked for (systematic
+        resampling).
+        """
         positions = (torch.arange(count, dtype=torch.float64) + 0.5) / count
         return torch.searchsorted(self.weights.cumsum(0), positions).clamp_max(len(self) - 1)
 
     def resample(self, count: int, source: torch.Generator) -> Int[Tensor, "count"]:
-        """Indices of ``count`` draws of equal weight, each within one of its expected number (systematic resampling)."""
+        """Indices of ``count`` draws of equal weight, each within one of its expected number
+        (systematic resampling).
+        """
         start = torch.rand((), generator=source, dtype=torch.float64)
         positions = (torch.arange(count, dtype=torch.float64) + start) / count
         chosen = torch.searchsorted(self.weights.cumsum(0), positions).clamp_max(len(self) - 1)

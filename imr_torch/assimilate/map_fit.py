@@ -1,9 +1,12 @@
-"""The most probable gel of each model: Gauss-Newton from several starts, with sensitivities by finite differences.
+"""The most probable gel of each model: Gauss-Newton from several starts, with sensitivities by
+finite differences.
 
-The cost is the negative log of the joint posterior of gel and nuisances (:mod:`imr_torch.assimilate.posterior`): all repeats
-and frames with their own noise, and the prior once. A step is taken only if it lowers the exact cost; see
-:mod:`imr_torch.assimilate.fit` for the certificate that each fit carries, and :func:`imr_torch.assimilate.weigh` for what is
-beyond the Gaussian about the optimum. Truncated priors need no special treatment: the coordinates are unbounded.
+The cost is the negative log of the joint posterior of gel and nuisances
+    (:mod:`imr_torch.assimilate.posterior`): all repeats
+and frames with their own noise, and the prior once. A step is taken only if it lowers the exact
+cost; see :mod:`imr_torch.assimilate.fit` for the certificate that each fit carries, and
+:func:`imr_torch.assimilate.weigh` for what is beyond the Gaussian about the optimum. Truncated
+priors need no special treatment: the coordinates are unbounded.
 """
 
 import warnings
@@ -52,13 +55,15 @@ def assimilate(
         simulator: makes the bubbles.
         seed: of the starts.
         options: how to search.
-        near: an assimilation of the same belief and experiments (with another noise, say) to start from, in place of
-            prior draws; the starts are then perturbed copies of its optimum.
-        starts: per model, rows of ``d`` whitened coordinates (see :class:`imr_torch.assimilate.ModelFit`) to start from, in
-            place of prior draws; a single one has none to agree with, so that its certificate says that it did not converge.
-        nuisances: per model, standardised nuisances with which its starts begin, ``E x w`` for all of them or ``S x E x w``;
-            zero by default.
-        warn: whether a fit that did not converge gives a ``ConvergenceWarning``; False where the caller reads certificates.
+        near: an assimilation of the same belief and experiments (with another noise, say) to start
+            from, in place of prior draws; the starts are then perturbed copies of its optimum.
+        starts: per model, rows of ``d`` whitened coordinates (see
+            :class:`imr_torch.assimilate.ModelFit`) to start from, in place of prior draws; a single
+            one has none to agree with, so that its certificate says that it did not converge.
+        nuisances: per model, standardised nuisances with which its starts begin, ``E x w`` for all
+            of them or ``S x E x w``; zero by default.
+        warn: whether a fit that did not converge gives a ``ConvergenceWarning``; False where the
+            caller reads certificates.
         progress: called with one line per iteration.
 
     Returns:
@@ -83,7 +88,8 @@ def assimilate(
     >>> min(fits.fits, key=lambda fit: fit.cost).model
     'nhkv'
     """
-    options, source = options or SearchOptions(), generator(child(seed, "assimilate"))
+    options = options or SearchOptions()
+    source = generator(child(seed, "assimilate"))
     posteriors = [Posterior(part, batch, simulator) for part in belief.models]
     if starts is not None:
         points = given(posteriors, starts, nuisances)
@@ -91,7 +97,11 @@ def assimilate(
         points = [beside(p, near[p.prior.model], options, source) for p in posteriors]
     else:
         points = [best_prior_draws(p, options, source) for p in posteriors]
-    masking = starts is None and near is None if options.mask_collapses is None else options.mask_collapses
+    masking = (
+        starts is None and near is None
+        if options.mask_collapses is None
+        else options.mask_collapses
+    )
     searches = [Chains.at(p, x, masking=masking) for p, x in zip(posteriors, points, strict=True)]
     searches = _converged(defer_starts(searches, options), options, source, progress)
     for _ in range(options.basin_rounds):
@@ -107,9 +117,15 @@ def assimilate(
 
 
 def _converged(
-    searches: list[Chains], options: SearchOptions, source: torch.Generator, progress: Progress | None
+    searches: list[Chains],
+    options: SearchOptions,
+    source: torch.Generator,
+    progress: Progress | None,
 ) -> list[Chains]:
-    """Iterated to convergence or the iteration limit; slow chains then get quasi-Newton steps and are iterated again."""
+    """Iterated to convergence or the iteration limit.
+
+    Slow chains then get quasi-Newton steps and are iterated again.
+    """
     searches = _iterated(searches, options, source, progress)
     if options.polish:
         searches, further = polish_slow(searches, options)
@@ -118,7 +134,10 @@ def _converged(
 
 
 def _iterated(
-    searches: list[Chains], options: SearchOptions, source: torch.Generator, progress: Progress | None
+    searches: list[Chains],
+    options: SearchOptions,
+    source: torch.Generator,
+    progress: Progress | None,
 ) -> list[Chains]:
     """Iterated until all chains are finished or the iteration limit is reached."""
     for iteration in range(options.iterations):
@@ -126,30 +145,44 @@ def _iterated(
             break
         searches = manage_starts([iterate(chains, options) for chains in searches], options, source)
         if progress:
-            progress(f"assimilation: iteration {iteration + 1}, {', '.join(_report(chains) for chains in searches)}")
+            progress(
+                f"assimilation: iteration {iteration + 1}, "
+                f"{', '.join(_report(chains) for chains in searches)}"
+            )
     return searches
 
 
 def _report(chains: Chains) -> str:
     """Cost and gradient of the best chain of a model."""
     best = int(chains.cost.argmin())
-    model, gradient = chains.posterior.prior.model, float(chains.gradient[best])
+    model = chains.posterior.prior.model
+    gradient = float(chains.gradient[best])
     return f"{model} cost {float(chains.cost[best]):.2f} gradient {gradient:.1e}"
 
 
 def _fit(chains: Chains, options: SearchOptions) -> ModelFit:
-    """The chain with the lowest cost, of equals the one that converged furthest, as the fit of its model."""
+    """The chain with the lowest cost, of equals the one that converged furthest, as the fit of its
+    model.
+    """
     posterior = chains.posterior
     same = torch.nonzero(chains.cost <= chains.cost.min() + options.agreement)[:, 0]
     best = int(same[chains.gradient[same].argmin()])
-    costs, equations = chains.cost.sort().values, chains.equations[best]
-    agreement = float(costs[1] - costs[0]) if len(costs) > 1 and bool(torch.isfinite(costs[0])) else torch.inf
+    costs = chains.cost.sort().values
+    equations = chains.equations[best]
+    agreement = (
+        float(costs[1] - costs[0])
+        if len(costs) > 1 and bool(torch.isfinite(costs[0]))
+        else torch.inf
+    )
     gradient = float(chains.gradient[best])
     if equations is None:  # no start could be simulated
         response = torch.zeros(*posterior.still().shape, posterior.size, dtype=torch.float64)
-        nuisance_hessian = torch.eye(response.shape[1], dtype=torch.float64).expand(len(response), -1, -1)
+        nuisance_hessian = torch.eye(response.shape[1], dtype=torch.float64).expand(
+            len(response), -1, -1
+        )
     else:
-        response, nuisance_hessian = equations.reduced.nuisance_response, equations.nuisance_hessian
+        response = equations.reduced.nuisance_response
+        nuisance_hessian = equations.nuisance_hessian
     rows = torch.tensor([best])
     return ModelFit(
         prior=posterior.prior,

@@ -1,8 +1,10 @@
-"""The posterior without the frames next to collapses, which make local minima; searches begin with it.
+"""The posterior without the frames next to collapses, which make local minima; searches begin with
+it.
 
-At a collapse R(t) has a cusp, so a frame next to it sees the same radius before the collapse and after. A model whose collapse
-lies on the wrong side of such a frame has a local minimum there, a hundredth of the prior's width from the right one and tens
-of nats above it. Without those frames it has none. Searches mask them at first, and use all frames near a minimum.
+At a collapse R(t) has a cusp, so a frame next to it sees the same radius before the collapse and
+after. A model whose collapse lies on the wrong side of such a frame has a local minimum there, a
+hundredth of the prior's width from the right one and tens of nats above it. Without those frames it
+has none. Searches mask them at first, and use all frames near a minimum.
 """
 
 import math
@@ -35,11 +37,17 @@ class Masked:
         """The posterior of all frames, without those next to collapses."""
         batch = posterior.batch
         kept = [away_from_collapses(e.times, e.mean) for e in batch.experiments]
-        fewer = replace(batch, experiments=tuple(e.at(k) for e, k in zip(batch.experiments, kept, strict=True)))
-        frames = torch.nn.utils.rnn.pad_sequence([torch.nonzero(k)[:, 0] for k in kept], batch_first=True)
+        fewer = replace(
+            batch, experiments=tuple(e.at(k) for e, k in zip(batch.experiments, kept, strict=True))
+        )
+        frames = torch.nn.utils.rnn.pad_sequence(
+            [torch.nonzero(k)[:, 0] for k in kept], batch_first=True
+        )
         return cls(replace(posterior, batch=fewer), frames, not all(bool(k.all()) for k in kept))
 
-    def seen(self, prediction: Float[Tensor, "*batch experiments frames"]) -> Float[Tensor, "*batch experiments kept"]:
+    def seen(
+        self, prediction: Float[Tensor, "*batch experiments frames"]
+    ) -> Float[Tensor, "*batch experiments kept"]:
         """Predictions ``batch_shape x E x T`` of all frames at those that are kept."""
         kept = prediction.gather(-1, self.frames.expand(*prediction.shape[:-1], -1))
         return torch.where(self.posterior.batch.mask, kept, 0.0)
@@ -52,10 +60,14 @@ class Masked:
 def away_from_collapses(
     times: Float[Tensor, "*#batch frames"], radius: Float[Tensor, "*#batch frames"]
 ) -> Bool[Tensor, "*#batch frames"]:
-    """Frames that are neither a minimum nor next to one (the record may end at one); all, if those are less than half."""
+    """Frames that are neither a minimum nor next to one (the record may end at one).
+
+    All, if those are less than half.
+    """
     times = torch.cat((times, times[-1:] + 1.0))
     radius = torch.cat((radius, radius.amax(0, keepdim=True)))
-    keep, number = torch.ones_like(times, dtype=torch.bool), 1
+    keep = torch.ones_like(times, dtype=torch.bool)
+    number = 1
     while (at := collapse_time(times, radius, number)) < math.inf:
         frame = int(torch.nonzero(times == at))
         keep[max(1, frame - 1) : frame + 2] = False

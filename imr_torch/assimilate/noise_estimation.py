@@ -1,10 +1,11 @@
 """Assimilation of measured curves with their noise inferred about the fits.
 
-All models are fitted with the noise law as given; the noise of single frames is inferred about the best model, beside any
-smooth misfit (:mod:`imr_torch.assimilate.frame_noise`); all models are fitted again with it. Where a model misses the data,
-fits take all that they leave for independent, and the last ones are widened for what the residuals have in common. Only
-residuals and sensitivities of the earlier fits are used, so these end within a tenth of a nat of a minimum. What the
-uncertainty of the law means for gel and evidence is left to :func:`imr_torch.assimilate.weigh`.
+All models are fitted with the noise law as given; the noise of single frames is inferred about the
+best model, beside any smooth misfit (:mod:`imr_torch.assimilate.frame_noise`); all models are
+fitted again with it. Where a model misses the data, fits take all that they leave for independent,
+and the last ones are widened for what the residuals have in common. Only residuals and
+sensitivities of the earlier fits are used, so these end within a tenth of a nat of a minimum. What
+the uncertainty of the law means for gel and evidence is left to :func:`imr_torch.assimilate.weigh`.
 """
 
 from dataclasses import replace
@@ -30,7 +31,10 @@ from imr_torch.types import Progress
 NOISE_ROUNDS = 2
 """How often the noise of measured curves is estimated: from fits with the given law, and from fits with the first estimate."""
 
-_GRADIENT, _AGREEMENT = 0.3, 1.0  # tolerances (posterior standard deviations, nats) of all fits but the last
+_GRADIENT, _AGREEMENT = (
+    0.3,
+    1.0,
+)  # tolerances (posterior standard deviations, nats) of all fits but the last
 
 
 @one_torch_thread()
@@ -54,7 +58,8 @@ def assimilate_estimating_noise(
         simulator: makes the bubbles.
         rounds: how often the noise is estimated and the fits made again; with 0 it is as given.
         seed: of starts and ensembles.
-        options: the method and its settings, :func:`assimilate` by default; tolerances are those of the last fits.
+        options: the method and its settings, :func:`assimilate` by default; tolerances are those of
+            the last fits.
         near: fits of the same belief and experiments, with other noise or frames, to start from.
         warn: as for :func:`assimilate`, of the last fits.
         progress: called with one line per iteration.
@@ -74,14 +79,28 @@ def assimilate_estimating_noise(
     >>> round(fits.batch.noise.scale, 1)  # times the published law
     2.0
     """
-    law, options = FrameNoisePrior(batch.noise), options or SearchOptions()
+    law = FrameNoisePrior(batch.noise)
+    options = options or SearchOptions()
 
     def fit(batch: ExperimentBatch, number: int, near: Assimilation | None) -> Assimilation:
-        own, last = child(seed, "round", number) if number else seed, number == rounds
+        own = child(seed, "round", number) if number else seed
+        last = number == rounds
         if isinstance(options, En4DVarOptions):
-            return assimilate_en4dvar(belief, batch, simulator, seed=own, options=options, near=near, progress=progress)
-        how, warned = options if last else _coarse(options), warn and last
-        return assimilate(belief, batch, simulator, seed=own, options=how, near=near, warn=warned, progress=progress)
+            return assimilate_en4dvar(
+                belief, batch, simulator, seed=own, options=options, near=near, progress=progress
+            )
+        how = options if last else _coarse(options)
+        warned = warn and last
+        return assimilate(
+            belief,
+            batch,
+            simulator,
+            seed=own,
+            options=how,
+            near=near,
+            warn=warned,
+            progress=progress,
+        )
 
     result = fit(batch, 0, near)
     for number in range(1, rounds + 1):
@@ -95,21 +114,31 @@ def assimilate_estimating_noise(
 
 def _coarse(options: SearchOptions) -> SearchOptions:
     """Tolerances of all fits but the last."""
-    return replace(options, gradient=max(_GRADIENT, options.gradient), agreement=max(_AGREEMENT, options.agreement))
+    return replace(
+        options,
+        gradient=max(_GRADIENT, options.gradient),
+        agreement=max(_AGREEMENT, options.agreement),
+    )
 
 
 def with_inferred_noise(
-    batch: ExperimentBatch, result: Assimilation, prior: FrameNoisePrior, simulator: Simulator, *, widen: bool
+    batch: ExperimentBatch,
+    result: Assimilation,
+    prior: FrameNoisePrior,
+    simulator: Simulator,
+    *,
+    widen: bool,
 ) -> ExperimentBatch:
-    """A batch with the noise of its curves as inferred about the model of lowest cost; as it was where these tell too little.
+    """A batch with the noise of its curves as inferred about the model of lowest cost; as it was
+    where these tell too little.
 
     Args:
         batch: the experiments of the fits.
         result: the fits.
         prior: of the law.
         simulator: makes the bubbles.
-        widen: whether it is enlarged so that intervals are right; noise is inferred about fits without that, which would pass
-            beside curves that the model misses.
+        widen: whether it is enlarged so that intervals are right; noise is inferred about fits
+            without that, which would pass beside curves that the model misses.
     """
     if not bool((~batch.collapse).any()):
         return batch
@@ -121,7 +150,8 @@ def with_inferred_noise(
 
 
 def noise_nodes(result: Assimilation, simulator: Simulator) -> NoiseNodes | None:
-    """Laws of the noise over which posteriors are integrated; None where it was not inferred, or collapse times stand beside.
+    """Laws of the noise over which posteriors are integrated; None where it was not inferred, or
+    collapse times stand beside.
 
     Args:
         result: fits whose batch has its noise inferred.
@@ -143,17 +173,24 @@ def noise_nodes(result: Assimilation, simulator: Simulator) -> NoiseNodes | None
     if batch.noise_laws is None or bool(batch.collapse.any()):
         return None
     best = min(result.fits, key=lambda fit: fit.cost)
-    return NoiseNodes.of(batch.noise_laws, Posterior(best.prior, batch, simulator).neighbourhood(best.point))
+    return NoiseNodes.of(
+        batch.noise_laws, Posterior(best.prior, batch, simulator).neighbourhood(best.point)
+    )
 
 
 def with_scatter(result: Assimilation) -> tuple[Experiment | CollapseTime, ...]:
-    """The experiments, with the further error of collapse times that their residuals ask for, the same (over t*) for all.
+    """The experiments, with the further error of collapse times that their residuals ask for, the
+    same (over t*) for all.
 
-    The model of lowest cost counts. With the error ``s`` of a time and its slopes ``a`` over the standardised nuisances, the
-    precision of these given the gel is ``I + a a^T/s^2``, and they have taken up ``|a|^2/(s^2 + |a|^2)`` of the residual.
+    The model of lowest cost counts. With the error ``s`` of a time and its slopes ``a`` over the
+    standardised nuisances, the precision of these given the gel is ``I + a a^T/s^2``, and they have
+    taken up ``|a|^2/(s^2 + |a|^2)`` of the residual.
     """
-    best, batch = min(result.fits, key=lambda fit: fit.cost), result.batch
-    rows = [e for e, experiment in enumerate(batch.experiments) if isinstance(experiment, CollapseTime)]
+    best = min(result.fits, key=lambda fit: fit.cost)
+    batch = result.batch
+    rows = [
+        e for e, experiment in enumerate(batch.experiments) if isinstance(experiment, CollapseTime)
+    ]
     shots = [e for e in batch.experiments if isinstance(e, CollapseTime)]
     if not shots:
         return batch.experiments
@@ -164,16 +201,22 @@ def with_scatter(result: Assimilation) -> tuple[Experiment | CollapseTime, ...]:
     slopes = square * (precision - 3.0).clamp_min(0.0)
     gel = len(best.mean) - float(best.chol.square().sum())
     scatter = scatter_of(left * (1.0 + slopes / square), stated + slopes, max(gel, 0.0))
-    return tuple(replace(e, scatter=scatter) if isinstance(e, CollapseTime) else e for e in batch.experiments)
+    return tuple(
+        replace(e, scatter=scatter) if isinstance(e, CollapseTime) else e for e in batch.experiments
+    )
 
 
 def determines_noise(fit: ModelFit, batch: ExperimentBatch) -> bool:
-    """Whether a fit leaves ten degrees of freedom or more, from which on residuals determine the noise."""
+    """Whether a fit leaves ten degrees of freedom or more, from which on residuals determine the
+    noise.
+    """
     return float(batch.mask.sum()) - freedom_of(fit, batch) >= FEWEST_RESIDUALS
 
 
 def freedom_of(fit: ModelFit, batch: ExperimentBatch) -> float:
-    """Degrees of freedom that a fit took: its controls and nuisances, each as far as the data reduced its prior variance."""
+    """Degrees of freedom that a fit took: its controls and nuisances, each as far as the data
+    reduced its prior variance.
+    """
     gel = len(fit.mean) - float(fit.chol.square().sum())
     uncertain = batch.nuisance_sds > 0.0
     left = torch.cholesky_inverse(fit.nuisance_chol).diagonal(dim1=-2, dim2=-1)

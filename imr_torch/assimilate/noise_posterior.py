@@ -1,8 +1,10 @@
-"""The noise law as part of the posterior: laws over which a posterior is integrated, and its moments over them.
+"""The noise law as part of the posterior: laws over which a posterior is integrated, and its
+moments over them.
 
-What is known of the law (:class:`imr_torch.observe.NoiseLaws`) was inferred about the best fit, beside any smooth misfit, which
-no likelihood of independent frames could do. So the laws are given weights by which their posterior about that fit is what is
-known (:class:`NoiseNodes`); every draw of every model is then weighted by the same sum over laws, exactly
+What is known of the law (:class:`imr_torch.observe.NoiseLaws`) was inferred about the best fit,
+beside any smooth misfit, which no likelihood of independent frames could do. So the laws are given
+weights by which their posterior about that fit is what is known (:class:`NoiseNodes`); every draw
+of every model is then weighted by the same sum over laws, exactly
 (:func:`imr_torch.assimilate.weigh`), and only the weights rest on a linearisation.
 """
 
@@ -22,7 +24,9 @@ from imr_torch.observe import ExperimentBatch, Noise, NoiseLaws
 _SHARE = 1e-3  # probability over the largest from which on a law counts
 _STEP = 1.0  # between scales, in posterior standard deviations of their logarithm
 _REACH = 3  # scales on either side of the central one
-_LONGEST = 2.0  # posterior standard deviations by which the linearised optimum under another law may lie off the fit
+# posterior standard deviations by which the linearised optimum under another law may lie off the
+# fit
+_LONGEST = 2.0
 
 
 @dataclass(frozen=True)
@@ -44,9 +48,15 @@ class NoiseMixture:
     nuisance_chol: Float[Tensor, "experiments 3 3"]
 
     @classmethod
-    def of(cls, equations: NormalEquations, log_weights: Float[Tensor, "*laws"], point: Point) -> "NoiseMixture":
-        """From the equations of each law; no law moves the gel by more than two of its own standard deviations."""
-        weights, reduced = torch.softmax(log_weights.flatten(), 0), equations.reduced
+    def of(
+        cls, equations: NormalEquations, log_weights: Float[Tensor, "*laws"], point: Point
+    ) -> "NoiseMixture":
+        """From the equations of each law.
+
+        No law moves the gel by more than two of its own standard deviations.
+        """
+        weights = torch.softmax(log_weights.flatten(), 0)
+        reduced = equations.reduced
         hessian = reduced.hessian.flatten(0, 1)
         step = -torch.linalg.solve(hessian, reduced.gradient.flatten(0, 1)[..., None])[..., 0]
         length = (step[:, None] @ hessian @ step[..., None])[:, 0].clamp_min(1e-300).sqrt()
@@ -54,7 +64,9 @@ class NoiseMixture:
         shift, covariance = _moments(weights, step, torch.linalg.inv(hessian))
         response = torch.einsum("m,meij->eij", weights, reduced.nuisance_response.flatten(0, 1))
         moved, spread = _moments(
-            weights, reduced.nuisance_step.flatten(0, 1), torch.linalg.inv(equations.nuisance_hessian.flatten(0, 1))
+            weights,
+            reduced.nuisance_step.flatten(0, 1),
+            torch.linalg.inv(equations.nuisance_hessian.flatten(0, 1)),
         )
         nuisances = point.nuisances + moved + (response @ shift[:, None])[..., 0]
         precision = torch.linalg.inv(spread)
@@ -68,10 +80,14 @@ class NoiseMixture:
 
 
 def _moments(weights: Tensor, means: Tensor, covariances: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean and covariance of a mixture: ``M`` weights, ``M x ... x d`` means, ``M x ... x d x d`` covariances."""
+    """Mean and covariance of a mixture: ``M`` weights, ``M x ... x d`` means, ``M x ... x d x d``
+    covariances.
+    """
     mean = torch.einsum("m,m...->...", weights, means)
     apart = means - mean
-    return mean, torch.einsum("m,m...->...", weights, covariances + apart[..., :, None] * apart[..., None, :])
+    return mean, torch.einsum(
+        "m,m...->...", weights, covariances + apart[..., :, None] * apart[..., None, :]
+    )
 
 
 @dataclass(frozen=True)
@@ -100,8 +116,8 @@ class NoiseNodes:
     def of(cls, known: NoiseLaws, near: Neighbourhood) -> "NoiseNodes":
         """Nodes whose posterior about a fit is what is known of the noise.
 
-        The sum of likelihood times weight over the nodes is then, about that fit, the marginal likelihood averaged over what
-        is known, so evidences keep their meaning.
+        The sum of likelihood times weight over the nodes is then, about that fit, the marginal
+        likelihood averaged over what is known, so evidences keep their meaning.
 
         Args:
             known: the laws.
@@ -114,7 +130,9 @@ class NoiseNodes:
         shares = torch.log_softmax(-0.5 * steps.square(), 0) + known.weights[kept, None].log()
         shares = shares - shares.flatten().logsumexp(0)
         marginal = LocalNoise.of(near, laws).marginal(_log_scales(laws, log_factors))
-        return cls(laws, log_factors, shares - marginal + (shares + marginal).flatten().logsumexp(0))
+        return cls(
+            laws, log_factors, shares - marginal + (shares + marginal).flatten().logsumexp(0)
+        )
 
     def __len__(self) -> int:
         return self.log_factors.numel()
@@ -122,15 +140,24 @@ class NoiseNodes:
     def law(self, node: int) -> Noise:
         """One of the laws, numbered law by law."""
         law, number = divmod(node, self.log_factors.shape[1])
-        return replace(self.laws[law], scale=self.laws[law].scale * math.exp(float(self.log_factors[law, number])))
+        return replace(
+            self.laws[law],
+            scale=self.laws[law].scale * math.exp(float(self.log_factors[law, number])),
+        )
 
     def mixture(self, near: Neighbourhood) -> NoiseMixture:
         """Moments over all nodes about the fit of some model."""
-        local, log_scales = LocalNoise.of(near, self.laws), _log_scales(self.laws, self.log_factors)
-        return NoiseMixture.of(local.posterior(log_scales), local.marginal(log_scales) + self.log_prior, near.point)
+        local = LocalNoise.of(near, self.laws)
+        log_scales = _log_scales(self.laws, self.log_factors)
+        return NoiseMixture.of(
+            local.posterior(log_scales), local.marginal(log_scales) + self.log_prior, near.point
+        )
 
     def log_likelihood(
-        self, batch: ExperimentBatch, prediction: Float[Tensor, "*batch experiments frames"], law: int
+        self,
+        batch: ExperimentBatch,
+        prediction: Float[Tensor, "*batch experiments frames"],
+        law: int,
     ) -> Float[Tensor, "scales *batch experiments"]:
         """Log likelihood of each experiment under one law at all of its scales; -inf for NaN."""
         own = replace(batch, noise=self.laws[law], noise_laws=None)

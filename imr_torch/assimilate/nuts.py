@@ -1,10 +1,13 @@
-"""Hamiltonian Monte Carlo through the differentiable simulator: a reference posterior with no Gaussian assumed.
+"""Hamiltonian Monte Carlo through the differentiable simulator: a reference posterior with no
+Gaussian assumed.
 
-The no-U-turn sampler (Hoffman & Gelman, JMLR 15, 2014; Pyro's implementation) moves in the coordinates of the fit: gel and
-nuisances in standard deviations of the joint Gaussian about the optimum, which serves as the mass matrix. Since a batch
-of bubbles costs about as much as one, all chains move together: the sampler's state is the whole set of chains, and its
-target the product of their posteriors. Still a solve follows a solve hundreds of times, so this judges importance sampling
-on single cases and is no part of a fit. Needs the extra ``imr-torch[nuts]`` and a simulator that autograd can follow.
+The no-U-turn sampler (Hoffman & Gelman, JMLR 15, 2014; Pyro's implementation) moves in the
+coordinates of the fit: gel and nuisances in standard deviations of the joint Gaussian about the
+optimum, which serves as the mass matrix. Since a batch of bubbles costs about as much as one, all
+chains move together: the sampler's state is the whole set of chains, and its target the product of
+their posteriors. Still a solve follows a solve hundreds of times, so this judges importance
+sampling on single cases and is no part of a fit. Needs the extra ``imr-torch[nuts]`` and a
+simulator that autograd can follow.
 """
 
 from collections.abc import Callable
@@ -35,7 +38,8 @@ class NutsDraws:
         controls: draws of the gel's controls ``v`` in ``C`` chains.
         nuisances: standardised.
         potential: negative log of likelihood x prior, without the constants of the priors.
-        divergences: transitions after warm-up whose trajectory left the level set, by a failed solve for example.
+        divergences: transitions after warm-up whose trajectory left the level set, by a failed
+            solve for example.
     """
 
     controls: Float[Tensor, "chains draws controls"]
@@ -45,8 +49,13 @@ class NutsDraws:
 
     @property
     def r_hat(self) -> Float[Tensor, "controls"]:
-        """Rank-normalised split R-hat (Vehtari et al., Bayesian Anal. 16, 2021); 1 when chains agree."""
-        from arviz_stats.base.array import array_stats  # here: where xarray is installed too, it takes a second to import
+        """Rank-normalised split R-hat (Vehtari et al., Bayesian Anal.
+
+        16, 2021); 1 when chains agree.
+        """
+        from arviz_stats.base.array import (
+            array_stats,
+        )  # here: where xarray is installed too, it takes a second to import
 
         return torch.as_tensor(array_stats.rhat(self.controls.numpy(), chain_axis=0, draw_axis=1))
 
@@ -60,7 +69,9 @@ class NutsDraws:
     @property
     def converged(self) -> bool:
         """Whether chains agree and enough draws count."""
-        return bool((self.r_hat < _WORST_R_HAT).all()) and bool((self.effective_samples > _LEAST_SAMPLES).all())
+        return bool((self.r_hat < _WORST_R_HAT).all()) and bool(
+            (self.effective_samples > _LEAST_SAMPLES).all()
+        )
 
     @property
     def mean(self) -> Float[Tensor, "controls"]:
@@ -88,7 +99,8 @@ def nuts(
     Args:
         fit: the model's fit to ``batch``: starting point and mass matrix.
         batch: the data.
-        simulator: one whose solution carries gradients with respect to parameters, designs and times.
+        simulator: one whose solution carries gradients with respect to parameters, designs and
+            times.
         seed: of all chains.
         draws: kept draws per chain.
         warmup: draws before, in which the step size is found.
@@ -100,30 +112,42 @@ def nuts(
         ConvergenceError: if fewer draws of the Gaussian than chains can be simulated.
     """
     if draws < 4 or chains < 2 or warmup < 1:
-        raise InputDataError(f"nuts: draws {draws} must be at least 4, chains {chains} at least 2 and warmup {warmup} 1.")
+        raise InputDataError(
+            f"nuts: draws {draws} must be at least 4, chains {chains} at least 2 and warmup "
+            f"{warmup} 1."
+        )
     try:
         from pyro.infer import MCMC, NUTS
     except ImportError:
-        raise UnsupportedError("nuts needs Pyro; install it with: pip install 'imr-torch[nuts]'.") from None
+        raise UnsupportedError(
+            "nuts needs Pyro; install it with: pip install 'imr-torch[nuts]'."
+        ) from None
     coordinates = _Coordinates(fit, batch, simulator)
     start = coordinates.start(chains, child(seed, "nuts"))
     with torch.random.fork_rng(devices=[]):  # Pyro draws from the global generator
         torch.manual_seed(child(seed, "nuts", "moves"))
-        kernel = NUTS(potential_fn=coordinates.potential, adapt_mass_matrix=False, max_tree_depth=_DEEPEST)
-        run = MCMC(kernel, draws, warmup_steps=warmup, initial_params={"u": start}, disable_progbar=True)
+        kernel = NUTS(
+            potential_fn=coordinates.potential, adapt_mass_matrix=False, max_tree_depth=_DEEPEST
+        )
+        run = MCMC(
+            kernel, draws, warmup_steps=warmup, initial_params={"u": start}, disable_progbar=True
+        )
         run.run()
     u = run.get_samples()["u"].movedim(0, 1)
     point = coordinates.place(u)
     with torch.no_grad():
         cost = coordinates.cost(u)
-    return NutsDraws(point.gel, point.nuisances, cost, len(run.diagnostics()["divergences"]["chain 0"]))
+    return NutsDraws(
+        point.gel, point.nuisances, cost, len(run.diagnostics()["divergences"]["chain 0"])
+    )
 
 
 class _Coordinates:
     """The posterior in coordinates ``u`` in which the Gaussian of its fit is a standard normal."""
 
     def __init__(self, fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> None:
-        self.fit, self.posterior = fit, Posterior(fit.prior, batch, simulator)
+        self.fit = fit
+        self.posterior = Posterior(fit.prior, batch, simulator)
         self.uncertain = batch.nuisance_sds > 0.0  # E x 3; the others stay at rest
         self.size = len(fit.mean) + int(self.uncertain.sum())
 
@@ -142,7 +166,9 @@ class _Coordinates:
 
     @property
     def potential(self) -> Callable[[dict[str, Tensor]], Tensor]:
-        """What Pyro asks for: the joint cost of all chains at ``{"u": C x size}``; infinite where a solve fails."""
+        """What Pyro asks for: the joint cost of all chains at ``{"u": C x size}``; infinite where a
+        solve fails.
+        """
         return lambda point: self.cost(point["u"]).sum()
 
     def start(self, chains: int, seed: int) -> Tensor:
@@ -153,11 +179,13 @@ class _Coordinates:
         start = noise[usable][:chains]
         if len(start) < chains:
             raise ConvergenceError(
-                f"{self.fit.model}: {len(start)} of {len(noise)} draws of the fit could be simulated; {chains} are needed."
+                f"{self.fit.model}: {len(start)} of {len(noise)} draws of the fit could be "
+                f"simulated; {chains} are needed."
             )
         if not self.posterior.predict(self.place(start.clone().requires_grad_())).requires_grad:
             raise UnsupportedError(
-                f"{type(self.posterior.simulator).__name__} gives no gradients; NUTS needs a simulator that autograd can "
+                f"{type(self.posterior.simulator).__name__} gives no gradients; NUTS needs a "
+                "simulator that autograd can "
                 "follow, such as PolytropicSimulator."
             )
         return start

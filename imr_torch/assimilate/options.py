@@ -1,4 +1,7 @@
-"""Settings of the two fitting methods, checked when they are made; the type of the settings selects the method."""
+"""Settings of the two fitting methods, checked when they are made.
+
+The type of the settings selects the method.
+"""
 
 import math
 from dataclasses import dataclass, field
@@ -16,19 +19,22 @@ class SearchOptions:
         iterations: most Gauss-Newton iterations.
         gradient: tolerance of the gradient, posterior standard deviations; 1e-3 leaves 5e-7 nats.
         agreement: tolerance of the cost difference between the two best starts, nats.
-        drop_behind: a start is dropped, unconverged, once its cost, less what its gradient allows, is above the lowest cost of
-            all models by more than this, nats; never when not given. When given, only the best start of each model begins at
-            first, and a second follows once that is near a minimum and not too far behind; of more than two, all follow even
-            from farther behind.
-        rival: cost of a fit that is known already, nats; with ``drop_behind`` starts are compared with it too. None when no fit
-            is known.
+        drop_behind: a start is dropped, unconverged, once its cost, less what its gradient allows,
+            is above the lowest cost of all models by more than this, nats; never when not given.
+            When given, only the best start of each model begins at first, and a second follows once
+            that is near a minimum and not too far behind; of more than two, all follow even from
+            farther behind.
+        rival: cost of a fit that is known already, nats; with ``drop_behind`` starts are compared
+            with it too. None when no fit is known.
         basin_rounds: times that models may be restarted in a deeper basin of their nuisances
-            (:mod:`imr_torch.assimilate.basins`); with 0 none is searched for, as where nuisances begin at a fit whose
-            basins were compared.
-        mask_collapses: whether chains leave the frames next to collapses out until they are near a minimum
-            (:mod:`imr_torch.assimilate.masking`); when not given, those that start from prior draws do.
-        polish: whether the best chains that have not converged after all iterations are taken to their minimum by
-            quasi-Newton steps, and iterated once more (:mod:`imr_torch.assimilate.polish`).
+            (:mod:`imr_torch.assimilate.basins`); with 0 none is searched for, as where nuisances
+            begin at a fit whose basins were compared.
+        mask_collapses: whether chains leave the frames next to collapses out until they are near a
+            minimum (:mod:`imr_torch.assimilate.masking`); when not given, those that start from
+            prior draws do.
+        polish: whether the best chains that have not converged after all iterations are taken to
+            their minimum by quasi-Newton steps, and iterated once more
+            (:mod:`imr_torch.assimilate.polish`).
 
     >>> from imr_torch.assimilate import SearchOptions
     >>> SearchOptions(starts=2).gradient
@@ -41,22 +47,34 @@ class SearchOptions:
     gradient: float = 1e-3
     agreement: float = 0.1
     drop_behind: float | None = None
-    rival: float | None = field(default=None, compare=False)  # of one fit: no setting that campaigns write down
+    rival: float | None = field(
+        default=None, compare=False
+    )  # of one fit: no setting that campaigns write down
     basin_rounds: int = 3
     mask_collapses: bool | None = None
     polish: bool = True
 
     def __post_init__(self) -> None:
         if not 2 <= self.starts <= self.raw_samples:
-            raise InputDataError(f"SearchOptions needs 2 <= starts <= raw_samples, got {self.starts} and {self.raw_samples}.")
+            raise InputDataError(
+                f"SearchOptions needs 2 <= starts <= raw_samples, got {self.starts} and "
+                f"{self.raw_samples}."
+            )
         if self.basin_rounds < 0:
-            raise InputDataError(f"SearchOptions.basin_rounds is {self.basin_rounds}; expected 0 or more.")
+            raise InputDataError(
+                f"SearchOptions.basin_rounds is {self.basin_rounds}; expected 0 or more."
+            )
         if self.iterations < 1:
-            raise InputDataError(f"SearchOptions.iterations is {self.iterations}; expected at least 1.")
+            raise InputDataError(
+                f"SearchOptions.iterations is {self.iterations}; expected at least 1."
+            )
 
     @property
     def known_cost(self) -> float:
-        """``rival``, and infinity (behind every fit) when it is not given; settings themselves must be finite in a journal."""
+        """``rival``, and infinity (behind every fit) when it is not given.
+
+        Settings themselves must be finite in a journal.
+        """
         return math.inf if self.rival is None else self.rival
 
 
@@ -68,9 +86,11 @@ class En4DVarOptions:
         members: of the ensemble of each model, in opposite pairs.
         iterations: Gauss-Newton iterations of each cycle.
         cycles: the first and its restarts.
-        relaxation: share by which spread is relaxed to that at the start of a cycle, between cycles.
-        tempered: whether the likelihood is the published one: repeats count as one curve, their mean, with the noise of one,
-            and its misfit is divided by the number of frames. Intervals are then far too wide.
+        relaxation: share by which spread is relaxed to that at the start of a cycle, between
+            cycles.
+        tempered: whether the likelihood is the published one: repeats count as one curve, their
+            mean, with the noise of one, and its misfit is divided by the number of frames.
+            Intervals are then far too wide.
 
     >>> from imr_torch.assimilate import En4DVarOptions
     >>> En4DVarOptions(members=32).cycles
@@ -85,13 +105,18 @@ class En4DVarOptions:
 
     def __post_init__(self) -> None:
         if self.members < 8 or self.members % 2:
-            raise InputDataError(f"En4DVarOptions.members is {self.members}; expected an even number of at least 8.")
+            raise InputDataError(
+                f"En4DVarOptions.members is {self.members}; expected an even number of at least 8."
+            )
         if self.iterations < 1 or self.cycles < 1:
             raise InputDataError(
-                f"En4DVarOptions has iterations {self.iterations} and cycles {self.cycles}; expected at least 1 of each."
+                f"En4DVarOptions has iterations {self.iterations} and cycles {self.cycles}; "
+                "expected at least 1 of each."
             )
         if not 0.0 <= self.relaxation <= 1.0:
-            raise InputDataError(f"En4DVarOptions.relaxation is {self.relaxation}; expected a share in [0, 1].")
+            raise InputDataError(
+                f"En4DVarOptions.relaxation is {self.relaxation}; expected a share in [0, 1]."
+            )
 
 
 FitOptions = SearchOptions | En4DVarOptions

@@ -1,7 +1,10 @@
-"""The posterior of one model's gel and of the nuisances of every experiment: its density and its linearisation at any point.
+"""The posterior of one model's gel and of the nuisances of every experiment: its density and its
+linearisation at any point.
 
-Prior, data and simulator are combined here and nowhere else: fits, importance sampling, Hamiltonian Monte Carlo and the tests
-of the model's misfit all ask this object. Coordinates and sensitivities are those of :mod:`imr_torch.assimilate.forward`.
+Prior, data and simulator are combined here and nowhere else: fits, importance sampling, Hamiltonian
+    Monte Carlo and the tests
+of the model's misfit all ask this object. Coordinates and sensitivities are those of
+:mod:`imr_torch.assimilate.forward`.
 """
 
 from collections.abc import Sequence
@@ -43,32 +46,47 @@ class Posterior(ForwardModel):
 
     @cached_property
     def coarse(self) -> "Posterior":
-        """The same with bubbles of :func:`imr_torch.simulate.coarser`; itself where there are none."""
+        """The same with bubbles of :func:`imr_torch.simulate.coarser`.
+
+        Itself where there are none.
+        """
         simulator = coarser(self.simulator)
         return self if simulator is self.simulator else replace(self, simulator=simulator)
 
     def log_joint(
         self, point: Point, prediction: Float[Tensor, "*batch experiments frames"] | None = None
     ) -> Float[Tensor, "*batch"]:
-        """Log of likelihood times prior, nats, without the constants of the priors; ``-inf`` where a bubble fails.
+        """Log of likelihood times prior, nats, without the constants of the priors; ``-inf`` where
+        a bubble fails.
 
         Args:
             point: ``batch_shape`` points.
             prediction: what the camera would see there, if it is known already.
         """
-        likelihood = self.batch.log_likelihood(self.predict(point) if prediction is None else prediction).sum(-1)
-        return likelihood - 0.5 * point.gel.square().sum(-1) - 0.5 * point.nuisances.square().sum((-2, -1))
+        likelihood = self.batch.log_likelihood(
+            self.predict(point) if prediction is None else prediction
+        ).sum(-1)
+        return (
+            likelihood
+            - 0.5 * point.gel.square().sum(-1)
+            - 0.5 * point.nuisances.square().sum((-2, -1))
+        )
 
     def neighbourhood(
-        self, point: Point, scale: Float[Tensor, "*#batch controls directions"] | None = None, *, leader: Point | None = None
+        self,
+        point: Point,
+        scale: Float[Tensor, "*#batch controls directions"] | None = None,
+        *,
+        leader: Point | None = None,
     ) -> "Neighbourhood":
         """Simulate points and the points beside them for finite differences, a bundle each.
 
         Args:
             point: ``batch_shape`` points.
-            scale: ``batch_shape x d x N`` tensor whose columns are the directions in which the gel is moved; one each along
-                every coordinate when not given, none for ``N = 0``.
-            leader: ``batch_shape`` points whose solver steps all others take; the points themselves when not given.
+            scale: ``batch_shape x d x N`` tensor whose columns are the directions in which the gel
+                is moved; one each along every coordinate when not given, none for ``N = 0``.
+            leader: ``batch_shape`` points whose solver steps all others take; the points themselves
+                when not given.
         """
         return Neighbourhood(self, point, *self.bundle(point, scale, leader=leader))
 
@@ -90,7 +108,10 @@ class Posterior(ForwardModel):
         slope = self.likelihood_slope(prediction)[..., None]
         gradients = (by_gel.mT @ slope)[..., 0].sum(-2), (by_nuisance.mT @ slope)[..., 0]
         sd = self.batch.sd(prediction)
-        whitened = [self.batch.whiten(x.movedim(-1, 0), sd[None]).movedim(0, -1) for x in (by_gel, by_nuisance)]
+        whitened = [
+            self.batch.whiten(x.movedim(-1, 0), sd[None]).movedim(0, -1)
+            for x in (by_gel, by_nuisance)
+        ]
         return normal_equations(point.gel, point.nuisances, gradients, (whitened[0], whitened[1]))
 
     def likelihood_slope(
@@ -109,7 +130,8 @@ class Posterior(ForwardModel):
 
 @dataclass(frozen=True)
 class Neighbourhood:
-    """Simulated points and the points beside them, from which local sensitivities follow by finite differences.
+    """Simulated points and the points beside them, from which local sensitivities follow by finite
+    differences.
 
     Args:
         posterior: whose.
@@ -138,16 +160,24 @@ class Neighbourhood:
     def stack(parts: "Sequence[Neighbourhood]") -> "Neighbourhood":
         """Neighbourhoods of single points as those of ``C`` points."""
         gel, nuisances, moves, prediction = (
-            torch.stack(x) for x in zip(*((n.point.gel, n.point.nuisances, n.moves, n.prediction) for n in parts), strict=True)
+            torch.stack(x)
+            for x in zip(
+                *((n.point.gel, n.point.nuisances, n.moves, n.prediction) for n in parts),
+                strict=True,
+            )
         )
         return Neighbourhood(parts[0].posterior, Point(gel, nuisances), moves, prediction)
 
     def __getitem__(self, row: int) -> "Neighbourhood":
-        return replace(self, point=self.point[row], moves=self.moves[row], prediction=self.prediction[row])
+        return replace(
+            self, point=self.point[row], moves=self.moves[row], prediction=self.prediction[row]
+        )
 
     def take(self, rows: Int[Tensor, "rows"]) -> "Neighbourhood":
         """Those of some of ``C`` points."""
-        return replace(self, point=self.point[rows], moves=self.moves[rows], prediction=self.prediction[rows])
+        return replace(
+            self, point=self.point[rows], moves=self.moves[rows], prediction=self.prediction[rows]
+        )
 
     @property
     def centre(self) -> Float[Tensor, "*batch experiments frames"]:
@@ -162,8 +192,12 @@ class Neighbourhood:
     @cached_property
     def slopes(
         self,
-    ) -> tuple[Float[Tensor, "*batch experiments frames controls"], Float[Tensor, "*batch experiments frames nuisances"]]:
-        """Sensitivities of the prediction to the gel (``batch_shape x E x T x d``) and nuisances (``batch_shape x E x T x w``).
+    ) -> tuple[
+        Float[Tensor, "*batch experiments frames controls"],
+        Float[Tensor, "*batch experiments frames nuisances"],
+    ]:
+        """Sensitivities of the prediction to the gel (``batch_shape x E x T x d``) and nuisances
+        (``batch_shape x E x T x w``).
 
         Neighbours that failed give a slope of zero.
         """

@@ -1,10 +1,12 @@
 """Profile likelihood: how well a parameter can be known at all, whatever the others are.
 
-A parameter is held at values on both sides of its most probable one, and everything else is fitted again: the other parameters
-within their priors, and the nuisances. The profile is how many nats the best fit loses, without the prior of the parameter
-itself; a 95 % interval is where it loses less than 1.92 (half the 95 % quantile of chi-square with one degree of freedom;
-Raue et al., Bioinformatics 25, 2009). A profile that does not rise on one side says that the data do not bound the parameter
-there, which an interval of the posterior hides behind its prior.
+A parameter is held at values on both sides of its most probable one, and everything else is fitted
+    again: the other parameters
+within their priors, and the nuisances. The profile is how many nats the best fit loses, without the
+prior of the parameter itself; a 95 % interval is where it loses less than 1.92 (half the 95 %
+quantile of chi-square with one degree of freedom; Raue et al., Bioinformatics 25, 2009). A profile
+that does not rise on one side says that the data do not bound the parameter there, which an
+interval of the posterior hides behind its prior.
 """
 
 import math
@@ -27,7 +29,17 @@ FALL = 1.920729
 """Nats that the best fit loses at the end of a 95 % interval."""
 
 _ENOUGH = 3.0  # nats beyond which a profile is not followed
-_STEPS = (0.7, 1.4, 2.1, 2.8, 3.6, 5.0, 8.0, 13.0, 21.0)  # posterior standard deviations from the most probable value
+_STEPS = (
+    0.7,
+    1.4,
+    2.1,
+    2.8,
+    3.6,
+    5.0,
+    8.0,
+    13.0,
+    21.0,
+)  # posterior standard deviations from the most probable value
 _FARTHEST = 4.0  # prior standard deviations from the prior's median
 _OPTIONS = SearchOptions(starts=2, iterations=30, basin_rounds=0, polish=False)
 
@@ -41,7 +53,8 @@ class Profile:
         values: where it was held, SI, ascending.
         fall: nats that the best fit loses there, 0 at the best of them.
         converged: whether the fit at each value has converged.
-        limits: ends of the 95 % interval, SI; None where the profile does not fall by 1.92 nats within the prior.
+        limits: ends of the 95 % interval, SI; None where the profile does not fall by 1.92 nats
+            within the prior.
 
     >>> from imr_torch.assimilate import Profile
     >>> Profile("G", (1e3, 2e3, 3e3), (4.0, 0.0, 1.0), (True, True, True), (1.3e3, None)).bounded
@@ -58,9 +71,11 @@ class Profile:
     def bounded(self) -> str:
         """``"on both sides"``, ``"from below"``, ``"from above"`` or ``"on neither side"``."""
         low, high = (limit is not None for limit in self.limits)
-        return {(True, True): "on both sides", (True, False): "from below", (False, True): "from above"}.get(
-            (low, high), "on neither side"
-        )
+        return {
+            (True, True): "on both sides",
+            (True, False): "from below",
+            (False, True): "from above",
+        }.get((low, high), "on neither side")
 
 
 def profile(
@@ -103,28 +118,55 @@ def profile(
     prior = fit.prior
     wrong = [name for name in names if name not in prior.names]
     if wrong:
-        raise InputDataError(f"profile: {wrong[0]!r} is no free parameter of {prior.model!r}; it has {', '.join(prior.names)}.")
+        raise InputDataError(
+            f"profile: {wrong[0]!r} is no free parameter of {prior.model!r}; it has "
+            f"{', '.join(prior.names)}."
+        )
     if len(prior.names) < 2:
-        raise InputDataError(f"profile: {prior.model!r} has one free parameter, so its posterior is its profile.")
-    return tuple(_profile(fit, prior.names.index(name), batch, simulator, seed, progress) for name in names or prior.names)
+        raise InputDataError(
+            f"profile: {prior.model!r} has one free parameter, so its posterior is its profile."
+        )
+    return tuple(
+        _profile(fit, prior.names.index(name), batch, simulator, seed, progress)
+        for name in names or prior.names
+    )
 
 
 def _profile(
-    fit: ModelFit, i: int, batch: ExperimentBatch, simulator: Simulator, seed: int, progress: Progress | None
+    fit: ModelFit,
+    i: int,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    seed: int,
+    progress: Progress | None,
 ) -> Profile:
     """The profile of one parameter, followed to both sides until it has fallen by enough."""
-    name, control = fit.prior.names[i], float(fit.prior.unwhitened(fit.mean)[i])
-    posterior, centre = fit.posterior, float(fit.prior.mean[i])
+    name = fit.prior.names[i]
+    control = float(fit.prior.unwhitened(fit.mean)[i])
+    posterior = fit.posterior
+    centre = float(fit.prior.mean[i])
     sd = float(posterior.chol[i].norm())
     width = float(fit.prior.chol[i].norm())
-    found = {control: (fit.cost - 0.5 * ((control - centre) / width) ** 2, fit.certificate.converged)}
+    found = {
+        control: (fit.cost - 0.5 * ((control - centre) / width) ** 2, fit.certificate.converged)
+    }
     for side in (-1.0, 1.0):
-        last, at = fit, control
+        last = fit
+        at = control
         for step in _STEPS:
             own = control + side * step * sd
             if abs(own - centre) > _FARTHEST * width:
                 break
-            last = _held(last, fit, i, at, own, batch, simulator, child(seed, "profile", name, str(side), str(step)))
+            last = _held(
+                last,
+                fit,
+                i,
+                at,
+                own,
+                batch,
+                simulator,
+                child(seed, "profile", name, str(side), str(step)),
+            )
             if not math.isfinite(last.cost):  # no bubble could be made there
                 break
             at, found[own] = own, (last.cost, last.certificate.converged)
@@ -134,10 +176,15 @@ def _profile(
             if last.cost - lowest > _ENOUGH:
                 break
     places = sorted(found)
-    values = [float(fit.prior.marginals[i].to_physical(torch.tensor(c, dtype=torch.float64))) for c in places]
+    values = [
+        float(fit.prior.marginals[i].to_physical(torch.tensor(c, dtype=torch.float64)))
+        for c in places
+    ]
     lowest = min(cost for cost, _ in found.values())
     fall = [found[c][0] - lowest for c in places]
-    return Profile(name, tuple(values), tuple(fall), tuple(found[c][1] for c in places), _limits(values, fall))
+    return Profile(
+        name, tuple(values), tuple(fall), tuple(found[c][1] for c in places), _limits(values, fall)
+    )
 
 
 def _held(
@@ -150,7 +197,10 @@ def _held(
     simulator: Simulator,
     seed: int,
 ) -> ModelFit:
-    """The fit with one parameter held at a control; it starts where the fit at the control before it ended."""
+    """The fit with one parameter held at a control.
+
+    It starts where the fit at the control before it ended.
+    """
     part = _without(fit.prior, i, value)
     rest = [j for j in range(len(fit.prior.names)) if j != i]
     controls = last.prior.unwhitened(last.mean)
@@ -158,11 +208,22 @@ def _held(
         posterior = fit.posterior
         covariance = posterior.chol @ posterior.chol.mT
         controls = controls[rest] + covariance[rest, i] / covariance[i, i] * (value - before)
-    start = torch.linalg.solve_triangular(part.chol, (controls - part.mean)[:, None], upper=False)[:, 0]
+    start = torch.linalg.solve_triangular(part.chol, (controls - part.mean)[:, None], upper=False)[
+        :, 0
+    ]
     belief = Belief((part,), torch.zeros(1, dtype=torch.float64))
     starts = [torch.stack((start, start + 0.01))]
     nuisances = [last.nuisances]
-    found = assimilate(belief, batch, simulator, seed=seed, options=_OPTIONS, starts=starts, nuisances=nuisances, warn=False)
+    found = assimilate(
+        belief,
+        batch,
+        simulator,
+        seed=seed,
+        options=_OPTIONS,
+        starts=starts,
+        nuisances=nuisances,
+        warn=False,
+    )
     return found.fits[0]
 
 
@@ -176,18 +237,29 @@ def _without(prior: ModelBelief, i: int, control: float) -> ModelBelief:
     value = float(prior.marginals[i].to_physical(torch.tensor(control, dtype=torch.float64)))
     known: Mapping[str, float] = {**prior.known, prior.names[i]: value}
     marginals = tuple(prior.marginals[j] for j in rest)
-    return replace(prior, marginals=marginals, mean=mean, chol=torch.linalg.cholesky(covariance), known=known, cloud=None)
+    return replace(
+        prior,
+        marginals=marginals,
+        mean=mean,
+        chol=torch.linalg.cholesky(covariance),
+        known=known,
+        cloud=None,
+    )
 
 
 def _limits(values: list[float], fall: list[float]) -> tuple[float | None, float | None]:
-    """Where the profile has fallen by ``FALL`` on either side of its best value, linearly between values."""
+    """Where the profile has fallen by ``FALL`` on either side of its best value, linearly between
+    values.
+    """
     best = fall.index(0.0)
     low = _crossing(values[: best + 1][::-1], fall[: best + 1][::-1])
     return low, _crossing(values[best:], fall[best:])
 
 
 def _crossing(values: list[float], fall: list[float]) -> float | None:
-    """The first value, from the best one outwards, at which the root of the fall crosses that of ``FALL``."""
+    """The first value, from the best one outwards, at which the root of the fall crosses that of
+    ``FALL``.
+    """
     roots = torch.tensor(fall, dtype=torch.float64).sqrt()
     beyond = torch.nonzero(roots > FALL**0.5)[:, 0]
     if not len(beyond):

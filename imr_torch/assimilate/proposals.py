@@ -1,7 +1,8 @@
-"""Proposal distributions for importance sampling: Student-t mixtures about a fit, along its ridge, or about earlier draws.
+"""Proposal distributions for importance sampling: Student-t mixtures about a fit, along its ridge,
+or about earlier draws.
 
-A proposal is made anew from the draws so far as a mixture of kernels (West, JRSS B 55, 1993), with all of them weighted by the
-mixture of their proposals (Owen & Zhou, JASA 95, 2000).
+A proposal is made anew from the draws so far as a mixture of kernels (West, JRSS B 55, 1993), with
+all of them weighted by the mixture of their proposals (Owen & Zhou, JASA 95, 2000).
 """
 
 import math
@@ -14,7 +15,8 @@ from torch import Tensor
 
 from imr_torch.assimilate.importance import kish
 
-_FREEDOM = 7  # degrees of freedom of the kernels: tails heavier than a Gaussian's, with moments up to the sixth
+# degrees of freedom of the kernels: tails heavier than a Gaussian's, with moments up to the sixth
+_FREEDOM = 7
 _PAIRS = 1_000_000  # of points and kernels, in memory at once
 _WIDE_SHARE = 0.5  # of the wide kernel in a proposal made from draws
 _WIDE = 1.5  # its size, in standard deviations of the draws
@@ -31,7 +33,8 @@ class Kernels:
         chols: their scales.
         mean: mean of the posterior that the proposal is made for.
         chol: Cholesky factor of the covariance of that posterior.
-        precisions: tensor ``d x d`` for each of the first centres, of that posterior about them; None where not known.
+        precisions: tensor ``d x d`` for each of the first centres, of that posterior about them;
+            None where not known.
     """
 
     centres: Float[Tensor, "kernels controls"]
@@ -42,17 +45,22 @@ class Kernels:
     precisions: Float[Tensor, "known controls controls"] | None = None
 
     @classmethod
-    def about(cls, mean: Float[Tensor, "controls"], chol: Float[Tensor, "controls controls"]) -> "Kernels":
+    def about(
+        cls, mean: Float[Tensor, "controls"], chol: Float[Tensor, "controls controls"]
+    ) -> "Kernels":
         """A single kernel about ``mean`` (``d``) with scale ``chol`` (``d x d``)."""
         return cls(mean[None], torch.ones(1, dtype=mean.dtype), chol[None], mean, chol)
 
     @classmethod
-    def through(cls, points: Float[Tensor, "draws controls"], log_weights: Float[Tensor, "draws"]) -> "Kernels":
-        """Kernels on weighted points (``n x d``, ``n``), of the width of Silverman's rule (1986, equation 4.14).
+    def through(
+        cls, points: Float[Tensor, "draws controls"], log_weights: Float[Tensor, "draws"]
+    ) -> "Kernels":
+        """Kernels on weighted points (``n x d``, ``n``), of the width of Silverman's rule (1986,
+        equation 4.14).
 
-        One wide kernel about them all covers places without a point. Weights with an effective sample size below ten a
-        dimension are tempered first, and the kernels widened in turn: such points lie at the edge of the earlier proposal, and
-        the posterior beyond it.
+        One wide kernel about them all covers places without a point. Weights with an effective
+        sample size below ten a dimension are tempered first, and the kernels widened in turn: such
+        points lie at the edge of the earlier proposal, and the posterior beyond it.
         """
         size = points.shape[1]
         weights, power = _tempered(log_weights, 10.0 * (size + 1))
@@ -66,7 +74,10 @@ class Kernels:
         return cls(points[kept], weights[kept], chols, mean, chol).with_wide_kernel(_WIDE_SHARE)
 
     def with_wide_kernel(self, share: float) -> "Kernels":
-        """With one wide kernel about all, which covers what the others do not; it takes ``share`` of the probability."""
+        """With one wide kernel about all, which covers what the others do not.
+
+        It takes ``share`` of the probability.
+        """
         return Kernels(
             centres=torch.cat((self.centres, self.mean[None])),
             weights=torch.cat(((1.0 - share) * self.weights, self.weights.new_tensor([share]))),
@@ -76,8 +87,13 @@ class Kernels:
             precisions=self.precisions,
         )
 
-    def precisions_at(self, points: Float[Tensor, "draws controls"]) -> Float[Tensor, "draws controls controls"] | None:
-        """Of the posterior about ``n x d`` points, ``n x d x d``, as about the nearest centre; None where not known."""
+    def precisions_at(
+        self, points: Float[Tensor, "draws controls"]
+    ) -> Float[Tensor, "draws controls controls"] | None:
+        """Of the posterior about ``n x d`` points, ``n x d x d``, as about the nearest centre.
+
+        None where not known.
+        """
         if self.precisions is None:
             return None
         centres = self.centres[: len(self.precisions)]
@@ -97,37 +113,66 @@ class Kernels:
         whiten = torch.linalg.inv(self.chols)
         rows = []
         for some in points.split(max(1, _PAIRS // len(self.centres))):
-            square = torch.einsum("jab,jnb->jna", whiten, some - self.centres[:, None]).square().sum(-1)
-            rows.append(torch.logsumexp(heights[:, None] + student_log_prob(square, self.centres.shape[1], _FREEDOM), dim=0))
+            square = (
+                torch.einsum("jab,jnb->jna", whiten, some - self.centres[:, None]).square().sum(-1)
+            )
+            rows.append(
+                torch.logsumexp(
+                    heights[:, None] + student_log_prob(square, self.centres.shape[1], _FREEDOM),
+                    dim=0,
+                )
+            )
         return torch.cat(rows)
 
 
-def student_draws(shape: Sequence[int], freedom: int, source: torch.Generator) -> Float[Tensor, "*shape"]:
-    """Independent draws of the standard multivariate Student t, in as many dimensions as the last of ``shape``."""
+def student_draws(
+    shape: Sequence[int], freedom: int, source: torch.Generator
+) -> Float[Tensor, "*shape"]:
+    """Independent draws of the standard multivariate Student t, in as many dimensions as the last
+    of ``shape``.
+    """
     normal = torch.randn(*shape, generator=source, dtype=torch.float64)
-    squares = torch.randn(*shape[:-1], freedom, generator=source, dtype=torch.float64).square().sum(-1, keepdim=True)
+    squares = (
+        torch.randn(*shape[:-1], freedom, generator=source, dtype=torch.float64)
+        .square()
+        .sum(-1, keepdim=True)
+    )
     return normal * (freedom / squares).sqrt()
 
 
-def student_log_prob(square: Float[Tensor, "*batch"], size: int | Real[Tensor, "..."], freedom: int) -> Float[Tensor, "*batch"]:
-    """Log density of the standard multivariate Student t in ``size`` dimensions at points of a squared length."""
+def student_log_prob(
+    square: Float[Tensor, "*batch"], size: int | Real[Tensor, "..."], freedom: int
+) -> Float[Tensor, "*batch"]:
+    """Log density of the standard multivariate Student t in ``size`` dimensions at points of a
+    squared length.
+    """
     size = torch.as_tensor(size, dtype=square.dtype)
     half = 0.5 * (freedom + size)
-    constant = torch.lgamma(half) - math.lgamma(0.5 * freedom) - 0.5 * size * math.log(freedom * math.pi)
+    constant = (
+        torch.lgamma(half) - math.lgamma(0.5 * freedom) - 0.5 * size * math.log(freedom * math.pi)
+    )
     return constant - half * torch.log1p(square / freedom)
 
 
 def mixture_log_prob(
     proposals: Sequence[Kernels], counts: Sequence[int], points: Float[Tensor, "draws controls"]
 ) -> Float[Tensor, "draws"]:
-    """Log density of all proposals together, each in proportion to its draws: ``n`` tensor at ``n x d`` points."""
+    """Log density of all proposals together, each in proportion to its draws: ``n`` tensor at ``n x
+    d`` points.
+    """
     shares = torch.tensor(counts, dtype=torch.float64).log() - math.log(sum(counts))
-    return torch.logsumexp(torch.stack([p.log_prob(points) for p in proposals]) + shares[:, None], dim=0)
+    return torch.logsumexp(
+        torch.stack([p.log_prob(points) for p in proposals]) + shares[:, None], dim=0
+    )
 
 
 def _tempered(log_weights: Tensor, least: float) -> tuple[Tensor, float]:
-    """Normalised weights, raised to the largest power up to 1 that leaves an effective sample size of ``least``; the power."""
-    low, high, power = 0.0, 1.0, 1.0
+    """Normalised weights, raised to the largest power up to 1 that leaves an effective sample size
+    of ``least``; the power.
+    """
+    low = 0.0
+    high = 1.0
+    power = 1.0
     for _ in range(40):
         enough = float(kish(torch.softmax(power * log_weights, dim=0))) >= least
         if enough and power == 1.0:

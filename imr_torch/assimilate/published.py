@@ -1,11 +1,14 @@
-"""The published ensemble 4D-Var, for comparison: fits an ensemble to the mean curve of one design with a tempered likelihood.
+"""The published ensemble 4D-Var, for comparison: fits an ensemble to the mean curve of one design
+with a tempered likelihood.
 
-Ensemble 4D-Var in the transform form (Sakov, Oliver & Bertino, Mon. Weather Rev. 140, 2012; Bocquet & Sakov 2013) as used in
-arXiv 2409.00011, appendix B: Gauss-Newton iterations over the whole spread of the ensemble, restarted a few times from their
-own result, whose spread is relaxed towards that of the start (RTPS: Whitaker & Hamill, Mon. Weather Rev. 140, 2012).
+Ensemble 4D-Var in the transform form (Sakov, Oliver & Bertino, Mon. Weather Rev. 140, 2012; Bocquet
+& Sakov 2013) as used in arXiv 2409.00011, appendix B: Gauss-Newton iterations over the whole spread
+of the ensemble, restarted a few times from their own result, whose spread is relaxed towards that
+of the start (RTPS: Whitaker & Hamill, Mon. Weather Rev. 140, 2012).
 
-Against the data's own likelihood, which :func:`imr_torch.assimilate.assimilate` uses: all repeats count as one curve, their
-mean, with the noise of one; its misfit is divided by the number of frames; and every restart uses the data again.
+Against the data's own likelihood, which :func:`imr_torch.assimilate.assimilate` uses: all repeats
+count as one curve, their mean, with the noise of one; its misfit is divided by the number of
+frames; and every restart uses the data again.
 """
 
 from dataclasses import dataclass, replace
@@ -32,7 +35,8 @@ class PublishedOptions:
         members: of the ensemble of each model.
         iterations: Gauss-Newton iterations of each cycle.
         cycles: the first and its restarts.
-        relaxation: share by which spread is relaxed to that at the start of a cycle, between cycles.
+        relaxation: share by which spread is relaxed to that at the start of a cycle, between
+            cycles.
 
     >>> from imr_torch.assimilate import PublishedOptions
     >>> PublishedOptions(members=24).iterations
@@ -47,11 +51,14 @@ class PublishedOptions:
     def __post_init__(self) -> None:
         if self.members < 8 or self.iterations < 1 or self.cycles < 1:
             raise InputDataError(
-                f"PublishedOptions has members {self.members}, iterations {self.iterations} and cycles {self.cycles}; "
+                f"PublishedOptions has members {self.members}, iterations {self.iterations} and "
+                f"cycles {self.cycles}; "
                 "expected at least 8, 1 and 1."
             )
         if not 0.0 <= self.relaxation <= 1.0:
-            raise InputDataError(f"PublishedOptions.relaxation is {self.relaxation}; expected a share in [0, 1].")
+            raise InputDataError(
+                f"PublishedOptions.relaxation is {self.relaxation}; expected a share in [0, 1]."
+            )
 
 
 @dataclass(frozen=True)
@@ -80,7 +87,8 @@ class PublishedFit:
     @property
     def posterior(self) -> ModelBelief:
         """The Gaussian of the last ensemble."""
-        mean, deviation = self.ensembles[-1].mean(0), self.ensembles[-1] - self.ensembles[-1].mean(0)
+        mean = self.ensembles[-1].mean(0)
+        deviation = self.ensembles[-1] - self.ensembles[-1].mean(0)
         covariance = deviation.mT @ deviation / (len(deviation) - 1)
         return self.prior.with_gaussian(mean, torch.linalg.cholesky(covariance))
 
@@ -141,7 +149,10 @@ def assimilate_published(
     options = options or PublishedOptions()
     batch = ExperimentBatch((as_one_curve(experiment),), noise)
     precision = 1.0 / (batch.sd(batch.mean)[0].square() * len(experiment.times))
-    members = [part.controls(options.members, seed=child(seed, "ensemble", part.model)) for part in belief.models]
+    members = [
+        part.controls(options.members, seed=child(seed, "ensemble", part.model))
+        for part in belief.models
+    ]
     history: list[list[Tensor]] = [[] for _ in members]
     predictions: list[Tensor] = []
     for cycle in range(options.cycles):
@@ -150,7 +161,10 @@ def assimilate_published(
             for past, state in zip(history, states, strict=True):
                 past.append(state.members)
             predictions = _predict(belief, [state.members for state in states], batch, simulator)
-            states = [state.step(y, batch.mean[0], precision) for state, y in zip(states, predictions, strict=True)]
+            states = [
+                state.step(y, batch.mean[0], precision)
+                for state, y in zip(states, predictions, strict=True)
+            ]
             if progress:
                 progress(f"published assimilation: cycle {cycle + 1}, iteration {iteration + 1}")
         last = cycle == options.cycles - 1
@@ -159,22 +173,28 @@ def assimilate_published(
     return tuple(PublishedFit(*fit) for fit in zip(belief.models, ends, predictions, strict=True))
 
 
-def _predict(belief: Belief, members: list[Tensor], batch: ExperimentBatch, simulator: Simulator) -> list[Tensor]:
+def _predict(
+    belief: Belief, members: list[Tensor], batch: ExperimentBatch, simulator: Simulator
+) -> list[Tensor]:
     """Curves ``N x T`` of the ensembles of all models."""
-    parameters = torch.cat([part.parameters(z) for part, z in zip(belief.models, members, strict=True)])
+    parameters = torch.cat(
+        [part.parameters(z) for part, z in zip(belief.models, members, strict=True)]
+    )
     curves = predict(simulator, parameters, batch)[:, 0].split([len(z) for z in members])
     for part, seen in zip(belief.models, curves, strict=True):
         good = int(torch.isfinite(seen).all(1).sum())
         if good < _ENOUGH * len(seen):
             raise ConvergenceError(
-                f"{part.model}: {good} of {len(seen)} members could be simulated; check the prior and the design."
+                f"{part.model}: {good} of {len(seen)} members could be simulated; check the prior "
+                "and the design."
             )
     return list(curves)
 
 
 @dataclass(frozen=True)
 class _Cycle:
-    """An ensemble ``centre + transform start``, with the rows of ``start`` the deviations that the cycle began with.
+    """An ensemble ``centre + transform start``, with the rows of ``start`` the deviations that the
+    cycle began with.
 
     Args:
         first: ``d`` tensor, mean at the beginning.
@@ -210,16 +230,24 @@ class _Cycle:
         mean = torch.where(good, curves, 0.0).sum(0) / good.sum()
         deviation = torch.linalg.solve(self.transform, torch.where(good, curves - mean, 0.0))
         scale = len(curves) - 1
-        hessian = torch.eye(len(curves), dtype=curves.dtype) + (deviation * precision) @ deviation.mT / scale
+        hessian = (
+            torch.eye(len(curves), dtype=curves.dtype)
+            + (deviation * precision) @ deviation.mT / scale
+        )
         slope = (deviation * precision) @ (data - mean) / scale
-        back = torch.linalg.pinv(self.start.mT) @ (self.first - self.centre)  # weights that lead back to the prior's mean
+        back = torch.linalg.pinv(self.start.mT) @ (
+            self.first - self.centre
+        )  # weights that lead back to the prior's mean
         values, vectors = torch.linalg.eigh(hessian)
         inverse = (vectors / values) @ vectors.mT
         centre = self.centre + self.start.mT @ (inverse @ (slope + back))
         return _Cycle(self.first, self.start, centre, (vectors / values.sqrt()) @ vectors.mT)
 
     def relaxed(self, share: float) -> Tensor:
-        """The members with their spread relaxed to that of the beginning, parameter by parameter: ``N x d``."""
+        """The members with their spread relaxed to that of the beginning, parameter by parameter:
+        ``N x d``.
+        """
         deviation = self.transform @ self.start
-        before, after = self.start.std(0), deviation.std(0)
+        before = self.start.std(0)
+        after = deviation.std(0)
         return self.centre + deviation * (1.0 + share * (before - after) / after)

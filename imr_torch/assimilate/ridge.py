@@ -1,10 +1,13 @@
-"""A proposal distribution along a curved ridge of the posterior, where one direction is poorly determined.
+"""A proposal distribution along a curved ridge of the posterior, where one direction is poorly
+determined.
 
-Two parameters that do much the same to R(t) (G and alpha, say) leave a posterior many times as long as it is wide, and curved
-over that length. A Gaussian does not follow it, and kernels about draws of that Gaussian do not reach its ends. So it is
-followed step by step (continuation by pseudo-arclength: Keller 1977), the other controls and the nuisances being fitted at each
-point (a profile likelihood, as in Raue et al., Bioinformatics 25, 2009), until the profile has fallen by ``_DEEP`` on both
-sides. Kernels on the points, each along and as wide as the ridge is there, are the proposal.
+Two parameters that do much the same to R(t) (G and alpha, say) leave a posterior many times as long
+as it is wide, and curved over that length. A Gaussian does not follow it, and kernels about draws
+of that Gaussian do not reach its ends. So it is followed step by step (continuation by
+pseudo-arclength: Keller 1977), the other controls and the nuisances being fitted at each point (a
+profile likelihood, as in Raue et al., Bioinformatics 25, 2009), until the profile has fallen by
+``_DEEP`` on both sides. Kernels on the points, each along and as wide as the ridge is there, are
+the proposal.
 
 It need not be exact, since every draw is weighted. Used for fits whose Gaussian was not confirmed.
 """
@@ -40,7 +43,8 @@ class _Fitted:
     Args:
         point: where.
         cost: of the joint cost's optimum at this place along the ridge, nats.
-        promised: nats by which the last step is predicted to lower it, included in ``cost``; infinite where a bubble failed.
+        promised: nats by which the last step is predicted to lower it, included in ``cost``;
+            infinite where a bubble failed.
         hessian: ``d x d`` tensor, of the cost, nuisances eliminated.
         nuisance_log_det: log determinant of the nuisances' own Hessian.
     """
@@ -61,8 +65,10 @@ class _Side:
     """
 
     def __init__(self, fit: ModelFit, direction: Tensor) -> None:
-        self.fit, self._longest = fit, float(direction.norm())
-        self._first, self._length = direction / self._longest, self._longest
+        self.fit = fit
+        self._longest = float(direction.norm())
+        self._first = direction / self._longest
+        self._length = self._longest
         hessian = torch.cholesky_inverse(fit.chol)
         self.points = [_Fitted(fit.point, fit.cost, 0.0, hessian, fit.nuisance_log_det)]
         self._attempts = 0
@@ -73,22 +79,32 @@ class _Side:
         last = self.points[-1]
         if len(self.points) == 1:
             step = self._length * self._first
-            guess = Point(last.point.gel + step, last.point.nuisances + self.fit.nuisance_response @ step)
+            guess = Point(
+                last.point.gel + step, last.point.nuisances + self.fit.nuisance_response @ step
+            )
             return replace(last, point=guess), self._first
         near = [p.point for p in self.points[-3:]]
-        gels, nuisances = torch.stack([p.gel for p in near]), torch.stack([p.nuisances for p in near])
+        gels = torch.stack([p.gel for p in near])
+        nuisances = torch.stack([p.nuisances for p in near])
         places = torch.cat((gels.new_zeros(1), gels.diff(dim=0).norm(dim=1).cumsum(0)))
         weights = _lagrange(places, places[-1] + self._length)
         guess = Point(weights @ gels, torch.tensordot(weights, nuisances, 1))
-        return replace(last, point=guess), torch.nn.functional.normalize(guess.gel - last.point.gel, dim=0)
+        return replace(last, point=guess), torch.nn.functional.normalize(
+            guess.gel - last.point.gel, dim=0
+        )
 
     def add(self, point: _Fitted, least: float) -> None:
-        """Take a fitted point for the next one, or try again nearer; ``least`` is the lowest cost on the whole ridge."""
+        """Take a fitted point for the next one, or try again nearer.
+
+        ``least`` is the lowest cost on the whole ridge.
+        """
         self._attempts += 1
         bent = self._bend(point)
         if point.promised < _LOST and bent < _BENT:
             self.points.append(point)
-            self._length = min(2.0 * self._length, self._longest) if bent < 0.1 * _BENT else self._length
+            self._length = (
+                min(2.0 * self._length, self._longest) if bent < 0.1 * _BENT else self._length
+            )
             self.ended = point.cost > least + _DEEP or self._attempts >= _ATTEMPTS
         else:
             self._length *= 0.5
@@ -96,7 +112,8 @@ class _Side:
 
     def _bend(self, point: _Fitted) -> float:
         """How far off the straight line on a point lies, nats."""
-        last, step = self.points[-1].point.gel, point.point.gel - self.points[-1].point.gel
+        last = self.points[-1].point.gel
+        step = point.point.gel - self.points[-1].point.gel
         before = self._first
         if len(self.points) > 1:
             before = torch.nn.functional.normalize(last - self.points[-2].point.gel, dim=0)
@@ -127,7 +144,8 @@ def trace_ridge(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> 
     posterior = Posterior(fit.prior, batch, simulator)
     values, vectors = torch.linalg.eigh(fit.chol @ fit.chol.mT)
     axis = values[-1].sqrt() * vectors[:, -1]
-    below, above = _Side(fit, -axis), _Side(fit, axis)
+    below = _Side(fit, -axis)
+    above = _Side(fit, axis)
     while fronts := [side for side in (below, above) if not side.ended]:
         for side in fronts:
             point = _fitted(posterior, fit.chol, *side.ahead())
@@ -150,7 +168,9 @@ def _kernels(points: list[_Fitted], fit: ModelFit) -> Kernels:
         return Kernels.about(fit.mean, fit.chol)
     gels = torch.stack([p.point.gel for p in points])
     steps = gels.diff(dim=0)
-    ways = torch.nn.functional.normalize(torch.cat((steps[:1], gels[2:] - gels[:-2], steps[-1:])), dim=1)
+    ways = torch.nn.functional.normalize(
+        torch.cat((steps[:1], gels[2:] - gels[:-2], steps[-1:])), dim=1
+    )
     lengths = steps.norm(dim=1)
     spacing = 0.5 * torch.cat((2.0 * lengths[:1], lengths[1:] + lengths[:-1], 2.0 * lengths[-1:]))
     across = torch.stack([_across(way) for way in ways])  # J x d x (d - 1)
@@ -160,10 +180,16 @@ def _kernels(points: list[_Fitted], fit: ModelFit) -> Kernels:
     line = ways[:, :, None] * ways[:, None, :]
     chols = torch.linalg.cholesky(flat + (_OVERLAP * spacing).square()[:, None, None] * line)
     cost = torch.tensor([p.cost + 0.5 * p.nuisance_log_det for p in points], dtype=torch.float64)
-    weights = torch.softmax(0.5 * torch.linalg.slogdet(inside).logabsdet + spacing.log() - cost, dim=0)
+    weights = torch.softmax(
+        0.5 * torch.linalg.slogdet(inside).logabsdet + spacing.log() - cost, dim=0
+    )
     mean = weights @ gels
-    covariance = (weights[:, None] * (gels - mean)).mT @ (gels - mean) + (weights[:, None, None] * flat).sum(0)
-    return Kernels(gels, weights, chols, mean, torch.linalg.cholesky(covariance), hessian).with_wide_kernel(_WIDE_SHARE)
+    covariance = (weights[:, None] * (gels - mean)).mT @ (gels - mean) + (
+        weights[:, None, None] * flat
+    ).sum(0)
+    return Kernels(
+        gels, weights, chols, mean, torch.linalg.cholesky(covariance), hessian
+    ).with_wide_kernel(_WIDE_SHARE)
 
 
 def _across(way: Tensor) -> Tensor:
@@ -172,14 +198,20 @@ def _across(way: Tensor) -> Tensor:
 
 
 def _stepped(fitted: _Fitted, along: Tensor, near: Neighbourhood) -> _Fitted:
-    """A point after a Gauss-Newton step across the ridge, with the cost predicted from its local sensitivities."""
+    """A point after a Gauss-Newton step across the ridge, with the cost predicted from its local
+    sensitivities.
+    """
     if not bool(torch.isfinite(near.prediction).all()):
         return replace(fitted, promised=math.inf)
-    equations, across = near.equations, _across(along)
+    equations = near.equations
+    across = _across(along)
     reduced = equations.reduced
-    gradient, hessian = across.mT @ reduced.gradient, across.mT @ reduced.hessian @ across
+    gradient = across.mT @ reduced.gradient
+    hessian = across.mT @ reduced.hessian @ across
     step = across @ -torch.linalg.solve(hessian, gradient)
-    promised = -0.5 * float(reduced.gradient @ step) - 0.5 * float((equations.nuisance_gradient * reduced.nuisance_step).sum())
+    promised = -0.5 * float(reduced.gradient @ step) - 0.5 * float(
+        (equations.nuisance_gradient * reduced.nuisance_step).sum()
+    )
     nuisances = near.point.nuisances + reduced.nuisance_step + reduced.nuisance_response @ step
     return _Fitted(
         point=Point(near.point.gel + step, nuisances),

@@ -1,8 +1,10 @@
-"""Sensitivities carried along a step without new bubbles: those of the point before, corrected by what the step changed.
+"""Sensitivities carried along a step without new bubbles: those of the point before, corrected by
+what the step changed.
 
-Finite differences cost a bubble for every parameter, a step costs one. After a step the change of the prediction in its
-direction is known exactly, and Broyden's update (Math. Comp. 19, 1965, eq. 2.5; lengths by the Gauss-Newton Hessian) puts it
-into the sensitivities, experiment by experiment. Steps by such sensitivities are taken only where they lower the exact cost.
+Finite differences cost a bubble for every parameter, a step costs one. After a step the change of
+the prediction in its direction is known exactly, and Broyden's update (Math. Comp. 19, 1965, eq.
+2.5; lengths by the Gauss-Newton Hessian) puts it into the sensitivities, experiment by experiment.
+Steps by such sensitivities are taken only where they lower the exact cost.
 """
 
 import torch
@@ -15,7 +17,10 @@ from imr_torch.assimilate.posterior import Neighbourhood
 
 
 def carried(
-    near: Neighbourhood, equations: NormalEquations, point: Point, seen: Float[Tensor, "chains experiments frames"]
+    near: Neighbourhood,
+    equations: NormalEquations,
+    point: Point,
+    seen: Float[Tensor, "chains experiments frames"],
 ) -> Neighbourhood:
     """The neighbourhoods of chains after a step, by those before it.
 
@@ -28,7 +33,8 @@ def carried(
     Returns:
         Neighbourhoods about the new points, with the same moves.
     """
-    gel, nuisances = point.gel - near.point.gel, point.nuisances - near.point.nuisances
+    gel = point.gel - near.point.gel
+    nuisances = point.nuisances - near.point.nuisances
     by_gel, by_nuisance = near.slopes
     expected = (by_gel @ gel[:, None, :, None] + by_nuisance @ nuisances[..., None])[..., 0]
     surprise = seen - near.centre - expected  # C x E x T

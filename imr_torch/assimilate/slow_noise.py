@@ -1,8 +1,10 @@
-"""Evidence for smooth deviations from a model: noise of the camera that lasts several frames, or an unknown effect.
+"""Evidence for smooth deviations from a model: noise of the camera that lasts several frames, or an
+unknown effect.
 
-Noise differs from shot to shot; an effect of the gel, of the contents or of the set-up moves all shots alike at the same phase
-of their first cycle. Both are Gaussian processes with Matern-3/2 covariance beside the noise of single frames, the first
-independent between shots, the second common to them, in part or whole. Of a single shot they are the same.
+Noise differs from shot to shot; an effect of the gel, of the contents or of the set-up moves all
+shots alike at the same phase of their first cycle. Both are Gaussian processes with Matern-3/2
+covariance beside the noise of single frames, the first independent between shots, the second common
+to them, in part or whole. Of a single shot they are the same.
 """
 
 import math
@@ -25,7 +27,8 @@ class SmoothDeviations:
     """Log evidence, nats, over no smooth deviation, gel and nuisances integrated out.
 
     Args:
-        own: of deviations that each shot has for itself, as noise of the camera that lasts several frames.
+        own: of deviations that each shot has for itself, as noise of the camera that lasts several
+            frames.
         common: of deviations that are alike in all shots, as an effect that the model lacks.
     """
 
@@ -43,16 +46,20 @@ def smooth_deviations(
     """Evidence for smooth deviations about a fit, to first order.
 
     Args:
-        near: a fitted point with its local sensitivities; the noise of its batch is that of single frames.
+        near: a fitted point with its local sensitivities; the noise of its batch is that of single
+            frames.
         amounts: standard deviations of a deviation in R*, equally probable.
-        durations: lags in t* at which its correlation has fallen to 1/e, equally probable; repeats of public records differ by
-            deviations that last .14 to .4.
+        durations: lags in t* at which its correlation has fallen to 1/e, equally probable; repeats
+            of public records differ by deviations that last .14 to .4.
         shares: of its variance that is common to all shots, equally probable, where it is.
     """
     batch = near.posterior.batch
-    used = batch.mask & (torch.arange(batch.mask.shape[1]) % -(-int(batch.mask.sum()) // _FRAMES) == 0)
+    used = batch.mask & (
+        torch.arange(batch.mask.shape[1]) % -(-int(batch.mask.sum()) // _FRAMES) == 0
+    )
     shot = torch.arange(len(used))[:, None].expand_as(used)[used]
-    times, phases = batch.times[used], _phases(near)[used]
+    times = batch.times[used]
+    phases = _phases(near)[used]
     noise = (batch.sd(near.centre).square() / batch.counts)[used]
     residual = (batch.mean - near.centre)[used]
     columns, point = _columns(near, used)
@@ -62,10 +69,17 @@ def smooth_deviations(
         own, common = (_matern((x[:, None] - x).abs() / duration) for x in (times, phases))
         covariance = amount**2 * ((1.0 - share) * same * own + share * common) + torch.diag(noise)
         chol = torch.linalg.cholesky(covariance)
-        seen = torch.linalg.solve_triangular(chol, torch.cat((residual[:, None], columns), 1), upper=False)
-        data, moved = seen[:, 0], seen[:, 1:]
-        hessian = torch.linalg.cholesky(torch.eye(len(point), dtype=torch.float64) + moved.mT @ moved)
-        step = torch.linalg.solve_triangular(hessian, (moved.mT @ data - point)[:, None], upper=False)
+        seen = torch.linalg.solve_triangular(
+            chol, torch.cat((residual[:, None], columns), 1), upper=False
+        )
+        data = seen[:, 0]
+        moved = seen[:, 1:]
+        hessian = torch.linalg.cholesky(
+            torch.eye(len(point), dtype=torch.float64) + moved.mT @ moved
+        )
+        step = torch.linalg.solve_triangular(
+            hessian, (moved.mT @ data - point)[:, None], upper=False
+        )
         log_dets = chol.diagonal().log().sum() + hessian.diagonal().log().sum()
         return 0.5 * (step.square().sum() - data.square().sum()) - log_dets
 
@@ -85,7 +99,9 @@ def _matern(lags: Tensor) -> Tensor:
 
 
 def _phases(near: Neighbourhood) -> Tensor:
-    """Times by the length of the first cycle, over its mean in all shots: ``E x T``; times where a shot has no collapse."""
+    """Times by the length of the first cycle, over its mean in all shots: ``E x T``; times where a
+    shot has no collapse.
+    """
     batch = near.posterior.batch
     rows = zip(batch.times, near.centre, batch.mask, strict=True)
     ends = [collapse_time(t[m], r[m], 1) for t, r, m in rows]
@@ -96,7 +112,9 @@ def _phases(near: Neighbourhood) -> Tensor:
 
 
 def _columns(near: Neighbourhood, used: Tensor) -> tuple[Tensor, Tensor]:
-    """Sensitivities at the frames used to gel and nuisances of each shot, ``n x k``, and these at the point, ``k``."""
+    """Sensitivities at the frames used to gel and nuisances of each shot, ``n x k``, and these at
+    the point, ``k``.
+    """
     by_gel, by_nuisance = (x.nan_to_num() for x in near.slopes)
     own = torch.eye(len(by_nuisance), dtype=torch.float64)
     apart = by_nuisance[:, :, None, :] * own[:, None, :, None]  # E x T x E x w

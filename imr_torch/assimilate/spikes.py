@@ -1,7 +1,8 @@
-"""Frames and their neighbours: how much a curve bends between them, and single frames that an error of the camera has spoilt.
+"""Frames and their neighbours: how much a curve bends between them, and single frames that an error
+of the camera has spoilt.
 
-A frame is compared with the cubic through its two neighbours on either side, which takes out what a smooth curve does between
-frames.
+A frame is compared with the cubic through its two neighbours on either side, which takes out what a
+smooth curve does between frames.
 """
 
 import math
@@ -13,20 +14,25 @@ from torch import Tensor
 from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.observe import ExperimentBatch
 
-_SPIKE = 8.0 * 1.482602  # times the median distance of a frame from its neighbours, beyond which it is spoilt
+_SPIKE = (
+    8.0 * 1.482602
+)  # times the median distance of a frame from its neighbours, beyond which it is spoilt
 _AROUND = 10  # frames on either side that say what is usual
 _SPIKES = 0.05  # share of the frames of a curve that may be
 _FEWEST = 12  # frames that a curve needs to be asked
 
 
 def bends(batch: ExperimentBatch, radius: Tensor) -> Tensor:
-    """How far a frame lies off the cubic through two neighbours on either side, the largest of three frames: ``E x T``."""
+    """How far a frame lies off the cubic through two neighbours on either side, the largest of
+    three frames: ``E x T``.
+    """
     largest = torch.zeros_like(radius)
     for row, (times, curve, mask) in enumerate(zip(batch.times, radius, batch.mask, strict=True)):
         count = int(mask.sum())
         if count < 5:
             continue
-        t, r = times[:count].unfold(0, 5, 1), curve[:count].unfold(0, 5, 1)
+        t = times[:count].unfold(0, 5, 1)
+        r = curve[:count].unfold(0, 5, 1)
         off = (lagrange_weights(t) * r).sum(1).abs()
         padded = torch.cat((off[:1].expand(3), off, off[-1:].expand(3)))
         largest[row, :count] = padded.unfold(0, 3, 1).amax(1)
@@ -34,11 +40,16 @@ def bends(batch: ExperimentBatch, radius: Tensor) -> Tensor:
 
 
 def lagrange_weights(times: Float[Tensor, "windows 5"]) -> Float[Tensor, "windows 5"]:
-    """Weights of the frames of each window: 1 for the centre, minus Lagrange's basis at its time for the neighbours."""
-    weights, centre = torch.ones_like(times), times.shape[1] // 2
+    """Weights of the frames of each window: 1 for the centre, minus Lagrange's basis at its time
+    for the neighbours.
+    """
+    weights = torch.ones_like(times)
+    centre = times.shape[1] // 2
     others = [i for i in range(times.shape[1]) if i != centre]
     for i in others:
-        factors = [(times[:, centre] - times[:, j]) / (times[:, i] - times[:, j]) for j in others if j != i]
+        factors = [
+            (times[:, centre] - times[:, j]) / (times[:, i] - times[:, j]) for j in others if j != i
+        ]
         weights[:, i] = -torch.stack(factors).prod(0)
     return weights
 
@@ -46,15 +57,18 @@ def lagrange_weights(times: Float[Tensor, "windows 5"]) -> Float[Tensor, "window
 def without_spikes(near: Neighbourhood) -> Bool[Tensor, "experiments frames"]:
     """Frames without those that single errors of the camera have spoilt.
 
-    A frame is left out where the residual stands off the cubic through its neighbours by more than eight times what is usual
-    (in R* about that time, and over the law of the batch in the whole curve), by more than the fitted curve bends there, and
-    farther than any other frame; then the next one is looked for.
+    A frame is left out where the residual stands off the cubic through its neighbours by more than
+    eight times what is usual (in R* about that time, and over the law of the batch in the whole
+    curve), by more than the fitted curve bends there, and farther than any other frame; then the
+    next one is looked for.
 
     Args:
         near: a fitted point; its batch holds curves of one repeat.
     """
     batch = near.posterior.batch
-    law, bent, kept = batch.sd(near.centre), bends(batch, near.centre), batch.mask.clone()
+    law = batch.sd(near.centre)
+    bent = bends(batch, near.centre)
+    kept = batch.mask.clone()
     for row in range(len(kept)):
         most = max(1, int(_SPIKES * float(batch.mask[row].sum())))
         for _ in range(most):
@@ -65,7 +79,9 @@ def without_spikes(near: Neighbourhood) -> Bool[Tensor, "experiments frames"]:
             weights = lagrange_weights(batch.times[row, frames].unfold(0, 5, 1))
             off = (weights * residual).sum(1).abs()
             over_law = off / (weights * law[row, frames].unfold(0, 5, 1)).norm(dim=1)
-            own = torch.minimum(off / _running_median(off), over_law / over_law.median().clamp_min(1e-300))
+            own = torch.minimum(
+                off / _running_median(off), over_law / over_law.median().clamp_min(1e-300)
+            )
             own = torch.where(off > bent[row, frames][2:-2], own, 0.0)
             worst = int(own.argmax())
             if float(own[worst]) < _SPIKE:

@@ -1,4 +1,5 @@
-"""Starting points of a multistart search: the best of many prior draws, given points, or points about an earlier optimum.
+"""Starting points of a multistart search: the best of many prior draws, given points, or points
+about an earlier optimum.
 
 Starts of a model are apart from each other, so that their agreement is evidence of convergence.
 """
@@ -22,12 +23,19 @@ _APART = 0.5  # prior standard deviations between the prior draws that are chose
 _RESTART = 0.25  # prior standard deviations
 
 
-def best_prior_draws(posterior: Posterior, options: SearchOptions, source: torch.Generator) -> Point:
-    """The best of many prior draws that are not neighbours of each other, by coarse bubbles; the prior mean is among them."""
+def best_prior_draws(
+    posterior: Posterior, options: SearchOptions, source: torch.Generator
+) -> Point:
+    """The best of many prior draws that are not neighbours of each other, by coarse bubbles.
+
+    The prior mean is among them.
+    """
     draws = torch.randn(options.raw_samples, posterior.size, generator=source, dtype=torch.float64)
     draws[0] = 0.0
     points = Point(draws, posterior.still(options.raw_samples))
-    return points[_distinct(posterior.prior.model, draws, -posterior.coarse.log_joint(points), options.starts)]
+    return points[
+        _distinct(posterior.prior.model, draws, -posterior.coarse.log_joint(points), options.starts)
+    ]
 
 
 def given(
@@ -35,7 +43,8 @@ def given(
     gels: Sequence[Float[Tensor, "starts _"]],
     nuisances: Sequence[Float[Tensor, "*starts experiments nuisances"]] | None,
 ) -> list[Point]:
-    """Given gels, a row or more of each model, with nuisances of each or for all of a model; zero by default.
+    """Given gels, a row or more of each model, with nuisances of each or for all of a model; zero
+    by default.
 
     Raises:
         ShapeError: if the gels do not suit the models.
@@ -43,12 +52,16 @@ def given(
     free = [posterior.size for posterior in posteriors]
     if [rows.shape[1] for rows in gels] != free or not all(map(len, gels)):
         shapes = [tuple(rows.shape) for rows in gels]
-        raise ShapeError(f"starts has shapes {shapes}; expected a row or more of {free} free parameters.")
+        raise ShapeError(
+            f"starts has shapes {shapes}; expected a row or more of {free} free parameters."
+        )
     own = [p.still() for p in posteriors] if nuisances is None else nuisances
     return [Point(rows, n.expand(len(rows), -1, -1)) for rows, n in zip(gels, own, strict=True)]
 
 
-def beside(posterior: Posterior, fit: ModelFit, options: SearchOptions, source: torch.Generator) -> Point:
+def beside(
+    posterior: Posterior, fit: ModelFit, options: SearchOptions, source: torch.Generator
+) -> Point:
     """A model's optimum in an earlier assimilation, and perturbed copies of it."""
     noise = torch.stack([around(fit.chol, source, BESIDE) for _ in range(options.starts)])
     noise[0] = 0.0
@@ -58,8 +71,11 @@ def beside(posterior: Posterior, fit: ModelFit, options: SearchOptions, source: 
     return point.put(torch.nonzero(failed)[:, 0], own[failed])
 
 
-def around(chol: Float[Tensor, "controls controls"], source: torch.Generator, away: float) -> Float[Tensor, "controls"]:
-    """A ``d`` perturbation, ``away`` posterior standard deviations (``chol``, ``d x d``) or, if less, a quarter of the prior's.
+def around(
+    chol: Float[Tensor, "controls controls"], source: torch.Generator, away: float
+) -> Float[Tensor, "controls"]:
+    """A ``d`` perturbation, ``away`` posterior standard deviations (``chol``, ``d x d``) or, if
+    less, a quarter of the prior's.
 
     Where the data are sharp, a step on the prior's scale would lead to another local minimum.
     """
@@ -69,7 +85,9 @@ def around(chol: Float[Tensor, "controls controls"], source: torch.Generator, aw
 
 
 def _distinct(model: str, draws: Tensor, cost: Tensor, count: int) -> Tensor:
-    """Rows of the best draws of a model (``n x d``, with their costs), each apart from the ones before."""
+    """Rows of the best draws of a model (``n x d``, with their costs), each apart from the ones
+    before.
+    """
     order = torch.argsort(cost)
     order = order[torch.isfinite(cost[order])]
     if order.numel() < 2:

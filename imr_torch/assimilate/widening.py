@@ -1,9 +1,11 @@
-"""How much wider the intervals of a fit must be than independent frames say, for what its residuals have in common.
+"""How much wider the intervals of a fit must be than independent frames say, for what its residuals
+have in common.
 
-A misfit drifts over the event. Taken for correlated noise, such a drift costs nothing, and the fit may pass beside the curves
-as a whole; with independent frames it passes through them, but states intervals as if each frame told something new. The
-variance of an estimate by weights ``W`` that take frames as independent, under residuals of covariance ``S``, is
-``H^-1 (J^T W S W J) H^-1`` (White, Econometrica 50, 1982). ``S`` is that of the most probable law with correlated frames.
+A misfit drifts over the event. Taken for correlated noise, such a drift costs nothing, and the fit
+may pass beside the curves as a whole; with independent frames it passes through them, but states
+intervals as if each frame told something new. The variance of an estimate by weights ``W`` that
+take frames as independent, under residuals of covariance ``S``, is ``H^-1 (J^T W S W J) H^-1``
+(White, Econometrica 50, 1982). ``S`` is that of the most probable law with correlated frames.
 """
 
 import math
@@ -46,11 +48,15 @@ def interval_factor(fits: Sequence[Neighbourhood], law: Noise) -> float:
 
 
 def _variances(near: Neighbourhood, law: Noise, drifting: Noise) -> tuple[float, float]:
-    """Summed variances of the gel's whitened coordinates by residuals of the drifting law, and by those of the other."""
+    """Summed variances of the gel's whitened coordinates by residuals of the drifting law, and by
+    those of the other.
+    """
     batch = near.posterior.batch
     factors = batch.noise_factors / batch.counts.sqrt()
     sd, true_sd = (noise.sd(near.centre, batch.times) * factors for noise in (law, drifting))
-    by_gel, by_nuisance = (torch.where(batch.mask, 1.0 / sd, 0.0)[..., None] * x for x in near.slopes)
+    by_gel, by_nuisance = (
+        torch.where(batch.mask, 1.0 / sd, 0.0)[..., None] * x for x in near.slopes
+    )
     nuisance = torch.eye(by_nuisance.shape[-1], dtype=torch.float64) + by_nuisance.mT @ by_nuisance
     own = by_gel - by_nuisance @ torch.linalg.solve(nuisance, by_nuisance.mT @ by_gel)
     gaps = (batch.times[:, :, None] - batch.times[:, None, :]).abs()

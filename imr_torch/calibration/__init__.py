@@ -1,4 +1,6 @@
-"""Simulation-based calibration: gels drawn from the prior, simulated, inferred, and compared with the truth."""
+"""Simulation-based calibration: gels drawn from the prior, simulated, inferred, and compared with
+the truth.
+"""
 
 from imr_torch.calibration.replicate import Arrangement, Infer, Replicate, calibrate
 from imr_torch.calibration.statistics import (

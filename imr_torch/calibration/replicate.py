@@ -1,9 +1,11 @@
-"""Simulation-based calibration: draws a model and a gel from the prior, simulates data, infers, and ranks the truth.
+"""Simulation-based calibration: draws a model and a gel from the prior, simulates data, infers, and
+ranks the truth.
 
-If prior, likelihood and computation agree, the place of the truth among draws of its posterior is uniform, whatever the data
-(Talts et al., arXiv 1804.06788, 2018; with the log likelihood as a further quantity: Modrak et al., Bayesian Anal. 20, 2025),
-and a model that is given probability P is the true one in a share P of all cases. From an arrangement follows a
-:class:`Replicate` for each gel, which :mod:`imr_torch.calibration.statistics` judges. The inference is the toolkit's own or any
+If prior, likelihood and computation agree, the place of the truth among draws of its posterior is
+uniform, whatever the data (Talts et al., arXiv 1804.06788, 2018; with the log likelihood as a
+further quantity: Modrak et al., Bayesian Anal. 20, 2025), and a model that is given probability P
+is the true one in a share P of all cases. From an arrangement follows a :class:`Replicate` for each
+gel, which :mod:`imr_torch.calibration.statistics` judges. The inference is the toolkit's own or any
 function from data to draws (Hamiltonian Monte Carlo, a neural posterior).
 """
 
@@ -55,10 +57,11 @@ class Arrangement:
         plan: how they are observed.
         samples: weighted draws of each model and round.
         options: how gels are fitted, and by which method.
-        learn: what the inference is given of the experiments; the data with their own noise when not given. Lets a
-            wrong inference be tested, or one with less information.
+        learn: what the inference is given of the experiments; the data with their own noise when
+            not given. Lets a wrong inference be tested, or one with less information.
         noise_rounds: how often the inference estimates the noise from its residuals.
-        integrate_noise: whether the noise, where it is estimated, is integrated out, as in a characterisation.
+        integrate_noise: whether the noise, where it is estimated, is integrated out, as in a
+            characterisation.
 
     >>> from imr_torch import wide_prior
     >>> from imr_torch.calibration import Arrangement
@@ -84,13 +87,16 @@ class Replicate:
     Args:
         number: of the replicate.
         model: the truth's.
-        gaussian: for each of its parameters, probability that the fit's Gaussian gives to values below the truth.
+        gaussian: for each of its parameters, probability that the fit's Gaussian gives to values
+            below the truth.
         weighted: the same of the weighted draws, the truth counted as one more of them.
-        reported: the same of the posterior that users are given, which is the Gaussian or, where weighing repaired it, another.
+        reported: the same of the posterior that users are given, which is the Gaussian or, where
+            weighing repaired it, another.
         log_likelihood: the same of the log likelihood; None where nuisances are uncertain.
         z: (truth - mean)/sd of the Gaussian, in controls.
         probabilities: of all models after the data.
-        information: what was learnt, nats: divergence of the posterior over models and gels from the prior.
+        information: what was learnt, nats: divergence of the posterior over models and gels from
+            the prior.
         verdict: on the Gaussian answer of the true model.
         pareto_k: of its weights.
         effective_samples: of them.
@@ -124,18 +130,24 @@ class Replicate:
 
 @one_torch_thread()
 def calibrate(
-    arrangement: Arrangement, simulator: Simulator, numbers: Iterable[int], *, seed: int, infer: Infer | None = None
+    arrangement: Arrangement,
+    simulator: Simulator,
+    numbers: Iterable[int],
+    *,
+    seed: int,
+    infer: Infer | None = None,
 ) -> Iterator[Replicate]:
     """Replicates of an arrangement.
 
     Args:
         arrangement: what is calibrated.
         simulator: makes the bubbles of truth and inference.
-        numbers: which replicates; each depends on the seed and its number alone. Gels and noise of a number are the same
-            at every design of one prior.
+        numbers: which replicates; each depends on the seed and its number alone. Gels and noise of
+            a number are the same at every design of one prior.
         seed: of everything random.
-        infer: draws a posterior of the true model; its replicates say where truths lie in what is ``reported``, and nothing of
-            the other questions. The toolkit's own inference when not given.
+        infer: draws a posterior of the true model; its replicates say where truths lie in what is
+            ``reported``, and nothing of the other questions. The toolkit's own inference when not
+            given.
 
     Yields:
         Replicates, in the order of their numbers.
@@ -155,8 +167,18 @@ def calibrate(
         own = child(seed, "replicate", number)
         started = time.process_time()
         truth = _draw(arrangement, own, simulator)
-        judged = _inferred(arrangement, truth, own, simulator) if infer is None else _ranked(arrangement, truth, own, infer)
-        yield replace(judged, number=number, model=truth.model, redrawn=truth.redrawn, seconds=time.process_time() - started)
+        judged = (
+            _inferred(arrangement, truth, own, simulator)
+            if infer is None
+            else _ranked(arrangement, truth, own, infer)
+        )
+        yield replace(
+            judged,
+            number=number,
+            model=truth.model,
+            redrawn=truth.redrawn,
+            seconds=time.process_time() - started,
+        )
 
 
 @dataclass(frozen=True)
@@ -182,18 +204,29 @@ def _ranked(arrangement: Arrangement, truth: _Truth, seed: int, infer: Infer) ->
         draws = infer(_data(arrangement, truth), truth.model, child(seed, "infer"))
     except ConvergenceError as error:
         return Replicate(0, truth.model, failure=str(error))
-    if draws.ndim != 2 or draws.shape[1] != len(part.names) or not bool(torch.isfinite(draws).all()):
+    if (
+        draws.ndim != 2
+        or draws.shape[1] != len(part.names)
+        or not bool(torch.isfinite(draws).all())
+    ):
         raise ShapeError(
-            f"infer returned draws of shape {tuple(draws.shape)} for {truth.model}; expected n x {len(part.names)} finite "
+            f"infer returned draws of shape {tuple(draws.shape)} for {truth.model}; expected n x "
+            f"{len(part.names)} finite "
             f"numbers in the order {', '.join(part.names)}, SI."
         )
-    uniforms = torch.rand(len(part.names), generator=generator(child(seed, "lots")), dtype=torch.float64)
+    uniforms = torch.rand(
+        len(part.names), generator=generator(child(seed, "lots")), dtype=torch.float64
+    )
     below = (draws < part.physical(part.unwhitened(truth.gel))).double().sum(0)
     places = (below + uniforms) / (len(draws) + 1.0)
-    return Replicate(0, truth.model, reported=dict(zip(part.names, places.tolist(), strict=True)), converged=True)
+    return Replicate(
+        0, truth.model, reported=dict(zip(part.names, places.tolist(), strict=True)), converged=True
+    )
 
 
-def _inferred(arrangement: Arrangement, truth: _Truth, seed: int, simulator: Simulator) -> Replicate:
+def _inferred(
+    arrangement: Arrangement, truth: _Truth, seed: int, simulator: Simulator
+) -> Replicate:
     """Result of the toolkit's own inference on one gel."""
     batch = _data(arrangement, truth)
     try:
@@ -208,20 +241,30 @@ def _inferred(arrangement: Arrangement, truth: _Truth, seed: int, simulator: Sim
         )
         uncertain = arrangement.noise_rounds > 0 and arrangement.integrate_noise
         noise = noise_nodes(fitted, simulator) if uncertain else None
-        result = weigh(fitted, simulator, seed=child(seed, "weigh"), samples=arrangement.samples, noise=noise)
+        result = weigh(
+            fitted, simulator, seed=child(seed, "weigh"), samples=arrangement.samples, noise=noise
+        )
     except ConvergenceError as error:
         return Replicate(0, truth.model, failure=str(error))
     fit = result[truth.model]
-    sample, names, reported = _sample(fit), fit.prior.names, fit.posterior
-    uniforms = torch.rand(len(truth.gel) + 1, generator=generator(child(seed, "lots")), dtype=torch.float64).tolist()
+    sample = _sample(fit)
+    names = fit.prior.names
+    reported = fit.posterior
+    uniforms = torch.rand(
+        len(truth.gel) + 1, generator=generator(child(seed, "lots")), dtype=torch.float64
+    ).tolist()
     z = (truth.gel - fit.mean) / torch.linalg.norm(fit.chol, dim=1)
-    z_reported = (fit.prior.unwhitened(truth.gel) - reported.mean) / torch.linalg.norm(reported.chol, dim=1)
+    z_reported = (fit.prior.unwhitened(truth.gel) - reported.mean) / torch.linalg.norm(
+        reported.chol, dim=1
+    )
     above = truth.gel - sample.controls
     return Replicate(
         number=0,
         model=truth.model,
         gaussian=dict(zip(names, torch.special.ndtr(z).tolist(), strict=True)),
-        weighted={name: _place(sample, above[:, i] > 0.0, uniforms[i]) for i, name in enumerate(names)},
+        weighted={
+            name: _place(sample, above[:, i] > 0.0, uniforms[i]) for i, name in enumerate(names)
+        },
         reported=dict(zip(names, torch.special.ndtr(z_reported).tolist(), strict=True)),
         log_likelihood=_likelihood_place(fit, result, truth, simulator, uniforms[-1]),
         z=dict(zip(names, z.tolist(), strict=True)),
@@ -234,42 +277,66 @@ def _inferred(arrangement: Arrangement, truth: _Truth, seed: int, simulator: Sim
     )
 
 
-def _likelihood_place(fit: ModelFit, result: Assimilation, truth: _Truth, simulator: Simulator, uniform: float) -> float | None:
-    """Share of the draws whose log likelihood is below the truth's; None where nuisances are uncertain."""
+def _likelihood_place(
+    fit: ModelFit, result: Assimilation, truth: _Truth, simulator: Simulator, uniform: float
+) -> float | None:
+    """Share of the draws whose log likelihood is below the truth's.
+
+    None where nuisances are uncertain.
+    """
     posterior = Posterior(fit.prior, result.batch, simulator)
     if len(posterior.uncertain):
         return None
     prediction = posterior.predict(Point(truth.gel, posterior.still()))
-    own, sample = float(result.batch.log_likelihood(prediction).sum()), _sample(fit)
+    own = float(result.batch.log_likelihood(prediction).sum())
+    sample = _sample(fit)
     return _place(sample, sample.by_experiment.sum(1) < own, uniform)
 
 
 def _draw(arrangement: Arrangement, seed: int, simulator: Simulator) -> _Truth:
     """A gel of the prior that can be simulated, and its experiments, cut to the window."""
-    prior, plan = arrangement.prior, arrangement.plan
-    chosen = torch.multinomial(prior.log_probabilities.exp(), 1, generator=generator(child(seed, "model")))
+    prior = arrangement.prior
+    plan = arrangement.plan
+    chosen = torch.multinomial(
+        prior.log_probabilities.exp(), 1, generator=generator(child(seed, "model"))
+    )
     part = prior.models[int(chosen)]
     for attempt in range(_ATTEMPTS):
-        gel = torch.randn(len(part.names), generator=generator(child(seed, "gel", attempt)), dtype=torch.float64)
+        gel = torch.randn(
+            len(part.names), generator=generator(child(seed, "gel", attempt)), dtype=torch.float64
+        )
         laboratory = SimulatedLaboratory(
-            simulator, part.to_si(gel), noise=plan.noise, repeats=plan.repeats, times=plan.times, nuisance=plan.nuisance
+            simulator,
+            part.to_si(gel),
+            noise=plan.noise,
+            repeats=plan.repeats,
+            times=plan.times,
+            nuisance=plan.nuisance,
         )
         try:
-            shots = [laboratory.shoot(design, seed=own) for design, own in _shots(arrangement, seed)]
+            shots = [
+                laboratory.shoot(design, seed=own) for design, own in _shots(arrangement, seed)
+            ]
         except ConvergenceError:
             continue
         if plan.collapses is not None:
-            shots = [shot.until(collapse_time(shot.times, shot.mean, plan.collapses)) for shot in shots]
+            shots = [
+                shot.until(collapse_time(shot.times, shot.mean, plan.collapses)) for shot in shots
+            ]
         return _Truth(part.model, gel, tuple(shots), attempt)
     raise ConvergenceError(
-        f"None of {_ATTEMPTS} gels of the prior of {part.model!r} could be simulated at {arrangement.designs}."
+        f"None of {_ATTEMPTS} gels of the prior of {part.model!r} could be simulated at "
+        f"{arrangement.designs}."
     )
 
 
 def _shots(arrangement: Arrangement, seed: int) -> Iterator[tuple[Tensor, int]]:
     """Each design with the seed of its noise."""
     for number, design in enumerate(arrangement.designs):
-        yield torch.tensor(design, dtype=torch.float64), child(seed, "shoot", number) if number else child(seed, "shoot")
+        yield (
+            torch.tensor(design, dtype=torch.float64),
+            child(seed, "shoot", number) if number else child(seed, "shoot"),
+        )
 
 
 def _sample(fit: ModelFit) -> ImportanceSample:
@@ -280,7 +347,8 @@ def _sample(fit: ModelFit) -> ImportanceSample:
 def _place(sample: ImportanceSample, below: Tensor, uniform: float) -> float:
     """Rank of the truth in a posterior, between 0 and 1, uniform if the inference is calibrated.
 
-    The weight of the draws below the truth, with the truth counted as one more effective draw: the fraction ``uniform`` of its
+    The weight of the draws below the truth, with the truth counted as one more effective draw: the
+        fraction ``uniform`` of its
     weight, a uniform random number, counts as below.
     """
     count = sample.effective_samples
@@ -288,15 +356,19 @@ def _place(sample: ImportanceSample, below: Tensor, uniform: float) -> float:
 
 
 def information(result: Assimilation) -> float:
-    """Information gained, nats: the Kullback-Leibler divergence of the posterior over models and gels from the prior.
+    """Information gained, nats: the Kullback-Leibler divergence of the posterior over models and
+    gels from the prior.
 
-    Its mean over data is the expected information gain of the experiment (Lindley, Ann. Math. Stat. 27, 1956).
+    Its mean over data is the expected information gain of the experiment (Lindley, Ann. Math. Stat.
+    27, 1956).
 
     Args:
         result: weighted fits.
     """
     prior = result.prior.log_probabilities
-    after = torch.log_softmax(prior + torch.tensor([e.value for e in evidences(result)], dtype=torch.float64), dim=0)
+    after = torch.log_softmax(
+        prior + torch.tensor([e.value for e in evidences(result)], dtype=torch.float64), dim=0
+    )
     gains = []
     for fit in result.fits:
         sample = _sample(fit)

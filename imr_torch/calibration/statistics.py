@@ -1,7 +1,9 @@
-"""Statistics of calibration: tests of uniformity, coverage of intervals, reliability of probabilities, rank correlation.
+"""Statistics of calibration: tests of uniformity, coverage of intervals, reliability of
+probabilities, rank correlation.
 
-Each takes numbers that are uniform if an inference is calibrated, or probabilities and outcomes, and returns a statistic with
-its uncertainty, so that "calibrated" and "not" are both statements that the number of replicates supports.
+Each takes numbers that are uniform if an inference is calibrated, or probabilities and outcomes,
+and returns a statistic with its uncertainty, so that "calibrated" and "not" are both statements
+that the number of replicates supports.
 """
 
 from collections.abc import Sequence
@@ -28,9 +30,12 @@ class Uniformity:
         count: how many.
         counts: in bins of equal width.
         chi_square_p: p-value of the bins (Pearson).
-        kolmogorov_p: p-value of the largest distance of the empirical distribution from the diagonal.
-        spread: root mean square of the numbers as standard normal scores; above 1 intervals are too narrow.
-        spread_p: its p-value, two-sided, from chi-square: the most telling of the three where only the width is wrong.
+        kolmogorov_p: p-value of the largest distance of the empirical distribution from the
+            diagonal.
+        spread: root mean square of the numbers as standard normal scores; above 1 intervals are too
+            narrow.
+        spread_p: its p-value, two-sided, from chi-square: the most telling of the three where only
+            the width is wrong.
 
     >>> from imr_torch.calibration import uniformity
     >>> found = uniformity([(k + 0.5) / 100 for k in range(100)], bins=4)
@@ -90,7 +95,8 @@ class Reliability:
         error: expected calibration error, the mean of ``|share - stated|`` over cases.
         error_low: lower end of its 95 % bootstrap interval.
         error_high: its upper end.
-        by_chance: mean of ``error`` if the stated probabilities were right, for this many cases; it is never zero.
+        by_chance: mean of ``error`` if the stated probabilities were right, for this many cases; it
+            is never zero.
         p: probability of an ``error`` at least as large if they were right.
 
     >>> from imr_torch.calibration import reliability
@@ -136,7 +142,10 @@ def uniformity(values: Sequence[float], *, bins: int | None = None) -> Uniformit
     found = _checked(values, "uniformity")
     bins = bins or max(2, min(20, len(found) // 10))
     if len(found) < _FEWEST * bins:
-        raise InputDataError(f"uniformity: {len(found)} values are too few for {bins} bins; {_FEWEST * bins} are needed.")
+        raise InputDataError(
+            f"uniformity: {len(found)} values are too few for {bins} bins; {_FEWEST * bins} are "
+            "needed."
+        )
     counts = np.histogram(found, bins=bins, range=(0.0, 1.0))[0]
     square = float((scipy.stats.norm.ppf(found.clip(_EDGE, 1.0 - _EDGE)) ** 2).sum())
     below = scipy.stats.chi2.cdf(square, len(found))
@@ -151,7 +160,8 @@ def uniformity(values: Sequence[float], *, bins: int | None = None) -> Uniformit
 
 
 def envelope(count: int, level: float = 0.95) -> float:
-    """Half width of the band about the diagonal that holds the whole empirical distribution of ``count`` uniform numbers.
+    """Half width of the band about the diagonal that holds the whole empirical distribution of
+    ``count`` uniform numbers.
 
     >>> from imr_torch.calibration import envelope
     >>> round(envelope(100), 3)
@@ -190,7 +200,12 @@ def _calibration_error(stated: np.ndarray, true: np.ndarray, places: np.ndarray)
 
 
 def reliability(
-    stated: Sequence[float], true: Sequence[bool], *, bins: int = 10, resamples: int = 2000, seed: int = 0
+    stated: Sequence[float],
+    true: Sequence[bool],
+    *,
+    bins: int = 10,
+    resamples: int = 2000,
+    seed: int = 0,
 ) -> Reliability:
     """Reliability diagram of stated probabilities, with the expected calibration error.
 
@@ -209,32 +224,56 @@ def reliability(
     >>> round(found.error, 2), found.share
     (0.1, (0.0, 1.0))
     """
-    p, hit = _checked(stated, "reliability"), np.asarray(true, dtype=float)
+    p = _checked(stated, "reliability")
+    hit = np.asarray(true, dtype=float)
     if p.shape != hit.shape:
-        raise ShapeError(f"reliability: {len(p)} probabilities and {len(hit)} outcomes; expected one for each.")
+        raise ShapeError(
+            f"reliability: {len(p)} probabilities and {len(hit)} outcomes; expected one for each."
+        )
     places = np.minimum((p * bins).astype(int), bins - 1)
     rows = []
     for place in np.unique(places):
         mine = places == place
-        hits, count = int(hit[mine].sum()), int(mine.sum())
+        hits = int(hit[mine].sum())
+        count = int(mine.sum())
         rows.append((float(p[mine].mean()), hits / count, *_share(hits, count), count))
     source = np.random.default_rng(seed)
     again = source.integers(0, len(p), (resamples, len(p)))
     errors = [_calibration_error(p[i], hit[i], places[i]) for i in again]
-    chance = [_calibration_error(p, (source.random(len(p)) < p).astype(float), places) for _ in range(resamples)]
+    chance = [
+        _calibration_error(p, (source.random(len(p)) < p).astype(float), places)
+        for _ in range(resamples)
+    ]
     error = _calibration_error(p, hit, places)
     low, high = np.quantile(errors, (0.025, 0.975))
     tail = (1 + sum(e >= error for e in chance)) / (resamples + 1)
     stated_, share, lows, highs, counts = zip(*rows, strict=True)
-    return Reliability(stated_, share, lows, highs, counts, error, float(low), float(high), float(np.mean(chance)), tail)
+    return Reliability(
+        stated_,
+        share,
+        lows,
+        highs,
+        counts,
+        error,
+        float(low),
+        float(high),
+        float(np.mean(chance)),
+        tail,
+    )
 
 
 def rank_correlation(
-    expected: Real[Tensor, "designs"], realised: Real[Tensor, "designs repeats"], *, resamples: int = 1000, seed: int = 0
+    expected: Real[Tensor, "designs"],
+    realised: Real[Tensor, "designs repeats"],
+    *,
+    resamples: int = 1000,
+    seed: int = 0,
 ) -> tuple[float, float]:
-    """Spearman correlation over designs of an expectation with the mean of what came, and its standard error.
+    """Spearman correlation over designs of an expectation with the mean of what came, and its
+    standard error.
 
-    The error is that of a bootstrap over repeats, which are the same gels at all designs and so are drawn together.
+    The error is that of a bootstrap over repeats, which are the same gels at all designs and so are
+    drawn together.
 
     Args:
         expected: one value a design.
@@ -252,9 +291,15 @@ def rank_correlation(
     >>> rank_correlation(expected, realised, resamples=20)
     (1.0, 0.0)
     """
-    if expected.ndim != 1 or realised.ndim != 2 or len(realised) != len(expected) or len(expected) < 3:
+    if (
+        expected.ndim != 1
+        or realised.ndim != 2
+        or len(realised) != len(expected)
+        or len(expected) < 3
+    ):
         raise ShapeError(
-            f"rank_correlation: shapes {tuple(expected.shape)} and {tuple(realised.shape)}; expected n and n x r with n >= 3."
+            f"rank_correlation: shapes {tuple(expected.shape)} and {tuple(realised.shape)}; "
+            "expected n and n x r with n >= 3."
         )
     repeats = realised.shape[1]
     rows = torch.randint(repeats, (resamples, repeats), generator=generator(seed))

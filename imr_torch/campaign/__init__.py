@@ -2,7 +2,14 @@
 
 from imr_torch.campaign.history import Step
 from imr_torch.campaign.journal import Journal
-from imr_torch.campaign.learners import ExactLearner, Finding, Inference, Learner, Observations, PaperLearner
+from imr_torch.campaign.learners import (
+    ExactLearner,
+    Finding,
+    Inference,
+    Learner,
+    Observations,
+    PaperLearner,
+)
 from imr_torch.campaign.loop import Campaign
 from imr_torch.campaign.policies import (
     PAPER_OPTIMAL,

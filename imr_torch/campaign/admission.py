@@ -1,6 +1,7 @@
 """Whether a curve is new and can be simulated under a belief, asked before it enters a journal.
 
-A curve whose times or size are in another unit is found by the bubbles of the belief: they fail, or collapse at another time
+A curve whose times or size are in another unit is found by the bubbles of the belief: they fail, or
+    collapse at another time
 than the curve does by orders of magnitude.
 """
 
@@ -22,8 +23,11 @@ _DRAWS = 8
 _FACTOR = 30.0
 
 
-def check_simulated(belief: Belief, experiment: Experiment, simulator: Simulator, noise: Noise, seed: int) -> None:
-    """Raise unless at least one gel of the belief gives a curve at the design and times of an experiment.
+def check_simulated(
+    belief: Belief, experiment: Experiment, simulator: Simulator, noise: Noise, seed: int
+) -> None:
+    """Raise unless at least one gel of the belief gives a curve at the design and times of an
+    experiment.
 
     Args:
         belief: eight gels of each model are drawn from it.
@@ -33,15 +37,19 @@ def check_simulated(belief: Belief, experiment: Experiment, simulator: Simulator
         seed: of the draws.
 
     Raises:
-        InputDataError: if no bubble could be simulated, or the curve collapses 30 times earlier or later than an empty bubble.
+        InputDataError: if no bubble could be simulated, or the curve collapses 30 times earlier or
+            later than an empty bubble.
     """
     name, (weber, rest) = f"Experiment {experiment.label!r}", experiment.design
-    collapse, last = collapse_time(experiment.times, experiment.mean, 1), float(experiment.times[-1])
+    collapse = collapse_time(experiment.times, experiment.mean, 1)
+    last = float(experiment.times[-1])
     late = _FACTOR * RAYLEIGH_TIME < collapse < math.inf
     if late or (collapse < RAYLEIGH_TIME / _FACTOR and last < RAYLEIGH_TIME):
         raise InputDataError(
-            f"{name} collapses first at a dimensionless time of {collapse:.3g}; bubbles do near {RAYLEIGH_TIME}. Its times or "
-            "its radii are in another unit than stated: correct the file or its layout, and tell it again."
+            f"{name} collapses first at a dimensionless time of {collapse:.3g}; bubbles do near "
+            f"{RAYLEIGH_TIME}. Its times or "
+            "its radii are in another unit than stated: correct the file or its layout, and tell "
+            "it again."
         )
     batch = ExperimentBatch((experiment,), noise)
     for part in belief.models:
@@ -51,13 +59,18 @@ def check_simulated(belief: Belief, experiment: Experiment, simulator: Simulator
         if bool(torch.isfinite(radius).all(-1).any()):
             return
     raise InputDataError(
-        f"{name} at (We, R_inf*) = ({weber:g}, {rest:g}) and times up to {last:.3g} cannot be simulated: all {_DRAWS} gels "
-        f"drawn of each of {', '.join(belief.keys)} failed. Check Rmax, R_inf and the units of the file; nothing was recorded."
+        f"{name} at (We, R_inf*) = ({weber:g}, {rest:g}) and times up to {last:.3g} cannot be "
+        f"simulated: all {_DRAWS} gels "
+        f"drawn of each of {', '.join(belief.keys)} failed. Check Rmax, R_inf and the units of "
+        "the file; nothing was recorded."
     )
 
 
 def check_new(
-    experiments: Sequence[Experiment], known: Mapping[str, tuple[int, str]], outstanding: Sequence[int], journal: Path
+    experiments: Sequence[Experiment],
+    known: Mapping[str, tuple[int, str]],
+    outstanding: Sequence[int],
+    journal: Path,
 ) -> None:
     """Raise if a curve was told before, or is given twice.
 
@@ -72,14 +85,20 @@ def check_new(
         curve = curve_hash(experiment)
         if curve in known:
             number, label = known[curve]
-            waiting = " It was not learnt yet; resuming without telling it again does so." * (number in outstanding)
+            waiting = " It was not learnt yet; resuming without telling it again does so." * (
+                number in outstanding
+            )
             raise InputDataError(
-                f"Experiment {experiment.label!r} has the curve of experiment {number} ({label!r}), which is in "
-                f"{journal} already; each curve counts once.{waiting} Tell only new curves; to replace this one, "
-                f"forget it first: Campaign.forget({number}), imr-torch campaign --resume --forget {number}."
+                f"Experiment {experiment.label!r} has the curve of experiment {number} "
+                f"({label!r}), which is in "
+                f"{journal} already; each curve counts once.{waiting} Tell only new curves; to "
+                "replace this one, "
+                f"forget it first: Campaign.forget({number}), imr-torch campaign --resume "
+                f"--forget {number}."
             )
         if curve in given:
             raise InputDataError(
-                f"Experiments {given[curve]!r} and {experiment.label!r} have the same curve, which counts once: omit one."
+                f"Experiments {given[curve]!r} and {experiment.label!r} have the same curve, "
+                "which counts once: omit one."
             )
         given[curve] = experiment.label

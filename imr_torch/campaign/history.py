@@ -1,4 +1,6 @@
-"""What happened in a campaign, read back from its journal: experiments that count, forgotten ones, beliefs."""
+"""What happened in a campaign, read back from its journal: experiments that count, forgotten ones,
+beliefs.
+"""
 
 import math
 from dataclasses import dataclass, field
@@ -21,7 +23,8 @@ class Step:
         number: of the last experiment that it includes, from 1.
         belief: after this experiment.
         evidence: evidence of each model, all experiments together; empty if the learner knows none.
-        assimilation: the fits; None when the step was read back from the journal, or the learner makes none.
+        assimilation: the fits; None when the step was read back from the journal, or the learner
+            makes none.
         noise: of one curve, if the learner estimates it.
         finding: of the diagnosis, if the learner makes one.
         population: JSON-ready, if the learner infers one and there are two shots or more.
@@ -66,7 +69,9 @@ class History:
             noise = Noise(**event["noise"]) if event.get("noise") else None
             finding = Finding.from_dict(event["finding"]) if event.get("finding") else None
             belief = Belief.from_dict(event["belief"])
-            self.steps.append(Step(event["step"], belief, evidence, None, noise, finding, event.get("population")))
+            self.steps.append(
+                Step(event["step"], belief, evidence, None, noise, finding, event.get("population"))
+            )
         elif event["event"] == "forget":
             self.withdrawn.append(self.told.pop(event["experiment"]))
             self.steps = [step for step in self.steps if step.number < event["experiment"]]
@@ -103,15 +108,22 @@ def check_identity(journal: Journal, identity: dict[str, Any]) -> None:
         return
     first = journal.events[0]
     if first["event"] != "start":
-        raise InputDataError(f"{journal.path}, line 1: event is {first['event']!r}; a campaign begins with 'start'.")
+        raise InputDataError(
+            f"{journal.path}, line 1: event is {first['event']!r}; a campaign begins with 'start'."
+        )
     known = {key: value for key, value in first.items() if key != "event"}
     if names := differing(known, identity):
         raise InputDataError(
-            f"{journal.path} is the journal of another campaign: {', '.join(names)} differ. Resume with the same "
-            "arguments; if another version of imr_torch began it, tell its curves to a campaign in a new folder."
+            f"{journal.path} is the journal of another campaign: {', '.join(names)} differ. "
+            "Resume with the same "
+            "arguments; if another version of imr_torch began it, tell its curves to a campaign "
+            "in a new folder."
         )
 
 
 def _infinite(values: dict[str, Any]) -> dict[str, Any]:
-    """Inverse of :func:`finite`; the one number of an evidence that may be infinite is the shape of its tail."""
+    """Inverse of :func:`finite`.
+
+    The one number of an evidence that may be infinite is the shape of its tail.
+    """
     return {k: (math.inf if v is None else v) for k, v in values.items()}

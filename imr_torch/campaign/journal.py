@@ -1,11 +1,13 @@
 """An append-only journal: one JSON line per event, flushed to disk before the campaign goes on.
 
-Each line ends with a checksum of itself and of the checksum before it, so lines that were edited, added, removed or moved are
-found when the journal is opened. ``journal.head`` holds the number of lines and the last checksum: by it, lines removed at the
-end are found as well, unless the head is removed too. This finds mistakes, not a forger, who can compute checksums.
+Each line ends with a checksum of itself and of the checksum before it, so lines that were edited,
+added, removed or moved are found when the journal is opened. ``journal.head`` holds the number of
+lines and the last checksum: by it, lines removed at the end are found as well, unless the head is
+removed too. This finds mistakes, not a forger, who can compute checksums.
 
-An incomplete last line, as a kill, a power cut or a full disk leaves it, is left out, and cut off before the next event is
-written. Measured curves are stored beside the journal as ``.npz`` (no pickles) and the line holds their SHA-256.
+An incomplete last line, as a kill, a power cut or a full disk leaves it, is left out, and cut off
+before the next event is written. Measured curves are stored beside the journal as ``.npz`` (no
+pickles) and the line holds their SHA-256.
 """
 
 import hashlib
@@ -25,10 +27,18 @@ from imr_torch.files import remove_temporaries, write_atomically
 from imr_torch.observe import Experiment, Nuisance
 
 _REMEDY = "Restore it from a copy, or tell its curves to a campaign in a new folder."
-_NUMBER, _OPTIONAL = (int, float), (int, float, type(None))
+_NUMBER = (int, float)
+_OPTIONAL = (int, float, type(None))
 _FIELDS: dict[str, dict[str, type | tuple[type, ...]]] = {
     "start": {"prior": dict, "simulator": str, "settings": dict, "seed": int, "note": dict},
-    "ask": {"step": int, "design": list, "gain": _OPTIONAL, "gain_sd": _OPTIONAL, "reason": str, "evaluations": list},
+    "ask": {
+        "step": int,
+        "design": list,
+        "gain": _OPTIONAL,
+        "gain_sd": _OPTIONAL,
+        "reason": str,
+        "evaluations": list,
+    },
     "observed": {"step": int, "experiments": list},
     "learnt": {"step": int, "experiments": list, "belief": dict, "evidence": list},
     "forget": {"experiment": int},
@@ -46,11 +56,20 @@ _RECORD: dict[str, type | tuple[type, ...]] = {
 
 
 def differing(known: Any, wanted: Any, name: str = "") -> list[str]:
-    """Dotted names of the entries in which two JSON documents differ, or which one lacks; parts of two kinds differ whole."""
-    if not (isinstance(known, dict) and isinstance(wanted, dict)) or known.get("kind") != wanted.get("kind"):
+    """Dotted names of the entries in which two JSON documents differ, or which one lacks.
+
+    Parts of two kinds differ whole.
+    """
+    if not (isinstance(known, dict) and isinstance(wanted, dict)) or known.get(
+        "kind"
+    ) != wanted.get("kind"):
         return [] if known == wanted else [name]
     keys = dict.fromkeys((*known, *wanted))
-    return [found for key in keys for found in differing(known.get(key), wanted.get(key), f"{name}.{key}" if name else key)]
+    return [
+        found
+        for key in keys
+        for found in differing(known.get(key), wanted.get(key), f"{name}.{key}" if name else key)
+    ]
 
 
 def curve_hash(experiment: Experiment) -> str:
@@ -79,7 +98,8 @@ class Journal:
         folder: where ``journal.jsonl`` and the curves are kept; made when something is written.
 
     Raises:
-        InputDataError: if the journal was changed by something else than this class; the message names the line.
+        InputDataError: if the journal was changed by something else than this class; the message
+            names the line.
 
     >>> import tempfile
     >>> from imr_torch.campaign import Journal
@@ -115,26 +135,35 @@ class Journal:
         self._headed = count
         if count > len(self.events):
             raise InputDataError(
-                f"{self.path} has {len(self.events)} whole lines and {self._head.name} says that {count} were written: lines "
-                f"at its end were removed or damaged. {_REMEDY} To accept the loss, delete {self._head.name}."
+                f"{self.path} has {len(self.events)} whole lines and {self._head.name} says that "
+                f"{count} were written: lines "
+                f"at its end were removed or damaged. {_REMEDY} To accept the loss, delete "
+                f"{self._head.name}."
             )
         if count and self._checks[count - 1] != check:
             raise InputDataError(
-                f"{self.path}, line {count}: not the line that {self._head.name} says was written. {_REMEDY} "
+                f"{self.path}, line {count}: not the line that {self._head.name} says was "
+                f"written. {_REMEDY} "
                 f"To accept the journal as it is, delete {self._head.name}."
             )
 
     def _read_head(self) -> tuple[int, str]:
-        """Number of lines that were written at least, and the checksum of the last of them; 0 where that is not known."""
+        """Number of lines that were written at least, and the checksum of the last of them.
+
+        0 where that is not known.
+        """
         if not self._head.exists():
             return 0, ""
         try:
             document = json.loads(self._head.read_bytes())
-            count, check = document["lines"], document["check"]
+            count = document["lines"]
+            check = document["check"]
             if not (type(count) is int and count >= 0 and isinstance(check, str)):
                 raise ValueError(f"lines is {count!r} and check is {check!r}")
         except (ValueError, TypeError, KeyError) as error:
-            raise InputDataError(f"{self._head}: cannot be read ({error}). Restore it from a copy, or delete it.") from None
+            raise InputDataError(
+                f"{self._head}: cannot be read ({error}). Restore it from a copy, or delete it."
+            ) from None
         return count, check
 
     def _accept(self, line: bytes) -> None:
@@ -146,18 +175,25 @@ class Journal:
             raise InputDataError(f"{place}: not a journal entry ({error}). {_REMEDY}") from None
         if not isinstance(entry, dict) or not isinstance(entry.get("event"), str):
             text = line.decode(errors="replace")[:40]
-            raise InputDataError(f"{place}: not a journal entry (expected an object with an 'event', got {text!r}). {_REMEDY}")
+            raise InputDataError(
+                f"{place}: not a journal entry (expected an object with an 'event', got "
+                f"{text!r}). {_REMEDY}"
+            )
         check = entry.pop("check", None)
         if check is None:
             raise InputDataError(
-                f"{place}: has no checksum ('check'); an earlier version of imr_torch wrote it, or it was changed. {_REMEDY}"
+                f"{place}: has no checksum ('check'); an earlier version of imr_torch wrote it, "
+                f"or it was changed. {_REMEDY}"
             )
         if check in self._checks:
-            raise InputDataError(f"{place}: a copy of line {self._checks.index(check) + 1}. {_REMEDY}")
+            raise InputDataError(
+                f"{place}: a copy of line {self._checks.index(check) + 1}. {_REMEDY}"
+            )
         expected = _encoded(entry, self._checks[-1] if self._checks else "")
         if expected is None or expected[0] != line:
             raise InputDataError(
-                f"{place}: its checksum does not fit; this line was edited or moved, or lines before it were removed or moved. "
+                f"{place}: its checksum does not fit; this line was edited or moved, or lines "
+                "before it were removed or moved. "
                 f"{_REMEDY}"
             )
         _check_fields(entry, _FIELDS.get(entry["event"], {}), f"{place}: event {entry['event']!r}")
@@ -174,12 +210,14 @@ class Journal:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """Hold the folder's lock for several operations; every operation that writes takes it by itself otherwise.
+        """Hold the folder's lock for several operations; every operation that writes takes it by
+        itself otherwise.
 
         What an interrupted process left is cleaned up: an incomplete last line and temporary files.
 
         Raises:
-            InputDataError: if another process holds the lock, or wrote to the journal since it was opened here.
+            InputDataError: if another process holds the lock, or wrote to the journal since it was
+                opened here.
         """
         with self._lock.held() as taken:
             if taken:
@@ -193,24 +231,32 @@ class Journal:
             stream.seek(min(self._size, size))
             if size == self._size + len(self._tail) and stream.read() == self._tail:
                 return
-            raise InputDataError(f"{self.path} was written to since it was opened here; open the campaign again.")
+            raise InputDataError(
+                f"{self.path} was written to since it was opened here; open the campaign again."
+            )
         if self._size:
             raise InputDataError(f"{self.path} was removed since it was opened here. {_REMEDY}")
 
     def _repair(self) -> None:
-        """Complete or cut off the last line, write the head if it lags, and remove files that an interrupted write left."""
+        """Complete or cut off the last line, write the head if it lags, and remove files that an
+        interrupted write left.
+        """
         remove_temporaries(self.folder, "journal.head", "experiment_*.npz")
         if self._tail_counts:
             self._write(b"\n")
             self._size += len(self._tail)
         elif self._tail:
             os.truncate(self.path, self._size)
-        self._tail, self._tail_counts = b"", False
+        self._tail = b""
+        self._tail_counts = False
         if self._headed < len(self._checks):
             self._write_head()
 
     def _write_head(self) -> None:
-        """Note how far the journal has come. A head that lags behind detects less, and stops nothing."""
+        """Note how far the journal has come.
+
+        A head that lags behind detects less, and stops nothing.
+        """
         head = json.dumps({"lines": len(self._checks), "check": self._checks[-1]}) + "\n"
         with suppress(OSError):
             write_atomically(self._head, lambda stream: stream.write(head.encode()))
@@ -226,7 +272,9 @@ class Journal:
         entry = {"event": event, **fields}
         encoded = _encoded(entry, self._checks[-1] if self._checks else "")
         if encoded is None:
-            raise InputDataError(f"Event {event!r} holds a number that is not finite, which JSON cannot represent.")
+            raise InputDataError(
+                f"Event {event!r} holds a number that is not finite, which JSON cannot represent."
+            )
         line, check = encoded
         with self.held():
             self._write(line + b"\n")
@@ -245,10 +293,15 @@ class Journal:
                     view = view[stream.write(view) :]
                 os.fsync(stream.fileno())
         except BaseException as error:
-            with suppress(OSError):  # if this fails too, the incomplete line is cut off when the journal is opened again
+            with suppress(
+                OSError
+            ):  # if this fails too, the incomplete line is cut off when the journal is opened again
                 os.truncate(self.path, before)
             if isinstance(error, OSError):
-                message = f"{error.strerror}; the last event was not recorded, those before it were. Make room and resume"
+                message = (
+                    f"{error.strerror}; the last event was not recorded, those before it were. "
+                    "Make room and resume"
+                )
                 raise OSError(error.errno, message, str(self.path)) from error
             raise
         self._size += len(data)
@@ -261,9 +314,13 @@ class Journal:
         return None
 
     def store(self, experiment: Experiment, name: str) -> dict[str, Any]:
-        """Write an experiment's curves beside the journal; returns the JSON-ready record that finds them again."""
+        """Write an experiment's curves beside the journal.
+
+        Returns the JSON-ready record that finds them again.
+        """
         path = self.folder / f"{name}.npz"
-        times, radius = experiment.times.detach().cpu().numpy(), experiment.radius.detach().cpu().numpy()
+        times = experiment.times.detach().cpu().numpy()
+        radius = experiment.radius.detach().cpu().numpy()
         with self.held():
             write_atomically(path, lambda stream: np.savez(stream, times=times, radius=radius))
         return {
@@ -284,16 +341,24 @@ class Journal:
         """
         path = self.folder / record["file"]
         if not path.exists():
-            raise InputDataError(f"{path}: the journal names this file and it is missing; restore it from a copy.")
+            raise InputDataError(
+                f"{path}: the journal names this file and it is missing; restore it from a copy."
+            )
         if hashlib.sha256(path.read_bytes()).hexdigest() != record["sha256"]:
-            raise InputDataError(f"{path}: the file is not the one the journal recorded; restore it from a copy.")
+            raise InputDataError(
+                f"{path}: the file is not the one the journal recorded; restore it from a copy."
+            )
         with np.load(path, allow_pickle=False) as arrays:
-            times, radius = torch.from_numpy(arrays["times"]), torch.from_numpy(arrays["radius"])
+            times = torch.from_numpy(arrays["times"])
+            radius = torch.from_numpy(arrays["radius"])
         weber, rest = record["design"]
-        nuisance, exposure = Nuisance(**record["nuisance"]), record.get("exposure", 0.0)
+        nuisance = Nuisance(**record["nuisance"])
+        exposure = record.get("exposure", 0.0)
         experiment = Experiment(record["label"], (weber, rest), times, radius, nuisance, exposure)
         if curve_hash(experiment) != record["curve"]:
-            raise InputDataError(f"{path}: holds another curve than the journal says; restore both from a copy.")
+            raise InputDataError(
+                f"{path}: holds another curve than the journal says; restore both from a copy."
+            )
         return experiment
 
 
@@ -317,7 +382,9 @@ def _check_fields(entry: Any, fields: dict[str, type | tuple[type, ...]], place:
         if not isinstance(entry[name], kind) or isinstance(entry[name], bool):
             kinds = kind if isinstance(kind, tuple) else (kind,)
             expected = " or ".join("nothing" if k is type(None) else k.__name__ for k in kinds)
-            raise InputDataError(f"{place}: {name} is {entry[name]!r}; expected {expected}. {_REMEDY}")
+            raise InputDataError(
+                f"{place}: {name} is {entry[name]!r}; expected {expected}. {_REMEDY}"
+            )
 
 
 def _check_numbers(values: list[Any], name: str, count: int | None, kind: type, place: str) -> None:

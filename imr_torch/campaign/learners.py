@@ -1,9 +1,11 @@
-"""Inference from the experiments of a campaign: by Bayes' rule from all data, or by the published method.
+"""Inference from the experiments of a campaign: by Bayes' rule from all data, or by the published
+method.
 
-:class:`ExactLearner` starts from the prior at every step and uses every curve of every experiment once, so errors of Gaussian
-approximations do not accumulate. :class:`PaperLearner` is the method of arXiv 2409.00011, kept to compare with: it assimilates
-one design at a time with a tempered misfit, multiplies the result into the belief it started from, and averages model
-probabilities over designs.
+:class:`ExactLearner` starts from the prior at every step and uses every curve of every experiment
+once, so errors of Gaussian approximations do not accumulate. :class:`PaperLearner` is the method of
+arXiv 2409.00011, kept to compare with: it assimilates one design at a time with a tempered misfit,
+multiplies the result into the belief it started from, and averages model probabilities over
+designs.
 """
 
 import math
@@ -65,8 +67,8 @@ class Finding:
     Args:
         verdict: ``"none"``, ``"effect"``, ``"class"``, ``"other"`` or ``"undecided"``.
         causes: names of the effects that the verdict names.
-        probabilities: hypothesis -> probability, ``"none"`` and ``"other"`` among them; empty where no test rejects the base
-            model.
+        probabilities: hypothesis -> probability, ``"none"`` and ``"other"`` among them; empty where
+            no test rejects the base model.
         reason: one sentence on how the verdict came about.
         converged: whether the fits that the verdict is based on have converged.
         p_value: of the gap test.
@@ -106,7 +108,8 @@ class Inference:
         assimilation: the fits; None if the method makes none to all experiments.
         noise: of one curve, as the residuals have it; None if the method takes it as planned.
         finding: of a learner that diagnoses a gap.
-        population: of a learner that infers one, as :meth:`imr_torch.population.Population.to_dict` gives it.
+        population: of a learner that infers one, as :meth:`imr_torch.population.Population.to_dict`
+            gives it.
 
     >>> from imr_torch import wide_prior
     >>> from imr_torch.campaign import Inference
@@ -134,24 +137,31 @@ class Learner(Protocol):
     """
 
     def check(self, batch: ExperimentBatch) -> None:
-        """Raise :class:`InputDataError` for experiments that the method cannot take; called before they are recorded."""
+        """Raise :class:`InputDataError` for experiments that the method cannot take.
+
+        Called before they are recorded.
+        """
         ...
 
-    def learn(self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None) -> Inference:
+    def learn(
+        self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None
+    ) -> Inference:
         """Infer the belief after all experiments; a function of the observations alone."""
         ...
 
 
 @dataclass(frozen=True)
 class ExactLearner:
-    """Inference from the original prior and all data at once, with their own likelihood, and evidence by importance sampling.
+    """Inference from the original prior and all data at once, with their own likelihood, and
+    evidence by importance sampling.
 
     Args:
         samples: importance samples of each model and round, for evidence and moments.
-        options: how gels are fitted, and by which method: :class:`imr_torch.assimilate.SearchOptions` or
+        options: how gels are fitted, and by which method:
+            :class:`imr_torch.assimilate.SearchOptions` or
             :class:`imr_torch.assimilate.En4DVarOptions`.
-        noise_rounds: how often the noise is estimated from the residuals of all experiments, as measured curves need; with 0
-            it is as planned.
+        noise_rounds: how often the noise is estimated from the residuals of all experiments, as
+            measured curves need; with 0 it is as planned.
 
     >>> from imr_torch.campaign import CampaignSettings, ExactLearner
     >>> settings = CampaignSettings(learner=ExactLearner(samples=128, noise_rounds=1))
@@ -165,12 +175,16 @@ class ExactLearner:
 
     def __post_init__(self) -> None:
         if self.noise_rounds < 0:
-            raise InputDataError(f"ExactLearner.noise_rounds is {self.noise_rounds}; expected 0 or more.")
+            raise InputDataError(
+                f"ExactLearner.noise_rounds is {self.noise_rounds}; expected 0 or more."
+            )
 
     def check(self, batch: ExperimentBatch) -> None:
         """See :class:`Learner`; all are taken."""
 
-    def learn(self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None) -> Inference:
+    def learn(
+        self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None
+    ) -> Inference:
         """See :class:`Learner`."""
         number = len(observations.batch.experiments)
         result = assimilate_estimating_noise(
@@ -182,7 +196,9 @@ class ExactLearner:
             options=self.options,
             progress=progress,
         )
-        result = weigh(result, simulator, seed=child(observations.seed, "weigh", number), samples=self.samples)
+        result = weigh(
+            result, simulator, seed=child(observations.seed, "weigh", number), samples=self.samples
+        )
         evidence = evidences(result)
         record = {
             "certificates": {fit.model: finite(asdict(fit.certificate)) for fit in result.fits},
@@ -208,15 +224,26 @@ class PaperLearner:
     options: PublishedOptions = field(default_factory=PublishedOptions)
 
     def check(self, batch: ExperimentBatch) -> None:
-        """Raise if the design or the clock of an experiment is uncertain, which the method cannot express."""
+        """Raise if the design or the clock of an experiment is uncertain, which the method cannot
+        express.
+        """
         if bool((batch.nuisance_sds > 0.0).any()):
-            raise InputDataError("PaperLearner takes designs and clocks as exact; give experiments without nuisances.")
+            raise InputDataError(
+                "PaperLearner takes designs and clocks as exact; give experiments without "
+                "nuisances."
+            )
         if len(batch.curves) < len(batch.experiments):
-            raise InputDataError("PaperLearner learns from curves; leave shots of collapse times out.")
+            raise InputDataError(
+                "PaperLearner learns from curves; leave shots of collapse times out."
+            )
 
-    def learn(self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None) -> Inference:
+    def learn(
+        self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None
+    ) -> Inference:
         """See :class:`Learner`. Raises as :meth:`check` does."""
-        batch, belief, record = observations.batch, observations.belief, {}
+        batch = observations.batch
+        belief = observations.belief
+        record = {}
         self.check(batch)
         count = len(batch.experiments)
         for number in range(count - observations.fresh + 1, count + 1):
@@ -234,7 +261,9 @@ class PaperLearner:
             so_far = belief.log_probabilities.exp() if number > 1 else torch.zeros_like(here)
             parts = tuple(product(fit.prior, fit.posterior) for fit in fits)
             belief = Belief(parts, ((so_far * (number - 1) + here) / number).log())
-            record = {"probabilities_of_this_design": dict(zip(belief.keys, here.tolist(), strict=True))}
+            record = {
+                "probabilities_of_this_design": dict(zip(belief.keys, here.tolist(), strict=True))
+            }
         return Inference(belief, record=record)
 
 
@@ -248,4 +277,6 @@ def product(first: ModelBelief, second: ModelBelief) -> ModelBelief:
 
 def finite(values: dict[str, Any]) -> dict[str, Any]:
     """Numbers that are not finite as None, since JSON cannot represent them."""
-    return {k: (None if isinstance(v, float) and not math.isfinite(v) else v) for k, v in values.items()}
+    return {
+        k: (None if isinstance(v, float) and not math.isfinite(v) else v) for k, v in values.items()
+    }

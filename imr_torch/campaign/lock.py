@@ -1,7 +1,9 @@
-"""Exclusive use of a campaign's folder: an advisory lock of the operating system, which ends with the process that holds it.
+"""Exclusive use of a campaign's folder: an advisory lock of the operating system, which ends with
+the process that holds it.
 
-The file ``.journal.lock`` stays in the folder and means nothing by itself. ``.journal.owner`` beside it names the process that
-holds the lock, for the message that another process gets; it is not looked at unless the lock is held.
+The file ``.journal.lock`` stays in the folder and means nothing by itself. ``.journal.owner``
+beside it names the process that holds the lock, for the message that another process gets; it is
+not looked at unless the lock is held.
 """
 
 import os
@@ -42,7 +44,8 @@ class FolderLock:
             self._lock.acquire()
         except Timeout:
             raise InputDataError(
-                f"{self.folder} is in use by {self._holder()}; wait until it has ended, or give another folder."
+                f"{self.folder} is in use by {self._holder()}; wait until it has ended, or give "
+                "another folder."
             ) from None
         try:
             if outermost:

@@ -1,11 +1,13 @@
 """Campaigns: repeated choice of a design, measurement and inference, resumable from a journal.
 
 What to shoot is a policy's choice (:mod:`~imr_torch.campaign.policies`), what is learnt a learner's
-(:mod:`~imr_torch.campaign.learners`), and when to end a rule's (:mod:`~imr_torch.campaign.stopping`). Everything that is
-asked, measured or concluded is in the journal before the next thing starts; opening the folder again continues where it
-stopped, with the same numbers bit for bit on one machine, on any number of workers and threads.
+(:mod:`~imr_torch.campaign.learners`), and when to end a rule's
+(:mod:`~imr_torch.campaign.stopping`). Everything that is asked, measured or concluded is in the
+journal before the next thing starts; opening the folder again continues where it stopped, with the
+same numbers bit for bit on one machine, on any number of workers and threads.
 
-Experiments are numbered in the order in which they were told, and a number is not used again when an experiment is forgotten.
+Experiments are numbered in the order in which they were told, and a number is not used again when
+an experiment is forgotten.
 """
 
 from collections.abc import Callable, Sequence
@@ -44,11 +46,13 @@ class Campaign:
         seed: of everything random.
         note: what else identifies the campaign (JSON-ready); checked on resume.
 
-    Opening writes nothing; a new journal begins with the first thing that is asked or told. Whatever writes holds the folder's
-    lock while it works (:meth:`Journal.held`), so that two processes cannot continue one campaign at a time.
+    Opening writes nothing; a new journal begins with the first thing that is asked or told.
+    Whatever writes holds the folder's lock while it works (:meth:`Journal.held`), so that two
+    processes cannot continue one campaign at a time.
 
     Raises:
-        InputDataError: if the folder holds the journal of another campaign, or one that was changed.
+        InputDataError: if the folder holds the journal of another campaign, or one that was
+            changed.
 
     >>> import tempfile
     >>> from imr_torch import PolytropicSimulator, reference_case
@@ -77,13 +81,17 @@ class Campaign:
         seed: int = 0,
         note: dict[str, Any] | None = None,
     ) -> None:
-        self.prior, self.simulator, self.seed = prior, simulator, seed
+        self.prior = prior
+        self.simulator = simulator
+        self.seed = seed
         self.settings = settings or CampaignSettings()
         self.journal = Journal(folder)
         self._identity = self._identify(note or {})
         history = replayed(self.journal)
-        self.steps, self._withdrawn = history.steps, history.withdrawn
-        self.numbers, self.experiments = list(history.told), list(history.told.values())
+        self.steps = history.steps
+        self._withdrawn = history.withdrawn
+        self.numbers = list(history.told)
+        self.experiments = list(history.told.values())
 
     def _identify(self, note: dict[str, Any]) -> dict[str, Any]:
         """What the journal begins with, checked against the journal if there is one."""
@@ -112,7 +120,11 @@ class Campaign:
     @property
     def told(self) -> int:
         """Number of experiments that were told so far, those that were forgotten included."""
-        return sum(len(event["experiments"]) for event in self.journal.events if event["event"] == "observed")
+        return sum(
+            len(event["experiments"])
+            for event in self.journal.events
+            if event["event"] == "observed"
+        )
 
     @property
     def belief(self) -> Belief:
@@ -121,26 +133,37 @@ class Campaign:
 
     @property
     def plan(self) -> Plan:
-        """How the next experiment will be observed: as the settings say, with the noise that was learnt so far."""
+        """How the next experiment will be observed: as the settings say, with the noise that was
+        learnt so far.
+        """
         noise = self.steps[-1].noise if self.steps else None
         return replace(self.settings.plan, noise=noise) if noise else self.settings.plan
 
     @property
     def outstanding(self) -> tuple[int, ...]:
-        """Numbers of the experiments that were told and are not in the present belief, as after an interruption."""
+        """Numbers of the experiments that were told and are not in the present belief, as after an
+        interruption.
+        """
         last = self.steps[-1].number if self.steps else 0
         return tuple(number for number in self.numbers if number > last)
 
     def reason_to_stop(self, proposal: Proposal | None = None) -> str | None:
-        """Why the campaign should end, by what was told so far and, if given, what is proposed; None where it should not."""
-        rule, gain = self.settings.stop, proposal.gain if proposal else None
+        """Why the campaign should end, by what was told so far and, if given, what is proposed.
+
+        None where it should not.
+        """
+        rule = self.settings.stop
+        gain = proposal.gain if proposal else None
         finding = self.steps[-1].finding if self.steps else None
         state = CampaignState(self.belief, tuple(self.experiments), gain, self.forgotten, finding)
         return rule.reason(state) if rule else None
 
     @property
     def forgotten(self) -> tuple[Experiment, ...]:
-        """Experiments that were told and forgotten; one whose curve was told again unchanged is not among them."""
+        """Experiments that were told and forgotten.
+
+        One whose curve was told again unchanged is not among them.
+        """
         seen = {curve_hash(experiment) for experiment in self.experiments}
         lost = []
         for experiment in self._withdrawn:
@@ -152,14 +175,16 @@ class Campaign:
     def ask(self, *, progress: Progress | None = None) -> Proposal:
         """The design that the policy chooses under the present belief.
 
-        A design that was asked before and not yet told is given again without another search, unless an experiment was
-        forgotten since. What was told and not learnt, as after an interruption, is learnt first.
+        A design that was asked before and not yet told is given again without another search,
+        unless an experiment was forgotten since. What was told and not learnt, as after an
+        interruption, is learnt first.
         """
         return self.ask_several(1, progress=progress)[0]
 
     @one_torch_thread()
     def ask_several(self, q: int, *, progress: Progress | None = None) -> tuple[Proposal, ...]:
-        """Designs to prepare together: each chosen with those before it pending, all under the present belief.
+        """Designs to prepare together: each chosen with those before it pending, all under the
+        present belief.
 
         Args:
             q: how many; those asked before and not yet told count.
@@ -179,7 +204,10 @@ class Campaign:
         return tuple(proposals)
 
     def _asked(self, number: int) -> dict[str, Any] | None:
-        """The journal's last ``ask`` of a step; None if it was to be answered under a belief that was withdrawn since."""
+        """The journal's last ``ask`` of a step.
+
+        None if it was to be answered under a belief that was withdrawn since.
+        """
         for event in reversed(self.journal.events):
             if event["event"] == "forget" and number > self.told:
                 return None
@@ -192,11 +220,21 @@ class Campaign:
         known = self._asked(number)
         if known is not None:
             design = torch.tensor(known["design"], dtype=torch.float64)
-            return Proposal(number, design, known["gain"], known["gain_sd"], reason=known.get("reason", ""))
+            return Proposal(
+                number, design, known["gain"], known["gain_sd"], reason=known.get("reason", "")
+            )
         settings = self.settings
         batch = self._batch(self.experiments) if self.experiments else None
         situation = Situation(
-            number, self.belief, self.simulator, settings.space, self.plan, self.seed, pending, self.prior, batch
+            number,
+            self.belief,
+            self.simulator,
+            settings.space,
+            self.plan,
+            self.seed,
+            pending,
+            self.prior,
+            batch,
         )
         found = settings.policy.choose(situation, progress=progress)
         search = found.search
@@ -209,21 +247,31 @@ class Campaign:
             gain_sd=found.gain_sd,
             reason=found.reason,
             pending=finite(asdict(search.pending)) if search and search.pending else None,
-            evaluations=[finite(asdict(gain)) | {"design": design.tolist()} for gain, design in tried],
+            evaluations=[
+                finite(asdict(gain)) | {"design": design.tolist()} for gain, design in tried
+            ],
         )
         return found
 
     def search(self, number: int) -> DesignSearch | None:
-        """The search behind the proposal of a step, rebuilt from the journal; None where there was none."""
+        """The search behind the proposal of a step, rebuilt from the journal.
+
+        None where there was none.
+        """
         known = self._asked(number)
-        return None if known is None else self.settings.policy.rebuild(known, self.settings.space, self.seed)
+        return (
+            None
+            if known is None
+            else self.settings.policy.rebuild(known, self.settings.space, self.seed)
+        )
 
     @one_torch_thread()
     def tell(self, *experiments: Experiment, progress: Progress | None = None) -> Step:
         """Record what was measured, with its achieved design, and update the belief.
 
-        Experiments enter the journal together, by one line, once they are known to be new and could be simulated. What was
-        told before and not learnt, as after an interruption, is learnt first.
+        Experiments enter the journal together, by one line, once they are known to be new and could
+        be simulated. What was told before and not learnt, as after an interruption, is learnt
+        first.
 
         Args:
             experiments: one or more experiments; each curve counts once.
@@ -233,16 +281,26 @@ class Campaign:
             The new belief with evidences and fits.
 
         Raises:
-            InputDataError: if a curve is in the journal already, or cannot be simulated; nothing is recorded then.
+            InputDataError: if a curve is in the journal already, or cannot be simulated; nothing is
+                recorded then.
         """
         if not experiments:
             raise InputDataError("tell needs at least one experiment.")
         with self.journal.held():
-            known = {curve_hash(e): (number, e.label) for number, e in zip(self.numbers, self.experiments, strict=True)}
+            known = {
+                curve_hash(e): (number, e.label)
+                for number, e in zip(self.numbers, self.experiments, strict=True)
+            }
             check_new(experiments, known, self.outstanding, self.journal.path)
             self._catch_up(progress)
             for experiment in experiments:
-                check_simulated(self.belief, self._window(experiment), self.simulator, self.settings.plan.noise, self.seed)
+                check_simulated(
+                    self.belief,
+                    self._window(experiment),
+                    self.simulator,
+                    self.settings.plan.noise,
+                    self.seed,
+                )
             numbers = range(self.told + 1, self.told + 1 + len(experiments))
             self.settings.learner.check(self._batch(experiments))
             records = [
@@ -255,12 +313,14 @@ class Campaign:
             return self.learn(progress=progress)
 
     def forget(self, number: int, *, progress: Progress | None = None) -> Step | None:
-        """Take an experiment out of the belief and learn from the others; its curve and its line in the journal stay.
+        """Take an experiment out of the belief and learn from the others; its curve and its line in
+        the journal stay.
 
         Designs that were asked for since and not yet told are asked for anew.
 
         Args:
-            number: of the experiment, from 1, in the order of telling; the numbers of others do not change.
+            number: of the experiment, from 1, in the order of telling; the numbers of others do not
+                change.
             progress: called with one line per iteration.
 
         Returns:
@@ -288,8 +348,17 @@ class Campaign:
         """
         with self.journal.held():
             if number not in self.numbers:
-                held = ", ".join(f"{n} ({e.label!r})" for n, e in zip(self.numbers, self.experiments, strict=True)) or "none"
-                raise InputDataError(f"There is no experiment {number} to forget in {self.journal.path}; it counts {held}.")
+                held = (
+                    ", ".join(
+                        f"{n} ({e.label!r})"
+                        for n, e in zip(self.numbers, self.experiments, strict=True)
+                    )
+                    or "none"
+                )
+                raise InputDataError(
+                    f"There is no experiment {number} to forget in {self.journal.path}; it counts "
+                    f"{held}."
+                )
             self._record("forget", experiment=number)
             self._withdrawn.append(self.experiments.pop(self.numbers.index(number)))
             self.numbers.remove(number)
@@ -306,7 +375,8 @@ class Campaign:
 
     @one_torch_thread()
     def learn(self, *, progress: Progress | None = None) -> Step:
-        """Learn from all experiments so far and record the belief, unless that was done; what :meth:`tell` does last.
+        """Learn from all experiments so far and record the belief, unless that was done; what
+        :meth:`tell` does last.
 
         Raises:
             InputDataError: if there is no experiment.
@@ -317,13 +387,19 @@ class Campaign:
         if not fresh:
             return self.steps[-1]
         with self.journal.held():
-            observations = Observations(self.prior, self.belief, self._batch(self.experiments), len(fresh), self.seed)
+            observations = Observations(
+                self.prior, self.belief, self._batch(self.experiments), len(fresh), self.seed
+            )
             try:
-                inference = self.settings.learner.learn(observations, self.simulator, progress=progress)
+                inference = self.settings.learner.learn(
+                    observations, self.simulator, progress=progress
+                )
             except ImrError as error:
                 raise type(error)(
-                    f"{error} (Learning from experiment {', '.join(map(str, fresh))}, which is in the journal. To go on "
-                    f"without it: Campaign.forget({fresh[-1]}), imr-torch campaign --resume --forget {fresh[-1]}.)"
+                    f"{error} (Learning from experiment {', '.join(map(str, fresh))}, which is in "
+                    "the journal. To go on "
+                    f"without it: Campaign.forget({fresh[-1]}), imr-torch campaign --resume "
+                    f"--forget {fresh[-1]}.)"
                 ) from error
             self._record(
                 "learnt",
@@ -338,13 +414,23 @@ class Campaign:
             )
         found = inference
         self.steps.append(
-            Step(fresh[-1], found.belief, found.evidence, found.assimilation, found.noise, found.finding, found.population)
+            Step(
+                fresh[-1],
+                found.belief,
+                found.evidence,
+                found.assimilation,
+                found.noise,
+                found.finding,
+                found.population,
+            )
         )
         return self.steps[-1]
 
     def _batch(self, experiments: Sequence[Experiment]) -> ExperimentBatch:
         """Experiments as a learner sees them."""
-        return ExperimentBatch(tuple(self._window(e) for e in experiments), self.settings.plan.noise)
+        return ExperimentBatch(
+            tuple(self._window(e) for e in experiments), self.settings.plan.noise
+        )
 
     def _window(self, experiment: Experiment) -> Experiment:
         collapses = self.settings.plan.collapses
@@ -360,13 +446,15 @@ class Campaign:
         q: int = 1,
         progress: Progress | None = None,
     ) -> Sequence[Step]:
-        """Ask and shoot until ``designs`` experiments are told, or the stopping rule has a reason to end.
+        """Ask and shoot until ``designs`` experiments are told, or the stopping rule has a reason
+        to end.
 
         Args:
             shoot: makes an experiment at a design; second argument is its number.
-            designs: experiments in all, those already told included; it may be raised when a campaign is resumed.
-            q: experiments that are chosen together, shot and then learnt from at once; the stopping rule looks at the belief
-                before each such set.
+            designs: experiments in all, those already told included; it may be raised when a
+                campaign is resumed.
+            q: experiments that are chosen together, shot and then learnt from at once; the stopping
+                rule looks at the belief before each such set.
             progress: called with one line per step of work.
         """
         with self.journal.held():
@@ -374,11 +462,16 @@ class Campaign:
             while len(self.experiments) < designs:
                 if reason := self.reason_to_stop():
                     return self._end(reason, progress)
-                proposals = self.ask_several(min(q, designs - len(self.experiments)), progress=progress)
+                proposals = self.ask_several(
+                    min(q, designs - len(self.experiments)), progress=progress
+                )
                 if reason := self.reason_to_stop(proposals[0]):
                     return self._end(reason, progress)
                 worth = takewhile(lambda proposal: not self.reason_to_stop(proposal), proposals)
-                self.tell(*[shoot(proposal.design, proposal.step) for proposal in worth], progress=progress)
+                self.tell(
+                    *[shoot(proposal.design, proposal.step) for proposal in worth],
+                    progress=progress,
+                )
         return self.steps
 
     def _end(self, reason: str, progress: Progress | None) -> Sequence[Step]:

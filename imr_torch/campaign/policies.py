@@ -1,8 +1,9 @@
-"""How the next design is chosen: the most informative design, a random one, a space-filling one, or a list made before.
+"""How the next design is chosen: the most informative design, a random one, a space-filling one, or
+a list made before.
 
-A policy sees what is believed, what can be shot and which experiment it is, and answers with a :class:`Proposal`. All are
-frozen dataclasses, so a journal can tell whether it was written by the same one. Baselines cost nothing and estimate no
-gain.
+A policy sees what is believed, what can be shot and which experiment it is, and answers with a
+:class:`Proposal`. All are frozen dataclasses, so a journal can tell whether it was written by the
+same one. Baselines cost nothing and estimate no gain.
 """
 
 from dataclasses import dataclass, field, replace
@@ -48,7 +49,8 @@ class Situation:
         space: designs that may be asked for.
         plan: how the experiment will be observed.
         seed: of the campaign.
-        pending: ``m x 2`` tensor of designs that were proposed before under the same belief and will be shot with this one.
+        pending: ``m x 2`` tensor of designs that were proposed before under the same belief and
+            will be shot with this one.
         prior: belief before the first experiment; None where it is not kept.
         batch: all experiments so far, cut to the window that is assimilated; None before the first.
 
@@ -79,8 +81,8 @@ class Proposal:
     Args:
         step: number of the experiment, from 1.
         design: ``2`` tensor, (We, R_inf*).
-        gain: expected information gain there, nats (posterior mean of the surrogate), beyond that of pending designs; None if
-            the policy estimates none.
+        gain: expected information gain there, nats (posterior mean of the surrogate), beyond that
+            of pending designs; None if the policy estimates none.
         gain_sd: its standard deviation.
         search: how it was found; None if it was not searched for, or was read back from a journal.
         reason: one sentence on what it is expected to tell, where the policy has one.
@@ -120,7 +122,8 @@ class DesignPolicy(Protocol):
         ...
 
     def rebuild(self, record: dict[str, Any], space: DesignSpace, seed: int) -> DesignSearch | None:
-        """The search behind a journal's ``ask`` (see :meth:`imr_torch.campaign.Campaign.search`); None if there was none.
+        """The search behind a journal's ``ask`` (see :meth:`imr_torch.campaign.Campaign.search`);
+        None if there was none.
 
         Args:
             record: the journal's entry.
@@ -150,7 +153,8 @@ class Optimal:
         common: whether all evaluations of a search share their draws.
         strategy: how the search chooses designs, and the last.
         plan: how the experiment will be observed, if not as the campaign says.
-        coarse: whether the search simulates as coarsely as :func:`imr_torch.simulate.coarser` says, or as the campaign does.
+        coarse: whether the search simulates as coarsely as :func:`imr_torch.simulate.coarser` says,
+            or as the campaign does.
 
     >>> from imr_torch import PolytropicSimulator, reference_case
     >>> from imr_torch.campaign import Optimal, Situation
@@ -174,7 +178,8 @@ class Optimal:
     def __post_init__(self) -> None:
         if not 2 <= self.initial <= self.evaluations:
             raise InputDataError(
-                f"Optimal has initial {self.initial} of {self.evaluations} evaluations; expected 2 <= initial <= evaluations."
+                f"Optimal has initial {self.initial} of {self.evaluations} evaluations; expected "
+                "2 <= initial <= evaluations."
             )
         if self.batch < 1:
             raise InputDataError(f"Optimal.batch is {self.batch}; expected at least 1.")
@@ -210,20 +215,33 @@ class Optimal:
         designs = torch.tensor([row.pop("design") for row in rows], dtype=torch.float64)
         gains = tuple(_gain(row) for row in rows)
         pending = _gain(record["pending"]) if record.get("pending") else None
-        settings = SearchSettings(child(seed, "design", record["step"]), self.initial, self.strategy, common=self.common)
+        settings = SearchSettings(
+            child(seed, "design", record["step"]), self.initial, self.strategy, common=self.common
+        )
         optimizer, _ = settings.optimizer(space, designs, gains, pending)
-        best = Recommendation(torch.tensor(record["design"], dtype=torch.float64), record["gain"], record["gain_sd"])
+        best = Recommendation(
+            torch.tensor(record["design"], dtype=torch.float64), record["gain"], record["gain_sd"]
+        )
         return DesignSearch(best, designs, gains, optimizer, pending)
 
 
 def _gain(row: dict[str, Any]) -> InformationGain:
     """The gain of a journal's entry."""
     influence = tuple((a, b) for a, b in row["influence"])
-    return replace(InformationGain(**{key: value for key, value in row.items() if key != "influence"}), influence=influence)
+    return replace(
+        InformationGain(**{key: value for key, value in row.items() if key != "influence"}),
+        influence=influence,
+    )
 
 
 PAPER_OPTIMAL = Optimal(
-    PublishedEstimator(500), 25, batch=1, common=False, strategy=STRATEGIES["paper"], plan=PAPER_PLAN, coarse=False
+    PublishedEstimator(500),
+    25,
+    batch=1,
+    common=False,
+    strategy=STRATEGIES["paper"],
+    plan=PAPER_PLAN,
+    coarse=False,
 )
 """The search of arXiv 2409.00011: 1000 draws of both models a design, 10 + 15 designs, the best observed wins."""
 
@@ -244,7 +262,8 @@ class Random(_WithoutSearch):
 
     def choose(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
         """See :class:`DesignPolicy`."""
-        space, source = situation.space, generator(child(situation.seed, "random design", situation.number))
+        space = situation.space
+        source = generator(child(situation.seed, "random design", situation.number))
         if space.choices is not None:
             row = torch.randint(len(space.choices), (1,), generator=source)
             return Proposal(situation.number, space.choices[row[0]])
@@ -270,7 +289,9 @@ class SpaceFilling(_WithoutSearch):
     def choose(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
         """See :class:`DesignPolicy`."""
         seed = child(situation.seed, "space-filling") % 2**31
-        points = draw_sobol_samples(situation.space.bounds, n=situation.number, q=1, seed=seed)[:, 0]
+        points = draw_sobol_samples(situation.space.bounds, n=situation.number, q=1, seed=seed)[
+            :, 0
+        ]
         return Proposal(situation.number, situation.space.settle(points)[-1])
 
 
@@ -305,7 +326,8 @@ class Fixed(_WithoutSearch):
         """
         if situation.number > len(self.designs):
             raise InputDataError(
-                f"The list holds {len(self.designs)} designs and number {situation.number} was asked for; "
+                f"The list holds {len(self.designs)} designs and number {situation.number} was "
+                "asked for; "
                 "ask for fewer experiments, or start a campaign with a longer list."
             )
         design = torch.tensor(self.designs[situation.number - 1], dtype=torch.float64)

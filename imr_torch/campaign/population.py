@@ -1,8 +1,10 @@
-"""Campaigns about the population that the gels of several shots are from: its median, and the scatter between shots.
+"""Campaigns about the population that the gels of several shots are from: its median, and the
+scatter between shots.
 
-:class:`PopulationLearner` fits every shot by itself and infers the population from all (:mod:`imr_torch.population`); the
-belief of the campaign is that of the population's median. :class:`LearnPopulation` shoots where one more shot tells most of
-median and scatter. Repeats within an experiment are taken to be of the same gel.
+:class:`PopulationLearner` fits every shot by itself and infers the population from all
+(:mod:`imr_torch.population`); the belief of the campaign is that of the population's median.
+:class:`LearnPopulation` shoots where one more shot tells most of median and scatter. Repeats within
+an experiment are taken to be of the same gel.
 """
 
 import hashlib
@@ -24,7 +26,15 @@ from imr_torch.design import DesignSearch, DesignSpace, PopulationInformation
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief, ModelBelief
 from imr_torch.observe import Experiment, ExperimentBatch, Noise
-from imr_torch.population import SCALE, GaussianShots, Population, ShotLikelihood, coordinate_units, fit_shots, infer_population
+from imr_torch.population import (
+    SCALE,
+    GaussianShots,
+    Population,
+    ShotLikelihood,
+    coordinate_units,
+    fit_shots,
+    infer_population,
+)
 from imr_torch.population.quadrature import cells
 from imr_torch.population.sampling import Problem, sample_population
 from imr_torch.random import child, generator
@@ -39,13 +49,14 @@ _MADE: dict[str, "_Learnt"] = {}
 
 @dataclass(frozen=True)
 class PopulationLearner:
-    """Fits every shot by itself, and infers the population that their gels are from; for one constitutive model.
+    """Fits every shot by itself, and infers the population that their gels are from; for one
+    constitutive model.
 
     Args:
         scale: of the half-normal prior of each scatter.
         samples: draws of the posterior of each shot.
-        noise_rounds: how often the noise is estimated from the residuals of all shots, as measured curves need; with 0 it is as
-            planned.
+        noise_rounds: how often the noise is estimated from the residuals of all shots, as measured
+            curves need; with 0 it is as planned.
 
     >>> from imr_torch.campaign import PopulationLearner
     >>> PopulationLearner(noise_rounds=1).scale
@@ -59,30 +70,46 @@ class PopulationLearner:
     def __post_init__(self) -> None:
         if self.noise_rounds < 0 or not 0.0 < self.scale < math.inf:
             raise InputDataError(
-                f"PopulationLearner has noise_rounds {self.noise_rounds} and scale {self.scale}; expected 0 rounds or more and "
+                f"PopulationLearner has noise_rounds {self.noise_rounds} and scale {self.scale}; "
+                "expected 0 rounds or more and "
                 "a positive scale."
             )
 
     def check(self, batch: ExperimentBatch) -> None:
         """Raise for shots of collapse times alone; see :class:`imr_torch.campaign.Learner`."""
         if len(batch.curves) < len(batch.experiments):
-            raise InputDataError("PopulationLearner learns from curves; leave shots of collapse times out.")
+            raise InputDataError(
+                "PopulationLearner learns from curves; leave shots of collapse times out."
+            )
 
-    def learn(self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None) -> Inference:
+    def learn(
+        self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None
+    ) -> Inference:
         """See :class:`imr_torch.campaign.Learner`.
 
         Raises:
             InputDataError: if the prior holds several models.
         """
-        found = self.infer(observations.prior, observations.batch, simulator, observations.seed, progress=progress)
+        found = self.infer(
+            observations.prior, observations.batch, simulator, observations.seed, progress=progress
+        )
         belief = Belief((found.median,), torch.zeros(1, dtype=torch.float64))
         population = None if found.population is None else _finite(found.population.to_dict())
-        return Inference(belief, noise=found.noise if self.noise_rounds else None, population=population)
+        return Inference(
+            belief, noise=found.noise if self.noise_rounds else None, population=population
+        )
 
     def infer(
-        self, prior: Belief, batch: ExperimentBatch, simulator: Simulator, seed: int, *, progress: Progress | None = None
+        self,
+        prior: Belief,
+        batch: ExperimentBatch,
+        simulator: Simulator,
+        seed: int,
+        *,
+        progress: Progress | None = None,
     ) -> "_Learnt":
-        """The population after all shots; not inferred again if it is the last that this process inferred.
+        """The population after all shots; not inferred again if it is the last that this process
+        inferred.
 
         Args:
             prior: of the one model.
@@ -109,10 +136,18 @@ class PopulationLearner:
                 progress=progress,
             )
             noise = fits[0].batch.noise
-            shots = tuple(ShotLikelihood.of(fit.batch.experiments[0].label, fit.fits[0]) for fit in fits)
-            population = infer_population(fits, scale=self.scale, seed=own) if len(fits) > 1 else None
+            shots = tuple(
+                ShotLikelihood.of(fit.batch.experiments[0].label, fit.fits[0]) for fit in fits
+            )
+            population = (
+                infer_population(fits, scale=self.scale, seed=own) if len(fits) > 1 else None
+            )
             drawn = (
-                sample_population(Problem(shots, part, self.scales(part)), _DRAWS, generator(child(own, "first shot")))
+                sample_population(
+                    Problem(shots, part, self.scales(part)),
+                    _DRAWS,
+                    generator(child(own, "first shot")),
+                )
                 if population is None
                 else population.found
             )
@@ -124,7 +159,10 @@ class PopulationLearner:
         return _MADE[key]
 
     def scales(self, prior: ModelBelief) -> Float[Tensor, "controls"]:
-        """``d`` tensor, scale of the prior of each control's scatter; 0 for what is inferred of the medium."""
+        """``d`` tensor, scale of the prior of each control's scatter.
+
+        0 for what is inferred of the medium.
+        """
         varying = torch.tensor([name in prior.of_gel for name in prior.names])
         return torch.where(varying, self.scale / coordinate_units(prior), 0.0)
 
@@ -148,7 +186,8 @@ class _Learnt:
 
 @dataclass(frozen=True)
 class LearnPopulation:
-    """Shoots where one more shot, of a gel of its own, tells most of the population's median and scatter.
+    """Shoots where one more shot, of a gel of its own, tells most of the population's median and
+    scatter.
 
     Args:
         learner: infers the population; that of the campaign.
@@ -172,11 +211,18 @@ class LearnPopulation:
         shots: tuple[ShotLikelihood, ...] = ()
         if situation.batch is not None and situation.prior is not None:
             shots = self.learner.infer(
-                situation.prior, situation.batch, situation.simulator, situation.seed, progress=progress
+                situation.prior,
+                situation.batch,
+                situation.simulator,
+                situation.seed,
+                progress=progress,
             ).shots
         estimator = information_about(shots, prior, self.learner.scales(prior))
         found = replace(self.search, estimator=estimator).choose(situation, progress=progress)
-        reason = f"A shot that showed its gel without error would tell {estimator.limit():.2f} nats of median and scatter."
+        reason = (
+            f"A shot that showed its gel without error would tell {estimator.limit():.2f} nats of "
+            "median and scatter."
+        )
         return replace(found, reason=reason)
 
     def rebuild(self, record: dict[str, Any], space: DesignSpace, seed: int) -> DesignSearch | None:
@@ -187,37 +233,50 @@ class LearnPopulation:
 def information_about(
     shots: tuple[ShotLikelihood, ...], prior: ModelBelief, scales: Float[Tensor, "controls"]
 ) -> PopulationInformation:
-    """The information about a population after some shots, by the Gaussian parts of their likelihoods.
+    """The information about a population after some shots, by the Gaussian parts of their
+    likelihoods.
 
     Args:
         shots: none before the first.
         prior: of the population's median.
         scales: ``d`` tensor, of the half-normal prior of each control's scatter.
     """
-    gaussian, precision = _gaussian(shots, len(prior.names)), torch.cholesky_inverse(prior.chol)
+    gaussian = _gaussian(shots, len(prior.names))
+    precision = torch.cholesky_inverse(prior.chol)
     grid = cells(gaussian, prior, scales)
     levels = (torch.arange(_SCATTERS, dtype=torch.float64) + 0.5) / _SCATTERS
-    scatter = grid.middle[torch.searchsorted(grid.weights.cumsum(0), levels).clamp_max(len(grid.middle) - 1)]
+    scatter = grid.middle[
+        torch.searchsorted(grid.weights.cumsum(0), levels).clamp_max(len(grid.middle) - 1)
+    ]
     given = gaussian.given(scatter, prior.mean, precision)
-    return PopulationInformation(scatter, given.centre, torch.linalg.cholesky(torch.cholesky_inverse(given.chol)))
+    return PopulationInformation(
+        scatter, given.centre, torch.linalg.cholesky(torch.cholesky_inverse(given.chol))
+    )
 
 
 def _gaussian(shots: tuple[ShotLikelihood, ...], size: int) -> GaussianShots:
     """The quadratic parts of the likelihoods; those of no shot before the first."""
     return GaussianShots(
-        torch.stack([shot.precision for shot in shots]) if shots else torch.zeros(0, size, size, dtype=torch.float64),
-        torch.stack([shot.linear for shot in shots]) if shots else torch.zeros(0, size, dtype=torch.float64),
+        torch.stack([shot.precision for shot in shots])
+        if shots
+        else torch.zeros(0, size, size, dtype=torch.float64),
+        torch.stack([shot.linear for shot in shots])
+        if shots
+        else torch.zeros(0, size, dtype=torch.float64),
         torch.tensor([shot.constant for shot in shots], dtype=torch.float64),
     )
 
 
 def _named_apart(experiments: Sequence[Experiment]) -> list[Experiment]:
     """Shots with labels that differ."""
-    seen, named = Counter[str](), []
+    seen = Counter[str]()
+    named = []
     for experiment in experiments:
         seen[experiment.label] += 1
         count = seen[experiment.label]
-        named.append(experiment if count == 1 else replace(experiment, label=f"{experiment.label} ({count})"))
+        named.append(
+            experiment if count == 1 else replace(experiment, label=f"{experiment.label} ({count})")
+        )
     return named
 
 
@@ -234,7 +293,9 @@ def _only(prior: Belief) -> ModelBelief:
 def _key(prior: Belief, batch: ExperimentBatch, *rest: object) -> str:
     """All that an inference depends on, as one hash."""
     curves = [(curve_hash(e), e.label, e.design, e.nuisance) for e in batch.curves]
-    return hashlib.sha256(json.dumps([prior.to_dict(), curves, vars(batch.noise), rest], default=repr).encode()).hexdigest()
+    return hashlib.sha256(
+        json.dumps([prior.to_dict(), curves, vars(batch.noise), rest], default=repr).encode()
+    ).hexdigest()
 
 
 def _finite(value: Any) -> Any:

@@ -38,7 +38,9 @@ class CampaignSettings:
 
     @classmethod
     def paper(cls) -> "CampaignSettings":
-        """Everything as in arXiv 2409.00011, defects included: its search, assimilation and model probability."""
+        """Everything as in arXiv 2409.00011, defects included: its search, assimilation and model
+        probability.
+        """
         return cls(policy=PAPER_OPTIMAL, learner=PaperLearner())
 
     def to_dict(self) -> dict[str, Any]:
@@ -47,7 +49,10 @@ class CampaignSettings:
 
 
 def _described(value: Any) -> Any:
-    """A dataclass and what it is made of as JSON-ready values; fields that make no two of them differ are left out."""
+    """A dataclass and what it is made of as JSON-ready values.
+
+    Fields that make no two of them differ are left out.
+    """
     if is_dataclass(value):
         own = {f.name: _described(getattr(value, f.name)) for f in fields(value) if f.compare}
         return {"kind": type(value).__name__} | own
@@ -63,6 +68,7 @@ def through_json(document: dict[str, Any]) -> dict[str, Any]:
             json.dumps(part, allow_nan=False)
         except (ValueError, TypeError) as error:
             raise InputDataError(
-                f"Campaign: {name} cannot be written to a journal ({error}); give finite numbers, text, or dataclasses of them."
+                f"Campaign: {name} cannot be written to a journal ({error}); give finite numbers, "
+                "text, or dataclasses of them."
             ) from None
     return json.loads(json.dumps(document))

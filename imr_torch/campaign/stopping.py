@@ -1,11 +1,13 @@
 """Rules that end a campaign, alone or combined; each gives its reason.
 
-A rule looks at what is believed and what was done, and answers with a reason or with None. ``AnyOf`` and ``AllOf`` combine
-rules; a rule about the gain of the next experiment gives none while that gain has not been estimated.
+A rule looks at what is believed and what was done, and answers with a reason or with None.
+``AnyOf`` and ``AllOf`` combine rules; a rule about the gain of the next experiment gives none while
+that gain has not been estimated.
 
-An experiment that was forgotten counts as spent and not as data: ``Budget`` charges it, ``Designs`` and all rules about the
-belief do not see it. A curve that was forgotten and told again unchanged is one shot, charged once; a corrected curve is
-charged again, since nothing says that it is of the same shot.
+An experiment that was forgotten counts as spent and not as data: ``Budget`` charges it, ``Designs``
+    and all rules about the
+belief do not see it. A curve that was forgotten and told again unchanged is one shot, charged once;
+a corrected curve is charged again, since nothing says that it is of the same shot.
 """
 
 import math
@@ -25,7 +27,8 @@ class CampaignState:
     Args:
         belief: the present belief.
         experiments: those that count as data.
-        gain: expected information gain of the experiment that is proposed, nats; None when not known.
+        gain: expected information gain of the experiment that is proposed, nats; None when not
+            known.
         forgotten: those that were shot and do not count as data any more.
         finding: of the last diagnosis; None in a campaign that makes none.
 
@@ -89,7 +92,8 @@ class RelativeSd:
     """Stop when every parameter of the most probable model is known well enough.
 
     Args:
-        below: posterior standard deviation over posterior mean; a parameter of mean 0 is never known so well.
+        below: posterior standard deviation over posterior mean; a parameter of mean 0 is never
+            known so well.
 
     >>> from imr_torch import wide_prior
     >>> from imr_torch.campaign import RelativeSd, CampaignState
@@ -101,15 +105,21 @@ class RelativeSd:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.below < math.inf:
-            raise InputDataError(f"RelativeSd.below is {self.below}; expected a positive number, such as 0.01.")
+            raise InputDataError(
+                f"RelativeSd.below is {self.below}; expected a positive number, such as 0.01."
+            )
 
     def reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
         best = state.belief.best
-        means, sds = best.means.tolist(), best.sds.tolist()
+        means = best.means.tolist()
+        sds = best.sds.tolist()
         if not all(sd < self.below * abs(mean) for mean, sd in zip(means, sds, strict=True)):
             return None
-        return f"every parameter of {best.model} is known within {100 * self.below:g} % (one standard deviation)"
+        return (
+            f"every parameter of {best.model} is known within {100 * self.below:g} % (one "
+            "standard deviation)"
+        )
 
 
 @dataclass(frozen=True)
@@ -129,7 +139,9 @@ class ModelProbability:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.above < 1.0:
-            raise InputDataError(f"ModelProbability.above is {self.above}; expected a probability between 0 and 1.")
+            raise InputDataError(
+                f"ModelProbability.above is {self.above}; expected a probability between 0 and 1."
+            )
 
     def reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
@@ -140,7 +152,8 @@ class ModelProbability:
 
 @dataclass(frozen=True)
 class CauseProbability:
-    """Stop when one cause of the gap is probable enough: an effect, an unknown one, or that nothing is missing.
+    """Stop when one cause of the gap is probable enough: an effect, an unknown one, or that nothing
+    is missing.
 
     Args:
         above: its posterior probability, in a campaign that looks for the cause of a gap.
@@ -156,7 +169,9 @@ class CauseProbability:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.above < 1.0:
-            raise InputDataError(f"CauseProbability.above is {self.above}; expected a probability between 0 and 1.")
+            raise InputDataError(
+                f"CauseProbability.above is {self.above}; expected a probability between 0 and 1."
+            )
 
     def reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
@@ -165,8 +180,14 @@ class CauseProbability:
             return None
         if found.probabilities[found.leader] <= self.above:
             return None
-        names = {"none": "that nothing is missing from the base model", "other": "an effect that is not in the library"}
-        return f"{names.get(found.leader, f'the cause {found.leader}')} has a probability above {self.above:g}"
+        names = {
+            "none": "that nothing is missing from the base model",
+            "other": "an effect that is not in the library",
+        }
+        return (
+            f"{names.get(found.leader, f'the cause {found.leader}')} has a probability above "
+            f"{self.above:g}"
+        )
 
 
 @dataclass(frozen=True)
@@ -186,7 +207,9 @@ class GainBelow:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.nats < math.inf:
-            raise InputDataError(f"GainBelow.nats is {self.nats}; expected a positive number of nats.")
+            raise InputDataError(
+                f"GainBelow.nats is {self.nats}; expected a positive number of nats."
+            )
 
     def reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
@@ -222,14 +245,16 @@ class Budget:
         costs = (self.total, self.per_design, self.per_curve)
         if not all(0.0 <= c < math.inf for c in costs) or self.per_design + self.per_curve <= 0.0:
             raise InputDataError(
-                f"Budget has total {self.total}, per_design {self.per_design} and per_curve {self.per_curve}; "
+                f"Budget has total {self.total}, per_design {self.per_design} and per_curve "
+                f"{self.per_curve}; "
                 "expected finite numbers >= 0, and a cost of something."
             )
 
     def reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
         costs, lost = (
-            [self.per_design + self.per_curve * e.repeats for e in group] for group in (state.experiments, state.forgotten)
+            [self.per_design + self.per_curve * e.repeats for e in group]
+            for group in (state.experiments, state.forgotten)
         )
         following = [*lost, *costs][-1] if costs or lost else self.per_design + self.per_curve
         spent = sum(costs) + sum(lost)
@@ -257,7 +282,9 @@ class AnyOf:
 
     def reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
-        return next((reason for rule in self.rules if (reason := rule.reason(state)) is not None), None)
+        return next(
+            (reason for rule in self.rules if (reason := rule.reason(state)) is not None), None
+        )
 
 
 @dataclass(frozen=True)
@@ -278,7 +305,9 @@ class AllOf:
 
     def __post_init__(self) -> None:
         if not self.rules:
-            raise InputDataError("AllOf.rules is empty; it would stop at once. Give at least one rule.")
+            raise InputDataError(
+                "AllOf.rules is empty; it would stop at once. Give at least one rule."
+            )
 
     def reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
@@ -297,10 +326,11 @@ _RULES = {
 
 
 def stopping_rule(*texts: str) -> StoppingRule | None:
-    """Rules as they are written on the command line: any of ``texts`` ends a campaign, each of which may ask for several.
+    """Rules as they are written on the command line: any of ``texts`` ends a campaign, each of
+    which may ask for several.
 
-    ``stopping_rule("sd=0.01,probability=0.99", "designs=5")`` stops after five designs, or once parameters *and* model are
-    known. ``budget=TOTAL`` or ``budget=TOTAL:PER_DESIGN:PER_CURVE``.
+    ``stopping_rule("sd=0.01,probability=0.99", "designs=5")`` stops after five designs, or once
+    parameters *and* model are known. ``budget=TOTAL`` or ``budget=TOTAL:PER_DESIGN:PER_CURVE``.
 
     Returns:
         The rule, or None without texts.
@@ -310,7 +340,8 @@ def stopping_rule(*texts: str) -> StoppingRule | None:
 
     >>> from imr_torch.campaign import stopping_rule
     >>> stopping_rule("sd=0.01,probability=0.99", "designs=5")
-    AnyOf(rules=(AllOf(rules=(RelativeSd(below=0.01), ModelProbability(above=0.99))), Designs(count=5)))
+    AnyOf(rules=(AllOf(rules=(RelativeSd(below=0.01), ModelProbability(above=0.99))),
+    Designs(count=5)))
     """
     rules = [_all_of(text) for text in texts]
     return (rules[0] if len(rules) == 1 else AnyOf(tuple(rules))) if rules else None
@@ -324,11 +355,16 @@ def _all_of(text: str) -> StoppingRule:
 def _one(text: str) -> StoppingRule:
     name, _, values = text.partition("=")
     try:
-        rule, numbers = _RULES[name], [int(v) if name == "designs" else float(v) for v in values.split(":")]
+        rule = _RULES[name]
+        numbers = [int(v) if name == "designs" else float(v) for v in values.split(":")]
     except (KeyError, ValueError):
-        rule, numbers = None, []
+        rule = None
+        numbers = []
     if rule is None or len(numbers) > (3 if name == "budget" else 1):
-        raise InputDataError(f"{text!r} is not a stopping rule; expected NAME=NUMBER with NAME of {', '.join(_RULES)}.")
+        raise InputDataError(
+            f"{text!r} is not a stopping rule; expected NAME=NUMBER with NAME of "
+            f"{', '.join(_RULES)}."
+        )
     try:
         return rule(*numbers)
     except InputDataError as error:

@@ -1,8 +1,8 @@
 """Many campaigns on one gel, a seed each, over any ``concurrent.futures.Executor`` of processes.
 
-What a seed draws (designs, noise, ensembles) depends on the seed alone and every campaign runs on one thread, so results
-are the same at any number of workers. Each has a folder and journal of its own: a study that was cut off, or is to have more
-designs or seeds, is run again and continues.
+What a seed draws (designs, noise, ensembles) depends on the seed alone and every campaign runs on
+one thread, so results are the same at any number of workers. Each has a folder and journal of its
+own: a study that was cut off, or is to have more designs or seeds, is run again and continues.
 """
 
 import os
@@ -63,7 +63,9 @@ class Study:
     def open(self, seed: int) -> Campaign:
         """The campaign of a seed, as far as it has come."""
         folder = Path(self.folder) / f"seed_{seed:04d}"
-        return Campaign(folder, self.prior, self.simulator, settings=self.settings, seed=seed, note=self.note)
+        return Campaign(
+            folder, self.prior, self.simulator, settings=self.settings, seed=seed, note=self.note
+        )
 
     def run(self, seed: int, designs: int) -> Campaign:
         """Continue the campaign of a seed until it has ``designs`` experiments or its rule ends it.
@@ -90,7 +92,8 @@ class Outcome:
         designs: experiments told so far.
         made: of which in this run.
         cpu_seconds: CPU time that this run took; 0 when not known.
-        error: why it went no further, if it was not meant to stop there; run the study again to continue.
+        error: why it went no further, if it was not meant to stop there; run the study again to
+            continue.
 
     >>> from imr_torch.campaign import Outcome
     >>> Outcome(seed=3, designs=2, made=1).error is None
@@ -120,12 +123,13 @@ def run_campaigns(
         seeds: all different.
         study: what they have in common.
         designs: experiments each is to have in all.
-        executor: processes (:func:`imr_torch.simulate.process_pool`, Dask, MPI); this process when None. Threads are refused:
-            BoTorch seeds a generator that all of them share.
+        executor: processes (:func:`imr_torch.simulate.process_pool`, Dask, MPI); this process when
+            None. Threads are refused: BoTorch seeds a generator that all of them share.
         progress: called with a line per seed.
 
     Returns:
-        An outcome per seed, in their order. The campaigns are in their folders: ``study.open(seed)``.
+        An outcome per seed, in their order. The campaigns are in their folders:
+            ``study.open(seed)``.
 
     Raises:
         InputDataError: if a folder holds the journal of another campaign.
@@ -155,7 +159,9 @@ def run_campaigns(
     return tuple(found[seed] for seed in seeds)
 
 
-def _outcomes(seeds: Sequence[int], study: Study, designs: int, executor: Executor | None) -> Iterator[Outcome]:
+def _outcomes(
+    seeds: Sequence[int], study: Study, designs: int, executor: Executor | None
+) -> Iterator[Outcome]:
     """Run each seed in a task of its own; outcomes as they come."""
     home = os.getpid()
     if executor is None:
@@ -169,14 +175,20 @@ def _outcomes(seeds: Sequence[int], study: Study, designs: int, executor: Execut
             raise
         except Exception as error:  # the worker died, or could not read its task
             seed = futures[future]
-            yield Outcome(seed, len(study.open(seed).experiments), error=f"{type(error).__name__}: {error}")
+            yield Outcome(
+                seed, len(study.open(seed).experiments), error=f"{type(error).__name__}: {error}"
+            )
 
 
 def _attempt(study: Study, seed: int, designs: int, home: int) -> Outcome:
     """One seed in a worker."""
     if os.getpid() == home and threading.current_thread() is not threading.main_thread():
-        raise UnsupportedError("run_campaigns was given threads, which share BoTorch's generator; give it processes.")
-    before, started, error = len(study.open(seed).experiments), time.process_time(), None
+        raise UnsupportedError(
+            "run_campaigns was given threads, which share BoTorch's generator; give it processes."
+        )
+    before = len(study.open(seed).experiments)
+    started = time.process_time()
+    error = None
     with one_torch_thread():
         try:
             study.run(seed, designs)

@@ -1,7 +1,9 @@
-"""From measured R(t) curves of one gel to its parameters and the probability of each constitutive model.
+"""From measured R(t) curves of one gel to its parameters and the probability of each constitutive
+model.
 
-All curves are fitted together, each with its own Rmax, time zero and R_inf as nuisances (:func:`characterize`); the result
-(:class:`Characterization`) becomes a report, a JSON document or a table.
+All curves are fitted together, each with its own Rmax, time zero and R_inf as nuisances
+(:func:`characterize`); the result (:class:`Characterization`) becomes a report, a JSON document or
+a table.
 """
 
 from imr_torch.characterization.bands import LEVELS, intervals, predictive_band

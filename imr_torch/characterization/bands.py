@@ -34,7 +34,8 @@ def predictive_band(
     seed: int = 0,
     times: Tensor | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Posterior predictive quantiles (5, 50, 95 %) of single frames, over gel and noise: three ``E x T`` tensors, R/Rmax.
+    """Posterior predictive quantiles (5, 50, 95 %) of single frames, over gel and noise: three ``E
+    x T`` tensors, R/Rmax.
 
     Args:
         result: the fits, for the data and the nuisances.
@@ -59,19 +60,24 @@ def predictive_band(
     >>> bool((low < middle).all()), bool((middle < high).all())
     (True, True)
     """
-    fit, batch = result[model], result.batch
+    fit = result[model]
+    batch = result.batch
     part = posterior[model]
     controls = part.controls(draws, seed=seed)
     shifts = (fit.nuisances * batch.nuisance_sds).expand(draws, -1, -1)
     times = batch.times if times is None else times
     prediction = predict(simulator, part.parameters(controls), batch, shifts, times=times)
     # noise at its quantiles, not at random numbers, so that the band is smooth
-    noise = torch.special.ndtri((torch.arange(_NOISE_LEVELS, dtype=torch.float64) + 0.5) / _NOISE_LEVELS)
+    noise = torch.special.ndtri(
+        (torch.arange(_NOISE_LEVELS, dtype=torch.float64) + 0.5) / _NOISE_LEVELS
+    )
     laws = None if fit.sample is None else fit.sample.noise_laws(draws)
     if laws is None:
         sd = batch.noise.of_frames.sd(prediction, times)
     else:  # each draw with a noise law of its own
-        sd = torch.stack([law.of_frames.sd(curves, times) for law, curves in zip(laws, prediction, strict=True)])
+        sd = torch.stack(
+            [law.of_frames.sd(curves, times) for law, curves in zip(laws, prediction, strict=True)]
+        )
     levels = torch.tensor(LEVELS, dtype=prediction.dtype)
     rows = []
     for e in range(prediction.shape[1]):

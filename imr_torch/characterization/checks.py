@@ -1,4 +1,6 @@
-"""What is refused before a characterisation begins: too few data for what is asked, and unknown choices."""
+"""What is refused before a characterisation begins: too few data for what is asked, and unknown
+choices.
+"""
 
 import math
 from collections.abc import Sequence
@@ -10,23 +12,35 @@ from imr_torch.observe import CollapseShot, TraceSet
 from imr_torch.population import MOST, SCALE
 
 
-def check_data(traces: TraceSet, shots: Sequence[CollapseShot], *, scores: bool, population: bool) -> None:
+def check_data(
+    traces: TraceSet, shots: Sequence[CollapseShot], *, scores: bool, population: bool
+) -> None:
     """Raise unless there are as many data, and of the kind, that what is asked for needs."""
     if len(traces) == 0 and not shots:
         raise InputDataError("No curve or collapse time to characterise; load at least one.")
     if shots and (scores or population):
         asked = "Scores hold curves out" if scores else "A population is inferred from curves"
-        raise InputDataError(f"{asked}, and {len(shots)} shot(s) of collapse times are given; leave one of the two out.")
+        raise InputDataError(
+            f"{asked}, and {len(shots)} shot(s) of collapse times are given; leave one of the two "
+            "out."
+        )
     if scores and len(traces) == 1:
-        raise InputDataError("Scores hold curves out, and there is 1; give at least two, or ask for no scores.")
+        raise InputDataError(
+            "Scores hold curves out, and there is 1; give at least two, or ask for no scores."
+        )
     if population and len(traces) == 1:
-        raise InputDataError("A population needs several shots, and there is 1 curve; give at least two, or ask for none.")
+        raise InputDataError(
+            "A population needs several shots, and there is 1 curve; give at least two, or ask "
+            "for none."
+        )
 
 
 def check_choices(*, effort: str, frames: str, scatter_scale: float) -> None:
     """Raise unless each choice is a known one."""
     if not 0.0 < scatter_scale < math.inf:
-        raise InputDataError(f"scatter_scale is {scatter_scale}; expected a positive number, for example {SCALE:g}.")
+        raise InputDataError(
+            f"scatter_scale is {scatter_scale}; expected a positive number, for example {SCALE:g}."
+        )
     if effort not in EFFORTS:
         raise InputDataError(f"effort is {effort!r}; expected one of {', '.join(EFFORTS)}.")
     if frames not in FRAMES:
@@ -38,7 +52,8 @@ def check_population(prior: Belief) -> None:
     large = next((part for part in prior.models if len(part.of_gel) > MOST), None)
     if large is not None:
         raise InputDataError(
-            f"{large.model} has {len(large.of_gel)} parameters of the gel, and at most {MOST} can differ between shots; leave "
+            f"{large.model} has {len(large.of_gel)} parameters of the gel, and at most {MOST} can "
+            "differ between shots; leave "
             "the model out, or give some of them as known."
         )
 
@@ -47,6 +62,7 @@ def check_profile(prior: Belief) -> None:
     """Raise unless some model has two free parameters, since with one the posterior is the profile."""
     if all(len(part.names) == 1 for part in prior.models):
         raise InputDataError(
-            f"A profile likelihood needs a model with two free parameters or more, and {', '.join(prior.keys)} has one, whose "
+            "A profile likelihood needs a model with two free parameters or more, and "
+            f"{', '.join(prior.keys)} has one, whose "
             "posterior says the same; ask for no profile, or for a model with more."
         )

@@ -1,4 +1,6 @@
-"""Shots of which the collapse time alone is known, measured and predicted, and patterns in their residuals."""
+"""Shots of which the collapse time alone is known, measured and predicted, and patterns in their
+residuals.
+"""
 
 from collections.abc import Mapping, Sequence
 
@@ -13,8 +15,12 @@ _FEWEST_SHOTS = 12  # from which on a pattern of residuals is looked for
 _PATTERN = 2.6  # standard deviations; one such set in 200 by chance
 
 
-def collapse_rows(fit: ModelFit, batch: ExperimentBatch, surroundings: Surroundings) -> list[dict[str, object]]:
-    """Each shot of which the collapse time alone is known: measured and, by a fit, predicted, over t*."""
+def collapse_rows(
+    fit: ModelFit, batch: ExperimentBatch, surroundings: Surroundings
+) -> list[dict[str, object]]:
+    """Each shot of which the collapse time alone is known: measured and, by a fit, predicted, over
+    t*.
+    """
     return [
         {
             "id": e.label,
@@ -32,7 +38,8 @@ def collapse_rows(fit: ModelFit, batch: ExperimentBatch, surroundings: Surroundi
 
 
 def patterns(shots: Sequence[Mapping[str, object]]) -> list[str]:
-    """Where residuals of collapse times follow the size or the stretch of a bubble: they are no independent errors.
+    """Where residuals of collapse times follow the size or the stretch of a bubble: they are no
+    independent errors.
 
     Args:
         shots: from :func:`collapse_rows`.
@@ -40,14 +47,18 @@ def patterns(shots: Sequence[Mapping[str, object]]) -> list[str]:
     said = []
     if len(shots) < _FEWEST_SHOTS:
         return []
-    left = torch.tensor([float(str(x["t_star"])) - float(str(x["predicted"])) for x in shots], dtype=torch.float64)
+    left = torch.tensor(
+        [float(str(x["t_star"])) - float(str(x["predicted"])) for x in shots], dtype=torch.float64
+    )
     for key, words in (("Rmax_m", "maximum radius"), ("R_inf*", "stretch")):
         order = torch.tensor([float(str(x[key])) for x in shots], dtype=torch.float64)
         found = serial_correlation(left, order)
         if found > _PATTERN:
             said.append(
-                f"Residuals of the collapse times are correlated in the order of {words} ({found:.1f} standard "
-                "deviations): they are no independent errors, intervals are too narrow, and the model or a calibration "
+                f"Residuals of the collapse times are correlated in the order of {words} "
+                f"({found:.1f} standard "
+                "deviations): they are no independent errors, intervals are too narrow, and the "
+                "model or a calibration "
                 "misses something."
             )
     return said

@@ -1,7 +1,9 @@
-"""Inference of the parameters of one gel and of the probability of each constitutive model from measured R(t) curves.
+"""Inference of the parameters of one gel and of the probability of each constitutive model from
+measured R(t) curves.
 
-The noise is first the published law; then that of single frames is inferred beside any smooth misfit of the best model,
-enlarged for what its residuals have in common, and the fit repeated. Posterior and evidence integrate over the noise.
+The noise is first the published law; then that of single frames is inferred beside any smooth
+misfit of the best model, enlarged for what its residuals have in common, and the fit repeated.
+Posterior and evidence integrate over the noise.
 """
 
 import time
@@ -24,7 +26,12 @@ from imr_torch.assimilate import (
     noise_nodes,
     weigh,
 )
-from imr_torch.characterization.checks import check_choices, check_data, check_population, check_profile
+from imr_torch.characterization.checks import (
+    check_choices,
+    check_data,
+    check_population,
+    check_profile,
+)
 from imr_torch.characterization.effort import EFFORTS
 from imr_torch.characterization.medium import medium_of
 from imr_torch.characterization.profiles import profiles_of
@@ -46,7 +53,14 @@ from imr_torch.observe import (
 from imr_torch.observe.frames import frame_use
 from imr_torch.population import SCALE, Population, fit_shots, infer_population
 from imr_torch.random import child
-from imr_torch.select import Evidence, PredictiveScore, cross_validate, evidences, sum_over_folds, update
+from imr_torch.select import (
+    Evidence,
+    PredictiveScore,
+    cross_validate,
+    evidences,
+    sum_over_folds,
+    update,
+)
 from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
 from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
@@ -84,37 +98,45 @@ def characterize(
         prior: what is believed before; the wide prior when not given.
         simulator: makes the bubbles; with heat and vapour transport by default.
         noise: law of the observation noise; the published one by default.
-        estimate_noise: whether it is inferred (:func:`imr_torch.assimilate.infer_frame_noise`) and integrated over; not where
-            fewer than ten degrees of freedom are left.
+        estimate_noise: whether it is inferred (:func:`imr_torch.assimilate.infer_frame_noise`) and
+            integrated over; not where fewer than ten degrees of freedom are left.
         collapses: collapses that the fitted window holds.
         rest_radius: assumed R_inf/Rmax and its standard deviation, for records that do not hold it.
-        options: how gels are fitted, and by which method: :class:`imr_torch.assimilate.SearchOptions` or
+        options: how gels are fitted, and by which method:
+            :class:`imr_torch.assimilate.SearchOptions` or
             :class:`imr_torch.assimilate.En4DVarOptions`.
-        scores: whether the prediction of held-out curves is scored too (each alone up to five, more in four parts), with the
-            noise that was estimated from all.
-        check: whether to test if the most probable model explains the curves (:func:`imr_torch.gap.check_fit`).
-        effort: how far draws are weighted where they do not settle the intervals: ``"normal"`` or ``"thorough"``, see
-            ``EFFORTS``.
-        medium: density, sound speed, surface tension, temperature and ambient pressure of the gel, for example
-            ``"water,temperature=310,density=1125:11"`` (:mod:`imr_torch.observe.medium`); it counts before what the files
-            state, and that before the simulator's surroundings. What has a standard deviation is inferred with the gel.
-        shots: shots of which the collapse time alone is known (:func:`imr_torch.observe.load_collapse_times`), beside curves or
-            alone. With ``estimate_noise`` a further error of their times is estimated from their scatter about the fit; that
-            and, beside such shots, the noise of the curves are plugged in and not integrated over.
-        frames: ``"all"`` are fitted, and single ones that look bad are named; with ``"robust"`` these are left out and the
-            fit repeated until none is named, three times at most; those next to a
-            collapse and runs of three or more stay in, since they are more likely a misfit.
-        population: whether each curve is also fitted by itself, under the most probable model, and how much the gel differs
-            between them is inferred (:mod:`imr_torch.population`).
+        scores: whether the prediction of held-out curves is scored too (each alone up to five, more
+            in four parts), with the noise that was estimated from all.
+        check: whether to test if the most probable model explains the curves
+            (:func:`imr_torch.gap.check_fit`).
+        effort: how far draws are weighted where they do not settle the intervals: ``"normal"`` or
+            ``"thorough"``, see ``EFFORTS``.
+        medium: density, sound speed, surface tension, temperature and ambient pressure of the gel,
+            for example ``"water,temperature=310,density=1125:11"``
+            (:mod:`imr_torch.observe.medium`); it counts before what the files state, and that
+            before the simulator's surroundings. What has a standard deviation is inferred with the
+            gel.
+        shots: shots of which the collapse time alone is known
+            (:func:`imr_torch.observe.load_collapse_times`), beside curves or alone. With
+            ``estimate_noise`` a further error of their times is estimated from their scatter about
+            the fit; that and, beside such shots, the noise of the curves are plugged in and not
+            integrated over.
+        frames: ``"all"`` are fitted, and single ones that look bad are named; with ``"robust"``
+            these are left out and the fit repeated until none is named, three times at most; those
+            next to a collapse and runs of three or more stay in, since they are more likely a
+            misfit.
+        population: whether each curve is also fitted by itself, under the most probable model, and
+            how much the gel differs between them is inferred (:mod:`imr_torch.population`).
         scatter_scale: of the half-normal prior of the scatters between curves.
-        profile: whether the profile likelihood of each parameter is made too (:func:`imr_torch.assimilate.profile`), for models
-            with .05 of the probability or more: it says whether the data bound a parameter at all.
+        profile: whether the profile likelihood of each parameter is made too
+            (:func:`imr_torch.assimilate.profile`), for models with .05 of the probability or more:
+            it says whether the data bound a parameter at all.
         seed: of everything random.
         progress: called with one line per step.
 
     Raises:
-        InputDataError: as in :func:`imr_torch.observe.prepare`, without a trace, for scores or a population of only one, or for
-            profiles of models with one parameter.
+        InputDataError: as in :func:`imr_torch.observe.prepare`, without a trace, for scores or a
+            population of only one, or for profiles of models with one parameter.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, characterize, wide_prior
@@ -139,12 +161,14 @@ def characterize(
     started = time.process_time()
     check_data(traces, shots, scores=scores, population=population)
     check_choices(effort=effort, frames=frames, scatter_scale=scatter_scale)
-    prior, noise = prior or wide_prior(), noise or Noise()
+    prior = prior or wide_prior()
+    noise = noise or Noise()
     if population:
         check_population(prior)
     simulator = simulator or TransportSimulator(accuracy=ACCURACIES["search"])
     medium = medium_of(traces, medium, simulator.conditions.surroundings, shots)
-    simulator, prior = medium.applied(simulator), medium.believed(prior)
+    simulator = medium.applied(simulator)
+    prior = medium.believed(prior)
     if profile:
         check_profile(prior)
     surroundings = simulator.conditions.surroundings
@@ -162,25 +186,52 @@ def characterize(
         drop_behind,
         progress,
     )
-    found, bad, left_out = method.fitted(data, None, seed), None, ()
+    found = method.fitted(data, None, seed)
+    bad = None
+    left_out = ()
     if len(traces) and (check or frames == "robust"):
         bad = method.bad_frames(found)
         if frames == "robust":
-            found, bad, left_out = _without_bad_frames(method, found, bad, prepared.experiments, seed)
-    weighted, evidence, posterior = found.assimilation, found.evidence, found.posterior
-    prepared = replace(prepared, experiments=tuple(e for e in weighted.batch.experiments if isinstance(e, Experiment)))
+            found, bad, left_out = _without_bad_frames(
+                method, found, bad, prepared.experiments, seed
+            )
+    weighted = found.assimilation
+    evidence = found.evidence
+    posterior = found.posterior
+    prepared = replace(
+        prepared,
+        experiments=tuple(e for e in weighted.batch.experiments if isinstance(e, Experiment)),
+    )
     scored = _scores(method, weighted, child(seed, "scores")) if scores else ()
     tested = _fit_test(method, found, child(seed, "check")) if check and len(traces) else None
-    gels = _population(method, found, prepared.experiments, scatter_scale, child(seed, "population")) if population else None
+    gels = (
+        _population(method, found, prepared.experiments, scatter_scale, child(seed, "population"))
+        if population
+        else None
+    )
     used = tuple(
-        frame_use(trace, prepared.landmarks[trace.experiment_id], experiment, surroundings, collapses=collapses)
+        frame_use(
+            trace,
+            prepared.landmarks[trace.experiment_id],
+            experiment,
+            surroundings,
+            collapses=collapses,
+        )
         for trace, experiment in zip(traces, prepared.experiments, strict=True)
     )
     moved = medium_sensitivities(weighted[posterior.best.model], weighted.batch, simulator, medium)
     own = child(seed, "profile")
-    followed = profiles_of(weighted, posterior, simulator, seed=own, progress=progress) if profile else None
-    explained = tested is not None and tested.explained is not False  # a misfit cannot be told from jitter
-    jitter = find_frame_jitter(*found.best.of_curves(weighted.batch), simulator) if explained else None
+    followed = (
+        profiles_of(weighted, posterior, simulator, seed=own, progress=progress)
+        if profile
+        else None
+    )
+    explained = (
+        tested is not None and tested.explained is not False
+    )  # a misfit cannot be told from jitter
+    jitter = (
+        find_frame_jitter(*found.best.of_curves(weighted.batch), simulator) if explained else None
+    )
     seconds = time.process_time() - started
     return Characterization(
         prepared,
@@ -233,7 +284,9 @@ class _Method:
         """Times that the noise is estimated and the fit repeated."""
         return NOISE_ROUNDS if self.estimate_noise else 0
 
-    def fitted(self, data: Sequence[Experiment | CollapseTime], near: Assimilation | None, seed: int) -> _Found:
+    def fitted(
+        self, data: Sequence[Experiment | CollapseTime], near: Assimilation | None, seed: int
+    ) -> _Found:
         """All models fitted to data, with weighted draws; from fits nearby where they are given."""
         fits = assimilate_estimating_noise(
             self.prior,
@@ -269,7 +322,10 @@ class _Method:
 def _without_bad_frames(
     method: _Method, found: _Found, bad: BadFrames, experiments: tuple[Experiment, ...], seed: int
 ) -> tuple[_Found, BadFrames, tuple[BadFrame, ...]]:
-    """The fit repeated without single frames that look bad until none does; with the frames that were left out."""
+    """The fit repeated without single frames that look bad until none does.
+
+    With the frames that were left out.
+    """
     left_out: tuple[BadFrame, ...] = ()
     for number in range(_REFITS):
         single = tuple(frame for frame in bad.frames if frame.single)
@@ -285,7 +341,11 @@ def _without_bad_frames(
 def _scores(method: _Method, weighted: Assimilation, seed: int) -> tuple[PredictiveScore, ...]:
     """How well each model predicts curves that were held out."""
     options = method.options if isinstance(method.options, SearchOptions) else None
-    return sum_over_folds(cross_validate(weighted, method.simulator, seed=seed, options=options, progress=method.progress))
+    return sum_over_folds(
+        cross_validate(
+            weighted, method.simulator, seed=seed, options=options, progress=method.progress
+        )
+    )
 
 
 def _fit_test(method: _Method, found: _Found, seed: int) -> FitTest:
@@ -295,7 +355,9 @@ def _fit_test(method: _Method, found: _Found, seed: int) -> FitTest:
     return method.tested(found.best, found.assimilation.batch, seed)
 
 
-def _population(method: _Method, found: _Found, experiments: tuple[Experiment, ...], scale: float, seed: int) -> Population:
+def _population(
+    method: _Method, found: _Found, experiments: tuple[Experiment, ...], scale: float, seed: int
+) -> Population:
     """How much the gel differs between curves, under the most probable model."""
     alone = fit_shots(
         method.prior[found.posterior.best.model],

@@ -1,4 +1,6 @@
-"""The medium of curves that are fitted together: who states it, and what a result document says about it."""
+"""The medium of curves that are fitted together: who states it, and what a result document says
+about it.
+"""
 
 from collections.abc import Sequence
 
@@ -11,7 +13,8 @@ from imr_torch.units import Surroundings
 def medium_document(
     medium: GelMedium, found: Sequence[MediumSensitivity] = (), posterior: ModelBelief | None = None
 ) -> dict[str, object]:
-    """What a result document says about the medium: its values, notes on them, and what assumed ones would change.
+    """What a result document says about the medium: its values, notes on them, and what assumed
+    ones would change.
 
     Args:
         medium: the medium.
@@ -37,16 +40,19 @@ def medium_of(
     surroundings: Surroundings | None = None,
     shots: Sequence[CollapseShot] = (),
 ) -> GelMedium:
-    """The medium of curves that are fitted together: what the caller states, then their files, then what is assumed.
+    """The medium of curves that are fitted together: what the caller states, then their files, then
+    what is assumed.
 
     Args:
         traces: the curves.
-        medium: what the caller states, for example ``"water,temperature=310"``; a :class:`GelMedium` stays as it is.
+        medium: what the caller states, for example ``"water,temperature=310"``; a
+            :class:`GelMedium` stays as it is.
         surroundings: values of what nobody states.
         shots: shots of collapse times beside the curves, of the same gel.
 
     Raises:
-        InputDataError: as in :class:`imr_torch.observe.Statement` and :func:`imr_torch.observe.gel_medium`.
+        InputDataError: as in :class:`imr_torch.observe.Statement` and
+            :func:`imr_torch.observe.gel_medium`.
 
     >>> from imr_torch import example_gel, load_traces
     >>> from imr_torch.characterization import medium_of
@@ -58,4 +64,6 @@ def medium_of(
     command = Statement.from_text(medium, "medium") if isinstance(medium, str) else medium
     said = [*(trace.given.stated for trace in traces), *(shot.stated for shot in shots)]
     beside = [statement for statement in said if statement is not None]
-    return gel_medium(command, list({repr(statement): statement for statement in beside}.values()), surroundings)
+    return gel_medium(
+        command, list({repr(statement): statement for statement in beside}.values()), surroundings
+    )

@@ -1,4 +1,6 @@
-"""Profile likelihoods of the parameters of the models that matter, and what a result document says of them."""
+"""Profile likelihoods of the parameters of the models that matter, and what a result document says
+of them.
+"""
 
 from collections.abc import Mapping
 from typing import Any
@@ -14,9 +16,15 @@ _FEWEST = 2  # free parameters: with one the posterior is the profile
 
 
 def profiles_of(
-    result: Assimilation, posterior: Belief, simulator: Simulator, *, seed: int, progress: Progress | None = None
+    result: Assimilation,
+    posterior: Belief,
+    simulator: Simulator,
+    *,
+    seed: int,
+    progress: Progress | None = None,
 ) -> dict[str, tuple[Profile, ...]]:
-    """The profiles of each model that holds .05 of the probability or more, at the estimated noise; the most probable first.
+    """The profiles of each model that holds .05 of the probability or more, at the estimated noise;
+    the most probable first.
 
     Args:
         result: the fits of all models.
@@ -36,7 +44,9 @@ def profiles_of(
         if len(fit.prior.names) < _FEWEST:
             found[key] = ()
         else:
-            found[key] = profile(fit, result.batch, simulator, seed=child(seed, key), progress=progress)
+            found[key] = profile(
+                fit, result.batch, simulator, seed=child(seed, key), progress=progress
+            )
     return found
 
 

@@ -1,4 +1,6 @@
-"""What was inferred about one gel: parameters, model probabilities and fits, as a JSON document, a table and a report."""
+"""What was inferred about one gel: parameters, model probabilities and fits, as a JSON document, a
+table and a report.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,7 +21,13 @@ from imr_torch.observe import Experiment, GelMedium, Landmarks, Noise, Prepared
 from imr_torch.observe.frames import FrameUse
 from imr_torch.population import Population
 from imr_torch.saved import SavedCharacterization, draws_to_dict
-from imr_torch.select import Evidence, Identifiability, PredictiveScore, identifiability, probability_errors
+from imr_torch.select import (
+    Evidence,
+    Identifiability,
+    PredictiveScore,
+    identifiability,
+    probability_errors,
+)
 from imr_torch.units import Surroundings
 
 if TYPE_CHECKING:
@@ -31,21 +39,27 @@ class Characterization:
     """Parameters, model probabilities and fits inferred from curves of one gel.
 
     Args:
-        prepared: the dimensionless curves that were fitted, cut to the window, and what was found on the way.
+        prepared: the dimensionless curves that were fitted, cut to the window, and what was found
+            on the way.
         assimilation: the fits of all models, with their certificates.
         evidence: the evidence of each model.
         posterior: parameters and model probabilities after the data.
         seconds: processor time.
-        scores: held-out log density of each model, summed over all curves; empty if none was held out.
+        scores: held-out log density of each model, summed over all curves; empty if none was held
+            out.
         frames: which frames of each record were fitted.
-        fit_test: whether the most probable model explains the curves; None where that was not asked for.
-        medium: the liquid side, with what was stated and what was assumed; None where the simulator's was taken unasked.
+        fit_test: whether the most probable model explains the curves; None where that was not asked
+            for.
+        medium: the liquid side, with what was stated and what was assumed; None where the
+            simulator's was taken unasked.
         sensitivities: what assumed values of the medium would change in the most probable model.
-        bad_frames: single frames that look bad under the most probable model; None where that was not asked for.
+        bad_frames: single frames that look bad under the most probable model; None where that was
+            not asked for.
         left_out: bad frames that were left out of the fit, in the order in which they were found.
-        population: how much the gel differs between curves, under the most probable model; None where not asked for.
-        profiles: model key -> the profile likelihoods of its parameters, of models with .05 of the probability or more, at the
-            estimated noise; None where not asked for.
+        population: how much the gel differs between curves, under the most probable model; None
+            where not asked for.
+        profiles: model key -> the profile likelihoods of its parameters, of models with .05 of the
+            probability or more, at the estimated noise; None where not asked for.
         jitter: of frame times, under the most probable model; None where that was not asked for.
 
     >>> import torch
@@ -87,7 +101,10 @@ class Characterization:
 
     @property
     def experiments(self) -> tuple[Experiment, ...]:
-        """The dimensionless curves that were fitted, cut to the window; without shots of collapse times."""
+        """The dimensionless curves that were fitted, cut to the window.
+
+        Without shots of collapse times.
+        """
         return self.prepared.experiments
 
     @property
@@ -102,7 +119,10 @@ class Characterization:
 
     @property
     def noise_interval(self) -> list[float] | None:
-        """5, 50 and 95 % quantiles of the noise of the median frame, R*; None where it was not inferred."""
+        """5, 50 and 95 % quantiles of the noise of the median frame, R*.
+
+        None where it was not inferred.
+        """
         batch = self.assimilation.batch
         if batch.noise_laws is None:
             return None
@@ -115,14 +135,18 @@ class Characterization:
         return (*self.prepared.cautions, *patterns(self.collapse_times()))
 
     def identifiability(self, fit: ModelFit) -> tuple[Identifiability, ...]:
-        """What the data say of each parameter of a model: from its profile where that was made, else from its posterior."""
+        """What the data say of each parameter of a model: from its profile where that was made,
+        else from its posterior.
+        """
         return identifiability(fit.prior, fit.posterior, (self.profiles or {}).get(fit.model, ()))
 
     def to_dict(self) -> dict[str, object]:
         """JSON-ready summary: intervals in SI units, probabilities, residuals, certificates."""
         models = {}
         for fit, evidence in zip(self.assimilation.fits, self.evidence, strict=True):
-            certificate = vars(fit.certificate) | {"agreement": min(fit.certificate.agreement, 1e300)}
+            certificate = vars(fit.certificate) | {
+                "agreement": min(fit.certificate.agreement, 1e300)
+            }
             models[fit.model] = {
                 "intervals": intervals(fit.posterior),
                 "identifiability": {f.parameter.name: f.words for f in self.identifiability(fit)},
@@ -137,19 +161,34 @@ class Characterization:
             }
         return {
             "experiments": [
-                {"id": e.label, "We": e.design[0], "R_inf*": e.design[1], "exposure_t_star": e.exposure}
+                {
+                    "id": e.label,
+                    "We": e.design[0],
+                    "R_inf*": e.design[1],
+                    "exposure_t_star": e.exposure,
+                }
                 for e in self.experiments
             ],
             "cautions": list(self.cautions),
-            **({} if self.medium is None else medium_document(self.medium, self.sensitivities, self.posterior.best)),
+            **(
+                {}
+                if self.medium is None
+                else medium_document(self.medium, self.sensitivities, self.posterior.best)
+            ),
             "collapse_times": self.collapse_times(),
             "model_probabilities": self.posterior.probabilities,
             "model_probability_errors": probability_errors(self.assimilation.prior, self.evidence),
             "models": models,
-            "scores": {s.model: {"value": s.value, "error": s.error, "refitted": s.refitted} for s in self.scores} or None,
+            "scores": {
+                s.model: {"value": s.value, "error": s.error, "refitted": s.refitted}
+                for s in self.scores
+            }
+            or None,
             "noise": vars(self.noise),
             "noise_interval": self.noise_interval,
-            "noise_factors": {e.label: e.noise_factor for e in self.experiments if e.noise_factor != 1.0},
+            "noise_factors": {
+                e.label: e.noise_factor for e in self.experiments if e.noise_factor != 1.0
+            },
             "bad_frames": None if self.bad_frames is None else self.bad_frames.to_dict(),
             "frame_jitter": None if self.jitter is None else self.jitter.to_dict(),
             "frames_left_out": [vars(frame) for frame in self.left_out],
@@ -163,9 +202,13 @@ class Characterization:
         }
 
     def collapse_times(self) -> list[dict[str, object]]:
-        """Each shot of which the collapse time alone is known: measured and, by the most probable model, predicted, over t*."""
+        """Each shot of which the collapse time alone is known: measured and, by the most probable
+        model, predicted, over t*.
+        """
         surroundings = Surroundings() if self.medium is None else self.medium.surroundings
-        return collapse_rows(self.assimilation[self.posterior.best.model], self.assimilation.batch, surroundings)
+        return collapse_rows(
+            self.assimilation[self.posterior.best.model], self.assimilation.batch, surroundings
+        )
 
     def save(self, path: str | Path) -> None:
         """Write :meth:`to_dict` as JSON, atomically."""
@@ -173,7 +216,8 @@ class Characterization:
 
     @staticmethod
     def load(path: str | Path) -> SavedCharacterization:
-        """Read a result that :meth:`save` or the command line wrote: posterior, intervals, weighted draws, a table.
+        """Read a result that :meth:`save` or the command line wrote: posterior, intervals, weighted
+        draws, a table.
 
         Raises:
             InputDataError: if the file cannot be read, or holds no such result.
@@ -185,7 +229,8 @@ class Characterization:
         return SavedCharacterization.from_dict(self.to_dict()).to_dataframe()
 
     def report(self, command: str = "imr-torch diagnose") -> str:
-        """The result as text: whether the fit explains the curves, the frames used, a table per model with its certificate.
+        """The result as text: whether the fit explains the curves, the frames used, a table per
+        model with its certificate.
 
         Args:
             command: what to try if the model does not explain the curves.

@@ -1,9 +1,11 @@
 """The command ``imr-torch``: results as text, JSON and figures.
 
-Each subcommand has two modules of its name: help and options in :mod:`imr_torch.cli.options`, which are light, and what it
+Each subcommand has two modules of its name: help and options in :mod:`imr_torch.cli.options`, which
+    are light, and what it
 runs in :mod:`imr_torch.cli`, imported when it is asked for.
 
-Exit status: 0 done, 2 input that cannot be used (the message says what to do), 1 a computation that did not converge or a file
+Exit status: 0 done, 2 input that cannot be used (the message says what to do), 1 a computation that
+    did not converge or a file
 that could not be written, 130 interrupted by the user.
 """
 
@@ -28,13 +30,16 @@ def parser() -> argparse.ArgumentParser:
     """The command line, with every subcommand's own help."""
     top = argparse.ArgumentParser(
         prog="imr-torch",
-        description="Inertial microcavitation rheometry: simulate bubbles, infer gel properties from R(t), design the next "
+        description="Inertial microcavitation rheometry: simulate bubbles, infer gel properties from "
+        "R(t), design the next "
         "experiment.",
         epilog="Start with:  imr-torch demo",
     )
     top.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     top.add_argument(
-        "--print-completion", action=PrintCompletion, help="print the script that completes this command in a shell"
+        "--print-completion",
+        action=PrintCompletion,
+        help="print the script that completes this command in a shell",
     )
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for module in COMMANDS:
@@ -47,13 +52,22 @@ def parser() -> argparse.ArgumentParser:
         module.add_arguments(sub)
         left_out = getattr(module, "WITHOUT", ())
         if "seed" not in left_out:
-            sub.add_argument("--seed", type=_seed, default=0, help="seed of everything random, from 0 on (default 0)")
+            sub.add_argument(
+                "--seed",
+                type=_seed,
+                default=0,
+                help="seed of everything random, from 0 on (default 0)",
+            )
         if "json" not in left_out:
             sub.add_argument("--json", metavar="FILE", help="write the result as JSON")
         if "engine" not in left_out:
             add_engine_arguments(sub)
         sub.add_argument("--quiet", action="store_true", help="no progress on the terminal")
-        sub.add_argument("--verbose", action="store_true", help="every step of the fits, instead of one line of progress")
+        sub.add_argument(
+            "--verbose",
+            action="store_true",
+            help="every step of the fits, instead of one line of progress",
+        )
     return top
 
 
@@ -72,13 +86,21 @@ def main(argv: Sequence[str] | None = None, *, live: bool | None = None) -> int:
     args.terminal = Terminal(args.command, quiet=args.quiet, verbose=args.verbose, live=live)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # names of experiments on a terminal that lacks their letters
+            stream.reconfigure(
+                errors="backslashreplace"
+            )  # names of experiments on a terminal that lacks their letters
     try:
         _check_targets(args)
         with args.terminal, warnings.catch_warnings():
-            warnings.simplefilter("ignore", ConvergenceWarning)  # the certificate is printed with the result
-            warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", FutureWarning)  # of a dependency
-            warnings.filterwarnings("ignore", "A not p.d., added jitter", RuntimeWarning)  # of a search's surrogate
+            warnings.simplefilter(
+                "ignore", ConvergenceWarning
+            )  # the certificate is printed with the result
+            warnings.filterwarnings(
+                "ignore", "`torch.jit.script` is deprecated", FutureWarning
+            )  # of a dependency
+            warnings.filterwarnings(
+                "ignore", "A not p.d., added jitter", RuntimeWarning
+            )  # of a search's surrogate
             _run(args)
         sys.stdout.flush()
     except ConvergenceError as error:
@@ -89,7 +111,9 @@ def main(argv: Sequence[str] | None = None, *, live: bool | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     except OSError as error:  # a full disk, a folder without permission
-        return _ended(f"{error.filename or 'a file'} cannot be read or written: {error.strerror or error}", 1)
+        return _ended(
+            f"{error.filename or 'a file'} cannot be read or written: {error.strerror or error}", 1
+        )
     except KeyboardInterrupt as error:
         return _ended(str(error) or "stopped; what was written is complete", 130)
     return 0
@@ -98,7 +122,9 @@ def main(argv: Sequence[str] | None = None, *, live: bool | None = None) -> int:
 def _run(args: argparse.Namespace) -> None:
     """Import what the subcommand runs, and run it."""
     module = importlib.import_module(f"imr_torch.cli.{args.command}")
-    importlib.import_module("torch").set_num_threads(1)  # of tensor operators, which are small; the engine has its own threads
+    importlib.import_module("torch").set_num_threads(
+        1
+    )  # of tensor operators, which are small; the engine has its own threads
     module.run(args)
 
 
@@ -129,8 +155,14 @@ def _check_targets(args: argparse.Namespace) -> None:
             _check_kept(args, option, Path(path).resolve())
             for other in ("json", "html"):
                 second = getattr(args, other, None)
-                if other < option and second is not None and Path(second).resolve() == Path(path).resolve():
-                    raise InputDataError(f"--{other} and --{option} are both {path!r}; give each a file of its own.")
+                if (
+                    other < option
+                    and second is not None
+                    and Path(second).resolve() == Path(path).resolve()
+                ):
+                    raise InputDataError(
+                        f"--{other} and --{option} are both {path!r}; give each a file of its own."
+                    )
 
 
 def _check_kept(args: argparse.Namespace, option: str, target: Path) -> None:
@@ -139,7 +171,9 @@ def _check_kept(args: argparse.Namespace, option: str, target: Path) -> None:
         given = getattr(args, name, None)
         for path in [given] if isinstance(given, str) else given or ():
             if target in (Path(path).resolve(), Path(path).with_suffix(".json").resolve()):
-                raise InputDataError(f"--{option} is {str(target)!r}, which is read as well; give another name.")
+                raise InputDataError(
+                    f"--{option} is {str(target)!r}, which is read as well; give another name."
+                )
 
 
 def _seed(text: str) -> int:

@@ -18,6 +18,10 @@ def run(args: argparse.Namespace) -> None:
     try:
         from imr_torch.app.server import serve
     except ModuleNotFoundError as error:
-        raise InputDataError(f'{error.name} is missing; install the extra: pip install "imr-torch[app]"') from None
+        raise InputDataError(
+            f'{error.name} is missing; install the extra: pip install "imr-torch[app]"'
+        ) from None
     args.terminal.clear()
-    serve(Path(args.out), port=args.port, browser=not args.no_browser, say=partial(print, flush=True))
+    serve(
+        Path(args.out), port=args.port, browser=not args.no_browser, say=partial(print, flush=True)
+    )

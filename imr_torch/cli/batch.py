@@ -36,8 +36,11 @@ Pool = Executor | Callable[[], Executor] | None
 def run(args: argparse.Namespace) -> None:
     """Check all options, characterise what is missing, write the summary."""
     _check(args)
-    files, folder = find_files(*args.files), Path(args.out)
-    workers = min(args.workers or _cores(), len(files)) if not args.each else args.workers or _cores()
+    files = find_files(*args.files)
+    folder = Path(args.out)
+    workers = (
+        min(args.workers or _cores(), len(files)) if not args.each else args.workers or _cores()
+    )
     apart = args.cluster is not None or workers > 1
     simulator = with_engine(SIMULATORS[args.physics], args)
     options = BatchOptions(
@@ -55,27 +58,41 @@ def run(args: argparse.Namespace) -> None:
     with _pool(args, workers) as executor:
         window = _PER_CLUSTER if args.cluster else workers
         progress = progress_of(args)
-        summary = run_batch(*files, folder=folder, options=options, executor=executor, window=window, progress=progress)
+        summary = run_batch(
+            *files,
+            folder=folder,
+            options=options,
+            executor=executor,
+            window=window,
+            progress=progress,
+        )
     print(summary.report())
     print(f"wrote {folder / 'summary.csv'}")
     print(f"wrote {write_summary(summary, folder / 'summary.html')}")
     write_result(args, {"shots": [dict(row) for row in summary.rows]})
     if failed := summary.count(FAILED):
         raise InputDataError(
-            f"{failed} of {len(summary.rows)} shots have no result, for the reasons above; the others are written."
+            f"{failed} of {len(summary.rows)} shots have no result, for the reasons above; the "
+            "others are written."
         )
     if doubtful := summary.count(NOT_CONVERGED):
-        raise ConvergenceError(f"{doubtful} of {len(summary.rows)} shots, whose numbers are not to be used; see summary.csv.")
+        raise ConvergenceError(
+            f"{doubtful} of {len(summary.rows)} shots, whose numbers are not to be used; see "
+            "summary.csv."
+        )
 
 
 def _check(args: argparse.Namespace) -> None:
     check_counts(args, "workers", "collapses")
     if args.workers is not None and args.cluster is not None:
-        raise InputDataError("--workers and --cluster both say who does the work; give one of them.")
+        raise InputDataError(
+            "--workers and --cluster both say who does the work; give one of them."
+        )
     out = Path(args.out)
     if any(Path(name).is_dir() and Path(name).resolve() == out.resolve() for name in args.files):
         raise InputDataError(
-            f"--out is {args.out!r}, the folder of the curves; name another one, or the summary would be read as one."
+            f"--out is {args.out!r}, the folder of the curves; name another one, or the summary "
+            "would be read as one."
         )
 
 
@@ -92,12 +109,15 @@ def _pool(args: argparse.Namespace, workers: int) -> Iterator[Pool]:
     try:
         from distributed import Client
     except ImportError:
-        raise UnsupportedError("--cluster needs Dask: pip install 'imr_torch[cluster]'; or use --workers.") from None
+        raise UnsupportedError(
+            "--cluster needs Dask: pip install 'imr_torch[cluster]'; or use --workers."
+        ) from None
     try:
         client = Client(args.cluster, timeout=_ANSWER_WITHIN)
     except (OSError, ValueError, TimeoutError) as error:
         raise InputDataError(
-            f"--cluster: no scheduler answers at {args.cluster!r} ({error or type(error).__name__}); start one with "
+            f"--cluster: no scheduler answers at {args.cluster!r} "
+            f"({error or type(error).__name__}); start one with "
             "dask-scheduler, and give the address that it prints."
         ) from None
     with client:

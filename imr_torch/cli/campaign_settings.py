@@ -30,7 +30,10 @@ from imr_torch.material import PARAMETERS, Belief, ReferenceCase, library, refer
 _LARGEST = 2.0  # scatter of a logarithm
 _CAUSE_SURE = "cause=0.9"  # when a campaign for a cause ends, if nothing else is asked for
 _FITS = {"exact": "map", "en4dvar": "en4dvar"}
-_BASELINES: dict[str, Callable[[], DesignPolicy]] = {"random": Random, "space-filling": SpaceFilling}
+_BASELINES: dict[str, Callable[[], DesignPolicy]] = {
+    "random": Random,
+    "space-filling": SpaceFilling,
+}
 
 
 def settings_of(args: argparse.Namespace) -> CampaignSettings:
@@ -38,9 +41,12 @@ def settings_of(args: argparse.Namespace) -> CampaignSettings:
     base = CampaignSettings.paper() if args.method == "paper" else CampaignSettings()
     if args.method != "paper":
         rounds = 0 if args.case else NOISE_ROUNDS  # nobody knows the noise of a camera before
-        base = replace(base, learner=ExactLearner(options=METHODS[_FITS[args.method]], noise_rounds=rounds))
+        base = replace(
+            base, learner=ExactLearner(options=METHODS[_FITS[args.method]], noise_rounds=rounds)
+        )
     policy = _optimal(args) if args.policy == "optimal" else _baseline(args.policy)
-    space, plan = space_of(args), plan_of(args)
+    space = space_of(args)
+    plan = plan_of(args)
     if args.goal == "cause":
         learner = CauseLearner(_effect_names(args), estimate_noise=not args.case)
         base = replace(base, learner=learner)
@@ -50,11 +56,16 @@ def settings_of(args: argparse.Namespace) -> CampaignSettings:
         learner = PopulationLearner(noise_rounds=0 if args.case else NOISE_ROUNDS)
         base = replace(base, learner=learner)
         policy = LearnPopulation(learner, _optimal(args)) if args.policy == "optimal" else policy
-        plan = replace(plan, repeats=1) if args.repeats is None else plan  # a repeat would be of the same gel
+        plan = (
+            replace(plan, repeats=1) if args.repeats is None else plan
+        )  # a repeat would be of the same gel
     if isinstance(policy, Fixed):
         space.check(torch.tensor(policy.designs, dtype=torch.float64))
         if args.case and not args.stop and args.designs > len(policy.designs):
-            raise InputDataError(f"--policy lists {len(policy.designs)} designs and --designs is {args.designs}; list as many.")
+            raise InputDataError(
+                f"--policy lists {len(policy.designs)} designs and --designs is {args.designs}; "
+                "list as many."
+            )
     rules = args.stop or ([_CAUSE_SURE] if args.goal == "cause" else [])
     return replace(base, space=space, plan=plan, policy=policy, stop=stopping_rule(*rules))
 
@@ -67,19 +78,28 @@ def check_goal(args: argparse.Namespace) -> None:
     for option, goal in _OF_GOAL.items():
         if args.goal != goal and getattr(args, option) is not None:
             raise InputDataError(f"--{option} has no effect without --goal {goal}.")
-    if args.goal != "cause" and any(part.strip().startswith("cause=") for text in args.stop for part in text.split(",")):
-        raise InputDataError(f"--stop is {' '.join(args.stop)!r}: cause= has no effect without --goal cause.")
+    if args.goal != "cause" and any(
+        part.strip().startswith("cause=") for text in args.stop for part in text.split(",")
+    ):
+        raise InputDataError(
+            f"--stop is {' '.join(args.stop)!r}: cause= has no effect without --goal cause."
+        )
     if args.goal == "gel":
         return
     if args.q != 1 and args.goal == "cause":
         raise InputDataError(
-            f"--q is {args.q}; with --goal cause each shot depends on what the last one showed: leave --q out."
+            f"--q is {args.q}; with --goal cause each shot depends on what the last one showed: "
+            "leave --q out."
         )
     if args.method != "exact":
         raise InputDataError(
-            f"--method is {args.method!r}; --goal {args.goal} learns with the exact likelihood: leave --method out."
+            f"--method is {args.method!r}; --goal {args.goal} learns with the exact likelihood: "
+            "leave --method out."
         )
-    for option, what in (("hide", "puts an effect into a simulated gel"), ("scatter", "is of simulated gels")):
+    for option, what in (
+        ("hide", "puts an effect into a simulated gel"),
+        ("scatter", "is of simulated gels"),
+    ):
         if getattr(args, option) is not None and not args.case:
             raise InputDataError(f"--{option} {what}, and has no effect without --case.")
     hidden(args)
@@ -91,18 +111,21 @@ def scatter(args: argparse.Namespace) -> dict[str, float]:
     """Standard deviation between simulated shots of the logarithm of each parameter."""
     if args.scatter is None:
         return {}
-    truth, found = reference_case(args.case).truth, {}
+    truth = reference_case(args.case).truth
+    found = {}
     for part in args.scatter.split(","):
         name, _, text = part.partition("=")
         value = parse_number(text)
         name = PARAMETERS[name.strip()].name if value is not None else name
         if value is None or not 0.0 <= value <= _LARGEST or name in found:
             raise InputDataError(
-                f"--scatter is {args.scatter!r}; expected NAME=SD, each parameter once and SD from 0 to {_LARGEST:g}, as G=.2."
+                f"--scatter is {args.scatter!r}; expected NAME=SD, each parameter once and SD "
+                f"from 0 to {_LARGEST:g}, as G=.2."
             )
         if truth.get(name, 0.0) <= 0.0:
             raise InputDataError(
-                f"--scatter names {name}, which is zero in the gel of {args.case}; name one of {', '.join(truth)}."
+                f"--scatter names {name}, which is zero in the gel of {args.case}; name one of "
+                f"{', '.join(truth)}."
             )
         found[name] = value
     return found
@@ -123,7 +146,9 @@ def hidden(args: argparse.Namespace) -> dict[str, float]:
         return {}
     name, given, value = args.hide.partition("=")
     if not name:
-        raise InputDataError(f"--hide is {args.hide!r}; expected an effect, as sound_speed or sound_speed=0.9.")
+        raise InputDataError(
+            f"--hide is {args.hide!r}; expected an effect, as sound_speed or sound_speed=0.9."
+        )
     effect = library([name])[0]
     values = dict(zip(effect.names, effect.starts[0], strict=True))
     if given:
@@ -132,12 +157,15 @@ def hidden(args: argparse.Namespace) -> dict[str, float]:
 
 
 def one_model(prior: Belief, case: ReferenceCase | None, goal: str) -> Belief:
-    """The one model of a campaign for a cause or about a population: that of the simulated gel, or the only one named."""
+    """The one model of a campaign for a cause or about a population: that of the simulated gel, or
+    the only one named.
+    """
     if case:
         return Belief((prior[case.truth_model],), torch.zeros(1, dtype=torch.float64))
     if len(prior.models) > 1:
         raise InputDataError(
-            f"--models names {len(prior.models)} ({', '.join(prior.keys)}); with --goal {goal} name one, as nhkv."
+            f"--models names {len(prior.models)} ({', '.join(prior.keys)}); with --goal {goal} "
+            "name one, as nhkv."
         )
     return prior
 
@@ -152,7 +180,9 @@ def _effect_names(args: argparse.Namespace) -> tuple[str, ...]:
 def _optimal(args: argparse.Namespace) -> Optimal:
     """The search for the most informative design, of the size that the options ask for."""
     search = PAPER_OPTIMAL if args.method == "paper" else Optimal()
-    return replace(search, evaluations=args.evaluations, initial=min(search.initial, args.evaluations))
+    return replace(
+        search, evaluations=args.evaluations, initial=min(search.initial, args.evaluations)
+    )
 
 
 def _baseline(text: str) -> DesignPolicy:
@@ -160,5 +190,12 @@ def _baseline(text: str) -> DesignPolicy:
     if text in _BASELINES:
         return _BASELINES[text]()
     if ":" not in text:
-        raise InputDataError(f"--policy is {text!r}; expected optimal, {', '.join(_BASELINES)}, or designs We:R_inf*,...")
-    return Fixed(tuple(pair for part in text.split(",") if (pair := parse_pair(part, "--policy")) is not None))
+        raise InputDataError(
+            f"--policy is {text!r}; expected optimal, {', '.join(_BASELINES)}, or designs "
+            "We:R_inf*,..."
+        )
+    return Fixed(
+        tuple(
+            pair for part in text.split(",") if (pair := parse_pair(part, "--policy")) is not None
+        )
+    )

@@ -1,4 +1,7 @@
-"""Runs ``imr-torch characterize``; its help and options are in :mod:`imr_torch.cli.options.characterize`."""
+"""Runs ``imr-torch characterize``.
+
+Its help and options are in :mod:`imr_torch.cli.options.characterize`.
+"""
 
 import argparse
 import shlex
@@ -29,7 +32,14 @@ from imr_torch.errors import ConvergenceError, ImrError, InputDataError
 from imr_torch.files import write_atomically
 from imr_torch.html import write
 from imr_torch.material import ModelBelief
-from imr_torch.observe import CollapseShot, TraceSet, find_files, load_collapse_times, load_traces, prepare
+from imr_torch.observe import (
+    CollapseShot,
+    TraceSet,
+    find_files,
+    load_collapse_times,
+    load_traces,
+    prepare,
+)
 from imr_torch.observe.collapse import is_collapse_file
 from imr_torch.population import SCALE
 from imr_torch.results import characterization_document, characterization_page, draw_figures
@@ -38,11 +48,19 @@ from imr_torch.results import characterization_document, characterization_page, 
 def run(args: argparse.Namespace) -> None:
     """Load, infer, report."""
     if args.each and args.scores:
-        raise InputDataError("--scores predicts curves from others, and --each fits every one alone; leave one of them out.")
+        raise InputDataError(
+            "--scores predicts curves from others, and --each fits every one alone; leave one of "
+            "them out."
+        )
     if args.each and args.html:
-        raise InputDataError("--html shows one gel, and --each fits every curve by itself; leave one of them out.")
+        raise InputDataError(
+            "--html shows one gel, and --each fits every curve by itself; leave one of them out."
+        )
     if args.each and args.population:
-        raise InputDataError("--population takes the curves as shots of one gel, and --each every one alone; leave one out.")
+        raise InputDataError(
+            "--population takes the curves as shots of one gel, and --each every one alone; leave "
+            "one out."
+        )
     if args.scatter_scale is not None and not args.population:
         raise InputDataError("--scatter-scale is about --population; add that, or leave it out.")
     statement_of(args)  # checked before any work
@@ -51,7 +69,8 @@ def run(args: argparse.Namespace) -> None:
         print(traces.report())
     if shots:
         print(
-            f"{len(shots)} shot(s) of which the collapse time alone is known, from {', '.join({s.source: 0 for s in shots})}."
+            f"{len(shots)} shot(s) of which the collapse time alone is known, from "
+            f"{', '.join({s.source: 0 for s in shots})}."
         )
     if args.each:
         _each(traces, args)
@@ -60,26 +79,39 @@ def run(args: argparse.Namespace) -> None:
     write_result(args, document)  # before any figure, so that nothing computed is lost if one fails
     _show(document, report, args, Path(args.out) if args.out else None)
     if not converged:
-        raise ConvergenceError("a fit has not converged (see its certificate above), so its numbers are not to be used.")
+        raise ConvergenceError(
+            "a fit has not converged (see its certificate above), so its numbers are not to be "
+            "used."
+        )
 
 
 def _load(args: argparse.Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]:
-    """Curves and shots of collapse times in the files that are named, those of ``--experiments`` if it is given."""
+    """Curves and shots of collapse times in the files that are named, those of ``--experiments`` if
+    it is given.
+    """
     files = find_files(*args.files)
     tables = [path for path in files if is_collapse_file(path)]
-    curves, shots = [path for path in files if path not in tables], load_collapse_times(*tables) if tables else ()
+    curves = [path for path in files if path not in tables]
+    shots = load_collapse_times(*tables) if tables else ()
     for option in ("each", "scores", "population") if shots else ():
         if getattr(args, option):
-            raise InputDataError(f"--{option} is about curves, and {tables[0]} holds collapse times; leave one of them out.")
+            raise InputDataError(
+                f"--{option} is about curves, and {tables[0]} holds collapse times; leave one of "
+                "them out."
+            )
     if not curves:
         _check_no_curves(args, tables)
     traces = load_traces(*curves, layout=layout_of(args)) if curves else TraceSet(())
     double = {trace.experiment_id for trace in traces} & {shot.experiment_id for shot in shots}
     if double:
-        raise InputDataError(f"{tables[0]}: experiment_id '{min(double)}' is also that of a curve; give the shots other names.")
+        raise InputDataError(
+            f"{tables[0]}: experiment_id '{min(double)}' is also that of a curve; give the shots "
+            "other names."
+        )
     if args.experiments is None:
         return traces, shots
-    wanted, known = names_of(args.experiments, "--experiments"), {shot.experiment_id for shot in shots}
+    wanted = names_of(args.experiments, "--experiments")
+    known = {shot.experiment_id for shot in shots}
     of_curves = [name for name in wanted if name not in known]
     chosen = traces.select(of_curves) if of_curves else TraceSet(())
     return chosen, tuple(shot for shot in shots if shot.experiment_id in wanted)
@@ -94,45 +126,75 @@ def _check_no_curves(args: argparse.Namespace, tables: Sequence[Path]) -> None:
         ("frames", args.frames != "all"),
     ):
         if given:
-            raise InputDataError(f"--{option} is about curves, and {tables[0]} holds collapse times alone; leave it out.")
+            raise InputDataError(
+                f"--{option} is about curves, and {tables[0]} holds collapse times alone; leave "
+                "it out."
+            )
 
 
 def _each(traces: TraceSet, args: argparse.Namespace) -> None:
-    """Fit every curve by itself; one that cannot be fitted is reported, and the others are kept, also on an interruption."""
+    """Fit every curve by itself.
+
+    One that cannot be fitted is reported, and the others are kept, also on an interruption.
+    """
     results: dict[str, Any] = {}
     wrong: dict[str, ImrError] = {}
     try:
         for number, trace in enumerate(traces, start=1):
             print(f"\n--- {trace.experiment_id}")
-            one, label = traces.select([trace.experiment_id]), f"curve {number} of {len(traces)}"
+            one = traces.select([trace.experiment_id])
+            label = f"curve {number} of {len(traces)}"
             try:
                 document, report, converged = _characterize(one, args, label)
             except ImrError as error:
                 print(f"imr-torch: {error}", file=sys.stderr)
-                wrong[trace.experiment_id], results[trace.experiment_id] = error, {"error": str(error)}
+                wrong[trace.experiment_id], results[trace.experiment_id] = (
+                    error,
+                    {"error": str(error)},
+                )
                 continue
             results[trace.experiment_id] = document
             if not converged:
                 wrong[trace.experiment_id] = ConvergenceError("a fit has not converged.")
-            _show(document, report, args, Path(args.out) / subfolder(trace.experiment_id) if args.out else None)
+            _show(
+                document,
+                report,
+                args,
+                Path(args.out) / subfolder(trace.experiment_id) if args.out else None,
+            )
     finally:
         write_result(args, {"each": results})
     if wrong:
-        kind = InputDataError if any(isinstance(x, InputDataError) for x in wrong.values()) else ConvergenceError
+        kind = (
+            InputDataError
+            if any(isinstance(x, InputDataError) for x in wrong.values())
+            else ConvergenceError
+        )
         raise kind(
-            f"{len(wrong)} of {len(traces)} curves have no result to be used: {', '.join(wrong)}; the others are written."
+            f"{len(wrong)} of {len(traces)} curves have no result to be used: {', '.join(wrong)}; "
+            "the others are written."
         )
 
 
 def _characterize(
-    traces: TraceSet, args: argparse.Namespace, label: str = "", shots: tuple[CollapseShot, ...] = ()
+    traces: TraceSet,
+    args: argparse.Namespace,
+    label: str = "",
+    shots: tuple[CollapseShot, ...] = (),
 ) -> tuple[dict[str, Any], str, bool]:
-    """Fit some curves together and print the result: its document, the report, and whether all fits have converged."""
-    simulator, rounds = simulator_of(args), NOISE_ROUNDS if args.noise == "estimated" else 0
+    """Fit some curves together and print the result: its document, the report, and whether all fits
+    have converged.
+    """
+    simulator = simulator_of(args)
+    rounds = NOISE_ROUNDS if args.noise == "estimated" else 0
     rest_radius = rest_radius_of(args)
-    stages = characterize_stages(rounds, scores=args.scores, population=args.population, profile=args.profile)
+    stages = characterize_stages(
+        rounds, scores=args.scores, population=args.population, profile=args.profile
+    )
     simulator, prior, medium = with_medium(args, simulator, prior_of(args), traces, shots)
-    prepared = prepare(traces, simulator.conditions.surroundings, collapses=args.collapses, rest_radius=rest_radius)
+    prepared = prepare(
+        traces, simulator.conditions.surroundings, collapses=args.collapses, rest_radius=rest_radius
+    )
     if len(traces):
         print(prepared.report(frames=False))
     result = characterize(
@@ -163,13 +225,18 @@ def _characterize(
     return document, report, result.assimilation.converged
 
 
-def _show(document: dict[str, Any], report: str, args: argparse.Namespace, folder: Path | None) -> None:
+def _show(
+    document: dict[str, Any], report: str, args: argparse.Namespace, folder: Path | None
+) -> None:
     """Write the report, the figures and the page of a result."""
     if folder:
         write_atomically(folder / "report.txt", lambda stream: stream.write(report.encode()))
         save_figures(draw_figures(document), folder)
     if args.html:
-        print(f"wrote {write(characterization_page(header_of(args) | document, report=report), args.html)}")
+        print(
+            "wrote "
+            f"{write(characterization_page(header_of(args) | document, report=report), args.html)}"
+        )
 
 
 def diagnose_command(args: argparse.Namespace, best: ModelBelief) -> str:

@@ -1,4 +1,6 @@
-"""What the runs of subcommands share: priors and simulators from options, progress, and where results go."""
+"""What the runs of subcommands share: priors and simulators from options, progress, and where
+results go.
+"""
 
 import argparse
 import math
@@ -58,8 +60,13 @@ def with_medium(
     traces: TraceSet | None = None,
     shots: Sequence[CollapseShot] = (),
 ) -> tuple[Simulator, Belief, GelMedium]:
-    """Simulator and prior with the medium that the options and the files state; the header of results will say it."""
-    medium = medium_of(traces or TraceSet(()), statement_of(args), simulator.conditions.surroundings, shots)
+    """Simulator and prior with the medium that the options and the files state.
+
+    The header of results will say it.
+    """
+    medium = medium_of(
+        traces or TraceSet(()), statement_of(args), simulator.conditions.surroundings, shots
+    )
     args.gel_medium = medium
     return medium.applied(simulator), medium.believed(prior), medium
 
@@ -72,11 +79,19 @@ def with_engine(simulator: AnySimulator, args: argparse.Namespace) -> AnySimulat
 
 
 def simulator_of(args: argparse.Namespace, *, chunk: int = _CHUNK) -> Simulator:
-    """The simulator that ``--physics`` names, on as many processes as ``--workers`` says; ``chunk`` bubbles to one at most."""
-    simulator, workers = with_engine(SIMULATORS[args.physics], args), getattr(args, "workers", 1)
+    """The simulator that ``--physics`` names, on as many processes as ``--workers`` says.
+
+    ``chunk`` bubbles to one at most.
+    """
+    simulator = with_engine(SIMULATORS[args.physics], args)
+    workers = getattr(args, "workers", 1)
     if workers < 1:
         raise InputDataError(f"--workers is {workers}; expected at least 1.")
-    return simulator if workers == 1 else ParallelSimulator(simulator, partial(process_pool, workers), chunk=chunk)
+    return (
+        simulator
+        if workers == 1
+        else ParallelSimulator(simulator, partial(process_pool, workers), chunk=chunk)
+    )
 
 
 def prior_of(args: argparse.Namespace) -> Belief:
@@ -87,7 +102,8 @@ def prior_of(args: argparse.Namespace) -> Belief:
         if getattr(args, option) not in (None, "") and (args.belief or args.case):
             other = "--belief" if args.belief else "--case"
             raise InputDataError(
-                f"--{option} has no effect beside {other}, which names models and priors; leave one of them out."
+                f"--{option} has no effect beside {other}, which names models and priors; leave "
+                "one of them out."
             )
     if args.belief:
         return Belief.load(args.belief)
@@ -106,9 +122,13 @@ def parse_values(text: str, option: str) -> dict[str, float]:
         try:
             value = float(number)
         except ValueError:
-            raise InputDataError(f"{option}: {item!r} is not NAME=NUMBER, for example G=2770 (SI units).") from None
+            raise InputDataError(
+                f"{option}: {item!r} is not NAME=NUMBER, for example G=2770 (SI units)."
+            ) from None
         if name in values:
-            raise InputDataError(f"{option}: {name} is given twice, {values[name]:g} and {value:g}; give it once.")
+            raise InputDataError(
+                f"{option}: {name} is given twice, {values[name]:g} and {value:g}; give it once."
+            )
         PARAMETERS.check(name, torch.tensor(value, dtype=torch.float64))
         values[name] = value
     return values
@@ -118,7 +138,9 @@ def names_of(text: str, option: str) -> list[str]:
     """``"a,b"`` as names; there must be one, and none twice."""
     names = [name.strip() for name in text.split(",") if name.strip()]
     if not names or len(set(names)) < len(names):
-        raise InputDataError(f"{option} is {text!r}; name at least one, each once, separated by commas.")
+        raise InputDataError(
+            f"{option} is {text!r}; name at least one, each once, separated by commas."
+        )
     return names
 
 
@@ -131,7 +153,9 @@ def parse_pair(text: str | None, option: str) -> tuple[float, float] | None:
         if not (math.isfinite(first) and math.isfinite(second)):
             raise ValueError("not finite")
     except ValueError:
-        raise InputDataError(f"{option}: {text!r} is not VALUE:VALUE, for example 0.2:0.1.") from None
+        raise InputDataError(
+            f"{option}: {text!r} is not VALUE:VALUE, for example 0.2:0.1."
+        ) from None
     return first, second
 
 
@@ -148,7 +172,8 @@ def rest_radius_of(args: argparse.Namespace) -> tuple[float, float] | None:
     pair = parse_pair(args.rest_radius, "--rest-radius")
     if pair is not None and not (0.0 < pair[0] < 1.0 and pair[1] >= 0.0):
         raise InputDataError(
-            f"--rest-radius is {args.rest_radius!r}; expected R_inf/Rmax between 0 and 1 and a standard deviation >= 0, for "
+            f"--rest-radius is {args.rest_radius!r}; expected R_inf/Rmax between 0 and 1 and a "
+            "standard deviation >= 0, for "
             "example 0.2:0.1."
         )
     return pair
@@ -159,17 +184,22 @@ def layout_of(args: argparse.Namespace) -> Layout | None:
     return None if args.layout is None else Layout.from_text(args.layout)
 
 
-def progress_of(args: argparse.Namespace, stages: Sequence[Stage] = (), label: str = "") -> Progress | None:
+def progress_of(
+    args: argparse.Namespace, stages: Sequence[Stage] = (), label: str = ""
+) -> Progress | None:
     """Where a command reports its steps, or None with ``--quiet``.
 
     Args:
-        args: the options; ``terminal`` is made where the command line was not run through :func:`imr_torch.cli.main`.
+        args: the options; ``terminal`` is made where the command line was not run through
+            :func:`imr_torch.cli.main`.
         stages: the stages to come.
         label: what they are of.
     """
     if args.quiet:
         return None
-    terminal = getattr(args, "terminal", None) or Terminal(args.command, verbose=getattr(args, "verbose", False), live=False)
+    terminal = getattr(args, "terminal", None) or Terminal(
+        args.command, verbose=getattr(args, "verbose", False), live=False
+    )
     terminal.plan(stages, label)
     return terminal
 
@@ -180,11 +210,19 @@ def command_line(args: argparse.Namespace) -> str:
 
 
 def header_of(args: argparse.Namespace) -> dict[str, Any]:
-    """What the result of a command says of itself: schema, software, date, command, files, medium, physics, seed."""
+    """What the result of a command says of itself: schema, software, date, command, files, medium,
+    physics, seed.
+    """
     belief = getattr(args, "belief", None)
-    files = [*(getattr(args, "files", None) or ()), *(getattr(args, "tell", None) or ()), *([belief] if belief else [])]
+    files = [
+        *(getattr(args, "files", None) or ()),
+        *(getattr(args, "tell", None) or ()),
+        *([belief] if belief else []),
+    ]
     physics = getattr(args, "physics", None)
-    medium = getattr(args, "gel_medium", None) or (SIMULATORS[physics].conditions.surroundings if physics else None)
+    medium = getattr(args, "gel_medium", None) or (
+        SIMULATORS[physics].conditions.surroundings if physics else None
+    )
     return header(args.command, files=files, medium=medium, command=command_line(args)) | {
         "physics": physics,
         "seed": getattr(args, "seed", None),
@@ -194,7 +232,8 @@ def header_of(args: argparse.Namespace) -> dict[str, Any]:
 def write_result(args: argparse.Namespace, document: dict[str, Any]) -> None:
     """Write ``document`` with its header to ``--json`` and into ``--out``, where given.
 
-    A number that is not finite is written as null, and its place is said: what was computed is not lost for it.
+    A number that is not finite is written as null, and its place is said: what was computed is not
+        lost for it.
     """
     document, places = without_nonfinite(header_of(args) | document)
     if places:

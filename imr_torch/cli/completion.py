@@ -1,4 +1,6 @@
-"""``imr-torch --print-completion SHELL``: the script that lets a shell complete subcommands, options and file names."""
+"""``imr-torch --print-completion SHELL``: the script that lets a shell complete subcommands,
+options and file names.
+"""
 
 import argparse
 import importlib
@@ -15,7 +17,11 @@ class PrintCompletion(argparse.Action):
         super().__init__(option_strings, argparse.SUPPRESS, choices=SHELLS, **options)
 
     def __call__(
-        self, parser: argparse.ArgumentParser, namespace: object, values: object, option_string: object = None
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: object,
+        values: object,
+        option_string: object = None,
     ) -> None:
         """Print and exit."""
         try:
@@ -28,7 +34,9 @@ class PrintCompletion(argparse.Action):
 
 
 def _mark_files(parser: argparse.ArgumentParser, kinds: dict[str, Any]) -> None:
-    """Say which arguments are files and which are folders, by their placeholders, in a parser and those of its subcommands."""
+    """Say which arguments are files and which are folders, by their placeholders, in a parser and
+    those of its subcommands.
+    """
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for sub in action.choices.values():

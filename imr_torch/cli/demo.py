@@ -26,22 +26,30 @@ def run(args: argparse.Namespace) -> None:
         raise InputDataError(f"--threads is {args.threads}; expected at least 1.")
     _check_folder(folder, again=args.again)
     for source in (example_gel(), example_gel().with_suffix(".json")):
-        write_atomically(folder / source.name, lambda stream, source=source: stream.write(source.read_bytes()))
+        write_atomically(
+            folder / source.name, lambda stream, source=source: stream.write(source.read_bytes())
+        )
     commands = _commands(folder, args)
     for number, command in enumerate(commands, start=1):
         print(f"\n--- {number} of {len(commands)}: imr-torch {shlex.join(command)}\n", flush=True)
         if main([*command, *_passed_on(args)]) != 0:
-            raise ConvergenceError(f"the demo ended at command {number} of {len(commands)}; see the message above.")
+            raise ConvergenceError(
+                f"the demo ended at command {number} of {len(commands)}; see the message above."
+            )
     write_result(args, {"commands": [shlex.join(["imr-torch", *command]) for command in commands]})
     pages = " and ".join(str(folder / name) for name in ("gel.html", "campaign.html"))
-    print(f"\nOpen {pages} in a browser. The same commands work on files of your own; imr-torch --help lists all.")
+    print(
+        f"\nOpen {pages} in a browser. The same commands work on files of your own; imr-torch "
+        "--help lists all."
+    )
 
 
 def _check_folder(folder: Path, *, again: bool) -> None:
     """Refuse a folder with files in it, unless it was said that they may be made anew."""
     if not again and folder.is_dir() and any(folder.iterdir()):
         raise InputDataError(
-            f"{str(folder)!r} holds files already; give a new folder with --out, or --again to make the files of the demo anew "
+            f"{str(folder)!r} holds files already; give a new folder with --out, or --again to "
+            "make the files of the demo anew "
             "there (others are kept)."
         )
 
@@ -50,9 +58,20 @@ def _commands(folder: Path, args: argparse.Namespace) -> tuple[list[str], list[s
     """The arguments of the two commands of the demo."""
     from imr_torch.campaign import Journal
 
-    gel = ["characterize", str(folder / example_gel().name), "--models", "nhkv" if args.short else "nhkv,gen_qkv"]
+    gel = [
+        "characterize",
+        str(folder / example_gel().name),
+        "--models",
+        "nhkv" if args.short else "nhkv,gen_qkv",
+    ]
     gel += ["--experiments", "shot_1,shot_3", "--noise", "published"] if args.short else []
-    shots = [_CAMPAIGN, "--case", "soft-pa" if args.short else "stiff-pa", "--designs", "1" if args.short else "2"]
+    shots = [
+        _CAMPAIGN,
+        "--case",
+        "soft-pa" if args.short else "stiff-pa",
+        "--designs",
+        "1" if args.short else "2",
+    ]
     shots += ["--evaluations", "4", "--physics", "polytropic"] if args.short else []
     shots += ["--resume"] if Journal(folder / _CAMPAIGN).events else []
     return (

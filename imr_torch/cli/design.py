@@ -41,8 +41,11 @@ from imr_torch.results import design_page, draw_figures
 from imr_torch.simulate import coarser
 from imr_torch.units import Surroundings
 
-_PUBLISHED_REPEATS, _REPEATS = 100, 10
-_MEASURED = Nuisance(max_radius=0.01, time_zero=0.01, rest_radius=0.03)  # of curves filmed in a laboratory
+_PUBLISHED_REPEATS = 100
+_REPEATS = 10
+_MEASURED = Nuisance(
+    max_radius=0.01, time_zero=0.01, rest_radius=0.03
+)  # of curves filmed in a laboratory
 ESTIMATORS: dict[str, Callable[[int], InformationEstimator]] = {
     "laplace": Laplace,
     "importance": ImportanceSampling,
@@ -55,17 +58,22 @@ ESTIMATORS: dict[str, Callable[[int], InformationEstimator]] = {
 
 def space_of(args: argparse.Namespace) -> DesignSpace:
     """The design space that the options name."""
-    weber, rest = parse_pair(args.we_range, "--we-range"), parse_pair(args.rinf_range, "--rinf-range")
+    weber = parse_pair(args.we_range, "--we-range")
+    rest = parse_pair(args.rinf_range, "--rinf-range")
     assert weber is not None
     assert rest is not None
     try:
         return DesignSpace(weber, rest)
     except InputDataError as error:
-        raise InputDataError(f"--we-range {args.we_range} --rinf-range {args.rinf_range}: {error}") from None
+        raise InputDataError(
+            f"--we-range {args.we_range} --rinf-range {args.rinf_range}: {error}"
+        ) from None
 
 
 def plan_of(args: argparse.Namespace) -> Plan:
-    """How experiments will be observed: a reference case as published, a gel of one's own as laboratories measure."""
+    """How experiments will be observed: a reference case as published, a gel of one's own as
+    laboratories measure.
+    """
     if args.case:
         return Plan(repeats=_PUBLISHED_REPEATS if args.repeats is None else args.repeats)
     return Plan(repeats=_REPEATS if args.repeats is None else args.repeats, nuisance=_MEASURED)
@@ -77,7 +85,12 @@ def search_to_dict(search: DesignSearch) -> list[dict[str, float]]:
     for design, gain in zip(search.designs.tolist(), search.gains, strict=True):
         row = {"We": design[0], "R_inf*": design[1], "counted": gain.counted, "drawn": gain.drawn}
         if gain.value == gain.value:
-            row |= {"eig": gain.value, "sd": gain.variance**0.5, "parameters": gain.parameters, "model": gain.model}
+            row |= {
+                "eig": gain.value,
+                "sd": gain.variance**0.5,
+                "parameters": gain.parameters,
+                "model": gain.model,
+            }
         rows.append(row)
     return rows
 
@@ -85,7 +98,8 @@ def search_to_dict(search: DesignSearch) -> list[dict[str, float]]:
 def run(args: argparse.Namespace) -> None:
     """Search and report."""
     check_counts(args, "q", "evaluations", "draws")
-    simulator, space = simulator_of(args), space_of(args)
+    simulator = simulator_of(args)
+    space = space_of(args)
     simulator, prior, medium = with_medium(args, simulator, prior_of(args))
     print(medium.report())
     acquisition = ExpectedInformationGain(
@@ -110,9 +124,13 @@ def run(args: argparse.Namespace) -> None:
     document = search_document(steps, simulator.conditions.surroundings)
     write_result(args, document)  # before any figure, so that nothing computed is lost if one fails
     for number, step in enumerate(steps, start=1):
-        best, where = step.recommendation, space.describe(step.recommendation.design, simulator.conditions.surroundings)
+        best = step.recommendation
+        where = space.describe(step.recommendation.design, simulator.conditions.surroundings)
         print(f"Shoot {where}")
-        print(f"{'adds' if number > 1 else 'expected information gain'} {best.mean:.3f} +- {best.sd:.3f} nats")
+        print(
+            f"{'adds' if number > 1 else 'expected information gain'} {best.mean:.3f} +- "
+            f"{best.sd:.3f} nats"
+        )
     if len(steps) > 1:
         print(f"together {search.joint:.3f} nats")
     if args.html:
@@ -121,7 +139,9 @@ def run(args: argparse.Namespace) -> None:
         save_figures(draw_figures(document), Path(args.out))
 
 
-def search_document(steps: Sequence[DesignSearch], surroundings: Surroundings | None = None) -> dict[str, Any]:
+def search_document(
+    steps: Sequence[DesignSearch], surroundings: Surroundings | None = None
+) -> dict[str, Any]:
     """JSON-ready result of the searches for one or more designs, with the map of each."""
     medium = surroundings or Surroundings()
     rows = [

@@ -1,4 +1,7 @@
-"""Runs ``imr-torch diagnose``; its help and options are in :mod:`imr_torch.cli.options.diagnose`."""
+"""Runs ``imr-torch diagnose``.
+
+Its help and options are in :mod:`imr_torch.cli.options.diagnose`.
+"""
 
 import argparse
 import time
@@ -44,16 +47,21 @@ def run(args: argparse.Namespace) -> None:
     started = time.perf_counter()
     if args.most < 1:
         raise InputDataError(f"--most is {args.most}; expected at least 1 effect to add.")
-    simulator, effects = simulator_of(args, chunk=_CHUNK), _effects(args)
+    simulator = simulator_of(args, chunk=_CHUNK)
+    effects = _effects(args)
     base = wide_prior((args.base,), known=parse_values(args.known, "--known")).models[0]
     experiments, medium = _experiments(args, simulator)
-    simulator, base, effects = medium.applied(simulator), medium.believed_of(base), _beside_medium(effects, medium, args)
+    simulator = medium.applied(simulator)
+    base = medium.believed_of(base)
+    effects = _beside_medium(effects, medium, args)
     if args.experiments is not None:
         experiments = _named(experiments, args.experiments, "--experiments")
     held_out = [] if args.heldout is None else _named(experiments, args.heldout, "--heldout")
     fitted = [e for e in experiments if e not in held_out]
     if not fitted:
-        raise InputDataError(f"--heldout leaves none of the {len(experiments)} experiments to fit; hold out fewer.")
+        raise InputDataError(
+            f"--heldout leaves none of the {len(experiments)} experiments to fit; hold out fewer."
+        )
     progress = progress_of(args, DIAGNOSE)
     report = diagnose(
         fitted,
@@ -64,16 +72,33 @@ def run(args: argparse.Namespace) -> None:
         seed=args.seed,
         progress=progress,
     )
-    parts = examine(report, simulator, unseen=held_out, most=args.most, seed=args.seed, progress=progress)
-    assumed = medium_sensitivities(report.null, report.batch, simulator, medium) if report.converged else ()
+    parts = examine(
+        report, simulator, unseen=held_out, most=args.most, seed=args.seed, progress=progress
+    )
+    assumed = (
+        medium_sensitivities(report.null, report.batch, simulator, medium)
+        if report.converged
+        else ()
+    )
     print(describe(report, parts))
     said = (*medium.learnt(report.null.posterior), *(found.sentence() for found in assumed))
-    print("\n" + "\n".join([medium.report(), *(f"  {sentence} (Of the base model alone.)" for sentence in said)]))
+    print(
+        "\n"
+        + "\n".join(
+            [medium.report(), *(f"  {sentence} (Of the base model alone.)" for sentence in said)]
+        )
+    )
     of_medium = medium_document(medium, assumed, report.null.posterior)
-    write_result(args, to_json(report, parts, simulator=simulator) | of_medium | {"seconds": time.perf_counter() - started})
+    write_result(
+        args,
+        to_json(report, parts, simulator=simulator)
+        | of_medium
+        | {"seconds": time.perf_counter() - started},
+    )
     if args.html:
         about = header_of(args) | of_medium
-        facts, said = (*provenance_table(about).rows, *assumed_rows(about)), footer(about)
+        facts = (*provenance_table(about).rows, *assumed_rows(about))
+        said = footer(about)
         page = write_page(report, args.html, parts, facts=facts, footer=said, simulator=simulator)
         print(f"wrote {page}")
     if not report.converged:
@@ -81,35 +106,49 @@ def run(args: argparse.Namespace) -> None:
 
 
 def _effects(args: argparse.Namespace) -> tuple[Effect, ...]:
-    """The library less what was left out; an effect that was asked for by name must fit the base model."""
+    """The library less what was left out.
+
+    An effect that was asked for by name must fit the base model.
+    """
     if args.base not in MATERIALS:
-        raise InputDataError(f"--base: unknown model {args.base!r}; known are {', '.join(MATERIALS)}.")
+        raise InputDataError(
+            f"--base: unknown model {args.base!r}; known are {', '.join(MATERIALS)}."
+        )
     asked = None if args.effects is None else names_of(args.effects, "--effects")
     without = [] if args.without is None else names_of(args.without, "--without")
     chosen = library(asked, without=without, base=args.base)
     lost = [name for name in asked or [] if name not in {effect.name for effect in chosen}]
     if lost:
         raise InputDataError(
-            f"--effects: {lost[0]!r} cannot be put on the base model {args.base!r}, which has it or lacks what it acts on."
+            f"--effects: {lost[0]!r} cannot be put on the base model {args.base!r}, which has it "
+            "or lacks what it acts on."
         )
     if not chosen:
         raise InputDataError("--without leaves no effect that could be the cause; leave fewer out.")
     return chosen
 
 
-def _beside_medium(effects: tuple[Effect, ...], medium: GelMedium, args: argparse.Namespace) -> tuple[Effect, ...]:
-    """The effects less those whose parameter is inferred already, as a property of the medium with a standard deviation."""
+def _beside_medium(
+    effects: tuple[Effect, ...], medium: GelMedium, args: argparse.Namespace
+) -> tuple[Effect, ...]:
+    """The effects less those whose parameter is inferred already, as a property of the medium with
+    a standard deviation.
+    """
     held = [effect.name for effect in effects if set(effect.names) & set(medium.priors)]
     if held and args.effects is not None and held[0] in names_of(args.effects, "--effects"):
         raise InputDataError(
-            f"--effects: {held[0]!r} is inferred already, since its value is stated with a standard deviation; leave one out."
+            f"--effects: {held[0]!r} is inferred already, since its value is stated with a "
+            "standard deviation; leave one out."
         )
     return tuple(effect for effect in effects if effect.name not in held)
 
 
-def _experiments(args: argparse.Namespace, simulator: Simulator) -> tuple[list[Experiment], GelMedium]:
+def _experiments(
+    args: argparse.Namespace, simulator: Simulator
+) -> tuple[list[Experiment], GelMedium]:
     """Sets or curves as experiments, and their medium; what was read and left out is printed."""
-    statement, assumed = statement_of(args), simulator.conditions.surroundings
+    statement = statement_of(args)
+    assumed = simulator.conditions.surroundings
     sets = [name for name in args.files if _is_set(name)]
     if not sets:
         traces = load_traces(*args.files, layout=layout_of(args))
@@ -125,17 +164,24 @@ def _experiments(args: argparse.Namespace, simulator: Simulator) -> tuple[list[E
         print(prepared.report() + "\n")
         return list(prepared.experiments), medium
     if len(sets) < len(args.files):
-        raise InputDataError("Sets (.npz) and files of curves cannot be mixed: their noise is known differently.")
+        raise InputDataError(
+            "Sets (.npz) and files of curves cannot be mixed: their noise is known differently."
+        )
     for option in ("layout", "rest_radius", "collapses"):
         if getattr(args, option) is not None:
             raise InputDataError(
-                f"--{option.replace('_', '-')} is about files of curves, and has no effect on sets; leave it out."
+                f"--{option.replace('_', '-')} is about files of curves, and has no effect on "
+                "sets; leave it out."
             )
     medium = medium_of(TraceSet(()), statement, assumed)
     loaded = {name: load_set(name, surroundings=medium.surroundings) for name in sets}
     if len(loaded) == 1:
         return next(iter(loaded.values())), medium
-    renamed = [replace(e, label=f"{Path(name).stem} {e.label}") for name, experiments in loaded.items() for e in experiments]
+    renamed = [
+        replace(e, label=f"{Path(name).stem} {e.label}")
+        for name, experiments in loaded.items()
+        for e in experiments
+    ]
     return renamed, medium
 
 
@@ -145,10 +191,14 @@ def _is_set(name: str) -> bool:
 
 def _named(experiments: Sequence[Experiment], text: str, option: str) -> list[Experiment]:
     """The experiments of given labels."""
-    labels, chosen = [e.label for e in experiments], names_of(text, option)
+    labels = [e.label for e in experiments]
+    chosen = names_of(text, option)
     for name in chosen:
         if name not in labels:
-            raise InputDataError(f"{option}: no experiment {name!r} among the {len(labels)} loaded: {', '.join(labels)}.")
+            raise InputDataError(
+                f"{option}: no experiment {name!r} among the {len(labels)} loaded: "
+                f"{', '.join(labels)}."
+            )
     return [e for e in experiments if e.label in chosen]
 
 

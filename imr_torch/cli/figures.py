@@ -29,7 +29,9 @@ def formats_of(text: str) -> tuple[str, ...]:
     found = tuple(dict.fromkeys(part.strip().lower() for part in text.split(",") if part.strip()))
     for name in found or (text,):
         if name not in FORMATS:
-            raise InputDataError(f"--format is {text!r}; expected some of {', '.join(FORMATS)} with commas between.")
+            raise InputDataError(
+                f"--format is {text!r}; expected some of {', '.join(FORMATS)} with commas between."
+            )
     return found
 
 
@@ -39,13 +41,17 @@ def subfolder(label: str) -> str:
 
 
 def save(figure: Figure, folder: Path, name: str, formats: Sequence[str] = ()) -> list[Path]:
-    """Save a figure in each format (none named: ``WRITTEN``), atomically, and close it; its layout is that of the first one."""
+    """Save a figure in each format (none named: ``WRITTEN``), atomically, and close it; its layout
+    is that of the first one.
+    """
     paths = []
     try:
         for kind in formats or WRITTEN:
             path = folder / f"{name}.{kind}"
             with plt.rc_context({"pdf.fonttype": 42, "svg.fonttype": "none"}):  # text stays text
-                write_atomically(path, lambda stream, kind=kind: figure.savefig(stream, format=kind, dpi=_DPI))
+                write_atomically(
+                    path, lambda stream, kind=kind: figure.savefig(stream, format=kind, dpi=_DPI)
+                )
             paths.append(path)
             figure.set_layout_engine("none")  # else made anew for each format
     finally:
@@ -54,8 +60,12 @@ def save(figure: Figure, folder: Path, name: str, formats: Sequence[str] = ()) -
 
 
 def save_figures(figures: Sequence[NamedFigure], folder: Path, formats: Sequence[str] = ()) -> int:
-    """Draw and save figures; one that fails is named on standard error and costs no other. Returns how many were saved."""
-    count, formats = 0, tuple(formats) or WRITTEN
+    """Draw and save figures.
+
+    One that fails is named on standard error and costs no other. Returns how many were saved.
+    """
+    count = 0
+    formats = tuple(formats) or WRITTEN
     for item in figures:
         try:
             save(item.draw(), folder, item.name, formats)
@@ -64,6 +74,10 @@ def save_figures(figures: Sequence[NamedFigure], folder: Path, formats: Sequence
             raise
         except Exception as error:  # whatever fails in drawing, the numbers are kept
             plt.close("all")
-            print(f"imr-torch: the figure {item.name} could not be drawn ({type(error).__name__}: {error})", file=sys.stderr)
+            print(
+                f"imr-torch: the figure {item.name} could not be drawn ({type(error).__name__}: "
+                f"{error})",
+                file=sys.stderr,
+            )
     print(f"wrote {count} figure(s) as {', '.join(formats)} to {folder}")
     return count

@@ -10,7 +10,14 @@ from typing import Any
 from imr_torch.cli.figures import formats_of, save_figures, subfolder
 from imr_torch.errors import InputDataError
 from imr_torch.html import write
-from imr_torch.results import NamedFigure, campaign_page, characterization_page, draw_figures, for_publication, read_document
+from imr_torch.results import (
+    NamedFigure,
+    campaign_page,
+    characterization_page,
+    draw_figures,
+    for_publication,
+    read_document,
+)
 
 _PAGES: dict[str, Callable[[Mapping[str, Any]], str]] = {
     "imr_torch characterize": characterization_page,
@@ -22,9 +29,11 @@ def run(args: argparse.Namespace) -> None:
     """Read, check, draw.
 
     Raises:
-        InputDataError: naming the file, for a result that is not whole, or of which a figure could not be drawn.
+        InputDataError: naming the file, for a result that is not whole, or of which a figure could
+            not be drawn.
     """
-    formats, document = formats_of(args.format), read_document(args.file)
+    formats = formats_of(args.format)
+    document = read_document(args.file)
     folder = Path(args.out) if args.out else Path(args.file).parent
     parts = _each(args, document, folder) if "each" in document else {folder: document}
     try:
@@ -32,25 +41,39 @@ def run(args: argparse.Namespace) -> None:
     except InputDataError as error:
         raise InputDataError(f"{args.file}: {error}") from None
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
-        raise InputDataError(f"{args.file}: is not a whole result ({type(error).__name__}: {error}); make it anew.") from None
-    missing = sum(len(items) - save_figures(items, place, formats) for place, items in figures.items())
+        raise InputDataError(
+            f"{args.file}: is not a whole result ({type(error).__name__}: {error}); make it anew."
+        ) from None
+    missing = sum(
+        len(items) - save_figures(items, place, formats) for place, items in figures.items()
+    )
     if args.html:
         print(f"wrote {write(_page(document), args.html)}")
     if missing:
-        raise InputDataError(f"{args.file}: {missing} figure(s) could not be drawn (see above); make the result anew.")
+        raise InputDataError(
+            f"{args.file}: {missing} figure(s) could not be drawn (see above); make the result "
+            "anew."
+        )
 
 
 def _sized(figures: Sequence[NamedFigure], columns: str | None) -> list[NamedFigure]:
     """The figures, at their printed width where one is named."""
     if columns is None:
         return list(figures)
-    return [replace(figure, draw=partial(for_publication, figure.draw, columns)) for figure in figures]
+    return [
+        replace(figure, draw=partial(for_publication, figure.draw, columns)) for figure in figures
+    ]
 
 
-def _each(args: argparse.Namespace, document: Mapping[str, Any], folder: Path) -> dict[Path, Mapping[str, Any]]:
+def _each(
+    args: argparse.Namespace, document: Mapping[str, Any], folder: Path
+) -> dict[Path, Mapping[str, Any]]:
     """The results of ``characterize --each`` by the folders of their figures."""
     if args.html:
-        raise InputDataError("--html: the result holds one fit per curve (--each), and a page shows one; leave --html out.")
+        raise InputDataError(
+            "--html: the result holds one fit per curve (--each), and a page shows one; leave "
+            "--html out."
+        )
     parts: dict[Path, Mapping[str, Any]] = {}
     if not isinstance(document["each"], Mapping):
         raise InputDataError(f"{args.file}: 'each' is no object of results; make it anew.")
@@ -68,6 +91,7 @@ def _page(document: Mapping[str, Any]) -> str:
     name = document["schema"]["name"]
     if name not in _PAGES:
         raise InputDataError(
-            f"--html: the result is of {name!r}; a page is made again of {' and '.join(_PAGES)} only. Leave --html out."
+            f"--html: the result is of {name!r}; a page is made again of {' and '.join(_PAGES)} "
+            "only. Leave --html out."
         )
     return _PAGES[name](document)

@@ -1,8 +1,10 @@
-"""Progress for people: the stage, the step within it and the time left, on one line that rewrites itself on a terminal.
+"""Progress for people: the stage, the step within it and the time left, on one line that rewrites
+itself on a terminal.
 
-The stages of the package report lines of detail (:data:`imr_torch.types.Progress`). ``--verbose`` prints them as they are. Else
-they are condensed: on a terminal into one line that is rewritten, also while nothing is reported, elsewhere (a log file) into a
-short line whenever the stage changes and every half minute.
+The stages of the package report lines of detail (:data:`imr_torch.types.Progress`). ``--verbose``
+prints them as they are. Else they are condensed: on a terminal into one line that is rewritten,
+also while nothing is reported, elsewhere (a log file) into a short line whenever the stage changes
+and every half minute.
 """
 
 import re
@@ -29,7 +31,8 @@ class Stage:
     Args:
         name: what is done.
         share: of the command's time, roughly.
-        begins: regular expression of the reported line with which it begins; the first begins at once.
+        begins: regular expression of the reported line with which it begins; the first begins at
+            once.
     """
 
     name: str
@@ -40,20 +43,24 @@ class Stage:
 def characterize_stages(
     noise_rounds: int, *, scores: bool = False, population: bool = False, profile: bool = False
 ) -> tuple[Stage, ...]:
-    """The stages of ``characterize``: one fit per noise law, draws, the fit test and perhaps scores, each shot alone, profiles.
+    """The stages of ``characterize``: one fit per noise law, draws, the fit test and perhaps
+    scores, each shot alone, profiles.
 
     >>> from imr_torch.cli.progress import characterize_stages
     >>> [stage.name for stage in characterize_stages(1)]
     ['fit of all models', 'fit with the estimated noise, and draws', 'fit test and figures']
     """
-    # measured on the example gel: a first fit takes a sixth of all, each later one, which ends more precisely, a third
+    # measured on the example gel: a first fit takes a sixth of all, each later one, which ends more
+    # precisely, a third
     fits = [Stage("fit of all models" + ("" if noise_rounds else ", and draws"), 0.5)]
     for number in range(1, noise_rounds + 1):
         again = f" (round {number} of {noise_rounds})" if noise_rounds > 1 else ""
         draws = ", and draws" if number == noise_rounds else ""
         fits.append(Stage(f"fit with the estimated noise{again}{draws}", 1.0, r"^noise "))
     last = [Stage("scores of held-out curves", 2.0, r"^scores")] if scores else []
-    shots = [Stage("each shot by itself, and the population", 1.5, r"^shots: ")] if population else []
+    shots = (
+        [Stage("each shot by itself, and the population", 1.5, r"^shots: ")] if population else []
+    )
     profiles = [Stage("profile likelihoods, and figures", 0.5, r"^profile of")] if profile else []
     return (
         *fits,
@@ -103,21 +110,37 @@ class Terminal:
         live: bool | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.command, self.quiet, self.verbose = command, quiet, verbose
-        self.stream, self.clock = stream or sys.stderr, clock
+        self.command = command
+        self.quiet = quiet
+        self.verbose = verbose
+        self.stream = stream or sys.stderr
+        self.clock = clock
         self.live = (self.stream.isatty() if live is None else live) and not quiet and not verbose
         self.started = self.said = clock()
-        self.label, self.stages, self.at, self.step, self.part = "", (), 0, "", 0.0
-        self._begun, self._drawn, self._last = False, 0, ""
-        self._lock, self._stop = threading.RLock(), threading.Event()
+        self.label = ""
+        self.stages = ()
+        self.at = 0
+        self.step = ""
+        self.part = 0.0
+        self._begun = False
+        self._drawn = 0
+        self._last = ""
+        self._lock = threading.RLock()
+        self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self._stdout: TextIO | None = None
 
     def plan(self, stages: Sequence[Stage], label: str = "") -> None:
         """Name the stages to come, from the first; ``label`` says of what (for example a curve)."""
         with self._lock:
-            self.stages, self.at, self.step, self.part, self.label = tuple(stages), 0, "", 0.0, label
-            self.started, self._begun, self._last = self.clock(), True, ""
+            self.stages = tuple(stages)
+            self.at = 0
+            self.step = ""
+            self.part = 0.0
+            self.label = label
+            self.started = self.clock()
+            self._begun = True
+            self._last = ""
 
     def __call__(self, text: str) -> None:
         """Report one line of detail."""
@@ -126,7 +149,9 @@ class Terminal:
         with self._lock:
             self._begun = True
             if self.verbose:
-                print(f"[{self.clock() - self.started:6.1f} s] {text}", file=self.stream, flush=True)
+                print(
+                    f"[{self.clock() - self.started:6.1f} s] {text}", file=self.stream, flush=True
+                )
                 return
             self._read(text)
             if self.live:
@@ -136,7 +161,8 @@ class Terminal:
 
     def line(self) -> str:
         """The state in one line, what matters most first, since a narrow terminal cuts the end off."""
-        elapsed, done = self.clock() - self.started, self._done()
+        elapsed = self.clock() - self.started
+        done = self._done()
         parts = [self.command + (f" {self.label}" if self.label else "")]
         if len(self.stages) > 1:
             parts.append(f"stage {self.at + 1} of {len(self.stages)}")
@@ -148,22 +174,33 @@ class Terminal:
         return ", ".join(parts) + (f": {', '.join(doing)}" if doing else "")
 
     def _done(self) -> float:
-        """Part of the work that is done, roughly; of the step that counts, where no stages are planned."""
+        """Part of the work that is done, roughly.
+
+        Of the step that counts, where no stages are planned.
+        """
         if not self.stages:
             return self.part
         total = sum(stage.share for stage in self.stages)
-        return (sum(stage.share for stage in self.stages[: self.at]) + self.part * self.stages[self.at].share) / total
+        return (
+            sum(stage.share for stage in self.stages[: self.at])
+            + self.part * self.stages[self.at].share
+        ) / total
 
     def _read(self, text: str) -> None:
         """Take stage and step from a reported line."""
         following = self.stages[self.at + 1 :]
         new = next((i for i, stage in enumerate(following) if re.search(stage.begins, text)), None)
         if new is not None:
-            self.at, self.part, self.step = self.at + 1 + new, 0.0, ""
-        counted, step = _OF.search(text), _STEP.search(text)
+            self.at = self.at + 1 + new
+            self.part = 0.0
+            self.step = ""
+        counted = _OF.search(text)
+        step = _STEP.search(text)
         if counted and int(counted[2]) > 0:
             self.part = min(1.0, int(counted[1]) / int(counted[2]))
-            self.step = f"{text[: counted.start()].strip(' :,')} {counted[1]} of {counted[2]}".strip()
+            self.step = (
+                f"{text[: counted.start()].strip(' :,')} {counted[1]} of {counted[2]}".strip()
+            )
         elif step:
             self.step = step[0]
         elif new is None:
@@ -171,9 +208,11 @@ class Terminal:
 
     def _log(self) -> None:
         """A line for a log: when the stage has changed, else seldom."""
-        now, stage = self.clock(), f"{self.label} {self.at}" if self.stages else "-"
+        now = self.clock()
+        stage = f"{self.label} {self.at}" if self.stages else "-"
         if stage != self._last or now - self.said >= _LOG_EVERY:
-            self._last, self.said = stage, now
+            self._last = stage
+            self.said = now
             print(self.line()[:_LONGEST], file=self.stream, flush=True)
 
     def _draw(self) -> None:
@@ -198,7 +237,12 @@ class Terminal:
             self._thread.start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self._stop.set()
         if self._thread is not None:
             self._thread.join()
@@ -218,7 +262,8 @@ class _Clearing:
     """Standard output that wipes the progress line before anything is printed."""
 
     def __init__(self, stream: TextIO, terminal: Terminal) -> None:
-        self._stream, self._terminal = stream, terminal
+        self._stream = stream
+        self._terminal = terminal
 
     def write(self, text: str) -> int:
         self._terminal.clear()

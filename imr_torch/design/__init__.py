@@ -1,8 +1,15 @@
-"""What to shoot next: the information that an experiment is expected to give, and its maximum over designs."""
+"""What to shoot next: the information that an experiment is expected to give, and its maximum over
+designs.
+"""
 
 from imr_torch.design.acquisition import ExpectedInformationGain
 from imr_torch.design.closed_form import linear_gaussian_gain
-from imr_torch.design.eig import Bracket, expected_information_gain, gains_of_each, information_bracket
+from imr_torch.design.eig import (
+    Bracket,
+    expected_information_gain,
+    gains_of_each,
+    information_bracket,
+)
 from imr_torch.design.estimator import InformationEstimator
 from imr_torch.design.gain import ErrorParts, InformationGain, Target, separate_errors
 from imr_torch.design.importance import AdaptiveContrastive, ImportanceSampling

@@ -23,20 +23,22 @@ from imr_torch.simulate import Simulator
 class ExpectedInformationGain(AcquisitionFunction):
     """Joint information of ``q`` bubbles, in nats, as a BoTorch acquisition.
 
-    ``optimize_acqf(acq, bounds=space.bounds, q=q, ..., options={"with_grad": False})`` maximises it directly, and
-    :func:`~imr_torch.design.search_design` through a surrogate. Whatever is evaluated with one seed shares its draws, so the
-    surface is smooth and differences between designs are known better than their level. Its Monte Carlo error is in
-    :meth:`estimate`.
+    ``optimize_acqf(acq, bounds=space.bounds, q=q, ..., options={"with_grad": False})`` maximises it
+    directly, and :func:`~imr_torch.design.search_design` through a surrogate. Whatever is evaluated
+    with one seed shares its draws, so the surface is smooth and differences between designs are
+    known better than their level. Its Monte Carlo error is in :meth:`estimate`.
 
     Args:
         belief: what is thought of the gel now; takes the place of BoTorch's model.
         simulator: makes the bubbles.
         estimator: how the gain is estimated; ``Laplace()`` if None.
-        target: what the information is about: the parameters given the model, which model it is, or both.
+        target: what the information is about: the parameters given the model, which model it is, or
+            both.
         plan: how the experiment will be observed.
         space: designs that may be asked about.
-        X_pending: ``m x 2`` tensor of designs that will be shot anyway with the same belief; the value is then the joint gain
-            of these and of ``X``, as BoTorch's Monte Carlo acquisitions have it.
+        X_pending: ``m x 2`` tensor of designs that will be shot anyway with the same belief; the
+            value is then the joint gain of these and of ``X``, as BoTorch's Monte Carlo
+            acquisitions have it.
         seed: of the draws.
 
     Raises:
@@ -65,11 +67,16 @@ class ExpectedInformationGain(AcquisitionFunction):
     ) -> None:
         super().__init__(model=None)  # type: ignore[arg-type]  # the belief is the model
         if target not in get_args(Target):
-            raise InputDataError(f"target is {target!r}; expected one of {', '.join(get_args(Target))}.")
-        self.belief, self.simulator, self.seed = belief, simulator, seed
+            raise InputDataError(
+                f"target is {target!r}; expected one of {', '.join(get_args(Target))}."
+            )
+        self.belief = belief
+        self.simulator = simulator
+        self.seed = seed
         self.estimator: InformationEstimator = estimator or Laplace()
         self.target: Target = target
-        self.plan, self.space = plan or Plan(), space or DesignSpace()
+        self.plan = plan or Plan()
+        self.space = space or DesignSpace()
         self.set_X_pending(X_pending)
 
     def set_X_pending(self, X_pending: Real[Tensor, "pending 2"] | None = None) -> None:
@@ -79,16 +86,22 @@ class ExpectedInformationGain(AcquisitionFunction):
             ShapeError: if the shape is not ``m x 2``.
         """
         if X_pending is not None and (X_pending.ndim != 2 or X_pending.shape[-1] != 2):
-            raise ShapeError(f"X_pending has shape {tuple(X_pending.shape)}; expected m x 2 with (We, R_inf*).")
+            raise ShapeError(
+                f"X_pending has shape {tuple(X_pending.shape)}; expected m x 2 with (We, R_inf*)."
+            )
         super().set_X_pending(X_pending)
 
-    def with_pending(self, X_pending: Real[Tensor, "pending 2"] | None) -> "ExpectedInformationGain":
+    def with_pending(
+        self, X_pending: Real[Tensor, "pending 2"] | None
+    ) -> "ExpectedInformationGain":
         """A copy with other pending designs (``m x 2`` or None); this one stays as it is."""
         other = copy(self)
         other.set_X_pending(X_pending)
         return other
 
-    def estimate(self, designs: Real[Tensor, "designs 2"], *, seed: int | None = None) -> InformationGain:
+    def estimate(
+        self, designs: Real[Tensor, "designs 2"], *, seed: int | None = None
+    ) -> InformationGain:
         """The joint gain of designs and pending designs, with its Monte Carlo error.
 
         Args:
@@ -102,11 +115,17 @@ class ExpectedInformationGain(AcquisitionFunction):
         return self._joint(designs, seed)
 
     def estimate_pending(self, *, seed: int | None = None) -> InformationGain | None:
-        """The joint gain of the pending designs alone, with the draws of :meth:`estimate`; None if none is pending."""
+        """The joint gain of the pending designs alone, with the draws of :meth:`estimate`.
+
+        None if none is pending.
+        """
         return None if self.X_pending is None else self._joint(self.X_pending[:0], seed)
 
-    def estimate_each(self, designs: Real[Tensor, "designs 2"], *, seed: int | None = None) -> list[InformationGain]:
-        """The gains of ``n x 2`` designs, each with the pending ones and not with the others, from common draws.
+    def estimate_each(
+        self, designs: Real[Tensor, "designs 2"], *, seed: int | None = None
+    ) -> list[InformationGain]:
+        """The gains of ``n x 2`` designs, each with the pending ones and not with the others, from
+        common draws.
 
         Raises:
             InputDataError: for a design outside the space.
@@ -141,7 +160,8 @@ class ExpectedInformationGain(AcquisitionFunction):
         """
         if X.requires_grad and torch.is_grad_enabled():
             raise UnsupportedError(
-                "ExpectedInformationGain has no gradient with respect to the designs; pass optimize_acqf or "
+                "ExpectedInformationGain has no gradient with respect to the designs; pass "
+                "optimize_acqf or "
                 'optimize_acqf_mixed options={"with_grad": False}, or use search_design.'
             )
         values = [self.estimate(designs).value for designs in X.reshape(-1, *X.shape[-2:])]

@@ -1,4 +1,7 @@
-"""What is known exactly about a linear-Gaussian experiment, by dense algebra; estimators are tested against it."""
+"""What is known exactly about a linear-Gaussian experiment, by dense algebra.
+
+Estimators are tested against it.
+"""
 
 import torch
 from jaxtyping import Float
@@ -12,10 +15,12 @@ def linear_gaussian_gain(
     noise: Float[Tensor, "*#batch data data"],
     prior: Float[Tensor, "*#batch controls controls"] | None = None,
 ) -> Float[Tensor, "*#batch"]:
-    """Mutual information of ``theta ~ N(., prior)`` and ``y = A theta + e`` with ``e ~ N(0, noise)``.
+    """Mutual information of ``theta ~ N(., prior)`` and ``y = A theta + e`` with ``e ~ N(0,
+    noise)``.
 
-    ``1/2 log det(noise + A prior A^T) - 1/2 log det(noise)`` (Lindley, Ann. Math. Stat. 27, 1956; Chaloner & Verdinelli,
-    Statist. Sci. 10, 1995, section 2). Nuisances belong into ``noise``, as ``B B^T``.
+    ``1/2 log det(noise + A prior A^T) - 1/2 log det(noise)`` (Lindley, Ann. Math. Stat. 27, 1956;
+    Chaloner & Verdinelli, Statist. Sci. 10, 1995, section 2). Nuisances belong into ``noise``, as
+    ``B B^T``.
 
     Args:
         sensitivity: ``... x m x d`` tensor ``A``; stack the rows of experiments shot together.
@@ -35,10 +40,13 @@ def linear_gaussian_gain(
     1.1513
     """
     m, d = sensitivity.shape[-2:]
-    covariance = torch.eye(d, dtype=sensitivity.dtype, device=sensitivity.device) if prior is None else prior
+    covariance = (
+        torch.eye(d, dtype=sensitivity.dtype, device=sensitivity.device) if prior is None else prior
+    )
     if noise.shape[-2:] != (m, m) or covariance.shape[-2:] != (d, d):
         raise ShapeError(
-            f"A sensitivity of shape {tuple(sensitivity.shape)} needs noise ... x {m} x {m} and prior ... x {d} x {d}; "
+            f"A sensitivity of shape {tuple(sensitivity.shape)} needs noise ... x {m} x {m} and "
+            f"prior ... x {d} x {d}; "
             f"got {tuple(noise.shape)} and {tuple(covariance.shape)}."
         )
     both = torch.linalg.slogdet(noise + sensitivity @ covariance @ sensitivity.mT).logabsdet

@@ -1,4 +1,6 @@
-"""Gels drawn from a belief, and one simulated datum of each: what the estimators with linearised posteriors start from."""
+"""Gels drawn from a belief, and one simulated datum of each: what the estimators with linearised
+posteriors start from.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +19,8 @@ class Drawn:
 
     Args:
         parts: gels of each model.
-        controls: ``draws x d`` tensor per model: all that were drawn, those that could be simulated first.
+        controls: ``draws x d`` tensor per model: all that were drawn, those that could be simulated
+            first.
         orders: ``draws`` tensor per model: the numbers of the draws in that order.
         data: of all gels, model after model.
         rows: which data are of each model.
@@ -35,13 +38,22 @@ class Drawn:
         return torch.cat((rows[: self.rows[model].start], rows[self.rows[model].stop :]))
 
 
-def normal_controls(shot: Shot, draws: int, source: torch.Generator) -> list[Float[Tensor, "draws _"]]:
+def normal_controls(
+    shot: Shot, draws: int, source: torch.Generator
+) -> list[Float[Tensor, "draws _"]]:
     """Draws of the Gaussian of each model, ``draws x d``."""
-    return [torch.randn(draws, len(part.names), generator=source, dtype=torch.float64) for part in shot.belief.models]
+    return [
+        torch.randn(draws, len(part.names), generator=source, dtype=torch.float64)
+        for part in shot.belief.models
+    ]
 
 
-def cloud_controls(shot: Shot, draws: int, source: torch.Generator) -> list[Float[Tensor, "draws _"]]:
-    """Draws of each model, ``draws x d``: from its stored posterior draws (``cloud``), or its Gaussian if it has none."""
+def cloud_controls(
+    shot: Shot, draws: int, source: torch.Generator
+) -> list[Float[Tensor, "draws _"]]:
+    """Draws of each model, ``draws x d``: from its stored posterior draws (``cloud``), or its
+    Gaussian if it has none.
+    """
     drawn = normal_controls(shot, draws, source)
     for i, part in enumerate(shot.belief.models):
         if part.cloud is not None:
@@ -54,10 +66,19 @@ def cloud_controls(shot: Shot, draws: int, source: torch.Generator) -> list[Floa
 
 def draw(shot: Shot, controls: Sequence[Float[Tensor, "_ _"]], source: torch.Generator) -> Drawn:
     """Simulate the gels of each model at controls, and a datum of each that could be simulated."""
-    responses = [respond(shot, part, v) for part, v in zip(shot.belief.models, controls, strict=True)]
-    parts, ordered, orders, data, rows, first = [], [], [], [], [], 0
+    responses = [
+        respond(shot, part, v) for part, v in zip(shot.belief.models, controls, strict=True)
+    ]
+    parts = []
+    ordered = []
+    orders = []
+    data = []
+    rows = []
+    first = 0
     for every in responses:
-        orders.append(torch.cat((torch.nonzero(every.good)[:, 0], torch.nonzero(~every.good)[:, 0])))
+        orders.append(
+            torch.cat((torch.nonzero(every.good)[:, 0], torch.nonzero(~every.good)[:, 0]))
+        )
         ordered.append(every.controls[orders[-1]])
         parts.append(every[every.good])
         data.append(observe(parts[-1], shot.plan, source))

@@ -1,8 +1,10 @@
-"""Expected information gain of a design: how many nats an experiment is expected to tell about parameters and model.
+"""Expected information gain of a design: how many nats an experiment is expected to tell about
+parameters and model.
 
-Nested Monte Carlo with one sample set is bounded by ``log N`` and saturates where experiments are most informative, which is
-where a search for designs looks. The estimators that do not saturate, and bounds from either side, are objects
-(:mod:`~imr_torch.design.estimator`); :func:`information_bracket` returns both bounds. In all of them
+Nested Monte Carlo with one sample set is bounded by ``log N`` and saturates where experiments are
+most informative, which is where a search for designs looks. The estimators that do not saturate,
+and bounds from either side, are objects (:mod:`~imr_torch.design.estimator`);
+:func:`information_bracket` returns both bounds. In all of them
 
     I(y; theta, m) = I(y; theta | m) + I(y; m),
 
@@ -63,7 +65,9 @@ def expected_information_gain(
     True
     """
     if designs.ndim != 2 or designs.shape[0] < 1 or designs.shape[1] != 2:
-        raise ShapeError(f"designs has shape {tuple(designs.shape)}; expected q x 2 with (We, R_inf*).")
+        raise ShapeError(
+            f"designs has shape {tuple(designs.shape)}; expected q x 2 with (We, R_inf*)."
+        )
     with torch.no_grad():
         return (estimator or Laplace())(Shot(belief, designs, simulator, plan), generator(seed))
 
@@ -101,7 +105,10 @@ def gains_of_each(
     >>> len(gains_of_each(prior, designs, PolytropicSimulator(), Plan(), estimator=Laplace(draws=4), seed=0))
     2
     """
-    return [expected_information_gain(belief, X, simulator, plan, estimator=estimator, seed=seed) for X in designs.split(1)]
+    return [
+        expected_information_gain(belief, X, simulator, plan, estimator=estimator, seed=seed)
+        for X in designs.split(1)
+    ]
 
 
 @dataclass(frozen=True)
@@ -131,17 +138,19 @@ def information_bracket(
     upper: InformationEstimator | None = None,
     seed: int,
 ) -> Bracket:
-    """Bounds of the gain from below and above, from the same gels and noise if both make as many draws.
+    """Bounds of the gain from below and above, from the same gels and noise if both make as many
+    draws.
 
     Args:
         belief: what is thought of the gel now.
         designs: (We, R_inf*).
         simulator: makes the bubbles.
         plan: how they will be observed.
-        lower: estimator whose expected value is below the gain; ``AdaptiveContrastive()`` if None, which is tight where
-            experiments tell much. ``PriorContrastive`` rests on no linearisation, and is tight only below ``log(inner)``.
-        upper: estimator whose expected value is above it; ``ImportanceSampling()`` if None. The partner of
-            ``PriorContrastive`` is ``NestedMonteCarlo``.
+        lower: estimator whose expected value is below the gain; ``AdaptiveContrastive()`` if None,
+            which is tight where experiments tell much. ``PriorContrastive`` rests on no
+            linearisation, and is tight only below ``log(inner)``.
+        upper: estimator whose expected value is above it; ``ImportanceSampling()`` if None. The
+            partner of ``PriorContrastive`` is ``NestedMonteCarlo``.
         seed: of draws and noise.
 
     >>> from imr_torch.material import reference_case

@@ -1,7 +1,9 @@
-"""What an estimator of the information gain is: a callable object, so that one of your own needs no change of the package.
+"""What an estimator of the information gain is: a callable object, so that one of your own needs no
+change of the package.
 
-Six estimators of the information about one gel come with the package (and one about a population of gels:
-:class:`~imr_torch.design.population.PopulationInformation`). They agree for many samples; what differs is how many that takes.
+Six estimators of the information about one gel come with the package (and one about a population of
+gels: :class:`~imr_torch.design.population.PopulationInformation`). They agree for many samples;
+what differs is how many that takes.
 
 | estimator | evidence of each datum | expected value |
 |---|---|---|
@@ -23,7 +25,8 @@ from imr_torch.errors import InputDataError
 
 
 class InformationEstimator(ABC):
-    """Estimates the information gain of designs shot with one belief; best a frozen dataclass, which a journal can record.
+    """Estimates the information gain of designs shot with one belief; best a frozen dataclass,
+    which a journal can record.
 
     >>> from dataclasses import dataclass
     >>> @dataclass(frozen=True)
@@ -55,5 +58,9 @@ def check_at_least(estimator: object, least: int, *names: str) -> None:
     for name in names:
         value = getattr(estimator, name)
         if value < least:
-            why = "at least 2 are needed for an error estimate" if least == 2 else f"expected {least} or more"
+            why = (
+                "at least 2 are needed for an error estimate"
+                if least == 2
+                else f"expected {least} or more"
+            )
             raise InputDataError(f"{type(estimator).__name__}.{name} is {value}; {why}.")

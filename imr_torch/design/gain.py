@@ -1,8 +1,11 @@
-"""An information gain with its Monte Carlo error, and how estimates of several strata (one per model) are combined.
+"""An information gain with its Monte Carlo error, and how estimates of several strata (one per
+model) are combined.
 
-The error is kept draw by draw: the *influence* of a draw on an estimate is its share of the deviation from the expected value,
-so the variance is the sum of squares of the influences, and the covariance of two estimates that used the same draws is the
-sum of products. :func:`separate_errors` takes from the errors of many designs the part that all of them share.
+The error is kept draw by draw: the *influence* of a draw on an estimate is its share of the
+    deviation from the expected value,
+so the variance is the sum of squares of the influences, and the covariance of two estimates that
+used the same draws is the sum of products. :func:`separate_errors` takes from the errors of many
+designs the part that all of them share.
 """
 
 import math
@@ -30,12 +33,15 @@ class InformationGain:
         variance: Monte Carlo variance of the sum of the two.
         counted: draws that could be simulated.
         drawn: draws asked for.
-        bias: how far finite inner sums raise the value, to first order; None for other methods. It grows with the curvature of
-            posteriors that the samples did not see, so compare two sizes of ``inner``.
-        effective: inner draws that effectively carry an evidence (Kish 1965), mean over data; near 1 the value is a bound.
+        bias: how far finite inner sums raise the value, to first order; None for other methods. It
+            grows with the curvature of posteriors that the samples did not see, so compare two
+            sizes of ``inner``.
+        effective: inner draws that effectively carry an evidence (Kish 1965), mean over data; near
+            1 the value is a bound.
         model_variance: Monte Carlo variance of the gain about the model alone.
         parameters_variance: Monte Carlo variance of the gain about the parameters alone.
-        influence: influence of each draw on ``(parameters, model)``, nats; empty if the estimator does not say.
+        influence: influence of each draw on ``(parameters, model)``, nats; empty if the estimator
+            does not say.
 
     >>> gain = InformationGain(2.0, 0.5, variance=0.01, counted=64, drawn=64)
     >>> gain.value, gain.only("model").value, gain.failed
@@ -69,9 +75,21 @@ class InformationGain:
             return self
         if target == "model":
             influence = tuple((0.0, model) for _, model in self.influence)
-            return replace(self, parameters=0.0, variance=self.model_variance, parameters_variance=0.0, influence=influence)
+            return replace(
+                self,
+                parameters=0.0,
+                variance=self.model_variance,
+                parameters_variance=0.0,
+                influence=influence,
+            )
         influence = tuple((parameters, 0.0) for parameters, _ in self.influence)
-        return replace(self, model=0.0, variance=self.parameters_variance, model_variance=0.0, influence=influence)
+        return replace(
+            self,
+            model=0.0,
+            variance=self.parameters_variance,
+            model_variance=0.0,
+            influence=influence,
+        )
 
 
 @dataclass(frozen=True)
@@ -83,7 +101,8 @@ class Terms:
         parameters: gain about the parameters from each datum.
         model: ``m`` tensor with ``m <= n``, gain about the model from the first ``m`` data.
         order: the numbers of all draws, those that gave a datum first and in the order of the data.
-        control: ``drawn`` tensor with mean zero in that order, added to the parameters' gain to reduce its variance.
+        control: ``drawn`` tensor with mean zero in that order, added to the parameters' gain to
+            reduce its variance.
     """
 
     weight: float
@@ -101,7 +120,8 @@ class Terms:
 
     def influence(self) -> Float[Tensor, "drawn 2"]:
         """Influence of each draw, in the order drawn, on the weighted means."""
-        count, found = len(self.order), torch.zeros(len(self.order), 2, dtype=torch.float64)
+        count = len(self.order)
+        found = torch.zeros(len(self.order), 2, dtype=torch.float64)
         if self.control is None:
             found[self.order[: len(self.parameters)], 0] = _deviations(self.parameters)
         else:
@@ -117,7 +137,11 @@ class Terms:
 def _deviations(values: Tensor) -> Tensor:
     """Deviations from the mean, scaled so that their squares sum to the variance of the mean."""
     count = len(values)
-    return (values - values.mean()) / math.sqrt(count * (count - 1)) if count > 1 else torch.zeros_like(values)
+    return (
+        (values - values.mean()) / math.sqrt(count * (count - 1))
+        if count > 1
+        else torch.zeros_like(values)
+    )
 
 
 def summarise(
@@ -139,8 +163,11 @@ def summarise(
     weights = torch.tensor([t.weight for t in terms], dtype=torch.float64)
     parameters, model = (weights @ means).tolist()
     parts = [t.influence() for t in terms] + ([] if shared is None else [shared])
-    counted, drawn = sum(len(t.parameters) for t in terms), sum(len(t.order) for t in terms)
-    return with_influence(InformationGain(parameters, model, 0.0, counted, drawn, bias, effective), torch.cat(parts))
+    counted = sum(len(t.parameters) for t in terms)
+    drawn = sum(len(t.order) for t in terms)
+    return with_influence(
+        InformationGain(parameters, model, 0.0, counted, drawn, bias, effective), torch.cat(parts)
+    )
 
 
 def with_influence(gain: InformationGain, influence: Float[Tensor, "draws 2"]) -> InformationGain:
@@ -161,7 +188,8 @@ class ErrorParts:
     """Monte Carlo errors of ``n`` gains, taken apart.
 
     Args:
-        own: variances such that two of them sum, on average over pairs, to the variance of a difference.
+        own: variances such that two of them sum, on average over pairs, to the variance of a
+            difference.
         common: variance of the mean of the gains, which shifts all of them alike.
 
     >>> from imr_torch.design import ErrorParts
@@ -177,9 +205,10 @@ class ErrorParts:
 def separate_errors(gains: Sequence[InformationGain]) -> ErrorParts:
     """Take the error that gains from common draws share apart from the error of their differences.
 
-    With influences ``psi_jn`` of draw ``n`` on gain ``j``, the variance of the difference of two gains is ``sum_n (psi_jn -
-    psi_kn)^2``. What is left of ``psi_jn`` after subtracting its mean over ``j`` gives each gain a variance of its own. Gains
-    whose draws cannot be matched keep their whole variance, and nothing is common.
+    With influences ``psi_jn`` of draw ``n`` on gain ``j``, the variance of the difference of two
+    gains is ``sum_n (psi_jn - psi_kn)^2``. What is left of ``psi_jn`` after subtracting its mean
+    over ``j`` gives each gain a variance of its own. Gains whose draws cannot be matched keep their
+    whole variance, and nothing is common.
 
     >>> a = InformationGain(1.0, 0.0, 0.02, 2, 2, influence=((0.1, 0.0), (-0.1, 0.0)))
     >>> b = InformationGain(3.0, 0.0, 0.02, 2, 2, influence=((0.1, 0.0), (-0.1, 0.0)))

@@ -1,15 +1,17 @@
 """Information gain from linearised posteriors and Gaussian evidences.
 
-For draws ``v_n`` of the belief with prediction ``f_n`` and sensitivity ``J_n``, whitened by noise and prior,
+For draws ``v_n`` of the belief with prediction ``f_n`` and sensitivity ``J_n``, whitened by noise
+and prior,
 
     I(theta; y | model) ~ mean_n 1/2 log det(1 + J_n^T J_n)                      (Long et al., CMAME 259, 2013)
     I(model; y)         ~ mean_n log p(y_n | m_n) - log sum_m p(m) p(y_n | m),
 
-with the evidence of a datum under its own model linearised at its own gel. Under a rival model the gel that explains the datum
-best may be far from all draws, and a linearisation there can be hundreds of nats too low; so it is found by Gauss-Newton
-steps from one of them. These cost more bubbles than all the rest, which is why only some data enter the model part. A
-belief whose posterior is curved is represented by draws of it (its ``cloud``), each with the local precision of the posterior
-in place of the identity.
+with the evidence of a datum under its own model linearised at its own gel. Under a rival model the
+gel that explains the datum best may be far from all draws, and a linearisation there can be
+hundreds of nats too low; so it is found by Gauss-Newton steps from one of them. These cost more
+bubbles than all the rest, which is why only some data enter the model part. A belief whose
+posterior is curved is represented by draws of it (its ``cloud``), each with the local precision of
+the posterior in place of the identity.
 """
 
 import math
@@ -26,7 +28,9 @@ from imr_torch.design.refine import best_starts, refine
 from imr_torch.design.response import Response, Shot
 from imr_torch.material import ModelBelief
 
-_CLOSE = 0.5  # posterior standard deviations: the evidence linearised there is as good as at the optimum
+_CLOSE = (
+    0.5  # posterior standard deviations: the evidence linearised there is as good as at the optimum
+)
 _BEHIND = 30.0  # nats by which a rival may be behind after the first step and still be refined
 _FEWEST = 6  # data of each model whose rivals are refined, if the number is left to the estimator
 
@@ -37,9 +41,11 @@ class Laplace(InformationEstimator):
 
     Args:
         draws: gels per constitutive model that data are made of.
-        rivals: data of each model that the model part is estimated from, their evidence under the other models by
-            refinement; a quarter of ``draws``, and at least 6, if None. The cost of a belief with several models grows with it.
-        refinements: Gauss-Newton steps to the gel of a rival model; 0 linearises at the draw they would start from.
+        rivals: data of each model that the model part is estimated from, their evidence under the
+            other models by refinement; a quarter of ``draws``, and at least 6, if None. The cost of
+            a belief with several models grows with it.
+        refinements: Gauss-Newton steps to the gel of a rival model; 0 linearises at the draw they
+            would start from.
 
     >>> from imr_torch.design import Plan, expected_information_gain
     >>> from imr_torch.material import reference_case
@@ -63,14 +69,19 @@ class Laplace(InformationEstimator):
     def __call__(self, shot: Shot, generator: torch.Generator) -> InformationGain:
         """See :class:`~imr_torch.design.estimator.InformationEstimator`."""
         drawn = draw(shot, cloud_controls(shot, self.draws, generator), generator)
-        own = [infer(drawn.data[rows], part, shot.plan) for rows, part in zip(drawn.rows, drawn.parts, strict=True)]
+        own = [
+            infer(drawn.data[rows], part, shot.plan)
+            for rows, part in zip(drawn.rows, drawn.parts, strict=True)
+        ]
         logs = [self._evidences(drawn, i, own, shot) for i in range(len(own))]
         total = mixture(logs, shot)
         terms = []
         for i, (weight, rows) in enumerate(zip(model_weights(shot), drawn.rows, strict=True)):
             gained = _information(shot.belief.models[i], drawn.parts[i], own[i])
             compared = slice(rows.start, rows.start + min(self._rivals, rows.stop - rows.start))
-            terms.append(Terms(weight, gained, logs[i][compared] - total[compared], drawn.orders[i]))
+            terms.append(
+                Terms(weight, gained, logs[i][compared] - total[compared], drawn.orders[i])
+            )
         return summarise(terms)
 
     @property
@@ -83,13 +94,21 @@ class Laplace(InformationEstimator):
             return torch.full((len(drawn.data),), -math.inf, dtype=torch.float64)
         logs = torch.full((len(drawn.data),), math.nan, dtype=torch.float64)
         logs[drawn.rows[model]] = own[model].log_evidence
-        others = [torch.arange(r.stop - r.start)[: self._rivals] + r.start for i, r in enumerate(drawn.rows) if i != model]
+        others = [
+            torch.arange(r.stop - r.start)[: self._rivals] + r.start
+            for i, r in enumerate(drawn.rows)
+            if i != model
+        ]
         if others and len(rows := torch.cat(others)):
             best = torch.cat([linear.log_evidence for linear in own])[rows]
-            logs[rows] = self._rival(drawn.data[rows], best, drawn.parts[model], shot, shot.belief.models[model])
+            logs[rows] = self._rival(
+                drawn.data[rows], best, drawn.parts[model], shot, shot.belief.models[model]
+            )
         return logs
 
-    def _rival(self, data: Data, own: Tensor, gels: Response, shot: Shot, part: ModelBelief) -> Tensor:
+    def _rival(
+        self, data: Data, own: Tensor, gels: Response, shot: Shot, part: ModelBelief
+    ) -> Tensor:
         """Log evidence of data of other models under one model.
 
         Args:
@@ -103,29 +122,50 @@ class Laplace(InformationEstimator):
         start, log = best_starts(data, gels, shot)
         if self.refinements == 0:
             return log
-        at = refine(data, gels[start], shot, part, self.refinements, close=_CLOSE, both_lengths=False, floor=own - _BEHIND)
+        at = refine(
+            data,
+            gels[start],
+            shot,
+            part,
+            self.refinements,
+            close=_CLOSE,
+            both_lengths=False,
+            floor=own - _BEHIND,
+        )
         return infer(data, at, shot.plan).log_evidence
 
 
 def _windowed(data: Data, gels: Response, shot: Shot) -> tuple[Data, Response, Shot]:
-    """The same without the frames after the longest window, which count in no datum and need not be simulated."""
+    """The same without the frames after the longest window, which count in no datum and need not be
+    simulated.
+    """
     last = int(torch.nonzero(data.window.flatten(0, 1).any(0)).max()) + 1
     last = max(last, 2)
-    kept = Response(gels.controls, gels.radius[..., :last], gels.by_gel[..., :last, :], gels.by_nuisance[..., :last, :])
+    kept = Response(
+        gels.controls,
+        gels.radius[..., :last],
+        gels.by_gel[..., :last, :],
+        gels.by_nuisance[..., :last, :],
+    )
     plan = replace(shot.plan, times=shot.plan.times[:last])
     return Data(data.radius[..., :last], data.window[..., :last]), kept, replace(shot, plan=plan)
 
 
 def _information(part: ModelBelief, gels: Response, linear: Linear) -> Tensor:
-    """``1/2 log det(P + J^T J) - 1/2 log det P`` at each gel, with ``P`` the precision of the belief there: ``n``.
+    """``1/2 log det(P + J^T J) - 1/2 log det P`` at each gel, with ``P`` the precision of the
+    belief there: ``n``.
 
-    The belief's own Gaussian has ``P = 1``. Where the posterior is curved, that Gaussian is far wider than the posterior is
-    locally, and would count as information what is known already.
+    The belief's own Gaussian has ``P = 1``. Where the posterior is curved, that Gaussian is far
+    wider than the posterior is locally, and would count as information what is known already.
     """
     if part.cloud is None:
         return linear.information
     at = part.unwhitened(gels.controls)
-    closest = torch.cdist(at, part.cloud.controls, compute_mode="donot_use_mm_for_euclid_dist").argmin(1)
+    closest = torch.cdist(
+        at, part.cloud.controls, compute_mode="donot_use_mm_for_euclid_dist"
+    ).argmin(1)
     before = part.chol.mT @ part.cloud.precisions[closest] @ part.chol
     gained = linear.chol @ linear.chol.mT - torch.eye(before.shape[-1], dtype=before.dtype)
-    return 0.5 * (torch.linalg.slogdet(before + gained).logabsdet - torch.linalg.slogdet(before).logabsdet)
+    return 0.5 * (
+        torch.linalg.slogdet(before + gained).logabsdet - torch.linalg.slogdet(before).logabsdet
+    )

@@ -1,10 +1,11 @@
-"""Nested Monte Carlo with draws of the belief itself: bounds of the information gain that rest on no linearisation.
+"""Nested Monte Carlo with draws of the belief itself: bounds of the information gain that rest on
+no linearisation.
 
     I ~ mean_n log p(y_n | v_n) - log mean_l p(y_n | v_l).
 
-:class:`NestedMonteCarlo` sums over fresh gels and is too high on average; :class:`PriorContrastive` puts the datum's own gel
-among them and is too low, at most ``log L`` (Foster et al., AISTATS 2020). All data share the inner samples, so the standard
-error has a part from those, by the delta method.
+:class:`NestedMonteCarlo` sums over fresh gels and is too high on average; :class:`PriorContrastive`
+puts the datum's own gel among them and is too low, at most ``log L`` (Foster et al., AISTATS 2020).
+All data share the inner samples, so the standard error has a part from those, by the delta method.
 """
 
 import math
@@ -46,7 +47,9 @@ def draw_gels(shot: Shot, counts: list[int], source: torch.Generator) -> list[Si
 
 @dataclass(frozen=True)
 class Outer:
-    """Data of all models, the density of each given its own gel, which model each is of, and how much each counts."""
+    """Data of all models, the density of each given its own gel, which model each is of, and how
+    much each counts.
+    """
 
     data: Data
     likelihood: Float[Tensor, "data"]
@@ -54,7 +57,9 @@ class Outer:
     share: Float[Tensor, "data"]
 
 
-def outer_data(parts: list[Simulated], weights: Float[Tensor, "models"], shot: Shot, source: torch.Generator) -> Outer:
+def outer_data(
+    parts: list[Simulated], weights: Float[Tensor, "models"], shot: Shot, source: torch.Generator
+) -> Outer:
     """A datum of each gel.
 
     Args:
@@ -65,9 +70,17 @@ def outer_data(parts: list[Simulated], weights: Float[Tensor, "models"], shot: S
     """
     gels = [part.gels for part in parts]
     data = [observe(seen, shot.plan, source) for seen in gels]
-    likelihood = [log_likelihood(d, seen.radius, seen.by_nuisance, shot.plan) for d, seen in zip(data, gels, strict=True)]
+    likelihood = [
+        log_likelihood(d, seen.radius, seen.by_nuisance, shot.plan)
+        for d, seen in zip(data, gels, strict=True)
+    ]
     model = torch.cat([torch.full((len(seen),), i) for i, seen in enumerate(gels)])
-    share = torch.cat([torch.full((len(seen),), float(w) / max(len(seen), 1)) for seen, w in zip(gels, weights, strict=True)])
+    share = torch.cat(
+        [
+            torch.full((len(seen),), float(w) / max(len(seen), 1))
+            for seen, w in zip(gels, weights, strict=True)
+        ]
+    )
     every = Data(torch.cat([d.radius for d in data]), torch.cat([d.window for d in data]))
     return Outer(every, torch.cat(likelihood), model, share.to(torch.float64))
 
@@ -79,7 +92,8 @@ class Evidence:
     Args:
         own: log evidence under the datum's own model.
         total: over all models.
-        pulls: per model an ``m x 2`` tensor, what each inner sample takes from the mean gain about (parameters, model).
+        pulls: per model an ``m x 2`` tensor, what each inner sample takes from the mean gain about
+            (parameters, model).
         effective: Kish effective number of inner samples.
     """
 
@@ -89,7 +103,9 @@ class Evidence:
     effective: Float[Tensor, "data"]
 
 
-def inner_sums(logs: list[Float[Tensor, "data _"]], log_weights: Float[Tensor, "models"], outer: Outer) -> Evidence:
+def inner_sums(
+    logs: list[Float[Tensor, "data _"]], log_weights: Float[Tensor, "models"], outer: Outer
+) -> Evidence:
     """Sums over inner samples.
 
     Args:
@@ -100,12 +116,15 @@ def inner_sums(logs: list[Float[Tensor, "data _"]], log_weights: Float[Tensor, "
     each = torch.stack([_log_mean(block) for block in logs])
     total = torch.logsumexp(each + log_weights[:, None], 0)
     own = each.gather(0, outer.model[None])[0]
-    pulls, square = [], torch.zeros_like(total)
+    pulls = []
+    square = torch.zeros_like(total)
     for i, (block, weight) in enumerate(zip(logs, log_weights.tolist(), strict=True)):
         scaled = block - math.log(max(block.shape[1], 1))
         of_total = (scaled + weight - total[:, None]).exp()
         mine = torch.where(outer.model == i, outer.share, 0.0)
-        of_own = mine @ torch.where(outer.model[:, None] == i, scaled - own[:, None], -math.inf).exp()
+        of_own = (
+            mine @ torch.where(outer.model[:, None] == i, scaled - own[:, None], -math.inf).exp()
+        )
         pulls.append(torch.stack((of_own, outer.share @ of_total - of_own), 1))
         square = square + of_total.square().sum(1)
     return Evidence(own, total, pulls, 1.0 / square)
@@ -118,9 +137,15 @@ def _log_mean(block: Tensor) -> Tensor:
 
 
 def scaled_deviations(pulls: Float[Tensor, "inner 2"]) -> Float[Tensor, "inner 2"]:
-    """Minus the deviations of ``m x 2`` pulls from their mean: the influence of inner samples on the gain."""
+    """Minus the deviations of ``m x 2`` pulls from their mean: the influence of inner samples on
+    the gain.
+    """
     count = len(pulls)
-    return (pulls.mean(0) - pulls) * (count / (count - 1)) ** 0.5 if count > 1 else torch.zeros_like(pulls)
+    return (
+        (pulls.mean(0) - pulls) * (count / (count - 1)) ** 0.5
+        if count > 1
+        else torch.zeros_like(pulls)
+    )
 
 
 @dataclass(frozen=True)
@@ -138,9 +163,12 @@ class _Nested(InformationEstimator):
     def __post_init__(self) -> None:
         check_at_least(self, 2, "draws", "inner")
 
-    def _estimate(self, shot: Shot, source: torch.Generator, *, contrastive: bool) -> InformationGain:
+    def _estimate(
+        self, shot: Shot, source: torch.Generator, *, contrastive: bool
+    ) -> InformationGain:
         log_weights = shot.belief.log_probabilities
-        weights, models = log_weights.exp(), len(log_weights)
+        weights = log_weights.exp()
+        models = len(log_weights)
         parts = draw_gels(shot, [self.draws] * models, source)
         outer = outer_data(parts, weights, shot, source)
         inner = draw_gels(shot, [self.inner] * models, source)
@@ -159,14 +187,18 @@ class _Nested(InformationEstimator):
         terms = []
         for i, weight in enumerate(weights.tolist()):
             mine = outer.model == i
-            about, which = outer.likelihood - evidence.own, evidence.own - evidence.total
+            about = outer.likelihood - evidence.own
+            which = evidence.own - evidence.total
             terms.append(Terms(weight, about[mine], which[mine], parts[i].order))
-        return summarise(terms, shared=torch.cat(shared), effective=float(outer.share @ evidence.effective))
+        return summarise(
+            terms, shared=torch.cat(shared), effective=float(outer.share @ evidence.effective)
+        )
 
 
 @dataclass(frozen=True)
 class NestedMonteCarlo(_Nested):
-    """Evidences from fresh draws of the belief: above the gain on average; what other estimators are checked against.
+    """Evidences from fresh draws of the belief: above the gain on average; what other estimators
+    are checked against.
 
     Args:
         draws: gels per constitutive model that data are made of.
@@ -174,7 +206,8 @@ class NestedMonteCarlo(_Nested):
 
     >>> NestedMonteCarlo(inner=1)
     Traceback (most recent call last):
-    imr_torch.errors.InputDataError: NestedMonteCarlo.inner is 1; at least 2 are needed for an error estimate.
+    imr_torch.errors.InputDataError: NestedMonteCarlo.inner is 1; at least 2 are needed for an error
+        estimate.
     """
 
     def __call__(self, shot: Shot, generator: torch.Generator) -> InformationGain:
@@ -184,11 +217,13 @@ class NestedMonteCarlo(_Nested):
 
 @dataclass(frozen=True)
 class PriorContrastive(_Nested):
-    """The same with the datum's own gel among the inner samples: below the gain on average, at most ``log(inner)`` a model.
+    """The same with the datum's own gel among the inner samples: below the gain on average, at most
+    ``log(inner)`` a model.
 
     Args:
         draws: gels per constitutive model that data are made of.
-        inner: draws of the belief per model, shared by all data but for one of each, which is its own gel.
+        inner: draws of the belief per model, shared by all data but for one of each, which is its
+            own gel.
 
     >>> PriorContrastive(draws=50).inner
     1000

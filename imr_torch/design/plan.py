@@ -1,7 +1,9 @@
-"""How a planned experiment will be observed: frames, repeats, noise, nuisances, and the window that will be assimilated.
+"""How a planned experiment will be observed: frames, repeats, noise, nuisances, and the window that
+will be assimilated.
 
-An information gain is about the data that the assimilation will use, so frames after the last collapse of the window do
-not count. :data:`PAPER_PLAN` is the observation that the published search for designs assumes.
+An information gain is about the data that the assimilation will use, so frames after the last
+collapse of the window do not count. :data:`PAPER_PLAN` is the observation that the published search
+for designs assumes.
 """
 
 from dataclasses import dataclass, field, replace
@@ -32,7 +34,9 @@ class Plan:
     tensor(22)
     """
 
-    times: Float[Tensor, "frames"] = field(default_factory=lambda: torch.linspace(0.0, 4.0, 81, dtype=torch.float64))
+    times: Float[Tensor, "frames"] = field(
+        default_factory=lambda: torch.linspace(0.0, 4.0, 81, dtype=torch.float64)
+    )
     repeats: int = 1
     noise: Noise = field(default_factory=Noise)
     nuisance: Nuisance = field(default_factory=Nuisance)
@@ -40,35 +44,54 @@ class Plan:
 
     def __post_init__(self) -> None:
         if self.repeats < 1:
-            raise InputDataError(f"Plan.repeats is {self.repeats}; at least 1 curve per design is needed.")
+            raise InputDataError(
+                f"Plan.repeats is {self.repeats}; at least 1 curve per design is needed."
+            )
         if self.collapses is not None and self.collapses < 1:
-            raise InputDataError(f"Plan.collapses is {self.collapses}; expected at least 1, or None for all frames.")
+            raise InputDataError(
+                f"Plan.collapses is {self.collapses}; expected at least 1, or None for all frames."
+            )
 
     @cached_property
     def decorrelation(self) -> Float[Tensor, "frames frames"] | None:
-        """``n_t x n_t`` inverse Cholesky factor of the frames' correlation; None for independent frames.
+        """``n_t x n_t`` inverse Cholesky factor of the frames' correlation; None for independent
+        frames.
 
-        It is lower triangular: what it makes of the first frames does not depend on later ones, so a window can be cut
+        It is lower triangular: what it makes of the first frames does not depend on later ones, so
+            a window can be cut
         after it.
         """
-        factor = self.noise.decorrelation(self.times[None], torch.ones(1, len(self.times), dtype=torch.bool))
+        factor = self.noise.decorrelation(
+            self.times[None], torch.ones(1, len(self.times), dtype=torch.bool)
+        )
         return None if factor is None else factor[0]
 
     def window(self, radius: Float[Tensor, "*batch frames"]) -> Bool[Tensor, "*batch frames"]:
-        """Frames of each curve (``... x n_t``) up to the last collapse of the window: a boolean tensor of that shape."""
+        """Frames of each curve (``...
+
+        x n_t``) up to the last collapse of the window: a boolean tensor of that shape.
+        """
         if self.collapses is None:
             return torch.ones_like(radius, dtype=torch.bool)
-        ends = [collapse_time(self.times, curve, self.collapses) for curve in radius.reshape(-1, len(self.times))]
+        ends = [
+            collapse_time(self.times, curve, self.collapses)
+            for curve in radius.reshape(-1, len(self.times))
+        ]
         last = torch.tensor(ends, dtype=self.times.dtype).reshape(*radius.shape[:-1], 1)
         return self.times <= last
 
     def tempered(self) -> "Plan":
-        """The same as an assimilation sees it that divides the misfit by the number of frames (arXiv 2409.00011, app. B).
+        """The same as an assimilation sees it that divides the misfit by the number of frames
+        (arXiv 2409.00011, app. B).
 
-        The published method weighs the mean of all repeats as one curve and divides by ``n_t``, so noise of one curve
-        times ``sqrt(n_t)``.
+        The published method weighs the mean of all repeats as one curve and divides by ``n_t``, so
+        noise of one curve times ``sqrt(n_t)``.
         """
-        return replace(self, repeats=1, noise=replace(self.noise, scale=self.noise.scale * len(self.times) ** 0.5))
+        return replace(
+            self,
+            repeats=1,
+            noise=replace(self.noise, scale=self.noise.scale * len(self.times) ** 0.5),
+        )
 
 
 PAPER_PLAN = Plan(

@@ -1,13 +1,16 @@
-"""Information about a population of gels: what one more shot tells of the median and of the scatter between shots.
+"""Information about a population of gels: what one more shot tells of the median and of the scatter
+between shots.
 
-A shot shows a gel of its own, ``z ~ N(m, T)``, and is linearised about it with the Fisher information ``G = R^T R`` of its
-controls, nuisances marginalised. Its datum is then ``s = R z + e`` with ``e`` standard normal, and
+A shot shows a gel of its own, ``z ~ N(m, T)``, and is linearised about it with the Fisher
+information ``G = R^T R`` of its controls, nuisances marginalised. Its datum is then ``s = R z + e``
+with ``e`` standard normal, and
 
     I(m, T; s) = E [log N(s; R m, R T R^T + 1)] - E [log mean_j N(s; R c_j, R (V_j + T_j) R^T + 1)],
 
-where ``m`` given the scatter ``T_j`` is normal with mean ``c_j`` and covariance ``V_j``. Only ``G`` needs bubbles; the
-expectations are taken over draws that all designs share. Where the error of one shot is far below the scatter, all designs tell
-the same, and the gain says what another shot is worth.
+where ``m`` given the scatter ``T_j`` is normal with mean ``c_j`` and covariance ``V_j``. Only ``G``
+needs bubbles; the expectations are taken over draws that all designs share. Where the error of one
+shot is far below the scatter, all designs tell the same, and the gain says what another shot is
+worth.
 """
 
 import math
@@ -34,7 +37,8 @@ class PopulationInformation(InformationEstimator):
     With several designs at once every shot has a gel of its own.
 
     Args:
-        scatter: draws of the scatters, equally probable: standard deviations of the controls between shots.
+        scatter: draws of the scatters, equally probable: standard deviations of the controls
+            between shots.
         centre: mean of the median's controls given each.
         spread: Cholesky factors of its covariance given each.
         draws: gels whose Fisher information is computed at each design.
@@ -66,10 +70,15 @@ class PopulationInformation(InformationEstimator):
         """See :class:`~imr_torch.design.estimator.InformationEstimator`.
 
         Raises:
-            InputDataError: for a belief in several models: the medians of two models are not the same quantity.
+            InputDataError: for a belief in several models: the medians of two models are not the
+                same quantity.
         """
         roots, order = self._roots(shot, generator)
-        values = torch.stack([self._of(root) for root in roots]) if len(roots) else torch.zeros(0, self.data).double()
+        values = (
+            torch.stack([self._of(root) for root in roots])
+            if len(roots)
+            else torch.zeros(0, self.data).double()
+        )
         gels = Terms(1.0, values.mean(1), torch.zeros(len(values), dtype=torch.float64), order)
         by_datum = values.mean(0) if len(values) else torch.zeros(self.data, dtype=torch.float64)
         shared = (by_datum - by_datum.mean()) / (self.data * (self.data - 1)) ** 0.5
@@ -81,21 +90,29 @@ class PopulationInformation(InformationEstimator):
         return float(self._of(exact).mean())
 
     def _roots(self, shot: Shot, source: torch.Generator) -> tuple[Tensor, Tensor]:
-        """Roots of the Fisher information, ``n x q x d x d``, at gels that could be simulated, and which those are first."""
+        """Roots of the Fisher information, ``n x q x d x d``, at gels that could be simulated, and
+        which those are first.
+        """
         if len(shot.belief.models) != 1:
             raise InputDataError(
-                f"PopulationInformation is about the gels of one model, and the belief holds {len(shot.belief.models)} "
+                "PopulationInformation is about the gels of one model, and the belief holds "
+                f"{len(shot.belief.models)} "
                 f"({', '.join(shot.belief.keys)}); name one."
             )
-        part, q = shot.belief.models[0], len(shot.designs)
+        part = shot.belief.models[0]
+        q = len(shot.designs)
         rows = torch.randint(len(self.scatter), (self.draws,), generator=source)
-        noise = torch.randn(2, self.draws, q, part.mean.shape[0], generator=source, dtype=torch.float64)
+        noise = torch.randn(
+            2, self.draws, q, part.mean.shape[0], generator=source, dtype=torch.float64
+        )
         medians = self.centre[rows] + (self.spread[rows] @ noise[0, :, :1].mT)[..., 0]
         gels = medians[:, None] + self.scatter[rows][:, None] * noise[1]
         normals = []
         for e in range(q):
             one = replace(shot, designs=shot.designs[e : e + 1])
-            controls = torch.linalg.solve_triangular(part.chol, (gels[:, e] - part.mean).mT, upper=False).mT
+            controls = torch.linalg.solve_triangular(
+                part.chol, (gels[:, e] - part.mean).mT, upper=False
+            ).mT
             seen = respond(one, part, controls)
             good = seen.good
             normal = torch.full((self.draws, *part.chol.shape), torch.nan, dtype=torch.float64)
@@ -105,22 +122,32 @@ class PopulationInformation(InformationEstimator):
         good = torch.isfinite(torch.stack(normals, 1)).flatten(1).all(1)
         order = torch.cat((torch.nonzero(good)[:, 0], torch.nonzero(~good)[:, 0]))
         eigen, vectors = torch.linalg.eigh(torch.stack(normals, 1)[good])
-        inverse = torch.linalg.solve_triangular(part.chol, torch.eye(len(part.chol), dtype=torch.float64), upper=False)
-        roots = vectors * eigen.clamp_min(0.0).sqrt()[..., None, :] @ vectors.mT  # of all roots the one that is continuous
+        inverse = torch.linalg.solve_triangular(
+            part.chol, torch.eye(len(part.chol), dtype=torch.float64), upper=False
+        )
+        roots = (
+            vectors * eigen.clamp_min(0.0).sqrt()[..., None, :] @ vectors.mT
+        )  # of all roots the one that is continuous
         return roots @ inverse, order
 
     def _of(self, roots: Float[Tensor, "designs controls controls"]) -> Float[Tensor, "data"]:
-        """Gain from each of the data of shots with given Fisher information, one at each of ``q`` designs."""
+        """Gain from each of the data of shots with given Fisher information, one at each of ``q``
+        designs.
+        """
         q, d, _ = roots.shape
         source = generator(child(0, "population data"))  # the same for every gel and design
         rows = torch.arange(self.data) % len(self.scatter)
         noise = torch.randn(1 + 2 * q, self.data, d, generator=source, dtype=torch.float64)
         medians = self.centre[rows] + (self.spread[rows] @ noise[0, ..., None])[..., 0]
         gels = medians + self.scatter[rows] * noise[1 : 1 + q]  # q x n x d
-        seen = ((roots[:, None] @ gels[..., None])[..., 0] + noise[1 + q :]).movedim(0, 1).flatten(1)
+        seen = (
+            ((roots[:, None] @ gels[..., None])[..., 0] + noise[1 + q :]).movedim(0, 1).flatten(1)
+        )
         stacked = roots.flatten(0, 1)  # qd x d
         own = self._covariances(roots)
-        known = _log_normal((seen - medians @ stacked.mT)[:, None], torch.linalg.cholesky(own)[rows])[:, 0]
+        known = _log_normal(
+            (seen - medians @ stacked.mT)[:, None], torch.linalg.cholesky(own)[rows]
+        )[:, 0]
         spread = stacked @ self.spread
         apart = seen - (self.centre @ stacked.mT)[:, None]  # hyper x n x qd
         whole = _log_normal(apart, torch.linalg.cholesky(own + spread @ spread.mT))

@@ -1,7 +1,9 @@
-"""The published estimator of the information gain: nested Monte Carlo that uses the data's own gels again as inner samples.
+"""The published estimator of the information gain: nested Monte Carlo that uses the data's own gels
+again as inner samples.
 
-One of the inner samples made the datum, so the value never exceeds ``log N`` (Huan & Marzouk, J. Comput. Phys. 232, 2013;
-arXiv 2409.00011, equation of the nested Monte Carlo estimator), and saturates where experiments tell most.
+One of the inner samples made the datum, so the value never exceeds ``log N`` (Huan & Marzouk, J.
+Comput. Phys. 232, 2013; arXiv 2409.00011, equation of the nested Monte Carlo estimator), and
+saturates where experiments tell most.
 """
 
 from dataclasses import dataclass
@@ -42,7 +44,9 @@ class PublishedEstimator(InformationEstimator):
         sizes = torch.tensor([float(len(part.gels)) for part in parts], dtype=torch.float64)
         weights = sizes / sizes.sum().clamp_min(1.0)
         outer = outer_data(parts, weights, shot, generator)
-        evidence = inner_sums([pairwise(outer.data, part.gels, shot.plan) for part in parts], weights.log(), outer)
+        evidence = inner_sums(
+            [pairwise(outer.data, part.gels, shot.plan) for part in parts], weights.log(), outer
+        )
         influence = []
         for i, part in enumerate(parts):
             every = torch.zeros(drawn[i], 2, dtype=torch.float64)
@@ -51,14 +55,22 @@ class PublishedEstimator(InformationEstimator):
         parameters = float(outer.share @ (outer.likelihood - evidence.own))
         model = float(outer.share @ (evidence.own - evidence.total))
         effective = float(outer.share @ evidence.effective)
-        gain = InformationGain(parameters, model, 0.0, len(outer.data), sum(drawn), effective=effective)
+        gain = InformationGain(
+            parameters, model, 0.0, len(outer.data), sum(drawn), effective=effective
+        )
         return with_influence(gain, torch.cat(influence))
 
 
 def _influence(outer: Outer, evidence: Evidence, model: int) -> torch.Tensor:
-    """``n x 2`` tensor: influence of the gels of one model, each as a datum and as an inner sample of all data."""
+    """``n x 2`` tensor: influence of the gels of one model, each as a datum and as an inner sample
+    of all data.
+    """
     mine = outer.model == model
     terms = torch.stack((outer.likelihood - evidence.own, evidence.own - evidence.total), 1)[mine]
     every = outer.share[mine, None] * terms - evidence.pulls[model]
     count = len(every)
-    return (every - every.mean(0)) * (count / (count - 1)) ** 0.5 if count > 1 else torch.zeros_like(every)
+    return (
+        (every - every.mean(0)) * (count / (count - 1)) ** 0.5
+        if count > 1
+        else torch.zeros_like(every)
+    )

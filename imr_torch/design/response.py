@@ -2,8 +2,8 @@
 
 Of this stage, only this module calls the simulator.
 
-Controls ``v`` are those in which the belief is a standard normal, so a sensitivity is per standard deviation of what is
-believed now, whatever the units of the parameters.
+Controls ``v`` are those in which the belief is a standard normal, so a sensitivity is per standard
+deviation of what is believed now, whatever the units of the parameters.
 """
 
 from dataclasses import dataclass
@@ -48,14 +48,18 @@ class Shot:
 
     def __post_init__(self) -> None:
         likely = self.belief.log_probabilities.exp() > _NEGLIGIBLE
-        parts = tuple(part for part, keep in zip(self.belief.models, likely.tolist(), strict=True) if keep)
+        parts = tuple(
+            part for part, keep in zip(self.belief.models, likely.tolist(), strict=True) if keep
+        )
         object.__setattr__(self, "belief", Belief(parts, self.belief.log_probabilities[likely]))
 
     @cached_property
     def film(self) -> Film:
         """What the camera will see of the designs, but for the gel."""
         q = len(self.designs)
-        return Film(self.designs, self.plan.times.expand(q, -1), self.plan.nuisance.sds().expand(q, -1))
+        return Film(
+            self.designs, self.plan.times.expand(q, -1), self.plan.nuisance.sds().expand(q, -1)
+        )
 
     def forward(self, part: ModelBelief) -> ForwardModel:
         """What the camera would see of one model's gels."""
@@ -82,12 +86,16 @@ class Response:
         return len(self.controls)
 
     def __getitem__(self, rows: Tensor | slice) -> "Response":
-        return Response(self.controls[rows], self.radius[rows], self.by_gel[rows], self.by_nuisance[rows])
+        return Response(
+            self.controls[rows], self.radius[rows], self.by_gel[rows], self.by_nuisance[rows]
+        )
 
     def of_design(self, number: int) -> "Response":
         """What is seen of the same gels in one of the ``q`` designs alone."""
         one = slice(number, number + 1)
-        return Response(self.controls, self.radius[:, one], self.by_gel[:, one], self.by_nuisance[:, one])
+        return Response(
+            self.controls, self.radius[:, one], self.by_gel[:, one], self.by_nuisance[:, one]
+        )
 
     @property
     def good(self) -> Bool[Tensor, "draws"]:
@@ -101,14 +109,19 @@ class Response:
         return Response(*(mine.index_copy(0, rows, new) for mine, new in pairs))
 
 
-def radii(shot: Shot, part: ModelBelief, controls: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch designs frames"]:
+def radii(
+    shot: Shot, part: ModelBelief, controls: Float[Tensor, "*batch controls"]
+) -> Float[Tensor, "*batch designs frames"]:
     """R/Rmax of gels at controls; NaN where the solve failed."""
     forward = shot.forward(part)
     return forward.predict(Point(controls, forward.still(*controls.shape[:-1])))
 
 
-def respond(shot: Shot, part: ModelBelief, controls: Float[Tensor, "draws controls"], *, gel: bool = True) -> Response:
-    """Radii and their sensitivities: each gel with its moved copies is a bundle that the solver advances in lock step.
+def respond(
+    shot: Shot, part: ModelBelief, controls: Float[Tensor, "draws controls"], *, gel: bool = True
+) -> Response:
+    """Radii and their sensitivities: each gel with its moved copies is a bundle that the solver
+    advances in lock step.
 
     Args:
         shot: designs and how they are observed.
@@ -122,4 +135,9 @@ def respond(shot: Shot, part: ModelBelief, controls: Float[Tensor, "draws contro
     by_gel, by_nuisance = forward.slopes(moves, seen)
     good = torch.isfinite(seen).flatten(1).all(1)[:, None, None]  # of the gel and of all beside it
     slopes = by_gel if gel else by_gel[..., :0]
-    return Response(controls, torch.where(good, seen[:, 0], torch.nan), slopes, by_nuisance[..., forward.uncertain])
+    return Response(
+        controls,
+        torch.where(good, seen[:, 0], torch.nan),
+        slopes,
+        by_nuisance[..., forward.uncertain],
+    )

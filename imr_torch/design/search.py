@@ -1,7 +1,9 @@
-"""The search for the designs of largest expected information gain, by Bayesian optimisation of its estimates.
+"""The search for the designs of largest expected information gain, by Bayesian optimisation of its
+estimates.
 
-One design after the other is added to those found before, which are pending in the acquisition (sequential greedy: within
-a factor ``1 - 1/e`` of the best joint gain where the gain is submodular, Nemhauser, Wolsey & Fisher, Math. Program. 14, 1978).
+One design after the other is added to those found before, which are pending in the acquisition
+(sequential greedy: within a factor ``1 - 1/e`` of the best joint gain where the gain is submodular,
+Nemhauser, Wolsey & Fisher, Math. Program. 14, 1978).
 """
 
 import math
@@ -21,7 +23,9 @@ from imr_torch.random import child
 from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
 
-_SMALLEST_VARIANCE = 1e-8  # nats^2: draws may agree exactly, and a known noise of 0 is no noise model
+_SMALLEST_VARIANCE = (
+    1e-8  # nats^2: draws may agree exactly, and a known noise of 0 is no noise model
+)
 
 
 @dataclass(frozen=True)
@@ -29,7 +33,8 @@ class DesignSearch:
     """A finished search for the most informative design, or for one more beside those found before.
 
     Args:
-        recommendation: the design to shoot; its mean is what it adds to the gain of the pending designs.
+        recommendation: the design to shoot; its mean is what it adds to the gain of the pending
+            designs.
         designs: all evaluated designs.
         gains: their information gains, in the same order, each joint with the pending designs.
         optimizer: the optimizer, whose surrogate can be drawn.
@@ -64,7 +69,9 @@ class DesignSearch:
 
     @property
     def joint(self) -> float:
-        """What the designs are expected to tell together, nats, beyond what was pending before the first."""
+        """What the designs are expected to tell together, nats, beyond what was pending before the
+        first.
+        """
         return sum(self.increments)
 
 
@@ -89,19 +96,21 @@ def search_design(
     Args:
         acquisition: the information gain; its space is searched.
         seed: of the search, and of the draws in the place of the acquisition's own.
-        q: designs that will be shot with the present belief, found one after the other, each with those before it pending.
+        q: designs that will be shot with the present belief, found one after the other, each with
+            those before it pending.
         evaluations: designs evaluated for each.
         initial: of which space-filling.
         batch: designs asked for together after those; the surrogate is then asked less often.
         strategy: how designs are chosen.
         cost: of an experiment; 1 when not given.
-        common: whether all evaluations share their draws and noise, which cancels from differences between designs. The
-            surrogate is then told the error of differences alone, and the recommendation's ``sd`` has the common error added.
+        common: whether all evaluations share their draws and noise, which cancels from differences
+            between designs. The surrogate is then told the error of differences alone, and the
+            recommendation's ``sd`` has the common error added.
         progress: called with one line per evaluation.
 
     Returns:
-        The search for the last design, with those for the others in ``earlier``. Evaluations too many of whose bubbles failed
-        are in it and were not told to the surrogate.
+        The search for the last design, with those for the others in ``earlier``. Evaluations too
+        many of whose bubbles failed are in it and were not told to the surrogate.
 
     Raises:
         InputDataError: for fewer evaluations than initial designs, an empty batch, or no design.
@@ -116,7 +125,9 @@ def search_design(
     (torch.Size([2, 2]), 2)
     """
     if evaluations < initial:
-        raise InputDataError(f"evaluations is {evaluations}, fewer than the {initial} initial designs; raise it.")
+        raise InputDataError(
+            f"evaluations is {evaluations}, fewer than the {initial} initial designs; raise it."
+        )
     for name, value in (("batch", batch), ("q", q)):
         if value < 1:
             raise InputDataError(f"{name} is {value}; expected at least 1.")
@@ -125,7 +136,13 @@ def search_design(
         pending = _together(acquisition.X_pending, steps)
         run = _Search(
             acquisition.with_pending(pending),
-            SearchSettings(seed if number == 0 else child(seed, "further design", number), initial, strategy, cost, common),
+            SearchSettings(
+                seed if number == 0 else child(seed, "further design", number),
+                initial,
+                strategy,
+                cost,
+                common,
+            ),
             draws=seed,
             progress=progress,
         )
@@ -171,20 +188,29 @@ class SearchSettings:
         gains: Sequence[InformationGain],
         pending: InformationGain | None,
     ) -> tuple[DesignOptimizer, float]:
-        """An optimizer that was told what designs (``n x 2``) add to the pending ones, and the variance common to all.
+        """An optimizer that was told what designs (``n x 2``) add to the pending ones, and the
+        variance common to all.
 
         Evaluations too many of whose bubbles failed are left out.
         """
-        optimizer = DesignOptimizer(space, seed=self.seed, initial=self.initial, strategy=self.strategy, cost=self.cost)
+        optimizer = DesignOptimizer(
+            space, seed=self.seed, initial=self.initial, strategy=self.strategy, cost=self.cost
+        )
         counted = [i for i, gain in enumerate(gains) if math.isfinite(gain.value)]
         if not counted:
             return optimizer, 0.0
         kept = [gains[i] for i in counted]
         errors = separate_errors(kept) if self.common else None
-        own = errors.own if errors else torch.tensor([gain.variance for gain in kept], dtype=torch.float64)
+        own = (
+            errors.own
+            if errors
+            else torch.tensor([gain.variance for gain in kept], dtype=torch.float64)
+        )
         base = pending.value if pending else 0.0
         values = torch.tensor([gain.value - base for gain in kept], dtype=torch.float64)
-        optimizer.tell(designs[counted], values[:, None], own.clamp_min(_SMALLEST_VARIANCE)[:, None])
+        optimizer.tell(
+            designs[counted], values[:, None], own.clamp_min(_SMALLEST_VARIANCE)[:, None]
+        )
         return optimizer, errors.common if errors else 0.0
 
     def finish(
@@ -194,7 +220,10 @@ class SearchSettings:
         gains: Sequence[InformationGain],
         pending: InformationGain | None,
     ) -> DesignSearch:
-        """The recommendation from all evaluations; its error has the part that is common to all of them."""
+        """The recommendation from all evaluations.
+
+        Its error has the part that is common to all of them.
+        """
         optimizer, common = self.optimizer(space, designs, gains, pending)
         best = optimizer.recommend()
         if self.cost is not None:
@@ -214,15 +243,26 @@ class _Search:
     """
 
     def __init__(
-        self, acquisition: ExpectedInformationGain, settings: SearchSettings, *, draws: int, progress: Progress | None
+        self,
+        acquisition: ExpectedInformationGain,
+        settings: SearchSettings,
+        *,
+        draws: int,
+        progress: Progress | None,
     ) -> None:
-        self.acquisition, self.settings, self.draws, self.progress = acquisition, settings, draws, progress
-        self.designs, self.gains = torch.empty(0, 2, dtype=torch.float64), list[InformationGain]()
+        self.acquisition = acquisition
+        self.settings = settings
+        self.draws = draws
+        self.progress = progress
+        self.designs = torch.empty(0, 2, dtype=torch.float64)
+        self.gains = list[InformationGain]()
         self.pending = acquisition.estimate_pending(seed=child(draws, "eig", 0))
         if self.pending is not None and self.pending.failed:
             raise ConvergenceError(
-                f"{self.pending.counted} of {self.pending.drawn} draws could be simulated at the pending designs "
-                f"{[] if acquisition.X_pending is None else acquisition.X_pending.tolist()}; choose others."
+                f"{self.pending.counted} of {self.pending.drawn} draws could be simulated at the "
+                "pending designs "
+                f"{[] if acquisition.X_pending is None else acquisition.X_pending.tolist()}; "
+                "choose others."
             )
 
     def complete(self, evaluations: int, batch: int) -> DesignSearch:
@@ -230,9 +270,14 @@ class _Search:
         space = self.acquisition.space
         while len(self.gains) < evaluations:
             optimizer, _ = self.settings.optimizer(space, self.designs, self.gains, self.pending)
-            failed = self.designs[[gain.failed for gain in self.gains]] if self.gains else self.designs
+            failed = (
+                self.designs[[gain.failed for gain in self.gains]] if self.gains else self.designs
+            )
             most = batch if space.choices is None else min(batch, len(space.choices) - len(failed))
-            asked = optimizer.ask(min(most, evaluations - len(self.gains)) if self.gains else optimizer.initial, pending=failed)
+            asked = optimizer.ask(
+                min(most, evaluations - len(self.gains)) if self.gains else optimizer.initial,
+                pending=failed,
+            )
             for design in asked:
                 self._evaluate(design, evaluations)
         return self.settings.finish(space, self.designs, self.gains, self.pending)
@@ -245,6 +290,7 @@ class _Search:
         self.gains.append(gain)
         if self.progress:
             self.progress(
-                f"design {len(self.gains)}/{evaluations}: We {float(design[0]):6.1f}  R_inf* {float(design[1]):.3f}  "
+                f"design {len(self.gains)}/{evaluations}: We {float(design[0]):6.1f}  R_inf* "
+                f"{float(design[1]):.3f}  "
                 f"EIG {gain.value:.3f} +- {gain.variance**0.5:.3f} nats"
             )

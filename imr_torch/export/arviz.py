@@ -1,10 +1,12 @@
-"""Posteriors as an ArviZ tree, for its plots and diagnostics, and as a netCDF file that any language reads.
+"""Posteriors as an ArviZ tree, for its plots and diagnostics, and as a netCDF file that any
+language reads.
 
-One branch per model, each with the groups of the ArviZ schema, so that ``tree["nhkv"]`` is what its functions take. Draws
-come from the weighted sample of a fit, resampled to equal weight; from its Gaussian where it has none. The log likelihood is
-that of whole experiments, so that ArviZ's leave-one-out leaves out an experiment. With a simulator there is a branch ``frames``
-below each model, ``tree["nhkv/frames"]``, for LOO-PIT and predictive checks of single frames (:mod:`imr_torch.export.frames`).
-Needs the extra ``imr-torch[arviz]``.
+One branch per model, each with the groups of the ArviZ schema, so that ``tree["nhkv"]`` is what its
+functions take. Draws come from the weighted sample of a fit, resampled to equal weight; from its
+Gaussian where it has none. The log likelihood is that of whole experiments, so that ArviZ's
+leave-one-out leaves out an experiment. With a simulator there is a branch ``frames`` below each
+model, ``tree["nhkv/frames"]``, for LOO-PIT and predictive checks of single frames
+(:mod:`imr_torch.export.frames`). Needs the extra ``imr-torch[arviz]``.
 """
 
 from pathlib import Path
@@ -32,18 +34,24 @@ Variables = dict[str, "Variable"]
 
 
 def to_arviz(
-    source: Assimilation | Belief | Campaign, *, seed: int, draws: int = 1000, simulator: Simulator | None = None
+    source: Assimilation | Belief | Campaign,
+    *,
+    seed: int,
+    draws: int = 1000,
+    simulator: Simulator | None = None,
 ) -> "DataTree":
     """The tree of an assimilation, a belief or a campaign.
 
     Args:
-        source: an assimilation gives, per model, ``posterior``, ``sample_stats``, ``log_likelihood``, ``observed_data`` and
-            ``constant_data``; a belief gives ``posterior`` alone; a campaign gives the groups of its last step (those of
-            its belief if it was read back from its journal), and a branch ``campaign`` with every step.
+        source: an assimilation gives, per model, ``posterior``, ``sample_stats``,
+            ``log_likelihood``, ``observed_data`` and ``constant_data``; a belief gives
+            ``posterior`` alone; a campaign gives the groups of its last step (those of its belief
+            if it was read back from its journal), and a branch ``campaign`` with every step.
         seed: of the draws.
         draws: draws per model.
-        simulator: the one that the posterior was made with, for the branch ``frames`` of each weighted model: one bubble a draw
-            and experiment (two engines give the same); None: without it.
+        simulator: the one that the posterior was made with, for the branch ``frames`` of each
+            weighted model: one bubble a draw and experiment (two engines give the same); None:
+            without it.
 
     Returns:
         A tree whose variables carry their units as attributes and whose dimensions are named.
@@ -62,11 +70,15 @@ def to_arviz(
         import arviz_base  # noqa: F401 (the tree is xarray's; without ArviZ it would be of no use)
         from xarray import Dataset, DataTree
     except ImportError:
-        raise UnsupportedError("to_arviz needs ArviZ; install it with: pip install 'imr-torch[arviz]'.") from None
+        raise UnsupportedError(
+            "to_arviz needs ArviZ; install it with: pip install 'imr-torch[arviz]'."
+        ) from None
     if draws < 1:
         raise InputDataError(f"to_arviz: draws is {draws}; at least 1 is needed.")
     groups = _groups(source, seed, draws, simulator)
-    return DataTree.from_dict({f"/{path}": Dataset(variables) for path, variables in groups.items()}, name="imr_torch")
+    return DataTree.from_dict(
+        {f"/{path}": Dataset(variables) for path, variables in groups.items()}, name="imr_torch"
+    )
 
 
 def write_netcdf(tree: "DataTree", path: str | Path) -> None:
@@ -100,23 +112,31 @@ def _groups(
         return groups if last is None else groups | {"campaign": _history(source)}
     if isinstance(source, Belief):
         branches = {
-            f"{part.model}/posterior": _parameters(part, part.controls(draws, seed=child(seed, "arviz", part.model)))
+            f"{part.model}/posterior": _parameters(
+                part, part.controls(draws, seed=child(seed, "arviz", part.model))
+            )
             for part in source.models
         }
         return branches | {"models": _probabilities(source)}
     if not isinstance(source, Assimilation):
-        raise InputDataError(f"to_arviz takes an Assimilation, a Belief or a Campaign; got {type(source).__name__}.")
+        raise InputDataError(
+            f"to_arviz takes an Assimilation, a Belief or a Campaign; got {type(source).__name__}."
+        )
     return {
         f"{fit.model}/{group}": variables
         for fit in source.fits
-        for group, variables in _fit_groups(fit, source.batch, child(seed, "arviz", fit.model), draws, simulator).items()
+        for group, variables in _fit_groups(
+            fit, source.batch, child(seed, "arviz", fit.model), draws, simulator
+        ).items()
     }
 
 
 def _variable(dims: tuple[str, ...], values: Any, **attributes: str) -> "Variable":
     from xarray import Variable
 
-    return Variable(dims, values.numpy() if isinstance(values, Tensor) else np.asarray(values), attributes)
+    return Variable(
+        dims, values.numpy() if isinstance(values, Tensor) else np.asarray(values), attributes
+    )
 
 
 def _draw_axes(count: int) -> Variables:
@@ -127,7 +147,12 @@ def _parameters(part: ModelBelief, controls: Tensor) -> Variables:
     """Free parameters in SI at ``n x d`` controls ``z``."""
     values = part.physical(controls)
     variables = {
-        name: _variable(("chain", "draw"), values[None, :, i], units=PARAMETERS[name].unit, long_name=PARAMETERS[name].meaning)
+        name: _variable(
+            ("chain", "draw"),
+            values[None, :, i],
+            units=PARAMETERS[name].unit,
+            long_name=PARAMETERS[name].meaning,
+        )
         for i, name in enumerate(part.names)
     }
     return _draw_axes(len(controls)) | variables
@@ -138,7 +163,8 @@ def _fit_groups(
 ) -> dict[str, Variables]:
     """All groups of one model's fit."""
     data = {"observed_data": _observed(batch), "constant_data": _constant(batch)}
-    sample, source = fit.sample, generator(seed)
+    sample = fit.sample
+    source = generator(seed)
     if sample is None:
         noise = torch.randn(draws, len(fit.mean), generator=source, dtype=torch.float64)
         controls = fit.mean + noise @ fit.chol.mT
@@ -146,17 +172,30 @@ def _fit_groups(
     chosen = sample.resample(draws, source)
     posterior = _parameters(fit.prior, fit.prior.unwhitened(sample.controls[chosen]))
     posterior |= _experiments(batch) | {"nuisance": _variable(("nuisance",), list(NUISANCES))}
-    sds = _variable(("chain", "draw", "experiment", "nuisance"), sample.nuisances[chosen][None], units="prior sd")
+    sds = _variable(
+        ("chain", "draw", "experiment", "nuisance"),
+        sample.nuisances[chosen][None],
+        units="prior sd",
+    )
     posterior["nuisances"] = sds
     likelihood = sample.by_experiment[chosen]
     stats = _draw_axes(draws) | {
-        "lp": _variable(("chain", "draw"), (likelihood.sum(1) + sample.log_prior[chosen])[None], units="nat"),
-        "pareto_k": _variable((), sample.pareto_k, long_name="shape of the tail of the importance weights"),
+        "lp": _variable(
+            ("chain", "draw"), (likelihood.sum(1) + sample.log_prior[chosen])[None], units="nat"
+        ),
+        "pareto_k": _variable(
+            (), sample.pareto_k, long_name="shape of the tail of the importance weights"
+        ),
         "effective_samples": _variable((), sample.effective_samples),
         "log_evidence": _variable((), sample.log_evidence, units="nat"),
         "log_evidence_error": _variable((), sample.log_evidence_error, units="nat"),
     }
-    seen = _variable(("chain", "draw", "experiment"), likelihood[None], units="nat", long_name="of all repeats and frames")
+    seen = _variable(
+        ("chain", "draw", "experiment"),
+        likelihood[None],
+        units="nat",
+        long_name="of all repeats and frames",
+    )
     return {
         "posterior": posterior,
         "sample_stats": stats,
@@ -168,11 +207,16 @@ def _fit_groups(
 def _frame_groups(
     fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, chosen: Tensor, seed: int
 ) -> dict[str, Variables]:
-    """The branch of single frames, one after the other in one dimension, since curves differ in length."""
+    """The branch of single frames, one after the other in one dimension, since curves differ in
+    length.
+    """
     sample = fit.sample
     assert sample is not None
-    controls, nuisances = sample.controls[chosen], sample.nuisances[chosen]
-    drawn, likelihood = frame_predictions(fit.prior, batch, simulator, controls, nuisances, seed=child(seed, "frames"))
+    controls = sample.controls[chosen]
+    nuisances = sample.nuisances[chosen]
+    drawn, likelihood = frame_predictions(
+        fit.prior, batch, simulator, controls, nuisances, seed=child(seed, "frames")
+    )
     experiment, frame = torch.nonzero(batch.mask, as_tuple=True)
     labels = [e.label for e in batch.experiments]
     where = {"observation": _variable(("observation",), range(len(frame)))}
@@ -180,12 +224,15 @@ def _frame_groups(
         "experiment": _variable(("observation",), [labels[i] for i in experiment.tolist()]),
         "time": _variable(("observation",), batch.times[batch.mask], units="t U_c/Rmax"),
     }
-    axes, dims = _draw_axes(len(chosen)) | where, ("chain", "draw", "observation")
+    axes = _draw_axes(len(chosen)) | where
+    dims = ("chain", "draw", "observation")
     return {
         "frames/posterior": _parameters(fit.prior, fit.prior.unwhitened(controls)),
-        "frames/posterior_predictive": axes | {"radius": _variable(dims, drawn[None], units="R/Rmax")},
+        "frames/posterior_predictive": axes
+        | {"radius": _variable(dims, drawn[None], units="R/Rmax")},
         "frames/log_likelihood": axes | {"radius": _variable(dims, likelihood[None], units="nat")},
-        "frames/observed_data": where | {"radius": _variable(("observation",), batch.mean[batch.mask], units="R/Rmax")},
+        "frames/observed_data": where
+        | {"radius": _variable(("observation",), batch.mean[batch.mask], units="R/Rmax")},
         "frames/constant_data": where | known,
     }
 
@@ -202,7 +249,9 @@ def _observed(batch: ExperimentBatch) -> Variables:
     """Mean curves; NaN where an experiment has fewer frames than the longest."""
     mean = torch.where(batch.mask, batch.mean, torch.nan)
     return _frames(batch) | {
-        "radius": _variable(("experiment", "frame"), mean, units="R/Rmax", long_name="mean of the repeats")
+        "radius": _variable(
+            ("experiment", "frame"), mean, units="R/Rmax", long_name="mean of the repeats"
+        )
     }
 
 
@@ -211,11 +260,15 @@ def _constant(batch: ExperimentBatch) -> Variables:
     times = torch.where(batch.mask, batch.times, torch.nan)
     return _frames(batch) | {
         "time": _variable(("experiment", "frame"), times, units="t U_c/Rmax"),
-        "weber": _variable(("experiment",), batch.designs[:, 0], units="1", long_name="Weber number"),
+        "weber": _variable(
+            ("experiment",), batch.designs[:, 0], units="1", long_name="Weber number"
+        ),
         "rest_radius": _variable(("experiment",), batch.designs[:, 1], units="R_inf/Rmax"),
         "repeats": _variable(("experiment",), [e.repeats for e in batch.experiments]),
         "nuisance": _variable(("nuisance",), list(NUISANCES)),
-        "nuisance_sd": _variable(("experiment", "nuisance"), batch.nuisance_sds, units="relative, t*, relative"),
+        "nuisance_sd": _variable(
+            ("experiment", "nuisance"), batch.nuisance_sds, units="relative, t*, relative"
+        ),
     }
 
 
@@ -234,16 +287,24 @@ def _history(campaign: Campaign) -> Variables:
     designs = [told[number].design for number in numbers]
     logs = torch.stack([step.belief.log_probabilities for step in steps])
     known = all(step.evidence for step in steps)  # the published way to learn has none
-    values, errors = ([[getattr(e, name) for e in step.evidence] for step in steps] for name in ("value", "error"))
+    values, errors = (
+        [[getattr(e, name) for e in step.evidence] for step in steps] for name in ("value", "error")
+    )
     evidence = {
-        "log_evidence": _variable(("step", "model"), values, units="nat", long_name="of all experiments so far"),
+        "log_evidence": _variable(
+            ("step", "model"), values, units="nat", long_name="of all experiments so far"
+        ),
         "log_evidence_error": _variable(("step", "model"), errors, units="nat"),
     }
     return (evidence if known else {}) | {
         "step": _variable(("step",), numbers),
         "model": _variable(("model",), list(campaign.prior.keys)),
-        "weber": _variable(("step",), [weber for weber, _ in designs], units="1", long_name="Weber number"),
+        "weber": _variable(
+            ("step",), [weber for weber, _ in designs], units="1", long_name="Weber number"
+        ),
         "rest_radius": _variable(("step",), [rest for _, rest in designs], units="R_inf/Rmax"),
         "log_probability": _variable(("step", "model"), logs, units="nat"),
-        "entropy": _variable(("step",), [float(step.belief.entropy()) for step in steps], units="nat"),
+        "entropy": _variable(
+            ("step",), [float(step.belief.entropy()) for step in steps], units="nat"
+        ),
     }

@@ -1,6 +1,8 @@
-"""Priors from ``torch.distributions``: each distribution becomes the marginal that maps a standard normal to it.
+"""Priors from ``torch.distributions``: each distribution becomes the marginal that maps a standard
+normal to it.
 
-The map is exact: the library's own where there is one, else SciPy's quantile function of the same distribution, so that a
+The map is exact: the library's own where there is one, else SciPy's quantile function of the same
+    distribution, so that a
 belief made here can be saved, assimilated and designed with like any other.
 """
 
@@ -31,17 +33,28 @@ class _Map:
 
 
 def _scipy(family: str, **names: str) -> _Map:
-    """Map to a :class:`Quantile` whose arguments have the values of torch's, as ``scipy_name="torch_name"``."""
-    return _Map(tuple(names.values()), lambda *values: Quantile(family, dict(zip(names, values, strict=True))))
+    """Map to a :class:`Quantile` whose arguments have the values of torch's, as
+    ``scipy_name="torch_name"``.
+    """
+    return _Map(
+        tuple(names.values()),
+        lambda *values: Quantile(family, dict(zip(names, values, strict=True))),
+    )
 
 
 _MAPS: dict[type[dist.Distribution], _Map] = {
     dist.Normal: _Map(("loc", "scale"), TruncatedNormal),
     dist.HalfNormal: _Map(("scale",), lambda scale: TruncatedNormal(0.0, scale, lower=0.0)),
-    dist.LogNormal: _Map(("loc", "scale"), lambda loc, scale: LogNormal(math.exp(loc), math.exp(scale))),
-    dist.Uniform: _Map(("low", "high"), lambda low, high: Quantile("uniform", {"loc": low, "scale": high - low})),
+    dist.LogNormal: _Map(
+        ("loc", "scale"), lambda loc, scale: LogNormal(math.exp(loc), math.exp(scale))
+    ),
+    dist.Uniform: _Map(
+        ("low", "high"), lambda low, high: Quantile("uniform", {"loc": low, "scale": high - low})
+    ),
     dist.Exponential: _Map(("rate",), lambda rate: Quantile("expon", {"scale": 1.0 / rate})),
-    dist.Gamma: _Map(("concentration", "rate"), lambda a, rate: Quantile("gamma", {"a": a, "scale": 1.0 / rate})),
+    dist.Gamma: _Map(
+        ("concentration", "rate"), lambda a, rate: Quantile("gamma", {"a": a, "scale": 1.0 / rate})
+    ),
     dist.InverseGamma: _scipy("invgamma", a="concentration", scale="rate"),
     dist.Weibull: _scipy("weibull_min", c="concentration", scale="scale"),
     dist.Pareto: _scipy("pareto", b="alpha", scale="scale"),
@@ -75,7 +88,8 @@ def to_marginal(distribution: dist.Distribution) -> Marginal:
     shape = (*distribution.batch_shape, *distribution.event_shape)
     if math.prod(shape) != 1:
         raise InputDataError(
-            f"A prior of one parameter is over one number; got a {type(distribution).__name__} of shape {shape}."
+            f"A prior of one parameter is over one number; got a {type(distribution).__name__} of "
+            f"shape {shape}."
         )
     if isinstance(distribution, dist.Independent):
         return to_marginal(distribution.base_dist)
@@ -83,8 +97,10 @@ def to_marginal(distribution: dist.Distribution) -> Marginal:
     if way is None:
         known = ", ".join(kind.__name__ for kind in _MAPS)
         raise UnsupportedError(
-            f"No map from a standard normal to {type(distribution).__name__} is known; known are {known}. "
-            "Give a marginal in its place: TruncatedNormal, or Quantile with any continuous distribution of scipy.stats."
+            f"No map from a standard normal to {type(distribution).__name__} is known; known are "
+            f"{known}. "
+            "Give a marginal in its place: TruncatedNormal, or Quantile with any continuous "
+            "distribution of scipy.stats."
         )
     return way.make(*(float(getattr(distribution, name)) for name in way.arguments))
 
@@ -98,13 +114,14 @@ def from_distributions(
     """A prior belief with independent parameters.
 
     Args:
-        models: model key -> parameter name -> distribution in SI units (or a marginal), one for each free parameter.
+        models: model key -> parameter name -> distribution in SI units (or a marginal), one for
+            each free parameter.
         probabilities: model key -> prior probability; equal when not given.
         known: values of parameters that a model takes as measured, SI.
 
     Raises:
-        InputDataError: as :meth:`imr_torch.material.Belief.prior` does, and for a prior that gives impossible values of its
-            parameter a probability above one in a million.
+        InputDataError: as :meth:`imr_torch.material.Belief.prior` does, and for a prior that gives
+            impossible values of its parameter a probability above one in a million.
         UnsupportedError: for a distribution to which no map is known.
 
     >>> from torch.distributions import LogNormal, Uniform
@@ -113,23 +130,34 @@ def from_distributions(
     >>> round(float(belief["nhkv"].quantile([0.5])[0, 1]), 3)  # median of mu, Pa s
     0.255
     """
-    made = {model: {name: _checked(name, prior) for name, prior in priors.items()} for model, priors in models.items()}
+    made = {
+        model: {name: _checked(name, prior) for name, prior in priors.items()}
+        for model, priors in models.items()
+    }
     return Belief.prior(made, probabilities=probabilities, known=known)
 
 
 def _checked(name: str, prior: dist.Distribution | Marginal) -> Marginal:
-    """The prior as a marginal, if all but a millionth of its mass lies in the physical bounds of its parameter."""
+    """The prior as a marginal, if all but a millionth of its mass lies in the physical bounds of
+    its parameter.
+    """
     marginal = to_marginal(prior) if isinstance(prior, dist.Distribution) else prior
     entry = PARAMETERS[name]
     below = above = 0.0
     if marginal.lower < entry.lower:
-        below = float(torch.special.ndtr(marginal.to_control(torch.tensor(entry.lower, dtype=torch.float64))))
+        below = float(
+            torch.special.ndtr(marginal.to_control(torch.tensor(entry.lower, dtype=torch.float64)))
+        )
     if marginal.upper > entry.upper:
-        above = float(torch.special.ndtr(-marginal.to_control(torch.tensor(entry.upper, dtype=torch.float64))))
+        above = float(
+            torch.special.ndtr(-marginal.to_control(torch.tensor(entry.upper, dtype=torch.float64)))
+        )
     if below + above > _OUTSIDE:
         raise InputDataError(
-            f"The prior of {name!r} gives a probability of {below + above:.2g} to values outside [{entry.lower:g}, "
-            f"{entry.upper:g}] {entry.unit}, which are impossible; use one with that support, such as "
+            f"The prior of {name!r} gives a probability of {below + above:.2g} to values outside "
+            f"[{entry.lower:g}, "
+            f"{entry.upper:g}] {entry.unit}, which are impossible; use one with that support, "
+            "such as "
             f"TruncatedNormal(mean, sd, lower={entry.lower:g})."
         )
     return marginal

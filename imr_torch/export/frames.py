@@ -1,9 +1,12 @@
-"""Single frames for ArviZ: what each frame is predicted to be, and how likely it was, given all other frames of its curve.
+"""Single frames for ArviZ: what each frame is predicted to be, and how likely it was, given all
+other frames of its curve.
 
-ArviZ's leave-one-out probability integral transform (LOO-PIT) compares each observation with its prediction from the others.
-Frames of a curve share their noise where it is correlated, so the prediction of a frame is its normal distribution given the
-others, and so is its likelihood (Burkner, Gabry & Vehtari, Comput. Stat. 36, 2021: mean ``y_i - g_i / c_ii``, variance
-``1 / c_ii`` with ``C`` the precision matrix and ``g = C (y - mu)``). With independent frames both are the usual ones.
+ArviZ's leave-one-out probability integral transform (LOO-PIT) compares each observation with its
+prediction from the others. Frames of a curve share their noise where it is correlated, so the
+prediction of a frame is its normal distribution given the others, and so is its likelihood
+(Burkner, Gabry & Vehtari, Comput. Stat. 36, 2021: mean ``y_i - g_i / c_ii``, variance ``1 / c_ii``
+with ``C`` the precision matrix and ``g = C (y - mu)``). With independent frames both are the usual
+ones.
 """
 
 import math
@@ -28,7 +31,8 @@ def frame_predictions(
     *,
     seed: int,
 ) -> tuple[Float[Tensor, "draws observations"], Float[Tensor, "draws observations"]]:
-    """Predictive draws and log likelihoods of the mean of each frame's repeats, given the other frames of its experiment.
+    """Predictive draws and log likelihoods of the mean of each frame's repeats, given the other
+    frames of its experiment.
 
     Args:
         prior: of the model.
@@ -46,7 +50,8 @@ def frame_predictions(
     z = torch.where(batch.mask, (batch.mean - seen) / sd, 0.0)
     factors = batch.noise.decorrelation(batch.times, batch.mask)
     if factors is None:
-        middle, spread = torch.zeros_like(z), torch.ones_like(z)
+        middle = torch.zeros_like(z)
+        spread = torch.ones_like(z)
     else:
         precision = factors.mT @ factors  # of standardised residuals, E x T x T
         diagonal = precision.diagonal(dim1=-2, dim2=-1)
@@ -54,5 +59,9 @@ def frame_predictions(
         spread = diagonal.rsqrt().expand_as(z)
     noise = torch.randn(z.shape, generator=generator(seed), dtype=z.dtype)
     drawn = seen + sd * (middle + spread * noise)
-    likelihood = -0.5 * ((z - middle) / spread).square() - (spread * sd).log() - 0.5 * math.log(2.0 * math.pi)
+    likelihood = (
+        -0.5 * ((z - middle) / spread).square()
+        - (spread * sd).log()
+        - 0.5 * math.log(2.0 * math.pi)
+    )
     return drawn[:, batch.mask], likelihood[:, batch.mask]

@@ -1,9 +1,11 @@
 """Prior and simulator of one model in the form that the sbi toolbox takes, without importing it.
 
-Its contract (sbi-dev.github.io, "prior and simulator"): the prior is a ``torch.distributions.Distribution`` with
-``sample((n,))`` of shape ``n x d`` and ``log_prob`` of shape ``n``, and a support; the simulator takes ``theta`` of shape
-``n x d`` to ``x`` of shape ``n x m``; a failed simulation is a row with NaN, which its training leaves out. Its networks
-are float32, so that is what comes out; inside, everything is float64.
+Its contract (sbi-dev.github.io, "prior and simulator"): the prior is a
+    ``torch.distributions.Distribution`` with
+``sample((n,))`` of shape ``n x d`` and ``log_prob`` of shape ``n``, and a support; the simulator
+takes ``theta`` of shape ``n x d`` to ``x`` of shape ``n x m``; a failed simulation is a row with
+NaN, which its training leaves out. Its networks are float32, so that is what comes out; inside,
+everything is float64.
 """
 
 from collections.abc import Sequence
@@ -36,7 +38,8 @@ class ModelPrior(Distribution):
     """
 
     def __init__(self, belief: ModelBelief, *, dtype: torch.dtype = torch.float32) -> None:
-        self.belief, self.dtype = belief, dtype
+        self.belief = belief
+        self.dtype = dtype
         super().__init__(torch.Size(), torch.Size([len(belief.names)]), validate_args=False)
 
     def expand(self, batch_shape: Sequence[int], _instance: Any = None) -> "ModelPrior":
@@ -46,7 +49,9 @@ class ModelPrior(Distribution):
             ShapeError: for any other batch shape than none or one.
         """
         if tuple(batch_shape) not in ((), (1,)):
-            raise ShapeError(f"ModelPrior cannot be expanded to the batch shape {tuple(batch_shape)}.")
+            raise ShapeError(
+                f"ModelPrior cannot be expanded to the batch shape {tuple(batch_shape)}."
+            )
         return self
 
     @property
@@ -87,11 +92,14 @@ def _interval(lower: float, upper: float) -> constraints.Constraint:
         return constraints.real
     if upper == torch.inf:
         return constraints.greater_than_eq(lower)
-    return constraints.less_than(upper) if lower == -torch.inf else constraints.interval(lower, upper)
+    return (
+        constraints.less_than(upper) if lower == -torch.inf else constraints.interval(lower, upper)
+    )
 
 
 class SbiSimulator:
-    """Noisy curves of one model: ``theta`` (``n x d``, SI) to ``x`` (``n x (q T)``), one draw of noise and nuisances each.
+    """Noisy curves of one model: ``theta`` (``n x d``, SI) to ``x`` (``n x (q T)``), one draw of
+    noise and nuisances each.
 
     Args:
         belief: the model's belief, for its parameters.
@@ -111,9 +119,18 @@ class SbiSimulator:
     """
 
     def __init__(
-        self, belief: ModelBelief, simulator: Simulator, batch: ExperimentBatch, *, seed: int, dtype: torch.dtype
+        self,
+        belief: ModelBelief,
+        simulator: Simulator,
+        batch: ExperimentBatch,
+        *,
+        seed: int,
+        dtype: torch.dtype,
     ) -> None:
-        self.belief, self.simulator, self.batch, self.dtype = belief, simulator, batch, dtype
+        self.belief = belief
+        self.simulator = simulator
+        self.batch = batch
+        self.dtype = dtype
         self._source = generator(seed)
 
     def __call__(self, theta: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch data"]:
@@ -124,12 +141,19 @@ class SbiSimulator:
         """
         d = len(self.belief.names)
         if theta.ndim not in (1, 2) or theta.shape[-1] != d:
-            raise ShapeError(f"theta has shape {tuple(theta.shape)}; expected n x {d} with {self.belief.names}.")
+            raise ShapeError(
+                f"theta has shape {tuple(theta.shape)}; expected n x {d} with {self.belief.names}."
+            )
         values = torch.atleast_2d(theta).to(torch.float64)
         parameters = self.belief.parameters(self.belief.to_controls(values))
         shape = (len(values), *self.batch.times.shape)
-        shifts = torch.randn(*shape[:2], 3, generator=self._source, dtype=torch.float64) * self.batch.nuisance_sds
-        clean = predict(self.simulator, parameters, self.batch, shifts if bool((shifts != 0.0).any()) else None)
+        shifts = (
+            torch.randn(*shape[:2], 3, generator=self._source, dtype=torch.float64)
+            * self.batch.nuisance_sds
+        )
+        clean = predict(
+            self.simulator, parameters, self.batch, shifts if bool((shifts != 0.0).any()) else None
+        )
         noise = torch.randn(shape, generator=self._source, dtype=torch.float64)
         sd = self.batch.noise.sd(clean, self.batch.times) * self.batch.noise_factors
         seen = clean + sd * self._correlated(noise)
@@ -157,7 +181,8 @@ def sbi_simulator(
     """Prior and simulator of one model for sbi.
 
     Args:
-        belief: the model and what is believed of its parameters, for example ``Belief.prior(...)["nhkv"]``.
+        belief: the model and what is believed of its parameters, for example
+            ``Belief.prior(...)["nhkv"]``.
         simulator: makes the bubbles.
         designs: (We, R_inf*) as measured.
         times: dimensionless; those of every design.
@@ -183,13 +208,19 @@ def sbi_simulator(
     torch.Size([3, 22])
     """
     if designs.ndim != 2 or designs.shape[1] != 2:
-        raise ShapeError(f"designs has shape {tuple(designs.shape)}; expected q x 2 with (We, R_inf*).")
+        raise ShapeError(
+            f"designs has shape {tuple(designs.shape)}; expected q x 2 with (We, R_inf*)."
+        )
     if dtype not in (torch.float32, torch.float64):
         raise InputDataError(f"dtype is {dtype}; expected torch.float32 or torch.float64.")
     blank = torch.ones(1, len(times), dtype=torch.float64)
     shots = tuple(
-        Experiment(f"design {i + 1}", (weber, rest), times.to(torch.float64), blank, nuisance or Nuisance())
+        Experiment(
+            f"design {i + 1}", (weber, rest), times.to(torch.float64), blank, nuisance or Nuisance()
+        )
         for i, (weber, rest) in enumerate(designs.tolist())
     )
     batch = ExperimentBatch(shots, noise or Noise())
-    return ModelPrior(belief, dtype=dtype), SbiSimulator(belief, simulator, batch, seed=seed, dtype=dtype)
+    return ModelPrior(belief, dtype=dtype), SbiSimulator(
+        belief, simulator, batch, seed=seed, dtype=dtype
+    )

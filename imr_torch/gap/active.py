@@ -1,9 +1,12 @@
-"""Active diagnosis: campaigns that look for the cause of a gap, each shot chosen to tell the remaining causes apart.
+"""Active diagnosis: campaigns that look for the cause of a gap, each shot chosen to tell the
+remaining causes apart.
 
-:class:`CauseLearner` diagnoses the gap between one base model and all experiments so far, and :class:`TellCausesApart` shoots
-where the causes that are left would differ most, an unknown effect that looks like the leader among them. Before the first
-experiment, and where there is nothing to tell apart (no gap, or one cause alone), designs fill the space. Both are parts of
-:class:`imr_torch.campaign.Campaign`, whose journal keeps each verdict; the diagnosis itself is made again on resume.
+:class:`CauseLearner` diagnoses the gap between one base model and all experiments so far, and
+:class:`TellCausesApart` shoots where the causes that are left would differ most, an unknown effect
+that looks like the leader among them. Before the first experiment, and where there is nothing to
+tell apart (no gap, or one cause alone), designs fill the space. Both are parts of
+:class:`imr_torch.campaign.Campaign`, whose journal keeps each verdict; the diagnosis itself is made
+again on resume.
 """
 
 import hashlib
@@ -30,14 +33,16 @@ _MADE: dict[str, GapReport] = {}
 
 @dataclass(frozen=True)
 class CauseLearner:
-    """Diagnoses the gap between a base model and all experiments; the belief is that of the base model's parameters.
+    """Diagnoses the gap between a base model and all experiments; the belief is that of the base
+    model's parameters.
 
     Where one cause is named, these are inferred beside it; else by the base model alone.
 
     Args:
         effects: names of the effects that may be the cause; the whole library without any.
         most: effects that are selected one after the other, at most.
-        estimate_noise: whether the noise is taken from how rough the curves are (single measured curves), or as planned.
+        estimate_noise: whether the noise is taken from how rough the curves are (single measured
+            curves), or as planned.
 
     >>> from imr_torch.gap import CauseLearner
     >>> CauseLearner(effects=("sound_speed", "gas_loss")).most
@@ -56,21 +61,33 @@ class CauseLearner:
     def check(self, batch: ExperimentBatch) -> None:
         """See :class:`imr_torch.campaign.Learner`; all are taken."""
 
-    def learn(self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None) -> Inference:
+    def learn(
+        self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None
+    ) -> Inference:
         """See :class:`imr_torch.campaign.Learner`.
 
         Raises:
-            InputDataError: if the prior holds several models; a gap is one between a single model and data.
+            InputDataError: if the prior holds several models; a gap is one between a single model
+                and data.
         """
-        report = self.diagnose(observations.prior, observations.batch, simulator, observations.seed, progress=progress)
+        report = self.diagnose(
+            observations.prior, observations.batch, simulator, observations.seed, progress=progress
+        )
         belief = Belief((_base_posterior(report),), torch.zeros(1, dtype=torch.float64))
         noise = report.batch.noise if self.estimate_noise else None
         return Inference(belief, noise=noise, finding=finding(report))
 
     def diagnose(
-        self, prior: Belief, batch: ExperimentBatch, simulator: Simulator, seed: int, *, progress: Progress | None = None
+        self,
+        prior: Belief,
+        batch: ExperimentBatch,
+        simulator: Simulator,
+        seed: int,
+        *,
+        progress: Progress | None = None,
     ) -> GapReport:
-        """The diagnosis of all experiments so far; not made again if it is the last that this process made.
+        """The diagnosis of all experiments so far; not made again if it is the last that this
+        process made.
 
         Args:
             prior: of the base model, which is its only one.
@@ -85,7 +102,9 @@ class CauseLearner:
         base = _only(prior)
         offered = library(self.effects or None, base=base.model)
         how = (self.estimate_noise, vars(batch.noise))
-        key = _key(base, [e.name for e in offered], batch, how, described(simulator), seed, self.most)
+        key = _key(
+            base, [e.name for e in offered], batch, how, described(simulator), seed, self.most
+        )
         if key not in _MADE:
             own = child(seed, "diagnose", len(batch.experiments))
             made = diagnose(
@@ -106,7 +125,8 @@ class CauseLearner:
 
 @dataclass(frozen=True)
 class TellCausesApart:
-    """Shoots where the causes that are left differ most, by the expected information about which of them is true.
+    """Shoots where the causes that are left differ most, by the expected information about which of
+    them is true.
 
     Args:
         learner: makes the diagnosis; that of the campaign.
@@ -125,39 +145,61 @@ class TellCausesApart:
     def __post_init__(self) -> None:
         if min(self.grid) < 2 or self.draws < 2:
             raise InputDataError(
-                f"TellCausesApart has grid {self.grid} and draws {self.draws}; expected 2 or more each way, and 2 draws."
+                f"TellCausesApart has grid {self.grid} and draws {self.draws}; expected 2 or more "
+                "each way, and 2 draws."
             )
 
     def choose(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
         """See :class:`imr_torch.campaign.DesignPolicy`.
 
         Raises:
-            InputDataError: if other designs are pending: the next shot depends on what the one before it shows.
+            InputDataError: if other designs are pending: the next shot depends on what the one
+                before it shows.
         """
         if situation.pending is not None:
             raise InputDataError(
-                "TellCausesApart chooses one design at a time, since each depends on what the last one showed; ask with q = 1."
+                "TellCausesApart chooses one design at a time, since each depends on what the "
+                "last one showed; ask with q = 1."
             )
         if situation.batch is None or situation.prior is None:
-            return replace(SpaceFilling().choose(situation), reason="The first shot: there is nothing to tell apart yet.")
-        report = self.learner.diagnose(situation.prior, situation.batch, situation.simulator, situation.seed, progress=progress)
+            return replace(
+                SpaceFilling().choose(situation),
+                reason="The first shot: there is nothing to tell apart yet.",
+            )
+        report = self.learner.diagnose(
+            situation.prior, situation.batch, situation.simulator, situation.seed, progress=progress
+        )
         try:
             found = self._apart(report, situation, progress)
         except (ConvergenceError, InputDataError) as error:
             return replace(SpaceFilling().choose(situation), reason=f"Fills the space: {error}")
         if found is None:
-            return replace(SpaceFilling().choose(situation), reason="Fills the space: no cause has to be told from another.")
-        return Proposal(situation.number, found.design, found.gain, found.error, reason=_expectation(found))
+            return replace(
+                SpaceFilling().choose(situation),
+                reason="Fills the space: no cause has to be told from another.",
+            )
+        return Proposal(
+            situation.number, found.design, found.gain, found.error, reason=_expectation(found)
+        )
 
     def rebuild(self, record: object, space: object, seed: int) -> None:
-        """See :class:`imr_torch.campaign.DesignPolicy`; no search by a surrogate stands behind a design."""
+        """See :class:`imr_torch.campaign.DesignPolicy`.
 
-    def _apart(self, report: GapReport, situation: Situation, progress: Progress | None) -> NextDesign | None:
+        No search by a surrogate stands behind a design.
+        """
+
+    def _apart(
+        self, report: GapReport, situation: Situation, progress: Progress | None
+    ) -> NextDesign | None:
         """The design that tells the remaining causes apart; None where no cause was fitted."""
         found = report.attribution
         if found is None:
             return None
-        unknown = None if found.left is None else unknown_like(found.winner, found.fits[found.winner], found.left)
+        unknown = (
+            None
+            if found.left is None
+            else unknown_like(found.winner, found.fits[found.winner], found.left)
+        )
         return identity_design(
             found.fits,
             found.posterior,
@@ -176,14 +218,22 @@ def finding(report: GapReport) -> Finding:
     """What the journal of a campaign keeps of a diagnosis."""
     found = report.attribution
     probabilities = {} if found is None else {name: float(p) for name, p in found.posterior.items()}
-    return Finding(report.verdict, report.cause, probabilities, report.reason, report.converged, float(report.gap.p_value))
+    return Finding(
+        report.verdict,
+        report.cause,
+        probabilities,
+        report.reason,
+        report.converged,
+        float(report.gap.p_value),
+    )
 
 
 def _expectation(found: NextDesign) -> str:
     """What a shot is expected to tell, in one sentence."""
     names = ", ".join(found.causes)
     return (
-        f"Tells apart {names}: the mean probability of the true one is expected to go from {found.now:.2f} to "
+        f"Tells apart {names}: the mean probability of the true one is expected to go from "
+        f"{found.now:.2f} to "
         f"{found.after:.2f} +- {found.after_error:.2f}."
     )
 
@@ -192,7 +242,8 @@ def _only(prior: Belief) -> ModelBelief:
     """The only model of a prior."""
     if len(prior.models) != 1:
         raise InputDataError(
-            f"A campaign for the cause of a gap has one base model, and its prior holds {len(prior.models)} "
+            "A campaign for the cause of a gap has one base model, and its prior holds "
+            f"{len(prior.models)} "
             f"({', '.join(prior.keys)}); name one."
         )
     return prior.models[0]
@@ -200,7 +251,8 @@ def _only(prior: Belief) -> ModelBelief:
 
 def _base_posterior(report: GapReport) -> ModelBelief:
     """The base model's parameters, inferred beside the cause if one is named."""
-    found, base = report.attribution, report.null.prior
+    found = report.attribution
+    base = report.null.prior
     named = report.verdict == "effect" and found is not None
     fit = found.fits[found.winner] if named and found is not None else report.null
     posterior = fit.posterior
@@ -213,4 +265,6 @@ def _key(base: ModelBelief, names: list[str], batch: ExperimentBatch, *rest: obj
     """All that a diagnosis depends on, as one hash."""
     curves = [(curve_hash(e), e.design, e.nuisance) for e in batch.curves]
     prior = Belief((base,), torch.zeros(1, dtype=torch.float64)).to_dict()
-    return hashlib.sha256(json.dumps([prior, names, curves, rest], default=repr).encode()).hexdigest()
+    return hashlib.sha256(
+        json.dumps([prior, names, curves, rest], default=repr).encode()
+    ).hexdigest()

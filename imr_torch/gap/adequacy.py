@@ -1,4 +1,6 @@
-"""The gap test at a fit that includes effects: what is left unexplained there, and in which directions it was looked for."""
+"""The gap test at a fit that includes effects: what is left unexplained there, and in which
+directions it was looked for.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -10,7 +12,14 @@ from imr_torch.assimilate import ModelFit
 from imr_torch.gap.lookalike import Likeness, likeness, look_alikes
 from imr_torch.gap.refitted import refitted_directions
 from imr_torch.goodness.linear import Linearisation, linearise
-from imr_torch.goodness.score import GapTest, block, effect_directions, gap_test, generic_rows, promising_starts
+from imr_torch.goodness.score import (
+    GapTest,
+    block,
+    effect_directions,
+    gap_test,
+    generic_rows,
+    promising_starts,
+)
 from imr_torch.material import Effect
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
@@ -24,7 +33,8 @@ class Adequacy:
         test: the gap test there.
         starts: from where each effect that the fit does not hold would start.
         line: local sensitivities at the fit.
-        directions: what each of those effects changes there (:func:`imr_torch.goodness.score.effect_directions`).
+        directions: what each of those effects changes there
+            (:func:`imr_torch.goodness.score.effect_directions`).
         effects: those effects.
         beside: the same beside a refit (:func:`imr_torch.gap.refitted.refitted_directions`).
         generic: rows of the generic blocks (:func:`imr_torch.goodness.score.generic_rows`).
@@ -39,7 +49,9 @@ class Adequacy:
     generic: dict[str, Float[Tensor, "_ rows"]] = field(default_factory=dict)
 
     def likeness(self, size: float, *, seed: int) -> Likeness:
-        """What an unknown effect would look like here, of which a known one explains ``size`` standard deviations."""
+        """What an unknown effect would look like here, of which a known one explains ``size``
+        standard deviations.
+        """
         return likeness(size, self.beside, self.generic, self.effects, self.line, seed=seed)
 
     def look_alikes(
@@ -51,7 +63,8 @@ class Adequacy:
         batch: ExperimentBatch,
         simulator: Simulator,
     ) -> dict[str, tuple[float, float]]:
-        """Effects that would look like one that was found: name -> angle in degrees, and what they leave of it in sd.
+        """Effects that would look like one that was found: name -> angle in degrees, and what they
+        leave of it in sd.
 
         Args:
             effect: the one that was found.
@@ -63,14 +76,21 @@ class Adequacy:
         """
         fitted = replace(effect, starts=(tuple(values),))
         rows = effect_directions([fitted], fit, batch, simulator, self.line)
-        signal = refitted_directions([fitted], fit, batch, simulator, self.line, rows)[effect.name][0]
+        signal = refitted_directions([fitted], fit, batch, simulator, self.line, rows)[effect.name][
+            0
+        ]
         left = self.line.project(signal)
         others = {name: own for name, own in self.beside.items() if name != effect.name}
         return look_alikes(left * (size / left.norm().clamp_min(1e-300)), others, self.line)
 
 
 def adequacy_test(
-    fit: ModelFit, effects: Sequence[Effect], batch: ExperimentBatch, simulator: Simulator, *, seed: int
+    fit: ModelFit,
+    effects: Sequence[Effect],
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    *,
+    seed: int,
 ) -> Adequacy:
     """The gap test at a fit, of effects that it does not hold and of the generic blocks."""
     line = linearise(fit, batch, simulator)
@@ -80,4 +100,6 @@ def adequacy_test(
     generic = generic_rows(fit, batch, simulator, line)
     blocks = [block(name, rows, line) for name, rows in (*beside.items(), *generic.items())]
     starts = {effect.name: promising_starts(effect, beside[effect.name], line) for effect in others}
-    return Adequacy(gap_test(blocks, line, seed=seed), starts, line, directions, others, beside, generic)
+    return Adequacy(
+        gap_test(blocks, line, seed=seed), starts, line, directions, others, beside, generic
+    )

@@ -1,11 +1,13 @@
-"""Attribution of the gap: evidence of each effect, of none and of an unknown one, and the adequacy of the best.
+"""Attribution of the gap: evidence of each effect, of none and of an unknown one, and the adequacy
+of the best.
 
-All effects are fitted in one batch, from two starts or, where an effect has several minima, from more; one is discarded once
-it cannot come within 6 nats of the best. (Scores at the null fit rank small effects well and large ones badly, so they only
-choose from where to start.) The evidence is that of the Gaussian approximation; where several are near the best, that of
-importance sampling. A closed library always has a best effect, so that must also be adequate: the gap test at its own fit
-gives ``p_ad``, and the probability of "other" follows from how probable that p-value is if an unknown effect of this size has
-been taken for the best known one (:mod:`imr_torch.gap.lookalike`).
+All effects are fitted in one batch, from two starts or, where an effect has several minima, from
+more; one is discarded once it cannot come within 6 nats of the best. (Scores at the null fit rank
+small effects well and large ones badly, so they only choose from where to start.) The evidence is
+that of the Gaussian approximation; where several are near the best, that of importance sampling. A
+closed library always has a best effect, so that must also be adequate: the gap test at its own fit
+gives ``p_ad``, and the probability of "other" follows from how probable that p-value is if an
+unknown effect of this size has been taken for the best known one (:mod:`imr_torch.gap.lookalike`).
 """
 
 import math
@@ -31,7 +33,9 @@ from imr_torch.types import Progress
 SCALES = (0.5, 2.0)
 """Factors on the prior scales of all amplitudes under which the leader's probability is computed again."""
 _SCALES_OF_NOISE = 9  # over which probabilities are averaged where the noise was inferred
-_MOST_LEFT_OUT = 3  # hypotheses whose fits do not converge, before the best of the others is taken as it is
+_MOST_LEFT_OUT = (
+    3  # hypotheses whose fits do not converge, before the best of the others is taken as it is
+)
 _LESS = 0.7  # amplitude of a second start over that of the first, where the first is an estimate
 _WIDE = 45.0  # degrees from which on two effects are not called alike, however small
 _NEGLIGIBLE = 20.0  # nats behind the best at which another prior scale does not matter
@@ -48,8 +52,9 @@ class Attribution:
     Args:
         fits: hypothesis -> fit, ``"none"`` among them; one that was discarded is not converged.
         log_evidence: hypothesis -> nats.
-        posterior: hypothesis -> probability at ``VERDICT_ODDS``, with ``"none"``, ``"other"`` and, where the noise was
-            inferred, ``"slow_noise"``; those not fitted to the end are far behind.
+        posterior: hypothesis -> probability at ``VERDICT_ODDS``, with ``"none"``, ``"other"`` and,
+            where the noise was inferred, ``"slow_noise"``; those not fitted to the end are far
+            behind.
         families: family -> probability, declared forms of one thing summed.
         winner: name of the best hypothesis beside none.
         adequacy: the gap test at the winner's fit.
@@ -57,11 +62,12 @@ class Attribution:
         left: the test at the winner's fit with its directions, for a further effect.
         likeness: what an unknown effect of this size would look like.
         at_odds: prior odds of an unknown effect -> posterior.
-        alike: effects that look like the winner's last one at its fitted size -> angle in degrees, and what they leave of it in
-            sd, nearest first.
+        alike: effects that look like the winner's last one at its fitted size -> angle in degrees,
+            and what they leave of it in sd, nearest first.
         checked: hypothesis -> its evidence by importance sampling, of those near the best.
         rescaled: factor on the prior scales of all amplitudes -> probability of the winner.
-        left_out: hypotheses ahead of the winner whose fits did not converge, which therefore have no probability.
+        left_out: hypotheses ahead of the winner whose fits did not converge, which therefore have
+            no probability.
     """
 
     fits: dict[str, ModelFit]
@@ -81,7 +87,8 @@ class Attribution:
 
     def credible_set(self, level: float = 0.95) -> tuple[str, ...]:
         """The most probable entries of the posterior that together reach a level."""
-        names, total = [], 0.0
+        names = []
+        total = 0.0
         for name, probability in sorted(self.posterior.items(), key=lambda item: -item[1]):
             names.append(name)
             total += probability
@@ -91,12 +98,17 @@ class Attribution:
 
     @property
     def explained(self) -> dict[str, float]:
-        """Hypothesis -> nats that its last effect explains: its log evidence over that without it, the largest first.
+        """Hypothesis -> nats that its last effect explains: its log evidence over that without it,
+        the largest first.
 
         Of a fit in :attr:`unconverged` it is what was explained where the fit ended.
         """
         without = "+".join(self.winner.split("+")[:-1]) or NONE
-        gained = {name: own - self.log_evidence[without] for name, own in self.log_evidence.items() if name != without}
+        gained = {
+            name: own - self.log_evidence[without]
+            for name, own in self.log_evidence.items()
+            if name != without
+        }
         return dict(sorted(gained.items(), key=lambda item: -item[1]))
 
     @property
@@ -106,9 +118,15 @@ class Attribution:
 
     @property
     def given_up(self) -> tuple[str, ...]:
-        """Those of them that were not continued, since by their costs and gradients they cannot come near the best one."""
+        """Those of them that were not continued, since by their costs and gradients they cannot
+        come near the best one.
+        """
         limit = min(fit.cost for fit in self.fits.values()) + _BEHIND
-        return tuple(name for name in self.unconverged if self.fits[name].cost - promised(self.fits[name]) > limit)
+        return tuple(
+            name
+            for name in self.unconverged
+            if self.fits[name].cost - promised(self.fits[name]) > limit
+        )
 
 
 @dataclass(frozen=True)
@@ -156,14 +174,28 @@ def attribute(
         masked: beside ``with_``, the chance that these alone did not explain an unknown effect.
         progress: called with one line per step.
     """
-    base, batch, simulator, effects = inquiry.base, inquiry.batch, inquiry.simulator, inquiry.beside(with_)
-    before = before or adequacy_test(null, inquiry.effects, batch, simulator, seed=child(seed, "before"))
+    base = inquiry.base
+    batch = inquiry.batch
+    simulator = inquiry.simulator
+    effects = inquiry.beside(with_)
+    before = before or adequacy_test(
+        null, inquiry.effects, batch, simulator, seed=child(seed, "before")
+    )
     null_name = Hypothesis(base, tuple(with_)).name
     hypotheses = [Hypothesis(base, (*with_, effect)) for effect in effects]
     if progress:
         progress(f"attribution: {len(effects)} effects")
     starts = before.starts if starts is None else starts
-    found = fit_hypotheses(hypotheses, null, batch, simulator, seed=seed, starts=starts, options=_FIT, progress=progress)
+    found = fit_hypotheses(
+        hypotheses,
+        null,
+        batch,
+        simulator,
+        seed=seed,
+        starts=starts,
+        options=_FIT,
+        progress=progress,
+    )
     fits = {null_name: null} | found
     evidence = {name: laplace_evidence(fit) for name, fit in fits.items()}
     problem = _Problem(inquiry, null, before, tuple(with_), masked)
@@ -171,11 +203,19 @@ def attribute(
 
 
 def reconsider(
-    inquiry: Inquiry, found: Attribution, effect: Effect, beside: ModelFit, *, seed: int, before: Adequacy | None = None
+    inquiry: Inquiry,
+    found: Attribution,
+    effect: Effect,
+    beside: ModelFit,
+    *,
+    seed: int,
+    before: Adequacy | None = None,
 ) -> Attribution:
-    """The attribution of a first effect again, once another was found beside its winner: is that one better alone?
+    """The attribution of a first effect again, once another was found beside its winner: is that
+    one better alone?
 
-    An effect with several minima (the moment of a pulse) may be found only beside another effect that explains most.
+    An effect with several minima (the moment of a pulse) may be found only beside another effect
+    that explains most.
 
     Args:
         inquiry: base model, effects and data.
@@ -188,16 +228,22 @@ def reconsider(
     Returns:
         ``found`` itself unless the effect alone explains more than its winner.
     """
-    batch, simulator = inquiry.batch, inquiry.simulator
+    batch = inquiry.batch
+    simulator = inquiry.simulator
     starts = {effect.name: near_values(beside, effect)}
     alone = Hypothesis(inquiry.base, (effect,))
     options = replace(_FIT, rival=found.fits[found.winner].cost)
-    fit = fit_hypotheses([alone], beside, batch, simulator, seed=seed, starts=starts, options=options)[alone.name]
+    fit = fit_hypotheses(
+        [alone], beside, batch, simulator, seed=seed, starts=starts, options=options
+    )[alone.name]
     if laplace_evidence(fit) <= found.log_evidence[found.winner]:
         return found
     null = found.fits[NONE]
-    before = before or adequacy_test(null, inquiry.effects, batch, simulator, seed=child(seed, "before"))
-    fits, evidence = found.fits | {alone.name: fit}, found.log_evidence | {alone.name: laplace_evidence(fit)}
+    before = before or adequacy_test(
+        null, inquiry.effects, batch, simulator, seed=child(seed, "before")
+    )
+    fits = found.fits | {alone.name: fit}
+    evidence = found.log_evidence | {alone.name: laplace_evidence(fit)}
     return _concluded(_Problem(inquiry, null, before, (), 1.0), fits, evidence, seed=seed)
 
 
@@ -215,7 +261,9 @@ def fitted_values(fit: ModelFit, effect: Effect) -> tuple[float, ...]:
 
 @dataclass(frozen=True)
 class _Problem:
-    """One round of attribution: an inquiry, the fit that leaves a gap, the test there, and effects that are held."""
+    """One round of attribution: an inquiry, the fit that leaves a gap, the test there, and effects
+    that are held.
+    """
 
     inquiry: Inquiry
     null: ModelFit
@@ -235,22 +283,33 @@ class _Problem:
 
 
 def _concluded(
-    problem: _Problem, fits: dict[str, ModelFit], evidence: dict[str, float], *, seed: int, progress: Progress | None = None
+    problem: _Problem,
+    fits: dict[str, ModelFit],
+    evidence: dict[str, float],
+    *,
+    seed: int,
+    progress: Progress | None = None,
 ) -> Attribution:
     """Fits with what their evidence and the winner's adequacy say."""
     inquiry = problem.inquiry
-    batch, simulator = inquiry.batch, inquiry.simulator
+    batch = inquiry.batch
+    simulator = inquiry.simulator
     winner, left_out = _converged_winner(problem, fits, evidence, seed=seed, progress=progress)
     checked = check_evidence(fits, evidence, batch, simulator, seed=child(seed, "evidence"))
     if checked and all(found.reliable for found in checked.values()):
         evidence |= {name: found.sampled for name, found in checked.items()}
         own = child(seed, "ahead")
-        winner, others = _converged_winner(problem, fits, evidence, sampled=checked, seed=own, progress=progress)
+        winner, others = _converged_winner(
+            problem, fits, evidence, sampled=checked, seed=own, progress=progress
+        )
         left_out += others
-    left = adequacy_test(fits[winner], inquiry.effects, batch, simulator, seed=child(seed, "adequacy"))
+    left = adequacy_test(
+        fits[winner], inquiry.effects, batch, simulator, seed=child(seed, "adequacy")
+    )
     size = math.sqrt(max(2.0 * (problem.null.cost - fits[winner].cost), 0.0))
     like = problem.before.likeness(size, seed=seed)
-    factor, masked = like.bayes_factor(left.test.p_value), problem.masked
+    factor = like.bayes_factor(left.test.p_value)
+    masked = problem.masked
     smooth = _smooth_deviations(problem)
     believed = _Believed(problem, fits, factor, masked, smooth)
     at_odds = {odds: believed.posterior(evidence, odds) for odds in ODDS}
@@ -275,16 +334,25 @@ def _concluded(
 
 
 def _smooth_deviations(problem: _Problem) -> SmoothDeviations | None:
-    """Evidence for smooth deviations of the curves beside what is held; None where the noise is known, slow noise included."""
+    """Evidence for smooth deviations of the curves beside what is held.
+
+    None where the noise is known, slow noise included.
+    """
     batch = problem.inquiry.batch
     if batch.noise_laws is None or not batch.noise_laws.of_residuals:
         return None
-    return smooth_deviations(Posterior(problem.null.prior, batch, problem.inquiry.simulator).neighbourhood(problem.null.point))
+    return smooth_deviations(
+        Posterior(problem.null.prior, batch, problem.inquiry.simulator).neighbourhood(
+            problem.null.point
+        )
+    )
 
 
 @dataclass(frozen=True)
 class _Believed:
-    """What probabilities follow from beside the evidence: the problem, its fits, and how an unknown effect would look."""
+    """What probabilities follow from beside the evidence: the problem, its fits, and how an unknown
+    effect would look.
+    """
 
     problem: _Problem
     fits: Mapping[str, ModelFit]
@@ -292,21 +360,26 @@ class _Believed:
     masked: float
     smooth: SmoothDeviations | None
 
-    def posterior(self, evidence: Mapping[str, float], odds: float = VERDICT_ODDS) -> dict[str, float]:
+    def posterior(
+        self, evidence: Mapping[str, float], odds: float = VERDICT_ODDS
+    ) -> dict[str, float]:
         """Probabilities of all causes, averaged over what is known of the scale of the noise."""
         laws = self.problem.inquiry.batch.noise_laws
         log_scales = [0.0] if laws is None else laws.log_scales(_SCALES_OF_NOISE).tolist()
         squares = {name: self._square(fit) for name, fit in self.fits.items()}
         each = []
         for log_scale in log_scales:
-            share = 0.5 * (1.0 - math.exp(-2.0 * log_scale))  # nats that a larger noise gives back of each squared residual
+            share = 0.5 * (
+                1.0 - math.exp(-2.0 * log_scale)
+            )  # nats that a larger noise gives back of each squared residual
             scaled = {name: value + share * squares[name] for name, value in evidence.items()}
             smallest = share * min(squares.values()) - share * squares[self.problem.null_name]
             each.append(self._at(scaled, odds, smallest))
         return {name: sum(one[name] for one in each) / len(each) for name in each[0]}
 
     def _at(self, evidence: Mapping[str, float], odds: float, of_scale: float) -> dict[str, float]:
-        smooth, base = self.smooth, evidence[self.problem.null_name] + of_scale
+        smooth = self.smooth
+        base = evidence[self.problem.null_name] + of_scale
         return probabilities(
             evidence,
             self.problem.effects,
@@ -321,21 +394,38 @@ class _Believed:
         """Whitened squared residual of a fit."""
         batch = self.problem.inquiry.batch
         residual = torch.where(batch.mask, batch.mean - fit.prediction, 0.0).nan_to_num()
-        return float(batch.whiten(residual, batch.sd(fit.prediction)).square().sum().nan_to_num(1e300))
+        return float(
+            batch.whiten(residual, batch.sd(fit.prediction)).square().sum().nan_to_num(1e300)
+        )
 
 
 def _alike(
     problem: _Problem, fits: Mapping[str, ModelFit], winner: str, effect: Effect, size: float
 ) -> dict[str, tuple[float, float]]:
-    """Effects that look like the winner's: by the angle between their directions, or because they fit the data as well."""
-    batch, simulator, values = problem.inquiry.batch, problem.inquiry.simulator, fitted_values(fits[winner], effect)
+    """Effects that look like the winner's: by the angle between their directions, or because they
+    fit the data as well.
+    """
+    batch = problem.inquiry.batch
+    simulator = problem.inquiry.simulator
+    values = fitted_values(fits[winner], effect)
     found = problem.before.look_alikes(effect, values, size, problem.null, batch, simulator)
     for other in problem.effects:
         name = Hypothesis(problem.inquiry.base, (*problem.with_, other)).name
-        behind = math.sqrt(max(2.0 * (fits[name].cost - fits[winner].cost), 0.0)) if name in fits else math.inf
-        if other.name != effect.name and behind < min(LIKE, size, found.get(other.name, (0.0, math.inf))[1]):
+        behind = (
+            math.sqrt(max(2.0 * (fits[name].cost - fits[winner].cost), 0.0))
+            if name in fits
+            else math.inf
+        )
+        if other.name != effect.name and behind < min(
+            LIKE, size, found.get(other.name, (0.0, math.inf))[1]
+        ):
             found[other.name] = math.degrees(math.asin(behind / size)), behind
-    return dict(sorted(((name, pair) for name, pair in found.items() if pair[0] < _WIDE), key=lambda item: item[1][1]))
+    return dict(
+        sorted(
+            ((name, pair) for name, pair in found.items() if pair[0] < _WIDE),
+            key=lambda item: item[1][1],
+        )
+    )
 
 
 def _converged_winner(
@@ -347,23 +437,30 @@ def _converged_winner(
     seed: int,
     progress: Progress | None,
 ) -> tuple[str, tuple[str, ...]]:
-    """The best hypothesis whose fit converges, and those before it whose fits do not, which lose their evidence.
+    """The best hypothesis whose fit converges, and those before it whose fits do not, which lose
+    their evidence.
 
-    Fits are continued where they have not converged; ``fits`` and ``evidence`` are brought up to date, but for evidence that
-    was ``sampled``.
+    Fits are continued where they have not converged; ``fits`` and ``evidence`` are brought up to
+    date, but for evidence that was ``sampled``.
     """
-    batch, simulator = problem.inquiry.batch, problem.inquiry.simulator
-    continued, left_out = set[str](), list[str]()
+    batch = problem.inquiry.batch
+    simulator = problem.inquiry.simulator
+    continued = set[str]()
+    left_out = list[str]()
     while True:
         winner = _winner(problem, evidence)
         if fits[winner].certificate.converged:
             break
         if winner not in continued:
             continued.add(winner)
-            fits[winner] = finish(fits[winner], batch, simulator, seed=child(seed, "finish"), progress=progress)
+            fits[winner] = finish(
+                fits[winner], batch, simulator, seed=child(seed, "finish"), progress=progress
+            )
             if winner not in sampled:
                 evidence[winner] = laplace_evidence(fits[winner])
-        elif fits[winner].certificate.usable or len(evidence) == 2 or len(left_out) == _MOST_LEFT_OUT:
+        elif (
+            fits[winner].certificate.usable or len(evidence) == 2 or len(left_out) == _MOST_LEFT_OUT
+        ):
             break
         else:
             left_out.append(winner)
@@ -372,13 +469,17 @@ def _converged_winner(
 
 
 def _winner(problem: _Problem, evidence: Mapping[str, float]) -> str:
-    return max((name for name in evidence if name != problem.null_name), key=lambda name: evidence[name])
+    return max(
+        (name for name in evidence if name != problem.null_name), key=lambda name: evidence[name]
+    )
 
 
 def _rescaled(believed: _Believed, evidence: Mapping[str, float], scale: float) -> dict[str, float]:
     """The posterior with the prior scales of all amplitudes multiplied."""
-    problem, fits = believed.problem, believed.fits
-    best, changed = max(evidence.values()), dict(evidence)
+    problem = believed.problem
+    fits = believed.fits
+    best = max(evidence.values())
+    changed = dict(evidence)
     for effect in problem.effects:
         name = Hypothesis(problem.inquiry.base, (*problem.with_, effect)).name
         if evidence.get(name, -math.inf) > best - _NEGLIGIBLE:

@@ -1,8 +1,10 @@
-"""How far the evidence of effects can be relied on: by importance sampling, and under other prior scales.
+"""How far the evidence of effects can be relied on: by importance sampling, and under other prior
+scales.
 
-The evidence of every effect is that of the Gaussian approximation. Those of the leading effects, where they are near each
-other, are computed again by importance sampling (:mod:`imr_torch.assimilate.weighing`). A prior of another scale changes the
-evidence by the mean over the posterior of the ratio of the two prior densities.
+The evidence of every effect is that of the Gaussian approximation. Those of the leading effects,
+where they are near each other, are computed again by importance sampling
+(:mod:`imr_torch.assimilate.weighing`). A prior of another scale changes the evidence by the mean
+over the posterior of the ratio of the two prior densities.
 """
 
 from collections.abc import Mapping
@@ -23,7 +25,10 @@ NEAR = 5.0
 
 _MOST = 4  # hypotheses whose evidence is computed again
 _SAMPLES = 48
-_HEAVY, _UNCERTAIN = 0.7, 0.5  # tail of the weights, and standard error in nats, from which on an evidence is not used
+_HEAVY, _UNCERTAIN = (
+    0.7,
+    0.5,
+)  # tail of the weights, and standard error in nats, from which on an evidence is not used
 _DRAWS = 512
 
 
@@ -45,7 +50,12 @@ class CheckedEvidence:
 
 
 def check_evidence(
-    fits: Mapping[str, ModelFit], evidence: Mapping[str, float], batch: ExperimentBatch, simulator: Simulator, *, seed: int
+    fits: Mapping[str, ModelFit],
+    evidence: Mapping[str, float],
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    *,
+    seed: int,
 ) -> dict[str, CheckedEvidence]:
     """Evidence of the leading hypotheses by importance sampling.
 
@@ -57,17 +67,27 @@ def check_evidence(
         seed: of the draws.
 
     Returns:
-        Hypothesis -> evidence of all within ``NEAR`` nats of the best (four at most); empty where the best is alone, or where
-        no draw of one of them could be simulated.
+        Hypothesis -> evidence of all within ``NEAR`` nats of the best (four at most); empty where
+        the best is alone, or where no draw of one of them could be simulated.
     """
     best = max(evidence.values())
-    near = sorted((name for name in evidence if evidence[name] > best - NEAR), key=lambda name: -evidence[name])[:_MOST]
+    near = sorted(
+        (name for name in evidence if evidence[name] > best - NEAR),
+        key=lambda name: -evidence[name],
+    )[:_MOST]
     if len(near) < 2:
         return {}
     own = tuple(fits[name] for name in near)
     belief = Belief(tuple(fit.prior for fit in own), torch.zeros(len(own), dtype=torch.float64))
     try:
-        weighted = weigh(Assimilation(belief, batch, own), simulator, seed=seed, samples=_SAMPLES, rounds=1, refit=False)
+        weighted = weigh(
+            Assimilation(belief, batch, own),
+            simulator,
+            seed=seed,
+            samples=_SAMPLES,
+            rounds=1,
+            refit=False,
+        )
     except ConvergenceError:
         return {}
     found = {}
@@ -75,18 +95,24 @@ def check_evidence(
         assert fit.sample is not None
         sampled = fit.sample.log_evidence - _offset(fit, batch)
         error = fit.sample.log_evidence_error
-        found[name] = CheckedEvidence(evidence[name], sampled, error, fit.sample.pareto_k < _HEAVY and error < _UNCERTAIN)
+        found[name] = CheckedEvidence(
+            evidence[name], sampled, error, fit.sample.pareto_k < _HEAVY and error < _UNCERTAIN
+        )
     return found
 
 
 def _offset(fit: ModelFit, batch: ExperimentBatch) -> float:
     """What the log likelihood of a fit holds beside its cost: constants of the data."""
     likelihood = batch.log_likelihood(fit.prediction[None]).sum()
-    return float(likelihood - 0.5 * fit.mean.square().sum() - 0.5 * fit.nuisances.square().sum()) + fit.cost
+    return (
+        float(likelihood - 0.5 * fit.mean.square().sum() - 0.5 * fit.nuisances.square().sum())
+        + fit.cost
+    )
 
 
 def rescaled_evidence(fit: ModelFit, effect: Effect, factor: float, *, seed: int = 0) -> float:
-    """Change of the evidence, nats, when the prior scale of an effect's amplitude is multiplied by a factor.
+    """Change of the evidence, nats, when the prior scale of an effect's amplitude is multiplied by
+    a factor.
 
     Args:
         fit: of a hypothesis with the effect.

@@ -1,13 +1,17 @@
-"""What one more shot would tell about the cause, before it is shot: the expected probability of the truth.
+"""What one more shot would tell about the cause, before it is shot: the expected probability of the
+truth.
 
-Data are made of every cause at draws of its posterior, with the noise and the nuisances of the plan, and each datum is weighted
-under every cause: evidence of the linearised model, at the gel that explains the datum best (Gauss-Newton steps). An unknown
-effect that looks like the leading one is the leading one with a reference effect beside it (an effect of the library or a law
-of the state), each effect as likely as the next. Beside the leader's fit a reference of typical size changes the present data
-by ``l`` standard deviations, all that was fitted projected out. An unknown effect is no reference exactly, so its size is not
-learnt from the data as theirs would be; but it cannot leave much more than ``m`` = 3 (:data:`imr_torch.gap.lookalike.LIKE`), or
-it would not look like the leader. Its amplitude has mean 0 and variance ``1 / (1 + (l / m)^2)``, in units of the typical size;
-a generic stress law, which has none, may change the data by some 30 standard deviations before the gel is refitted.
+Data are made of every cause at draws of its posterior, with the noise and the nuisances of the
+plan, and each datum is weighted under every cause: evidence of the linearised model, at the gel
+that explains the datum best (Gauss-Newton steps). An unknown effect that looks like the leading one
+is the leading one with a reference effect beside it (an effect of the library or a law of the
+state), each effect as likely as the next. Beside the leader's fit a reference of typical size
+changes the present data by ``l`` standard deviations, all that was fitted projected out. An unknown
+effect is no reference exactly, so its size is not learnt from the data as theirs would be; but it
+cannot leave much more than ``m`` = 3 (:data:`imr_torch.gap.lookalike.LIKE`), or it would not look
+like the leader. Its amplitude has mean 0 and variance ``1 / (1 + (l / m)^2)``, in units of the
+typical size; a generic stress law, which has none, may change the data by some 30 standard
+deviations before the gel is refitted.
 """
 
 import math
@@ -44,7 +48,8 @@ _LARGEST = 30.0  # sd that a generic stress law changes the data by, at most; it
 def plan_of(batch: ExperimentBatch) -> Plan:
     """How the next shot will be observed: as these experiments were, in the median over them.
 
-    Frames are spread evenly over the record. A known exposure is left out: predictions of planned shots are instants.
+    Frames are spread evenly over the record. A known exposure is left out: predictions of planned
+        shots are instants.
 
     >>> import torch
     >>> from imr_torch.gap.forecast import plan_of
@@ -72,12 +77,14 @@ def plan_of(batch: ExperimentBatch) -> Plan:
 
 @dataclass(frozen=True)
 class Unknown:
-    """An unknown effect that looks like the leading one: reference effects beside it, as far as the present data allow.
+    """An unknown effect that looks like the leading one: reference effects beside it, as far as the
+    present data allow.
 
     Args:
         leader: name of the leading cause.
         fit: its fit.
-        changes: what each of ``K`` references changes at one standard deviation of its amplitude: parameter -> value.
+        changes: what each of ``K`` references changes at one standard deviation of its amplitude:
+            parameter -> value.
         shifts: ``K x d`` tensor, controls of the leader that are moved with it.
         weights: ``K`` tensor, probabilities of the references, summing to one.
     """
@@ -89,12 +96,15 @@ class Unknown:
     weights: Float[Tensor, "references"]
 
     def signals(self, shot: Shot) -> tuple[Float[Tensor, "kept experiments frames"], "Unknown"]:
-        """``K x q x T`` changes of the curves at a shot, and the references whose bubbles could be simulated.
+        """``K x q x T`` changes of the curves at a shot, and the references whose bubbles could be
+        simulated.
 
         Raises:
             ConvergenceError: if none could.
         """
-        parameters = self.fit.parameters(torch.cat((self.fit.mean[None], self.fit.mean - self.shifts))).clone()
+        parameters = self.fit.parameters(
+            torch.cat((self.fit.mean[None], self.fit.mean - self.shifts))
+        ).clone()
         for row, change in zip(parameters[1:], self.changes, strict=True):
             for name, value in change.items():
                 row[PARAMETERS.index([name])[0]] = value
@@ -102,30 +112,39 @@ class Unknown:
         found = seen[1:] - seen[:1]
         good = torch.isfinite(found).flatten(1).all(1)
         if not bool(good.any()):
-            raise ConvergenceError(f"No effect beside {self.leader} could be simulated at {shot.designs.tolist()}.")
+            raise ConvergenceError(
+                f"No effect beside {self.leader} could be simulated at {shot.designs.tolist()}."
+            )
         kept = tuple(change for change, ok in zip(self.changes, good.tolist(), strict=True) if ok)
         weights = self.weights[good] / self.weights[good].sum()
         return found[good], replace(self, changes=kept, shifts=self.shifts[good], weights=weights)
 
 
 def unknown_like(leader: str, fit: ModelFit, left: Adequacy) -> Unknown | None:
-    """An unknown effect that looks like the leading one; None where no reference effect is left to stand for it.
+    """An unknown effect that looks like the leading one; None where no reference effect is left to
+    stand for it.
 
     Args:
         leader: name of the leading cause.
         fit: its fit.
         left: the gap test there, with the directions of the effects that it does not hold.
     """
-    line, families = left.line, {LIBRARY[name].family for name in leader.split("+")}
+    line = left.line
+    families = {LIBRARY[name].family for name in leader.split("+")}
     references = [
         (start, row, 1.0 / len(effect.starts))
         for effect in left.effects
         if effect.family not in families
         for start, row in zip(
-            (dict(zip(effect.names, s, strict=True)) for s in effect.starts), left.directions[effect.name], strict=True
+            (dict(zip(effect.names, s, strict=True)) for s in effect.starts),
+            left.directions[effect.name],
+            strict=True,
         )
     ]
-    references += [(step, row, 1.0) for step, row in zip(law_steps(), left.generic.get(STATE_LAW, ()), strict=False)]
+    references += [
+        (step, row, 1.0)
+        for step, row in zip(law_steps(), left.generic.get(STATE_LAW, ()), strict=False)
+    ]
     if not references:
         return None
     rows = torch.stack([row for _, row, _ in references])
@@ -188,9 +207,15 @@ def forecast(
         seed: of draws and noise.
         unknown: what stands for ``"other"``.
     """
-    names, source = list(causes), generator(seed)
+    names = list(causes)
+    source = generator(seed)
     log_prior = torch.tensor(list(causes.values()), dtype=torch.float64).log()
-    shots = [_shot((unknown.fit if n == OTHER and unknown else fits[n]).posterior, design, simulator, plan) for n in names]
+    shots = [
+        _shot(
+            (unknown.fit if n == OTHER and unknown else fits[n]).posterior, design, simulator, plan
+        )
+        for n in names
+    ]
     drawn = _together([draw(shot, cloud_controls(shot, draws, source), source) for shot in shots])
     if min(map(len, drawn.parts)) < 2:
         empty = torch.zeros(0, dtype=torch.float64)
@@ -198,9 +223,13 @@ def forecast(
         return Forecast(failed, _now(causes), math.nan, math.nan, {})
     logs = _evidences(names, drawn, shots, unknown if OTHER in names else None, source)
     posterior = torch.log_softmax(logs + log_prior, dim=1)
-    terms, after, variance, by_cause = [], 0.0, 0.0, {}
+    terms = []
+    after = 0.0
+    variance = 0.0
+    by_cause = {}
     for i, (name, rows) in enumerate(zip(names, drawn.rows, strict=True)):
-        own, weight = posterior[rows, i], causes[name]
+        own = posterior[rows, i]
+        weight = causes[name]
         terms.append(Terms(weight, torch.zeros_like(own), own - log_prior[i], drawn.orders[i]))
         by_cause[name] = float(own.exp().mean())
         after += weight * by_cause[name]
@@ -213,10 +242,17 @@ def _shot(part: ModelBelief, design: Tensor, simulator: Simulator, plan: Plan) -
 
 
 def _together(every: Sequence[Drawn]) -> Drawn:
-    """Draws of one model each as those of several; one model may occur twice, which a belief forbids."""
+    """Draws of one model each as those of several.
+
+    One model may occur twice, which a belief forbids.
+    """
     ends = torch.tensor([0, *(len(d.data) for d in every)]).cumsum(0).tolist()
-    data = Data(torch.cat([d.data.radius for d in every]), torch.cat([d.data.window for d in every]))
-    parts, controls, orders = zip(*((d.parts[0], d.controls[0], d.orders[0]) for d in every), strict=True)
+    data = Data(
+        torch.cat([d.data.radius for d in every]), torch.cat([d.data.window for d in every])
+    )
+    parts, controls, orders = zip(
+        *((d.parts[0], d.controls[0], d.orders[0]) for d in every), strict=True
+    )
     return Drawn(parts, controls, orders, data, tuple(slice(a, b) for a, b in pairwise(ends)))
 
 
@@ -225,10 +261,19 @@ def _now(causes: Mapping[str, float]) -> float:
 
 
 def _evidences(
-    names: list[str], drawn: Drawn, shots: Sequence[Shot], unknown: Unknown | None, source: torch.Generator
+    names: list[str],
+    drawn: Drawn,
+    shots: Sequence[Shot],
+    unknown: Unknown | None,
+    source: torch.Generator,
 ) -> Tensor:
-    """``n x C`` log evidences of all data under all causes; the data of an unknown effect are made here."""
-    data, signals, shot = drawn.data, torch.zeros(0), shots[0]
+    """``n x C`` log evidences of all data under all causes.
+
+    The data of an unknown effect are made here.
+    """
+    data = drawn.data
+    signals = torch.zeros(0)
+    shot = shots[0]
     if unknown is not None:
         signals, unknown = unknown.signals(shot)
         rows = drawn.rows[names.index(OTHER)]
@@ -256,19 +301,33 @@ def _evidences(
 
 
 def _nearest(data: Data, own: Tensor, drawn: Drawn, cause: int, shot: Shot) -> Response:
-    """The gel of a cause that explains each datum best: its own for the data of that cause, refined for the others."""
-    gels, rows = drawn.parts[cause], drawn.rows[cause]
+    """The gel of a cause that explains each datum best: its own for the data of that cause, refined
+    for the others.
+    """
+    gels = drawn.parts[cause]
+    rows = drawn.rows[cause]
     others = drawn.outside(cause)
     start, _ = best_starts(data[others], gels, shot)
     part = shot.belief.models[0]
     floor = own[others] - _BEHIND
-    found = refine(data[others], gels[start], shot, part, _REFINEMENTS, close=_CLOSE, both_lengths=False, floor=floor)
+    found = refine(
+        data[others],
+        gels[start],
+        shot,
+        part,
+        _REFINEMENTS,
+        close=_CLOSE,
+        both_lengths=False,
+        floor=floor,
+    )
     every = gels[torch.zeros(len(data), dtype=torch.long)]
     return every.replaced(torch.arange(rows.start, rows.stop), gels).replaced(others, found)
 
 
 def _of_unknown(data: Data, at: Response, shot: Shot, signals: Tensor, unknown: Unknown) -> Tensor:
-    """Log evidence under an unknown effect: the leader's model at a gel, with the amplitude of each reference free."""
+    """Log evidence under an unknown effect: the leader's model at a gel, with the amplitude of each
+    reference free.
+    """
     zero = at.controls.new_zeros(len(at), 1)
     logs = []
     for signal in signals:

@@ -1,9 +1,11 @@
-"""Hypotheses of a diagnosis and their fits: the base model alone, with effects freed, or with a gel of its own in each curve.
+"""Hypotheses of a diagnosis and their fits: the base model alone, with effects freed, or with a gel
+of its own in each curve.
 
-A hypothesis is the base model's prior with the effects' priors beside it, so everything that fits, weighs or designs for
-models does so for causes. Gels that differ are further nuisances of the experiments (``ExperimentBatch.between``). Fits of
-effects start at the null fit, with the effect at each of its starts. Coarse bubbles (:func:`imr_torch.simulate.coarser`) lead
-the way to each minimum and leave out what is far behind; every fit that counts ends with the simulator that was given.
+A hypothesis is the base model's prior with the effects' priors beside it, so everything that fits,
+weighs or designs for models does so for causes. Gels that differ are further nuisances of the
+experiments (``ExperimentBatch.between``). Fits of effects start at the null fit, with the effect at
+each of its starts. Coarse bubbles (:func:`imr_torch.simulate.coarser`) lead the way to each minimum
+and leave out what is far behind; every fit that counts ends with the simulator that was given.
 """
 
 import math
@@ -33,12 +35,14 @@ GEL_SCATTER = "gel_scatter"
 LEADING = 6
 """Fits of an attribution that get a second start by the simulator's own bubbles."""
 
-_AMOUNT = 0.5  # standard deviations of its prior by which an effect's amplitude differs, however small it is
+# standard deviations of its prior by which an effect's amplitude differs, however small it is
+_AMOUNT = 0.5
 _GEL_APART = 0.25  # prior standard deviations between the starts of a fit that frees no effect
 _MANY = 6  # starts where fewer disagree
 _AGAIN = 3  # starts beside a fit whose own disagree
 _ROUGHLY = 0.03  # gradient at which a fit by coarse bubbles ends
-_FAR = 3.0  # chi squared per degree of freedom of a fit whose collapses may lie on the wrong side of a frame
+# chi squared per degree of freedom of a fit whose collapses may lie on the wrong side of a frame
+_FAR = 3.0
 _TOO_COARSE = 200.0  # nats of error of the cost beyond which coarse bubbles lead nowhere
 
 
@@ -49,7 +53,8 @@ class Hypothesis:
     Args:
         base: the base model's prior.
         effects: what is freed beside it.
-        own_gels: whether the gel, and with it how strong the effects are, differs between experiments (:func:`scatters`).
+        own_gels: whether the gel, and with it how strong the effects are, differs between
+            experiments (:func:`scatters`).
     """
 
     base: ModelBelief
@@ -59,7 +64,10 @@ class Hypothesis:
     @property
     def parts(self) -> tuple[str, ...]:
         """Names of the effects, and ``gel_scatter`` where gels differ."""
-        return (*(effect.name for effect in self.effects), *((GEL_SCATTER,) if self.own_gels else ()))
+        return (
+            *(effect.name for effect in self.effects),
+            *((GEL_SCATTER,) if self.own_gels else ()),
+        )
 
     @property
     def name(self) -> str:
@@ -67,7 +75,9 @@ class Hypothesis:
         return "+".join(self.parts) or "none"
 
     def seen(self, batch: ExperimentBatch) -> ExperimentBatch:
-        """The data as this hypothesis has them: experiments with gels of their own where these differ."""
+        """The data as this hypothesis has them: experiments with gels of their own where these
+        differ.
+        """
         return replace(batch, between=scatters(self.base, self.belief) if self.own_gels else {})
 
     @property
@@ -78,10 +88,16 @@ class Hypothesis:
     @property
     def belief(self) -> ModelBelief:
         """The prior of base and effects together."""
-        return beside(self.base, {name: prior for effect in self.effects for name, prior in effect.priors.items()})
+        return beside(
+            self.base,
+            {name: prior for effect in self.effects for name, prior in effect.priors.items()},
+        )
 
-    def starts(self, null: ModelFit, of_last: Sequence[Sequence[float]] | None = None) -> Float[Tensor, "starts controls"]:
-        """``S x d`` controls ``v``: those of a fit without the last effect, and that at each of some values.
+    def starts(
+        self, null: ModelFit, of_last: Sequence[Sequence[float]] | None = None
+    ) -> Float[Tensor, "starts controls"]:
+        """``S x d`` controls ``v``: those of a fit without the last effect, and that at each of
+        some values.
 
         Args:
             null: the fit; what it holds of the other effects is kept.
@@ -118,14 +134,16 @@ def in_words(part: str) -> str:
 def scatters(base: ModelBelief, prior: ModelBelief) -> dict[str, Scatter]:
     """Parameter -> its scatter between experiments whose gels differ.
 
-    Parameters of the gel differ by a share of them, amplitudes of effects by that share and by an amount that goes with their
-    prior, whose bounds hold in every experiment. What is inferred of the medium and the shape of an effect do not differ.
+    Parameters of the gel differ by a share of them, amplitudes of effects by that share and by an
+    amount that goes with their prior, whose bounds hold in every experiment. What is inferred of
+    the medium and the shape of an effect do not differ.
 
     Args:
         base: the base model's prior.
         prior: that of the base model, perhaps with effects.
     """
-    gel, amplitudes = base.of_gel, {effect.names[0] for effect in LIBRARY.values()}
+    gel = base.of_gel
+    amplitudes = {effect.names[0] for effect in LIBRARY.values()}
     found = dict[str, Scatter]()
     for name, marginal in zip(prior.names, prior.marginals, strict=True):
         if name in gel:
@@ -144,15 +162,27 @@ def fit_null(
     near: ModelFit | None = None,
     progress: Progress | None = None,
 ) -> ModelFit:
-    """The base model with nuisances, from several starts, with its certificate, which the caller must check.
+    """The base model with nuisances, from several starts, with its certificate, which the caller
+    must check.
 
-    A fit that ran out of iterations, as Gauss-Newton may where a large gap leaves large residuals, is taken up again; where
-    converged starts disagree, more of them are made. A fit of the same curves with other noise is a start, where it is given.
+    A fit that ran out of iterations, as Gauss-Newton may where a large gap leaves large residuals,
+    is taken up again; where converged starts disagree, more of them are made. A fit of the same
+    curves with other noise is a start, where it is given.
     """
-    belief, options = _belief((base,)), SearchOptions()
+    belief = _belief((base,))
+    options = SearchOptions()
     if near is not None:
         start = as_assimilation(near, batch)
-        moved = assimilate(belief, batch, simulator, seed=seed, options=options, near=start, warn=False, progress=progress)
+        moved = assimilate(
+            belief,
+            batch,
+            simulator,
+            seed=seed,
+            options=options,
+            near=start,
+            warn=False,
+            progress=progress,
+        )
         if moved.fits[0].certificate.converged:
             return moved.fits[0]
     search = partial(assimilate, belief, batch, simulator, warn=False, progress=progress)
@@ -166,20 +196,27 @@ def fit_null(
 
 
 def lower(one: ModelFit, other: ModelFit, options: SearchOptions) -> ModelFit:
-    """The fit that is or may become the lower, certified also if the other search found that minimum too."""
+    """The fit that is or may become the lower, certified also if the other search found that
+    minimum too.
+    """
     low, high = sorted((one, other), key=_reach)
     return _certified(low, min(low.certificate.agreement, abs(high.cost - low.cost)), options)
 
 
 def _reach(fit: ModelFit) -> float:
-    """The cost that a fit has or may get down to; one that has no gradient is not iterated further."""
+    """The cost that a fit has or may get down to.
+
+    One that has no gradient is not iterated further.
+    """
     return fit.cost - promised(fit) if math.isfinite(fit.certificate.gradient) else fit.cost
 
 
 def _certified(fit: ModelFit, agreement: float, options: SearchOptions) -> ModelFit:
     """A fit with a certificate that counts agreement with other starts than its own, nats."""
     converged = fit.certificate.gradient < options.gradient and agreement < options.agreement
-    return replace(fit, certificate=replace(fit.certificate, agreement=agreement, converged=converged))
+    return replace(
+        fit, certificate=replace(fit.certificate, agreement=agreement, converged=converged)
+    )
 
 
 def fit_hypotheses(
@@ -196,9 +233,10 @@ def fit_hypotheses(
 ) -> dict[str, ModelFit]:
     """Fit hypotheses from the null fit, in one batch; those with gels that differ in another.
 
-    Where the gap is large, the null fit's collapses lie on the wrong side of frames, each a local minimum. Hypotheses are then
-    also fitted by searches that begin without the frames next to collapses (:mod:`imr_torch.assimilate.masking`), and the lower
-    of the two fits counts, or one that has not converged and may get lower.
+    Where the gap is large, the null fit's collapses lie on the wrong side of frames, each a local
+    minimum. Hypotheses are then also fitted by searches that begin without the frames next to
+    collapses (:mod:`imr_torch.assimilate.masking`), and the lower of the two fits counts, or one
+    that has not converged and may get lower.
 
     Args:
         hypotheses: what to fit.
@@ -206,18 +244,23 @@ def fit_hypotheses(
         batch: the data.
         simulator: makes the bubbles.
         seed: of the search.
-        starts: name of a last effect -> values from which to start it; its own starts where not given.
+        starts: name of a last effect -> values from which to start it; its own starts where not
+            given.
         options: how to search.
-        twice: fits of lowest cost by coarse bubbles that get a second start by the simulator's own; with 0 none is certified.
+        twice: fits of lowest cost by coarse bubbles that get a second start by the simulator's own;
+            with 0 none is certified.
         progress: called with one line per iteration.
 
     Returns:
         Name of the hypothesis -> fit, whose certificate the caller must check.
     """
-    found, options = dict[str, ModelFit](), options or SearchOptions()
+    found = dict[str, ModelFit]()
+    options = options or SearchOptions()
     together = [h for h in hypotheses if not h.own_gels]
     for kind in (*([together] if together else []), *([h] for h in hypotheses if h.own_gels)):
-        fits = _fit_alike(kind, null, kind[0].seen(batch), simulator, seed, starts or {}, options, twice, progress)
+        fits = _fit_alike(
+            kind, null, kind[0].seen(batch), simulator, seed, starts or {}, options, twice, progress
+        )
         found |= {h.name: fit for h, fit in zip(kind, fits, strict=True)}
         options = replace(options, rival=min(options.known_cost, *(fit.cost for fit in fits)))
     return found
@@ -235,10 +278,14 @@ def _fit_alike(
     progress: Progress | None,
 ) -> list[ModelFit]:
     """Fits of hypotheses that have the same nuisances, those of a batch."""
-    rows = [h.starts(null, starts.get(h.effects[-1].name) if h.effects else None) for h in hypotheses]
+    rows = [
+        h.starts(null, starts.get(h.effects[-1].name) if h.effects else None) for h in hypotheses
+    ]
     belief = _belief(h.belief for h in hypotheses)
     nuisances = [deviating(null, hypothesis) for hypothesis in hypotheses]
-    search = partial(_descend, belief, batch, simulator, seed=seed, starts=rows, nuisances=nuisances, twice=twice)
+    search = partial(
+        _descend, belief, batch, simulator, seed=seed, starts=rows, nuisances=nuisances, twice=twice
+    )
     search = partial(search, progress=progress)
     found = search(options=options)
     if overdispersion(null, batch) > _FAR:
@@ -249,10 +296,16 @@ def _fit_alike(
 
 
 def deviating(fit: ModelFit, hypothesis: Hypothesis) -> Tensor:
-    """Nuisances ``E x w`` of a fit for another hypothesis: deviations of what it does not hold begin at zero."""
+    """Nuisances ``E x w`` of a fit for another hypothesis: deviations of what it does not hold
+    begin at zero.
+    """
     count = len(NUISANCES)
-    known, own = (list(scatters(hypothesis.base, prior)) for prior in (fit.prior, hypothesis.belief))
-    nuisances = torch.nn.functional.pad(fit.nuisances[:, :count], (0, len(own) if hypothesis.own_gels else 0))
+    known, own = (
+        list(scatters(hypothesis.base, prior)) for prior in (fit.prior, hypothesis.belief)
+    )
+    nuisances = torch.nn.functional.pad(
+        fit.nuisances[:, :count], (0, len(own) if hypothesis.own_gels else 0)
+    )
     if hypothesis.own_gels and fit.nuisances.shape[1] > count:
         both = [name for name in own if name in known]
         at, of = ([count + names.index(name) for name in both] for names in (own, known))
@@ -272,37 +325,55 @@ def _descend(
     twice: int = LEADING,
     progress: Progress | None = None,
 ) -> list[ModelFit]:
-    """Fits by coarse bubbles, then, of those not far behind, by the simulator's own from where these ended.
+    """Fits by coarse bubbles, then, of those not far behind, by the simulator's own from where
+    these ended.
 
-    The first of these, so many as are to be fitted ``twice``, get a second start beside that. The others have the agreement of
-    their starts by coarse bubbles in their certificates, and none where no fit is made twice. A fit that was left behind has
-    the cost that the simulator gives it where it ended, and has not converged.
+    The first of these, so many as are to be fitted ``twice``, get a second start beside that. The
+    others have the agreement of their starts by coarse bubbles in their certificates, and none
+    where no fit is made twice. A fit that was left behind has the cost that the simulator gives it
+    where it ended, and has not converged.
     """
     search = partial(assimilate, seed=seed, warn=False, progress=progress)
     coarse = coarser(simulator)
     same = coarse is simulator
-    error = 0.0 if same else _coarse_error(Posterior(belief.models[0], batch, simulator), starts[0][:1], nuisances)
+    error = (
+        0.0
+        if same
+        else _coarse_error(Posterior(belief.models[0], batch, simulator), starts[0][:1], nuisances)
+    )
     if same or error > _TOO_COARSE:
-        return list(search(belief, batch, simulator, options=options, starts=starts, nuisances=nuisances).fits)
+        return list(
+            search(
+                belief, batch, simulator, options=options, starts=starts, nuisances=nuisances
+            ).fits
+        )
     reach = None if options.drop_behind is None else options.drop_behind + error
     rough = replace(options, drop_behind=reach, gradient=max(options.gradient, _ROUGHLY))
     found = search(belief, batch, coarse, options=rough, starts=starts, nuisances=nuisances).fits
     fits = [_seen_by(fit, batch, simulator) for fit in found]
-    limit = math.inf if reach is None else min(*(fit.cost for fit in fits), options.known_cost) + reach
+    limit = (
+        math.inf if reach is None else min(*(fit.cost for fit in fits), options.known_cost) + reach
+    )
     near = [i for i, fit in enumerate(fits) if fit.cost - promised(fit) <= limit]
     if not near:  # a fit that is known already is better than all
         return fits
     near.sort(key=lambda i: fits[i].cost)
-    ahead, others = near[:twice], near[twice:]
+    ahead = near[:twice]
+    others = near[twice:]
     own = replace(options, starts=2, mask_collapses=False)
     if ahead:
         kept = _belief(fits[i].prior for i in ahead)
         start = Assimilation(kept, batch, tuple(fits[i] for i in ahead))
-        for i, fit in zip(ahead, search(kept, batch, simulator, options=own, near=start).fits, strict=True):
-            fits[i] = _certified(fit, max(fit.certificate.agreement, found[i].certificate.agreement), own)
+        for i, fit in zip(
+            ahead, search(kept, batch, simulator, options=own, near=start).fits, strict=True
+        ):
+            fits[i] = _certified(
+                fit, max(fit.certificate.agreement, found[i].certificate.agreement), own
+            )
         own = replace(own, rival=min(options.known_cost, *(fits[i].cost for i in ahead)))
     if others:
-        gels, moved = [fits[i].mean[None] for i in others], [fits[i].nuisances for i in others]
+        gels = [fits[i].mean[None] for i in others]
+        moved = [fits[i].nuisances for i in others]
         kept = _belief(fits[i].prior for i in others)
         ended = search(kept, batch, simulator, options=own, starts=gels, nuisances=moved).fits
         for i, fit in zip(others, ended, strict=True):
@@ -317,19 +388,26 @@ def _belief(models: Iterable[ModelBelief]) -> Belief:
 
 
 def _coarse_error(posterior: Posterior, gel: Tensor, nuisances: Sequence[Tensor] | None) -> float:
-    """Error of the cost by coarse bubbles where a model fits the data, at one gel (``1 x d``), nats."""
+    """Error of the cost by coarse bubbles where a model fits the data, at one gel (``1 x d``),
+    nats.
+    """
     point = Point(gel, (posterior.still() if nuisances is None else nuisances[0])[None])
-    fine, coarse = posterior.predict(point)[0], posterior.coarse.predict(point)[0]
+    fine = posterior.predict(point)[0]
+    coarse = posterior.coarse.predict(point)[0]
     change = posterior.batch.whiten(fine - coarse, posterior.batch.sd(fine))
     return 0.5 * float(change.square().sum().nan_to_num(math.inf))
 
 
 def _seen_by(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> ModelFit:
-    """A fit by other bubbles with the cost and the prediction that a simulator gives it, as one that has not converged."""
+    """A fit by other bubbles with the cost and the prediction that a simulator gives it, as one
+    that has not converged.
+    """
     posterior = Posterior(fit.prior, batch, simulator)
     seen = posterior.predict(fit.point)
     cost = -float(posterior.log_joint(fit.point, seen))
-    return replace(fit, cost=cost, prediction=seen, certificate=replace(fit.certificate, converged=False))
+    return replace(
+        fit, cost=cost, prediction=seen, certificate=replace(fit.certificate, converged=False)
+    )
 
 
 def finish(
@@ -343,20 +421,25 @@ def finish(
 ) -> ModelFit:
     """Continue a fit that was cut short, from where it ended and from a point beside it.
 
-    The second start may end in another local minimum. The agreement in the certificate is then that of the earlier starts, if
-    they had nearly converged, or that of more starts beside it.
+    The second start may end in another local minimum. The agreement in the certificate is then that
+    of the earlier starts, if they had nearly converged, or that of more starts beside it.
     """
     options = options or SearchOptions(starts=2)
-    near, search = as_assimilation(fit, batch), partial(assimilate, options=options, warn=False, progress=progress)
+    near = as_assimilation(fit, batch)
+    search = partial(assimilate, options=options, warn=False, progress=progress)
     ended = search(near.prior, batch, simulator, seed=seed, near=near).fits[0]
     if fit.certificate.gradient < NEARLY and abs(fit.cost - ended.cost) < ONE_MINIMUM:
-        ended = _certified(ended, min(ended.certificate.agreement, fit.certificate.agreement), options)
+        ended = _certified(
+            ended, min(ended.certificate.agreement, fit.certificate.agreement), options
+        )
     if ended.certificate.converged or ended.certificate.gradient >= options.gradient:
         return ended
     source = generator(child(seed, "beside"))
     starts = torch.stack([ended.mean + around(ended.chol, source, BESIDE) for _ in range(_AGAIN)])
     moved = [ended.nuisances_at(starts)]
-    again = search(near.prior, batch, simulator, seed=child(seed, "again"), starts=[starts], nuisances=moved)
+    again = search(
+        near.prior, batch, simulator, seed=child(seed, "again"), starts=[starts], nuisances=moved
+    )
     return lower(ended, again.fits[0], options)
 
 
@@ -371,7 +454,10 @@ def promised(fit: ModelFit) -> float:
 
 
 def laplace_evidence(fit: ModelFit) -> float:
-    """``log p(y)`` in the Gaussian approximation, nats; priors are standard normal in the controls, so constants cancel."""
+    """``log p(y)`` in the Gaussian approximation, nats.
+
+    Priors are standard normal in the controls, so constants cancel.
+    """
     nuisances = fit.nuisance_chol.diagonal(dim1=-2, dim2=-1).log().sum()
     return float(-fit.cost + fit.chol.diagonal().log().sum() - nuisances)
 

@@ -1,10 +1,12 @@
 """The next design: the one that best tells the remaining causes apart.
 
-The causes left by a diagnosis are the models of one belief: each a fit with its posterior, weighted by its probability, and an
-unknown effect that looks like the leader (:mod:`imr_torch.gap.forecast`). The information that an experiment is expected to
-give about *which* of them is true, ``I(cause; y)``, is the expected log Bayes factor of the truth over the mixture of all,
-averaged over posterior draws of each cause: at one nominal value the best design is that of one gel, which need not be this
-one. It never exceeds the entropy of the causes. What it means is said by the expected probability of the truth.
+The causes left by a diagnosis are the models of one belief: each a fit with its posterior, weighted
+    by its probability, and an
+unknown effect that looks like the leader (:mod:`imr_torch.gap.forecast`). The information that an
+experiment is expected to give about *which* of them is true, ``I(cause; y)``, is the expected log
+Bayes factor of the truth over the mixture of all, averaged over posterior draws of each cause: at
+one nominal value the best design is that of one gel, which need not be this one. It never exceeds
+the entropy of the causes. What it means is said by the expected probability of the truth.
 """
 
 import math
@@ -72,13 +74,19 @@ class NextDesign:
 
 
 def remaining_causes(
-    fits: Mapping[str, ModelFit], posterior: Mapping[str, float], *, least: float = _LEFT, most: int = 6
+    fits: Mapping[str, ModelFit],
+    posterior: Mapping[str, float],
+    *,
+    least: float = _LEFT,
+    most: int = 6,
 ) -> dict[str, float]:
-    """The causes worth telling apart, the most probable of each family, with probabilities that sum to one.
+    """The causes worth telling apart, the most probable of each family, with probabilities that sum
+    to one.
 
     Args:
         fits: hypothesis -> fit.
-        posterior: hypothesis -> probability; ``"other"`` and what has no fit cannot be simulated and are left out.
+        posterior: hypothesis -> probability; ``"other"`` and what has no fit cannot be simulated
+            and are left out.
         least: probability below which a cause is dropped, unless fewer than two would be left.
         most: how many to keep.
 
@@ -89,12 +97,19 @@ def remaining_causes(
     chosen: dict[tuple[str, ...], str] = {}
     for name in ranked:
         # two members of a family are the same to first order: no design of this kind separates them
-        family = tuple(sorted(LIBRARY[part].family if part in LIBRARY else part for part in name.split("+")))
-        if family not in chosen and (posterior[name] >= least or len(chosen) < 2) and len(chosen) < most:
+        family = tuple(
+            sorted(LIBRARY[part].family if part in LIBRARY else part for part in name.split("+"))
+        )
+        if (
+            family not in chosen
+            and (posterior[name] >= least or len(chosen) < 2)
+            and len(chosen) < most
+        ):
             chosen[family] = name
     if len(chosen) < 2:
         raise InputDataError(
-            f"{len(chosen)} causes have a fit ({', '.join(chosen.values()) or 'none'}); two of different families are needed."
+            f"{len(chosen)} causes have a fit ({', '.join(chosen.values()) or 'none'}); two of "
+            "different families are needed."
         )
     weights = {name: max(posterior[name], _FLOOR) for name in chosen.values()}
     return {name: weight / sum(weights.values()) for name, weight in weights.items()}
@@ -115,11 +130,13 @@ def identity_design(
 ) -> NextDesign:
     """The design that best tells the remaining causes apart.
 
-    Every design of a grid is evaluated with the same draws, a Gaussian process smooths the map, and the maximum of its mean
-    is evaluated once more with fresh draws, so the gain that is returned is free of the winner's curse.
+    Every design of a grid is evaluated with the same draws, a Gaussian process smooths the map, and
+    the maximum of its mean is evaluated once more with fresh draws, so the gain that is returned is
+    free of the winner's curse.
 
     Args:
-        fits: hypothesis -> fit (:attr:`imr_torch.gap.attribute.Attribution.fits`), with ``"none"`` if it is still possible.
+        fits: hypothesis -> fit (:attr:`imr_torch.gap.attribute.Attribution.fits`), with ``"none"``
+            if it is still possible.
         posterior: hypothesis -> probability.
         simulator: makes the bubbles.
         seed: of draws and surrogate.
@@ -131,7 +148,8 @@ def identity_design(
         progress: called with one line per design.
 
     Raises:
-        InputDataError: if fewer than two causes are left, or the grid has fewer than two designs each way.
+        InputDataError: if fewer than two causes are left, or the grid has fewer than two designs
+            each way.
         ConvergenceError: if too few designs could be simulated for a map.
     """
     if min(grid) < 2:
@@ -140,11 +158,21 @@ def identity_design(
     if unknown is not None and unknown.leader in causes and posterior.get(OTHER, 0.0) >= _LEFT:
         odds = posterior[OTHER] / sum(max(posterior[name], _FLOOR) for name in causes)
         causes = {name: p / (1.0 + odds) for name, p in (causes | {OTHER: odds}).items()}
-    space, plan = space or DesignSpace(), plan or Plan()
+    space = space or DesignSpace()
+    plan = plan or Plan()
     designs = _grid(space, grid)
 
     def at(design: Tensor, draws: int, stage: str) -> Forecast:
-        return forecast(causes, fits, design, simulator, plan, draws=draws, seed=child(seed, stage), unknown=unknown)
+        return forecast(
+            causes,
+            fits,
+            design,
+            simulator,
+            plan,
+            draws=draws,
+            seed=child(seed, stage),
+            unknown=unknown,
+        )
 
     found: list[InformationGain] = []
     for design in designs:
@@ -152,15 +180,22 @@ def identity_design(
         found.append(gain)
         if progress:
             we, rinf_star = design.tolist()
-            progress(f"next design {len(found)}/{len(designs)}: We {we:.0f}, R_inf* {rinf_star:.3f}: {gain.value:.3f} nats")
+            progress(
+                f"next design {len(found)}/{len(designs)}: We {we:.0f}, R_inf* {rinf_star:.3f}: "
+                f"{gain.value:.3f} nats"
+            )
     failed = sum(gain.failed for gain in found)
     if len(designs) - failed < 2:
-        raise ConvergenceError(f"Too many bubbles failed at {failed} of {len(designs)} designs; narrow the space.")
+        raise ConvergenceError(
+            f"Too many bubbles failed at {failed} of {len(designs)} designs; narrow the space."
+        )
     settings = SearchSettings(child(seed, "surrogate"), initial=2)
     best = settings.finish(space, designs, found, None).recommendation.design
     ahead = at(best, _FINAL * draws, "best")
     if ahead.gain.failed:
-        raise ConvergenceError(f"Too many bubbles failed at the best design {best.tolist()}; narrow the space.")
+        raise ConvergenceError(
+            f"Too many bubbles failed at the best design {best.tolist()}; narrow the space."
+        )
     return NextDesign(
         design=best,
         gain=ahead.gain.value,
@@ -181,5 +216,8 @@ def identity_design(
 def _grid(space: DesignSpace, counts: tuple[int, int]) -> Tensor:
     """``n x 2`` designs, evenly over the space, its edges included."""
     lower, upper = space.bounds
-    axes = [torch.linspace(float(a), float(b), n, dtype=torch.float64) for a, b, n in zip(lower, upper, counts, strict=True)]
+    axes = [
+        torch.linspace(float(a), float(b), n, dtype=torch.float64)
+        for a, b, n in zip(lower, upper, counts, strict=True)
+    ]
     return torch.cartesian_prod(*axes)

@@ -1,11 +1,13 @@
 """Location of the gap: from when in the event on it can be detected, and in which experiments.
 
-*When*: refit on the frames up to a moment and test; frames before an effect acts are free of it, whereas the residual of a
-fit to all frames is spread over them by the fit. The first moment that rejects is the first at which the gap can be detected:
-it comes earlier with more repeats, and no earlier than the effect acts (where that is: :mod:`imr_torch.gap.acts`). *Which*:
-the same test on one design at a time, and the drift of the parameters over designs: a trend in We (which fixes the size and
-so the rate) points to rate or size, one in R_inf* to stretch or gas, none to what is alike everywhere. Refits are linear
-about the fit (:mod:`imr_torch.gap.restrict`).
+*When*: refit on the frames up to a moment and test; frames before an effect acts are free of it,
+    whereas the residual of a
+fit to all frames is spread over them by the fit. The first moment that rejects is the first at
+which the gap can be detected: it comes earlier with more repeats, and no earlier than the effect
+acts (where that is: :mod:`imr_torch.gap.acts`). *Which*: the same test on one design at a time, and
+the drift of the parameters over designs: a trend in We (which fixes the size and so the rate)
+points to rate or size, one in R_inf* to stretch or gas, none to what is alike everywhere. Refits
+are linear about the fit (:mod:`imr_torch.gap.restrict`).
 """
 
 import math
@@ -34,10 +36,12 @@ _BESIDE = 4  # designs from which on the trends in We and R_inf* are told apart
 
 @dataclass(frozen=True)
 class Onset:
-    """The first time at which the gap can be detected with these data; it comes earlier with more repeats.
+    """The first time at which the gap can be detected with these data; it comes earlier with more
+    repeats.
 
     Args:
-        time: dimensionless time of the last frame of the first prefix that rejects, median over experiments; NaN if none does.
+        time: dimensionless time of the last frame of the first prefix that rejects, median over
+            experiments; NaN if none does.
         phase: one of :data:`imr_torch.goodness.phases.PHASES`, or ``"none"``.
         times: the end of each prefix, dimensionless, median over experiments.
         p_values: of each prefix, calibrated over all prefixes and tests.
@@ -52,9 +56,13 @@ class Onset:
 
     def __str__(self) -> str:
         if self.phase == "none":
-            return f"No prefix of the records rejects the model (smallest {p_value(min(self.p_values))})."
+            return (
+                "No prefix of the records rejects the model (smallest "
+                f"{p_value(min(self.p_values))})."
+            )
         return (
-            f"The gap can first be detected in the {self.phase}: records up to t* = {self.time:.2f} already reject the model "
+            f"The gap can first be detected in the {self.phase}: records up to t* = "
+            f"{self.time:.2f} already reject the model "
             "(earlier ones would with more repeats)."
         )
 
@@ -62,14 +70,20 @@ class Onset:
 def generic_directions(
     fit: ModelFit, line: Linearisation, batch: ExperimentBatch, simulator: Simulator
 ) -> dict[str, Float[Tensor, "_ rows"]]:
-    """Directions that stand for no effect in particular: a pressure pulse at each of several times, and output shapes.
+    """Directions that stand for no effect in particular: a pressure pulse at each of several times,
+    and output shapes.
 
     Returns:
-        Name -> whitened rows ``k x N``. A pulse is a test of its own, so that an early prefix is not asked about late ones.
+        Name -> whitened rows ``k x N``. A pulse is a test of its own, so that an early prefix is
+        not asked about late ones.
     """
     changes = pulse_changes(batch)
-    pulses = line.whiten((curves(fit, batch, simulator, list(changes.values())) - line.prediction).nan_to_num())
-    rows = {f"pulse at {moment:.2f}": row[None] for moment, row in zip(changes, pulses, strict=True)}
+    pulses = line.whiten(
+        (curves(fit, batch, simulator, list(changes.values())) - line.prediction).nan_to_num()
+    )
+    rows = {
+        f"pulse at {moment:.2f}": row[None] for moment, row in zip(changes, pulses, strict=True)
+    }
     return rows | {"shape": shape_rows(line)[:2]}
 
 
@@ -85,9 +99,9 @@ def onset(
 ) -> Onset:
     """The prefix test: refit on the frames up to a moment and test, for a grid of moments.
 
-    Moments are set on the phase clock of each experiment, so that curves whose collapses come at different times are cut
-    alike. Refits are linear about ``fit``; linearised anew where they lead, 16 of 16 sets kept their phase (3 designs of 100
-    curves, gaps of 10 to 209 sd).
+    Moments are set on the phase clock of each experiment, so that curves whose collapses come at
+    different times are cut alike. Refits are linear about ``fit``; linearised anew where they lead,
+    16 of 16 sets kept their phase (3 designs of 100 curves, gaps of 10 to 209 sd).
 
     Args:
         fit: the base model's fit.
@@ -95,14 +109,17 @@ def onset(
         batch: the data.
         simulator: makes the bubbles.
         seed: of the residuals drawn for the calibration.
-        directions: name -> whitened rows ``k x N`` to test (:func:`imr_torch.goodness.score.effect_directions`) beside the
-            generic ones.
+        directions: name -> whitened rows ``k x N`` to test
+            (:func:`imr_torch.goodness.score.effect_directions`) beside the generic ones.
         level: chance of a false onset anywhere in the event.
     """
     tests = generic_directions(fit, line, batch, simulator) | dict(directions or {})
     clock = phase_clock(batch.times, line.prediction, batch.mask)
     drawn = draw_residuals(line, seed=seed)
-    ends, times, observed, calibration = [], [], [], []
+    ends = []
+    times = []
+    observed = []
+    calibration = []
     before = 0
     for end in _GRID:
         frames = (clock <= end) & batch.mask
@@ -134,7 +151,8 @@ class Trend:
     Args:
         parameter: its name.
         over: ``"We"`` or ``"R_inf*"``.
-        slope: change of the parameter's control (prior standard deviations) over the range of the coordinate that was shot.
+        slope: change of the parameter's control (prior standard deviations) over the range of the
+            coordinate that was shot.
         z: slope over its standard deviation.
     """
 
@@ -150,7 +168,8 @@ class ByExperiment:
 
     Args:
         labels: of the experiments.
-        p_values: of each design on its own, its parameters refitted; calibrated over designs and tests.
+        p_values: of each design on its own, its parameters refitted; calibrated over designs and
+            tests.
         names: fitted parameters.
         values: ``E x d`` tensor, refitted to each design alone, SI.
         low: ``E x d`` tensor, one standard deviation below.
@@ -179,7 +198,8 @@ def by_experiment(
     directions: Mapping[str, Tensor] | None = None,
     level: float = _LEVEL,
 ) -> ByExperiment:
-    """The gap test and the parameters of each design alone, and the drift of the parameters over designs.
+    """The gap test and the parameters of each design alone, and the drift of the parameters over
+    designs.
 
     Args:
         fit: the base model's fit.
@@ -191,11 +211,14 @@ def by_experiment(
         level: chance of a false trend, over all parameters and coordinates.
 
     Returns:
-        Tests, parameters by linear refit, trends by generalised least squares with all nuisances free.
+        Tests, parameters by linear refit, trends by generalised least squares with all nuisances
+        free.
     """
     tests = generic_directions(fit, line, batch, simulator) | dict(directions or {})
     drawn = draw_residuals(line, seed=seed)
-    observed, calibration, values = [], [], []
+    observed = []
+    calibration = []
+    values = []
     for e in range(len(batch.experiments)):
         frames = torch.zeros_like(batch.mask)
         frames[e] = batch.mask[e]
@@ -203,7 +226,9 @@ def by_experiment(
         shift, to_shift = refit(part)
         sd = to_shift[: len(fit.mean)].norm(dim=1)
         centre = fit.mean + shift[: len(fit.mean)]
-        values.append(torch.stack([_physical(fit, centre + step * sd) for step in (0.0, -1.0, 1.0)]))
+        values.append(
+            torch.stack([_physical(fit, centre + step * sd) for step in (0.0, -1.0, 1.0)])
+        )
         data, null = log_p(part, frames, tests, drawn)
         observed.append(data)
         calibration.append(null)
@@ -211,7 +236,16 @@ def by_experiment(
     centre, low, high = torch.stack(values).unbind(1)
     p_values = tuple(calibrate(observed, calibration).tolist())
     labels = tuple(e.label for e in batch.experiments)
-    return ByExperiment(labels, p_values, fit.prior.names, centre, low, high, trends, _read(trends, level, len(labels)))
+    return ByExperiment(
+        labels,
+        p_values,
+        fit.prior.names,
+        centre,
+        low,
+        high,
+        trends,
+        _read(trends, level, len(labels)),
+    )
 
 
 def _physical(fit: ModelFit, controls: Tensor) -> Tensor:
@@ -219,25 +253,41 @@ def _physical(fit: ModelFit, controls: Tensor) -> Tensor:
 
 
 def drifts(fit: ModelFit, line: Linearisation, batch: ExperimentBatch) -> tuple[Trend, ...]:
-    """Slopes of the fitted parameters over log We and R_inf*, from generalised least squares beside all that was fitted.
+    """Slopes of the fitted parameters over log We and R_inf*, from generalised least squares beside
+    all that was fitted.
 
-    With fewer than four designs each coordinate is taken alone, so that one that goes with the other shows in both.
+    With fewer than four designs each coordinate is taken alone, so that one that goes with the
+    other shows in both.
     """
     size = len(fit.mean)
     coordinates = {"We": batch.designs[:, 0].log(), "R_inf*": batch.designs[:, 1]}
-    scaled = {name: _centred(x) for name, x in coordinates.items() if float(x.max() - x.min()) > 1e-6}
+    scaled = {
+        name: _centred(x) for name, x in coordinates.items() if float(x.max() - x.min()) > 1e-6
+    }
     gel = line.fitted.clone()
-    gel[batch.mask.numel() :] = 0.0  # a drift is no shift of the mean, so the prior says nothing of it
+    gel[batch.mask.numel() :] = (
+        0.0  # a drift is no shift of the mean, so the prior says nothing of it
+    )
     rows = {}
     for name, x in scaled.items():
-        weight = torch.nn.functional.pad(x[:, None].expand_as(batch.mask).flatten(), (0, len(gel) - batch.mask.numel()))
+        weight = torch.nn.functional.pad(
+            x[:, None].expand_as(batch.mask).flatten(), (0, len(gel) - batch.mask.numel())
+        )
         rows[name] = line.project(gel[:, :size].mT * weight)
     trends = []
     for name, own in rows.items():
-        others = [row for other, row in rows.items() if other != name] if len(batch.experiments) >= _BESIDE else []
+        others = (
+            [row for other, row in rows.items() if other != name]
+            if len(batch.experiments) >= _BESIDE
+            else []
+        )
         for i, parameter in enumerate(fit.prior.names):
             beside = torch.cat([own[:i], own[i + 1 :], *others])
-            left = own[i] - torch.linalg.lstsq(beside.mT, own[i], driver="gelsd").solution @ beside if len(beside) else own[i]
+            left = (
+                own[i] - torch.linalg.lstsq(beside.mT, own[i], driver="gelsd").solution @ beside
+                if len(beside)
+                else own[i]
+            )
             length = float(left.norm())
             if length > 1e-3:
                 z = float(left @ line.residual) / length
@@ -256,21 +306,36 @@ _MEANING = {"We": "rate or size", "R_inf*": "stretch or gas"}
 def _read(trends: tuple[Trend, ...], level: float, experiments: int) -> str:
     if not trends:
         return "All experiments share one design, so nothing can be said about trends."
-    limit = -torch.special.ndtri(torch.tensor(0.5 * level / len(trends), dtype=torch.float64)).item()
-    found = {name: [t.parameter for t in trends if t.over == name and abs(t.z) > limit] for name in _MEANING}
-    said = [f"{', '.join(names)} over {over} (points to {_MEANING[over]})" for over, names in found.items() if names]
+    limit = -torch.special.ndtri(
+        torch.tensor(0.5 * level / len(trends), dtype=torch.float64)
+    ).item()
+    found = {
+        name: [t.parameter for t in trends if t.over == name and abs(t.z) > limit]
+        for name in _MEANING
+    }
+    said = [
+        f"{', '.join(names)} over {over} (points to {_MEANING[over]})"
+        for over, names in found.items()
+        if names
+    ]
     if len(said) > 1 and experiments < _BESIDE:
         names = ", ".join(sorted({name for over in found.values() for name in over}))
         return (
-            f"Fitted parameters differ between the experiments: {names}. {experiments} experiments do not tell a drift over We "
+            f"Fitted parameters differ between the experiments: {names}. {experiments} "
+            "experiments do not tell a drift over We "
             f"({_MEANING['We']}) from one over R_inf* ({_MEANING['R_inf*']}); {_BESIDE} would."
         )
     if said:
         return f"Fitted parameters drift: {'; '.join(said)}."
-    return "No fitted parameter drifts over the designs: the cause, if any, is alike in all, as errors of measurement are."
+    return (
+        "No fitted parameter drifts over the designs: the cause, if any, is alike in all, as "
+        "errors of measurement are."
+    )
 
 
-def frames_between(batch: ExperimentBatch, start: float, end: float) -> Bool[Tensor, "experiments frames"]:
+def frames_between(
+    batch: ExperimentBatch, start: float, end: float
+) -> Bool[Tensor, "experiments frames"]:
     """``E x T`` boolean tensor: frames with ``start <= t* < end``.
 
     Raises:
@@ -278,7 +343,9 @@ def frames_between(batch: ExperimentBatch, start: float, end: float) -> Bool[Ten
     """
     frames = (batch.times >= start) & (batch.times < end) & batch.mask
     if not bool(frames.any()):
-        raise InputDataError(f"No frame lies between t* = {start:g} and {end:g}; the records end at {_end(batch):g}.")
+        raise InputDataError(
+            f"No frame lies between t* = {start:g} and {end:g}; the records end at {_end(batch):g}."
+        )
     return frames
 
 

@@ -1,12 +1,15 @@
 """How alike effects look in these data, and how often an unknown effect would pass for a known one.
 
-All of it is geometry at a fit: whitened changes of the curves with everything fitted (gel and nuisances) projected out
-(:mod:`imr_torch.goodness.linear`). Two effects whose directions enclose an angle ``a`` differ by ``s sin a`` standard
-deviations when one of them shows with ``s``. An unknown effect is represented by reference directions: every effect of the
-library in turn, left out with its family, and random stress laws. Its best likeness among the effects that are left explains
-``s`` standard deviations and leaves ``s tan a``; the gap test is then run on what is left, with noise. How often it does not
-reject is the chance that an unknown effect looks like a known one; the whole distribution of its p-value, over the uniform one
-of the right effect, is the Bayes factor of an unknown effect given the p-value that was found.
+All of it is geometry at a fit: whitened changes of the curves with everything fitted (gel and
+    nuisances) projected out
+(:mod:`imr_torch.goodness.linear`). Two effects whose directions enclose an angle ``a`` differ by
+``s sin a`` standard deviations when one of them shows with ``s``. An unknown effect is represented
+by reference directions: every effect of the library in turn, left out with its family, and random
+stress laws. Its best likeness among the effects that are left explains ``s`` standard deviations
+and leaves ``s tan a``; the gap test is then run on what is left, with noise. How often it does not
+reject is the chance that an unknown effect looks like a known one; the whole distribution of its
+p-value, over the uniform one of the right effect, is the Bayes factor of an unknown effect given
+the p-value that was found.
 """
 
 import math
@@ -25,11 +28,17 @@ from imr_torch.random import child, generator
 LIKE = 3.0
 """Standard deviations that one effect must leave of another to be told from it: 4.5 nats on average, or odds of 1 to 90."""
 _LAWS = 28  # random combinations of the generic stress functions
-_OBVIOUS, _OBVIOUS_RANK = 12.0, 3  # standard deviations left that every draw rejects, and the rank of a block that does
+_OBVIOUS, _OBVIOUS_RANK = (
+    12.0,
+    3,
+)  # standard deviations left that every draw rejects, and the rank of a block that does
 _NOISES = 12  # noise draws for each reference direction
 _CALIBRATION = 400  # draws of noise alone
 _WINDOW = 1.0  # half width in log p of the window in which the density of p is counted
-_STRANGE, _SHAPE = 0.1, 0.05  # share and exponent of unknown effects in no reference direction, p ~ Beta(exponent, 1)
+_STRANGE, _SHAPE = (
+    0.1,
+    0.05,
+)  # share and exponent of unknown effects in no reference direction, p ~ Beta(exponent, 1)
 
 
 @dataclass(frozen=True)
@@ -38,9 +47,11 @@ class Likeness:
 
     Args:
         size: standard deviations that the leading effect explains.
-        log_p: ``n x m`` tensor, log p-values of the gap test of reference directions with noise, beside their best likeness.
+        log_p: ``n x m`` tensor, log p-values of the gap test of reference directions with noise,
+            beside their best likeness.
         weights: ``n`` tensor, of the directions, summing to one.
-        nearest: name of each direction -> the effect that it looks most like, with the angle between them in degrees.
+        nearest: name of each direction -> the effect that it looks most like, with the angle
+            between them in degrees.
 
     >>> import torch
     >>> from imr_torch.gap.lookalike import Likeness
@@ -57,7 +68,9 @@ class Likeness:
 
     @property
     def chance(self) -> float:
-        """Chance that an unknown effect of this size leaves an adequate fit, and so looks like a known one."""
+        """Chance that an unknown effect of this size leaves an adequate fit, and so looks like a
+        known one.
+        """
         return float(self.weights @ (self.log_p >= math.log(ADEQUATE)).double().mean(1))
 
     @property
@@ -67,23 +80,28 @@ class Likeness:
         return float((self.weights.square() @ (each - self.chance).square()).sqrt())
 
     def bayes_factor(self, p_value: float) -> float:
-        """Density of a p-value of the gap test under an unknown effect over that under the right effect, which is uniform.
+        """Density of a p-value of the gap test under an unknown effect over that under the right
+        effect, which is uniform.
 
         Args:
             p_value: found at the leading effect's fit.
         """
         log = math.log(max(p_value, 1e-300))
-        # each draw stands for p-values up to a factor of e away, evenly: the density integrates to one
+        # each draw stands for p-values up to a factor of e away, evenly: the density integrates to
+        # one
         width = (self.log_p + _WINDOW).clamp_max(0.0).exp() - (self.log_p - _WINDOW).exp()
         near = (self.log_p - log).abs() <= _WINDOW
-        density = float(self.weights @ torch.where(near, width.clamp_min(1e-300).reciprocal(), 0.0).mean(1))
+        density = float(
+            self.weights @ torch.where(near, width.clamp_min(1e-300).reciprocal(), 0.0).mean(1)
+        )
         strange = math.exp(math.log(_SHAPE) + (_SHAPE - 1.0) * log)
         return (1.0 - _STRANGE) * density + _STRANGE * strange
 
 
 @dataclass(frozen=True)
 class _Coordinates:
-    """Unit directions in an orthonormal basis of all of them, in which distances are the same and dimensions fewer.
+    """Unit directions in an orthonormal basis of all of them, in which distances are the same and
+    dimensions fewer.
 
     Args:
         line: a linearisation without fitted directions, in these coordinates.
@@ -98,28 +116,42 @@ class _Coordinates:
     beyond: int
 
 
-def angles(rows: Mapping[str, Float[Tensor, "_ rows"]], line: Linearisation) -> dict[str, dict[str, float]]:
-    """Smallest angle in degrees between the directions of every two effects, beside all that was fitted.
+def angles(
+    rows: Mapping[str, Float[Tensor, "_ rows"]], line: Linearisation
+) -> dict[str, dict[str, float]]:
+    """Smallest angle in degrees between the directions of every two effects, beside all that was
+    fitted.
 
     Args:
-        rows: effect -> ``S x N``, whitened changes (:attr:`imr_torch.gap.adequacy.Adequacy.beside`).
+        rows: effect -> ``S x N``, whitened changes
+            (:attr:`imr_torch.gap.adequacy.Adequacy.beside`).
         line: local sensitivities at the fit.
     """
     left = {name: _unit(own, line) for name, own in rows.items()}
     names = [name for name, own in left.items() if len(own)]
     return {
-        one: {other: _degrees(float((left[one] @ left[other].mT).abs().max())) for other in names if other != one}
+        one: {
+            other: _degrees(float((left[one] @ left[other].mT).abs().max()))
+            for other in names
+            if other != one
+        }
         for one in names
     }
 
 
 def look_alikes(
-    signal: Float[Tensor, "rows"], rows: Mapping[str, Float[Tensor, "_ rows"]], line: Linearisation, *, farthest: float = LIKE
+    signal: Float[Tensor, "rows"],
+    rows: Mapping[str, Float[Tensor, "_ rows"]],
+    line: Linearisation,
+    *,
+    farthest: float = LIKE,
 ) -> dict[str, tuple[float, float]]:
-    """Effects that would look like one that was fitted: name -> angle in degrees, and what they leave of it in sd.
+    """Effects that would look like one that was fitted: name -> angle in degrees, and what they
+    leave of it in sd.
 
     Args:
-        signal: ``N`` tensor, whitened change of the curves by the fitted effect, at its fitted size.
+        signal: ``N`` tensor, whitened change of the curves by the fitted effect, at its fitted
+            size.
         rows: effect -> ``S x N``, whitened changes by the others.
         line: local sensitivities at the fit beside which the effect was found.
         farthest: standard deviations that they may leave.
@@ -150,7 +182,8 @@ def likeness(
 
     Args:
         size: standard deviations that the leading effect explains of the residual.
-        rows: effect -> ``S x N``, whitened changes beside a refit (:func:`imr_torch.gap.refitted.refitted_directions`).
+        rows: effect -> ``S x N``, whitened changes beside a refit
+            (:func:`imr_torch.gap.refitted.refitted_directions`).
         generic: block -> ``k x N`` (:func:`imr_torch.goodness.score.generic_rows`).
         effects: those that ``rows`` are of.
         line: local sensitivities at the fit that leaves the gap.
@@ -161,7 +194,8 @@ def likeness(
     families = {effect.name: effect.family for effect in effects}
     known, owners = _stacked(where.library)
     laws = _random_laws(where.generic.get(STATE_LAW, known[:0]), source)
-    reference, names = torch.cat((known, laws)), [*owners, *[STATE_LAW] * len(laws)]
+    reference = torch.cat((known, laws))
+    names = [*owners, *[STATE_LAW] * len(laws)]
     if not len(known):
         return Likeness(size, torch.full((1, 1), -math.inf), torch.ones(1, dtype=torch.float64), {})
     closeness = (reference @ known.mT).abs()
@@ -178,13 +212,23 @@ def likeness(
         own = torch.nonzero(usable & ~obvious & (nearest == winner))[:, 0]
         tests = _Tests(where, known[winner], owners[winner], families)
         if null is None:
-            null = tests.log_p(torch.zeros(1, 1, known.shape[1]), _CALIBRATION, source).amin(0).flatten().sort().values
+            null = (
+                tests.log_p(torch.zeros(1, 1, known.shape[1]), _CALIBRATION, source)
+                .amin(0)
+                .flatten()
+                .sort()
+                .values
+            )
         left = (size / cosine[own])[:, None] * reference[own]
         logs = tests.log_p(left[:, None], _NOISES, source)
         for row, place in enumerate(own.tolist()):
-            log_p[place] = _calibrated(tests.without(logs[:, row], families.get(names[place])), null)
+            log_p[place] = _calibrated(
+                tests.without(logs[:, row], families.get(names[place])), null
+            )
     nearest_names = {
-        name: (owners[int(nearest[i])], _degrees(float(cosine[i]))) for i, name in enumerate(names) if bool(usable[i])
+        name: (owners[int(nearest[i])], _degrees(float(cosine[i])))
+        for i, name in enumerate(names)
+        if bool(usable[i])
     }
     return Likeness(size, log_p, _weights(names, where.generic), nearest_names)
 
@@ -192,7 +236,9 @@ def likeness(
 class _Tests:
     """The blocks of the gap test beside one more fitted direction."""
 
-    def __init__(self, where: _Coordinates, winner: Tensor, name: str, families: Mapping[str, str]) -> None:
+    def __init__(
+        self, where: _Coordinates, winner: Tensor, name: str, families: Mapping[str, str]
+    ) -> None:
         self._line = replace(where.line, fitted=winner[:, None])
         self._freedom = len(winner) - 1 + where.beyond
         self._beyond = where.beyond
@@ -204,37 +250,62 @@ class _Tests:
         self._blocks = [b.directions for b in tested]
 
     def log_p(self, signals: Tensor, count: int, source: torch.Generator) -> Tensor:
-        """Log p-values of each block and of chi-square, ``b x n x count``, of ``n x 1 x D`` signals with noise."""
+        """Log p-values of each block and of chi-square, ``b x n x count``, of ``n x 1 x D`` signals
+        with noise.
+        """
         size = signals.shape[-1]
-        noise = torch.randn(len(signals), count, size + self._beyond, generator=source, dtype=torch.float64)
+        noise = torch.randn(
+            len(signals), count, size + self._beyond, generator=source, dtype=torch.float64
+        )
         rows = self._line.project(signals + noise[..., :size])
         total = rows.square().sum(-1) + noise[..., size:].square().sum(-1)
-        squares = (rows @ torch.cat(self._blocks, 1)).square().split([d.shape[1] for d in self._blocks], -1)
-        logs = [log_survival(s.sum(-1), d.shape[1]) for s, d in zip(squares, self._blocks, strict=True)]
-        return torch.stack([*logs, log_survival(total, self._freedom)] if self._everything else logs)
+        squares = (
+            (rows @ torch.cat(self._blocks, 1))
+            .square()
+            .split([d.shape[1] for d in self._blocks], -1)
+        )
+        logs = [
+            log_survival(s.sum(-1), d.shape[1]) for s, d in zip(squares, self._blocks, strict=True)
+        ]
+        return torch.stack(
+            [*logs, log_survival(total, self._freedom)] if self._everything else logs
+        )
 
     def without(self, logs: Tensor, family: str | None) -> Tensor:
-        """Smallest log p-value over all tests but the blocks of a family, which would not be offered."""
+        """Smallest log p-value over all tests but the blocks of a family, which would not be
+        offered.
+        """
         families = [*self._families, ""] if self._everything else self._families
         kept = [i for i, own in enumerate(families) if family is None or own != family]
         return logs[kept].amin(0)
 
 
 def _calibrated(smallest: Tensor, null: Tensor) -> Tensor:
-    """Log p-values of smallest block p-values, by sorted ones of noise alone; beyond their reach as Bonferroni would."""
+    """Log p-values of smallest block p-values, by sorted ones of noise alone.
+
+    Beyond their reach as Bonferroni would.
+    """
     count = torch.searchsorted(null, smallest)
     rank = ((1.0 + count) / (1.0 + len(null))).log()
     tests = -math.log(len(null)) - float(null[0])  # effective number of tests, log
-    return torch.where(count > 0, rank, torch.minimum(smallest + tests, torch.tensor(-math.log(1.0 + len(null))).double()))
+    return torch.where(
+        count > 0,
+        rank,
+        torch.minimum(smallest + tests, torch.tensor(-math.log(1.0 + len(null))).double()),
+    )
 
 
-def _coordinates(rows: Mapping[str, Tensor], generic: Mapping[str, Tensor], line: Linearisation) -> _Coordinates:
+def _coordinates(
+    rows: Mapping[str, Tensor], generic: Mapping[str, Tensor], line: Linearisation
+) -> _Coordinates:
     """Everything that is needed, in the basis of its own span."""
     library = {name: _unit(own, line) for name, own in rows.items()}
     library = {name: own for name, own in library.items() if len(own)}
     others = {name: _unit(own, line) for name, own in generic.items()}
     others = {name: own for name, own in others.items() if len(own)}
-    every = torch.cat([*library.values(), *others.values(), line.residual.new_zeros(1, len(line.residual))])
+    every = torch.cat(
+        [*library.values(), *others.values(), line.residual.new_zeros(1, len(line.residual))]
+    )
     _, size, right = torch.linalg.svd(every, full_matrices=False)
     basis = right[size > 1e-6 * size[0].clamp_min(1e-300)]
     empty = line.residual.new_zeros(len(basis))
@@ -249,7 +320,10 @@ def _coordinates(rows: Mapping[str, Tensor], generic: Mapping[str, Tensor], line
 
 
 def _unit(rows: Tensor, line: Linearisation) -> Tensor:
-    """Unit rows of what is left beside the fitted directions; those of which nothing is left are dropped."""
+    """Unit rows of what is left beside the fitted directions.
+
+    Those of which nothing is left are dropped.
+    """
     left = line.project(rows)
     left = left[left.square().sum(1) > LEAST_LEFT * rows.square().sum(1).clamp_min(1e-300)]
     return left / left.norm(dim=1, keepdim=True)
@@ -258,18 +332,28 @@ def _unit(rows: Tensor, line: Linearisation) -> Tensor:
 def _stacked(library: Mapping[str, Tensor]) -> tuple[Tensor, list[str]]:
     """All directions and the effect of each."""
     owners = [name for name, own in library.items() for _ in own]
-    return (torch.cat(list(library.values())) if library else torch.zeros(0, 1, dtype=torch.float64)), owners
+    return (
+        torch.cat(list(library.values())) if library else torch.zeros(0, 1, dtype=torch.float64)
+    ), owners
 
 
 def _random_laws(laws: Tensor, source: torch.Generator) -> Tensor:
     """Random combinations of the generic stress functions of :mod:`imr_torch.material.closure`."""
-    mixed = torch.randn(_LAWS if len(laws) else 0, len(laws), generator=source, dtype=torch.float64) @ laws
+    mixed = (
+        torch.randn(_LAWS if len(laws) else 0, len(laws), generator=source, dtype=torch.float64)
+        @ laws
+    )
     return mixed / mixed.norm(dim=1, keepdim=True)
 
 
 def _weights(names: Sequence[str], generic: Mapping[str, Tensor]) -> Tensor:
-    """Weight of each reference direction: every effect counts as one, and so does every random stress law."""
-    own = [len(generic[STATE_LAW]) / names.count(n) if n == STATE_LAW else 1.0 / names.count(n) for n in names]
+    """Weight of each reference direction: every effect counts as one, and so does every random
+    stress law.
+    """
+    own = [
+        len(generic[STATE_LAW]) / names.count(n) if n == STATE_LAW else 1.0 / names.count(n)
+        for n in names
+    ]
     weights = torch.tensor(own, dtype=torch.float64)
     return weights / weights.sum()
 

@@ -1,8 +1,10 @@
-"""What assumed values of the medium would change in a fit: shifts of its parameters, from local sensitivities at the fit.
+"""What assumed values of the medium would change in a fit: shifts of its parameters, from local
+sensitivities at the fit.
 
-Where the medium differs a little from the assumed one, the prediction changes by ``c`` and a refit shifts everything fitted,
-the nuisances included, by the linear least-squares solution for the residual ``-c`` (Gauss-Newton at the minimum of the
-posterior). The derivative is taken over a thousandth of the deviation, in bubbles that take the fit's own solver steps.
+Where the medium differs a little from the assumed one, the prediction changes by ``c`` and a refit
+shifts everything fitted, the nuisances included, by the linear least-squares solution for the
+residual ``-c`` (Gauss-Newton at the minimum of the posterior). The derivative is taken over a
+thousandth of the deviation, in bubbles that take the fit's own solver steps.
 """
 
 import math
@@ -34,7 +36,9 @@ MATTERS = 1.0 / 3.0
 """Shift, in posterior standard deviations, from which on an assumed value is said to matter."""
 
 _STEP = 1e-3
-_NO_SCALE = 3.0  # relative change of a parameter that is nearly zero, for which percents say nothing
+_NO_SCALE = (
+    3.0  # relative change of a parameter that is nearly zero, for which percents say nothing
+)
 
 
 @dataclass(frozen=True)
@@ -45,7 +49,8 @@ class MediumSensitivity:
         name: field of :class:`imr_torch.units.Surroundings`.
         assumed: its value with unit.
         factor: of the deviation.
-        relative: parameter -> its relative change under that deviation, to first order; only what matters is listed.
+        relative: parameter -> its relative change under that deviation, to first order; only what
+            matters is listed.
         sigmas: parameter -> the same in posterior standard deviations.
 
     >>> from imr_torch.gap import MediumSensitivity
@@ -68,7 +73,8 @@ class MediumSensitivity:
             for name, sigma in self.sigmas.items()
         )
         return (
-            f"{label(self.name)} was assumed {self.assumed}; {100.0 * (self.factor - 1.0):.2g} % more would change {changes}."
+            f"{label(self.name)} was assumed {self.assumed}; {100.0 * (self.factor - 1.0):.2g} % "
+            f"more would change {changes}."
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -79,7 +85,8 @@ class MediumSensitivity:
 def medium_sensitivities(
     fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, medium: GelMedium
 ) -> tuple[MediumSensitivity, ...]:
-    """What assumed values of the medium would change in a fit, of those that would move a parameter by a third of its sd.
+    """What assumed values of the medium would change in a fit, of those that would move a parameter
+    by a third of its sd.
 
     Args:
         fit: the fit.
@@ -100,17 +107,24 @@ def medium_sensitivities(
     >>> [found.name for found in medium_sensitivities(fit, batch, simulator, GelMedium())][:2]
     ['density', 'sound_speed']
     """
-    names = [name for name in DEVIATIONS if name in medium.assumed and OF_MEDIUM[name] not in fit.prior.material.names]
+    names = [
+        name
+        for name in DEVIATIONS
+        if name in medium.assumed and OF_MEDIUM[name] not in fit.prior.material.names
+    ]
     if not names:
         return ()
     shifts = _shifts(fit, batch, simulator, linearise(fit, batch, simulator), names)
     sigmas = shifts / torch.linalg.norm(fit.chol, dim=1)
-    before, moved = fit.prior.physical(fit.prior.unwhitened(torch.stack((fit.mean, fit.mean)))), []
+    before = fit.prior.physical(fit.prior.unwhitened(torch.stack((fit.mean, fit.mean))))
+    moved = []
     for row in shifts:
         slope = fit.prior.physical(fit.prior.unwhitened(fit.mean + _STEP * row)) - before[0]
         moved.append(slope / (_STEP * before[0].abs().clamp_min(1e-300)))
     found = []
-    for name, sigma, relative in zip(names, sigmas.tolist(), torch.stack(moved).tolist(), strict=True):
+    for name, sigma, relative in zip(
+        names, sigmas.tolist(), torch.stack(moved).tolist(), strict=True
+    ):
         own = fit.prior.names
         gel = [i for i, parameter in enumerate(own) if parameter not in OF_MEDIUM.values()]
         matters = [i for i in gel if abs(sigma[i]) > MATTERS and math.isfinite(sigma[i])]
@@ -127,7 +141,13 @@ def medium_sensitivities(
     return tuple(found)
 
 
-def _shifts(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, line: Linearisation, names: list[str]) -> Tensor:
+def _shifts(
+    fit: ModelFit,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    line: Linearisation,
+    names: list[str],
+) -> Tensor:
     """Shifts ``K x d`` of the gel's controls under the deviations of some fields, to first order."""
     parameters = fit.parameters(fit.mean).repeat(1 + len(names), 1)
     for row, name in zip(parameters[1:], names, strict=True):

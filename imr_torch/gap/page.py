@@ -1,4 +1,5 @@
-"""A diagnosis as one self-contained HTML file: the verdict, the gel, the sections of the report with their figures, what to do.
+"""A diagnosis as one self-contained HTML file: the verdict, the gel, the sections of the report
+with their figures, what to do.
 
 Sections that have nothing to say are folded away. The words say all that the figures show.
 """
@@ -18,7 +19,14 @@ from imr_torch.gap.document import dense_curves
 from imr_torch.gap.hypotheses import in_words
 from imr_torch.gap.parts import Parts
 from imr_torch.gap.report import headline, next_step, sections
-from imr_torch.gap.selection_text import HEADING, STEPS_HEAD, alternatives, cautions, curves_table, steps_table
+from imr_torch.gap.selection_text import (
+    HEADING,
+    STEPS_HEAD,
+    alternatives,
+    cautions,
+    curves_table,
+    steps_table,
+)
 from imr_torch.gap.stepwise import StepwiseSelection
 from imr_torch.gap.values import cause_values, fit_beside, fit_of_cause, parameters
 from imr_torch.gap.windows import MovingWindows
@@ -55,9 +63,11 @@ def write_page(
         path: of the HTML file.
         parts: what was run beside the verdict.
         title: of the page.
-        facts: names and values of where the result comes from (files, software, date), folded away at the end.
+        facts: names and values of where the result comes from (files, software, date), folded away
+            at the end.
         footer: the same in one line.
-        simulator: makes the bubbles of densely drawn curves; without it they are drawn at the frames.
+        simulator: makes the bubbles of densely drawn curves; without it they are drawn at the
+            frames.
 
     >>> import tempfile
     >>> from pathlib import Path
@@ -73,7 +83,9 @@ def write_page(
     ...     "<title>Gel 7</title>" in write_page(report, Path(folder) / "gap.html", title="Gel 7").read_text()
     True
     """
-    return write(page(report, parts, title=title, facts=facts, footer=footer, simulator=simulator), path)
+    return write(
+        page(report, parts, title=title, facts=facts, footer=footer, simulator=simulator), path
+    )
 
 
 def page(
@@ -99,33 +111,58 @@ def page(
     if facts:
         blocks.append(Block("Files, medium and software", (Table(tuple(facts)),), folded=True))
     step = next_step(report, parts)
-    text = html_page(title, verdict.sentences, blocks, warning=report.verdict != "none", next_step=step, footer=footer)
+    text = html_page(
+        title,
+        verdict.sentences,
+        blocks,
+        warning=report.verdict != "none",
+        next_step=step,
+        footer=footer,
+    )
     for item in placed:
         plt.close(item.picture.figure)
     return text
 
 
 def _steps(selection: StepwiseSelection, curves: Sequence[str]) -> tuple[str | Table, ...]:
-    """The selection in a sentence, a table of its steps in which the best stands out, and what is to be known beside it."""
+    """The selection in a sentence, a table of its steps in which the best stands out, and what is
+    to be known beside it.
+    """
     best = frozenset(i for i, step in enumerate(selection.judged) if step is selection.best)
-    steps, (head, rows) = Table(steps_table(selection), head=STEPS_HEAD, marked=best), curves_table(selection, curves)
+    steps, (head, rows) = (
+        Table(steps_table(selection), head=STEPS_HEAD, marked=best),
+        curves_table(selection, curves),
+    )
     own = ("Parameters of each curve in the marked step:", Table(rows, head=head)) if rows else ()
     return (str(selection), steps, *alternatives(selection), *cautions(selection), *own)
 
 
 def _gel(report: GapReport) -> tuple[tuple[str, ...], ...]:
     """Model and parameters with their intervals, those of the cause included, and what was assumed."""
-    kind, values = report.null.prior.material, cause_values(report)
+    kind = report.null.prior.material
+    values = cause_values(report)
     added = f" with {' and '.join(values)} added" if values else ""
     rows = [("Model", f"{kind.title}{added}")]
     if not values and report.verdict != "none":
-        rows.append(("Warning", "no cause is named, so these values are biased by an unknown amount"))
-    rows += [(f"{n}, {PARAMETERS[n].meaning}", PARAMETERS[n].interval(*v)) for n, v in parameters(report).items()]
+        rows.append(
+            ("Warning", "no cause is named, so these values are biased by an unknown amount")
+        )
+    rows += [
+        (f"{n}, {PARAMETERS[n].meaning}", PARAMETERS[n].interval(*v))
+        for n, v in parameters(report).items()
+    ]
     for name, own in (values or {}).items():
-        rows += [(f"{name}, {PARAMETERS[p].meaning}", PARAMETERS[p].interval(*v)) for p, v in own.items()]
+        rows += [
+            (f"{name}, {PARAMETERS[p].meaning}", PARAMETERS[p].interval(*v)) for p, v in own.items()
+        ]
     known = report.null.prior.known
     if known:
-        rows.append(("Known before", ", ".join(f"{n} = {v:g} {PARAMETERS[n].unit}" for n, v in known.items())))
+        rows.append(
+            (
+                "Known before",
+                ", ".join(f"{n} = {v:g} {PARAMETERS[n].unit}" for n, v in known.items()),
+            )
+        )
     count = len(report.batch.experiments)
     rows.append(("Data", f"{count} experiment(s), {int(report.batch.mask.sum())} frames"))
     rows.append(("Noise", str(report.batch.noise)))
@@ -134,26 +171,36 @@ def _gel(report: GapReport) -> tuple[tuple[str, ...], ...]:
 
 def _pictures(report: GapReport, parts: Parts, simulator: Simulator | None) -> list[Placed]:
     """Every figure that the parts allow, in the order of the page."""
-    fit, batch, found = report.null, report.batch, report.attribution
-    gap, where, causes = "Is there a gap?", "Where does it lie?", "Which effect causes it?"
+    fit = report.null
+    batch = report.batch
+    found = report.attribution
+    gap = "Is there a gap?"
+    where = "Where does it lie?"
+    causes = "Which effect causes it?"
     made = [
         *_before_and_after(report, parts, simulator),
         _picture(
             gap,
-            "Tests of the base model's residual: longer bars are smaller p; beyond the dashed line one test shows a gap.",
-            f"Bar chart of {len(report.gap.blocks)} tests; the longest bar is {report.gap.blocks[0].name}.",
+            "Tests of the base model's residual: longer bars are smaller p; beyond the dashed "
+            "line one test shows a gap.",
+            f"Bar chart of {len(report.gap.blocks)} tests; the longest bar is "
+            f"{report.gap.blocks[0].name}.",
             lambda: plots.plot_scores(report.gap),
         ),
         _picture(
             where,
-            "Residual of the base model by experiment and phase; 1 is noise alone. Where a residual sits is not where its "
+            "Residual of the base model by experiment and phase; 1 is noise alone. Where a "
+            "residual sits is not where its "
             "cause acts, because the fit spreads it.",
             _largest(report),
             lambda: plots.plot_phase_residual(fit, batch),
         ),
     ]
     if (when := parts.onset) is not None:
-        caption = "Refits to the frames up to each moment: the first that rejects the model is the first detection."
+        caption = (
+            "Refits to the frames up to each moment: the first that rejects the model is the "
+            "first detection."
+        )
         made.append(_picture(where, caption, f"Line chart. {when}", lambda: plots.plot_onset(when)))
     if (acts := parts.acts) is not None:
         caption = "Share of the signal of the named effects by phase, with its 90 % interval."
@@ -163,26 +210,41 @@ def _pictures(report: GapReport, parts: Parts, simulator: Simulator | None) -> l
         alt = "Line charts of the apparent parameters over the event."
         made.append(Placed(where, Picture(caption, alt, _windows(windows))))
     if (latent := parts.latent) is not None:
-        alt = f"Line chart with a band; the mean reaches {float(latent.mean.abs().max()):.2g} of the outer pressure."
+        alt = (
+            f"Line chart with a band; the mean reaches {float(latent.mean.abs().max()):.2g} of "
+            "the outer pressure."
+        )
         caption = f"The far-field pressure that would explain the residual. {latent.caveat}"
         made.append(_picture(where, caption, alt, lambda: plots.plot_latent_pressure(latent)))
     if found is not None:
         made.append(_likely(causes, found))
     if (judged := parts.shrinkage) is not None:
         caption = "Part of the gap on held-out designs that the cause and its best rival remove."
-        alt = "Intervals of the part of the gap that is removed; the sentences above give the numbers."
-        made.append(_picture("How far does it shrink?", caption, alt, lambda: plots.plot_shrinkage(judged)))
+        alt = (
+            "Intervals of the part of the gap that is removed; the sentences above give the "
+            "numbers."
+        )
+        made.append(
+            _picture("How far does it shrink?", caption, alt, lambda: plots.plot_shrinkage(judged))
+        )
     if (selection := parts.selection) is not None:
-        caption = "From the base model towards the noise: what is left of the misfit as effects are added one after the other."
+        caption = (
+            "From the base model towards the noise: what is left of the misfit as effects are "
+            "added one after the other."
+        )
         alt = f"Bar chart of the misfit by step. {selection}"
-        steps = [plots.DrawnStep(step.effects, step.misfit, step.noise, step.closed) for step in selection.steps]
+        steps = [
+            plots.DrawnStep(step.effects, step.misfit, step.noise, step.closed)
+            for step in selection.steps
+        ]
         made.append(_picture(HEADING, caption, alt, lambda: plots.plot_selection(steps)))
     if (after := fit_of_cause(report)) is not None:
         made.append(
             _picture(
                 "What does it do to the parameters?",
                 "How far the cause moves the parameters of the base model.",
-                "Intervals of each parameter without and with the cause; the sentences above give the numbers.",
+                "Intervals of each parameter without and with the cause; the sentences above give "
+                "the numbers.",
                 lambda: plots.plot_shift(fit, after),
             )
         )
@@ -190,15 +252,24 @@ def _pictures(report: GapReport, parts: Parts, simulator: Simulator | None) -> l
 
 
 def _likely(section: str, found: Attribution) -> Placed:
-    """Probability of each cause; where none is known to be likely, what each effect explains by itself."""
+    """Probability of each cause.
+
+    Where none is known to be likely, what each effect explains by itself.
+    """
     if not plots.only_other(found.posterior):
         top = max(found.posterior, key=found.posterior.__getitem__)
         alt = f"Bar chart of probabilities; {top} has {found.posterior[top]:.3f}."
-        return _picture(section, "Probability of each cause.", alt, lambda: plots.plot_causes(found.posterior))
-    explained, loose = found.explained, found.unconverged
+        return _picture(
+            section, "Probability of each cause.", alt, lambda: plots.plot_causes(found.posterior)
+        )
+    explained = found.explained
+    loose = found.unconverged
     top = next(iter(explained))
     alt = f"Bar chart of log evidence gained; {top} has {explained[top]:.0f} nats."
-    caption = "What a single further effect explains; none is enough. Light: its fit did not converge, so it may explain more."
+    caption = (
+        "What a single further effect explains; none is enough. Light: its fit did not converge, "
+        "so it may explain more."
+    )
     return _picture(section, caption, alt, lambda: plots.plot_explained(explained, loose))
 
 
@@ -212,12 +283,17 @@ def _largest(report: GapReport) -> str:
     values = plots.phase_rms(report.null, report.batch).nan_to_num()
     row, column = divmod(int(values.argmax()), values.shape[1])
     label = report.batch.experiments[row].label
-    return f"Heat map; the largest value is {float(values.max()):.1f}, of {label} in the phase {plots.PHASES[column]!r}."
+    return (
+        f"Heat map; the largest value is {float(values.max()):.1f}, of {label} in the phase "
+        f"{plots.PHASES[column]!r}."
+    )
 
 
 def _windows(found: MovingWindows) -> Figure:
     names = found.names
-    figure, axes = plt.subplots(1, len(names), figsize=(3.6 * len(names), 2.8), layout="constrained", squeeze=False)
+    figure, axes = plt.subplots(
+        1, len(names), figsize=(3.6 * len(names), 2.8), layout="constrained", squeeze=False
+    )
     for name, ax in zip(names, axes[0], strict=True):
         plots.plot_window_parameter(found, name, ax=ax)
     return figure
@@ -231,11 +307,22 @@ def _before_and_after(report: GapReport, parts: Parts, simulator: Simulator | No
     added = f" and the model with {' + '.join(map(in_words, beside.effects))}" if beside else ""
     made = []
     for number, experiment in enumerate(report.batch.experiments[:_CURVES]):
-        figure, axes = plt.subplots(2, 1, figsize=(5.2, 4.4), height_ratios=[2, 1], sharex=True, layout="constrained")
-        plots.plot_curves(report.batch, number, report.null.prediction, prediction, beside=name, ax=axes[0], dense=dense)
+        figure, axes = plt.subplots(
+            2, 1, figsize=(5.2, 4.4), height_ratios=[2, 1], sharex=True, layout="constrained"
+        )
+        plots.plot_curves(
+            report.batch,
+            number,
+            report.null.prediction,
+            prediction,
+            beside=name,
+            ax=axes[0],
+            dense=dense,
+        )
         plots.plot_residuals(report.batch, number, report.null.prediction, prediction, ax=axes[1])
         caption = (
-            f"{experiment.label}: measured, the base model{added}; below, residuals over the noise of the mean (grey: up to 2)."
+            f"{experiment.label}: measured, the base model{added}; below, residuals over the "
+            "noise of the mean (grey: up to 2)."
         )
         alt = f"Curves of {experiment.label}. {headline(report)}"
         made.append(Placed("Verdict", Picture(caption, alt, figure)))

@@ -1,4 +1,5 @@
-"""Optional parts of a diagnosis: location of the gap, its reduction on held-out designs, and the next design.
+"""Optional parts of a diagnosis: location of the gap, its reduction on held-out designs, and the
+next design.
 
 A part that was not run is None, and the report lists it as not run.
 """
@@ -75,13 +76,14 @@ def examine(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Parts:
-    """All parts that a report allows: none where there is no gap, or where the base model's fit has not converged.
+    """All parts that a report allows: none where there is no gap, or where the base model's fit has
+    not converged.
 
     Args:
         report: the diagnosis.
         simulator: makes the bubbles, as in the diagnosis.
-        unseen: experiments that the diagnosis did not see, on which the shrinkage is judged; without them the diagnosed
-            ones are held out in turn.
+        unseen: experiments that the diagnosis did not see, on which the shrinkage is judged;
+            without them the diagnosed ones are held out in turn.
         most: effects that the stepwise selection adds, at most.
         seed: of calibrations and searches.
         progress: called with one line per step.
@@ -99,13 +101,18 @@ def examine(
     """
     if not report.found:
         return Parts()
-    fit, batch, line, directions = report.null, report.batch, report.line, report.directions
+    fit = report.null
+    batch = report.batch
+    line = report.line
+    directions = report.directions
     if progress:
         progress("location, shrinkage, next design")
     here = (fit, line, batch, simulator)
     scatter = gel_scatter(report, simulator, seed=child(seed, "scatter"))
     alone = scatter.alone[GEL_SCATTER] if scatter else None
-    selection, shrunk = closed_by(report, simulator, unseen, most=most, seed=seed, alone=alone, progress=progress)
+    selection, shrunk = closed_by(
+        report, simulator, unseen, most=most, seed=seed, alone=alone, progress=progress
+    )
     return Parts(
         onset=onset(*here, seed=child(seed, "onset"), directions=directions),
         by_experiment=by_experiment(*here, seed=child(seed, "experiments"), directions=directions),
@@ -121,10 +128,14 @@ def examine(
 
 def _acts(report: GapReport, simulator: Simulator, seed: int) -> WhereItActs | None:
     """Where the named effects act; None without a named cause."""
-    found, choice = report.attribution, report.choice
+    found = report.attribution
+    choice = report.choice
     if found is None or choice is None or report.verdict not in ("effect", "class"):
         return None
-    named = {name: (found.fits[name], _hypothesis(report, name).effects, choice.members[name]) for name in choice.causes}
+    named = {
+        name: (found.fits[name], _hypothesis(report, name).effects, choice.members[name])
+        for name in choice.causes
+    }
     return where_it_acts(named, report.line, report.batch, simulator, seed=child(seed, "acts"))
 
 
@@ -138,9 +149,11 @@ def closed_by(
     alone: Sequence[ModelFit] | None = None,
     progress: Progress | None = None,
 ) -> tuple[StepwiseSelection, Shrinkage | None]:
-    """The stepwise selection, and the reduction of the gap by the named cause beside its best rival, None without a cause.
+    """The stepwise selection, and the reduction of the gap by the named cause beside its best
+    rival, None without a cause.
 
-    Both are judged on the same held-out designs; without two designs the stepwise selection says what is closed in sample only.
+    Both are judged on the same held-out designs; without two designs the stepwise selection says
+    what is closed in sample only.
 
     Args:
         report: a diagnosis that found a gap.
@@ -148,7 +161,8 @@ def closed_by(
         unseen: as of :func:`examine`.
         most: effects that the stepwise selection adds, at most.
         seed: of fits and bootstrap.
-        alone: the base model's fit of each experiment by itself; made here where they are needed and not given.
+        alone: the base model's fit of each experiment by itself; made here where they are needed
+            and not given.
         progress: called with one line per step.
     """
     effects = tuple(LIBRARY[name] for name in report.directions)
@@ -156,21 +170,43 @@ def closed_by(
     tested = {step.winner: step.left for step in report.steps if step.left}
     own = child(seed, "ladder")
     selection = select_stepwise(
-        inquiry, report.null, report.gap, report.fits, tested=tested, alone=alone, most=most, seed=own, progress=progress
+        inquiry,
+        report.null,
+        report.gap,
+        report.fits,
+        tested=tested,
+        alone=alone,
+        most=most,
+        seed=own,
+        progress=progress,
     )
     if not unseen and len(report.batch.experiments) < 2:
         return selection, None
-    names, found = ["none"], report.attribution
+    names = ["none"]
+    found = report.attribution
     rival = None
     if found is not None and report.verdict in ("effect", "class"):
         rival = _best_rival(report, found)
         names += [found.winner, *([rival] if rival else [])]
-    fits = {name: report.fits[name] for name in names} | {step.name: step.fit for step in selection.judged}
+    fits = {name: report.fits[name] for name in names} | {
+        step.name: step.fit for step in selection.judged
+    }
     apart = replace(report.batch, experiments=tuple(unseen)) if unseen else None
-    own, base = child(seed, "shrinkage"), report.null.prior
-    differing = {step.name: scatters(base, step.fit.prior) for step in selection.judged if GEL_SCATTER in step.effects}
-    held = hold_out(fits, report.batch, simulator, seed=own, unseen=apart, between=differing, progress=progress)
-    held = {name: designs for name, designs in held.items() if all(design.predicted for design in designs)}
+    own = child(seed, "shrinkage")
+    base = report.null.prior
+    differing = {
+        step.name: scatters(base, step.fit.prior)
+        for step in selection.judged
+        if GEL_SCATTER in step.effects
+    }
+    held = hold_out(
+        fits, report.batch, simulator, seed=own, unseen=apart, between=differing, progress=progress
+    )
+    held = {
+        name: designs
+        for name, designs in held.items()
+        if all(design.predicted for design in designs)
+    }
     if "none" not in held:
         return selection, None
     selection = with_held_out(selection, held, seed=own)
@@ -181,19 +217,38 @@ def closed_by(
     return selection, judge(_hypothesis(report, found.winner), other, fits, held, seed=own)
 
 
-def _next(report: GapReport, simulator: Simulator, seed: int, progress: Progress | None) -> NextDesign | None:
-    """The design that tells causes apart, by the data's own plan, where the leading one is not sure."""
+def _next(
+    report: GapReport, simulator: Simulator, seed: int, progress: Progress | None
+) -> NextDesign | None:
+    """The design that tells causes apart, by the data's own plan, where the leading one is not
+    sure.
+    """
     found = report.attribution
     if found is None or report.verdict == OTHER or found.posterior.get(found.winner, 0.0) > _SURE:
         return None
-    unknown = unknown_like(found.winner, found.fits[found.winner], found.left) if found.left is not None else None
-    own, plan = child(seed, "next"), plan_of(report.batch)
+    unknown = (
+        unknown_like(found.winner, found.fits[found.winner], found.left)
+        if found.left is not None
+        else None
+    )
+    own = child(seed, "next")
+    plan = plan_of(report.batch)
     try:
-        return identity_design(found.fits, found.posterior, simulator, seed=own, plan=plan, unknown=unknown, progress=progress)
+        return identity_design(
+            found.fits,
+            found.posterior,
+            simulator,
+            seed=own,
+            plan=plan,
+            unknown=unknown,
+            progress=progress,
+        )
     except InputDataError:
         return None  # fewer than two causes have a fit
     except ConvergenceError:
-        return None  # bubbles that cannot be simulated elsewhere take nothing from what was found here
+        return (
+            None  # bubbles that cannot be simulated elsewhere take nothing from what was found here
+        )
 
 
 def _hypothesis(report: GapReport, name: str) -> Hypothesis:
@@ -201,11 +256,16 @@ def _hypothesis(report: GapReport, name: str) -> Hypothesis:
 
 
 def _best_rival(report: GapReport, found: Attribution) -> str | None:
-    """The refitted hypothesis of largest evidence that is as long as the winner and not in the class that the verdict names."""
-    last, own = found.winner.count("+"), {LIBRARY[name].family for name in report.cause}
+    """The refitted hypothesis of largest evidence that is as long as the winner and not in the
+    class that the verdict names.
+    """
+    last = found.winner.count("+")
+    own = {LIBRARY[name].family for name in report.cause}
     others = [
         name
         for name in found.log_evidence
-        if name != "none" and name.count("+") == last and LIBRARY[name.split("+")[-1]].family not in own
+        if name != "none"
+        and name.count("+") == last
+        and LIBRARY[name.split("+")[-1]].family not in own
     ]
     return max(others, key=found.log_evidence.__getitem__, default=None)

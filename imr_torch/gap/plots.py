@@ -1,7 +1,8 @@
-"""Figures of a diagnosis: residuals, tests, first detection, latent pressure, causes, and fits without and with the cause.
+"""Figures of a diagnosis: residuals, tests, first detection, latent pressure, causes, and fits
+without and with the cause.
 
-Every ``plot_*`` draws into ``ax`` (a new figure when None) and returns the axes; nothing is shown or saved here. Colours are
-told apart by colour-blind readers, and what matters is also written.
+Every ``plot_*`` draws into ``ax`` (a new figure when None) and returns the axes; nothing is shown
+or saved here. Colours are told apart by colour-blind readers, and what matters is also written.
 """
 
 import itertools
@@ -50,7 +51,8 @@ def _strength(p_value: float) -> float:
 
 
 def phase_rms(fit: ModelFit, batch: ExperimentBatch) -> Float[Tensor, "experiments phases"]:
-    """Root mean square residual of the mean curves by experiment and phase, over its noise: ``E x len(PHASES)``, NaN if empty.
+    """Root mean square residual of the mean curves by experiment and phase, over its noise: ``E x
+    len(PHASES)``, NaN if empty.
 
     1 is what noise alone leaves.
     """
@@ -74,7 +76,15 @@ def plot_phase_residual(fit: ModelFit, batch: ExperimentBatch, *, ax: Axes | Non
     for i, row in enumerate(values.tolist()):
         for j, value in enumerate(row):
             text = "" if math.isnan(value) else f"{value:.1f}"
-            ax.text(j, i, text, ha="center", va="center", fontsize=8, color="white" if value > 0.6 * top else "black")
+            ax.text(
+                j,
+                i,
+                text,
+                ha="center",
+                va="center",
+                fontsize=8,
+                color="white" if value > 0.6 * top else "black",
+            )
     ax.set_xticks(range(len(PHASES)), [phase.replace(" ", "\n") for phase in PHASES], fontsize=8)
     ax.set_yticks(range(len(values)), [plain(e.label, 24) for e in batch.experiments], fontsize=8)
     ax.figure.colorbar(image, ax=ax, label="rms residual / noise")
@@ -82,18 +92,24 @@ def plot_phase_residual(fit: ModelFit, batch: ExperimentBatch, *, ax: Axes | Non
 
 
 def plot_scores(test: GapTest, *, ax: Axes | None = None) -> Axes:
-    """P-values of the blocks of a gap test, smallest first, with the power of those that have an amplitude."""
+    """P-values of the blocks of a gap test, smallest first, with the power of those that have an
+    amplitude.
+    """
     shown = test.blocks[:_BARS]
     ax = _axes(ax, (6.4, 1.0 + 0.27 * len(shown)))
     strength = [_strength(b.p_value) for b in shown]
     limit = -math.log10(LEVEL / len(test.blocks))
     places = range(len(shown) - 1, -1, -1)
-    ax.barh(places, strength, color=[ALARM if s > limit else "#AAAAAA" for s in strength], height=0.7)
+    ax.barh(
+        places, strength, color=[ALARM if s > limit else "#AAAAAA" for s in strength], height=0.7
+    )
     ax.axvline(limit, color=DATA, ls="--", lw=1)
     for place, s in zip(places, strength, strict=True):
         ax.text(s, place, f" {'> ' if s == _SMALLEST else ''}{s:.3g}", va="center", fontsize=7)
     ax.set_yticks(places, [_labelled(b) for b in shown], fontsize=8)
-    ax.set(xlabel="$-\\log_{10} p$  (dashed: 4 % over all)", xlim=(0.0, 10.0 * max(*strength, limit)))
+    ax.set(
+        xlabel="$-\\log_{10} p$  (dashed: 4 % over all)", xlim=(0.0, 10.0 * max(*strength, limit))
+    )
     ax.set_xscale("symlog", linthresh=_LINEAR)
     return ax
 
@@ -108,15 +124,33 @@ def _labelled(block: BlockResult) -> str:
 
 
 def plot_onset(found: Onset, *, ax: Axes | None = None) -> Axes:
-    """P-value of a refit to the frames up to each moment; the first below the level is the first detection."""
+    """P-value of a refit to the frames up to each moment.
+
+    The first below the level is the first detection.
+    """
     ax = _axes(ax)
     strength = [_strength(p) for p in found.p_values]
     ax.plot(found.times, strength, "o-", color=AFTER, ms=4)
-    ax.axhline(-math.log10(found.level), color=DATA, ls="--", lw=1, label=f"{100 * found.level:g} % over the whole event")
+    ax.axhline(
+        -math.log10(found.level),
+        color=DATA,
+        ls="--",
+        lw=1,
+        label=f"{100 * found.level:g} % over the whole event",
+    )
     if found.phase != "none":
-        ax.axvline(found.time, color=ALARM, lw=1.5, label=f"first detected: {found.phase}, t* = {found.time:.2f}")
+        ax.axvline(
+            found.time,
+            color=ALARM,
+            lw=1.5,
+            label=f"first detected: {found.phase}, t* = {found.time:.2f}",
+        )
     ax.set_yscale("symlog", linthresh=_LINEAR)
-    ax.set(xlabel="frames up to $t^*$", ylabel="$-\\log_{10} p$", ylim=(0.0, 2.0 * max(*strength, _LINEAR)))
+    ax.set(
+        xlabel="frames up to $t^*$",
+        ylabel="$-\\log_{10} p$",
+        ylim=(0.0, 2.0 * max(*strength, _LINEAR)),
+    )
     ax.legend(frameon=False, fontsize=8)
     return ax
 
@@ -126,8 +160,17 @@ def plot_acts(found: WhereItActs, *, ax: Axes | None = None) -> Axes:
     ax = _axes(ax, (5.2, 2.6))
     low, middle, high = torch.tensor(list(found.shares.values()), dtype=torch.float64).mT
     ax.bar(range(len(middle)), middle, color=AFTER, width=0.6)
-    ax.errorbar(range(len(middle)), middle, yerr=torch.stack((middle - low, high - middle)), fmt="none", color=DATA, capsize=3)
-    ax.set_xticks(range(len(middle)), [phase.replace(" ", "\n") for phase in found.shares], fontsize=8)
+    ax.errorbar(
+        range(len(middle)),
+        middle,
+        yerr=torch.stack((middle - low, high - middle)),
+        fmt="none",
+        color=DATA,
+        capsize=3,
+    )
+    ax.set_xticks(
+        range(len(middle)), [phase.replace(" ", "\n") for phase in found.shares], fontsize=8
+    )
     ax.set(ylabel="share of the signal", ylim=(0.0, 1.0))
     return ax
 
@@ -136,7 +179,15 @@ def plot_latent_pressure(found: LatentPressure, *, ax: Axes | None = None) -> Ax
     """The pressure in the far field that would explain the residual, with its 90 % band."""
     ax = _axes(ax)
     half = _BAND * found.sd
-    ax.fill_between(found.times, found.mean - half, found.mean + half, color=AFTER, alpha=0.25, lw=0, label="90 % band")
+    ax.fill_between(
+        found.times,
+        found.mean - half,
+        found.mean + half,
+        color=AFTER,
+        alpha=0.25,
+        lw=0,
+        label="90 % band",
+    )
     ax.plot(found.times, found.mean, color=AFTER, lw=1.5, label="mean")
     ax.axhline(0.0, color=DATA, lw=0.8)
     ax.set(xlabel=T_STAR, ylabel=r"latent pressure / $p_\infty$")
@@ -147,9 +198,20 @@ def plot_latent_pressure(found: LatentPressure, *, ax: Axes | None = None) -> Ax
 def plot_window_parameter(found: MovingWindows, name: str, *, ax: Axes | None = None) -> Axes:
     """One apparent parameter over the event, with its standard deviation."""
     ax = _axes(ax, (3.6, 2.8))
-    i, entry = found.names.index(name), PARAMETERS[name]
-    middle, low, high = (entry.display_scale * x[:, i] for x in (found.values, found.low, found.high))
-    ax.errorbar(found.centres, middle, yerr=torch.stack((middle - low, high - middle)), fmt="o-", ms=4, capsize=2, color=AFTER)
+    i = found.names.index(name)
+    entry = PARAMETERS[name]
+    middle, low, high = (
+        entry.display_scale * x[:, i] for x in (found.values, found.low, found.high)
+    )
+    ax.errorbar(
+        found.centres,
+        middle,
+        yerr=torch.stack((middle - low, high - middle)),
+        fmt="o-",
+        ms=4,
+        capsize=2,
+        color=AFTER,
+    )
     ax.set(xlabel="centre of the window, $t^*$", ylabel=entry.label)
     return ax
 
@@ -169,19 +231,32 @@ def plot_causes(posterior: dict[str, float], *, ax: Axes | None = None) -> Axes:
 
 
 def only_other(posterior: Mapping[str, float]) -> bool:
-    """Whether an unknown effect has all the probability, so that probabilities tell nothing of the known ones."""
+    """Whether an unknown effect has all the probability, so that probabilities tell nothing of the
+    known ones.
+    """
     return posterior.get("other", 0.0) > _ALL
 
 
-def plot_explained(explained: Mapping[str, float], unconverged: Collection[str] = (), *, ax: Axes | None = None) -> Axes:
-    """Nats that each effect explains alone, the most first; light where its fit did not converge, so that they may be more."""
+def plot_explained(
+    explained: Mapping[str, float], unconverged: Collection[str] = (), *, ax: Axes | None = None
+) -> Axes:
+    """Nats that each effect explains alone, the most first.
+
+    Light where its fit did not converge, so that they may be more.
+    """
     shown = sorted(explained.items(), key=lambda item: -item[1])[:_BARS]
     ax = _axes(ax, (5.6, 1.0 + 0.27 * len(shown)))
     top = max(1.0, *(nats for _, nats in shown))
     for place, (name, nats) in zip(range(len(shown) - 1, -1, -1), shown, strict=True):
         loose = name in unconverged
         ax.barh(place, max(nats, 0.0), color=AFTER, alpha=0.35 if loose else 1.0, height=0.7)
-        ax.text(max(nats, 0.0) + 0.02 * top, place, f"{nats:.0f}{' or more' if loose else ''}", va="center", fontsize=8)
+        ax.text(
+            max(nats, 0.0) + 0.02 * top,
+            place,
+            f"{nats:.0f}{' or more' if loose else ''}",
+            va="center",
+            fontsize=8,
+        )
     ax.set_yticks(range(len(shown) - 1, -1, -1), [plain(name, 40) for name, _ in shown], fontsize=8)
     ax.set(xlabel="log evidence gained (nats)", xlim=(0.0, 1.3 * top))
     return ax
@@ -195,9 +270,13 @@ def plot_curves(
     *,
     beside: str = "with_cause",
     ax: Axes | None = None,
-    dense: Mapping[str, tuple[Float[Tensor, "experiments dense"], Float[Tensor, "experiments dense"]]] | None = None,
+    dense: Mapping[
+        str, tuple[Float[Tensor, "experiments dense"], Float[Tensor, "experiments dense"]]
+    ]
+    | None = None,
 ) -> Axes:
-    """Mean measured curve of one experiment, the base model, and the model with the cause or with additions.
+    """Mean measured curve of one experiment, the base model, and the model with the cause or with
+    additions.
 
     Args:
         batch: the data.
@@ -206,17 +285,21 @@ def plot_curves(
         after: ``E x T`` tensor, prediction with the cause or with additions, if there are some.
         beside: which of these ``after`` is, a key of :data:`BESIDE`.
         ax: where to draw.
-        dense: ``"base"`` and ``beside`` at more times than the frames, t* and R* as ``E x D`` tensors.
+        dense: ``"base"`` and ``beside`` at more times than the frames, t* and R* as ``E x D``
+            tensors.
     """
     ax = _axes(ax)
-    seen, times = batch.mask[number], batch.times[number]
+    seen = batch.mask[number]
+    times = batch.times[number]
     ax.plot(times[seen], batch.mean[number][seen], ".", ms=3, color=DATA, label="measured")
     for name, values, style, label in (
         ("base", base, {"color": BASE, "lw": 1.5, "ls": "--"}, "base model"),
         (beside, after, {"color": AFTER, "lw": 1.2}, BESIDE[beside]),
     ):
         if values is not None:
-            at, curve = (x[number] for x in dense[name]) if dense else (times[seen], values[number][seen])
+            at, curve = (
+                (x[number] for x in dense[name]) if dense else (times[seen], values[number][seen])
+            )
             ax.plot(at, curve, label=label, **style)
     ax.set(ylabel=R_STAR, ylim=(0.0, None))
     ax.set_title(plain(batch.experiments[number].label), fontsize=9)
@@ -232,34 +315,59 @@ def plot_residuals(
     *,
     ax: Axes | None = None,
 ) -> Axes:
-    """Residuals of the mean curve of one experiment over its noise, with the base model and with what is beside it."""
+    """Residuals of the mean curve of one experiment over its noise, with the base model and with
+    what is beside it.
+    """
     ax = _axes(ax, (5.2, 2.2))
-    seen, times = batch.mask[number], batch.times[number]
+    seen = batch.mask[number]
+    times = batch.times[number]
     noise = batch.sd(base)[number] / batch.counts[number].sqrt()
     ax.axhspan(-2.0, 2.0, color="#DDDDDD", lw=0)
     for curve, color, style in ((base, BASE, "--"), (after, AFTER, "-")):
         if curve is not None:
-            ax.plot(times[seen], ((batch.mean - curve)[number] / noise)[seen], color=color, ls=style, lw=1.2)
+            ax.plot(
+                times[seen],
+                ((batch.mean - curve)[number] / noise)[seen],
+                color=color,
+                ls=style,
+                lw=1.2,
+            )
     ax.set(xlabel=T_STAR, ylabel="residual / noise")
     return ax
 
 
 def plot_shrinkage(found: Shrinkage, *, ax: Axes | None = None) -> Axes:
-    """Part of the squared bias on held-out designs that each hypothesis removes, with its 90 % interval."""
+    """Part of the squared bias on held-out designs that each hypothesis removes, with its 90 %
+    interval.
+    """
     names = list(found.shrinkage)
     ax = _axes(ax, (5.2, 1.0 + 0.4 * len(names)))
-    low, middle, high = 100.0 * torch.tensor([found.shrinkage[name] for name in names], dtype=torch.float64).mT
+    low, middle, high = (
+        100.0 * torch.tensor([found.shrinkage[name] for name in names], dtype=torch.float64).mT
+    )
     places = range(len(names) - 1, -1, -1)
-    ax.errorbar(middle, places, xerr=torch.stack((middle - low, high - middle)), fmt="o", color=AFTER, capsize=3)
+    ax.errorbar(
+        middle,
+        places,
+        xerr=torch.stack((middle - low, high - middle)),
+        fmt="o",
+        color=AFTER,
+        capsize=3,
+    )
     for at in (0.0, 100.0):
         ax.axvline(at, color=DATA, lw=0.8)
-    ax.set_yticks(places, [f"{name} (rival)" if name == found.rival else name for name in names], fontsize=8)
+    ax.set_yticks(
+        places, [f"{name} (rival)" if name == found.rival else name for name in names], fontsize=8
+    )
     ax.set(xlabel="held-out gap removed (%)", ylim=(-0.5, len(names) - 0.5))
     return ax
 
 
 class DrawnStep(NamedTuple):
-    """What is drawn of a step of a stepwise selection, in R*; ``closed``: lower, median and upper share of the held-out gap."""
+    """What is drawn of a step of a stepwise selection, in R*.
+
+    ``closed``: lower, median and upper share of the held-out gap.
+    """
 
     effects: Sequence[str]
     misfit: float
@@ -268,19 +376,41 @@ class DrawnStep(NamedTuple):
 
 
 def plot_selection(steps: Sequence[DrawnStep], *, ax: Axes | None = None) -> Axes:
-    """Misfit in R* from the base model to the last effect added, beside the noise, with what each step closes held out."""
+    """Misfit in R* from the base model to the last effect added, beside the noise, with what each
+    step closes held out.
+    """
     ax = _axes(ax, (5.8, 1.3 + 0.5 * len(steps)))
     places = list(range(len(steps) - 1, -1, -1))
-    ax.barh(places, [step.misfit for step in steps], color=[BASE, *[AFTER] * (len(steps) - 1)], height=0.55)
+    ax.barh(
+        places,
+        [step.misfit for step in steps],
+        color=[BASE, *[AFTER] * (len(steps) - 1)],
+        height=0.55,
+    )
     ax.axvline(steps[-1].noise, color=DATA, ls="--", lw=1, label="noise of the mean curves")
     top = max(*(step.misfit for step in steps), steps[-1].noise)
     for place, step in zip(places, steps, strict=True):
-        closed = "" if step.closed is None else "\ncloses {1:.2f} ({0:.2f} to {2:.2f})".format(*step.closed)
+        closed = (
+            ""
+            if step.closed is None
+            else "\ncloses {1:.2f} ({0:.2f} to {2:.2f})".format(*step.closed)
+        )
         behind = {"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8}
-        ax.text(step.misfit + 0.03 * top, place, f"{step.misfit:.4f}{closed}", va="center", fontsize=7, bbox=behind)
+        ax.text(
+            step.misfit + 0.03 * top,
+            place,
+            f"{step.misfit:.4f}{closed}",
+            va="center",
+            fontsize=7,
+            bbox=behind,
+        )
     names = ["base model", *("+ " + plain(_added(a, b), 50) for a, b in itertools.pairwise(steps))]
     ax.set_yticks(places, names, fontsize=8)
-    ax.set(xlabel="misfit in $R^*$ (root mean square, beyond noise)", xlim=(0.0, 2.1 * top), ylim=(-0.6, len(steps) - 0.4))
+    ax.set(
+        xlabel="misfit in $R^*$ (root mean square, beyond noise)",
+        xlim=(0.0, 2.1 * top),
+        ylim=(-0.6, len(steps) - 0.4),
+    )
     ax.legend(frameon=False, fontsize=7, loc="lower right")
     return ax
 
@@ -289,24 +419,41 @@ def _added(before: DrawnStep, after: DrawnStep) -> str:
     """What one step has that the one before has not, and what it dropped."""
     added = [name for name in after.effects if name not in before.effects]
     dropped = [name for name in before.effects if name not in after.effects]
-    return ", ".join(map(in_words, added)) + (f", without {', '.join(map(in_words, dropped))}" if dropped else "")
+    return ", ".join(map(in_words, added)) + (
+        f", without {', '.join(map(in_words, dropped))}" if dropped else ""
+    )
 
 
 def plot_shift(base: ModelFit, after: ModelFit, *, ax: Axes | None = None) -> Axes:
-    """How far the cause moves the parameters of the base model: 90 % intervals relative to the base model's medians."""
+    """How far the cause moves the parameters of the base model: 90 % intervals relative to the base
+    model's medians.
+    """
     names = base.prior.names
     ax = _axes(ax, (5.2, 0.9 + 0.5 * len(names)))
     levels = torch.tensor((0.05, 0.5, 0.95), dtype=torch.float64)
     before = base.posterior.quantile(levels)
     later = after.posterior.quantile(levels)[:, [after.prior.names.index(name) for name in names]]
-    for values, color, offset, label in ((before, BASE, 0.12, "base model"), (later, AFTER, -0.12, "with the cause")):
+    for values, color, offset, label in (
+        (before, BASE, 0.12, "base model"),
+        (later, AFTER, -0.12, "with the cause"),
+    ):
         low, middle, high = 100.0 * (values / before[1] - 1.0)
         places = [len(names) - 1 - i + offset for i in range(len(names))]
         ax.errorbar(
-            middle, places, xerr=torch.stack((middle - low, high - middle)), fmt="o", color=color, capsize=3, label=label
+            middle,
+            places,
+            xerr=torch.stack((middle - low, high - middle)),
+            fmt="o",
+            color=color,
+            capsize=3,
+            label=label,
         )
     ax.axvline(0.0, color=DATA, lw=0.8)
-    ax.set_yticks(range(len(names) - 1, -1, -1), [PARAMETERS[name].label for name in names], fontsize=8)
-    ax.set(xlabel="change against the base model (%), 90 % intervals", ylim=(-0.5, len(names) - 0.5))
+    ax.set_yticks(
+        range(len(names) - 1, -1, -1), [PARAMETERS[name].label for name in names], fontsize=8
+    )
+    ax.set(
+        xlabel="change against the base model (%), 90 % intervals", ylim=(-0.5, len(names) - 0.5)
+    )
     ax.legend(frameon=False, fontsize=8)
     return ax

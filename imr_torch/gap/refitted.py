@@ -1,10 +1,12 @@
 """The change of the data by an effect that remains after a refit of the gel, beyond first order.
 
-A refit of the gel compensates most of what an effect does, since it shifts the collapses back. Projecting the fitted directions
-off a change of tens of standard deviations compensates to first order only, and the second-order part, which a refit would not
-leave, is as large as what remains. So the gel (with the nuisances) is moved by the linear refit that compensates the change,
-the effect is simulated beside it, and the rest is taken from there, twice if it gets smaller. A change of hundreds of standard
-deviations (a strong stiffening) still leaves several times what a real refit does.
+A refit of the gel compensates most of what an effect does, since it shifts the collapses back.
+Projecting the fitted directions off a change of tens of standard deviations compensates to first
+order only, and the second-order part, which a refit would not leave, is as large as what remains.
+So the gel (with the nuisances) is moved by the linear refit that compensates the change, the effect
+is simulated beside it, and the rest is taken from there, twice if it gets smaller. A change of
+hundreds of standard deviations (a strong stiffening) still leaves several times what a real refit
+does.
 """
 
 from collections.abc import Sequence
@@ -20,7 +22,10 @@ from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
 
 _ROUNDS = 2
-_FARTHEST_GEL, _FARTHEST_NUISANCE = 1.0, 15.0  # prior sd of a move: farther gels cost much and are uninformative
+_FARTHEST_GEL, _FARTHEST_NUISANCE = (
+    1.0,
+    15.0,
+)  # prior sd of a move: farther gels cost much and are uninformative
 
 
 def refitted_directions(
@@ -39,12 +44,16 @@ def refitted_directions(
         batch: the data.
         simulator: makes the bubbles.
         line: local sensitivities at the fit.
-        directions: name -> ``S x N``, whitened changes at each start (:func:`imr_torch.goodness.score.effect_directions`).
+        directions: name -> ``S x N``, whitened changes at each start
+            (:func:`imr_torch.goodness.score.effect_directions`).
 
     Returns:
-        Name -> ``S x N``; the first-order rows where the moved gel is far off, cannot be simulated, or leaves more.
+        Name -> ``S x N``; the first-order rows where the moved gel is far off, cannot be simulated,
+        or leaves more.
     """
-    changes = [dict(zip(effect.names, start, strict=True)) for effect in effects for start in effect.starts]
+    changes = [
+        dict(zip(effect.names, start, strict=True)) for effect in effects for start in effect.starts
+    ]
     if not changes:
         return {}
     rows = torch.cat([directions[effect.name] for effect in effects])
@@ -55,7 +64,8 @@ def refitted_directions(
     for _ in range(_ROUNDS):
         shift = rows[under_way] @ line.to_shift.mT
         near = (shift.abs() <= farthest).all(1)
-        under_way, shift = under_way[near], shift[near]
+        under_way = under_way[near]
+        shift = shift[near]
         if not len(under_way):
             break
         moved = curves(fit, batch, simulator, [changes[i] for i in under_way.tolist()], -shift)

@@ -1,14 +1,17 @@
-"""Reduction of the gap by an effect, cross-validated: all fits use some designs, and are judged on the others.
+"""Reduction of the gap by an effect, cross-validated: all fits use some designs, and are judged on
+the others.
 
-In sample almost any effect closes most of a gap, so each design is predicted from fits to other designs. With the mean
-curve ``y`` of ``n`` repeats, single-shot noise ``sigma`` and held-out prediction ``f``,
+In sample almost any effect closes most of a gap, so each design is predicted from fits to other
+designs. With the mean curve ``y`` of ``n`` repeats, single-shot noise ``sigma`` and held-out
+prediction ``f``,
 
     D = mean((y - f)^2 / sigma^2 - 1/n),        S = 1 - D_effect / D_base,
 
-so that ``D`` is a squared bias without noise and ``S`` the part of it that is gone. Where the residuals of a phase are smaller
-than the noise law allows, ``sigma`` counts as what they leave room for (:func:`imr_torch.goodness.phases.noise_shares`).
-Beside it stand the best rival's ``S`` and the difference in held-out log predictive density (Vehtari, Gelman & Gabry, Stat.
-Comput. 27, 2017, for its standard error).
+so that ``D`` is a squared bias without noise and ``S`` the part of it that is gone. Where the
+residuals of a phase are smaller than the noise law allows, ``sigma`` counts as what they leave room
+for (:func:`imr_torch.goodness.phases.noise_shares`). Beside it stand the best rival's ``S`` and the
+difference in held-out log predictive density (Vehtari, Gelman & Gabry, Stat. Comput. 27, 2017, for
+its standard error).
 """
 
 import math
@@ -42,7 +45,8 @@ class Comparison:
     Args:
         against: the other hypothesis.
         difference: nats; positive if the effect predicts better.
-        standard_error: from the scatter over frames, each given those before it: of these held-out curves.
+        standard_error: from the scatter over frames, each given those before it: of these held-out
+            curves.
     """
 
     against: str
@@ -74,8 +78,9 @@ class Shrinkage:
 
     Args:
         gap: hypothesis -> held-out ``D``, squared bias in single-shot variances.
-        shrinkage: hypothesis (effect, then rival) -> lower, median and upper value of ``S``, 90 % interval, under new noise of
-            the held-out curves, other training data, and other designs.
+        shrinkage: hypothesis (effect, then rival) -> lower, median and upper value of ``S``, 90 %
+            interval, under new noise of the held-out curves, other training data, and other
+            designs.
         comparisons: the effect against the base and the rival.
         shift: parameter of the base -> how far it moves.
         adequacy_p: p-value of the held-out curves under the effect's prediction.
@@ -96,8 +101,9 @@ class Shrinkage:
     def word(self, adequacy_in_sample: float) -> str:
         """``"closed"``, ``"partly closed"`` or ``"not closed"``.
 
-        Closed needs more than half of the gap gone for sure, adequacy in and out of sample, and a win over every other
-        hypothesis by two standard errors. A rival of the effect's own class is none: leave it out.
+        Closed needs more than half of the gap gone for sure, adequacy in and out of sample, and a
+        win over every other hypothesis by two standard errors. A rival of the effect's own class is
+        none: leave it out.
 
         Args:
             adequacy_in_sample: p-value of the gap test at the effect's own fit.
@@ -121,8 +127,9 @@ def shrinkage(
 ) -> Shrinkage:
     """Judge an effect, its base and a rival on designs that their fits did not see.
 
-    Up to five designs are held out one by one; of more, a quarter at a time, so that each is held out once. Searches start at
-    the fits to all designs, and end at the optimum of the training designs alone.
+    Up to five designs are held out one by one; of more, a quarter at a time, so that each is held
+    out once. Searches start at the fits to all designs, and end at the optimum of the training
+    designs alone.
 
     Args:
         effect: the base model with the effect (or effects) to judge.
@@ -130,17 +137,25 @@ def shrinkage(
         batch: all the data.
         simulator: makes the bubbles.
         seed: of starts and bootstrap.
-        near: name of a hypothesis (and ``"none"``) -> fit to all designs; what is missing is fitted first.
+        near: name of a hypothesis (and ``"none"``) -> fit to all designs; what is missing is fitted
+            first.
         progress: called with one line per step.
 
     Raises:
-        InputDataError: with fewer than two designs, for a hypothesis without an effect, or two of one name.
+        InputDataError: with fewer than two designs, for a hypothesis without an effect, or two of
+            one name.
     """
     base = Hypothesis(effect.base)
     hypotheses = [base, effect, *([rival] if rival else [])]
     _check(hypotheses, batch)
     fits = _near(hypotheses, near or {}, batch, simulator, seed, progress)
-    return judge(effect, rival, fits, hold_out(fits, batch, simulator, seed=seed, progress=progress), seed=seed)
+    return judge(
+        effect,
+        rival,
+        fits,
+        hold_out(fits, batch, simulator, seed=seed, progress=progress),
+        seed=seed,
+    )
 
 
 def judge(
@@ -157,7 +172,8 @@ def judge(
         effect: the base model with the effect (or effects) to judge.
         rival: the best hypothesis of another class; none to leave it out.
         fits: name of each hypothesis (and ``"none"``) -> fit to all designs.
-        held: the same names -> held-out predictions (:func:`hold_out`); of other names too, which are passed over.
+        held: the same names -> held-out predictions (:func:`hold_out`); of other names too, which
+            are passed over.
         seed: of the bootstrap.
     """
     names = [_NONE, effect.name, *([rival.name] if rival else [])]
@@ -180,12 +196,14 @@ def judge(
 def _check(hypotheses: Sequence[Hypothesis], batch: ExperimentBatch) -> None:
     if len(batch.experiments) < 2:
         raise InputDataError(
-            f"Shrinkage is judged on held-out designs, and there is {len(batch.experiments)}; give at least two designs."
+            f"Shrinkage is judged on held-out designs, and there is {len(batch.experiments)}; "
+            "give at least two designs."
         )
     names = [h.name for h in hypotheses]
     if len(set(names)) != len(names):
         raise InputDataError(
-            f"Base, effect and rival must be three hypotheses, got {names}; name an effect, and another rival."
+            f"Base, effect and rival must be three hypotheses, got {names}; name an effect, and "
+            "another rival."
         )
 
 
@@ -198,7 +216,9 @@ def _near(
     progress: Progress | None,
 ) -> dict[str, ModelFit]:
     """Fits to all designs, those that are given and those that are not."""
-    null = near.get(_NONE) or fit_null(hypotheses[0].base, batch, simulator, seed=child(seed, "null"), progress=progress)
+    null = near.get(_NONE) or fit_null(
+        hypotheses[0].base, batch, simulator, seed=child(seed, "null"), progress=progress
+    )
     fits = {_NONE: null}
     for hypothesis in hypotheses[1:]:
         if hypothesis.name in near:
@@ -207,7 +227,9 @@ def _near(
         fit = null
         for count in range(1, len(hypothesis.effects) + 1):  # one effect after the other
             part = replace(hypothesis, effects=hypothesis.effects[:count])
-            fit = fit_hypotheses([part], fit, batch, simulator, seed=child(seed, part.name), progress=progress)[part.name]
+            fit = fit_hypotheses(
+                [part], fit, batch, simulator, seed=child(seed, part.name), progress=progress
+            )[part.name]
         fits[hypothesis.name] = fit
     return fits
 
@@ -217,27 +239,41 @@ def reductions(
 ) -> tuple[dict[str, float], dict[str, tuple[float, float, float]]]:
     """``D`` of each hypothesis, and the 90 % interval of ``S`` of all but the base.
 
-    The bias found, scaled to the size that is left of it without noise and without the variance of the training fit, is taken
-    as true. Noise is drawn anew, the same for every hypothesis, and passed through the fit of the nuisances; so is what other
-    training data would have changed, the same for all designs of a draw. Designs are drawn anew too, since it is they
-    that are exchangeable, not frames.
+    The bias found, scaled to the size that is left of it without noise and without the variance of
+    the training fit, is taken as true. Noise is drawn anew, the same for every hypothesis, and
+    passed through the fit of the nuisances; so is what other training data would have changed, the
+    same for all designs of a draw. Designs are drawn anew too, since it is they that are
+    exchangeable, not frames.
     """
     source = generator(child(seed, "bootstrap"))
     count = sum(len(d.residual) for d in held[_NONE])
-    noise = [torch.randn(BOOTSTRAP, len(d.residual), generator=source, dtype=torch.float64) for d in held[_NONE]]
+    noise = [
+        torch.randn(BOOTSTRAP, len(d.residual), generator=source, dtype=torch.float64)
+        for d in held[_NONE]
+    ]
     quiet = [_noise_sds([held[name][i] for name in held]) for i in range(len(noise))]
     noise = [own * sds for own, sds in zip(noise, quiet, strict=True)]
     weights = _design_weights(len(noise), source)
-    gaps, drawn = {}, {}
+    gaps = {}
+    drawn = {}
     for name, designs in held.items():
         expected = [_expected(d, sds) / count for d, sds in zip(designs, quiet, strict=True)]
         observed = [float((d.residual.square() / d.counts).sum()) / count for d in designs]
         gaps[name] = sum(observed) - sum(expected)
-        trained = [float((_less_nuisances(d, d.by_training.mT).square() / d.counts).sum()) / count for d in designs]
+        trained = [
+            float((_less_nuisances(d, d.by_training.mT).square() / d.counts).sum()) / count
+            for d in designs
+        ]
         scales = _scales(observed, expected, trained)
-        training = torch.randn(BOOTSTRAP, designs[0].by_training.shape[1], generator=source, dtype=torch.float64)
+        training = torch.randn(
+            BOOTSTRAP, designs[0].by_training.shape[1], generator=source, dtype=torch.float64
+        )
         rows = [
-            ((scale * d.residual + _less_nuisances(d, e + training @ d.by_training.mT)).square() / d.counts).sum(1) / count
+            (
+                (scale * d.residual + _less_nuisances(d, e + training @ d.by_training.mT)).square()
+                / d.counts
+            ).sum(1)
+            / count
             - left
             for d, e, left, scale in zip(designs, noise, expected, scales, strict=True)
         ]
@@ -246,10 +282,14 @@ def reductions(
     return gaps, intervals
 
 
-def _scales(observed: Sequence[float], expected: Sequence[float], trained: Sequence[float]) -> list[float]:
-    """Factors on the residual of each design that leave its bias alone, without noise and the variance of the training fit.
+def _scales(
+    observed: Sequence[float], expected: Sequence[float], trained: Sequence[float]
+) -> list[float]:
+    """Factors on the residual of each design that leave its bias alone, without noise and the
+    variance of the training fit.
 
-    Designs whose square is below that of noise have none; the others share what is left of the whole.
+    Designs whose square is below that of noise have none; the others share what is left of the
+    whole.
     """
     own = [max(o - e - t, 0.0) for o, e, t in zip(observed, expected, trained, strict=True)]
     whole = max(sum(observed) - sum(expected) - sum(trained), 0.0)
@@ -258,9 +298,11 @@ def _scales(observed: Sequence[float], expected: Sequence[float], trained: Seque
 
 
 def _design_weights(count: int, source: torch.Generator) -> Tensor:
-    """``B x count`` random weights of mean one, under which a mean over designs has the variance of a sample mean.
+    """``B x count`` random weights of mean one, under which a mean over designs has the variance of
+    a sample mean.
 
-    One design fewer than there are is drawn with replacement (Rao & Wu, J. Am. Stat. Assoc. 83, 1988).
+    One design fewer than there are is drawn with replacement (Rao & Wu, J. Am. Stat. Assoc. 83,
+    1988).
     """
     if count == 1:
         return torch.ones(BOOTSTRAP, 1, dtype=torch.float64)
@@ -270,12 +312,16 @@ def _design_weights(count: int, source: torch.Generator) -> Tensor:
 
 
 def _ratio_interval(left: Tensor, base: Tensor) -> tuple[float, float, float]:
-    """Lower, median and upper ``S = 1 - left/base`` of draws; one in which the base leaves no gap says nothing of it.
+    """Lower, median and upper ``S = 1 - left/base`` of draws; one in which the base leaves no gap
+    says nothing of it.
 
-    Such a draw counts as -1 for the lower value and as 1 for the upper; none counts as more than 2 in size.
+    Such a draw counts as -1 for the lower value and as 1 for the upper; none counts as more than 2
+    in size.
     """
     known = base > 0.0
-    ratio = torch.where(known, 1.0 - left / base.clamp_min(1e-300), torch.nan).clamp(-_WIDEST, _WIDEST)
+    ratio = torch.where(known, 1.0 - left / base.clamp_min(1e-300), torch.nan).clamp(
+        -_WIDEST, _WIDEST
+    )
     low = ratio.nan_to_num(nan=-1.0).quantile(0.05)
     high = ratio.nan_to_num(nan=1.0).quantile(0.95)
     median = ratio[known].median() if bool(known.any()) else torch.zeros(())
@@ -292,7 +338,9 @@ def _less_nuisances(design: HeldOut, rows: Tensor) -> Tensor:
 def _noise_sds(design: Sequence[HeldOut]) -> Tensor:
     """Noise of each frame of a design, over that of the law, from the residuals of all hypotheses."""
     first = design[0]
-    phase = torch.zeros(len(first.residual), dtype=torch.long) if first.phase is None else first.phase
+    phase = (
+        torch.zeros(len(first.residual), dtype=torch.long) if first.phase is None else first.phase
+    )
     return noise_shares([own.residual.square() for own in design], phase).sqrt()
 
 
@@ -305,12 +353,17 @@ def compare(held: Mapping[str, Sequence[HeldOut]], effect: str, other: str) -> C
     """Paired difference over all held-out frames."""
     pairs = zip(held[effect], held[other], strict=True)
     difference = torch.cat([a.log_density - b.log_density for a, b in pairs])
-    return Comparison(other, float(difference.sum()), float(difference.std() * math.sqrt(len(difference))))
+    return Comparison(
+        other, float(difference.sum()), float(difference.std() * math.sqrt(len(difference)))
+    )
 
 
 def _shift(base: ModelFit, effect: ModelFit) -> dict[str, Shift]:
-    """Relative change of each parameter of the base, with the sd of an efficient against a consistent estimate."""
-    before, after = base.posterior, effect.posterior
+    """Relative change of each parameter of the base, with the sd of an efficient against a
+    consistent estimate.
+    """
+    before = base.posterior
+    after = effect.posterior
     shifts = {}
     for i, name in enumerate(base.prior.names):
         j = effect.prior.names.index(name)

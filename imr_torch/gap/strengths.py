@@ -1,7 +1,9 @@
-"""How strong effects are in a fit: in each curve where curves differ, and whether their priors expect it.
+"""How strong effects are in a fit: in each curve where curves differ, and whether their priors
+expect it.
 
-A prior of an effect says what is usual for it. Where a fit is many standard deviations from that, the data ask for the curve
-that the effect makes, and the effect itself is no explanation: an edge that is misread by ten pixels was not misread.
+A prior of an effect says what is usual for it. Where a fit is many standard deviations from that,
+the data ask for the curve that the effect makes, and the effect itself is no explanation: an edge
+that is misread by ten pixels was not misread.
 """
 
 import torch
@@ -28,11 +30,15 @@ def values_of_curves(fit: ModelFit, base: ModelBelief) -> dict[str, list[float]]
     common = dict(zip(fit.prior.names, fit.prior.physical(fit.mean), strict=True))
     between = scatters(base, fit.prior).items()
     columns = zip(between, deviations.unbind(1), strict=True)
-    return {name: scatter.moved(common[name], scatter.relative * own).tolist() for (name, scatter), own in columns}
+    return {
+        name: scatter.moved(common[name], scatter.relative * own).tolist()
+        for (name, scatter), own in columns
+    }
 
 
 def unusual_strengths(fit: ModelFit, base: ModelBelief) -> dict[str, float]:
-    """Amplitude of an effect -> standard deviations of its prior from the median, of those beyond :data:`UNUSUAL`.
+    """Amplitude of an effect -> standard deviations of its prior from the median, of those beyond
+    :data:`UNUSUAL`.
 
     Where curves differ, the largest of all curves.
 
@@ -40,9 +46,12 @@ def unusual_strengths(fit: ModelFit, base: ModelBelief) -> dict[str, float]:
         fit: as of :func:`values_of_curves`.
         base: likewise.
     """
-    own, found = values_of_curves(fit, base), dict[str, float]()
+    own = values_of_curves(fit, base)
+    found = dict[str, float]()
     amplitudes = {effect.names[0] for effect in LIBRARY.values()} - set(base.names)
-    for place, (name, marginal) in enumerate(zip(fit.prior.names, fit.prior.marginals, strict=True)):
+    for place, (name, marginal) in enumerate(
+        zip(fit.prior.names, fit.prior.marginals, strict=True)
+    ):
         if name in amplitudes:
             values = torch.tensor(own.get(name, []), dtype=torch.float64)
             controls = torch.cat((fit.mean[place : place + 1], marginal.to_control(values)))

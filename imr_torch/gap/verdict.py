@@ -1,11 +1,13 @@
 """From evidence to probabilities of causes, and from these to a verdict by a stated loss.
 
-An unknown effect has prior odds against the known ones, and the Bayes factor of how much the best of them leaves unexplained
-(:mod:`imr_torch.gap.lookalike`); so the probability of "other" and the adequacy of the leading effect are one thing. Where the
-noise is inferred from single curves, noise of the camera that lasts several frames is a cause of its own; an unknown effect may
-look like it, or move all shots alike (:mod:`imr_torch.assimilate.slow_noise`). The verdict names the set of causes of least
-expected loss: a truth outside the set costs 1, every further member .1, and to stay undecided .35. So a cause is a member where
-its probability exceeds .1, and an unknown effect is one like any other.
+An unknown effect has prior odds against the known ones, and the Bayes factor of how much the best
+of them leaves unexplained (:mod:`imr_torch.gap.lookalike`); so the probability of "other" and the
+adequacy of the leading effect are one thing. Where the noise is inferred from single curves, noise
+of the camera that lasts several frames is a cause of its own; an unknown effect may look like it,
+or move all shots alike (:mod:`imr_torch.assimilate.slow_noise`). The verdict names the set of
+causes of least expected loss: a truth outside the set costs 1, every further member .1, and to stay
+undecided .35. So a cause is a member where its probability exceeds .1, and an unknown effect is one
+like any other.
 """
 
 import math
@@ -14,7 +16,9 @@ from dataclasses import dataclass
 
 from imr_torch.material import Effect
 
-NONE, OTHER, SLOW_NOISE = "none", "other", "slow_noise"
+NONE = "none"
+OTHER = "other"
+SLOW_NOISE = "slow_noise"
 """The base model alone; an effect that is not in the library; noise of the camera that lasts several frames."""
 PRIOR_NONE = 0.5
 """That nothing is missing."""
@@ -26,7 +30,8 @@ PRIOR_SLOW = 0.25
 """That it is slow noise of the camera, given that it is nothing unknown: some public records hold such noise, others none."""
 PRIOR_TWO = 0.1
 """That two effects act at once, given that the known ones do."""
-MEMBER, UNDECIDED = 0.1, 0.35
+MEMBER = 0.1
+UNDECIDED = 0.35
 """Loss of a further member of the set that a verdict names, and of no verdict; that of a truth outside the set is 1."""
 
 
@@ -35,8 +40,8 @@ class Choice:
     """The set of causes of least expected loss.
 
     Args:
-        members: its causes with their probabilities, largest first; ``"none"``, ``"other"`` and ``"slow_noise"`` may be among
-            them.
+        members: its causes with their probabilities, largest first; ``"none"``, ``"other"`` and
+            ``"slow_noise"`` may be among them.
         loss: expected; that of staying undecided where that is less.
         decided: whether naming the set costs less than staying undecided.
 
@@ -82,11 +87,14 @@ def probabilities(
     masked: float = 1.0,
     smooth: tuple[float, float] | None = None,
 ) -> dict[str, float]:
-    """Posterior over hypotheses, ``"none"`` (of the effects asked about), ``"other"`` and, if asked for, ``"slow_noise"``.
+    """Posterior over hypotheses, ``"none"`` (of the effects asked about), ``"other"`` and, if asked
+    for, ``"slow_noise"``.
 
-    Prior: the base model .5; the rest is shared between known and unknown effects by ``odds``, and among the known ones evenly
-    over families (declared forms of one thing, so that two forms of an effect do not count twice). Beside an effect that was
-    selected, "other" stands for an unknown effect in place of two known ones, which are rarer than one.
+    Prior: the base model .5; the rest is shared between known and unknown effects by ``odds``, and
+        among the known ones evenly
+    over families (declared forms of one thing, so that two forms of an effect do not count twice).
+    Beside an effect that was selected, "other" stands for an unknown effect in place of two known
+    ones, which are rarer than one.
 
     Args:
         evidence: hypothesis -> nats.
@@ -94,23 +102,33 @@ def probabilities(
         with_: those that every hypothesis holds.
         bayes_factor: of an unknown effect over the leading one, by what that leaves unexplained.
         odds: prior odds of an unknown effect against the known ones.
-        masked: beside selected effects, the chance that these alone did not explain an unknown effect.
-        smooth: log evidence, nats, of smooth deviations that differ between shots and of those that are alike in all. Noise of
-            the camera that lasts several frames makes the first kind, an unknown effect either, with equal probability.
+        masked: beside selected effects, the chance that these alone did not explain an unknown
+            effect.
+        smooth: log evidence, nats, of smooth deviations that differ between shots and of those that
+            are alike in all. Noise of the camera that lasts several frames makes the first kind, an
+            unknown effect either, with equal probability.
     """
     prefix = "+".join(effect.name for effect in with_)
     families = [effect.family for effect in effects]
     known = (1.0 - PRIOR_NONE) / (1.0 + odds)
-    slow, unknown = 0.0, -math.inf
+    slow = 0.0
+    unknown = -math.inf
     if smooth is not None:
         slow = PRIOR_SLOW * known
         known -= slow
-        unknown = math.log(slow * odds) + max(smooth) + math.log(0.5 + 0.5 * math.exp(-abs(smooth[0] - smooth[1])))
+        unknown = (
+            math.log(slow * odds)
+            + max(smooth)
+            + math.log(0.5 + 0.5 * math.exp(-abs(smooth[0] - smooth[1])))
+        )
     logs = {}
     for effect in effects:
         name = f"{prefix}+{effect.name}" if prefix else effect.name
         if name in evidence:
-            logs[name] = math.log(known / len(set(families)) / families.count(effect.family)) + evidence[name]
+            logs[name] = (
+                math.log(known / len(set(families)) / families.count(effect.family))
+                + evidence[name]
+            )
     logs[NONE] = math.log(PRIOR_NONE) + evidence[prefix or NONE]
     if smooth is not None:
         logs[SLOW_NOISE] = math.log(slow) + smooth[0]

@@ -1,10 +1,11 @@
 """Apparent parameters over the event, each fitted to the frames of a moving window only.
 
-If constant parameters are right, windows agree within their uncertainty; if the model lacks something, they drift. That is how
-Chu et al. (2026, arXiv 2606.13584) follow gels through a collapse, with an iterative ensemble Kalman smoother and multiple data
-assimilation; here each window is a Gauss-Newton fit from the common fit, every bubble still starting at its maximum at t* = 0.
-It shows whether and when constant parameters fail, but no cause, since any unmodelled effect makes parameters drift. It is a
-baseline for comparison, and no part of the verdict.
+If constant parameters are right, windows agree within their uncertainty; if the model lacks
+something, they drift. That is how Chu et al. (2026, arXiv 2606.13584) follow gels through a
+collapse, with an iterative ensemble Kalman smoother and multiple data assimilation; here each
+window is a Gauss-Newton fit from the common fit, every bubble still starting at its maximum at t* =
+0. It shows whether and when constant parameters fail, but no cause, since any unmodelled effect
+makes parameters drift. It is a baseline for comparison, and no part of the verdict.
 """
 
 from dataclasses import dataclass
@@ -59,14 +60,16 @@ def moving_windows(
     windows: int = 7,
     steps: int = _STEPS,
 ) -> MovingWindows:
-    """Fit the parameters to each of several overlapping windows, all experiments together, nuisances free.
+    """Fit the parameters to each of several overlapping windows, all experiments together,
+    nuisances free.
 
     Args:
         fit: the fit to all frames, from which each window starts.
         line: local sensitivities at the fit.
         batch: the data.
         simulator: makes the bubbles.
-        width: of a window, in Rmax/U_c; by default 1, about a first collapse, or half of a record that is shorter than two.
+        width: of a window, in Rmax/U_c; by default 1, about a first collapse, or half of a record
+            that is shorter than two.
         windows: how many, evenly over the records.
         steps: Gauss-Newton steps of each; the first needs no bubbles.
 
@@ -77,7 +80,8 @@ def moving_windows(
     width = min(1.0, 0.5 * end) if width is None else width
     if windows < 2 or steps < 1 or not 0.0 < width < end:
         raise InputDataError(
-            f"Expected 2 windows or more, 1 step or more and 0 < width < {end:g}; got {windows}, {steps} and {width}."
+            f"Expected 2 windows or more, 1 step or more and 0 < width < {end:g}; got {windows}, "
+            f"{steps} and {width}."
         )
     starts = torch.linspace(0.0, end - width, windows, dtype=torch.float64)
     frames = [frames_between(batch, start, start + width + 1e-9) for start in starts.tolist()]
@@ -86,14 +90,23 @@ def moving_windows(
     sd = maps.norm(dim=2)
     values, low, high = (_physical(fit, controls + step * sd) for step in (0.0, -1.0, 1.0))
     drift, p_constant = _constancy(starts, controls, maps)
-    return MovingWindows(starts + 0.5 * width, fit.prior.names, values, low, high, drift, p_constant)
+    return MovingWindows(
+        starts + 0.5 * width, fit.prior.names, values, low, high, drift, p_constant
+    )
 
 
 def _window(
-    fit: ModelFit, line: Linearisation, batch: ExperimentBatch, steps: int, frames: Tensor, simulator: Simulator
+    fit: ModelFit,
+    line: Linearisation,
+    batch: ExperimentBatch,
+    steps: int,
+    frames: Tensor,
+    simulator: Simulator,
 ) -> tuple[Tensor, Tensor]:
     """Controls of one window (``d``) and the ``d x N`` matrix that makes them from noise."""
-    size, total, here = len(fit.mean), torch.zeros(line.fitted.shape[1], dtype=torch.float64), line
+    size = len(fit.mean)
+    total = torch.zeros(line.fitted.shape[1], dtype=torch.float64)
+    here = line
     for step in range(steps):
         shift, to_shift = refit(restrict(here, frames))
         total = total + shift * min(1.0, _LONGEST / max(float(shift.norm()), 1e-300))
@@ -109,13 +122,19 @@ def _physical(fit: ModelFit, controls: Tensor) -> Tensor:
 
 
 def _constancy(centres: Tensor, controls: Tensor, maps: Tensor) -> tuple[Tensor, Tensor]:
-    """Slope over its sd and p-value of constancy of each parameter; windows that share frames are correlated."""
+    """Slope over its sd and p-value of constancy of each parameter.
+
+    Windows that share frames are correlated.
+    """
     count, size = controls.shape
     basis = torch.stack((torch.ones(count, dtype=torch.float64), centres - centres.mean()), 1)
-    drift, p_values = [], []
+    drift = []
+    p_values = []
     for i in range(size):
         covariance = maps[:, i] @ maps[:, i].mT
-        covariance = covariance + 1e-9 * covariance.diagonal().mean() * torch.eye(count, dtype=torch.float64)
+        covariance = covariance + 1e-9 * covariance.diagonal().mean() * torch.eye(
+            count, dtype=torch.float64
+        )
         chol = torch.linalg.cholesky(covariance)
         design = torch.linalg.solve_triangular(chol, basis, upper=False)
         data = torch.linalg.solve_triangular(chol, controls[:, i : i + 1], upper=False)

@@ -1,4 +1,6 @@
-"""Goodness of fit: does a fitted model explain the curves? Score tests of a fit against directions in which it may be wrong."""
+"""Goodness of fit: does a fitted model explain the curves? Score tests of a fit against directions
+in which it may be wrong.
+"""
 
 from imr_torch.goodness.fit_test import FitTest, check_fit
 

@@ -1,8 +1,10 @@
-"""A cheap test of whether a fitted model explains the curves: the gap test's generic blocks at a fit that exists already.
+"""A cheap test of whether a fitted model explains the curves: the gap test's generic blocks at a
+fit that exists already.
 
-No effect of the library is tried, so it costs a few dozen bubbles and names no cause; :func:`imr_torch.gap.diagnose` does both.
-Noise that was estimated from the residuals as a whole cannot be used: a misfit would widen it and so hide itself. The noise is
-that of single frames, which a smooth misfit does not change (:func:`imr_torch.assimilate.infer_frame_noise`), as in a
+No effect of the library is tried, so it costs a few dozen bubbles and names no cause;
+:func:`imr_torch.gap.diagnose` does both. Noise that was estimated from the residuals as a whole
+cannot be used: a misfit would widen it and so hide itself. The noise is that of single frames,
+which a smooth misfit does not change (:func:`imr_torch.assimilate.infer_frame_noise`), as in a
 diagnosis.
 """
 
@@ -23,8 +25,13 @@ from imr_torch.observe import ExperimentBatch, Noise
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
 
-FORM = "generic blocks of the gap test at the fit, without effects of the library; noise of single frames inferred"
-_LARGE = 4.0  # posterior standard deviations in all; a fit that must move farther to suit the noise of the test is moved first
+FORM = (
+    "generic blocks of the gap test at the fit, without effects of the library; noise of single "
+    "frames inferred"
+)
+# posterior standard deviations in all; a fit that must move farther to suit the noise of the test
+# is moved first
+_LARGE = 4.0
 
 
 @dataclass(frozen=True)
@@ -71,23 +78,35 @@ class FitTest:
         if self.p_value is None:
             return f"Not tested whether the model explains the curves: {self.reason}"
         if self.explained:
-            return f"Fit: the model explains the curves within their noise ({p_value(self.p_value)}, {self.model})."
+            return (
+                f"Fit: the model explains the curves within their noise ({p_value(self.p_value)}, "
+                f"{self.model})."
+            )
         where = (
-            f"strongest test: {self.block}; largest residual {self.sigma:+.1f} sd in {self.experiment}, {self.phase}, "
+            f"strongest test: {self.block}; largest residual {self.sigma:+.1f} sd in "
+            f"{self.experiment}, {self.phase}, "
             f"t* = {self.time:.2f}"
         )
         return (
-            f"Misfit: the model does not explain the curves ({p_value(self.p_value)}, {self.model}; {where}); do not quote its "
+            f"Misfit: the model does not explain the curves ({p_value(self.p_value)}, "
+            f"{self.model}; {where}); do not quote its "
             f"intervals before you have tried: {command}"
         )
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready values."""
         document = vars(self) | {"noise": None if self.noise is None else vars(self.noise)}
-        return document | {"explained": self.explained, "level": LEVEL, "form": FORM, "sentence": self.sentence()}
+        return document | {
+            "explained": self.explained,
+            "level": LEVEL,
+            "form": FORM,
+            "sentence": self.sentence(),
+        }
 
 
-def check_fit(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, seed: int = 0) -> FitTest:
+def check_fit(
+    fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, seed: int = 0
+) -> FitTest:
     """Test whether a fitted model explains the curves that it was fitted to.
 
     Args:
@@ -112,13 +131,21 @@ def check_fit(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, se
     """
     started = time.process_time()
     if not determines_noise(fit, batch):
-        return FitTest(fit.model, None, reason="too few frames for the noise to be inferred from them; shoot more curves.")
+        return FitTest(
+            fit.model,
+            None,
+            reason="too few frames for the noise to be inferred from them; shoot more curves.",
+        )
     near = Posterior(fit.prior, batch, simulator).neighbourhood(fit.point)
     batch = infer_frame_noise(near).applied(batch)
     fit, line = _settled(fit, batch, simulator)
     test = gap_test(generic_blocks(fit, batch, simulator, line), line, seed=child(seed, "fit test"))
     if test.found and not fit.certificate.usable:
-        return FitTest(fit.model, None, reason=f"the fit of {fit.model} did not converge, and such a fit looks like a misfit.")
+        return FitTest(
+            fit.model,
+            None,
+            reason=f"the fit of {fit.model} did not converge, and such a fit looks like a misfit.",
+        )
     left = _left(line)
     row, column = divmod(int(left.abs().argmax()), left.shape[1])
     return FitTest(
@@ -135,8 +162,12 @@ def check_fit(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, se
     )
 
 
-def _settled(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> tuple[ModelFit, Linearisation]:
-    """The fit after one Gauss-Newton step under the noise of the test, where that lowers the cost and is not small."""
+def _settled(
+    fit: ModelFit, batch: ExperimentBatch, simulator: Simulator
+) -> tuple[ModelFit, Linearisation]:
+    """The fit after one Gauss-Newton step under the noise of the test, where that lowers the cost
+    and is not small.
+    """
     line = linearise(fit, batch, simulator)
     step = line.to_shift @ line.residual
     if float((line.basis.mT @ line.residual).norm()) < _LARGE:
@@ -154,7 +185,10 @@ def _settled(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> tup
 
 
 def _left(line: Linearisation) -> Tensor:
-    """Residual of a linear refit at every frame over the noise of the mean, ``E x T``; 0 in the padding."""
+    """Residual of a linear refit at every frame over the noise of the mean, ``E x T``.
+
+    0 in the padding.
+    """
     batch = line.batch
     residual = (batch.mean - line.prediction) / (line.sd / batch.counts.sqrt())
     return torch.where(batch.mask, residual, 0.0)

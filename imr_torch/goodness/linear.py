@@ -1,8 +1,9 @@
 """Local sensitivities at a fit: the residual and its derivatives in all that was fitted, whitened.
 
-At a fit everything that was fitted (gel, effects, nuisances, each with its prior) spans a space of directions in which the
-fit has absorbed the residual. Of a test direction only the part orthogonal to them counts. Data and priors are stacked as rows
-of unit variance: ``r ~ N(0, 1 - Q Q^T)`` if the model is right.
+At a fit everything that was fitted (gel, effects, nuisances, each with its prior) spans a space of
+directions in which the fit has absorbed the residual. Of a test direction only the part orthogonal
+to them counts. Data and priors are stacked as rows of unit variance: ``r ~ N(0, 1 - Q Q^T)`` if the
+model is right.
 """
 
 from collections.abc import Sequence
@@ -44,23 +45,35 @@ class Linearisation:
 
     @cached_property
     def to_shift(self) -> Float[Tensor, "fitted rows"]:
-        """``k x N`` matrix that makes, from a residual, the shift of everything fitted in a linear refit to it."""
+        """``k x N`` matrix that makes, from a residual, the shift of everything fitted in a linear
+        refit to it.
+        """
         q, r = torch.linalg.qr(self.fitted)
         return torch.linalg.solve_triangular(r, q.mT, upper=True)
 
-    def noise_ratios(self, count: int, *, generator: torch.Generator) -> Float[Tensor, "draws rows"]:
-        """Noise drawn from what is known of it, over that by which rows are whitened; 1 for priors and 0 in the padding."""
+    def noise_ratios(
+        self, count: int, *, generator: torch.Generator
+    ) -> Float[Tensor, "draws rows"]:
+        """Noise drawn from what is known of it, over that by which rows are whitened.
+
+        1 for priors and 0 in the padding.
+        """
         ratios = self.batch.log_noise_ratios(self.prediction, count, generator=generator).exp()
         ratios = torch.where(self.batch.mask, ratios, 0.0).flatten(1)
         return torch.nn.functional.pad(ratios, (0, len(self.residual) - ratios.shape[1]), value=1.0)
 
     def explained(self, shift: Float[Tensor, "*batch fitted"]) -> Float[Tensor, "*batch rows"]:
-        """What shifts ``... x k`` of everything fitted change in the data, to first order: rows ``... x N``."""
+        """What shifts ``...
+
+        x k`` of everything fitted change in the data, to first order: rows ``... x N``.
+        """
         rows = shift @ self.fitted.mT
         rows[..., self.fitted.shape[0] - self.fitted.shape[1] :] = 0.0
         return rows
 
-    def whiten(self, curves: Float[Tensor, "*batch experiments frames"]) -> Float[Tensor, "*batch rows"]:
+    def whiten(
+        self, curves: Float[Tensor, "*batch experiments frames"]
+    ) -> Float[Tensor, "*batch rows"]:
         """Curves ``... x E x T`` in R* as rows ``... x N``, with zeros for the priors."""
         rows = self.batch.whiten(torch.where(self.batch.mask, curves, 0.0), self.sd).flatten(-2)
         return torch.nn.functional.pad(rows, (0, self.residual.shape[0] - rows.shape[-1]))
@@ -73,9 +86,12 @@ class Linearisation:
 def shifted(
     fit: ModelFit, batch: ExperimentBatch, shift: Float[Tensor, "moved fitted"]
 ) -> tuple[Float[Tensor, "moved controls"], Float[Tensor, "moved experiments nuisances"]]:
-    """Controls ``K x d`` and nuisances ``K x E x 3`` of a fit after shifts ``K x k``, in the order of the fitted directions."""
+    """Controls ``K x d`` and nuisances ``K x E x 3`` of a fit after shifts ``K x k``, in the order
+    of the fitted directions.
+    """
     free = (batch.nuisance_sds > 0.0).any(0)
-    size, experiments = len(fit.mean), len(batch.experiments)
+    size = len(fit.mean)
+    experiments = len(batch.experiments)
     nuisances = fit.nuisances.expand(len(shift), -1, -1).clone()
     nuisances[:, :, free] += shift[:, size:].reshape(len(shift), int(free.sum()), experiments).mT
     return fit.mean + shift[:, :size], nuisances
@@ -88,7 +104,8 @@ def curves(
     changes: Sequence[dict[str, float]],
     shift: Float[Tensor, "moved fitted"] | None = None,
 ) -> Float[Tensor, "moved experiments frames"]:
-    """Predictions at the fit with parameters changed, one row a change: ``K x E x T``; NaN where a solve failed.
+    """Predictions at the fit with parameters changed, one row a change: ``K x E x T``; NaN where a
+    solve failed.
 
     Args:
         fit: the fit.
@@ -99,7 +116,8 @@ def curves(
     """
     if not changes:
         return torch.empty(0, *batch.times.shape, dtype=torch.float64)
-    mean, nuisances = fit.mean.expand(len(changes), -1), fit.nuisances.expand(len(changes), -1, -1)
+    mean = fit.mean.expand(len(changes), -1)
+    nuisances = fit.nuisances.expand(len(changes), -1, -1)
     if shift is not None:
         mean, nuisances = shifted(fit, batch, shift)
     parameters = fit.parameters(mean).clone()
@@ -110,12 +128,19 @@ def curves(
 
 
 def linearise(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> Linearisation:
-    """Local sensitivities at a fit, by finite differences of bubbles that take the same solver steps."""
+    """Local sensitivities at a fit, by finite differences of bubbles that take the same solver
+    steps.
+    """
     return linearise_at(fit.point, fit.prior, batch, simulator)
 
 
 def linearise_at(
-    point: Point, prior: ModelBelief, batch: ExperimentBatch, simulator: Simulator, *, moves_gel: bool = True
+    point: Point,
+    prior: ModelBelief,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    *,
+    moves_gel: bool = True,
 ) -> Linearisation:
     """Local sensitivities at any point, as at a fit.
 
@@ -124,13 +149,22 @@ def linearise_at(
         prior: of the gel.
         batch: the data, with as many experiments as the point.
         simulator: makes the bubbles.
-        moves_gel: whether sensitivities to the gel are wanted; without, they are zero and cost no bubbles.
+        moves_gel: whether sensitivities to the gel are wanted; without, they are zero and cost no
+            bubbles.
     """
     posterior = Posterior(prior, batch, simulator)
-    near = posterior.neighbourhood(point, None if moves_gel else torch.zeros(len(point.gel), 0, dtype=torch.float64))
-    columns, experiments, sd = posterior.uncertain, len(batch.experiments), batch.sd(near.centre)
-    by_gel, by_nuisance = (batch.whiten(x.movedim(-1, 0), sd).nan_to_num() for x in near.slopes)  # ... x E x T each
-    own = torch.eye(experiments, dtype=torch.float64)[:, :, None] * by_nuisance[columns][:, None]  # C x E x E x T
+    near = posterior.neighbourhood(
+        point, None if moves_gel else torch.zeros(len(point.gel), 0, dtype=torch.float64)
+    )
+    columns = posterior.uncertain
+    experiments = len(batch.experiments)
+    sd = batch.sd(near.centre)
+    by_gel, by_nuisance = (
+        batch.whiten(x.movedim(-1, 0), sd).nan_to_num() for x in near.slopes
+    )  # ... x E x T each
+    own = (
+        torch.eye(experiments, dtype=torch.float64)[:, :, None] * by_nuisance[columns][:, None]
+    )  # C x E x E x T
     data = torch.cat((by_gel.flatten(1).mT, own.flatten(0, 1).flatten(1).mT), 1)
     fitted = torch.cat((data, -torch.eye(data.shape[1], dtype=torch.float64)))
     priors = torch.cat((point.gel, point.nuisances[:, columns].mT.flatten()))

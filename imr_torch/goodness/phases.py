@@ -1,8 +1,10 @@
-"""Phases of a bubble's life, and those in which the residuals show less noise than the noise law says.
+"""Phases of a bubble's life, and those in which the residuals show less noise than the noise law
+says.
 
-A published law of the noise may say several times too much in one phase, late in the tail of a viscous bubble above all. Where
-squared residuals less that noise are summed over all phases, such a phase cancels a misfit elsewhere. So noise counts, in
-each phase, as no more than the residuals leave room for.
+A published law of the noise may say several times too much in one phase, late in the tail of a
+viscous bubble above all. Where squared residuals less that noise are summed over all phases, such a
+phase cancels a misfit elsewhere. So noise counts, in each phase, as no more than the residuals
+leave room for.
 """
 
 import math
@@ -19,8 +21,15 @@ from imr_torch.observe.plausibility import RAYLEIGH_TIME
 PHASES = ("start", "first collapse", "first rebound", "second collapse", "later")
 """Phases of an event, in order."""
 
-_ENDS = (0.3, 1.25, 1.75, 2.25)  # phase clock at which each ends; what a collapse did is seen in the rise after it
-_QUIET = 1e-3  # chance of so small a sum of squares under the law, below which the law says too much
+_ENDS = (
+    0.3,
+    1.25,
+    1.75,
+    2.25,
+)  # phase clock at which each ends; what a collapse did is seen in the rise after it
+_QUIET = (
+    1e-3  # chance of so small a sum of squares under the law, below which the law says too much
+)
 
 
 def phase_clock(
@@ -28,7 +37,8 @@ def phase_clock(
     prediction: Float[Tensor, "experiments frames"],
     mask: Bool[Tensor, "experiments frames"],
 ) -> Float[Tensor, "experiments frames"]:
-    """How far the event has come at each frame: 0 at the start, 1 at the first collapse, 1.5 at the rebound's top, 2 ...
+    """How far the event has come at each frame: 0 at the start, 1 at the first collapse, 1.5 at the
+    rebound's top, 2 ...
 
     Args:
         times: ``E x T`` tensor, dimensionless.
@@ -36,13 +46,15 @@ def phase_clock(
         mask: ``E x T`` boolean tensor, frames that exist.
 
     Returns:
-        ``E x T`` tensor; linear in time between landmarks and, after the second collapse, by the length of the first cycle.
+        ``E x T`` tensor; linear in time between landmarks and, after the second collapse, by the
+        length of the first cycle.
     """
     return torch.stack([_clock(t, r, m) for t, r, m in zip(times, prediction, mask, strict=True)])
 
 
 def _clock(times: Tensor, radius: Tensor, mask: Tensor) -> Tensor:
-    t, r = times[mask], radius[mask]
+    t = times[mask]
+    r = radius[mask]
     first, second = (collapse_time(t, r, number) for number in (1, 2))
     first = RAYLEIGH_TIME if math.isinf(first) else first
     later = (t > first) & (t < second)
@@ -65,20 +77,25 @@ def phase_numbers(
     radius: Float[Tensor, "experiments frames"],
     mask: Bool[Tensor, "experiments frames"],
 ) -> Int[Tensor, "experiments frames"]:
-    """Number of the phase of each frame in ``PHASES``: ``E x T`` integer tensor; arguments as of :func:`phase_clock`."""
+    """Number of the phase of each frame in ``PHASES``: ``E x T`` integer tensor; arguments as of
+    :func:`phase_clock`.
+    """
     ends = torch.tensor(_ENDS, dtype=torch.float64) + 1e-9
     return torch.searchsorted(ends, phase_clock(times, radius, mask).contiguous())
 
 
-def noise_shares(squares: Sequence[Float[Tensor, "*frames"]], phase: Int[Tensor, "*frames"]) -> Float[Tensor, "*frames"]:
-    """How much of the law's variance counts in each frame, 1 or less: what residuals leave room for in its phase.
+def noise_shares(
+    squares: Sequence[Float[Tensor, "*frames"]], phase: Int[Tensor, "*frames"]
+) -> Float[Tensor, "*frames"]:
+    """How much of the law's variance counts in each frame, 1 or less: what residuals leave room for
+    in its phase.
 
-    It is less than 1 only where the sum of squares of a phase has a chance below .001 under the law, under the hypothesis
-    that leaves least there; it is then the mean square.
+    It is less than 1 only where the sum of squares of a phase has a chance below .001 under the
+    law, under the hypothesis that leaves least there; it is then the mean square.
 
     Args:
-        squares: of each hypothesis, squared residuals in units of the law's variance, independent between frames; tensors of
-            one shape.
+        squares: of each hypothesis, squared residuals in units of the law's variance, independent
+            between frames; tensors of one shape.
         phase: of each frame, same shape; frames of number -1 do not count.
 
     Returns:

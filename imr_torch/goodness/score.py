@@ -1,10 +1,13 @@
-"""Test for a gap: directed score tests on the residual of a fit, each in a few directions orthogonal to those fitted.
+"""Test for a gap: directed score tests on the residual of a fit, each in a few directions
+orthogonal to those fitted.
 
-A chi-square over all frames is nearly blind to a small effect, because it tests all directions at once. A block tests the few
-directions in which something definite would show: each effect of the library at a finite step, a generic stress law
-(:mod:`imr_torch.material.closure`), pressure pulses, parameters that change in time or between designs, distortions of the
-output. The smallest p-value over the blocks is calibrated against residuals drawn under the fitted model (Rao's score test;
-parametric bootstrap: Davison & Hinkley, Bootstrap Methods and their Application, 1997, section 4.2).
+A chi-square over all frames is nearly blind to a small effect, because it tests all directions at
+once. A block tests the few directions in which something definite would show: each effect of the
+library at a finite step, a generic stress law (:mod:`imr_torch.material.closure`), pressure pulses,
+parameters that change in time or between designs, distortions of the output. The smallest p-value
+over the blocks is calibrated against residuals drawn under the fitted model (Rao's score test;
+parametric bootstrap: Davison & Hinkley, Bootstrap Methods and their Application, 1997, section
+4.2).
 """
 
 import math
@@ -51,7 +54,9 @@ EVERYTHING = "everything (chi-square)"
 """Name of the test of all residuals together, which only noise that is known allows."""
 STATE_LAW = "generic stress law"
 """Name of the block of the generic closure."""
-_SMALL = 0.05  # amplitude of a first start over the effect's own: so near the null fit that a descent ends below that
+# amplitude of a first start over the effect's own: so near the null fit that a descent ends below
+# that
+_SMALL = 0.05
 _TYPICAL = (0.5, 1.5)  # bounds of that of a second
 
 
@@ -61,8 +66,10 @@ class Block:
 
     Args:
         name: what they stand for.
-        directions: ``N x k`` tensor with orthonormal columns, beside the fitted directions; ``k = 0`` if nothing is left.
-        size: length of the longest direction before it was normalised: how many sd the effect would show at its step.
+        directions: ``N x k`` tensor with orthonormal columns, beside the fitted directions; ``k =
+            0`` if nothing is left.
+        size: length of the longest direction before it was normalised: how many sd the effect would
+            show at its step.
     """
 
     name: str
@@ -88,8 +95,9 @@ class GapTest:
     Args:
         p_value: of the smallest block p-value, calibrated for the number of blocks.
         blocks: each block's own result, smallest p-value first.
-        bias_sigma: root mean square of the residual beyond noise, in single-shot standard deviations; 0 if none. The noise of
-            each phase counts as no more than the residuals leave room for (:func:`imr_torch.goodness.phases.noise_shares`).
+        bias_sigma: root mean square of the residual beyond noise, in single-shot standard
+            deviations; 0 if none. The noise of each phase counts as no more than the residuals
+            leave room for (:func:`imr_torch.goodness.phases.noise_shares`).
         bias_radius: the same in R*.
     """
 
@@ -105,24 +113,35 @@ class GapTest:
 
 
 def effect_directions(
-    effects: Sequence[Effect], fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, line: Linearisation
+    effects: Sequence[Effect],
+    fit: ModelFit,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    line: Linearisation,
 ) -> dict[str, Float[Tensor, "_ rows"]]:
-    """What each effect changes at each of its starts, whitened: name -> ``S x N``; zero for a start that fails."""
+    """What each effect changes at each of its starts, whitened: name -> ``S x N``; zero for a start
+    that fails.
+    """
     starts = [(effect, start) for effect in effects for start in effect.starts]
     changes = [dict(zip(effect.names, start, strict=True)) for effect, start in starts]
-    rows = line.whiten((curves(fit, batch, simulator, changes) - line.prediction).nan_to_num(nan=math.inf))
+    rows = line.whiten(
+        (curves(fit, batch, simulator, changes) - line.prediction).nan_to_num(nan=math.inf)
+    )
     rows = torch.where(torch.isfinite(rows).all(1, keepdim=True), rows, 0.0)
     parts = rows.split([len(effect.starts) for effect in effects])
     return {effect.name: part for effect, part in zip(effects, parts, strict=True)}
 
 
-def promising_starts(effect: Effect, rows: Float[Tensor, "starts rows"], line: Linearisation) -> tuple[tuple[float, ...], ...]:
+def promising_starts(
+    effect: Effect, rows: Float[Tensor, "starts rows"], line: Linearisation
+) -> tuple[tuple[float, ...], ...]:
     """From where to fit an effect: next to its neutral value, and from larger ones.
 
-    Where the data are sharp a start of typical size is far above the null fit, and may end there; a fit only descends, so
-    one that starts beside the null fit ends below it. An effect whose slope vanishes at its neutral value is not seen from
-    near it, so one more start, of the size that the residual asks for, suits an effect of one parameter. One with a shape
-    (the frequency and phase of a sound field, say) has a minimum for each, and the most promising by this test need not be
+    Where the data are sharp a start of typical size is far above the null fit, and may end there; a
+    fit only descends, so one that starts beside the null fit ends below it. An effect whose slope
+    vanishes at its neutral value is not seen from near it, so one more start, of the size that the
+    residual asks for, suits an effect of one parameter. One with a shape (the frequency and phase
+    of a sound field, say) has a minimum for each, and the most promising by this test need not be
     the best: all its starts are taken.
 
     Args:
@@ -135,7 +154,8 @@ def promising_starts(effect: Effect, rows: Float[Tensor, "starts rows"], line: L
     amplitude = (left @ line.residual) / square
     gain = amplitude.clamp_min(0.0) * amplitude * square
     order = torch.argsort(-gain).tolist()
-    best, other = order[0], next((i for i in order[1:2] if float(gain[i]) > 0.0), order[0])
+    best = order[0]
+    other = next((i for i in order[1:2] if float(gain[i]) > 0.0), order[0])
     first, *shape = effect.starts[best]
     small = (_SMALL * first, *shape)
     if len({tuple(others) for _, *others in effect.starts}) > 1:
@@ -157,23 +177,33 @@ def block(name: str, rows: Float[Tensor, "_ rows"], line: Linearisation) -> Bloc
     return Block(name, u[:, s > _RANK * s[0]], size)
 
 
-def generic_blocks(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, line: Linearisation) -> list[Block]:
+def generic_blocks(
+    fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, line: Linearisation
+) -> list[Block]:
     """Blocks that stand for no effect in particular (:func:`generic_rows`)."""
-    return [block(name, rows, line) for name, rows in generic_rows(fit, batch, simulator, line).items()]
+    return [
+        block(name, rows, line) for name, rows in generic_rows(fit, batch, simulator, line).items()
+    ]
 
 
 def generic_rows(
     fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, line: Linearisation
 ) -> dict[str, Float[Tensor, "_ rows"]]:
-    """Whitened rows that stand for no effect: generic stress laws, pulses, drifting parameters, distorted output."""
-    experiments, times = len(batch.experiments), batch.times
+    """Whitened rows that stand for no effect: generic stress laws, pulses, drifting parameters,
+    distorted output.
+    """
+    experiments = len(batch.experiments)
+    times = batch.times
     last = float(times[batch.mask].max())
     changes = [*pulse_changes(batch).values(), *law_steps()]
     rows = line.whiten((curves(fit, batch, simulator, changes) - line.prediction).nan_to_num())
-    pulses, laws = rows[: -len(_LAWS)], rows[-len(_LAWS) :]
+    pulses = rows[: -len(_LAWS)]
+    laws = rows[-len(_LAWS) :]
     data = line.fitted.shape[0] - line.fitted.shape[1]
     gel = torch.nn.functional.pad(line.fitted[:data, : len(fit.mean)].mT, (0, line.fitted.shape[1]))
-    early = torch.nn.functional.pad((times < 0.5 * last).flatten().to(gel), (0, line.fitted.shape[1]))
+    early = torch.nn.functional.pad(
+        (times < 0.5 * last).flatten().to(gel), (0, line.fitted.shape[1])
+    )
     found = {
         STATE_LAW: laws,
         "pulses common to all experiments": pulses,
@@ -181,7 +211,11 @@ def generic_rows(
         "shape of the output": shape_rows(line),
     }
     if experiments > 1:
-        masks = torch.eye(experiments, dtype=torch.float64)[:, :, None].expand(-1, -1, times.shape[1]).flatten(1)
+        masks = (
+            torch.eye(experiments, dtype=torch.float64)[:, :, None]
+            .expand(-1, -1, times.shape[1])
+            .flatten(1)
+        )
         masks = torch.nn.functional.pad(masks, (0, line.fitted.shape[1]))
         found["parameters between designs"] = (masks[:, None] * gel).flatten(0, 1)
         found["pulses in single experiments"] = (masks[:, None] * pulses).flatten(0, 1)
@@ -202,10 +236,17 @@ def pulse_changes(batch: ExperimentBatch) -> dict[float, dict[str, float]]:
 
 
 def shape_rows(line: Linearisation) -> Float[Tensor, "3 rows"]:
-    """``dR/dt``, ``t dR/dt`` and ``d2R/dt2`` of the prediction, by differences between frames; ``3 x N``."""
+    """``dR/dt``, ``t dR/dt`` and ``d2R/dt2`` of the prediction, by differences between frames.
+
+    ``3 x N``.
+    """
     times = line.batch.times
-    slope = torch.stack([torch.gradient(r, spacing=(t,))[0] for r, t in zip(line.prediction, times, strict=True)])
-    bend = torch.stack([torch.gradient(r, spacing=(t,))[0] for r, t in zip(slope, times, strict=True)])
+    slope = torch.stack(
+        [torch.gradient(r, spacing=(t,))[0] for r, t in zip(line.prediction, times, strict=True)]
+    )
+    bend = torch.stack(
+        [torch.gradient(r, spacing=(t,))[0] for r, t in zip(slope, times, strict=True)]
+    )
     return line.whiten(torch.stack((slope, times * slope, bend)))
 
 
@@ -218,7 +259,8 @@ def gap_test(blocks: Sequence[Block], line: Linearisation, *, seed: int) -> GapT
         seed: of the residuals drawn under the fitted model.
     """
     tested = [b for b in blocks if b.directions.shape[1]]
-    names, sizes = [b.name for b in tested], [b.size for b in tested]
+    names = [b.name for b in tested]
+    sizes = [b.size for b in tested]
     source = generator(seed)
     ratios = line.noise_ratios(BOOTSTRAP, generator=source)
     rows = torch.cat((line.residual[None], _drawn_residuals(line, ratios, source)))
@@ -227,14 +269,19 @@ def gap_test(blocks: Sequence[Block], line: Linearisation, *, seed: int) -> GapT
     scales = [(ratios[:_LAWS_DRAWN].square() @ b.directions.square()).mean(1) for b in tested]
     # noise that was inferred from these residuals cannot judge their sum of squares
     if line.batch.noise_laws is None or not tested:
-        names, sizes = [*names, EVERYTHING], [*sizes, math.nan]
-        ranks.append(int(line.batch.mask.sum()))  # as many as frames, since every fitted direction has a prior
+        names = [*names, EVERYTHING]
+        sizes = [*sizes, math.nan]
+        ranks.append(
+            int(line.batch.mask.sum())
+        )  # as many as frames, since every fitted direction has a prior
         statistics.append(rows.square().sum(1))
         scales.append(torch.ones(1, dtype=torch.float64))
     logs = torch.stack([log_survival(s, k) for s, k in zip(statistics, ranks, strict=True)])
     smallest = logs.amin(0)
     count = int((smallest[1:] <= smallest[0]).sum())
-    over_noise = [_mean_log_survival(s[0], k, c) for s, k, c in zip(statistics, ranks, scales, strict=True)]
+    over_noise = [
+        _mean_log_survival(s[0], k, c) for s, k, c in zip(statistics, ranks, scales, strict=True)
+    ]
     bonferroni = min(1.0, len(ranks) * math.exp(min(over_noise)))
     # p-values that the bootstrap cannot resolve: Bonferroni's bound
     p_value = (1 + count) / (1 + BOOTSTRAP) if count else min(bonferroni, 1.0 / (1 + BOOTSTRAP))
@@ -256,7 +303,8 @@ def log_survival(statistic: Float[Tensor, "*batch"], rank: int) -> Float[Tensor,
     """Log of the upper tail of chi-square."""
     tail = torch.special.gammaincc(torch.tensor(0.5 * rank, dtype=torch.float64), 0.5 * statistic)
     # far out the leading term of the asymptotic series keeps the order of the blocks
-    x, a = 0.5 * statistic, 0.5 * rank
+    x = 0.5 * statistic
+    a = 0.5 * rank
     far = (a - 1.0) * x.clamp_min(1e-300).log() - x - math.lgamma(a)
     return torch.where(tail > 1e-250, tail.clamp_min(1e-300).log(), far)
 
@@ -264,9 +312,11 @@ def log_survival(statistic: Float[Tensor, "*batch"], rank: int) -> Float[Tensor,
 def _drawn_residuals(line: Linearisation, ratios: Tensor, source: torch.Generator) -> Tensor:
     """Residuals drawn under the fitted model, ``B x N``.
 
-    Where the noise was inferred from the residuals themselves, drawn ones get the mean square of those observed: under the
-    model that says nothing of their direction, so the test holds whatever the scale of the noise. A mean square that is larger
-    than the uncertainty of the scale allows is a misfit, and counts as no larger than that.
+    Where the noise was inferred from the residuals themselves, drawn ones get the mean square of
+        those observed: under the
+    model that says nothing of their direction, so the test holds whatever the scale of the noise. A
+    mean square that is larger than the uncertainty of the scale allows is a misfit, and counts as
+    no larger than that.
     """
     drawn = torch.randn(ratios.shape, generator=source, dtype=torch.float64)
     laws = line.batch.noise_laws
@@ -286,7 +336,9 @@ def _mean_log_survival(statistic: Tensor, rank: int, scales: Tensor) -> float:
 
 
 def _power(size: float, rank: int, level: float) -> float:
-    """Chance that a block of this size in sd is found at a level: normal approximation of noncentral chi-square."""
+    """Chance that a block of this size in sd is found at a level: normal approximation of
+    noncentral chi-square.
+    """
     if math.isnan(size):
         return math.nan
     return 1.0 - float(chndtr(chdtri(rank, level), rank, size**2))
@@ -298,8 +350,12 @@ def _bias(line: Linearisation) -> tuple[float, float]:
     frames = batch.mask.sum()
     residual = torch.where(batch.mask, batch.mean - line.prediction, 0.0)
     phase = torch.where(batch.mask, phase_numbers(batch.times, line.prediction, batch.mask), -1)
-    own = noise_shares([batch.whiten(residual, line.sd).square()], phase) * (1.0 - line.fitted.shape[1] / len(line.residual))
-    own = torch.where(batch.mask, own / batch.counts.clamp_min(1.0), 0.0)  # variance of the mean, less what the fit absorbs
+    own = noise_shares([batch.whiten(residual, line.sd).square()], phase) * (
+        1.0 - line.fitted.shape[1] / len(line.residual)
+    )
+    own = torch.where(
+        batch.mask, own / batch.counts.clamp_min(1.0), 0.0
+    )  # variance of the mean, less what the fit absorbs
     excess = ((residual / line.sd).square() - own).sum() / frames
     radius = (residual.square() - own * line.sd.square()).sum() / frames
     return float(excess.clamp_min(0.0).sqrt()), float(radius.clamp_min(0.0).sqrt())

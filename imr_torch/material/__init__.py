@@ -1,6 +1,7 @@
 """The gel: parameters, constitutive models, effects, and what is believed of them.
 
-Every module of this folder is imported, so that a new file with a model or an effect registers it by being there.
+Every module of this folder is imported, so that a new file with a model or an effect registers it
+by being there.
 """
 
 import importlib

@@ -1,8 +1,10 @@
-"""Belief: the probability of each constitutive model, and a (truncated) Gaussian for the parameters of each.
+"""Belief: the probability of each constitutive model, and a (truncated) Gaussian for the parameters
+of each.
 
-Prior, ensemble, posterior and model probabilities are this one object. For each model the free parameters are
-``theta_i = T_i(z_i)`` with the marginals ``T_i`` fixed by the prior, and ``z ~ N(mean, chol chol^T)``; a prior has mean 0
-and identity covariance. So truncation is exact, and conditioning on data keeps the form.
+Prior, ensemble, posterior and model probabilities are this one object. For each model the free
+parameters are ``theta_i = T_i(z_i)`` with the marginals ``T_i`` fixed by the prior, and ``z ~
+N(mean, chol chol^T)``; a prior has mean 0 and identity covariance. So truncation is exact, and
+conditioning on data keeps the form.
 """
 
 import json
@@ -30,12 +32,14 @@ _QUADRATURE = 64
 
 @dataclass(frozen=True)
 class Cloud:
-    """Posterior draws of a belief that is curved, so that a Gaussian does not describe it, with the local precision at each.
+    """Posterior draws of a belief that is curved, so that a Gaussian does not describe it, with the
+    local precision at each.
 
     Args:
         controls: of equal weight.
         precisions: of the controls, locally.
-        marginals: quantiles of each control by all draws, weighted, at the probabilities of :attr:`SCORES`.
+        marginals: quantiles of each control by all draws, weighted, at the probabilities of
+            :attr:`SCORES`.
 
     >>> import torch
     >>> from imr_torch import wide_prior
@@ -55,18 +59,30 @@ class Cloud:
     marginals: Float[Tensor, "scores controls"]
 
     def __post_init__(self) -> None:
-        if self.controls.ndim != 2 or self.precisions.shape != (*self.controls.shape, self.controls.shape[-1]):
+        if self.controls.ndim != 2 or self.precisions.shape != (
+            *self.controls.shape,
+            self.controls.shape[-1],
+        ):
             raise InputDataError(
-                f"Cloud: controls have shape {tuple(self.controls.shape)} and precisions {tuple(self.precisions.shape)}; "
+                f"Cloud: controls have shape {tuple(self.controls.shape)} and precisions "
+                f"{tuple(self.precisions.shape)}; "
                 "expected n x d and n x d x d."
             )
-        if self.marginals.shape != (len(self.SCORES), self.controls.shape[1]) or not bool(self.marginals.isfinite().all()):
+        if self.marginals.shape != (len(self.SCORES), self.controls.shape[1]) or not bool(
+            self.marginals.isfinite().all()
+        ):
             raise InputDataError(
-                f"Cloud: marginals have shape {tuple(self.marginals.shape)}; expected {len(self.SCORES)} x "
+                f"Cloud: marginals have shape {tuple(self.marginals.shape)}; expected "
+                f"{len(self.SCORES)} x "
                 f"{self.controls.shape[1]} finite numbers; infer the belief again."
             )
-        if not len(self.controls) or not bool(torch.isfinite(self.controls).all() and torch.isfinite(self.precisions).all()):
-            raise InputDataError("Cloud: controls and precisions must be finite, of at least one draw; infer the belief again.")
+        if not len(self.controls) or not bool(
+            torch.isfinite(self.controls).all() and torch.isfinite(self.precisions).all()
+        ):
+            raise InputDataError(
+                "Cloud: controls and precisions must be finite, of at least one draw; infer the "
+                "belief again."
+            )
 
 
 @dataclass(frozen=True)
@@ -78,9 +94,11 @@ class ModelBelief:
         marginals: one map per free parameter, in the order of ``names``.
         mean: controls (dimensionless).
         chol: Cholesky factor of the control covariance.
-        known: values of the model's independently measured parameters, SI, and of free ones that are held fixed.
-        cloud: posterior draws, where the Gaussian has the moments of the belief but not its shape; from the Gaussian alone,
-            experimental design would expect information that is known already.
+        known: values of the model's independently measured parameters, SI, and of free ones that
+            are held fixed.
+        cloud: posterior draws, where the Gaussian has the moments of the belief but not its shape;
+            from the Gaussian alone, experimental design would expect information that is known
+            already.
 
     >>> from imr_torch import wide_prior
     >>> part = wide_prior(["nhkv"])["nhkv"]
@@ -101,25 +119,36 @@ class ModelBelief:
         kind = material(self.model)
         if not set(kind.known) <= set(self.known) <= set(kind.names):
             raise InputDataError(
-                f"Model {self.model!r} needs known {list(kind.known) or 'nothing'} and may have others of {list(kind.names)}; "
+                f"Model {self.model!r} needs known {list(kind.known) or 'nothing'} and may have "
+                f"others of {list(kind.names)}; "
                 f"got {list(self.known) or 'nothing'}."
             )
         for name, value in self.known.items():
             PARAMETERS.check(name, torch.tensor(value))
         d = len(self.names)
         if d == 0:
-            raise InputDataError(f"Model {self.model!r}: {list(self.known)} are known, and nothing is left to infer.")
+            raise InputDataError(
+                f"Model {self.model!r}: {list(self.known)} are known, and nothing is left to infer."
+            )
         if len(self.marginals) != d:
-            raise InputDataError(f"Model {self.model!r} has free parameters {self.names}; got {len(self.marginals)} marginals.")
+            raise InputDataError(
+                f"Model {self.model!r} has free parameters {self.names}; got "
+                f"{len(self.marginals)} marginals."
+            )
         if self.mean.shape != (d,) or self.chol.shape != (d, d):
             raise InputDataError(
                 f"Model {self.model!r}: expected mean of shape ({d},) and chol of ({d}, {d}), "
                 f"got {tuple(self.mean.shape)} and {tuple(self.chol.shape)}."
             )
         triangular = torch.equal(self.chol, self.chol.tril())
-        if not (bool(torch.isfinite(self.mean).all()) and triangular and bool((self.chol.diagonal() > 0.0).all())):
+        if not (
+            bool(torch.isfinite(self.mean).all())
+            and triangular
+            and bool((self.chol.diagonal() > 0.0).all())
+        ):
             raise InputDataError(
-                f"Model {self.model!r}: mean must be finite and the diagonal of chol positive, with chol lower triangular."
+                f"Model {self.model!r}: mean must be finite and the diagonal of chol positive, "
+                "with chol lower triangular."
             )
 
     @cached_property
@@ -134,77 +163,117 @@ class ModelBelief:
 
     @cached_property
     def of_gel(self) -> tuple[str, ...]:
-        """Those of the constitutive model: not what is inferred of the medium, and not of effects beside it."""
+        """Those of the constitutive model: not what is inferred of the medium, and not of effects
+        beside it.
+        """
         own = material(self.model.split("+")[0]).free
         return tuple(name for name in self.names if name in own)
 
     def controls(self, count: int, *, seed: SeedLike) -> Float[Tensor, "count controls"]:
         """``count x d`` independent draws of the controls."""
-        noise = torch.randn(count, len(self.names), generator=generator(seed), dtype=self.mean.dtype)
+        noise = torch.randn(
+            count, len(self.names), generator=generator(seed), dtype=self.mean.dtype
+        )
         return self.unwhitened(noise.to(self.mean.device))
 
-    def physical(self, controls: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch controls"]:
+    def physical(
+        self, controls: Float[Tensor, "*batch controls"]
+    ) -> Float[Tensor, "*batch controls"]:
         """Free parameters in SI at controls."""
         columns = [m.to_physical(controls[..., i]) for i, m in enumerate(self.marginals)]
         return torch.stack(columns, dim=-1)
 
-    def to_controls(self, values: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch controls"]:
+    def to_controls(
+        self, values: Float[Tensor, "*batch controls"]
+    ) -> Float[Tensor, "*batch controls"]:
         """Inverse of :meth:`physical`."""
         columns = [m.to_control(values[..., i]) for i, m in enumerate(self.marginals)]
         return torch.stack(columns, dim=-1)
 
-    def parameters(self, controls: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch parameters"]:
+    def parameters(
+        self, controls: Float[Tensor, "*batch controls"]
+    ) -> Float[Tensor, "*batch parameters"]:
         """Shared parameter vectors at controls, SI; what is not of the model is neutral."""
         values = self.physical(controls)
         packed = PARAMETERS.neutral(*values.shape[:-1], dtype=values.dtype).to(values.device)
         for name, value in self.known.items():
             packed[..., PARAMETERS.index([name])[0]] = value
-        return packed.index_copy(-1, torch.tensor(PARAMETERS.index(self.names), device=values.device), values)
+        return packed.index_copy(
+            -1, torch.tensor(PARAMETERS.index(self.names), device=values.device), values
+        )
 
-    def unwhitened(self, whitened: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch controls"]:
+    def unwhitened(
+        self, whitened: Float[Tensor, "*batch controls"]
+    ) -> Float[Tensor, "*batch controls"]:
         """Controls at coordinates in which this belief is a standard normal."""
         return self.mean + whitened @ self.chol.mT
 
-    def to_si(self, whitened: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch parameters"]:
+    def to_si(
+        self, whitened: Float[Tensor, "*batch controls"]
+    ) -> Float[Tensor, "*batch parameters"]:
         """Shared parameter vectors at coordinates in which this belief is a standard normal, SI."""
         return self.parameters(self.unwhitened(whitened))
 
-    def log_prob_controls(self, controls: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch"]:
+    def log_prob_controls(
+        self, controls: Float[Tensor, "*batch controls"]
+    ) -> Float[Tensor, "*batch"]:
         """Log density of the Gaussian at controls."""
         d = len(self.names)
-        whitened = torch.linalg.solve_triangular(self.chol, (controls - self.mean)[..., None], upper=False)[..., 0]
+        whitened = torch.linalg.solve_triangular(
+            self.chol, (controls - self.mean)[..., None], upper=False
+        )[..., 0]
         constant = -0.5 * d * math.log(2.0 * math.pi) - torch.log(self.chol.diagonal()).sum()
         return constant - 0.5 * whitened.square().sum(-1)
 
     def log_prob(self, values: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch"]:
-        """Log density of free parameters in SI: ``... x d`` to ``...`` (per product of their units); ``-inf`` outside."""
-        bounds = torch.tensor([(m.lower, m.upper) for m in self.marginals], dtype=values.dtype, device=values.device)
+        """Log density of free parameters in SI: ``... x d`` to ``...`` (per product of their
+        units); ``-inf`` outside.
+        """
+        bounds = torch.tensor(
+            [(m.lower, m.upper) for m in self.marginals], dtype=values.dtype, device=values.device
+        )
         inside = ((values >= bounds[:, 0]) & (values <= bounds[:, 1])).all(-1)
-        controls = self.to_controls(torch.where(inside[..., None], values, self.physical(self.mean)))
+        controls = self.to_controls(
+            torch.where(inside[..., None], values, self.physical(self.mean))
+        )
         slopes = sum(m.log_slope(controls[..., i]) for i, m in enumerate(self.marginals))
         density = self.log_prob_controls(controls) - slopes
         return torch.where(inside & ~torch.isnan(density), density, -math.inf)
 
-    def quantile(self, levels: Sequence[float] | Float[Tensor, "levels"]) -> Float[Tensor, "levels controls"]:
-        """Quantiles of each marginal: ``levels`` (n) to ``n x d``, SI; of the draws where the belief has a cloud.
+    def quantile(
+        self, levels: Sequence[float] | Float[Tensor, "levels"]
+    ) -> Float[Tensor, "levels controls"]:
+        """Quantiles of each marginal: ``levels`` (n) to ``n x d``, SI; of the draws where the
+        belief has a cloud.
 
         Those of a Gaussian are exact, since each map is monotone.
         """
-        scores = torch.special.ndtri(torch.as_tensor(levels, dtype=self.mean.dtype, device=self.mean.device))
+        scores = torch.special.ndtri(
+            torch.as_tensor(levels, dtype=self.mean.dtype, device=self.mean.device)
+        )
         if self.cloud is None:
             return self.physical(self.mean + torch.linalg.norm(self.chol, dim=-1) * scores[:, None])
         known = torch.tensor(Cloud.SCORES, dtype=self.mean.dtype, device=self.mean.device)
         right = torch.searchsorted(known, scores).clamp(1, len(known) - 1)
-        share = ((scores - known[right - 1]) / (known[right] - known[right - 1])).clamp(0.0, 1.0)[:, None]
-        return self.physical(torch.lerp(self.cloud.marginals[right - 1], self.cloud.marginals[right], share))
+        share = ((scores - known[right - 1]) / (known[right] - known[right - 1])).clamp(0.0, 1.0)[
+            :, None
+        ]
+        return self.physical(
+            torch.lerp(self.cloud.marginals[right - 1], self.cloud.marginals[right], share)
+        )
 
     @cached_property
     def _nodes(self) -> tuple[Tensor, Tensor]:
         """Gauss-Hermite nodes (``n x d`` controls of each marginal) and weights (``n``)."""
         nodes, weights = np.polynomial.hermite_e.hermegauss(_QUADRATURE)
         sd = torch.linalg.norm(self.chol, dim=-1)
-        z = self.mean + sd * torch.as_tensor(nodes, dtype=self.mean.dtype, device=self.mean.device)[:, None]
-        return z, torch.as_tensor(weights / weights.sum(), dtype=self.mean.dtype, device=self.mean.device)
+        z = (
+            self.mean
+            + sd * torch.as_tensor(nodes, dtype=self.mean.dtype, device=self.mean.device)[:, None]
+        )
+        return z, torch.as_tensor(
+            weights / weights.sum(), dtype=self.mean.dtype, device=self.mean.device
+        )
 
     @property
     def means(self) -> Float[Tensor, "controls"]:
@@ -226,7 +295,9 @@ class ModelBelief:
         z, weights = self._nodes
         return gaussian + sum(weights @ m.log_slope(z[:, i]) for i, m in enumerate(self.marginals))
 
-    def with_gaussian(self, mean: Float[Tensor, "controls"], chol: Float[Tensor, "controls controls"]) -> "ModelBelief":
+    def with_gaussian(
+        self, mean: Float[Tensor, "controls"], chol: Float[Tensor, "controls controls"]
+    ) -> "ModelBelief":
         """The same maps with another Gaussian of the controls, and no cloud."""
         return replace(self, mean=mean, chol=chol, cloud=None)
 
@@ -236,7 +307,8 @@ class ModelBelief:
 
 
 def beside(part: ModelBelief, priors: Mapping[str, Marginal]) -> ModelBelief:
-    """A model with further parameters freed, independent of the others: effects, or properties of the medium.
+    """A model with further parameters freed, independent of the others: effects, or properties of
+    the medium.
 
     Args:
         part: the belief of the model; it keeps its Gaussian.
@@ -264,21 +336,32 @@ def beside(part: ModelBelief, priors: Mapping[str, Marginal]) -> ModelBelief:
 
 def _part_from_dict(entry: Mapping[str, Any]) -> ModelBelief:
     """One model's part of a saved belief."""
-    if tuple(entry["names"]) != tuple(name for name in material(entry["model"]).free if name not in entry["known"]):
-        raise InputDataError(f"Saved parameters {entry['names']} are not those of {entry['model']!r}.")
+    if tuple(entry["names"]) != tuple(
+        name for name in material(entry["model"]).free if name not in entry["known"]
+    ):
+        raise InputDataError(
+            f"Saved parameters {entry['names']} are not those of {entry['model']!r}."
+        )
     mean = torch.tensor(entry["mean"], dtype=torch.float64)
     chol = torch.tensor(entry["chol"], dtype=torch.float64).reshape(len(mean), len(mean))
     marginals = tuple(marginal_from_dict(m) for m in entry["marginals"])
     if not isinstance(entry["known"], Mapping) or not bool(torch.isfinite(chol).all()):
-        raise InputDataError(f"Saved belief of {entry['model']!r}: 'known' must be an object, and 'chol' finite.")
+        raise InputDataError(
+            f"Saved belief of {entry['model']!r}: 'known' must be an object, and 'chol' finite."
+        )
     part = ModelBelief(entry["model"], marginals, mean, chol, dict(entry["known"]))
     cloud = entry.get("cloud")
     if cloud is None:
         return part
     names = ("controls", "precisions", "marginals")
-    controls, precisions, quantiles = (torch.tensor(cloud[name], dtype=torch.float64) for name in names)
+    controls, precisions, quantiles = (
+        torch.tensor(cloud[name], dtype=torch.float64) for name in names
+    )
     if controls.ndim == 2 and controls.shape[1] != len(mean):
-        raise InputDataError(f"Saved cloud of {entry['model']!r} has {controls.shape[1]} parameters; expected {len(mean)}.")
+        raise InputDataError(
+            f"Saved cloud of {entry['model']!r} has {controls.shape[1]} parameters; expected "
+            f"{len(mean)}."
+        )
     return part.with_cloud(Cloud(controls, precisions, quantiles))
 
 
@@ -338,11 +421,16 @@ class Belief:
         keys = [m.model for m in self.models]
         if not keys or len(set(keys)) != len(keys):
             raise InputDataError(f"A belief needs at least one model and each once, got {keys}.")
-        if self.log_probabilities.shape != (len(keys),) or bool(torch.isnan(self.log_probabilities).any()):
+        if self.log_probabilities.shape != (len(keys),) or bool(
+            torch.isnan(self.log_probabilities).any()
+        ):
             raise InputDataError(
-                f"log_probabilities must be {len(keys)} numbers, one for each of {keys}; got {self.log_probabilities.tolist()}."
+                f"log_probabilities must be {len(keys)} numbers, one for each of {keys}; got "
+                f"{self.log_probabilities.tolist()}."
             )
-        object.__setattr__(self, "log_probabilities", torch.log_softmax(self.log_probabilities, dim=0))
+        object.__setattr__(
+            self, "log_probabilities", torch.log_softmax(self.log_probabilities, dim=0)
+        )
 
     @classmethod
     def prior(
@@ -355,32 +443,62 @@ class Belief:
         """A belief with independent parameters.
 
         Args:
-            models: model key -> parameter name -> marginal, one for each free parameter of the model.
+            models: model key -> parameter name -> marginal, one for each free parameter of the
+                model.
             probabilities: model key -> prior probability; equal when not given.
-            known: values of parameters that are measured independently, SI; those without a marginal are not inferred.
+            known: values of parameters that are measured independently, SI; those without a
+                marginal are not inferred.
 
         Raises:
-            InputDataError: for an unknown model or parameter, a missing marginal, or probabilities that do not fit.
+            InputDataError: for an unknown model or parameter, a missing marginal, or probabilities
+                that do not fit.
         """
         parts = []
         for key, marginals in models.items():
             kind = material(key)
-            free = tuple(name for name in kind.free if name in marginals or name not in (known or {}))
+            free = tuple(
+                name for name in kind.free if name in marginals or name not in (known or {})
+            )
             if set(marginals) != set(free):
-                raise InputDataError(f"Model {key!r} needs a prior of each of {free}; got {tuple(marginals)}.")
+                raise InputDataError(
+                    f"Model {key!r} needs a prior of each of {free}; got {tuple(marginals)}."
+                )
             missing = [name for name in kind.known if name not in (known or {})]
             if missing:
-                raise InputDataError(f"Model {key!r} takes {missing} as known; give its value in SI units in `known`.")
+                raise InputDataError(
+                    f"Model {key!r} takes {missing} as known; give its value in SI units in "
+                    "`known`."
+                )
             d = len(free)
-            fixed = {name: float(value) for name, value in (known or {}).items() if name in kind.names and name not in free}
+            fixed = {
+                name: float(value)
+                for name, value in (known or {}).items()
+                if name in kind.names and name not in free
+            }
             ordered = tuple(marginals[name] for name in free)
             parts.append(
-                ModelBelief(key, ordered, torch.zeros(d, dtype=torch.float64), torch.eye(d, dtype=torch.float64), fixed)
+                ModelBelief(
+                    key,
+                    ordered,
+                    torch.zeros(d, dtype=torch.float64),
+                    torch.eye(d, dtype=torch.float64),
+                    fixed,
+                )
             )
         weights = probabilities or dict.fromkeys(models, 1.0)
-        if set(weights) != set(models) or not all(0.0 <= w < math.inf for w in weights.values()) or sum(weights.values()) <= 0:
-            raise InputDataError(f"probabilities must be non-negative, one for each of {list(models)}; got {dict(weights)}.")
-        return cls(tuple(parts), torch.log(torch.tensor([weights[key] for key in models], dtype=torch.float64)))
+        if (
+            set(weights) != set(models)
+            or not all(0.0 <= w < math.inf for w in weights.values())
+            or sum(weights.values()) <= 0
+        ):
+            raise InputDataError(
+                f"probabilities must be non-negative, one for each of {list(models)}; got "
+                f"{dict(weights)}."
+            )
+        return cls(
+            tuple(parts),
+            torch.log(torch.tensor([weights[key] for key in models], dtype=torch.float64)),
+        )
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -401,12 +519,16 @@ class Belief:
         for part in self.models:
             if part.model == key:
                 return part
-        raise InputDataError(f"Model {key!r} is not part of this belief; it holds {', '.join(self.keys)}.")
+        raise InputDataError(
+            f"Model {key!r} is not part of this belief; it holds {', '.join(self.keys)}."
+        )
 
     def sample(self, count: int, *, seed: SeedLike) -> Draws:
         """``count`` joint draws of model and parameters."""
         source = generator(seed)
-        index = torch.multinomial(self.log_probabilities.exp().cpu(), count, replacement=True, generator=source)
+        index = torch.multinomial(
+            self.log_probabilities.exp().cpu(), count, replacement=True, generator=source
+        )
         parameters = PARAMETERS.neutral(count)
         for i, part in enumerate(self.models):
             chosen = index == i
@@ -424,7 +546,9 @@ class Belief:
         return result
 
     def entropy(self) -> Float[Tensor, ""]:
-        """Entropy of model and parameters together, in nats: ``H(model) + E[H(parameters | model)]``."""
+        """Entropy of model and parameters together, in nats: ``H(model) + E[H(parameters |
+        model)]``.
+        """
         weights = self.log_probabilities.exp()
         models = -torch.xlogy(weights, weights).sum()
         return models + (weights * torch.stack([part.entropy() for part in self.models])).sum()
@@ -433,7 +557,9 @@ class Belief:
         """JSON-ready values; floats keep every bit."""
         return {
             "format": "imr_torch belief 1",
-            "log_probabilities": [None if math.isinf(v) else v for v in self.log_probabilities.tolist()],
+            "log_probabilities": [
+                None if math.isinf(v) else v for v in self.log_probabilities.tolist()
+            ],
             "models": [_part_to_dict(part) for part in self.models],
         }
 
@@ -442,23 +568,33 @@ class Belief:
         """Inverse of :meth:`to_dict`.
 
         Raises:
-            InputDataError: if the document is not a belief, or its parameter names differ from the models'.
+            InputDataError: if the document is not a belief, or its parameter names differ from the
+                models'.
         """
         found = document.get("format") if isinstance(document, Mapping) else type(document).__name__
         if found != "imr_torch belief 1":
-            raise InputDataError(f"Expected a document of the format 'imr_torch belief 1', got {found!r}.")
+            raise InputDataError(
+                f"Expected a document of the format 'imr_torch belief 1', got {found!r}."
+            )
         try:
             parts = tuple(_part_from_dict(entry) for entry in document["models"])
             logs = [-math.inf if v is None else float(v) for v in document["log_probabilities"]]
             log_probabilities = torch.tensor(logs, dtype=torch.float64)
             if bool(torch.isposinf(log_probabilities).any()):
-                raise InputDataError("A log probability of the saved belief is infinite; expected 0 at most, or null for none.")
+                raise InputDataError(
+                    "A log probability of the saved belief is infinite; expected 0 at most, or "
+                    "null for none."
+                )
             belief = cls(parts, log_probabilities)
         except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
             if isinstance(error, InputDataError):
                 raise
-            raise InputDataError(f"The document is not a whole belief ({type(error).__name__}: {error}).") from None
-        object.__setattr__(belief, "log_probabilities", log_probabilities)  # normalising twice would change the last bit
+            raise InputDataError(
+                f"The document is not a whole belief ({type(error).__name__}: {error})."
+            ) from None
+        object.__setattr__(
+            belief, "log_probabilities", log_probabilities
+        )  # normalising twice would change the last bit
         return belief
 
     def save(self, path: str | Path) -> None:
@@ -467,10 +603,18 @@ class Belief:
 
     @classmethod
     def load(cls, path: str | Path) -> "Belief":
-        """Read a belief that :meth:`save` wrote, or the belief in a result that the command line wrote as JSON."""
+        """Read a belief that :meth:`save` wrote, or the belief in a result that the command line
+        wrote as JSON.
+        """
         try:
             document = json.loads(Path(path).read_text(encoding="utf-8"))
             document = document.get("belief", document) if isinstance(document, dict) else document
             return cls.from_dict(document)
-        except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError, InputDataError) as error:
+        except (
+            OSError,
+            UnicodeDecodeError,
+            json.JSONDecodeError,
+            RecursionError,
+            InputDataError,
+        ) as error:
             raise InputDataError(f"{path}: not a saved belief ({error}).") from None

@@ -1,4 +1,5 @@
-"""Priors that ship with the toolkit: the two synthetic reference cases of the literature, and wide ones for new gels.
+"""Priors that ship with the toolkit: the two synthetic reference cases of the literature, and wide
+ones for new gels.
 
 Reference cases: Chu, Estrada & Bryngelson, arXiv 2409.00011 (2024), polyacrylamide (PA) gels.
 """
@@ -93,16 +94,24 @@ def reference_case(key: str) -> ReferenceCase:
     return CASES[key]
 
 
-def wide_prior(models: Sequence[str] = ("newtonian", "nhkv", "gen_qkv"), *, known: Mapping[str, float] | None = None) -> Belief:
-    """A belief for a soft gel of which nothing is known: G within 1-25 kPa and mu within .03-.3 Pa s at 68 %.
+def wide_prior(
+    models: Sequence[str] = ("newtonian", "nhkv", "gen_qkv"),
+    *,
+    known: Mapping[str, float] | None = None,
+) -> Belief:
+    """A belief for a soft gel of which nothing is known: G within 1-25 kPa and mu within .03-.3 Pa
+    s at 68 %.
 
     Args:
-        models: candidate models, equally probable. Priors are those that their parameters were registered with.
-        known: values of parameters that are measured independently, SI. They are not inferred in any model, except that what
-            one model of several takes as measured (qKV: the quasi-static G) is known in that one alone.
+        models: candidate models, equally probable. Priors are those that their parameters were
+            registered with.
+        known: values of parameters that are measured independently, SI. They are not inferred in
+            any model, except that what one model of several takes as measured (qKV: the
+            quasi-static G) is known in that one alone.
 
     Raises:
-        InputDataError: for an unknown model, one named twice, a parameter without a default prior, a known one of no model.
+        InputDataError: for an unknown model, one named twice, a parameter without a default prior,
+            a known one of no model.
 
     >>> from imr_torch import wide_prior
     >>> belief = wide_prior(["nhkv", "gen_qkv"])
@@ -116,13 +125,17 @@ def wide_prior(models: Sequence[str] = ("newtonian", "nhkv", "gen_qkv"), *, know
     for name in fixed:
         if name not in of_models:
             raise InputDataError(
-                f"known: {name!r} is a parameter of none of {', '.join(models)}; these have {sorted(of_models)}."
+                f"known: {name!r} is a parameter of none of {', '.join(models)}; these have "
+                f"{sorted(of_models)}."
             )
     repeated = [key for key in dict.fromkeys(models) if list(models).count(key) > 1]
     if repeated or not models:
         raise InputDataError(f"models is {list(models)}; name at least one model, each once.")
     held = set(fixed) - {name for key in models for name in material(key).known}
-    priors = {key: {name: _default(key, name) for name in material(key).free if name not in held} for key in models}
+    priors = {
+        key: {name: _default(key, name) for name in material(key).free if name not in held}
+        for key in models
+    }
     return Belief.prior(priors, known=fixed)
 
 
@@ -131,7 +144,8 @@ def _default(model: str, name: str) -> Marginal:
     prior = PARAMETERS[name].prior
     if prior is None:
         raise InputDataError(
-            f"Parameter {name!r} of model {model!r} has no default prior; register it with one (Parameter(..., prior=...)) or "
+            f"Parameter {name!r} of model {model!r} has no default prior; register it with one "
+            "(Parameter(..., prior=...)) or "
             "give the priors yourself (Belief.prior)."
         )
     return prior

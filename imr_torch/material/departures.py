@@ -1,7 +1,9 @@
-"""Stress terms for damage of modulus and viscosity, a yield stress, a graded modulus and a permanent set.
+"""Stress terms for damage of modulus and viscosity, a yield stress, a graded modulus and a
+permanent set.
 
-Each is a correction to a model's elastic stress with one parameter, neutral at zero, so that it can be added to any model and
-inferred with it. They are simple closures that act where the effect does, not complete constitutive laws.
+Each is a correction to a model's elastic stress with one parameter, neutral at zero, so that it can
+be added to any model and inferred with it. They are simple closures that act where the effect does,
+not complete constitutive laws.
 """
 
 from imr_torch.elementary import Scalar, log, sqrt, where
@@ -12,7 +14,9 @@ from imr_torch.material.viscous import newtonian
 _SLOWEST = 0.1  # shear rate below which a yield stress is left out
 
 
-def _elastic(radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, alpha: Scalar) -> tuple[Scalar, Scalar]:
+def _elastic(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, alpha: Scalar
+) -> tuple[Scalar, Scalar]:
     """Value and rate of the elastic stress of the models that may be damaged or set."""
     value, rate, _ = neo_hookean(radius, velocity, rest_radius, G)
     more, more_rate, _ = stiffening(radius, velocity, rest_radius, G, alpha)
@@ -20,7 +24,9 @@ def _elastic(radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, a
 
 
 def _strain_rate(radius: Scalar, velocity: Scalar) -> Scalar:
-    """``|U|/R``, rounded off at small velocities: its time integral is the accumulated strain at the wall."""
+    """``|U|/R``, rounded off at small velocities: its time integral is the accumulated strain at
+    the wall.
+    """
     return (sqrt(velocity * velocity + SMOOTH * SMOOTH) - SMOOTH) / radius
 
 
@@ -34,11 +40,13 @@ def damaged(
     damage: Scalar,
     healing: Scalar,
 ) -> tuple[Scalar, ...]:
-    """Softening with accumulated strain: ``S_e (1 - D)``, ``D' = k (1 - D) |U|/R - D/t_h``. The state is ``D``.
+    """Softening with accumulated strain: ``S_e (1 - D)``, ``D' = k (1 - D) |U|/R - D/t_h``. The
+    state is ``D``.
 
-    Strain breaks a share of the bonds that carry the elastic stress; with healing they form anew at the rate ``1/t_h``, as in
-    gels with transient crosslinks (Long, Mayumi, Creton, Narita & Hui, Macromolecules 47, 2014). A modulus that falls over the
-    event is reported by Spratt et al. (J. Mech. Phys. Solids 152, 2021).
+    Strain breaks a share of the bonds that carry the elastic stress; with healing they form anew at
+    the rate ``1/t_h``, as in gels with transient crosslinks (Long, Mayumi, Creton, Narita & Hui,
+    Macromolecules 47, 2014). A modulus that falls over the event is reported by Spratt et al. (J.
+    Mech. Phys. Solids 152, 2021).
     """
     value, rate = _elastic(radius, velocity, rest_radius, G, alpha)
     growth = damage * (1.0 - lost) * _strain_rate(radius, velocity) - healing * lost
@@ -61,11 +69,13 @@ def thinned_by_damage(
     tau_ucm: Scalar,
     viscous_damage: Scalar,
 ) -> tuple[Scalar, ...]:
-    """Viscosity that falls with accumulated strain: ``S_v (1 - D)``, ``D' = k (1 - D) |U|/R``. The state is ``D``.
+    """Viscosity that falls with accumulated strain: ``S_v (1 - D)``, ``D' = k (1 - D) |U|/R``. The
+    state is ``D``.
 
-    ``S_v`` is the Newtonian stress. An apparent viscosity that falls over the event and levels off as the motion fades is
-    reported for polyacrylamide by Chu et al. (arXiv 2606.13584). A viscous stress that relaxes is left alone: its law replaces
-    the Newtonian one, of which nothing is left to take.
+    ``S_v`` is the Newtonian stress. An apparent viscosity that falls over the event and levels off
+    as the motion fades is reported for polyacrylamide by Chu et al. (arXiv 2606.13584). A viscous
+    stress that relaxes is left alone: its law replaces the Newtonian one, of which nothing is left
+    to take.
     """
     instant = where(tau + tau_sls + tau_sns + tau_ucm > 0.0, 0.0, mu)
     value, rate, acceleration = newtonian(radius, velocity, rest_radius, instant)
@@ -73,10 +83,14 @@ def thinned_by_damage(
     return -lost * value, -growth * value - lost * rate, -lost * acceleration, growth
 
 
-def yielding(radius: Scalar, velocity: Scalar, rest_radius: Scalar, yield_stress: Scalar) -> tuple[Scalar, ...]:
-    """A yield stress: ``S = -2 tau_y sign(U) ln(r_y/R)``, with ``r_y`` where the shear rate falls to a slow one.
+def yielding(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, yield_stress: Scalar
+) -> tuple[Scalar, ...]:
+    """A yield stress: ``S = -2 tau_y sign(U) ln(r_y/R)``, with ``r_y`` where the shear rate falls
+    to a slow one.
 
-    The shear rate falls as ``r^-3``, so ``ln(r_y/R)`` is a third of the log of the shear rate at the wall over the slow one.
+    The shear rate falls as ``r^-3``, so ``ln(r_y/R)`` is a third of the log of the shear rate at
+    the wall over the slow one.
     """
     strain = velocity / radius
     ratio = strain / _SLOWEST
@@ -88,18 +102,27 @@ def yielding(radius: Scalar, velocity: Scalar, rest_radius: Scalar, yield_stress
     extent = log(square) / 6.0
     scale = -2.0 * yield_stress
     by_strain = direction * ratio / (3.0 * square * _SLOWEST) + extent / (SMOOTH * rounded * root)
-    return scale * direction * extent, -scale * by_strain * strain * strain, scale * by_strain / radius
+    return (
+        scale * direction * extent,
+        -scale * by_strain * strain * strain,
+        scale * by_strain / radius,
+    )
 
 
-def graded(radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, graded_modulus: Scalar) -> tuple[Scalar, ...]:
-    """A modulus ``G (1 + g (R_inf/r_0)^3)`` of the gel at rest: harder (or softer) towards the bubble.
+def graded(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, graded_modulus: Scalar
+) -> tuple[Scalar, ...]:
+    """A modulus ``G (1 + g (R_inf/r_0)^3)`` of the gel at rest: harder (or softer) towards the
+    bubble.
 
-    With the hoop stretch ``b``, ``(R_inf/r_0)^3 = (b^3 - 1)/(l^3 - 1)``: ``S = -2 G g int (b^2 - b^-4)/(l^3 - 1) d ln b`` from
-    1 to ``l``, which is ``-2 G g (l^3 - 1) q`` with ``q = ((l + 1)/(2 l^2 (l^2 + l + 1)))^2 (2 l^2 + 1)``.
+    With the hoop stretch ``b``, ``(R_inf/r_0)^3 = (b^3 - 1)/(l^3 - 1)``: ``S = -2 G g int (b^2 -
+    b^-4)/(l^3 - 1) d ln b`` from 1 to ``l``, which is ``-2 G g (l^3 - 1) q`` with ``q = ((l + 1)/(2
+    l^2 (l^2 + l + 1)))^2 (2 l^2 + 1)``.
     """
     stretch = radius / rest_radius
     inverse = rest_radius / radius
-    square, cube = stretch * stretch, stretch * stretch * stretch
+    square = stretch * stretch
+    cube = stretch * stretch * stretch
     root = (stretch + 1.0) / (2.0 * square * (square + stretch + 1.0))
     q = root * root * (2.0 * square + 1.0)
     slope = inverse * (1.0 + inverse * inverse * inverse) - 3.0 * cube * q  # of (l^3 - 1) q in ln l
@@ -108,11 +131,18 @@ def graded(radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, gra
 
 
 def stretched(
-    radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, alpha: Scalar, permanent_set: Scalar
+    radius: Scalar,
+    velocity: Scalar,
+    rest_radius: Scalar,
+    G: Scalar,
+    alpha: Scalar,
+    permanent_set: Scalar,
 ) -> tuple[Scalar, ...]:
-    """A permanent set from the growth of the bubble: its elastic stress is referred to ``R_inf (1 + s (1/R_inf - 1))``.
+    """A permanent set from the growth of the bubble: its elastic stress is referred to ``R_inf (1 +
+    s (1/R_inf - 1))``.
 
-    The gas is not: it still rests at ``R_inf``. The set grows with the stretch ``1/R_inf`` at the maximum radius.
+    The gas is not: it still rests at ``R_inf``. The set grows with the stretch ``1/R_inf`` at the
+        maximum radius.
     """
     moved = rest_radius + permanent_set * (1.0 - rest_radius)
     value, rate = _elastic(radius, velocity, moved, G, alpha)

@@ -1,11 +1,13 @@
-"""Effects as plug-ins: one definition holds an effect's parameters, priors, what it needs of a gel, and its physics.
+"""Effects as plug-ins: one definition holds an effect's parameters, priors, what it needs of a gel,
+and its physics.
 
-An effect frees one or more entries of the parameter vector that a model leaves neutral. Simulators ask the library which
-effects act in a batch and apply their laws; a diagnosis asks it which effects it may name. The laws are functions of scalars
-(:mod:`imr_torch.elementary`), so both engines use them; effects of the gel act through a stress term, effects of the camera
-through :mod:`imr_torch.observe.distortion`. Those of the package are declared in :mod:`imr_torch.material.effects`, and the
-stages that hold their physics attach it by name (:func:`give_physics`). A user adds an effect by registering its parameter and
-one :class:`Effect`.
+An effect frees one or more entries of the parameter vector that a model leaves neutral. Simulators
+ask the library which effects act in a batch and apply their laws; a diagnosis asks it which effects
+it may name. The laws are functions of scalars (:mod:`imr_torch.elementary`), so both engines use
+them; effects of the gel act through a stress term, effects of the camera through
+:mod:`imr_torch.observe.distortion`. Those of the package are declared in
+:mod:`imr_torch.material.effects`, and the stages that hold their physics attach it by name
+(:func:`give_physics`). A user adds an effect by registering its parameter and one :class:`Effect`.
 """
 
 import inspect
@@ -21,31 +23,42 @@ from imr_torch.material.parameters import PARAMETERS
 
 Place = Literal["material", "gas", "liquid", "geometry", "driving", "measurement"]
 
-_LAWS = {"setting": 1, "gas_loss": 3, "vapour": 1, "far_field": 1}  # what acts, and its arguments before the parameters
+_LAWS = {
+    "setting": 1,
+    "gas_loss": 3,
+    "vapour": 1,
+    "far_field": 1,
+}  # what acts, and its arguments before the parameters
 
 
 @dataclass(frozen=True, eq=False)
 class Effect:
     """One effect.
 
-    The arguments of its laws that are left open below, ``*parameters``, are the effect's parameters, dimensionless, in the
-    order of ``priors``. An effect whose law is None does nothing there.
+    The arguments of its laws that are left open below, ``*parameters``, are the effect's
+    parameters, dimensionless, in the order of ``priors``. An effect whose law is None does nothing
+    there.
 
     Args:
         name: what a diagnosis calls it.
         meaning: one phrase for reports.
         place: where it acts.
-        priors: parameter -> prior; the first is the amplitude, neutral at zero, the others say what it looks like.
-        starts: values of the parameters, in the order of ``priors``, from which fits start and at which scores are taken; for
-            one parameter with a truncated normal prior two are chosen by default.
-        group: effects of one group, the same to first order or shapes of one thing, are reported as one class.
+        priors: parameter -> prior; the first is the amplitude, neutral at zero, the others say what
+            it looks like.
+        starts: values of the parameters, in the order of ``priors``, from which fits start and at
+            which scores are taken; for one parameter with a truncated normal prior two are chosen
+            by default.
+        group: effects of one group, the same to first order or shapes of one thing, are reported as
+            one class.
         needs: a parameter that the base model must have for the effect to act on.
-        setting: ``setting(setting, *parameters)``, the setting of a bubble as the effect changes it, see
-            :class:`imr_torch.simulate.setting.Setting`.
-        gas_loss: ``gas_loss(radius, velocity, rest_radius, *parameters)``, the rate ``-n'/n`` at which gas is lost.
-        vapour: ``vapour(compression, *parameters)``, the factor on the saturation pressure at the wall when the contents are
-            compressed to ``P/P(0)``.
-        far_field: ``far_field(time, *parameters)``, a far-field pressure over ``p_inf`` and its first two time derivatives.
+        setting: ``setting(setting, *parameters)``, the setting of a bubble as the effect changes
+            it, see :class:`imr_torch.simulate.setting.Setting`.
+        gas_loss: ``gas_loss(radius, velocity, rest_radius, *parameters)``, the rate ``-n'/n`` at
+            which gas is lost.
+        vapour: ``vapour(compression, *parameters)``, the factor on the saturation pressure at the
+            wall when the contents are compressed to ``P/P(0)``.
+        far_field: ``far_field(time, *parameters)``, a far-field pressure over ``p_inf`` and its
+            first two time derivatives.
 
     >>> from imr_torch.material import LIBRARY
     >>> effect = LIBRARY["stress_relaxation"]
@@ -73,20 +86,28 @@ class Effect:
         for name in (*self.names, *((self.needs,) if self.needs else ())):
             PARAMETERS[name]
         if PARAMETERS[self.names[0]].neutral != 0.0:
-            raise InputDataError(f"Effect {self.name!r}: its amplitude {self.names[0]!r} must be neutral at zero.")
+            raise InputDataError(
+                f"Effect {self.name!r}: its amplitude {self.names[0]!r} must be neutral at zero."
+            )
         if not self.starts:
             object.__setattr__(self, "starts", self._usual_starts())
         if any(len(start) != len(self.names) for start in self.starts) or not self.starts:
-            raise InputDataError(f"Effect {self.name!r} needs starts of {len(self.names)} values each, got {self.starts}.")
+            raise InputDataError(
+                f"Effect {self.name!r} needs starts of {len(self.names)} values each, got "
+                f"{self.starts}."
+            )
         self._check_laws()
 
     def _check_laws(self) -> None:
         """Raise where a law takes another number of arguments than it will be given."""
         for label, before in _LAWS.items():
             law = getattr(self, label)
-            if law is not None and len(inspect.signature(law).parameters) != before + len(self.names):
+            if law is not None and len(inspect.signature(law).parameters) != before + len(
+                self.names
+            ):
                 raise InputDataError(
-                    f"Effect {self.name!r}: its law {label} takes {before} arguments and then {', '.join(self.names)}."
+                    f"Effect {self.name!r}: its law {label} takes {before} arguments and then "
+                    f"{', '.join(self.names)}."
                 )
 
     def _usual_starts(self) -> tuple[tuple[float, ...], ...]:
@@ -94,7 +115,9 @@ class Effect:
         prior = self.priors[self.names[0]]
         if len(self.names) > 1 or not isinstance(prior, TruncatedNormal):
             return ()
-        return tuple((share * prior.sd,) for share in ((0.3, 1.2) if prior.lower == 0.0 else (0.4, -0.4)))
+        return tuple(
+            (share * prior.sd,) for share in ((0.3, 1.2) if prior.lower == 0.0 else (0.4, -0.4))
+        )
 
     @property
     def family(self) -> str:
@@ -108,11 +131,18 @@ class Effect:
 
     @property
     def compilable(self) -> bool:
-        """Whether the laws that are evaluated at every step are written with :mod:`imr_torch.elementary`."""
-        return all(law is None or has_compiled_form(law) for law in (self.gas_loss, self.vapour, self.far_field))
+        """Whether the laws that are evaluated at every step are written with
+        :mod:`imr_torch.elementary`.
+        """
+        return all(
+            law is None or has_compiled_form(law)
+            for law in (self.gas_loss, self.vapour, self.far_field)
+        )
 
     def applies(self, base: str) -> bool:
-        """Whether a base model leaves the effect's parameters neutral and has what the effect acts on."""
+        """Whether a base model leaves the effect's parameters neutral and has what the effect acts
+        on.
+        """
         present = set(material(base).names)
         return not present & set(self.names) and (not self.needs or self.needs in present)
 
@@ -154,12 +184,17 @@ def give_physics(name: str, **laws: Law) -> None:
     effect = LIBRARY[name]
     for label, law in laws.items():
         if label not in _LAWS or getattr(effect, label) is not None:
-            raise InputDataError(f"Effect {name!r} has no law {label!r} to give; expected one of {', '.join(_LAWS)}, once.")
+            raise InputDataError(
+                f"Effect {name!r} has no law {label!r} to give; expected one of "
+                f"{', '.join(_LAWS)}, once."
+            )
         object.__setattr__(effect, label, law)
     effect._check_laws()
 
 
-def library(names: Sequence[str] | None = None, *, without: Sequence[str] = (), base: str = "nhkv") -> tuple[Effect, ...]:
+def library(
+    names: Sequence[str] | None = None, *, without: Sequence[str] = (), base: str = "nhkv"
+) -> tuple[Effect, ...]:
     """The effects of given names (all by default) that can be put on a base model.
 
     Raises:
@@ -175,4 +210,6 @@ def library(names: Sequence[str] | None = None, *, without: Sequence[str] = (), 
         if name not in LIBRARY:
             raise InputDataError(f"Unknown effect {name!r}; known are {', '.join(LIBRARY)}.")
     chosen = LIBRARY if names is None else dict.fromkeys(names)
-    return tuple(LIBRARY[name] for name in chosen if name not in without and LIBRARY[name].applies(base))
+    return tuple(
+        LIBRARY[name] for name in chosen if name not in without and LIBRARY[name].applies(base)
+    )

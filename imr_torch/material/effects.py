@@ -1,10 +1,12 @@
 """The effects of the package: what each is called, where it acts, and how large it may be.
 
-Effects of the gel are terms of its stress that a model may lack (:mod:`~imr_torch.material.elastic`,
-:mod:`~imr_torch.material.memory`, :mod:`~imr_torch.material.viscous`, :mod:`~imr_torch.material.departures`); a term acts
-wherever its parameter is not neutral. The physics of the bubble and of the liquid around it is in
-:mod:`imr_torch.simulate.effects`, :mod:`imr_torch.simulate.gas_effects` and :mod:`imr_torch.simulate.medium`; errors of the
-measurement act in :mod:`imr_torch.observe.distortion`. At zero each does nothing, exactly.
+Effects of the gel are terms of its stress that a model may lack
+(:mod:`~imr_torch.material.elastic`, :mod:`~imr_torch.material.memory`,
+:mod:`~imr_torch.material.viscous`, :mod:`~imr_torch.material.departures`); a term acts wherever its
+parameter is not neutral. The physics of the bubble and of the liquid around it is in
+:mod:`imr_torch.simulate.effects`, :mod:`imr_torch.simulate.gas_effects` and
+:mod:`imr_torch.simulate.medium`; errors of the measurement act in
+:mod:`imr_torch.observe.distortion`. At zero each does nothing, exactly.
 """
 
 from imr_torch.material.effect import Effect, register_effect
@@ -33,7 +35,10 @@ register_effect(
         "shear_thinning",
         "viscosity falls with the shear rate",
         "material",
-        {"thinning": TruncatedNormal(0.0, 0.3, lower=0.0, upper=1.0), "shear_time": LogNormal(1e-5, 5.0)},
+        {
+            "thinning": TruncatedNormal(0.0, 0.3, lower=0.0, upper=1.0),
+            "shear_time": LogNormal(1e-5, 5.0),
+        },
         ((0.15, 1e-5), (0.4, 1e-5)),
         needs="mu",
     )
@@ -53,7 +58,8 @@ register_effect(
         "healing_damage",
         "the gel softens with accumulated strain and heals within the event",
         "material",
-        # bonds form anew within about the period of a bubble of 200 um: faster is no damage, slower does not heal in a film
+        # bonds form anew within about the period of a bubble of 200 um: faster is no damage, slower
+        # does not heal in a film
         {"damage": TruncatedNormal(0.0, 0.3, lower=0.0), "healing": LogNormal(3e4, 3.0)},
         ((0.1, 3e4), (0.4, 3e4)),
         group="damage",
@@ -65,7 +71,9 @@ register_effect(
         "viscous_damage",
         "viscosity falls with accumulated strain",
         "material",
-        {"viscous_damage": TruncatedNormal(0.0, 0.1, lower=0.0)},  # a third is lost by the first rebound, at a strain of 4
+        {
+            "viscous_damage": TruncatedNormal(0.0, 0.1, lower=0.0)
+        },  # a third is lost by the first rebound, at a strain of 4
         needs="mu",
     )
 )
@@ -218,7 +226,9 @@ register_effect(
         "hot_contents",
         "the contents are hot (or cold) at the maximum radius",
         "gas",
-        {"hot_contents": TruncatedNormal(0.0, 0.15, lower=-0.3, upper=0.6)},  # 45 K: growth lasts several times of conduction
+        {
+            "hot_contents": TruncatedNormal(0.0, 0.15, lower=-0.3, upper=0.6)
+        },  # 45 K: growth lasts several times of conduction
     )
 )
 register_effect(
@@ -294,6 +304,8 @@ register_effect(
         "edge_error",
         "the bubble's edge is misplaced by the same distance in every frame",
         "measurement",
-        {"edge_error": TruncatedNormal(0.0, 2e-6)},  # about a pixel: published films have 1.5 to 2.8 um a pixel
+        {
+            "edge_error": TruncatedNormal(0.0, 2e-6)
+        },  # about a pixel: published films have 1.5 to 2.8 um a pixel
     )
 )

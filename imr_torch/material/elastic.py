@@ -1,10 +1,13 @@
 """Stress laws of elasticity: each the integral of a strain energy over the gel round the bubble.
 
-With the hoop stretch ``b`` of the material at a distance, ``S = -2 int_1^l (b^-2 + b^-5) dW/dI_1 / (G/2) db/Ca`` over ``b``
-from 1 (far away) to ``l = R/R_inf`` (the wall), and ``I_1 = b^-4 + 2 b^2``.
+With the hoop stretch ``b`` of the material at a distance, ``S = -2 int_1^l (b^-2 + b^-5) dW/dI_1 /
+(G/2) db/Ca`` over ``b`` from 1 (far away) to ``l = R/R_inf`` (the wall), and ``I_1 = b^-4 + 2
+b^2``.
 
-Sources: Gaudron, Warnez & Johnsen (J. Fluid Mech. 766, 2015) for the neo-Hookean integral; Yang et al. (Soft Matter 16,
-2020) for the quadratic (qKV) law; Fung (Am. J. Physiol. 213, 1967) for the exponential law, of which qKV is the first order.
+Sources: Gaudron, Warnez & Johnsen (J. Fluid Mech. 766, 2015) for the neo-Hookean integral; Yang et
+    al. (Soft Matter 16,
+2020) for the quadratic (qKV) law; Fung (Am. J. Physiol. 213, 1967) for the exponential law, of
+which qKV is the first order.
 """
 
 import numpy as np
@@ -15,7 +18,9 @@ from imr_torch.elementary import Quadrature, Scalar, exp, expm1, log, real, wher
 from imr_torch.material.stress import StressTerm
 
 
-def neo_hookean(radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar) -> tuple[Scalar, ...]:
+def neo_hookean(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar
+) -> tuple[Scalar, ...]:
     """``S = -(5 - 4/l - 1/l^4) / (2 Ca)`` with ``l = R/R_inf`` (Gaudron et al. 2015, eq. 2.22)."""
     inverse = rest_radius / radius
     cubed = inverse * inverse * inverse
@@ -24,8 +29,11 @@ def neo_hookean(radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar
     return value, slope * velocity / radius, 0.0
 
 
-def stiffening(radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, alpha: Scalar) -> tuple[Scalar, ...]:
-    """The quadratic law of qKV, ``(alpha/Ca)(177/20 + 1/(4 l^8) + 2/(5 l^5) - 3/(2 l^4) + 2/l^2 - 6/l - 4 l)``.
+def stiffening(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, alpha: Scalar
+) -> tuple[Scalar, ...]:
+    """The quadratic law of qKV, ``(alpha/Ca)(177/20 + 1/(4 l^8) + 2/(5 l^5) - 3/(2 l^4) + 2/l^2 -
+    6/l - 4 l)``.
 
     Yang et al. (2020), eq. 13; ``alpha`` weighs the square of the first invariant ``I_1 - 3``.
     """
@@ -44,7 +52,9 @@ def _softens(G: Tensor, alpha: Tensor) -> Tensor:
     return (G > 0.0) & (alpha < 0.0)
 
 
-def linear_elastic(radius: Scalar, velocity: Scalar, rest_radius: Scalar, G_lin: Scalar) -> tuple[Scalar, ...]:
+def linear_elastic(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, G_lin: Scalar
+) -> tuple[Scalar, ...]:
     """The small-strain limit, ``S = -(4/3) G (1 - 1/l^3)`` (Estrada et al. 2018, section 2.2)."""
     inverse = rest_radius / radius
     cubed = inverse * inverse * inverse
@@ -52,7 +62,9 @@ def linear_elastic(radius: Scalar, velocity: Scalar, rest_radius: Scalar, G_lin:
 
 
 def _graded_rule(count: int) -> tuple[Tensor, Tensor]:
-    """Nodes and weights on [0, 1], Gauss-Legendre in ``u`` of ``1 - (1 - u)^2``: dense at 1, where exponentials vary most."""
+    """Nodes and weights on [0, 1], Gauss-Legendre in ``u`` of ``1 - (1 - u)^2``: dense at 1, where
+    exponentials vary most.
+    """
     nodes, weights = (torch.as_tensor(x) for x in np.polynomial.legendre.leggauss(count))
     left = 0.5 * (1.0 - nodes)
     return 1.0 - left * left, weights * left
@@ -69,7 +81,9 @@ def _invariant(stretch: Scalar) -> Scalar:
 
 
 def _density(stretch: Scalar, excess: Scalar) -> Scalar:
-    """``dS/d ln b`` per modulus at a hoop stretch, of an ``excess`` ``f(I_1 - 3) - 1`` over the neo-Hookean modulus."""
+    """``dS/d ln b`` per modulus at a hoop stretch, of an ``excess`` ``f(I_1 - 3) - 1`` over the
+    neo-Hookean modulus.
+    """
     inverse = 1.0 / stretch
     square = inverse * inverse
     return -2.0 * (inverse + square * square) * excess
@@ -93,16 +107,18 @@ def _exponential_node(node: Scalar, span: Scalar, alpha: Scalar) -> Scalar:
     return _exponential_density(exp(node * span), alpha)
 
 
-_SECOND_ORDER_MEAN, _EXPONENTIAL_MEAN = Quadrature(_second_order_node, _RULE), Quadrature(_exponential_node, _RULE)
+_SECOND_ORDER_MEAN = Quadrature(_second_order_node, _RULE)
+_EXPONENTIAL_MEAN = Quadrature(_exponential_node, _RULE)
 
 
 def second_order_fung(
     radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, alpha_fung2: Scalar
 ) -> tuple[Scalar, ...]:
-    """The exponential law to second order, beyond neo-Hookean: ``f = 1 + a x + a^2 x^2/2`` at ``x = I_1 - 3``.
+    """The exponential law to second order, beyond neo-Hookean: ``f = 1 + a x + a^2 x^2/2`` at ``x =
+    I_1 - 3``.
 
-    ``2 (b^-2 + b^-5) G (f - 1)`` is integrated over ``ln b`` by quadrature; the error is below 1e-11 of the integral up to
-    ``a x = 20`` and below 1e-6 up to 100.
+    ``2 (b^-2 + b^-5) G (f - 1)`` is integrated over ``ln b`` by quadrature; the error is below
+    1e-11 of the integral up to ``a x = 20`` and below 1e-6 up to 100.
     """
     stretch = radius / rest_radius
     span = log(stretch)
@@ -113,7 +129,9 @@ def second_order_fung(
 def exponential_fung(
     radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, alpha_fung: Scalar
 ) -> tuple[Scalar, ...]:
-    """``W = G/(2 a) (exp(a (I_1 - 3)) - 1)`` (Fung 1967), beyond neo-Hookean: ``f = exp(a x)``; quadrature as above."""
+    """``W = G/(2 a) (exp(a (I_1 - 3)) - 1)`` (Fung 1967), beyond neo-Hookean: ``f = exp(a x)``;
+    quadrature as above.
+    """
     stretch = radius / rest_radius
     span = log(stretch)
     value = G * span * _EXPONENTIAL_MEAN(span, alpha_fung)

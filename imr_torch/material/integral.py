@@ -1,8 +1,9 @@
-"""The stress integral of a batch: the sum of its terms, the rates of their memory, and exact derivatives of both.
+"""The stress integral of a batch: the sum of its terms, the rates of their memory, and exact
+derivatives of both.
 
-A batch may mix models, because a term does nothing for a member at whose parameters it is switched off; terms that are
-switched off in the whole batch are left out. Memory states of all terms are stacked into one ``K x B`` tensor in the
-order of the terms.
+A batch may mix models, because a term does nothing for a member at whose parameters it is switched
+off; terms that are switched off in the whole batch are left out. Memory states of all terms are
+stacked into one ``K x B`` tensor in the order of the terms.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -13,8 +14,20 @@ from torch import Tensor
 
 from imr_torch.errors import InputDataError
 from imr_torch.material.closure import CLOSURE
-from imr_torch.material.departures import DAMAGE, GRADED_MODULUS, PERMANENT_SET, VISCOUS_DAMAGE, YIELD_STRESS
-from imr_torch.material.elastic import EXPONENTIAL_FUNG, LINEAR_ELASTIC, NEO_HOOKEAN, SECOND_ORDER_FUNG, STIFFENING
+from imr_torch.material.departures import (
+    DAMAGE,
+    GRADED_MODULUS,
+    PERMANENT_SET,
+    VISCOUS_DAMAGE,
+    YIELD_STRESS,
+)
+from imr_torch.material.elastic import (
+    EXPONENTIAL_FUNG,
+    LINEAR_ELASTIC,
+    NEO_HOOKEAN,
+    SECOND_ORDER_FUNG,
+    STIFFENING,
+)
 from imr_torch.material.memory import MAXWELL, OLDROYD_B, STANDARD_LINEAR, STANDARD_NONLINEAR
 from imr_torch.material.parameters import PARAMETERS
 from imr_torch.material.stress import Stress, StressTerm
@@ -46,7 +59,8 @@ def register_term(term: StressTerm) -> StressTerm:
     """Add a term to ``TERMS``, so that every simulator knows it; the same one again is left out.
 
     Raises:
-        InputDataError: if it reads a parameter that is not registered, or its switch is not neutral at zero.
+        InputDataError: if it reads a parameter that is not registered, or its switch is not neutral
+            at zero.
 
     >>> from imr_torch.material import TERMS, register_term
     >>> register_term(TERMS[0]) is TERMS[0]  # one that is known is not added again
@@ -55,7 +69,10 @@ def register_term(term: StressTerm) -> StressTerm:
     for name in (*term.names, term.switch):
         PARAMETERS[name]
     if PARAMETERS[term.switch].neutral != 0.0:
-        raise InputDataError(f"The switch of {term.name} is {term.switch!r}, whose neutral value is not 0; it must be.")
+        raise InputDataError(
+            f"The switch of {term.name} is {term.switch!r}, whose neutral value is not 0; it must "
+            "be."
+        )
     if term not in TERMS:
         TERMS.append(term)
     return term
@@ -64,7 +81,8 @@ def register_term(term: StressTerm) -> StressTerm:
 def active_terms(
     theta: Mapping[str, Inexact[Tensor, "*#batch"]], terms: Sequence[StressTerm] | None = None
 ) -> tuple[StressTerm, ...]:
-    """Of ``terms`` (all by default), those that do something for at least one member of the batch ``theta``.
+    """Of ``terms`` (all by default), those that do something for at least one member of the batch
+    ``theta``.
 
     >>> import torch
     >>> from imr_torch.material import PARAMETERS, active_terms, dimensionless
@@ -74,7 +92,11 @@ def active_terms(
     >>> [term.name for term in active_terms(theta)]
     ['newtonian', 'neo_hookean']
     """
-    return tuple(term for term in (TERMS if terms is None else terms) if bool((theta[term.switch] != 0.0).any()))
+    return tuple(
+        term
+        for term in (TERMS if terms is None else terms)
+        if bool((theta[term.switch] != 0.0).any())
+    )
 
 
 def memory_states(terms: Sequence[StressTerm]) -> int:
@@ -88,7 +110,9 @@ def memory_states(terms: Sequence[StressTerm]) -> int:
 
 
 def memory_start(
-    terms: Sequence[StressTerm], rest_radius: Inexact[Tensor, "*batch"], theta: Mapping[str, Inexact[Tensor, "*#batch"]]
+    terms: Sequence[StressTerm],
+    rest_radius: Inexact[Tensor, "*batch"],
+    theta: Mapping[str, Inexact[Tensor, "*#batch"]],
 ) -> Inexact[Tensor, "states *batch"]:
     """Memory states at time zero, ``K x B``; ``rest_radius`` is a ``B`` tensor.
 
@@ -112,7 +136,8 @@ def gel_response(
 ) -> tuple[Stress, Inexact[Tensor, "states *#batch"]]:
     """Sum of ``terms``, and ``d memory/dt`` (``K x B``).
 
-    All arguments dimensionless, ``B`` tensors but ``memory``, ``K x B``; see :class:`imr_torch.material.stress.StressTerm`.
+    All arguments dimensionless, ``B`` tensors but ``memory``, ``K x B``; see
+    :class:`imr_torch.material.stress.StressTerm`.
 
     >>> import torch
     >>> from imr_torch.material import TERMS, gel_response
@@ -122,9 +147,12 @@ def gel_response(
     (-0.105, (0, 1))
     """
     zero = torch.zeros_like(radius)
-    total, rates = Stress(zero, zero, zero), []
+    total = Stress(zero, zero, zero)
+    rates = []
     for term, states in _with_memory(terms, memory):
-        value, rate, acceleration, *changes = term.evaluate(radius, velocity, rest_radius, theta, states)
+        value, rate, acceleration, *changes = term.evaluate(
+            radius, velocity, rest_radius, theta, states
+        )
         total = total + Stress(value, rate, acceleration)
         rates += changes
     return total, torch.stack(rates) if rates else zero.new_zeros(0, *zero.shape)
@@ -178,11 +206,12 @@ def derivatives(
     """Derivatives of a function of scalars in each of its arguments, elementwise.
 
     Args:
-        function: ``k`` tensors of a shape ``B`` to one of the shape ``... x B``; where ``analytic``, also complex ones of
-            the shape ``k x B``.
+        function: ``k`` tensors of a shape ``B`` to one of the shape ``... x B``; where
+            ``analytic``, also complex ones of the shape ``k x B``.
         point: the shape ``B``.
-        analytic: whether the function is one of laws written with :mod:`imr_torch.elementary`. Then the derivatives are the
-            imaginary parts at a tiny imaginary step (Squire & Trapp, SIAM Rev. 40, 1998), else those of forward mode.
+        analytic: whether the function is one of laws written with :mod:`imr_torch.elementary`. Then
+            the derivatives are the imaginary parts at a tiny imaginary step (Squire & Trapp, SIAM
+            Rev. 40, 1998), else those of forward mode.
 
     Returns:
         ``k x ... x B`` tensor.
@@ -199,13 +228,19 @@ def derivatives(
         shape = point[0].shape
         shift = step * torch.eye(count, dtype=point[0].dtype, device=point[0].device)
         rows = shift.reshape(count, count, *[1] * len(shape)).expand(count, count, *shape)
-        moved = [torch.complex(x.expand(count, *shape), row) for x, row in zip(point, rows, strict=True)]
+        moved = [
+            torch.complex(x.expand(count, *shape), row) for x, row in zip(point, rows, strict=True)
+        ]
         return function(*moved).imag.div(step).movedim(-1 - len(shape), 0)
-    directions = [tuple(torch.full_like(x, float(i == j)) for j, x in enumerate(point)) for i in range(count)]
+    directions = [
+        tuple(torch.full_like(x, float(i == j)) for j, x in enumerate(point)) for i in range(count)
+    ]
     return torch.stack([torch.func.jvp(function, point, direction)[1] for direction in directions])
 
 
-def _with_memory(terms: Sequence[StressTerm], memory: Tensor | None) -> Iterator[tuple[StressTerm, Tensor | None]]:
+def _with_memory(
+    terms: Sequence[StressTerm], memory: Tensor | None
+) -> Iterator[tuple[StressTerm, Tensor | None]]:
     """Each term with its own ``states x B`` rows of ``memory``; None where it has none."""
     start = 0
     for term in terms:

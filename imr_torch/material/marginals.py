@@ -1,8 +1,9 @@
 """Prior marginals as maps from a standard normal control variable ``z`` to a physical parameter.
 
-A parameter is written ``theta = T(z)``, and with ``z ~ N(0, 1)`` it has exactly the stated prior. Assimilation works on
-``z``, where bounds do not exist and a Gaussian is a good approximation (Gaussian anamorphosis: Simon & Bertino, Ocean Sci. 5,
-2009). An unbounded normal is the identity up to scale, so nothing is lost where nothing is truncated.
+A parameter is written ``theta = T(z)``, and with ``z ~ N(0, 1)`` it has exactly the stated prior.
+Assimilation works on ``z``, where bounds do not exist and a Gaussian is a good approximation
+(Gaussian anamorphosis: Simon & Bertino, Ocean Sci. 5, 2009). An unbounded normal is the identity up
+to scale, so nothing is lost where nothing is truncated.
 """
 
 import math
@@ -20,7 +21,9 @@ from torch.special import ndtri
 from imr_torch.errors import InputDataError
 
 _TINY = 1e-300
-_SURE = 10.0  # standard deviations up to which SciPy's quantiles of all families were seen to be right
+_SURE = (
+    10.0  # standard deviations up to which SciPy's quantiles of all families were seen to be right
+)
 _FAR = 25.0  # standard deviations from which tails are computed by their asymptotic form
 
 
@@ -58,12 +61,16 @@ class Marginal(Protocol):
 
 
 def ndtr(x: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
-    """Normal distribution function with full relative precision in the tail (``torch.special.ndtr`` is 0 below -8.3)."""
+    """Normal distribution function with full relative precision in the tail (``torch.special.ndtr``
+    is 0 below -8.3).
+    """
     return 0.5 * torch.erfc(-x / math.sqrt(2.0))
 
 
 def _far_tail(z: Tensor, log_kept: float) -> Tensor:
-    """Solve ``log Q(x) = log_kept + log Q(z)`` far out, where ``Q(z) ~ pdf(z)/z`` and ``Q`` itself would underflow."""
+    """Solve ``log Q(x) = log_kept + log Q(z)`` far out, where ``Q(z) ~ pdf(z)/z`` and ``Q`` itself
+    would underflow.
+    """
     x = z
     for _ in range(3):
         x = torch.sqrt(z * z - 2.0 * log_kept - 2.0 * torch.log(x / z))
@@ -99,14 +106,18 @@ class TruncatedNormal:
     def __post_init__(self) -> None:
         if not (math.isfinite(self.mean) and 0.0 < self.sd < math.inf):
             raise InputDataError(
-                f"TruncatedNormal(mean={self.mean}, sd={self.sd}): the spread sd must be positive and finite. "
+                f"TruncatedNormal(mean={self.mean}, sd={self.sd}): the spread sd must be positive "
+                "and finite. "
                 "A parameter that is known exactly belongs in `known`, not in a prior."
             )
         if not self.lower < self.upper:
-            raise InputDataError(f"TruncatedNormal: lower bound {self.lower} is not below upper bound {self.upper}.")
+            raise InputDataError(
+                f"TruncatedNormal: lower bound {self.lower} is not below upper bound {self.upper}."
+            )
         if self._tails()[0] + self._tails()[1] > 1.0 - 1e-12:
             raise InputDataError(
-                f"TruncatedNormal(mean={self.mean}, sd={self.sd}) has no mass between {self.lower} and {self.upper}; "
+                f"TruncatedNormal(mean={self.mean}, sd={self.sd}) has no mass between "
+                f"{self.lower} and {self.upper}; "
                 "move the mean towards the bounds or widen sd."
             )
 
@@ -117,7 +128,10 @@ class TruncatedNormal:
         return below, above
 
     def _standard(self, z: Tensor) -> Tensor:
-        """The standardised value; each half is computed from its own tail, so neither loses digits."""
+        """The standardised value.
+
+        Each half is computed from its own tail, so neither loses digits.
+        """
         below, above = self._tails()
         kept = 1.0 - below - above
         from_below = ndtri(below + kept * ndtr(z.clamp(-_FAR, 0.0)))
@@ -137,7 +151,9 @@ class TruncatedNormal:
         below, above = self._tails()
         kept = 1.0 - below - above
         x = (value - self.mean) / self.sd
-        cumulative = ((ndtr(x) - below) / kept).clamp(_TINY, 1.0)  # a value at its bound has a finite density
+        cumulative = ((ndtr(x) - below) / kept).clamp(
+            _TINY, 1.0
+        )  # a value at its bound has a finite density
         survival = ((ndtr(-x) - above) / kept).clamp(_TINY, 1.0)
         z = torch.where(cumulative < 0.5, ndtri(cumulative), -ndtri(survival))
         far = torch.sign(x) * _far_tail(x.abs().clamp_min(_FAR), -math.log(kept))
@@ -171,10 +187,13 @@ class LogNormal:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.median < math.inf:
-            raise InputDataError(f"LogNormal.median is {self.median}; it must be positive and finite, in SI units.")
+            raise InputDataError(
+                f"LogNormal.median is {self.median}; it must be positive and finite, in SI units."
+            )
         if not 1.0 < self.factor < math.inf:
             raise InputDataError(
-                f"LogNormal.factor is {self.factor}; a spread needs a factor above 1 (2 means 'within twofold')."
+                f"LogNormal.factor is {self.factor}; a spread needs a factor above 1 (2 means "
+                "'within twofold')."
             )
 
     @property
@@ -202,10 +221,12 @@ class LogNormal:
 
 @dataclass(frozen=True)
 class Quantile:
-    """Any continuous distribution of ``scipy.stats``, through its quantile function: ``theta = F^-1(Phi(z))``.
+    """Any continuous distribution of ``scipy.stats``, through its quantile function: ``theta =
+    F^-1(Phi(z))``.
 
-    Quantiles are found numerically, each from its nearer tail, so both tails keep their digits, and are constant beyond ten
-    standard deviations (a probability of 1e-23); gradients with respect to ``z`` are those of the first order.
+    Quantiles are found numerically, each from its nearer tail, so both tails keep their digits, and
+    are constant beyond ten standard deviations (a probability of 1e-23); gradients with respect to
+    ``z`` are those of the first order.
 
     Args:
         family: name in ``scipy.stats``, such as ``"gamma"``.
@@ -224,13 +245,19 @@ class Quantile:
     def __post_init__(self) -> None:
         kind = getattr(scipy.stats, self.family, None)
         if not isinstance(kind, scipy.stats.rv_continuous):
-            raise InputDataError(f"Quantile: scipy.stats has no continuous distribution named {self.family!r}.")
+            raise InputDataError(
+                f"Quantile: scipy.stats has no continuous distribution named {self.family!r}."
+            )
         try:
             usable = math.isfinite(self._law.median())
         except TypeError as error:
-            raise InputDataError(f"Quantile: scipy.stats.{self.family} with {dict(self.arguments)}: {error}.") from None
+            raise InputDataError(
+                f"Quantile: scipy.stats.{self.family} with {dict(self.arguments)}: {error}."
+            ) from None
         if not usable:
-            raise InputDataError(f"Quantile: scipy.stats.{self.family} has no median with {dict(self.arguments)}.")
+            raise InputDataError(
+                f"Quantile: scipy.stats.{self.family} has no median with {dict(self.arguments)}."
+            )
 
     @cached_property
     def _law(self) -> Any:
@@ -249,13 +276,17 @@ class Quantile:
     def to_physical(self, z: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
         """See :class:`Marginal`."""
         z = z.clamp(-_SURE, _SURE)
-        slope = self.log_slope(z.detach()).exp().nan_to_num(posinf=0.0)  # a value that rounds to a bound
+        slope = (
+            self.log_slope(z.detach()).exp().nan_to_num(posinf=0.0)
+        )  # a value that rounds to a bound
         return self._at(z.detach()) + slope * (z - z.detach())
 
     def to_control(self, value: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
         """See :class:`Marginal`."""
         at = value.detach().cpu().numpy()
-        below, above = (self._tensor(f(at), value).clamp_min(_TINY) for f in (self._law.cdf, self._law.sf))
+        below, above = (
+            self._tensor(f(at), value).clamp_min(_TINY) for f in (self._law.cdf, self._law.sf)
+        )
         return torch.where(below < 0.5, ndtri(below), -ndtri(above))
 
     def log_slope(self, z: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
@@ -265,7 +296,9 @@ class Quantile:
 
     def _at(self, z: Tensor) -> Tensor:
         tail = ndtr(-z.abs()).cpu().numpy()
-        return torch.where(z < 0.0, self._tensor(self._law.ppf(tail), z), self._tensor(self._law.isf(tail), z))
+        return torch.where(
+            z < 0.0, self._tensor(self._law.ppf(tail), z), self._tensor(self._law.isf(tail), z)
+        )
 
     @staticmethod
     def _tensor(values: Any, like: Tensor) -> Tensor:

@@ -1,8 +1,11 @@
-"""Named media: density, sound speed and surface tension of water, solutions and gels, each with its source.
+"""Named media: density, sound speed and surface tension of water, solutions and gels, each with its
+source.
 
-A named medium states what its source states, and no more. All are mostly water: at another temperature than the source's their
-density, sound speed and surface tension follow those of water, by ratio. Vapour pressure is not a property here; it follows
-from the temperature in the simulator (:func:`imr_torch.simulate.conditions.saturation_pressure`). Viscosity is inferred.
+A named medium states what its source states, and no more. All are mostly water: at another
+    temperature than the source's their
+density, sound speed and surface tension follow those of water, by ratio. Vapour pressure is not a
+property here; it follows from the temperature in the simulator
+(:func:`imr_torch.simulate.conditions.saturation_pressure`). Viscosity is inferred.
 """
 
 from collections.abc import Callable, Mapping
@@ -18,14 +21,22 @@ _CRITICAL = 647.096  # K
 
 
 def water_density(temperature: float) -> float:
-    """Density of water in kg/m^3 at 1 atm and a temperature in K, 0 to 100 degrees (Kell, J. Chem. Eng. Data 20, 1975).
+    """Density of water in kg/m^3 at 1 atm and a temperature in K, 0 to 100 degrees (Kell, J. Chem.
+    Eng. Data 20, 1975).
 
     >>> from imr_torch.material.media import water_density
     >>> round(water_density(298.15), 2)
     997.04
     """
     t = temperature - _ZERO
-    coefficients = (999.83952, 16.945176, -7.9870401e-3, -46.170461e-6, 105.56302e-9, -280.54253e-12)
+    coefficients = (
+        999.83952,
+        16.945176,
+        -7.9870401e-3,
+        -46.170461e-6,
+        105.56302e-9,
+        -280.54253e-12,
+    )
     return sum(c * t**i for i, c in enumerate(coefficients)) / (1.0 + 16.879850e-3 * t)
 
 
@@ -102,21 +113,35 @@ def _water(salt: float = 0.0) -> dict[str, float]:
 
 
 _PEG = (
-    "aqueous PEG at 298 K: 20 % as measured for PEG 3000 (1029.7 kg/m^3; J. Korean Chem. Soc. 63, 2019, suppl.), higher shares "
-    "from specific volumes between that and the pure melt's; 1 % sd, since none is of PEG 8000 itself"
+    "aqueous PEG at 298 K: 20 % as measured for PEG 3000 (1029.7 kg/m^3; J. Korean Chem. Soc. 63, "
+    "2019, suppl.), higher shares "
+    "from specific volumes between that and the pure melt's; 1 % sd, since none is of PEG 8000 "
+    "itself"
 )
-_IMR_PRIME = "density in the scripts of the measurements (github.com/vsnchz248/IMR_PRIME); nothing else is stated there"
+_IMR_PRIME = (
+    "density in the scripts of the measurements (github.com/vsnchz248/IMR_PRIME); nothing else is "
+    "stated there"
+)
 
 NAMED: dict[str, NamedMedium] = {
     medium.name: medium
     for medium in (
-        NamedMedium("water", "Kell 1975 (density), Marczak 1997 (sound speed), IAPWS R1-76 (surface tension)", _water()),
-        NamedMedium("pbs", "water with 9.6 g/kg of salts, taken as sea water of that salinity (UNESCO 44, 1983)", _water(9.6)),
+        NamedMedium(
+            "water",
+            "Kell 1975 (density), Marczak 1997 (sound speed), IAPWS R1-76 (surface tension)",
+            _water(),
+        ),
+        NamedMedium(
+            "pbs",
+            "water with 9.6 g/kg of salts, taken as sea water of that salinity (UNESCO 44, 1983)",
+            _water(9.6),
+        ),
         NamedMedium("agarose_0.5", _IMR_PRIME, {"density": 1003.0}),
         NamedMedium("agarose_5", _IMR_PRIME, {"density": 1050.0}),
         NamedMedium(
             "gelatin_10",
-            "volumes of water and of 10 % gelatin by mass added, .69 cm^3/g as of dissolved proteins; 1 % sd",
+            "volumes of water and of 10 % gelatin by mass added, .69 cm^3/g as of dissolved "
+            "proteins; 1 % sd",
             {"density": 1029.0},
             {"density": 10.0},
         ),
@@ -147,7 +172,8 @@ def named_medium(name: str) -> NamedMedium:
     """
     if name not in NAMED:
         raise InputDataError(
-            f"Unknown medium {name!r}; known are {', '.join(NAMED)}. State another one by its values, for example "
+            f"Unknown medium {name!r}; known are {', '.join(NAMED)}. State another one by its "
+            "values, for example "
             "density=1125:11,sound_speed=1560."
         )
     return NAMED[name]

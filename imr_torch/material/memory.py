@@ -1,10 +1,13 @@
-"""Stress laws with memory: Maxwell and Zener branches, the standard solids of the published code, Oldroyd-B.
+"""Stress laws with memory: Maxwell and Zener branches, the standard solids of the published code,
+Oldroyd-B.
 
-Each replaces the instantaneous stress of the terms beside it by one that relaxes: for a member with a relaxation time, the
-law takes off what those terms add at once and adds its memory state instead. At a relaxation time of zero it does
-nothing, so a batch may mix gels with and without memory.
+Each replaces the instantaneous stress of the terms beside it by one that relaxes: for a member with
+    a relaxation time, the
+law takes off what those terms add at once and adds its memory state instead. At a relaxation time
+of zero it does nothing, so a batch may mix gels with and without memory.
 
-Sources: Warnez & Johnsen (Phys. Fluids 27, 2015) for Maxwell, Zener and the upper-convected branch round a bubble; Estrada
+Sources: Warnez & Johnsen (Phys. Fluids 27, 2015) for Maxwell, Zener and the upper-convected branch
+    round a bubble; Estrada
 et al. (J. Mech. Phys. Solids 112, 2018), section 2.2, for the standard linear and nonlinear solids.
 """
 
@@ -18,15 +21,23 @@ def _relaxation(time: Scalar) -> Scalar:
 
 
 def maxwell(
-    radius: Scalar, velocity: Scalar, rest_radius: Scalar, memory: Scalar, mu: Scalar, tau: Scalar, retardation: Scalar
+    radius: Scalar,
+    velocity: Scalar,
+    rest_radius: Scalar,
+    memory: Scalar,
+    mu: Scalar,
+    tau: Scalar,
+    retardation: Scalar,
 ) -> tuple[Scalar, ...]:
-    """Viscous stress that relaxes: ``De Z' + Z = -4 (1 - s) R^2 U/Re``, ``S = Z/R^3 - 4 s U/(Re R)``.
+    """Viscous stress that relaxes: ``De Z' + Z = -4 (1 - s) R^2 U/Re``, ``S = Z/R^3 - 4 s U/(Re
+    R)``.
 
-    The linear Maxwell fluid (with ``s > 0``: Jeffreys) round a bubble, exact for it because its stress falls as ``r^-3`` at all
-    times; beside an elastic term it is the Zener model (Warnez & Johnsen 2015). The state is ``Z/R^3``. ``s`` is the
-    retardation time over the relaxation time.
+    The linear Maxwell fluid (with ``s > 0``: Jeffreys) round a bubble, exact for it because its
+    stress falls as ``r^-3`` at all times; beside an elastic term it is the Zener model (Warnez &
+    Johnsen 2015). The state is ``Z/R^3``. ``s`` is the retardation time over the relaxation time.
     """
-    on, relaxation = tau > 0.0, _relaxation(tau)
+    on = tau > 0.0
+    relaxation = _relaxation(tau)
     strain = velocity / radius
     instant = where(on, 4.0 * (1.0 - retardation) * mu, 0.0)
     change = where(on, -relaxation * (memory + instant * strain) - 3.0 * strain * memory, 0.0)
@@ -48,14 +59,17 @@ def _solid(
     time: Scalar,
     radius: Scalar,
 ) -> tuple[Scalar, ...]:
-    """A solid whose whole stress relaxes to its elastic one: ``S' = (S_e - S)/De - 4 U/(Re De R) - f(l) U/R``.
+    """A solid whose whole stress relaxes to its elastic one: ``S' = (S_e - S)/De - 4 U/(Re De R) -
+    f(l) U/R``.
 
-    ``S_e`` is the elastic stress beside the dashpot's branch, ``slope`` its derivative in ``ln l``, ``f`` its stiffness against
-    fast strain, ``viscous`` is ``4/Re``. The state is ``S``; it starts relaxed, at ``S_e``, because a bubble is slow near its
-    maximum.
+    ``S_e`` is the elastic stress beside the dashpot's branch, ``slope`` its derivative in ``ln l``,
+    ``f`` its stiffness against fast strain, ``viscous`` is ``4/Re``. The state is ``S``; it starts
+    relaxed, at ``S_e``, because a bubble is slow near its maximum.
     """
     on = time > 0.0
-    change = where(on, _relaxation(time) * (elastic - memory - viscous * strain) - stiffness * strain, 0.0)
+    change = where(
+        on, _relaxation(time) * (elastic - memory - viscous * strain) - stiffness * strain, 0.0
+    )
     value = where(on, memory - elastic + viscous * strain, 0.0)
     rate = where(on, change - slope * strain - viscous * strain * strain, 0.0)
     return value, rate, where(on, viscous / radius, 0.0), change
@@ -69,25 +83,44 @@ def _linear_solid(inverse: Scalar, G_lin: Scalar) -> tuple[Scalar, Scalar, Scala
 
 
 def _nonlinear_solid(inverse: Scalar, G: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-    """``S_e``, ``dS_e/d ln l`` and ``f`` at ``1/l``; ``f`` without its removable pole at ``l = 1``."""
+    """``S_e``, ``dS_e/d ln l`` and ``f`` at ``1/l``.
+
+    ``f`` without its removable pole at ``l = 1``.
+    """
     x = inverse
     x2 = x * x
     cubed = x2 * x
     # (3/14 l^3 + l^2 - 3/(2 l) + 2/(7 l^4))/(l^3 - 1)
-    polynomial = (3.0 + 17.0 * x + 17.0 * x2 + 17.0 * cubed - 4.0 * x2 * x2 - 4.0 * x2 * cubed - 4.0 * cubed * cubed) / 14.0
+    polynomial = (
+        3.0
+        + 17.0 * x
+        + 17.0 * x2
+        + 17.0 * cubed
+        - 4.0 * x2 * x2
+        - 4.0 * x2 * cubed
+        - 4.0 * cubed * cubed
+    ) / 14.0
     stiffness = 4.0 * G * polynomial / (1.0 + x + x2)
     return -0.5 * G * (5.0 - x * (4.0 + cubed)), -2.0 * G * x * (1.0 + cubed), stiffness
 
 
 def standard_linear(
-    radius: Scalar, velocity: Scalar, rest_radius: Scalar, memory: Scalar, mu: Scalar, G_lin: Scalar, tau_sls: Scalar
+    radius: Scalar,
+    velocity: Scalar,
+    rest_radius: Scalar,
+    memory: Scalar,
+    mu: Scalar,
+    G_lin: Scalar,
+    tau_sls: Scalar,
 ) -> tuple[Scalar, ...]:
     """A linear spring beside a linear Maxwell branch (Estrada et al. 2018, eq. 12)."""
     elastic, slope, stiffness = _linear_solid(rest_radius / radius, G_lin)
     return _solid(memory, velocity / radius, 4.0 * mu, elastic, slope, stiffness, tau_sls, radius)
 
 
-def _standard_linear_start(rest_radius: Scalar, mu: Scalar, G_lin: Scalar, tau_sls: Scalar) -> tuple[Scalar, ...]:
+def _standard_linear_start(
+    rest_radius: Scalar, mu: Scalar, G_lin: Scalar, tau_sls: Scalar
+) -> tuple[Scalar, ...]:
     return (where(tau_sls > 0.0, _linear_solid(rest_radius, G_lin)[0], 0.0),)
 
 
@@ -96,14 +129,25 @@ def _standard_fastest(mu: Scalar, modulus: Scalar, time: Scalar) -> Scalar:
 
 
 def standard_nonlinear(
-    radius: Scalar, velocity: Scalar, rest_radius: Scalar, memory: Scalar, mu: Scalar, G: Scalar, tau_sns: Scalar
+    radius: Scalar,
+    velocity: Scalar,
+    rest_radius: Scalar,
+    memory: Scalar,
+    mu: Scalar,
+    G: Scalar,
+    tau_sns: Scalar,
 ) -> tuple[Scalar, ...]:
-    """A neo-Hookean spring beside a linear Maxwell branch (Estrada et al. 2018, eq. 13; "nhzen" in the published code)."""
+    """A neo-Hookean spring beside a linear Maxwell branch (Estrada et al.
+
+    2018, eq. 13; "nhzen" in the published code).
+    """
     elastic, slope, stiffness = _nonlinear_solid(rest_radius / radius, G)
     return _solid(memory, velocity / radius, 4.0 * mu, elastic, slope, stiffness, tau_sns, radius)
 
 
-def _standard_nonlinear_start(rest_radius: Scalar, mu: Scalar, G: Scalar, tau_sns: Scalar) -> tuple[Scalar, ...]:
+def _standard_nonlinear_start(
+    rest_radius: Scalar, mu: Scalar, G: Scalar, tau_sns: Scalar
+) -> tuple[Scalar, ...]:
     return (where(tau_sns > 0.0, _nonlinear_solid(rest_radius, G)[0], 0.0),)
 
 
@@ -117,14 +161,17 @@ def oldroyd_b(
     tau_ucm: Scalar,
     retardation: Scalar,
 ) -> tuple[Scalar, ...]:
-    """Upper-convected Maxwell branch with a solvent, its stress integral in closed form with two states.
+    """Upper-convected Maxwell branch with a solvent, its stress integral in closed form with two
+    states.
 
-    ``Z_1' = -(1/De - 2U/R) Z_1 - 2 (1 - s) R^2 U/(Re De)``, ``Z_2' = -(1/De + U/R) Z_2 - 2 (1 - s) R^2 U/(Re De)``,
-    ``S = (Z_1 + Z_2)/R^3 - 4 s U/(Re R)`` (Warnez & Johnsen 2015, section II.C). The states are ``Z/R^3``. Each shell of the
-    gel keeps ``r^3 - R^3``, so its stress is an integral over its past; integrated over the shells first, the past enters by
-    ``(R/R')^2 + R'/R`` alone, one state for each. Neither is the radial or the hoop stress; their sum is exact.
+    ``Z_1' = -(1/De - 2U/R) Z_1 - 2 (1 - s) R^2 U/(Re De)``, ``Z_2' = -(1/De + U/R) Z_2 - 2 (1 - s)
+    R^2 U/(Re De)``, ``S = (Z_1 + Z_2)/R^3 - 4 s U/(Re R)`` (Warnez & Johnsen 2015, section II.C).
+    The states are ``Z/R^3``. Each shell of the gel keeps ``r^3 - R^3``, so its stress is an
+    integral over its past; integrated over the shells first, the past enters by ``(R/R')^2 + R'/R``
+    alone, one state for each. Neither is the radial or the hoop stress; their sum is exact.
     """
-    on, relaxation = tau_ucm > 0.0, _relaxation(tau_ucm)
+    on = tau_ucm > 0.0
+    relaxation = _relaxation(tau_ucm)
     strain = velocity / radius
     instant = where(on, 4.0 * (1.0 - retardation) * mu, 0.0)
     drive = 0.5 * instant * relaxation * strain
@@ -141,9 +188,17 @@ def _oldroyd_fastest(mu: Scalar, tau_ucm: Scalar, retardation: Scalar) -> Scalar
 
 MAXWELL = StressTerm(maxwell, switch="tau", states=1, fastest=_maxwell_fastest)
 STANDARD_LINEAR = StressTerm(
-    standard_linear, switch="tau_sls", states=1, start=_standard_linear_start, fastest=_standard_fastest
+    standard_linear,
+    switch="tau_sls",
+    states=1,
+    start=_standard_linear_start,
+    fastest=_standard_fastest,
 )
 STANDARD_NONLINEAR = StressTerm(
-    standard_nonlinear, switch="tau_sns", states=1, start=_standard_nonlinear_start, fastest=_standard_fastest
+    standard_nonlinear,
+    switch="tau_sns",
+    states=1,
+    start=_standard_nonlinear_start,
+    fastest=_standard_fastest,
 )
 OLDROYD_B = StressTerm(oldroyd_b, switch="tau_ucm", states=2, fastest=_oldroyd_fastest)

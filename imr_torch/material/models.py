@@ -1,4 +1,5 @@
-"""Constitutive models: named sets of stress terms, in one registry that drives the same tests through every model.
+"""Constitutive models: named sets of stress terms, in one registry that drives the same tests
+through every model.
 
 To add a model, subclass :class:`Material` in one file, name its terms, and register an instance.
 """
@@ -10,7 +11,13 @@ from jaxtyping import Inexact
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
-from imr_torch.material.elastic import EXPONENTIAL_FUNG, LINEAR_ELASTIC, NEO_HOOKEAN, SECOND_ORDER_FUNG, STIFFENING
+from imr_torch.material.elastic import (
+    EXPONENTIAL_FUNG,
+    LINEAR_ELASTIC,
+    NEO_HOOKEAN,
+    SECOND_ORDER_FUNG,
+    STIFFENING,
+)
 from imr_torch.material.integral import TERMS, stress_integral
 from imr_torch.material.memory import MAXWELL, OLDROYD_B, STANDARD_LINEAR, STANDARD_NONLINEAR
 from imr_torch.material.parameters import PARAMETERS, Parameter
@@ -26,7 +33,8 @@ class Material:
         title: name in tables and figures.
         reference: where the model is defined.
         terms: the stress terms that add up to its stress integral.
-        known: parameters that must be measured independently (quasi-statically) and are not inferred.
+        known: parameters that must be measured independently (quasi-statically) and are not
+            inferred.
 
     >>> from imr_torch.material import MATERIALS
     >>> model = MATERIALS["nhkv"]
@@ -64,7 +72,8 @@ class Material:
         theta: Mapping[str, Inexact[Tensor, "*#batch"]],
         memory: Inexact[Tensor, "states *#batch"] | None = None,
     ) -> Stress:
-        """The model's stress integral; all arguments dimensionless, see :class:`~imr_torch.material.stress.Stress`.
+        """The model's stress integral; all arguments dimensionless, see
+        :class:`~imr_torch.material.stress.Stress`.
 
         ``memory`` is the ``states x batch_shape`` tensor of a model with memory.
         """
@@ -77,7 +86,8 @@ class Material:
 class Newtonian(Material):
     """A viscous liquid without elasticity."""
 
-    key, title = "newtonian", "Newtonian"
+    key = "newtonian"
+    title = "Newtonian"
     reference = "Estrada et al., J. Mech. Phys. Solids 112 (2018)"
     terms = (NEWTONIAN,)
 
@@ -85,7 +95,8 @@ class Newtonian(Material):
 class NeoHookean(Material):
     """An elastic solid without viscosity."""
 
-    key, title = "nhe", "NHE"
+    key = "nhe"
+    title = "NHE"
     reference = "Gaudron, Warnez & Johnsen, J. Fluid Mech. 766 (2015)"
     terms = (NEO_HOOKEAN,)
 
@@ -93,7 +104,8 @@ class NeoHookean(Material):
 class NeoHookeanKelvinVoigt(Material):
     """A neo-Hookean spring beside a Newtonian dashpot: the model most gels are first tried with."""
 
-    key, title = "nhkv", "NHKV"
+    key = "nhkv"
+    title = "NHKV"
     reference = "Estrada et al., J. Mech. Phys. Solids 112 (2018)"
     terms = (NEWTONIAN, NEO_HOOKEAN)
 
@@ -101,7 +113,8 @@ class NeoHookeanKelvinVoigt(Material):
 class QuadraticKelvinVoigt(Material):
     """NHKV with quadratic strain stiffening; its modulus is the known quasi-static one."""
 
-    key, title = "qkv", "qKV"
+    key = "qkv"
+    title = "qKV"
     reference = "Yang, Cramer, Bremer, Buyukozturk, Estrada & Franck, Soft Matter 16 (2020)"
     terms = (NEWTONIAN, NEO_HOOKEAN, STIFFENING)
     known = ("G",)
@@ -110,7 +123,8 @@ class QuadraticKelvinVoigt(Material):
 class GeneralizedQuadraticKelvinVoigt(Material):
     """qKV whose modulus is uncertain and inferred with the rest."""
 
-    key, title = "gen_qkv", "Gen. qKV"
+    key = "gen_qkv"
+    title = "Gen. qKV"
     reference = "Chu, Estrada & Bryngelson, arXiv 2409.00011 (2024)"
     terms = QuadraticKelvinVoigt.terms
 
@@ -118,7 +132,8 @@ class GeneralizedQuadraticKelvinVoigt(Material):
 class LinearKelvinVoigt(Material):
     """Kelvin-Voigt at small strain, as first used for bubbles in gels."""
 
-    key, title = "linkv", "Linear KV"
+    key = "linkv"
+    title = "Linear KV"
     reference = "Yang & Church, J. Acoust. Soc. Am. 118 (2005)"
     terms = (NEWTONIAN, LINEAR_ELASTIC)
 
@@ -126,7 +141,8 @@ class LinearKelvinVoigt(Material):
 class SecondOrderFungKelvinVoigt(Material):
     """Exponential stiffening to second order in the strain invariant, beside a dashpot."""
 
-    key, title = "fung2", "2nd-order Fung"
+    key = "fung2"
+    title = "2nd-order Fung"
     reference = "Yang, Cramer, Bremer, Buyukozturk, Estrada & Franck, Soft Matter 16 (2020)"
     terms = (NEWTONIAN, NEO_HOOKEAN, SECOND_ORDER_FUNG)
 
@@ -134,7 +150,8 @@ class SecondOrderFungKelvinVoigt(Material):
 class ExponentialFungKelvinVoigt(Material):
     """Exponential stiffening beside a dashpot."""
 
-    key, title = "fungexp", "Fung"
+    key = "fungexp"
+    title = "Fung"
     reference = "Fung, Am. J. Physiol. 213 (1967)"
     terms = (NEWTONIAN, NEO_HOOKEAN, EXPONENTIAL_FUNG)
 
@@ -142,7 +159,8 @@ class ExponentialFungKelvinVoigt(Material):
 class Maxwell(Material):
     """A viscoelastic liquid with one relaxation time (with retardation: Jeffreys)."""
 
-    key, title = "maxwell", "Maxwell"
+    key = "maxwell"
+    title = "Maxwell"
     reference = "Allen & Roy, J. Acoust. Soc. Am. 107 (2000)"
     terms = (NEWTONIAN, MAXWELL)
 
@@ -150,7 +168,8 @@ class Maxwell(Material):
 class Zener(Material):
     """A neo-Hookean spring beside a Maxwell branch with retardation."""
 
-    key, title = "zener", "Zener"
+    key = "zener"
+    title = "Zener"
     reference = "Warnez & Johnsen, Phys. Fluids 27 (2015)"
     terms = (NEWTONIAN, NEO_HOOKEAN, MAXWELL)
 
@@ -158,7 +177,8 @@ class Zener(Material):
 class StandardLinear(Material):
     """The standard linear solid of the published code."""
 
-    key, title = "sls", "SLS"
+    key = "sls"
+    title = "SLS"
     reference = "Estrada et al., J. Mech. Phys. Solids 112 (2018)"
     terms = (NEWTONIAN, LINEAR_ELASTIC, STANDARD_LINEAR)
 
@@ -166,15 +186,19 @@ class StandardLinear(Material):
 class StandardNonlinear(Material):
     """The standard nonlinear solid of the published code."""
 
-    key, title = "sns", "SNS"
+    key = "sns"
+    title = "SNS"
     reference = "Estrada et al., J. Mech. Phys. Solids 112 (2018)"
     terms = (NEWTONIAN, NEO_HOOKEAN, STANDARD_NONLINEAR)
 
 
 class UpperConvectedMaxwell(Material):
-    """A viscoelastic liquid whose stress is carried and stretched with it (with retardation: Oldroyd-B)."""
+    """A viscoelastic liquid whose stress is carried and stretched with it (with retardation:
+    Oldroyd-B).
+    """
 
-    key, title = "ucm", "Upper-convected Maxwell"
+    key = "ucm"
+    title = "Upper-convected Maxwell"
     reference = "Warnez & Johnsen, Phys. Fluids 27 (2015)"
     terms = (NEWTONIAN, OLDROYD_B)
 
@@ -182,7 +206,8 @@ class UpperConvectedMaxwell(Material):
 class CarreauKelvinVoigt(Material):
     """NHKV whose viscosity falls with the shear rate."""
 
-    key, title = "carreau", "Carreau KV"
+    key = "carreau"
+    title = "Carreau KV"
     reference = "Carreau, Trans. Soc. Rheol. 16 (1972)"
     terms = (NEWTONIAN, NEO_HOOKEAN, CARREAU)
 
@@ -203,13 +228,17 @@ def register(material: Material) -> Material:
     >>> _ = MATERIALS.pop("elastic")  # undo it here
     """
     if material.key in MATERIALS:
-        raise InputDataError(f"A material of the key {material.key!r} is registered already: {MATERIALS[material.key]!r}.")
+        raise InputDataError(
+            f"A material of the key {material.key!r} is registered already: "
+            f"{MATERIALS[material.key]!r}."
+        )
     MATERIALS[material.key] = material
     return material
 
 
 class Extended(Material):
-    """A registered model with further parameters freed: effects, errors of the measurement, terms of other models.
+    """A registered model with further parameters freed: effects, errors of the measurement, terms
+    of other models.
 
     Args:
         base: the registered model.
@@ -217,10 +246,12 @@ class Extended(Material):
     """
 
     def __init__(self, base: Material, extra: tuple[str, ...]) -> None:
-        self.base, self.extra = base, extra
+        self.base = base
+        self.extra = extra
         self.key = "+".join((base.key, *extra))
         self.title = " + ".join((base.title, *extra))
-        self.reference, self.known = base.reference, base.known
+        self.reference = base.reference
+        self.known = base.known
         self.terms = (*base.terms, *(term for term in TERMS if term.switch in extra))
 
     @cached_property
@@ -231,7 +262,8 @@ class Extended(Material):
 
 
 def material(key: str) -> Material:
-    """The model of a key: a registered one, or one with further parameters freed, as in ``"nhkv+sound_speed"``.
+    """The model of a key: a registered one, or one with further parameters freed, as in
+    ``"nhkv+sound_speed"``.
 
     Raises:
         InputDataError: for an unknown key or parameter; the message lists the known ones.
@@ -247,9 +279,15 @@ def material(key: str) -> Material:
         raise InputDataError(f"Unknown model {base!r}; known are {', '.join(MATERIALS)}.")
     if not extra:
         return MATERIALS[base]
-    double = [name for name in extra if PARAMETERS[name].name in MATERIALS[base].names or extra.count(name) > 1]
+    double = [
+        name
+        for name in extra
+        if PARAMETERS[name].name in MATERIALS[base].names or extra.count(name) > 1
+    ]
     if double:
-        raise InputDataError(f"Model {key!r} names {double[0]!r} twice, or {base!r} has it already.")
+        raise InputDataError(
+            f"Model {key!r} names {double[0]!r} twice, or {base!r} has it already."
+        )
     return Extended(MATERIALS[base], tuple(extra))
 
 

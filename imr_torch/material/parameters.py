@@ -1,9 +1,10 @@
 """The parameter vector that all stages share: names, units, bounds and neutral values.
 
-Each entry has a name, a unit, hard bounds and a *neutral value* at which it does nothing. A constitutive model is a set of
-names; everything else stays neutral, so one batch may mix models. Tensors of parameters have the shape
-``batch_shape x p`` with ``p = len(PARAMETERS)``, in SI units, in the order of registration. All entries of the package are in
-the tables below, whatever stage gives them their meaning; users register their own.
+Each entry has a name, a unit, hard bounds and a *neutral value* at which it does nothing. A
+constitutive model is a set of names; everything else stays neutral, so one batch may mix models.
+Tensors of parameters have the shape ``batch_shape x p`` with ``p = len(PARAMETERS)``, in SI units,
+in the order of registration. All entries of the package are in the tables below, whatever stage
+gives them their meaning; users register their own.
 """
 
 from collections.abc import Mapping, Sequence
@@ -35,7 +36,8 @@ class Parameter:
         neutral: value at which the entry does nothing, exactly.
         display_scale: factor from SI to ``display_unit``.
         display_unit: unit in which people quote it.
-        prior: what is believed of it in a soft gel of which nothing is known, for models that infer it.
+        prior: what is believed of it in a soft gel of which nothing is known, for models that infer
+            it.
 
     >>> from imr_torch.material import PARAMETERS
     >>> PARAMETERS["mu"].meaning, PARAMETERS["mu"].unit, PARAMETERS["mu"].neutral
@@ -56,7 +58,8 @@ class Parameter:
     def __post_init__(self) -> None:
         if not self.lower <= self.neutral <= self.upper:
             raise InputDataError(
-                f"Parameter {self.name!r}: neutral value {self.neutral} lies outside its bounds [{self.lower}, {self.upper}]."
+                f"Parameter {self.name!r}: neutral value {self.neutral} lies outside its bounds "
+                f"[{self.lower}, {self.upper}]."
             )
 
     @property
@@ -95,7 +98,10 @@ class ParameterVector:
         """Append an entry; a second one of the same name must be identical."""
         known = self._entries.get(parameter.name)
         if known is not None and known != parameter:
-            raise InputDataError(f"Parameter {parameter.name!r} is registered already with another definition: {known}.")
+            raise InputDataError(
+                f"Parameter {parameter.name!r} is registered already with another definition: "
+                f"{known}."
+            )
         self._entries[parameter.name] = parameter
         self._columns = {name: column for column, name in enumerate(self._entries)}
         self.size = len(self._entries)
@@ -114,7 +120,9 @@ class ParameterVector:
         try:
             return self._entries[name]
         except KeyError:
-            raise InputDataError(f"Unknown parameter {name!r}; known are {', '.join(self._entries)}.") from None
+            raise InputDataError(
+                f"Unknown parameter {name!r}; known are {', '.join(self._entries)}."
+            ) from None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -128,31 +136,46 @@ class ParameterVector:
                 self[name]  # names the parameters that are known
         return [self._columns[name] for name in names]
 
-    def neutral(self, *batch_shape: int, dtype: torch.dtype = torch.float64) -> Float[Tensor, "*batch parameters"]:
-        """A ``batch_shape x p`` tensor of neutral values: a bubble in an inviscid liquid without elasticity."""
+    def neutral(
+        self, *batch_shape: int, dtype: torch.dtype = torch.float64
+    ) -> Float[Tensor, "*batch parameters"]:
+        """A ``batch_shape x p`` tensor of neutral values: a bubble in an inviscid liquid without
+        elasticity.
+        """
         row = torch.tensor([p.neutral for p in self], dtype=dtype)
         return row.expand(*batch_shape, len(self)).clone()
 
     def acting(self, rows: Float[Tensor, "parameters members"]) -> frozenset[str]:
-        """Names of the parameters (``rows``, ``p x B``, in SI or dimensionless) that are not neutral in some member."""
+        """Names of the parameters (``rows``, ``p x B``, in SI or dimensionless) that are not
+        neutral in some member.
+        """
         neutral = self.neutral(dtype=rows.dtype).to(rows.device)
         moved = (rows != neutral[:, None]).any(1)
-        return frozenset(name for name, acts in zip(self.names, moved.tolist(), strict=True) if acts)
+        return frozenset(
+            name for name, acts in zip(self.names, moved.tolist(), strict=True) if acts
+        )
 
-    def pack(self, values: Mapping[str, float | Real[Tensor, "*#batch"]]) -> Float[Tensor, "*batch parameters"]:
+    def pack(
+        self, values: Mapping[str, float | Real[Tensor, "*#batch"]]
+    ) -> Float[Tensor, "*batch parameters"]:
         """Put named values into a parameter tensor; what is not named is neutral.
 
         Args:
-            values: name -> number or tensor, SI units; tensors broadcast to a common ``batch_shape``.
+            values: name -> number or tensor, SI units; tensors broadcast to a common
+                ``batch_shape``.
 
         Returns:
-            ``batch_shape x p`` tensor in the dtype and device of the given tensors (float64 for plain numbers).
+            ``batch_shape x p`` tensor in the dtype and device of the given tensors (float64 for
+            plain numbers).
 
         Raises:
-            InputDataError: for an unknown name, or a value that is not finite or outside the parameter's bounds.
+            InputDataError: for an unknown name, or a value that is not finite or outside the
+                parameter's bounds.
         """
         columns = {
-            self[name].name: value if isinstance(value, Tensor) else torch.tensor(value, dtype=torch.float64)
+            self[name].name: value
+            if isinstance(value, Tensor)
+            else torch.tensor(value, dtype=torch.float64)
             for name, value in values.items()
         }
         floating = [c for c in columns.values() if c.is_floating_point() and c.ndim > 0]
@@ -163,17 +186,22 @@ class ParameterVector:
             packed = packed.to(floating[0].device)
         for name, column in columns.items():
             self.check(name, column)
-            packed = packed.index_copy(-1, torch.tensor(self.index([name])), column.to(packed).expand(shape)[..., None])
+            packed = packed.index_copy(
+                -1, torch.tensor(self.index([name])), column.to(packed).expand(shape)[..., None]
+            )
         return packed
 
     def check(self, name: str, value: Real[Tensor, "*batch"]) -> None:
-        """Raise :class:`InputDataError` where a value is not finite or outside the bounds of ``name``."""
+        """Raise :class:`InputDataError` where a value is not finite or outside the bounds of
+        ``name``.
+        """
         entry = self[name]
         bad = ~((value >= entry.lower) & (value <= entry.upper))
         if bool(bad.any()):
             worst = float(value[bad].reshape(-1)[0]) if value.ndim else float(value)
             raise InputDataError(
-                f"Parameter {name!r} is {worst:g} {entry.unit}; expected a value in [{entry.lower:g}, {entry.upper:g}] "
+                f"Parameter {name!r} is {worst:g} {entry.unit}; expected a value in "
+                f"[{entry.lower:g}, {entry.upper:g}] "
                 f"{entry.unit} ({entry.meaning}). Parameters are given in SI units."
             )
 
@@ -181,7 +209,18 @@ class ParameterVector:
 def _modulus(name: str, meaning: str) -> Parameter:
     """A shear modulus, within 1-25 kPa at 68 %."""
     prior = LogNormal(median=5e3, factor=5.0)
-    return Parameter(name, meaning, "Pa", "pressure", 0.0, 1e7, 0.0, display_scale=1e-3, display_unit="kPa", prior=prior)
+    return Parameter(
+        name,
+        meaning,
+        "Pa",
+        "pressure",
+        0.0,
+        1e7,
+        0.0,
+        display_scale=1e-3,
+        display_unit="kPa",
+        prior=prior,
+    )
 
 
 def _shape(name: str, meaning: str, lower: float, upper: float, sd: float) -> Parameter:
@@ -193,7 +232,9 @@ def _shape(name: str, meaning: str, lower: float, upper: float, sd: float) -> Pa
 def _relaxation_time(name: str, meaning: str) -> Parameter:
     """A time from 0 (neutral) to a second, quoted in microseconds; within 2-50 us at 68 %."""
     prior = LogNormal(median=1e-5, factor=5.0)
-    return Parameter(name, meaning, "s", "time", 0.0, 1.0, 0.0, display_scale=1e6, display_unit="us", prior=prior)
+    return Parameter(
+        name, meaning, "s", "time", 0.0, 1.0, 0.0, display_scale=1e6, display_unit="us", prior=prior
+    )
 
 
 def _number(name: str, meaning: str, lower: float, upper: float) -> Parameter:
@@ -203,13 +244,33 @@ def _number(name: str, meaning: str, lower: float, upper: float) -> Parameter:
 
 def _rate(name: str, meaning: str, lower: float, upper: float) -> Parameter:
     """A rate, quoted per millisecond."""
-    return Parameter(name, meaning, "1/s", "rate", lower, upper, 0.0, display_scale=1e-3, display_unit="1/ms")
+    return Parameter(
+        name, meaning, "1/s", "rate", lower, upper, 0.0, display_scale=1e-3, display_unit="1/ms"
+    )
 
 
 _OF_MODELS = (
     _modulus("G", "shear modulus"),
-    Parameter("mu", "viscosity", "Pa s", "viscosity", 0.0, 100.0, 0.0, prior=LogNormal(median=0.1, factor=3.0)),
-    Parameter("alpha", "strain stiffening", "1", "none", -1.0, 100.0, 0.0, prior=TruncatedNormal(0.0, 0.5, lower=0.0)),
+    Parameter(
+        "mu",
+        "viscosity",
+        "Pa s",
+        "viscosity",
+        0.0,
+        100.0,
+        0.0,
+        prior=LogNormal(median=0.1, factor=3.0),
+    ),
+    Parameter(
+        "alpha",
+        "strain stiffening",
+        "1",
+        "none",
+        -1.0,
+        100.0,
+        0.0,
+        prior=TruncatedNormal(0.0, 0.5, lower=0.0),
+    ),
     _modulus("G_lin", "shear modulus at small strain"),
     _shape("alpha_fung2", "stiffening, Fung to second order", -1.0, 100.0, 0.1),
     _shape("alpha_fung", "stiffening, exponential Fung", -1.0, 10.0, 0.02),
@@ -223,7 +284,17 @@ _OF_MODELS = (
 )
 _OF_THE_GEL = (
     _number("damage", "softening per unit of accumulated strain", 0.0, 10.0),
-    Parameter("yield_stress", "yield stress", "Pa", "pressure", 0.0, 1e6, 0.0, display_scale=1e-3, display_unit="kPa"),
+    Parameter(
+        "yield_stress",
+        "yield stress",
+        "Pa",
+        "pressure",
+        0.0,
+        1e6,
+        0.0,
+        display_scale=1e-3,
+        display_unit="kPa",
+    ),
     _number("graded_modulus", "excess modulus at the wall", -1.0, 10.0),
     _number("permanent_set", "part of the stretch that stays", -0.5, 0.5),
     _rate("healing", "rate at which damage heals", 0.0, 1e7),
@@ -254,14 +325,23 @@ _OF_THE_BUBBLE = (
     _number("pulse_time", "when it arrives, in Rmax/U_c", -1.0, 20.0),
     _number("pulse_width", "log of its width, in Rmax/U_c", -6.0, 3.0),
     _number("excess_gas", "log of the gas at time zero over that which rests at R_inf", -2.0, 2.0),
-    _number("hot_contents", "mean temperature of the contents at time zero over T_inf, less 1", -0.3, 0.6),
+    _number(
+        "hot_contents",
+        "mean temperature of the contents at time zero over T_inf, less 1",
+        -0.3,
+        0.6,
+    ),
     _rate("rinf_drift", "relative rate at which the gas's rest radius grows", -1e5, 1e5),
 )
 _OF_THE_MEDIUM = (
     _number("density", "log of the medium's density over the stated one", -2.0, 2.0),
     _number("medium_tension", "log of the medium's surface tension over the stated one", -3.0, 3.0),
-    _number("medium_pressure", "log of the medium's far-field pressure over the stated one", -2.0, 2.0),
-    _number("medium_temperature", "log of the medium's temperature in K over the stated one", -0.2, 0.2),
+    _number(
+        "medium_pressure", "log of the medium's far-field pressure over the stated one", -2.0, 2.0
+    ),
+    _number(
+        "medium_temperature", "log of the medium's temperature in K over the stated one", -0.2, 0.2
+    ),
 )
 _OF_THE_CAMERA = (
     _number("missed_maximum", "true Rmax over the measured one, less 1", -0.2, 0.2),
@@ -270,7 +350,17 @@ _OF_THE_CAMERA = (
     _number("clock", "log of true over measured time at a fixed time scale", -0.3, 0.3),
     _number("exposure_blur", "exposure, in Rmax/U_c", 0.0, 0.5),
     _number("refraction", "relative error of R that grows with R*", -0.2, 0.2),
-    Parameter("edge_error", "measured less true radius", "m", "length", -2e-5, 2e-5, 0.0, display_scale=1e6, display_unit="um"),
+    Parameter(
+        "edge_error",
+        "measured less true radius",
+        "m",
+        "length",
+        -2e-5,
+        2e-5,
+        0.0,
+        display_scale=1e6,
+        display_unit="um",
+    ),
 )
 
 PARAMETERS = ParameterVector()
@@ -281,7 +371,9 @@ for _row in (*_OF_MODELS, *_OF_THE_GEL, *_OF_THE_BUBBLE, *_OF_THE_MEDIUM, *_OF_T
 
 
 def dimensionless(
-    parameters: Float[Tensor, "*#batch parameters"], max_radius: Float[Tensor, "*#batch"], surroundings: Surroundings
+    parameters: Float[Tensor, "*#batch parameters"],
+    max_radius: Float[Tensor, "*#batch"],
+    surroundings: Surroundings,
 ) -> dict[str, Float[Tensor, "*#batch"]]:
     """The parameters of each bubble in dimensionless form.
 
@@ -292,7 +384,8 @@ def dimensionless(
 
     Returns:
         By name: moduli as ``1/Ca = G/p_inf``, viscosities as ``1/Re = mu U_c/(p_inf Rmax)``,
-        times as ``De = tau U_c/Rmax`` (Estrada et al. 2018, section 2.3), rates and lengths over ``U_c/Rmax`` and ``Rmax``.
+        times as ``De = tau U_c/Rmax`` (Estrada et al. 2018, section 2.3), rates and lengths over
+        ``U_c/Rmax`` and ``Rmax``.
 
     >>> import torch
     >>> from imr_torch.material import PARAMETERS, dimensionless
@@ -311,4 +404,7 @@ def dimensionless(
         "length": 1.0 / max_radius,
         "none": 1.0,
     }
-    return {entry.name: parameters[..., i] * factor[entry.dimension] for i, entry in enumerate(PARAMETERS)}
+    return {
+        entry.name: parameters[..., i] * factor[entry.dimension]
+        for i, entry in enumerate(PARAMETERS)
+    }

@@ -1,10 +1,11 @@
 """Stress integrals: what the gel around the bubble adds to the balance of pressures at its wall.
 
-For a spherical bubble in an incompressible medium the stress integral ``S = 2 int_R^inf (tau_rr - tau_tt)/r dr`` is a
-function of the stretch ratio ``lambda = R/R_inf``, the wall velocity ``U`` and, where the gel remembers, of *memory
-states* with rates of their own. The radial equations also need ``dS/dt``, which holds ``dU/dt``; each law therefore
-returns ``S``, the part of ``dS/dt`` that is known from the state, and the factor of ``dU/dt``. All quantities are
-dimensionless (pressures over ``p_inf``).
+For a spherical bubble in an incompressible medium the stress integral ``S = 2 int_R^inf (tau_rr -
+tau_tt)/r dr`` is a function of the stretch ratio ``lambda = R/R_inf``, the wall velocity ``U`` and,
+where the gel remembers, of *memory states* with rates of their own. The radial equations also need
+``dS/dt``, which holds ``dU/dt``; each law therefore returns ``S``, the part of ``dS/dt`` that is
+known from the state, and the factor of ``dU/dt``. All quantities are dimensionless (pressures over
+``p_inf``).
 """
 
 import inspect
@@ -45,7 +46,9 @@ class Stress:
     acceleration: Inexact[Tensor, "*batch"]
 
     def __add__(self, other: "Stress") -> "Stress":
-        return Stress(self.value + other.value, self.rate + other.rate, self.acceleration + other.acceleration)
+        return Stress(
+            self.value + other.value, self.rate + other.rate, self.acceleration + other.acceleration
+        )
 
 
 @dataclass(frozen=True)
@@ -53,23 +56,25 @@ class StressTerm:
     """One additive contribution to the stress integral, written once as a law of scalars.
 
     The law is a plain function at the top of a module,
-    ``law(radius, velocity, rest_radius, *memory, *parameters) -> (value, rate, acceleration, *memory_rates)``, whose last
-    arguments are named as the entries of ``PARAMETERS`` that it reads; all quantities are dimensionless. ``rate`` includes
-    what the memory's own rates do. Written with :mod:`imr_torch.elementary` it is compiled and differentiated by complex
-    step; with other functions of torch it is evaluated on tensors and differentiated in forward mode.
+    ``law(radius, velocity, rest_radius, *memory, *parameters) -> (value, rate, acceleration,
+    *memory_rates)``, whose last arguments are named as the entries of ``PARAMETERS`` that it reads;
+    all quantities are dimensionless. ``rate`` includes what the memory's own rates do. Written with
+    :mod:`imr_torch.elementary` it is compiled and differentiated by complex step; with other
+    functions of torch it is evaluated on tensors and differentiated in forward mode.
 
-    A memory state is scaled as a pressure over ``p_inf``. Members of a batch whose ``switch`` is neutral have it too where
-    another member needs it; it must do nothing for them.
+    A memory state is scaled as a pressure over ``p_inf``. Members of a batch whose ``switch`` is
+    neutral have it too where another member needs it; it must do nothing for them.
 
     Args:
         law: see above.
         switch: the parameter whose neutral value, 0, turns the term off.
         states: memory states of the law.
-        start: ``start(rest_radius, *parameters)``, a tuple of the memory at time zero, where ``R = 1``; zeros by default.
-        fastest: ``fastest(*parameters)``, the rate at which the fastest state relaxes, which explicit solvers must resolve;
-            None if it follows the bubble's motion.
-        unbounded: ``unbounded(*parameters)``, on tensors: where the energy of the term has no lower bound, which excuses a
-            solve that fails.
+        start: ``start(rest_radius, *parameters)``, a tuple of the memory at time zero, where ``R =
+            1``; zeros by default.
+        fastest: ``fastest(*parameters)``, the rate at which the fastest state relaxes, which
+            explicit solvers must resolve; None if it follows the bubble's motion.
+        unbounded: ``unbounded(*parameters)``, on tensors: where the energy of the term has no lower
+            bound, which excuses a solve that fails.
         names: parameters that the law reads, from its signature.
 
     >>> from imr_torch.material import TERMS
@@ -88,9 +93,13 @@ class StressTerm:
 
     def __post_init__(self) -> None:
         arguments = tuple(inspect.signature(self.law).parameters)
-        if arguments[:3] != ("radius", "velocity", "rest_radius") or len(arguments) <= 3 + self.states:
+        if (
+            arguments[:3] != ("radius", "velocity", "rest_radius")
+            or len(arguments) <= 3 + self.states
+        ):
             raise InputDataError(
-                f"A stress law takes radius, velocity, rest_radius, its {self.states} memory states and the parameters that "
+                f"A stress law takes radius, velocity, rest_radius, its {self.states} memory "
+                "states and the parameters that "
                 f"it reads, in this order; {self.law.__qualname__} takes {', '.join(arguments)}."
             )
         object.__setattr__(self, "names", arguments[3 + self.states :])
@@ -103,7 +112,9 @@ class StressTerm:
     @cached_property
     def compilable(self) -> bool:
         """Whether the whole term is written with :mod:`imr_torch.elementary`."""
-        return all(law is None or has_compiled_form(law) for law in (self.law, self.start, self.fastest))
+        return all(
+            law is None or has_compiled_form(law) for law in (self.law, self.start, self.fastest)
+        )
 
     def __call__(
         self,
@@ -113,7 +124,8 @@ class StressTerm:
         theta: Mapping[str, Inexact[Tensor, "*#batch"]],
         memory: Inexact[Tensor, "states *#batch"] | None = None,
     ) -> Stress:
-        """Evaluate the term; ``memory`` is ``states x batch_shape``, all else broadcasts to ``batch_shape``.
+        """Evaluate the term; ``memory`` is ``states x batch_shape``, all else broadcasts to
+        ``batch_shape``.
 
         Raises:
             InputDataError: if the term has memory and none is given.
@@ -132,14 +144,18 @@ class StressTerm:
         return torch.stack(self.evaluate(radius, velocity, rest_radius, theta, memory)[3:])
 
     def memory_start(
-        self, rest_radius: Inexact[Tensor, "*#batch"], theta: Mapping[str, Inexact[Tensor, "*#batch"]]
+        self,
+        rest_radius: Inexact[Tensor, "*#batch"],
+        theta: Mapping[str, Inexact[Tensor, "*#batch"]],
     ) -> Inexact[Tensor, "states *#batch"]:
         """Memory at time zero, ``states x batch_shape``."""
         if self.start is None:
             return rest_radius.new_zeros(self.states, *rest_radius.shape)
         return torch.stack(self.start(rest_radius, *self._read(theta)))
 
-    def relaxation_rate(self, theta: Mapping[str, Inexact[Tensor, "*#batch"]]) -> Inexact[Tensor, "*#batch"] | None:
+    def relaxation_rate(
+        self, theta: Mapping[str, Inexact[Tensor, "*#batch"]]
+    ) -> Inexact[Tensor, "*#batch"] | None:
         """Rate of the fastest state, ``batch_shape``; None if it follows the bubble's motion."""
         return None if self.fastest is None else self.fastest(*self._read(theta))
 
@@ -151,12 +167,18 @@ class StressTerm:
         theta: Mapping[str, Inexact[Tensor, "*#batch"]],
         memory: Inexact[Tensor, "states *#batch"] | None,
     ) -> tuple[Inexact[Tensor, "*#batch"], ...]:
-        """Value, rate and acceleration of the stress, and the rates of the memory, all of the broadcast shape."""
+        """Value, rate and acceleration of the stress, and the rates of the memory, all of the
+        broadcast shape.
+        """
         if self.states and memory is None:
             raise InputDataError(f"{self.name} has memory; its states must be given.")
         states = memory.unbind(0)[: self.states] if memory is not None else ()
         parts = self.law(radius, velocity, rest_radius, *states, *self._read(theta))
-        return tuple(torch.broadcast_tensors(*(x if isinstance(x, Tensor) else radius.new_full((), x) for x in parts)))
+        return tuple(
+            torch.broadcast_tensors(
+                *(x if isinstance(x, Tensor) else radius.new_full((), x) for x in parts)
+            )
+        )
 
     def _read(self, theta: Mapping[str, Tensor]) -> list[Tensor]:
         return [theta[name] for name in self.names]

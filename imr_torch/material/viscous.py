@@ -1,11 +1,12 @@
 """Stress laws of viscosity without memory: Newtonian, and thinning with the shear rate.
 
-In spherical motion the velocity is ``u = R^2 U/r^2`` and the shear rate ``2 sqrt(3) R^2 |U|/r^3``. With
-``x = (R/r)^3`` a viscosity that depends on the shear rate gives ``S = -4 (U/R) int_0^1 mu(gamma_wall x) dx``, so ``S``
-depends on ``U/R`` alone and ``dS/d(U/R)`` is four times the viscosity at the wall: nothing but ``S`` itself needs
-quadrature.
+In spherical motion the velocity is ``u = R^2 U/r^2`` and the shear rate ``2 sqrt(3) R^2 |U|/r^3``.
+With ``x = (R/r)^3`` a viscosity that depends on the shear rate gives ``S = -4 (U/R) int_0^1
+mu(gamma_wall x) dx``, so ``S`` depends on ``U/R`` alone and ``dS/d(U/R)`` is four times the
+viscosity at the wall: nothing but ``S`` itself needs quadrature.
 
-Sources: Estrada et al. (J. Mech. Phys. Solids 112, 2018), eq. 10; Carreau (Trans. Soc. Rheol. 16, 1972); Gaudron, Warnez &
+Sources: Estrada et al. (J. Mech. Phys. Solids 112, 2018), eq. 10; Carreau (Trans. Soc. Rheol. 16,
+    1972); Gaudron, Warnez &
 Johnsen (J. Fluid Mech. 766, 2015), section 2.3 for the integral.
 """
 
@@ -16,7 +17,9 @@ from imr_torch.elementary import Quadrature, Scalar, asinh, cosh, expm1, log, re
 from imr_torch.material.stress import StressTerm
 
 
-def newtonian(radius: Scalar, velocity: Scalar, rest_radius: Scalar, mu: Scalar) -> tuple[Scalar, ...]:
+def newtonian(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, mu: Scalar
+) -> tuple[Scalar, ...]:
     """``S = -4 U / (Re R)`` (Estrada et al. 2018, eq. 10)."""
     factor = -4.0 * mu / radius
     value = factor * velocity
@@ -33,7 +36,9 @@ _SHEAR = 2.0 * 3.0**0.5  # shear rate at the wall over |U|/R
 
 
 def _thinned(node: Scalar, span: Scalar, thinning: Scalar) -> Scalar:
-    """The integrand: viscosity lost at a shear rate of ``sinh(node * span)``; exactly 0 without thinning."""
+    """The integrand: viscosity lost at a shear rate of ``sinh(node * span)``; exactly 0 without
+    thinning.
+    """
     rate = cosh(node * span)
     return -rate * expm1(-thinning * log(rate))
 
@@ -42,13 +47,19 @@ _LOST = Quadrature(_thinned, _unit_rule(16))
 
 
 def carreau(
-    radius: Scalar, velocity: Scalar, rest_radius: Scalar, mu: Scalar, thinning: Scalar, shear_time: Scalar
+    radius: Scalar,
+    velocity: Scalar,
+    rest_radius: Scalar,
+    mu: Scalar,
+    thinning: Scalar,
+    shear_time: Scalar,
 ) -> tuple[Scalar, ...]:
-    """What shear thinning takes off the Newtonian law: ``mu(g) = mu (1 + (t_s g)^2)^(-s/2)``, Carreau (1972).
+    """What shear thinning takes off the Newtonian law: ``mu(g) = mu (1 + (t_s g)^2)^(-s/2)``,
+    Carreau (1972).
 
-    ``s = 1 - n`` with the flow index ``n``; ``s = 0`` is Newtonian. The integral over the gel is taken by Gauss-Legendre
-    quadrature in ``asinh`` of the shear rate, where the integrand is smooth: 16 nodes leave less than 1e-12 of ``mu`` up to
-    ``t_s g = 1e4``.
+    ``s = 1 - n`` with the flow index ``n``; ``s = 0`` is Newtonian. The integral over the gel is
+    taken by Gauss-Legendre quadrature in ``asinh`` of the shear rate, where the integrand is
+    smooth: 16 nodes leave less than 1e-12 of ``mu`` up to ``t_s g = 1e4``.
     """
     factor = 4.0 * mu
     strain = velocity / radius
@@ -58,7 +69,11 @@ def carreau(
     stretch = where(still, 1.0, span / where(still, 1.0, reduced))
     lost = stretch * _LOST(span, thinning)  # of the mean viscosity over mu
     lost_at_wall = -expm1(-0.5 * thinning * log(1.0 + reduced * reduced))
-    return factor * strain * lost, -factor * lost_at_wall * strain * strain, factor * lost_at_wall / radius
+    return (
+        factor * strain * lost,
+        -factor * lost_at_wall * strain * strain,
+        factor * lost_at_wall / radius,
+    )
 
 
 NEWTONIAN = StressTerm(newtonian, switch="mu")

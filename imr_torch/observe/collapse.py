@@ -1,12 +1,15 @@
-"""Collapse times as data: shots of which Rmax, the stretch Rmax/R_inf and the time of the first collapse are known alone.
+"""Collapse times as data: shots of which Rmax, the stretch Rmax/R_inf and the time of the first
+collapse are known alone.
 
-A :class:`CollapseTime` is an experiment with one datum of another kind than a radius; it stands in an
-:class:`imr_torch.observe.ExperimentBatch` beside curves, so that fits, draws and evidence need not know. Its likelihood is
-Gaussian in the time of the first minimum of the simulated radius. Rmax and R_inf are nuisances of the shot with their errors.
+A :class:`CollapseTime` is an experiment with one datum of another kind than a radius; it stands in
+an :class:`imr_torch.observe.ExperimentBatch` beside curves, so that fits, draws and evidence need
+not know. Its likelihood is Gaussian in the time of the first minimum of the simulated radius. Rmax
+and R_inf are nuisances of the shot with their errors.
 
-The minimum is where the wall's velocity changes sign, by a cubic through radius and velocity at both ends of an interval of the
-output; in three passes the intervals shrink to 1e-5 of the collapse time. Rheometry from collapse times alone: Zhu et al.,
-Soft Matter (2025), doi 10.1039/D5SM00397K, where the collapse time is a formula; here the bubble is simulated.
+The minimum is where the wall's velocity changes sign, by a cubic through radius and velocity at
+both ends of an interval of the output; in three passes the intervals shrink to 1e-5 of the collapse
+time. Rheometry from collapse times alone: Zhu et al., Soft Matter (2025), doi 10.1039/D5SM00397K,
+where the collapse time is a formula; here the bubble is simulated.
 """
 
 import csv
@@ -34,10 +37,17 @@ RESOLUTION_S = 20e-9
 """Error of a collapse time that a file does not state: what Zhu et al. (2025) give for theirs."""
 
 _COLUMNS = ("experiment_id", "rmax_m", "stretch", "collapse_time_s")
-_ERRORS = {"collapse_time_sd_s": "collapse_time_sd_s", "rmax_sd_m": "max_radius_sd_m", "stretch_sd": "stretch_sd"}
+_ERRORS = {
+    "collapse_time_sd_s": "collapse_time_sd_s",
+    "rmax_sd_m": "max_radius_sd_m",
+    "stretch_sd": "stretch_sd",
+}
 _FLOOR = Nuisance(max_radius=0.003, rest_radius=0.01)  # as of curves: pixel size and edge detection
 _GRID = torch.cat(
-    [torch.linspace(a, b, n + 1, dtype=torch.float64)[:-1] for a, b, n in ((0.0, 0.7, 40), (0.7, 1.3, 120), (1.3, 2.5, 60))]
+    [
+        torch.linspace(a, b, n + 1, dtype=torch.float64)[:-1]
+        for a, b, n in ((0.0, 0.7, 40), (0.7, 1.3, 120), (1.3, 2.5, 60))
+    ]
 )  # output times over the measured collapse time, in which an interval with the minimum is found
 _USUAL = 160  # of these times, up to 1.3
 _AROUND = 0.03 * torch.sinh(torch.linspace(-6.0, 6.0, 121, dtype=torch.float64)) / math.sinh(6.0)
@@ -84,14 +94,16 @@ class CollapseShot:
         for (name, (low, high)), value in zip(_RANGES.items(), values, strict=True):
             if not low <= value <= high:
                 raise InputDataError(
-                    f"{self.source}: experiment '{self.experiment_id}': {name} is {value:g}; expected "
+                    f"{self.source}: experiment '{self.experiment_id}': {name} is {value:g}; "
+                    "expected "
                     f"{low:g} to {high:g}, in SI units."
                 )
         for name in ("collapse_time_sd_s", "max_radius_sd_m", "stretch_sd"):
             sd = getattr(self, name)
             if sd is not None and not 0.0 < sd < math.inf:
                 raise InputDataError(
-                    f"{self.source}: experiment '{self.experiment_id}': {name} is {sd:g}; expected an error above 0, or leave "
+                    f"{self.source}: experiment '{self.experiment_id}': {name} is {sd:g}; "
+                    "expected an error above 0, or leave "
                     "it out."
                 )
         for name, value, of in (
@@ -101,30 +113,40 @@ class CollapseShot:
         ):
             if value is not None and value >= of:
                 raise InputDataError(
-                    f"{self.source}: experiment '{self.experiment_id}': {name} is {value:g}; expected an error below the value "
+                    f"{self.source}: experiment '{self.experiment_id}': {name} is {value:g}; "
+                    "expected an error below the value "
                     f"itself, {of:g}, in SI units."
                 )
 
     def to_experiment(self, surroundings: Surroundings) -> "CollapseTime":
         """The shot in dimensionless form."""
-        top, scale = self.max_radius_m, surroundings.time_scale(self.max_radius_m)
+        top = self.max_radius_m
+        scale = surroundings.time_scale(self.max_radius_m)
         nuisance = Nuisance(
-            max_radius=_FLOOR.max_radius if self.max_radius_sd_m is None else self.max_radius_sd_m / top,
-            rest_radius=_FLOOR.rest_radius if self.stretch_sd is None else self.stretch_sd / self.stretch,
+            max_radius=_FLOOR.max_radius
+            if self.max_radius_sd_m is None
+            else self.max_radius_sd_m / top,
+            rest_radius=_FLOOR.rest_radius
+            if self.stretch_sd is None
+            else self.stretch_sd / self.stretch,
         )
         design = (surroundings.weber(top), 1.0 / self.stretch)
         time = self.collapse_time_s / scale
         if not 0.3 <= time <= 6.0:
             raise InputDataError(
-                f"{self.source}: experiment '{self.experiment_id}': the collapse is at t* = {time:.2g} (an empty "
+                f"{self.source}: experiment '{self.experiment_id}': the collapse is at t* = "
+                f"{time:.2g} (an empty "
                 "cavity: .915); check the units of rmax_m and collapse_time_s."
             )
-        return CollapseTime(self.experiment_id, design, time, self.collapse_time_sd_s / scale, nuisance)
+        return CollapseTime(
+            self.experiment_id, design, time, self.collapse_time_sd_s / scale, nuisance
+        )
 
 
 @dataclass(frozen=True)
 class CollapseTime:
-    """One shot whose only datum is its first collapse time; an experiment of one frame, whose value is a time.
+    """One shot whose only datum is its first collapse time; an experiment of one frame, whose value
+    is a time.
 
     Args:
         label: name in reports.
@@ -153,13 +175,21 @@ class CollapseTime:
 
     def __post_init__(self) -> None:
         check_designs(torch.tensor([self.design], dtype=torch.float64))
-        if not (0.0 < self.time < math.inf and 0.0 < self.sd < math.inf and 0.0 <= self.scatter < math.inf):
+        if not (
+            0.0 < self.time < math.inf
+            and 0.0 < self.sd < math.inf
+            and 0.0 <= self.scatter < math.inf
+        ):
             raise InputDataError(
-                f"CollapseTime {self.label!r} has time {self.time:g}, sd {self.sd:g} and scatter {self.scatter:g}; expected "
+                f"CollapseTime {self.label!r} has time {self.time:g}, sd {self.sd:g} and scatter "
+                f"{self.scatter:g}; expected "
                 "finite numbers, time and sd above 0."
             )
         if self.nuisance.time_zero:
-            raise InputDataError(f"CollapseTime {self.label!r}: put the error of time zero into sd, and 0 into its nuisance.")
+            raise InputDataError(
+                f"CollapseTime {self.label!r}: put the error of time zero into sd, and 0 into its "
+                "nuisance."
+            )
 
     @cached_property
     def times(self) -> Float[Tensor, "1"]:
@@ -196,9 +226,12 @@ class CollapseTime:
 
 
 def first_minimum(
-    times: Float[Tensor, "*#batch frames"], radius: Float[Tensor, "*#batch frames"], velocity: Float[Tensor, "*#batch frames"]
+    times: Float[Tensor, "*#batch frames"],
+    radius: Float[Tensor, "*#batch frames"],
+    velocity: Float[Tensor, "*#batch frames"],
 ) -> Float[Tensor, "*#batch"]:
-    """Time of the first minimum of curves, where the velocity changes sign; NaN for a curve without one.
+    """Time of the first minimum of curves, where the velocity changes sign; NaN for a curve without
+    one.
 
     Args:
         times: increasing.
@@ -212,7 +245,9 @@ def first_minimum(
     3.142
     """
     turns = (velocity[..., :-1] < 0.0) & (velocity[..., 1:] >= 0.0)
-    left = (turns.cumsum(-1) == 0).sum(-1, keepdim=True).clamp_max(turns.shape[-1] - 1)  # intervals before the first
+    left = (
+        (turns.cumsum(-1) == 0).sum(-1, keepdim=True).clamp_max(turns.shape[-1] - 1)
+    )  # intervals before the first
     shape = turns.shape[:-1]
 
     def ends(values: Tensor) -> tuple[Tensor, Tensor]:
@@ -220,9 +255,12 @@ def first_minimum(
         return whole.gather(-1, left)[..., 0], whole.gather(-1, left + 1)[..., 0]
 
     (t0, t1), (r0, r1), (u0, u1) = ends(times), ends(radius), ends(velocity)
-    h, rise = t1 - t0, r1 - r0
-    u0, u1 = u0 * h, u1 * h
-    a, b = 3.0 * (u0 + u1 - 2.0 * rise), 2.0 * (3.0 * rise - 2.0 * u0 - u1)
+    h = t1 - t0
+    rise = r1 - r0
+    u0 = u0 * h
+    u1 = u1 * h
+    a = 3.0 * (u0 + u1 - 2.0 * rise)
+    b = 2.0 * (3.0 * rise - 2.0 * u0 - u1)
     share = -2.0 * u0 / (b + (b * b - 4.0 * a * u0).clamp_min(0.0).sqrt())
     return torch.where(turns.any(-1), t0 + h * share.clamp(0.0, 1.0), torch.nan)
 
@@ -236,7 +274,8 @@ def predict_collapse(
     *,
     bundled: bool = False,
 ) -> Float[Tensor, "*#batch experiments"]:
-    """Collapse times that would be measured of each gel in each shot: ``batch_shape x E``, dimensionless; NaN without one.
+    """Collapse times that would be measured of each gel in each shot: ``batch_shape x E``,
+    dimensionless; NaN without one.
 
     Args:
         simulator: makes the bubbles.
@@ -249,7 +288,9 @@ def predict_collapse(
     times = measured[:, None] * _GRID.to(measured)
     distortion = Distortion.of(parameters)
     if distortion is not None:
-        errors = distortion.shifts_of(designs, simulator.conditions.surroundings.max_radius(designs[:, 0]))[0]
+        errors = distortion.shifts_of(
+            designs, simulator.conditions.surroundings.max_radius(designs[:, 0])
+        )[0]
         shifts = errors if shifts is None else shifts + errors
     shifts = torch.zeros(*designs.shape[:-1], 3).to(designs) if shifts is None else shifts
     lost = ~((1.0 + shifts[..., 0] >= SMALLEST) & torch.isfinite(shifts).all(-1))
@@ -257,7 +298,8 @@ def predict_collapse(
     designs, scale = displaced(designs, times, shifts)[::2]
     rate = torch.ones_like(scale[..., 0])
     if distortion is not None:
-        designs, rate = distortion.placed(designs, times)[0], torch.exp(distortion.clock)
+        designs = distortion.placed(designs, times)[0]
+        rate = torch.exp(distortion.clock)
 
     def solved(times: Tensor) -> tuple[Tensor, Tensor]:
         if not bundled:
@@ -271,7 +313,9 @@ def predict_collapse(
     if bool(torch.isnan(found).any()):
         found = first_minimum(times, *solved(times))
     for about in (_AROUND, _CLOSE):
-        near = torch.where(torch.isnan(found), measured, found)[..., None] + about * measured[:, None]
+        near = (
+            torch.where(torch.isnan(found), measured, found)[..., None] + about * measured[:, None]
+        )
         found = torch.where(torch.isnan(found), torch.nan, first_minimum(near, *solved(near)))
     return torch.where(lost, torch.nan, found / rate * scale[..., 0] - shifts[..., 1])
 
@@ -286,14 +330,16 @@ def is_collapse_file(path: str | Path) -> bool:
 
 
 def load_collapse_times(*paths: str | Path) -> tuple[CollapseShot, ...]:
-    r"""Read shots from tables with the columns ``experiment_id, rmax_m, stretch, collapse_time_s``, one row a shot.
+    r"""Read shots from tables with the columns ``experiment_id, rmax_m, stretch, collapse_time_s``,
+    one row a shot.
 
     Args:
-        paths: CSV files; further columns ``collapse_time_sd_s``, ``rmax_sd_m`` and ``stretch_sd`` give errors. A JSON file of
-            the same name beside each may state the medium.
+        paths: CSV files; further columns ``collapse_time_sd_s``, ``rmax_sd_m`` and ``stretch_sd``
+            give errors. A JSON file of the same name beside each may state the medium.
 
     Raises:
-        InputDataError: for a missing column, a cell that is no number, a value that no bubble has, or a repeated name.
+        InputDataError: for a missing column, a cell that is no number, a value that no bubble has,
+            or a repeated name.
 
     >>> import tempfile
     >>> from pathlib import Path
@@ -307,7 +353,10 @@ def load_collapse_times(*paths: str | Path) -> tuple[CollapseShot, ...]:
     shots: list[CollapseShot] = []
     for path in map(Path, paths):
         if not is_collapse_file(path):
-            raise InputDataError(f"{path}: is no table of collapse times; expected the columns {', '.join(_COLUMNS)}.")
+            raise InputDataError(
+                f"{path}: is no table of collapse times; expected the columns "
+                f"{', '.join(_COLUMNS)}."
+            )
         stated = Sidecar(path).stated
         with path.open(encoding="utf-8-sig", newline="") as stream:
             table = csv.DictReader(stream, skipinitialspace=True)
@@ -317,7 +366,10 @@ def load_collapse_times(*paths: str | Path) -> tuple[CollapseShot, ...]:
     names = [shot.experiment_id for shot in shots]
     double = next((name for name in names if names.count(name) > 1), None)
     if not shots or double is not None:
-        raise InputDataError(f"{paths[0]}: " + ("holds no shot." if not shots else f"experiment_id '{double}' occurs twice."))
+        raise InputDataError(
+            f"{paths[0]}: "
+            + ("holds no shot." if not shots else f"experiment_id '{double}' occurs twice.")
+        )
     return tuple(shots)
 
 
@@ -327,7 +379,8 @@ def _check_columns(path: Path, names: Sequence[str]) -> None:
     for name in names:
         if name.strip() not in known:
             raise InputDataError(
-                f"{path}: column {name!r} is none of a table of collapse times; expected {', '.join(_COLUMNS)} and perhaps "
+                f"{path}: column {name!r} is none of a table of collapse times; expected "
+                f"{', '.join(_COLUMNS)} and perhaps "
                 f"{', '.join(_ERRORS)}. Rename it, or leave it out."
             )
         if list(names).count(name) > 1:
@@ -339,18 +392,25 @@ def _shot(row: dict[str, str], where: str, source: str, stated: Statement | None
         try:
             return float(row[column])
         except (TypeError, ValueError):
-            raise InputDataError(f"{where}: {column} is {row[column]!r}; expected a number in SI units.") from None
+            raise InputDataError(
+                f"{where}: {column} is {row[column]!r}; expected a number in SI units."
+            ) from None
 
     if not (row["experiment_id"] or "").strip():
         raise InputDataError(f"{where}: experiment_id is empty; give each shot a name.")
     errors = {name: number(column) for column, name in _ERRORS.items() if row.get(column)}
     return CollapseShot(
-        row["experiment_id"], *(number(column) for column in _COLUMNS[1:]), **errors, source=source, stated=stated
+        row["experiment_id"],
+        *(number(column) for column in _COLUMNS[1:]),
+        **errors,
+        source=source,
+        stated=stated,
     )
 
 
 def serial_correlation(values: Float[Tensor, "shots"], order: Float[Tensor, "shots"]) -> float:
-    """Correlation of each value with the next one in an order, times the root of their number: standard normal if independent.
+    """Correlation of each value with the next one in an order, times the root of their number:
+    standard normal if independent.
 
     Args:
         values: residuals.
@@ -367,11 +427,15 @@ def serial_correlation(values: Float[Tensor, "shots"], order: Float[Tensor, "sho
     return float(product / values.square().sum().clamp_min(1e-300)) * math.sqrt(len(values))
 
 
-def scatter_of(missed: Float[Tensor, "shots"], variance: Float[Tensor, "shots"], fitted: float) -> float:
-    """Further error of each time, dimensionless, with which chi-square equals its degrees of freedom; 0 if it is below.
+def scatter_of(
+    missed: Float[Tensor, "shots"], variance: Float[Tensor, "shots"], fitted: float
+) -> float:
+    """Further error of each time, dimensionless, with which chi-square equals its degrees of
+    freedom; 0 if it is below.
 
-    As it is plugged in, it is larger by the ratio of the 95 % quantiles of Student's t (of those degrees of freedom) and of the
-    normal distribution: so 90 % intervals that it dominates account for how few shots it is estimated from.
+    As it is plugged in, it is larger by the ratio of the 95 % quantiles of Student's t (of those
+    degrees of freedom) and of the normal distribution: so 90 % intervals that it dominates account
+    for how few shots it is estimated from.
 
     Args:
         missed: measured less predicted time, nuisances at their prior means.
@@ -381,8 +445,13 @@ def scatter_of(missed: Float[Tensor, "shots"], variance: Float[Tensor, "shots"],
     free = len(missed) - fitted
     if free < 1.0 or float((missed.square() / variance).sum()) <= free:
         return 0.0
-    low, high = 0.0, float(missed.square().max().sqrt()) * math.sqrt(len(missed))
+    low = 0.0
+    high = float(missed.square().max().sqrt()) * math.sqrt(len(missed))
     for _ in range(60):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if float((missed.square() / (variance + middle**2)).sum()) > free else (low, middle)
+        low, high = (
+            (middle, high)
+            if float((missed.square() / (variance + middle**2)).sum()) > free
+            else (low, middle)
+        )
     return high * float(stdtrit(free, 0.95) / ndtri(0.95))

@@ -1,7 +1,8 @@
-"""Conversion of a trace in SI units to a dimensionless experiment: Rmax, time zero and R_inf taken from its landmarks.
+"""Conversion of a trace in SI units to a dimensionless experiment: Rmax, time zero and R_inf taken
+from its landmarks.
 
-What the landmarks do not know exactly becomes the experiment's nuisances, with floors for what no fit sees (pixel size,
-edge detection): 0.3 % of Rmax, 0.004 in t*, 1 % of R_inf.
+What the landmarks do not know exactly becomes the experiment's nuisances, with floors for what no
+fit sees (pixel size, edge detection): 0.3 % of Rmax, 0.004 in t*, 1 % of R_inf.
 """
 
 import math
@@ -30,7 +31,8 @@ def to_experiment(
         trace: the curve.
         landmarks: its landmarks.
         surroundings: the liquid side, for the scales.
-        rest_radius: assumed R_inf/Rmax and its standard deviation, in place of what the record says.
+        rest_radius: assumed R_inf/Rmax and its standard deviation, in place of what the record
+            says.
 
     Returns:
         The experiment, one repeat, all frames from the maximum on.
@@ -51,7 +53,8 @@ def to_experiment(
     value, sd, remedy = _rest(trace, landmarks, rest_radius)
     if not 0.0 < value < 1.0:
         raise InputDataError(
-            f"{trace.source}: experiment '{trace.experiment_id}': R_inf/Rmax is {value:.3f} (R_inf {1e6 * value * top:.1f} um, "
+            f"{trace.source}: experiment '{trace.experiment_id}': R_inf/Rmax is {value:.3f} "
+            f"(R_inf {1e6 * value * top:.1f} um, "
             f"Rmax {1e6 * top:.1f} um); expected a rest radius below the maximum radius. {remedy}"
         )
     scale = surroundings.time_scale(top)
@@ -64,17 +67,28 @@ def to_experiment(
     )
     design = (surroundings.weber(top), value)
     exposure = 0.0 if trace.given.exposure_s is None else trace.given.exposure_s / float(scale)
-    return Experiment(trace.experiment_id, design, times[kept], trace.radius_m[kept][None] / top, nuisance, exposure)
+    return Experiment(
+        trace.experiment_id,
+        design,
+        times[kept],
+        trace.radius_m[kept][None] / top,
+        nuisance,
+        exposure,
+    )
 
 
-def _rest(trace: RadiusTrace, landmarks: Landmarks, assumed: tuple[float, float] | None) -> tuple[float, float, str]:
+def _rest(
+    trace: RadiusTrace, landmarks: Landmarks, assumed: tuple[float, float] | None
+) -> tuple[float, float, str]:
     """R_inf/Rmax, its standard deviation, and what to do if it is impossible."""
     if assumed is not None:
         return *assumed, "Give another assumed rest radius."
     if landmarks.rest_radius_m is None or landmarks.rest_radius_sd_m is None:
         raise InputDataError(
-            f"{trace.source}: experiment '{trace.experiment_id}' has no rebound and no given R_inf, so the rest radius cannot "
-            "be measured from it. Give it: rest_radius=(value, sd) of R_inf/Rmax (on the command line --rest-radius 0.2:0.1), "
+            f"{trace.source}: experiment '{trace.experiment_id}' has no rebound and no given "
+            "R_inf, so the rest radius cannot "
+            "be measured from it. Give it: rest_radius=(value, sd) of R_inf/Rmax (on the command "
+            "line --rest-radius 0.2:0.1), "
             "or Rinf_m in the JSON beside the file, or leave the experiment out."
         )
     top = landmarks.max_radius_m

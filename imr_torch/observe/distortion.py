@@ -1,8 +1,9 @@
-"""Measurement errors that all experiments share (clock, exposure, refraction, edge), as entries of the parameter vector.
+"""Measurement errors that all experiments share (clock, exposure, refraction, edge), as entries of
+the parameter vector.
 
-A maximum that was missed, a clock that runs wrong, an exposure that blurs are not nuisances of one experiment but
-departures that a diagnosis must be able to name; so they stand beside the properties of the gel, each with a neutral
-value of zero at which it does nothing, exactly.
+A maximum that was missed, a clock that runs wrong, an exposure that blurs are not nuisances of one
+experiment but departures that a diagnosis must be able to name; so they stand beside the properties
+of the gel, each with a neutral value of zero at which it does nothing, exactly.
 """
 
 from collections.abc import Callable
@@ -17,14 +18,22 @@ from torch import Tensor
 from imr_torch.material import PARAMETERS
 from imr_torch.simulate import EARLIEST
 
-_GEOMETRY = ("missed_maximum", "trigger_offset", "rinf_bias")  # in the order of the nuisances of one experiment
-_INSTANT = 1e-6  # exposure, in units of t*, that no frame can tell from none, and whose nodes may be one number
+_GEOMETRY = (
+    "missed_maximum",
+    "trigger_offset",
+    "rinf_bias",
+)  # in the order of the nuisances of one experiment
+# exposure, in units of t*, that no frame can tell from none, and whose nodes may be one number
+_INSTANT = 1e-6
 _NODES, _WEIGHTS = (torch.as_tensor(x) for x in np.polynomial.legendre.leggauss(8))
 
 
 @cache
 def _columns() -> list[int]:
-    """Where the errors stand in a parameter tensor; a column never moves, since entries are only appended."""
+    """Where the errors stand in a parameter tensor.
+
+    A column never moves, since entries are only appended.
+    """
     return PARAMETERS.index((*_GEOMETRY, "clock", "exposure_blur", "refraction", "edge_error"))
 
 
@@ -35,7 +44,8 @@ class Distortion:
     Args:
         shifts: common to all experiments, as nuisances are to one.
         clock: log of true over measured time.
-        blur: exposure, in Rmax/U_c; ``batch_shape x E`` where the exposure of each experiment is known.
+        blur: exposure, in Rmax/U_c; ``batch_shape x E`` where the exposure of each experiment is
+            known.
         refraction: relative error of R that grows with R*.
         edge: measured less true radius, m.
     """
@@ -48,9 +58,13 @@ class Distortion:
 
     @classmethod
     def of(
-        cls, parameters: Float[Tensor, "*batch parameters"], exposures: Float[Tensor, "experiments"] | None = None
+        cls,
+        parameters: Float[Tensor, "*batch parameters"],
+        exposures: Float[Tensor, "experiments"] | None = None,
     ) -> "Distortion | None":
-        """The errors in ``batch_shape x p`` parameters, known ``exposures`` (``E``) added to the blur; None if all are 0."""
+        """The errors in ``batch_shape x p`` parameters, known ``exposures`` (``E``) added to the
+        blur; None if all are 0.
+        """
         columns = parameters[..., _columns()]
         known = exposures is not None and bool((exposures != 0.0).any())
         if not known and not bool((columns != 0.0).any()):
@@ -63,12 +77,14 @@ class Distortion:
     def shifts_of(
         self, designs: Float[Tensor, "experiments 2"], max_radius: Float[Tensor, "experiments"]
     ) -> tuple[Float[Tensor, "*batch #experiments 3"], Float[Tensor, "*batch #experiments 1"]]:
-        """Errors of the measured designs and times, and what the edge's error adds to the radius as filmed.
+        """Errors of the measured designs and times, and what the edge's error adds to the radius as
+        filmed.
 
-        Rmax and R_inf are read off the same film, so each holds the same error ``d`` as every frame: the true ones are smaller
-        by ``d``, and ``R* = (R + d)/(Rmax + d)`` is 1 at the maximum whatever the error. A threshold set too high or too low
-        moves the edge so (0.5 to 2 pixels are 0.003 to 0.02 in R*). An R_inf that is known otherwise does not hold ``d``, but
-        loses it here.
+        Rmax and R_inf are read off the same film, so each holds the same error ``d`` as every
+            frame: the true ones are smaller
+        by ``d``, and ``R* = (R + d)/(Rmax + d)`` is 1 at the maximum whatever the error. A
+        threshold set too high or too low moves the edge so (0.5 to 2 pixels are 0.003 to 0.02 in
+        R*). An R_inf that is known otherwise does not hold ``d``, but loses it here.
 
         Args:
             designs: measured (We, R_inf*).
@@ -82,7 +98,9 @@ class Distortion:
         return self.shifts + moved, edge[..., None]
 
     def placed(
-        self, designs: Float[Tensor, "*#batch experiments 2"], times: Float[Tensor, "*#batch experiments frames"]
+        self,
+        designs: Float[Tensor, "*#batch experiments 2"],
+        times: Float[Tensor, "*#batch experiments frames"],
     ) -> tuple[Float[Tensor, "*#batch experiments 2"], Float[Tensor, "*#batch experiments frames"]]:
         """True designs (``... x E x 2``) and times (``... x E x T``) of a clock that is wrong."""
         rate = torch.exp(self.clock)[..., None]
@@ -90,7 +108,9 @@ class Distortion:
         return designs * slower, times * rate
 
     def filmed(
-        self, times: Float[Tensor, "*#batch experiments frames"], simulate: Callable[[Tensor], Tensor]
+        self,
+        times: Float[Tensor, "*#batch experiments frames"],
+        simulate: Callable[[Tensor], Tensor],
     ) -> Float[Tensor, "*#batch experiments frames"]:
         """Radii as filmed: averaged over the exposure, seen through a lens.
 
@@ -98,16 +118,22 @@ class Distortion:
             times: true times of the frames.
             simulate: true radii at times, for any number of them.
         """
-        radius = self._averaged(times, simulate) if bool((self.blur != 0.0).any()) else simulate(times)
+        radius = (
+            self._averaged(times, simulate) if bool((self.blur != 0.0).any()) else simulate(times)
+        )
         return radius * (1.0 + self.refraction[..., None] * radius)
 
     def _averaged(self, times: Tensor, simulate: Callable[[Tensor], Tensor]) -> Tensor:
-        """Mean over an exposure centred on each frame, by Gauss-Legendre; one call for the frames and all nodes.
+        """Mean over an exposure centred on each frame, by Gauss-Legendre; one call for the frames
+        and all nodes.
 
         NaN where an exposure reaches back to before the bubble is simulated.
         """
-        instant, early = self.blur < _INSTANT, times[..., 0] - 0.5 * self.blur < EARLIEST
-        blur = torch.where(instant | early, 1e-3, self.blur)[..., None, None]  # these members only need distinct times
+        instant = self.blur < _INSTANT
+        early = times[..., 0] - 0.5 * self.blur < EARLIEST
+        blur = torch.where(instant | early, 1e-3, self.blur)[
+            ..., None, None
+        ]  # these members only need distinct times
         nodes = times[..., None] + 0.5 * blur * _NODES.to(times)
         every = torch.cat((times[..., None], nodes), -1).flatten(-2)
         rising, order = every.sort(-1)
@@ -115,4 +141,6 @@ class Distortion:
         radius = simulate(rising)
         radius = radius.gather(-1, place.expand(radius.shape)).unflatten(-1, (-1, 1 + len(_NODES)))
         mean = 0.5 * (radius[..., 1:] * _WEIGHTS.to(times)).sum(-1)
-        return torch.where(early[..., None], torch.nan, torch.where(instant[..., None], radius[..., 0], mean))
+        return torch.where(
+            early[..., None], torch.nan, torch.where(instant[..., None], radius[..., 0], mean)
+        )

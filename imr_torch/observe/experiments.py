@@ -1,7 +1,8 @@
 """Experiments: dimensionless curves, each with its own design and times, padded to one batch.
 
-An :class:`Experiment` is one design shot once or several times. :class:`ExperimentBatch` pads all of them to a common
-number of frames, so that any number of experiments is one tensor; :func:`predict` says what the camera would see.
+An :class:`Experiment` is one design shot once or several times. :class:`ExperimentBatch` pads all
+of them to a common number of frames, so that any number of experiments is one tensor;
+:func:`predict` says what the camera would see.
 """
 
 import math
@@ -31,7 +32,8 @@ _LONGEST_EXPOSURE = PARAMETERS["exposure_blur"].upper
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """Repeats of one design; kept in float64 on the CPU, where everything above the simulators computes.
+    """Repeats of one design; kept in float64 on the CPU, where everything above the simulators
+    computes.
 
     Args:
         label: name in reports.
@@ -39,7 +41,8 @@ class Experiment:
         times: dimensionless, from the maximum radius on.
         radius: R/Rmax; NaN where a repeat lacks a frame that another has.
         nuisance: what is uncertain about the design and the clock.
-        exposure: known exposure of a frame over ``Rmax/U_c``, over which predictions are averaged; 0 for an instant.
+        exposure: known exposure of a frame over ``Rmax/U_c``, over which predictions are averaged;
+            0 for an instant.
         noise_factor: noise of this experiment over the law of its batch.
         noise_factor_sd: standard deviation of its logarithm.
 
@@ -66,36 +69,51 @@ class Experiment:
     def __post_init__(self) -> None:
         for name in ("times", "radius"):
             object.__setattr__(self, name, getattr(self, name).to("cpu", torch.float64))
-        if self.radius.ndim != 2 or self.times.ndim != 1 or self.radius.shape[1] != self.times.shape[0]:
+        if (
+            self.radius.ndim != 2
+            or self.times.ndim != 1
+            or self.radius.shape[1] != self.times.shape[0]
+        ):
             raise ShapeError(
                 f"Experiment {self.label!r}: expected radius n_repeats x n_t and times n_t, "
                 f"got {tuple(self.radius.shape)} and {tuple(self.times.shape)}."
             )
         if self.radius.shape[0] < 1:
-            raise InputDataError(f"Experiment {self.label!r} has no repeat; give at least one row of radius.")
+            raise InputDataError(
+                f"Experiment {self.label!r} has no repeat; give at least one row of radius."
+            )
         if self.times.shape[0] < 2:
-            raise InputDataError(f"Experiment {self.label!r} has {self.times.shape[0]} frames; at least 2 are needed.")
+            raise InputDataError(
+                f"Experiment {self.label!r} has {self.times.shape[0]} frames; at least 2 are "
+                "needed."
+            )
         check_designs(torch.tensor([self.design], dtype=torch.float64))
         if bool(torch.isinf(self.radius).any()):
             repeat, frame = torch.nonzero(torch.isinf(self.radius))[0].tolist()
             raise InputDataError(
-                f"Experiment {self.label!r}: radius of repeat {repeat}, frame {frame} is {self.radius[repeat, frame]}; "
+                f"Experiment {self.label!r}: radius of repeat {repeat}, frame {frame} is "
+                f"{self.radius[repeat, frame]}; "
                 "mark a missing frame by NaN."
             )
         if not bool((self.counts > 0).all()):
             frame = int(torch.nonzero(self.counts == 0)[0])
             raise InputDataError(
-                f"Experiment {self.label!r}: radius of frame {frame} is NaN in every repeat; leave it out of times and radius."
+                f"Experiment {self.label!r}: radius of frame {frame} is NaN in every repeat; "
+                "leave it out of times and radius."
             )
         if not 0.0 <= self.exposure <= _LONGEST_EXPOSURE:
             raise InputDataError(
-                f"Experiment {self.label!r}: exposure is {self.exposure:g} of Rmax/U_c; expected 0 to {_LONGEST_EXPOSURE:g}."
+                f"Experiment {self.label!r}: exposure is {self.exposure:g} of Rmax/U_c; expected "
+                f"0 to {_LONGEST_EXPOSURE:g}."
             )
         if not 0.0 < self.noise_factor < math.inf:
             raise InputDataError(
-                f"Experiment {self.label!r}: noise_factor is {self.noise_factor:g}; expected a factor above 0."
+                f"Experiment {self.label!r}: noise_factor is {self.noise_factor:g}; expected a "
+                "factor above 0."
             )
-        if bool((self.times[1:] <= self.times[:-1]).any()) or not bool(torch.isfinite(self.times).all()):
+        if bool((self.times[1:] <= self.times[:-1]).any()) or not bool(
+            torch.isfinite(self.times).all()
+        ):
             raise InputDataError(f"Experiment {self.label!r}: times must be finite and increase.")
 
     @property
@@ -134,8 +152,8 @@ class Film:
     Args:
         designs: (We, R_inf*).
         times: frame times, dimensionless, increasing.
-        nuisance_sds: prior standard deviations of each design's nuisances, columns as in ``NUISANCES``; known exactly when not
-            given.
+        nuisance_sds: prior standard deviations of each design's nuisances, columns as in
+            ``NUISANCES``; known exactly when not given.
 
     Raises:
         InputDataError: for a design that no bubble has.
@@ -157,12 +175,15 @@ class Film:
 
     def __post_init__(self) -> None:
         if self.nuisance_sds is None:
-            object.__setattr__(self, "nuisance_sds", self.times.new_zeros(len(self.times), len(NUISANCES)))
+            object.__setattr__(
+                self, "nuisance_sds", self.times.new_zeros(len(self.times), len(NUISANCES))
+            )
         count = len(self.times)
         shapes = [tuple(x.shape) for x in (self.designs, self.times, self.nuisance_sds)]
         if self.times.ndim != 2 or shapes[0] != (count, 2) or shapes[2] != (count, len(NUISANCES)):
             raise ShapeError(
-                f"Film: expected designs E x 2, times E x T, nuisance_sds E x 3; got {shapes[0]}, {shapes[1]} and {shapes[2]}."
+                f"Film: expected designs E x 2, times E x T, nuisance_sds E x 3; got {shapes[0]}, "
+                f"{shapes[1]} and {shapes[2]}."
             )
         check_designs(self.designs)
 
@@ -177,11 +198,12 @@ class ExperimentBatch:
     """Experiments padded to ``E x T``.
 
     Args:
-        experiments: the experiments: curves, and shots of which the collapse time alone is known (one frame, whose value is a
-            time with an error of its own).
+        experiments: the experiments: curves, and shots of which the collapse time alone is known
+            (one frame, whose value is a time with an error of its own).
         noise: the law of the observation noise of curves.
-        between: parameter -> its scatter between experiments, each of which then has a value of its own: the deviations are
-            nuisances, beside those of the experiments. All experiments have the same parameters where empty.
+        between: parameter -> its scatter between experiments, each of which then has a value of its
+            own: the deviations are nuisances, beside those of the experiments. All experiments have
+            the same parameters where empty.
         noise_laws: what is known of the law where it was inferred; None where it is taken as known.
 
     >>> import torch
@@ -206,13 +228,17 @@ class ExperimentBatch:
         gaps = [e.label for e in self.experiments if e.has_gaps]
         if gaps and self.noise.correlation_time > 0.0:
             raise InputDataError(
-                f"Experiment {gaps[0]!r}: a repeat lacks frames that another has, and Noise.correlation_time is "
-                f"{self.noise.correlation_time:g}; leave these frames out of all repeats, or take 0."
+                f"Experiment {gaps[0]!r}: a repeat lacks frames that another has, and "
+                "Noise.correlation_time is "
+                f"{self.noise.correlation_time:g}; leave these frames out of all repeats, or take "
+                "0."
             )
 
     def _padded(self, rows: Sequence[Tensor], fill: float) -> Tensor:
         width = max(row.shape[0] for row in rows)
-        padded = [torch.nn.functional.pad(row, (0, width - row.shape[0]), value=fill) for row in rows]
+        padded = [
+            torch.nn.functional.pad(row, (0, width - row.shape[0]), value=fill) for row in rows
+        ]
         return torch.stack(padded)
 
     @cached_property
@@ -229,7 +255,8 @@ class ExperimentBatch:
     def _own_sd(self) -> Tensor:
         """``E x 1`` tensor: errors of collapse times; 1 for curves."""
         return torch.tensor(
-            [[e.whole_sd if isinstance(e, CollapseTime) else 1.0] for e in self.experiments], dtype=torch.float64
+            [[e.whole_sd if isinstance(e, CollapseTime) else 1.0] for e in self.experiments],
+            dtype=torch.float64,
         )
 
     @cached_property
@@ -250,21 +277,34 @@ class ExperimentBatch:
 
     @property
     def of_frames(self) -> "ExperimentBatch":
-        """The same data with the noise of single frames, where fits were made with that of all that they leave."""
+        """The same data with the noise of single frames, where fits were made with that of all that
+        they leave.
+        """
         if self.noise_laws is None or self.noise_laws.frames is None:
             return replace(self, noise=self.noise.of_frames)
         frames = self.noise_laws.frames
         return replace(self, noise=frames.laws[int(frames.weights.argmax())], noise_laws=frames)
 
     def log_noise_ratios(
-        self, prediction: Float[Tensor, "experiments frames"], count: int, *, generator: torch.Generator
+        self,
+        prediction: Float[Tensor, "experiments frames"],
+        count: int,
+        *,
+        generator: torch.Generator,
     ) -> Float[Tensor, "draws experiments frames"]:
-        """Logarithms of noise drawn from what is known of it over that of :attr:`noise`; zeros where that is taken as known."""
+        """Logarithms of noise drawn from what is known of it over that of :attr:`noise`.
+
+        Zeros where that is taken as known.
+        """
         if self.noise_laws is None:
             return self.times.new_zeros(count, *self.times.shape)
-        logs = self.noise_laws.log_ratios(self.noise, prediction, self.times, count, generator=generator)
+        logs = self.noise_laws.log_ratios(
+            self.noise, prediction, self.times, count, generator=generator
+        )
         sds = [e.noise_factor_sd if isinstance(e, Experiment) else 0.0 for e in self.experiments]
-        own = torch.randn(count, len(sds), generator=generator, dtype=torch.float64) * torch.tensor(sds, dtype=torch.float64)
+        own = torch.randn(count, len(sds), generator=generator, dtype=torch.float64) * torch.tensor(
+            sds, dtype=torch.float64
+        )
         return torch.where(self.mask, logs + own[..., None], 0.0)
 
     def noise_interval(self, prediction: Float[Tensor, "experiments frames"]) -> list[float]:
@@ -278,7 +318,9 @@ class ExperimentBatch:
     @cached_property
     def mask(self) -> Bool[Tensor, "experiments frames"]:
         """Frames that exist."""
-        return self._padded([torch.ones_like(e.times, dtype=torch.bool) for e in self.experiments], False)
+        return self._padded(
+            [torch.ones_like(e.times, dtype=torch.bool) for e in self.experiments], False
+        )
 
     @cached_property
     def times(self) -> Float[Tensor, "experiments frames"]:
@@ -298,34 +340,54 @@ class ExperimentBatch:
         return self._padded([e.counts.to(torch.float64) for e in self.experiments], 1.0)
 
     @cached_property
-    def innovations(self) -> tuple[Float[Tensor, "experiments frames"], Float[Tensor, "experiments frames"]] | None:
+    def innovations(
+        self,
+    ) -> tuple[Float[Tensor, "experiments frames"], Float[Tensor, "experiments frames"]] | None:
         """:meth:`Noise.innovations` of these frames."""
         return self.noise.innovations(self.times, self.mask)
 
     @cached_property
     def _scatter(self) -> tuple[Tensor, Tensor]:
-        """Deviations of the repeats from their mean, squared, and times those of the frame before: two ``E x T`` tensors."""
+        """Deviations of the repeats from their mean, squared, and times those of the frame before:
+        two ``E x T`` tensors.
+        """
         width = self.times.shape[1]
         deviations = [(e.radius - e.mean).nan_to_num() for e in self.experiments]
         padded = [torch.nn.functional.pad(x, (0, width - x.shape[1])) for x in deviations]
-        return torch.stack([x.square().sum(0) for x in padded]), torch.stack([(x * previous(x)).sum(0) for x in padded])
+        return torch.stack([x.square().sum(0) for x in padded]), torch.stack(
+            [(x * previous(x)).sum(0) for x in padded]
+        )
 
     @cached_property
     def nuisance_sds(self) -> Float[Tensor, "experiments nuisances"]:
-        """``E x w`` tensor of prior standard deviations; columns as in ``NUISANCES``, then in ``between``."""
+        """``E x w`` tensor of prior standard deviations.
+
+        Columns as in ``NUISANCES``, then in ``between``.
+        """
         sds = [scatter.relative for scatter in self.between.values()]
         own = torch.tensor(sds, dtype=torch.float64).expand(len(self.experiments), -1)
         return torch.cat((torch.stack([e.nuisance.sds() for e in self.experiments]), own), 1)
 
-    def sd(self, prediction: Float[Tensor, "*batch experiments frames"]) -> Float[Tensor, "*batch experiments frames"]:
+    def sd(
+        self, prediction: Float[Tensor, "*batch experiments frames"]
+    ) -> Float[Tensor, "*batch experiments frames"]:
         """Noise of one repeat at a prediction ``... x E x T``; 1 in the padding."""
         sd = torch.where(self.mask, self.noise.sd(prediction, self.times) * self.noise_factors, 1.0)
-        return torch.where(self.collapse[:, None] & self.mask, self._own_sd, sd) if bool(self.collapse.any()) else sd
+        return (
+            torch.where(self.collapse[:, None] & self.mask, self._own_sd, sd)
+            if bool(self.collapse.any())
+            else sd
+        )
 
     def whiten(
-        self, values: Float[Tensor, "*#batch experiments frames"], sd: Float[Tensor, "*#batch experiments frames"]
+        self,
+        values: Float[Tensor, "*#batch experiments frames"],
+        sd: Float[Tensor, "*#batch experiments frames"],
     ) -> Float[Tensor, "*#batch experiments frames"]:
-        """Scale differences ``... x E x T`` so that the mean of the repeats has unit, independent noise."""
+        """Scale differences ``...
+
+        x E x T`` so that the mean of the repeats has unit, independent noise.
+        """
         scaled = torch.where(self.mask, values / sd, 0.0)
         if self.innovations is not None:
             own, before = self.innovations
@@ -336,31 +398,43 @@ class ExperimentBatch:
         self,
         prediction: Float[Tensor, "*#batch experiments frames"],
         sd: Float[Tensor, "*#batch experiments frames"],
-        innovations: tuple[Float[Tensor, "*#batch experiments frames"], Float[Tensor, "*#batch experiments frames"]] | None,
+        innovations: tuple[
+            Float[Tensor, "*#batch experiments frames"], Float[Tensor, "*#batch experiments frames"]
+        ]
+        | None,
     ) -> tuple[Float[Tensor, "*#batch experiments"], Float[Tensor, "*#batch experiments"]]:
-        """Squared misfit and normaliser of each experiment under any noise: two ``... x E`` tensors, the second in nats.
+        """Squared misfit and normaliser of each experiment under any noise: two ``... x E``
+        tensors, the second in nats.
 
-        The log likelihood is minus half the first, minus the second; noise that is ``s`` times as large divides the first by
-        ``s**2`` and adds ``log s`` for each observation (:attr:`sizes`) to the second.
+        The log likelihood is minus half the first, minus the second; noise that is ``s`` times as
+        large divides the first by ``s**2`` and adds ``log s`` for each observation (:attr:`sizes`)
+        to the second.
 
         Args:
             prediction: ``... x E x T`` tensor.
             sd: noise of one repeat; 1 in the padding.
-            innovations: as of :meth:`Noise.innovations`, ``... x E x T`` each; None for independent frames.
+            innovations: as of :meth:`Noise.innovations`, ``... x E x T`` each; None for independent
+                frames.
         """
         weight = torch.where(self.mask, 1.0 / sd, 0.0)
-        misfit, log_sd = weight * (self.mean - prediction), sd.log()
+        misfit = weight * (self.mean - prediction)
+        log_sd = sd.log()
         if innovations is not None:
             own, before = innovations
-            misfit, log_sd = own * misfit - before * previous(misfit), log_sd - own.log()
+            misfit = own * misfit - before * previous(misfit)
+            log_sd = log_sd - own.log()
         counts = torch.where(self.mask, self.counts, 0.0)
-        square, normaliser = counts * misfit.square(), counts * (log_sd + 0.5 * math.log(2.0 * math.pi))
+        square = counts * misfit.square()
+        normaliser = counts * (log_sd + 0.5 * math.log(2.0 * math.pi))
         if max(e.repeats for e in self.experiments) > 1:
             square = square + self._scattered(weight, innovations)
         return square.sum(-1), normaliser.sum(-1)
 
     def _scattered(self, weight: Tensor, innovations: tuple[Tensor, Tensor] | None) -> Tensor:
-        """Whitened squares of the deviations of the repeats from their mean, for weights ``... x E x T``."""
+        """Whitened squares of the deviations of the repeats from their mean, for weights ``...
+
+        x E x T``.
+        """
         squares, products = self._scatter
         if innovations is None:
             return weight.square() * squares
@@ -374,7 +448,9 @@ class ExperimentBatch:
         """Observations of each experiment, all repeats and frames."""
         return torch.where(self.mask, self.counts, 0.0).sum(-1)
 
-    def log_likelihood(self, prediction: Float[Tensor, "*batch experiments frames"]) -> Float[Tensor, "*batch experiments"]:
+    def log_likelihood(
+        self, prediction: Float[Tensor, "*batch experiments frames"]
+    ) -> Float[Tensor, "*batch experiments"]:
         """Log density of all repeats and frames of each experiment; ``-inf`` for NaN."""
         square, normaliser = self.terms(prediction, self.sd(prediction), self.innovations)
         value = -0.5 * square - normaliser
@@ -395,14 +471,16 @@ def predict(
     Args:
         simulator: makes the bubbles.
         parameters: SI.
-        film: the experiments, for their designs and times: an :class:`ExperimentBatch`, or a :class:`Film` of planned ones.
+        film: the experiments, for their designs and times: an :class:`ExperimentBatch`, or a
+            :class:`Film` of planned ones.
         shifts: nuisances in physical size; none when not given.
         times: measured, dimensionless, increasing; those of the frames when not given.
         bundled: whether the last batch dimension holds the members of a bundle
             (:meth:`imr_torch.simulate.Simulator.bundle`), the leader first.
 
     Returns:
-        ``batch_shape x E x T`` tensor, R/Rmax with the measured Rmax; NaN rows where a solve failed, or shifts leave no bubble.
+        ``batch_shape x E x T`` tensor, R/Rmax with the measured Rmax; NaN rows where a solve
+        failed, or shifts leave no bubble.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator
@@ -414,20 +492,29 @@ def predict(
     >>> [round(x, 3) for x in seen[0].tolist()]
     [1.0, 0.846, 0.418]
     """
-    designs, times = film.designs, film.times if times is None else times
+    designs = film.designs
+    times = film.times if times is None else times
     exposures = film.exposures if isinstance(film, ExperimentBatch) else None
     if isinstance(film, Film) or not (film.between or bool(film.collapse.any())):
         return _radii(simulator, parameters, designs, times, shifts, bundled, exposures)
-    parts, order = [], _alike(film)
+    parts = []
+    order = _alike(film)
     for rows in order:
-        gels, own = parameters, None if shifts is None else shifts[..., rows, : len(NUISANCES)]
+        gels = parameters
+        own = None if shifts is None else shifts[..., rows, : len(NUISANCES)]
         if film.between and shifts is not None:
             gels = with_own(parameters, film.between, shifts[..., rows[0], len(NUISANCES) :])
         if bool(film.collapse[rows[0]]):
-            found = predict_collapse(simulator, gels, designs[rows], film.mean[rows, 0], own, bundled=bundled)
+            found = predict_collapse(
+                simulator, gels, designs[rows], film.mean[rows, 0], own, bundled=bundled
+            )
             parts.append(found[..., None].expand(*found.shape, times.shape[-1]))
         else:
-            parts.append(_radii(simulator, gels, designs[rows], times[rows], own, bundled, film.exposures[rows]))
+            parts.append(
+                _radii(
+                    simulator, gels, designs[rows], times[rows], own, bundled, film.exposures[rows]
+                )
+            )
     return torch.cat(parts, -2)[..., torch.cat(order).argsort(), :]
 
 
@@ -449,14 +536,17 @@ def _radii(
     exposures: Tensor | None,
 ) -> Tensor:
     """:func:`predict` for curves, with the known exposure of each."""
-    factor, beyond = None, None
+    factor = None
+    beyond = None
     distortion = Distortion.of(parameters, exposures)
     if distortion is not None:
         measured = simulator.conditions.surroundings.max_radius(designs[:, 0])
         errors, beyond = distortion.shifts_of(designs, measured)
         shifts = errors if shifts is None else shifts + errors
     if shifts is not None:
-        lost = impossible(times, shifts, EARLIEST if distortion is None else _EARLIEST_FILMED)[..., None]
+        lost = impossible(times, shifts, EARLIEST if distortion is None else _EARLIEST_FILMED)[
+            ..., None
+        ]
         designs, times, factor = displaced(designs, times, torch.where(lost, 0.0, shifts))
         factor = torch.where(lost, torch.nan, factor)
 

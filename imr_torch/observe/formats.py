@@ -1,4 +1,6 @@
-"""The file formats of the package, as readers: text, MATLAB, ``.npz``, ``.xlsx`` and results of IMRFit."""
+"""The file formats of the package, as readers: text, MATLAB, ``.npz``, ``.xlsx`` and results of
+IMRFit.
+"""
 
 import zipfile
 from pathlib import Path
@@ -46,16 +48,29 @@ def _read_npz(path: Path) -> TraceSet:
     """One curve, or one a row, in SI units."""
     arrays = read_arrays(path, _NPZ)
     time, radius = (arrays[name] for name in _NPZ)
-    if radius.ndim not in (1, 2) or time.ndim not in (1, radius.ndim) or time.shape[-1:] != radius.shape[-1:]:
+    if (
+        radius.ndim not in (1, 2)
+        or time.ndim not in (1, radius.ndim)
+        or time.shape[-1:] != radius.shape[-1:]
+    ):
         raise InputDataError(
-            f"{path}: time_s has shape {time.shape} and radius_m {radius.shape}; expected frames, or curves x frames, with one "
-            "time for every radius. Sets of repeated designs (designs x repeats x frames) are read by imr-torch diagnose."
+            f"{path}: time_s has shape {time.shape} and radius_m {radius.shape}; expected frames, "
+            "or curves x frames, with one "
+            "time for every radius. Sets of repeated designs (designs x repeats x frames) are "
+            "read by imr-torch diagnose."
         )
     if time.ndim == 2 and len(time) != len(radius):
-        raise InputDataError(f"{path}: time_s has {len(time)} curves and radius_m {len(radius)}; give one row of times each.")
+        raise InputDataError(
+            f"{path}: time_s has {len(time)} curves and radius_m {len(radius)}; give one row of "
+            "times each."
+        )
     cells: Any = [radius] if radius.ndim == 1 else list(radius)
     times: Any = time if time.ndim == 1 else list(time)
-    return variable_traces(path, {"radius_m": cells, "time_s": times}, Layout("radius_m", radius_unit="m", time="time_s"))
+    return variable_traces(
+        path,
+        {"radius_m": cells, "time_s": times},
+        Layout("radius_m", radius_unit="m", time="time_s"),
+    )
 
 
 def _is_xlsx(path: Path, head: bytes) -> bool:
@@ -66,26 +81,37 @@ def _is_xlsx(path: Path, head: bytes) -> bool:
 
 
 def _read_xlsx(path: Path, layout: Layout | None = None) -> TraceSet:
-    """The sheets of a workbook that are not empty, each as a table; with several, curves are named after their sheets."""
+    """The sheets of a workbook that are not empty, each as a table.
+
+    With several, curves are named after their sheets.
+    """
     try:
         import openpyxl
     except ImportError:
         raise UnsupportedError(
-            f"{path}: .xlsx files need openpyxl: pip install 'imr_torch[xlsx]'; or save the sheet as CSV."
+            f"{path}: .xlsx files need openpyxl: pip install 'imr_torch[xlsx]'; or save the sheet "
+            "as CSV."
         ) from None
     with zipfile.ZipFile(path) as archive:
         size = sum(member.file_size for member in archive.infolist())
     if size > LARGEST:
-        raise InputDataError(f"{path}: unpacks to {size / 2**30:.3g} GiB, more than {LARGEST / 2**30:.3g} GiB; divide it.")
+        raise InputDataError(
+            f"{path}: unpacks to {size / 2**30:.3g} GiB, more than {LARGEST / 2**30:.3g} GiB; "
+            "divide it."
+        )
     try:
         book = openpyxl.load_workbook(path, read_only=True, data_only=True)
         sheets = {
-            sheet.title: [[_cell(x) for x in row] for row in sheet.iter_rows(values_only=True)] for sheet in book.worksheets
+            sheet.title: [[_cell(x) for x in row] for row in sheet.iter_rows(values_only=True)]
+            for sheet in book.worksheets
         }
         book.close()
-    except Exception as error:  # openpyxl, zipfile and the XML parser each raise their own kinds on damaged files
+    except (
+        Exception
+    ) as error:  # openpyxl, zipfile and the XML parser each raise their own kinds on damaged files
         raise InputDataError(
-            f"{path}: cannot be read as a workbook ({type(error).__name__}: {error}); save it again, or save the sheet as CSV."
+            f"{path}: cannot be read as a workbook ({type(error).__name__}: {error}); save it "
+            "again, or save the sheet as CSV."
         ) from error
     filled = {title: rows for title, rows in sheets.items() if any(any(row) for row in rows)}
     if not filled:
@@ -101,7 +127,13 @@ def _read_xlsx(path: Path, layout: Layout | None = None) -> TraceSet:
 
 
 def _cell(value: object) -> str:
-    return "" if value is None else repr(float(value)) if isinstance(value, (int, float)) else str(value).strip()
+    return (
+        ""
+        if value is None
+        else repr(float(value))
+        if isinstance(value, (int, float))
+        else str(value).strip()
+    )
 
 
 def _is_imrfit(path: Path, head: bytes) -> bool:
@@ -117,15 +149,28 @@ def _read_imrfit(path: Path) -> TraceSet:
         unit = unit_of(written) if isinstance(written, str) else None
         if unit not in allowed:
             raise InputDataError(
-                f"{path}: variable '{name}' is {str(written)[:40]!r}; expected one of {', '.join(allowed)}: export it again."
+                f"{path}: variable '{name}' is {str(written)[:40]!r}; expected one of "
+                f"{', '.join(allowed)}: export it again."
             )
         units.append(unit)
-    rest = "Req" if np.size(variables.get("Req", [])) == 1 and float(np.ravel(variables["Req"])[0]) > 0.0 else None
+    rest = (
+        "Req"
+        if np.size(variables.get("Req", [])) == 1 and float(np.ravel(variables["Req"])[0]) > 0.0
+        else None
+    )
     layout = Layout(
-        "R_exp", radius_unit=units[1], time="t_exp", time_unit=units[0], rest_radius=rest, rest_radius_unit=units[1]
+        "R_exp",
+        radius_unit=units[1],
+        time="t_exp",
+        time_unit=units[0],
+        rest_radius=rest,
+        rest_radius_unit=units[1],
     )
     read = variable_traces(path, variables, layout)
-    note = f"{path}: read as a result of IMRFit, which declares times in {units[0]} and radii in {units[1]}."
+    note = (
+        f"{path}: read as a result of IMRFit, which declares times in {units[0]} and radii in "
+        f"{units[1]}."
+    )
     return TraceSet(read.traces, read.left_out, (*read.notes, note))
 
 

@@ -38,7 +38,10 @@ class Unused:
     def __str__(self) -> str:
         if self.first == self.last:
             return f"frame {self.first} ({1e6 * self.start_s:.4g} us): {self.reason}"
-        return f"frames {self.first} to {self.last} ({1e6 * self.start_s:.4g} to {1e6 * self.end_s:.4g} us): {self.reason}"
+        return (
+            f"frames {self.first} to {self.last} ({1e6 * self.start_s:.4g} to "
+            f"{1e6 * self.end_s:.4g} us): {self.reason}"
+        )
 
 
 @dataclass(frozen=True)
@@ -87,7 +90,12 @@ class FrameUse:
 
 
 def frame_use(
-    trace: RadiusTrace, landmarks: Landmarks, experiment: Experiment, surroundings: Surroundings, *, collapses: int
+    trace: RadiusTrace,
+    landmarks: Landmarks,
+    experiment: Experiment,
+    surroundings: Surroundings,
+    *,
+    collapses: int,
 ) -> FrameUse:
     """Compare a record with the experiment that was made of it.
 
@@ -98,14 +106,21 @@ def frame_use(
         surroundings: the liquid side, for the time scale.
         collapses: collapses in the fitted window.
     """
-    times = (trace.time_s - landmarks.time_of_max_s) / surroundings.time_scale(landmarks.max_radius_m)
+    times = (trace.time_s - landmarks.time_of_max_s) / surroundings.time_scale(
+        landmarks.max_radius_m
+    )
     fitted = (times[:, None] - experiment.times).abs().amin(1) < _SAME
-    first, last = float(experiment.times[0]), float(experiment.times[-1])
+    first = float(experiment.times[0])
+    last = float(experiment.times[-1])
 
     def reason(t: float) -> str:
         if t < min(0.0, first):
             return "before the maximum radius"
-        return f"after collapse {collapses}, where the fitted window ends" if t > last else "left out of the fitted window"
+        return (
+            f"after collapse {collapses}, where the fitted window ends"
+            if t > last
+            else "left out of the fitted window"
+        )
 
     stretches: list[tuple[int, int, str]] = []
     for i in torch.nonzero(~fitted)[:, 0].tolist():
@@ -114,5 +129,7 @@ def frame_use(
             stretches[-1] = (stretches[-1][0], i, why)
         else:
             stretches.append((i, i, why))
-    unused = tuple(Unused(a, b, float(trace.time_s[a]), float(trace.time_s[b]), why) for a, b, why in stretches)
+    unused = tuple(
+        Unused(a, b, float(trace.time_s[a]), float(trace.time_s[b]), why) for a, b, why in stretches
+    )
     return FrameUse(trace.experiment_id, tuple(times.tolist()), tuple(fitted.tolist()), unused)

@@ -1,7 +1,9 @@
-"""Names and units in the header of a table, or of the variables of a file: which column is the time, which the radius.
+"""Names and units in the header of a table, or of the variables of a file: which column is the
+time, which the radius.
 
-A unit is read where it is written (``time (us)``, ``R [um]``, ``t_us``, ``R/mm``, a row of units below the header, the JSON
-file beside), and never taken from the size of the numbers; these only choose the option that an error proposes.
+A unit is read where it is written (``time (us)``, ``R [um]``, ``t_us``, ``R/mm``, a row of units
+below the header, the JSON file beside), and never taken from the size of the numbers; these only
+choose the option that an error proposes.
 """
 
 import math
@@ -25,15 +27,45 @@ _UNITS = {
     "frames": ("frame", "frames"),
     "m": ("m", "meter", "meters", "metre", "metres"),
     "mm": ("mm", "millimeter", "millimeters", "millimetre", "millimetres"),
-    "um": ("um", "micron", "microns", "micrometer", "micrometers", "micrometre", "micrometres", "mum"),
+    "um": (
+        "um",
+        "micron",
+        "microns",
+        "micrometer",
+        "micrometers",
+        "micrometre",
+        "micrometres",
+        "mum",
+    ),
     "px": ("px", "pix", "pixel", "pixels"),
     "dimensionless": ("dimensionless", "nondim", "rmax", "r_max", "-", "1"),
 }
 _ALIASES = {alias: unit for unit, aliases in _UNITS.items() for alias in aliases}
 _TIME_NAMES = {"t", "time", "times", "texp", "timestamp", "elapsedtime"}
 _FRAME_NAMES = {"frame", "frames", "frameno", "framenr", "framenumber", "frameindex"}
-_RADIUS_NAMES = {"r", "radius", "radii", "rexp", "rad", "rt", "bubbleradius", "meanradius", "equivalentradius"}
-_EXPERIMENT_NAMES = {"experimentid", "experiment", "id", "shot", "shotid", "curve", "curveid", "trial", "run", "bubble"}
+_RADIUS_NAMES = {
+    "r",
+    "radius",
+    "radii",
+    "rexp",
+    "rad",
+    "rt",
+    "bubbleradius",
+    "meanradius",
+    "equivalentradius",
+}
+_EXPERIMENT_NAMES = {
+    "experimentid",
+    "experiment",
+    "id",
+    "shot",
+    "shotid",
+    "curve",
+    "curveid",
+    "trial",
+    "run",
+    "bubble",
+}
 _ERROR = re.compile(r"(^|[^a-z])(sd|std|err|error|sigma|uncertainty)([^a-z]|$)", re.IGNORECASE)
 
 
@@ -53,7 +85,9 @@ class Heading:
 
     @property
     def role(self) -> str | None:
-        """``"time"``, ``"frames"``, ``"radius"``, ``"diameter"``, ``"experiment"``, or None where the name does not say."""
+        """``"time"``, ``"frames"``, ``"radius"``, ``"diameter"``, ``"experiment"``, or None where
+        the name does not say.
+        """
         plain = re.sub(r"[^a-z]", "", self.bare.lower())
         if _ERROR.search(self.bare):
             return None
@@ -76,14 +110,25 @@ class Heading:
 
 
 def unit_of(text: str) -> str | None:
-    """The unit that a text means, or None: ``"µs"``, ``"microseconds"`` and ``"[us]"`` are ``"us"``."""
-    plain = text.strip().strip("()[]{}").strip().lower().replace("\u00b5", "u").replace("\u03bc", "u")
+    """The unit that a text means, or None: ``"µs"``, ``"microseconds"`` and ``"[us]"`` are
+    ``"us"``.
+    """
+    plain = (
+        text.strip().strip("()[]{}").strip().lower().replace("\u00b5", "u").replace("\u03bc", "u")
+    )
     return _ALIASES.get(plain)
 
 
 def heading(name: str, below: str = "") -> Heading:
-    """A name with its unit: behind it in brackets, after a stroke, comma or underscore, or in the row below."""
-    for pattern in (r"(.*?)\s*[(\[{]([^)\]}]*)[)\]}]", r"(.+?)\s*/\s*(\S+)", r"(.+?)\s*,\s*(\S+)", r"(.+?)[_ ]([^_ ]+)"):
+    """A name with its unit: behind it in brackets, after a stroke, comma or underscore, or in the
+    row below.
+    """
+    for pattern in (
+        r"(.*?)\s*[(\[{]([^)\]}]*)[)\]}]",
+        r"(.+?)\s*/\s*(\S+)",
+        r"(.+?)\s*,\s*(\S+)",
+        r"(.+?)[_ ]([^_ ]+)",
+    ):
         found = re.fullmatch(pattern, name.strip())
         unit = unit_of(found[2]) if found else None
         if found and unit is not None and found[2] != "1":
@@ -104,7 +149,9 @@ class Said:
     max_radius: float | None = None
 
 
-def infer_layout(file: str, headings: Sequence[Heading], values: Mapping[str, np.ndarray], said: Said, holds: str) -> Layout:
+def infer_layout(
+    file: str, headings: Sequence[Heading], values: Mapping[str, np.ndarray], said: Said, holds: str
+) -> Layout:
     """The layout that names and units say.
 
     Args:
@@ -115,30 +162,41 @@ def infer_layout(file: str, headings: Sequence[Heading], values: Mapping[str, np
         holds: description of the content, for messages.
 
     Raises:
-        InputDataError: if no column of radii is found, times are missing, or a unit is; the message has the option to add.
+        InputDataError: if no column of radii is found, times are missing, or a unit is; the message
+            has the option to add.
     """
     usable = [h for h in headings if h.name in values or h.role or h.unit]
-    time, radii = _time(usable), _radii(usable)
+    time = _time(usable)
+    radii = _radii(usable)
     _check_kinds(file, usable, radii)
     if time is not None:
         radii = [h for h in radii if h.name != time.name]
-    experiment = next((h for h in headings if h.role == "experiment" and h not in (time, *radii)), None)
+    experiment = next(
+        (h for h in headings if h.role == "experiment" and h not in (time, *radii)), None
+    )
     if not radii or (time is None and said.frame_interval is None):
         what = "no column of radii" if not radii else "no column of times"
         raise InputDataError(
-            f"{file}: {what} is found by its name or unit. The file holds: {holds}. {_proposal(usable, values, said)}"
+            f"{file}: {what} is found by its name or unit. The file holds: {holds}. "
+            f"{_proposal(usable, values, said)}"
         )
     units = {h.unit or said.radius_unit for h in radii}
     if len(units) > 1:
         listed = ", ".join(f"'{h.name}'" for h in radii)
-        raise InputDataError(f"{file}: the columns of radii {listed} differ in their units; write all in one unit.")
+        raise InputDataError(
+            f"{file}: the columns of radii {listed} differ in their units; write all in one unit."
+        )
     radius_unit = units.pop()
-    time_unit = None if time is None else "frames" if time.role == "frames" else time.unit or said.time_unit
+    time_unit = (
+        None if time is None else "frames" if time.role == "frames" else time.unit or said.time_unit
+    )
     lacking = [] if radius_unit else [f"'{h.name}'" for h in radii[:3]]
     lacking += [] if time is None or time_unit else [f"'{time.name}'"]
     if lacking:
         verb = "has" if len(lacking) == 1 else "have"
-        raise InputDataError(f"{file}: {' and '.join(lacking)} {verb} no unit. {_proposal(usable, values, said)}")
+        raise InputDataError(
+            f"{file}: {' and '.join(lacking)} {verb} no unit. {_proposal(usable, values, said)}"
+        )
     assert radius_unit is not None
     _check_scales(file, said, radii, time, radius_unit, time_unit)
     return Layout(
@@ -157,32 +215,54 @@ def _check_kinds(file: str, headings: Sequence[Heading], radii: Sequence[Heading
     """Refuse diameters in the place of radii, and several columns of times."""
     diameters = [h.name for h in headings if h.role == "diameter"]
     if diameters and not radii:
-        raise InputDataError(f"{file}: '{diameters[0]}' is a diameter by its name; divide it by 2 and name the column R.")
+        raise InputDataError(
+            f"{file}: '{diameters[0]}' is a diameter by its name; divide it by 2 and name the "
+            "column R."
+        )
     times = [f"'{h.name}'" for h in headings if h.role == "time"]
     if len(times) > 1:
         raise InputDataError(
-            f"{file}: {' and '.join(times)} are all times. If one holds for all radii, name it with "
-            f'--layout "radius=<name>,radius_unit=um,time={times[0][1:-1]},time_unit=us"; else write the curves below each '
+            f"{file}: {' and '.join(times)} are all times. If one holds for all radii, name it "
+            "with "
+            f'--layout "radius=<name>,radius_unit=um,time={times[0][1:-1]},time_unit=us"; else '
+            "write the curves below each "
             "other, with a column experiment_id, or into files of their own."
         )
 
 
 def _check_scales(
-    file: str, said: Said, radii: Sequence[Heading], time: Heading | None, radius_unit: str, time_unit: str | None
+    file: str,
+    said: Said,
+    radii: Sequence[Heading],
+    time: Heading | None,
+    radius_unit: str,
+    time_unit: str | None,
 ) -> None:
     """Refuse units whose size is not known."""
     known = f"radius={'+'.join(h.name for h in radii)},radius_unit={radius_unit}"
     known += f",time={time.name},time_unit={time_unit}" if time is not None else ""
     for unit, value, key, option in (
         (radius_unit == "px", said.pixel_size, "pixel_size_m", "pixel_size=<metres per pixel>"),
-        (time_unit == "frames", said.frame_interval, "frame_rate_fps", "frame_interval=<seconds between frames>"),
-        ("dimensionless" in (radius_unit, time_unit), said.max_radius, "Rmax_m", "max_radius=<metres>"),
+        (
+            time_unit == "frames",
+            said.frame_interval,
+            "frame_rate_fps",
+            "frame_interval=<seconds between frames>",
+        ),
+        (
+            "dimensionless" in (radius_unit, time_unit),
+            said.max_radius,
+            "Rmax_m",
+            "max_radius=<metres>",
+        ),
     ):
         if unit and value is None:
             name = option.partition("=")[0]
             raise InputDataError(
-                f"{file}: radii are in {radius_unit} and times in {time_unit or 'frames'}, and no {name} is known; write {key} "
-                f'into the JSON file of the same name beside it, or add --layout "{known},{option}".'
+                f"{file}: radii are in {radius_unit} and times in {time_unit or 'frames'}, and no "
+                f"{name} is known; write {key} "
+                "into the JSON file of the same name beside it, or add --layout "
+                f'"{known},{option}".'
             )
 
 
@@ -199,35 +279,52 @@ def _time(headings: Sequence[Heading]) -> Heading | None:
 
 def _radii(headings: Sequence[Heading]) -> list[Heading]:
     named = [h for h in headings if h.role == "radius"]
-    return named or [h for h in headings if h.is_length and h.role is None and not _ERROR.search(h.bare)]
+    return named or [
+        h for h in headings if h.is_length and h.role is None and not _ERROR.search(h.bare)
+    ]
 
 
 def _proposal(headings: Sequence[Heading], values: Mapping[str, np.ndarray], said: Said) -> str:
-    """The option to add, with the units that give a bubble of usual size and a record of usual length."""
+    """The option to add, with the units that give a bubble of usual size and a record of usual
+    length.
+    """
     numeric = [h for h in headings if h.name in values]
-    time = _time(numeric) or (numeric[0] if len(numeric) > 1 and _radii(numeric)[:1] != numeric[:1] else None)
+    time = _time(numeric) or (
+        numeric[0] if len(numeric) > 1 and _radii(numeric)[:1] != numeric[:1] else None
+    )
     radii = [h for h in _radii(numeric) or numeric if h is not time]
     if not radii:
-        return 'Say what they mean: --layout "radius=<name>,radius_unit=um,time=<name>,time_unit=us".'
+        return (
+            'Say what they mean: --layout "radius=<name>,radius_unit=um,time=<name>,time_unit=us".'
+        )
     wide = len(radii) > 1
     top = max(float(np.nanmax(np.abs(values[h.name]), initial=0.0)) for h in radii)
     unit = radii[0].unit or said.radius_unit or _nearest(top, LENGTHS, USUAL_RADIUS_M)
     every = len(radii) == len(numeric) - (time is not None)
-    option = f"radius={'*' if wide and every else '+'.join(h.name for h in radii)},radius_unit={unit}"
+    option = (
+        f"radius={'*' if wide and every else '+'.join(h.name for h in radii)},radius_unit={unit}"
+    )
     if unit == "px":
         option += ",pixel_size=<metres per pixel>"
     sense = f"a largest radius of {top:.4g} {unit}"
     if time is None:
         option += ",frame_interval=<seconds between frames>"
     else:
-        span = float(np.ptp(values[time.name][np.isfinite(values[time.name])])) if len(values[time.name]) else 0.0
+        span = (
+            float(np.ptp(values[time.name][np.isfinite(values[time.name])]))
+            if len(values[time.name])
+            else 0.0
+        )
         clock = time.unit or said.time_unit or _nearest(span, TIMES, USUAL_DURATION_S)
         option += f",time={time.name},time_unit={clock}"
         sense += f" and a record of {span:.4g} {clock}"
-    experiment = next((h for h in headings if h.role == "experiment" and h is not time and h not in radii), None)
+    experiment = next(
+        (h for h in headings if h.role == "experiment" and h is not time and h not in radii), None
+    )
     option += f",experiment={experiment.name}" if experiment else ""
     return (
-        f'If this is right, add --layout "{option}" (in Python layout=Layout.from_text("{option}")), which gives {sense}; '
+        f'If this is right, add --layout "{option}" (in Python '
+        f'layout=Layout.from_text("{option}")), which gives {sense}; '
         "or write the units into the header, as in 'time (us)' and 'R (um)'."
     )
 

@@ -20,12 +20,13 @@ class SimulatedLaboratory:
 
     Args:
         simulator: the truth's physics.
-        truth: the gel's parameters, SI, with errors of the camera that all experiments share, which act as in predictions.
+        truth: the gel's parameters, SI, with errors of the camera that all experiments share, which
+            act as in predictions.
         noise: observation noise.
         repeats: curves per design.
         times: dimensionless frame times; 81 frames up to t* = 4 by default.
-        scatter: relative standard deviations of the achieved We and R_inf* about what was asked; the achieved values
-            are measured and reported, with ``nuisance`` as their error.
+        scatter: relative standard deviations of the achieved We and R_inf* about what was asked;
+            the achieved values are measured and reported, with ``nuisance`` as their error.
         nuisance: errors of the measured design and clock.
 
     >>> import torch
@@ -42,13 +43,18 @@ class SimulatedLaboratory:
     truth: Float[Tensor, "parameters"]
     noise: Noise = field(default_factory=Noise)
     repeats: int = 100
-    times: Float[Tensor, "frames"] = field(default_factory=lambda: torch.linspace(0.0, 4.0, 81, dtype=torch.float64))
+    times: Float[Tensor, "frames"] = field(
+        default_factory=lambda: torch.linspace(0.0, 4.0, 81, dtype=torch.float64)
+    )
     scatter: tuple[float, float] = (0.0, 0.0)
     nuisance: Nuisance = field(default_factory=Nuisance)
 
     def __post_init__(self) -> None:
         if self.repeats < 1:
-            raise InputDataError(f"SimulatedLaboratory.repeats is {self.repeats}; at least 1 curve per design is needed.")
+            raise InputDataError(
+                f"SimulatedLaboratory.repeats is {self.repeats}; at least 1 curve per design is "
+                "needed."
+            )
 
     def shoot(self, design: Real[Tensor, "2"], *, seed: int, label: str = "") -> Experiment:
         """One experiment at ``design`` (2 numbers, We and R_inf*).
@@ -57,16 +63,27 @@ class SimulatedLaboratory:
             ConvergenceError: if the truth itself cannot be simulated at this design.
         """
         source = generator(child(seed, "laboratory"))
-        wobble = torch.randn(2, generator=source, dtype=torch.float64) * torch.tensor(self.scatter, dtype=torch.float64)
+        wobble = torch.randn(2, generator=source, dtype=torch.float64) * torch.tensor(
+            self.scatter, dtype=torch.float64
+        )
         true = design * torch.exp(wobble)
         shifts = torch.randn(3, generator=source, dtype=torch.float64) * self.nuisance.sds()
-        scale, rest = 1.0 + float(shifts[0]), 1.0 + float(shifts[2])
+        scale = 1.0 + float(shifts[0])
+        rest = 1.0 + float(shifts[2])
         measured = (float(true[0]) / scale, float(true[1]) * scale / rest)
         name = label or f"We {measured[0]:.0f}, R_inf* {measured[1]:.3f}"
-        blank = Experiment(name, measured, self.times, torch.ones(1, len(self.times), dtype=torch.float64), self.nuisance)
+        blank = Experiment(
+            name,
+            measured,
+            self.times,
+            torch.ones(1, len(self.times), dtype=torch.float64),
+            self.nuisance,
+        )
         clean = predict(self.simulator, self.truth, ExperimentBatch((blank,)), shifts[None])[0]
         if not bool(torch.isfinite(clean).all()):
             solution = self.simulator(self.truth, true, self.times)
-            raise ConvergenceError(f"The laboratory's own bubble at {true.tolist()} failed: {solution.summary()}")
+            raise ConvergenceError(
+                f"The laboratory's own bubble at {true.tolist()} failed: {solution.summary()}"
+            )
         radius = self.noise.draw(clean, self.times, self.repeats, generator=source)
         return replace(blank, radius=radius)

@@ -1,9 +1,9 @@
 """Landmarks of a curve: maximum radius and its time, collapses, rebounds, rest radius, phases.
 
-Every landmark comes from a local least-squares fit, so it lies between frames and carries a standard deviation. Where
-the record does not hold a landmark (growth cut off, no rebound), the result says so in its method rather than guessing:
-near a collapse ``R ~ |t - t_c|^(2/5)`` (Rayleigh, Phil. Mag. 34, 1917), which no smooth fit
-resolves better than a frame.
+Every landmark comes from a local least-squares fit, so it lies between frames and carries a
+standard deviation. Where the record does not hold a landmark (growth cut off, no rebound), the
+result says so in its method rather than guessing: near a collapse ``R ~ |t - t_c|^(2/5)``
+(Rayleigh, Phil. Mag. 34, 1917), which no smooth fit resolves better than a frame.
 """
 
 import math
@@ -45,7 +45,18 @@ START_WINDOWS = (0.8, 0.9)
 START_FRAMES = 8
 START_REACH = 2.0
 EXPOSURE = 0.2
-ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth", "tenth")
+ORDINALS = (
+    "first",
+    "second",
+    "third",
+    "fourth",
+    "fifth",
+    "sixth",
+    "seventh",
+    "eighth",
+    "ninth",
+    "tenth",
+)
 
 
 @dataclass(frozen=True)
@@ -57,13 +68,15 @@ class Landmarks:
         max_radius_sd_m: its standard deviation.
         time_of_max_s: its time in s, with ``time_of_max_sd_s``.
         time_of_max_sd_s: its standard deviation.
-        max_method: "peak fit", "as given" (the laboratory's value; the record starts after the peak), "one-sided
-            fit" (the record begins near it), "edge" (the largest frame), or "as stated" (:class:`imr_torch.observe.Override`).
+        max_method: "peak fit", "as given" (the laboratory's value; the record starts after the
+            peak), "one-sided fit" (the record begins near it), "edge" (the largest frame), or "as
+            stated" (:class:`imr_torch.observe.Override`).
         rest_radius_m: equilibrium radius in m, or None.
         rest_radius_sd_m: its standard deviation, or None.
-        rest_settled: whether the bubble has come to rest within the record (a quiet tail, at least half a cycle long).
-        rest_method: "settled tail", "last cycles", "first rebound", "as given", "as stated", "not in record", or
-            "other curves" (:func:`imr_torch.observe.prepare`).
+        rest_settled: whether the bubble has come to rest within the record (a quiet tail, at least
+            half a cycle long).
+        rest_method: "settled tail", "last cycles", "first rebound", "as given", "as stated", "not
+            in record", or "other curves" (:func:`imr_torch.observe.prepare`).
         collapse_times_s: times of the minima after the maximum radius.
         rebound_times_s: times of the maxima after the first collapse.
         rebound_radii_m: their radii.
@@ -124,13 +137,17 @@ def phase_name(index: int) -> str:
     return f"{ordinal} {'collapse' if index % 2 else 'rebound'}"
 
 
-def find_landmarks(trace: RadiusTrace, *, tail_fraction: float = 0.15, settled_below: float = 0.03) -> Landmarks:
+def find_landmarks(
+    trace: RadiusTrace, *, tail_fraction: float = 0.15, settled_below: float = 0.03
+) -> Landmarks:
     """Find the landmarks of a curve.
 
     Args:
         trace: the curve.
-        tail_fraction: share of the last frames whose mean is the rest radius, if the bubble has settled.
-        settled_below: the bubble has settled if std/mean of these frames is below this, over half a cycle or more.
+        tail_fraction: share of the last frames whose mean is the rest radius, if the bubble has
+            settled.
+        settled_below: the bubble has settled if std/mean of these frames is below this, over half a
+            cycle or more.
 
     Returns:
         The landmarks, with a method for the maximum and the rest radius.
@@ -148,12 +165,17 @@ def find_landmarks(trace: RadiusTrace, *, tail_fraction: float = 0.15, settled_b
     """
     for name, value in (("tail_fraction", tail_fraction), ("settled_below", settled_below)):
         if not 0.0 < value < 1.0:
-            raise InputDataError(f"find_landmarks: {name} is {value}; expected a number between 0 and 1.")
-    time, radius = trace.time_s.detach().cpu().numpy(), trace.radius_m.detach().cpu().numpy()
+            raise InputDataError(
+                f"find_landmarks: {name} is {value}; expected a number between 0 and 1."
+            )
+    time = trace.time_s.detach().cpu().numpy()
+    radius = trace.radius_m.detach().cpu().numpy()
     noise = _frame_noise(radius)
     peak, method = _peak(trace, time, radius, noise)
     minima, maxima = _extremes(time, radius, noise)
-    rest, sd, settled, rest_method = _rest(trace, time, radius, (minima, maxima), tail_fraction, settled_below)
+    rest, sd, settled, rest_method = _rest(
+        trace, time, radius, (minima, maxima), tail_fraction, settled_below
+    )
     return Landmarks(
         max_radius_m=peak.value,
         max_radius_sd_m=peak.value_sd,
@@ -191,7 +213,8 @@ def _frame_noise(radius: np.ndarray) -> float:
 
 
 def roughness(radius: np.ndarray) -> float:
-    """Standard deviation of a frame by the median third difference, which a local parabola does not change.
+    """Standard deviation of a frame by the median third difference, which a local parabola does not
+    change.
 
     >>> import numpy as np
     >>> from imr_torch.observe.landmarks import roughness
@@ -204,8 +227,12 @@ def roughness(radius: np.ndarray) -> float:
 
 
 def _window(radius: np.ndarray, k: int, keep: np.ndarray) -> slice:
-    """The run of frames round ``k`` in which ``keep`` holds; always with the neighbours of ``k``."""
-    low, high = k, k + 1
+    """The run of frames round ``k`` in which ``keep`` holds.
+
+    Always with the neighbours of ``k``.
+    """
+    low = k
+    high = k + 1
     while low > 0 and (keep[low - 1] or low == k):
         low -= 1
     while high < len(radius) and (keep[high] or high == k + 1):
@@ -213,14 +240,18 @@ def _window(radius: np.ndarray, k: int, keep: np.ndarray) -> slice:
     return slice(low, high)
 
 
-def _fit_extreme(time: np.ndarray, radius: np.ndarray, noise: float, degree: int, sign: int) -> _Extreme | None:
+def _fit_extreme(
+    time: np.ndarray, radius: np.ndarray, noise: float, degree: int, sign: int
+) -> _Extreme | None:
     """Least-squares polynomial and its vertex; None if the vertex is not inside the frames.
 
-    The residual variance is pooled with ``noise**2`` (weight ``PRIOR_WEIGHT`` frames), because a few frames cannot
-    determine it, and enlarged where neighbouring residuals agree (edge detection and misfit err smoothly). The value varies
-    as the fit at the vertex does (its derivative there is zero); the time as the slope there over the curvature.
+    The residual variance is pooled with ``noise**2`` (weight ``PRIOR_WEIGHT`` frames), because a
+    few frames cannot determine it, and enlarged where neighbouring residuals agree (edge detection
+    and misfit err smoothly). The value varies as the fit at the vertex does (its derivative there
+    is zero); the time as the slope there over the curvature.
     """
-    centre, span = 0.5 * (time[0] + time[-1]), 0.5 * (time[-1] - time[0])
+    centre = 0.5 * (time[0] + time[-1])
+    span = 0.5 * (time[-1] - time[0])
     x = (time - centre) / span
     basis = np.vander(x, degree + 1)
     coefficients, *_ = np.linalg.lstsq(basis, radius, rcond=None)
@@ -243,10 +274,14 @@ def _fit_extreme(time: np.ndarray, radius: np.ndarray, noise: float, degree: int
     value_sd = math.sqrt(at_value @ covariance @ at_value)
     curvature = abs(float(np.polyval(np.polyder(slope), vertex)))
     time_sd = min(math.sqrt(at_slope @ covariance @ at_slope) / curvature, 2.0) * span
-    return _Extreme(centre + vertex * span, float(np.polyval(coefficients, vertex)), time_sd, value_sd)
+    return _Extreme(
+        centre + vertex * span, float(np.polyval(coefficients, vertex)), time_sd, value_sd
+    )
 
 
-def _peak(trace: RadiusTrace, time: np.ndarray, radius: np.ndarray, noise: float) -> tuple[_Extreme, str]:
+def _peak(
+    trace: RadiusTrace, time: np.ndarray, radius: np.ndarray, noise: float
+) -> tuple[_Extreme, str]:
     """Maximum radius: as it is stated, or else found; what is not stated of it is found."""
     found, method = _found_peak(trace, time, radius, noise)
     stated = trace.given.override
@@ -255,14 +290,21 @@ def _peak(trace: RadiusTrace, time: np.ndarray, radius: np.ndarray, noise: float
     if stated.max_radius_m is not None:
         found = replace(found, value=stated.max_radius_m, value_sd=stated.max_radius_sd_m or noise)
     if stated.time_of_max_s is not None:
-        found = replace(found, time=stated.time_of_max_s, time_sd=float(np.median(np.diff(time))) / 2.0)
+        found = replace(
+            found, time=stated.time_of_max_s, time_sd=float(np.median(np.diff(time))) / 2.0
+        )
     return found, "as stated"
 
 
-def _found_peak(trace: RadiusTrace, time: np.ndarray, radius: np.ndarray, noise: float) -> tuple[_Extreme, str]:
-    """Maximum radius: a fit where frames stand on both sides of it, else what the laboratory says, else a frame."""
+def _found_peak(
+    trace: RadiusTrace, time: np.ndarray, radius: np.ndarray, noise: float
+) -> tuple[_Extreme, str]:
+    """Maximum radius: a fit where frames stand on both sides of it, else what the laboratory says,
+    else a frame.
+    """
     k = int(radius.argmax())
-    top, given = float(radius[k]), trace.given
+    top = float(radius[k])
+    given = trace.given
     interior = 0 < k < len(radius) - 1
     found = _fit_peak(time, radius, k, noise) if interior else None
     near = interior and min(radius[k - 1], radius[k + 1]) >= NEIGHBOUR * top
@@ -272,7 +314,11 @@ def _found_peak(trace: RadiusTrace, time: np.ndarray, radius: np.ndarray, noise:
     stated = given.max_radius_m
     if stated is not None and abs(stated / top - 1.0) > 1e-6:
         at = float(time[k]) if given.time_of_max_s is None else given.time_of_max_s
-        sd = max(noise, abs(stated - top)) if given.max_radius_sd_m is None else given.max_radius_sd_m
+        sd = (
+            max(noise, abs(stated - top))
+            if given.max_radius_sd_m is None
+            else given.max_radius_sd_m
+        )
         return _Extreme(at, stated, spacing / 2.0, sd), "as given"
     from_start = _fit_start(time, radius, k, noise)
     if from_start is not None:
@@ -283,21 +329,26 @@ def _found_peak(trace: RadiusTrace, time: np.ndarray, radius: np.ndarray, noise:
 
 
 def _fit_start(time: np.ndarray, radius: np.ndarray, k: int, noise: float) -> _Extreme | None:
-    """Maximum of a record that begins near it, by the frames after it; None if they are few or put it well before the record.
+    """Maximum of a record that begins near it, by the frames after it; None if they are few or put
+    it well before the record.
 
-    The largest of such frames is late, since noise decides between frames about a flat maximum. Of an empty cavity under a
-    constant pressure ``R = Rmax (1 - a s^2 - 2/3 a^2 s^4 + O(s^6))`` at ``s`` from the maximum (Rayleigh, Phil. Mag. 34, 1917,
-    expanded), which is even and has three parameters. What another window changes is added to the standard deviations.
+    The largest of such frames is late, since noise decides between frames about a flat maximum. Of
+    an empty cavity under a constant pressure ``R = Rmax (1 - a s^2 - 2/3 a^2 s^4 + O(s^6))`` at
+    ``s`` from the maximum (Rayleigh, Phil. Mag. 34, 1917, expanded), which is even and has three
+    parameters. What another window changes is added to the standard deviations.
     """
-    top, spacing = float(radius[k]), float(np.diff(time)[max(k - 1, 0) : k + 1].max())
+    top = float(radius[k])
+    spacing = float(np.diff(time)[max(k - 1, 0) : k + 1].max())
     fits = []
     for level in START_WINDOWS:
         below = np.flatnonzero(radius < level * top)
         stop = int(below[0]) if len(below) else 0
         if stop <= k or stop < START_FRAMES:
             return None
-        x, y = (time[:stop] - time[0]) / spacing, radius[:stop] / top
-        guess, error = (1.0, (1.0 - level) / x[-1] ** 2, 0.0), np.full(stop, noise / top)
+        x = (time[:stop] - time[0]) / spacing
+        y = radius[:stop] / top
+        guess = (1.0, (1.0 - level) / x[-1] ** 2, 0.0)
+        error = np.full(stop, noise / top)
         try:
             best, covariance = curve_fit(_near_maximum, x, y, guess, error, absolute_sigma=True)
         except RuntimeError:  # no minimum was found
@@ -306,8 +357,14 @@ def _fit_start(time: np.ndarray, radius: np.ndarray, k: int, noise: float) -> _E
     (found, sd), (other, _) = fits
     if not -START_REACH <= found[2] <= (time[k] - time[0]) / spacing + 1.0 or sd[2] > START_REACH:
         return None
-    value_sd, time_sd = math.hypot(sd[0], other[0] - found[0]), math.hypot(sd[2], other[2] - found[2])
-    return _Extreme(float(time[0] + spacing * found[2]), top * float(found[0]), spacing * time_sd, max(noise, top * value_sd))
+    value_sd = math.hypot(sd[0], other[0] - found[0])
+    time_sd = math.hypot(sd[2], other[2] - found[2])
+    return _Extreme(
+        float(time[0] + spacing * found[2]),
+        top * float(found[0]),
+        spacing * time_sd,
+        max(noise, top * value_sd),
+    )
 
 
 def _near_maximum(time: np.ndarray, top: float, bend: float, at: float) -> np.ndarray:
@@ -318,8 +375,9 @@ def _near_maximum(time: np.ndarray, top: float, bend: float, at: float) -> np.nd
 def _fit_peak(time: np.ndarray, radius: np.ndarray, k: int, noise: float) -> _Extreme | None:
     """Fitted maximum near frame ``k``; None if frames on both sides do not bracket it.
 
-    What the choice of window changes, the length of an exposure, and half of what the fit adds to the largest frame of
-    a coarse record, are added to the standard deviations: the curve is no polynomial.
+    What the choice of window changes, the length of an exposure, and half of what the fit adds to
+    the largest frame of a coarse record, are added to the standard deviations: the curve is no
+    polynomial.
     """
     top = float(radius[k])
     wide, narrow = (_window(radius, k, radius >= level * top) for level in PEAK_WINDOWS)
@@ -330,44 +388,60 @@ def _fit_peak(time: np.ndarray, radius: np.ndarray, k: int, noise: float) -> _Ex
     if not many:
         excess = 0.5 * max(found.value - top, 0.0)
         return replace(found, value_sd=math.hypot(found.value_sd, excess))
-    other = _fit_extreme(time[narrow], radius[narrow], noise, 2, +1) if narrow.stop - narrow.start >= 5 else None
+    other = (
+        _fit_extreme(time[narrow], radius[narrow], noise, 2, +1)
+        if narrow.stop - narrow.start >= 5
+        else None
+    )
     if other is None:
         return found
     exposure = EXPOSURE * float(np.diff(time[wide]).max())
     time_sd = math.hypot(found.time_sd, other.time - found.time, exposure)
-    return replace(found, value_sd=math.hypot(found.value_sd, other.value - found.value), time_sd=time_sd)
+    return replace(
+        found, value_sd=math.hypot(found.value_sd, other.value - found.value), time_sd=time_sd
+    )
 
 
-def _extremes(time: np.ndarray, radius: np.ndarray, noise: float) -> tuple[list[_Extreme], list[_Extreme]]:
-    """Minima and maxima after the main maximum, alternating; a reversal smaller than the noise is none."""
+def _extremes(
+    time: np.ndarray, radius: np.ndarray, noise: float
+) -> tuple[list[_Extreme], list[_Extreme]]:
+    """Minima and maxima after the main maximum, alternating.
+
+    A reversal smaller than the noise is none.
+    """
     minima: list[_Extreme] = []
     maxima: list[_Extreme] = []
     turns = _turning_points(radius, int(radius.argmax()), noise)
     for i, (k, sign) in enumerate(turns):
-        low, high = (
-            (turns[i - 1][0] if i else int(radius.argmax())),
-            (turns[i + 1][0] if i + 1 < len(turns) else len(radius)),
-        )
+        low = turns[i - 1][0] if i else int(radius.argmax())
+        high = turns[i + 1][0] if i + 1 < len(turns) else len(radius)
         swing = min(abs(radius[low] - radius[k]), np.abs(radius[k:high] - radius[k]).max())
         near = np.abs(radius - radius[k]) <= 0.2 * swing
         near[:low], near[high:] = False, False
         window = _window(radius, k, near)
-        frame = _Extreme(float(time[k]), float(radius[k]), float(time[k + 1] - time[k - 1]) / 4.0, noise)
+        frame = _Extreme(
+            float(time[k]), float(radius[k]), float(time[k + 1] - time[k - 1]) / 4.0, noise
+        )
         found = _fit_extreme(time[window], radius[window], noise, 2, sign)
-        sensible = found is not None and abs(found.value - radius[k]) <= max(0.3 * swing, 3.0 * noise)
+        sensible = found is not None and abs(found.value - radius[k]) <= max(
+            0.3 * swing, 3.0 * noise
+        )
         (maxima if sign > 0 else minima).append(found if found is not None and sensible else frame)
     return minima, maxima
 
 
 def _turning_points(radius: np.ndarray, start: int, noise: float) -> list[tuple[int, int]]:
-    """Frames where the curve turns by more than the noise can, each with +1 (maximum) or -1 (minimum)."""
+    """Frames where the curve turns by more than the noise can, each with +1 (maximum) or -1
+    (minimum).
+    """
     turns: list[tuple[int, int]] = []
     places = np.arange(len(radius)) - LOCAL_FRAMES // 2
     last = max(len(radius) - LOCAL_FRAMES, 0)
     near = [radius[k : k + LOCAL_FRAMES] for k in places.clip(0, last)]
     local = np.array([roughness(some) if len(some) >= LOCAL_FRAMES else noise for some in near])
     threshold = np.maximum(REVERSAL * noise, LOCAL_REVERSAL * local)
-    sign, best = -1, start
+    sign = -1
+    best = start
     for i in range(start + 1, len(radius)):
         if sign * (radius[i] - radius[best]) > 0.0:
             best = i
@@ -395,7 +469,8 @@ def _rest(
     minima, maxima = extremes
     count = max(5, math.ceil(tail_fraction * len(radius)))
     tail = radius[-count:]
-    mean, scatter = float(tail.mean()), float(tail.std(ddof=1)) if count <= len(radius) else math.inf
+    mean = float(tail.mean())
+    scatter = float(tail.std(ddof=1)) if count <= len(radius) else math.inf
     came_down = bool(maxima) or mean < 0.6 * float(radius.max())
     turns = sorted([float(time[radius.argmax()]), *(x.time for x in (*minima, *maxima))])
     # A quiet tail shorter than half a cycle may be the flat top of a rebound.
@@ -405,8 +480,12 @@ def _rest(
     drift = 0.5 * abs(float(tail[: count // 2].mean() - tail[count // 2 :].mean()))
     if came_to_rest and scatter < settled_below * mean:
         return mean, math.hypot(scatter, drift), True, "settled tail"
-    stated, stated_sd, settled = trace.given.rest_radius_m, trace.given.rest_radius_sd_m or 0.0, trace.given.rest_settled
-    if stated is not None and settled is not False:  # better than what a bubble shows that still oscillates
+    stated = trace.given.rest_radius_m
+    stated_sd = trace.given.rest_radius_sd_m or 0.0
+    settled = trace.given.rest_settled
+    if (
+        stated is not None and settled is not False
+    ):  # better than what a bubble shows that still oscillates
         floor = MIN_STATED_SD if settled or stated_sd else MIN_RINGING_SD
         return stated, max(stated_sd, floor * stated), True, "as given"
     if came_to_rest and scatter < NOISY_TAIL * roughness(tail):  # ringing that the noise may hide
@@ -424,20 +503,27 @@ def _rest(
 
 
 def _rest_while_ringing(time: np.ndarray, radius: np.ndarray) -> tuple[float, float]:
-    """Rest radius of a bubble that oscillates, from one cycle, and the relative standard deviation that this adds.
+    """Rest radius of a bubble that oscillates, from one cycle, and the relative standard deviation
+    that this adds.
 
-    The mean radius is no estimate of it: gas resists compression more than expansion, so a bubble is mostly larger than at rest
+    The mean radius is no estimate of it: gas resists compression more than expansion, so a bubble
+        is mostly larger than at rest
     (its mean radius is half as large again where the first rebounds are all that was recorded).
     """
     mean = float(np.trapezoid(radius, time) / (time[-1] - time[0]))
-    low, high = float(radius.min()), float(radius.max())
+    low = float(radius.min())
+    high = float(radius.max())
     excess = -RINGING_POWER * math.log(low * high / mean**2)
     by_noise = RINGING_POWER * roughness(radius) * math.hypot(1.0 / low, 1.0 / high)
     return mean * math.exp(-excess), math.hypot(min(abs(excess), RINGING_SD), by_noise)
 
 
-def _last_cycles(time: np.ndarray, minima: list[_Extreme], maxima: list[_Extreme]) -> tuple[float, float, str]:
-    """Bounds in s of the last full cycle, or of what follows it where that is longer (ringing below the noise)."""
+def _last_cycles(
+    time: np.ndarray, minima: list[_Extreme], maxima: list[_Extreme]
+) -> tuple[float, float, str]:
+    """Bounds in s of the last full cycle, or of what follows it where that is longer (ringing below
+    the noise).
+    """
     pairs = [(a.time, b.time) for kind in (minima, maxima) for a, b in pairwise(kind)]
     end = float(time[-1])
     if not pairs:

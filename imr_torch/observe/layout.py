@@ -1,6 +1,7 @@
 """Description of a file format: names, units and scales of its columns or variables.
 
-Dimensionless times are undone with ``t = t* Rmax sqrt(rho / p_inf)`` (Estrada et al., J. Mech. Phys. Solids 112, 2018).
+Dimensionless times are undone with ``t = t* Rmax sqrt(rho / p_inf)`` (Estrada et al., J. Mech.
+Phys. Solids 112, 2018).
 """
 
 import math
@@ -23,11 +24,13 @@ EXAMPLE = "radius=<name>,radius_unit=um,time=<name>,time_unit=us"
 class Layout:
     """What the columns of a table, or the variables of a MATLAB file, mean.
 
-    A name is the name of a variable or column; the columns of a table without header are named ``"1"``, ``"2"``, ...
+    A name is the name of a variable or column; the columns of a table without header are named
+    ``"1"``, ``"2"``, ...
 
     Args:
-        radius: name of the radius (in MATLAB a vector, or a cell array of vectors: one for each curve). In a wide table, which
-            has one column of radii a curve: their names joined by ``+``, or ``*`` for all columns but the time.
+        radius: name of the radius (in MATLAB a vector, or a cell array of vectors: one for each
+            curve). In a wide table, which has one column of radii a curve: their names joined by
+            ``+``, or ``*`` for all columns but the time.
         radius_unit: one of m, um, mm, px, dimensionless (R/Rmax).
         time: name of the time, or None: frames counted from 0.
         time_unit: one of s, us, ms, ns, frames, dimensionless; ignored without ``time``.
@@ -41,11 +44,13 @@ class Layout:
         rest_radius_unit: one of the radius units.
         density: kg/m^3, used by the source to make time dimensionless.
         far_field_pressure: Pa, used by the source to make time dimensionless.
-        inserted_peak: where the source inserted a fitted peak that is no camera frame: None, "first_row", "time_zero".
+        inserted_peak: where the source inserted a fitted peak that is no camera frame: None,
+            "first_row", "time_zero".
         separator: number that fills the rows between curves of a table.
 
     Raises:
-        InputDataError: if a unit is unknown, a number is not positive, or a scale that the units need is missing.
+        InputDataError: if a unit is unknown, a number is not positive, or a scale that the units
+            need is missing.
 
     >>> from imr_torch.observe import Layout
     >>> Layout("R", radius_unit="um", time="t", time_unit="us").names()
@@ -82,30 +87,48 @@ class Layout:
         ):
             if getattr(self, name) not in allowed:
                 listed = ", ".join(map(str, allowed))
-                raise InputDataError(f"Layout.{name} is '{getattr(self, name)}'; choose one of: {listed}.")
+                raise InputDataError(
+                    f"Layout.{name} is '{getattr(self, name)}'; choose one of: {listed}."
+                )
         for name in ("frame_interval", "pixel_size", "max_radius", "density", "far_field_pressure"):
             value = getattr(self, name)
             if isinstance(value, (int, float)) and not 0.0 < value < math.inf:
-                raise InputDataError(f"Layout.{name} is {value}; expected a positive number in SI units.")
-        if self.max_radius_entries is not None and (not self.max_radius_entries or min(self.max_radius_entries) < 1):
-            raise InputDataError(f"Layout.max_radius_entries is {self.max_radius_entries}; entries are counted from 1.")
+                raise InputDataError(
+                    f"Layout.{name} is {value}; expected a positive number in SI units."
+                )
+        if self.max_radius_entries is not None and (
+            not self.max_radius_entries or min(self.max_radius_entries) < 1
+        ):
+            raise InputDataError(
+                f"Layout.max_radius_entries is {self.max_radius_entries}; entries are counted "
+                "from 1."
+            )
         self._check_scales()
 
     def _check_scales(self) -> None:
         if self.time is None and self.frame_interval is None:
             raise InputDataError(
-                "The layout names no time and no frame_interval; write time=<name>, or frame_interval=<seconds between "
+                "The layout names no time and no frame_interval; write time=<name>, or "
+                "frame_interval=<seconds between "
                 "frames>, into --layout."
             )
         if self.time_unit == "frames" and self.frame_interval is None:
-            raise InputDataError("Layout.time_unit is 'frames'; write frame_interval=<seconds between frames> into --layout.")
+            raise InputDataError(
+                "Layout.time_unit is 'frames'; write frame_interval=<seconds between frames> into "
+                "--layout."
+            )
         if "px" in (self.radius_unit, self.rest_radius_unit) and self.pixel_size is None:
             raise InputDataError(
-                "Layout.radius_unit is 'px'; write pixel_size=<metres per pixel>, or the variable that holds it, into --layout."
+                "Layout.radius_unit is 'px'; write pixel_size=<metres per pixel>, or the variable "
+                "that holds it, into --layout."
             )
-        if "dimensionless" in (self.radius_unit, self.time_unit, self.rest_radius_unit) and self.max_radius is None:
+        if (
+            "dimensionless" in (self.radius_unit, self.time_unit, self.rest_radius_unit)
+            and self.max_radius is None
+        ):
             raise InputDataError(
-                "The layout has a 'dimensionless' unit; write max_radius=<metres>, or the variable of it, into --layout."
+                "The layout has a 'dimensionless' unit; write max_radius=<metres>, or the "
+                "variable of it, into --layout."
             )
 
     @property
@@ -113,7 +136,9 @@ class Layout:
         """``sqrt(rho / p_inf)`` in s/m: dimensionless time times ``Rmax`` times this is seconds."""
         return math.sqrt(self.density / self.far_field_pressure)
 
-    def length_factor(self, unit: str, pixel_size: float | None = None, max_radius_m: float | None = None) -> float:
+    def length_factor(
+        self, unit: str, pixel_size: float | None = None, max_radius_m: float | None = None
+    ) -> float:
         """Metres per ``unit``."""
         factor = {**LENGTHS, "px": pixel_size, "dimensionless": max_radius_m}[unit]
         assert factor is not None
@@ -121,17 +146,29 @@ class Layout:
 
     def names(self) -> tuple[str, ...]:
         """The variables or columns that the layout asks for."""
-        named = ("radius", "time", "experiment", "frame_interval", "pixel_size", "max_radius", "rest_radius")
-        return tuple(value for value in (getattr(self, name) for name in named) if isinstance(value, str))
+        named = (
+            "radius",
+            "time",
+            "experiment",
+            "frame_interval",
+            "pixel_size",
+            "max_radius",
+            "rest_radius",
+        )
+        return tuple(
+            value for value in (getattr(self, name) for name in named) if isinstance(value, str)
+        )
 
     @classmethod
     def from_text(cls, text: str) -> "Layout":
-        """Read the form of the command line, ``"radius=Rnew,radius_unit=px,pixel_size=deltax,frame_interval=deltat"``.
+        """Read the form of the command line,
+        ``"radius=Rnew,radius_unit=px,pixel_size=deltax,frame_interval=deltat"``.
 
         The entries of ``max_radius_entries`` are joined by ``+``: ``max_radius_entries=1+2+4``.
 
         Raises:
-            InputDataError: if a setting is unknown, repeated, has no value or a wrong one, or the radius is missing.
+            InputDataError: if a setting is unknown, repeated, has no value or a wrong one, or the
+                radius is missing.
         """
         known = [field.name for field in fields(cls)]
         settings: dict[str, Any] = {}
@@ -139,12 +176,15 @@ class Layout:
             name, equals, value = (x.strip() for x in part.partition("="))
             if not equals or not value or name not in known or name in settings:
                 raise InputDataError(
-                    f"--layout: cannot use '{part}'; write name=value once, with a name among {', '.join(known)}."
+                    f"--layout: cannot use '{part}'; write name=value once, with a name among "
+                    f"{', '.join(known)}."
                 )
             settings[name] = _setting(name, value)
         for needed in ("radius", "radius_unit"):
             if needed not in settings:
-                raise InputDataError(f"--layout '{text}' has no {needed}; write radius=<name>,radius_unit=um,...")
+                raise InputDataError(
+                    f"--layout '{text}' has no {needed}; write radius=<name>,radius_unit=um,..."
+                )
         return cls(**settings)
 
 
@@ -157,7 +197,9 @@ def _setting(name: str, value: str) -> Any:
         if name in ("density", "far_field_pressure", "separator"):
             return float(value)
     except ValueError:
-        raise InputDataError(f"--layout: {name} is '{value}'; expected a number (entries as 1+2+4).") from None
+        raise InputDataError(
+            f"--layout: {name} is '{value}'; expected a number (entries as 1+2+4)."
+        ) from None
     if name in ("frame_interval", "pixel_size", "max_radius"):
         try:
             return float(value)
@@ -168,8 +210,12 @@ def _setting(name: str, value: str) -> Any:
 
 KNOWN_LAYOUTS: Mapping[str, Layout] = MappingProxyType(
     {
-        "experiment_table": Layout("radius_m", radius_unit="m", time="time_s", experiment="experiment_id"),
-        "separated_table": Layout("2", radius_unit="um", time="1", time_unit="us", separator=-1000.0),
+        "experiment_table": Layout(
+            "radius_m", radius_unit="m", time="time_s", experiment="experiment_id"
+        ),
+        "separated_table": Layout(
+            "2", radius_unit="um", time="1", time_unit="us", separator=-1000.0
+        ),
         "dimensionless_cells": Layout(
             "R_nondim_All",
             radius_unit="dimensionless",
@@ -178,9 +224,15 @@ KNOWN_LAYOUTS: Mapping[str, Layout] = MappingProxyType(
             max_radius="RmaxList",
             inserted_peak="time_zero",
         ),
-        "fitted_peak_first": Layout("Rnew", radius_unit="m", time="t", max_radius="RmaxAll", inserted_peak="first_row"),
-        "pixels_by_frame": Layout("Rnew", radius_unit="px", pixel_size="deltax", frame_interval="deltat"),
-        "micrometres_with_rest": Layout("R", radius_unit="um", time="t", rest_radius="Req", rest_radius_unit="um"),
+        "fitted_peak_first": Layout(
+            "Rnew", radius_unit="m", time="t", max_radius="RmaxAll", inserted_peak="first_row"
+        ),
+        "pixels_by_frame": Layout(
+            "Rnew", radius_unit="px", pixel_size="deltax", frame_interval="deltat"
+        ),
+        "micrometres_with_rest": Layout(
+            "R", radius_unit="um", time="t", rest_radius="Req", rest_radius_unit="um"
+        ),
     }
 )
 """Name -> layout that is recognised without being stated."""

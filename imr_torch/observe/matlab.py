@@ -1,8 +1,12 @@
-"""MATLAB files (v4 to v7.3): their variables, the curves in them, and which maximum radius belongs to which curve.
+"""MATLAB files (v4 to v7.3): their variables, the curves in them, and which maximum radius belongs
+to which curve.
 
-Nothing here guesses units: a :class:`imr_torch.observe.load.Layout` says what a variable means. The one thing that is
-worked out is which entries of a list of maximum radii belong to the curves when the list is longer than the curves are
-many: all curves of one camera must have the same frame spacing once their dimensionless times are undone.
+Nothing here guesses units: a :class:`imr_torch.observe.load.Layout` says what a variable means. The
+    one thing that is
+worked out is which entries of a list of maximum radii belong to the curves when the list is longer
+than the curves are
+many: all curves of one camera must have the same frame spacing once their dimensionless times are
+    undone.
 """
 
 import itertools
@@ -39,12 +43,15 @@ def read_variables(path: Path) -> Variables:
         content = pymatreader.read_mat(str(path))
     except Exception as error:  # SciPy, h5py and zlib each raise their own kinds on damaged files
         raise InputDataError(
-            f"{path}: cannot be read as a MATLAB file ({type(error).__name__}: {error}). Save it again in MATLAB with "
+            f"{path}: cannot be read as a MATLAB file ({type(error).__name__}: {error}). Save it "
+            "again in MATLAB with "
             "save(name, '-v7'), or export time and radius as CSV."
         ) from error
     variables = _flatten(content)
     if not variables:
-        raise InputDataError(f"{path}: holds no variables; save the radius and time vectors into it.")
+        raise InputDataError(
+            f"{path}: holds no variables; save the radius and time vectors into it."
+        )
     return variables
 
 
@@ -65,7 +72,11 @@ def _check_size(path: Path) -> None:
     try:
         if h5py.is_hdf5(path):
             with h5py.File(path) as file:
-                file.visititems(lambda name, x: sizes.update({name: x.nbytes}) if isinstance(x, h5py.Dataset) else None)
+                file.visititems(
+                    lambda name, x: (
+                        sizes.update({name: x.nbytes}) if isinstance(x, h5py.Dataset) else None
+                    )
+                )
         else:
             sizes = {name: 8 * math.prod(shape) for name, shape, _ in scipy.io.whosmat(str(path))}
     except Exception:  # a damaged file is reported where it is read
@@ -73,7 +84,8 @@ def _check_size(path: Path) -> None:
     if sum(sizes.values()) > LARGEST:
         name = max(sizes, key=lambda name: sizes[name])
         raise InputDataError(
-            f"{path}: its variables take {sum(sizes.values()) / 2**30:.3g} GiB, above {LARGEST / 2**30:.3g} (the largest "
+            f"{path}: its variables take {sum(sizes.values()) / 2**30:.3g} GiB, above "
+            f"{LARGEST / 2**30:.3g} (the largest "
             f"is '{name}'); it is damaged, or holds more than curves: save radius and time alone."
         )
 
@@ -83,7 +95,12 @@ def plain_vectors(variables: Variables) -> dict[str, np.ndarray]:
     found = {}
     for name, value in variables.items():
         array = None if isinstance(value, (dict, list, str)) else np.asarray(value)
-        if array is not None and array.dtype.kind in "fiub" and array.size > 1 and max(array.shape) == array.size:
+        if (
+            array is not None
+            and array.dtype.kind in "fiub"
+            and array.size > 1
+            and max(array.shape) == array.size
+        ):
             found[name] = array.astype(np.float64).reshape(-1)
     return found
 
@@ -123,7 +140,8 @@ def vectors(file: str, variables: Variables, name: str) -> list[np.ndarray]:
     """
     if name not in variables:
         raise InputDataError(
-            f"{file}: variable '{name}', named by the layout, is not in the file. It holds: {describe(variables)}. "
+            f"{file}: variable '{name}', named by the layout, is not in the file. It holds: "
+            f"{describe(variables)}. "
             "Name one of these in --layout."
         )
     value = variables[name]
@@ -133,10 +151,14 @@ def vectors(file: str, variables: Variables, name: str) -> list[np.ndarray]:
         where = f"{file}: variable '{name}'" + (f", cell {i + 1}" if len(cells) > 1 else "")
         array = None if isinstance(cell, (dict, list, str)) else np.asarray(cell)
         if array is None or array.dtype.kind not in "fiub":
-            raise InputDataError(f"{where} holds {str(cell)[:40]!r}, not real numbers; name a numeric variable in --layout.")
+            raise InputDataError(
+                f"{where} holds {str(cell)[:40]!r}, not real numbers; name a numeric variable in "
+                "--layout."
+            )
         if sum(n > 1 for n in array.shape) > 1:
             raise InputDataError(
-                f"{where} has shape {array.shape}; expected a vector, or a cell array of vectors: save each curve as one cell."
+                f"{where} has shape {array.shape}; expected a vector, or a cell array of vectors: "
+                "save each curve as one cell."
             )
         out.append(array.astype(np.float64).reshape(-1))
     return out
@@ -147,7 +169,9 @@ def entries(file: str, variables: Variables, name: str) -> np.ndarray:
     return np.concatenate(vectors(file, variables, name) or [np.empty(0)])
 
 
-def number(file: str, variables: Variables, setting: str, value: str | float | None) -> float | None:
+def number(
+    file: str, variables: Variables, setting: str, value: str | float | None
+) -> float | None:
     """A setting of the layout that is a number, or the name of a scalar variable.
 
     Raises:
@@ -158,7 +182,8 @@ def number(file: str, variables: Variables, setting: str, value: str | float | N
     found = entries(file, variables, value)
     if found.size != 1 or not 0.0 < found[0] < math.inf:
         raise InputDataError(
-            f"{file}: variable '{value}' ({setting}) is {_shape(variables[value])} {found[:4]!s}; expected one "
+            f"{file}: variable '{value}' ({setting}) is {_shape(variables[value])} {found[:4]!s}; "
+            "expected one "
             f"positive number. Write {setting}=<number> into --layout instead."
         )
     return float(found[0])
@@ -168,7 +193,8 @@ def curves(path: Path, variables: Variables, layout: Layout) -> list[RawCurve]:
     """The curves of the file, in the units of the file.
 
     Raises:
-        InputDataError: if a variable is missing or unusable, or counts or lengths of times and radii differ.
+        InputDataError: if a variable is missing or unusable, or counts or lengths of times and
+            radii differ.
     """
     file = str(path)
     radii = vectors(file, variables, layout.radius)
@@ -177,7 +203,8 @@ def curves(path: Path, variables: Variables, layout: Layout) -> list[RawCurve]:
         times = times * len(radii)
     if len(times) != len(radii):
         raise InputDataError(
-            f"{file}: '{layout.time}' holds {len(times)} vectors and '{layout.radius}' {len(radii)}; expected one "
+            f"{file}: '{layout.time}' holds {len(times)} vectors and '{layout.radius}' "
+            f"{len(radii)}; expected one "
             "vector of times for each curve, or one for all."
         )
     out = []
@@ -185,7 +212,8 @@ def curves(path: Path, variables: Variables, layout: Layout) -> list[RawCurve]:
         name = path.stem if len(radii) == 1 else f"{path.stem}_{i + 1:02d}"
         if time is not None and len(time) != len(radius):
             raise InputDataError(
-                f"{file}: curve {i + 1}: '{layout.time}' has {len(time)} samples and '{layout.radius}' {len(radius)}; "
+                f"{file}: curve {i + 1}: '{layout.time}' has {len(time)} samples and "
+                f"'{layout.radius}' {len(radius)}; "
                 "give one time for every radius."
             )
         out.append(RawCurve(file, name, time, radius, np.arange(1, len(radius) + 1)))
@@ -193,7 +221,11 @@ def curves(path: Path, variables: Variables, layout: Layout) -> list[RawCurve]:
 
 
 def max_radii(
-    file: str, variables: Variables, layout: Layout, raw: list[RawCurve], frame_interval: float | None
+    file: str,
+    variables: Variables,
+    layout: Layout,
+    raw: list[RawCurve],
+    frame_interval: float | None,
 ) -> tuple[list[float | None], list[str]]:
     """The maximum radius of each curve, in the unit of the file, and notes on how it was chosen.
 
@@ -218,7 +250,8 @@ def max_radii(
         return [float(x) for x in found], []
     if len(found) < len(raw):
         raise InputDataError(
-            f"{file}: variable '{layout.max_radius}' has {len(found)} entries for {len(raw)} curves; one entry for "
+            f"{file}: variable '{layout.max_radius}' has {len(found)} entries for {len(raw)} "
+            "curves; one entry for "
             "each curve is needed: add the missing ones, or give max_radius as a number."
         )
     choice, note = _choose(file, layout, found, raw, frame_interval)
@@ -238,31 +271,54 @@ def _named_entries(file: str, layout: Layout, found: np.ndarray, n_curves: int) 
 def _choose(
     file: str, layout: Layout, found: np.ndarray, raw: list[RawCurve], frame_interval: float | None
 ) -> tuple[tuple[int, ...], str]:
-    """The one order-preserving choice of entries under which all curves have the same frame spacing."""
-    counts = f"{file}: variable '{layout.max_radius}' has {len(found)} entries for {len(raw)} curves"
+    """The one order-preserving choice of entries under which all curves have the same frame
+    spacing.
+    """
+    counts = (
+        f"{file}: variable '{layout.max_radius}' has {len(found)} entries for {len(raw)} curves"
+    )
     numbers = "+".join(str(i + 1) for i in range(len(raw)))
     by_hand = f"max_radius_entries={numbers} in --layout (entry numbers from 1, one for each curve)"
     if layout.time_unit != "dimensionless":
         raise InputDataError(f"{counts}; say which belong to them with {by_hand}.")
     spacing = np.array([_median_step(curve) for curve in raw])
-    implied = spacing[:, None] * found * layout.length_factor(layout.max_radius_unit) * layout.time_per_length
+    implied = (
+        spacing[:, None]
+        * found
+        * layout.length_factor(layout.max_radius_unit)
+        * layout.time_per_length
+    )
     if math.comb(len(found), len(raw)) > MAX_CHOICES:
-        raise InputDataError(f"{counts}, too many choices to try; say which belong to them with {by_hand}.")
+        raise InputDataError(
+            f"{counts}, too many choices to try; say which belong to them with {by_hand}."
+        )
     choices = itertools.combinations(range(len(found)), len(raw))
     fitting = [c for c in choices if _agrees(implied[range(len(raw)), c], frame_interval)]
     if len(fitting) == 1:
         chosen = fitting[0]
         listed = ", ".join(f"{implied[k, i]:.4g}" for k, i in enumerate(chosen))
-        how = "they match the frame interval given" if frame_interval else "no other choice makes them equal"
+        how = (
+            "they match the frame interval given"
+            if frame_interval
+            else "no other choice makes them equal"
+        )
         return chosen, (
-            f"{counts}: entries {', '.join(str(i + 1) for i in chosen)} are used, in order; the frame spacings they "
+            f"{counts}: entries {', '.join(str(i + 1) for i in chosen)} are used, in order; the "
+            "frame spacings they "
             f"imply are {listed} s, and {how}. Name them with max_radius_entries to override this."
         )
-    table = "; ".join(f"curve {k + 1}: " + ", ".join(f"{x:.4g}" for x in row) for k, row in enumerate(implied))
+    table = "; ".join(
+        f"curve {k + 1}: " + ", ".join(f"{x:.4g}" for x in row) for k, row in enumerate(implied)
+    )
     why = f"{len(fitting)} choices fit" if fitting else "no choice fits"
-    target = f" of {frame_interval:g} s (within 1 %)" if frame_interval else ", equal for all curves (within 0.2 %)"
+    target = (
+        f" of {frame_interval:g} s (within 1 %)"
+        if frame_interval
+        else ", equal for all curves (within 0.2 %)"
+    )
     raise InputDataError(
-        f"{counts}, and {why} a frame spacing{target}. Give frame_interval=<seconds between frames>, or {by_hand}. "
+        f"{counts}, and {why} a frame spacing{target}. Give frame_interval=<seconds between "
+        f"frames>, or {by_hand}. "
         f"Frame spacings in s implied by each entry: {table}."
     )
 

@@ -1,13 +1,16 @@
-"""What a laboratory states about the medium round the bubble, and the medium that a fit uses: stated values and assumed ones.
+"""What a laboratory states about the medium round the bubble, and the medium that a fit uses:
+stated values and assumed ones.
 
-A statement is a named medium, values, or both: ``"water,temperature=310"``, ``"density=1125:11"`` (value and standard
-deviation, SI). In the JSON beside a file: ``{"medium": {"name": "water", "temperature": 310, "density": [1125, 11]}}``. What
-the command (or the caller) states counts before what the file says, a value before a name, and what nobody states is
-assumed. A value with a standard deviation is a parameter of the fit, the same for all shots, with that prior
-(:mod:`imr_torch.simulate.medium`).
+A statement is a named medium, values, or both: ``"water,temperature=310"``, ``"density=1125:11"``
+    (value and standard
+deviation, SI). In the JSON beside a file: ``{"medium": {"name": "water", "temperature": 310,
+"density": [1125, 11]}}``. What the command (or the caller) states counts before what the file says,
+a value before a name, and what nobody states is assumed. A value with a standard deviation is a
+parameter of the fit, the same for all shots, with that prior (:mod:`imr_torch.simulate.medium`).
 
-A stated temperature changes the vapour pressure and the conduction of heat in the bubble, and the density, sound speed and
-surface tension of a *named* medium; values that were stated or assumed stay as they are.
+A stated temperature changes the vapour pressure and the conduction of heat in the bubble, and the
+density, sound speed and surface tension of a *named* medium; values that were stated or assumed
+stay as they are.
 """
 
 import math
@@ -41,10 +44,18 @@ class _Property:
 
 
 PROPERTIES: dict[str, _Property] = {
-    "density": _Property("density", "kg/m^3", 500.0, 3000.0, ((0.5, 3.0, "g/cm^3: multiply by 1000"),)),
-    "sound_speed": _Property("sound_speed", "m/s", 300.0, 6000.0, ((0.3, 6.0, "km/s: multiply by 1000"),)),
-    "surface_tension": _Property("surface_tension", "N/m", 1e-3, 0.5, ((1.0, 500.0, "mN/m: divide by 1000"),)),
-    "temperature": _Property("temperature", "K", 273.15, 363.15, ((-20.0, 100.0, "degrees Celsius: add 273.15"),)),
+    "density": _Property(
+        "density", "kg/m^3", 500.0, 3000.0, ((0.5, 3.0, "g/cm^3: multiply by 1000"),)
+    ),
+    "sound_speed": _Property(
+        "sound_speed", "m/s", 300.0, 6000.0, ((0.3, 6.0, "km/s: multiply by 1000"),)
+    ),
+    "surface_tension": _Property(
+        "surface_tension", "N/m", 1e-3, 0.5, ((1.0, 500.0, "mN/m: divide by 1000"),)
+    ),
+    "temperature": _Property(
+        "temperature", "K", 273.15, 363.15, ((-20.0, 100.0, "degrees Celsius: add 273.15"),)
+    ),
     "pressure": _Property(
         "far_field_pressure",
         "Pa",
@@ -64,12 +75,14 @@ class Statement:
 
     Args:
         name: of a named medium (:data:`imr_torch.material.media.NAMED`), or empty.
-        values: property -> value and standard deviation (None: taken as exact), SI; properties as in :data:`PROPERTIES`.
+        values: property -> value and standard deviation (None: taken as exact), SI; properties as
+            in :data:`PROPERTIES`.
         where: the source, for reports.
 
     Raises:
-        InputDataError: for an unknown name or property, a value that is out of range, or a standard deviation that is not
-            positive, or above 30 % of the value; the message names source, value and remedy.
+        InputDataError: for an unknown name or property, a value that is out of range, or a standard
+            deviation that is not positive, or above 30 % of the value; the message names source,
+            value and remedy.
 
     >>> from imr_torch.observe import Statement
     >>> Statement.from_text("water,temperature=310:2").values
@@ -91,8 +104,12 @@ class Statement:
 
     @classmethod
     def from_text(cls, text: str, where: str = "--medium") -> "Statement":
-        """Read ``"NAME,PROPERTY=VALUE,PROPERTY=VALUE:SD"``; a name stands first, and each part may be missing."""
-        name, values = "", {}
+        """Read ``"NAME,PROPERTY=VALUE,PROPERTY=VALUE:SD"``.
+
+        A name stands first, and each part may be missing.
+        """
+        name = ""
+        values = {}
         for number, part in enumerate(part.strip() for part in text.split(",")):
             key, given, rest = part.partition("=")
             if not given and number == 0 and part:
@@ -101,7 +118,8 @@ class Statement:
             key = key.strip()
             if not given:
                 raise InputDataError(
-                    f"{where}: {part!r} is not PROPERTY=VALUE or PROPERTY=VALUE:SD; write for example "
+                    f"{where}: {part!r} is not PROPERTY=VALUE or PROPERTY=VALUE:SD; write for "
+                    "example "
                     "water,temperature=310,density=1125:11 (the name of a medium, if any, first)."
                 )
             if key in values:
@@ -117,8 +135,13 @@ class Statement:
             if key == "name":
                 continue
             parts = given if isinstance(given, list) else [given]
-            if not 1 <= len(parts) <= 2 or any(isinstance(x, bool) or not isinstance(x, (int, float)) for x in parts):
-                raise InputDataError(f"{where}: medium: {key} is {given!r}; write a number in SI units, or [value, sd].")
+            if not 1 <= len(parts) <= 2 or any(
+                isinstance(x, bool) or not isinstance(x, (int, float)) for x in parts
+            ):
+                raise InputDataError(
+                    f"{where}: medium: {key} is {given!r}; write a number in SI units, or [value, "
+                    "sd]."
+                )
             values[key] = (float(parts[0]), float(parts[1]) if len(parts) == 2 else None)
         name = document.get("name", "")
         if not isinstance(name, str):
@@ -126,7 +149,10 @@ class Statement:
         return cls(name, values, where)
 
     def at(self, temperature: float) -> dict[str, tuple[float, float | None, str]]:
-        """Field of the surroundings -> value, standard deviation and source; those of the name at a temperature in K."""
+        """Field of the surroundings -> value, standard deviation and source.
+
+        Those of the name at a temperature in K.
+        """
         found: dict[str, tuple[float, float | None, str]] = {}
         if self.name:
             medium = named_medium(self.name)
@@ -141,23 +167,37 @@ def _pair(text: str, part: str, where: str) -> tuple[float, float | None]:
     try:
         value, *sd = (float(x) for x in text.split(":"))
     except ValueError:
-        value, sd = math.nan, [math.nan, math.nan]
+        value = math.nan
+        sd = [math.nan, math.nan]
     if len(sd) > 1:
-        raise InputDataError(f"{where}: {part!r} is not PROPERTY=VALUE or PROPERTY=VALUE:SD, for example density=1125:11.")
+        raise InputDataError(
+            f"{where}: {part!r} is not PROPERTY=VALUE or PROPERTY=VALUE:SD, for example "
+            "density=1125:11."
+        )
     return value, sd[0] if sd else None
 
 
 def _check(name: str, value: float, sd: float | None) -> None:
-    """Raise unless a property is known, its value possible in SI units, and its standard deviation usable."""
+    """Raise unless a property is known, its value possible in SI units, and its standard deviation
+    usable.
+    """
     if name not in PROPERTIES:
-        raise InputDataError(f"unknown property {name!r} of a medium; known are {', '.join(PROPERTIES)}.")
+        raise InputDataError(
+            f"unknown property {name!r} of a medium; known are {', '.join(PROPERTIES)}."
+        )
     known = PROPERTIES[name]
     if not known.low <= value <= known.high:
-        remedy = next((f" It looks like {text}." for low, high, text in known.other if low <= value <= high), "")
-        raise InputDataError(f"{name} is {value:g}; expected {known.low:g} to {known.high:g} {known.unit}.{remedy}")
+        remedy = next(
+            (f" It looks like {text}." for low, high, text in known.other if low <= value <= high),
+            "",
+        )
+        raise InputDataError(
+            f"{name} is {value:g}; expected {known.low:g} to {known.high:g} {known.unit}.{remedy}"
+        )
     if sd is not None and not 0.0 < sd <= _WIDEST * value:
         raise InputDataError(
-            f"the standard deviation of {name} is {sd:g} {known.unit}; expected above 0 and at most {100 * _WIDEST:.0f} % of "
+            f"the standard deviation of {name} is {sd:g} {known.unit}; expected above 0 and at "
+            f"most {100 * _WIDEST:.0f} % of "
             f"the value ({_WIDEST * value:g}). Leave it out where the value is exact."
         )
 
@@ -170,7 +210,8 @@ class GelMedium:
         surroundings: its values.
         sds: field of the surroundings -> standard deviation, SI, of those that are inferred.
         sources: field -> who stated it; a field that is missing was assumed.
-        notes: sources of named media, and what was stated twice with different values, a sentence each.
+        notes: sources of named media, and what was stated twice with different values, a sentence
+            each.
 
     >>> from imr_torch.observe import Statement, gel_medium
     >>> medium = gel_medium(Statement.from_text("density=1125:11"))
@@ -190,8 +231,13 @@ class GelMedium:
 
     @property
     def priors(self) -> dict[str, Marginal]:
-        """Parameter -> prior of what was stated with a standard deviation: a normal of the logarithm of the factor."""
-        return {OF_MEDIUM[name]: TruncatedNormal(0.0, sd / getattr(self.surroundings, name)) for name, sd in self.sds.items()}
+        """Parameter -> prior of what was stated with a standard deviation: a normal of the
+        logarithm of the factor.
+        """
+        return {
+            OF_MEDIUM[name]: TruncatedNormal(0.0, sd / getattr(self.surroundings, name))
+            for name, sd in self.sds.items()
+        }
 
     def applied(self, simulator: Simulator) -> Simulator:
         """The simulator with this medium."""
@@ -199,43 +245,63 @@ class GelMedium:
         def change(one: Any) -> Any:
             return replace(one, conditions=replace(one.conditions, surroundings=self.surroundings))
 
-        return simulator if simulator.conditions.surroundings == self.surroundings else with_inner(simulator, change)
+        return (
+            simulator
+            if simulator.conditions.surroundings == self.surroundings
+            else with_inner(simulator, change)
+        )
 
     def believed(self, prior: Belief) -> Belief:
-        """The belief with the uncertain values of this medium as parameters of every model that has not got them."""
+        """The belief with the uncertain values of this medium as parameters of every model that has
+        not got them.
+        """
         if not self.sds:
             return prior
         return replace(prior, models=tuple(self.believed_of(part) for part in prior.models))
 
     def believed_of(self, part: ModelBelief) -> ModelBelief:
         """The same for the belief of one model."""
-        return beside(part, {name: prior for name, prior in self.priors.items() if name not in part.material.names})
+        return beside(
+            part,
+            {name: prior for name, prior in self.priors.items() if name not in part.material.names},
+        )
 
     def value(self, name: str) -> str:
         """A field's value with its unit, as text."""
         return f"{getattr(self.surroundings, name):.4g} {PROPERTIES[_NAME_OF[name]].unit}"
 
     def learnt(self, posterior: ModelBelief) -> tuple[str, ...]:
-        """What curves say of the uncertain values: a sentence each, which names those that they contradict.
+        """What curves say of the uncertain values: a sentence each, which names those that they
+        contradict.
 
-        Under the statement the posterior mean lies ``N(0, sd^2 - sd_after^2)`` from the stated value (Gaussian updating), so a
-        shift of more than 2.5 of that is a contradiction.
+        Under the statement the posterior mean lies ``N(0, sd^2 - sd_after^2)`` from the stated
+        value (Gaussian updating), so a shift of more than 2.5 of that is a contradiction.
 
         Args:
-            posterior: of a model with these values as parameters; those that it does not infer are passed over.
+            posterior: of a model with these values as parameters; those that it does not infer are
+                passed over.
         """
         lines = []
         for name, sd in self.sds.items():
             if OF_MEDIUM[name] not in posterior.names:
                 continue
-            column, stated = posterior.names.index(OF_MEDIUM[name]), getattr(self.surroundings, name)
-            low, middle, high = (stated * posterior.quantile((0.05, 0.5, 0.95))[:, column].exp()).tolist()
-            after, before = float(posterior.sds[column]), sd / stated
+            column = posterior.names.index(OF_MEDIUM[name])
+            stated = getattr(self.surroundings, name)
+            low, middle, high = (
+                stated * posterior.quantile((0.05, 0.5, 0.95))[:, column].exp()
+            ).tolist()
+            after = float(posterior.sds[column])
+            before = sd / stated
             expected = math.sqrt(max(before**2 - after**2, (_LEAST * before) ** 2))
             shift = float(posterior.means[column]) / expected
-            doubt = "; the curves contradict what was stated, or the model lacks something" if abs(shift) > _FAR else ""
+            doubt = (
+                "; the curves contradict what was stated, or the model lacks something"
+                if abs(shift) > _FAR
+                else ""
+            )
             lines.append(
-                f"{label(name)} was stated {stated:.4g} +- {sd:.2g} {PROPERTIES[_NAME_OF[name]].unit} and is {middle:.4g} "
+                f"{label(name)} was stated {stated:.4g} +- {sd:.2g} "
+                f"{PROPERTIES[_NAME_OF[name]].unit} and is {middle:.4g} "
                 f"(90 %: {low:.4g} to {high:.4g}) with the curves{doubt}."
             )
         return tuple(lines)
@@ -248,12 +314,16 @@ class GelMedium:
             + f" {PROPERTIES[_NAME_OF[name]].unit} ({source})"
             for name, source in self.sources.items()
         ]
-        assumed = ", ".join(f"{label(name)} {self.value(name)}" for name in _FIELDS if name in self.assumed)
+        assumed = ", ".join(
+            f"{label(name)} {self.value(name)}" for name in _FIELDS if name in self.assumed
+        )
         text = "; ".join([*stated, *([f"{assumed} (assumed)"] if assumed else [])])
         return "\n".join([f"Medium: {text}.", *(f"  {note}" for note in self.notes)])
 
     def to_dict(self) -> dict[str, dict[str, Any]]:
-        """JSON-ready: field -> value, unit, standard deviation (None: exact), whether it was stated, and by whom."""
+        """JSON-ready: field -> value, unit, standard deviation (None: exact), whether it was
+        stated, and by whom.
+        """
         return {
             name: {
                 "value": getattr(self.surroundings, name),
@@ -275,7 +345,9 @@ def label(name: str) -> str:
 
 
 def gel_medium(
-    command: Statement | None = None, beside: Sequence[Statement] = (), surroundings: Surroundings | None = None
+    command: Statement | None = None,
+    beside: Sequence[Statement] = (),
+    surroundings: Surroundings | None = None,
 ) -> GelMedium:
     """The medium of one gel from all that was said about it.
 
@@ -285,14 +357,16 @@ def gel_medium(
         surroundings: values of what nobody states.
 
     Raises:
-        InputDataError: if files contradict each other in what the caller does not state, or water would boil.
+        InputDataError: if files contradict each other in what the caller does not state, or water
+            would boil.
 
     >>> from imr_torch.observe import Statement, gel_medium
     >>> medium = gel_medium(Statement.from_text("water,temperature=310"))
     >>> round(medium.surroundings.density, 1), medium.assumed
     (993.4, ('far_field_pressure',))
     """
-    base, statements = surroundings or Surroundings(), [*([command] if command else []), *beside]
+    base = surroundings or Surroundings()
+    statements = [*([command] if command else []), *beside]
     stated = [s.values["temperature"][0] for s in statements if "temperature" in s.values]
     warm = stated[0] if stated else base.temperature
     found: dict[str, tuple[float, float | None, str]] = {}
@@ -307,7 +381,8 @@ def gel_medium(
             said = f"{label(name)}: {_said(known)} ({known[2]}) and {_said(entry)} ({entry[2]})"
             if command is None or name not in command.at(warm):
                 raise InputDataError(
-                    f"The files state different media, {said}; curves that are fitted together are of one gel. State the "
+                    f"The files state different media, {said}; curves that are fitted together "
+                    "are of one gel. State the "
                     "medium of all with --medium (in Python medium=...), or fit the files apart."
                 )
             notes.append(f"Stated twice, {said}; the former counts.")
@@ -315,7 +390,8 @@ def gel_medium(
     vapour = saturation_pressure(values.temperature)
     if vapour > 0.9 * values.far_field_pressure:
         raise InputDataError(
-            f"At {values.temperature:g} K water has a vapour pressure of {vapour:.3g} Pa and the ambient pressure is "
+            f"At {values.temperature:g} K water has a vapour pressure of {vapour:.3g} Pa and the "
+            "ambient pressure is "
             f"{values.far_field_pressure:.3g} Pa, so it boils; correct temperature or pressure."
         )
     order = [name for name in _FIELDS if name in found]

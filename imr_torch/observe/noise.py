@@ -1,8 +1,8 @@
 """Observation noise of the radius: the published law, with a floor and correlated frames.
 
-The law of Chu, Estrada & Bryngelson (arXiv 2409.00011) is ``sigma = |R* - 1|/50 + t*/160``; it vanishes at ``t* = 0``, so
-a floor is added in quadrature. Scale, floor and correlation time of measured curves are estimated about a fit
-(:mod:`imr_torch.assimilate.noise_law`).
+The law of Chu, Estrada & Bryngelson (arXiv 2409.00011) is ``sigma = |R* - 1|/50 + t*/160``; it
+vanishes at ``t* = 0``, so a floor is added in quadrature. Scale, floor and correlation time of
+measured curves are estimated about a fit (:mod:`imr_torch.assimilate.noise_law`).
 """
 
 import math
@@ -26,15 +26,18 @@ TIE = 1e-6
 
 @dataclass(frozen=True)
 class Noise:
-    """Gaussian observation noise ``scale * sqrt((slope |R*-1| + drift t*)^2 + floor^2)``, independent between repeats.
+    """Gaussian observation noise ``scale * sqrt((slope |R*-1| + drift t*)^2 + floor^2)``,
+    independent between repeats.
 
     Args:
         scale: common factor.
         floor: smallest standard deviation, in R*.
         slope: part in proportion to ``|R* - 1|``.
         drift: part in proportion to ``t*``.
-        correlation_time: e-folding time of an exponential correlation within a curve, in t*; 0 for independent frames.
-        widened: factor, part of ``scale``, by which the noise was enlarged since a model misses the curves; 1 where none does.
+        correlation_time: e-folding time of an exponential correlation within a curve, in t*; 0 for
+            independent frames.
+        widened: factor, part of ``scale``, by which the noise was enlarged since a model misses the
+            curves; 1 where none does.
 
     >>> import torch
     >>> from imr_torch.observe import Noise
@@ -55,11 +58,16 @@ class Noise:
         for name, value in vars(self).items():
             positive = name in ("scale", "floor")
             if not (0.0 <= value < math.inf) or (positive and value == 0.0):
-                raise InputDataError(f"Noise.{name} is {value}; expected a finite number {'> 0' if positive else '>= 0'}.")
+                raise InputDataError(
+                    f"Noise.{name} is {value}; expected a finite number "
+                    f"{'> 0' if positive else '>= 0'}."
+                )
 
     def __str__(self) -> str:
         correlated = (
-            f"correlated over {self.correlation_time:.3g} in t*" if self.correlation_time else "independent between frames"
+            f"correlated over {self.correlation_time:.3g} in t*"
+            if self.correlation_time
+            else "independent between frames"
         )
         own = self.scale / self.widened
         published = Noise()
@@ -73,10 +81,14 @@ class Noise:
 
     @property
     def of_frames(self) -> "Noise":
-        """The law by which single frames scatter about the model: without the enlargement, which is about intervals."""
+        """The law by which single frames scatter about the model: without the enlargement, which is
+        about intervals.
+        """
         return replace(self, scale=self.scale / self.widened, widened=1.0)
 
-    def sd(self, radius: Float[Tensor, "*#batch"], times: Float[Tensor, "*#batch"]) -> Float[Tensor, "*#batch"]:
+    def sd(
+        self, radius: Float[Tensor, "*#batch"], times: Float[Tensor, "*#batch"]
+    ) -> Float[Tensor, "*#batch"]:
         """Standard deviation of one frame; arguments dimensionless and broadcastable."""
         law = self.slope * (radius - 1.0).abs() + self.drift * times.abs()
         return self.scale * torch.sqrt(law.square() + self.floor**2)
@@ -84,7 +96,8 @@ class Noise:
     def decorrelation(
         self, times: Float[Tensor, "experiments frames"], mask: Bool[Tensor, "experiments frames"]
     ) -> Float[Tensor, "experiments frames frames"] | None:
-        """Inverse Cholesky factors of the correlation matrices: ``E x T x T``, or None for independent frames.
+        """Inverse Cholesky factors of the correlation matrices: ``E x T x T``, or None for
+        independent frames.
 
         Args:
             times: dimensionless.
@@ -102,28 +115,40 @@ class Noise:
     def innovations(
         self, times: Float[Tensor, "experiments frames"], mask: Bool[Tensor, "experiments frames"]
     ) -> tuple[Float[Tensor, "experiments frames"], Float[Tensor, "experiments frames"]] | None:
-        """The same factors by their two diagonals, or None for independent frames: an exponential correlation is Markov.
+        """The same factors by their two diagonals, or None for independent frames: an exponential
+        correlation is Markov.
 
         Args:
             times: dimensionless, increasing.
             mask: frames that count; in each row the first ones.
 
         Returns:
-            Two ``E x T`` tensors: factors of each frame and of the one before it, which is subtracted.
+            Two ``E x T`` tensors: factors of each frame and of the one before it, which is
+                subtracted.
         """
         if self.correlation_time == 0.0:
             return None
-        gap = torch.nn.functional.pad(times.diff(dim=1), (1, 0), value=torch.inf) / self.correlation_time
+        gap = (
+            torch.nn.functional.pad(times.diff(dim=1), (1, 0), value=torch.inf)
+            / self.correlation_time
+        )
         gap = torch.where(mask, gap, torch.inf)
         own = (-torch.expm1(-2.0 * gap)).rsqrt()
         return own, torch.exp(-gap) * own
 
     def draw(
-        self, radius: Float[Tensor, "frames"], times: Float[Tensor, "frames"], repeats: int, *, generator: torch.Generator
+        self,
+        radius: Float[Tensor, "frames"],
+        times: Float[Tensor, "frames"],
+        repeats: int,
+        *,
+        generator: torch.Generator,
     ) -> Float[Tensor, "repeats frames"]:
         """Noisy curves of one experiment: ``repeats x n_t`` from a true curve ``n_t``."""
         noise = torch.randn(repeats, times.shape[0], generator=generator, dtype=radius.dtype)
-        decorrelate = self.decorrelation(times[None], torch.ones_like(times[None], dtype=torch.bool))
+        decorrelate = self.decorrelation(
+            times[None], torch.ones_like(times[None], dtype=torch.bool)
+        )
         if decorrelate is not None:
             noise = torch.linalg.solve_triangular(decorrelate[0], noise.mT, upper=False).mT
         return radius + self.sd(radius, times) * noise

@@ -1,4 +1,6 @@
-"""What is known of a noise law that was inferred: weighted laws, over which tests and probabilities are averaged."""
+"""What is known of a noise law that was inferred: weighted laws, over which tests and probabilities
+are averaged.
+"""
 
 import math
 from collections.abc import Sequence
@@ -19,8 +21,10 @@ class NoiseLaws:
         laws: the laws, each at its most probable scale.
         weights: posterior probabilities of the laws, summing to one.
         log_scale_sds: posterior standard deviation of the logarithm of each law's scale.
-        of_residuals: whether they were inferred from residuals of a fit, and not from the scatter of repeats.
-        frames: laws of the noise of single frames, where these are laws of all that a fit leaves; None where they are the same.
+        of_residuals: whether they were inferred from residuals of a fit, and not from the scatter
+            of repeats.
+        frames: laws of the noise of single frames, where these are laws of all that a fit leaves;
+            None where they are the same.
 
     >>> import torch
     >>> from imr_torch.observe import Noise
@@ -45,9 +49,13 @@ class NoiseLaws:
         *,
         generator: torch.Generator,
     ) -> Float[Tensor, "draws experiments frames"]:
-        """Logarithms of the noise of ``count`` laws drawn from the posterior over that of one law, at every frame."""
+        """Logarithms of the noise of ``count`` laws drawn from the posterior over that of one law,
+        at every frame.
+        """
         rows = torch.multinomial(self.weights, count, replacement=True, generator=generator)
-        scales = self.log_scale_sds[rows] * torch.randn(count, generator=generator, dtype=torch.float64)
+        scales = self.log_scale_sds[rows] * torch.randn(
+            count, generator=generator, dtype=torch.float64
+        )
         base = law.sd(radius, times).log()
         shapes = torch.stack([one.sd(radius, times).log() - base for one in self.laws])
         return shapes[rows] + scales[:, None, None]
@@ -58,16 +66,22 @@ class NoiseLaws:
         return math.sqrt(float(self.weights @ self.log_scale_sds.square()))
 
     def log_scales(self, count: int) -> Float[Tensor, "nodes"]:
-        """Equally probable logarithms of a factor on the scale, by which the noise may differ from its central law."""
-        return self.log_scale_sd * torch.special.ndtri((torch.arange(count, dtype=torch.float64) + 0.5) / count)
+        """Equally probable logarithms of a factor on the scale, by which the noise may differ from
+        its central law.
+        """
+        return self.log_scale_sd * torch.special.ndtri(
+            (torch.arange(count, dtype=torch.float64) + 0.5) / count
+        )
 
 
 def noise_sentences(noise: Noise, interval: Sequence[float] | None) -> list[str]:
-    """How large the inferred noise of a frame is, and how much wider intervals are for what residuals have in common.
+    """How large the inferred noise of a frame is, and how much wider intervals are for what
+    residuals have in common.
 
     Args:
         noise: the law of the fit.
-        interval: 5, 50 and 95 % quantiles of the noise of the median frame, R*; None where it was not inferred.
+        interval: 5, 50 and 95 % quantiles of the noise of the median frame, R*; None where it was
+            not inferred.
 
     >>> from imr_torch.observe import Noise, noise_sentences
     >>> noise_sentences(Noise(scale=3.0, widened=1.5), [0.004, 0.005, 0.006])[1]
@@ -76,7 +90,10 @@ def noise_sentences(noise: Noise, interval: Sequence[float] | None) -> list[str]
     if interval is None:
         return []
     low, middle, high = interval
-    lines = [f"Noise of single frames, inferred: {middle:.2g} in R* in the median frame (90 %: {low:.2g} to {high:.2g})."]
+    lines = [
+        f"Noise of single frames, inferred: {middle:.2g} in R* in the median frame (90 %: "
+        f"{low:.2g} to {high:.2g})."
+    ]
     if noise.widened >= WIDE:
         common = "Residuals have more in common than such noise; intervals are"
         lines.append(f"{common} {noise.widened:.2f} times as wide for it.")

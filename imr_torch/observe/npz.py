@@ -1,4 +1,6 @@
-"""Arrays of numbers from ``.npz`` files, whose declared sizes are checked before anything is read into memory."""
+"""Arrays of numbers from ``.npz`` files, whose declared sizes are checked before anything is read
+into memory.
+"""
 
 import math
 import zipfile
@@ -12,7 +14,10 @@ from imr_torch.errors import InputDataError
 LARGEST = 2 << 30
 """Bytes that the arrays of one file may take, 2 GiB."""
 
-_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+_HEADERS = {
+    (1, 0): np.lib.format.read_array_header_1_0,
+    (2, 0): np.lib.format.read_array_header_2_0,
+}
 
 
 def read_arrays(path: str | Path, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
@@ -23,8 +28,8 @@ def read_arrays(path: str | Path, names: Iterable[str] | None = None) -> dict[st
         names: arrays that it must hold; all that it holds when not given.
 
     Raises:
-        InputDataError: if the file is missing or no ``.npz``, lacks an array, or declares arrays that are no numbers, or larger
-            than ``LARGEST`` together.
+        InputDataError: if the file is missing or no ``.npz``, lacks an array, or declares arrays
+            that are no numbers, or larger than ``LARGEST`` together.
 
     >>> import tempfile
     >>> from pathlib import Path
@@ -37,24 +42,40 @@ def read_arrays(path: str | Path, names: Iterable[str] | None = None) -> dict[st
     """
     path = Path(path)
     if not path.is_file():
-        raise InputDataError(f"{path}: no such file; check the name and the folder ({path.parent.resolve()}).")
+        raise InputDataError(
+            f"{path}: no such file; check the name and the folder ({path.parent.resolve()})."
+        )
     try:
         with zipfile.ZipFile(path) as archive:
-            held = {name.removesuffix(".npy"): name for name in archive.namelist() if name.endswith(".npy")}
+            held = {
+                name.removesuffix(".npy"): name
+                for name in archive.namelist()
+                if name.endswith(".npy")
+            }
             wanted = list(held) if names is None else list(names)
             missing = [name for name in wanted if name not in held]
             if missing or not wanted:
                 lacks = f"no array {missing[0]!r}" if missing else "no array"
                 raise InputDataError(
-                    f"{path}: {lacks}; expected {', '.join(wanted) or 'some'}, got {', '.join(held) or 'none'}."
+                    f"{path}: {lacks}; expected {', '.join(wanted) or 'some'}, got "
+                    f"{', '.join(held) or 'none'}."
                 )
             _check_sizes(path, archive, {name: held[name] for name in wanted})
             arrays = {name: _array(path, archive, name, held[name]) for name in wanted}
-    except (OSError, ValueError, TypeError, EOFError, RuntimeError, zipfile.BadZipFile, zipfile.LargeZipFile) as error:
+    except (
+        OSError,
+        ValueError,
+        TypeError,
+        EOFError,
+        RuntimeError,
+        zipfile.BadZipFile,
+        zipfile.LargeZipFile,
+    ) as error:
         if isinstance(error, InputDataError):
             raise
         raise InputDataError(
-            f"{path}: cannot be read as .npz arrays of numbers ({error}); write it with numpy.savez."
+            f"{path}: cannot be read as .npz arrays of numbers ({error}); write it with "
+            "numpy.savez."
         ) from error
     return arrays
 
@@ -66,15 +87,20 @@ def _check_sizes(path: Path, archive: zipfile.ZipFile, members: dict[str, str]) 
         with archive.open(member) as stream:
             version = np.lib.format.read_magic(stream)
             if version not in _HEADERS:
-                raise InputDataError(f"{path}: array {name!r} is of .npy version {version}; write it with numpy.savez.")
+                raise InputDataError(
+                    f"{path}: array {name!r} is of .npy version {version}; write it with "
+                    "numpy.savez."
+                )
             shape, _, dtype = _HEADERS[version](stream)
         if dtype.kind not in "fiub":
             raise ValueError(f"array {name!r} holds {dtype}, not real numbers")
-        declared, unpacked = math.prod(shape) * max(dtype.itemsize, 8), archive.getinfo(member).file_size
+        declared = math.prod(shape) * max(dtype.itemsize, 8)
+        unpacked = archive.getinfo(member).file_size
         total += max(declared, unpacked)
         if total > LARGEST:
             raise InputDataError(
-                f"{path}: array {name!r} of shape {shape} takes the file to {total / 2**30:.3g} GiB, more than "
+                f"{path}: array {name!r} of shape {shape} takes the file to {total / 2**30:.3g} "
+                "GiB, more than "
                 f"{LARGEST / 2**30:.3g} GiB; it is damaged, or must be divided into several files."
             )
 

@@ -1,6 +1,7 @@
 """Nuisance parameters of each experiment: errors of the measured Rmax, time zero and R_inf.
 
-Each is a standard normal control per experiment times its prior standard deviation, and neutral at 0: a fit of the gel
+Each is a standard normal control per experiment times its prior standard deviation, and neutral at
+    0: a fit of the gel
 marginalises over them, so that an error of Rmax is not mistaken for a change of modulus.
 """
 
@@ -40,22 +41,29 @@ class Nuisance:
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             if not 0.0 <= value < 1.0:
-                raise InputDataError(f"Nuisance.{name} is {value}; expected a standard deviation in [0, 1).")
+                raise InputDataError(
+                    f"Nuisance.{name} is {value}; expected a standard deviation in [0, 1)."
+                )
 
     def sds(self) -> Float[Tensor, "3"]:
         """The three standard deviations in the order of ``NUISANCES``."""
-        return torch.tensor([self.max_radius, self.time_zero, self.rest_radius], dtype=torch.float64)
+        return torch.tensor(
+            [self.max_radius, self.time_zero, self.rest_radius], dtype=torch.float64
+        )
 
 
 def displaced(
-    designs: Float[Tensor, "*#batch 2"], times: Float[Tensor, "*#batch frames"], shifts: Float[Tensor, "*#batch 3"]
+    designs: Float[Tensor, "*#batch 2"],
+    times: Float[Tensor, "*#batch frames"],
+    shifts: Float[Tensor, "*#batch 3"],
 ) -> tuple[Float[Tensor, "*#batch 2"], Float[Tensor, "*#batch frames"], Float[Tensor, "*#batch 1"]]:
     """Design and times that the bubble truly had, given what was measured and the shifts.
 
     Args:
         designs: measured (We, R_inf*).
         times: measured, dimensionless with the measured Rmax.
-        shifts: ``... x 3`` tensor in the order of ``NUISANCES`` (relative, dimensionless, relative).
+        shifts: ``... x 3`` tensor in the order of ``NUISANCES`` (relative, dimensionless,
+            relative).
 
     Returns:
         True designs, true times, and the factor (``... x 1``) from the true R* to the measured one.
@@ -71,22 +79,32 @@ def displaced(
     scale = 1.0 + shifts[..., 0:1]
     weber = designs[..., 0:1] * scale
     rest = designs[..., 1:2] * (1.0 + shifts[..., 2:3]) / scale
-    return torch.cat((weber, rest.clamp(1e-3, 0.999)), dim=-1), (times + shifts[..., 1:2]) / scale, scale
+    return (
+        torch.cat((weber, rest.clamp(1e-3, 0.999)), dim=-1),
+        (times + shifts[..., 1:2]) / scale,
+        scale,
+    )
 
 
 def impossible(
-    times: Float[Tensor, "*#batch experiments frames"], shifts: Float[Tensor, "*#batch experiments 3"], earliest: float
+    times: Float[Tensor, "*#batch experiments frames"],
+    shifts: Float[Tensor, "*#batch experiments 3"],
+    earliest: float,
 ) -> Bool[Tensor, "*#batch experiments"]:
-    """Which experiments shifts ``... x E x 3`` take where there is no bubble to simulate: ``... x E`` boolean tensor.
+    """Which experiments shifts ``... x E x 3`` take where there is no bubble to simulate: ``... x
+    E`` boolean tensor.
 
     A search may step there; it is a member that failed, and no error.
 
     Args:
         times: measured, dimensionless.
         shifts: as in :func:`displaced`.
-        earliest: t* to which a first frame may be taken; one that was measured earlier may stay there.
+        earliest: t* to which a first frame may be taken; one that was measured earlier may stay
+            there.
     """
     scale = 1.0 + shifts[..., 0]
     first = (times[..., 0] + shifts[..., 1]) / scale
     early = first < times[..., 0].clamp_max(earliest)
-    return ~((scale >= SMALLEST) & ~early & torch.isfinite(shifts).all(-1))  # NaN is not possible either
+    return ~(
+        (scale >= SMALLEST) & ~early & torch.isfinite(shifts).all(-1)
+    )  # NaN is not possible either

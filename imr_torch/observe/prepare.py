@@ -1,4 +1,6 @@
-"""From curves in SI units to the dimensionless, windowed experiments that are fitted, with what was found on the way."""
+"""From curves in SI units to the dimensionless, windowed experiments that are fitted, with what was
+found on the way.
+"""
 
 import math
 from collections.abc import Sequence
@@ -8,7 +10,12 @@ from imr_torch.errors import InputDataError
 from imr_torch.observe.convert import to_experiment
 from imr_torch.observe.experiments import Experiment
 from imr_torch.observe.landmarks import Landmarks, find_landmarks
-from imr_torch.observe.plausibility import FIRST_COLLAPSE, RAYLEIGH_TIME, check_experiment, check_maximum
+from imr_torch.observe.plausibility import (
+    FIRST_COLLAPSE,
+    RAYLEIGH_TIME,
+    check_experiment,
+    check_maximum,
+)
 from imr_torch.observe.traces import RadiusTrace, TraceSet
 from imr_torch.units import Surroundings
 
@@ -23,7 +30,8 @@ class Prepared:
     Args:
         experiments: dimensionless, from the maximum radius to the end of the window, one a curve.
         landmarks: landmarks of each curve, by experiment id.
-        frames: of each curve: how many it has, how many of these before its maximum, and how many after the window.
+        frames: of each curve: how many it has, how many of these before its maximum, and how many
+            after the window.
         first_collapses: their dimensionless times; infinite where a record holds none.
         assumed: whether the rest radius is the caller's, not the record's.
         cautions: what is unusual about them, a sentence each.
@@ -45,21 +53,33 @@ class Prepared:
     cautions: tuple[str, ...]
 
     def report(self, *, frames: bool = True) -> str:
-        """A line a curve: Rmax, R_inf*, We, how each was found, and how many ``frames`` will be fitted; then the cautions."""
+        """A line a curve: Rmax, R_inf*, We, how each was found, and how many ``frames`` will be
+        fitted; then the cautions.
+        """
         lines = []
         for experiment in self.experiments:
             name, (weber, rest) = experiment.label, experiment.design
             marks, (count, before, after) = self.landmarks[name], self.frames[name]
-            found, first = "assumed" if self.assumed else marks.rest_method, self.first_collapses[name]
-            blur = f", averaged over exposures of t* = {experiment.exposure:.3g}" * (experiment.exposure > 0.0)
-            collapse = "no collapse in the record" if math.isinf(first) else f"first collapse at t* = {first:.2f}"
+            found = "assumed" if self.assumed else marks.rest_method
+            first = self.first_collapses[name]
+            blur = f", averaged over exposures of t* = {experiment.exposure:.3g}" * (
+                experiment.exposure > 0.0
+            )
+            collapse = (
+                "no collapse in the record"
+                if math.isinf(first)
+                else f"first collapse at t* = {first:.2f}"
+            )
             used = f"; {len(experiment.times)} of {count} frames are fitted"
             used += f" ({before} before the maximum, {after} after the window)"
             lines.append(
-                f"  {name}: Rmax {1e6 * marks.max_radius_m:.4g} um ({marks.max_method}), R_inf/Rmax {rest:.3f} ({found}), "
+                f"  {name}: Rmax {1e6 * marks.max_radius_m:.4g} um ({marks.max_method}), "
+                f"R_inf/Rmax {rest:.3f} ({found}), "
                 f"We {weber:.0f}, {collapse}{blur}{used * frames}"
             )
-        lines.insert(0, f"Curves as they are fitted (an empty cavity collapses at t* = {RAYLEIGH_TIME}):")
+        lines.insert(
+            0, f"Curves as they are fitted (an empty cavity collapses at t* = {RAYLEIGH_TIME}):"
+        )
         return "\n".join([*lines, *(f"  Caution: {text}" for text in self.cautions)])
 
 
@@ -70,7 +90,8 @@ def prepare(
     collapses: int = 2,
     rest_radius: tuple[float, float] | None = None,
 ) -> Prepared:
-    """Dimensionless experiments of a set of traces, cut after ``collapses`` collapses or at the stated end of a window.
+    """Dimensionless experiments of a set of traces, cut after ``collapses`` collapses or at the
+    stated end of a window.
 
     Args:
         traces: the curves.
@@ -79,8 +100,8 @@ def prepare(
         rest_radius: assumed R_inf/Rmax and its standard deviation, for records that do not hold it.
 
     Raises:
-        InputDataError: for a curve that no bubble has (:mod:`imr_torch.observe.plausibility`), a record without R_inf, or with
-            too few frames in the window.
+        InputDataError: for a curve that no bubble has (:mod:`imr_torch.observe.plausibility`), a
+            record without R_inf, or with too few frames in the window.
 
     >>> import torch
     >>> from imr_torch.observe import RadiusTrace, TraceSet, prepare
@@ -92,16 +113,23 @@ def prepare(
     """
     if collapses < 1:
         raise InputDataError(f"collapses is {collapses}; the fitted window needs at least 1.")
-    if rest_radius is not None and not (0.0 < rest_radius[0] < 1.0 and 0.0 <= rest_radius[1] < math.inf):
+    if rest_radius is not None and not (
+        0.0 < rest_radius[0] < 1.0 and 0.0 <= rest_radius[1] < math.inf
+    ):
         raise InputDataError(
-            f"rest_radius is {rest_radius[0]:g}:{rest_radius[1]:g}; expected R_inf/Rmax between 0 and 1 and a standard "
+            f"rest_radius is {rest_radius[0]:g}:{rest_radius[1]:g}; expected R_inf/Rmax between 0 "
+            "and 1 and a standard "
             "deviation >= 0, for example 0.2:0.1."
         )
     landmarks = {trace.experiment_id: find_landmarks(trace) for trace in traces}
     cautions = [] if rest_radius else _borrowed(landmarks)
-    experiments, frames, firsts, outer = [], {}, {}, surroundings or Surroundings()
+    experiments = []
+    frames = {}
+    firsts = {}
+    outer = surroundings or Surroundings()
     for trace in traces:
-        where, name = _where(trace), trace.experiment_id
+        where = _where(trace)
+        name = trace.experiment_id
         marks = landmarks[name]
         cautions += check_maximum(trace, marks, outer)
         whole = to_experiment(trace, marks, outer, rest_radius=rest_radius)
@@ -109,24 +137,38 @@ def prepare(
         cautions += check_experiment(whole, where, first=first)
         window = _window(trace, whole, marks, outer, collapses)
         experiments.append(window)
-        frames[name] = len(trace), len(trace) - len(whole.times), len(whole.times) - len(window.times)
+        frames[name] = (
+            len(trace),
+            len(trace) - len(whole.times),
+            len(whole.times) - len(window.times),
+        )
         firsts[name] = first
     cautions += _outvoted(experiments)
     cautions += () if rest_radius else _passed_over(traces, landmarks)
-    return Prepared(tuple(experiments), landmarks, frames, firsts, rest_radius is not None, tuple(cautions))
+    return Prepared(
+        tuple(experiments), landmarks, frames, firsts, rest_radius is not None, tuple(cautions)
+    )
 
 
 def _first_collapse(whole: Experiment, marks: Landmarks, surroundings: Surroundings) -> float:
-    """:func:`_collapse` of the first; of a bubble that has come down long before it, a late minimum is noise and none."""
-    first, radius = _collapse(whole, marks, surroundings, 1), whole.radius[0]
+    """:func:`_collapse` of the first.
+
+    Of a bubble that has come down long before it, a late minimum is noise and none.
+    """
+    first = _collapse(whole, marks, surroundings, 1)
+    radius = whole.radius[0]
     latest = FIRST_COLLAPSE.possible[1]
     came_down = whole.times[(radius < 0.5 * (radius.max() + radius.min())).double().argmax()]
     return math.inf if first > latest >= 2.0 * float(came_down) else first
 
 
 def _borrowed(landmarks: dict[str, Landmarks]) -> list[str]:
-    """Gives curves whose record does not hold R_inf that of the others, over Rmax and with a wide error, and says so."""
-    ratios = [m.rest_radius_m / m.max_radius_m for m in landmarks.values() if m.rest_radius_m is not None]
+    """Gives curves whose record does not hold R_inf that of the others, over Rmax and with a wide
+    error, and says so.
+    """
+    ratios = [
+        m.rest_radius_m / m.max_radius_m for m in landmarks.values() if m.rest_radius_m is not None
+    ]
     lacking = [name for name, marks in landmarks.items() if marks.rest_radius_m is None]
     if not ratios or not lacking:
         return []
@@ -134,20 +176,32 @@ def _borrowed(landmarks: dict[str, Landmarks]) -> list[str]:
     sd = max(_BORROWED_SD * value, math.sqrt(sum((x - value) ** 2 for x in ratios) / len(ratios)))
     for name in lacking:
         top = landmarks[name].max_radius_m
-        found = {"rest_radius_m": value * top, "rest_radius_sd_m": sd * top, "rest_method": "other curves"}
+        found = {
+            "rest_radius_m": value * top,
+            "rest_radius_sd_m": sd * top,
+            "rest_method": "other curves",
+        }
         landmarks[name] = replace(landmarks[name], **found)
     names = ", ".join(f"'{name}'" for name in lacking)
     return [
-        f"The record of {names} holds no rebound and no R_inf is stated, so R_inf/Rmax is taken to be about that of the other "
+        f"The record of {names} holds no rebound and no R_inf is stated, so R_inf/Rmax is taken "
+        "to be about that of the other "
         f"curves, {value:.2f} +- {sd:.2f}. State it if it is known."
     ]
 
 
-def _collapse(whole: Experiment, marks: Landmarks, surroundings: Surroundings, number: int) -> float:
-    """Dimensionless time of the lowest frame of a collapse (1 is the first); infinite where the record does not hold it."""
+def _collapse(
+    whole: Experiment, marks: Landmarks, surroundings: Surroundings, number: int
+) -> float:
+    """Dimensionless time of the lowest frame of a collapse (1 is the first).
+
+    Infinite where the record does not hold it.
+    """
     if len(marks.collapse_times_s) < number:
         return math.inf
-    at = (marks.collapse_times_s[number - 1] - marks.time_of_max_s) / float(surroundings.time_scale(marks.max_radius_m))
+    at = (marks.collapse_times_s[number - 1] - marks.time_of_max_s) / float(
+        surroundings.time_scale(marks.max_radius_m)
+    )
     near = (whole.times - at).abs().argsort()[:2]
     return float(whole.times[near[whole.radius[0, near].argmin()]])
 
@@ -156,15 +210,25 @@ def _passed_over(traces: TraceSet, landmarks: dict[str, Landmarks]) -> list[str]
     """Says which stated rest radii are not used though the record's is another, and why."""
     reasons: dict[str, list[str]] = {}
     for trace in traces:
-        stated, marks = trace.given.rest_radius_m, landmarks[trace.experiment_id]
-        if stated is None or marks.rest_radius_m is None or marks.rest_method in ("as given", "as stated"):
+        stated = trace.given.rest_radius_m
+        marks = landmarks[trace.experiment_id]
+        if (
+            stated is None
+            or marks.rest_radius_m is None
+            or marks.rest_method in ("as given", "as stated")
+        ):
             continue
         if abs(stated - marks.rest_radius_m) > 2.0 * (marks.rest_radius_sd_m or 0.0):
             settled = marks.rest_method == "settled tail"
-            why = "the record holds a settled tail" if settled else "it is stated that the bubble had not settled"
+            why = (
+                "the record holds a settled tail"
+                if settled
+                else "it is stated that the bubble had not settled"
+            )
             reasons.setdefault(why, []).append(f"'{trace.experiment_id}'")
     return [
-        f"The stated R_inf of {', '.join(names)} is not used, since {why}. To use it, state it as an override."
+        f"The stated R_inf of {', '.join(names)} is not used, since {why}. To use it, state it as "
+        "an override."
         for why, names in reasons.items()
     ]
 
@@ -176,22 +240,34 @@ def _outvoted(experiments: Sequence[Experiment]) -> tuple[str, ...]:
         return ()
     largest = experiments[counts.index(max(counts))]
     return (
-        f"experiment '{largest.label}' has {max(counts)} of the {sum(counts)} frames that are fitted and decides the result; "
+        f"experiment '{largest.label}' has {max(counts)} of the {sum(counts)} frames that are "
+        "fitted and decides the result; "
         "state the end of its window if it should not.",
     )
 
 
-def _window(trace: RadiusTrace, whole: Experiment, marks: Landmarks, surroundings: Surroundings, collapses: int) -> Experiment:
+def _window(
+    trace: RadiusTrace,
+    whole: Experiment,
+    marks: Landmarks,
+    surroundings: Surroundings,
+    collapses: int,
+) -> Experiment:
     """The frames that are fitted: up to the stated end of the window, else up to a collapse."""
-    override, last = trace.given.override, f"collapse {collapses}"
-    end, remedy = _collapse(whole, marks, surroundings, collapses), "Raise the number of collapses, or leave it out."
+    override = trace.given.override
+    last = f"collapse {collapses}"
+    end = _collapse(whole, marks, surroundings, collapses)
+    remedy = "Raise the number of collapses, or leave it out."
     if override is not None and override.window_end_s is not None:
-        end = (override.window_end_s - marks.time_of_max_s) / float(surroundings.time_scale(marks.max_radius_m))
+        end = (override.window_end_s - marks.time_of_max_s) / float(
+            surroundings.time_scale(marks.max_radius_m)
+        )
         last = f"the stated end of the window at {1e6 * override.window_end_s:.4g} us"
         remedy = "State a later window_end_s, on the time axis of the file, or leave it out."
     if (count := int((whole.times <= end).sum())) < _MIN_FRAMES:
         raise InputDataError(
-            f"{_where(trace)} has {count} frames between its maximum and {last}; at least {_MIN_FRAMES} are needed. {remedy}"
+            f"{_where(trace)} has {count} frames between its maximum and {last}; at least "
+            f"{_MIN_FRAMES} are needed. {remedy}"
         )
     return whole.until(end)
 

@@ -1,7 +1,7 @@
 """Registry of file formats: a function that recognises a file, and functions that read it.
 
-:func:`imr_torch.observe.load_traces` asks the readers, the last one registered first; those of the package
-(:mod:`imr_torch.observe.formats`) are registered before any other.
+:func:`imr_torch.observe.load_traces` asks the readers, the last one registered first; those of the
+package (:mod:`imr_torch.observe.formats`) are registered before any other.
 """
 
 from collections.abc import Callable
@@ -19,9 +19,11 @@ class Reader:
 
     Args:
         name: unique.
-        recognises: whether a file is of this format, from its path and its first 4096 bytes; it should look at the content.
+        recognises: whether a file is of this format, from its path and its first 4096 bytes; it
+            should look at the content.
         read: the curves of a file, in SI units, with what was left out and why. It raises
-            :class:`imr_torch.errors.InputDataError` with file, place, value and remedy where it cannot.
+            :class:`imr_torch.errors.InputDataError` with file, place, value and remedy where it
+            cannot.
         read_with: the same by a layout of the user's; None for a format that takes none.
 
     >>> import torch
@@ -54,7 +56,10 @@ def register_reader(reader: Reader) -> Reader:
     >>> _ = READERS.pop("nothing")  # undo it here
     """
     if reader.name in READERS:
-        raise InputDataError(f"A reader of the name {reader.name!r} is registered already; give this one another name.")
+        raise InputDataError(
+            f"A reader of the name {reader.name!r} is registered already; give this one another "
+            "name."
+        )
     READERS[reader.name] = reader
     return reader
 
@@ -63,7 +68,8 @@ def read_file(path: Path, layout: Layout | None) -> TraceSet:
     """Read a file by the first reader that recognises it.
 
     Raises:
-        InputDataError: if the file is missing or empty, no reader recognises it, or its reader takes no layout.
+        InputDataError: if the file is missing or empty, no reader recognises it, or its reader
+            takes no layout.
     """
     head = _head(path)
     for reader in reversed(READERS.values()):
@@ -71,10 +77,14 @@ def read_file(path: Path, layout: Layout | None) -> TraceSet:
             if layout is None:
                 return reader.read(path)
             if reader.read_with is None:
-                raise InputDataError(f"{path}: is read as {reader.name!r}, which takes no layout; leave the layout out.")
+                raise InputDataError(
+                    f"{path}: is read as {reader.name!r}, which takes no layout; leave the layout "
+                    "out."
+                )
             return reader.read_with(path, layout)
     raise InputDataError(
-        f"{path}: unknown container (first bytes {head[:8]!r}); expected text (CSV), a MATLAB file, .xlsx or .npz: export the "
+        f"{path}: unknown container (first bytes {head[:8]!r}); expected text (CSV), a MATLAB "
+        "file, .xlsx or .npz: export the "
         "curves as CSV with the header experiment_id,time_s,radius_m."
     )
 
@@ -82,7 +92,9 @@ def read_file(path: Path, layout: Layout | None) -> TraceSet:
 def _head(path: Path) -> bytes:
     """The first bytes of a file that can be one."""
     if not path.exists():
-        raise InputDataError(f"{path}: no such file; check the name and the folder ({path.parent.resolve()}).")
+        raise InputDataError(
+            f"{path}: no such file; check the name and the folder ({path.parent.resolve()})."
+        )
     if path.is_dir():
         raise InputDataError(f"{path}: is a folder; name the files in it.")
     with path.open("rb") as stream:

@@ -16,10 +16,12 @@ from imr_torch.material import PARAMETERS, Marginal
 class Scatter:
     """How a parameter differs between experiments: by a share of it, and by an amount.
 
-    About a value ``q`` in all experiments, the standard deviation between experiments is ``sqrt((relative q)^2 + absolute^2)``:
-    what differs normally, with the standard deviation ``relative``, is ``ln q``, or ``asinh(q relative/absolute)`` where there
-    is an amount; ``q`` may then change its sign. The map stabilises that variance (Burbidge et al., J. Am. Stat. Assoc. 83,
-    1988). Where ``q`` is the control of a marginal, its bounds are those of the parameter in every experiment.
+    About a value ``q`` in all experiments, the standard deviation between experiments is
+    ``sqrt((relative q)^2 + absolute^2)``: what differs normally, with the standard deviation
+    ``relative``, is ``ln q``, or ``asinh(q relative/absolute)`` where there is an amount; ``q`` may
+    then change its sign. The map stabilises that variance (Burbidge et al., J. Am. Stat. Assoc. 83,
+    1988). Where ``q`` is the control of a marginal, its bounds are those of the parameter in every
+    experiment.
 
     Args:
         relative: the share.
@@ -43,16 +45,26 @@ class Scatter:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.relative < math.inf:
-            raise InputDataError(f"Scatter.relative is {self.relative}; it must be positive and finite.")
+            raise InputDataError(
+                f"Scatter.relative is {self.relative}; it must be positive and finite."
+            )
         if not 0.0 <= self.absolute < math.inf:
-            raise InputDataError(f"Scatter.absolute is {self.absolute}; it must be 0 or more, and finite.")
+            raise InputDataError(
+                f"Scatter.absolute is {self.absolute}; it must be 0 or more, and finite."
+            )
 
-    def moved(self, value: Float[Tensor, "*#batch"], deviation: Float[Tensor, "*#batch"]) -> Float[Tensor, "*#batch"]:
+    def moved(
+        self, value: Float[Tensor, "*#batch"], deviation: Float[Tensor, "*#batch"]
+    ) -> Float[Tensor, "*#batch"]:
         """The parameter of an experiment, SI, that deviates from a value."""
         return self._from_normal(self._to_normal(value) + deviation)
 
-    def deviation(self, own: Float[Tensor, "*#batch"], value: Float[Tensor, "*#batch"]) -> Float[Tensor, "*#batch"]:
-        """By how much the parameter of an experiment deviates from a value: inverse of :meth:`moved`."""
+    def deviation(
+        self, own: Float[Tensor, "*#batch"], value: Float[Tensor, "*#batch"]
+    ) -> Float[Tensor, "*#batch"]:
+        """By how much the parameter of an experiment deviates from a value: inverse of
+        :meth:`moved`.
+        """
         return self._to_normal(own) - self._to_normal(value)
 
     def _to_normal(self, value: Tensor) -> Tensor:
@@ -60,17 +72,27 @@ class Scatter:
         return torch.asinh(q * (self.relative / self.absolute)) if self.absolute else torch.log(q)
 
     def _from_normal(self, normal: Tensor) -> Tensor:
-        q = torch.sinh(normal) * (self.absolute / self.relative) if self.absolute else torch.exp(normal)
+        q = (
+            torch.sinh(normal) * (self.absolute / self.relative)
+            if self.absolute
+            else torch.exp(normal)
+        )
         return q if self.along is None else self.along.to_physical(q)
 
 
 def with_own(
-    parameters: Float[Tensor, "*#batch parameters"], scatters: Mapping[str, Scatter], deviations: Float[Tensor, "*#batch own"]
+    parameters: Float[Tensor, "*#batch parameters"],
+    scatters: Mapping[str, Scatter],
+    deviations: Float[Tensor, "*#batch own"],
 ) -> Float[Tensor, "*#batch parameters"]:
-    """Parameter vectors, SI, with the values that an experiment has; deviations in the order of the scatters."""
+    """Parameter vectors, SI, with the values that an experiment has.
+
+    Deviations in the order of the scatters.
+    """
     columns = PARAMETERS.index(tuple(scatters))
     own = [
-        s.moved(parameters[..., c], deviations[..., i]) for i, (s, c) in enumerate(zip(scatters.values(), columns, strict=True))
+        s.moved(parameters[..., c], deviations[..., i])
+        for i, (s, c) in enumerate(zip(scatters.values(), columns, strict=True))
     ]
     values = torch.stack(own, -1)
     return parameters.expand(*values.shape[:-1], -1).index_copy(-1, torch.tensor(columns), values)

@@ -1,4 +1,6 @@
-"""Sets of designs x repeats x frames as one ``.npz`` file: ``time_s``, ``radius_m``, ``we``, ``rinf_star``."""
+"""Sets of designs x repeats x frames as one ``.npz`` file: ``time_s``, ``radius_m``, ``we``,
+``rinf_star``.
+"""
 
 from pathlib import Path
 
@@ -21,18 +23,20 @@ _DURATIONS = (0.1, 1e3)  # of a record, in t*
 _SHAPES = {"time_s": 2, "radius_m": 3, "we": 1, "rinf_star": 1}
 
 
-def load_set(path: str | Path, *, nuisance: Nuisance = NUISANCE, surroundings: Surroundings | None = None) -> list[Experiment]:
+def load_set(
+    path: str | Path, *, nuisance: Nuisance = NUISANCE, surroundings: Surroundings | None = None
+) -> list[Experiment]:
     """Experiments of a set, one a design.
 
     Args:
-        path: ``.npz`` with ``time_s`` (designs x frames, s), ``radius_m`` (designs x repeats x frames, m; NaN for a missing
-            frame), ``we`` and ``rinf_star`` (designs, as measured).
+        path: ``.npz`` with ``time_s`` (designs x frames, s), ``radius_m`` (designs x repeats x
+            frames, m; NaN for a missing frame), ``we`` and ``rinf_star`` (designs, as measured).
         nuisance: how well the design and the clock of each experiment are known.
         surroundings: the liquid side; water at 1 atm by default.
 
     Raises:
-        InputDataError: for a file that is no set, a missing array, shapes that do not fit, a radius or a duration that no
-            bubble of its design has, or a design without a finite frame.
+        InputDataError: for a file that is no set, a missing array, shapes that do not fit, a radius
+            or a duration that no bubble of its design has, or a design without a finite frame.
 
     >>> import tempfile
     >>> from pathlib import Path
@@ -49,15 +53,22 @@ def load_set(path: str | Path, *, nuisance: Nuisance = NUISANCE, surroundings: S
     outer = surroundings or Surroundings()
     arrays = _arrays(Path(path))
     if arrays["we"].ndim != 1 or not len(arrays["we"]):
-        raise InputDataError(f"{path}: we has shape {arrays['we'].shape}; expected a Weber number a design, of one at least.")
+        raise InputDataError(
+            f"{path}: we has shape {arrays['we'].shape}; expected a Weber number a design, of one "
+            "at least."
+        )
     for name, dimensions in _SHAPES.items():
         if arrays[name].ndim != dimensions or arrays[name].shape[0] != arrays["we"].shape[0]:
             raise InputDataError(
-                f"{path}: {name} has shape {arrays[name].shape}; expected {dimensions} dimensions, the first of "
+                f"{path}: {name} has shape {arrays[name].shape}; expected {dimensions} "
+                "dimensions, the first of "
                 f"{arrays['we'].shape[0]} designs."
             )
     if arrays["radius_m"].shape[2] != arrays["time_s"].shape[1]:
-        raise InputDataError(f"{path}: radius_m has {arrays['radius_m'].shape[2]} frames, time_s {arrays['time_s'].shape[1]}.")
+        raise InputDataError(
+            f"{path}: radius_m has {arrays['radius_m'].shape[2]} frames, time_s "
+            f"{arrays['time_s'].shape[1]}."
+        )
     experiments = []
     for i, (weber, rest) in enumerate(zip(arrays["we"], arrays["rinf_star"], strict=True)):
         size = outer.max_radius(float(weber))
@@ -66,33 +77,45 @@ def load_set(path: str | Path, *, nuisance: Nuisance = NUISANCE, surroundings: S
         seen = torch.isfinite(radius).any(0) & torch.isfinite(times)
         if int(seen.sum()) < 2:
             raise InputDataError(
-                f"{path}: design {i} has {int(seen.sum())} frames with a finite time and radius; at least 2 are needed."
+                f"{path}: design {i} has {int(seen.sum())} frames with a finite time and radius; "
+                "at least 2 are needed."
             )
         kept = torch.isfinite(radius[:, seen]).any(1)
         radius = radius[kept]
         try:
-            found = Experiment(f"design {i}", (float(weber), float(rest)), times[seen], radius[:, seen], nuisance)
+            found = Experiment(
+                f"design {i}", (float(weber), float(rest)), times[seen], radius[:, seen], nuisance
+            )
         except InputDataError as error:
             raise InputDataError(f"{path}: design {i}: {error}") from None
         experiments.append(found)
         _check_units(f"{path}: design {i}", experiments[-1], size, outer.time_scale(size))
-        check_experiment(experiments[-1], f"{path}: design {i}", remedy="the Weber numbers, and that time zero is the maximum")
+        check_experiment(
+            experiments[-1],
+            f"{path}: design {i}",
+            remedy="the Weber numbers, and that time zero is the maximum",
+        )
     return experiments
 
 
 def _check_units(where: str, experiment: Experiment, size: float, unit: float) -> None:
-    """Refuse radii and times that no bubble has: most are in another unit than ``size`` (m) and ``unit`` (s) say."""
-    radius, last = experiment.radius, float(experiment.times[-1])
+    """Refuse radii and times that no bubble has: most are in another unit than ``size`` (m) and
+    ``unit`` (s) say.
+    """
+    radius = experiment.radius
+    last = float(experiment.times[-1])
     wrong = radius[(radius < _RADII[0]) | (radius > _RADII[1])]
     if len(wrong):
         raise InputDataError(
-            f"{where}: radius_m holds {float(wrong[0]) * size:g}; expected metres, from about 0 to not far above Rmax, "
+            f"{where}: radius_m holds {float(wrong[0]) * size:g}; expected metres, from about 0 "
+            "to not far above Rmax, "
             f"{size:.3g} m by its we. Mark missing frames by NaN."
         )
     shortest, longest = _DURATIONS
     if not shortest <= last <= longest:
         raise InputDataError(
-            f"{where}: time_s ends at {last * unit:g}; expected seconds from the maximum radius on, {shortest * unit:.2g} to "
+            f"{where}: time_s ends at {last * unit:g}; expected seconds from the maximum radius "
+            f"on, {shortest * unit:.2g} to "
             f"{longest * unit:.2g} of them."
         )
 

@@ -1,7 +1,8 @@
 """Tables of text or of a spreadsheet: their columns as numbers, and the rows of each curve.
 
-A table has one row a frame. Its curves are told apart by a column with names, by separator rows, or by columns of radii that
-share the times (a wide table). Numbers may have a decimal comma where the columns are not divided by commas.
+A table has one row a frame. Its curves are told apart by a column with names, by separator rows, or
+by columns of radii that share the times (a wide table). Numbers may have a decimal comma where the
+columns are not divided by commas.
 """
 
 import csv
@@ -67,7 +68,9 @@ class Table:
             if not self.decimal_comma:
                 return None
         try:
-            return np.array([float(x.replace(",", ".") if _COMMA.fullmatch(x) else x) for x in texts])
+            return np.array(
+                [float(x.replace(",", ".") if _COMMA.fullmatch(x) else x) for x in texts]
+            )
         except ValueError:
             return None
 
@@ -85,7 +88,9 @@ def _is_number(cell: str) -> bool:
         float(cell)
     except ValueError:
         return False
-    return cell.isascii() and "_" not in cell  # Python reads 1_0 and digits of other scripts as numbers too
+    return (
+        cell.isascii() and "_" not in cell
+    )  # Python reads 1_0 and digits of other scripts as numbers too
 
 
 def shown(cell: str) -> str:
@@ -94,35 +99,47 @@ def shown(cell: str) -> str:
 
 
 def read_table(path: Path) -> Table:
-    """Read a table of text, with or without header; columns are divided by semicolon, tab, comma or blanks.
+    """Read a table of text, with or without header; columns are divided by semicolon, tab, comma or
+    blanks.
 
-    Lines that begin with ``#`` or ``%`` are comments; the last one before the rows is the header if it has as many fields.
+    Lines that begin with ``#`` or ``%`` are comments; the last one before the rows is the header if
+    it has as many fields.
 
     Raises:
-        InputDataError: if the file is no text, has no rows, rows of different lengths, a field that no number or name fills, or
-            two columns of one name.
+        InputDataError: if the file is no text, has no rows, rows of different lengths, a field that
+            no number or name fills, or two columns of one name.
     """
     lines = [(i, line) for i, line in enumerate(_text(path).splitlines(), 1) if line.strip()]
-    if lines and _SEPARATOR.fullmatch(lines[0][1].strip()):  # of spreadsheets, which then ignore the line
+    if lines and _SEPARATOR.fullmatch(
+        lines[0][1].strip()
+    ):  # of spreadsheets, which then ignore the line
         lines = lines[1:]
     comments = [line.lstrip("#% \t") for _, line in lines if line.startswith(("#", "%"))]
     lines = [(i, line) for i, line in lines if not line.startswith(("#", "%"))]
     if not lines:
         raise InputDataError(f"{path}: holds no row; export the curve again.")
     mark = _mark(lines[0][1], lines[-1][1])
-    rows, numbers = [_split(path, i, line, mark) for i, line in lines], [i for i, _ in lines]
-    if mark is None and len(rows) > 1 and len(rows[0]) != len(rows[1]):  # names with single blanks in them
+    rows = [_split(path, i, line, mark) for i, line in lines]
+    numbers = [i for i, _ in lines]
+    if (
+        mark is None and len(rows) > 1 and len(rows[0]) != len(rows[1])
+    ):  # names with single blanks in them
         rows[0] = [cell.strip() for cell in re.split(r"\s{2,}", lines[0][1].strip())]
     comma = mark != ","
     if comments and _are_numbers(rows[0], comma):
-        heading = _split(path, 0, comments[-1], _mark(comments[-1], comments[-1]) if mark is None else mark)
+        heading = _split(
+            path, 0, comments[-1], _mark(comments[-1], comments[-1]) if mark is None else mark
+        )
         if len(heading) == len(rows[0]) and not _are_numbers(heading, comma):
-            rows, numbers = [heading, *rows], [0, *numbers]
+            rows = [heading, *rows]
+            numbers = [0, *numbers]
     return make_table(path, rows, numbers, decimal_comma=comma)
 
 
 def _text(path: Path) -> str:
-    """The text of a file in UTF-8, in UTF-16 with a byte-order mark, or with Latin-1 micro signs alone."""
+    """The text of a file in UTF-8, in UTF-16 with a byte-order mark, or with Latin-1 micro signs
+    alone.
+    """
     content = path.read_bytes()
     try:
         if content.startswith((b"\xff\xfe", b"\xfe\xff")):
@@ -132,14 +149,20 @@ def _text(path: Path) -> str:
         if not set(content) & set(range(0x80, 0x100)) - {0xB5}:
             return content.decode("latin-1")
         raise InputDataError(
-            f"{path}: is neither a MATLAB file nor UTF-8 text ({error.reason} at byte {error.start}); export as CSV in UTF-8."
+            f"{path}: is neither a MATLAB file nor UTF-8 text ({error.reason} at byte "
+            f"{error.start}); export as CSV in UTF-8."
         ) from None
 
 
 def _mark(first: str, last: str) -> str | None:
     """What divides the columns; None for blanks."""
     fields = last.split()
-    if ";" not in first and "\t" not in first and len(fields) > 1 and all(_COMMA.fullmatch(field) for field in fields):
+    if (
+        ";" not in first
+        and "\t" not in first
+        and len(fields) > 1
+        and all(_COMMA.fullmatch(field) for field in fields)
+    ):
         return None
     return next((c for c in ";\t," if c in first), None)
 
@@ -154,12 +177,14 @@ def _split(path: Path, number: int, line: str, mark: str | None) -> list[str]:
             cells = [cell.strip() for cell in next(csv.reader([line], delimiter=mark))]
         except csv.Error as error:
             raise InputDataError(
-                f"{path}: row {number} cannot be divided into fields ({error}); close every quotation mark in its own row, "
+                f"{path}: row {number} cannot be divided into fields ({error}); close every "
+                "quotation mark in its own row, "
                 f"and keep fields below {_LONGEST} characters."
             ) from None
     if len(line) > _LONGEST and max(map(len, cells)) > _LONGEST:
         raise InputDataError(
-            f"{path}: row {number} has a field of {max(map(len, cells))} characters, more than {_LONGEST}; this is no table "
+            f"{path}: row {number} has a field of {max(map(len, cells))} characters, more than "
+            f"{_LONGEST}; this is no table "
             "of numbers: divide the columns by commas and write one row a frame."
         )
     return cells
@@ -169,7 +194,9 @@ def _are_numbers(cells: Iterable[str], comma: bool) -> bool:
     return all(_is_number(cell) or (comma and _COMMA.fullmatch(cell)) for cell in cells)
 
 
-def make_table(path: Path, rows: list[list[str]], numbers: list[int], *, decimal_comma: bool = False) -> Table:
+def make_table(
+    path: Path, rows: list[list[str]], numbers: list[int], *, decimal_comma: bool = False
+) -> Table:
     """A table of rows of cells, the first of which may be a header and the second the units.
 
     Args:
@@ -185,13 +212,23 @@ def make_table(path: Path, rows: list[list[str]], numbers: list[int], *, decimal
     columns = tuple(rows[0]) if has_header else _numbered(len(rows[0]))
     rows, numbers = (rows[1:], numbers[1:]) if has_header else (rows, numbers)
     units: tuple[str, ...] = ()
-    if has_header and rows and len(rows[0]) == len(columns) and _is_unit_row(rows[0], rows[1:2], decimal_comma):
-        units, rows, numbers = tuple(rows[0]), rows[1:], numbers[1:]
+    if (
+        has_header
+        and rows
+        and len(rows[0]) == len(columns)
+        and _is_unit_row(rows[0], rows[1:2], decimal_comma)
+    ):
+        units = tuple(rows[0])
+        rows = rows[1:]
+        numbers = numbers[1:]
     kept = [i for i, row in enumerate(rows) if any(row)]
     if len(kept) < len(rows):
-        rows, numbers = [rows[i] for i in kept], [numbers[i] for i in kept]
+        rows = [rows[i] for i in kept]
+        numbers = [numbers[i] for i in kept]
     if not rows:
-        raise InputDataError(f"{path}: has the header {', '.join(columns)} and no rows; export the curve again.")
+        raise InputDataError(
+            f"{path}: has the header {', '.join(columns)} and no rows; export the curve again."
+        )
     _check_widths(path, rows, numbers, len(columns))
     if "" in columns:
         columns, rows, units = _without_blank_columns(columns, rows, units)
@@ -202,15 +239,24 @@ def make_table(path: Path, rows: list[list[str]], numbers: list[int], *, decimal
 def _is_unit_row(row: Sequence[str], next_rows: Sequence[Sequence[str]], comma: bool) -> bool:
     """Whether a row below the header is one of units: no number in it, and numbers below it."""
     worded = all(not _are_numbers([cell], comma) for cell in row if cell) and any(row)
-    return worded and bool(next_rows) and any(cell and _are_numbers([cell], comma) for cell in next_rows[0])
+    return (
+        worded
+        and bool(next_rows)
+        and any(cell and _are_numbers([cell], comma) for cell in next_rows[0])
+    )
 
 
 def _check_widths(path: Path, rows: list[list[str]], numbers: list[int], width: int) -> None:
     for row, line in zip(rows, numbers, strict=True):
         if len(row) != width:
-            decimal = " If the numbers have decimal commas, divide the columns by semicolons." if len(row) == 2 * width else ""
+            decimal = (
+                " If the numbers have decimal commas, divide the columns by semicolons."
+                if len(row) == 2 * width
+                else ""
+            )
             raise InputDataError(
-                f"{path}: row {line} has {len(row)} field(s) and the first row {width}; write every row with "
+                f"{path}: row {line} has {len(row)} field(s) and the first row {width}; write "
+                "every row with "
                 f"the same columns (a lost frame as NaN).{decimal}"
             )
 
@@ -218,9 +264,12 @@ def _check_widths(path: Path, rows: list[list[str]], numbers: list[int], width: 
 def _without_blank_columns(
     columns: tuple[str, ...], rows: list[list[str]], units: tuple[str, ...]
 ) -> tuple[tuple[str, ...], list[list[str]], tuple[str, ...]]:
-    """The table without columns that have neither name nor content, as spreadsheets leave them at the end."""
+    """The table without columns that have neither name nor content, as spreadsheets leave them at
+    the end.
+    """
     kept = [k for k, name in enumerate(columns) if name or any(row[k] for row in rows)]
-    names, below = tuple(columns[k] for k in kept), tuple(units[k] for k in kept) if units else ()
+    names = tuple(columns[k] for k in kept)
+    below = tuple(units[k] for k in kept) if units else ()
     return names, [[row[k] for k in kept] for row in rows], below
 
 
@@ -229,7 +278,8 @@ def _check_names(path: Path, columns: tuple[str, ...]) -> None:
     for k, name in enumerate(columns, 1):
         if name in places:
             raise InputDataError(
-                f"{path}: columns {places[name]} and {k} are both named '{name}'; give every column a name of its own."
+                f"{path}: columns {places[name]} and {k} are both named '{name}'; give every "
+                "column a name of its own."
             )
         places[name] = k
 
@@ -255,12 +305,21 @@ def table_curves(path: Path, table: Table, layout: Layout) -> tuple[list[RawCurv
 
 
 def radius_columns(file: str, table: Table, layout: Layout) -> list[str]:
-    """The columns of radii: one, those joined by ``+``, or with ``*`` all but those of times and names."""
+    """The columns of radii: one, those joined by ``+``, or with ``*`` all but those of times and
+    names.
+    """
     if layout.radius == EVERY_COLUMN:
-        other = {_named(file, table, name) for name in (layout.time, layout.experiment) if name is not None}
+        other = {
+            _named(file, table, name)
+            for name in (layout.time, layout.experiment)
+            if name is not None
+        }
         found = [name for name in table.columns if name not in other]
         if not found:
-            raise InputDataError(f"{file}: radius=* names every other column, and there is none; add a column of radii.")
+            raise InputDataError(
+                f"{file}: radius=* names every other column, and there is none; add a column of "
+                "radii."
+            )
         return found
     if layout.radius in table.columns or "+" not in layout.radius:
         return [_named(file, table, layout.radius)]
@@ -271,7 +330,9 @@ def _named(file: str, table: Table, name: str) -> str:
     """A column by its name, or by its name without the unit behind it."""
     if name in table.columns:
         return name
-    alike = [column for column in table.columns if re.fullmatch(re.escape(name) + r"\s*[\[(/].*", column)]
+    alike = [
+        column for column in table.columns if re.fullmatch(re.escape(name) + r"\s*[\[(/].*", column)
+    ]
     if len(alike) == 1:
         return alike[0]
     raise InputDataError(
@@ -289,11 +350,18 @@ def _column(file: str, table: Table, name: str) -> np.ndarray:
     cell = table.cells[i][k]
     remedy = "write numbers with a decimal point, and a lost frame as NaN."
     if "," in cell:
-        remedy = "write numbers without thousands separators, and divide columns by semicolons where decimals have commas."
-    raise InputDataError(f"{file}: row {table.lines[i]}, column '{name}' is {shown(cell)}, not a number; {remedy}")
+        remedy = (
+            "write numbers without thousands separators, and divide columns by semicolons where "
+            "decimals have commas."
+        )
+    raise InputDataError(
+        f"{file}: row {table.lines[i]}, column '{name}' is {shown(cell)}, not a number; {remedy}"
+    )
 
 
-def _groups(path: Path, table: Table, layout: Layout) -> tuple[dict[str, np.ndarray], list[LeftOut]]:
+def _groups(
+    path: Path, table: Table, layout: Layout
+) -> tuple[dict[str, np.ndarray], list[LeftOut]]:
     """Row indices of each curve, by experiment column, by separator rows, or all in one."""
     if layout.experiment is not None:
         k = table.columns.index(_named(str(path), table, layout.experiment))
@@ -302,16 +370,29 @@ def _groups(path: Path, table: Table, layout: Layout) -> tuple[dict[str, np.ndar
             groups.setdefault(row[k], []).append(i)
         if "" in groups:
             line = table.lines[groups[""][0]]
-            raise InputDataError(f"{path}: row {line}, column '{layout.experiment}' is empty; name the experiment.")
+            raise InputDataError(
+                f"{path}: row {line}, column '{layout.experiment}' is empty; name the experiment."
+            )
         return {name: np.array(rows) for name, rows in groups.items()}, []
     count = len(table.cells)
     if layout.separator is None:
         return {path.stem: np.arange(count)}, []
     marks = [i for i, row in enumerate(table.cells) if _all_equal(row, layout.separator)]
-    left_out = [LeftOut(str(path), "", row_ranges(table.lines[marks]), "separator rows between curves")] if marks else []
+    left_out = (
+        [LeftOut(str(path), "", row_ranges(table.lines[marks]), "separator rows between curves")]
+        if marks
+        else []
+    )
     parts = [np.arange(a + 1, b) for a, b in zip([-1, *marks], [*marks, count], strict=True)]
     if marks and 0 < len(parts[0]) < MIN_SAMPLES:
-        left_out.append(LeftOut(str(path), "", row_ranges(table.lines[parts[0]]), "stray row(s) before the first separator"))
+        left_out.append(
+            LeftOut(
+                str(path),
+                "",
+                row_ranges(table.lines[parts[0]]),
+                "stray row(s) before the first separator",
+            )
+        )
         parts = parts[1:]
     filled = [part for part in parts if len(part)]
     return {f"{path.stem}_{i:03d}": part for i, part in enumerate(filled, 1)}, left_out

@@ -1,7 +1,8 @@
 """Radius-time curves in SI units and float64, checked, with a list of everything that was left out.
 
-A :class:`RadiusTrace` is one experiment (times and radii of its camera frames, and what the laboratory says about it);
-a :class:`TraceSet` is an ordered collection of them with the list of everything a reader left out, and why.
+A :class:`RadiusTrace` is one experiment (times and radii of its camera frames, and what the
+laboratory says about it); a :class:`TraceSet` is an ordered collection of them with the list of
+everything a reader left out, and why.
 """
 
 from collections import Counter
@@ -25,7 +26,8 @@ MIN_SAMPLES = 5
 
 @dataclass(frozen=True)
 class Override:
-    """What a person who looked at the frames states about a curve; it counts before frames, file and laboratory.
+    """What a person who looked at the frames states about a curve; it counts before frames, file
+    and laboratory.
 
     Args:
         max_radius_m: maximum radius in m.
@@ -36,7 +38,8 @@ class Override:
         window_end_s: time in s of the last frame that is fitted, in place of a number of collapses.
 
     Raises:
-        InputDataError: if a length is not positive and finite, a time not finite, or a standard deviation stands alone.
+        InputDataError: if a length is not positive and finite, a time not finite, or a standard
+            deviation stands alone.
 
     >>> from imr_torch.observe import Override
     >>> Override(rest_radius_m=4e-5, window_end_s=6e-5).window_end_s
@@ -54,14 +57,21 @@ class Override:
         for name in ("max_radius_m", "max_radius_sd_m", "rest_radius_m", "rest_radius_sd_m"):
             value = getattr(self, name)
             if value is not None and not 0.0 < value < float("inf"):
-                raise InputDataError(f"Override.{name} is {value}; expected a positive length in m, or None.")
+                raise InputDataError(
+                    f"Override.{name} is {value}; expected a positive length in m, or None."
+                )
         for name in ("time_of_max_s", "window_end_s"):
             value = getattr(self, name)
             if value is not None and not np.isfinite(value):
                 raise InputDataError(f"Override.{name} is {value}; expected seconds, or None.")
-        for value, sd in (("max_radius_m", "max_radius_sd_m"), ("rest_radius_m", "rest_radius_sd_m")):
+        for value, sd in (
+            ("max_radius_m", "max_radius_sd_m"),
+            ("rest_radius_m", "rest_radius_sd_m"),
+        ):
             if getattr(self, value) is None and getattr(self, sd) is not None:
-                raise InputDataError(f"Override.{sd} is {getattr(self, sd)} and {value} is not given; give both.")
+                raise InputDataError(
+                    f"Override.{sd} is {getattr(self, sd)} and {value} is not given; give both."
+                )
 
 
 @dataclass(frozen=True)
@@ -112,13 +122,20 @@ class Given:
             for name in names:
                 value = getattr(self, name)
                 if value is not None and not 0.0 < value < float("inf"):
-                    raise InputDataError(f"Given.{name} is {value}; expected {what}, or None if unknown.")
+                    raise InputDataError(
+                        f"Given.{name} is {value}; expected {what}, or None if unknown."
+                    )
         if self.time_of_max_s is not None and not np.isfinite(self.time_of_max_s):
-            raise InputDataError(f"Given.time_of_max_s is {self.time_of_max_s}; expected seconds, or None if unknown.")
+            raise InputDataError(
+                f"Given.time_of_max_s is {self.time_of_max_s}; expected seconds, or None if "
+                "unknown."
+            )
         for name in ("rest_radius_sd_m", "max_radius_sd_m"):
             value = getattr(self, name)
             if value is not None and not 0.0 <= value < float("inf"):
-                raise InputDataError(f"Given.{name} is {value}; expected a length in m >= 0, or None if unknown.")
+                raise InputDataError(
+                    f"Given.{name} is {value}; expected a length in m >= 0, or None if unknown."
+                )
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +150,8 @@ class RadiusTrace:
         given: what the laboratory says about the experiment.
 
     Raises:
-        InputDataError: if the trace cannot be one bubble in SI units; the message names experiment, field and sample.
+        InputDataError: if the trace cannot be one bubble in SI units; the message names experiment,
+            field and sample.
 
     >>> import torch
     >>> from imr_torch.observe import RadiusTrace
@@ -150,19 +168,27 @@ class RadiusTrace:
 
     def __post_init__(self) -> None:
         if not self.experiment_id:
-            raise InputDataError(f"A trace from {self.source} has an empty experiment_id; give every experiment a name.")
+            raise InputDataError(
+                f"A trace from {self.source} has an empty experiment_id; give every experiment a "
+                "name."
+            )
         for name in ("time_s", "radius_m"):
             value = torch.as_tensor(getattr(self, name), dtype=torch.float64, device="cpu")
             object.__setattr__(self, name, value)
             if value.ndim != 1:
-                raise InputDataError(f"{self._at(name)} has shape {tuple(value.shape)}; expected one dimension.")
+                raise InputDataError(
+                    f"{self._at(name)} has shape {tuple(value.shape)}; expected one dimension."
+                )
         if self.time_s.shape != self.radius_m.shape:
             raise InputDataError(
-                f"{self._at('radius_m')} has {len(self.radius_m)} samples and time_s has {len(self.time_s)}; "
+                f"{self._at('radius_m')} has {len(self.radius_m)} samples and time_s has "
+                f"{len(self.time_s)}; "
                 "give one time for every radius."
             )
         if len(self.time_s) < 2:
-            raise InputDataError(f"{self._at('time_s')} has {len(self.time_s)} sample(s); a curve needs at least 2.")
+            raise InputDataError(
+                f"{self._at('time_s')} has {len(self.time_s)} sample(s); a curve needs at least 2."
+            )
         self._check_values()
         self._check_units()
 
@@ -178,48 +204,66 @@ class RadiusTrace:
             value = getattr(self, name)
             if not bool(value.isfinite().all()):
                 i = int((~value.isfinite()).nonzero()[0])
-                raise InputDataError(f"{self._at(name, i)} is {value[i].item()}; leave lost frames out of the trace.")
+                raise InputDataError(
+                    f"{self._at(name, i)} is {value[i].item()}; leave lost frames out of the trace."
+                )
         if bool((self.radius_m <= 0).any()):
             i = int((self.radius_m <= 0).nonzero()[0])
             raise InputDataError(
-                f"{self._at('radius_m', i)} is {self.radius_m[i].item():g}; a radius is positive: leave out frames "
+                f"{self._at('radius_m', i)} is {self.radius_m[i].item():g}; a radius is positive: "
+                "leave out frames "
                 "without a bubble."
             )
         step = self.time_s.diff()
         if bool((step <= 0).any()):
             i = int((step <= 0).nonzero()[0]) + 1
             raise InputDataError(
-                f"{self._at('time_s', i)} is {self.time_s[i].item():g} after {self.time_s[i - 1].item():g}; times must "
+                f"{self._at('time_s', i)} is {self.time_s[i].item():g} after "
+                f"{self.time_s[i - 1].item():g}; times must "
                 "increase strictly: remove the duplicate, or sort the rows."
             )
 
     def _check_units(self) -> None:
-        top, low = float(self.radius_m.max()), float(self.radius_m.min())
+        top = float(self.radius_m.max())
+        low = float(self.radius_m.min())
         if top > RADIUS_RANGE_M[1]:
             unit = "millimetres" if top < 10.0 else "micrometres"
-            remedy = "radius_unit=mm" if top < 10.0 else "radius_unit=um (or px with a pixel_size if the numbers are pixels)"
+            remedy = (
+                "radius_unit=mm"
+                if top < 10.0
+                else "radius_unit=um (or px with a pixel_size if the numbers are pixels)"
+            )
             raise InputDataError(
-                f"{self._at('radius_m')} is {top:.4g} at its largest, in m; bubbles lie between 1e-07 and 0.1 m. "
+                f"{self._at('radius_m')} is {top:.4g} at its largest, in m; bubbles lie between "
+                "1e-07 and 0.1 m. "
                 f"This looks like {unit} given as metres: write {remedy} into --layout."
             )
         if top < RADIUS_RANGE_M[0]:
             raise InputDataError(
-                f"{self._at('radius_m')} is {top:.4g} at its largest, in m; bubbles lie between 1e-07 and 0.1 m. "
-                "This looks like metres converted once too often: write radius_unit=m into --layout."
+                f"{self._at('radius_m')} is {top:.4g} at its largest, in m; bubbles lie between "
+                "1e-07 and 0.1 m. "
+                "This looks like metres converted once too often: write radius_unit=m into "
+                "--layout."
             )
         if low < RADIUS_RANGE_M[0]:
             i = int(self.radius_m.argmin())
             raise InputDataError(
-                f"{self._at('radius_m', i)} is {low:.4g} m, below what a camera can see (1e-07 m): set the frame to "
+                f"{self._at('radius_m', i)} is {low:.4g} m, below what a camera can see (1e-07 "
+                "m): set the frame to "
                 "NaN if the bubble was lost in it."
             )
         duration = float(self.time_s[-1] - self.time_s[0])
         if not DURATION_RANGE_S[0] <= duration <= DURATION_RANGE_S[1]:
             long = duration > DURATION_RANGE_S[1]
-            guess = "microseconds (or frames) given as seconds" if long else "seconds converted once too often"
+            guess = (
+                "microseconds (or frames) given as seconds"
+                if long
+                else "seconds converted once too often"
+            )
             remedy = "time_unit=us (or frames with a frame_interval)" if long else "time_unit=s"
             raise InputDataError(
-                f"{self._at('time_s')} spans {duration:.4g} s; records last between 1e-07 and 1 s. This looks like "
+                f"{self._at('time_s')} spans {duration:.4g} s; records last between 1e-07 and 1 "
+                "s. This looks like "
                 f"{guess}: write {remedy} into --layout."
             )
 
@@ -231,7 +275,8 @@ class LeftOut:
     Args:
         file: the file.
         experiment_id: the experiment the rows belong to ("" if to none).
-        rows: row numbers counted from 1 (lines of a text file, samples of a MATLAB vector), such as ``"1-7, 12"``.
+        rows: row numbers counted from 1 (lines of a text file, samples of a MATLAB vector), such as
+            ``"1-7, 12"``.
         reason: why they were left out.
 
     >>> from imr_torch.observe import LeftOut
@@ -285,9 +330,12 @@ class TraceSet:
     def __post_init__(self) -> None:
         for name, count in Counter(self.ids).items():
             if count > 1:
-                files = ", ".join(sorted({t.source for t in self.traces if t.experiment_id == name}))
+                files = ", ".join(
+                    sorted({t.source for t in self.traces if t.experiment_id == name})
+                )
                 raise InputDataError(
-                    f"experiment_id '{name}' occurs {count} times (in {files}); load a file once, or rename the experiments."
+                    f"experiment_id '{name}' occurs {count} times (in {files}); load a file once, "
+                    "or rename the experiments."
                 )
 
     @cached_property
@@ -308,12 +356,15 @@ class TraceSet:
     def __getitem__(self, key: int | str) -> RadiusTrace:
         if isinstance(key, str):
             if key not in self._places:
-                raise InputDataError(f"No experiment '{key}' among the {len(self)} loaded: {_some(self.ids)}.")
+                raise InputDataError(
+                    f"No experiment '{key}' among the {len(self)} loaded: {_some(self.ids)}."
+                )
             return self.traces[self._places[key]]
         return self.traces[key]
 
     def select(self, ids: Sequence[str]) -> "TraceSet":
-        """The traces named by ``ids``, in that order, with the records of what was left out of them.
+        """The traces named by ``ids``, in that order, with the records of what was left out of
+        them.
 
         Raises:
             InputDataError: if an id is not in the set.
@@ -329,33 +380,57 @@ class TraceSet:
 
     @staticmethod
     def join(sets: Iterable["TraceSet"]) -> "TraceSet":
-        """All sets as one; where ids clash between files, they are prefixed with the name of their file.
+        """All sets as one; where ids clash between files, they are prefixed with the name of their
+        file.
 
         Raises:
             InputDataError: if ids still clash (the same file twice).
         """
         sets = tuple(sets)
         traces = [trace for s in sets for trace in s.traces]
-        left_out, notes = [x for s in sets for x in s.left_out], [x for s in sets for x in s.notes]
+        left_out = [x for s in sets for x in s.left_out]
+        notes = [x for s in sets for x in s.notes]
         for prefix in (_stem, _folder_and_stem):
             counts = Counter(t.experiment_id for t in traces)
-            new = {(t.source, t.experiment_id): f"{prefix(t)}" for t in traces if counts[t.experiment_id] > 1}
+            new = {
+                (t.source, t.experiment_id): f"{prefix(t)}"
+                for t in traces
+                if counts[t.experiment_id] > 1
+            }
             if not new:
                 break
-            traces = [replace(t, experiment_id=new.get((t.source, t.experiment_id), t.experiment_id)) for t in traces]
-            left_out = [replace(x, experiment_id=new.get((x.file, x.experiment_id), x.experiment_id)) for x in left_out]
-            notes += [f"{file}: experiment '{old}' is named '{name}' here." for (file, old), name in new.items()]
+            traces = [
+                replace(t, experiment_id=new.get((t.source, t.experiment_id), t.experiment_id))
+                for t in traces
+            ]
+            left_out = [
+                replace(x, experiment_id=new.get((x.file, x.experiment_id), x.experiment_id))
+                for x in left_out
+            ]
+            notes += [
+                f"{file}: experiment '{old}' is named '{name}' here."
+                for (file, old), name in new.items()
+            ]
         return TraceSet(tuple(traces), tuple(left_out), tuple(notes))
 
     def report(self) -> str:
         """What was loaded, what was left out and what was decided, as text."""
         lines = [f"{len(self)} curve(s):"]
         for t in self.traces:
-            span, top = 1e6 * float(t.time_s[-1] - t.time_s[0]), 1e6 * float(t.radius_m.max())
-            lines.append(f"  {t.experiment_id}: {len(t)} frames over {span:.4g} us, largest radius {top:.4g} um")
+            span = 1e6 * float(t.time_s[-1] - t.time_s[0])
+            top = 1e6 * float(t.radius_m.max())
+            lines.append(
+                f"  {t.experiment_id}: {len(t)} frames over {span:.4g} us, largest radius "
+                f"{top:.4g} um"
+            )
         every = "Every row of the files was read."
-        lines.append(f"{len(self.left_out)} record(s) of rows left out:" if self.left_out else every)
-        lines += [f"  {x.file} [{x.experiment_id or '-'}] row(s) {x.rows or '-'}: {x.reason}" for x in self.left_out]
+        lines.append(
+            f"{len(self.left_out)} record(s) of rows left out:" if self.left_out else every
+        )
+        lines += [
+            f"  {x.file} [{x.experiment_id or '-'}] row(s) {x.rows or '-'}: {x.reason}"
+            for x in self.left_out
+        ]
         if self.notes:
             lines += ["Notes:", *(f"  {note}" for note in self.notes)]
         return "\n".join(lines)

@@ -1,4 +1,6 @@
-"""The assimilation window: collapse times of a curve, after which (the second by default) a record is cut."""
+"""The assimilation window: collapse times of a curve, after which (the second by default) a record
+is cut.
+"""
 
 import math
 
@@ -6,10 +8,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 
-def collapse_time(times: Float[Tensor, "frames"], radius: Float[Tensor, "frames"], number: int) -> float:
-    """Time of collapse ``number`` (1 is the first) of a curve that starts at its maximum; infinity when not reached.
+def collapse_time(
+    times: Float[Tensor, "frames"], radius: Float[Tensor, "frames"], number: int
+) -> float:
+    """Time of collapse ``number`` (1 is the first) of a curve that starts at its maximum; infinity
+    when not reached.
 
-    A minimum counts when the curve climbs from it by a tenth of its range, so frame noise makes none.
+    A minimum counts when the curve climbs from it by a tenth of its range, so frame noise makes
+    none.
 
     Args:
         times: ``n_t`` tensor.
@@ -23,18 +29,26 @@ def collapse_time(times: Float[Tensor, "frames"], radius: Float[Tensor, "frames"
     [3.1, 9.4, inf]
     """
     depth = 0.1 * float(radius.amax() - radius.amin())
-    low, high, falling, found = math.inf, float(radius[0]), True, 0
+    low = math.inf
+    high = float(radius[0])
+    falling = True
+    found = 0
     at = math.inf
     for t, r in zip(times.tolist(), radius.tolist(), strict=True):
         if falling:
             if r < low:
-                low, at = r, t
+                low = r
+                at = t
             elif r > low + depth:
-                found, falling, high = found + 1, False, r
+                found = found + 1
+                falling = False
+                high = r
                 if found == number:
                     return at
         elif r > high:
             high = r
         elif r < high - depth:
-            falling, low, at = True, r, t
+            falling = True
+            low = r
+            at = t
     return math.inf

@@ -1,8 +1,10 @@
-"""The hierarchy of Gaussian shots in closed form: evidence, population centre and each shot, given the scatter.
+"""The hierarchy of Gaussian shots in closed form: evidence, population centre and each shot, given
+the scatter.
 
-A shot's likelihood is ``exp(c - z A z / 2 + b z)`` of its controls ``z``, and ``z ~ N(m, T)`` with the diagonal ``T`` of
-squared scatters; ``m`` has a Gaussian prior. Everything but ``T`` is then integrated out exactly (Lindley & Smith, JRSS B 34,
-1972). No inverse of ``A`` or ``T`` is taken, so a shot may leave a direction open, and a scatter may be zero.
+A shot's likelihood is ``exp(c - z A z / 2 + b z)`` of its controls ``z``, and ``z ~ N(m, T)`` with
+the diagonal ``T`` of squared scatters; ``m`` has a Gaussian prior. Everything but ``T`` is then
+integrated out exactly (Lindley & Smith, JRSS B 34, 1972). No inverse of ``A`` or ``T`` is taken, so
+a shot may leave a direction open, and a scatter may be zero.
 """
 
 from collections.abc import Sequence
@@ -47,16 +49,28 @@ class GaussianShots:
             evidence: log evidence of each shot under that prior, nats.
         """
         prior = fits[0].prior
-        precisions, linears = [], []
+        precisions = []
+        linears = []
         for fit in fits:
             covariance = prior.chol @ fit.chol @ fit.chol.mT @ prior.chol.mT
             precision, linear = without_prior(prior.unwhitened(fit.mean), covariance, prior)
             precisions.append(precision)
             linears.append(linear)
-        shots = cls(torch.stack(precisions), torch.stack(linears), torch.zeros(len(fits), dtype=torch.float64))
-        still, inverse = torch.zeros(1, len(prior.mean), dtype=torch.float64), torch.cholesky_inverse(prior.chol)
-        alone = [shots[e : e + 1].given(still, prior.mean, inverse).evidence for e in range(len(fits))]
-        return cls(shots.precision, shots.linear, torch.tensor(evidence, dtype=torch.float64) - torch.cat(alone))
+        shots = cls(
+            torch.stack(precisions),
+            torch.stack(linears),
+            torch.zeros(len(fits), dtype=torch.float64),
+        )
+        still = torch.zeros(1, len(prior.mean), dtype=torch.float64)
+        inverse = torch.cholesky_inverse(prior.chol)
+        alone = [
+            shots[e : e + 1].given(still, prior.mean, inverse).evidence for e in range(len(fits))
+        ]
+        return cls(
+            shots.precision,
+            shots.linear,
+            torch.tensor(evidence, dtype=torch.float64) - torch.cat(alone),
+        )
 
     def __getitem__(self, rows: slice) -> "GaussianShots":
         return GaussianShots(self.precision[rows], self.linear[rows], self.constant[rows])
@@ -74,13 +88,21 @@ class GaussianShots:
             mean: prior mean of the population's controls.
             precision: prior precision of them.
         """
-        A, b, root = self.precision, self.linear, scatter[:, None, :]
+        A = self.precision
+        b = self.linear
+        root = scatter[:, None, :]
         inner = torch.eye(A.shape[-1], dtype=A.dtype) + root[..., :, None] * A * root[..., None, :]
         chol = torch.linalg.cholesky(inner)  # n x E x d x d
-        factor = root[..., :, None] * torch.linalg.inv(chol).mT  # of the covariance of a shot given the centre
+        factor = (
+            root[..., :, None] * torch.linalg.inv(chol).mT
+        )  # of the covariance of a shot given the centre
         covariance = factor @ factor.mT
         moved = (covariance @ b[..., None])[..., 0]
-        constant = self.constant - chol.diagonal(dim1=-2, dim2=-1).log().sum(-1) + 0.5 * (b * moved).sum(-1)
+        constant = (
+            self.constant
+            - chol.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+            + 0.5 * (b * moved).sum(-1)
+        )
         linear = b - (A @ moved[..., None])[..., 0]
         by_shot = A - A @ covariance @ A
         total = precision + by_shot.sum(1)
@@ -94,7 +116,9 @@ class GaussianShots:
             + 0.5 * torch.logdet(precision)
             - 0.5 * mean @ precision @ mean
         )
-        return GivenScatter(self, evidence, centre, total_chol, covariance, factor, constant, linear, by_shot)
+        return GivenScatter(
+            self, evidence, centre, total_chol, covariance, factor, constant, linear, by_shot
+        )
 
 
 @dataclass(frozen=True)
@@ -108,7 +132,8 @@ class GivenScatter:
         chol: Cholesky factor of their posterior precision.
         covariance: of each shot's controls given the population's.
         factor: a square root of it.
-        constant: with ``linear`` and ``by_shot`` the likelihood of each shot as a function of the centre.
+        constant: with ``linear`` and ``by_shot`` the likelihood of each shot as a function of the
+            centre.
         linear: ``n x E x d`` tensor.
         by_shot: ``n x E x d x d`` tensor.
     """
@@ -128,17 +153,23 @@ class GivenScatter:
         square = (centre[:, None] * (self.by_shot @ centre[:, None, :, None])[..., 0]).sum(-1)
         return (self.constant + (self.linear * centre[:, None]).sum(-1) - 0.5 * square).sum(1)
 
-    def shot_means(self, centre: Float[Tensor, "draws controls"]) -> Float[Tensor, "draws experiments controls"]:
+    def shot_means(
+        self, centre: Float[Tensor, "draws controls"]
+    ) -> Float[Tensor, "draws experiments controls"]:
         """Mean of each shot's controls given the population's."""
-        A, b = self.shots.precision, self.shots.linear
+        A = self.shots.precision
+        b = self.shots.linear
         pull = b - (A @ centre[:, None, :, None])[..., 0]
         return centre[:, None] + (self.covariance @ pull[..., None])[..., 0]
 
 
 def without_prior(
-    mean: Float[Tensor, "controls"], covariance: Float[Tensor, "controls controls"], prior: ModelBelief
+    mean: Float[Tensor, "controls"],
+    covariance: Float[Tensor, "controls controls"],
+    prior: ModelBelief,
 ) -> tuple[Float[Tensor, "controls controls"], Float[Tensor, "controls"]]:
-    """Precision and linear term of the likelihood whose posterior has these moments; directions wider than the prior are flat.
+    """Precision and linear term of the likelihood whose posterior has these moments; directions
+    wider than the prior are flat.
 
     Args:
         mean: of the controls.

@@ -1,9 +1,11 @@
-"""Inference of the population that the gels of several shots are from: its median, the scatter, each shot's own values.
+"""Inference of the population that the gels of several shots are from: its median, the scatter,
+each shot's own values.
 
-Every control of a model's parameters is normal over shots: ``z_e ~ N(m, T)``, so a parameter with a log-normal prior is
-log-normal over shots. The centre ``m`` has the model's prior, each scatter an independent half-normal prior (Gelman, Bayesian
-Analysis 1, 2006), and whether a parameter varies at all is decided by evidence, over all sets of parameters that may vary.
-Shots enter through the draws of their own posteriors (:class:`~imr_torch.population.ShotLikelihood`), so nothing is simulated
+Every control of a model's parameters is normal over shots: ``z_e ~ N(m, T)``, so a parameter with a
+log-normal prior is log-normal over shots. The centre ``m`` has the model's prior, each scatter an
+independent half-normal prior (Gelman, Bayesian Analysis 1, 2006), and whether a parameter varies at
+all is decided by evidence, over all sets of parameters that may vary. Shots enter through the draws
+of their own posteriors (:class:`~imr_torch.population.ShotLikelihood`), so nothing is simulated
 here.
 """
 
@@ -22,7 +24,12 @@ from imr_torch.material import LogNormal, ModelBelief
 from imr_torch.population.likelihood import ShotLikelihood
 from imr_torch.population.quadrature import MOST
 from imr_torch.population.result import BayesFactor, Population, ScaleCheck, Trend, scatter_interval
-from imr_torch.population.sampling import Problem, WeightedPopulation, jackknife_error, sample_population
+from imr_torch.population.sampling import (
+    Problem,
+    WeightedPopulation,
+    jackknife_error,
+    sample_population,
+)
 from imr_torch.random import child, generator
 from imr_torch.threads import one_torch_thread
 
@@ -46,15 +53,15 @@ def infer_population(
 
     Args:
         fits: one weighted assimilation of one model per shot, as of :func:`fit_shots`.
-        varying: parameters that may differ from shot to shot, all of the gel when not given; the others, and what is inferred
-            of the medium, are the same in all.
+        varying: parameters that may differ from shot to shot, all of the gel when not given; the
+            others, and what is inferred of the medium, are the same in all.
         scale: of the half-normal prior of the scatters.
         draws: of population, scatters and shots; half as many for each evidence.
         seed: of these draws.
 
     Raises:
-        InputDataError: for fewer than two shots, shots of different models or priors, an unknown parameter, more than four that
-            vary, or a scale that is not positive.
+        InputDataError: for fewer than two shots, shots of different models or priors, an unknown
+            parameter, more than four that vary, or a scale that is not positive.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, wide_prior
@@ -73,7 +80,8 @@ def infer_population(
     """
     prior = _checked(fits, varying, scale, draws)
     shots = tuple(ShotLikelihood.of(fit.batch.experiments[0].label, fit.fits[0]) for fit in fits)
-    names, units = prior.names, coordinate_units(prior)
+    names = prior.names
+    units = coordinate_units(prior)
     columns = [names.index(name) for name in (varying or prior.of_gel)]
 
     def problem(which: Sequence[int], width: float) -> Problem:
@@ -85,9 +93,15 @@ def infer_population(
     evidence = _evidences(problem, columns, scale, draws // 2, seed)
     checks = []
     for width in (0.5 * scale, 2.0 * scale):
-        other = sample_population(problem(columns, width), draws, generator(child(seed, "population")))
+        other = sample_population(
+            problem(columns, width), draws, generator(child(seed, "population"))
+        )
         intervals = {names[i]: scatter_interval(other, i, units) for i in columns}
-        checks.append(ScaleCheck(width, _any(_evidences(problem, columns, width, draws // 2, seed)), intervals))
+        checks.append(
+            ScaleCheck(
+                width, _any(_evidences(problem, columns, width, draws // 2, seed)), intervals
+            )
+        )
     by_parameter = {names[i]: _of_parameter(evidence, i) for i in columns}
     return Population(
         prior=prior,
@@ -107,7 +121,8 @@ def infer_population(
 
 
 def coordinate_units(prior: ModelBelief) -> Float[Tensor, "controls"]:
-    """What a control of 1 is in the coordinate whose scatter is stated, a logarithm where there is one.
+    """What a control of 1 is in the coordinate whose scatter is stated, a logarithm where there is
+    one.
 
     >>> from imr_torch import wide_prior
     >>> from imr_torch.population import coordinate_units
@@ -118,32 +133,50 @@ def coordinate_units(prior: ModelBelief) -> Float[Tensor, "controls"]:
     return torch.tensor(values, dtype=torch.float64)
 
 
-def _checked(fits: Sequence[Assimilation], varying: Sequence[str] | None, scale: float, draws: int) -> ModelBelief:
+def _checked(
+    fits: Sequence[Assimilation], varying: Sequence[str] | None, scale: float, draws: int
+) -> ModelBelief:
     """The prior that all shots share."""
     if len(fits) < 2:
         raise InputDataError(f"A population needs at least two shots, got {len(fits)}.")
     for fit in fits:
         if len(fit.fits) != 1 or len(fit.batch.experiments) != 1:
             raise InputDataError(
-                f"Each shot needs a fit of one model to one experiment; one has {len(fit.fits)} models and "
+                f"Each shot needs a fit of one model to one experiment; one has {len(fit.fits)} "
+                "models and "
                 f"{len(fit.batch.experiments)} experiments. Use fit_shots."
             )
     prior = fits[0].fits[0].prior
     for fit in fits[1:]:
         other = fit.fits[0].prior
-        same = other.model == prior.model and other.marginals == prior.marginals and dict(other.known) == dict(prior.known)
-        if not (same and torch.equal(other.mean, prior.mean) and torch.equal(other.chol, prior.chol)):
-            raise InputDataError(f"The shots were fitted with different models or priors: {prior.model!r}, {other.model!r}.")
+        same = (
+            other.model == prior.model
+            and other.marginals == prior.marginals
+            and dict(other.known) == dict(prior.known)
+        )
+        if not (
+            same and torch.equal(other.mean, prior.mean) and torch.equal(other.chol, prior.chol)
+        ):
+            raise InputDataError(
+                f"The shots were fitted with different models or priors: {prior.model!r}, "
+                f"{other.model!r}."
+            )
     unknown = [name for name in varying or () if name not in prior.names]
     if unknown:
-        raise InputDataError(f"varying: {unknown[0]!r} is no free parameter of {prior.model!r}, which has {prior.names}.")
+        raise InputDataError(
+            f"varying: {unknown[0]!r} is no free parameter of {prior.model!r}, which has "
+            f"{prior.names}."
+        )
     count = len(prior.of_gel if varying is None else set(varying))
     if not 1 <= count <= MOST:
         raise InputDataError(
-            f"{count} parameters would vary from shot to shot; at least 1 and at most {MOST} can. Name them in `varying`."
+            f"{count} parameters would vary from shot to shot; at least 1 and at most {MOST} can. "
+            "Name them in `varying`."
         )
     if not 0.0 < scale < math.inf or draws < 500:
-        raise InputDataError(f"scale is {scale} and draws {draws}; expected a positive scale and at least 500 draws.")
+        raise InputDataError(
+            f"scale is {scale} and draws {draws}; expected a positive scale and at least 500 draws."
+        )
     return prior
 
 
@@ -160,11 +193,19 @@ class _Evidences(dict[tuple[int, ...], WeightedPopulation]):
             share = torch.softmax(x[:, 0], 0).tolist()
             own += sum((p * self[s].evidence_error) ** 2 for p, s in zip(share, some, strict=True))
         reliable = all(self[s].reliable for s in (*above, *below))
-        return BayesFactor(float(difference[0]), math.hypot(math.sqrt(own), jackknife_error(difference[1:])), reliable)
+        return BayesFactor(
+            float(difference[0]),
+            math.hypot(math.sqrt(own), jackknife_error(difference[1:])),
+            reliable,
+        )
 
 
 def _evidences(
-    problem: Callable[[Sequence[int], float], Problem], columns: Sequence[int], scale: float, draws: int, seed: int
+    problem: Callable[[Sequence[int], float], Problem],
+    columns: Sequence[int],
+    scale: float,
+    draws: int,
+    seed: int,
 ) -> _Evidences:
     found = _Evidences()
     for size in range(len(columns) + 1):
@@ -181,13 +222,24 @@ def _any(evidence: _Evidences) -> BayesFactor:
 
 def _of_parameter(evidence: _Evidences, column: int) -> BayesFactor:
     """Scatter of one parameter against none of it, whatever else varies."""
-    return evidence.contrast([s for s in evidence if column in s], [s for s in evidence if column not in s])
+    return evidence.contrast(
+        [s for s in evidence if column in s], [s for s in evidence if column not in s]
+    )
 
 
-def _trends(shots: Sequence[ShotLikelihood], fits: Sequence[Assimilation], names: Sequence[str]) -> tuple[Trend, ...]:
-    """Rank correlation (Kendall) of each parameter of the shots with their Weber number, and so with the size of the bubble."""
+def _trends(
+    shots: Sequence[ShotLikelihood], fits: Sequence[Assimilation], names: Sequence[str]
+) -> tuple[Trend, ...]:
+    """Rank correlation (Kendall) of each parameter of the shots with their Weber number, and so
+    with the size of the bubble.
+    """
     weber = torch.cat([fit.batch.designs[:, 0] for fit in fits])
-    if len(shots) < _FEWEST_FOR_TREND or float(weber.amax() - weber.amin()) < 1e-6 * float(weber.amax()):
+    if len(shots) < _FEWEST_FOR_TREND or float(weber.amax() - weber.amin()) < 1e-6 * float(
+        weber.amax()
+    ):
         return ()
     values = torch.stack([shot.mean for shot in shots])
-    return tuple(Trend(name, *map(float, scipy.stats.kendalltau(weber, values[:, i]))) for i, name in enumerate(names))
+    return tuple(
+        Trend(name, *map(float, scipy.stats.kendalltau(weber, values[:, i])))
+        for i, name in enumerate(names)
+    )

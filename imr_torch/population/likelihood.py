@@ -1,10 +1,12 @@
-"""The likelihood of one shot as a smooth function of its gel, from the weighted draws of its own posterior.
+"""The likelihood of one shot as a smooth function of its gel, from the weighted draws of its own
+posterior.
 
-A population much narrower than a shot's posterior lies between that shot's draws, so the draws themselves cannot be weighted
-again by it. Here the log likelihood is a quadratic (the Gaussian about the shot's fit, its prior divided out) plus a polynomial
-that is fitted robustly to what the quadratic misses at the draws, nuisances integrated out. The polynomial's degree is that of
-the smallest leave-one-out error; farther out than the draws it is continued as a constant. Its Monte Carlo error comes from the
-fits without one tenth of the draws each (jackknife).
+A population much narrower than a shot's posterior lies between that shot's draws, so the draws
+themselves cannot be weighted again by it. Here the log likelihood is a quadratic (the Gaussian
+about the shot's fit, its prior divided out) plus a polynomial that is fitted robustly to what the
+quadratic misses at the draws, nuisances integrated out. The polynomial's degree is that of the
+smallest leave-one-out error; farther out than the draws it is continued as a constant. Its Monte
+Carlo error comes from the fits without one tenth of the draws each (jackknife).
 """
 
 import math
@@ -25,7 +27,8 @@ GROUPS = 10
 _DEGREES = (2, 3, 4)
 _WIDER = 1.5  # posterior standard deviations of the region in which the polynomial is fitted
 _REACH = 3.5  # posterior standard deviations from which on the polynomial is constant
-_HUBER = 1.5  # standard deviations of the residuals beyond which a draw's part in the fit is bounded (Huber 1964)
+# standard deviations of the residuals beyond which a draw's part in the fit is bounded (Huber 1964)
+_HUBER = 1.5
 _ITERATIONS = 12
 _DRAWS_EACH = 5  # fewest draws for each coefficient
 
@@ -43,8 +46,8 @@ class ShotLikelihood:
         unscale: ``d x d`` tensor that takes ``z - centre`` to posterior standard deviations.
         exponents: the monomials.
         coefficients: of all draws, and without each group of them.
-        misses: what the polynomial leaves at a draw, leave-one-out, nats: a standard deviation, from the mean absolute
-            value; noise of the nuisances in part.
+        misses: what the polynomial leaves at a draw, leave-one-out, nats: a standard deviation,
+            from the mean absolute value; noise of the nuisances in part.
         mean: mean of ``z`` under the shot's own posterior.
         sd: its standard deviation.
         draws: that were used.
@@ -91,20 +94,30 @@ class ShotLikelihood:
         """
         sample = fit.sample
         if sample is None:
-            raise InputDataError(f"The fit of {fit.model!r} to {label!r} has no weighted draws; pass it through `weigh` first.")
+            raise InputDataError(
+                f"The fit of {fit.model!r} to {label!r} has no weighted draws; pass it through "
+                "`weigh` first."
+            )
         possible = torch.isfinite(sample.by_experiment.sum(1))
         likelihood = sample.by_experiment.sum(1)[possible]
         controls = fit.prior.unwhitened(sample.controls[possible])
         trusted = fit.verdict is Verdict.TRUSTED
-        moments = (fit.mean, fit.chol @ fit.chol.mT) if trusted else (sample.mean, sample.covariance)
-        mean, covariance = fit.prior.unwhitened(moments[0]), fit.prior.chol @ moments[1] @ fit.prior.chol.mT
+        moments = (
+            (fit.mean, fit.chol @ fit.chol.mT) if trusted else (sample.mean, sample.covariance)
+        )
+        mean = fit.prior.unwhitened(moments[0])
+        covariance = fit.prior.chol @ moments[1] @ fit.prior.chol.mT
         precision, linear = without_prior(mean, covariance, fit.prior)
         chol = torch.linalg.cholesky(covariance)
         unscale = torch.linalg.inv(chol)
         whitened = (controls - mean) @ unscale.mT
         missed = likelihood - _quadratic(controls, precision, linear)
         square = whitened.square().sum(1)
-        wide = torch.where(square < _REACH**2, -0.5 * square / _WIDER**2 - sample.log_proposal[possible], -torch.inf)
+        wide = torch.where(
+            square < _REACH**2,
+            -0.5 * square / _WIDER**2 - sample.log_proposal[possible],
+            -torch.inf,
+        )
         exponents, coefficients, misses = _fitted(whitened, missed, torch.softmax(wide, 0))
         smooth = cls(
             label=label,
@@ -120,30 +133,52 @@ class ShotLikelihood:
             sd=torch.linalg.norm(fit.prior.chol @ torch.linalg.cholesky(sample.covariance), dim=1),
             draws=len(controls),
             effective_samples=sample.effective_samples,
-            reliable=fit.certificate.converged and fit.verdict in (Verdict.TRUSTED, Verdict.REPAIRED),
+            reliable=fit.certificate.converged
+            and fit.verdict in (Verdict.TRUSTED, Verdict.REPAIRED),
         )
-        return smooth._normalised(controls, likelihood, (sample.log_prior - sample.log_proposal)[possible])
+        return smooth._normalised(
+            controls, likelihood, (sample.log_prior - sample.log_proposal)[possible]
+        )
 
-    def _normalised(self, controls: Tensor, likelihood: Tensor, log_ratio: Tensor) -> "ShotLikelihood":
-        """With the constant that gives the evidence of the draws within reach under the shot's own prior."""
+    def _normalised(
+        self, controls: Tensor, likelihood: Tensor, log_ratio: Tensor
+    ) -> "ShotLikelihood":
+        """With the constant that gives the evidence of the draws within reach under the shot's own
+        prior.
+        """
         near = torch.linalg.norm((controls - self.centre) @ self.unscale.mT, dim=1) < _REACH
-        controls, likelihood, log_ratio = controls[near], likelihood[near], log_ratio[near]
-        smooth = _quadratic(controls, self.precision, self.linear)[:, None] + self.correction(controls)
-        shift = torch.logsumexp(likelihood + log_ratio, 0) - torch.logsumexp(smooth + log_ratio[:, None], 0)
+        controls = controls[near]
+        likelihood = likelihood[near]
+        log_ratio = log_ratio[near]
+        smooth = _quadratic(controls, self.precision, self.linear)[:, None] + self.correction(
+            controls
+        )
+        shift = torch.logsumexp(likelihood + log_ratio, 0) - torch.logsumexp(
+            smooth + log_ratio[:, None], 0
+        )
         coefficients = self.coefficients.clone()
         coefficients[:, 0] += shift  # the first monomial is the constant
         constant = float(coefficients[0, 0])
         coefficients[:, 0] -= constant
         return ShotLikelihood(**vars(self) | {"coefficients": coefficients, "constant": constant})
 
-    def correction(self, controls: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch groups"]:
-        """The polynomial at ``... x d`` controls, of all draws and without each group: ``... x (1 + GROUPS)``."""
+    def correction(
+        self, controls: Float[Tensor, "*batch controls"]
+    ) -> Float[Tensor, "*batch groups"]:
+        """The polynomial at ``...
+
+        x d`` controls, of all draws and without each group: ``... x (1 + GROUPS)``.
+        """
         whitened = (controls - self.centre) @ self.unscale.mT
         return _monomials(whitened, self.exponents) @ self.coefficients.mT
 
     def log_prob(self, controls: Float[Tensor, "draws controls"]) -> Float[Tensor, "draws"]:
         """Log likelihood at ``n x d`` controls, nats: ``n``."""
-        return self.constant + _quadratic(controls, self.precision, self.linear) + self.correction(controls)[..., 0]
+        return (
+            self.constant
+            + _quadratic(controls, self.precision, self.linear)
+            + self.correction(controls)[..., 0]
+        )
 
 
 def _quadratic(controls: Tensor, precision: Tensor, linear: Tensor) -> Tensor:
@@ -171,7 +206,9 @@ def _exponents(size: int, degree: int) -> Tensor:
 
 
 def _fitted(whitened: Tensor, values: Tensor, weights: Tensor) -> tuple[Tensor, Tensor, float]:
-    """Exponents, coefficients (``(1 + GROUPS) x K``) and leave-one-out error of the polynomial of the best degree."""
+    """Exponents, coefficients (``(1 + GROUPS) x K``) and leave-one-out error of the polynomial of
+    the best degree.
+    """
     best: tuple[float, Tensor, Tensor, Tensor] | None = None
     for degree in _DEGREES:
         exponents = _exponents(whitened.shape[1], degree)
@@ -188,24 +225,34 @@ def _fitted(whitened: Tensor, values: Tensor, weights: Tensor) -> tuple[Tensor, 
     rows = []  # "gelsd": the default driver's last bits differ from call to call
     for left_out in range(-1, GROUPS):
         root = torch.where(group == left_out, 0.0, robust.sqrt())
-        rows.append(torch.linalg.lstsq(root[:, None] * basis, (root * values)[:, None], driver="gelsd").solution[:, 0])
+        rows.append(
+            torch.linalg.lstsq(
+                root[:, None] * basis, (root * values)[:, None], driver="gelsd"
+            ).solution[:, 0]
+        )
     return exponents, torch.stack(rows), error if math.isfinite(error) else math.inf
 
 
 def _robust(basis: Tensor, values: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
     """Huber's weights times those given, and leave-one-out residuals.
 
-    The nuisances of a draw are integrated out by a few of their own draws, which now and then all miss: such a likelihood is
+    The nuisances of a draw are integrated out by a few of their own draws, which now and then all
+        miss: such a likelihood is
     far too low, and no other draw's.
     """
-    robust, left = weights, values
+    robust = weights
+    left = values
     for _ in range(_ITERATIONS):
         root = robust.sqrt()
         Q, R = torch.linalg.qr(root[:, None] * basis)
-        solved = torch.linalg.solve_triangular(R, (Q.mT @ (root * values))[:, None], upper=True)[:, 0]
+        solved = torch.linalg.solve_triangular(R, (Q.mT @ (root * values))[:, None], upper=True)[
+            :, 0
+        ]
         left = (values - basis @ solved) / (1.0 - Q.square().sum(1)).clamp_min(0.1)
         order = left.abs().argsort()
-        middle = left.abs()[order][int(torch.searchsorted(weights[order].cumsum(0), 0.5 * weights.sum()))]
+        middle = left.abs()[order][
+            int(torch.searchsorted(weights[order].cumsum(0), 0.5 * weights.sum()))
+        ]
         bound = (_HUBER * 1.4826 * middle).clamp_min(1e-9)
         robust = weights * (bound / left.abs().clamp_min(1e-300)).clamp_max(1.0)
     return robust, left

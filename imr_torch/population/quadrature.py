@@ -1,4 +1,5 @@
-"""The integral over the scatters of Gaussian shots by quadrature: evidence and intervals without a draw, to first order.
+"""The integral over the scatters of Gaussian shots by quadrature: evidence and intervals without a
+draw, to first order.
 
 The cells of the grid are those that :mod:`imr_torch.population.sampling` proposes scatters from.
 """
@@ -73,10 +74,14 @@ def cells(shots: GaussianShots, prior: ModelBelief, scale: Float[Tensor, "contro
     True
     """
     varying = torch.nonzero(scale)[:, 0].tolist()
-    count, size = len(varying), len(scale)
+    count = len(varying)
+    size = len(scale)
     steps = torch.linspace(0.0, 1.0, _CELLS[count] + 1, dtype=torch.float64).square() * _TOP
     if count:
-        corners = (torch.cartesian_prod(*[x] * count).reshape(-1, count) for x in (steps[:-1], steps.diff()))
+        corners = (
+            torch.cartesian_prod(*[x] * count).reshape(-1, count)
+            for x in (steps[:-1], steps.diff())
+        )
         low, width = (x * scale[varying] for x in corners)
     else:
         low = width = torch.zeros(1, 0, dtype=torch.float64)
@@ -84,17 +89,29 @@ def cells(shots: GaussianShots, prior: ModelBelief, scale: Float[Tensor, "contro
     middle[:, varying] = low + 0.5 * width
     log_prior = half_normal(middle[:, varying], scale[varying]) + width.log().sum(1)
     precision = torch.cholesky_inverse(prior.chol)
-    evidence = torch.cat([shots.given(rows, prior.mean, precision).evidence for rows in middle.split(_CHUNK)])
+    evidence = torch.cat(
+        [shots.given(rows, prior.mean, precision).evidence for rows in middle.split(_CHUNK)]
+    )
     return Cells(low, width, middle, log_prior, evidence)
 
 
-def half_normal(values: Float[Tensor, "cells varying"], scale: Float[Tensor, "varying"]) -> Float[Tensor, "cells"]:
+def half_normal(
+    values: Float[Tensor, "cells varying"], scale: Float[Tensor, "varying"]
+) -> Float[Tensor, "cells"]:
     """Log density of independent half-normal values ``n x k`` with scales ``k``: ``n`` tensor."""
-    return (math.log(2.0) - 0.5 * math.log(2.0 * math.pi) - scale.log() - 0.5 * (values / scale).square()).sum(1)
+    return (
+        math.log(2.0)
+        - 0.5 * math.log(2.0 * math.pi)
+        - scale.log()
+        - 0.5 * (values / scale).square()
+    ).sum(1)
 
 
-def any_scatter(shots: GaussianShots, prior: ModelBelief, scale: Float[Tensor, "controls"]) -> float:
-    """Log evidence that some of the scatters are not zero: the mean over all sets of parameters that may vary, nats.
+def any_scatter(
+    shots: GaussianShots, prior: ModelBelief, scale: Float[Tensor, "controls"]
+) -> float:
+    """Log evidence that some of the scatters are not zero: the mean over all sets of parameters
+    that may vary, nats.
 
     Args:
         shots: the shots.

@@ -1,4 +1,6 @@
-"""What is known of a population of gels after some shots: intervals, evidence, errors, and the same as text and for JSON."""
+"""What is known of a population of gels after some shots: intervals, evidence, errors, and the same
+as text and for JSON.
+"""
 
 import math
 from collections.abc import Mapping
@@ -21,11 +23,15 @@ LEVELS = (0.05, 0.5, 0.95)
 DECISIVE = math.log(10.0)
 """Log Bayes factor, nats, from which shots are said to differ, or to be of one gel: odds of 10 to 1."""
 
-_DECISIVE_ROUGHLY = 10.0  # nats; the same where draws are not reliable, as of one gel for shots that agree nowhere
+_DECISIVE_ROUGHLY = (
+    10.0  # nats; the same where draws are not reliable, as of one gel for shots that agree nowhere
+)
 LARGEST_SHOWN = 30.0
 """Nats; a larger log Bayes factor rests on the far tails of the shots' likelihoods."""
 _LEVELS = torch.tensor(LEVELS, dtype=torch.float64)
-_MISSED = 1.5  # times as wide as frames alone say, from which on shots are said to be missed by the model
+_MISSED = (
+    1.5  # times as wide as frames alone say, from which on shots are said to be missed by the model
+)
 _TREND = 0.05  # p-value of a trend with the bubbles' size, all parameters together
 _ROUGH = 1.0  # nats of one shot's likelihood that its smooth form may miss at a draw
 
@@ -53,7 +59,9 @@ class BayesFactor:
     def __str__(self) -> str:
         if abs(self.value) > LARGEST_SHOWN:
             return f"{'below -' if self.value < 0 else 'above '}{LARGEST_SHOWN:.0f} nats"
-        return f"{self.value:.1f} +- {max(self.error, 0.05):.1f} nats" + ("" if self.reliable else " (draws not reliable)")
+        return f"{self.value:.1f} +- {max(self.error, 0.05):.1f} nats" + (
+            "" if self.reliable else " (draws not reliable)"
+        )
 
 
 @dataclass(frozen=True)
@@ -101,7 +109,8 @@ class Population:
         found: weighted draws of centre, scatters and shots.
         log_evidence: of all data with every parameter of ``varying`` scattered, nats.
         any_scatter: evidence of scatter of any parameter against none.
-        by_parameter: evidence of scatter of each parameter against none of it, whatever else varies.
+        by_parameter: evidence of scatter of each parameter against none of it, whatever else
+            varies.
         checks: the answer with the prior's scale halved and doubled.
         trends: of each parameter with the size of the bubble; none where the sizes are the same.
 
@@ -141,7 +150,9 @@ class Population:
 
     @property
     def verdict(self) -> str:
-        """``"scatter"``, ``"none"`` or ``"undecided"``: odds of 10 to 1 decide, 10 nats where the draws are not reliable."""
+        """``"scatter"``, ``"none"`` or ``"undecided"``: odds of 10 to 1 decide, 10 nats where the
+        draws are not reliable.
+        """
         value = self.any_scatter.value
         if abs(value) < (DECISIVE if self.any_scatter.reliable else _DECISIVE_ROUGHLY):
             return "undecided"
@@ -149,15 +160,21 @@ class Population:
 
     @property
     def reliable(self) -> bool:
-        """Whether draws of the population and of all shots, and their smooth likelihoods, are reliable."""
-        return self.found.reliable and all(shot.reliable and shot.misses < _ROUGH for shot in self.shots)
+        """Whether draws of the population and of all shots, and their smooth likelihoods, are
+        reliable.
+        """
+        return self.found.reliable and all(
+            shot.reliable and shot.misses < _ROUGH for shot in self.shots
+        )
 
     def median(self, name: str) -> Interval:
         """5, 50, 95 % quantile of the population's median of a parameter, SI."""
         return self._physical(self.found.centre, name)
 
     def scatter(self, name: str) -> Interval:
-        """5, 50, 95 % quantile of a parameter's scatter: the standard deviation of its logarithm, or of its control."""
+        """5, 50, 95 % quantile of a parameter's scatter: the standard deviation of its logarithm,
+        or of its control.
+        """
         return scatter_interval(self.found, self.prior.names.index(name), self.units)
 
     def shot(self, label: str, name: str) -> Interval:
@@ -165,19 +182,28 @@ class Population:
         return self._physical(self.found.shots[:, self.labels.index(label)], name)
 
     def alone(self, label: str, name: str) -> Interval:
-        """5, 50, 95 % quantile of a parameter of one shot from that shot alone (Gaussian in the control), SI."""
-        column, shot = self.prior.names.index(name), self.shots[self.labels.index(label)]
-        controls = shot.mean[column] + shot.sd[column] * torch.special.ndtri(torch.tensor(LEVELS, dtype=torch.float64))
+        """5, 50, 95 % quantile of a parameter of one shot from that shot alone (Gaussian in the
+        control), SI.
+        """
+        column = self.prior.names.index(name)
+        shot = self.shots[self.labels.index(label)]
+        controls = shot.mean[column] + shot.sd[column] * torch.special.ndtri(
+            torch.tensor(LEVELS, dtype=torch.float64)
+        )
         low, middle, high = self.prior.marginals[column].to_physical(controls).tolist()
         return low, middle, high
 
     def next_shot(self, name: str) -> Interval:
         """5, 50, 95 % quantile of a parameter of a shot still to be made, SI."""
-        noise = torch.randn(self.found.centre.shape, generator=generator(child(0, "next shot")), dtype=torch.float64)
+        noise = torch.randn(
+            self.found.centre.shape, generator=generator(child(0, "next shot")), dtype=torch.float64
+        )
         return self._physical(self.found.centre + self.found.scatter * noise, name)
 
     def error(self, name: str) -> tuple[float, float]:
-        """Monte Carlo standard errors of the posterior means of a median's control and of a scatter, in posterior sd."""
+        """Monte Carlo standard errors of the posterior means of a median's control and of a
+        scatter, in posterior sd.
+        """
         column = self.prior.names.index(name)
         found = []
         for values in (self.found.centre[:, column], self.found.scatter[:, column]):
@@ -188,8 +214,14 @@ class Population:
 
     def _physical(self, controls: Tensor, name: str) -> Interval:
         column = self.prior.names.index(name)
-        low, middle, high = weighted_quantiles(controls[:, column], self.found.weights, _LEVELS).tolist()
-        values = self.prior.marginals[column].to_physical(torch.tensor([low, middle, high], dtype=torch.float64)).tolist()
+        low, middle, high = weighted_quantiles(
+            controls[:, column], self.found.weights, _LEVELS
+        ).tolist()
+        values = (
+            self.prior.marginals[column]
+            .to_physical(torch.tensor([low, middle, high], dtype=torch.float64))
+            .tolist()
+        )
         return values[0], values[1], values[2]
 
     @property
@@ -198,28 +230,39 @@ class Population:
         said = []
         if self.noise.widened > _MISSED:
             said.append(
-                "the model misses curves of these shots; the fit of each passes through them, and intervals are "
+                "the model misses curves of these shots; the fit of each passes through them, and "
+                "intervals are "
                 f"{self.noise.widened:.1f} times as wide for what the residuals have in common."
             )
         for trend in self.trends:
             if trend.p_value * len(self.trends) < _TREND and trend.name in self.varying:
                 word = "rises" if trend.correlation > 0.0 else "falls"
                 said.append(
-                    f"{trend.name} {word} with the size of the bubble (Kendall's tau {trend.correlation:.2f}, "
+                    f"{trend.name} {word} with the size of the bubble (Kendall's tau "
+                    f"{trend.correlation:.2f}, "
                     f"p = {trend.p_value:.2g}), which chance differences of gels "
                     "do not do: the scatter may be an error of the model."
                 )
         loose = [shot.label for shot in self.shots if not shot.reliable]
         if loose:
             said.append(
-                f"the posterior of {', '.join(map(plain, loose))} alone is not reliable, and neither is what it adds here."
+                f"the posterior of {', '.join(map(plain, loose))} alone is not reliable, and "
+                "neither is what it adds here."
             )
-        rough = [f"{plain(shot.label)} ({shot.misses:.1f} nats)" for shot in self.shots if not shot.misses < _ROUGH]
+        rough = [
+            f"{plain(shot.label)} ({shot.misses:.1f} nats)"
+            for shot in self.shots
+            if not shot.misses < _ROUGH
+        ]
         if rough:
-            said.append(f"the likelihood of {', '.join(rough)} is not well described by a smooth function of the gel.")
+            said.append(
+                f"the likelihood of {', '.join(rough)} is not well described by a smooth function "
+                "of the gel."
+            )
         if not self.found.reliable:
             said.append(
-                f"few draws of the population count (effective {self.found.effective_samples:.0f} of "
+                f"few draws of the population count (effective {self.found.effective_samples:.0f} "
+                "of "
                 f"{len(self.found.weights)}, k {self.found.pareto_k:.2f}): its intervals are rough."
             )
         return tuple(said)
@@ -229,14 +272,18 @@ class Population:
         entries = {p.name: p for p in material(self.prior.model).parameters}
         lines = [
             f"{self.sentence} Scatter of any parameter against none: {self.any_scatter}.",
-            f"Population of {self.prior.material.title} gels (90 % intervals; prior of scatters half-normal, {self.scale:g}):",
+            f"Population of {self.prior.material.title} gels (90 % intervals; prior of scatters "
+            f"half-normal, {self.scale:g}):",
         ]
         for name in self.prior.names:
             median = entries[name].interval(*self.median(name))
             if name not in self.varying:
                 lines.append(f"  {name:6s} {median}, the same in all shots")
             else:
-                lines.append(f"  {name:6s} median {median}, a shot to come {_range(entries[name], self.next_shot(name))}")
+                lines.append(
+                    f"  {name:6s} median {median}, a shot to come "
+                    f"{_range(entries[name], self.next_shot(name))}"
+                )
                 words = scatter_words(self.prior, name, self.scatter(name))
                 lines.append(f"         {words}; evidence for it {self.by_parameter[name]}")
         lines.append("Each shot, given all (and alone):")
@@ -244,11 +291,18 @@ class Population:
             cells = []
             for name in self.varying:
                 alone = _range(entries[name], self.alone(label, name))
-                cells.append(f"{name} {entries[name].interval(*self.shot(label, name))}, alone {alone}")
+                cells.append(
+                    f"{name} {entries[name].interval(*self.shot(label, name))}, alone {alone}"
+                )
             lines.append(f"  {label}: " + "; ".join(cells))
         for check in self.checks:
-            found = ", ".join(f"{name} {x[1]:.3f} ({x[0]:.3f} to {x[2]:.3f})" for name, x in check.scatter.items())
-            lines.append(f"With a scale of {check.scale:g}: evidence of scatter {check.any_scatter}; scatter of {found}.")
+            found = ", ".join(
+                f"{name} {x[1]:.3f} ({x[0]:.3f} to {x[2]:.3f})" for name, x in check.scatter.items()
+            )
+            lines.append(
+                f"With a scale of {check.scale:g}: evidence of scatter {check.any_scatter}; "
+                f"scatter of {found}."
+            )
         lines += [f"Noise of every shot: {self.noise}.", self.draws_line]
         return "\n".join([*lines, *(f"Caution: {text}" for text in self.cautions)])
 
@@ -267,7 +321,8 @@ class Population:
         """Number and quality of the draws behind the intervals."""
         worst = max(max(self.error(name)) for name in self.varying)
         return (
-            f"Draws: effective {self.found.effective_samples:.0f} of {len(self.found.weights)} (k {self.found.pareto_k:.2f}); "
+            f"Draws: effective {self.found.effective_samples:.0f} of {len(self.found.weights)} (k "
+            f"{self.found.pareto_k:.2f}); "
             f"Monte Carlo errors up to {worst:.2f} posterior sd; smooth likelihoods miss "
             f"{max(shot.misses for shot in self.shots):.2f} nats at a draw, at most."
         )
@@ -276,7 +331,10 @@ class Population:
         """JSON-ready values; intervals are [5 %, 50 %, 95 %], SI."""
         parameters = {}
         for name in self.prior.names:
-            entry: dict[str, Any] = {"median": list(self.median(name)), "next_shot": list(self.next_shot(name))}
+            entry: dict[str, Any] = {
+                "median": list(self.median(name)),
+                "next_shot": list(self.next_shot(name)),
+            }
             entry["error"] = dict(zip(("median", "scatter"), self.error(name), strict=True))
             if name in self.varying:
                 entry |= {
@@ -299,7 +357,11 @@ class Population:
             for shot, design in zip(self.shots, self.designs, strict=True)
         ]
         checks = [
-            {"scale": c.scale, "log_bayes_factor": vars(c.any_scatter), "scatter": {k: list(v) for k, v in c.scatter.items()}}
+            {
+                "scale": c.scale,
+                "log_bayes_factor": vars(c.any_scatter),
+                "scatter": {k: list(v) for k, v in c.scatter.items()},
+            }
             for c in self.checks
         ]
         return {
@@ -327,18 +389,29 @@ class Population:
 def scatter_of(prior: ModelBelief, name: str) -> str:
     """What the scatter of a parameter is the standard deviation of."""
     marginal = prior.marginals[prior.names.index(name)]
-    return f"ln {name}" if isinstance(marginal, LogNormal) else f"{name} in standard deviations of its prior"
+    return (
+        f"ln {name}"
+        if isinstance(marginal, LogNormal)
+        else f"{name} in standard deviations of its prior"
+    )
 
 
 def scatter_words(prior: ModelBelief, name: str, interval: Interval) -> str:
     """The scatter of a parameter as text."""
     low, middle, high = interval
-    return f"standard deviation between shots of {scatter_of(prior, name)}: {middle:.3f} (90 %: {low:.3f} to {high:.3f})"
+    return (
+        f"standard deviation between shots of {scatter_of(prior, name)}: {middle:.3f} (90 %: "
+        f"{low:.3f} to {high:.3f})"
+    )
 
 
-def scatter_interval(found: WeightedPopulation, column: int, units: Float[Tensor, "controls"]) -> Interval:
+def scatter_interval(
+    found: WeightedPopulation, column: int, units: Float[Tensor, "controls"]
+) -> Interval:
     """5, 50, 95 % quantile of one scatter."""
-    low, middle, high = weighted_quantiles(found.scatter[:, column] * units[column], found.weights, _LEVELS).tolist()
+    low, middle, high = weighted_quantiles(
+        found.scatter[:, column] * units[column], found.weights, _LEVELS
+    ).tolist()
     return low, middle, high
 
 
@@ -346,4 +419,6 @@ def _range(entry: Parameter, interval: Interval) -> str:
     """Two ends of an interval in display units."""
     unit = entry.display_unit or entry.unit
     shown = "" if unit in ("", "1") else f" {'µs' if unit == 'us' else unit}"
-    return f"{entry.display_scale * interval[0]:.4g} to {entry.display_scale * interval[2]:.4g}{shown}"
+    return (
+        f"{entry.display_scale * interval[0]:.4g} to {entry.display_scale * interval[2]:.4g}{shown}"
+    )

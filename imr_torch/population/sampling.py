@@ -1,10 +1,11 @@
 """Draws of population, scatter and shots, weighted by the smooth likelihoods of the shots.
 
-The proposal is the closed form of Gaussian shots: a cell of a grid over the scatters by its probability there, the scatter
-uniform within it, the population's centre from its Gaussian with heavier tails, each shot from its own Gaussian given both. A
-draw's weight has the prior of the scatter exactly, and for every shot the mean of its likelihood over its Gaussian part. Where
-the weights vary much, the Gaussian parts are fitted again to the likelihoods at the draws (as in expectation propagation: Minka
-2001).
+The proposal is the closed form of Gaussian shots: a cell of a grid over the scatters by its
+    probability there, the scatter
+uniform within it, the population's centre from its Gaussian with heavier tails, each shot from its
+own Gaussian given both. A draw's weight has the prior of the scatter exactly, and for every shot
+the mean of its likelihood over its Gaussian part. Where the weights vary much, the Gaussian parts
+are fitted again to the likelihoods at the draws (as in expectation propagation: Minka 2001).
 """
 
 import math
@@ -37,7 +38,8 @@ class Problem:
     Args:
         shots: their likelihoods.
         prior: of the population's centre, in the model's controls.
-        scale: scale of the half-normal prior of the scatter of each control; 0 where it does not vary.
+        scale: scale of the half-normal prior of the scatter of each control; 0 where it does not
+            vary.
     """
 
     shots: tuple[ShotLikelihood, ...]
@@ -114,12 +116,16 @@ class WeightedPopulation:
 
     @property
     def evidence_error(self) -> float:
-        """Standard error of the log evidence by the number of these draws alone (delta method), nats."""
+        """Standard error of the log evidence by the number of these draws alone (delta method),
+        nats.
+        """
         weights = torch.softmax(self.log_weights[:, 0], 0)
         return float((len(weights) * weights).std() / math.sqrt(len(weights)))
 
     def mean_error(self, values: Float[Tensor, "draws"]) -> tuple[float, float]:
-        """Mean of ``n`` values and its Monte Carlo standard error, by these draws and by those of the shots."""
+        """Mean of ``n`` values and its Monte Carlo standard error, by these draws and by those of
+        the shots.
+        """
         weights = torch.softmax(self.log_weights, 0)
         means = weights.mT @ values
         own = (weights[:, 0].square() @ (values - means[0]).square()).sqrt()
@@ -141,11 +147,15 @@ def sample_population(problem: Problem, draws: int, source: torch.Generator) -> 
         gaussian = _fitted_again(problem, best)
         other = _sample(problem, gaussian, draws, source)
         if other.effective_samples > best.effective_samples:
-            best = WeightedPopulation(other.scatter, other.centre, other.shots, other.log_weights, number)
+            best = WeightedPopulation(
+                other.scatter, other.centre, other.shots, other.log_weights, number
+            )
     return best
 
 
-def _sample(problem: Problem, gaussian: GaussianShots, draws: int, source: torch.Generator) -> WeightedPopulation:
+def _sample(
+    problem: Problem, gaussian: GaussianShots, draws: int, source: torch.Generator
+) -> WeightedPopulation:
     """Draws from the closed form of Gaussian shots, and their weights."""
     scatter, log_ratio = _scatters(problem, gaussian, draws, source)
     parts = [_given(problem, gaussian, rows, source) for rows in scatter.split(_CHUNK)]
@@ -153,9 +163,12 @@ def _sample(problem: Problem, gaussian: GaussianShots, draws: int, source: torch
     return WeightedPopulation(scatter, centre, shots, log_weights + log_ratio[:, None])
 
 
-def _scatters(problem: Problem, gaussian: GaussianShots, draws: int, source: torch.Generator) -> tuple[Tensor, Tensor]:
+def _scatters(
+    problem: Problem, gaussian: GaussianShots, draws: int, source: torch.Generator
+) -> tuple[Tensor, Tensor]:
     """``draws x d`` scatters, and the log of their prior over their proposal."""
-    varying, size = problem.varying, len(problem.scale)
+    varying = problem.varying
+    size = len(problem.scale)
     scatter = torch.zeros(draws, size, dtype=torch.float64)
     if not varying:
         return scatter, torch.zeros(draws, dtype=torch.float64)
@@ -172,21 +185,35 @@ def _scatters(problem: Problem, gaussian: GaussianShots, draws: int, source: tor
 def _given(
     problem: Problem, gaussian: GaussianShots, scatter: Tensor, source: torch.Generator
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Centre, shots and log weights of draws with given scatters, but for the prior and proposal of these."""
+    """Centre, shots and log weights of draws with given scatters, but for the prior and proposal of
+    these.
+    """
     count, size = scatter.shape
     given = gaussian.given(scatter, problem.prior.mean, problem.precision)
     noise = student_draws((count, size), _FREEDOM, source)
-    centre = given.centre + torch.linalg.solve_triangular(given.chol.mT, noise[..., None], upper=True)[..., 0]
-    log_proposal = student_log_prob(noise.square().sum(1), size, _FREEDOM) + given.chol.diagonal(dim1=-2, dim2=-1).log().sum(-1)
-    log_weights = given.log_likelihood(centre) + problem.prior.log_prob_controls(centre) - log_proposal
-    means, shots, missed = given.shot_means(centre), [], []
+    centre = (
+        given.centre
+        + torch.linalg.solve_triangular(given.chol.mT, noise[..., None], upper=True)[..., 0]
+    )
+    log_proposal = student_log_prob(noise.square().sum(1), size, _FREEDOM) + given.chol.diagonal(
+        dim1=-2, dim2=-1
+    ).log().sum(-1)
+    log_weights = (
+        given.log_likelihood(centre) + problem.prior.log_prob_controls(centre) - log_proposal
+    )
+    means = given.shot_means(centre)
+    shots = []
+    missed = []
     each = _EACH if problem.varying else 2
     for e, shot in enumerate(problem.shots):
         half = torch.randn(count, each // 2, size, generator=source, dtype=torch.float64)
         noise = torch.cat((half, -half), 1)
         gels = means[:, e, None] + noise @ given.factor[:, e].mT
         base = shot.constant - gaussian.constant[e] + _quadratic(gels, shot.precision, shot.linear)
-        left = shot.correction(gels) + (base - _quadratic(gels, gaussian.precision[e], gaussian.linear[e]))[..., None]
+        left = (
+            shot.correction(gels)
+            + (base - _quadratic(gels, gaussian.precision[e], gaussian.linear[e]))[..., None]
+        )
         chosen = torch.multinomial(torch.softmax(left[..., 0], 1), 1, generator=source)[:, 0]
         shots.append(gels[torch.arange(count), chosen])
         missed.append(torch.logsumexp(left, 1) - math.log(each))
@@ -198,8 +225,11 @@ def _quadratic(controls: Tensor, precision: Tensor, linear: Tensor) -> Tensor:
 
 
 def _fitted_again(problem: Problem, found: WeightedPopulation) -> GaussianShots:
-    """Quadratics fitted to the likelihoods of the shots at the draws of each, with tempered weights."""
-    size, power = len(problem.scale), 1.0
+    """Quadratics fitted to the likelihoods of the shots at the draws of each, with tempered
+    weights.
+    """
+    size = len(problem.scale)
+    power = 1.0
     logs = found.log_weights[:, 0]
     while float(kish(torch.softmax(power * logs, 0))) < 20.0 * (size + 1) ** 2 and power > 1e-3:
         power *= 0.7
@@ -213,7 +243,9 @@ def _fitted_again(problem: Problem, found: WeightedPopulation) -> GaussianShots:
         x = (gels - mean) / unit
         basis = torch.cat((torch.ones_like(x[:, :1]), x, x[:, rows] * x[:, columns]), 1)
         values = shot.log_prob(gels)
-        solved = torch.linalg.lstsq(root[:, None] * basis, (root * values)[:, None], driver="gelsd").solution[:, 0]
+        solved = torch.linalg.lstsq(
+            root[:, None] * basis, (root * values)[:, None], driver="gelsd"
+        ).solution[:, 0]
         curve = torch.zeros(size, size, dtype=torch.float64)
         curve[rows, columns] = -solved[1 + size :]
         eigen, vectors = torch.linalg.eigh(curve + curve.mT)

@@ -1,7 +1,9 @@
-"""Every shot fitted on its own, with one law of the noise for all, and its posterior weighted by draws.
+"""Every shot fitted on its own, with one law of the noise for all, and its posterior weighted by
+draws.
 
-The noise is inferred from the residuals of these fits and not from a common one, in which shots that differ would look like
-noise (:func:`imr_torch.assimilate.infer_frame_noise`). The cost is linear in the number of shots.
+The noise is inferred from the residuals of these fits and not from a common one, in which shots
+that differ would look like noise (:func:`imr_torch.assimilate.infer_frame_noise`). The cost is
+linear in the number of shots.
 """
 
 from collections.abc import Sequence
@@ -31,7 +33,10 @@ from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
 
 _OPTIONS = SearchOptions(starts=2)
-_GRADIENT, _AGREEMENT = 0.3, 1.0  # tolerances (posterior standard deviations, nats) of fits that only the noise is taken from
+_GRADIENT, _AGREEMENT = (
+    0.3,
+    1.0,
+)  # tolerances (posterior standard deviations, nats) of fits that only the noise is taken from
 _SAMPLES = 256
 
 
@@ -85,19 +90,26 @@ def fit_shots(
     if not labels or len(set(labels)) < len(labels):
         raise InputDataError(f"Shots of different names are needed, got {len(labels)}: {labels}.")
     belief = Belief((prior,), torch.zeros(1, dtype=torch.float64))
-    law, options = noise or Noise(), options or _OPTIONS
-    current, fits = None, []
+    law = noise or Noise()
+    options = options or _OPTIONS
+    current = None
+    fits = []
     for number in range(rounds + 1):
         last = number == rounds
         how = options if last else replace(options, gradient=_GRADIENT, agreement=_AGREEMENT)
         near: Sequence[Assimilation | None] = fits or [None] * len(labels)
         found = []
         for place, (experiment, before) in enumerate(zip(experiments, near, strict=True)):
-            own, batch = child(seed, "shot", experiment.label, number), ExperimentBatch((experiment,), law)
+            own = child(seed, "shot", experiment.label, number)
+            batch = ExperimentBatch((experiment,), law)
             batch = batch if current is None else current.of_curve(place).applied(batch)
-            found.append(assimilate(belief, batch, simulator, seed=own, options=how, near=before, warn=False))
+            found.append(
+                assimilate(belief, batch, simulator, seed=own, options=how, near=before, warn=False)
+            )
             if progress:
-                progress(f"shots: {experiment.label}, {len(found)}/{len(labels)}, round {number + 1}")
+                progress(
+                    f"shots: {experiment.label}, {len(found)}/{len(labels)}, round {number + 1}"
+                )
         fits = found
         if not last:
             current = shared_noise(fits, law, simulator, widen=number + 1 == rounds)
@@ -111,8 +123,11 @@ def fit_shots(
     return tuple(weighted)
 
 
-def shared_noise(fits: Sequence[Assimilation], law: Noise, simulator: Simulator, *, widen: bool) -> FrameNoise | None:
-    """The noise, one law for all shots, each with a gel of its own, enlarged if their intervals are to be right.
+def shared_noise(
+    fits: Sequence[Assimilation], law: Noise, simulator: Simulator, *, widen: bool
+) -> FrameNoise | None:
+    """The noise, one law for all shots, each with a gel of its own, enlarged if their intervals are
+    to be right.
 
     None where the fits left fewer than ten degrees of freedom.
 
@@ -123,7 +138,10 @@ def shared_noise(fits: Sequence[Assimilation], law: Noise, simulator: Simulator,
         widen: see :func:`imr_torch.assimilate.noise_estimation.with_inferred_noise`.
     """
     pairs = [(found.fits[0], found.batch) for found in fits]
-    if sum(float(batch.mask.sum()) - freedom_of(fit, batch) for fit, batch in pairs) < FEWEST_RESIDUALS:
+    if (
+        sum(float(batch.mask.sum()) - freedom_of(fit, batch) for fit, batch in pairs)
+        < FEWEST_RESIDUALS
+    ):
         return None
     near = [Posterior(fit.prior, batch, simulator).neighbourhood(fit.point) for fit, batch in pairs]
     return infer_frame_noise(near, FrameNoisePrior(law)).for_fits(widen=widen)

@@ -1,4 +1,6 @@
-"""Results as documents (versioned JSON), and the figures and pages that are drawn from a document alone."""
+"""Results as documents (versioned JSON), and the figures and pages that are drawn from a document
+alone.
+"""
 
 from imr_torch.results.campaign import campaign_document
 from imr_torch.results.campaign_page import campaign_page

@@ -1,4 +1,6 @@
-"""The document of a campaign: its state as numbers, and what its figures and its page are drawn from again."""
+"""The document of a campaign: its state as numbers, and what its figures and its page are drawn
+from again.
+"""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -17,7 +19,11 @@ _POINTS = 400  # of a predictive band
 
 
 def campaign_document(
-    campaign: Campaign, *, proposals: Sequence[Proposal] = (), stopped: str | None = None, truth: dict[str, float] | None = None
+    campaign: Campaign,
+    *,
+    proposals: Sequence[Proposal] = (),
+    stopped: str | None = None,
+    truth: dict[str, float] | None = None,
 ) -> dict[str, Any]:
     """JSON-ready state of a campaign.
 
@@ -37,9 +43,13 @@ def campaign_document(
     ...     campaign_document(campaign)["history"][0]["label"]
     'prior'
     """
-    belief, noise = campaign.belief, campaign.plan.noise
+    belief = campaign.belief
+    noise = campaign.plan.noise
     population = campaign.steps[-1].population if campaign.steps else None
-    history = [("prior", campaign.prior), *((f"after {step.number}", step.belief) for step in campaign.steps)]
+    history = [
+        ("prior", campaign.prior),
+        *((f"after {step.number}", step.belief) for step in campaign.steps),
+    ]
     return {
         "designs": [list(e.design) for e in campaign.experiments],
         "experiments": campaign.numbers,
@@ -47,7 +57,10 @@ def campaign_document(
         "forgotten": len(campaign.forgotten),
         "relative_error": {},
         "model_probabilities": belief.probabilities,
-        "intervals": {part.model: intervals(part) if population is None else _medians(population) for part in belief.models},
+        "intervals": {
+            part.model: intervals(part) if population is None else _medians(population)
+            for part in belief.models
+        },
         "noise": vars(noise),
         "belief": belief.to_dict(),
         "history": [{"label": label, "belief": _without_cloud(step)} for label, step in history],
@@ -70,7 +83,9 @@ def _medians(population: dict[str, Any]) -> dict[str, list[float]]:
 def _without_cloud(belief: Belief) -> dict[str, Any]:
     """A belief as JSON without its draws, which its densities do not need."""
     document = belief.to_dict()
-    return document | {"models": [{k: v for k, v in part.items() if k != "cloud"} for part in document["models"]]}
+    return document | {
+        "models": [{k: v for k, v in part.items() if k != "cloud"} for part in document["models"]]
+    }
 
 
 def _design(campaign: Campaign, weber: float, rest: float) -> dict[str, float]:
@@ -93,18 +108,31 @@ def _searches(campaign: Campaign) -> list[dict[str, Any]]:
             weber, rest = search.recommendation.design.tolist()
             evaluated = [{"We": float(we), "R_inf*": float(r)} for we, r in search.designs]
             chosen = _design(campaign, weber, rest)
-            found.append({"step": number, "map": information_map(search), "evaluations": evaluated, "design": chosen})
+            found.append(
+                {
+                    "step": number,
+                    "map": information_map(search),
+                    "evaluations": evaluated,
+                    "design": chosen,
+                }
+            )
     return found
 
 
 def _curves(campaign: Campaign) -> list[dict[str, Any]]:
-    """Curves of each experiment with the predictive band of the best model, where the last step was made in this run."""
-    last, best = (campaign.steps[-1] if campaign.steps else None), campaign.belief.best.model
+    """Curves of each experiment with the predictive band of the best model, where the last step was
+    made in this run.
+    """
+    last = campaign.steps[-1] if campaign.steps else None
+    best = campaign.belief.best.model
     if last is None or last.assimilation is None:
         return []
-    outer, shot = campaign.simulator.conditions.surroundings, last.assimilation.batch.experiments
+    outer = campaign.simulator.conditions.surroundings
+    shot = last.assimilation.batch.experiments
     ends = [(float(x.times[0]), float(x.times[-1])) for x in shot]
-    drawn = torch.stack([torch.linspace(*end, _POINTS, dtype=torch.float64) for end in ends])  # frames do not show a collapse
+    drawn = torch.stack(
+        [torch.linspace(*end, _POINTS, dtype=torch.float64) for end in ends]
+    )  # frames do not show a collapse
     band = predictive_band(last.assimilation, last.belief, campaign.simulator, best, times=drawn)
     found = []
     for e, (number, experiment) in enumerate(zip(campaign.numbers, shot, strict=True)):
@@ -121,7 +149,10 @@ def _curves(campaign: Campaign) -> list[dict[str, Any]]:
                 "R_star": [drawn_numbers(row) for row in experiment.radius[:_REPEATS]],
                 "repeats": experiment.repeats,
                 "band": {"model": best, "levels": LEVELS, "t_star": drawn_numbers(drawn[e])}
-                | {name: drawn_numbers(values[e]) for name, values in zip(("low", "median", "high"), band, strict=True)},
+                | {
+                    name: drawn_numbers(values[e])
+                    for name, values in zip(("low", "median", "high"), band, strict=True)
+                },
             }
         )
     return found

@@ -1,4 +1,6 @@
-"""The page of a campaign, drawn from its document alone: what to shoot next, the gel so far, figures, then details."""
+"""The page of a campaign, drawn from its document alone: what to shoot next, the gel so far,
+figures, then details.
+"""
 
 from collections.abc import Mapping
 from typing import Any
@@ -34,15 +36,24 @@ def campaign_page(document: Mapping[str, Any], *, title: str = "") -> str:
     pictures, failed = pictures_of(campaign_figures(document))
     blocks = [
         Block("The cause of the gap", (_causes(document),)) if document.get("findings") else None,
-        Block("The gel so far" if document.get("goal") != "population" else "The median of the gels so far", (_gel(document),)),
+        Block(
+            "The gel so far"
+            if document.get("goal") != "population"
+            else "The median of the gels so far",
+            (_gel(document),),
+        ),
         Block("Does the gel differ from shot to shot?", population_block(document["population"]))
         if document.get("population")
         else None,
         Block("Shoot next", (_designs(document["proposals"]),)) if document["proposals"] else None,
         Block("What was assumed", (Table(tuple(_assumed(document))),)),
         Block("Figures", (*pictures, *failed)),
-        Block("Experiments that count", (_experiments(document),), folded=True) if document["experiments"] else None,
-        Block("All models", (_models(document),), folded=True) if len(document["model_probabilities"]) > 1 else None,
+        Block("Experiments that count", (_experiments(document),), folded=True)
+        if document["experiments"]
+        else None,
+        Block("All models", (_models(document),), folded=True)
+        if len(document["model_probabilities"]) > 1
+        else None,
         Block("Files, medium and software", (provenance_table(document),), folded=True),
     ]
     text = page(
@@ -59,7 +70,8 @@ def campaign_page(document: Mapping[str, Any], *, title: str = "") -> str:
 
 def headline(document: Mapping[str, Any]) -> str:
     """The state of a campaign in one sentence."""
-    count, best = len(document["experiments"]), _best(document)
+    count = len(document["experiments"])
+    best = _best(document)
     if not count:
         return "No experiment was told yet; what follows is what was believed before."
     if found := document.get("findings"):
@@ -68,18 +80,24 @@ def headline(document: Mapping[str, Any]) -> str:
         return f"After {count} shots: {found['sentence']} Median: {_values(document, best)}."
     lost = f" ({document['forgotten']} more were forgotten)" if document["forgotten"] else ""
     probability = document["model_probabilities"][best]
-    said = f"After {count} experiment(s){lost} {material(best).title} has a probability of {probability:.3f}"
+    said = (
+        f"After {count} experiment(s){lost} {material(best).title} has a probability of "
+        f"{probability:.3f}"
+    )
     return f"{said}: {_values(document, best)}."
 
 
 def _values(document: Mapping[str, Any], model: str) -> str:
     """Parameters of a model with their intervals."""
-    return "; ".join(f"{n} {PARAMETERS[n].interval(*v)}" for n, v in document["intervals"][model].items())
+    return "; ".join(
+        f"{n} {PARAMETERS[n].interval(*v)}" for n, v in document["intervals"][model].items()
+    )
 
 
 def cause_sentence(found: Mapping[str, Any]) -> str:
     """What a diagnosis says, in one sentence and its reason."""
-    named, said = " or ".join(found["causes"]), found["reason"]
+    named = " or ".join(found["causes"])
+    said = found["reason"]
     if not found["converged"]:
         return f"no verdict on the cause, since a fit did not converge. {said}"
     if found["verdict"] in ("effect", "class"):
@@ -87,23 +105,33 @@ def cause_sentence(found: Mapping[str, Any]) -> str:
         return f"what the model lacks is {named}, with a probability of {chance:.2f}. {said}"
     if found["verdict"] == "other":
         return f"what the model lacks is an effect that is not in the library. {said}"
-    return f"{'no gap between model and data was found' if found['verdict'] == 'none' else 'no cause can be named yet'}. {said}"
+    return (
+        f"{'no gap between model and data was found' if found['verdict'] == 'none' else 'no cause can be named yet'}. "
+        f"{said}"
+    )
 
 
 def _hypotheses(found: Mapping[str, Any]) -> list[str]:
-    """The hypotheses whose effects the verdict names: one after the other if selected together, else each alone."""
+    """The hypotheses whose effects the verdict names: one after the other if selected together,
+    else each alone.
+    """
     names = found["causes"]
     together = "+".join(names)
     return [together] if together in found["probabilities"] else names
 
 
 def _beside(found: Mapping[str, Any]) -> str:
-    """With which effects the parameters of the base model were inferred, and whether they can be quoted."""
+    """With which effects the parameters of the base model were inferred, and whether they can be
+    quoted.
+    """
     if found["verdict"] == "none":
         return "alone, which explains the curves"
     if found["verdict"] == "effect":
         return f"with {' and '.join(found['causes'])}"
-    return "alone, which does not explain the curves: values below are biased by an unknown amount, do not quote them"
+    return (
+        "alone, which does not explain the curves: values below are biased by an unknown amount, "
+        "do not quote them"
+    )
 
 
 def _causes(document: Mapping[str, Any]) -> Table:
@@ -111,8 +139,15 @@ def _causes(document: Mapping[str, Any]) -> Table:
     rows = []
     for found in document["findings"]:
         ranked = sorted(found["probabilities"].items(), key=lambda item: -item[1])
-        listed = ", ".join(f"{name} {p:.2f}" for name, p in ranked if p >= _SHOWN) or "no test finds a gap"
-        verdict = f"{found['verdict']}: {', '.join(found['causes'])}" if found["causes"] else found["verdict"]
+        listed = (
+            ", ".join(f"{name} {p:.2f}" for name, p in ranked if p >= _SHOWN)
+            or "no test finds a gap"
+        )
+        verdict = (
+            f"{found['verdict']}: {', '.join(found['causes'])}"
+            if found["causes"]
+            else found["verdict"]
+        )
         rows.append((str(found["step"]), verdict, listed))
     return Table(tuple(rows), ("after experiment", "verdict", "probabilities"))
 
@@ -123,13 +158,22 @@ def _best(document: Mapping[str, Any]) -> str:
 
 def _gel(document: Mapping[str, Any]) -> Table:
     best = _best(document)
-    rows = [("Model", f"{material(best).title}, probability {document['model_probabilities'][best]:.3f}")]
+    rows = [
+        (
+            "Model",
+            f"{material(best).title}, probability {document['model_probabilities'][best]:.3f}",
+        )
+    ]
     if found := document.get("findings"):
         rows = [("Model", f"{material(best).title} {_beside(found[-1])}")]
     truth = document.get("truth") or {}
     for name, triple in document["intervals"][best].items():
         entry = PARAMETERS[name]
-        known = f"; truth {entry.display_scale * truth[name]:.4g} {entry.display_unit or entry.unit}" if name in truth else ""
+        known = (
+            f"; truth {entry.display_scale * truth[name]:.4g} {entry.display_unit or entry.unit}"
+            if name in truth
+            else ""
+        )
         rows.append((f"{name}, {entry.meaning}", entry.interval(*triple) + known))
     return Table(tuple(rows))
 
@@ -139,26 +183,38 @@ def _designs(proposals: Any) -> Table:
     for design in proposals:
         gain = "-" if design["gain"] is None else f"{design['gain']:.2f} +- {design['gain_sd']:.2f}"
         sizes = (f"{1e6 * design['Rmax_m']:.0f}", f"{1e6 * design['R_inf_m']:.1f}")
-        rows.append((str(design["step"]), f"{design['We']:.0f}", f"{design['R_inf*']:.3f}", *sizes, gain))
-    return Table(tuple(rows), ("number", "We", "R_inf/Rmax", "Rmax (µm)", "R_inf (µm)", "expected gain (nats)"))
+        rows.append(
+            (str(design["step"]), f"{design['We']:.0f}", f"{design['R_inf*']:.3f}", *sizes, gain)
+        )
+    return Table(
+        tuple(rows),
+        ("number", "We", "R_inf/Rmax", "Rmax (µm)", "R_inf (µm)", "expected gain (nats)"),
+    )
 
 
 def _experiments(document: Mapping[str, Any]) -> Table:
     found = zip(document["experiments"], document["labels"], document["designs"], strict=True)
-    rows = tuple((str(number), label, f"{we:.0f}", f"{rest:.3f}") for number, label, (we, rest) in found)
+    rows = tuple(
+        (str(number), label, f"{we:.0f}", f"{rest:.3f}") for number, label, (we, rest) in found
+    )
     return Table(rows, ("number", "name", "We", "R_inf/Rmax"))
 
 
 def _models(document: Mapping[str, Any]) -> Table:
     rows = []
-    for key, probability in sorted(document["model_probabilities"].items(), key=lambda item: -item[1]):
+    for key, probability in sorted(
+        document["model_probabilities"].items(), key=lambda item: -item[1]
+    ):
         rows.append((material(key).title, f"{probability:.3f}", _values(document, key)))
     return Table(tuple(rows), ("model", "probability", "parameters"))
 
 
 def _assumed(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     whose = "each of a gel of its own" if document.get("goal") == "population" else "of one gel"
-    return [("Experiments", f"{len(document['experiments'])} that count, {whose}"), *setting_rows(document, _best(document))]
+    return [
+        ("Experiments", f"{len(document['experiments'])} that count, {whose}"),
+        *setting_rows(document, _best(document)),
+    ]
 
 
 def _next_step(document: Mapping[str, Any]) -> str:
@@ -168,5 +224,8 @@ def _next_step(document: Mapping[str, Any]) -> str:
         first = document["proposals"][0]
         size = f"Rmax {1e6 * first['Rmax_m']:.0f} µm and R_inf {1e6 * first['R_inf_m']:.1f} µm"
         said = f" {first['reason']}" if first.get("reason") else ""
-        return f"Shoot We {first['We']:.0f}, R_inf/Rmax {first['R_inf*']:.3f} ({size}), then --resume --tell FILE.{said}"
+        return (
+            f"Shoot We {first['We']:.0f}, R_inf/Rmax {first['R_inf*']:.3f} ({size}), then "
+            f"--resume --tell FILE.{said}"
+        )
     return ""

@@ -1,4 +1,6 @@
-"""The document of a characterisation: its numbers, and the curves from which its figures are drawn again."""
+"""The document of a characterisation: its numbers, and the curves from which its figures are drawn
+again.
+"""
 
 from dataclasses import replace
 from typing import Any
@@ -58,10 +60,15 @@ def characterization_document(
     simulator = simulator if result.medium is None else result.medium.applied(simulator)
     curves = _curves(result, traces, simulator, draws=draws, seed=seed) if len(traces) else []
     left_out = [
-        {"file": x.file, "experiment": x.experiment_id, "rows": str(x.rows), "reason": x.reason} for x in traces.left_out
+        {"file": x.file, "experiment": x.experiment_id, "rows": str(x.rows), "reason": x.reason}
+        for x in traces.left_out
     ]
     tested = result.fit_test
-    check = None if tested is None else tested.to_dict() | {"command": command, "sentence": tested.sentence(command)}
+    check = (
+        None
+        if tested is None
+        else tested.to_dict() | {"command": command, "sentence": tested.sentence(command)}
+    )
     return result.to_dict() | {
         "fit_test": check,
         "rows_left_out": left_out,
@@ -70,17 +77,27 @@ def characterization_document(
     }
 
 
-def _curves(result: Characterization, traces: TraceSet, simulator: Simulator, *, draws: int, seed: int) -> list[dict[str, Any]]:
-    """Every curve with its measured frames, the curves of the models and the predictive band of the most probable one."""
-    whole, best = result.assimilation, result.posterior.best.model
+def _curves(
+    result: Characterization, traces: TraceSet, simulator: Simulator, *, draws: int, seed: int
+) -> list[dict[str, Any]]:
+    """Every curve with its measured frames, the curves of the models and the predictive band of the
+    most probable one.
+    """
+    whole = result.assimilation
+    best = result.posterior.best.model
     pairs = [fit.of_curves(whole.batch) for fit in whole.fits]
-    fits, batch = tuple(fit for fit, _ in pairs), pairs[0][1]
+    fits = tuple(fit for fit, _ in pairs)
+    batch = pairs[0][1]
     drawn = {fit.model: dense_curve(fit, batch, simulator) for fit in fits}
     curves_only = replace(whole, batch=batch, fits=fits)
-    band = predictive_band(curves_only, result.posterior, simulator, best, draws=draws, seed=seed, times=drawn[best][0])
+    band = predictive_band(
+        curves_only, result.posterior, simulator, best, draws=draws, seed=seed, times=drawn[best][0]
+    )
     scale = simulator.conditions.surroundings
     curves = []
-    for e, (trace, use, experiment) in enumerate(zip(traces, result.frames, result.experiments, strict=True)):
+    for e, (trace, use, experiment) in enumerate(
+        zip(traces, result.frames, result.experiments, strict=True)
+    ):
         marks = result.landmarks[trace.experiment_id]
         curves.append(
             {
@@ -99,14 +116,23 @@ def _curves(result: Characterization, traces: TraceSet, simulator: Simulator, *,
                     "fitted": use.fitted,
                 },
                 "models": {fit.model: _model(fit, batch, e, drawn[fit.model]) for fit in fits},
-                "band": {"model": best, "levels": LEVELS, "t_star": drawn_numbers(drawn[best][0][e])}
-                | {name: drawn_numbers(values[e]) for name, values in zip(("low", "median", "high"), band, strict=True)},
+                "band": {
+                    "model": best,
+                    "levels": LEVELS,
+                    "t_star": drawn_numbers(drawn[best][0][e]),
+                }
+                | {
+                    name: drawn_numbers(values[e])
+                    for name, values in zip(("low", "median", "high"), band, strict=True)
+                },
             }
         )
     return curves
 
 
-def _model(fit: ModelFit, batch: ExperimentBatch, e: int, drawn: tuple[Tensor, Tensor]) -> dict[str, Any]:
+def _model(
+    fit: ModelFit, batch: ExperimentBatch, e: int, drawn: tuple[Tensor, Tensor]
+) -> dict[str, Any]:
     """The curve of one model in one experiment, and its residuals at the fitted frames."""
     seen = batch.mask[e]
     residual = (batch.mean - fit.prediction)[e][seen]

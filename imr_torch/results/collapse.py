@@ -12,9 +12,11 @@ from imr_torch.plot import DATA, MODEL
 
 
 def collapse_figure(document: Mapping[str, Any]) -> Figure:
-    """Measured less predicted collapse time of each shot, over its maximum radius and over its stretch.
+    """Measured less predicted collapse time of each shot, over its maximum radius and over its
+    stretch.
 
-    Errors are those of the time with the scatter; the errors of Rmax and R_inf are fitted and not drawn.
+    Errors are those of the time with the scatter; the errors of Rmax and R_inf are fitted and not
+    drawn.
 
     Args:
         document: of ``characterize``.
@@ -35,13 +37,25 @@ def collapse_figure(document: Mapping[str, Any]) -> Figure:
 
 
 def collapse_rows(document: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """What is assumed of shots of which the collapse time alone is known, a row each; none where there is none."""
+    """What is assumed of shots of which the collapse time alone is known, a row each.
+
+    None where there is none.
+    """
     shots = document.get("collapse_times") or []
     if not shots:
         return []
-    stated, scatter = sum(x["sd"] for x in shots) / len(shots), shots[0]["scatter"]
-    found = f"; {scatter:.2g} more, estimated from the scatter about the fit and plugged in" if scatter else ""
+    stated = sum(x["sd"] for x in shots) / len(shots)
+    scatter = shots[0]["scatter"]
+    found = (
+        f"; {scatter:.2g} more, estimated from the scatter about the fit and plugged in"
+        if scatter
+        else ""
+    )
     return [
-        ("Collapse times", f"{len(shots)} shot(s), taken to be of the same gel; Rmax and R_inf are uncertain in the fit"),
+        (
+            "Collapse times",
+            f"{len(shots)} shot(s), taken to be of the same gel; Rmax and R_inf are uncertain in "
+            "the fit",
+        ),
         ("Error of a collapse time", f"{stated:.2g} in t* as stated{found}"),
     ]

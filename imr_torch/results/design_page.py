@@ -1,4 +1,6 @@
-"""The page of a search for the next experiment, drawn from its document alone: what to shoot, map, evaluated designs."""
+"""The page of a search for the next experiment, drawn from its document alone: what to shoot, map,
+evaluated designs.
+"""
 
 from collections.abc import Mapping
 from typing import Any
@@ -23,8 +25,12 @@ def design_page(document: Mapping[str, Any], *, title: str = "Next experiment") 
     True
     """
     rows = [document, *document.get("further", ())]
-    verdict = [f"Shoot {_place(rows[0]['design'])}. Expected information gain {_gain(rows[0])} nats."]
-    verdict += [f"Beside it, shoot {_place(row['design'])}; it adds {_gain(row)} nats." for row in rows[1:]]
+    verdict = [
+        f"Shoot {_place(rows[0]['design'])}. Expected information gain {_gain(rows[0])} nats."
+    ]
+    verdict += [
+        f"Beside it, shoot {_place(row['design'])}; it adds {_gain(row)} nats." for row in rows[1:]
+    ]
     if len(rows) > 1:
         verdict.append(f"Together {document['joint_eig']:.2f} nats.")
     pictures, failed = pictures_of(draw_figures(document)) if document.get("map") else ([], [])
@@ -41,7 +47,10 @@ _NEXT = "Shoot it, then characterise the new curves together with the earlier on
 
 def _place(design: Mapping[str, float]) -> str:
     top = 1e6 * design["Rmax_m"]
-    return f"We {design['We']:.0f}, R_inf* {design['R_inf*']:.3f}: Rmax {top:.0f} um, R_inf {top * design['R_inf*']:.0f} um"
+    return (
+        f"We {design['We']:.0f}, R_inf* {design['R_inf*']:.3f}: Rmax {top:.0f} um, R_inf "
+        f"{top * design['R_inf*']:.0f} um"
+    )
 
 
 def _gain(row: Mapping[str, Any]) -> str:

@@ -1,7 +1,8 @@
 """The figures of a result document, drawn from the document alone.
 
-``draw_figures`` lists every figure of a document with a name, a caption and an alternative text; each is drawn on its own, so
-that one that fails costs no other. Frames that were not fitted are pale.
+``draw_figures`` lists every figure of a document with a name, a caption and an alternative text;
+each is drawn on its own, so that one that fails costs no other. Frames that were not fitted are
+pale.
 """
 
 import math
@@ -15,7 +16,15 @@ from matplotlib.figure import Figure
 from scipy.special import ndtri
 
 from imr_torch.errors import InputDataError
-from imr_torch.gap.plots import BESIDE, DrawnStep, only_other, plot_causes, plot_explained, plot_scores, plot_selection
+from imr_torch.gap.plots import (
+    BESIDE,
+    DrawnStep,
+    only_other,
+    plot_causes,
+    plot_explained,
+    plot_scores,
+    plot_selection,
+)
 from imr_torch.goodness.score import BlockResult, GapTest
 from imr_torch.labels import R_STAR, T_STAR, file_name, plain
 from imr_torch.material import Belief, material
@@ -59,7 +68,9 @@ def draw_figures(document: Mapping[str, Any]) -> list[NamedFigure]:
     """
     if "history" in document and "searches" in document:
         return list(campaign_figures(document))
-    if document.get("schema", {}).get("name") == "imr_torch characterize" or ("curves" in document and "belief" in document):
+    if document.get("schema", {}).get("name") == "imr_torch characterize" or (
+        "curves" in document and "belief" in document
+    ):
         check_characterization(document)
         return list(_of_characterization(document))
     if "curves" in document and "verdict" in document:
@@ -67,10 +78,18 @@ def draw_figures(document: Mapping[str, Any]) -> list[NamedFigure]:
     if "evaluations" in document and "map" in document:
         return list(_of_design(document))
     if "R_star" in document and "t_star" in document:
-        return [NamedFigure("radius", "Radius over time.", "Line chart of R over t.", lambda: radius_figure(document))]
+        return [
+            NamedFigure(
+                "radius",
+                "Radius over time.",
+                "Line chart of R over t.",
+                lambda: radius_figure(document),
+            )
+        ]
     name = document.get("schema", {}).get("name", "without a schema")
     raise InputDataError(
-        f"The document ({name}) holds no curves or map to draw; figures are drawn from results of characterize, diagnose, "
+        f"The document ({name}) holds no curves or map to draw; figures are drawn from results of "
+        "characterize, diagnose, "
         "design, campaign and simulate."
     )
 
@@ -80,7 +99,8 @@ def _of_characterization(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
         frames = curve["frames"]
         yield NamedFigure(
             f"curve_{file_name(curve['id'])}",
-            f"{curve['id']}: measured radius, the fitted model and, below, residuals over their noise (grey: up to 2). "
+            f"{curve['id']}: measured radius, the fitted model and, below, residuals over their "
+            "noise (grey: up to 2). "
             f"{frames['fitted']} of {frames['recorded']} frames were fitted; the others are pale.",
             f"Line chart of radius over time of {curve['id']} with its residuals.",
             lambda curve=curve: curve_figure(curve, document),
@@ -89,7 +109,8 @@ def _of_characterization(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
     if document["curves"]:
         yield NamedFigure(
             "residuals",
-            "Residuals over the noise of the fit: over time, over radius, their autocorrelation and their quantiles. A model "
+            "Residuals over the noise of the fit: over time, over radius, their autocorrelation "
+            "and their quantiles. A model "
             "that explains the curves leaves no pattern.",
             "Four charts of standardised residuals.",
             lambda: residuals_figure(document),
@@ -97,24 +118,30 @@ def _of_characterization(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
     if document.get("collapse_times"):
         yield NamedFigure(
             "collapse_times",
-            "Collapse time of each shot of which no more is known, less that of the most probable model, over maximum radius "
-            "and stretch; bars: its error with the estimated scatter. A model that explains them leaves no trend.",
+            "Collapse time of each shot of which no more is known, less that of the most probable "
+            "model, over maximum radius "
+            "and stretch; bars: its error with the estimated scatter. A model that explains them "
+            "leaves no trend.",
             "Two scatter charts of the residuals of collapse times.",
             lambda: collapse_figure(document),
         )
-    prior, belief = Belief.from_dict(document["prior"]), Belief.from_dict(document["belief"])
+    prior = Belief.from_dict(document["prior"])
+    belief = Belief.from_dict(document["belief"])
     names = belief[best].names
     for name in names:
         yield NamedFigure(
             f"parameter_{name}",
             f"Density of {name} before and after the data.",
             f"Line chart of the densities of {name}.",
-            lambda name=name: figure_of(plot_parameter((("prior", prior[best]), ("posterior", belief[best])), name)),
+            lambda name=name: figure_of(
+                plot_parameter((("prior", prior[best]), ("posterior", belief[best])), name)
+            ),
         )
     if len(names) > 1:
         yield NamedFigure(
             "parameters",
-            f"Posterior of the parameters of {material(best).title} together; contours hold 50 % and 90 %.",
+            f"Posterior of the parameters of {material(best).title} together; contours hold 50 % "
+            "and 90 %.",
             "Scatter plots of every pair of parameters.",
             lambda: draw_parameters(belief[best]),
         )
@@ -135,23 +162,32 @@ def _of_diagnosis(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
     for curve in document["curves"]:
         yield NamedFigure(
             f"curve_{file_name(curve['id'])}",
-            f"{curve['id']}: measured, the base model, and that with the cause or additions; below, residuals over noise.",
+            f"{curve['id']}: measured, the base model, and that with the cause or additions; "
+            "below, residuals over noise.",
             f"Line chart of radius over time of {curve['id']}.",
             lambda curve=curve: diagnosis_figure(curve),
         )
     blocks = tuple(
-        BlockResult(**row | {"power": math.nan if row["power"] is None else row["power"]}) for row in document["tests"]
+        BlockResult(**row | {"power": math.nan if row["power"] is None else row["power"]})
+        for row in document["tests"]
     )
     yield NamedFigure(
         "tests",
         "Tests of the base model's residual.",
         f"Bar chart of {len(blocks)} tests.",
-        lambda: figure_of(plot_scores(GapTest(document["p_gap"], blocks, document["bias_sigma"], 0.0))),
+        lambda: figure_of(
+            plot_scores(GapTest(document["p_gap"], blocks, document["bias_sigma"], 0.0))
+        ),
     )
-    if document["posterior"] and only_other(document["posterior"]) and document.get("explained_nats"):
+    if (
+        document["posterior"]
+        and only_other(document["posterior"])
+        and document.get("explained_nats")
+    ):
         yield NamedFigure(
             "causes",
-            "What a single further effect explains; none is enough. Light: its fit did not converge.",
+            "What a single further effect explains; none is enough. Light: its fit did not "
+            "converge.",
             "Bar chart of log evidence gained.",
             lambda: figure_of(plot_explained(document["explained_nats"], document["unconverged"])),
         )
@@ -163,26 +199,42 @@ def _of_diagnosis(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
             lambda: figure_of(plot_causes(document["posterior"])),
         )
     if document.get("ladder"):
-        steps = [DrawnStep(*(row[name] for name in DrawnStep._fields)) for row in document["ladder"]]
+        steps = [
+            DrawnStep(*(row[name] for name in DrawnStep._fields)) for row in document["ladder"]
+        ]
         yield NamedFigure(
             "effects_together",
-            "Misfit from the base model to the last effect added, and the share of the held-out gap that each step closes.",
+            "Misfit from the base model to the last effect added, and the share of the held-out "
+            "gap that each step closes.",
             f"Bar chart of {len(steps)} misfits.",
             lambda: figure_of(plot_selection(steps)),
         )
 
 
 def diagnosis_figure(curve: Mapping[str, Any]) -> Figure:
-    """One mean measured curve with the base model and the model with the cause or with additions, and residuals below."""
-    figure, (ax, below) = plt.subplots(2, 1, figsize=(5.2, 4.4), height_ratios=[2, 1], sharex=True, layout="constrained")
+    """One mean measured curve with the base model and the model with the cause or with additions,
+    and residuals below.
+    """
+    figure, (ax, below) = plt.subplots(
+        2, 1, figsize=(5.2, 4.4), height_ratios=[2, 1], sharex=True, layout="constrained"
+    )
     t, r, sd = (_floats(curve[name]) for name in ("t_star", "R_star", "sd"))
     ax.plot(t, r, ".", ms=4, color=DATA, label="measured")
     below.axhspan(-2.0, 2.0, color="#E2E2E2", lw=0)
     for name, label in {"base": "base model", **BESIDE}.items():
         color, style = (SECOND, "--") if name == "base" else (MODEL, "-")
         if curve.get(name) is not None:
-            drawn = curve.get("drawn", {}).get(name, {"t_star": curve["t_star"], "R_star": curve[name]})
-            ax.plot(_floats(drawn["t_star"]), _floats(drawn["R_star"]), color=color, ls=style, lw=1.3, label=label)
+            drawn = curve.get("drawn", {}).get(
+                name, {"t_star": curve["t_star"], "R_star": curve[name]}
+            )
+            ax.plot(
+                _floats(drawn["t_star"]),
+                _floats(drawn["R_star"]),
+                color=color,
+                ls=style,
+                lw=1.3,
+                label=label,
+            )
             below.plot(t, (r - _floats(curve[name])) / sd, color=color, ls=style, lw=1.2)
     ax.set(ylabel=R_STAR, ylim=(0.0, None))
     ax.set_title(plain(curve["id"]), fontsize=10)
@@ -197,8 +249,11 @@ def _of_design(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
         yield NamedFigure(
             "information" if number == 1 else f"information_{number}",
             "Expected information gain over designs; dots: evaluated, star: chosen.",
-            f"Map; the star is at We {step['design']['We']:.0f}, R_inf* {step['design']['R_inf*']:.3f}.",
-            lambda step=step: figure_of(draw_information(step["map"], step["evaluations"], step["design"])),
+            f"Map; the star is at We {step['design']['We']:.0f}, R_inf* "
+            f"{step['design']['R_inf*']:.3f}.",
+            lambda step=step: figure_of(
+                draw_information(step["map"], step["evaluations"], step["design"])
+            ),
         )
 
 
@@ -219,29 +274,72 @@ def curve_figure(curve: Mapping[str, Any], document: Mapping[str, Any]) -> Figur
         curve: an entry of ``curves``.
         document: the whole document.
     """
-    figure, (ax, below) = plt.subplots(2, 1, figsize=(5.8, 4.8), height_ratios=[3, 1], sharex=True, layout="constrained")
-    probabilities, best = document["model_probabilities"], curve["band"]["model"]
+    figure, (ax, below) = plt.subplots(
+        2, 1, figsize=(5.8, 4.8), height_ratios=[3, 1], sharex=True, layout="constrained"
+    )
+    probabilities = document["model_probabilities"]
+    best = curve["band"]["model"]
     t, r, fitted = _measured(curve)
     band = curve["band"]
-    low, high = _floats(band["low"]), _floats(band["high"])
-    ax.fill_between(_floats(band["t_star"]), low, high, color=MODEL, alpha=0.22, lw=0, label="90 % predictive")
+    low = _floats(band["low"])
+    high = _floats(band["high"])
+    ax.fill_between(
+        _floats(band["t_star"]), low, high, color=MODEL, alpha=0.22, lw=0, label="90 % predictive"
+    )
     colors = iter((SECOND, TRUTH, "#009E73", "#CC79A7"))
     for key in sorted(curve["models"], key=lambda key: -probabilities[key]):
         if key != best and probabilities[key] < _OTHERS:
             continue
-        style = {"color": MODEL, "lw": 1.5} if key == best else {"color": next(colors, PALE), "lw": 1.0, "ls": "--"}
+        style = (
+            {"color": MODEL, "lw": 1.5}
+            if key == best
+            else {"color": next(colors, PALE), "lw": 1.0, "ls": "--"}
+        )
         model = curve["models"][key]
-        ax.plot(_floats(model["t_star"]), _floats(model["R_star"]), label=f"{material(key).title}", zorder=3, **style)
-    ax.plot(t[~fitted], r[~fitted], ".", ms=4, color=PALE, label=f"not fitted ({int((~fitted).sum())})", zorder=2)
-    ax.plot(t[fitted], r[fitted], ".", ms=4.5, color=DATA, label=f"fitted ({int(fitted.sum())})", zorder=4)
+        ax.plot(
+            _floats(model["t_star"]),
+            _floats(model["R_star"]),
+            label=f"{material(key).title}",
+            zorder=3,
+            **style,
+        )
+    ax.plot(
+        t[~fitted],
+        r[~fitted],
+        ".",
+        ms=4,
+        color=PALE,
+        label=f"not fitted ({int((~fitted).sum())})",
+        zorder=2,
+    )
+    ax.plot(
+        t[fitted],
+        r[fitted],
+        ".",
+        ms=4.5,
+        color=DATA,
+        label=f"fitted ({int(fitted.sum())})",
+        zorder=4,
+    )
     end = float(t[fitted].max())
-    start, shown = float(min(t.min(), 0.0)), min(float(t.max()), _FARTHER * end)
+    start = float(min(t.min(), 0.0))
+    shown = min(float(t.max()), _FARTHER * end)
     start = max(start, -0.25 * end)
     hidden = int(((t > shown + 1e-12) | (t < start - 1e-12)).sum())
     if hidden:
-        ax.annotate(f"{hidden} more frames not shown", (0.99, 0.03), xycoords="axes fraction", ha="right", fontsize=7)
+        ax.annotate(
+            f"{hidden} more frames not shown",
+            (0.99, 0.03),
+            xycoords="axes fraction",
+            ha="right",
+            fontsize=7,
+        )
     margin = 0.02 * (shown - start)
-    ax.set(ylabel=R_STAR, ylim=(0.0, 1.08 * max(1.0, float(r.max()))), xlim=(start - margin, shown + margin))
+    ax.set(
+        ylabel=R_STAR,
+        ylim=(0.0, 1.08 * max(1.0, float(r.max()))),
+        xlim=(start - margin, shown + margin),
+    )
     ax.legend(frameon=False, fontsize=8, ncols=2, loc="upper right")
     if shown > 1.02 * end:
         for panel in (ax, below):
@@ -258,32 +356,46 @@ def curve_figure(curve: Mapping[str, Any], document: Mapping[str, Any]) -> Figur
 
 
 def residuals_figure(document: Mapping[str, Any]) -> Figure:
-    """Standardised residuals of the most probable model over t* and R*, their autocorrelation, and their quantiles."""
+    """Standardised residuals of the most probable model over t* and R*, their autocorrelation, and
+    their quantiles.
+    """
     figure, axes = plt.subplots(2, 2, figsize=(5.8, 5.0), layout="constrained")
     rows = []
     for curve in document["curves"]:
         t, r, fitted = _measured(curve)
         model = curve["models"][curve["band"]["model"]]
-        rows.append((t[fitted], r[fitted] - _floats(model["residual"]), _floats(model["residual_over_sd"])))
+        rows.append(
+            (t[fitted], r[fitted] - _floats(model["residual"]), _floats(model["residual_over_sd"]))
+        )
     marker = {"marker": ".", "ls": "none", "ms": 4, "alpha": 0.7}
     for column, label in ((0, T_STAR), (1, f"{R_STAR} of the model")):
         ax = axes[0][column]
         ax.axhspan(-2.0, 2.0, color="#E2E2E2", lw=0)
         ax.axhline(0.0, color=DATA, lw=0.6)
         for number, row in enumerate(rows):
-            ax.plot(row[column], row[2], color=(MODEL, SECOND, TRUTH, "#009E73", "#CC79A7")[number % 5], **marker)
+            ax.plot(
+                row[column],
+                row[2],
+                color=(MODEL, SECOND, TRUTH, "#009E73", "#CC79A7")[number % 5],
+                **marker,
+            )
         ax.set(xlabel=label, ylabel="residual / noise")
     _autocorrelation(rows, float(document["noise"]["correlation_time"]), axes[1][0])
     _quantiles(np.concatenate([row[2] for row in rows]), axes[1][1])
     return figure
 
 
-def _autocorrelation(rows: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], memory: float, ax: Axes) -> None:
+def _autocorrelation(
+    rows: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], memory: float, ax: Axes
+) -> None:
     """Autocorrelation over lags in frames, pooled over curves, with what the noise law assumes."""
     count = min(_LAGS, max(len(row[0]) for row in rows) - 2)
     lags = np.arange(1, count + 1)
-    total, pairs = np.zeros(count), np.zeros(count)
-    power = sum(float(np.nansum(z**2)) for _, _, z in rows) / max(1, sum(int(np.isfinite(z).sum()) for _, _, z in rows))
+    total = np.zeros(count)
+    pairs = np.zeros(count)
+    power = sum(float(np.nansum(z**2)) for _, _, z in rows) / max(
+        1, sum(int(np.isfinite(z).sum()) for _, _, z in rows)
+    )
     for _, _, z in rows:
         for i, lag in enumerate(lags):
             if lag < len(z):
@@ -311,7 +423,12 @@ def _quantiles(values: np.ndarray, ax: Axes) -> None:
     ax.plot((-reach, reach), (-reach, reach), color=DATA, lw=0.8)
     ax.plot(expected, z, ".", ms=4, color=MODEL)
     inner = 1.15 * float(np.abs(expected).max())
-    ax.set(xlabel="quantile of the standard normal", ylabel="residual / noise", xlim=(-inner, inner), ylim=(-reach, reach))
+    ax.set(
+        xlabel="quantile of the standard normal",
+        ylabel="residual / noise",
+        xlim=(-inner, inner),
+        ylim=(-reach, reach),
+    )
 
 
 def _measured(curve: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,4 +1,6 @@
-"""What every result document says of itself: schema, software, date, command, files with their hashes, medium and units."""
+"""What every result document says of itself: schema, software, date, command, files with their
+hashes, medium and units.
+"""
 
 import hashlib
 import platform
@@ -43,7 +45,8 @@ def header(
     Args:
         kind: what the document holds, the name of the command that made it.
         files: data files that were read; JSON files of the same names beside them are named too.
-        medium: the liquid side, with what was stated and what was assumed; of plain surroundings all is assumed.
+        medium: the liquid side, with what was stated and what was assumed; of plain surroundings
+            all is assumed.
         command: the command line.
         now: when the result was made; the present when not given.
 
@@ -66,7 +69,9 @@ def header(
         "units": UNITS,
     }
     if medium is not None:
-        document["medium"] = (GelMedium(medium) if isinstance(medium, Surroundings) else medium).to_dict()
+        document["medium"] = (
+            GelMedium(medium) if isinstance(medium, Surroundings) else medium
+        ).to_dict()
     return document
 
 
@@ -87,7 +92,8 @@ def read_document(path: str | Path) -> dict[str, Any]:
     """Read a result document and check it.
 
     Raises:
-        InputDataError: if the file cannot be read, is no JSON, or no result of a version that this software knows.
+        InputDataError: if the file cannot be read, is no JSON, or no result of a version that this
+            software knows.
 
     >>> import tempfile
     >>> from pathlib import Path
@@ -120,10 +126,13 @@ def check_document(document: Any, source: str = "The document") -> None:
     schema = document.get("schema") if isinstance(document, Mapping) else None
     if not isinstance(schema, Mapping) or not str(schema.get("name", "")).startswith("imr_torch "):
         raise InputDataError(
-            f"{source}: has no 'schema' of imr_torch, so it is no result that can be drawn; make it anew with --json."
+            f"{source}: has no 'schema' of imr_torch, so it is no result that can be drawn; make "
+            "it anew with --json."
         )
     number = schema.get("version")
     if number != SCHEMA_VERSION:
         newer = isinstance(number, int) and number > SCHEMA_VERSION
         remedy = "Install a newer imr-torch." if newer else "Make the result anew."
-        raise InputDataError(f"{source}: schema version is {number}; this software reads {SCHEMA_VERSION}. {remedy}")
+        raise InputDataError(
+            f"{source}: schema version is {number}; this software reads {SCHEMA_VERSION}. {remedy}"
+        )

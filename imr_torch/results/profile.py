@@ -23,7 +23,8 @@ _REACH = 3.0  # standard deviations of the posterior that are drawn
 
 
 def profile_named_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
-    """A figure for each model with profiles: ``profile`` of the most probable one, ``profile_KEY`` of others.
+    """A figure for each model with profiles: ``profile`` of the most probable one, ``profile_KEY``
+    of others.
 
     Args:
         document: of ``characterize``.
@@ -33,8 +34,10 @@ def profile_named_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
         if found:
             yield NamedFigure(
                 "profile" if key == best else f"profile_{file_name(key)}",
-                f"Profile likelihood of the parameters of {material(key).title}: nats that the best fit loses where one "
-                "is held and all others are fitted again, beside posterior and prior. Below the dashed line: 95 %. A side on "
+                f"Profile likelihood of the parameters of {material(key).title}: nats that the "
+                "best fit loses where one "
+                "is held and all others are fitted again, beside posterior and prior. Below the "
+                "dashed line: 95 %. A side on "
                 "which it stays below is open: the data do not bound the parameter there.",
                 f"Line charts of the profile likelihood of {', '.join(found)}.",
                 lambda key=key: profile_figure(document, key),
@@ -61,23 +64,32 @@ def profile_figure(document: Mapping[str, Any], key: str) -> Figure:
     for row in axes:
         row[0].set_ylabel("nats lost")
     handles, labels = axes.flat[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2 if columns == 1 else 4, frameon=False, fontsize=8)
+    figure.legend(
+        handles,
+        labels,
+        loc="outside lower center",
+        ncols=2 if columns == 1 else 4,
+        frameon=False,
+        fontsize=8,
+    )
     return figure
 
 
-def _panel(ax: Axes, name: str, entry: Mapping[str, Any], prior: ModelBelief, posterior: ModelBelief) -> None:
+def _panel(
+    ax: Axes, name: str, entry: Mapping[str, Any], prior: ModelBelief, posterior: ModelBelief
+) -> None:
     """The profile of one parameter, with the line of 95 % and what posterior and prior would lose."""
     parameter = PARAMETERS[name]
-    values, lost = (
-        parameter.display_scale * np.asarray(entry["values"], dtype=float),
-        np.asarray(entry["nats_lost"], dtype=float),
-    )
+    values = parameter.display_scale * np.asarray(entry["values"], dtype=float)
+    lost = np.asarray(entry["nats_lost"], dtype=float)
     z = torch.linspace(-_REACH, _REACH, 121, dtype=torch.float64)
     curves = [
-        parameter.display_scale * part.quantile(torch.special.ndtr(z))[:, part.names.index(name)].numpy()
+        parameter.display_scale
+        * part.quantile(torch.special.ndtr(z))[:, part.names.index(name)].numpy()
         for part in (prior, posterior)
     ]
-    low, high = min(values.min(), curves[1].min()), max(values.max(), curves[1].max())
+    low = min(values.min(), curves[1].min())
+    high = max(values.max(), curves[1].max())
     wide = low > 0.0 and high > _WIDE * low
     ax.axhline(FALL, color=DATA, ls="--", lw=1.0, label="95 %")
     for at, color, label in zip(curves, (PALE, SECOND), ("prior", "posterior"), strict=True):
@@ -95,7 +107,9 @@ def _panel(ax: Axes, name: str, entry: Mapping[str, Any], prior: ModelBelief, po
 
 
 def _between(values: np.ndarray, lost: np.ndarray, wide: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Points of a smooth line: the root of the nats lost, signed by the side, is nearly straight between fits."""
+    """Points of a smooth line: the root of the nats lost, signed by the side, is nearly straight
+    between fits.
+    """
     at = np.log(values) if wide else values
     best = int(lost.argmin())
     roots = np.sqrt(lost) * np.where(np.arange(len(lost)) < best, -1.0, 1.0)
@@ -109,26 +123,35 @@ def profile_block(document: Mapping[str, Any]) -> tuple[str | Table, ...]:
     Args:
         document: of ``characterize``.
     """
-    rows, alone, loose = [], [], 0
+    rows = []
+    alone = []
+    loose = 0
     for key, found in document["profiles"].items():
         title = material(key).title
         if not found:
-            alone.append(f"{title} has one free parameter, so that its posterior says the same as a profile.")
+            alone.append(
+                f"{title} has one free parameter, so that its posterior says the same as a profile."
+            )
         for name, entry in found.items():
             loose += entry["converged"].count(False)
             posterior = PARAMETERS[name].interval(*document["models"][key]["intervals"][name])
             shown = name if len(document["profiles"]) == 1 else f"{title}: {name}"
             flat = ": flat" * (entry["limits_95"] == [None, None])
-            rows.append((shown, posterior, _interval(name, entry["limits_95"]), entry["bounded"] + flat))
+            rows.append(
+                (shown, posterior, _interval(name, entry["limits_95"]), entry["bounded"] + flat)
+            )
     lines = [
-        "Each parameter is held at values on both sides of its most probable one, and all others, Rmax, time zero and R_inf "
-        "are fitted again; the noise is the estimated one. The 95 % interval of the profile holds the values at which the fit "
+        "Each parameter is held at values on both sides of its most probable one, and all others, "
+        "Rmax, time zero and R_inf "
+        "are fitted again; the noise is the estimated one. The 95 % interval of the profile holds "
+        "the values at which the fit "
         "loses less than 1.92 nats, whatever the prior of the parameter says.",
         *alone,
     ]
     if loose:
         lines.append(
-            f"{loose} of these fits have not converged (hollow in the figure), so that they may lose less than is drawn."
+            f"{loose} of these fits have not converged (hollow in the figure), so that they may "
+            "lose less than is drawn."
         )
     heads = ("parameter", "posterior", "profile, 95 %", "bounded by the data")
     return (*lines, Table(tuple(rows), heads)) if rows else tuple(lines)

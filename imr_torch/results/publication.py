@@ -1,8 +1,9 @@
-"""Figures at the size at which they are printed: one or two columns wide, text of 6 to 8 points, thin lines.
+"""Figures at the size at which they are printed: one or two columns wide, text of 6 to 8 points,
+thin lines.
 
-A figure that is made small by the typesetting has text that cannot be read. Here it is drawn again at its printed width, so
-that points are points. Colours are those of :mod:`imr_torch.plot` (Okabe and Ito 2008), which colour-blind readers
-can tell apart.
+A figure that is made small by the typesetting has text that cannot be read. Here it is drawn again
+at its printed width, so that points are points. Colours are those of :mod:`imr_torch.plot` (Okabe
+and Ito 2008), which colour-blind readers can tell apart.
 """
 
 from collections.abc import Callable
@@ -17,7 +18,8 @@ from imr_torch.errors import InputDataError
 WIDTHS = {"one": 86.0, "two": 178.0}
 """Number of columns -> width in mm, as most journals have them."""
 
-TEXT, SMALL = 8.0, 7.0
+TEXT = 8.0
+SMALL = 7.0
 """Points: of axes and titles, and of ticks and legends."""
 
 LEAST = 6.0
@@ -72,7 +74,9 @@ def for_publication(draw: Callable[[], Figure], columns: str) -> Figure:
             _fit(text, TEXT)
         if columns == "one":
             _legend_below(figure)
-        legends = [legend for ax in figure.axes if (legend := ax.get_legend()) is not None] + figure.legends
+        legends = [
+            legend for ax in figure.axes if (legend := ax.get_legend()) is not None
+        ] + figure.legends
         for text in (text for legend in legends for text in legend.get_texts()):
             _fit(text, SMALL)
         _break_long_labels(figure)
@@ -81,7 +85,9 @@ def for_publication(draw: Callable[[], Figure], columns: str) -> Figure:
 
 
 def _break_long_labels(figure: Figure) -> None:
-    """Put titles and labels that are wider than their axes into two lines, and make them smaller where that is not enough."""
+    """Put titles and labels that are wider than their axes into two lines, and make them smaller
+    where that is not enough.
+    """
     figure.draw_without_rendering()
     for ax in figure.axes:
         for text in (ax.title, ax.xaxis.label):
@@ -92,7 +98,8 @@ def _break_long_labels(figure: Figure) -> None:
 
 
 def in_two_lines(text: str) -> str:
-    r"""The text, broken before a parenthesis or else at the blank next to its middle, never within a formula.
+    r"""The text, broken before a parenthesis or else at the blank next to its middle, never within
+    a formula.
 
     >>> from imr_torch.results.publication import in_two_lines
     >>> in_two_lines("$G = 8$ (7 to 9)")
@@ -114,10 +121,17 @@ def _legend_below(figure: Figure) -> None:
         return
     legend = owners[0].get_legend()
     assert legend is not None
-    handles, labels = legend.legend_handles, [text.get_text() for text in legend.get_texts()]
+    handles = legend.legend_handles
+    labels = [text.get_text() for text in legend.get_texts()]
     legend.remove()
     rows = (len(labels) + 1) // 2
-    figure.legend([h for h in handles if h is not None], labels, loc="outside lower center", ncols=2, frameon=False)
+    figure.legend(
+        [h for h in handles if h is not None],
+        labels,
+        loc="outside lower center",
+        ncols=2,
+        frameon=False,
+    )
     width, height = figure.get_size_inches()
     figure.set_size_inches(width, height + rows * 1.5 * SMALL / 72.0)
 

@@ -1,4 +1,6 @@
-"""Whether a result document holds what its figures and pages are drawn from, asked before anything is drawn."""
+"""Whether a result document holds what its figures and pages are drawn from, asked before anything
+is drawn.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -25,9 +27,22 @@ _CURVE: dict[str, Any] = {
     "models": dict,
     "band": {"model": str, "t_star": _LIST, "low": _LIST, "high": _LIST},
 }
-_MODEL: dict[str, Any] = {"t_star": _LIST, "R_star": _LIST, "residual": _LIST, "residual_over_sd": _LIST}
-_SHOT: dict[str, Any] = {"id": str} | dict.fromkeys(("Rmax_m", "R_inf*", "t_star", "sd", "scatter", "predicted"), _NUMBER)
-_PROFILE: dict[str, Any] = {"values": _LIST, "nats_lost": _LIST, "converged": _LIST, "limits_95": _LIST, "bounded": str}
+_MODEL: dict[str, Any] = {
+    "t_star": _LIST,
+    "R_star": _LIST,
+    "residual": _LIST,
+    "residual_over_sd": _LIST,
+}
+_SHOT: dict[str, Any] = {"id": str} | dict.fromkeys(
+    ("Rmax_m", "R_inf*", "t_star", "sd", "scatter", "predicted"), _NUMBER
+)
+_PROFILE: dict[str, Any] = {
+    "values": _LIST,
+    "nats_lost": _LIST,
+    "converged": _LIST,
+    "limits_95": _LIST,
+    "bounded": str,
+}
 _ENTRY: dict[str, Any] = {"intervals": dict, "rmse": _NUMBER, "certificate": dict, "draws": str}
 
 
@@ -50,7 +65,11 @@ def check_characterization(document: Mapping[str, Any]) -> None:
         _check(document, {name: dict}, "")
         keys = Belief.from_dict(document[name]).keys
         if set(keys) != set(document["model_probabilities"]):
-            raise _wrong(name, f"a belief of {', '.join(keys)}", f"one of {', '.join(document['model_probabilities'])}")
+            raise _wrong(
+                name,
+                f"a belief of {', '.join(keys)}",
+                f"one of {', '.join(document['model_probabilities'])}",
+            )
     _check(document["models"], dict.fromkeys(document["model_probabilities"], _ENTRY), "models")
     for name in ("model_probabilities", "model_probability_errors"):
         _check(document[name], dict.fromkeys(document["model_probabilities"], _NUMBER), name)
@@ -65,30 +84,46 @@ def check_characterization(document: Mapping[str, Any]) -> None:
         _check(curve["models"], dict.fromkeys(document["models"], _MODEL), f"{place}.models")
         _check_lengths(curve["measured"], place + ".measured")
         for key, model in curve["models"].items():
-            _check_lengths({name: model[name] for name in ("t_star", "R_star")}, f"{place}.models.{key}")
+            _check_lengths(
+                {name: model[name] for name in ("t_star", "R_star")}, f"{place}.models.{key}"
+            )
             _check_residuals(curve, key, place)
         _check_lengths(curve["band"], place + ".band")
         if curve["band"]["model"] not in curve["models"]:
-            raise _wrong(f"{place}.band.model", repr(curve["band"]["model"]), "a model of the curve")
+            raise _wrong(
+                f"{place}.band.model", repr(curve["band"]["model"]), "a model of the curve"
+            )
 
 
 def _check_profiles(document: Mapping[str, Any]) -> None:
-    """Raise unless profiles, where there are some, are of parameters of the document's models and whole."""
+    """Raise unless profiles, where there are some, are of parameters of the document's models and
+    whole.
+    """
     profiles = document.get("profiles") or {}
     _check({"profiles": profiles}, {"profiles": dict}, "")
     for key, found in profiles.items():
         if key not in document["models"]:
             raise _wrong("profiles", f"of {key!r}", f"of {', '.join(document['models'])}")
-        place, entry = f"profiles.{key}", document["models"][key]
+        place = f"profiles.{key}"
+        entry = document["models"][key]
         _check(profiles, {key: dict}, "profiles")
         _check(found, dict.fromkeys(found, _PROFILE), place)
-        _check({"identifiability": entry.get("identifiability")}, {"identifiability": dict}, f"models.{key}")
+        _check(
+            {"identifiability": entry.get("identifiability")},
+            {"identifiability": dict},
+            f"models.{key}",
+        )
         for name, profile in found.items():
             if name not in entry["intervals"] or name not in entry["identifiability"]:
                 raise _wrong(place, f"of {name!r}", f"of {', '.join(entry['intervals'])}")
-            _check_lengths({part: profile[part] for part in ("values", "nats_lost", "converged")}, f"{place}.{name}")
+            _check_lengths(
+                {part: profile[part] for part in ("values", "nats_lost", "converged")},
+                f"{place}.{name}",
+            )
             if not profile["values"] or len(profile["limits_95"]) != 2:
-                raise _wrong(f"{place}.{name}", "without values or limits", "values, and two limits")
+                raise _wrong(
+                    f"{place}.{name}", "without values or limits", "values, and two limits"
+                )
             for part in ("values", "nats_lost", "limits_95"):
                 _check_numbers(profile[part], f"{place}.{name}.{part}", none=part == "limits_95")
 
@@ -109,9 +144,17 @@ def _check(values: Mapping[str, Any], wanted: Mapping[str, Any], place: str) -> 
 
 def _check_lengths(values: Mapping[str, Any], place: str) -> None:
     """Raise unless all lists have as many entries."""
-    lengths = {name: len(value) for name, value in values.items() if isinstance(value, _LIST) and name != "levels"}
+    lengths = {
+        name: len(value)
+        for name, value in values.items()
+        if isinstance(value, _LIST) and name != "levels"
+    }
     if len(set(lengths.values())) > 1:
-        raise _wrong(place, f"of lengths {', '.join(f'{k} {n}' for k, n in lengths.items())}", "the same length of all")
+        raise _wrong(
+            place,
+            f"of lengths {', '.join(f'{k} {n}' for k, n in lengths.items())}",
+            "the same length of all",
+        )
 
 
 def _check_numbers(values: Sequence[Any], place: str, *, none: bool) -> None:
@@ -129,7 +172,11 @@ def _check_residuals(curve: Mapping[str, Any], model: str, place: str) -> None:
     for name in ("residual", "residual_over_sd"):
         if len(curve["models"][model][name]) != fitted:
             found = f"of {len(curve['models'][model][name])} numbers"
-            raise _wrong(f"{place}.models.{model}.{name}", found, f"one of each of the {fitted} fitted frames")
+            raise _wrong(
+                f"{place}.models.{model}.{name}",
+                found,
+                f"one of each of the {fitted} fitted frames",
+            )
 
 
 def _word(kind: Any) -> str:
@@ -137,4 +184,6 @@ def _word(kind: Any) -> str:
 
 
 def _wrong(name: str, found: str, expected: str) -> InputDataError:
-    return InputDataError(f"{name} is {found}; expected {expected}. The result is not whole: make it anew.")
+    return InputDataError(
+        f"{name} is {found}; expected {expected}. The result is not whole: make it anew."
+    )

@@ -1,8 +1,16 @@
-"""Model selection: evidence with its Monte Carlo error, probabilities, and predictive scores beside them."""
+"""Model selection: evidence with its Monte Carlo error, probabilities, and predictive scores beside
+them.
+"""
 
 from imr_torch.select.evidence import Evidence, evidences, log_evidence
 from imr_torch.select.identifiability import Bound, Identifiability, identifiability
-from imr_torch.select.predictive import PredictiveScore, cross_validate, default_folds, predictive_density, sum_over_folds
+from imr_torch.select.predictive import (
+    PredictiveScore,
+    cross_validate,
+    default_folds,
+    predictive_density,
+    sum_over_folds,
+)
 from imr_torch.select.probabilities import probability_errors, update
 from imr_torch.select.published import published_probabilities
 

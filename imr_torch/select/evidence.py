@@ -1,7 +1,8 @@
 """Model evidence: the probability of the data under a model, with its Monte Carlo error.
 
-``log p(y) = log int p(y | v, w) p(v) p(w) dv dw`` over the gel and the nuisances, from the draws that
-:func:`imr_torch.assimilate.weigh` has weighted by the exact posterior; the same draws give moments and verdict.
+``log p(y) = log int p(y | v, w) p(v) p(w) dv dw`` over the gel and the nuisances, from the draws
+that :func:`imr_torch.assimilate.weigh` has weighted by the exact posterior; the same draws give
+moments and verdict.
 """
 
 import math
@@ -22,7 +23,8 @@ class Evidence:
         model: key of the constitutive model.
         value: ``log p(y)``, nats.
         error: its Monte Carlo standard error, nats.
-        effective_samples: Kish effective sample size; near ``samples`` when the proposal is the posterior.
+        effective_samples: Kish effective sample size; near ``samples`` when the proposal is the
+            posterior.
         samples: importance samples.
         failed: samples whose solve failed; they count as data of probability 0.
         pareto_k: shape of the tail of the weights.
@@ -73,7 +75,10 @@ def log_evidence(fit: ModelFit) -> Evidence:
     """
     sample = fit.sample
     if sample is None:
-        raise InputDataError(f"The fit of {fit.model!r} has no weighted draws; pass its assimilation through `weigh` first.")
+        raise InputDataError(
+            f"The fit of {fit.model!r} has no weighted draws; pass its assimilation through "
+            "`weigh` first."
+        )
     return Evidence(
         fit.model,
         sample.log_evidence,
@@ -88,8 +93,8 @@ def log_evidence(fit: ModelFit) -> Evidence:
 def _error(fit: ModelFit, sample: ImportanceSample) -> float:
     """Standard error of a log evidence, nats.
 
-    Where the moments found are not those that the proposal was made for, draws may lack a part of the posterior, and their
-    weights do not show it: the divergence between the two is added.
+    Where the moments found are not those that the proposal was made for, draws may lack a part of
+    the posterior, and their weights do not show it: the divergence between the two is added.
     """
     if fit.verdict is not Verdict.REFUSED:
         return sample.log_evidence_error

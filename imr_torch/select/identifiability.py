@@ -1,9 +1,10 @@
 """What the data say of each parameter, in words: bounded on both sides, on one, or not at all.
 
-The marginal likelihood of a parameter is its posterior over its prior. Between Gaussians of the coordinate in which the prior
-is a standard normal it is a Gaussian too, so how far it falls towards either end of the prior follows from two moments
-(Raue et al., Bioinformatics 25, 2009, call a profile that does not fall a practical non-identifiability). Where the profile
-likelihood itself was made, what is said follows from that.
+The marginal likelihood of a parameter is its posterior over its prior. Between Gaussians of the
+coordinate in which the prior is a standard normal it is a Gaussian too, so how far it falls towards
+either end of the prior follows from two moments (Raue et al., Bioinformatics 25, 2009, call a
+profile that does not fall a practical non-identifiability). Where the profile likelihood itself was
+made, what is said follows from that.
 """
 
 from collections.abc import Sequence
@@ -17,7 +18,9 @@ from imr_torch.material import ModelBelief, Parameter
 
 _END = 2.5  # prior standard deviations: the ends of what was thought possible
 _FLAT = "not determined: the profile likelihood is flat, and the interval is that of the prior"
-_FALL = 1.92  # nats by which the likelihood falls at a 95 % bound (half the quantile of chi-squared with one degree of freedom)
+# nats by which the likelihood falls at a 95 % bound (half the quantile of chi-squared with one
+# degree of freedom)
+_FALL = 1.92
 
 
 class Bound(Enum):
@@ -42,7 +45,8 @@ class Identifiability:
         parameter: which.
         bound: on which sides.
         limit: the one-sided 95 % limit, SI; None where both sides are bounded, or neither.
-        profiled: whether this follows from the profile likelihood; the limit is then where that has fallen by 1.92 nats.
+        profiled: whether this follows from the profile likelihood; the limit is then where that has
+            fallen by 1.92 nats.
 
     >>> from imr_torch import wide_prior
     >>> from imr_torch.select import identifiability
@@ -61,10 +65,15 @@ class Identifiability:
         """A phrase such as ``"only bounded from above: below 0.07 (95 %)"``."""
         if self.limit is None:
             return _FLAT if self.profiled and self.bound is Bound.NEITHER else self.bound.value
-        unit = self.parameter.display_unit or ("" if self.parameter.unit == "1" else self.parameter.unit)
+        unit = self.parameter.display_unit or (
+            "" if self.parameter.unit == "1" else self.parameter.unit
+        )
         value = f"{self.parameter.display_scale * self.limit:.3g} {unit}".rstrip()
         level = "95 %, profile likelihood" if self.profiled else "95 %"
-        return f"{self.bound.value}: {'below' if self.bound is Bound.ABOVE else 'above'} {value} ({level})"
+        return (
+            f"{self.bound.value}: {'below' if self.bound is Bound.ABOVE else 'above'} {value} "
+            f"({level})"
+        )
 
 
 def identifiability(
@@ -75,7 +84,8 @@ def identifiability(
     Args:
         prior: the model's belief before them.
         posterior: its belief after them.
-        profiles: profile likelihoods of its parameters, which count before what follows from prior and posterior.
+        profiles: profile likelihoods of its parameters, which count before what follows from prior
+            and posterior.
 
     >>> import torch
     >>> from imr_torch import wide_prior
@@ -89,15 +99,26 @@ def identifiability(
     """
     before, after = (part.chol @ part.chol.mT for part in (prior, posterior))
     sds = before.diagonal().sqrt()
-    mean, variance = (posterior.mean - prior.mean) / sds, after.diagonal() / sds.square()
+    mean = (posterior.mean - prior.mean) / sds
+    variance = after.diagonal() / sds.square()
     precision = (1.0 / variance - 1.0).clamp_min(0.0)  # of the likelihood
     centre = torch.where(precision > 0.0, mean / (variance * precision.clamp_min(1e-300)), 0.0)
     inside = centre.clamp(-_END, _END)  # where the likelihood is largest within the prior
     largest = 0.5 * precision * (inside - centre).square()
-    low, high = (0.5 * precision * (end - centre).square() - largest > _FALL for end in (-_END, _END))
-    limits = dict(zip((Bound.BELOW, Bound.ABOVE), posterior.quantile([0.05, 0.95]).tolist(), strict=True))
-    kinds = {(True, True): Bound.BOTH, (True, False): Bound.BELOW, (False, True): Bound.ABOVE, (False, False): Bound.NEITHER}
-    found, profiled = [], {own.name: own for own in profiles}
+    low, high = (
+        0.5 * precision * (end - centre).square() - largest > _FALL for end in (-_END, _END)
+    )
+    limits = dict(
+        zip((Bound.BELOW, Bound.ABOVE), posterior.quantile([0.05, 0.95]).tolist(), strict=True)
+    )
+    kinds = {
+        (True, True): Bound.BOTH,
+        (True, False): Bound.BELOW,
+        (False, True): Bound.ABOVE,
+        (False, False): Bound.NEITHER,
+    }
+    found = []
+    profiled = {own.name: own for own in profiles}
     parameters = {p.name: p for p in prior.material.parameters}
     for i, name in enumerate(prior.names):
         if name in profiled:
@@ -116,4 +137,6 @@ def _of_profile(parameter: Parameter, found: Profile) -> Identifiability:
         return Identifiability(parameter, Bound.BOTH, None, True)
     if low is None and high is None:
         return Identifiability(parameter, Bound.NEITHER, None, True)
-    return Identifiability(parameter, Bound.ABOVE if low is None else Bound.BELOW, high if low is None else low, True)
+    return Identifiability(
+        parameter, Bound.ABOVE if low is None else Bound.BELOW, high if low is None else low, True
+    )

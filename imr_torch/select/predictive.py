@@ -1,9 +1,11 @@
-"""Predictive scores: the log density that a model fitted to some experiments gives to held-out ones.
+"""Predictive scores: the log density that a model fitted to some experiments gives to held-out
+ones.
 
-Evidence measures how well prior and model predict all data, and so depends on the prior's width; a held-out score measures how
-well the posterior given some experiments predicts the others. Leaving some out of a weighted fit needs no simulation while the
-weights allow it (Pareto-smoothed leave-one-out: Vehtari, Gelman & Gabry, Stat. Comput. 27, 2017, with whole experiments for
-single data); where they do not, the fit is made again without them.
+Evidence measures how well prior and model predict all data, and so depends on the prior's width; a
+held-out score measures how well the posterior given some experiments predicts the others. Leaving
+some out of a weighted fit needs no simulation while the weights allow it (Pareto-smoothed
+leave-one-out: Vehtari, Gelman & Gabry, Stat. Comput. 27, 2017, with whole experiments for single
+data); where they do not, the fit is made again without them.
 """
 
 import math
@@ -37,7 +39,8 @@ class PredictiveScore:
         held_out: labels of the experiments.
         value: ``log p(held out | the others)``, nats; of all repeats and frames together.
         error: its Monte Carlo standard error.
-        pareto_k: shape of the tail of the weights that leave the experiments out (before a refit); the largest, of several.
+        pareto_k: shape of the tail of the weights that leave the experiments out (before a refit);
+            the largest, of several.
         refitted: whether the fit was made again without them, once at least.
 
     >>> from imr_torch.select import PredictiveScore
@@ -65,8 +68,8 @@ def predictive_density(
 ) -> tuple[float, float]:
     """Log predictive density of experiments under a belief, over models and parameters.
 
-    A record is so informative that draws of the belief hardly ever come near it; so the belief is assimilated with the
-    experiments, and their evidence taken by importance sampling.
+    A record is so informative that draws of the belief hardly ever come near it; so the belief is
+    assimilated with the experiments, and their evidence taken by importance sampling.
 
     Args:
         belief: from other data than ``batch``.
@@ -102,7 +105,8 @@ def predictive_density(
 
 
 def default_folds(count: int) -> list[list[int]]:
-    """Which of ``count`` experiments are held out together: each alone up to five, else in four parts.
+    """Which of ``count`` experiments are held out together: each alone up to five, else in four
+    parts.
 
     >>> from imr_torch.select import default_folds
     >>> default_folds(3), default_folds(9)
@@ -130,7 +134,8 @@ def cross_validate(
         assimilation: weighted fits to all experiments.
         simulator: the simulator they were made with, for refits.
         seed: of refits, which start where the whole fit ended.
-        folds: indices of the experiments that are held out together; :func:`default_folds` when not given.
+        folds: indices of the experiments that are held out together; :func:`default_folds` when not
+            given.
         samples: draws per round of a refit.
         options: how a refit searches.
         progress: called with one line per fold.
@@ -161,7 +166,10 @@ def cross_validate(
     folds = default_folds(count) if folds is None else folds
     for fold in folds:
         if not 0 < len(set(fold)) < count or not all(0 <= e < count for e in fold):
-            raise InputDataError(f"Fold {list(fold)}: expected some, and not all, of the experiments 0 to {count - 1}.")
+            raise InputDataError(
+                f"Fold {list(fold)}: expected some, and not all, of the experiments 0 to "
+                f"{count - 1}."
+            )
     scores = []
     for number, fold in enumerate(folds):
         found = [_leave_out(fit, batch, fold) for fit in assimilation.fits]
@@ -171,9 +179,13 @@ def cross_validate(
             assert whole is not None
             near = _restricted(assimilation, poor, [e for e in range(count) if e not in fold])
             seed_of_fit = child(seed, "fit", number)
-            again = assimilate(near.prior, near.batch, simulator, seed=seed_of_fit, options=options, near=near)
+            again = assimilate(
+                near.prior, near.batch, simulator, seed=seed_of_fit, options=options, near=near
+            )
             noise = None if whole.noise is None else whole.noise.nodes
-            again = weigh(again, simulator, seed=child(seed, "weigh", number), samples=samples, noise=noise)
+            again = weigh(
+                again, simulator, seed=child(seed, "weigh", number), samples=samples, noise=noise
+            )
             for i, fit in zip(poor, again.fits, strict=True):
                 found[i] = _refitted(found[i][0], assimilation.fits[i], fit), True
         scores += [score for score, _ in found]
@@ -210,24 +222,36 @@ def _add(first: PredictiveScore, second: PredictiveScore) -> PredictiveScore:
     )
 
 
-def _restricted(assimilation: Assimilation, models: Sequence[int], experiments: Sequence[int]) -> Assimilation:
+def _restricted(
+    assimilation: Assimilation, models: Sequence[int], experiments: Sequence[int]
+) -> Assimilation:
     """Some models and experiments of an assimilation: where a search without the others starts."""
-    prior, batch = assimilation.prior, assimilation.batch
+    prior = assimilation.prior
+    batch = assimilation.batch
     belief = Belief(tuple(prior.models[i] for i in models), prior.log_probabilities[list(models)])
     kept = replace(batch, experiments=tuple(batch.experiments[e] for e in experiments))
     fits = (assimilation.fits[i] for i in models)
     rows = list(experiments)
-    begin = (replace(f, nuisances=f.nuisances[rows], nuisance_response=f.nuisance_response[rows]) for f in fits)
+    begin = (
+        replace(f, nuisances=f.nuisances[rows], nuisance_response=f.nuisance_response[rows])
+        for f in fits
+    )
     return Assimilation(belief, kept, tuple(begin))
 
 
-def _leave_out(fit: ModelFit, batch: ExperimentBatch, fold: Sequence[int]) -> tuple[PredictiveScore, bool]:
-    """Score by the weights of the whole fit over the likelihood of the fold, and whether those weights are reliable."""
+def _leave_out(
+    fit: ModelFit, batch: ExperimentBatch, fold: Sequence[int]
+) -> tuple[PredictiveScore, bool]:
+    """Score by the weights of the whole fit over the likelihood of the fold, and whether those
+    weights are reliable.
+    """
     log_evidence(fit)  # says what to do where the fit is not weighted
     sample = fit.sample
     assert sample is not None
     seen = sample.without(fold)
-    log_weights, shape = smooth(torch.where(torch.isfinite(seen), sample.log_weights - seen, -torch.inf))
+    log_weights, shape = smooth(
+        torch.where(torch.isfinite(seen), sample.log_weights - seen, -torch.inf)
+    )
     without = torch.softmax(log_weights, dim=0)
     trusted = reliable(shape, float(kish(without)), len(sample))
     labels = tuple(batch.experiments[e].label for e in fold)
@@ -236,7 +260,9 @@ def _leave_out(fit: ModelFit, batch: ExperimentBatch, fold: Sequence[int]) -> tu
 
 
 def _log_ratio(weights: Tensor, log_values: Tensor) -> tuple[float, float]:
-    """Log of the weighted mean of values given by their logarithm, and its standard error (delta method)."""
+    """Log of the weighted mean of values given by their logarithm, and its standard error (delta
+    method).
+    """
     joint = weights.log() + torch.where(weights > 0.0, log_values, 0.0)
     tilted = torch.softmax(joint, dim=0)
     return float(torch.logsumexp(joint, dim=0)), float((tilted - weights).norm())
@@ -244,5 +270,11 @@ def _log_ratio(weights: Tensor, log_values: Tensor) -> tuple[float, float]:
 
 def _refitted(score: PredictiveScore, whole: ModelFit, without: ModelFit) -> PredictiveScore:
     """Score as evidence of all experiments over evidence of the others."""
-    joint, rest = log_evidence(whole), log_evidence(without)
-    return replace(score, value=joint.value - rest.value, error=math.hypot(joint.error, rest.error), refitted=True)
+    joint = log_evidence(whole)
+    rest = log_evidence(without)
+    return replace(
+        score,
+        value=joint.value - rest.value,
+        error=math.hypot(joint.error, rest.error),
+        refitted=True,
+    )

@@ -1,8 +1,10 @@
-"""The published model probability, for comparison: the likelihood of a typical repeat averaged over the posterior ensemble.
+"""The published model probability, for comparison: the likelihood of a typical repeat averaged over
+the posterior ensemble.
 
-The log likelihood of each member is *averaged* over repeats, the likelihood then over the members of the posterior (arXiv
-2409.00011 and the code that came with it), so a hundred repeats say no more than one; and a wide
-prior is not penalised, since the members have been fitted to the data. Evidence is in :mod:`imr_torch.select.evidence`.
+The log likelihood of each member is *averaged* over repeats, the likelihood then over the members
+of the posterior (arXiv 2409.00011 and the code that came with it), so a hundred repeats say no more
+than one; and a wide prior is not penalised, since the members have been fitted to the data.
+Evidence is in :mod:`imr_torch.select.evidence`.
 """
 
 import math
@@ -16,7 +18,9 @@ from imr_torch.assimilate import PublishedFit, as_one_curve
 from imr_torch.observe import Experiment, ExperimentBatch, Noise
 
 
-def published_probabilities(fits: Sequence[PublishedFit], experiment: Experiment, noise: Noise) -> Float[Tensor, "models"]:
+def published_probabilities(
+    fits: Sequence[PublishedFit], experiment: Experiment, noise: Noise
+) -> Float[Tensor, "models"]:
     """Probability of each model from one experiment alone, without its prior probability.
 
     Args:
@@ -46,6 +50,8 @@ def published_probabilities(fits: Sequence[PublishedFit], experiment: Experiment
     logs = []
     for fit in fits:
         good = fit.prediction[torch.isfinite(fit.prediction).all(1)]
-        misfit = ((batch.mean[0] - good) / sd).square().sum(1)  # the scatter of the repeats about their mean is common to all
+        misfit = (
+            ((batch.mean[0] - good) / sd).square().sum(1)
+        )  # the scatter of the repeats about their mean is common to all
         logs.append(torch.logsumexp(-0.5 * misfit, 0) - math.log(len(good)))
     return torch.softmax(torch.stack(logs), 0)

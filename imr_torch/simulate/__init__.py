@@ -11,7 +11,13 @@ from imr_torch.simulate.conditions import (
     Stepping,
     preset,
 )
-from imr_torch.simulate.driving import Driving, GaussianPulse, LawDriving, SineDriving, TabulatedDriving
+from imr_torch.simulate.driving import (
+    Driving,
+    GaussianPulse,
+    LawDriving,
+    SineDriving,
+    TabulatedDriving,
+)
 from imr_torch.simulate.engines import ENGINES, Engine
 from imr_torch.simulate.grids import Resolution
 from imr_torch.simulate.ode_method import METHOD, TransportField

@@ -1,9 +1,11 @@
-"""Linear systems of the implicit step: three small dense blocks, bordered by the five numbers that couple them.
+"""Linear systems of the implicit step: three small dense blocks, bordered by the five numbers that
+couple them.
 
-Temperature in the bubble (``tau``), vapour (``C``, driven by ``tau``) and temperature in the gel (``theta``) see each
-other only through the border ``z = (R, U, p, q, tau_w)``, with ``p = ln P`` and ``q = dp/dt`` as an extra unknown.
-Memory states of the gel see ``R`` and ``U`` only and join the border. Eliminating the fields leaves a border of five
-numbers and the memory, so a factorisation costs three inverses of the size of one field.
+Temperature in the bubble (``tau``), vapour (``C``, driven by ``tau``) and temperature in the gel
+(``theta``) see each other only through the border ``z = (R, U, p, q, tau_w)``, with ``p = ln P``
+and ``q = dp/dt`` as an extra unknown. Memory states of the gel see ``R`` and ``U`` only and join
+the border. Eliminating the fields leaves a border of five numbers and the memory, so a
+factorisation costs three inverses of the size of one field.
 """
 
 from dataclasses import dataclass
@@ -17,9 +19,11 @@ _LARGE = 64  # nodes from which on LAPACK is faster; the grids meant for use hav
 
 @dataclass(frozen=True)
 class Jacobian:
-    """The derivative of the right-hand side in its structured form; see :mod:`imr_torch.simulate.rhs`.
+    """The derivative of the right-hand side in its structured form; see
+    :mod:`imr_torch.simulate.rhs`.
 
-    Border columns are in the order (R, U, p, q, tau_w); ``G = 2`` fields live inside, ``tau`` and ``C``.
+    Border columns are in the order (R, U, p, q, tau_w); ``G = 2`` fields live inside, ``tau`` and
+    ``C``.
 
     Args:
         inside: ``d tau_t/d tau`` and ``d C_t/d C``.
@@ -57,10 +61,12 @@ class Jacobian:
 
 
 def invert(blocks: Float[Tensor, "rows rows *batch"]) -> Float[Tensor, "rows rows *batch"]:
-    """Inverse of each ``blocks[:, :, b]``, batch last, by Gauss-Jordan without pivoting, possibly in place.
+    """Inverse of each ``blocks[:, :, b]``, batch last, by Gauss-Jordan without pivoting, possibly
+    in place.
 
-    The blocks are ``I/(h gamma) - J`` with dissipative ``J``. A vanishing pivot gives non-finite numbers, which make
-    the step fail and be tried again at a smaller ``h``, where the identity dominates.
+    The blocks are ``I/(h gamma) - J`` with dissipative ``J``. A vanishing pivot gives non-finite
+    numbers, which make the step fail and be tried again at a smaller ``h``, where the identity
+    dominates.
     """
     if blocks.shape[0] > _LARGE:
         batch_first = blocks.reshape(*blocks.shape[:2], -1).permute(2, 0, 1)
@@ -79,7 +85,8 @@ def invert(blocks: Float[Tensor, "rows rows *batch"]) -> Float[Tensor, "rows row
 
 
 class Factors:
-    """``I/(h gamma) - J`` (0 for the identity in the algebraic row), ready to be solved for several right-hand sides.
+    """``I/(h gamma) - J`` (0 for the identity in the algebraic row), ready to be solved for several
+    right-hand sides.
 
     Args:
         jacobian: its entries in ``inside`` and ``outside`` may be overwritten.
@@ -90,20 +97,31 @@ class Factors:
     """
 
     def __init__(
-        self, jacobian: Jacobian, shift: Float[Tensor, "members"], slope: Tensor, wall_slope: Tensor, outer_wall_slope: Tensor
+        self,
+        jacobian: Jacobian,
+        shift: Float[Tensor, "members"],
+        slope: Tensor,
+        wall_slope: Tensor,
+        outer_wall_slope: Tensor,
     ) -> None:
-        self._jacobian, self._shift, self._slope = jacobian, shift, slope
+        self._jacobian = jacobian
+        self._shift = shift
+        self._slope = slope
         self._inside, self._outside = _shifted_inverses(jacobian.inside, jacobian.outside, shift)
         self._heat, self._vapour = self._inside.unbind(2)
-        n, m = len(self._heat), len(self._outside)
+        n = len(self._heat)
+        m = len(self._outside)
         self._fields = (n, n, m)
         self._parts = (3, 1, 2 * n + m, jacobian.velocity_memory.shape[0])
         rows = self._wall_functionals(wall_slope, outer_wall_slope)
         self._functionals = torch.cat(rows, 1)
         self._border = invert(self._border_matrix(*rows))
 
-    def _wall_functionals(self, wall_slope: Tensor, outer_wall_slope: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """What the fields' right-hand sides add to the rows of ``q`` and of the wall, through the slopes at the wall.
+    def _wall_functionals(
+        self, wall_slope: Tensor, outer_wall_slope: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """What the fields' right-hand sides add to the rows of ``q`` and of the wall, through the
+        slopes at the wall.
 
         Returns:
             Tensors ``2 x n x B`` (tau), ``2 x n x B`` (C) and ``2 x m x B`` (theta).
@@ -119,15 +137,20 @@ class Factors:
         return by_heat * heat + by_vapour * heat_to_vapour, by_vapour * vapour, outer
 
     def _border_matrix(self, heat: Tensor, vapour: Tensor, outer: Tensor) -> Tensor:
-        """The system in (R, U, p, q, tau_w, memory) that is left when the fields are eliminated, ``(5+K) x (5+K) x B``."""
-        j, shift = self._jacobian, self._shift
+        """The system in (R, U, p, q, tau_w, memory) that is left when the fields are eliminated,
+        ``(5+K) x (5+K) x B``.
+        """
+        j = self._jacobian
+        shift = self._shift
         size = 5 + j.velocity_memory.shape[0]
         matrix = shift.new_zeros(size, size, shift.shape[0])
         matrix[0, 0] = matrix[2, 2] = shift
         matrix[0, 1] = matrix[2, 3] = -1.0
         matrix[1, :4] = -j.velocity_row
         matrix[1, 1] += shift
-        rows = (heat[:, :, None] * j.inside_border[:, :, 0]).sum(1) + (vapour[:, :, None] * j.inside_border[:, :, 1]).sum(1)
+        rows = (heat[:, :, None] * j.inside_border[:, :, 0]).sum(1) + (
+            vapour[:, :, None] * j.inside_border[:, :, 1]
+        ).sum(1)
         rows += (outer[:, :, None] * j.outside_border).sum(1)
         matrix[3:5, :5] = -rows
         matrix[3, :5] -= j.pressure_row
@@ -158,7 +181,9 @@ class Factors:
 
 
 def _shifted_inverses(inside: Tensor, outside: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:
-    """``(diag(shift) - blocks)^-1`` of the fields inside and outside, in one go where they are of one size."""
+    """``(diag(shift) - blocks)^-1`` of the fields inside and outside, in one go where they are of
+    one size.
+    """
     blocks = [inside, outside[:, :, None]]
     if inside.shape[0] == outside.shape[0]:
         blocks = [torch.cat(blocks, 2)]

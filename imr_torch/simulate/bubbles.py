@@ -1,9 +1,10 @@
 """A batch of bubbles made dimensionless: its constants, and the numbers of each member.
 
-Definitions follow Estrada et al. (J. Mech. Phys. Solids 112, 2018), section 2.3 and appendix A: ``chi = T_inf K_inf /
-(p_inf Rmax U_c)``, ``Fo_m = D_0/(U_c Rmax)``, ``Fo_h = K_m/(rho c_p,m U_c Rmax)``, ``Br = U_c^2/(c_p,m T_inf)``; gas
-constants and latent heat are scaled by ``U_c^2``, conductivities by ``K_inf = K(T_inf)``. Effects
-(:class:`imr_torch.material.Effect`) change the setting, from which all numbers follow.
+Definitions follow Estrada et al. (J. Mech. Phys. Solids 112, 2018), section 2.3 and appendix A:
+``chi = T_inf K_inf / (p_inf Rmax U_c)``, ``Fo_m = D_0/(U_c Rmax)``, ``Fo_h = K_m/(rho c_p,m U_c
+Rmax)``, ``Br = U_c^2/(c_p,m T_inf)``; gas constants and latent heat are scaled by ``U_c^2``,
+conductivities by ``K_inf = K(T_inf)``. Effects (:class:`imr_torch.material.Effect`) change the
+setting, from which all numbers follow.
 """
 
 from collections.abc import Mapping, Sequence
@@ -46,8 +47,10 @@ class Constants(NamedTuple):
         latent_heat: ``L``.
         conductivity: ``K_m``.
         warm: whether the medium warms up.
-        gas_capacity: whether the medium takes the gas's heat capacity at the wall (parity with the published code).
-        stress_acceleration: whether the part of ``dS/dt`` that is proportional to ``U'`` acts (left out by that code).
+        gas_capacity: whether the medium takes the gas's heat capacity at the wall (parity with the
+            published code).
+        stress_acceleration: whether the part of ``dS/dt`` that is proportional to ``U'`` acts (left
+            out by that code).
     """
 
     heat_ratio: float
@@ -64,7 +67,9 @@ class Constants(NamedTuple):
     @classmethod
     def of(cls, conditions: Conditions) -> "Constants":
         """Make the options of an experiment dimensionless."""
-        outer, mixture, medium = conditions.surroundings, conditions.mixture, conditions.medium
+        outer = conditions.surroundings
+        mixture = conditions.mixture
+        medium = conditions.medium
         speed_squared = outer.velocity_scale**2
         gas = mixture.gas_constant * outer.temperature / speed_squared
         far = far_conductivity(conditions)
@@ -94,7 +99,8 @@ def far_conductivity(conditions: Conditions) -> float:
 
 
 class Numbers(NamedTuple):
-    """The dimensionless numbers of each bubble: a ``B`` tensor each, or one number each for one bubble.
+    """The dimensionless numbers of each bubble: a ``B`` tensor each, or one number each for one
+    bubble.
 
     Args:
         rest_radius: ``R_inf*``.
@@ -153,14 +159,22 @@ class Numbers(NamedTuple):
         seconds: Float[Tensor, "members"],
         conditions: Conditions,
     ) -> "Numbers":
-        """The numbers of a setting, dimensionless parameters of the gel, ``Rmax`` (m) and ``Rmax/U_c`` (s)."""
-        outer, medium, gas = conditions.surroundings, conditions.medium, conditions.gas
-        kind, speed = conditions.mixture.vapour, outer.velocity_scale
+        """The numbers of a setting, dimensionless parameters of the gel, ``Rmax`` (m) and
+        ``Rmax/U_c`` (s).
+        """
+        outer = conditions.surroundings
+        medium = conditions.medium
+        gas = conditions.gas
+        kind = conditions.mixture.vapour
+        speed = outer.velocity_scale
         rest = setting.rest_radius
         nothing = torch.zeros_like(rest)
         at_rest = setting.ambient + setting.resting / rest
-        warm, lightness = setting.temperature, setting.pace**2
-        amount = setting.gas * (1.0 + setting.warmth)  # times the temperature: what the pressure is proportional to
+        warm = setting.temperature
+        lightness = setting.pace**2
+        amount = setting.gas * (
+            1.0 + setting.warmth
+        )  # times the temperature: what the pressure is proportional to
         beside = setting.saturation if gas.vapour else nothing
         inside = nothing if kind == "absent" else setting.saturation
         capacity = 1.0 if medium.capacity_of == "gas_wall" else medium.heat_capacity
@@ -174,10 +188,13 @@ class Numbers(NamedTuple):
             image=setting.image,
             velocity=setting.velocity,
             seconds=seconds,
-            gas=amount * (at_rest - beside) * rest ** (3.0 if gas.reference == "maximum" else 3.0 * setting.exponent),
+            gas=amount
+            * (at_rest - beside)
+            * rest ** (3.0 if gas.reference == "maximum" else 3.0 * setting.exponent),
             exponent=setting.exponent,
             vapour=beside,
-            start=amount * (at_rest - inside) * rest**3 + (nothing if kind == "constant" else inside),
+            start=amount * (at_rest - inside) * rest**3
+            + (nothing if kind == "constant" else inside),
             warmth=setting.warmth,
             constant_vapour=inside if kind == "constant" else nothing,
             saturation=prefactor * setting.saturation if kind == "transported" else nothing,
@@ -185,7 +202,12 @@ class Numbers(NamedTuple):
             chi_gas=chi * setting.conduction,
             fom=conditions.mixture.diffusivity / speed / size,
             foh=medium.conductivity / (outer.density * capacity * speed) / size * lightness,
-            heating=12.0 * speed**2 / (capacity * warm) * theta["mu"] * float(medium.warm) * lightness,
+            heating=12.0
+            * speed**2
+            / (capacity * warm)
+            * theta["mu"]
+            * float(medium.warm)
+            * lightness,
             damping=4.0 * theta["mu"] * lightness,
             spring=2.0 * theta["G"] * (1.0 + theta["alpha"].abs()) + 2.0 * theta["G_lin"],
             pace=setting.pace,
@@ -244,7 +266,9 @@ class Bubbles:
             if effect.setting is not None:
                 setting = effect.setting(setting, *(theta[name] for name in effect.names))
         numbers = Numbers.of(setting, theta, size, seconds, conditions)
-        chosen = tuple(term for term in (TERMS if terms is None else terms) if term.switch in acting)
+        chosen = tuple(
+            term for term in (TERMS if terms is None else terms) if term.switch in acting
+        )
         return cls(conditions, Constants.of(conditions), numbers, rows, chosen, effects)
 
     def __len__(self) -> int:
@@ -253,7 +277,8 @@ class Bubbles:
     def take(self, members: Int[Tensor, "kept"]) -> "Bubbles":
         """The sub-batch of the members with these indices.
 
-        Terms that act in none of them are left out, which saves their cost. What has rows of the state stays: memory, and
+        Terms that act in none of them are left out, which saves their cost. What has rows of the
+            state stays: memory, and
         gas that is lost.
         """
         parameters = self.parameters[:, members]
@@ -274,8 +299,12 @@ class Bubbles:
 
     @cached_property
     def analytic(self) -> bool:
-        """Whether every law that acts is written with :mod:`imr_torch.elementary`, so that a complex step differentiates it."""
-        return all(term.compilable for term in self.terms) and all(effect.compilable for effect in self.effects)
+        """Whether every law that acts is written with :mod:`imr_torch.elementary`, so that a
+        complex step differentiates it.
+        """
+        return all(term.compilable for term in self.terms) and all(
+            effect.compilable for effect in self.effects
+        )
 
     def memory_start(self) -> Float[Tensor, "states members"]:
         """Memory states at time zero, ``K x B``."""
@@ -283,7 +312,9 @@ class Bubbles:
 
     def fastest_relaxation(self) -> Float[Tensor, "members"]:
         """Rate of each member's fastest memory, a ``B`` tensor; 0 for those without."""
-        rates = [rate for term in self.terms if (rate := term.relaxation_rate(self.theta)) is not None]
+        rates = [
+            rate for term in self.terms if (rate := term.relaxation_rate(self.theta)) is not None
+        ]
         return torch.stack(rates).amax(0) if rates else torch.zeros_like(self.numbers.rest_radius)
 
     def arguments(self, effect: Effect) -> list[Float[Tensor, "members"]]:

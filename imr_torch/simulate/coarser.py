@@ -1,7 +1,8 @@
-"""Cheaper bubbles of the same physics, where a thousandth of the radius or bubbles of extreme parameters do not matter.
+"""Cheaper bubbles of the same physics, where a thousandth of the radius or bubbles of extreme
+parameters do not matter.
 
-Information gains and steps far from a minimum are decided by differences far larger than that; fits end with the simulator
-they were given.
+Information gains and steps far from a minimum are decided by differences far larger than that; fits
+end with the simulator they were given.
 """
 
 from dataclasses import replace
@@ -15,9 +16,11 @@ _STEPS = 600  # of a polytropic bubble: a relaxation time of .3 us takes 480, mo
 
 
 def coarser(simulator: Simulator) -> Simulator:
-    """A simulator of the full physics at the accuracy ``"coarse"``, if its own is finer; any other as it is.
+    """A simulator of the full physics at the accuracy ``"coarse"``, if its own is finer; any other
+    as it is.
 
-    Errors of R* are .0005 in the mean and .01 at worst over reference gels, and a bubble costs a third.
+    Errors of R* are .0005 in the mean and .01 at worst over reference gels, and a bubble costs a
+    third.
 
     >>> from imr_torch.simulate import TransportSimulator, coarser
     >>> coarser(TransportSimulator()).accuracy.tolerance
@@ -28,15 +31,20 @@ def coarser(simulator: Simulator) -> Simulator:
 
 def _coarse(simulator: Simulator) -> Simulator:
     coarse = ACCURACIES["coarse"]
-    if not isinstance(simulator, TransportSimulator) or simulator.accuracy.tolerance >= coarse.tolerance:
+    if (
+        not isinstance(simulator, TransportSimulator)
+        or simulator.accuracy.tolerance >= coarse.tolerance
+    ):
         return simulator
     return replace(simulator, accuracy=coarse)
 
 
 def fewer_steps(simulator: Simulator) -> Simulator:
-    """A polytropic simulator that gives a bubble up after 600 steps, if its own limit is higher; any other as it is.
+    """A polytropic simulator that gives a bubble up after 600 steps, if its own limit is higher;
+    any other as it is.
 
-    Its explicit steps become very short where the relaxation time of a gel is short, and good fits do not end there.
+    Its explicit steps become very short where the relaxation time of a gel is short, and good fits
+    do not end there.
 
     >>> from imr_torch.simulate import PolytropicSimulator, fewer_steps
     >>> fewer_steps(PolytropicSimulator()).stepping.max_steps

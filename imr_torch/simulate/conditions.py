@@ -1,4 +1,6 @@
-"""Conditions of an experiment (liquid, bubble contents, gel, radial equation) as frozen options that check themselves."""
+"""Conditions of an experiment (liquid, bubble contents, gel, radial equation) as frozen options
+that check themselves.
+"""
 
 import math
 from dataclasses import dataclass, field
@@ -17,7 +19,9 @@ SATURATION_TEMPERATURE = 5200.0
 
 
 def saturation_pressure(temperature: float) -> float:
-    """Vapour pressure of water in Pa at a temperature in K: ``1.17e11 exp(-5200/T)`` (Estrada et al. 2018, eq. 18)."""
+    """Vapour pressure of water in Pa at a temperature in K: ``1.17e11 exp(-5200/T)`` (Estrada et
+    al. 2018, eq. 18).
+    """
     return SATURATION_PREFACTOR * math.exp(-SATURATION_TEMPERATURE / temperature)
 
 
@@ -26,13 +30,16 @@ class PolytropicGas:
     """Gas that follows ``p_g R^(3 kappa) = const``, beside vapour at constant pressure.
 
     Args:
-        exponent: ``kappa``; 1 is isothermal, 1.4 adiabatic air. The default was chosen against full heat and vapour
-            transport on fifteen reference cases (median rms difference in R*, 1.2: .097, 1.3: .077, 1.4: .101).
-        reference: where the gas is at the temperature of the surroundings. ``"maximum"``: at the maximum radius, as in
-            Estrada et al. (2018), so ``p_g = (1 + 1/(We R_inf*) - p_v) R_inf*^3`` there. ``"rest"``: at ``R_inf``.
+        exponent: ``kappa``; 1 is isothermal, 1.4 adiabatic air. The default was chosen against full
+            heat and vapour transport on fifteen reference cases (median rms difference in R*, 1.2:
+            .097, 1.3: .077, 1.4: .101).
+        reference: where the gas is at the temperature of the surroundings. ``"maximum"``: at the
+            maximum radius, as in Estrada et al. (2018), so ``p_g = (1 + 1/(We R_inf*) - p_v)
+            R_inf*^3`` there. ``"rest"``: at ``R_inf``.
         vapour: whether the bubble holds vapour at its saturation pressure.
 
-    A subclass may put another law of the same arguments in place of :func:`imr_torch.simulate.gas.polytropic`.
+    A subclass may put another law of the same arguments in place of
+    :func:`imr_torch.simulate.gas.polytropic`.
 
     >>> from imr_torch.simulate import Conditions, PolytropicGas, PolytropicSimulator
     >>> simulator = PolytropicSimulator(Conditions(gas=PolytropicGas(exponent=1.0, vapour=False)))
@@ -49,10 +56,13 @@ class PolytropicGas:
     def __post_init__(self) -> None:
         if not 1.0 <= self.exponent <= 5.0 / 3.0:
             raise InputDataError(
-                f"PolytropicGas.exponent is {self.exponent}; expected 1 (isothermal) to 5/3 (monatomic adiabatic)."
+                f"PolytropicGas.exponent is {self.exponent}; expected 1 (isothermal) to 5/3 "
+                "(monatomic adiabatic)."
             )
         if self.reference not in ("maximum", "rest"):
-            raise InputDataError(f"PolytropicGas.reference is {self.reference!r}; expected 'maximum' or 'rest'.")
+            raise InputDataError(
+                f"PolytropicGas.reference is {self.reference!r}; expected 'maximum' or 'rest'."
+            )
 
 
 @dataclass(frozen=True)
@@ -62,7 +72,8 @@ class Stepping:
     Args:
         step: step of the stretched time. Errors fall with its fourth power.
         max_steps: steps after which a member that has not reached its last time is given up.
-        retries: how often a member that failed for another reason is tried again with half the step.
+        retries: how often a member that failed for another reason is tried again with half the
+            step.
 
     >>> from imr_torch.simulate import PolytropicSimulator, Stepping
     >>> quick = PolytropicSimulator(stepping=Stepping(0.25))
@@ -76,18 +87,29 @@ class Stepping:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.step <= 0.5:
-            raise InputDataError(f"Stepping.step is {self.step}; expected above 0 and at most 0.5 (0.15 is the default).")
+            raise InputDataError(
+                f"Stepping.step is {self.step}; expected above 0 and at most 0.5 (0.15 is the "
+                "default)."
+            )
         if self.max_steps < 1 or self.retries < 0:
-            raise InputDataError(f"Stepping needs max_steps >= 1 and retries >= 0, got {self.max_steps} and {self.retries}.")
+            raise InputDataError(
+                f"Stepping needs max_steps >= 1 and retries >= 0, got {self.max_steps} and "
+                f"{self.retries}."
+            )
 
 
-STEPPINGS = {"fast": Stepping(0.25), "default": Stepping(), "reference": Stepping(0.05, max_steps=60000)}
+STEPPINGS = {
+    "fast": Stepping(0.25),
+    "default": Stepping(),
+    "reference": Stepping(0.05, max_steps=60000),
+}
 """Named settings; their measured errors are in ``benchmarks/RESULTS.md``."""
 
 
 @dataclass(frozen=True)
 class GasMixture:
-    """Water vapour and air that conduct heat and mix by diffusion, at one pressure throughout (homobaric).
+    """Water vapour and air that conduct heat and mix by diffusion, at one pressure throughout
+    (homobaric).
 
     Defaults: Estrada et al. (2018), table 1, and the published code.
 
@@ -99,9 +121,10 @@ class GasMixture:
         gas_constant: molar gas constant, J/(mol K).
         vapour_mass: molar mass of the vapour, kg/mol.
         air_mass: molar mass of the gas that does not condense, kg/mol.
-        vapour: ``"transported"``: in equilibrium at the wall, diffusing inside. ``"constant"``: its saturation
-            pressure at the far temperature is added to the pressure of dry air. ``"frozen"``: saturated at the start and
-            trapped, so that it is compressed with the air. ``"absent"``: dry air.
+        vapour: ``"transported"``: in equilibrium at the wall, diffusing inside. ``"constant"``: its
+            saturation pressure at the far temperature is added to the pressure of dry air.
+            ``"frozen"``: saturated at the start and trapped, so that it is compressed with the air.
+            ``"absent"``: dry air.
 
     >>> from imr_torch.simulate import Conditions, GasMixture, TransportSimulator
     >>> dry = TransportSimulator(Conditions(mixture=GasMixture(vapour="absent")))
@@ -121,10 +144,17 @@ class GasMixture:
     def __post_init__(self) -> None:
         known = ("transported", "constant", "frozen", "absent")
         if self.vapour not in known:
-            raise InputDataError(f"GasMixture.vapour is {self.vapour!r}; expected one of {', '.join(known)}.")
+            raise InputDataError(
+                f"GasMixture.vapour is {self.vapour!r}; expected one of {', '.join(known)}."
+            )
         if not 1.0 < self.heat_ratio <= 5.0 / 3.0:
-            raise InputDataError(f"GasMixture.heat_ratio is {self.heat_ratio}; expected above 1 and at most 5/3.")
-        _positive(self, "conductivity_slope conductivity_offset diffusivity gas_constant vapour_mass air_mass")
+            raise InputDataError(
+                f"GasMixture.heat_ratio is {self.heat_ratio}; expected above 1 and at most 5/3."
+            )
+        _positive(
+            self,
+            "conductivity_slope conductivity_offset diffusivity gas_constant vapour_mass air_mass",
+        )
 
 
 @dataclass(frozen=True)
@@ -135,10 +165,11 @@ class Medium:
         conductivity: ``K_m``, W/(m K).
         heat_capacity: ``c_p,m``, J/(kg K).
         latent_heat: of evaporation, J/kg.
-        warm: whether the gel warms up (by conduction and viscous heating); otherwise the wall keeps the far
-            temperature.
-        capacity_of: ``"medium"``: ``heat_capacity``. ``"gas_wall"``: the number ``k/(k-1) R_mix*`` of the gas at the
-            wall, read as J/(kg K), as the published code does; for parity with it only.
+        warm: whether the gel warms up (by conduction and viscous heating); otherwise the wall keeps
+            the far temperature.
+        capacity_of: ``"medium"``: ``heat_capacity``. ``"gas_wall"``: the number ``k/(k-1) R_mix*``
+            of the gas at the wall, read as J/(kg K), as the published code does; for parity with it
+            only.
 
     >>> from imr_torch.simulate import Conditions, Medium, TransportSimulator
     >>> cold = TransportSimulator(Conditions(medium=Medium(warm=False)))
@@ -154,7 +185,9 @@ class Medium:
 
     def __post_init__(self) -> None:
         if self.capacity_of not in ("medium", "gas_wall"):
-            raise InputDataError(f"Medium.capacity_of is {self.capacity_of!r}; expected 'medium' or 'gas_wall'.")
+            raise InputDataError(
+                f"Medium.capacity_of is {self.capacity_of!r}; expected 'medium' or 'gas_wall'."
+            )
         _positive(self, "conductivity heat_capacity latent_heat")
 
 
@@ -162,7 +195,10 @@ def _positive(options: object, names: str) -> None:
     for name in names.split():
         if not 0.0 < getattr(options, name) < math.inf:
             kind = type(options).__name__
-            raise InputDataError(f"{kind}.{name} is {getattr(options, name)}; it must be a positive finite number in SI units.")
+            raise InputDataError(
+                f"{kind}.{name} is {getattr(options, name)}; it must be a positive finite number "
+                "in SI units."
+            )
 
 
 @dataclass(frozen=True)
@@ -177,8 +213,8 @@ class Conditions:
         motion: the radial equation; see ``RADIAL_EQUATIONS``.
         driving: far-field pressure on top of ``p_inf``; None for none.
         initial_velocity: of the wall at time zero, m/s; 0 at the maximum radius.
-        stress_acceleration: whether the part of ``dS/dt`` that is proportional to ``dU/dt`` acts in the radial equation.
-            The published code leaves it out; for parity with it only.
+        stress_acceleration: whether the part of ``dS/dt`` that is proportional to ``dU/dt`` acts in
+            the radial equation. The published code leaves it out; for parity with it only.
 
     >>> from imr_torch.simulate import Conditions, PolytropicGas, PolytropicSimulator
     >>> conditions = Conditions(gas=PolytropicGas(exponent=1.4))
@@ -197,9 +233,15 @@ class Conditions:
 
     def __post_init__(self) -> None:
         if not isinstance(self.motion, RadialEquation):
-            raise InputDataError(f"Conditions.motion is {self.motion!r}; expected a RadialEquation, see RADIAL_EQUATIONS.")
+            raise InputDataError(
+                f"Conditions.motion is {self.motion!r}; expected a RadialEquation, see "
+                "RADIAL_EQUATIONS."
+            )
         if not math.isfinite(self.initial_velocity):
-            raise InputDataError(f"Conditions.initial_velocity is {self.initial_velocity}; it must be finite, in m/s.")
+            raise InputDataError(
+                f"Conditions.initial_velocity is {self.initial_velocity}; it must be finite, in "
+                "m/s."
+            )
 
     @property
     def vapour_pressure(self) -> float:
@@ -209,7 +251,10 @@ class Conditions:
     @cached_property
     def saturation(self) -> float:
         """Saturation pressure at the far temperature over ``p_inf``."""
-        return saturation_pressure(self.surroundings.temperature) / self.surroundings.far_field_pressure
+        return (
+            saturation_pressure(self.surroundings.temperature)
+            / self.surroundings.far_field_pressure
+        )
 
 
 PRESETS: dict[str, Conditions] = {

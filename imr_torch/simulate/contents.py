@@ -1,9 +1,12 @@
-"""Laws of the bubble's contents and of heat in the gel, at the wall and at one node, with their derivatives by hand.
+"""Laws of the bubble's contents and of heat in the gel, at the wall and at one node, with their
+derivatives by hand.
 
 Scalar functions that both engines use: on tensors of a batch (:mod:`~imr_torch.simulate.rhs`,
-:mod:`~imr_torch.simulate.linearise`) and compiled for numbers (:mod:`imr_torch.simulate.compiled`). ``tau`` is the Kirchhoff
-temperature, ``d tau = K*(T) dT``; ``C`` the mass fraction of vapour; ``q = dP/dt``; primes are ``d/dy`` with ``y = r/R``.
-Equations: Estrada et al. (J. Mech. Phys. Solids 112, 2018), eqs. 4-18 and appendix A. The derivatives are tested against
+:mod:`~imr_torch.simulate.linearise`) and compiled for numbers (:mod:`imr_torch.simulate.compiled`).
+``tau`` is the Kirchhoff temperature, ``d tau = K*(T) dT``; ``C`` the mass fraction of vapour; ``q =
+dP/dt``; primes are ``d/dy`` with ``y = r/R``.
+Equations: Estrada et al. (J. Mech. Phys. Solids 112, 2018), eqs. 4-18 and appendix A. The
+    derivatives are tested against
 automatic differentiation.
 """
 
@@ -24,7 +27,8 @@ class Wall(NamedTuple):
         vapour_pressure: ``dC/dP``.
         mixture: ``R_mix``.
         flux_factor: ``Fo_m P/(R_mix (1 - C))``: the flux of vapour is this times ``dC/dy``.
-        capacity: what divides ``Fo_h`` and ``Br``: 1, or the gas's heat capacity (preset ``authors_code``).
+        capacity: what divides ``Fo_h`` and ``Br``: 1, or the gas's heat capacity (preset
+            ``authors_code``).
     """
 
     temperature: Scalar
@@ -48,10 +52,11 @@ def temperature_of(conductivity: Scalar, c: Constants) -> Scalar:
 
 
 def warm_profile(y: Scalar, warmth: Scalar, c: Constants) -> Scalar:
-    """``tau`` at ``y = r/R`` of contents that are warmer than the wall by ``warmth`` in the mean of ``1/T``.
+    """``tau`` at ``y = r/R`` of contents that are warmer than the wall by ``warmth`` in the mean of
+    ``1/T``.
 
-    ``1/T = 1 - b (1 - y^2)``, whose mean over the volume is ``1 - 2 b/5 = 1/(1 + warmth)``: the amount of gas at a pressure is
-    proportional to it.
+    ``1/T = 1 - b (1 - y^2)``, whose mean over the volume is ``1 - 2 b/5 = 1/(1 + warmth)``: the
+    amount of gas at a pressure is proportional to it.
     """
     steep = 2.5 * warmth / (1.0 + warmth) * (1.0 - y * y)
     above = steep / (1.0 - steep)
@@ -63,7 +68,14 @@ def mixture_of(vapour: Scalar, c: Constants) -> Scalar:
     return c.air_constant + (c.vapour_constant - c.air_constant) * vapour
 
 
-def wall_of(pressure: Scalar, conductivity: Scalar, factor: Scalar, trapped: Scalar, b: Numbers, c: Constants) -> Wall:
+def wall_of(
+    pressure: Scalar,
+    conductivity: Scalar,
+    factor: Scalar,
+    trapped: Scalar,
+    b: Numbers,
+    c: Constants,
+) -> Wall:
     """Vapour at the wall in equilibrium with water (Estrada et al. 2018, eqs. 17-18).
 
     Args:
@@ -105,15 +117,23 @@ def pressure_rate(
     b: Numbers,
     c: Constants,
 ) -> Scalar:
-    """``q`` from the slopes of ``tau`` and ``C`` at the wall; ``lost`` is the relative rate at which gas is lost."""
-    source = (c.heat_ratio - 1.0) * b.chi_gas * heat + c.heat_ratio * c.vapour_constant * wall.flux_factor * vapour
+    """``q`` from the slopes of ``tau`` and ``C`` at the wall.
+
+    ``lost`` is the relative rate at which gas is lost.
+    """
+    source = (
+        c.heat_ratio - 1.0
+    ) * b.chi_gas * heat + c.heat_ratio * c.vapour_constant * wall.flux_factor * vapour
     return 3.0 / radius * (source / radius - c.heat_ratio * pressure * velocity) - pressure * lost
 
 
-def wall_balance(wall: Wall, heat: Scalar, vapour: Scalar, outer: Scalar, b: Numbers, c: Constants) -> Scalar:
+def wall_balance(
+    wall: Wall, heat: Scalar, vapour: Scalar, outer: Scalar, b: Numbers, c: Constants
+) -> Scalar:
     """Heat into the wall less heat into the gel, which must vanish (Estrada et al. 2018, eq. 16).
 
-    ``heat``, ``vapour`` and ``outer`` are the slopes of ``tau``, ``C`` and ``theta = T_m - 1`` at the wall.
+    ``heat``, ``vapour`` and ``outer`` are the slopes of ``tau``, ``C`` and ``theta = T_m - 1`` at
+    the wall.
     """
     if not c.warm:
         return 1.0 - wall.temperature
@@ -122,7 +142,9 @@ def wall_balance(wall: Wall, heat: Scalar, vapour: Scalar, outer: Scalar, b: Num
 
 
 class Balance(NamedTuple):
-    """Derivatives of ``q`` or of the wall's balance: in (R, U, P, q, tau_w), and in the slopes at the wall."""
+    """Derivatives of ``q`` or of the wall's balance: in (R, U, P, q, tau_w), and in the slopes at
+    the wall.
+    """
 
     radius: Scalar
     velocity: Scalar
@@ -134,10 +156,17 @@ class Balance(NamedTuple):
     outer: Scalar
 
 
-def flux_slopes(pressure: Scalar, wall: Wall, vapour: Scalar, corner: Scalar, c: Constants) -> tuple[Scalar, Scalar]:
-    """Derivatives of the vapour's flux, ``flux_factor C'``, in ``P`` and ``tau_w``; ``corner`` is ``dC'/dC`` at the wall."""
+def flux_slopes(
+    pressure: Scalar, wall: Wall, vapour: Scalar, corner: Scalar, c: Constants
+) -> tuple[Scalar, Scalar]:
+    """Derivatives of the vapour's flux, ``flux_factor C'``, in ``P`` and ``tau_w``.
+
+    ``corner`` is ``dC'/dC`` at the wall.
+    """
     flux = wall.flux_factor * vapour
-    by_vapour = flux * (1.0 / (1.0 - wall.vapour) - (c.vapour_constant - c.air_constant) / wall.mixture)
+    by_vapour = flux * (
+        1.0 / (1.0 - wall.vapour) - (c.vapour_constant - c.air_constant) / wall.mixture
+    )
     by_vapour = by_vapour + wall.flux_factor * corner
     return flux / pressure + by_vapour * wall.vapour_pressure, by_vapour * wall.vapour_heat
 
@@ -154,7 +183,10 @@ def pressure_rate_slopes(
     b: Numbers,
     c: Constants,
 ) -> Balance:
-    """Derivatives of :func:`pressure_rate`; ``loss`` is the relative loss of gas and its derivatives in ``R`` and ``U``."""
+    """Derivatives of :func:`pressure_rate`.
+
+    ``loss`` is the relative loss of gas and its derivatives in ``R`` and ``U``.
+    """
     by_pressure, by_wall = flux_slopes(pressure, wall, vapour, corner, c)
     k = c.heat_ratio
     gain = k * c.vapour_constant
@@ -175,7 +207,13 @@ def pressure_rate_slopes(
 
 
 def wall_balance_slopes(
-    pressure: Scalar, wall: Wall, vapour: Scalar, corner: Scalar, outer_corner: float, b: Numbers, c: Constants
+    pressure: Scalar,
+    wall: Wall,
+    vapour: Scalar,
+    corner: Scalar,
+    outer_corner: float,
+    b: Numbers,
+    c: Constants,
 ) -> Balance:
     """Derivatives of :func:`wall_balance`; ``outer_corner`` is ``d theta'/d theta`` at the wall."""
     zero = 0.0 * pressure
@@ -185,8 +223,19 @@ def wall_balance_slopes(
     latent = c.latent_heat / wall.temperature
     outer = b.chi * c.conductivity
     cooling = wall.flux_factor * vapour / (wall.temperature * wall.conductivity)
-    by_wall = b.chi_gas * corner + latent * (by_wall - cooling) - outer * outer_corner / wall.conductivity
-    return Balance(zero, zero, latent * by_pressure, zero, by_wall, b.chi_gas, latent * wall.flux_factor, -outer)
+    by_wall = (
+        b.chi_gas * corner + latent * (by_wall - cooling) - outer * outer_corner / wall.conductivity
+    )
+    return Balance(
+        zero,
+        zero,
+        latent * by_pressure,
+        zero,
+        by_wall,
+        b.chi_gas,
+        latent * wall.flux_factor,
+        -outer,
+    )
 
 
 class Node(NamedTuple):
@@ -214,7 +263,13 @@ class Node(NamedTuple):
 
 
 def node_rates(
-    node: Node, radius: Scalar, velocity: Scalar, pressure: Scalar, rate: Scalar, b: Numbers, c: Constants
+    node: Node,
+    radius: Scalar,
+    velocity: Scalar,
+    pressure: Scalar,
+    rate: Scalar,
+    b: Numbers,
+    c: Constants,
 ) -> tuple[Scalar, Scalar]:
     """``tau_t`` and ``C_t``."""
     square = 1.0 / (radius * radius)
@@ -227,15 +282,19 @@ def node_rates(
     mixing = node.vapour * (c.vapour_constant - c.air_constant) / node.mixture
     warming = node.heat / product
     warmer = (b.chi_gas * square * node.heat_bend + rate) * capacity - drift * node.heat
-    wetter = b.fom * square * (node.vapour_bend - node.vapour * (2.0 * mixing + warming)) - drift * node.vapour
+    wetter = (
+        b.fom * square * (node.vapour_bend - node.vapour * (2.0 * mixing + warming))
+        - drift * node.vapour
+    )
     return warmer, wetter
 
 
 class NodeSlopes(NamedTuple):
-    """Derivatives of ``tau_t`` and ``C_t`` in their own value, slope and Laplacian, and in R, U, P and q.
+    """Derivatives of ``tau_t`` and ``C_t`` in their own value, slope and Laplacian, and in R, U, P
+    and q.
 
-    ``tau_t`` depends on ``tau`` alone; of ``C_t`` in ``tau``, ``coupling`` is the factor of the value, ``coupling_slope`` of
-    ``tau'``.
+    ``tau_t`` depends on ``tau`` alone; of ``C_t`` in ``tau``, ``coupling`` is the factor of the
+    value, ``coupling_slope`` of ``tau'``.
     """
 
     heat_self: Scalar
@@ -257,7 +316,13 @@ class NodeSlopes(NamedTuple):
 
 
 def node_slopes(
-    node: Node, radius: Scalar, velocity: Scalar, pressure: Scalar, rate: Scalar, b: Numbers, c: Constants
+    node: Node,
+    radius: Scalar,
+    velocity: Scalar,
+    pressure: Scalar,
+    rate: Scalar,
+    b: Numbers,
+    c: Constants,
 ) -> NodeSlopes:
     """Derivatives of :func:`node_rates`."""
     inverse = 1.0 / radius
@@ -272,7 +337,9 @@ def node_slopes(
     capacity = product * (share / pressure)
     mixing = node.vapour * (c.vapour_constant - c.air_constant) / node.mixture
     warming = node.heat / product
-    product_slope = (c.slope / node.conductivity + 1.0 / node.temperature) / node.conductivity  # d ln(K T)/d tau
+    product_slope = (
+        c.slope / node.conductivity + 1.0 / node.temperature
+    ) / node.conductivity  # d ln(K T)/d tau
     diffusivity = b.fom * square
     heating = b.chi_gas * square * node.heat_bend + rate
     diffusion = node.vapour_bend - node.vapour * (2.0 * mixing + warming)
@@ -323,11 +390,17 @@ def gel_rate(
     """
     strain = velocity / radius
     conduction = b.foh / (wall.capacity * radius * radius) * bend
-    return conduction - strain * stretching * slope + b.heating / wall.capacity * strain * strain * shear
+    return (
+        conduction
+        - strain * stretching * slope
+        + b.heating / wall.capacity * strain * strain * shear
+    )
 
 
 class GelSlopes(NamedTuple):
-    """Derivatives of ``theta_t`` in its slope and Laplacian, in R, U and P, and in ``tau_w`` beside what ``theta_w`` does."""
+    """Derivatives of ``theta_t`` in its slope and Laplacian, in R, U and P, and in ``tau_w`` beside
+    what ``theta_w`` does.
+    """
 
     first: Scalar
     second: Scalar
@@ -353,7 +426,8 @@ def gel_slopes(
     strain = velocity * inverse
     second = b.foh / wall.capacity * inverse * inverse
     heat = b.heating / wall.capacity * strain * inverse * shear  # viscous heating over U
-    conduction, advection = second * bend, stretching * slope * inverse
+    conduction = second * bend
+    advection = stretching * slope * inverse
     thinned = (c.vapour_constant - c.air_constant) / wall.mixture * (conduction + velocity * heat)
     if not c.gas_capacity:
         thinned = 0.0 * thinned

@@ -1,9 +1,10 @@
 """Step-size control: a scaled error estimate, and the step length that follows from it.
 
-The scaled errors of ``R``, ``U``, ``ln P``, the gel's memory and of the fields (root mean square, temperatures at a lower
-weight) must stay below the tolerance; steps then change by ``0.8 err^(-1/4)`` (Hairer & Wanner 1996, section IV.8). In
-place of the largest of them their 4-norm is used: as large, within a tenth or two, but smooth, and so are then the steps
-as functions of the bubble, which makes derivatives of the discrete solution three times as accurate.
+The scaled errors of ``R``, ``U``, ``ln P``, the gel's memory and of the fields (root mean square,
+temperatures at a lower weight) must stay below the tolerance; steps then change by ``0.8
+err^(-1/4)`` (Hairer & Wanner 1996, section IV.8). In place of the largest of them their 4-norm is
+used: as large, within a tenth or two, but smooth, and so are then the steps as functions of the
+bubble, which makes derivatives of the discrete solution three times as accurate.
 """
 
 from dataclasses import dataclass
@@ -19,7 +20,9 @@ HEAT_WEIGHT = 0.3  # of temperatures beside R, U, ln P and vapour
 FIRST_STEP = 1e-3  # of every member
 UNDERFLOW = 1e-14  # step over time below which a member is given up
 REST = 0.3  # keeps a bubble's time scale finite where nothing moves
-PATIENCE = 1.1  # a leader goes on beyond its last time, by so much at most, until its followers arrive
+PATIENCE = (
+    1.1  # a leader goes on beyond its last time, by so much at most, until its followers arrive
+)
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,8 @@ class Controller:
         error: Float[Tensor, "state members"],
         equations: Equations,
     ) -> Float[Tensor, "members"]:
-        """Scaled error of a step, a ``B`` tensor: at most 1 if the step may be accepted, infinite or NaN if it failed.
+        """Scaled error of a step, a ``B`` tensor: at most 1 if the step may be accepted, infinite
+        or NaN if it failed.
 
         Args:
             before: the state before the step.
@@ -54,7 +58,9 @@ class Controller:
         pressure = 1.0 + torch.exp(after[2])
         speed = after[1].abs() + 0.1 * torch.sqrt(pressure)
         heat, vapour, gel, memory = error[4:].split((inside, inside, equations.m, equations.memory))
-        hottest = 0.1 + torch.maximum(before[4 : 4 + inside].abs().amax(0), after[4 : 4 + inside].abs().amax(0))
+        hottest = 0.1 + torch.maximum(
+            before[4 : 4 + inside].abs().amax(0), after[4 : 4 + inside].abs().amax(0)
+        )
         warmest = 0.01 + after[3].abs()
         scaled = torch.stack(
             (
@@ -67,7 +73,9 @@ class Controller:
                 *(memory.abs() / (after[len(after) - len(memory) :].abs() + 0.1 * pressure)),
             )
         )
-        return torch.where(radius > 0.0, scaled.square().square().sum(0).sqrt().sqrt() / self.tolerance, torch.inf)
+        return torch.where(
+            radius > 0.0, scaled.square().square().sum(0).sqrt().sqrt() / self.tolerance, torch.inf
+        )
 
     def factor(self, error: Float[Tensor, "members"]) -> Float[Tensor, "members"]:
         """What to multiply the step by."""

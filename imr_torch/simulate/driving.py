@@ -1,8 +1,8 @@
 """Far-field driving: a pressure ``p_ac(t)`` on top of ``p_inf``, in SI at the border.
 
-A driving is a function of the laboratory's time in seconds, zero at the maximum radius. The solver also needs its first and
-second derivative, because ``dp_far/dt`` acts in compressible radial equations and is differentiated once more by an
-implicit step.
+A driving is a function of the laboratory's time in seconds, zero at the maximum radius. The solver
+also needs its first and second derivative, because ``dp_far/dt`` acts in compressible radial
+equations and is differentiated once more by an implicit step.
 """
 
 import math
@@ -21,7 +21,8 @@ _TURN = 2.0 * math.pi
 
 
 class Driving(Protocol):
-    """Anything that gives ``p_ac`` (Pa) and its first two time derivatives (Pa/s, Pa/s^2) at times in seconds.
+    """Anything that gives ``p_ac`` (Pa) and its first two time derivatives (Pa/s, Pa/s^2) at times
+    in seconds.
 
     The compiled engine takes a :class:`LawDriving`; any other one is evaluated on tensors.
 
@@ -39,7 +40,9 @@ class Driving(Protocol):
         ...
 
 
-def sine(time: Scalar, values: Scalar, knots: Scalar, cubics: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+def sine(
+    time: Scalar, values: Scalar, knots: Scalar, cubics: Scalar
+) -> tuple[Scalar, Scalar, Scalar]:
     """``a sin(2 pi f t + phase)`` of ``values`` amplitude, frequency and phase."""
     rate = _TURN * values[1]
     angle = rate * time + values[2]
@@ -47,27 +50,43 @@ def sine(time: Scalar, values: Scalar, knots: Scalar, cubics: Scalar) -> tuple[S
     return value, values[0] * rate * cos(angle), -rate * rate * value
 
 
-def gaussian(time: Scalar, values: Scalar, knots: Scalar, cubics: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+def gaussian(
+    time: Scalar, values: Scalar, knots: Scalar, cubics: Scalar
+) -> tuple[Scalar, Scalar, Scalar]:
     """``a exp(-((t - centre)/width)^2)`` of ``values`` amplitude, centre and width."""
     x = (time - values[1]) / values[2]
     value = values[0] * exp(-x * x)
-    return value, -2.0 * x / values[2] * value, (4.0 * x * x - 2.0) / (values[2] * values[2]) * value
+    return (
+        value,
+        -2.0 * x / values[2] * value,
+        (4.0 * x * x - 2.0) / (values[2] * values[2]) * value,
+    )
 
 
-def spline(time: Scalar, values: Scalar, knots: Scalar, cubics: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-    """A cubic a piece (``cubics``, ``4 x n-1``, highest power first) between ``n`` knots, constant outside."""
-    early, late = time < knots[0], time > knots[-1]
+def spline(
+    time: Scalar, values: Scalar, knots: Scalar, cubics: Scalar
+) -> tuple[Scalar, Scalar, Scalar]:
+    """A cubic a piece (``cubics``, ``4 x n-1``, highest power first) between ``n`` knots, constant
+    outside.
+    """
+    early = time < knots[0]
+    late = time > knots[-1]
     held = where(early, knots[0], where(late, knots[-1], time))
     piece = find(knots, held)
     s = held - knots[piece]
-    a, b, c, d = cubics[0, piece], cubics[1, piece], cubics[2, piece], cubics[3, piece]
-    rate, bend = (3.0 * a * s + 2.0 * b) * s + c, 6.0 * a * s + 2.0 * b
+    a = cubics[0, piece]
+    b = cubics[1, piece]
+    c = cubics[2, piece]
+    d = cubics[3, piece]
+    rate = (3.0 * a * s + 2.0 * b) * s + c
+    bend = 6.0 * a * s + 2.0 * b
     outside = early | late
     return ((a * s + b) * s + c) * s + d, where(outside, 0.0, rate), where(outside, 0.0, bend)
 
 
 class LawDriving:
-    """A driving that is a law of scalars (:mod:`imr_torch.elementary`): ``law(time, values, knots, cubics)``.
+    """A driving that is a law of scalars (:mod:`imr_torch.elementary`): ``law(time, values, knots,
+    cubics)``.
 
     Attributes:
         law: gives ``p_ac`` and its first two derivatives, SI.
@@ -105,7 +124,9 @@ def _check(kind: object, positive: str = "", finite: str = "") -> None:
         value = getattr(kind, name)
         if not math.isfinite(value) or (name in positive.split() and value <= 0.0):
             expected = "a positive finite number" if name in positive.split() else "finite"
-            raise InputDataError(f"{type(kind).__name__}.{name} is {value}; it must be {expected}, in SI units.")
+            raise InputDataError(
+                f"{type(kind).__name__}.{name} is {value}; it must be {expected}, in SI units."
+            )
 
 
 @dataclass(frozen=True)
@@ -171,10 +192,12 @@ class GaussianPulse(LawDriving):
 
 @dataclass(frozen=True)
 class TabulatedDriving(LawDriving):
-    """A measured pressure, interpolated by a cubic spline; constant before its first and after its last sample.
+    """A measured pressure, interpolated by a cubic spline; constant before its first and after its
+    last sample.
 
     Args:
-        times: s, increasing, at least three; the spline ends with zero slope, so that it joins the constants smoothly.
+        times: s, increasing, at least three; the spline ends with zero slope, so that it joins the
+            constants smoothly.
         pressures: Pa, as many.
 
     >>> import torch
@@ -190,13 +213,18 @@ class TabulatedDriving(LawDriving):
     def __post_init__(self) -> None:
         if len(self.times) != len(self.pressures) or len(self.times) < 3:
             raise InputDataError(
-                f"TabulatedDriving has {len(self.times)} times and {len(self.pressures)} pressures; expected as many of each, "
+                f"TabulatedDriving has {len(self.times)} times and {len(self.pressures)} "
+                "pressures; expected as many of each, "
                 "at least three."
             )
         if not all(math.isfinite(x) for x in (*self.times, *self.pressures)):
-            raise InputDataError("TabulatedDriving holds a value that is not finite; leave such samples out.")
+            raise InputDataError(
+                "TabulatedDriving holds a value that is not finite; leave such samples out."
+            )
         if any(b <= a for a, b in zip(self.times[:-1], self.times[1:], strict=True)):
-            raise InputDataError("TabulatedDriving.times must increase; sort them and drop repeated ones.")
+            raise InputDataError(
+                "TabulatedDriving.times must increase; sort them and drop repeated ones."
+            )
 
     @cached_property
     def _pieces(self) -> tuple[Tensor, Tensor]:

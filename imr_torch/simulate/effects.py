@@ -1,8 +1,9 @@
-"""Physics of effects of the bubble and of the liquid around it, attached to their entries in the effect library.
+"""Physics of effects of the bubble and of the liquid around it, attached to their entries in the
+effect library.
 
-What a calibration of the experiment does not give (the sound speed, heat loss, a wall nearby) is a parameter of each member of
-a batch, so that it can be inferred like a property of the gel. At zero each does nothing, exactly. Parameters and priors are in
-:mod:`imr_torch.material.effects`.
+What a calibration of the experiment does not give (the sound speed, heat loss, a wall nearby) is a
+parameter of each member of a batch, so that it can be inferred like a property of the gel. At zero
+each does nothing, exactly. Parameters and priors are in :mod:`imr_torch.material.effects`.
 """
 
 import torch
@@ -17,7 +18,10 @@ from imr_torch.simulate.setting import Setting
 
 
 def heat_exchange(setting: Setting, factor: Scalar) -> Setting:
-    """More or less heat crosses the wall; a polytropic exponent moves between 1 (isothermal) and the adiabatic one."""
+    """More or less heat crosses the wall.
+
+    A polytropic exponent moves between 1 (isothermal) and the adiabatic one.
+    """
     less = torch.exp(-factor)
     share = (setting.exponent - 1.0) / (setting.adiabatic - 1.0)
     moved = 1.0 + (setting.adiabatic - 1.0) * share * less / (1.0 - share + share * less)
@@ -89,10 +93,14 @@ def wall(setting: Setting, strength: Scalar) -> Setting:
 give_physics("wall", setting=wall)
 
 
-def shape_modes(radius: Scalar, velocity: Scalar, rest_radius: Scalar, energy_loss: Scalar) -> tuple[Scalar, ...]:
-    """Energy that leaves into shape modes as the bubble shrinks below rest: ``-zeta U|U| R_inf^2/(R^2 + R_inf^2)``.
+def shape_modes(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, energy_loss: Scalar
+) -> tuple[Scalar, ...]:
+    """Energy that leaves into shape modes as the bubble shrinks below rest: ``-zeta U|U|
+    R_inf^2/(R^2 + R_inf^2)``.
 
-    A closure for what a spherical model cannot have; not a stress of the gel, but it acts at the wall like one.
+    A closure for what a spherical model cannot have; not a stress of the gel, but it acts at the
+    wall like one.
     """
     total = radius * radius + rest_radius * rest_radius
     share = energy_loss * rest_radius * rest_radius / total
@@ -116,7 +124,9 @@ def residual_velocity(setting: Setting, velocity: Scalar) -> Setting:
 give_physics("residual_velocity", setting=residual_velocity)
 
 
-def sound_field(time: Scalar, amplitude: Scalar, log_frequency: Scalar, phase: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+def sound_field(
+    time: Scalar, amplitude: Scalar, log_frequency: Scalar, phase: Scalar
+) -> tuple[Scalar, Scalar, Scalar]:
     """A sound field rings on."""
     frequency = exp(log_frequency)
     angle = frequency * time + phase
@@ -127,7 +137,9 @@ def sound_field(time: Scalar, amplitude: Scalar, log_frequency: Scalar, phase: S
 give_physics("sound_field", far_field=sound_field)
 
 
-def pulse(time: Scalar, amplitude: Scalar, arrival: Scalar, log_width: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+def pulse(
+    time: Scalar, amplitude: Scalar, arrival: Scalar, log_width: Scalar
+) -> tuple[Scalar, Scalar, Scalar]:
     """A reflected pulse arrives."""
     width = exp(log_width)
     x = (time - arrival) / width

@@ -1,8 +1,10 @@
-"""Choice of the engine that integrates the bubbles: compiled code, or tensors through ``torchdiffeq``.
+"""Choice of the engine that integrates the bubbles: compiled code, or tensors through
+``torchdiffeq``.
 
-``"compiled"``, the default, integrates one bubble after the other in machine code (:mod:`imr_torch.simulate.compiled`), on
-several processor threads. ``"torchdiffeq"`` integrates whole batches of tensors: on a GPU, with gradients by autograd, and with
-laws that have no compiled form. Where the compiled engine cannot serve, the tensor engine takes over by itself, warns once,
+``"compiled"``, the default, integrates one bubble after the other in machine code
+(:mod:`imr_torch.simulate.compiled`), on several processor threads. ``"torchdiffeq"`` integrates
+whole batches of tensors: on a GPU, with gradients by autograd, and with laws that have no compiled
+form. Where the compiled engine cannot serve, the tensor engine takes over by itself, warns once,
 and gives the same answer.
 """
 
@@ -23,25 +25,41 @@ ENGINES = ("compiled", "torchdiffeq")
 
 
 def check_engine(simulator: str, engine: str, threads: int | None) -> None:
-    """Raise :class:`InputDataError` unless ``engine`` is one of ``ENGINES`` and ``threads`` a number of threads."""
+    """Raise :class:`InputDataError` unless ``engine`` is one of ``ENGINES`` and ``threads`` a
+    number of threads.
+    """
     if engine not in ENGINES:
-        raise InputDataError(f"{simulator}.engine is {engine!r}; expected one of {', '.join(ENGINES)}.")
+        raise InputDataError(
+            f"{simulator}.engine is {engine!r}; expected one of {', '.join(ENGINES)}."
+        )
     if threads is not None and threads < 1:
-        raise InputDataError(f"{simulator}.threads is {threads}; expected at least 1, or None for all cores.")
+        raise InputDataError(
+            f"{simulator}.threads is {threads}; expected at least 1, or None for all cores."
+        )
 
 
 def on_one_thread(simulator: Simulator) -> Simulator:
     """The simulator, using one thread: for workers that share the cores of a machine."""
-    return replace(simulator, threads=1) if is_dataclass(simulator) and hasattr(simulator, "threads") else simulator
+    return (
+        replace(simulator, threads=1)
+        if is_dataclass(simulator) and hasattr(simulator, "threads")
+        else simulator
+    )
 
 
 def compiles(engine: Engine, bubbles: Bubbles) -> bool:
-    """Whether the compiled engine integrates a batch; if it was asked for and cannot, the reason is given once."""
+    """Whether the compiled engine integrates a batch.
+
+    If it was asked for and cannot, the reason is given once.
+    """
     if engine != "compiled":
         return False
     reason = _obstacle(bubbles)
     if reason is not None:
-        _say(f"Bubbles are integrated by the torchdiffeq engine, since {reason}; results are the same and take longer.")
+        _say(
+            f"Bubbles are integrated by the torchdiffeq engine, since {reason}; results are the "
+            "same and take longer."
+        )
     return reason is None
 
 

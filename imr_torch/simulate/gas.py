@@ -1,4 +1,6 @@
-"""Laws of a bubble that holds polytropic gas: scalar functions that both engines use (:mod:`imr_torch.elementary`)."""
+"""Laws of a bubble that holds polytropic gas: scalar functions that both engines use
+(:mod:`imr_torch.elementary`).
+"""
 
 from imr_torch.elementary import Scalar, power
 
@@ -34,6 +36,7 @@ def polytropic(
         exponent: polytropic exponent.
         vapour: pressure of the vapour without effects.
     """
-    inside, beside = gas * compression * left, vapour * factor
+    inside = gas * compression * left
+    beside = vapour * factor
     stiffness = 3.0 * exponent * velocity / radius
     return inside + beside, -stiffness * (inside + trapped * beside) - inside * lost

@@ -1,10 +1,12 @@
-"""Grids for the fields inside and outside the bubble: spectral ones, and second-order ones to compare with.
+"""Grids for the fields inside and outside the bubble: spectral ones, and second-order ones to
+compare with.
 
-Inside, even Chebyshev collocation on the mapped coordinate ``y = r/R = tanh(beta eta)/tanh(beta)`` resolves the thermal
-boundary layer with some sixteen nodes; outside, Chebyshev on ``y = 1 + L (1 - xi)/(1 + xi)`` reaches to infinity. Central
-differences on nodes that are even in ``eta`` and ``xi`` share the maps and nothing else; the published code's grid is the
-one that is even in ``y`` itself.
-References: Boyd, Chebyshev and Fourier Spectral Methods (2001), ch. 6, 8 and 17; Trefethen, Spectral Methods in MATLAB
+Inside, even Chebyshev collocation on the mapped coordinate ``y = r/R = tanh(beta eta)/tanh(beta)``
+resolves the thermal boundary layer with some sixteen nodes; outside, Chebyshev on ``y = 1 + L (1 -
+xi)/(1 + xi)`` reaches to infinity. Central differences on nodes that are even in ``eta`` and ``xi``
+share the maps and nothing else; the published code's grid is the one that is even in ``y`` itself.
+References: Boyd, Chebyshev and Fourier Spectral Methods (2001), ch. 6, 8 and 17; Trefethen,
+    Spectral Methods in MATLAB
 (2000), ch. 6 and 11.
 """
 
@@ -20,7 +22,8 @@ from imr_torch.errors import InputDataError
 
 @dataclass(frozen=True)
 class Grid:
-    """Collocation nodes on one side of the wall, and derivatives of a field known at the wall and at the nodes.
+    """Collocation nodes on one side of the wall, and derivatives of a field known at the wall and
+    at the nodes.
 
     Args:
         nodes: ``r/R`` of the nodes; the wall (``r/R = 1``) is not among them.
@@ -48,10 +51,12 @@ class Resolution:
         inside: nodes in the bubble.
         outside: nodes in the gel.
         stretch: ``beta``, how much the inner nodes crowd at the wall.
-        reach: ``L``, the distance from the wall, in radii, within which half of the outer nodes lie.
-        kind: ``"spectral"``; ``"finite_difference"``: of second order with the same crowding at the wall, where nodes
-            count the wall, the centre and infinity; ``"authors"``: the uniform second-order grid of the published code
-            (the same count; ``stretch`` is ignored and ``reach`` is its 2).
+        reach: ``L``, the distance from the wall, in radii, within which half of the outer nodes
+            lie.
+        kind: ``"spectral"``; ``"finite_difference"``: of second order with the same crowding at the
+            wall, where nodes count the wall, the centre and infinity; ``"authors"``: the uniform
+            second-order grid of the published code (the same count; ``stretch`` is ignored and
+            ``reach`` is its 2).
 
     >>> from imr_torch.simulate import Accuracy, Resolution, TransportSimulator
     >>> fine = TransportSimulator(accuracy=Accuracy(1e-5, Resolution(inside=24, outside=24)))
@@ -67,12 +72,19 @@ class Resolution:
 
     def __post_init__(self) -> None:
         if self.kind not in ("spectral", "finite_difference", "authors"):
-            raise InputDataError(f"Resolution.kind is {self.kind!r}; expected 'spectral', 'finite_difference' or 'authors'.")
+            raise InputDataError(
+                f"Resolution.kind is {self.kind!r}; expected 'spectral', 'finite_difference' or "
+                "'authors'."
+            )
         if not (4 <= self.inside <= 512 and 4 <= self.outside <= 512):
-            raise InputDataError(f"Resolution has {self.inside} and {self.outside} nodes; expected 4 to 512 on each side.")
+            raise InputDataError(
+                f"Resolution has {self.inside} and {self.outside} nodes; expected 4 to 512 on "
+                "each side."
+            )
         if not (0.0 < self.stretch <= 6.0 and self.reach > 0.0):
             raise InputDataError(
-                f"Resolution.stretch is {self.stretch} and reach {self.reach}; expected 0 < stretch <= 6 and reach > 0."
+                f"Resolution.stretch is {self.stretch} and reach {self.reach}; expected 0 < "
+                "stretch <= 6 and reach > 0."
             )
 
     def grids(self) -> tuple[Grid, Grid]:
@@ -80,8 +92,12 @@ class Resolution:
         if self.kind == "authors":
             return uniform_inside(self.inside), difference_outside(self.outside, self.reach)
         if self.kind == "finite_difference":
-            return difference_inside(self.inside, self.stretch), difference_outside(self.outside, self.reach)
-        return chebyshev_inside(self.inside, self.stretch), chebyshev_outside(self.outside, self.reach)
+            return difference_inside(self.inside, self.stretch), difference_outside(
+                self.outside, self.reach
+            )
+        return chebyshev_inside(self.inside, self.stretch), chebyshev_outside(
+            self.outside, self.reach
+        )
 
 
 def chebyshev_inside(n: int, stretch: float) -> Grid:
@@ -121,12 +137,15 @@ def difference_inside(nodes: int, stretch: float) -> Grid:
 
 
 def uniform_inside(nodes: int) -> Grid:
-    """The published code's inner grid: ``nodes`` uniform points from centre to wall, second-order differences."""
+    """The published code's inner grid: ``nodes`` uniform points from centre to wall, second-order
+    differences.
+    """
     return _with_centre(*_even_differences(nodes))
 
 
 def difference_outside(nodes: int, reach: float) -> Grid:
-    """Second-order differences on ``nodes`` points even in ``xi`` from wall to infinity, where the field vanishes.
+    """Second-order differences on ``nodes`` points even in ``xi`` from wall to infinity, where the
+    field vanishes.
 
     Args:
         nodes: points, wall and infinity included; the published code has these with ``reach = 2``.
@@ -137,16 +156,26 @@ def difference_outside(nodes: int, reach: float) -> Grid:
     return _outer(xi, first, second, reach)
 
 
-def _crowd(eta: Tensor, slope: Tensor, curvature: Tensor, stretch: float) -> tuple[Tensor, Tensor, Tensor]:
-    """``y = tanh(beta eta)/tanh(beta)``, and derivatives in ``eta`` turned into derivatives in ``y``."""
+def _crowd(
+    eta: Tensor, slope: Tensor, curvature: Tensor, stretch: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """``y = tanh(beta eta)/tanh(beta)``, and derivatives in ``eta`` turned into derivatives in
+    ``y``.
+    """
     y = torch.tanh(stretch * eta) / math.tanh(stretch)
     stretched = stretch / math.tanh(stretch) / torch.cosh(stretch * eta) ** 2
     bend = -2.0 * stretch * torch.tanh(stretch * eta) * stretched
-    return y, slope / stretched[:, None], curvature / stretched[:, None] ** 2 - (bend / stretched**3)[:, None] * slope
+    return (
+        y,
+        slope / stretched[:, None],
+        curvature / stretched[:, None] ** 2 - (bend / stretched**3)[:, None] * slope,
+    )
 
 
 def _even_differences(nodes: int) -> tuple[Tensor, Tensor, Tensor]:
-    """``nodes`` points from wall to centre, and second-order derivatives of a field that is even there."""
+    """``nodes`` points from wall to centre, and second-order derivatives of a field that is even
+    there.
+    """
     y = torch.linspace(1.0, 0.0, nodes, dtype=torch.float64)
     step = y[0] - y[1]
     first, second = _central(nodes, step)
@@ -164,9 +193,14 @@ def _with_centre(y: Tensor, first: Tensor, second: Tensor) -> Grid:
 def _outer(xi: Tensor, slope: Tensor, curvature: Tensor, reach: float) -> Grid:
     """Map derivatives in ``xi`` to ``y``, and drop infinity."""
     keep = slice(0, len(xi) - 1)
-    xi, slope, curvature = xi[keep], slope[keep, keep], curvature[keep, keep]
+    xi = xi[keep]
+    slope = slope[keep, keep]
+    curvature = curvature[keep, keep]
     y = 1.0 + reach * (1.0 - xi) / (1.0 + xi)
-    rate, bend = -((1.0 + xi) ** 2) / (2.0 * reach), -(1.0 + xi) / reach  # d xi/dy, and its derivative in xi
+    rate, bend = (
+        -((1.0 + xi) ** 2) / (2.0 * reach),
+        -(1.0 + xi) / reach,
+    )  # d xi/dy, and its derivative in xi
     first = rate[:, None] * slope
     return _grid(y, first, rate[:, None] * (bend[:, None] * slope + rate[:, None] * curvature))
 
@@ -177,7 +211,10 @@ def _grid(y: Tensor, first: Tensor, second: Tensor) -> Grid:
 
 
 def _central(nodes: int, step: Tensor) -> tuple[Tensor, Tensor]:
-    """First and second central differences on nodes in falling order; one-sided and second-order at the wall."""
+    """First and second central differences on nodes in falling order.
+
+    One-sided and second-order at the wall.
+    """
     first = torch.zeros(nodes, nodes, dtype=torch.float64)
     second = torch.zeros_like(first)
     inner = torch.arange(1, nodes - 1)
@@ -189,12 +226,18 @@ def _central(nodes: int, step: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _chebyshev(count: int) -> tuple[Tensor, Tensor]:
-    """The ``count + 1`` Chebyshev extrema from 1 to -1 and their derivative (Trefethen 2000, eqs. 6.3-6.5)."""
+    """The ``count + 1`` Chebyshev extrema from 1 to -1 and their derivative (Trefethen 2000, eqs.
+
+    6.3-6.5).
+    """
     index = torch.arange(count + 1, dtype=torch.float64)
     x = torch.cos(math.pi * index / count)
     weight = torch.where((index == 0) | (index == count), 2.0, 1.0) * (-1.0) ** index
-    sums, differences = 0.5 * (index[:, None] + index), 0.5 * (index - index[:, None])
-    distance = 2.0 * torch.sin(math.pi * sums / count) * torch.sin(math.pi * differences / count)  # x_i - x_j, exactly
+    sums = 0.5 * (index[:, None] + index)
+    differences = 0.5 * (index - index[:, None])
+    distance = (
+        2.0 * torch.sin(math.pi * sums / count) * torch.sin(math.pi * differences / count)
+    )  # x_i - x_j, exactly
     matrix = weight[:, None] / weight / (distance + torch.eye(count + 1, dtype=torch.float64))
     matrix.fill_diagonal_(0.0)
     return x, matrix - torch.diag(matrix.sum(1))

@@ -1,16 +1,20 @@
-"""Heat and vapour transport through ``torchdiffeq``: ``odeint(field, field.start(), ticks, method=METHOD, rtol=3e-4)``.
+"""Heat and vapour transport through ``torchdiffeq``: ``odeint(field, field.start(), ticks,
+method=METHOD, rtol=3e-4)``.
 
-A step common to a batch would be dictated by the member that collapses, so every member keeps its own time and step, which are
-rows of the state; the time of ``odeint`` counts *ticks*, steps tried by every member together. What comes back is the whole
-state (temperatures and vapour too) of all members after each tick. Importing this module registers the method. It needs the
-exact Jacobian, so it takes a :class:`TransportField` and nothing else.
+A step common to a batch would be dictated by the member that collapses, so every member keeps its
+own time and step, which are rows of the state; the time of ``odeint`` counts *ticks*, steps tried
+by every member together. What comes back is the whole state (temperatures and vapour too) of all
+members after each tick. Importing this module registers the method. It needs the exact Jacobian, so
+it takes a :class:`TransportField` and nothing else.
 
-A batch may hold *bundles*: a leader and followers that differ a little from it. All take the leader's steps, so that their
-discretisation errors differ as smoothly as the bubbles do, and differences between them are derivatives of the discrete
-solution (internal numerical differentiation: Bock, in Modelling of Chemical Reaction Systems, Springer 1981). A follower's step
-is the leader's in proportion to their time scales, or its collapse would move through the leader's fine steps and back, which
-changes the errors more than the bubble: sensitivities then err by 10 %, and not by .1 %. Steps controlled by each one's own
-error are no better, since in violent collapses they depend chaotically on it.
+A batch may hold *bundles*: a leader and followers that differ a little from it. All take the
+    leader's steps, so that their
+discretisation errors differ as smoothly as the bubbles do, and differences between them are
+derivatives of the discrete solution (internal numerical differentiation: Bock, in Modelling of
+Chemical Reaction Systems, Springer 1981). A follower's step is the leader's in proportion to their
+time scales, or its collapse would move through the leader's fine steps and back, which changes the
+errors more than the bubble: sensitivities then err by 10 %, and not by .1 %. Steps controlled by
+each one's own error are no better, since in violent collapses they depend chaotically on it.
 """
 
 import torch
@@ -48,7 +52,8 @@ class TransportField:
     """
 
     def __init__(self, equations: Equations, width: int = 1) -> None:
-        self.equations, self.width = equations, width
+        self.equations = equations
+        self.width = width
 
     @classmethod
     def of(
@@ -74,14 +79,17 @@ class TransportField:
     def __len__(self) -> int:
         return len(self.equations.bubbles)
 
-    def __call__(self, tick: Float[Tensor, ""], state: Float[Tensor, "rows members"]) -> Float[Tensor, "rows members"]:
+    def __call__(
+        self, tick: Float[Tensor, ""], state: Float[Tensor, "rows members"]
+    ) -> Float[Tensor, "rows members"]:
         """Not defined: a member moves by its own step in a tick.
 
         Raises:
             UnsupportedError: always; only ``METHOD`` integrates this field.
         """
         raise UnsupportedError(
-            f"A TransportField is integrated by method={METHOD!r} only; other methods of torchdiffeq are not."
+            f"A TransportField is integrated by method={METHOD!r} only; other methods of "
+            "torchdiffeq are not."
         )
 
     def take(self, members: Int[Tensor, "kept"]) -> "TransportField":
@@ -95,16 +103,23 @@ class TransportField:
         control[1] = FIRST_STEP
         return torch.cat((state, control))
 
-    def tick(self, state: Float[Tensor, "rows members"], controller: Controller) -> Float[Tensor, "rows members"]:
+    def tick(
+        self, state: Float[Tensor, "rows members"], controller: Controller
+    ) -> Float[Tensor, "rows members"]:
         """The state after one more step of every member, which stays where it is if its step fails."""
         x, (time, step, before) = state[:-CONTROL], state[-CONTROL:]
         lead = slice(None, None, self.width)
         length = step if self.width == 1 else self._lengths(x, step)
         trial = rosenbrock_step(self.equations, x, length, time)
-        error = controller.error(x[:, lead], trial.state[:, lead], trial.error[:, lead], self.equations)
+        error = controller.error(
+            x[:, lead], trial.state[:, lead], trial.error[:, lead], self.equations
+        )
         factor = controller.factor(error)
-        factor = torch.where(before[lead] <= 1.0, factor, factor.clamp_max(1.0))  # no growth after a failure
-        error, factor = self._each(error), self._each(factor)
+        factor = torch.where(
+            before[lead] <= 1.0, factor, factor.clamp_max(1.0)
+        )  # no growth after a failure
+        error = self._each(error)
+        factor = self._each(factor)
         accepted = error <= 1.0
         control = torch.stack((torch.where(accepted, time + length, time), step * factor, error))
         return torch.cat((torch.where(accepted, trial.state, x), control))
@@ -114,7 +129,9 @@ class TransportField:
         return values.repeat_interleave(self.width) if self.width > 1 else values
 
     def _lengths(self, x: Tensor, step: Tensor) -> Tensor:
-        """The leaders' steps, for each member in proportion to its time scale (as in :mod:`imr_torch.simulate.clock`)."""
+        """The leaders' steps, for each member in proportion to its time scale (as in
+        :mod:`imr_torch.simulate.clock`).
+        """
         radius, velocity, log_pressure = x[:3]
         pace = radius * torch.rsqrt(REST + torch.exp(log_pressure) + velocity * velocity)
         return step * (pace / self._each(pace[:: self.width]))
@@ -127,15 +144,23 @@ class RosenbrockMethod:
         func: a :class:`TransportField`, as ``torchdiffeq`` wraps it.
         y0: ``(4 + 2n + m + K + CONTROL) x B`` tensor, the state at the first tick.
         rtol: relative error allowed in a step.
-        atol: not used; the scales of the state are known (see :mod:`imr_torch.simulate.controller`).
+        atol: not used; the scales of the state are known (see
+            :mod:`imr_torch.simulate.controller`).
         **_: options of other methods.
     """
 
-    def __init__(self, func, y0: Float[Tensor, "rows members"], rtol: float, atol: float, **_: object) -> None:
+    def __init__(
+        self, func, y0: Float[Tensor, "rows members"], rtol: float, atol: float, **_: object
+    ) -> None:
         field = getattr(func, "base_func", func)
         if not isinstance(field, TransportField):
-            raise UnsupportedError(f"method={METHOD!r} needs a TransportField and rising ticks, got {type(field).__name__}.")
-        self._field, self._state, self._controller = field, y0, Controller(float(rtol))
+            raise UnsupportedError(
+                f"method={METHOD!r} needs a TransportField and rising ticks, got "
+                f"{type(field).__name__}."
+            )
+        self._field = field
+        self._state = y0
+        self._controller = Controller(float(rtol))
 
     @classmethod
     def valid_callbacks(cls) -> set[str]:
@@ -143,7 +168,9 @@ class RosenbrockMethod:
         return set()
 
     def integrate(self, t: Float[Tensor, "ticks"]) -> Float[Tensor, "ticks rows members"]:
-        """States after each of the ticks ``t`` (``n``, the first is where ``y0`` stands), ``n x rows x B``."""
+        """States after each of the ticks ``t`` (``n``, the first is where ``y0`` stands), ``n x
+        rows x B``.
+        """
         with torch.no_grad():
             states = [self._state]
             for begin, end in zip(t[:-1].tolist(), t[1:].tolist(), strict=True):
@@ -160,7 +187,8 @@ def _register() -> None:
         from torchdiffeq._impl.odeint import SOLVERS
     except ImportError as error:
         raise UnsupportedError(
-            "This version of torchdiffeq keeps its table of methods elsewhere, so that no method can be added to it; install "
+            "This version of torchdiffeq keeps its table of methods elsewhere, so that no method "
+            "can be added to it; install "
             "torchdiffeq 0.2.5 for the torchdiffeq engine, or use engine='compiled'."
         ) from error
     SOLVERS.setdefault(METHOD, RosenbrockMethod)

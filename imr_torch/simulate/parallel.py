@@ -1,9 +1,11 @@
-"""A simulator spread over workers: any ``concurrent.futures.Executor``, one thread a worker, lost workers retried.
+"""A simulator spread over workers: any ``concurrent.futures.Executor``, one thread a worker, lost
+workers retried.
 
-A batch is cut into chunks whose size does not depend on the number of workers, so results are the same bit for bit on any
-number of workers, whatever the order in which chunks return: that of the simulator called chunk by chunk. Pools of
-processes, of threads, of ``dask.distributed`` (``client.get_executor()``) and of ``mpi4py.futures`` all serve. Arguments
-and results travel as NumPy arrays; workers compute on the CPU.
+A batch is cut into chunks whose size does not depend on the number of workers, so results are the
+same bit for bit on any number of workers, whatever the order in which chunks return: that of the
+simulator called chunk by chunk. Pools of processes, of threads, of ``dask.distributed``
+(``client.get_executor()``) and of ``mpi4py.futures`` all serve. Arguments and results travel as
+NumPy arrays; workers compute on the CPU.
 """
 
 import math
@@ -25,7 +27,13 @@ import torch
 from jaxtyping import Real
 from torch import Tensor
 
-from imr_torch.errors import ConvergenceError, ConvergenceWarning, ImrError, InputDataError, UnsupportedError
+from imr_torch.errors import (
+    ConvergenceError,
+    ConvergenceWarning,
+    ImrError,
+    InputDataError,
+    UnsupportedError,
+)
 from imr_torch.simulate.conditions import Conditions
 from imr_torch.simulate.engines import on_one_thread
 from imr_torch.simulate.sensitivity import differentiable
@@ -44,13 +52,15 @@ from imr_torch.types import Progress
 Arrays = tuple[np.ndarray, ...]
 
 _GUARD = (
-    "If the pool never worked: simulators must survive pickling, and a script that starts processes needs an "
+    "If the pool never worked: simulators must survive pickling, and a script that starts "
+    "processes needs an "
     'if __name__ == "__main__".'
 )
 
 
 def process_pool(workers: int) -> ProcessPoolExecutor:
-    """A pool of fresh processes on this machine; a script that makes one needs an ``if __name__ == "__main__":``.
+    """A pool of fresh processes on this machine; a script that makes one needs an ``if __name__ ==
+    "__main__":``.
 
     Args:
         workers: how many; at most as many as there are idle cores.
@@ -64,11 +74,15 @@ def process_pool(workers: int) -> ProcessPoolExecutor:
     """
     if workers < 1:
         raise InputDataError(f"process_pool: workers is {workers}; expected at least 1.")
-    return ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_prepare_worker)
+    return ProcessPoolExecutor(
+        workers, mp_context=get_context("spawn"), initializer=_prepare_worker
+    )
 
 
 def _prepare_worker() -> None:
-    """Leave Ctrl-C, which reaches all processes of a terminal, to the process that started this one, and end when that ends."""
+    """Leave Ctrl-C, which reaches all processes of a terminal, to the process that started this
+    one, and end when that ends.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = parent_process()
     if parent is not None:
@@ -82,7 +96,8 @@ def _end_with(parent: BaseProcess) -> None:
 
 
 def with_inner(simulator: Simulator, change: Callable[[Simulator], Simulator]) -> Simulator:
-    """A simulator changed, or, if workers do its work, one with the same workers that do that of the changed one.
+    """A simulator changed, or, if workers do its work, one with the same workers that do that of
+    the changed one.
 
     >>> from dataclasses import replace
     >>> from imr_torch.simulate import ACCURACIES, TransportSimulator, with_inner
@@ -91,13 +106,15 @@ def with_inner(simulator: Simulator, change: Callable[[Simulator], Simulator]) -
     """
     if not isinstance(simulator, ParallelSimulator):
         return change(simulator)
-    alike, inner = copy(simulator), with_inner(simulator.simulator, change)
+    alike = copy(simulator)
+    inner = with_inner(simulator.simulator, change)
     alike.simulator = inner
     return simulator if inner is simulator.simulator else alike
 
 
 def described(simulator: Simulator) -> str:
-    """What a simulator computes, as text: without its workers, which change no bit, and without addresses in memory.
+    """What a simulator computes, as text: without its workers, which change no bit, and without
+    addresses in memory.
 
     >>> from functools import partial
     >>> from imr_torch.simulate import ParallelSimulator, PolytropicSimulator, described, process_pool
@@ -113,17 +130,19 @@ def described(simulator: Simulator) -> str:
 class ParallelSimulator:
     """A :class:`~imr_torch.simulate.Simulator` that lets workers do the work of another.
 
-    A worker that dies, and a chunk that a worker could not do, cost a retry; the members of a chunk that keeps failing get
-    the status ``LOST_WORKER``, and the rest of the batch goes on. Gradients and bundles pass through as those of the
-    simulator itself do.
+    A worker that dies, and a chunk that a worker could not do, cost a retry; the members of a chunk
+    that keeps failing get the status ``LOST_WORKER``, and the rest of the batch goes on. Gradients
+    and bundles pass through as those of the simulator itself do.
 
     Args:
-        simulator: does the work; it must survive pickling, and what it is made of must be importable by the workers.
-        executor: an executor, which stays the caller's to shut down, or a function that makes one, for instance
-            ``functools.partial(process_pool, 4)``. A pool of processes breaks when a worker dies: only with a function can
-            it be replaced. What the function made is kept for later calls, and shut down by :meth:`close` or at the end of
-            a ``with`` block.
-        chunk: members sent together; whole bundles. Small chunks keep many workers busy and cost more a bubble.
+        simulator: does the work; it must survive pickling, and what it is made of must be
+            importable by the workers.
+        executor: an executor, which stays the caller's to shut down, or a function that makes one,
+            for instance ``functools.partial(process_pool, 4)``. A pool of processes breaks when a
+            worker dies: only with a function can it be replaced. What the function made is kept for
+            later calls, and shut down by :meth:`close` or at the end of a ``with`` block.
+        chunk: members sent together; whole bundles. Small chunks keep many workers busy and cost
+            more a bubble.
         retries: how often a chunk that failed is tried again.
         progress: called with a line per chunk.
 
@@ -151,8 +170,14 @@ class ParallelSimulator:
         progress: Progress | None = None,
     ) -> None:
         if chunk < 1 or retries < 0:
-            raise InputDataError(f"ParallelSimulator has chunk {chunk} and retries {retries}; expected at least 1 and 0.")
-        self.simulator, self.chunk, self.retries, self.progress = simulator, chunk, retries, progress
+            raise InputDataError(
+                f"ParallelSimulator has chunk {chunk} and retries {retries}; expected at least 1 "
+                "and 0."
+            )
+        self.simulator = simulator
+        self.chunk = chunk
+        self.retries = retries
+        self.progress = progress
         self._pool = _Pool(executor)
 
     @property
@@ -185,7 +210,10 @@ class ParallelSimulator:
         designs: Real[Tensor, "*#batch 2"],
         times: Real[Tensor, "*#batch frames"],
     ) -> Solution:
-        """Simulate bundles in lock step; see :meth:`imr_torch.simulate.Simulator.bundle`. Raises as a call does."""
+        """Simulate bundles in lock step.
+
+        See :meth:`imr_torch.simulate.Simulator.bundle`. Raises as a call does.
+        """
         return solve_bundles(self._solve, NO_BLOCKS, (parameters, designs, times))
 
     def close(self) -> None:
@@ -198,8 +226,12 @@ class ParallelSimulator:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _solve(self, parameters: Tensor, designs: Tensor, times: Tensor, width: int | None = None) -> tuple[Tensor, ...]:
-        """All members, flat: radius, velocity, pressure, status, steps; ``width`` is that of a bundle, if they are any."""
+    def _solve(
+        self, parameters: Tensor, designs: Tensor, times: Tensor, width: int | None = None
+    ) -> tuple[Tensor, ...]:
+        """All members, flat: radius, velocity, pressure, status, steps; ``width`` is that of a
+        bundle, if they are any.
+        """
         arrays = [x.detach().cpu().numpy() for x in (parameters, designs, times)]
         unit = width or 1
         size = _even(len(parameters) // unit, max(1, self.chunk // unit)) * unit
@@ -212,7 +244,9 @@ class ParallelSimulator:
 
 
 def _even(count: int, most: int) -> int:
-    """Size of the parts that ``count`` is cut into, as equal as can be and none larger than ``most``."""
+    """Size of the parts that ``count`` is cut into, as equal as can be and none larger than
+    ``most``.
+    """
     return math.ceil(count / max(1, math.ceil(count / most))) if count else most
 
 
@@ -237,7 +271,8 @@ class _Task:
         arrays: flat parameters, designs and times.
         width: of a bundle; None for a plain batch.
         home: machine and process that sent it.
-        attempt: counts retries; executors that keep results by content must not take a retry for the first try.
+        attempt: counts retries; executors that keep results by content must not take a retry for
+            the first try.
     """
 
     simulator: Simulator
@@ -249,7 +284,9 @@ class _Task:
     def __call__(self) -> Arrays:
         """Radius, velocity, pressure, status and steps."""
         simulator = self.simulator
-        if _here() != self.home:  # workers share the cores, and rounding must not depend on the machine's number
+        if (
+            _here() != self.home
+        ):  # workers share the cores, and rounding must not depend on the machine's number
             torch.set_num_threads(1)
             simulator = on_one_thread(simulator)
         arguments = [torch.tensor(x) for x in self.arrays]
@@ -283,7 +320,8 @@ class _Pool:
         """Give up the executor, which is broken."""
         if isinstance(self._source, Executor):
             raise UnsupportedError(
-                "A worker died and broke the pool, which cannot be used again. Give ParallelSimulator a function that makes "
+                "A worker died and broke the pool, which cannot be used again. Give "
+                "ParallelSimulator a function that makes "
                 f"pools, such as functools.partial(process_pool, 4), and it is replaced. {_GUARD}"
             ) from cause
         self.close()
@@ -298,12 +336,18 @@ class _Pool:
 class _Submission:
     """The tasks of one call, submitted to the pool and retried where they fail.
 
-    A broken pool does not say which task broke it. All unfinished tasks are then tried together again; once that has failed as
-    often as retries allow they go one at a time, so that a failure is known to be a task's own.
+    A broken pool does not say which task broke it. All unfinished tasks are then tried together
+    again; once that has failed as often as retries allow they go one at a time, so that a failure
+    is known to be a task's own.
     """
 
-    def __init__(self, tasks: Sequence[_Task], pool: _Pool, retries: int, progress: Progress | None) -> None:
-        self._tasks, self._pool, self._retries, self._progress = tasks, pool, retries, progress
+    def __init__(
+        self, tasks: Sequence[_Task], pool: _Pool, retries: int, progress: Progress | None
+    ) -> None:
+        self._tasks = tasks
+        self._pool = pool
+        self._retries = retries
+        self._progress = progress
         self._results: dict[int, Arrays] = {}
         self._rounds = 0
 
@@ -313,7 +357,10 @@ class _Submission:
         Raises:
             ConvergenceError: if none came back.
         """
-        waiting, lost, breaks, cause = list(range(len(self._tasks))), [], 0, None
+        waiting = list(range(len(self._tasks)))
+        lost = []
+        breaks = 0
+        cause = None
         failures = [0] * len(waiting)
         while waiting and (self._results or len(lost) < 2):
             group = waiting if breaks <= self._retries else waiting[:1]
@@ -334,7 +381,9 @@ class _Submission:
 
     def _round(self, group: Sequence[int]) -> dict[int, Exception]:
         """Send the tasks of a group and wait for all; returns the failures."""
-        executor, failed, futures = self._pool.get(), {}, {}
+        executor = self._pool.get()
+        failed = {}
+        futures = {}
         try:
             for i in group:
                 try:
@@ -363,8 +412,11 @@ class _Submission:
         """Say what was lost and why."""
         why = f"{type(cause).__name__}: {cause}"
         if not self._results:
-            raise ConvergenceError(f"No chunk came back from the workers; the last failure was {why}. {_GUARD}") from cause
+            raise ConvergenceError(
+                f"No chunk came back from the workers; the last failure was {why}. {_GUARD}"
+            ) from cause
         message = (
-            f"{len(lost)} of {len(self._tasks)} chunks kept failing (last: {why}); their members have the status LOST_WORKER."
+            f"{len(lost)} of {len(self._tasks)} chunks kept failing (last: {why}); their members "
+            "have the status LOST_WORKER."
         )
         warnings.warn(message, ConvergenceWarning, stacklevel=2)

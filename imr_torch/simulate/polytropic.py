@@ -1,8 +1,8 @@
 """The polytropic simulator: a radial equation with a gas spring, a whole batch at once.
 
 The batch is integrated by ``torchdiffeq`` (fixed-step RK4) under the time transformation of
-:mod:`imr_torch.simulate.clock`, in blocks of steps; members that have reached their last time leave after each block.
-Members that fail are tried again with half the step before they are given up.
+:mod:`imr_torch.simulate.clock`, in blocks of steps; members that have reached their last time leave
+after each block. Members that fail are tried again with half the step before they are given up.
 """
 
 from dataclasses import dataclass, field, replace
@@ -19,7 +19,16 @@ from imr_torch.simulate.conditions import Conditions, Stepping
 from imr_torch.simulate.engines import Engine, check_engine, compiles
 from imr_torch.simulate.gas import compression_of
 from imr_torch.simulate.sensitivity import differentiable
-from imr_torch.simulate.simulator import RUNAWAY, Solution, Status, in_transform, solve_batch, solve_bundles, together, tracked
+from imr_torch.simulate.simulator import (
+    RUNAWAY,
+    Solution,
+    Status,
+    in_transform,
+    solve_batch,
+    solve_bundles,
+    together,
+    tracked,
+)
 from imr_torch.simulate.wall import Head, gas_loss, motion, vapour_factor
 
 _BLOCK = 32  # steps between two checks of which members are done
@@ -35,8 +44,10 @@ class PolytropicSimulator:
         conditions: surroundings and gas.
         stepping: how finely time is cut.
         terms: stress terms to choose from; all registered ones by default.
-        engine: ``"compiled"`` or ``"torchdiffeq"``, see :mod:`imr_torch.simulate.engines`; the answers agree to rounding.
-        threads: processor threads of the compiled engine, all cores by default; the answer is the same bit for bit.
+        engine: ``"compiled"`` or ``"torchdiffeq"``, see :mod:`imr_torch.simulate.engines`; the
+            answers agree to rounding.
+        threads: processor threads of the compiled engine, all cores by default; the answer is the
+            same bit for bit.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator
@@ -64,8 +75,8 @@ class PolytropicSimulator:
     ) -> Solution:
         """Simulate a batch; see :class:`imr_torch.simulate.Simulator`.
 
-        Where an argument requires a gradient, tensors are integrated and gradients are those of the solve itself. What is
-        neutral throughout the batch is left out of it and has a gradient of
+        Where an argument requires a gradient, tensors are integrated and gradients are those of the
+        solve itself. What is neutral throughout the batch is left out of it and has a gradient of
         zero: for the slope at a neutral value use :func:`imr_torch.simulate.sensitivities`.
 
         Raises:
@@ -75,7 +86,9 @@ class PolytropicSimulator:
         if in_transform(parameters, designs, times):
             return differentiable(self, parameters, designs, times)
         inputs = (parameters, designs, times)
-        size = _BATCH if tracked(*inputs) else together(parameters, _BATCH, _BYTES)  # what autograd keeps takes more
+        size = (
+            _BATCH if tracked(*inputs) else together(parameters, _BATCH, _BYTES)
+        )  # what autograd keeps takes more
         return solve_batch(self._solve, size, inputs)
 
     def bundle(
@@ -85,10 +98,17 @@ class PolytropicSimulator:
         times: Real[Tensor, "*#batch frames"],
     ) -> Solution:
         """Simulate bundles in lock step; see :meth:`imr_torch.simulate.Simulator.bundle`."""
-        return solve_bundles(self._solve, together(parameters, _BATCH, _BYTES), (parameters, designs, times))
+        return solve_bundles(
+            self._solve, together(parameters, _BATCH, _BYTES), (parameters, designs, times)
+        )
 
-    def _solve(self, parameters: Tensor, designs: Tensor, times: Tensor, width: int = 1) -> tuple[Tensor, ...]:
-        """One block of members, bundle after bundle; those whose leader failed are tried again at half the step."""
+    def _solve(
+        self, parameters: Tensor, designs: Tensor, times: Tensor, width: int = 1
+    ) -> tuple[Tensor, ...]:
+        """One block of members, bundle after bundle.
+
+        Those whose leader failed are tried again at half the step.
+        """
         bubbles = Bubbles.of(parameters, designs, self.conditions, self.terms)
         stepping = self.stepping
         if not tracked(parameters, designs, times) and compiles(self.engine, bubbles):
@@ -98,7 +118,9 @@ class PolytropicSimulator:
         results = _march(bubbles, times, stepping)
         late = (results[3] == Status.TOO_MANY_STEPS) & (_leaders(results[3], width) == Status.DONE)
         if bool(late.any()):  # followers that needed a little longer than their leader
-            results = _again(results, bubbles, times, replace(stepping, max_steps=2 * stepping.max_steps), late)
+            results = _again(
+                results, bubbles, times, replace(stepping, max_steps=2 * stepping.max_steps), late
+            )
         for _ in range(stepping.retries):
             status = _leaders(results[3], width)
             failed = (status != Status.DONE) & (status != Status.TOO_MANY_STEPS)
@@ -110,7 +132,11 @@ class PolytropicSimulator:
 
 
 def _again(
-    results: tuple[Tensor, ...], bubbles: Bubbles, times: Tensor, stepping: Stepping, members: Tensor
+    results: tuple[Tensor, ...],
+    bubbles: Bubbles,
+    times: Tensor,
+    stepping: Stepping,
+    members: Tensor,
 ) -> tuple[Tensor, ...]:
     """The results of a batch, with some members (boolean, ``B``) integrated anew."""
     chosen = torch.nonzero(members)[:, 0]
@@ -124,8 +150,12 @@ def _leaders(status: Tensor, width: int) -> Tensor:
 
 
 def _march(bubbles: Bubbles, times: Tensor, stepping: Stepping) -> tuple[Tensor, ...]:
-    """Integrate until every member is past its last time; radius, velocity, pressure, status, steps."""
-    count, last = times.shape[0], times[:, -1]
+    """Integrate until every member is past its last time.
+
+    Radius, velocity, pressure, status, steps.
+    """
+    count = times.shape[0]
+    last = times[:, -1]
     state = start_of(bubbles)
     history = [state[None]]
     status = torch.full((count,), int(Status.TOO_MANY_STEPS), device=times.device)
@@ -147,7 +177,9 @@ def _march(bubbles: Bubbles, times: Tensor, stepping: Stepping) -> tuple[Tensor,
 
 
 def start_of(bubbles: Bubbles) -> Float[Tensor, "rows *#members"]:
-    """The state (R, U, t, memory, and gas left where an effect takes some) at time zero, ``(3 + K) x B`` or a row more."""
+    """The state (R, U, t, memory, and gas left where an effect takes some) at time zero, ``(3 + K)
+    x B`` or a row more.
+    """
     velocity = bubbles.numbers.velocity
     one = torch.ones_like(velocity)
     rows = [torch.stack((one, velocity, 0.0 * one)), bubbles.memory_start()]
@@ -155,8 +187,12 @@ def start_of(bubbles: Bubbles) -> Float[Tensor, "rows *#members"]:
 
 
 def head_of(bubbles: Bubbles, state: Float[Tensor, "rows *#members"]) -> Head:
-    """What acts on the wall at a state as in :func:`start_of`: a polytropic gas; shapes broadcast with ``B``."""
-    numbers, radius, velocity = bubbles.numbers, state[0], state[1]
+    """What acts on the wall at a state as in :func:`start_of`: a polytropic gas; shapes broadcast
+    with ``B``.
+    """
+    numbers = bubbles.numbers
+    radius = state[0]
+    velocity = state[1]
     left = state[3 + bubbles.states] if bubbles.acting("gas_loss") else torch.ones_like(radius)
     compression = compression_of(radius, numbers.exponent)
     factor, trapped = vapour_factor(bubbles, compression)
@@ -167,7 +203,9 @@ def head_of(bubbles: Bubbles, state: Float[Tensor, "rows *#members"]) -> Head:
     return Head(state[2], radius, velocity, pressure, rate, state[3 : 3 + bubbles.states])
 
 
-def rate_of(bubbles: Bubbles, head: Head, state: Float[Tensor, "rows *#members"]) -> Float[Tensor, "rows *#members"]:
+def rate_of(
+    bubbles: Bubbles, head: Head, state: Float[Tensor, "rows *#members"]
+) -> Float[Tensor, "rows *#members"]:
     """Time derivative of a state as in :func:`start_of`."""
     force, memory_rate = motion(bubbles, head)
     rows = [torch.stack((head.velocity, force, torch.ones_like(force))), memory_rate]
@@ -183,23 +221,32 @@ def _field(bubbles: Bubbles, step: float):
     def rate(_: Tensor, state: Tensor) -> Tensor:
         head = head_of(bubbles, state)
         rates = rate_of(bubbles, head, state)
-        return rates * time_per_tick(head.radius, head.velocity, rates[1], head.pressure, fading, bubbles.numbers)
+        return rates * time_per_tick(
+            head.radius, head.velocity, rates[1], head.pressure, fading, bubbles.numbers
+        )
 
     return rate
 
 
 def _judge(path: Tensor, last: Tensor) -> Tensor:
     """Status of each member after a block of steps; ``path`` is ``n x (3 + K) x B``."""
-    radius, end = path[:, 0], path[-1, 2]
+    radius = path[:, 0]
+    end = path[-1, 2]
     finite = torch.isfinite(path).all(0).all(0) & (radius > 0.0).all(0)
     verdict = torch.where(end >= last, int(Status.DONE), int(Status.TOO_MANY_STEPS))
     verdict = torch.where(radius.amax(0) > RUNAWAY, int(Status.RUNAWAY), verdict)
     return torch.where(finite, verdict, int(Status.NON_FINITE))
 
 
-def _read(bubbles: Bubbles, history: Tensor, times: Tensor, status: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Radius, velocity and pressure at ``times``; NaN for times that a failed member did not reach in good state."""
-    radius, nodes = history[:, 0], history[:, 2]
+def _read(
+    bubbles: Bubbles, history: Tensor, times: Tensor, status: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Radius, velocity and pressure at ``times``.
+
+    NaN for times that a failed member did not reach in good state.
+    """
+    radius = history[:, 0]
+    nodes = history[:, 2]
     good = torch.isfinite(history).all(1) & (radius > 0.0) & (radius < RUNAWAY)
     reached = torch.where(good, nodes, 0.0).amax(0)  # last good time of each member
     good = good.cummin(0).values
@@ -212,11 +259,17 @@ def _read(bubbles: Bubbles, history: Tensor, times: Tensor, status: Tensor) -> t
     nan = torch.full_like(times, torch.nan)
     rest = [_linear(nodes.T.contiguous(), row.T, times).T for row in state[3:].unbind(0)]
     pressure = head_of(bubbles, torch.stack((at.T, speed.T, times.T, *rest))).pressure.T
-    return torch.where(known, at, nan), torch.where(known, speed, nan), torch.where(known, pressure, nan)
+    return (
+        torch.where(known, at, nan),
+        torch.where(known, speed, nan),
+        torch.where(known, pressure, nan),
+    )
 
 
 def _linear(nodes: Tensor, values: Tensor, times: Tensor) -> Tensor:
-    """Values at times by linear interpolation between nodes: ``B x n``, ``B x n`` and ``B x n_t`` to ``B x n_t``."""
+    """Values at times by linear interpolation between nodes: ``B x n``, ``B x n`` and ``B x n_t``
+    to ``B x n_t``.
+    """
     right = torch.searchsorted(nodes.detach(), times.contiguous()).clamp(1, nodes.shape[1] - 1)
     t0, t1, v0, v1 = (x.gather(1, i) for x in (nodes, values) for i in (right - 1, right))
     share = (times - t0) / (t1 - t0).clamp_min(torch.finfo(times.dtype).tiny)

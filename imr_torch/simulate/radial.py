@@ -1,20 +1,21 @@
 """Radial equations: the acceleration of the bubble wall from the pressures on both sides of it.
 
-All four share one form. With ``s = 1/c``, ``M = s U``, the liquid's enthalpy ``h`` between the wall and the far field, and its
-specific volume ``w = dh/dp``,
+All four share one form. With ``s = 1/c``, ``M = s U``, the liquid's enthalpy ``h`` between the wall
+and the far field, and its specific volume ``w = dh/dp``,
 
 ``(1 - M) R U' + 3/2 (1 - M/3) U^2 = (1 + M) h + s R f dh/dt``.
 
-Rayleigh-Plesset: ``s = 0``, ``h = p_w - p_far``. Keller-Miksis in pressure (Keller & Miksis, J. Acoust. Soc. Am. 68,
-1980): ``h = p_w - p_far``, ``f = 1``. In enthalpy (Prosperetti & Lezzi, J. Fluid Mech. 168, 1986): ``h`` of a Tait
-liquid. Gilmore (Caltech report 26-4, 1952): the same with the sound speed at the wall and ``f = 1 - M``. ``dh/dt`` holds
-``U'`` through viscous stress; that part is taken to the left. Pressures are over ``p_inf``, velocities over ``U_c``. A mirror
-bubble of strength ``b`` adds its pressure ``b d(R^2 U)/dt`` at the wall.
+Rayleigh-Plesset: ``s = 0``, ``h = p_w - p_far``. Keller-Miksis in pressure (Keller & Miksis, J.
+Acoust. Soc. Am. 68, 1980): ``h = p_w - p_far``, ``f = 1``. In enthalpy (Prosperetti & Lezzi, J.
+Fluid Mech. 168, 1986): ``h`` of a Tait liquid. Gilmore (Caltech report 26-4, 1952): the same with
+the sound speed at the wall and ``f = 1 - M``. ``dh/dt`` holds ``U'`` through viscous stress; that
+part is taken to the left. Pressures are over ``p_inf``, velocities over ``U_c``. A mirror bubble of
+strength ``b`` adds its pressure ``b d(R^2 U)/dt`` at the wall.
 
-Each equation is one law of scalars (:mod:`imr_torch.elementary`) with the arguments ``radius`` R, ``velocity`` U, ``pressure``
-p_w in the liquid at the wall, ``rate`` (the part of dp_w/dt without U'), ``inertia`` (the factor of U' in it), ``far`` p_far
-and
-``far_rate`` (its time derivative), ``slowness`` 1/c of the undisturbed liquid, ``image`` b, and the constants of the liquid.
+Each equation is one law of scalars (:mod:`imr_torch.elementary`) with the arguments ``radius`` R,
+``velocity`` U, ``pressure`` p_w in the liquid at the wall, ``rate`` (the part of dp_w/dt without
+U'), ``inertia`` (the factor of U' in it), ``far`` p_far and ``far_rate`` (its time derivative),
+``slowness`` 1/c of the undisturbed liquid, ``image`` b, and the constants of the liquid.
 """
 
 import math
@@ -35,11 +36,16 @@ def _acceleration(
     weight: Scalar,
     image: Scalar,
 ) -> Scalar:
-    """``U'`` from ``h``, the part of ``dh/dt`` without ``U'``, the factor of ``U'`` in it, and ``f`` (``weight``)."""
-    mach, delay = slowness * velocity, slowness * radius * weight
+    """``U'`` from ``h``, the part of ``dh/dt`` without ``U'``, the factor of ``U'`` in it, and
+    ``f`` (``weight``).
+    """
+    mach = slowness * velocity
+    delay = slowness * radius * weight
     square = velocity * velocity
     pull = image * radius * (1.0 + mach)
-    force = (1.0 + mach) * enthalpy + delay * rate - (1.5 - 0.5 * mach) * square - 2.0 * pull * square
+    force = (
+        (1.0 + mach) * enthalpy + delay * rate - (1.5 - 0.5 * mach) * square - 2.0 * pull * square
+    )
     return force / ((1.0 - mach) * radius - delay * inertia + pull * radius)
 
 
@@ -55,7 +61,9 @@ def rayleigh_plesset(
     image: Scalar,
 ) -> Scalar:
     """An incompressible liquid: the speed of sound plays no part."""
-    return _acceleration(radius, velocity, pressure - far, rate - far_rate, inertia, 0.0 * slowness, 1.0, image)
+    return _acceleration(
+        radius, velocity, pressure - far, rate - far_rate, inertia, 0.0 * slowness, 1.0, image
+    )
 
 
 def keller_miksis(
@@ -70,7 +78,9 @@ def keller_miksis(
     image: Scalar,
 ) -> Scalar:
     """Compressible to first order in the Mach number, in pressure."""
-    return _acceleration(radius, velocity, pressure - far, rate - far_rate, inertia, slowness, 1.0, image)
+    return _acceleration(
+        radius, velocity, pressure - far, rate - far_rate, inertia, slowness, 1.0, image
+    )
 
 
 def _compression(pressure: Scalar, stiffness: Scalar) -> Scalar:
@@ -84,16 +94,27 @@ def _volume(pressure: Scalar, exponent: Scalar, stiffness: Scalar) -> Scalar:
 
 
 def _enthalpy(pressure: Scalar, exponent: Scalar, stiffness: Scalar) -> Scalar:
-    """``h`` above that at ``p_inf``; ``expm1`` and ``log1p`` keep it exact near there and for a stiff liquid."""
+    """``h`` above that at ``p_inf``.
+
+    ``expm1`` and ``log1p`` keep it exact near there and for a stiff liquid.
+    """
     share = 1.0 - 1.0 / exponent
     return (1.0 + stiffness) / share * expm1(share * log1p((pressure - 1.0) / (1.0 + stiffness)))
 
 
 def _tait(
-    pressure: Scalar, rate: Scalar, far: Scalar, far_rate: Scalar, exponent: Scalar, stiffness: Scalar
+    pressure: Scalar,
+    rate: Scalar,
+    far: Scalar,
+    far_rate: Scalar,
+    exponent: Scalar,
+    stiffness: Scalar,
 ) -> tuple[Scalar, Scalar, Scalar]:
-    """``h`` between the wall and the far field, the part of its rate without ``U'``, and ``w`` at the wall."""
-    near, beyond = _volume(pressure, exponent, stiffness), _volume(far, exponent, stiffness)
+    """``h`` between the wall and the far field, the part of its rate without ``U'``, and ``w`` at
+    the wall.
+    """
+    near = _volume(pressure, exponent, stiffness)
+    beyond = _volume(far, exponent, stiffness)
     enthalpy = _enthalpy(pressure, exponent, stiffness) - _enthalpy(far, exponent, stiffness)
     return enthalpy, near * rate - beyond * far_rate, near
 
@@ -129,15 +150,20 @@ def gilmore(
     exponent: Scalar,
     stiffness: Scalar,
 ) -> Scalar:
-    """The enthalpy form with the sound speed of the Tait liquid at the wall, ``1/c = (1/c_0) q^(-(n-1)/(2n))``."""
+    """The enthalpy form with the sound speed of the Tait liquid at the wall, ``1/c = (1/c_0)
+    q^(-(n-1)/(2n))``.
+    """
     enthalpy, change, near = _tait(pressure, rate, far, far_rate, exponent, stiffness)
     slower = slowness * power(_compression(pressure, stiffness), -0.5 * (1.0 - 1.0 / exponent))
-    return _acceleration(radius, velocity, enthalpy, change, near * inertia, slower, 1.0 - slower * velocity, image)
+    return _acceleration(
+        radius, velocity, enthalpy, change, near * inertia, slower, 1.0 - slower * velocity, image
+    )
 
 
 @dataclass(frozen=True)
 class RadialEquation:
-    """One member of the family; a subclass names its law and has the liquid's constants as fields, in the law's order.
+    """One member of the family; a subclass names its law and has the liquid's constants as fields,
+    in the law's order.
 
     >>> from imr_torch.simulate import RADIAL_EQUATIONS
     >>> list(RADIAL_EQUATIONS)
@@ -205,14 +231,16 @@ class KellerMiksisEnthalpy(RadialEquation):
     def __post_init__(self) -> None:
         if not (1.0 < self.exponent < math.inf and 0.0 < self.stiffness < math.inf):
             raise InputDataError(
-                f"{type(self).__name__} has exponent {self.exponent} and stiffness {self.stiffness}; expected exponent > 1 "
+                f"{type(self).__name__} has exponent {self.exponent} and stiffness "
+                f"{self.stiffness}; expected exponent > 1 "
                 "and stiffness > 0 (B over p_inf), both finite."
             )
 
 
 @dataclass(frozen=True)
 class Gilmore(KellerMiksisEnthalpy):
-    """The enthalpy form with the sound speed of the Tait liquid at the wall, scaled to ``c`` of the undisturbed liquid.
+    """The enthalpy form with the sound speed of the Tait liquid at the wall, scaled to ``c`` of the
+    undisturbed liquid.
 
     >>> from imr_torch.simulate import Conditions, Gilmore, PolytropicSimulator
     >>> PolytropicSimulator(Conditions(motion=Gilmore())).conditions.motion.key
@@ -224,6 +252,7 @@ class Gilmore(KellerMiksisEnthalpy):
 
 
 RADIAL_EQUATIONS: dict[str, RadialEquation] = {
-    equation.key: equation for equation in (RayleighPlesset(), KellerMiksis(), KellerMiksisEnthalpy(), Gilmore())
+    equation.key: equation
+    for equation in (RayleighPlesset(), KellerMiksis(), KellerMiksisEnthalpy(), Gilmore())
 }
 """Key -> radial equation, with the Tait constants of water at 1 atm (Fujikawa & Akamatsu, J. Fluid Mech. 97, 1980)."""

@@ -1,12 +1,14 @@
-"""The right-hand side of a conducting, evaporating bubble on tensors; its derivative is in :mod:`imr_torch.simulate.linearise`.
+"""The right-hand side of a conducting, evaporating bubble on tensors; its derivative is in
+:mod:`imr_torch.simulate.linearise`.
 
-State of a member, in this order: ``R``, ``U``, ``ln P`` (pressure of the contents; its logarithm is what changes
-evenly), ``tau_w``, ``tau`` at ``n`` nodes inside, ``C`` at the same, ``theta = T_m - 1`` at ``m`` nodes outside, and the
-``K`` memory states of the gel.
-``tau`` is the Kirchhoff temperature, ``d tau = K*(T) dT``; ``C`` the mass fraction of vapour. ``tau_w`` at the wall
-is algebraic: its row of the right-hand side is the wall's balance of heat, which must vanish. The laws are in
-:mod:`~imr_torch.simulate.contents` and :mod:`~imr_torch.simulate.wall`. Equations: Estrada et al. (J. Mech. Phys. Solids 112,
-2018), eqs. 4-18 and appendix A.
+State of a member, in this order: ``R``, ``U``, ``ln P`` (pressure of the contents; its logarithm is
+    what changes
+evenly), ``tau_w``, ``tau`` at ``n`` nodes inside, ``C`` at the same, ``theta = T_m - 1`` at ``m``
+nodes outside, and the ``K`` memory states of the gel. ``tau`` is the Kirchhoff temperature, ``d tau
+= K*(T) dT``; ``C`` the mass fraction of vapour. ``tau_w`` at the wall is algebraic: its row of the
+right-hand side is the wall's balance of heat, which must vanish. The laws are in
+:mod:`~imr_torch.simulate.contents` and :mod:`~imr_torch.simulate.wall`. Equations: Estrada et al.
+(J. Mech. Phys. Solids 112, 2018), eqs. 4-18 and appendix A.
 """
 
 from dataclasses import dataclass
@@ -44,7 +46,8 @@ class Fields:
         head: time, radius, velocity, pressure of all contents and its rate, memory.
         radius: ``velocity``, ``pressure`` (of the mixture) and ``rate`` (``q = dP/dt``) likewise.
         node: temperatures and slopes at the inner nodes, ``n x B``.
-        wall: what holds at the wall; ``heat`` and ``vapour`` the slopes of ``tau`` and ``C`` there, ``B``.
+        wall: what holds at the wall; ``heat`` and ``vapour`` the slopes of ``tau`` and ``C`` there,
+            ``B``.
         outer_slope: ``d theta/dy``, the wall first.
         outer_laplacian: ``m x B`` tensor.
     """
@@ -63,7 +66,8 @@ class Fields:
 
 
 class Equations:
-    """The differential-algebraic system ``M x' = f(x)`` of a batch; ``M`` is 1 but for the row of ``tau_w``.
+    """The differential-algebraic system ``M x' = f(x)`` of a batch; ``M`` is 1 but for the row of
+    ``tau_w``.
 
     Args:
         bubbles: the batch.
@@ -72,35 +76,59 @@ class Equations:
     """
 
     def __init__(self, bubbles: Bubbles, inside: Grid, outside: Grid) -> None:
-        self.bubbles, self.inside, self.outside = bubbles, inside, outside
-        self.n, self.m, self.memory = len(inside), len(outside), bubbles.states
+        self.bubbles = bubbles
+        self.inside = inside
+        self.outside = outside
+        self.n = len(inside)
+        self.m = len(outside)
+        self.memory = bubbles.states
         self.rows = HEAD + 2 * self.n + self.m + self.memory
-        self._parts = (HEAD - 1, 1 + self.n, self.n, self.m, self.memory)  # tau with tau_w before it
+        self._parts = (
+            HEAD - 1,
+            1 + self.n,
+            self.n,
+            self.m,
+            self.memory,
+        )  # tau with tau_w before it
         self._inside_operator = torch.cat((inside.first, inside.laplacian))
         self._outside_operator = torch.cat((outside.first, outside.laplacian))
         self.y = inside.nodes[:, None]
         y = outside.nodes[:, None]
-        self.stretching, self.shear = y**-2 - y, y**-6
+        self.stretching = y**-2 - y
+        self.shear = y**-6
 
     def take(self, members: Int[Tensor, "kept"]) -> "Equations":
         """The equations of the members with these indices."""
         return Equations(self.bubbles.take(members), self.inside, self.outside)
 
     def start(self) -> Float[Tensor, "state members"]:
-        """The state at time zero: the wall at the far temperature, vapour in equilibrium with it; ``(4+2n+m+K) x B``."""
+        """The state at time zero: the wall at the far temperature, vapour in equilibrium with it;
+        ``(4+2n+m+K) x B``.
+        """
         numbers = self.bubbles.numbers
-        pressure, one = numbers.start, torch.ones_like(numbers.start)
+        pressure = numbers.start
+        one = torch.ones_like(numbers.start)
         state = pressure.new_zeros(self.rows, len(self.bubbles))
         state[0], state[1], state[2] = 1.0, numbers.velocity, pressure.log()
-        vapour = wall_of(pressure, one, one, torch.zeros_like(one), numbers, self.bubbles.constants).vapour
+        vapour = wall_of(
+            pressure, one, one, torch.zeros_like(one), numbers, self.bubbles.constants
+        ).vapour
         state[HEAD : HEAD + self.n] = warm_profile(self.y, numbers.warmth, self.bubbles.constants)
         state[HEAD + self.n : HEAD + 2 * self.n] = vapour
         state[HEAD + 2 * self.n + self.m :] = self.bubbles.memory_start()
         return state
 
-    def fields(self, state: Float[Tensor, "state members"], time: Float[Tensor, "members"] | None = None) -> Fields:
-        """Temperatures, slopes and the pressure's rate at a state; ``time`` (``B``) matters where the far field is driven."""
-        b, c, n, m = self.bubbles.numbers, self.bubbles.constants, self.n, self.m
+    def fields(
+        self, state: Float[Tensor, "state members"], time: Float[Tensor, "members"] | None = None
+    ) -> Fields:
+        """Temperatures, slopes and the pressure's rate at a state.
+
+        ``time`` (``B``) matters where the far field is driven.
+        """
+        b = self.bubbles.numbers
+        c = self.bubbles.constants
+        n = self.n
+        m = self.m
         head, tau, vapour, theta, memory = state.split_with_sizes(self._parts)
         radius, velocity, log_pressure = head.unbind()
         pressure = torch.exp(log_pressure)
@@ -128,17 +156,44 @@ class Equations:
         )
         moment = radius if time is None else time
         whole = Head(moment, radius, velocity, pressure + b.constant_vapour, rate, memory)
-        return Fields(whole, radius, velocity, pressure, rate, node, wall, heat[0], wet[0], outer_slope, outer_laplacian)
+        return Fields(
+            whole,
+            radius,
+            velocity,
+            pressure,
+            rate,
+            node,
+            wall,
+            heat[0],
+            wet[0],
+            outer_slope,
+            outer_laplacian,
+        )
 
     def rate(
-        self, f: Fields, known: tuple[Float[Tensor, "members"], Float[Tensor, "states members"]] | None = None
+        self,
+        f: Fields,
+        known: tuple[Float[Tensor, "members"], Float[Tensor, "states members"]] | None = None,
     ) -> Float[Tensor, "state members"]:
-        """``f(x)`` at a state, ``(4+2n+m+K) x B``; ``known`` are ``U'`` and the rates of memory, if known already."""
-        b, c = self.bubbles.numbers, self.bubbles.constants
+        """``f(x)`` at a state, ``(4+2n+m+K) x B``.
+
+        ``known`` are ``U'`` and the rates of memory, if known already.
+        """
+        b = self.bubbles.numbers
+        c = self.bubbles.constants
         acceleration, memory_rate = known or motion(self.bubbles, f.head)
         balance = wall_balance(f.wall, f.heat, f.vapour, f.outer_slope[0], b, c)
         head = torch.stack((f.velocity, acceleration, f.rate / f.pressure, balance))
         warmer, wetter = node_rates(f.node, f.radius, f.velocity, f.pressure, f.rate, b, c)
-        gel = gel_rate(self.stretching, self.shear, f.outer_slope[1:], f.outer_laplacian, f.radius, f.velocity, f.wall, b)
+        gel = gel_rate(
+            self.stretching,
+            self.shear,
+            f.outer_slope[1:],
+            f.outer_laplacian,
+            f.radius,
+            f.velocity,
+            f.wall,
+            b,
+        )
         parts = (head, warmer, wetter, gel)
         return torch.cat((*parts, memory_rate) if self.memory else parts)

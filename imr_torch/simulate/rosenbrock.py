@@ -1,10 +1,11 @@
-"""One linearly implicit step of a stiff differential-algebraic system, with a step of each member's own.
+"""One linearly implicit step of a stiff differential-algebraic system, with a step of each member's
+own.
 
-A Rosenbrock method replaces the Newton iteration of an implicit Runge-Kutta method by linear systems with one exact
-Jacobian a step (Hairer & Wanner, Solving Ordinary Differential Equations II, 2nd ed. 1996, sections IV.7 and VI.4; in
-the form that avoids products with the Jacobian). Rodas4P is stiffly accurate, of order 4 with an embedded method of
-order 3, and keeps its order for parabolic equations with boundary values that change (Steinebach, preprint 1741, TH
-Darmstadt 1995).
+A Rosenbrock method replaces the Newton iteration of an implicit Runge-Kutta method by linear
+systems with one exact Jacobian a step (Hairer & Wanner, Solving Ordinary Differential Equations II,
+2nd ed. 1996, sections IV.7 and VI.4; in the form that avoids products with the Jacobian). Rodas4P
+is stiffly accurate, of order 4 with an embedded method of order 3, and keeps its order for
+parabolic equations with boundary values that change (Steinebach, preprint 1741, TH Darmstadt 1995).
 """
 
 from dataclasses import dataclass
@@ -37,7 +38,8 @@ class Tableau:
 
     @cached_property
     def ticks(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Over the step: the increments of time itself, and the time at which each stage takes the right-hand side.
+        """Over the step: the increments of time itself, and the time at which each stage takes the
+        right-hand side.
 
         Time is a state of rate 1, so its increments follow from the method's own recursion.
         """
@@ -45,7 +47,9 @@ class Tableau:
         moments = [0.0]
         for weights, coupling in zip(self.stages, self.coupling, strict=True):
             moments.append(sum(a * u for a, u in zip(weights, increments, strict=True)))
-            increments.append(self.gamma * (1.0 + sum(c * u for c, u in zip(coupling, increments, strict=True))))
+            increments.append(
+                self.gamma * (1.0 + sum(c * u for c, u in zip(coupling, increments, strict=True)))
+            )
         return tuple(increments), tuple(moments)
 
 
@@ -65,7 +69,13 @@ RODAS4P = Tableau(
         (-8.791795173947035, -2.207865586973518),
         (10.81793056857153, 6.780270611428266, 19.53485944642410),
         (34.19095006749676, 15.49671153725963, 54.74760875964130, 14.16005392148534),
-        (34.62605830930532, 15.30084976114473, 56.99955578662667, 18.40807009793095, -5.714285714285717),
+        (
+            34.62605830930532,
+            15.30084976114473,
+            56.99955578662667,
+            18.40807009793095,
+            -5.714285714285717,
+        ),
     ),
     order=4,
 )
@@ -110,7 +120,8 @@ def rosenbrock_step(
     increments_of_time, moments = tableau.ticks
     fields = equations.fields(state, moment)
     known, jacobian = linearise(equations, fields)
-    inside, outside = equations.inside.first, equations.outside.first
+    inside = equations.inside.first
+    outside = equations.outside.first
     shift = 1.0 / (tableau.gamma * step)
     factors = Factors(jacobian, shift, inside[1:, 1:], inside[0, 1:], outside[0, 1:])
     inverse_step = (1.0 / step).repeat(equations.rows, 1)
@@ -125,7 +136,9 @@ def rosenbrock_step(
         rows = torch.tensor(weights, dtype=state.dtype, device=state.device)
         offset, coupling = (rows @ increments[:i].flatten(1)).reshape(2, *state.shape)
         argument = state + offset
-        right = equations.rate(equations.fields(argument, moment + moments[i] * step if driven else None))
+        right = equations.rate(
+            equations.fields(argument, moment + moments[i] * step if driven else None)
+        )
         right.addcmul_(coupling, inverse_step)
         if driven:
             right[1] += jacobian.velocity_time * step * increments_of_time[i]

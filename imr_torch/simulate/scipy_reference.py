@@ -1,10 +1,12 @@
-"""Bubbles integrated by SciPy, one at a time: the same right-hand sides with an independent integrator.
+"""Bubbles integrated by SciPy, one at a time: the same right-hand sides with an independent
+integrator.
 
 For verification. What differs from :class:`~imr_torch.simulate.TransportSimulator` and
-:class:`~imr_torch.simulate.PolytropicSimulator` is everything about time: method, step control, Jacobian (SciPy's finite
-differences) and output; and the temperature of the wall, which is solved for inside the right-hand side, so that SciPy
-sees plain ordinary differential equations. With ``Resolution(kind="finite_difference")`` space is cut another way too.
-A bubble with transport costs seconds; see ``benchmarks/RESULTS.md``.
+:class:`~imr_torch.simulate.PolytropicSimulator` is everything about time: method, step control,
+Jacobian (SciPy's finite differences) and output; and the temperature of the wall, which is solved
+for inside the right-hand side, so that SciPy sees plain ordinary differential equations. With
+``Resolution(kind="finite_difference")`` space is cut another way too. A bubble with transport costs
+seconds; see ``benchmarks/RESULTS.md``.
 """
 
 from dataclasses import dataclass, field
@@ -36,7 +38,10 @@ _SETTLED = 1e-13
 
 
 class _System(Protocol):
-    """One bubble as SciPy takes it; ``k`` states side by side, as its finite differences ask for."""
+    """One bubble as SciPy takes it.
+
+    ``k`` states side by side, as its finite differences ask for.
+    """
 
     def start(self) -> Array:
         """The state at time zero, ``n``."""
@@ -53,7 +58,8 @@ class _System(Protocol):
 
 @dataclass(frozen=True)
 class ScipySimulator:
-    """A :class:`~imr_torch.simulate.Simulator` whose bubbles ``scipy.integrate.solve_ivp`` integrates.
+    """A :class:`~imr_torch.simulate.Simulator` whose bubbles ``scipy.integrate.solve_ivp``
+    integrates.
 
     Args:
         conditions: surroundings, contents and gel.
@@ -83,12 +89,17 @@ class ScipySimulator:
 
     def __post_init__(self) -> None:
         if self.physics not in ("transport", "polytropic"):
-            raise InputDataError(f"ScipySimulator.physics is {self.physics!r}; expected 'transport' or 'polytropic'.")
+            raise InputDataError(
+                f"ScipySimulator.physics is {self.physics!r}; expected 'transport' or 'polytropic'."
+            )
         if self.method not in ("Radau", "BDF", "LSODA"):
-            raise InputDataError(f"ScipySimulator.method is {self.method!r}; expected 'Radau', 'BDF' or 'LSODA'.")
+            raise InputDataError(
+                f"ScipySimulator.method is {self.method!r}; expected 'Radau', 'BDF' or 'LSODA'."
+            )
         if not (1e-13 <= self.rtol <= 0.1 and 0.0 < self.atol <= 0.1):
             raise InputDataError(
-                f"ScipySimulator has rtol {self.rtol} and atol {self.atol}; expected 1e-13 to 0.1, and above 0 to 0.1."
+                f"ScipySimulator has rtol {self.rtol} and atol {self.atol}; expected 1e-13 to "
+                "0.1, and above 0 to 0.1."
             )
 
     def __call__(
@@ -101,13 +112,18 @@ class ScipySimulator:
 
         Raises:
             ShapeError: if shapes do not fit.
-            InputDataError: if a design is impossible, or times are not increasing, finite and from 0 on.
+            InputDataError: if a design is impossible, or times are not increasing, finite and from
+                0 on.
             UnsupportedError: if an argument requires a gradient.
         """
         if tracked(parameters, designs, times):
-            raise UnsupportedError("SciPy carries no gradients; detach the arguments, or use TransportSimulator.")
+            raise UnsupportedError(
+                "SciPy carries no gradients; detach the arguments, or use TransportSimulator."
+            )
         if bool((times < 0.0).any()):
-            raise InputDataError(f"times start at {float(times.min()):g}; SciPy integrates from t* = 0 on.")
+            raise InputDataError(
+                f"times start at {float(times.min()):g}; SciPy integrates from t* = 0 on."
+            )
         return solve_batch(self._solve, NO_BLOCKS, (parameters, designs, times))
 
     def bundle(
@@ -121,16 +137,30 @@ class ScipySimulator:
         Raises:
             UnsupportedError: always.
         """
-        raise UnsupportedError("SciPy does not advance bubbles in lock step; use TransportSimulator or PolytropicSimulator.")
+        raise UnsupportedError(
+            "SciPy does not advance bubbles in lock step; use TransportSimulator or "
+            "PolytropicSimulator."
+        )
 
     def _solve(self, parameters: Tensor, designs: Tensor, times: Tensor) -> tuple[Tensor, ...]:
         """Radius, velocity, pressure, status and steps of flat arguments."""
-        device, dtype = parameters.device, parameters.dtype
-        members = zip(*(x.to("cpu", torch.float64).split(1) for x in (parameters, designs, times)), strict=True)
-        results = [self._one(self._system(gel, design), moments[0].numpy()) for gel, design, moments in members]
+        device = parameters.device
+        dtype = parameters.dtype
+        members = zip(
+            *(x.to("cpu", torch.float64).split(1) for x in (parameters, designs, times)),
+            strict=True,
+        )
+        results = [
+            self._one(self._system(gel, design), moments[0].numpy())
+            for gel, design, moments in members
+        ]
         values, status, steps = zip(*results, strict=True)
         curves = torch.from_numpy(np.stack(values, 1)).to(device, dtype)
-        return *curves.unbind(0), torch.tensor(status, device=device), torch.tensor(steps, device=device)
+        return (
+            *curves.unbind(0),
+            torch.tensor(status, device=device),
+            torch.tensor(steps, device=device),
+        )
 
     def _system(self, parameters: Tensor, designs: Tensor) -> _System:
         bubbles = Bubbles.of(parameters, designs, self.conditions, self.terms)
@@ -139,11 +169,24 @@ class ScipySimulator:
         return _Transport(Equations(bubbles, *self.resolution.grids()))
 
     def _one(self, system: _System, times: Array) -> tuple[Array, Status, int]:
-        """Radius, velocity and pressure (``3 x n_t``) of one bubble, its status and the steps taken."""
+        """Radius, velocity and pressure (``3 x n_t``) of one bubble, its status and the steps
+        taken.
+        """
         curves = np.full((3, len(times)), np.nan)
-        span, start = (0.0, max(float(times[-1]), 1e-12)), system.start()
+        span = (0.0, max(float(times[-1]), 1e-12))
+        start = system.start()
         try:
-            path = solve_ivp(system.rate, span, start, self.method, None, True, vectorized=True, rtol=self.rtol, atol=self.atol)
+            path = solve_ivp(
+                system.rate,
+                span,
+                start,
+                self.method,
+                None,
+                True,
+                vectorized=True,
+                rtol=self.rtol,
+                atol=self.atol,
+            )
         except ValueError:  # what SciPy's linear algebra says to numbers that are not finite
             return curves, Status.NON_FINITE, 0
         known = times <= path.t[-1]
@@ -164,7 +207,8 @@ class _Polytropic:
         return start_of(self._bubbles)[:, 0].numpy()
 
     def rate(self, time: float, states: Array) -> Array:
-        bubbles, state = self._copies(states.shape[1]), torch.from_numpy(states)
+        bubbles = self._copies(states.shape[1])
+        state = torch.from_numpy(states)
         return rate_of(bubbles, head_of(bubbles, state), state).numpy()
 
     def pressure(self, states: Array) -> Array:
@@ -172,7 +216,10 @@ class _Polytropic:
 
 
 class _Transport:
-    """Heat and vapour transport; the state is that of :class:`Equations` without ``tau_w``, which is algebraic."""
+    """Heat and vapour transport.
+
+    The state is that of :class:`Equations` without ``tau_w``, which is algebraic.
+    """
 
     def __init__(self, equations: Equations) -> None:
         self._equations = equations
@@ -189,8 +236,13 @@ class _Transport:
         return np.delete(self._at(time, state).numpy(), _WALL, 0)
 
     def _wall(self, time: float, state: Tensor) -> Tensor:
-        """``tau_w`` at which the wall's balance of heat vanishes, by Newton's method; NaN where it does not settle."""
-        wall, count, both = state[_WALL], state.shape[1], state.repeat(1, 2)
+        """``tau_w`` at which the wall's balance of heat vanishes, by Newton's method.
+
+        NaN where it does not settle.
+        """
+        wall = state[_WALL]
+        count = state.shape[1]
+        both = state.repeat(1, 2)
         for _ in range(_ITERATIONS):
             both[_WALL] = torch.cat((wall, wall + _INCREMENT))
             balance, moved = self._at(time, both)[_WALL].split(count)

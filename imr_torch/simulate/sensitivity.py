@@ -1,9 +1,12 @@
-"""Derivatives of R*(t) in the gel, the design and time: finite differences of bubbles that advance in lock step.
+"""Derivatives of R*(t) in the gel, the design and time: finite differences of bubbles that advance
+in lock step.
 
-A perturbed copy that chose its own step sequence would differ from its original by the integration error of either. In
-a bundle (:meth:`imr_torch.simulate.Simulator.bundle`) both take the same decisions, so that their difference over a
-tiny increment is the derivative of the discrete solution: nothing is lost but rounding (internal numerical
-differentiation: Bock, in Modelling of Chemical Reaction Systems, Springer 1981). A bundle costs as much as its members
+A perturbed copy that chose its own step sequence would differ from its original by the integration
+error of either. In a bundle (:meth:`imr_torch.simulate.Simulator.bundle`) both take the same
+decisions, so that their difference over a tiny increment is the derivative of the discrete
+solution: nothing is lost but rounding (internal numerical
+differentiation: Bock, in Modelling of Chemical Reaction Systems, Springer 1981). A bundle costs as
+    much as its members
 in one batch; see ``benchmarks/RESULTS.md``.
 """
 
@@ -44,12 +47,16 @@ def sensitivities(
         parameters: SI, in the order of ``PARAMETERS``.
         designs: (We, R_inf*).
         times: ``n_t`` or ``batch_shape x n_t`` tensor, dimensionless.
-        names: ``k`` names of ``PARAMETERS`` or ``DESIGN``; all when not given. Each costs one more member a bubble.
+        names: ``k`` names of ``PARAMETERS`` or ``DESIGN``; all when not given. Each costs one more
+            member a bubble.
 
     Returns:
-        The solution, and a ``batch_shape x n_t x k`` tensor: dR* per unit (SI) of each entry. At its upper bound an entry
-        is differentiated from below. NaN where the solve failed, and for time scales of the gel that are 0: a gel that
-        forgets at once is a singular limit, and what a relaxation time does shows in finite steps only.
+        The solution, and a ``batch_shape x n_t x k`` tensor: dR* per unit (SI) of each entry. At
+            its upper bound an entry
+        is differentiated from below. NaN where the solve failed, and for time scales of the gel
+            that are 0: a gel that
+        forgets at once is a singular limit, and what a relaxation time does shows in finite steps
+        only.
 
     Raises:
         ShapeError: if shapes do not fit.
@@ -76,7 +83,10 @@ def sensitivities(
         result = simulator.bundle(gels, shots, times[:, None])
         increments = torch.where(_singular(values), torch.nan, moved - values)[:, columns]
         jacobian = (result.radius[:, 1:] - result.radius[:, :1]) / increments[..., None]
-    leaders = {name: value[:, 0].reshape((*shape, *value.shape[2:])) for name, value in vars(result).items()}
+    leaders = {
+        name: value[:, 0].reshape((*shape, *value.shape[2:]))
+        for name, value in vars(result).items()
+    }
     return Solution(**leaders), jacobian.mT.reshape(*shape, times.shape[-1], len(columns))
 
 
@@ -91,11 +101,19 @@ def _column(name: str) -> int:
 
 
 def _moved(values: Tensor, surroundings: Surroundings) -> Tensor:
-    """Parameters and design side by side, ``B x (p + 2)``, each moved by its increment and still within its bounds."""
+    """Parameters and design side by side, ``B x (p + 2)``, each moved by its increment and still
+    within its bounds.
+    """
     gels, designs = values.split((len(PARAMETERS), len(DESIGN)), 1)
-    scales = dimensionless(torch.ones_like(gels), surroundings.max_radius(designs[:, 0]), surroundings)
-    floor = torch.cat((_SMALL / torch.stack(list(scales.values()), 1), torch.zeros_like(designs)), 1)
-    increment = max(_INCREMENT, torch.finfo(values.dtype).eps ** 0.5) * torch.maximum(values.abs(), floor)
+    scales = dimensionless(
+        torch.ones_like(gels), surroundings.max_radius(designs[:, 0]), surroundings
+    )
+    floor = torch.cat(
+        (_SMALL / torch.stack(list(scales.values()), 1), torch.zeros_like(designs)), 1
+    )
+    increment = max(_INCREMENT, torch.finfo(values.dtype).eps ** 0.5) * torch.maximum(
+        values.abs(), floor
+    )
     upper = values.new_tensor([entry.upper for entry in PARAMETERS] + [torch.inf, 1.0])
     moved = torch.where(values + increment < upper, values + increment, values - increment)
     return torch.where(_singular(values), values, moved)
@@ -115,10 +133,10 @@ def differentiable(
 ) -> Solution:
     """A solution whose radii carry gradients, by :func:`sensitivities`; arguments as there.
 
-    All parameters are differentiated if ``parameters`` requires a gradient, both entries of the design if ``designs``
-    does; time costs nothing. Time scales of 0 have a gradient of 0. Velocity and pressure carry no gradient. Inside the
-    transforms of ``torch.func`` (``vmap``, ``jvp``, ``jacfwd``, ``vjp``, ``jacrev``, ``grad``) simulators do this by
-    themselves.
+    All parameters are differentiated if ``parameters`` requires a gradient, both entries of the
+    design if ``designs`` does; time costs nothing. Time scales of 0 have a gradient of 0. Velocity
+    and pressure carry no gradient. Inside the transforms of ``torch.func`` (``vmap``, ``jvp``,
+    ``jacfwd``, ``vjp``, ``jacrev``, ``grad``) simulators do this by themselves.
 
     Raises:
         UnsupportedError: for nested derivatives, which finite differences cannot give.
@@ -134,19 +152,23 @@ def differentiable(
     """
     if len(_derivatives(parameters, designs, times)) > 1:
         raise UnsupportedError(
-            "Second derivatives of a bubble cannot be taken: its first ones are finite differences. Take differences of "
+            "Second derivatives of a bubble cannot be taken: its first ones are finite "
+            "differences. Take differences of "
             "imr_torch.simulate.sensitivities, or detach what is not to be differentiated twice."
         )
     shape, parameters, designs, times = broadcast_batch(parameters, designs, times)
     asked = in_transform(parameters, designs, times)
-    by_gel, by_design = asked or parameters.requires_grad, asked or designs.requires_grad
+    by_gel = asked or parameters.requires_grad
+    by_design = asked or designs.requires_grad
     radius, *others, _ = _Radius.apply(simulator, parameters, designs, times, by_gel, by_design)
     fields = [value.reshape((*shape, *value.shape[1:])) for value in (radius, *others)]
     return Solution(times.reshape(*shape, -1), *fields)
 
 
 def _derivatives(*tensors: Tensor) -> set[int]:
-    """Levels of nested derivatives that are to be taken: of each transform of ``torch.func``, and 0 for autograd itself."""
+    """Levels of nested derivatives that are to be taken: of each transform of ``torch.func``, and 0
+    for autograd itself.
+    """
     functorch, levels = torch._C._functorch, set[int]()  # pyright: ignore[reportAttributeAccessIssue]
     for tensor in tensors:
         while functorch.is_functorch_wrapped_tensor(tensor):
@@ -159,14 +181,20 @@ def _derivatives(*tensors: Tensor) -> set[int]:
 
 
 class _Radius(torch.autograd.Function):
-    """Flat parameters, designs and times to the fields of a solution after ``times``, its radius differentiable.
+    """Flat parameters, designs and times to the fields of a solution after ``times``, its radius
+    differentiable.
 
     The last output is the Jacobian, ``B x n_t x k``, which the derivatives are made of.
     """
 
     @staticmethod
     def forward(
-        simulator: Simulator, parameters: Tensor, designs: Tensor, times: Tensor, by_gel: bool, by_design: bool
+        simulator: Simulator,
+        parameters: Tensor,
+        designs: Tensor,
+        times: Tensor,
+        by_gel: bool,
+        by_design: bool,
     ) -> tuple[Tensor, ...]:
         names = (*(PARAMETERS.names if by_gel else ()), *(DESIGN if by_design else ()))
         solution, jacobian = sensitivities(simulator, parameters, designs, times, names=names)
@@ -188,21 +216,31 @@ class _Radius(torch.autograd.Function):
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         gradient = gradients[0]  # of the radius, the only output that has one
         jacobian, velocity = ctx.saved_tensors
-        asked = gradient != 0.0  # the derivatives of failed members are NaN, and count only if asked for
+        asked = (
+            gradient != 0.0
+        )  # the derivatives of failed members are NaN, and count only if asked for
         columns = torch.where(asked[..., None], gradient[..., None] * jacobian, 0.0).sum(1)
-        by_gel, by_design = columns[:, : ctx.gels], columns[:, ctx.gels :]
+        by_gel = columns[:, : ctx.gels]
+        by_design = columns[:, ctx.gels :]
         needed = ctx.needs_input_grad
         by_time = torch.where(asked, gradient * velocity, 0.0)
-        found = by_gel if needed[1] else None, by_design if needed[2] else None, by_time if needed[3] else None
+        found = (
+            by_gel if needed[1] else None,
+            by_design if needed[2] else None,
+            by_time if needed[3] else None,
+        )
         return None, *found, None, None
 
     @staticmethod
     def jvp(ctx: Any, *tangents: Tensor | None) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         jacobian, velocity = ctx.saved_tensors
-        by_gel, by_design = jacobian[..., : ctx.gels], jacobian[..., ctx.gels :]
+        by_gel = jacobian[..., : ctx.gels]
+        by_design = jacobian[..., ctx.gels :]
         change = torch.zeros_like(velocity)
         for slopes, tangent in ((by_gel, tangents[1]), (by_design, tangents[2])):
-            if tangent is not None:  # the derivatives of failed members are NaN, and count only if asked for
+            if (
+                tangent is not None
+            ):  # the derivatives of failed members are NaN, and count only if asked for
                 parts = torch.where(tangent[:, None] != 0.0, slopes * tangent[:, None], 0.0)
                 change = change + parts.sum(-1)
         if tangents[3] is not None:
@@ -214,7 +252,8 @@ class _Radius(torch.autograd.Function):
         info: Any, in_dims: tuple[Any, ...], simulator: Simulator, *inputs: Any
     ) -> tuple[tuple[Tensor, ...], tuple[int, ...]]:
         """One more dimension of the batch."""
-        tensors, flags = inputs[:3], inputs[3:]
+        tensors = inputs[:3]
+        flags = inputs[3:]
         moved = [
             x.expand(info.batch_size, *x.shape) if dim is None else x.movedim(dim, 0)
             for x, dim in zip(tensors, in_dims[1:4], strict=True)

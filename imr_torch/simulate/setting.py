@@ -1,4 +1,6 @@
-"""What the numbers of a bubble follow from, before its parameters make dimensionless numbers of it; effects change it."""
+"""What the numbers of a bubble follow from, before its parameters make dimensionless numbers of it;
+effects change it.
+"""
 
 from typing import NamedTuple
 

@@ -1,7 +1,9 @@
-"""The interface of simulators: parameters, designs and times in; radii, velocities, pressures and a status out.
+"""The interface of simulators: parameters, designs and times in; radii, velocities, pressures and a
+status out.
 
-Everything above this stage talks to :class:`Simulator` only, so a simulator with other physics, on another device or in
-another process can take its place. A bubble whose solve fails is data: its status says so and its numbers are NaN.
+Everything above this stage talks to :class:`Simulator` only, so a simulator with other physics, on
+another device or in another process can take its place. A bubble whose solve fails is data: its
+status says so and its numbers are NaN.
 """
 
 import warnings
@@ -54,15 +56,21 @@ class Status(IntEnum):
 
 _ADVICE = {
     Status.DONE: "The solve reached its last time.",
-    Status.TOO_MANY_STEPS: "The solve ran out of steps; raise max_steps or ask for an earlier last time.",
-    Status.NON_FINITE: "The solve became non-finite; check parameters and design, or step more finely.",
-    Status.RUNAWAY: "The radius grew beyond three times its maximum, which no free oscillation does; step more finely.",
+    Status.TOO_MANY_STEPS: "The solve ran out of steps; raise "
+    "max_steps or ask for an earlier last time.",
+    Status.NON_FINITE: "The solve became non-finite; check "
+    "parameters and design, or step more finely.",
+    Status.RUNAWAY: "The radius grew beyond three times its maximum, which no free oscillation does; step "
+    "more finely.",
     Status.STEP_UNDERFLOW: (
-        "No step was small enough to meet the tolerance; check parameters and design, or raise the tolerance."
+        "No step was small enough to meet the tolerance; check parameters and design, or raise "
+        "the tolerance."
     ),
-    Status.LOST_WORKER: "The worker that was to solve it kept failing; look at its memory and its log, or send smaller chunks.",
+    Status.LOST_WORKER: "The worker that was to solve it kept failing; look at its memory and its log, or send "
+    "smaller chunks.",
     Status.UNBOUNDED_ENERGY: (
-        "The strain energy has no lower bound at negative alpha, and the gel gave way at collapse; use alpha >= 0 or a milder "
+        "The strain energy has no lower bound at negative alpha, and the gel gave way at "
+        "collapse; use alpha >= 0 or a milder "
         "design."
     ),
 }
@@ -132,7 +140,8 @@ class Simulator(Protocol):
         Args:
             parameters: SI, in the order of ``PARAMETERS``.
             designs: (We, R_inf*).
-            times: ``n_t`` or ``batch_shape x n_t`` tensor, dimensionless, increasing; ``t* = 0`` is the maximum radius.
+            times: ``n_t`` or ``batch_shape x n_t`` tensor, dimensionless, increasing; ``t* = 0`` is
+                the maximum radius.
 
         Returns:
             The solution; batch shapes of the arguments broadcast.
@@ -145,11 +154,13 @@ class Simulator(Protocol):
         designs: Real[Tensor, "*#batch 2"],
         times: Real[Tensor, "*#batch frames"],
     ) -> Solution:
-        """Simulate bundles: members that differ a little, in lock step, so that their differences are smooth.
+        """Simulate bundles: members that differ a little, in lock step, so that their differences
+        are smooth.
 
-        The last batch dimension is that of a bundle. Its first member leads: what a solver decides by the bubble
-        (whether to accept a step, say) it decides by the leader, whose solution is the same as without followers.
-        A simulator that decides nothing may simply call itself.
+        The last batch dimension is that of a bundle. Its first member leads: what a solver decides
+            by the bubble
+        (whether to accept a step, say) it decides by the leader, whose solution is the same as
+        without followers. A simulator that decides nothing may simply call itself.
 
         Args:
             parameters: or broadcastable to it; SI.
@@ -157,7 +168,8 @@ class Simulator(Protocol):
             times: ``batch_shape x w x n_t`` tensor.
 
         Returns:
-            The solution. The status is the leader's; a follower that failed alone is NaN from there on.
+            The solution. The status is the leader's; a follower that failed alone is NaN from there
+            on.
         """
         ...
 
@@ -165,9 +177,14 @@ class Simulator(Protocol):
 def solve_bundles(
     solve: Callable[..., tuple[Tensor, ...]],
     size: int,
-    arguments: tuple[Real[Tensor, "*#batch parameters"], Real[Tensor, "*#batch 2"], Real[Tensor, "*#batch frames"]],
+    arguments: tuple[
+        Real[Tensor, "*#batch parameters"],
+        Real[Tensor, "*#batch 2"],
+        Real[Tensor, "*#batch frames"],
+    ],
 ) -> Solution:
-    """As :func:`solve_batch` for bundles: the last batch dimension is theirs, and blocks hold whole bundles.
+    """As :func:`solve_batch` for bundles: the last batch dimension is theirs, and blocks hold whole
+    bundles.
 
     Args:
         solve: as there, with the number of members in a bundle as fourth argument.
@@ -189,15 +206,28 @@ def solve_bundles(
     """
     shape = broadcast_batch(*arguments)[0]
     if not shape:
-        raise ShapeError("A bundle needs a batch dimension, the last, for its members: batch_shape x w x p parameters.")
+        raise ShapeError(
+            "A bundle needs a batch dimension, the last, for its members: batch_shape x w x p "
+            "parameters."
+        )
     width = shape[-1]
-    return solve_batch(lambda *block: solve(*block, width), max(1, size // width) * width, arguments)
+    return solve_batch(
+        lambda *block: solve(*block, width), max(1, size // width) * width, arguments
+    )
 
 
 def broadcast_batch(
-    parameters: Real[Tensor, "*#batch parameters"], designs: Real[Tensor, "*#batch 2"], times: Real[Tensor, "*#batch frames"]
-) -> tuple[torch.Size, Real[Tensor, "members parameters"], Real[Tensor, "members 2"], Real[Tensor, "members frames"]]:
-    """Flatten the arguments of a simulator to ``B x p``, ``B x 2`` and ``B x n_t``; also returns ``batch_shape``.
+    parameters: Real[Tensor, "*#batch parameters"],
+    designs: Real[Tensor, "*#batch 2"],
+    times: Real[Tensor, "*#batch frames"],
+) -> tuple[
+    torch.Size,
+    Real[Tensor, "members parameters"],
+    Real[Tensor, "members 2"],
+    Real[Tensor, "members frames"],
+]:
+    """Flatten the arguments of a simulator to ``B x p``, ``B x 2`` and ``B x n_t``; also returns
+    ``batch_shape``.
 
     Raises:
         ShapeError: if a last dimension or a batch shape does not fit.
@@ -212,42 +242,58 @@ def broadcast_batch(
     """
     if parameters.shape[-1:] != (PARAMETERS.size,):
         raise ShapeError(
-            f"parameters has shape {tuple(parameters.shape)}; expected batch_shape x {PARAMETERS.size} "
+            f"parameters has shape {tuple(parameters.shape)}; expected batch_shape x "
+            f"{PARAMETERS.size} "
             f"in the order {PARAMETERS.names}. PARAMETERS.pack makes it from names."
         )
     if designs.shape[-1:] != (2,):
-        raise ShapeError(f"designs has shape {tuple(designs.shape)}; expected batch_shape x 2 with (We, R_inf*).")
+        raise ShapeError(
+            f"designs has shape {tuple(designs.shape)}; expected batch_shape x 2 with (We, R_inf*)."
+        )
     if times.ndim < 1 or times.shape[-1] < 1:
-        raise ShapeError(f"times has shape {tuple(times.shape)}; expected n_t or batch_shape x n_t with n_t >= 1.")
+        raise ShapeError(
+            f"times has shape {tuple(times.shape)}; expected n_t or batch_shape x n_t with n_t >= "
+            "1."
+        )
     try:
         shape = torch.broadcast_shapes(parameters.shape[:-1], designs.shape[:-1], times.shape[:-1])
     except RuntimeError:
         raise ShapeError(
-            f"Batch shapes do not broadcast: parameters {tuple(parameters.shape)}, designs {tuple(designs.shape)}, "
+            f"Batch shapes do not broadcast: parameters {tuple(parameters.shape)}, designs "
+            f"{tuple(designs.shape)}, "
             f"times {tuple(times.shape)}."
         ) from None
-    flat = [x.expand(*shape, x.shape[-1]).reshape(-1, x.shape[-1]) for x in (parameters, designs, times)]
+    flat = [
+        x.expand(*shape, x.shape[-1]).reshape(-1, x.shape[-1]) for x in (parameters, designs, times)
+    ]
     return shape, flat[0], flat[1], flat[2]
 
 
 def check_times(times: Real[Tensor, "members frames"]) -> None:
-    """Raise :class:`InputDataError` unless the rows of ``times`` (``B x n_t``) are finite, increasing and not early.
+    """Raise :class:`InputDataError` unless the rows of ``times`` (``B x n_t``) are finite,
+    increasing and not early.
 
     >>> import torch
     >>> from imr_torch.simulate import check_times
     >>> check_times(torch.tensor([[0.0, 0.2, 0.1]]))
     Traceback (most recent call last):
         ...
-    imr_torch.errors.InputDataError: times of batch member 0 do not increase; sort them and drop repeated ones.
+    imr_torch.errors.InputDataError: times of batch member 0 do not increase; sort them and drop
+        repeated ones.
     """
     if not bool(torch.isfinite(times).all()):
-        raise InputDataError("times holds a value that is not finite; leave missing frames out or mask them.")
+        raise InputDataError(
+            "times holds a value that is not finite; leave missing frames out or mask them."
+        )
     if bool((times[:, 1:] <= times[:, :-1]).any()):
         row = int(torch.nonzero((times[:, 1:] <= times[:, :-1]).any(1))[0])
-        raise InputDataError(f"times of batch member {row} do not increase; sort them and drop repeated ones.")
+        raise InputDataError(
+            f"times of batch member {row} do not increase; sort them and drop repeated ones."
+        )
     if bool((times[:, 0] < EARLIEST).any()):
         raise InputDataError(
-            f"times start at {float(times.min()):g}; t* = 0 is the maximum radius, and growth is not simulated. "
+            f"times start at {float(times.min()):g}; t* = 0 is the maximum radius, and growth is "
+            "not simulated. "
             "Keep samples from the maximum on."
         )
 
@@ -260,15 +306,18 @@ def check_designs(designs: Real[Tensor, "*batch 2"]) -> None:
     >>> check_designs(torch.tensor([[400.0, 1.22]]))
     Traceback (most recent call last):
         ...
-    imr_torch.errors.InputDataError: Design (We, R_inf*) = (400, 1.22): expected We > 0 and 0 < R_inf* < 1 ...
+    imr_torch.errors.InputDataError: Design (We, R_inf*) = (400, 1.22): expected We > 0 and 0 <
+        R_inf* < 1 ...
     """
-    weber, rest = designs[..., 0], designs[..., 1]
+    weber = designs[..., 0]
+    rest = designs[..., 1]
     bad = ~(torch.isfinite(weber) & (weber > 0.0) & (rest > 0.0) & (rest < 1.0))
     if bool(bad.any()):
         row = designs[bad][0].tolist()
         raise InputDataError(
             f"Design (We, R_inf*) = ({row[0]:g}, {row[1]:g}): expected We > 0 and 0 < R_inf* < 1 "
-            "(R_inf* = R_inf/Rmax; a rest radius at or above the maximum has no collapse to observe)."
+            "(R_inf* = R_inf/Rmax; a rest radius at or above the maximum has no collapse to "
+            "observe)."
         )
 
 
@@ -278,7 +327,8 @@ def tracked(*tensors: Tensor) -> bool:
 
 
 def together(values: Tensor, most: int, size: int) -> int:
-    """Members integrated together: ``most`` on a processor, whose cache they are to fit; on a GPU as many as memory holds.
+    """Members integrated together: ``most`` on a processor, whose cache they are to fit; on a GPU
+    as many as memory holds.
 
     A GPU takes as long for one bubble as for thousands. Half of the memory that is free is used.
 
@@ -294,7 +344,8 @@ def together(values: Tensor, most: int, size: int) -> int:
 
 
 def in_transform(*tensors: Tensor) -> bool:
-    """Whether a transform of ``torch.func`` is at work on one of them: its values cannot be looked at.
+    """Whether a transform of ``torch.func`` is at work on one of them: its values cannot be looked
+    at.
 
     >>> import torch
     >>> from imr_torch.simulate.simulator import in_transform
@@ -310,15 +361,20 @@ def in_transform(*tensors: Tensor) -> bool:
 def solve_batch(
     solve: Callable[[Tensor, Tensor, Tensor], tuple[Tensor, ...]],
     size: int,
-    arguments: tuple[Real[Tensor, "*#batch parameters"], Real[Tensor, "*#batch 2"], Real[Tensor, "*#batch frames"]],
+    arguments: tuple[
+        Real[Tensor, "*#batch parameters"],
+        Real[Tensor, "*#batch 2"],
+        Real[Tensor, "*#batch frames"],
+    ],
 ) -> Solution:
     """What every simulator does round its solver: check, broadcast, solve in blocks, put together.
 
-    Without a gradient to take, the solver runs in inference mode: its small operators then cost a third less.
+    Without a gradient to take, the solver runs in inference mode: its small operators then cost a
+        third less.
 
     Args:
-        solve: ``B x p`` parameters, ``B x 2`` designs and ``B x n_t`` times to radius, velocity, pressure (``B x n_t``
-            each), status and steps (``B`` each).
+        solve: ``B x p`` parameters, ``B x 2`` designs and ``B x n_t`` times to radius, velocity,
+            pressure (``B x n_t`` each), status and steps (``B`` each).
         size: members in a block.
         arguments: parameters, designs and times as the simulator was called with.
 
@@ -340,8 +396,13 @@ def solve_batch(
     check_designs(designs)
     check_times(times)
     if parameters.dtype != torch.float64:
-        warnings.warn("float32 is too short for inference; use float64 parameters.", PrecisionWarning, stacklevel=3)
-    designs, times = designs.to(parameters), times.to(parameters)
+        warnings.warn(
+            "float32 is too short for inference; use float64 parameters.",
+            PrecisionWarning,
+            stacklevel=3,
+        )
+    designs = designs.to(parameters)
+    times = times.to(parameters)
     blocks = zip(parameters.split(size), designs.split(size), times.split(size), strict=True)
     with torch.inference_mode(not tracked(parameters, designs, times)):
         parts = [solve(*block) for block in blocks]
@@ -352,7 +413,9 @@ def solve_batch(
 
 
 def _bubbles_only(radius: Tensor, velocity: Tensor, pressure: Tensor) -> tuple[Tensor, ...]:
-    """Curves with NaN from where on R* is that of no bubble: a follower may leave all bounds in the steps of its leader."""
+    """Curves with NaN from where on R* is that of no bubble: a follower may leave all bounds in the
+    steps of its leader.
+    """
     wild = (radius <= 0.0) | (radius > RUNAWAY)
     if not bool(wild.any()):
         return radius, velocity, pressure
@@ -361,7 +424,9 @@ def _bubbles_only(radius: Tensor, velocity: Tensor, pressure: Tensor) -> tuple[T
 
 
 def _explain(status: Tensor, parameters: Tensor) -> Tensor:
-    """Failures by the gel's parameters: where a term's energy has no lower bound, it may pull a collapse inwards."""
+    """Failures by the gel's parameters: where a term's energy has no lower bound, it may pull a
+    collapse inwards.
+    """
     failed = (status != Status.DONE) & (status != Status.LOST_WORKER)
     if not bool(failed.any()):
         return status

@@ -1,9 +1,10 @@
 """The full-physics simulator: Keller-Miksis with heat conduction, evaporation and a warm gel.
 
-Fields are resolved spectrally (:mod:`~imr_torch.simulate.grids`), time by a linearly implicit method with the exact
-Jacobian (:mod:`~imr_torch.simulate.rosenbrock`) and steps of each member's own. The compiled engine integrates one bubble
-after the other; on tensors ``torchdiffeq`` integrates the batch (:mod:`~imr_torch.simulate.ode_method`), in blocks of steps
-after which those that are done leave.
+Fields are resolved spectrally (:mod:`~imr_torch.simulate.grids`), time by a linearly implicit
+method with the exact Jacobian (:mod:`~imr_torch.simulate.rosenbrock`) and steps of each member's
+own. The compiled engine integrates one bubble after the other; on tensors ``torchdiffeq``
+integrates the batch (:mod:`~imr_torch.simulate.ode_method`), in blocks of steps after which those
+that are done leave.
 """
 
 from dataclasses import dataclass, field
@@ -24,9 +25,20 @@ from imr_torch.simulate.grids import Resolution
 from imr_torch.simulate.ode_method import CONTROL, METHOD, TransportField
 from imr_torch.simulate.rhs import Equations
 from imr_torch.simulate.sensitivity import differentiable
-from imr_torch.simulate.simulator import RUNAWAY, Solution, Status, in_transform, solve_batch, solve_bundles, together, tracked
+from imr_torch.simulate.simulator import (
+    RUNAWAY,
+    Solution,
+    Status,
+    in_transform,
+    solve_batch,
+    solve_bundles,
+    together,
+    tracked,
+)
 
-_BATCH = 1000  # members integrated together on a processor; those that are done early are not replaced
+_BATCH = (
+    1000  # members integrated together on a processor; those that are done early are not replaced
+)
 _BYTES = 150_000  # of a member while it is integrated
 _BLOCK = 32  # steps between two checks of which members are done
 _RUNNING = -1
@@ -53,7 +65,10 @@ class Accuracy:
 
     def __post_init__(self) -> None:
         if not 1e-12 <= self.tolerance <= 1e-1:
-            raise InputDataError(f"Accuracy.tolerance is {self.tolerance}; expected 1e-12 to 0.1 (3e-4 is the default).")
+            raise InputDataError(
+                f"Accuracy.tolerance is {self.tolerance}; expected 1e-12 to 0.1 (3e-4 is the "
+                "default)."
+            )
         if self.max_steps < 1:
             raise InputDataError(f"Accuracy.max_steps is {self.max_steps}; expected at least 1.")
 
@@ -80,8 +95,10 @@ class TransportSimulator:
         conditions: surroundings, contents and gel; see ``PRESETS``.
         accuracy: how finely time and space are cut; see ``ACCURACIES``.
         terms: stress terms to choose from; all registered ones by default.
-        engine: ``"compiled"`` or ``"torchdiffeq"``, see :mod:`imr_torch.simulate.engines`; the answers agree to rounding.
-        threads: processor threads of the compiled engine, all cores by default; the answer is the same bit for bit.
+        engine: ``"compiled"`` or ``"torchdiffeq"``, see :mod:`imr_torch.simulate.engines`; the
+            answers agree to rounding.
+        threads: processor threads of the compiled engine, all cores by default; the answer is the
+            same bit for bit.
 
     >>> import torch
     >>> from imr_torch import TransportSimulator
@@ -109,7 +126,8 @@ class TransportSimulator:
     ) -> Solution:
         """Simulate a batch; see :class:`imr_torch.simulate.Simulator`.
 
-        Where an argument requires a gradient, radii carry it: see :func:`imr_torch.simulate.sensitivity.differentiable`.
+        Where an argument requires a gradient, radii carry it: see
+            :func:`imr_torch.simulate.sensitivity.differentiable`.
 
         Raises:
             ShapeError: if shapes do not fit.
@@ -119,7 +137,9 @@ class TransportSimulator:
         if in_transform(*inputs) or tracked(*inputs):
             return differentiable(self, parameters, designs, times)
         with torch.no_grad():
-            return solve_batch(self._solve, together(parameters, _BATCH, _BYTES), (parameters, designs, times))
+            return solve_batch(
+                self._solve, together(parameters, _BATCH, _BYTES), (parameters, designs, times)
+            )
 
     def bundle(
         self,
@@ -129,9 +149,13 @@ class TransportSimulator:
     ) -> Solution:
         """Simulate bundles in lock step; see :meth:`imr_torch.simulate.Simulator.bundle`."""
         with torch.no_grad():
-            return solve_bundles(self._solve, together(parameters, _BATCH, _BYTES), (parameters, designs, times))
+            return solve_bundles(
+                self._solve, together(parameters, _BATCH, _BYTES), (parameters, designs, times)
+            )
 
-    def _solve(self, parameters: Tensor, designs: Tensor, times: Tensor, width: int = 1) -> tuple[Tensor, ...]:
+    def _solve(
+        self, parameters: Tensor, designs: Tensor, times: Tensor, width: int = 1
+    ) -> tuple[Tensor, ...]:
         """One block of members, bundle after bundle: radius, velocity, pressure, status, steps."""
         settings = self.accuracy
         bubbles = Bubbles.of(parameters, designs, self.conditions, self.terms)
@@ -139,17 +163,23 @@ class TransportSimulator:
             from imr_torch.simulate.compiled.run import solve_transport
 
             limits = (settings.tolerance, settings.max_steps, FIRST_STEP)
-            return solve_transport(bubbles, self.terms, times, width, settings.resolution, limits, self.threads)
+            return solve_transport(
+                bubbles, self.terms, times, width, settings.resolution, limits, self.threads
+            )
         inside, outside = (grid.to(parameters) for grid in settings.resolution.grids())
         return _march(TransportField(Equations(bubbles, inside, outside), width), times, settings)
 
 
 def _march(whole: TransportField, times: Tensor, settings: Accuracy) -> tuple[Tensor, ...]:
-    """Integrate until every bundle is done or given up; radius, velocity, pressure, status, steps."""
+    """Integrate until every bundle is done or given up.
+
+    Radius, velocity, pressure, status, steps.
+    """
     width = whole.width
     last = times[:, -1].unflatten(0, (-1, width)).amax(1)
     state = whole.start()
-    nodes, fresh = [_nodes(whole, state[None])], [torch.ones_like(times[None, :, 0], dtype=torch.bool)]
+    nodes = [_nodes(whole, state[None])]
+    fresh = [torch.ones_like(times[None, :, 0], dtype=torch.bool)]
     status = torch.full_like(last, _RUNNING, dtype=torch.long)
     running = torch.arange(len(last), device=last.device)
     for tried in range(0, settings.max_steps, _BLOCK):
@@ -181,9 +211,16 @@ def _march(whole: TransportField, times: Tensor, settings: Accuracy) -> tuple[Te
 
 
 def _nodes(field: TransportField, path: Tensor) -> Tensor:
-    """What output needs of some states ``n x rows x B``: t, R, U, U', ln P, d ln P/dt, a ``6 x n x B`` tensor."""
-    count, size = path.shape[0], path.shape[2]
-    copies = field.equations if count == 1 else field.equations.take(torch.arange(size, device=path.device).repeat(count))
+    """What output needs of some states ``n x rows x B``: t, R, U, U', ln P, d ln P/dt, a ``6 x n x
+    B`` tensor.
+    """
+    count = path.shape[0]
+    size = path.shape[2]
+    copies = (
+        field.equations
+        if count == 1
+        else field.equations.take(torch.arange(size, device=path.device).repeat(count))
+    )
     states = path.movedim(0, 1).flatten(1)
     f = copies.fields(states[:-CONTROL], states[-CONTROL])
     rates = copies.rate(f)
@@ -192,7 +229,10 @@ def _nodes(field: TransportField, path: Tensor) -> Tensor:
 
 
 def _judge(path: Tensor, last: Tensor) -> Tensor:
-    """Which bundles are done, and which are given up, after a block of ticks; ``path`` is ``n x rows x bundles x width``."""
+    """Which bundles are done, and which are given up, after a block of ticks.
+
+    ``path`` is ``n x rows x bundles x width``.
+    """
     time, step, error = path[-1, -CONTROL:]
     leader = time[:, 0]
     verdict = torch.full_like(last, _RUNNING, dtype=torch.long)
@@ -207,8 +247,12 @@ def _judge(path: Tensor, last: Tensor) -> Tensor:
 
 
 def _accepted(nodes: Tensor, fresh: Tensor, last: Tensor) -> tuple[Tensor, Tensor]:
-    """Nodes of accepted steps only, ``6 x B x n`` with the last repeated, and how many each member took to its last time."""
-    kept = nodes.gather(1, torch.argsort((~fresh).long(), dim=0, stable=True).expand(len(nodes), -1, -1))
+    """Nodes of accepted steps only, ``6 x B x n`` with the last repeated, and how many each member
+    took to its last time.
+    """
+    kept = nodes.gather(
+        1, torch.argsort((~fresh).long(), dim=0, stable=True).expand(len(nodes), -1, -1)
+    )
     count = fresh.sum(0) - 1
     position = torch.minimum(torch.arange(len(fresh), device=count.device)[:, None], count)
     kept = kept.gather(1, position.expand(len(nodes), -1, -1))[:, : max(2, int(count.max()) + 1)]
@@ -217,11 +261,20 @@ def _accepted(nodes: Tensor, fresh: Tensor, last: Tensor) -> tuple[Tensor, Tenso
 
 
 def _cubic(nodes: Tensor, values: Tensor, rates: Tensor, times: Tensor) -> Tensor:
-    """Cubic Hermite interpolation, linear before the first node; see :func:`imr_torch.simulate.clock.interpolate`."""
+    """Cubic Hermite interpolation, linear before the first node.
+
+    See :func:`imr_torch.simulate.clock.interpolate`.
+    """
     right = torch.searchsorted(nodes, times.contiguous()).clamp(1, nodes.shape[1] - 1)
-    t0, t1, v0, v1, r0, r1 = (x.gather(1, i) for x in (nodes, values, rates) for i in (right - 1, right))
+    t0, t1, v0, v1, r0, r1 = (
+        x.gather(1, i) for x in (nodes, values, rates) for i in (right - 1, right)
+    )
     h = (t1 - t0).clamp_min(torch.finfo(times.dtype).tiny)
     s = (times - t0) / h
-    rise, r0, r1 = v1 - v0, r0 * h, r1 * h
-    bend, twist = (torch.where(s < 0.0, 0.0, c) for c in (3.0 * rise - 2.0 * r0 - r1, r0 + r1 - 2.0 * rise))
+    rise = v1 - v0
+    r0 = r0 * h
+    r1 = r1 * h
+    bend, twist = (
+        torch.where(s < 0.0, 0.0, c) for c in (3.0 * rise - 2.0 * r0 - r1, r0 + r1 - 2.0 * rise)
+    )
     return v0 + s * (r0 + s * (bend + s * twist))

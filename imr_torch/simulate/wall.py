@@ -1,8 +1,10 @@
-"""The balance at the bubble wall: pressures of contents, surface, gel and far field put into a radial equation.
+"""The balance at the bubble wall: pressures of contents, surface, gel and far field put into a
+radial equation.
 
-``p_w = p_b - 1/(We R) + S`` in the liquid at the wall, ``p_far = 1 + p_ac`` in the far field (Estrada et al. 2018, eq. 4).
-Both simulators give ``p_b`` and its rate; everything else that acts on the wall is here, for tensors. The compiled engine puts
-the same laws together in :mod:`imr_torch.simulate.compiled`.
+``p_w = p_b - 1/(We R) + S`` in the liquid at the wall, ``p_far = 1 + p_ac`` in the far field
+(Estrada et al. 2018, eq. 4). Both simulators give ``p_b`` and its rate; everything else that acts
+on the wall is here, for tensors. The compiled engine puts the same laws together in
+:mod:`imr_torch.simulate.compiled`.
 """
 
 from dataclasses import dataclass
@@ -41,7 +43,8 @@ class HeadSlopes:
     """Partial derivatives of ``U'`` and of ``d memory/dt``.
 
     Args:
-        radius: of ``U'`` in ``R``, a ``B`` tensor; ``velocity``, ``pressure``, ``pressure_rate`` and ``time`` likewise.
+        radius: of ``U'`` in ``R``, a ``B`` tensor; ``velocity``, ``pressure``, ``pressure_rate``
+            and ``time`` likewise.
         memory: of ``U'`` in each memory state, ``K x B``.
         memory_radius: of ``d memory/dt`` in ``R``, ``K x B``; ``memory_velocity`` in ``U``.
         memory_memory: of ``d memory/dt`` (rows) in memory (columns), ``K x K x B``.
@@ -58,7 +61,9 @@ class HeadSlopes:
     memory_memory: Inexact[Tensor, "states states *#members"]
 
 
-def motion(bubbles: Bubbles, head: Head) -> tuple[Inexact[Tensor, "*#members"], Inexact[Tensor, "states *#members"]]:
+def motion(
+    bubbles: Bubbles, head: Head
+) -> tuple[Inexact[Tensor, "*#members"], Inexact[Tensor, "states *#members"]]:
     """``U'``, a ``B`` tensor, and ``d memory/dt``, ``K x B``."""
     far, far_rate, _ = far_field(bubbles, head.time)
     return _motion(bubbles, head, far, far_rate)
@@ -71,14 +76,30 @@ def motion_slopes(
     far, far_rate, far_bend = far_field(bubbles, head.time)
     acceleration, memory_rate = _motion(bubbles, head, far, far_rate)
 
-    def rows(radius: Tensor, velocity: Tensor, pressure: Tensor, rate: Tensor, beyond: Tensor, *memory: Tensor) -> Tensor:
+    def rows(
+        radius: Tensor,
+        velocity: Tensor,
+        pressure: Tensor,
+        rate: Tensor,
+        beyond: Tensor,
+        *memory: Tensor,
+    ) -> Tensor:
         """``U'`` and ``d memory/dt``; ``beyond`` is a time by which the far field moves on."""
         states = torch.stack(memory) if memory else radius.new_zeros(0, *radius.shape)
         moved = Head(head.time, radius, velocity, pressure, rate, states)
-        force, changes = _motion(bubbles, moved, far + far_rate * beyond, far_rate + far_bend * beyond)
+        force, changes = _motion(
+            bubbles, moved, far + far_rate * beyond, far_rate + far_bend * beyond
+        )
         return torch.cat((force[None], changes))
 
-    point = (head.radius, head.velocity, head.pressure, head.pressure_rate, torch.zeros_like(head.radius), *head.memory)
+    point = (
+        head.radius,
+        head.velocity,
+        head.pressure,
+        head.pressure_rate,
+        torch.zeros_like(head.radius),
+        *head.memory,
+    )
     slopes = derivatives(rows, point, analytic=bubbles.analytic)
     by_radius, by_velocity, by_pressure, by_rate, by_time = slopes[:5]
     by_memory = slopes[5:]  # K x (1 + K) x B
@@ -100,11 +121,21 @@ def motion_slopes(
 
 
 def _motion(bubbles: Bubbles, head: Head, far: Tensor, far_rate: Tensor) -> tuple[Tensor, Tensor]:
-    numbers, radius, velocity = bubbles.numbers, head.radius, head.velocity
-    stress, memory_rate = gel_response(bubbles.terms, radius, velocity, numbers.rest_radius, bubbles.theta, head.memory)
+    numbers = bubbles.numbers
+    radius = head.radius
+    velocity = head.velocity
+    stress, memory_rate = gel_response(
+        bubbles.terms, radius, velocity, numbers.rest_radius, bubbles.theta, head.memory
+    )
     tension = numbers.tension / radius
-    inertia = stress.acceleration if bubbles.constants.stress_acceleration else torch.zeros_like(stress.acceleration)
-    pace = numbers.pace  # in units of the medium's own U_c, the radial equation is that of any density
+    inertia = (
+        stress.acceleration
+        if bubbles.constants.stress_acceleration
+        else torch.zeros_like(stress.acceleration)
+    )
+    pace = (
+        numbers.pace
+    )  # in units of the medium's own U_c, the radial equation is that of any density
     acceleration = bubbles.conditions.motion.acceleration(
         radius,
         velocity / pace,
@@ -126,25 +157,33 @@ def gas_loss(
     total = torch.zeros_like(radius)
     for effect in bubbles.acting("gas_loss"):
         assert effect.gas_loss is not None
-        total = total + effect.gas_loss(radius, velocity, bubbles.numbers.rest_radius, *bubbles.arguments(effect))
+        total = total + effect.gas_loss(
+            radius, velocity, bubbles.numbers.rest_radius, *bubbles.arguments(effect)
+        )
     return total
 
 
 def gas_loss_slopes(
     bubbles: Bubbles, radius: Inexact[Tensor, "*#members"], velocity: Inexact[Tensor, "*#members"]
-) -> tuple[Inexact[Tensor, "*#members"], Inexact[Tensor, "*#members"], Inexact[Tensor, "*#members"]]:
+) -> tuple[
+    Inexact[Tensor, "*#members"], Inexact[Tensor, "*#members"], Inexact[Tensor, "*#members"]
+]:
     """:func:`gas_loss` and its derivatives in R and U."""
     lost = gas_loss(bubbles, radius, velocity)
     if not bubbles.acting("gas_loss"):
         return lost, lost, lost
-    by_radius, by_velocity = derivatives(lambda r, u: gas_loss(bubbles, r, u), (radius, velocity), analytic=bubbles.analytic)
+    by_radius, by_velocity = derivatives(
+        lambda r, u: gas_loss(bubbles, r, u), (radius, velocity), analytic=bubbles.analytic
+    )
     return lost, by_radius, by_velocity
 
 
 def vapour_factor(
     bubbles: Bubbles, compression: Inexact[Tensor, "*#members"]
 ) -> tuple[Inexact[Tensor, "*#members"], Inexact[Tensor, "*#members"]]:
-    """Factor on the saturation pressure at a compression of the contents, and its logarithmic derivative; ``B`` tensors."""
+    """Factor on the saturation pressure at a compression of the contents, and its logarithmic
+    derivative; ``B`` tensors.
+    """
     one = torch.ones_like(compression)
     effects = bubbles.acting("vapour")
     if not effects:
@@ -158,22 +197,31 @@ def vapour_factor(
         return total
 
     value = factor(compression)
-    return value, derivatives(factor, (compression,), analytic=bubbles.analytic)[0] * compression / value
+    return value, derivatives(factor, (compression,), analytic=bubbles.analytic)[
+        0
+    ] * compression / value
 
 
 def far_field(
     bubbles: Bubbles, time: Inexact[Tensor, "*#members"]
-) -> tuple[Inexact[Tensor, "*#members"], Inexact[Tensor, "*#members"], Inexact[Tensor, "*#members"]]:
+) -> tuple[
+    Inexact[Tensor, "*#members"], Inexact[Tensor, "*#members"], Inexact[Tensor, "*#members"]
+]:
     """Far-field pressure and its first two time derivatives, dimensionless."""
     value = bubbles.numbers.far
     rate = bend = torch.zeros_like(value)
     driving = bubbles.conditions.driving
     if driving is not None:
-        seconds, scale = bubbles.numbers.seconds, 1.0 / bubbles.conditions.surroundings.far_field_pressure
+        seconds = bubbles.numbers.seconds
+        scale = 1.0 / bubbles.conditions.surroundings.far_field_pressure
         given = driving(time * seconds)
-        value, rate, bend = value + given[0] * scale, rate + given[1] * seconds * scale, bend + given[2] * seconds**2 * scale
+        value = value + given[0] * scale
+        rate = rate + given[1] * seconds * scale
+        bend = bend + given[2] * seconds**2 * scale
     for effect in bubbles.acting("far_field"):
         assert effect.far_field is not None
         more = effect.far_field(time, *bubbles.arguments(effect))
-        value, rate, bend = value + more[0], rate + more[1], bend + more[2]
+        value = value + more[0]
+        rate = rate + more[1]
+        bend = bend + more[2]
     return value, rate, bend

@@ -20,9 +20,22 @@ from imr_torch import example_gel
 
 pytest.importorskip("nicegui", reason="the extra 'app' is not installed")
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-BROWSER = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None)
+BROWSER = next(
+    (
+        path
+        for name in ("chromium", "chromium-browser", "google-chrome")
+        if (path := shutil.which(name))
+    ),
+    None,
+)
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")
-FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"]
+FLAGS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+]
 
 
 @dataclass
@@ -47,13 +60,19 @@ class App:
 def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]:
     folder = tmp_path_factory.mktemp("application") / "gel"
     command = [sys.executable, "-m", "imr_torch", "app", "--no-browser", "--out", str(folder)]
-    outside = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}  # NiceGUI looks at these
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=outside)
+    outside = {
+        name: value for name, value in os.environ.items() if not name.startswith("PYTEST")
+    }  # NiceGUI looks at these
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=outside
+    )
     try:
         assert process.stdout is not None
         line = process.stdout.readline()
         found = re.match(r"Open (http://127\.0\.0\.1:\d+/\?token=\S+)", line)
-        assert found, f"{line}{process.stderr.read() if process.poll() is not None and process.stderr else ''}"
+        assert found, (
+            f"{line}{process.stderr.read() if process.poll() is not None and process.stderr else ''}"
+        )
         yield found[1], folder
     finally:
         process.terminate()
@@ -66,8 +85,16 @@ def app(address: tuple[str, Path]) -> Iterator[App]:
         browser = driver.chromium.launch(executable_path=BROWSER, args=FLAGS)
         page = browser.new_page(viewport={"width": 1280, "height": 900}, accept_downloads=True)
         made = App(address[0], address[1], page)
-        page.on("request", lambda request: made.hosts.add(request.url.split("/")[2] if "//" in request.url else ""))
-        page.on("console", lambda message: made.errors.append(message.text) if message.type == "error" else None)
+        page.on(
+            "request",
+            lambda request: made.hosts.add(
+                request.url.split("/")[2] if "//" in request.url else ""
+            ),
+        )
+        page.on(
+            "console",
+            lambda message: made.errors.append(message.text) if message.type == "error" else None,
+        )
         page.on("pageerror", lambda error: made.errors.append(str(error)))
         page.goto(address[0])
         made.sees("Take the example gel")
@@ -93,7 +120,10 @@ def test_that_bad_files_are_named_and_good_ones_read(app: App, tmp_path: Path) -
     app.sees(re.compile(r"files/bad\.csv: .*"))
     app.page.get_by_role("button", name="Set bad.csv aside").click()
     app.page.get_by_text(re.compile(r"files/bad\.csv: .*")).wait_for(state="detached")
-    assert {path.name for path in (app.folder / "files").iterdir()} == {"example_gel.csv", "example_gel.json"}
+    assert {path.name for path in (app.folder / "files").iterdir()} == {
+        "example_gel.csv",
+        "example_gel.json",
+    }
 
 
 def override(app: App) -> dict[str, float]:
@@ -141,13 +171,21 @@ def run(app: App, seconds: float = 240.0) -> None:
     app.page.get_by_role("button", name="See the result").wait_for(timeout=1000 * seconds)
 
 
-def test_that_a_gel_is_characterised_and_the_page_read_and_everything_downloaded(app: App, tmp_path: Path) -> None:
+def test_that_a_gel_is_characterised_and_the_page_read_and_everything_downloaded(
+    app: App, tmp_path: Path
+) -> None:
     app.tab("Run")
     for name in ("newtonian", "gen_qkv"):
-        app.page.locator(".q-chip", has_text=re.compile(f"^{name}")).locator(".q-chip__icon--remove").click()
+        app.page.locator(".q-chip", has_text=re.compile(f"^{name}")).locator(
+            ".q-chip__icon--remove"
+        ).click()
     app.page.get_by_label("Bubble physics").click()
     app.page.get_by_role("option", name="polytropic").click()
-    app.sees(re.compile(r"characterize files/example_gel\.csv --medium density=1040:5 --models nhkv --physics polytropic"))
+    app.sees(
+        re.compile(
+            r"characterize files/example_gel\.csv --medium density=1040:5 --models nhkv --physics polytropic"
+        )
+    )
     run(app)
     app.page.get_by_role("button", name="See the result").click()
     app.page.frame_locator("iframe").get_by_role("heading", name="The gel").wait_for(timeout=20000)
@@ -166,7 +204,9 @@ def test_that_the_next_design_builds_on_the_result(app: App) -> None:
     app.page.get_by_label("Designs evaluated").fill("3")
     run(app)
     app.page.get_by_role("button", name="See the result").click()
-    app.page.frame_locator("iframe").get_by_text(re.compile(r"Shoot We \d+")).wait_for(timeout=20000)
+    app.page.frame_locator("iframe").get_by_text(re.compile(r"Shoot We \d+")).wait_for(
+        timeout=20000
+    )
 
 
 def test_that_a_run_can_be_stopped(app: App) -> None:
@@ -183,7 +223,9 @@ def test_that_no_tab_is_wider_than_the_screen(app: App, name: str, width: int) -
     app.page.set_viewport_size({"width": width, "height": 900})
     app.tab(name)
     with contextlib.suppress(playwright.TimeoutError):  # it takes a moment until all is drawn
-        app.page.wait_for_function(f"document.documentElement.scrollWidth <= {width}", timeout=10000)
+        app.page.wait_for_function(
+            f"document.documentElement.scrollWidth <= {width}", timeout=10000
+        )
     app.page.wait_for_timeout(300)
     assert app.page.evaluate("document.documentElement.scrollWidth") <= width
 

@@ -7,7 +7,8 @@ import pytest
 
 from imr_torch.app.guard import Guard
 
-TOKEN, PORT = "right-token", 8123
+TOKEN = "right-token"
+PORT = 8123
 
 
 async def inside(scope: Any, receive: Any, send: Any) -> None:
@@ -34,11 +35,15 @@ HERE = {"host": f"127.0.0.1:{PORT}"}
 COOKIE = {"cookie": f"other=1; imr_torch_{PORT}={TOKEN}"}
 
 
-def test_that_the_link_sets_a_cookie_that_scripts_and_other_sites_do_not_get_and_leaves_the_token_out() -> None:
+def test_that_the_link_sets_a_cookie_that_scripts_and_other_sites_do_not_get_and_leaves_the_token_out() -> (
+    None
+):
     start = ask(HERE, f"token={TOKEN}")[0]
     headers = dict(start["headers"])
     assert (start["status"], headers[b"location"]) == (303, b"/")
-    assert all(part in headers[b"set-cookie"] for part in (TOKEN.encode(), b"HttpOnly", b"SameSite=Strict"))
+    assert all(
+        part in headers[b"set-cookie"] for part in (TOKEN.encode(), b"HttpOnly", b"SameSite=Strict")
+    )
 
 
 @pytest.mark.parametrize("kind", ["http", "websocket"])

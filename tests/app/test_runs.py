@@ -1,4 +1,7 @@
-"""Commands of the application: what they write is kept, how they end is known, and they can be stopped."""
+"""Commands of the application:
+
+what they write is kept, how they end is known, and they can be stopped.
+"""
 
 import io
 import json
@@ -105,7 +108,9 @@ def test_that_a_run_that_the_system_ended_is_not_called_stopped(tmp_path: Path) 
 def test_that_a_run_that_ended_with_the_application_is_known_as_interrupted(tmp_path: Path) -> None:
     folder = tmp_path / "results" / "007_diagnose"
     folder.mkdir(parents=True)
-    (folder / "run.json").write_text('{"arguments": ["diagnose"], "started": "2026-01-01", "status": null}')
+    (folder / "run.json").write_text(
+        '{"arguments": ["diagnose"], "started": "2026-01-01", "status": null}'
+    )
     all_runs = runs(tmp_path)
     assert [result.outcome for result in all_runs.results()] == ["interrupted"]
     assert all_runs.next_folder("design") == "results/008_design"
@@ -126,16 +131,43 @@ def test_that_a_run_that_ended_with_the_application_is_known_as_interrupted(tmp_
             robust=True,
         ),
         Diagnose(
-            Data(["files/a.csv"]), base="zener", known="G=1", physics="polytropic", collapses=3, rest_radius="0.2:0", most=2
+            Data(["files/a.csv"]),
+            base="zener",
+            known="G=1",
+            physics="polytropic",
+            collapses=3,
+            rest_radius="0.2:0",
+            most=2,
         ),
         Design(),
-        Design("results/1/characterize.json", (), "water", "polytropic", "200:300", "0.15:0.2", "model", 3, 7),
+        Design(
+            "results/1/characterize.json",
+            (),
+            "water",
+            "polytropic",
+            "200:300",
+            "0.15:0.2",
+            "model",
+            3,
+            7,
+        ),
     ],
 )
-def test_that_a_form_makes_arguments_that_the_command_takes(form: Characterize | Diagnose | Design) -> None:
+def test_that_a_form_makes_arguments_that_the_command_takes(
+    form: Characterize | Diagnose | Design,
+) -> None:
     read = vars(parser().parse_args(form.arguments("results/001")))
     assert read["html"] == "results/001/page.html"
-    for name in ("known", "physics", "collapses", "rest_radius", "base", "most", "target", "evaluations"):
+    for name in (
+        "known",
+        "physics",
+        "collapses",
+        "rest_radius",
+        "base",
+        "most",
+        "target",
+        "evaluations",
+    ):
         if hasattr(form, name):
             assert read[name] == (getattr(form, name) or read[name])
     data = getattr(form, "data", None)

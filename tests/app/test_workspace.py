@@ -38,7 +38,12 @@ def test_that_no_name_leaves_the_folder(tmp_path: Path) -> None:
     made = workspace(tmp_path)
     made.add("../../elsewhere/a.csv", b"x")
     made.add("C:\\gels\\b.csv", b"x")
-    assert {path.name for path in made.files_folder.iterdir()} == {"example_gel.csv", "example_gel.json", "a.csv", "b.csv"}
+    assert {path.name for path in made.files_folder.iterdir()} == {
+        "example_gel.csv",
+        "example_gel.json",
+        "a.csv",
+        "b.csv",
+    }
     assert not (tmp_path / "elsewhere").exists()
 
 
@@ -102,8 +107,15 @@ def test_that_what_is_stated_is_what_the_commands_read(tmp_path: Path) -> None:
     view = made.curve("shot_2", 2)
     made.state(view, {"Rinf_m": 6e-5, "Rinf_sd_m": 1e-6})
     assert made.curve("shot_2", 2).landmarks.rest_method == "as stated"
-    (entry,) = [e for e in json.loads((made.files_folder / "example_gel.json").read_text())["experiments"] if "override" in e]
-    assert (entry["experiment_id"], entry["override"]) == ("shot_2", {"Rinf_m": 6e-5, "Rinf_sd_m": 1e-6})
+    (entry,) = [
+        e
+        for e in json.loads((made.files_folder / "example_gel.json").read_text())["experiments"]
+        if "override" in e
+    ]
+    assert (entry["experiment_id"], entry["override"]) == (
+        "shot_2",
+        {"Rinf_m": 6e-5, "Rinf_sd_m": 1e-6},
+    )
     made.state(made.curve("shot_2", 2), {"window_end_s": 1e-9})
     broken = made.curve("shot_2", 2)
     assert broken.fitted is None

@@ -1,4 +1,7 @@
-"""Basins of the nuisances: the deepest is found at a fixed gel, and a search ends there whichever it began in."""
+"""Basins of the nuisances:
+
+the deepest is found at a fixed gel, and a search ends there whichever it began in.
+"""
 
 from dataclasses import dataclass, field, replace
 
@@ -38,7 +41,12 @@ class WavySimulator:
         status = torch.full(shape, int(Status.NON_FINITE if self.fails else Status.DONE))
         none = torch.zeros_like(radius)
         return Solution(
-            times.reshape(radius.shape), radius.where(status[..., None] == Status.DONE, torch.nan), none, none, status, status
+            times.reshape(radius.shape),
+            radius.where(status[..., None] == Status.DONE, torch.nan),
+            none,
+            none,
+            status,
+            status,
         )
 
     def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
@@ -50,8 +58,11 @@ TRUTH = torch.tensor([[0.0, 0.4, 0.2], [0.0, -0.7, -0.5], [0.0, 0.1, 0.6]], dtyp
 
 def shot(nuisance: Nuisance) -> ExperimentBatch:
     """Curves with errors of their own, of a gel at the prior's mean."""
-    plan, source = experiments(3, nuisance=nuisance), torch.Generator().manual_seed(4)
-    gel = PARAMETERS.pack({name: torch.tensor(MEANS[name], dtype=torch.float64) for name in ("G", "mu")})
+    plan = experiments(3, nuisance=nuisance)
+    source = torch.Generator().manual_seed(4)
+    gel = PARAMETERS.pack(
+        {name: torch.tensor(MEANS[name], dtype=torch.float64) for name in ("G", "mu")}
+    )
     clean = predict(WavySimulator(), gel, plan, TRUTH * plan.nuisance_sds)
     made = []
     for e, curve in zip(plan.experiments, clean, strict=True):
@@ -63,10 +74,14 @@ def shot(nuisance: Nuisance) -> ExperimentBatch:
 BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
 
 
-def deepest(nuisances: Tensor, batch: ExperimentBatch, simulator: WavySimulator | None = None) -> Tensor:
+def deepest(
+    nuisances: Tensor, batch: ExperimentBatch, simulator: WavySimulator | None = None
+) -> Tensor:
     """At the prior's mean gel."""
     posterior = Posterior(prior(("nhkv",)).models[0], batch, simulator or WavySimulator())
-    return deeper_nuisances(posterior, Point(torch.zeros(len(nuisances), 2, dtype=torch.float64), nuisances))
+    return deeper_nuisances(
+        posterior, Point(torch.zeros(len(nuisances), 2, dtype=torch.float64), nuisances)
+    )
 
 
 def off(periods: list[float], sd: float = 0.2) -> Tensor:
@@ -94,7 +109,8 @@ def test_that_basins_are_found_where_a_scan_reaches_back_to_before_there_is_a_bu
 
 
 def test_that_a_search_through_one_experiment_takes_some_seventy_bubbles() -> None:
-    batch, counted = shot(BOTH), []
+    batch = shot(BOTH)
+    counted = []
     simulator = WavySimulator()
 
     def count(parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
@@ -121,8 +137,12 @@ def test_that_what_cannot_be_simulated_is_no_basin() -> None:
 
 
 @pytest.mark.parametrize("drop_behind", [None, 50.0])
-def test_that_a_search_ends_in_the_deepest_basin_wherever_it_began(drop_behind: float | None) -> None:
-    batch, belief, options = shot(BOTH), prior(("newtonian", "nhkv")), SearchOptions(starts=2, drop_behind=drop_behind)
+def test_that_a_search_ends_in_the_deepest_basin_wherever_it_began(
+    drop_behind: float | None,
+) -> None:
+    batch = shot(BOTH)
+    belief = prior(("newtonian", "nhkv"))
+    options = SearchOptions(starts=2, drop_behind=drop_behind)
     starts = [torch.stack((torch.zeros(k), torch.full((k,), 0.1))).double() for k in (1, 2)]
 
     def fit(periods: list[float], rounds: int = 3):
@@ -138,7 +158,8 @@ def test_that_a_search_ends_in_the_deepest_basin_wherever_it_began(drop_behind: 
             warn=False,
         )
 
-    right, mended = fit([0.0, 0.0, 0.0]), fit([1.0, 0.0, -1.0])
+    right = fit([0.0, 0.0, 0.0])
+    mended = fit([1.0, 0.0, -1.0])
     wrong = fit([1.0, 0.0, -1.0], rounds=0)
     assert right.converged
     assert mended.converged

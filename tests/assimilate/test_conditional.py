@@ -1,4 +1,7 @@
-"""Nuisances given the gel: exact where the simulator is linear in them, from any guess; and what that does for weighing."""
+"""Nuisances given the gel:
+
+exact where the simulator is linear in them, from any guess; and what that does for weighing.
+"""
 
 from dataclasses import replace
 
@@ -21,18 +24,23 @@ def closed_form(parameters, batch: ExperimentBatch, simulator):
     for j in range(3):
         moved = still.clone()
         moved[:, j] = batch.nuisance_sds[:, j] * (j > 0)
-        columns.append(torch.where(batch.mask, predict(simulator, parameters, batch, moved), 0.0) - base)
+        columns.append(
+            torch.where(batch.mask, predict(simulator, parameters, batch, moved), 0.0) - base
+        )
     sd = batch.sd(base)
     slopes = torch.stack([batch.whiten(c, sd) for c in columns], dim=-1)
     hessian = slopes.mT @ slopes + torch.eye(3, dtype=torch.float64)
-    mean = torch.linalg.solve(hessian, slopes.mT @ batch.whiten(batch.mean - base, sd)[..., None])[..., 0]
+    mean = torch.linalg.solve(hessian, slopes.mT @ batch.whiten(batch.mean - base, sd)[..., None])[
+        ..., 0
+    ]
     return mean, hessian
 
 
 @pytest.mark.parametrize("noise", [NOISE, CORRELATED], ids=["independent", "correlated"])
 @pytest.mark.parametrize("start", [0.0, 1.5])
 def test_that_one_step_is_exact_where_nuisances_are_linear(noise, start):
-    batch, simulator = experiments(3, nuisance=BOTH, noise=noise), LinearSimulator()
+    batch = experiments(3, nuisance=BOTH, noise=noise)
+    simulator = LinearSimulator()
     part = prior(("nhkv",)).models[0]
     gels = part.controls(4, seed=0)
     guess = torch.full((4, 3, 3), start, dtype=torch.float64) * (batch.nuisance_sds > 0.0)
@@ -48,26 +56,40 @@ def test_that_what_cannot_be_simulated_keeps_its_guess():
     batch = experiments(2, nuisance=BOTH)
     part = prior(("nhkv",)).models[0]
     gels = part.controls(3, seed=0)
-    guess, chol = torch.full((3, 2, 3), 0.3, dtype=torch.float64), 2.0 * torch.eye(3, dtype=torch.float64).expand(3, 2, 3, 3)
+    guess = torch.full((3, 2, 3), 0.3, dtype=torch.float64)
+    chol = 2.0 * torch.eye(3, dtype=torch.float64).expand(3, 2, 3, 3)
     guess[1, 0, 1] = -1e3  # a clock that is so early that there is no bubble yet
-    found, root = conditional_nuisances(Posterior(part, batch, LinearSimulator()), Point(gels, guess), chol)
+    found, root = conditional_nuisances(
+        Posterior(part, batch, LinearSimulator()), Point(gels, guess), chol
+    )
     assert torch.equal(found[1, 0], guess[1, 0])
     assert torch.equal(root[1, 0], chol[1, 0])
     assert not torch.equal(found[1, 1], guess[1, 1])
-    failed, _ = conditional_nuisances(Posterior(part, batch, LinearSimulator(fails=True)), Point(gels, guess), chol)
+    failed, _ = conditional_nuisances(
+        Posterior(part, batch, LinearSimulator(fails=True)), Point(gels, guess), chol
+    )
     assert torch.equal(failed, guess)
 
 
 def test_that_weighing_survives_nuisances_that_do_not_move_as_the_fit_says():
-    batch, simulator = experiments(3, nuisance=BOTH), LinearSimulator()
-    fitted = assimilate(prior(("nhkv",)), batch, simulator, seed=1, options=SearchOptions(raw_samples=24))
+    batch = experiments(3, nuisance=BOTH)
+    simulator = LinearSimulator()
+    fitted = assimilate(
+        prior(("nhkv",)), batch, simulator, seed=1, options=SearchOptions(raw_samples=24)
+    )
     fit = fitted.fits[0]
-    spoilt = replace(fit, nuisance_response=torch.zeros_like(fit.nuisance_response), nuisances=fit.nuisances + 1.5)
+    spoilt = replace(
+        fit,
+        nuisance_response=torch.zeros_like(fit.nuisance_response),
+        nuisances=fit.nuisances + 1.5,
+    )
     spoilt = replace(spoilt, nuisance_chol=2.0 * fit.nuisance_chol)
     truth = exact(fitted.prior.models[0], batch)
     once = weigh(replace(fitted, fits=(spoilt,)), simulator, seed=0, rounds=1).fits[0].sample
     again = weigh(replace(fitted, fits=(spoilt,)), simulator, seed=0).fits[0].sample
     assert not once.reliable
     assert again.reliable
-    assert again.log_evidence == pytest.approx(truth.log_evidence, abs=5.0 * again.log_evidence_error)
+    assert again.log_evidence == pytest.approx(
+        truth.log_evidence, abs=5.0 * again.log_evidence_error
+    )
     assert bool(((again.mean - truth.mean).abs() < 5.0 * again.mean_error).all())

@@ -1,11 +1,21 @@
-"""Curvature that Gauss-Newton leaves out: what a step tells of it, steps that use it, and what they save where a model misses."""
+"""Curvature that Gauss-Newton leaves out:
+
+what a step tells of it, steps that use it, and what they save where a model misses.
+"""
 
 from dataclasses import replace
 
 import pytest
 import torch
 
-from imr_torch.assimilate import Assimilation, Neighbourhood, Posterior, SearchOptions, assimilate, chains
+from imr_torch.assimilate import (
+    Assimilation,
+    Neighbourhood,
+    Posterior,
+    SearchOptions,
+    assimilate,
+    chains,
+)
 from imr_torch.assimilate.curvature import damped_step, updated
 from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.gauss_newton import NormalEquations
@@ -25,17 +35,26 @@ def _filmed() -> ExperimentBatch:
     """Two designs, filmed in a gel that loses gas and relaxes, neither of which the models here have."""
     gel = PARAMETERS.pack({"G": 8310.0, "mu": 0.093, "gas_loss": 0.5, "tau": 1e-5})
     laboratory = SimulatedLaboratory(PolytropicSimulator(), gel, repeats=20)
-    shots = [laboratory.shoot(torch.tensor(d, dtype=torch.float64), seed=1) for d in ((400.0, 0.22), (900.0, 0.14))]
+    shots = [
+        laboratory.shoot(torch.tensor(d, dtype=torch.float64), seed=1)
+        for d in ((400.0, 0.22), (900.0, 0.14))
+    ]
     return ExperimentBatch(tuple(replace(shot, nuisance=ALL) for shot in shots))
 
 
 def _ends(simulator: Simulator, batch: ExperimentBatch) -> Ends:
     """Neighbourhoods and equations at both ends of a step of each of two chains, by the solver steps of where it began."""
     posterior = Posterior(prior(("nhkv",)).models[0], batch, simulator)
-    draws, sds = generator(0), (batch.nuisance_sds > 0.0).double()
-    gel, step = (0.1 * torch.randn(2, 2, posterior.size, generator=draws, dtype=torch.float64)).unbind()
-    shifts, moved = (0.1 * torch.randn(2, *posterior.still(2).shape, generator=draws, dtype=torch.float64) * sds).unbind()
-    begin, end = Point(gel, shifts), Point(gel + step, shifts + moved)
+    draws = generator(0)
+    sds = (batch.nuisance_sds > 0.0).double()
+    gel, step = (
+        0.1 * torch.randn(2, 2, posterior.size, generator=draws, dtype=torch.float64)
+    ).unbind()
+    shifts, moved = (
+        0.1 * torch.randn(2, *posterior.still(2).shape, generator=draws, dtype=torch.float64) * sds
+    ).unbind()
+    begin = Point(gel, shifts)
+    end = Point(gel + step, shifts + moved)
     near = [posterior.neighbourhood(point, leader=begin) for point in (begin, end)]
     return [(n, n.equations) for n in near]
 
@@ -50,7 +69,9 @@ def test_that_along_the_step_it_is_what_old_sensitivities_miss_of_the_gradient()
     size = old.point.gel.shape[1] + old.point.nuisances[0].numel()
     found = updated(torch.zeros(2, size, size, dtype=torch.float64), *ends)
     by_old = new.posterior.equations(new.point, new.centre, *old.slopes)
-    missed = _joint(after.gel_gradient - by_old.gel_gradient, after.nuisance_gradient - by_old.nuisance_gradient)
+    missed = _joint(
+        after.gel_gradient - by_old.gel_gradient, after.nuisance_gradient - by_old.nuisance_gradient
+    )
     step = _joint(new.point.gel - old.point.gel, new.point.nuisances - old.point.nuisances)
     assert float(missed.abs().max()) > 1.0
     torch.testing.assert_close((found @ step[..., None])[..., 0], missed)
@@ -67,14 +88,25 @@ def test_that_a_linear_model_has_none() -> None:
 
 def test_that_steps_solve_the_sum_of_both_and_fall_back_where_it_is_uphill() -> None:
     _, (_, equations) = _ends(PolytropicSimulator(), _filmed())
-    still, size = torch.zeros(2, dtype=torch.float64), 2 + equations.nuisance_gradient[0].numel()
-    eye, plain = torch.eye(size, dtype=torch.float64).expand(2, -1, -1), equations.step(still)
-    for curvature in (0.0 * eye, 1e-12 * eye, -1e12 * eye):  # none, next to none, and one that bends downwards
+    still = torch.zeros(2, dtype=torch.float64)
+    size = 2 + equations.nuisance_gradient[0].numel()
+    eye = torch.eye(size, dtype=torch.float64).expand(2, -1, -1)
+    plain = equations.step(still)
+    for curvature in (
+        0.0 * eye,
+        1e-12 * eye,
+        -1e12 * eye,
+    ):  # none, next to none, and one that bends downwards
         for step, expected in zip(damped_step(equations, curvature, still), plain, strict=True):
             torch.testing.assert_close(step, expected)
     far = 1e12  # so large that the arrow does not matter
     step = _joint(*damped_step(equations, far * eye, still))
-    torch.testing.assert_close(-far * step, _joint(equations.gel_gradient, equations.nuisance_gradient), rtol=1e-3, atol=1e-3)
+    torch.testing.assert_close(
+        -far * step,
+        _joint(equations.gel_gradient, equations.nuisance_gradient),
+        rtol=1e-3,
+        atol=1e-3,
+    )
 
 
 def _missed(monkeypatch: pytest.MonkeyPatch, most: int) -> Assimilation:
@@ -82,7 +114,15 @@ def _missed(monkeypatch: pytest.MonkeyPatch, most: int) -> Assimilation:
     monkeypatch.setattr(chains, "MOST", most)
     far = torch.tensor([[1.0, -1.0], [-1.0, 1.0]], dtype=torch.float64)
     options = SearchOptions(starts=2, basin_rounds=0, polish=False)
-    return assimilate(prior(("nhkv",)), _filmed(), PolytropicSimulator(), seed=0, options=options, starts=[far], warn=False)
+    return assimilate(
+        prior(("nhkv",)),
+        _filmed(),
+        PolytropicSimulator(),
+        seed=0,
+        options=options,
+        starts=[far],
+        warn=False,
+    )
 
 
 def test_that_a_fit_of_a_model_that_misses_the_data_takes_fewer_iterations_to_the_same_minimum(

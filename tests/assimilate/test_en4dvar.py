@@ -1,15 +1,34 @@
-"""Hybrid ensemble 4D-Var: exact for linear simulators, near the most probable gel of real ones, and past small local minima."""
+"""Hybrid ensemble 4D-Var:
+
+exact for linear simulators, near the most probable gel of real ones, and past small local minima.
+"""
 
 import pytest
 import torch
 
-from imr_torch.assimilate import En4DVarOptions, SearchOptions, assimilate, assimilate_en4dvar, weigh
+from imr_torch.assimilate import (
+    En4DVarOptions,
+    SearchOptions,
+    assimilate,
+    assimilate_en4dvar,
+    weigh,
+)
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.material import PARAMETERS, Belief, reference_case
 from imr_torch.observe import ExperimentBatch, Noise, Nuisance, SimulatedLaboratory
 from imr_torch.random import child, generator
 from imr_torch.simulate import PolytropicSimulator
-from tests.linear import CORRELATED, MEANS, NOISE, SDS, LinearSimulator, exact, experiments, prior, tensor
+from tests.linear import (
+    CORRELATED,
+    MEANS,
+    NOISE,
+    SDS,
+    LinearSimulator,
+    exact,
+    experiments,
+    prior,
+    tensor,
+)
 
 BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
 BATCHES = {
@@ -22,10 +41,14 @@ BATCHES = {
 
 @pytest.mark.parametrize("members", [10, 48])
 @pytest.mark.parametrize("batch", BATCHES.values(), ids=BATCHES.keys())
-def test_that_the_posterior_of_a_linear_simulator_is_exact(batch: ExperimentBatch, members: int) -> None:
+def test_that_the_posterior_of_a_linear_simulator_is_exact(
+    batch: ExperimentBatch, members: int
+) -> None:
     """Whatever the ensemble, as long as it has more members than an experiment has unknowns."""
     belief = prior()
-    found = assimilate_en4dvar(belief, batch, LinearSimulator(), seed=0, options=En4DVarOptions(members=members))
+    found = assimilate_en4dvar(
+        belief, batch, LinearSimulator(), seed=0, options=En4DVarOptions(members=members)
+    )
     assert found.converged
     for part, fit in zip(belief.models, found.fits, strict=True):
         truth = exact(part, batch)
@@ -35,20 +58,36 @@ def test_that_the_posterior_of_a_linear_simulator_is_exact(batch: ExperimentBatc
 
 
 def test_that_one_update_is_two_updates_in_turn() -> None:
-    belief, batch = prior(("nhkv",)), experiments(4)
-    first, second = (ExperimentBatch(part, NOISE) for part in (batch.experiments[:1], batch.experiments[1:]))
+    belief = prior(("nhkv",))
+    batch = experiments(4)
+    first, second = (
+        ExperimentBatch(part, NOISE) for part in (batch.experiments[:1], batch.experiments[1:])
+    )
     together = assimilate_en4dvar(belief, batch, LinearSimulator(), seed=0).fits[0]
     halfway = assimilate_en4dvar(belief, first, LinearSimulator(), seed=0).fits[0].posterior
-    in_turn = assimilate_en4dvar(Belief((halfway,), tensor(0.0)), second, LinearSimulator(), seed=1).fits[0]
+    in_turn = assimilate_en4dvar(
+        Belief((halfway,), tensor(0.0)), second, LinearSimulator(), seed=1
+    ).fits[0]
     torch.testing.assert_close(together.posterior.mean, in_turn.posterior.mean, rtol=0.0, atol=1e-6)
-    torch.testing.assert_close(together.posterior.chol, in_turn.posterior.chol, rtol=1e-6, atol=1e-9)
+    torch.testing.assert_close(
+        together.posterior.chol, in_turn.posterior.chol, rtol=1e-6, atol=1e-9
+    )
 
 
 def test_that_a_tempered_likelihood_is_that_of_the_mean_curve_divided_by_its_frames() -> None:
-    """Of 12 frames and 3 repeats: intervals are wider by the root of 36 where the data outweigh the prior."""
+    """Of 12 frames and 3 repeats:
+
+    intervals are wider by the root of 36 where the data outweigh the prior.
+    """
     batch = experiments(1)
     count, frames = batch.experiments[0].radius.shape
-    wide = assimilate_en4dvar(prior(("newtonian",)), batch, LinearSimulator(), seed=0, options=En4DVarOptions(tempered=True))
+    wide = assimilate_en4dvar(
+        prior(("newtonian",)),
+        batch,
+        LinearSimulator(),
+        seed=0,
+        options=En4DVarOptions(tempered=True),
+    )
     sharp = assimilate_en4dvar(prior(("newtonian",)), batch, LinearSimulator(), seed=0)
     precisions = [float(r.fits[0].chol[0, 0]) ** -2 - 1.0 for r in (sharp, wide)]
     assert precisions[0] / precisions[1] == pytest.approx(count * frames, rel=1e-3)
@@ -56,7 +95,8 @@ def test_that_a_tempered_likelihood_is_that_of_the_mean_curve_divided_by_its_fra
 
 
 def test_that_members_that_fail_leave_the_answer_and_too_many_are_an_error() -> None:
-    belief, batch = prior(("nhkv",)), experiments(3)
+    belief = prior(("nhkv",))
+    batch = experiments(3)
     truth = exact(belief.models[0], batch)
     limit = MEANS["G"] + SDS["G"] * (float(truth.mean[0]) + 2.0)
     fit = assimilate_en4dvar(belief, batch, LinearSimulator(limit={"G": limit}), seed=0).fits[0]
@@ -66,28 +106,40 @@ def test_that_members_that_fail_leave_the_answer_and_too_many_are_an_error() -> 
 
 
 def test_that_the_same_seed_gives_the_same_bits() -> None:
-    belief, batch = prior(("nhkv",)), experiments(3, nuisance=BOTH)
-    one, same, other = (assimilate_en4dvar(belief, batch, LinearSimulator(), seed=s).fits[0] for s in (0, 0, 1))
+    belief = prior(("nhkv",))
+    batch = experiments(3, nuisance=BOTH)
+    one, same, other = (
+        assimilate_en4dvar(belief, batch, LinearSimulator(), seed=s).fits[0] for s in (0, 0, 1)
+    )
     assert torch.equal(one.mean, same.mean)
     assert not torch.equal(one.mean, other.mean)
 
 
 @pytest.mark.parametrize("number", range(10))
 def test_that_its_posterior_agrees_with_the_default_once_weighted(number: int) -> None:
-    """Ten gels of the soft-PA prior, designs and nuisances drawn: means within a third of an sd, sds within a quarter."""
+    """Ten gels of the soft-PA prior, designs and nuisances drawn:
+
+    means within a third of an sd, sds within a quarter.
+    """
     part = reference_case("soft-pa").prior.models[0]
-    belief, source = Belief((part,), tensor(0.0)), generator(child(0, number))
+    belief = Belief((part,), tensor(0.0))
+    source = generator(child(0, number))
     gel = part.to_si(0.7 * torch.randn(len(part.names), generator=source, dtype=torch.float64))
     unit = torch.rand(2, generator=source, dtype=torch.float64)
     design = tensor(150.0, 0.16) + unit * tensor(700.0, 0.12)
     nuisance = Nuisance(time_zero=0.01, rest_radius=0.02) if number % 2 else Nuisance()
-    times, simulator = torch.linspace(0.0, 2.0, 41, dtype=torch.float64), PolytropicSimulator()
-    laboratory = SimulatedLaboratory(simulator, gel, repeats=4, times=times, noise=Noise(), nuisance=nuisance)
+    times = torch.linspace(0.0, 2.0, 41, dtype=torch.float64)
+    simulator = PolytropicSimulator()
+    laboratory = SimulatedLaboratory(
+        simulator, gel, repeats=4, times=times, noise=Noise(), nuisance=nuisance
+    )
     batch = ExperimentBatch((laboratory.shoot(design, seed=number),), Noise())
     default = assimilate(belief, batch, simulator, seed=0, options=SearchOptions(raw_samples=96))
     ensemble = assimilate_en4dvar(belief, batch, simulator, seed=0)
     assert ensemble.fits[0].cost < default.fits[0].cost + 0.5
-    one, other = (weigh(found, simulator, seed=1).fits[0].posterior for found in (default, ensemble))
+    one, other = (
+        weigh(found, simulator, seed=1).fits[0].posterior for found in (default, ensemble)
+    )
     sds = one.chol.norm(dim=1)
     assert bool(((one.mean - other.mean).abs() < sds / 3.0).all())
     assert bool(((other.chol.norm(dim=1) / sds - 1.0).abs() < 0.25).all())
@@ -108,7 +160,8 @@ def test_that_bad_options_are_named(changes: dict, message: str) -> None:
 
 
 def test_that_a_search_from_an_earlier_fit_stays_there() -> None:
-    belief, batch = prior(("nhkv",)), experiments(3, nuisance=BOTH)
+    belief = prior(("nhkv",))
+    batch = experiments(3, nuisance=BOTH)
     first = assimilate_en4dvar(belief, batch, LinearSimulator(), seed=0)
     again = assimilate_en4dvar(belief, batch, LinearSimulator(), seed=1, near=first)
     torch.testing.assert_close(again.fits[0].mean, first.fits[0].mean, rtol=0.0, atol=1e-6)

@@ -1,4 +1,8 @@
-"""Jitter of frame times: its likelihood is that of a Gaussian; it is found with its size, and not claimed where there is none."""
+"""Jitter of frame times:
+
+its likelihood is that of a Gaussian; it is found with its size, and not claimed where there is
+none.
+"""
 
 import math
 from dataclasses import replace
@@ -15,7 +19,8 @@ from imr_torch.material import PARAMETERS
 from imr_torch.observe import ExperimentBatch, Noise, SimulatedLaboratory, predict
 from imr_torch.random import generator
 
-SIMULATOR, PRIOR = PolytropicSimulator(), wide_prior(["nhkv"])
+SIMULATOR = PolytropicSimulator()
+PRIOR = wide_prior(["nhkv"])
 OPTIONS = SearchOptions(raw_samples=16, starts=2)
 GEL = PARAMETERS.pack({"G": 8310.0, "mu": 0.093})
 
@@ -28,13 +33,19 @@ def shot(jitter: float, seed: int) -> ExperimentBatch:
     for number, design in enumerate(designs):
         one = laboratory.shoot(design, seed=100 * seed + number)
         source = generator(7 * seed + number)
-        late = jitter * one.times.diff().median() * torch.randn(len(one.times), generator=source, dtype=torch.float64)
+        late = (
+            jitter
+            * one.times.diff().median()
+            * torch.randn(len(one.times), generator=source, dtype=torch.float64)
+        )
         here = ExperimentBatch((one,))
         at = (one.times + late).clamp_min(0.0)[None]
         order = at[0].argsort()
         moved = predict(SIMULATOR, GEL[None], here, times=at[:, order])[0, 0][order.argsort()]
         still = predict(SIMULATOR, GEL[None], here)[0, 0]
-        experiments.append(replace(one, label=f"shot {number}", radius=one.radius + (moved - still)))
+        experiments.append(
+            replace(one, label=f"shot {number}", radius=one.radius + (moved - still))
+        )
     return ExperimentBatch(tuple(experiments), Noise(scale=0.3))
 
 
@@ -48,8 +59,10 @@ def test_that_the_likelihood_is_that_of_the_joint_gaussian() -> None:
     near = Posterior(fit.prior, batch, SIMULATOR).neighbourhood(fit.point)
     whole = joint_gaussian(fit, batch, near.centre, near.slopes)
     by_time = 1.0 + torch.rand(len(whole.pull), generator=generator(3), dtype=torch.float64)
-    covariance, seen = torch.linalg.inv(whole.precision), torch.linalg.solve(whole.precision, whole.pull)
-    free, interval = len(seen) - 2, 0.04
+    covariance = torch.linalg.inv(whole.precision)
+    seen = torch.linalg.solve(whole.precision, whole.pull)
+    free = len(seen) - 2
+    interval = 0.04
 
     def density(ratio: float) -> float:
         """Log density of the frames, the size of all noise integrated out, but for a constant."""
@@ -58,9 +71,14 @@ def test_that_the_likelihood_is_that_of_the_joint_gaussian() -> None:
         return -0.5 * float(torch.linalg.slogdet(wide).logabsdet) - 0.5 * free * math.log(square)
 
     ratios = interval * torch.logspace(-4.0, 0.0, 241, dtype=torch.float64)
-    squares = [float(seen @ torch.linalg.solve(covariance + (r * torch.diag(by_time)).square(), seen)) for r in ratios]
+    squares = [
+        float(seen @ torch.linalg.solve(covariance + (r * torch.diag(by_time)).square(), seen))
+        for r in ratios
+    ]
     sd = ratios * (torch.tensor(squares, dtype=torch.float64) / free).sqrt()
-    likelihood = torch.tensor([density(float(r)) - density(0.0) for r in ratios], dtype=torch.float64)
+    likelihood = torch.tensor(
+        [density(float(r)) - density(0.0) for r in ratios], dtype=torch.float64
+    )
     scale = SCALE * interval
     prior = 2.0 / (scale * math.sqrt(2.0 * math.pi)) * torch.exp(-0.5 * (sd / scale).square())
     expected = float(torch.logsumexp(likelihood + (prior * _cells(sd)).log(), 0))
@@ -70,7 +88,10 @@ def test_that_the_likelihood_is_that_of_the_joint_gaussian() -> None:
 
 
 def test_that_jitter_is_found_with_its_size() -> None:
-    """A tenth of a frame interval in twenty sets: always found, and within its 90 % interval in at least fifteen."""
+    """A tenth of a frame interval in twenty sets:
+
+    always found, and within its 90 % interval in at least fifteen.
+    """
     inside = 0
     for seed in range(200, 220):
         batch = shot(0.1, seed)
@@ -95,14 +116,22 @@ def test_that_jitter_is_not_claimed_where_there_is_none() -> None:
 def test_that_too_many_frames_are_said() -> None:
     one = shot(0.0, 0).experiments[0]
     times = torch.linspace(0.0, 3.0, 2001, dtype=torch.float64)
-    batch = ExperimentBatch((replace(one, times=times, radius=torch.ones(1, 2001, dtype=torch.float64)),))
+    batch = ExperimentBatch(
+        (replace(one, times=times, radius=torch.ones(1, 2001, dtype=torch.float64)),)
+    )
     assert "2001 frames" in str(find_frame_jitter(fitted(shot(0.0, 0)), batch, SIMULATOR))
 
 
 @pytest.mark.parametrize("likeliest", [3.0, math.nan])
-def test_that_jitter_by_which_frames_would_change_places_is_not_tested(monkeypatch, likeliest: float) -> None:
+def test_that_jitter_by_which_frames_would_change_places_is_not_tested(
+    monkeypatch, likeliest: float
+) -> None:
     batch = shot(0.0, 0)
-    monkeypatch.setattr(_Jitter, "posterior", lambda self, interval: ((0.0, likeliest * interval, 4.0 * interval), 0.0))
+    monkeypatch.setattr(
+        _Jitter,
+        "posterior",
+        lambda self, interval: ((0.0, likeliest * interval, 4.0 * interval), 0.0),
+    )
     found = find_frame_jitter(fitted(batch), batch, SIMULATOR)
     assert found.sd is None
     assert "no jitter: the model misses the curves" in found.reason

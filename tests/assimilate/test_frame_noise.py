@@ -1,4 +1,7 @@
-"""The noise of single frames: recovered beside a right model and beside a wrong one, and tests by it that keep their level."""
+"""The noise of single frames:
+
+recovered beside a right model and beside a wrong one, and tests by it that keep their level.
+"""
 
 import math
 from dataclasses import replace
@@ -25,14 +28,24 @@ from tests.linear import prior as linear_prior
 
 
 def curves(
-    noise: Noise, effect: dict[str, float] | None = None, *, seed: int = 0, spacing: float = 0.04, factors=(1.0, 1.0, 1.0)
+    noise: Noise,
+    effect: dict[str, float] | None = None,
+    *,
+    seed: int = 0,
+    spacing: float = 0.04,
+    factors=(1.0, 1.0, 1.0),
 ) -> ExperimentBatch:
     """Three single curves of a gel, perhaps with an effect, and their true noise by curve."""
-    source, experiments = generator(seed), []
+    source = generator(seed)
+    experiments = []
     times = torch.arange(0.0, 2.6, spacing, dtype=torch.float64)
     for design, factor in zip(DESIGNS, factors, strict=True):
-        blank = Experiment(f"{design}", design, times, torch.ones(1, len(times), dtype=torch.float64))
-        truth = predict(SIMULATOR, PARAMETERS.pack(GEL | (effect or {}))[None], ExperimentBatch((blank,)))[0, 0]
+        blank = Experiment(
+            f"{design}", design, times, torch.ones(1, len(times), dtype=torch.float64)
+        )
+        truth = predict(
+            SIMULATOR, PARAMETERS.pack(GEL | (effect or {}))[None], ExperimentBatch((blank,))
+        )[0, 0]
         own = replace(noise, scale=noise.scale * factor)
         experiments.append(replace(blank, radius=own.draw(truth, times, 1, generator=source)))
     return ExperimentBatch(tuple(experiments))
@@ -51,7 +64,9 @@ def over_truth(batch: ExperimentBatch, noise: Noise) -> float:
     return float(ratio.log().mean().exp())
 
 
-def smooth(size: float, times: torch.Tensor, source: torch.Generator, lag: float = 0.25) -> torch.Tensor:
+def smooth(
+    size: float, times: torch.Tensor, source: torch.Generator, lag: float = 0.25
+) -> torch.Tensor:
     """A deviation whose correlation falls to 1/e over a lag."""
     covariance = torch.exp(-0.5 * ((times[:, None] - times) / (lag / math.sqrt(2.0))).square())
     root = torch.linalg.cholesky(covariance + 1e-8 * torch.eye(len(times)))
@@ -71,7 +86,8 @@ def test_that_columns_are_whitened_as_by_dense_algebra():
     mask[1, 9:] = False
     noise = 0.1 + torch.rand(1, 2, 12, generator=source, dtype=torch.float64)
     columns = torch.randn(3, 2, 12, generator=source, dtype=torch.float64)
-    variance, rate = tensor(0.7), tensor(2.3)
+    variance = tensor(0.7)
+    rate = tensor(2.3)
     seen, log_det = matern_whitened(times, mask, noise, variance, rate, columns)
     for row in range(2):
         used = mask[row]
@@ -97,7 +113,9 @@ LAWS = {
 
 
 @pytest.mark.parametrize("noise", LAWS.values(), ids=LAWS)
-@pytest.mark.parametrize("effect", [{}, {"wall": 0.2}, {"clock": 0.04}], ids=["right", "wall", "clock"])
+@pytest.mark.parametrize(
+    "effect", [{}, {"wall": 0.2}, {"clock": 0.04}], ids=["right", "wall", "clock"]
+)
 def test_that_the_law_is_recovered_beside_a_right_model_and_beside_a_wrong_one(noise, effect):
     assert over_truth(curves(noise, effect, seed=3), noise) == pytest.approx(1.0, abs=0.2)
 
@@ -105,8 +123,12 @@ def test_that_the_law_is_recovered_beside_a_right_model_and_beside_a_wrong_one(n
 @pytest.mark.parametrize(("spacing", "largest"), [(0.012, 1.2), (0.1, 1.5)])
 def test_that_the_law_is_recovered_at_other_frame_rates(spacing, largest):
     """Where there are few frames a large misfit is as rough as noise, and counts as noise in part."""
-    assert over_truth(curves(Noise(), spacing=spacing, seed=1), Noise()) == pytest.approx(1.0, abs=0.2)
-    assert 0.8 < over_truth(curves(Noise(), {"wall": 0.2}, spacing=spacing, seed=1), Noise()) < largest
+    assert over_truth(curves(Noise(), spacing=spacing, seed=1), Noise()) == pytest.approx(
+        1.0, abs=0.2
+    )
+    assert (
+        0.8 < over_truth(curves(Noise(), {"wall": 0.2}, spacing=spacing, seed=1), Noise()) < largest
+    )
 
 
 def test_that_slow_noise_is_not_taken_for_that_of_single_frames():
@@ -116,7 +138,9 @@ def test_that_slow_noise_is_not_taken_for_that_of_single_frames():
 
 def test_that_what_is_known_of_the_scale_is_what_repeated_inference_scatters_by():
     found = [infer_frame_noise(near(curves(Noise(), seed=seed))) for seed in range(12)]
-    logs = torch.tensor([one.law.sd(tensor(0.5), tensor(1.5)) for one in found], dtype=torch.float64).log()
+    logs = torch.tensor(
+        [one.law.sd(tensor(0.5), tensor(1.5)) for one in found], dtype=torch.float64
+    ).log()
     stated = torch.tensor([one.laws.log_scale_sd for one in found]).mean()
     assert 0.5 < float(logs.std() / stated) < 1.8
 
@@ -136,12 +160,24 @@ def test_that_a_batch_with_the_noise_holds_factors_and_laws():
     made = found.applied(batch)
     assert [e.noise_factor for e in made.curves] == list(found.factors)
     radius = torch.full_like(made.times, 0.5)
-    torch.testing.assert_close(made.sd(radius)[1] / made.sd(radius)[0], torch.full_like(radius[0], found.factors[1]))
+    torch.testing.assert_close(
+        made.sd(radius)[1] / made.sd(radius)[0], torch.full_like(radius[0], found.factors[1])
+    )
     one = NoiseLaws((made.noise,), tensor(1.0), tensor(0.07))
     logs = replace(made, noise_laws=one).log_noise_ratios(radius, 4000, generator=generator(0))
     assert float(logs[:, 0, 10].std()) == pytest.approx(0.07, rel=0.1)
-    assert float((logs[:, 1, 10] - logs[:, 0, 10]).std()) == pytest.approx(found.factor_sds[1], rel=0.1)
-    assert float(replace(made, noise_laws=None).log_noise_ratios(radius, 3, generator=generator(0)).abs().sum()) == 0.0
+    assert float((logs[:, 1, 10] - logs[:, 0, 10]).std()) == pytest.approx(
+        found.factor_sds[1], rel=0.1
+    )
+    assert (
+        float(
+            replace(made, noise_laws=None)
+            .log_noise_ratios(radius, 3, generator=generator(0))
+            .abs()
+            .sum()
+        )
+        == 0.0
+    )
 
 
 def test_that_spoilt_frames_are_left_out_and_no_others():
@@ -158,21 +194,33 @@ def test_that_spoilt_frames_are_left_out_and_no_others():
 
 
 def test_that_a_handful_of_frames_is_not_taken_for_quiet():
-    """Amounts read off a dozen frames may be a quarter of the truth; a dozen loud ones are believed."""
+    """Amounts read off a dozen frames may be a quarter of the truth;
+
+    a dozen loud ones are believed.
+    """
     quiet = curves(Noise(scale=0.2), spacing=0.2)
     short = replace(quiet, experiments=tuple(e.until(0.9) for e in quiet.curves))
     assert over_truth(short, Noise()) == pytest.approx(1.0, abs=1e-6)
     loud = curves(Noise(scale=6.0), spacing=0.1)
-    assert over_truth(replace(loud, experiments=tuple(e.until(0.9) for e in loud.curves)), Noise()) > 2.0
+    assert (
+        over_truth(replace(loud, experiments=tuple(e.until(0.9) for e in loud.curves)), Noise())
+        > 2.0
+    )
     assert over_truth(quiet, Noise()) < 1.0  # 42 frames
 
 
 def test_that_repeats_decide_where_there_are_some():
-    source, times = generator(2), torch.arange(0.0, 2.6, 0.04, dtype=torch.float64)
-    noise, shots = Noise(scale=1.5, correlation_time=0.1), []
+    source = generator(2)
+    times = torch.arange(0.0, 2.6, 0.04, dtype=torch.float64)
+    noise = Noise(scale=1.5, correlation_time=0.1)
+    shots = []
     for design in DESIGNS:
-        blank = Experiment(f"{design}", design, times, torch.ones(1, len(times), dtype=torch.float64))
-        truth = predict(SIMULATOR, PARAMETERS.pack(GEL | {"wall": 0.2})[None], ExperimentBatch((blank,)))[0, 0]
+        blank = Experiment(
+            f"{design}", design, times, torch.ones(1, len(times), dtype=torch.float64)
+        )
+        truth = predict(
+            SIMULATOR, PARAMETERS.pack(GEL | {"wall": 0.2})[None], ExperimentBatch((blank,))
+        )[0, 0]
         shots.append(replace(blank, radius=noise.draw(truth, times, 10, generator=source)))
     found = infer_frame_noise(near(ExperimentBatch(tuple(shots))))
     assert found.law.scale == pytest.approx(1.5, rel=0.1)
@@ -185,11 +233,16 @@ def test_that_pixel_noise_at_several_frame_rates_makes_no_gap_and_a_wall_does(se
     """As a camera of one frame rate films bubbles of several sizes: no law of sizes and times."""
 
     def p_value(effect: dict[str, float]) -> float:
-        source, experiments = generator(seed), []
+        source = generator(seed)
+        experiments = []
         for spacing, design in zip((0.04, 0.03, 0.02), DESIGNS, strict=True):
             times = torch.arange(0.0, 2.6, spacing, dtype=torch.float64)
-            blank = Experiment(f"{spacing}", design, times, torch.ones(1, len(times), dtype=torch.float64))
-            truth = predict(SIMULATOR, PARAMETERS.pack(GEL | effect)[None], ExperimentBatch((blank,)))[0]
+            blank = Experiment(
+                f"{spacing}", design, times, torch.ones(1, len(times), dtype=torch.float64)
+            )
+            truth = predict(
+                SIMULATOR, PARAMETERS.pack(GEL | effect)[None], ExperimentBatch((blank,))
+            )[0]
             pixels = 0.004 * torch.randn(truth.shape, generator=source, dtype=torch.float64)
             experiments.append(replace(blank, radius=truth + pixels))
         batch = ExperimentBatch(tuple(experiments))
@@ -202,25 +255,38 @@ def test_that_pixel_noise_at_several_frame_rates_makes_no_gap_and_a_wall_does(se
 
 def test_that_p_values_by_inferred_noise_are_uniform_and_a_lean_is_found():
     """A linear model whose fit is exact, noise of another size and proportion, blocks of random directions."""
-    simulator, part = LinearSimulator(), linear_prior(("nhkv",)).models[0]
-    times, few = torch.linspace(0.05, 2.5, 40, dtype=torch.float64), FrameNoisePrior(bends=(0.2,), amounts=(1.0, 4.0))
-    noise, source = Noise(scale=1.7, floor=0.004), generator(0)
+    simulator = LinearSimulator()
+    part = linear_prior(("nhkv",)).models[0]
+    times = torch.linspace(0.05, 2.5, 40, dtype=torch.float64)
+    few = FrameNoisePrior(bends=(0.2,), amounts=(1.0, 4.0))
+    noise = Noise(scale=1.7, floor=0.004)
+    source = generator(0)
     gel = part.parameters(torch.zeros(2, dtype=torch.float64))
     clean = [simulator(gel, tensor(400.0 + 200.0 * k, 0.2), times).radius for k in range(3)]
     shapes = torch.stack([torch.sin(0.4 * k * times + k) for k in range(24)])
 
     def p_value(lean: float) -> float:
-        rows = [noise.draw(c, times, 1, generator=source) + lean * noise.sd(c, times) * shapes[5] for c in clean]
-        shots = tuple(Experiment(f"{k}", (400.0 + 200.0 * k, 0.2), times, row) for k, row in enumerate(rows))
+        rows = [
+            noise.draw(c, times, 1, generator=source) + lean * noise.sd(c, times) * shapes[5]
+            for c in clean
+        ]
+        shots = tuple(
+            Experiment(f"{k}", (400.0 + 200.0 * k, 0.2), times, row) for k, row in enumerate(rows)
+        )
         batch = ExperimentBatch(shots)
         point = Point(torch.zeros(2, dtype=torch.float64), torch.zeros(3, 3, dtype=torch.float64))
         for _ in range(2):  # the optimum of a linear model, under the noise inferred about it
             line = linearise_at(point, part, batch, simulator)
             point = Point(point.gel + (line.to_shift @ line.residual)[:2], point.nuisances)
-            batch = infer_frame_noise(Posterior(part, batch, simulator).neighbourhood(point), few).applied(batch)
+            batch = infer_frame_noise(
+                Posterior(part, batch, simulator).neighbourhood(point), few
+            ).applied(batch)
         line = linearise_at(point, part, batch, simulator)
         line = replace(line, residual=line.project(line.residual))
-        blocks = [block(f"{k}", line.whiten(shapes[k : k + 1, None].expand(1, 3, -1)), line) for k in range(24)]
+        blocks = [
+            block(f"{k}", line.whiten(shapes[k : k + 1, None].expand(1, 3, -1)), line)
+            for k in range(24)
+        ]
         return gap_test(blocks, line, seed=0).p_value
 
     p_values = [p_value(0.0) for _ in range(120)]

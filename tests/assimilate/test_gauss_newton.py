@@ -9,7 +9,9 @@ from torch import Tensor
 from imr_torch.assimilate import NormalEquations, ensemble_sensitivity, normal_equations
 from imr_torch.assimilate.gauss_newton import Reduced, inverse_chol
 
-SIZE, EXPERIMENTS, FRAMES = 3, 4, 7
+SIZE = 3
+EXPERIMENTS = 4
+FRAMES = 7
 
 
 def random(*shape: int, seed: int) -> Tensor:
@@ -27,12 +29,19 @@ def problem(*batch: int, seed: int = 0) -> tuple[Tensor, Tensor, Tensor, Tensor,
     )
 
 
-def assembled(gel: Tensor, nuisances: Tensor, by_gel: Tensor, by_nuisance: Tensor, residual: Tensor) -> NormalEquations:
-    gradients = (by_gel.mT @ residual[..., None])[..., 0].sum(-2), (by_nuisance.mT @ residual[..., None])[..., 0]
+def assembled(
+    gel: Tensor, nuisances: Tensor, by_gel: Tensor, by_nuisance: Tensor, residual: Tensor
+) -> NormalEquations:
+    gradients = (
+        (by_gel.mT @ residual[..., None])[..., 0].sum(-2),
+        (by_nuisance.mT @ residual[..., None])[..., 0],
+    )
     return normal_equations(gel, nuisances, gradients, (by_gel, by_nuisance))
 
 
-def dense(gel: Tensor, nuisances: Tensor, by_gel: Tensor, by_nuisance: Tensor, residual: Tensor) -> tuple[Tensor, Tensor]:
+def dense(
+    gel: Tensor, nuisances: Tensor, by_gel: Tensor, by_nuisance: Tensor, residual: Tensor
+) -> tuple[Tensor, Tensor]:
     """Hessian and gradient of ``|x|^2/2 + |residual|^2/2`` over ``x = (v, w)``."""
     rows = torch.zeros(EXPERIMENTS, FRAMES, SIZE + 3 * EXPERIMENTS, dtype=torch.float64)
     rows[..., :SIZE] = by_gel
@@ -50,7 +59,9 @@ def test_that_elimination_gives_the_marginal_covariance_of_the_dense_system(seed
     hessian = equations.reduced.hessian
     covariance = torch.linalg.inv(dense(*given)[0])[:SIZE, :SIZE]
     torch.testing.assert_close(torch.linalg.inv(hessian), covariance, rtol=1e-10, atol=1e-12)
-    torch.testing.assert_close(equations.posterior_chol @ equations.posterior_chol.mT, covariance, rtol=1e-10, atol=1e-12)
+    torch.testing.assert_close(
+        equations.posterior_chol @ equations.posterior_chol.mT, covariance, rtol=1e-10, atol=1e-12
+    )
     assert torch.equal(equations.posterior_chol, torch.tril(equations.posterior_chol))
 
 
@@ -60,7 +71,9 @@ def test_that_the_undamped_step_is_the_dense_newton_step(seed: int) -> None:
     hessian, gradient = dense(*given)
     expected = -torch.linalg.solve(hessian, gradient)
     gel, nuisances = assembled(*given).step(torch.tensor(0.0, dtype=torch.float64))
-    torch.testing.assert_close(torch.cat((gel, nuisances.reshape(-1))), expected, rtol=1e-9, atol=1e-10)
+    torch.testing.assert_close(
+        torch.cat((gel, nuisances.reshape(-1))), expected, rtol=1e-9, atol=1e-10
+    )
 
 
 @pytest.mark.parametrize("damping", [0.01, 1.0, 100.0])
@@ -70,7 +83,9 @@ def test_that_a_damped_step_is_marquardts_step_of_the_dense_system(damping: floa
     hessian, gradient = dense(*given)
     expected = -torch.linalg.solve(hessian + damping * torch.diag(hessian.diagonal()), gradient)
     gel, nuisances = assembled(*given).step(torch.tensor(damping, dtype=torch.float64))
-    torch.testing.assert_close(torch.cat((gel, nuisances.reshape(-1))), expected, rtol=1e-9, atol=1e-10)
+    torch.testing.assert_close(
+        torch.cat((gel, nuisances.reshape(-1))), expected, rtol=1e-9, atol=1e-10
+    )
 
 
 def test_that_determinants_multiply_to_that_of_the_dense_system() -> None:
@@ -82,7 +97,10 @@ def test_that_determinants_multiply_to_that_of_the_dense_system() -> None:
 
 @pytest.mark.parametrize("seed", [0, 10, 20])
 def test_that_the_whitened_gradient_is_the_newton_decrement_of_the_dense_system(seed: int) -> None:
-    """``sqrt(g^T H^-1 g)`` over gel and nuisances: the length of the undamped step in posterior standard deviations."""
+    """``sqrt(g^T H^-1 g)`` over gel and nuisances:
+
+    the length of the undamped step in posterior standard deviations.
+    """
     given = problem(seed=seed)
     hessian, gradient = dense(*given)
     expected = (gradient @ torch.linalg.solve(hessian, gradient)).sqrt()
@@ -96,7 +114,10 @@ def test_that_the_whitened_gradient_sees_a_nuisance_that_has_not_arrived() -> No
     away = torch.zeros(EXPERIMENTS, 3, dtype=torch.float64)
     away[1, 2] = 2.0
     uncoupled = torch.zeros_like(by_gel)
-    assert float(assembled(0.0 * gel, 0.0 * away, uncoupled, by_nuisance, still).whitened_gradient) == 0.0
+    assert (
+        float(assembled(0.0 * gel, 0.0 * away, uncoupled, by_nuisance, still).whitened_gradient)
+        == 0.0
+    )
     assert float(assembled(0.0 * gel, away, uncoupled, by_nuisance, still).whitened_gradient) > 0.1
 
 
@@ -105,7 +126,8 @@ def test_that_the_nuisances_follow_their_conditional_optimum() -> None:
     given = problem()
     reduced = assembled(*given).reduced
     hessian, gradient = dense(*given)
-    own, cross = hessian[SIZE:, SIZE:], hessian[SIZE:, :SIZE]
+    own = hessian[SIZE:, SIZE:]
+    cross = hessian[SIZE:, :SIZE]
     step = -torch.linalg.solve(own, gradient[SIZE:]).reshape(EXPERIMENTS, 3)
     torch.testing.assert_close(reduced.nuisance_step, step, rtol=1e-10, atol=1e-10)
     response = -torch.linalg.solve(own, cross).reshape(EXPERIMENTS, 3, SIZE)
@@ -131,7 +153,9 @@ def test_that_a_batch_is_its_members() -> None:
         alone = assembled(*(x[i, j] for x in given))
         for part in fields(Reduced):
             member = getattr(batch.reduced, part.name)[i, j]
-            torch.testing.assert_close(member, getattr(alone.reduced, part.name), rtol=1e-12, atol=1e-12)
+            torch.testing.assert_close(
+                member, getattr(alone.reduced, part.name), rtol=1e-12, atol=1e-12
+            )
         torch.testing.assert_close(batch.whitened_gradient[i, j], alone.whitened_gradient)
         torch.testing.assert_close(batch.posterior_chol[i, j], alone.posterior_chol)
     damping = torch.full((2, 5), 0.3, dtype=torch.float64)
@@ -143,9 +167,13 @@ def test_that_a_batch_is_its_members() -> None:
 
 def test_that_nuisances_without_effect_change_nothing() -> None:
     gel, nuisances, by_gel, by_nuisance, residual = problem()
-    equations = assembled(gel, torch.zeros_like(nuisances), by_gel, torch.zeros_like(by_nuisance), residual).reduced
+    equations = assembled(
+        gel, torch.zeros_like(nuisances), by_gel, torch.zeros_like(by_nuisance), residual
+    ).reduced
     rows = by_gel.reshape(-1, SIZE)
-    torch.testing.assert_close(equations.hessian, torch.eye(SIZE, dtype=torch.float64) + rows.mT @ rows)
+    torch.testing.assert_close(
+        equations.hessian, torch.eye(SIZE, dtype=torch.float64) + rows.mT @ rows
+    )
     assert float(equations.nuisance_log_det) == 0.0
     assert float(equations.nuisance_step.abs().max()) == 0.0
     assert float(equations.nuisance_response.abs().max()) == 0.0
@@ -153,32 +181,49 @@ def test_that_nuisances_without_effect_change_nothing() -> None:
 
 @pytest.mark.parametrize("members", [SIZE, SIZE + 1, 16])
 @pytest.mark.parametrize("size", [1e-4, 1.0])
-def test_that_the_sensitivity_of_a_linear_model_is_exact_for_any_ensemble(members: int, size: float) -> None:
+def test_that_the_sensitivity_of_a_linear_model_is_exact_for_any_ensemble(
+    members: int, size: float
+) -> None:
     matrix = random(5, SIZE, seed=1)
     anomalies = size * random(2, members, SIZE, seed=2)
     torch.testing.assert_close(
-        ensemble_sensitivity(anomalies, anomalies @ matrix.mT), matrix.expand(2, 5, SIZE), rtol=1e-8, atol=1e-8
+        ensemble_sensitivity(anomalies, anomalies @ matrix.mT),
+        matrix.expand(2, 5, SIZE),
+        rtol=1e-8,
+        atol=1e-8,
     )
 
 
 def test_that_members_that_failed_do_not_count() -> None:
-    matrix, anomalies = random(5, SIZE, seed=1), random(10, SIZE, seed=2)
+    matrix = random(5, SIZE, seed=1)
+    anomalies = random(10, SIZE, seed=2)
     responses = anomalies @ matrix.mT
     responses[2, 3], responses[7], responses[8, 0] = torch.nan, torch.nan, torch.inf
-    torch.testing.assert_close(ensemble_sensitivity(anomalies, responses), matrix, rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(
+        ensemble_sensitivity(anomalies, responses), matrix, rtol=1e-9, atol=1e-9
+    )
 
 
 def test_that_nothing_is_seen_by_an_ensemble_of_which_all_failed_in_one_experiment() -> None:
-    matrix, anomalies = random(5, SIZE, seed=1), random(4, SIZE, seed=2)
-    responses = torch.stack((anomalies @ matrix.mT, torch.full((4, 5), torch.nan, dtype=torch.float64)))
+    matrix = random(5, SIZE, seed=1)
+    anomalies = random(4, SIZE, seed=2)
+    responses = torch.stack(
+        (anomalies @ matrix.mT, torch.full((4, 5), torch.nan, dtype=torch.float64))
+    )
     expected = torch.stack((matrix, torch.zeros_like(matrix)))
-    torch.testing.assert_close(ensemble_sensitivity(anomalies.expand(2, -1, -1), responses), expected, rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(
+        ensemble_sensitivity(anomalies.expand(2, -1, -1), responses), expected, rtol=1e-9, atol=1e-9
+    )
 
 
 def test_that_opposite_pairs_leave_no_error_of_second_order() -> None:
-    """A quadratic response is even: antithetic members see only its slope, one-sided members also its curvature."""
+    """A quadratic response is even:
+
+    antithetic members see only its slope, one-sided members also its curvature.
+    """
     half = 0.1 * random(6, SIZE, seed=3)
-    matrix, curvature = random(5, SIZE, seed=1), random(5, SIZE, seed=4)
+    matrix = random(5, SIZE, seed=1)
+    curvature = random(5, SIZE, seed=4)
 
     def error(anomalies: Tensor) -> float:
         responses = anomalies @ matrix.mT + (anomalies.square() @ curvature.mT)
@@ -190,7 +235,8 @@ def test_that_opposite_pairs_leave_no_error_of_second_order() -> None:
 
 def test_that_the_inputs_are_not_changed() -> None:
     given = problem()
-    anomalies, responses = random(6, SIZE, seed=5), random(6, 4, seed=6)
+    anomalies = random(6, SIZE, seed=5)
+    responses = random(6, 4, seed=6)
     responses[0, 0] = torch.nan
     copies = [x.clone() for x in (*given, anomalies, responses)]
     assembled(*given).step(torch.tensor(1.0, dtype=torch.float64))
@@ -199,11 +245,15 @@ def test_that_the_inputs_are_not_changed() -> None:
         torch.testing.assert_close(old, new, rtol=0.0, atol=0.0, equal_nan=True)
 
 
-def test_that_sensitivities_of_any_size_leave_a_definite_hessian_and_a_factor_of_its_inverse() -> None:
+def test_that_sensitivities_of_any_size_leave_a_definite_hessian_and_a_factor_of_its_inverse() -> (
+    None
+):
     """At the edge of where bubbles can be simulated a slope may be 1e9 standard deviations, and rounding 1e18 times 1e-16."""
     gel, nuisances, by_gel, by_nuisance, residual = problem(6)
     by_gel[3:] *= 1e9
-    by_nuisance[3:] = by_gel[3:]  # a nuisance that moves the curve as the gel does: the elimination cancels
+    by_nuisance[3:] = by_gel[
+        3:
+    ]  # a nuisance that moves the curve as the gel does: the elimination cancels
     found = assembled(gel, nuisances, by_gel, by_nuisance, residual)
     smooth = assembled(gel[:3], nuisances[:3], by_gel[:3], by_nuisance[:3], residual[:3])
     assert bool((torch.linalg.cholesky_ex(found.reduced.hessian).info == 0).all())
@@ -224,7 +274,9 @@ def test_that_nuisances_that_move_a_curve_alike_and_very_far_can_be_eliminated()
         for step in found.step(torch.full((6,), damping, dtype=torch.float64)):
             assert bool(torch.isfinite(step).all())
     assert bool(torch.isfinite(found.whitened_gradient).all())
-    torch.testing.assert_close(found.nuisance_hessian[:3], smooth.nuisance_hessian, rtol=0.0, atol=0.0)
+    torch.testing.assert_close(
+        found.nuisance_hessian[:3], smooth.nuisance_hessian, rtol=0.0, atol=0.0
+    )
 
 
 def test_that_the_factor_of_an_ill_conditioned_inverse_is_lower_and_right() -> None:
@@ -232,8 +284,12 @@ def test_that_the_factor_of_an_ill_conditioned_inverse_is_lower_and_right() -> N
     hessian = torch.eye(4, dtype=torch.float64) + slopes.mT @ slopes
     ways = [
         inverse_chol(hessian),
-        inverse_chol(torch.cat((hessian, torch.diag(torch.tensor([1e30, 1.0, 1.0, 1e-30]))[None])))[:1],
+        inverse_chol(torch.cat((hessian, torch.diag(torch.tensor([1e30, 1.0, 1.0, 1e-30]))[None])))[
+            :1
+        ],
     ]
     for chol in ways:
         assert torch.equal(chol, chol.tril())
-        assert torch.allclose(chol @ chol.mT @ hessian, torch.eye(4, dtype=torch.float64), atol=1e-6)
+        assert torch.allclose(
+            chol @ chol.mT @ hessian, torch.eye(4, dtype=torch.float64), atol=1e-6
+        )

@@ -1,4 +1,7 @@
-"""Importance sampling against closed forms: densities, tails of known shape, moments and evidence of a Gaussian."""
+"""Importance sampling against closed forms:
+
+densities, tails of known shape, moments and evidence of a Gaussian.
+"""
 
 import math
 
@@ -17,29 +20,48 @@ MEAN = tensor(1.0, -2.0)
 
 def test_that_one_kernel_is_a_student_t() -> None:
     points = torch.randn(50, 2, generator=generator(0), dtype=torch.float64)
-    expected = stats.multivariate_t(MEAN.numpy(), (CHOL @ CHOL.mT).numpy(), df=7).logpdf(points.numpy())
-    torch.testing.assert_close(Kernels.about(MEAN, CHOL).log_prob(points), torch.as_tensor(expected))
+    expected = stats.multivariate_t(MEAN.numpy(), (CHOL @ CHOL.mT).numpy(), df=7).logpdf(
+        points.numpy()
+    )
+    torch.testing.assert_close(
+        Kernels.about(MEAN, CHOL).log_prob(points), torch.as_tensor(expected)
+    )
 
 
 def test_that_a_mixture_is_the_mean_of_its_kernels() -> None:
-    points, other = torch.randn(50, 2, generator=generator(0), dtype=torch.float64), tensor(0.0, 1.0)
-    both = Kernels(torch.stack((MEAN, other)), tensor(0.25, 0.75), torch.stack((CHOL, 2.0 * CHOL)), MEAN, CHOL)
-    one, two = Kernels.about(MEAN, CHOL), Kernels.about(other, 2.0 * CHOL)
+    points = torch.randn(50, 2, generator=generator(0), dtype=torch.float64)
+    other = tensor(0.0, 1.0)
+    both = Kernels(
+        torch.stack((MEAN, other)), tensor(0.25, 0.75), torch.stack((CHOL, 2.0 * CHOL)), MEAN, CHOL
+    )
+    one = Kernels.about(MEAN, CHOL)
+    two = Kernels.about(other, 2.0 * CHOL)
     expected = (0.25 * one.log_prob(points).exp() + 0.75 * two.log_prob(points).exp()).log()
     torch.testing.assert_close(both.log_prob(points), expected)
     torch.testing.assert_close(mixture_log_prob([one, two], [100, 300], points), expected)
 
 
 def test_that_draws_have_the_moments_of_the_density() -> None:
-    proposal = Kernels(tensor([0.0, 0.0], [4.0, 1.0]), tensor(0.5, 0.5), torch.stack((CHOL, 2.0 * CHOL)), MEAN, CHOL)
+    proposal = Kernels(
+        tensor([0.0, 0.0], [4.0, 1.0]),
+        tensor(0.5, 0.5),
+        torch.stack((CHOL, 2.0 * CHOL)),
+        MEAN,
+        CHOL,
+    )
     draws = proposal.draw(100_000, generator(1))
     inner = 2.5 * CHOL @ CHOL.mT * 7.0 / 5.0
     torch.testing.assert_close(draws.mean(0), tensor(2.0, 0.5), rtol=0.0, atol=0.03)
-    torch.testing.assert_close(torch.cov(draws.mT), inner + tensor([4.0, 1.0], [1.0, 0.25]), rtol=0.02, atol=0.01)
+    torch.testing.assert_close(
+        torch.cov(draws.mT), inner + tensor([4.0, 1.0], [1.0, 0.25]), rtol=0.02, atol=0.01
+    )
 
 
 def test_that_kernels_through_weighted_points_follow_the_weighted_density() -> None:
-    """Uniform points weighted to a Gaussian: half are narrow kernels on them, half is one wide kernel."""
+    """Uniform points weighted to a Gaussian:
+
+    half are narrow kernels on them, half is one wide kernel.
+    """
     points = 10.0 * torch.rand(4000, 2, generator=generator(2), dtype=torch.float64) - 5.0
     proposal = Kernels.through(points, -0.5 * (points - tensor(1.0, 0.0)).square().sum(1))
     draws = proposal.draw(50_000, generator(3))
@@ -47,7 +69,9 @@ def test_that_kernels_through_weighted_points_follow_the_weighted_density() -> N
     variance = 0.5 * (1.0 + narrow**2 * 7.0 / 5.0) + 0.5 * 1.5**2 * 7.0 / 5.0
     assert narrow < 0.5
     torch.testing.assert_close(draws.mean(0), tensor(1.0, 0.0), rtol=0.0, atol=0.1)
-    torch.testing.assert_close(torch.cov(draws.mT), variance * torch.eye(2, dtype=torch.float64), rtol=0.1, atol=0.1)
+    torch.testing.assert_close(
+        torch.cov(draws.mT), variance * torch.eye(2, dtype=torch.float64), rtol=0.1, atol=0.1
+    )
 
 
 def test_that_kernels_on_a_single_heavy_point_still_have_a_shape_and_reach_out() -> None:
@@ -61,10 +85,15 @@ def test_that_kernels_on_a_single_heavy_point_still_have_a_shape_and_reach_out()
 
 @pytest.mark.parametrize("shape", [0.2, 0.5, 0.8, 1.2])
 def test_that_the_shape_of_a_pareto_tail_is_found(shape: float) -> None:
-    """Generalised Pareto weights have tails of their own shape; 40 000 of them leave an error of some (1 + k)/sqrt(600)."""
+    """Generalised Pareto weights have tails of their own shape;
+
+    40 000 of them leave an error of some (1 + k)/sqrt(600).
+    """
     uniform = torch.rand(40_000, generator=generator(5), dtype=torch.float64)
     weights = 1.0 + (uniform.pow(-shape) - 1.0) / shape
-    assert smooth(weights.log())[1] == pytest.approx(shape, abs=3.0 * (1.0 + shape) / math.sqrt(600.0))
+    assert smooth(weights.log())[1] == pytest.approx(
+        shape, abs=3.0 * (1.0 + shape) / math.sqrt(600.0)
+    )
 
 
 def test_that_smoothing_keeps_scale_order_and_all_but_the_tail() -> None:
@@ -78,10 +107,18 @@ def test_that_smoothing_keeps_scale_order_and_all_but_the_tail() -> None:
 
 
 def test_that_smoothing_halves_the_error_of_a_heavy_tailed_mean() -> None:
-    """Weights with an infinite variance (k = .6) and the mean 1 + 1/(1 - .6): fewer wild estimates."""
-    plain, smoothed = [], []
+    """Weights with an infinite variance (k = .6) and the mean 1 + 1/(1 - .6):
+
+    fewer wild estimates.
+    """
+    plain = []
+    smoothed = []
     for seed in range(200):
-        weights = 1.0 + (torch.rand(500, generator=generator(seed), dtype=torch.float64).pow(-0.6) - 1.0) / 0.6
+        weights = (
+            1.0
+            + (torch.rand(500, generator=generator(seed), dtype=torch.float64).pow(-0.6) - 1.0)
+            / 0.6
+        )
         plain.append(float(weights.mean()) - 3.5)
         smoothed.append(float(smooth(weights.log())[0].exp().mean()) - 3.5)
     assert tensor(*smoothed).square().mean().sqrt() < 0.75 * tensor(*plain).square().mean().sqrt()
@@ -111,7 +148,9 @@ def test_that_weights_a_thousand_nats_apart_are_judged_without_underflow() -> No
     assert shape > 1.0
 
 
-@pytest.mark.parametrize(("count", "limit"), [(100, 0.5), (256, 0.5848), (1000, 2.0 / 3.0), (10_000, 0.7)])
+@pytest.mark.parametrize(
+    ("count", "limit"), [(100, 0.5), (256, 0.5848), (1000, 2.0 / 3.0), (10_000, 0.7)]
+)
 def test_that_fewer_draws_allow_only_lighter_tails(count: int, limit: float) -> None:
     assert largest_shape(count) == pytest.approx(limit, abs=1e-4)
 
@@ -142,7 +181,9 @@ def gaussian_sample(scale: float, seed: int, count: int = 1000) -> ImportanceSam
     prior = -0.5 * controls.square().sum(1) - math.log(2.0 * math.pi)
     likelihood = (target - prior)[:, None]
     still = torch.zeros(count, 1, 3, dtype=torch.float64)
-    return ImportanceSample(controls, prior, likelihood, proposal.log_prob(controls), still, MEAN, scale * CHOL, 0.0, 1)
+    return ImportanceSample(
+        controls, prior, likelihood, proposal.log_prob(controls), still, MEAN, scale * CHOL, 0.0, 1
+    )
 
 
 def test_that_moments_and_evidence_of_a_gaussian_come_out_within_their_errors() -> None:
@@ -157,28 +198,41 @@ def test_that_moments_and_evidence_of_a_gaussian_come_out_within_their_errors() 
 
 
 def test_that_moments_of_a_gaussian_are_left_as_they_are_by_the_draws() -> None:
-    """To what Pareto smoothing changes of the weights: all other chance cancels, in 100 draws as in 1000."""
+    """To what Pareto smoothing changes of the weights:
+
+    all other chance cancels, in 100 draws as in 1000.
+    """
     mean, chol = gaussian_sample(1.3, 0, 100).corrected(MEAN, CHOL)
     torch.testing.assert_close(mean, MEAN, rtol=0.0, atol=0.01)
     torch.testing.assert_close(chol, CHOL, rtol=0.0, atol=0.01)
 
 
 def test_that_draws_correct_the_gaussian_about_the_mode_of_a_skewed_posterior() -> None:
-    """The logarithm of a gamma variable of shape 8: mode ln 8, curvature 8, mean and variance by di- and trigamma functions."""
-    shape, zero = 8.0, torch.zeros(1, dtype=torch.float64)
-    mode, chol = torch.log(tensor(shape)), tensor([shape**-0.5])
-    mean, sd = special.digamma(shape), special.polygamma(1, shape) ** 0.5
-    found, weighted = [], []
+    """The logarithm of a gamma variable of shape 8:
+
+    mode ln 8, curvature 8, mean and variance by di- and trigamma functions.
+    """
+    shape = 8.0
+    zero = torch.zeros(1, dtype=torch.float64)
+    mode = torch.log(tensor(shape))
+    chol = tensor([shape**-0.5])
+    mean = special.digamma(shape)
+    sd = special.polygamma(1, shape) ** 0.5
+    found = []
+    weighted = []
     for seed in range(200):
         proposal = Kernels.about(mode, chol)
         draws = proposal.draw(256, generator(seed))
         target = shape * draws - draws.exp()
         still = torch.zeros(256, 1, 3, dtype=torch.float64)
-        sample = ImportanceSample(draws, 0.0 * target[:, 0], target, proposal.log_prob(draws), still, zero, chol, 0.0, 1)
+        sample = ImportanceSample(
+            draws, 0.0 * target[:, 0], target, proposal.log_prob(draws), still, zero, chol, 0.0, 1
+        )
         centre, scale = sample.corrected(mode, chol)
         found.append((float(centre), float(scale)))
         weighted.append((float(sample.mean), float(sample.covariance.sqrt())))
-    moments, plain = tensor(*found), tensor(*weighted)
+    moments = tensor(*found)
+    plain = tensor(*weighted)
     assert abs(float(mode) - mean) > 0.15 * sd  # what is to be corrected
     torch.testing.assert_close(moments.mean(0), tensor(mean, sd), rtol=0.0, atol=0.01 * sd)
     assert bool((moments.std(0) < 0.8 * plain.std(0)).all())
@@ -187,8 +241,14 @@ def test_that_draws_correct_the_gaussian_about_the_mode_of_a_skewed_posterior() 
 def test_that_stated_errors_are_the_scatter_over_seeds() -> None:
     samples = [gaussian_sample(1.0, seed, 200) for seed in range(150)]
     for value, error in (
-        (tensor(*[s.log_evidence for s in samples]), tensor(*[s.log_evidence_error for s in samples])),
-        (torch.stack([s.mean[0] for s in samples]), torch.stack([s.mean_error[0] for s in samples])),
+        (
+            tensor(*[s.log_evidence for s in samples]),
+            tensor(*[s.log_evidence_error for s in samples]),
+        ),
+        (
+            torch.stack([s.mean[0] for s in samples]),
+            torch.stack([s.mean_error[0] for s in samples]),
+        ),
         (
             torch.stack([s.covariance[1, 1].sqrt() for s in samples]),
             torch.stack([s.sd_error[1] for s in samples]),
@@ -198,8 +258,12 @@ def test_that_stated_errors_are_the_scatter_over_seeds() -> None:
 
 
 def test_that_a_proposal_far_too_narrow_is_found_out() -> None:
-    """In two dimensions a t of a tenth the width has weights of shape near 1; the right width has a bounded one."""
-    narrow, right = gaussian_sample(0.1, 1), gaussian_sample(1.0, 1)
+    """In two dimensions a t of a tenth the width has weights of shape near 1;
+
+    the right width has a bounded one.
+    """
+    narrow = gaussian_sample(0.1, 1)
+    right = gaussian_sample(1.0, 1)
     assert not narrow.reliable
     assert narrow.pareto_k > 0.7
     assert right.pareto_k < 0.3
@@ -216,16 +280,34 @@ def test_that_resampling_takes_each_draw_in_proportion_to_its_weight() -> None:
 
 @pytest.mark.parametrize(("variance", "size"), [(0.2, 1), (0.1, 1), (0.3, 3), (0.2, 3)])
 def test_that_the_error_of_an_evidence_whose_draws_are_not_reliable_covers_it(variance, size):
-    """Proposals narrower than the posterior: log evidence 0, mostly missed from below, which the spread of weights hides."""
-    count, within, plain = 256, [], []
+    """Proposals narrower than the posterior:
+
+    log evidence 0, mostly missed from below, which the spread of weights hides.
+    """
+    count = 256
+    within = []
+    plain = []
     for seed in range(60):
         source = torch.Generator().manual_seed(seed)
-        draws = math.sqrt(variance) * torch.randn(count, size, generator=source, dtype=torch.float64)
+        draws = math.sqrt(variance) * torch.randn(
+            count, size, generator=source, dtype=torch.float64
+        )
         log_target = -0.5 * (draws.square() + math.log(2.0 * math.pi)).sum(1)
-        log_proposal = -0.5 * (draws.square() / variance + math.log(2.0 * math.pi * variance)).sum(1)
-        zero, still = torch.zeros(count, dtype=torch.float64), torch.zeros(count, 1, 3)
+        log_proposal = -0.5 * (draws.square() / variance + math.log(2.0 * math.pi * variance)).sum(
+            1
+        )
+        zero = torch.zeros(count, dtype=torch.float64)
+        still = torch.zeros(count, 1, 3)
         sample = ImportanceSample(
-            draws, log_target, zero[:, None], log_proposal, still, torch.zeros(size), torch.eye(size), first_shape=0.0, rounds=1
+            draws,
+            log_target,
+            zero[:, None],
+            log_proposal,
+            still,
+            torch.zeros(size),
+            torch.eye(size),
+            first_shape=0.0,
+            rounds=1,
         )
         spread = float(count * sample.weights.std() / math.sqrt(count))
         if sample.reliable:

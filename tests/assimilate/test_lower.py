@@ -5,7 +5,16 @@ from dataclasses import replace
 import pytest
 import torch
 
-from imr_torch.assimilate import Assimilation, ModelFit, Point, Posterior, SearchOptions, Verdict, assimilate, weigh
+from imr_torch.assimilate import (
+    Assimilation,
+    ModelFit,
+    Point,
+    Posterior,
+    SearchOptions,
+    Verdict,
+    assimilate,
+    weigh,
+)
 from imr_torch.assimilate.lower import lower_point
 from imr_torch.observe import ExperimentBatch, Nuisance
 from tests.linear import LinearSimulator, exact, experiments, prior
@@ -16,7 +25,9 @@ BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
 @pytest.fixture(scope="module")
 def right() -> Assimilation:
     options = SearchOptions(raw_samples=24, starts=2)
-    return assimilate(prior(("nhkv",)), experiments(3, nuisance=BOTH), LinearSimulator(), seed=1, options=options)
+    return assimilate(
+        prior(("nhkv",)), experiments(3, nuisance=BOTH), LinearSimulator(), seed=1, options=options
+    )
 
 
 def ended_too_high(right: Assimilation, away: float) -> Assimilation:
@@ -28,13 +39,17 @@ def ended_too_high(right: Assimilation, away: float) -> Assimilation:
 
 
 def test_that_a_fit_above_another_minimum_is_made_again_from_there(right: Assimilation) -> None:
-    wrong, truth, said = ended_too_high(right, 4.0), exact(right.prior.models[0], right.batch), []
+    wrong = ended_too_high(right, 4.0)
+    truth = exact(right.prior.models[0], right.batch)
+    said = []
     mended = weigh(wrong, LinearSimulator(), seed=0, progress=said.append).fits[0]
     assert mended.cost == pytest.approx(right.fits[0].cost, abs=1e-6)
     assert mended.certificate.converged
     assert mended.verdict is Verdict.TRUSTED
     torch.testing.assert_close(mended.mean, truth.mean, rtol=0.0, atol=1e-3)
-    assert mended.sample.log_evidence == pytest.approx(truth.log_evidence, abs=5.0 * mended.sample.log_evidence_error)
+    assert mended.sample.log_evidence == pytest.approx(
+        truth.log_evidence, abs=5.0 * mended.sample.log_evidence_error
+    )
     assert any(line == "nhkv: draws found a minimum that is 8.0 nats lower" for line in said)
     assert wrong.fits[0].sample is None
 
@@ -44,8 +59,11 @@ def test_that_it_stays_where_that_is_not_asked_for(right: Assimilation) -> None:
     assert weigh(wrong, LinearSimulator(), seed=0, refit=False).fits[0].cost == wrong.fits[0].cost
 
 
-def test_that_a_draw_is_better_only_above_another_minimum_and_of_a_model_that_may_matter(right: Assimilation) -> None:
-    batch, simulator = right.batch, LinearSimulator()
+def test_that_a_draw_is_better_only_above_another_minimum_and_of_a_model_that_may_matter(
+    right: Assimilation,
+) -> None:
+    batch = right.batch
+    simulator = LinearSimulator()
     sound = weigh(right, simulator, seed=0, refit=False).fits[0]
     assert lower_point(sound, sound.cost, batch, simulator) is None
     wrong = weigh(ended_too_high(right, 4.0), simulator, seed=0, refit=False).fits[0]
@@ -56,8 +74,12 @@ def test_that_a_draw_is_better_only_above_another_minimum_and_of_a_model_that_ma
 
 
 def test_that_a_fit_that_only_looks_too_high_is_not_made_again(right: Assimilation) -> None:
-    """Too narrow a Gaussian of the nuisances makes all draws look more probable than the optimum; their costs are not lower."""
-    fit, said = right.fits[0], []
+    """Too narrow a Gaussian of the nuisances makes all draws look more probable than the optimum;
+
+    their costs are not lower.
+    """
+    fit = right.fits[0]
+    said = []
     narrow = replace(right, fits=(replace(fit, nuisance_chol=2.0 * fit.nuisance_chol),))
     weighted = weigh(narrow, LinearSimulator(), seed=0, progress=said.append).fits[0]
     assert not any(line.startswith("assimilation") for line in said)
@@ -71,13 +93,16 @@ def test_that_a_minimum_that_is_not_lower_is_not_taken_and_the_fit_is_weighted_t
     """However often the draws promise one."""
     promised = []
 
-    def promise(fit: ModelFit, best: float, batch: ExperimentBatch, simulator: LinearSimulator) -> Point:
+    def promise(
+        fit: ModelFit, best: float, batch: ExperimentBatch, simulator: LinearSimulator
+    ) -> Point:
         promised.append(best)
         return fit.point
 
     monkeypatch.setattr("imr_torch.assimilate.weighing.lower_point", promise)
     monkeypatch.setattr("imr_torch.assimilate.weighing._REFITS", 1)
-    fit, said = right.fits[0], []
+    fit = right.fits[0]
+    said = []
     narrow = replace(right, fits=(replace(fit, nuisance_chol=2.0 * fit.nuisance_chol),))
     weighted = weigh(narrow, LinearSimulator(), seed=0, progress=said.append).fits[0]
     assert sum(line.startswith("assimilation: iteration 1,") for line in said) == len(promised) == 1
@@ -85,24 +110,47 @@ def test_that_a_minimum_that_is_not_lower_is_not_taken_and_the_fit_is_weighted_t
     assert weighted.sample.rounds == 2
 
 
-def test_that_a_model_fitted_again_is_weighted_beside_others_whose_rounds_are_ahead(monkeypatch: pytest.MonkeyPatch) -> None:
-    """All rounds are made; the third has several nuisances to a draw, of which one is kept in proportion to its weight."""
+def test_that_a_model_fitted_again_is_weighted_beside_others_whose_rounds_are_ahead(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """All rounds are made;
+
+    the third has several nuisances to a draw, of which one is kept in proportion to its weight.
+    """
     monkeypatch.setattr("imr_torch.assimilate.weighing._State.refused", True)
-    batch, options = experiments(3, nuisance=BOTH), SearchOptions(raw_samples=24, starts=2)
-    both = assimilate(prior(("newtonian", "nhkv")), batch, LinearSimulator(), seed=1, options=options)
-    wrong = replace(both, fits=(both.fits[0], *ended_too_high(replace(both, fits=both.fits[1:]), 4.0).fits))
+    batch = experiments(3, nuisance=BOTH)
+    options = SearchOptions(raw_samples=24, starts=2)
+    both = assimilate(
+        prior(("newtonian", "nhkv")), batch, LinearSimulator(), seed=1, options=options
+    )
+    wrong = replace(
+        both, fits=(both.fits[0], *ended_too_high(replace(both, fits=both.fits[1:]), 4.0).fits)
+    )
     said = []
     weighted = weigh(wrong, LinearSimulator(), seed=0, samples=1024, rounds=3, progress=said.append)
     assert sum(line.startswith("draws: round") for line in said) == 4
     for fit in weighted.fits:
-        truth, sample = exact(fit.prior, batch), fit.sample
+        truth = exact(fit.prior, batch)
+        sample = fit.sample
         assert sample.rounds == 3
         assert len(sample) == 1024
-        assert sample.log_evidence == pytest.approx(truth.log_evidence, abs=4.0 * sample.log_evidence_error)
+        assert sample.log_evidence == pytest.approx(
+            truth.log_evidence, abs=4.0 * sample.log_evidence_error
+        )
         weights = sample.weights[:, None, None]
         mean = (weights * sample.nuisances).sum(0)
         torch.testing.assert_close(mean, truth.nuisances, rtol=0.0, atol=0.1)
-        again = weigh(replace(both, fits=(both[fit.model],)), LinearSimulator(), seed=3, samples=1024, rounds=1).fits[0].sample
+        again = (
+            weigh(
+                replace(both, fits=(both[fit.model],)),
+                LinearSimulator(),
+                seed=3,
+                samples=1024,
+                rounds=1,
+            )
+            .fits[0]
+            .sample
+        )
         sd = (weights * (sample.nuisances - mean).square()).sum(0).sqrt()
         mean = (again.weights[:, None, None] * again.nuisances).sum(0)
         expected = (again.weights[:, None, None] * (again.nuisances - mean).square()).sum(0).sqrt()

@@ -14,14 +14,33 @@ from imr_torch.errors import ConvergenceError, ConvergenceWarning, InputDataErro
 from imr_torch.material import PARAMETERS, Belief, TruncatedNormal
 from imr_torch.observe import ExperimentBatch, Noise, Nuisance, SimulatedLaboratory, predict
 from imr_torch.simulate import PolytropicSimulator, Solution
-from tests.linear import CORRELATED, MEANS, MODELS, NOISE, SDS, Exact, LinearSimulator, exact, experiments, prior, tensor
+from tests.linear import (
+    CORRELATED,
+    MEANS,
+    MODELS,
+    NOISE,
+    SDS,
+    Exact,
+    LinearSimulator,
+    exact,
+    experiments,
+    prior,
+    tensor,
+)
 
 OPTIONS = SearchOptions(raw_samples=24)
 CLOCK = Nuisance(time_zero=0.2)
 BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
 
 
-def fitted(belief: Belief, batch: ExperimentBatch, simulator=None, *, seed: int = 1, options: SearchOptions = OPTIONS):
+def fitted(
+    belief: Belief,
+    batch: ExperimentBatch,
+    simulator=None,
+    *,
+    seed: int = 1,
+    options: SearchOptions = OPTIONS,
+):
     return assimilate(belief, batch, simulator or LinearSimulator(), seed=seed, options=options)
 
 
@@ -44,7 +63,9 @@ BATCHES = {
 
 @pytest.mark.parametrize("correlated", [False, True], ids=["standard prior", "correlated prior"])
 @pytest.mark.parametrize("batch", BATCHES.values(), ids=BATCHES.keys())
-def test_that_the_posterior_of_a_linear_simulator_is_exact(batch: ExperimentBatch, correlated: bool) -> None:
+def test_that_the_posterior_of_a_linear_simulator_is_exact(
+    batch: ExperimentBatch, correlated: bool
+) -> None:
     belief = prior(correlated=correlated)
     result = fitted(belief, batch)
     assert result.converged
@@ -54,7 +75,8 @@ def test_that_the_posterior_of_a_linear_simulator_is_exact(batch: ExperimentBatc
 
 def test_that_the_experiments_own_clock_errors_differ() -> None:
     """A batch in which only one experiment is uncertain: the others keep their nuisances at 0."""
-    certain, uncertain = experiments(2).experiments, experiments(1, nuisance=BOTH, seed=4).experiments
+    certain = experiments(2).experiments
+    uncertain = experiments(1, nuisance=BOTH, seed=4).experiments
     batch = ExperimentBatch((certain[0], uncertain[0], certain[1]), NOISE)
     fit = fitted(prior(("nhkv",)), batch).fits[0]
     assert_exact(fit, exact(prior(("nhkv",)).models[0], batch))
@@ -66,7 +88,9 @@ def test_that_the_experiments_own_clock_errors_differ() -> None:
 def test_that_one_update_is_two_updates_in_turn(nuisance: Nuisance) -> None:
     belief = prior()
     batch = experiments(4, nuisance=nuisance)
-    first, second = (ExperimentBatch(part, NOISE) for part in (batch.experiments[:1], batch.experiments[1:]))
+    first, second = (
+        ExperimentBatch(part, NOISE) for part in (batch.experiments[:1], batch.experiments[1:])
+    )
     together = fitted(belief, batch)
     halfway = fitted(belief, first)
     middle = Belief(tuple(fit.posterior for fit in halfway.fits), belief.log_probabilities)
@@ -77,20 +101,35 @@ def test_that_one_update_is_two_updates_in_turn(nuisance: Nuisance) -> None:
 
 
 def test_that_the_posterior_in_physical_units_is_the_exact_one() -> None:
-    belief, batch = prior(("nhkv",), correlated=True), experiments(3)
-    part, posterior = belief.models[0], fitted(belief, batch).fits[0].posterior
+    belief = prior(("nhkv",), correlated=True)
+    batch = experiments(3)
+    part = belief.models[0]
+    posterior = fitted(belief, batch).fits[0].posterior
     truth = exact(part, batch)
     factor = torch.diag(tensor(SDS["G"], SDS["mu"])) @ part.chol
-    means = tensor(MEANS["G"], MEANS["mu"]) + tensor(SDS["G"], SDS["mu"]) * part.mean + factor @ truth.mean
+    means = (
+        tensor(MEANS["G"], MEANS["mu"])
+        + tensor(SDS["G"], SDS["mu"]) * part.mean
+        + factor @ truth.mean
+    )
     torch.testing.assert_close(posterior.means, means, rtol=1e-7, atol=0.0)
-    torch.testing.assert_close(posterior.sds, (factor @ truth.covariance @ factor.mT).diagonal().sqrt(), rtol=1e-6, atol=0.0)
+    torch.testing.assert_close(
+        posterior.sds,
+        (factor @ truth.covariance @ factor.mT).diagonal().sqrt(),
+        rtol=1e-6,
+        atol=0.0,
+    )
 
 
 def test_that_it_does_not_matter_whether_the_prior_is_in_the_marginal_or_in_the_gaussian() -> None:
-    batch, plain = experiments(3, nuisance=CLOCK), prior(("nhkv",))
+    batch = experiments(3, nuisance=CLOCK)
+    plain = prior(("nhkv",))
     standard = Belief.prior({"nhkv": {name: TruncatedNormal(0.0, 1.0) for name in ("G", "mu")}})
-    moved = standard.models[0].with_gaussian(tensor(MEANS["G"], MEANS["mu"]), torch.diag(tensor(SDS["G"], SDS["mu"])))
-    one, other = fitted(plain, batch).fits[0], fitted(Belief((moved,), tensor(0.0)), batch).fits[0]
+    moved = standard.models[0].with_gaussian(
+        tensor(MEANS["G"], MEANS["mu"]), torch.diag(tensor(SDS["G"], SDS["mu"]))
+    )
+    one = fitted(plain, batch).fits[0]
+    other = fitted(Belief((moved,), tensor(0.0)), batch).fits[0]
     torch.testing.assert_close(one.mean, other.mean, rtol=0.0, atol=1e-7)
     torch.testing.assert_close(one.posterior.means, other.posterior.means, rtol=1e-9, atol=0.0)
     torch.testing.assert_close(one.posterior.sds, other.posterior.sds, rtol=1e-6, atol=0.0)
@@ -98,17 +137,26 @@ def test_that_it_does_not_matter_whether_the_prior_is_in_the_marginal_or_in_the_
 
 @pytest.mark.parametrize("factor", [1e-6, 1e3])
 def test_that_a_change_of_units_changes_only_the_units(factor: float) -> None:
-    """Prior and simulator rescaled together: the same controls, and a posterior in the new units."""
+    """Prior and simulator rescaled together:
+
+    the same controls, and a posterior in the new units.
+    """
     batch = experiments(3)
     other_units = LinearSimulator(units={name: factor * sd for name, sd in SDS.items()})
-    rescaled = Belief.prior({"nhkv": {n: TruncatedNormal(factor * MEANS[n], factor * SDS[n]) for n in ("G", "mu")}})
-    one, other = fitted(prior(("nhkv",)), batch).fits[0], fitted(rescaled, batch, other_units).fits[0]
+    rescaled = Belief.prior(
+        {"nhkv": {n: TruncatedNormal(factor * MEANS[n], factor * SDS[n]) for n in ("G", "mu")}}
+    )
+    one = fitted(prior(("nhkv",)), batch).fits[0]
+    other = fitted(rescaled, batch, other_units).fits[0]
     torch.testing.assert_close(one.mean, other.mean, rtol=0.0, atol=1e-7)
-    torch.testing.assert_close(factor * one.posterior.means, other.posterior.means, rtol=1e-9, atol=0.0)
+    torch.testing.assert_close(
+        factor * one.posterior.means, other.posterior.means, rtol=1e-9, atol=0.0
+    )
 
 
 def test_that_any_seed_gives_the_same_answer_and_the_same_seed_the_same_bits() -> None:
-    belief, batch = prior(), experiments(3, nuisance=CLOCK)
+    belief = prior()
+    batch = experiments(3, nuisance=CLOCK)
     one, same, other = (fitted(belief, batch, seed=seed) for seed in (1, 1, 2))
     for a, b, c in zip(one.fits, same.fits, other.fits, strict=True):
         assert torch.equal(a.mean, b.mean)
@@ -120,28 +168,47 @@ def test_that_a_model_is_fitted_in_company_as_it_is_alone() -> None:
     batch = experiments(3)
     together = fitted(prior(), batch)
     for model in MODELS:
-        torch.testing.assert_close(fitted(prior((model,)), batch).fits[0].mean, together[model].mean, rtol=0.0, atol=1e-7)
+        torch.testing.assert_close(
+            fitted(prior((model,)), batch).fits[0].mean, together[model].mean, rtol=0.0, atol=1e-7
+        )
 
 
 def test_that_a_search_that_begins_at_the_answer_with_its_nuisances_stays_there() -> None:
-    belief, batch = prior(("nhkv",)), experiments(3, nuisance=BOTH)
+    belief = prior(("nhkv",))
+    batch = experiments(3, nuisance=BOTH)
     fit = fitted(belief, batch).fits[0]
     assert float(fit.nuisances.abs().max()) > 0.1
     said: dict[bool, list[str]] = {True: [], False: []}
     for known, lines in said.items():
-        begin = {"starts": [torch.stack((fit.mean, fit.mean))], "nuisances": [fit.nuisances] if known else None}
-        again = assimilate(belief, batch, LinearSimulator(), seed=2, options=OPTIONS, progress=lines.append, **begin).fits[0]
+        begin = {
+            "starts": [torch.stack((fit.mean, fit.mean))],
+            "nuisances": [fit.nuisances] if known else None,
+        }
+        again = assimilate(
+            belief,
+            batch,
+            LinearSimulator(),
+            seed=2,
+            options=OPTIONS,
+            progress=lines.append,
+            **begin,
+        ).fits[0]
         assert again.cost == pytest.approx(fit.cost, abs=1e-6)
     gradient = {known: float(lines[0].split()[-1]) for known, lines in said.items()}
     assert gradient[True] < 1e-3 < 0.1 < gradient[False]
 
 
 @pytest.mark.parametrize("drop_behind", [None, 6.0])
-def test_that_a_single_start_reaches_the_minimum_and_is_not_certified(drop_behind: float | None) -> None:
-    belief, batch = prior(("nhkv",)), experiments(3, nuisance=BOTH)
+def test_that_a_single_start_reaches_the_minimum_and_is_not_certified(
+    drop_behind: float | None,
+) -> None:
+    belief = prior(("nhkv",))
+    batch = experiments(3, nuisance=BOTH)
     options = replace(OPTIONS, drop_behind=drop_behind)
     starts = [torch.full((1, len(belief.models[0].names)), 0.5, dtype=torch.float64)]
-    fit = assimilate(belief, batch, LinearSimulator(), seed=2, options=options, starts=starts, warn=False).fits[0]
+    fit = assimilate(
+        belief, batch, LinearSimulator(), seed=2, options=options, starts=starts, warn=False
+    ).fits[0]
     assert fit.cost == pytest.approx(fitted(belief, batch).fits[0].cost, abs=1e-6)
     assert fit.certificate.gradient < options.gradient
     assert fit.certificate.agreement == math.inf
@@ -150,7 +217,13 @@ def test_that_a_single_start_reaches_the_minimum_and_is_not_certified(drop_behin
 
 def test_that_no_start_at_all_is_refused() -> None:
     with pytest.raises(ShapeError, match="a row or more"):
-        assimilate(prior(("nhkv",)), experiments(1), LinearSimulator(), seed=0, starts=[torch.zeros(0, 2, dtype=torch.float64)])
+        assimilate(
+            prior(("nhkv",)),
+            experiments(1),
+            LinearSimulator(),
+            seed=0,
+            starts=[torch.zeros(0, 2, dtype=torch.float64)],
+        )
 
 
 def test_that_repeats_count_as_often_as_they_were_made() -> None:
@@ -158,14 +231,18 @@ def test_that_repeats_count_as_often_as_they_were_made() -> None:
     batch = experiments(3, noise=CORRELATED)
     singles = tuple(replace(e, radius=curve[None]) for e in batch.experiments for curve in e.radius)
     assert len(singles) > len(batch.experiments)
-    one, other = (fitted(prior(("nhkv",)), b).fits[0] for b in (batch, ExperimentBatch(singles, CORRELATED)))
+    one, other = (
+        fitted(prior(("nhkv",)), b).fits[0] for b in (batch, ExperimentBatch(singles, CORRELATED))
+    )
     torch.testing.assert_close(one.mean, other.mean, rtol=0.0, atol=1e-7)
     torch.testing.assert_close(one.chol, other.chol, rtol=1e-6, atol=1e-9)
 
 
 def test_that_the_belief_and_the_batch_are_not_changed() -> None:
-    belief, batch = prior(), experiments(3, nuisance=BOTH)
-    saved, kept = copy.deepcopy(belief.to_dict()), [e.radius.clone() for e in batch.experiments]
+    belief = prior()
+    batch = experiments(3, nuisance=BOTH)
+    saved = copy.deepcopy(belief.to_dict())
+    kept = [e.radius.clone() for e in batch.experiments]
     result = fitted(belief, batch)
     assert belief.to_dict() == saved
     assert all(torch.equal(e.radius, old) for e, old in zip(batch.experiments, kept, strict=True))
@@ -176,33 +253,52 @@ def test_that_the_belief_and_the_batch_are_not_changed() -> None:
 def test_that_the_cost_is_that_of_the_joint_density() -> None:
     batch = experiments(3, nuisance=BOTH)
     fit = fitted(prior(("nhkv",)), batch).fits[0]
-    prediction = predict(LinearSimulator(), fit.parameters(fit.mean), batch, fit.nuisances * batch.nuisance_sds)
-    expected = 0.5 * (fit.mean.square().sum() + fit.nuisances.square().sum()) - batch.log_likelihood(prediction).sum()
+    prediction = predict(
+        LinearSimulator(), fit.parameters(fit.mean), batch, fit.nuisances * batch.nuisance_sds
+    )
+    expected = (
+        0.5 * (fit.mean.square().sum() + fit.nuisances.square().sum())
+        - batch.log_likelihood(prediction).sum()
+    )
     assert fit.cost == pytest.approx(float(expected), rel=1e-12)
     torch.testing.assert_close(torch.where(batch.mask, prediction, 0.0), fit.prediction)
-    assert fit_rmse(batch, prediction) == pytest.approx(float(Assimilation(prior(("nhkv",)), batch, (fit,)).rmse("nhkv")))
+    assert fit_rmse(batch, prediction) == pytest.approx(
+        float(Assimilation(prior(("nhkv",)), batch, (fit,)).rmse("nhkv"))
+    )
 
 
 def fit_rmse(batch: ExperimentBatch, prediction: Tensor) -> float:
-    residuals = [e.radius.mean(0) - prediction[i, : e.times.shape[0]] for i, e in enumerate(batch.experiments)]
+    residuals = [
+        e.radius.mean(0) - prediction[i, : e.times.shape[0]]
+        for i, e in enumerate(batch.experiments)
+    ]
     return float(torch.cat(residuals).square().mean().sqrt())
 
 
 def test_that_progress_is_told_once_per_iteration() -> None:
     lines: list[str] = []
-    assimilate(prior(), experiments(2), LinearSimulator(), seed=0, options=OPTIONS, progress=lines.append)
+    assimilate(
+        prior(), experiments(2), LinearSimulator(), seed=0, options=OPTIONS, progress=lines.append
+    )
     assert len(lines) >= 2
-    assert all(f"iteration {i + 1}," in line and "gen_qkv cost" in line for i, line in enumerate(lines))
+    assert all(
+        f"iteration {i + 1}," in line and "gen_qkv cost" in line for i, line in enumerate(lines)
+    )
 
 
 @dataclass(frozen=True)
 class JitterySimulator(LinearSimulator):
-    """Linear but for an integration error that jumps from gel to gel; in a bundle it is the leader's, if ``lock_step``."""
+    """Linear but for an integration error that jumps from gel to gel;
+
+    in a bundle it is the leader's, if ``lock_step``.
+    """
 
     lock_step: bool = True
 
     def jitter(self, parameters: Tensor, times: Tensor) -> Tensor:
-        phase = 1e7 * (parameters / tensor(*[SDS.get(name, 1.0) for name in PARAMETERS.names])).sum(-1, keepdim=True)
+        phase = 1e7 * (parameters / tensor(*[SDS.get(name, 1.0) for name in PARAMETERS.names])).sum(
+            -1, keepdim=True
+        )
         return 1e-3 * torch.sin(phase + 5.0 * times)
 
     def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
@@ -213,17 +309,22 @@ class JitterySimulator(LinearSimulator):
         if not self.lock_step:
             return self(parameters, designs, times)
         solution = super().__call__(parameters, designs, times)
-        return replace(solution, radius=solution.radius + self.jitter(parameters[..., :1, :], times))
+        return replace(
+            solution, radius=solution.radius + self.jitter(parameters[..., :1, :], times)
+        )
 
 
 def test_that_an_integration_error_that_jumps_does_not_keep_a_fit_from_converging() -> None:
-    belief, batch = prior(("nhkv",)), experiments(3, nuisance=CLOCK)
+    belief = prior(("nhkv",))
+    batch = experiments(3, nuisance=CLOCK)
     fit = fitted(belief, batch, JitterySimulator()).fits[0]
     assert fit.certificate.converged
     assert fit.certificate.agreement < 1e-6
     truth = exact(belief.models[0], batch)
     assert float(((fit.mean - truth.mean).abs() / truth.covariance.diagonal().sqrt()).max()) < 0.1
-    alone = fitted(belief, batch, JitterySimulator(lock_step=False)).fits[0]  # differences of the error, divided by their step
+    alone = fitted(belief, batch, JitterySimulator(lock_step=False)).fits[
+        0
+    ]  # differences of the error, divided by their step
     assert float(alone.chol.diagonal().prod()) < 1e-3 * float(truth.covariance.det().sqrt())
 
 
@@ -231,22 +332,31 @@ class WavySimulator(LinearSimulator):
     """Linear in ``x + 1.5 sin 3x`` for the control ``x`` of the modulus, so that a fit has several minima."""
 
     def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
-        parameters, at = parameters.clone(), PARAMETERS.index(["G"])[0]
+        parameters = parameters.clone()
+        at = PARAMETERS.index(["G"])[0]
         control = (parameters[..., at] - MEANS["G"]) / SDS["G"]
         parameters[..., at] = MEANS["G"] + SDS["G"] * (control + 1.5 * torch.sin(3.0 * control))
         return super().__call__(parameters, designs, times)
 
 
 def test_that_among_models_the_other_starts_of_a_model_with_several_minima_follow() -> None:
-    """The first start arrives in a poor minimum, far behind another model; the last, which looks worst, leads to a better one."""
-    belief, batch = prior(("nhkv", "gen_qkv")), experiments(3)
+    """The first start arrives in a poor minimum, far behind another model;
+
+    the last, which looks worst, leads to a better one.
+    """
+    belief = prior(("nhkv", "gen_qkv"))
+    batch = experiments(3)
     good = tensor((0.2, 0.0), (0.3, 0.0))
     rows = tensor((1.7, 0.0, 0.0), (1.75, 0.0, 0.0), (0.4, 0.0, 0.0))
 
     def cost(starts: Tensor) -> float:
         options = SearchOptions(drop_behind=0.1)
-        found = assimilate(belief, batch, WavySimulator(), seed=1, options=options, starts=[good, starts])
-        assert found["gen_qkv"].cost - found["nhkv"].cost > 0.1  # further behind than a second start may lag
+        found = assimilate(
+            belief, batch, WavySimulator(), seed=1, options=options, starts=[good, starts]
+        )
+        assert (
+            found["gen_qkv"].cost - found["nhkv"].cost > 0.1
+        )  # further behind than a second start may lag
         return found["gen_qkv"].cost
 
     best = cost(rows[[2, 2]])
@@ -255,13 +365,24 @@ def test_that_among_models_the_other_starts_of_a_model_with_several_minima_follo
 
 
 def test_that_among_models_a_second_start_does_not_wait_for_the_last_digits_of_the_first() -> None:
-    """A tolerance that rounding does not allow keeps the first start going; the second has set out long before it rests."""
-    belief, batch = prior(("nhkv",)), experiments(3)
+    """A tolerance that rounding does not allow keeps the first start going;
+
+    the second has set out long before it rests.
+    """
+    belief = prior(("nhkv",))
+    batch = experiments(3)
     lines: list[str] = []
     options = SearchOptions(drop_behind=5.0, gradient=1e-30, iterations=6, polish=False)
     starts = [tensor((0.3, 0.0), (1.5, 0.5))]
     found = assimilate(
-        belief, batch, LinearSimulator(), seed=1, options=options, starts=starts, warn=False, progress=lines.append
+        belief,
+        batch,
+        LinearSimulator(),
+        seed=1,
+        options=options,
+        starts=starts,
+        warn=False,
+        progress=lines.append,
     )
     assert len(lines) == 6
     assert found.fits[0].certificate.agreement < 1e-6
@@ -295,12 +416,17 @@ def test_that_a_caller_who_reads_certificates_is_not_warned() -> None:
     options = replace(OPTIONS, iterations=1)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        result = assimilate(prior(("nhkv",)), experiments(3), LinearSimulator(), seed=1, options=options, warn=False)
+        result = assimilate(
+            prior(("nhkv",)), experiments(3), LinearSimulator(), seed=1, options=options, warn=False
+        )
     assert not result.converged
 
 
 def test_that_a_simulator_that_always_fails_is_a_convergence_error() -> None:
-    with pytest.raises(ConvergenceError, match=r"nhkv: 0 of 24 prior draws could be simulated; check units and bounds"):
+    with pytest.raises(
+        ConvergenceError,
+        match=r"nhkv: 0 of 24 prior draws could be simulated; check units and bounds",
+    ):
         fitted(prior(("nhkv",)), experiments(2), LinearSimulator(fails=True))
 
 
@@ -335,10 +461,26 @@ def bubbles() -> tuple[Tensor, ExperimentBatch, ModelFit]:
         Nuisance(0.005, 0.01, 0.02),
     )
     batch = ExperimentBatch(
-        tuple(laboratory.shoot(tensor(w, r), seed=i) for i, (w, r) in enumerate(((500.0, 0.2), (900.0, 0.25))))
+        tuple(
+            laboratory.shoot(tensor(w, r), seed=i)
+            for i, (w, r) in enumerate(((500.0, 0.2), (900.0, 0.25)))
+        )
     )
-    belief = Belief.prior({"nhkv": {"G": TruncatedNormal(9000.0, 4000.0, 0.0), "mu": TruncatedNormal(0.15, 0.08, 0.0)}})
-    return truth, batch, fitted(belief, batch, PolytropicSimulator(), options=SearchOptions(raw_samples=32, starts=2)).fits[0]
+    belief = Belief.prior(
+        {
+            "nhkv": {
+                "G": TruncatedNormal(9000.0, 4000.0, 0.0),
+                "mu": TruncatedNormal(0.15, 0.08, 0.0),
+            }
+        }
+    )
+    return (
+        truth,
+        batch,
+        fitted(
+            belief, batch, PolytropicSimulator(), options=SearchOptions(raw_samples=32, starts=2)
+        ).fits[0],
+    )
 
 
 def test_that_the_gel_is_found_within_its_interval(bubbles) -> None:
@@ -354,7 +496,9 @@ def test_that_no_neighbour_of_the_fit_costs_less(bubbles) -> None:
     _, batch, fit = bubbles
 
     def cost(v: Tensor, w: Tensor) -> Tensor:
-        prediction = predict(PolytropicSimulator(), fit.parameters(v), batch, w * batch.nuisance_sds)
+        prediction = predict(
+            PolytropicSimulator(), fit.parameters(v), batch, w * batch.nuisance_sds
+        )
         likelihood = batch.log_likelihood(torch.where(batch.mask, prediction, 0.0)).sum(-1)
         return 0.5 * v.square().sum(-1) + 0.5 * w.square().sum((-2, -1)) - likelihood
 
@@ -371,9 +515,16 @@ def test_that_the_stated_covariance_is_the_curvature_of_the_exact_cost(bubbles) 
     _, batch, fit = bubbles
     moves = torch.cat((fit.chol.mT, -fit.chol.mT))
     w = fit.nuisances + (fit.nuisance_response @ moves[:, None, :, None])[..., 0]
-    prediction = predict(PolytropicSimulator(), fit.parameters(fit.mean + moves), batch, w * batch.nuisance_sds)
+    prediction = predict(
+        PolytropicSimulator(), fit.parameters(fit.mean + moves), batch, w * batch.nuisance_sds
+    )
     likelihood = batch.log_likelihood(torch.where(batch.mask, prediction, 0.0)).sum(-1)
-    rise = 0.5 * (fit.mean + moves).square().sum(-1) + 0.5 * w.square().sum((-2, -1)) - likelihood - fit.cost
+    rise = (
+        0.5 * (fit.mean + moves).square().sum(-1)
+        + 0.5 * w.square().sum((-2, -1))
+        - likelihood
+        - fit.cost
+    )
     torch.testing.assert_close(rise, torch.full((4,), 0.5, dtype=torch.float64), rtol=0.0, atol=0.1)
 
 
@@ -394,13 +545,18 @@ def test_that_a_stalled_fit_matters_only_if_it_could_still_be_in_the_running(
 ) -> None:
     result = fitted(prior(("newtonian", "nhkv")), experiments(2), LinearSimulator())
     first, second = result.fits
-    certificate = replace(second.certificate, gradient=gradient, agreement=agreement, converged=False)
+    certificate = replace(
+        second.certificate, gradient=gradient, agreement=agreement, converged=False
+    )
     stalled = replace(second, certificate=certificate, cost=first.cost + behind)
     assert replace(result, fits=(first, stalled)).converged is converged
 
 
 class TearingSimulator(LinearSimulator):
-    """Simulates any bubble alone, and none in a bundle whose leader's modulus lies above a limit: what rounding does to some."""
+    """Simulates any bubble alone, and none in a bundle whose leader's modulus lies above a limit:
+
+    what rounding does to some.
+    """
 
     def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
         solution = self(parameters, designs, times)
@@ -410,7 +566,8 @@ class TearingSimulator(LinearSimulator):
 
 
 def test_that_a_chain_whose_bubbles_cannot_be_simulated_any_more_ends_and_not_the_search() -> None:
-    belief, batch = prior(("nhkv",)), experiments(3)
+    belief = prior(("nhkv",))
+    batch = experiments(3)
     starts = [tensor((0.3, 0.0), (0.2, 0.1), (1.5, 0.5))]
     found = assimilate(belief, batch, TearingSimulator(), seed=1, starts=starts).fits[0]
     truth = exact(belief.models[0], batch)

@@ -1,4 +1,8 @@
-"""False minima: a frame next to a collapse sees the same radius on either side of it, and chains must not stay on the wrong one."""
+"""False minima:
+
+a frame next to a collapse sees the same radius on either side of it, and chains must not stay on
+the wrong one.
+"""
 
 from dataclasses import dataclass, field
 
@@ -26,13 +30,20 @@ class CuspedSimulator:
 
     def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
         shape, parameters, designs, times = broadcast_batch(parameters, designs, times)
-        g, mu = ((parameters[:, PARAMETERS.index([name])] - MEANS[name]) / SDS[name] for name in ("G", "mu"))
+        g, mu = (
+            (parameters[:, PARAMETERS.index([name])] - MEANS[name]) / SDS[name]
+            for name in ("G", "mu")
+        )
         collapse = 1.0 + 0.2 * g
         rebound = torch.where(times > collapse, 0.8 + 0.1 * mu, 1.0)
-        radius = (0.1 + 0.9 * rebound * ((times - collapse).abs() / collapse).pow(0.4)).reshape(*shape, -1)
+        radius = (0.1 + 0.9 * rebound * ((times - collapse).abs() / collapse).pow(0.4)).reshape(
+            *shape, -1
+        )
         status = torch.full(shape, int(Status.DONE))
         none = torch.zeros_like(radius)
-        return Solution(times.reshape(*shape, -1), radius, none, none, status, torch.ones_like(status))
+        return Solution(
+            times.reshape(*shape, -1), radius, none, none, status, torch.ones_like(status)
+        )
 
     def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
         return self(parameters, designs, times)
@@ -42,13 +53,23 @@ def wrong_minima() -> int:
     """Of 24 gels, each searched for from two draws of the prior, those that are missed by 5 standard deviations."""
     wrong = 0
     for seed in range(CASES):
-        truth, noise = torch.randn(2, generator=generator(seed), dtype=torch.float64), generator(100 + seed)
-        gel = PARAMETERS.pack({name: MEANS[name] + SDS[name] * float(v) for name, v in zip(("G", "mu"), truth, strict=True)})
+        truth = torch.randn(2, generator=generator(seed), dtype=torch.float64)
+        noise = generator(100 + seed)
+        gel = PARAMETERS.pack(
+            {
+                name: MEANS[name] + SDS[name] * float(v)
+                for name, v in zip(("G", "mu"), truth, strict=True)
+            }
+        )
         radius = CuspedSimulator()(gel, tensor(500.0, 0.2), TIMES).radius
-        data = radius + NOISE.floor * torch.randn(1, len(TIMES), generator=noise, dtype=torch.float64)
+        data = radius + NOISE.floor * torch.randn(
+            1, len(TIMES), generator=noise, dtype=torch.float64
+        )
         batch = ExperimentBatch((Experiment("cusp", (500.0, 0.2), TIMES, data),), NOISE)
         options = SearchOptions(raw_samples=2, starts=2)
-        fit = assimilate(prior(("nhkv",)), batch, CuspedSimulator(), seed=seed, options=options).fits[0]
+        fit = assimilate(
+            prior(("nhkv",)), batch, CuspedSimulator(), seed=seed, options=options
+        ).fits[0]
         wrong += bool(((fit.mean - truth).abs() > 5.0 * torch.linalg.norm(fit.chol, dim=1)).any())
     return wrong
 
@@ -56,12 +77,18 @@ def wrong_minima() -> int:
 @pytest.mark.filterwarnings("ignore::imr_torch.errors.ConvergenceWarning")
 def test_that_chains_pass_frames_next_to_a_collapse(monkeypatch: pytest.MonkeyPatch) -> None:
     assert wrong_minima() <= 2
-    monkeypatch.setattr(masking, "away_from_collapses", lambda times, radius: torch.ones_like(times, dtype=torch.bool))
+    monkeypatch.setattr(
+        masking,
+        "away_from_collapses",
+        lambda times, radius: torch.ones_like(times, dtype=torch.bool),
+    )
     assert wrong_minima() >= 6
 
 
 def test_which_frames_are_next_to_a_collapse() -> None:
-    radius = tensor(1.0, 0.9, 0.8, 0.2, 0.5, 0.7, 0.6, 0.5, 0.3, 0.1)  # a collapse at frame 3, and one at the end of the record
+    radius = tensor(
+        1.0, 0.9, 0.8, 0.2, 0.5, 0.7, 0.6, 0.5, 0.3, 0.1
+    )  # a collapse at frame 3, and one at the end of the record
     kept = masking.away_from_collapses(torch.arange(10, dtype=torch.float64), radius)
     assert kept.tolist() == [True, True, False, False, False, True, True, True, False, False]
     for short in (tensor(1.0, 1.0, 1.0), tensor(1.0, 0.2, 0.9)):

@@ -1,11 +1,19 @@
-"""Fits that estimate the noise: its scale is found whatever the repeats, and a model that misses the data pays for it."""
+"""Fits that estimate the noise:
+
+its scale is found whatever the repeats, and a model that misses the data pays for it.
+"""
 
 from dataclasses import replace
 
 import pytest
 import torch
 
-from imr_torch.assimilate import SearchOptions, assimilate, assimilate_estimating_noise, noise_estimation
+from imr_torch.assimilate import (
+    SearchOptions,
+    assimilate,
+    assimilate_estimating_noise,
+    noise_estimation,
+)
 from imr_torch.observe import Experiment, ExperimentBatch
 from tests.linear import NOISE, LinearSimulator, prior, tensor
 
@@ -24,20 +32,33 @@ def filmed(scale: float, repeats: int, correlation_time: float = 0.0) -> Experim
     experiments = []
     for design in DESIGNS:
         truth = simulator(gel, tensor(*design), TIMES).radius
-        experiments.append(Experiment(f"We {design[0]}", design, TIMES, noise.draw(truth, TIMES, repeats, generator=source)))
+        experiments.append(
+            Experiment(
+                f"We {design[0]}",
+                design,
+                TIMES,
+                noise.draw(truth, TIMES, repeats, generator=source),
+            )
+        )
     return ExperimentBatch(tuple(experiments), NOISE)
 
 
 def fitted(batch: ExperimentBatch, rounds: int, models: tuple[str, ...] = ("nhkv",)):
-    return assimilate_estimating_noise(prior(models), batch, LinearSimulator(), rounds=rounds, seed=0, options=OPTIONS)
+    return assimilate_estimating_noise(
+        prior(models), batch, LinearSimulator(), rounds=rounds, seed=0, options=OPTIONS
+    )
 
 
 @pytest.mark.parametrize("repeats", [1, 8])
 def test_that_the_scale_is_found_and_intervals_widen_with_it(repeats: int) -> None:
     batch = filmed(3.0, repeats)
-    stated, found = fitted(batch, 0), fitted(batch, 2)
+    stated = fitted(batch, 0)
+    found = fitted(batch, 2)
     assert stated.batch.noise == NOISE
-    level = found.batch.of_frames.noise.sd(tensor(0.5), TIMES).mean() / NOISE.sd(tensor(0.5), TIMES).mean()
+    level = (
+        found.batch.of_frames.noise.sd(tensor(0.5), TIMES).mean()
+        / NOISE.sd(tensor(0.5), TIMES).mean()
+    )
     assert float(level) == pytest.approx(3.0, rel=0.15)  # 180 residuals: 5 % by chance
     wider = (found["nhkv"].chol.diagonal() / stated["nhkv"].chol.diagonal()).mean()
     assert float(wider) == pytest.approx(3.0, rel=0.2)
@@ -47,24 +68,37 @@ def test_that_noise_is_estimated_from_repeats_with_gaps_too() -> None:
     batch = filmed(1.0, 8)
     radius = batch.experiments[0].radius.clone()
     radius[0, 10:20] = torch.nan
-    batch = ExperimentBatch((replace(batch.experiments[0], radius=radius), *batch.experiments[1:]), NOISE)
-    whole, gaps = fitted(filmed(1.0, 8), 2), fitted(batch, 2)
+    batch = ExperimentBatch(
+        (replace(batch.experiments[0], radius=radius), *batch.experiments[1:]), NOISE
+    )
+    whole = fitted(filmed(1.0, 8), 2)
+    gaps = fitted(batch, 2)
     assert gaps["nhkv"].certificate.converged
-    assert gaps.batch.of_frames.noise.scale == pytest.approx(whole.batch.of_frames.noise.scale, rel=0.05)
+    assert gaps.batch.of_frames.noise.scale == pytest.approx(
+        whole.batch.of_frames.noise.scale, rel=0.05
+    )
     apart = (gaps["nhkv"].mean - whole["nhkv"].mean).abs()
-    assert bool((apart < 0.5 * whole["nhkv"].chol.norm(dim=1)).all())  # 10 frames of 1440 are missing
+    assert bool(
+        (apart < 0.5 * whole["nhkv"].chol.norm(dim=1)).all()
+    )  # 10 frames of 1440 are missing
 
 
-def test_that_a_model_that_misses_the_data_keeps_the_noise_of_the_camera_and_pays_in_its_intervals() -> None:
+def test_that_a_model_that_misses_the_data_keeps_the_noise_of_the_camera_and_pays_in_its_intervals() -> (
+    None
+):
     batch = filmed(1.0, 8)
     wrong, right = (fitted(batch, 2, (model,)).batch for model in ("newtonian", "nhkv"))
     for found in (wrong, right):
         assert found.of_frames.noise.scale == pytest.approx(1.0, rel=0.15)
     assert wrong.noise.scale > 2.0 * right.noise.scale
-    assert fitted(batch, 2, ("newtonian", "nhkv")).batch.noise.scale == pytest.approx(right.noise.scale, rel=1e-3)
+    assert fitted(batch, 2, ("newtonian", "nhkv")).batch.noise.scale == pytest.approx(
+        right.noise.scale, rel=1e-3
+    )
 
 
-def test_that_only_the_last_fits_are_held_to_the_tolerances_and_warned_of(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_that_only_the_last_fits_are_held_to_the_tolerances_and_warned_of(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     asked = []
 
     def noted(*args, options: SearchOptions, warn: bool, **kwargs):

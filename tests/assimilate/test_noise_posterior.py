@@ -1,4 +1,7 @@
-"""The noise as part of the posterior: closed forms, sums over laws by dense algebra, coverage, and intervals beside misfits."""
+"""The noise as part of the posterior:
+
+closed forms, sums over laws by dense algebra, coverage, and intervals beside misfits.
+"""
 
 import math
 from dataclasses import replace
@@ -36,28 +39,47 @@ def fitted(batch: ExperimentBatch) -> Assimilation:
 
 
 def nodes_of(batch: ExperimentBatch) -> NoiseNodes:
-    return NoiseNodes.of(KNOWN, Posterior(PART, batch, SIMULATOR).neighbourhood(fitted(batch)["nhkv"].point))
+    return NoiseNodes.of(
+        KNOWN, Posterior(PART, batch, SIMULATOR).neighbourhood(fitted(batch)["nhkv"].point)
+    )
 
 
 def by_brute_force(batch: ExperimentBatch, nodes: NoiseNodes) -> dict[str, torch.Tensor]:
     """Exact evidence and posterior over all laws of the nodes, by dense algebra."""
     found = [exact(PART, replace(batch, noise=nodes.law(number))) for number in range(len(nodes))]
-    values = torch.tensor([one.log_evidence for one in found], dtype=torch.float64) + nodes.log_prior.flatten()
-    mean, covariances = torch.stack([one.mean for one in found]), torch.stack([one.covariance for one in found])
+    values = (
+        torch.tensor([one.log_evidence for one in found], dtype=torch.float64)
+        + nodes.log_prior.flatten()
+    )
+    mean = torch.stack([one.mean for one in found])
+    covariances = torch.stack([one.covariance for one in found])
     weights = torch.softmax(values, 0)
     whole = weights @ mean
     apart = mean - whole
-    covariance = torch.einsum("m,mij->ij", weights, covariances + apart[:, :, None] * apart[:, None])
-    return {"evidence": torch.logsumexp(values, 0), "mean": whole, "covariance": covariance, "weights": weights}
+    covariance = torch.einsum(
+        "m,mij->ij", weights, covariances + apart[:, :, None] * apart[:, None]
+    )
+    return {
+        "evidence": torch.logsumexp(values, 0),
+        "mean": whole,
+        "covariance": covariance,
+        "weights": weights,
+    }
 
 
 @pytest.mark.parametrize("nuisance", [Nuisance(), UNCERTAIN])
 @pytest.mark.parametrize("law", [CORRELATED, replace(NOISE, scale=1.7)])
-def test_that_the_marginal_likelihood_is_the_exact_evidence_of_a_linear_model(nuisance: Nuisance, law: Noise) -> None:
+def test_that_the_marginal_likelihood_is_the_exact_evidence_of_a_linear_model(
+    nuisance: Nuisance, law: Noise
+) -> None:
     batch = experiments(3, nuisance=nuisance, noise=CORRELATED)
     near = Posterior(PART, batch, SIMULATOR).neighbourhood(fitted(batch)["nhkv"].point)
-    value = LocalNoise.of(near, (law,)).marginal(torch.tensor([[law.scale]], dtype=torch.float64).log())
-    assert float(value) == pytest.approx(exact(PART, replace(batch, noise=law)).log_evidence, abs=1e-6)
+    value = LocalNoise.of(near, (law,)).marginal(
+        torch.tensor([[law.scale]], dtype=torch.float64).log()
+    )
+    assert float(value) == pytest.approx(
+        exact(PART, replace(batch, noise=law)).log_evidence, abs=1e-6
+    )
 
 
 @pytest.mark.parametrize("nuisance", [Nuisance(), UNCERTAIN])
@@ -71,7 +93,9 @@ def test_that_about_the_fit_the_posterior_of_the_nodes_is_what_is_known(nuisance
 
 
 @pytest.mark.parametrize("nuisance", [Nuisance(), UNCERTAIN])
-def test_that_evidence_and_moments_over_the_noise_are_those_of_brute_force_sums(nuisance: Nuisance) -> None:
+def test_that_evidence_and_moments_over_the_noise_are_those_of_brute_force_sums(
+    nuisance: Nuisance,
+) -> None:
     batch = experiments(2, nuisance=nuisance, noise=CORRELATED)
     nodes = nodes_of(batch)
     expected = by_brute_force(batch, nodes)
@@ -79,10 +103,16 @@ def test_that_evidence_and_moments_over_the_noise_are_those_of_brute_force_sums(
     sample = fit.sample
     assert sample is not None
     assert sample.reliable
-    assert sample.log_evidence == pytest.approx(float(expected["evidence"]), abs=4.0 * sample.log_evidence_error + 0.01)
+    assert sample.log_evidence == pytest.approx(
+        float(expected["evidence"]), abs=4.0 * sample.log_evidence_error + 0.01
+    )
     assert bool(((sample.mean - expected["mean"]).abs() < 4.0 * sample.mean_error + 1e-3).all())
     sds = expected["covariance"].diagonal().sqrt()
-    assert bool(((sample.covariance.diagonal().sqrt() - sds).abs() < 4.0 * sample.sd_error + 0.01 * sds).all())
+    assert bool(
+        (
+            (sample.covariance.diagonal().sqrt() - sds).abs() < 4.0 * sample.sd_error + 0.01 * sds
+        ).all()
+    )
     whole = (PART.chol @ torch.linalg.cholesky(expected["covariance"])).norm(dim=1)
     assert bool((fit.posterior.chol.norm(dim=1) / whole - 1.0).abs().max() < 0.1)
 
@@ -92,7 +122,9 @@ def test_that_a_known_law_is_weighted_as_before() -> None:
     sample = weigh(fitted(batch), SIMULATOR, seed=0)["nhkv"].sample
     assert sample is not None
     assert (sample.noise, sample.noise_laws(3)) == (None, None)
-    assert sample.log_evidence == pytest.approx(exact(PART, batch).log_evidence, abs=4.0 * sample.log_evidence_error)
+    assert sample.log_evidence == pytest.approx(
+        exact(PART, batch).log_evidence, abs=4.0 * sample.log_evidence_error
+    )
 
 
 def film(seed: int, frames: int = 14) -> tuple[ExperimentBatch, torch.Tensor]:
@@ -111,7 +143,9 @@ def test_that_intervals_over_the_noise_cover_where_plugged_in_ones_are_narrower(
     wider = []
     for seed in range(60):
         batch, gel = film(1000 + seed)
-        fits = assimilate_estimating_noise(PRIOR, batch, SIMULATOR, rounds=2, seed=seed, options=OPTIONS, warn=False)
+        fits = assimilate_estimating_noise(
+            PRIOR, batch, SIMULATOR, rounds=2, seed=seed, options=OPTIONS, warn=False
+        )
         sds = []
         for kind, noise in (("plugged", None), ("integrated", noise_nodes(fits, SIMULATOR))):
             belief = weigh(fits, SIMULATOR, seed=seed, samples=128, noise=noise)["nhkv"].posterior
@@ -131,20 +165,28 @@ def test_that_held_out_curves_are_scored_over_the_noise() -> None:
     weighted = weigh(fitted(batch), SIMULATOR, seed=0, samples=1024, noise=nodes)
     score = cross_validate(weighted, SIMULATOR, seed=0, folds=[[1]], options=OPTIONS)[0]
     rest = ExperimentBatch((batch.experiments[0], batch.experiments[2]), batch.noise)
-    expected = float(by_brute_force(batch, nodes)["evidence"] - by_brute_force(rest, nodes)["evidence"])
+    expected = float(
+        by_brute_force(batch, nodes)["evidence"] - by_brute_force(rest, nodes)["evidence"]
+    )
     assert score.value == pytest.approx(expected, abs=4.0 * score.error + 0.05)
 
 
-def test_that_intervals_beside_residuals_that_drift_hold_and_those_of_independent_frames_do_not() -> None:
+def test_that_intervals_beside_residuals_that_drift_hold_and_those_of_independent_frames_do_not() -> (
+    None
+):
     inside: dict[str, list[bool]] = {"independent": [], "widened": []}
     for seed in range(40):
         batch, gel = drifting(seed)
-        fits = assimilate_estimating_noise(PRIOR, batch, Slow(), rounds=2, seed=seed, options=OPTIONS, warn=False)
+        fits = assimilate_estimating_noise(
+            PRIOR, batch, Slow(), rounds=2, seed=seed, options=OPTIONS, warn=False
+        )
         law = fits.batch.noise
         assert (law.correlation_time, law.widened > 1.5) == (0.0, True)
         for kind, one in (("independent", law.of_frames), ("widened", law)):
             found = exact(PART, replace(fits.batch, noise=one, noise_laws=None), Slow())
-            inside[kind] += ((gel - found.mean).abs() < 1.645 * found.covariance.diagonal().sqrt()).tolist()
+            inside[kind] += (
+                (gel - found.mean).abs() < 1.645 * found.covariance.diagonal().sqrt()
+            ).tolist()
     covered = {kind: sum(rows) / len(rows) for kind, rows in inside.items()}
     assert covered["independent"] < 0.75
     assert 0.8 < covered["widened"] < 0.97
@@ -152,10 +194,15 @@ def test_that_intervals_beside_residuals_that_drift_hold_and_those_of_independen
 
 def independent(seed: int, repeats: int = 1) -> ExperimentBatch:
     """Two curves of the model that is fitted, of independent frames."""
-    source, times = torch.Generator().manual_seed(seed), torch.linspace(0.05, 2.5, 40, dtype=torch.float64)
-    clean = Slow()(PART.to_si(torch.zeros(2, dtype=torch.float64)), tensor(400.0, 0.2), times).radius
+    source = torch.Generator().manual_seed(seed)
+    times = torch.linspace(0.05, 2.5, 40, dtype=torch.float64)
+    clean = Slow()(
+        PART.to_si(torch.zeros(2, dtype=torch.float64)), tensor(400.0, 0.2), times
+    ).radius
     rows = [NOISE.draw(clean, times, repeats, generator=source) for _ in range(2)]
-    return ExperimentBatch(tuple(Experiment(f"{k}", (400.0, 0.2), times, row) for k, row in enumerate(rows)), NOISE)
+    return ExperimentBatch(
+        tuple(Experiment(f"{k}", (400.0, 0.2), times, row) for k, row in enumerate(rows)), NOISE
+    )
 
 
 @pytest.mark.parametrize("repeats", [1, 6])
@@ -164,23 +211,38 @@ def test_that_intervals_stay_as_they_are_where_frames_are_independent(repeats: i
     factors = []
     for seed in range(16):
         batch = independent(seed, repeats)
-        fits = assimilate_estimating_noise(PRIOR, batch, Slow(), rounds=1, seed=seed, options=OPTIONS, warn=False)
+        fits = assimilate_estimating_noise(
+            PRIOR, batch, Slow(), rounds=1, seed=seed, options=OPTIONS, warn=False
+        )
         factors.append(fits.batch.noise.widened)
     assert sorted(factors)[8] < 1.05
     assert sum(factor > 1.3 for factor in factors) <= 2
 
 
 def test_that_repeats_tell_a_misfit_from_noise() -> None:
-    """Every repeat has the same deviation from the model: no noise, so the law stays, and intervals widen."""
+    """Every repeat has the same deviation from the model:
+
+    no noise, so the law stays, and intervals widen.
+    """
     batch = independent(0, 6)
     bent = 0.3 * torch.sin(3.0 * batch.experiments[0].times)
-    moved = replace(batch, experiments=tuple(replace(e, radius=e.radius + bent) for e in batch.experiments))
-    fits = assimilate_estimating_noise(PRIOR, moved, Slow(), rounds=2, seed=0, options=OPTIONS, warn=False)
-    level = float(fits.batch.of_frames.noise.sd(tensor(0.5), tensor(1.0)) / NOISE.sd(tensor(0.5), tensor(1.0)))
+    moved = replace(
+        batch, experiments=tuple(replace(e, radius=e.radius + bent) for e in batch.experiments)
+    )
+    fits = assimilate_estimating_noise(
+        PRIOR, moved, Slow(), rounds=2, seed=0, options=OPTIONS, warn=False
+    )
+    level = float(
+        fits.batch.of_frames.noise.sd(tensor(0.5), tensor(1.0)) / NOISE.sd(tensor(0.5), tensor(1.0))
+    )
     assert level == pytest.approx(1.0, rel=0.15)
     assert fits.batch.noise.widened > 2.0
-    assert fits.batch.noise.of_frames.sd(tensor(0.5), tensor(1.0)) > 2.0 * NOISE.sd(tensor(0.5), tensor(1.0))
-    assert math.isfinite(float(weigh(fits, Slow(), seed=0, noise=noise_nodes(fits, Slow()))["nhkv"].posterior.sds[0]))
+    assert fits.batch.noise.of_frames.sd(tensor(0.5), tensor(1.0)) > 2.0 * NOISE.sd(
+        tensor(0.5), tensor(1.0)
+    )
+    assert math.isfinite(
+        float(weigh(fits, Slow(), seed=0, noise=noise_nodes(fits, Slow()))["nhkv"].posterior.sds[0])
+    )
 
 
 def test_that_laws_of_frames_are_refused_beside_collapse_times() -> None:

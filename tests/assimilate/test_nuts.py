@@ -21,7 +21,10 @@ def fitted(batch: ExperimentBatch, simulator) -> Assimilation:
 
 
 def test_that_draws_of_a_linear_model_have_the_exact_moments() -> None:
-    """Means to 4 errors; energies mix over a few draws, so a variance counts a third of the draws."""
+    """Means to 4 errors;
+
+    energies mix over a few draws, so a variance counts a third of the draws.
+    """
     pytest.importorskip("pyro", reason="needs the extra nuts")
     batch = experiments(2, nuisance=BOTH)
     fit = fitted(batch, LinearSimulator()).fits[0]
@@ -34,17 +37,24 @@ def test_that_draws_of_a_linear_model_have_the_exact_moments() -> None:
     assert draws.converged
     assert draws.divergences == 0
     assert float(((draws.mean - truth.mean) / sds).abs().max()) < 4.0 / 1600**0.5
-    assert float((draws.covariance / truth.covariance - 1.0).abs().max()) < 4.0 * (2.0 * 3.0 / 1600) ** 0.5
+    assert (
+        float((draws.covariance / truth.covariance - 1.0).abs().max())
+        < 4.0 * (2.0 * 3.0 / 1600) ** 0.5
+    )
     nuisances = draws.nuisances.flatten(0, 1)
     torch.testing.assert_close(nuisances.mean(0), truth.nuisances, rtol=0.0, atol=0.1)
     assert float(nuisances[..., 0].abs().max()) == 0.0  # Rmax is known
 
 
-def test_that_draws_of_a_curved_posterior_agree_with_quadrature_where_the_gaussian_does_not() -> None:
+def test_that_draws_of_a_curved_posterior_agree_with_quadrature_where_the_gaussian_does_not() -> (
+    None
+):
     pytest.importorskip("pyro", reason="needs the extra nuts")
-    simulator, batch = CurvedSimulator(1.5), experiments(1)
+    simulator = CurvedSimulator(1.5)
+    batch = experiments(1)
     fit = fitted(batch, simulator).fits[0]
-    draws, truth = nuts(fit, batch, simulator, seed=0, draws=150), quadrature(fit, batch, simulator)
+    draws = nuts(fit, batch, simulator, seed=0, draws=150)
+    truth = quadrature(fit, batch, simulator)
     assert draws.converged
     sds = truth.covariance.diagonal().sqrt()
     assert float(((draws.mean - truth.mean) / sds).abs().max()) < 0.1
@@ -54,9 +64,12 @@ def test_that_draws_of_a_curved_posterior_agree_with_quadrature_where_the_gaussi
 
 def test_that_draws_through_the_polytropic_simulator_agree_with_importance_sampling() -> None:
     pytest.importorskip("pyro", reason="needs the extra nuts")
-    case, simulator = reference_case("soft-pa"), PolytropicSimulator()
+    case = reference_case("soft-pa")
+    simulator = PolytropicSimulator()
     times = torch.linspace(0.0, 0.8, 9, dtype=torch.float64)
-    laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(dict(case.truth)), repeats=1, times=times)
+    laboratory = SimulatedLaboratory(
+        simulator, PARAMETERS.pack(dict(case.truth)), repeats=1, times=times
+    )
     batch = ExperimentBatch((laboratory.shoot(tensor(300.0, 0.25), seed=0),))
     belief = Belief((case.prior["nhkv"],), tensor(0.0))
     weighted = weigh(assimilate(belief, batch, simulator, seed=0), simulator, seed=0, samples=1024)
@@ -70,7 +83,8 @@ def test_that_draws_through_the_polytropic_simulator_agree_with_importance_sampl
 def test_that_chains_that_disagree_or_count_for_little_have_not_converged() -> None:
     source = torch.Generator().manual_seed(0)
     controls = torch.randn(4, 200, 2, generator=source, dtype=torch.float64)
-    still, cost = torch.zeros(4, 200, 1, 3, dtype=torch.float64), torch.zeros(4, 200, dtype=torch.float64)
+    still = torch.zeros(4, 200, 1, 3, dtype=torch.float64)
+    cost = torch.zeros(4, 200, dtype=torch.float64)
     good = NutsDraws(controls, still, cost, 0)
     assert good.converged
     assert bool((good.effective_samples > 500.0).all())
@@ -97,7 +111,9 @@ def test_that_a_simulator_without_gradients_is_named() -> None:
 def test_that_a_fit_that_cannot_be_simulated_is_an_error() -> None:
     pytest.importorskip("pyro", reason="needs the extra nuts")
     batch = experiments(1)
-    with pytest.raises(ConvergenceError, match="0 of 64 draws of the fit could be simulated; 32 are needed"):
+    with pytest.raises(
+        ConvergenceError, match="0 of 64 draws of the fit could be simulated; 32 are needed"
+    ):
         nuts(fitted(batch, LinearSimulator()).fits[0], batch, LinearSimulator(fails=True), seed=0)
 
 

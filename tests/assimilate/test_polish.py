@@ -1,4 +1,7 @@
-"""The way down where Gauss-Newton crawls: to the minimum that is known, for gel and nuisances, and only where it is needed."""
+"""The way down where Gauss-Newton crawls:
+
+to the minimum that is known, for gel and nuisances, and only where it is needed.
+"""
 
 import math
 from dataclasses import replace
@@ -17,22 +20,28 @@ from tests.linear import MEANS, SDS, LinearSimulator, experiments, prior, tensor
 
 NOISE = Noise(floor=0.002, slope=0.0, drift=0.0)
 TIMES = torch.linspace(0.0, 3.0, 24, dtype=torch.float64)
-TURN, NEARLY_CENTRAL = 1.2, 0.02
+TURN = 1.2
+NEARLY_CENTRAL = 0.02
 STARTS = tensor((0.5, 0.3), (-0.5, 2.2))
 
 
 class Circle(LinearSimulator):
     """The control of ``mu`` leads the curve along a circle; data near its centre bend the cost as much as they slope it.
 
-    With data at a share ``s`` of the circle's radius the curvature is ``s`` times Gauss and Newton's, so each of their steps
-    goes only that share of the way.
+    With data at a share ``s`` of the circle's radius the curvature is ``s`` times Gauss and
+    Newton's, so each of their steps goes only that share of the way.
     """
 
     def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
         made = super().__call__(parameters, designs, times)
-        stiff, turn = ((parameters[..., PARAMETERS.index([n])[0], None] - MEANS[n]) / SDS[n] for n in ("G", "mu"))
+        stiff, turn = (
+            (parameters[..., PARAMETERS.index([n])[0], None] - MEANS[n]) / SDS[n]
+            for n in ("G", "mu")
+        )
         phase = 2.0 * math.pi * torch.arange(times.shape[-1]) / 12
-        radius = 0.6 + 0.3 * times + 0.1 * torch.cos(phase - turn) + 0.02 * stiff * torch.cos(2 * phase)
+        radius = (
+            0.6 + 0.3 * times + 0.1 * torch.cos(phase - turn) + 0.02 * stiff * torch.cos(2 * phase)
+        )
         return replace(made, radius=torch.where(made.radius.isfinite(), radius, torch.nan))
 
     def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
@@ -66,18 +75,28 @@ class FailsAlone(Circle):
 def nearly_central(nuisance: Nuisance | None = None) -> ExperimentBatch:
     phase = 2.0 * math.pi * torch.arange(len(TIMES)) / 12
     radius = 0.6 + 0.3 * TIMES + NEARLY_CENTRAL * 0.1 * torch.cos(phase - TURN)
-    return ExperimentBatch((Experiment("e", (300.0, 0.2), TIMES, radius[None], nuisance or Nuisance()),), NOISE)
+    return ExperimentBatch(
+        (Experiment("e", (300.0, 0.2), TIMES, radius[None], nuisance or Nuisance()),), NOISE
+    )
 
 
 def fitted(batch: ExperimentBatch):
     belief = prior(("nhkv",))
-    return assimilate(belief, batch, Circle(), seed=1, options=SearchOptions(raw_samples=24), starts=[STARTS], warn=False).fits[
-        0
-    ]
+    return assimilate(
+        belief,
+        batch,
+        Circle(),
+        seed=1,
+        options=SearchOptions(raw_samples=24),
+        starts=[STARTS],
+        warn=False,
+    ).fits[0]
 
 
 @pytest.mark.parametrize("nuisance", [None, Nuisance(time_zero=0.05)], ids=["certain", "uncertain"])
-def test_that_a_crawling_fit_arrives_and_would_not_alone(monkeypatch, nuisance: Nuisance | None) -> None:
+def test_that_a_crawling_fit_arrives_and_would_not_alone(
+    monkeypatch, nuisance: Nuisance | None
+) -> None:
     batch = nearly_central(nuisance)
     arrived = fitted(batch)
     assert arrived.certificate.converged
@@ -89,8 +108,12 @@ def test_that_a_crawling_fit_arrives_and_would_not_alone(monkeypatch, nuisance: 
 
 
 def test_that_a_minimum_is_one_under_the_solver_steps_of_the_leader_and_under_no_others() -> None:
-    """Behind its leader a polished chain is at rest; behind another one, however near, it would not be."""
-    posterior, options = Posterior(prior(("nhkv",)).models[0], nearly_central(), Rough()), SearchOptions()
+    """Behind its leader a polished chain is at rest;
+
+    behind another one, however near, it would not be.
+    """
+    posterior = Posterior(prior(("nhkv",)).models[0], nearly_central(), Rough())
+    options = SearchOptions()
     begun = Chains.at(posterior, Point(STARTS, posterior.still(2)), masking=False)
     (polished,), any_slow = polish.polish_slow([iterate(begun, options)], options)
     assert any_slow
@@ -104,12 +127,17 @@ def test_that_a_minimum_is_one_under_the_solver_steps_of_the_leader_and_under_no
 
 def test_that_a_fit_that_arrives_by_itself_is_left_alone(monkeypatch) -> None:
     monkeypatch.setattr(polish, "polish", lambda *_: pytest.fail("polished"))
-    found = assimilate(prior(), experiments(3), LinearSimulator(), seed=1, options=SearchOptions(raw_samples=24))
+    found = assimilate(
+        prior(), experiments(3), LinearSimulator(), seed=1, options=SearchOptions(raw_samples=24)
+    )
     assert found.converged
 
 
 def test_that_a_point_where_bubbles_fail_is_not_taken() -> None:
-    """The way to the minimum is barred at nearly half of it; the point ends on this side, lower than it began."""
+    """The way to the minimum is barred at nearly half of it;
+
+    the point ends on this side, lower than it began.
+    """
     batch = nearly_central()
     barred = Circle(limit={"mu": MEANS["mu"] + 0.8 * SDS["mu"]})
     posterior = Posterior(prior(("nhkv",)).models[0], batch, barred)
@@ -151,11 +179,15 @@ def _counting(neighbourhood, costs: list[float]):
 
 
 @pytest.mark.parametrize(("points", "polished"), [(12, 1), (140, 2)])
-def test_that_the_second_chain_is_left_where_the_first_did_not_arrive(monkeypatch, points: int, polished: int) -> None:
+def test_that_the_second_chain_is_left_where_the_first_did_not_arrive(
+    monkeypatch, points: int, polished: int
+) -> None:
     monkeypatch.setattr(polish, "_POINTS", points)
-    ends, real = [], polish.polish
+    ends = []
+    real = polish.polish
     monkeypatch.setattr(polish, "polish", lambda *given: ends.append(real(*given)) or ends[-1])
-    posterior, options = Posterior(prior(("nhkv",)).models[0], nearly_central(), Circle()), SearchOptions()
+    posterior = Posterior(prior(("nhkv",)).models[0], nearly_central(), Circle())
+    options = SearchOptions()
     begun = iterate(Chains.at(posterior, Point(STARTS, posterior.still(2)), masking=False), options)
     (chains,), any_slow = polish.polish_slow([begun], options)
     assert any_slow

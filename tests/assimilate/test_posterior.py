@@ -1,4 +1,7 @@
-"""The posterior of one model: its density, its slopes and its normal equations, against closed forms and other differences."""
+"""The posterior of one model:
+
+its density, its slopes and its normal equations, against closed forms and other differences.
+"""
 
 from dataclasses import replace
 
@@ -10,7 +13,17 @@ from imr_torch.assimilate import Neighbourhood, Point, Posterior
 from imr_torch.observe import ExperimentBatch, Nuisance, predict
 from imr_torch.random import generator
 from imr_torch.simulate import PolytropicSimulator, TransportSimulator
-from tests.linear import CORRELATED, MEANS, NOISE, SDS, LinearSimulator, exact, experiments, prior, tensor
+from tests.linear import (
+    CORRELATED,
+    MEANS,
+    NOISE,
+    SDS,
+    LinearSimulator,
+    exact,
+    experiments,
+    prior,
+    tensor,
+)
 
 BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
 ALL = Nuisance(max_radius=0.01, time_zero=0.02, rest_radius=0.05)
@@ -30,55 +43,87 @@ def points(posterior: Posterior, count: int) -> Point:
 @pytest.mark.parametrize("noise", [NOISE, CORRELATED], ids=["independent", "correlated"])
 def test_that_the_log_joint_is_likelihood_times_priors(noise) -> None:
     posterior = linear(experiments(3, nuisance=BOTH, noise=noise))
-    point, batch = points(posterior, 4), posterior.batch
-    prediction = predict(posterior.simulator, posterior.to_si(point.gel), batch, point.nuisances * batch.nuisance_sds)
+    point = points(posterior, 4)
+    batch = posterior.batch
+    prediction = predict(
+        posterior.simulator, posterior.to_si(point.gel), batch, point.nuisances * batch.nuisance_sds
+    )
     normal = torch.distributions.Normal(tensor(0.0), tensor(1.0))
-    constants = (point.gel[0].numel() + point.nuisances[0].numel()) * float(normal.log_prob(tensor(0.0)))
+    constants = (point.gel[0].numel() + point.nuisances[0].numel()) * float(
+        normal.log_prob(tensor(0.0))
+    )
     priors = normal.log_prob(point.gel).sum(-1) + normal.log_prob(point.nuisances).sum((-2, -1))
-    torch.testing.assert_close(posterior.log_joint(point), batch.log_likelihood(prediction).sum(-1) + priors - constants)
+    torch.testing.assert_close(
+        posterior.log_joint(point), batch.log_likelihood(prediction).sum(-1) + priors - constants
+    )
 
 
 def test_that_whitened_coordinates_are_standard_deviations_of_the_prior() -> None:
     posterior = linear(experiments(1))
-    assert posterior.to_si(tensor(0.0, 0.0))[:2].tolist() == pytest.approx([MEANS["G"], MEANS["mu"]])
+    assert posterior.to_si(tensor(0.0, 0.0))[:2].tolist() == pytest.approx(
+        [MEANS["G"], MEANS["mu"]]
+    )
     assert float(posterior.to_si(tensor(1.0, 0.0))[0]) == pytest.approx(MEANS["G"] + SDS["G"])
 
 
-def test_that_a_newton_step_from_anywhere_ends_at_the_exact_posterior_of_a_linear_simulator() -> None:
+def test_that_a_newton_step_from_anywhere_ends_at_the_exact_posterior_of_a_linear_simulator() -> (
+    None
+):
     posterior = linear(experiments(3, nuisance=BOTH, noise=CORRELATED))
     truth = exact(posterior.prior, posterior.batch)
     point = points(posterior, 4)
     equations = posterior.linearise(point)
     gel, nuisances = equations.step(torch.zeros(4, dtype=torch.float64))
     torch.testing.assert_close(point.gel + gel, truth.mean.expand(4, -1), rtol=0.0, atol=1e-6)
-    torch.testing.assert_close(point.nuisances + nuisances, truth.nuisances.expand(4, -1, -1), rtol=0.0, atol=1e-6)
+    torch.testing.assert_close(
+        point.nuisances + nuisances, truth.nuisances.expand(4, -1, -1), rtol=0.0, atol=1e-6
+    )
     covariance = equations.posterior_chol @ equations.posterior_chol.mT
     torch.testing.assert_close(covariance, truth.covariance.expand(4, -1, -1), rtol=1e-6, atol=1e-9)
 
 
-@pytest.mark.parametrize("simulator", [PolytropicSimulator(), TransportSimulator()], ids=["polytropic", "transport"])
+@pytest.mark.parametrize(
+    "simulator", [PolytropicSimulator(), TransportSimulator()], ids=["polytropic", "transport"]
+)
 def test_that_the_gradient_is_that_of_the_log_joint(simulator) -> None:
     """Against wide central differences, each with the solver steps of the point, along random directions."""
     batch = experiments(2, nuisance=ALL)
-    batch = ExperimentBatch(tuple(replace(e, radius=e.radius.clamp(0.1, 0.9)) for e in batch.experiments), NOISE)
+    batch = ExperimentBatch(
+        tuple(replace(e, radius=e.radius.clamp(0.1, 0.9)) for e in batch.experiments), NOISE
+    )
     posterior = replace(linear(batch), simulator=simulator)
     point = points(posterior, 1)[0]
-    equations, source = posterior.linearise(point), generator(1)
+    equations = posterior.linearise(point)
+    source = generator(1)
     for _ in range(3):
-        way = Point(*(torch.randn(x.shape, generator=source, dtype=torch.float64) for x in (point.gel, point.nuisances)))
-        expected = (equations.gel_gradient * way.gel).sum() + (equations.nuisance_gradient * way.nuisances).sum()
+        way = Point(
+            *(
+                torch.randn(x.shape, generator=source, dtype=torch.float64)
+                for x in (point.gel, point.nuisances)
+            )
+        )
+        expected = (equations.gel_gradient * way.gel).sum() + (
+            equations.nuisance_gradient * way.nuisances
+        ).sum()
         lengths = 1e-4 * tensor(0.0, 1.0, -1.0)
-        line = Point(point.gel + lengths[:, None] * way.gel, point.nuisances + lengths[:, None, None] * way.nuisances)
+        line = Point(
+            point.gel + lengths[:, None] * way.gel,
+            point.nuisances + lengths[:, None, None] * way.nuisances,
+        )
         cost = -posterior.log_joint(line, posterior.predict(line, bundled=True))
         assert float(cost[1] - cost[2]) / 2e-4 == pytest.approx(float(expected), rel=1e-3, abs=1e-3)
 
 
 def test_that_slopes_are_the_same_in_any_scale_and_behind_any_leader() -> None:
     posterior = linear(experiments(3, nuisance=BOTH))
-    point, other = points(posterior, 2), points(posterior, 3)[1:]
+    point = points(posterior, 2)
+    other = points(posterior, 3)[1:]
     plain = posterior.neighbourhood(point)
     turned = torch.tensor([[0.2, 0.5], [-0.1, 0.4]], dtype=torch.float64).expand(2, 2, 2)
-    for near in (posterior.neighbourhood(point, turned), posterior.neighbourhood(point, leader=other)):
+    for near in (
+        posterior.neighbourhood(point, turned),
+        posterior.neighbourhood(point, leader=other),
+    ):
         for one, two in zip(plain.slopes, near.slopes, strict=True):
             torch.testing.assert_close(one, two, rtol=1e-6, atol=1e-8)
 
@@ -101,7 +146,9 @@ def test_that_a_neighbour_that_fails_after_some_frames_tells_nothing() -> None:
     near = linear(batch).neighbourhood(Point(tensor(0.0, 0.0), linear(batch).still()))
     by_gel, by_nuisance = near.slopes
     prediction = near.prediction.clone()
-    prediction[1, 0, -1] = prediction[3, 1, -1] = torch.nan  # G moved in one experiment, a nuisance in the other
+    prediction[1, 0, -1] = prediction[3, 1, -1] = (
+        torch.nan
+    )  # G moved in one experiment, a nuisance in the other
     lost = replace(near, prediction=prediction).slopes
     assert float(lost[0][0, :, 0].abs().max()) == float(lost[1][1, :, 1].abs().max()) == 0.0
     torch.testing.assert_close(lost[0][1], by_gel[1])

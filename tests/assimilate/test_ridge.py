@@ -1,4 +1,7 @@
-"""Ridges: a bent posterior is covered to its ends, even where it folds back; failures end a side and no more."""
+"""Ridges: a bent posterior is covered to its ends, even where it folds back;
+
+failures end a side and no more.
+"""
 
 import pytest
 import torch
@@ -16,30 +19,43 @@ OPTIONS = SearchOptions(raw_samples=24)
 @pytest.mark.parametrize("bend", [0.5, 1.5])
 def test_that_a_bent_posterior_is_covered_to_its_ends(bend: float, seed: int) -> None:
     """G all but mute, so that its posterior is as wide as its prior, and mu bends along it, by up to ten times its width."""
-    simulator, batch = CurvedSimulator(bend, mute=0.05), experiments(3)
-    fit = weigh(assimilate(prior(("nhkv",)), batch, simulator, seed=seed, options=OPTIONS), simulator, seed=seed).fits[0]
-    truth, sample = quadrature(fit, batch, simulator, points=241), fit.sample
+    simulator = CurvedSimulator(bend, mute=0.05)
+    batch = experiments(3)
+    fit = weigh(
+        assimilate(prior(("nhkv",)), batch, simulator, seed=seed, options=OPTIONS),
+        simulator,
+        seed=seed,
+    ).fits[0]
+    truth = quadrature(fit, batch, simulator, points=241)
+    sample = fit.sample
     assert fit.verdict is Verdict.REPAIRED
     assert sample.rounds <= 3
     assert sample.effective_samples > 100.0
     sds, found = (c.diagonal().sqrt() for c in (truth.covariance, sample.covariance))
     assert bool(((sample.mean - truth.mean).abs() < 4.0 * sample.mean_error).all())
     assert bool(((found - sds).abs() < 4.0 * sample.sd_error).all())
-    assert sample.log_evidence == pytest.approx(truth.log_evidence, abs=4.0 * sample.log_evidence_error)
+    assert sample.log_evidence == pytest.approx(
+        truth.log_evidence, abs=4.0 * sample.log_evidence_error
+    )
 
 
 def test_that_the_proposal_for_a_gaussian_is_made_for_that_gaussian() -> None:
-    fits = assimilate(prior(("newtonian", "gen_qkv")), experiments(2), LinearSimulator(), seed=1, options=OPTIONS).fits
+    fits = assimilate(
+        prior(("newtonian", "gen_qkv")), experiments(2), LinearSimulator(), seed=1, options=OPTIONS
+    ).fits
     for fit in fits:
         proposal = trace_ridge(fit, experiments(2), LinearSimulator())
         torch.testing.assert_close(proposal.mean, fit.mean, atol=1e-2, rtol=0.0)
-        torch.testing.assert_close(proposal.chol @ proposal.chol.mT, fit.chol @ fit.chol.mT, rtol=0.02, atol=0.02)
+        torch.testing.assert_close(
+            proposal.chol @ proposal.chol.mT, fit.chol @ fit.chol.mT, rtol=0.02, atol=0.02
+        )
 
 
 def test_that_nuisances_go_along_the_ridge() -> None:
     """With each point's own nuisances the ridge is followed to where the profile is low, and weighing is content."""
     nuisance = Nuisance(time_zero=0.2, rest_radius=0.3)
-    simulator, batch = CurvedSimulator(0.7, mute=0.1), experiments(2, nuisance=nuisance)
+    simulator = CurvedSimulator(0.7, mute=0.1)
+    batch = experiments(2, nuisance=nuisance)
     fits = assimilate(prior(("nhkv",)), batch, simulator, seed=1, options=OPTIONS)
     proposal = trace_ridge(fits.fits[0], batch, simulator)
     assert float(proposal.weights[0]) < 2e-3
@@ -59,10 +75,15 @@ def test_that_failing_bubbles_end_one_side() -> None:
 
 
 def test_that_a_repaired_belief_hands_on_a_cloud_with_the_width_that_it_has_locally() -> None:
-    """Across the ridge the moments are many times as wide as the belief is anywhere; a straight one has no cloud."""
+    """Across the ridge the moments are many times as wide as the belief is anywhere;
+
+    a straight one has no cloud.
+    """
     batch = experiments(3)
     bent, straight = (
-        weigh(assimilate(prior(("nhkv",)), batch, s, seed=0, options=OPTIONS), s, seed=0).fits[0].posterior
+        weigh(assimilate(prior(("nhkv",)), batch, s, seed=0, options=OPTIONS), s, seed=0)
+        .fits[0]
+        .posterior
         for s in (CurvedSimulator(1.5, mute=0.05), CurvedSimulator(0.0, mute=0.05))
     )
     assert straight.cloud is None
@@ -71,5 +92,7 @@ def test_that_a_repaired_belief_hands_on_a_cloud_with_the_width_that_it_has_loca
     assert len(local) == 64
     assert float((moments - local).median()) > 2.0
     torch.testing.assert_close(bent.cloud.controls.mean(0), bent.mean, rtol=0.0, atol=0.15)
-    scatter = torch.cov(bent.cloud.controls.mT).diagonal().sqrt() / torch.linalg.norm(bent.chol, dim=1)
+    scatter = torch.cov(bent.cloud.controls.mT).diagonal().sqrt() / torch.linalg.norm(
+        bent.chol, dim=1
+    )
     assert bool(((scatter > 0.85) & (scatter < 1.15)).all())

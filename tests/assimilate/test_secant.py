@@ -1,4 +1,7 @@
-"""Sensitivities carried along a step: exact where the model is linear, exact along the step where it is not."""
+"""Sensitivities carried along a step:
+
+exact where the model is linear, exact along the step where it is not.
+"""
 
 from dataclasses import replace
 
@@ -6,7 +9,15 @@ import pytest
 import torch
 
 from imr_torch import reference_case
-from imr_torch.assimilate import Assimilation, Neighbourhood, Point, Posterior, SearchOptions, assimilate, descent
+from imr_torch.assimilate import (
+    Assimilation,
+    Neighbourhood,
+    Point,
+    Posterior,
+    SearchOptions,
+    assimilate,
+    descent,
+)
 from imr_torch.assimilate.secant import carried
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import ExperimentBatch, Nuisance, SimulatedLaboratory
@@ -21,10 +32,16 @@ ALL = Nuisance(max_radius=0.01, time_zero=0.02, rest_radius=0.05)
 def _step(simulator: Simulator, nuisance: Nuisance) -> tuple[Neighbourhood, Neighbourhood, Point]:
     """The neighbourhoods of two chains, those carried along a step of each, and the steps."""
     posterior = Posterior(prior(("nhkv",)).models[0], experiments(3, nuisance=nuisance), simulator)
-    draws, sds = generator(0), (posterior.batch.nuisance_sds > 0.0).double()
-    gel, step = (0.1 * torch.randn(2, 2, posterior.size, generator=draws, dtype=torch.float64)).unbind()
-    shifts, moved = (0.1 * torch.randn(2, *posterior.still(2).shape, generator=draws, dtype=torch.float64) * sds).unbind()
-    point, end = Point(gel, shifts), Point(gel + step, shifts + moved)
+    draws = generator(0)
+    sds = (posterior.batch.nuisance_sds > 0.0).double()
+    gel, step = (
+        0.1 * torch.randn(2, 2, posterior.size, generator=draws, dtype=torch.float64)
+    ).unbind()
+    shifts, moved = (
+        0.1 * torch.randn(2, *posterior.still(2).shape, generator=draws, dtype=torch.float64) * sds
+    ).unbind()
+    point = Point(gel, shifts)
+    end = Point(gel + step, shifts + moved)
     near = posterior.neighbourhood(point)
     return near, carried(near, near.equations, end, posterior.predict(end)), Point(step, moved)
 
@@ -55,17 +72,27 @@ def test_that_sensitivities_in_directions_without_a_step_are_carried_unchanged()
 def _found(monkeypatch: pytest.MonkeyPatch, further: int) -> Assimilation:
     """Two models from far starts, on five repeats of two bubbles of one of them."""
     monkeypatch.setattr(descent, "_FURTHER", further)
-    case, simulator = reference_case("soft-pa"), PolytropicSimulator()
+    case = reference_case("soft-pa")
+    simulator = PolytropicSimulator()
     laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
-    shots = [laboratory.shoot(torch.tensor(d, dtype=torch.float64), seed=1) for d in ((400.0, 0.22), (700.0, 0.16))]
+    shots = [
+        laboratory.shoot(torch.tensor(d, dtype=torch.float64), seed=1)
+        for d in ((400.0, 0.22), (700.0, 0.16))
+    ]
     batch = ExperimentBatch(tuple(replace(shot, nuisance=ALL) for shot in shots))
     far = torch.tensor([[1.5, -1.5, 0.5], [-1.5, 1.5, -0.5]], dtype=torch.float64)
     options = SearchOptions(starts=2, basin_rounds=0, polish=False)
-    return assimilate(case.prior, batch, simulator, seed=0, options=options, starts=[far[:, :2], far], warn=False)
+    return assimilate(
+        case.prior, batch, simulator, seed=0, options=options, starts=[far[:, :2], far], warn=False
+    )
 
 
-def test_that_further_steps_lead_to_the_same_minima_in_fewer_iterations(monkeypatch: pytest.MonkeyPatch) -> None:
-    for single, several in zip(_found(monkeypatch, 0).fits, _found(monkeypatch, 3).fits, strict=True):
+def test_that_further_steps_lead_to_the_same_minima_in_fewer_iterations(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for single, several in zip(
+        _found(monkeypatch, 0).fits, _found(monkeypatch, 3).fits, strict=True
+    ):
         assert single.certificate.converged
         assert several.certificate.converged
         assert several.cost == pytest.approx(single.cost, abs=1e-4)

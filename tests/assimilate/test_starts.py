@@ -1,4 +1,7 @@
-"""Starts about an earlier optimum: as far away as they say, with nuisances where they are most probable at their gels."""
+"""Starts about an earlier optimum:
+
+as far away as they say, with nuisances where they are most probable at their gels.
+"""
 
 import pytest
 import torch
@@ -19,7 +22,9 @@ def test_that_starts_beside_an_optimum_cost_what_their_distance_says() -> None:
     fit = assimilate(belief, BATCH, LinearSimulator(), seed=1, options=OPTIONS).fits[0]
     posterior = Posterior(belief.models[0], BATCH, LinearSimulator())
     point = beside(posterior, fit, OPTIONS, generator(2))
-    away = torch.linalg.solve_triangular(fit.chol, (point.gel - fit.mean).mT, upper=False).norm(dim=0)
+    away = torch.linalg.solve_triangular(fit.chol, (point.gel - fit.mean).mT, upper=False).norm(
+        dim=0
+    )
     above = -posterior.log_joint(point) - fit.cost
     assert float(away[0]) == 0.0
     assert bool((away[1:] > 0.1).all())
@@ -30,6 +35,9 @@ def test_that_starts_beside_an_optimum_cost_what_their_distance_says() -> None:
 @pytest.mark.parametrize("many", [False, True], ids=["the same for all", "of each start"])
 def test_that_nuisances_are_given_for_all_starts_or_for_each(many: bool) -> None:
     posterior = Posterior(prior(("nhkv",)).models[0], BATCH, LinearSimulator())
-    gels, nuisances = tensor([0.0, 0.0], [1.0, -1.0]), torch.randn(2, 3, 3, generator=generator(0), dtype=torch.float64)
+    gels = tensor([0.0, 0.0], [1.0, -1.0])
+    nuisances = torch.randn(2, 3, 3, generator=generator(0), dtype=torch.float64)
     (point,) = given([posterior], [gels], [nuisances if many else nuisances[0]])
-    torch.testing.assert_close(point.nuisances, nuisances if many else nuisances[:1].expand(2, -1, -1))
+    torch.testing.assert_close(
+        point.nuisances, nuisances if many else nuisances[:1].expand(2, -1, -1)
+    )

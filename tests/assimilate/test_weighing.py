@@ -30,27 +30,38 @@ def changed(assimilation: Assimilation, **fields) -> Assimilation:
 
 
 def test_that_a_gaussian_posterior_is_trusted_in_one_round(simple: Assimilation) -> None:
-    before, after = simple.fits[0], weigh(simple, LinearSimulator(), seed=0).fits[0]
+    before = simple.fits[0]
+    after = weigh(simple, LinearSimulator(), seed=0).fits[0]
     assert before.verdict is Verdict.UNCHECKED
     assert before.trust.startswith("no draws were weighted")
     assert after.verdict is Verdict.TRUSTED
     assert after.sample.rounds == 1
     assert after.sample.effective_samples > 200.0
-    assert after.trust.startswith("intervals trusted: weighted draws confirm the fitted Gaussian (k ")
+    assert after.trust.startswith(
+        "intervals trusted: weighted draws confirm the fitted Gaussian (k "
+    )
     assert after.trust.endswith("of 256)")
     sds = torch.linalg.norm(before.posterior.chol, dim=1)
     moved = (after.posterior.mean - before.posterior.mean).abs() / sds
-    assert float(moved.max()) < 0.03  # what chance leaves of a correction that is not needed; .06 by weighted draws alone
+    assert (
+        float(moved.max()) < 0.03
+    )  # what chance leaves of a correction that is not needed; .06 by weighted draws alone
     torch.testing.assert_close(
-        torch.linalg.norm(after.posterior.chol, dim=1) / sds, torch.ones(2).double(), rtol=0.0, atol=0.03
+        torch.linalg.norm(after.posterior.chol, dim=1) / sds,
+        torch.ones(2).double(),
+        rtol=0.0,
+        atol=0.03,
     )
     assert simple.fits[0].sample is None
 
 
 @pytest.mark.parametrize("shift", [0.0, 1.0, 4.0])
 @pytest.mark.parametrize("width", [0.1, 0.3, 1.7])
-def test_that_a_wrong_gaussian_is_repaired_to_the_exact_posterior(simple: Assimilation, width: float, shift: float) -> None:
-    fit, truth = simple.fits[0], exact(simple.prior.models[0], simple.batch)
+def test_that_a_wrong_gaussian_is_repaired_to_the_exact_posterior(
+    simple: Assimilation, width: float, shift: float
+) -> None:
+    fit = simple.fits[0]
+    truth = exact(simple.prior.models[0], simple.batch)
     mean = fit.mean + shift * fit.chol[:, 0]
     wrong = changed(simple, mean=mean, chol=width * fit.chol, nuisances=fit.nuisances_at(mean))
     right = weigh(wrong, LinearSimulator(), seed=0, samples=256, rounds=8).fits[0]
@@ -61,10 +72,14 @@ def test_that_a_wrong_gaussian_is_repaired_to_the_exact_posterior(simple: Assimi
     assert bool(((sample.mean - truth.mean).abs() < 4.0 * sample.mean_error).all())
     sds = truth.covariance.diagonal().sqrt()
     assert bool(((sample.covariance.diagonal().sqrt() - sds).abs() < 4.0 * sample.sd_error).all())
-    assert sample.log_evidence == pytest.approx(truth.log_evidence, abs=5.0 * sample.log_evidence_error)
+    assert sample.log_evidence == pytest.approx(
+        truth.log_evidence, abs=5.0 * sample.log_evidence_error
+    )
     chol = right.prior.chol
     torch.testing.assert_close(right.posterior.mean, right.prior.mean + chol @ sample.mean)
-    torch.testing.assert_close(right.posterior.chol @ right.posterior.chol.mT, chol @ sample.covariance @ chol.mT)
+    torch.testing.assert_close(
+        right.posterior.chol @ right.posterior.chol.mT, chol @ sample.covariance @ chol.mT
+    )
 
 
 def test_that_a_gaussian_far_too_narrow_shows_a_heavy_tail(simple: Assimilation) -> None:
@@ -76,7 +91,9 @@ def test_that_a_gaussian_far_too_narrow_shows_a_heavy_tail(simple: Assimilation)
     assert torch.equal(once.posterior.mean, narrow.fits[0].posterior.mean)
 
 
-@pytest.mark.parametrize(("width", "left"), [(1.5, 300), (0.8, 700)])  # by a Gaussian that is too narrow, 484 are left
+@pytest.mark.parametrize(
+    ("width", "left"), [(1.5, 300), (0.8, 700)]
+)  # by a Gaussian that is too narrow, 484 are left
 def test_that_nuisances_are_integrated_out_even_where_their_gaussian_is_wrong(
     simple: Assimilation, width: float, left: int
 ) -> None:
@@ -85,7 +102,9 @@ def test_that_nuisances_are_integrated_out_even_where_their_gaussian_is_wrong(
     truth = exact(simple.prior.models[0], simple.batch)
     sample = weigh(wrong, LinearSimulator(), seed=0, samples=2048, rounds=1).fits[0].sample
     assert bool(((sample.mean - truth.mean).abs() < 4.0 * sample.mean_error).all())
-    assert sample.log_evidence == pytest.approx(truth.log_evidence, abs=4.0 * sample.log_evidence_error)
+    assert sample.log_evidence == pytest.approx(
+        truth.log_evidence, abs=4.0 * sample.log_evidence_error
+    )
     assert sample.log_evidence_error > 0.005
     assert sample.effective_samples > left
 
@@ -101,25 +120,33 @@ def test_that_kept_nuisances_are_draws_of_their_posterior(simple: Assimilation) 
 
 @pytest.mark.parametrize("bend", [0.0, 0.5, 1.5])
 def test_that_moments_of_a_curved_posterior_equal_quadrature(bend: float) -> None:
-    simulator, batch = CurvedSimulator(bend), experiments(1)
+    simulator = CurvedSimulator(bend)
+    batch = experiments(1)
     fit = weigh(fitted(batch, simulator), simulator, seed=0, samples=1024, rounds=6).fits[0]
-    truth, sample = quadrature(fit, batch, simulator), fit.sample
+    truth = quadrature(fit, batch, simulator)
+    sample = fit.sample
     assert fit.verdict is (Verdict.REPAIRED if bend else Verdict.TRUSTED)
     assert bool(((sample.mean - truth.mean).abs() < 4.0 * sample.mean_error).all())
     sds = truth.covariance.diagonal().sqrt()
     assert bool(((sample.covariance.diagonal().sqrt() - sds).abs() < 4.0 * sample.sd_error).all())
-    assert sample.log_evidence == pytest.approx(truth.log_evidence, abs=4.0 * sample.log_evidence_error)
+    assert sample.log_evidence == pytest.approx(
+        truth.log_evidence, abs=4.0 * sample.log_evidence_error
+    )
     gaussian = ((fit.mean - truth.mean).abs() / sds).max()
     repaired = ((sample.mean - truth.mean).abs() / sds).max()
     assert float(repaired) < 0.15
     assert not bend or float(gaussian) > 2.0 * float(repaired)
 
 
-def test_that_quantiles_of_a_curved_posterior_are_those_of_its_draws_and_not_of_a_gaussian() -> None:
-    simulator, batch = CurvedSimulator(1.5), experiments(1)
+def test_that_quantiles_of_a_curved_posterior_are_those_of_its_draws_and_not_of_a_gaussian() -> (
+    None
+):
+    simulator = CurvedSimulator(1.5)
+    batch = experiments(1)
     fit = weigh(fitted(batch, simulator), simulator, seed=0, samples=4096, rounds=6).fits[0]
     assert fit.verdict is Verdict.REPAIRED
-    truth, levels = quadrature(fit, batch, simulator), [0.05, 0.5, 0.95]
+    truth = quadrature(fit, batch, simulator)
+    levels = [0.05, 0.5, 0.95]
     for column, marginal in enumerate(fit.prior.marginals):
         controls = marginal.to_control(fit.posterior.quantile(levels)[:, column])
         found = (controls - fit.prior.mean[column]) / fit.prior.chol[column, column]
@@ -129,27 +156,39 @@ def test_that_quantiles_of_a_curved_posterior_are_those_of_its_draws_and_not_of_
 def test_that_the_draws_of_a_model_do_not_depend_on_company() -> None:
     batch = experiments(2, nuisance=BOTH)
     together = weigh(fitted(batch, models=("newtonian", "nhkv")), LinearSimulator(), seed=0)
-    alone = weigh(replace(together, fits=(replace(together["nhkv"], sample=None),)), LinearSimulator(), seed=0)
+    alone = weigh(
+        replace(together, fits=(replace(together["nhkv"], sample=None),)), LinearSimulator(), seed=0
+    )
     assert torch.equal(alone.fits[0].sample.controls, together["nhkv"].sample.controls)
-    torch.testing.assert_close(alone.fits[0].sample.by_experiment, together["nhkv"].sample.by_experiment)
+    torch.testing.assert_close(
+        alone.fits[0].sample.by_experiment, together["nhkv"].sample.by_experiment
+    )
     torch.testing.assert_close(alone.fits[0].sample.nuisances, together["nhkv"].sample.nuisances)
 
 
 def test_that_the_discrepancy_is_the_divergence_of_gaussians(simple: Assimilation) -> None:
     """A Gaussian 1.5 times too wide, one standard deviation off: KL(exact || it) in closed form."""
-    fit, truth = simple.fits[0], exact(simple.prior.models[0], simple.batch)
-    mean, chol = fit.mean + fit.chol[:, 1], 1.5 * fit.chol
+    fit = simple.fits[0]
+    truth = exact(simple.prior.models[0], simple.batch)
+    mean = fit.mean + fit.chol[:, 1]
+    chol = 1.5 * fit.chol
     off = changed(simple, mean=mean, chol=chol, nuisances=fit.nuisances_at(mean))
     after = weigh(off, LinearSimulator(), seed=0, samples=4096).fits[0]
     normal = torch.distributions.MultivariateNormal
-    expected = torch.distributions.kl_divergence(normal(truth.mean, truth.covariance), normal(mean, scale_tril=chol))
+    expected = torch.distributions.kl_divergence(
+        normal(truth.mean, truth.covariance), normal(mean, scale_tril=chol)
+    )
     assert after.sample.divergence(mean, chol) == pytest.approx(float(expected), abs=0.03)
 
 
 def test_that_failed_draws_weigh_nothing_and_all_failed_is_an_error(simple: Assimilation) -> None:
     fit = simple.fits[0]
     middle = float(fit.parameters(fit.mean)[0])
-    sample = weigh(simple, LinearSimulator(limit={"G": middle}), seed=0, samples=1024, rounds=1).fits[0].sample
+    sample = (
+        weigh(simple, LinearSimulator(limit={"G": middle}), seed=0, samples=1024, rounds=1)
+        .fits[0]
+        .sample
+    )
     assert sample.failed == pytest.approx(512, abs=80)
     assert float(sample.weights[torch.isinf(sample.log_weights)].sum()) == 0.0
     with pytest.raises(ConvergenceError, match=r"nhkv: none of 256 draws could be simulated"):
@@ -157,16 +196,23 @@ def test_that_failed_draws_weigh_nothing_and_all_failed_is_an_error(simple: Assi
 
 
 @pytest.mark.parametrize(("samples", "rounds"), [(24, 4), (256, 0)])
-def test_that_too_few_samples_or_rounds_are_refused(simple: Assimilation, samples: int, rounds: int) -> None:
+def test_that_too_few_samples_or_rounds_are_refused(
+    simple: Assimilation, samples: int, rounds: int
+) -> None:
     with pytest.raises(InputDataError, match=r"must be at least 25, and rounds"):
         weigh(simple, LinearSimulator(), seed=0, samples=samples, rounds=rounds)
 
 
 def test_that_the_noise_of_the_weights_alone_condemns_nothing() -> None:
-    """Over 30 seeds a Gaussian posterior is never repaired: the divergence that Monte Carlo error makes is taken off."""
+    """Over 30 seeds a Gaussian posterior is never repaired:
+
+    the divergence that Monte Carlo error makes is taken off.
+    """
     batch = ExperimentBatch(experiments(1).experiments, NOISE)
     fit = fitted(batch, models=("gen_qkv",))
-    verdicts = [weigh(fit, LinearSimulator(), seed=seed, samples=100).fits[0].verdict for seed in range(30)]
+    verdicts = [
+        weigh(fit, LinearSimulator(), seed=seed, samples=100).fits[0].verdict for seed in range(30)
+    ]
     assert verdicts.count(Verdict.TRUSTED) >= 28
 
 
@@ -180,7 +226,9 @@ def test_that_weighing_depends_on_the_seed_alone(simple: Assimilation) -> None:
     assert tensor(one.log_evidence) == tensor(same.log_evidence)
 
 
-def test_that_a_draw_whose_clock_is_impossible_weighs_nothing_and_does_not_end_the_batch(simple: Assimilation) -> None:
+def test_that_a_draw_whose_clock_is_impossible_weighs_nothing_and_does_not_end_the_batch(
+    simple: Assimilation,
+) -> None:
     """A conditional Gaussian of the time zero so wide that records would begin long before the maximum radius."""
 
     class Strict(LinearSimulator):
@@ -195,13 +243,25 @@ def test_that_a_draw_whose_clock_is_impossible_weighs_nothing_and_does_not_end_t
 
 
 def test_that_a_model_that_is_improbable_by_its_evidence_alone_gets_one_round() -> None:
-    """Both optima are alike; what sets the models apart is the volume of a parameter that the data do not need."""
-    both = assimilate(prior(("nhkv", "gen_qkv")), experiments(3), LinearSimulator(), seed=1, options=OPTIONS)
+    """Both optima are alike;
+
+    what sets the models apart is the volume of a parameter that the data do not need.
+    """
+    both = assimilate(
+        prior(("nhkv", "gen_qkv")), experiments(3), LinearSimulator(), seed=1, options=OPTIONS
+    )
     assert abs(both["gen_qkv"].cost - both["nhkv"].cost) < 1.0
     tight = replace(both, fits=tuple(replace(fit, chol=0.7 * fit.chol) for fit in both.fits))
     for drop_behind, again in ((2.0, False), (4.0, True)):
         said: list[str] = []
-        weighted = weigh(tight, LinearSimulator(), seed=0, samples=256, drop_behind=drop_behind, progress=said.append)
+        weighted = weigh(
+            tight,
+            LinearSimulator(),
+            seed=0,
+            samples=256,
+            drop_behind=drop_behind,
+            progress=said.append,
+        )
         assert (weighted["gen_qkv"].sample.rounds > 1) == again
         assert weighted["nhkv"].sample.rounds > 1
         assert len(said) == max(fit.sample.rounds for fit in weighted.fits)
@@ -209,7 +269,9 @@ def test_that_a_model_that_is_improbable_by_its_evidence_alone_gets_one_round() 
 
 def test_that_later_rounds_draw_more_and_hopeless_models_get_one() -> None:
     batch = experiments(3)
-    both = assimilate(prior(("newtonian", "nhkv")), batch, LinearSimulator(), seed=1, options=OPTIONS)
+    both = assimilate(
+        prior(("newtonian", "nhkv")), batch, LinearSimulator(), seed=1, options=OPTIONS
+    )
     gap = max(fit.cost for fit in both.fits) - min(fit.cost for fit in both.fits)
     poor = replace(both, fits=tuple(replace(fit, chol=0.02 * fit.chol) for fit in both.fits))
     best = min(poor.fits, key=lambda fit: fit.cost).model
@@ -218,7 +280,9 @@ def test_that_later_rounds_draw_more_and_hopeless_models_get_one() -> None:
         behind = next(fit for fit in weighted.fits if fit.model != best)
         assert min(behind.sample.rounds, 2) == expected
         assert weighted[best].sample.rounds > 1
-        assert len(behind.sample) == 25 if expected == 1 else len(behind.sample) >= 32  # a quarter, but not fewer than 25
+        assert (
+            len(behind.sample) == 25 if expected == 1 else len(behind.sample) >= 32
+        )  # a quarter, but not fewer than 25
         assert len(weighted[best].sample) == 32 * 2 ** max(0, weighted[best].sample.rounds - 2)
 
 
@@ -228,9 +292,14 @@ def test_that_a_third_round_has_more_nuisances_where_the_second_lost_most_of_its
 ) -> None:
     """One draw that outweighs all others by 30 nats leaves one effective draw."""
     fit = weigh(simple, LinearSimulator(), seed=0).fits[0]
-    sample = replace(fit.sample, by_experiment=fit.sample.by_experiment + best * torch.eye(256, 3, dtype=torch.float64))
+    sample = replace(
+        fit.sample,
+        by_experiment=fit.sample.by_experiment + best * torch.eye(256, 3, dtype=torch.float64),
+    )
     state = weighing._State(
-        replace(fit, sample=sample), proposals=[weighing.Kernels.about(fit.mean, fit.chol)], parts=[None, None]
+        replace(fit, sample=sample),
+        proposals=[weighing.Kernels.about(fit.mean, fit.chol)],
+        parts=[None, None],
     )
     drawn = weighing._draw(state, simple.batch, 256, 0, LinearSimulator())
     assert drawn.nuisances.shape == (256, kept, 3, 3)

@@ -1,4 +1,7 @@
-"""Bad inputs of every kind through the command line: one clear line that names what is wrong, before any fit."""
+"""Bad inputs of every kind through the command line:
+
+one clear line that names what is wrong, before any fit.
+"""
 
 from itertools import islice
 
@@ -7,7 +10,20 @@ import pytest
 from benchmarks.bad_inputs import Case, cases, prepared, tried
 
 DAMAGED = 6  # damaged files of each kind; benchmarks/bad_inputs tries more
-KINDS = ("table", "scale", "sidecar", "layout", "set", "option", "new", "target", "belief", "journal", "result", "damaged")
+KINDS = (
+    "table",
+    "scale",
+    "sidecar",
+    "layout",
+    "set",
+    "option",
+    "new",
+    "target",
+    "belief",
+    "journal",
+    "result",
+    "damaged",
+)
 
 
 @pytest.fixture(scope="module")

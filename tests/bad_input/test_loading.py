@@ -28,7 +28,11 @@ MARKED = Layout("2", radius_unit="um", time="1", time_unit="us", separator=-1000
 FILES = {
     "empty file": (b"", None, r"bad\.csv: the file is empty; export the curve again\."),
     "only blanks": (b" \n \n", None, r"bad\.csv: the file is empty; export the curve again\."),
-    "byte-order mark alone": (b"\xef\xbb\xbf", None, r"bad\.csv: the file is empty; export the curve again\."),
+    "byte-order mark alone": (
+        b"\xef\xbb\xbf",
+        None,
+        r"bad\.csv: the file is empty; export the curve again\.",
+    ),
     "comments alone": (b"# nothing\n", None, r"bad\.csv: holds no row; export the curve again\."),
     "a field too long": (
         b"t (us),R (um)\n0," + b"1" * 140_000 + b"\n",
@@ -108,7 +112,11 @@ FILES = {
         Layout("R (um)", radius_unit="mm", time="t (us)", time_unit="us"),
         r"bad\.csv: column 'R \(um\)' is in um by its header and in mm by the layout; correct the layout, or leave it out\.",
     ),
-    "header alone": (HEAD.encode(), None, r"bad\.csv: has the header experiment_id, time_s, radius_m and no rows; .*"),
+    "header alone": (
+        HEAD.encode(),
+        None,
+        r"bad\.csv: has the header experiment_id, time_s, radius_m and no rows; .*",
+    ),
     "text in a number": (
         lines((2, "a,2e-6,big")).encode(),
         None,
@@ -231,11 +239,18 @@ def test_that_an_unusable_file_names_place_value_and_remedy(tmp_path: Path, name
 
 
 def test_that_a_missing_file_a_folder_and_no_file_are_told_apart(tmp_path: Path) -> None:
-    with pytest.raises(InputDataError, match=r"none\.csv: no such file; check the name and the folder"):
+    with pytest.raises(
+        InputDataError, match=r"none\.csv: no such file; check the name and the folder"
+    ):
         load_traces(tmp_path / "none.csv")
-    with pytest.raises(InputDataError, match=r"the folder holds no file of curves; expected files that end in \.csv, "):
+    with pytest.raises(
+        InputDataError,
+        match=r"the folder holds no file of curves; expected files that end in \.csv, ",
+    ):
         load_traces(tmp_path)
-    with pytest.raises(InputDataError, match=r"gel\*\.csv: no file fits this pattern; check it and the folder"):
+    with pytest.raises(
+        InputDataError, match=r"gel\*\.csv: no file fits this pattern; check it and the folder"
+    ):
         load_traces(tmp_path / "gel*.csv")
     with pytest.raises(InputDataError, match="was given no file; name at least one"):
         load_traces()
@@ -244,7 +259,10 @@ def test_that_a_missing_file_a_folder_and_no_file_are_told_apart(tmp_path: Path)
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("{", r"bad\.json: cannot be used \(JSONDecodeError: .*\); expected JSON with a list 'experiments' .*"),
+        (
+            "{",
+            r"bad\.json: cannot be used \(JSONDecodeError: .*\); expected JSON with a list 'experiments' .*",
+        ),
         ("[]", r"bad\.json: cannot be used \(it holds a list\); .*correct it, or move it away\."),
         (
             '{"experiments": [{"Rmax_m": 1}]}',
@@ -254,13 +272,19 @@ def test_that_a_missing_file_a_folder_and_no_file_are_told_apart(tmp_path: Path)
             '{"experiments": [{"experiment_id": "a"}, {"experiment_id": "a"}]}',
             r"bad\.json: cannot be used \(experiment_id 'a' occurs twice; describe every experiment once\); .*",
         ),
-        ('{"medium": "x", "medium": "y"}', r"bad\.json: cannot be used \(.*'medium' occurs twice in one object\); .*"),
+        (
+            '{"medium": "x", "medium": "y"}',
+            r"bad\.json: cannot be used \(.*'medium' occurs twice in one object\); .*",
+        ),
         ("[" * 100_000, r"bad\.json: cannot be used \(its values are nested too deep\); .*"),
         (
             '{"experiments": [{"experiment_id": "a", "Rmax_m": "1e-4"}]}',
             r"Rmax_m of experiment 'a' is '1e-4'; expected a number",
         ),
-        ('{"radius_unit": "furlong"}', r"bad\.json: cannot be used \(radius_unit is 'furlong'; write .*um, px for radii\)"),
+        (
+            '{"radius_unit": "furlong"}',
+            r"bad\.json: cannot be used \(radius_unit is 'furlong'; write .*um, px for radii\)",
+        ),
         ('{"exposure_s": 0}', r"Given\.exposure_s is 0\.0; expected a positive duration in s"),
         (
             '{"experiments": [{"experiment_id": "a", "Rmax_m": -1}]}',
@@ -268,7 +292,9 @@ def test_that_a_missing_file_a_folder_and_no_file_are_told_apart(tmp_path: Path)
         ),
     ],
 )
-def test_that_an_unusable_json_beside_a_table_is_named(tmp_path: Path, content: str, message: str) -> None:
+def test_that_an_unusable_json_beside_a_table_is_named(
+    tmp_path: Path, content: str, message: str
+) -> None:
     (tmp_path / "bad.csv").write_text(lines())
     (tmp_path / "bad.json").write_text(content)
     with pytest.raises(InputDataError, match=message):
@@ -300,7 +326,8 @@ def test_that_an_unusable_layout_says_what_to_set(text: str) -> None:
     assert re.fullmatch(LAYOUTS[text], str(caught.value)), str(caught.value)
 
 
-TIME, RADIUS = [0.0, 1e-6, 2e-6], [1e-4, 9e-5, 8e-5]
+TIME = [0.0, 1e-6, 2e-6]
+RADIUS = [1e-4, 9e-5, 8e-5]
 TRACES = {
     "no name": ("", TIME, RADIUS, r"A trace from memory has an empty experiment_id; .*"),
     "two dimensions": (
@@ -309,17 +336,42 @@ TRACES = {
         [RADIUS],
         r"memory: experiment 'e', time_s has shape \(1, 3\); expected one dimension\.",
     ),
-    "lengths": ("e", TIME[:2], RADIUS, r"memory: experiment 'e', radius_m has 3 samples and time_s has 2; .*"),
-    "one sample": ("e", TIME[:1], RADIUS[:1], r"memory: experiment 'e', time_s has 1 sample\(s\); .* at least 2\."),
-    "nan": ("e", TIME, [1e-4, float("nan"), 8e-5], r".*radius_m, sample 1 \(counted from 0\) is nan; leave lost .*"),
-    "zero": ("e", TIME, [1e-4, 0.0, 8e-5], r".*radius_m, sample 1 \(counted from 0\) is 0; a radius is positive: .*"),
+    "lengths": (
+        "e",
+        TIME[:2],
+        RADIUS,
+        r"memory: experiment 'e', radius_m has 3 samples and time_s has 2; .*",
+    ),
+    "one sample": (
+        "e",
+        TIME[:1],
+        RADIUS[:1],
+        r"memory: experiment 'e', time_s has 1 sample\(s\); .* at least 2\.",
+    ),
+    "nan": (
+        "e",
+        TIME,
+        [1e-4, float("nan"), 8e-5],
+        r".*radius_m, sample 1 \(counted from 0\) is nan; leave lost .*",
+    ),
+    "zero": (
+        "e",
+        TIME,
+        [1e-4, 0.0, 8e-5],
+        r".*radius_m, sample 1 \(counted from 0\) is 0; a radius is positive: .*",
+    ),
     "duplicate": (
         "e",
         [0.0, 1e-6, 1e-6],
         RADIUS,
         r".*time_s, sample 2 .* is 1e-06 after 1e-06; .*remove the duplicate.*",
     ),
-    "tiny frame": ("e", TIME, [1e-4, 1e-9, 8e-5], r".*sample 1 .* is 1e-09 m, below what a camera can see .*NaN.*"),
+    "tiny frame": (
+        "e",
+        TIME,
+        [1e-4, 1e-9, 8e-5],
+        r".*sample 1 .* is 1e-09 m, below what a camera can see .*NaN.*",
+    ),
 }
 
 
@@ -341,5 +393,7 @@ def test_that_an_impossible_trace_is_refused(name: str) -> None:
     ],
 )
 def test_that_impossible_given_values_are_refused(field: str, value: float) -> None:
-    with pytest.raises(InputDataError, match=rf"Given\.{field} is {value}; expected .*None if unknown"):
+    with pytest.raises(
+        InputDataError, match=rf"Given\.{field} is {value}; expected .*None if unknown"
+    ):
         Given(**{field: value})

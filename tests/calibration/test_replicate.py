@@ -1,4 +1,7 @@
-"""Calibration both ways: right inferences are found calibrated, the user's own among them, and wrong ones are found out."""
+"""Calibration both ways:
+
+right inferences are found calibrated, the user's own among them, and wrong ones are found out.
+"""
 
 from dataclasses import replace
 
@@ -17,7 +20,9 @@ from imr_torch.random import generator
 from imr_torch.simulate import PolytropicSimulator
 from tests.linear import NOISE, LinearSimulator, exact, experiments, prior, tensor
 
-PLAN = Plan(times=torch.linspace(0.0, 2.0, 13, dtype=torch.float64), repeats=16, noise=NOISE, collapses=None)
+PLAN = Plan(
+    times=torch.linspace(0.0, 2.0, 13, dtype=torch.float64), repeats=16, noise=NOISE, collapses=None
+)
 OPTIONS = SearchOptions(raw_samples=8, starts=2)
 LINEAR = Arrangement(prior(("nhkv", "gen_qkv")), ((400.0, 0.2),), PLAN, samples=64, options=OPTIONS)
 
@@ -99,7 +104,9 @@ def test_that_a_function_from_data_to_draws_is_judged(width, right):
     noise = replace(NOISE, correlation_time=0.3)
     plan = replace(PLAN, nuisance=Nuisance(time_zero=0.1, rest_radius=0.2), noise=noise)
     several = replace(LINEAR, designs=((400.0, 0.2), (700.0, 0.15), (250.0, 0.25)), plan=plan)
-    found = list(calibrate(several, LinearSimulator(), range(200), seed=5, infer=drawn_exactly(width)))
+    found = list(
+        calibrate(several, LinearSimulator(), range(200), seed=5, infer=drawn_exactly(width))
+    )
     assert {len(r.reported) for r in found} == {2, 3}
     for name in ("G", "mu"):
         test = uniformity([r.reported[name] for r in found])
@@ -108,13 +115,25 @@ def test_that_a_function_from_data_to_draws_is_judged(width, right):
 
 
 def test_that_draws_of_a_wrong_shape_are_an_error_that_says_which_is_right():
-    with pytest.raises(ShapeError, match=r"infer returned draws of shape \(7,\) .* in the order G, mu"):
-        list(calibrate(LINEAR, LinearSimulator(), range(2), seed=0, infer=lambda *_: torch.zeros(7)))
+    with pytest.raises(
+        ShapeError, match=r"infer returned draws of shape \(7,\) .* in the order G, mu"
+    ):
+        list(
+            calibrate(LINEAR, LinearSimulator(), range(2), seed=0, infer=lambda *_: torch.zeros(7))
+        )
 
 
 def test_that_ensemble_4dvar_is_calibrated_and_its_tempered_form_is_not():
     sharp, tempered_ = (
-        [r.gaussian for r in run(40, arrangement=replace(LINEAR, prior=prior(("nhkv",)), options=En4DVarOptions(tempered=t)))]
+        [
+            r.gaussian
+            for r in run(
+                40,
+                arrangement=replace(
+                    LINEAR, prior=prior(("nhkv",)), options=En4DVarOptions(tempered=t)
+                ),
+            )
+        ]
         for t in (False, True)
     )
     for name in ("G", "mu"):
@@ -133,11 +152,19 @@ def test_that_nuisances_are_drawn_and_marginalised():
 
 
 def test_that_the_information_is_the_closed_form_s():
-    part, batch = prior(("nhkv",)), experiments(2)
-    result = weigh(assimilate(part, batch, LinearSimulator(), seed=0, options=OPTIONS), LinearSimulator(), seed=0, samples=4000)
+    part = prior(("nhkv",))
+    batch = experiments(2)
+    result = weigh(
+        assimilate(part, batch, LinearSimulator(), seed=0, options=OPTIONS),
+        LinearSimulator(),
+        seed=0,
+        samples=4000,
+    )
     truth = exact(part.models[0], batch)
     covariance = truth.covariance
-    value = 0.5 * (covariance.trace() + truth.mean.square().sum() - len(truth.mean) - torch.logdet(covariance))
+    value = 0.5 * (
+        covariance.trace() + truth.mean.square().sum() - len(truth.mean) - torch.logdet(covariance)
+    )
     assert information(result) == pytest.approx(float(value), abs=0.05)
 
 
@@ -146,9 +173,13 @@ def test_that_information_comes_as_expected():
     found = torch.tensor([r.information for r in run(40, arrangement=one)], dtype=torch.float64)
     part = one.prior.models[0]
     start = part.parameters(part.mean)
-    design, simulator = tensor(*one.designs[0]), LinearSimulator()
+    design = tensor(*one.designs[0])
+    simulator = LinearSimulator()
     moved = [part.parameters(part.mean + step) for step in torch.eye(2, dtype=torch.float64)]
-    rows = [simulator(gel, design, PLAN.times).radius - simulator(start, design, PLAN.times).radius for gel in moved]
+    rows = [
+        simulator(gel, design, PLAN.times).radius - simulator(start, design, PLAN.times).radius
+        for gel in moved
+    ]
     noise = NOISE.floor**2 / PLAN.repeats * torch.eye(len(PLAN.times), dtype=torch.float64)
     expected = float(linear_gaussian_gain(torch.stack(rows, 1), noise))
     assert float(found.mean()) == pytest.approx(expected, abs=4.0 * float(found.std()) / 40**0.5)
@@ -176,11 +207,17 @@ def test_that_bubbles_serve():
     plan = Plan(times=torch.linspace(0.0, 2.2, 45, dtype=torch.float64), repeats=20)
     part = reference_case("soft-pa").prior["nhkv"]
     soft = replace(
-        LINEAR, prior=Belief((part,), torch.zeros(1, dtype=torch.float64)), options=SearchOptions(raw_samples=8, starts=2)
+        LINEAR,
+        prior=Belief((part,), torch.zeros(1, dtype=torch.float64)),
+        options=SearchOptions(raw_samples=8, starts=2),
     )
     found = run(2, arrangement=soft, plan=plan, simulator=PolytropicSimulator())
     for replicate in found:
-        places = (*replicate.gaussian.values(), *replicate.weighted.values(), replicate.log_likelihood)
+        places = (
+            *replicate.gaussian.values(),
+            *replicate.weighted.values(),
+            replicate.log_likelihood,
+        )
         assert all(0.0 <= place <= 1.0 for place in places)
         assert replicate.information > 4.0
         assert replicate.probabilities == {"nhkv": 1.0}

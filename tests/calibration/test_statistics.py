@@ -1,4 +1,7 @@
-"""Statistics of replicates against closed forms, and both ways: silent on calibrated numbers, loud on others."""
+"""Statistics of replicates against closed forms, and both ways:
+
+silent on calibrated numbers, loud on others.
+"""
 
 import math
 
@@ -48,7 +51,9 @@ def test_that_a_wrong_posterior_is_found(bend):
 
 
 def test_that_the_spread_is_that_of_the_normal_scores():
-    narrow = torch.special.ndtr(1.3 * torch.special.ndtri(torch.tensor(grid(300), dtype=torch.float64)))
+    narrow = torch.special.ndtr(
+        1.3 * torch.special.ndtri(torch.tensor(grid(300), dtype=torch.float64))
+    )
     assert uniformity(narrow.tolist()).spread == pytest.approx(1.3, rel=0.02)
 
 
@@ -72,7 +77,9 @@ def test_that_missing_coverage_is_seen():
     assert coverage(grid(400), 0.9).fits
     narrow = torch.special.ndtr(2.0 * torch.special.ndtri(torch.tensor(grid(400)))).tolist()
     result = coverage(narrow, 0.9)
-    assert result.share == pytest.approx(2.0 * stats.norm.cdf(stats.norm.ppf(0.95) / 2.0) - 1.0, abs=5e-3)
+    assert result.share == pytest.approx(
+        2.0 * stats.norm.cdf(stats.norm.ppf(0.95) / 2.0) - 1.0, abs=5e-3
+    )
     assert not result.fits
 
 
@@ -110,9 +117,21 @@ def test_that_ranks_agree_or_not_with_an_error_of_the_repeats():
 @pytest.mark.parametrize(
     ("call", "error", "words"),
     [
-        (lambda: uniformity([0.1, 1.2] * 20), InputDataError, "uniformity: expected at least one number, all within"),
-        (lambda: uniformity([math.nan] * 20), InputDataError, "uniformity: expected at least one number"),
-        (lambda: uniformity([0.5] * 9), InputDataError, "9 values are too few for 2 bins; 10 are needed"),
+        (
+            lambda: uniformity([0.1, 1.2] * 20),
+            InputDataError,
+            "uniformity: expected at least one number, all within",
+        ),
+        (
+            lambda: uniformity([math.nan] * 20),
+            InputDataError,
+            "uniformity: expected at least one number",
+        ),
+        (
+            lambda: uniformity([0.5] * 9),
+            InputDataError,
+            "9 values are too few for 2 bins; 10 are needed",
+        ),
         (lambda: coverage([], 0.9), InputDataError, "coverage: expected at least one number"),
         (lambda: reliability([0.5, 0.5], [True]), ShapeError, "2 probabilities and 1 outcomes"),
         (lambda: rank_correlation(torch.zeros(2), torch.zeros(2, 4)), ShapeError, "n >= 3"),

@@ -111,22 +111,33 @@ def test_a_changed_or_missing_curve_file_is_refused(finished, tmp_path):
 def test_a_stored_experiment_comes_back_bit_for_bit(tmp_path):
     times = torch.linspace(0.0, 1.0, 5, dtype=torch.float64)
     radius = torch.rand(3, 5, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    experiment = Experiment("odd / name", (301.7, 0.2131), times, radius, Nuisance(0.01, 0.002, 0.03))
+    experiment = Experiment(
+        "odd / name", (301.7, 0.2131), times, radius, Nuisance(0.01, 0.002, 0.03)
+    )
     journal = Journal(tmp_path)
     record = json.loads(json.dumps(journal.store(experiment, "one")))
     back = journal.restore(record)
     assert torch.equal(back.radius, radius)
     assert torch.equal(back.times, times)
-    assert (back.label, back.design, back.nuisance) == (experiment.label, experiment.design, experiment.nuisance)
+    assert (back.label, back.design, back.nuisance) == (
+        experiment.label,
+        experiment.design,
+        experiment.nuisance,
+    )
 
 
 def test_the_achieved_design_is_what_is_learnt_from(tmp_path):
-    wide = SimulatedLaboratory(SIMULATOR, LABORATORY.truth, repeats=20, times=TIMES, scatter=(0.2, 0.1))
+    wide = SimulatedLaboratory(
+        SIMULATOR, LABORATORY.truth, repeats=20, times=TIMES, scatter=(0.2, 0.1)
+    )
     asked = torch.tensor([400.0, 0.2], dtype=torch.float64)
     experiment = wide.shoot(asked, seed=5)
     assert abs(experiment.design[0] / 400.0 - 1.0) > 0.02
     run = campaign(
-        tmp_path / "achieved", prior=Belief.prior({"nhkv": dict(zip(["G", "mu"], CASE.prior["nhkv"].marginals, strict=True))})
+        tmp_path / "achieved",
+        prior=Belief.prior(
+            {"nhkv": dict(zip(["G", "mu"], CASE.prior["nhkv"].marginals, strict=True))}
+        ),
     )
     step = run.tell(experiment)
     part = step.belief["nhkv"]
@@ -135,7 +146,9 @@ def test_the_achieved_design_is_what_is_learnt_from(tmp_path):
 
 
 def test_noise_that_was_learnt_is_in_the_journal_and_is_what_the_next_design_expects(tmp_path):
-    louder = SimulatedLaboratory(SIMULATOR, LABORATORY.truth, repeats=20, times=TIMES, noise=Noise(scale=4.0))
+    louder = SimulatedLaboratory(
+        SIMULATOR, LABORATORY.truth, repeats=20, times=TIMES, noise=Noise(scale=4.0)
+    )
     settings = replace(SETTINGS, policy=Random(), learner=replace(SETTINGS.learner, noise_rounds=2))
     run = campaign(tmp_path / "loud", settings=settings)
     assert run.plan == settings.plan
@@ -164,7 +177,10 @@ def test_telling_nothing_is_refused(tmp_path):
 
 def test_that_the_cost_of_a_known_fit_is_no_setting() -> None:
     """It is of one search: journals that know no such field go on."""
-    written = [CampaignSettings(learner=ExactLearner(options=SearchOptions(rival=cost))).to_dict() for cost in (None, 7.0)]
+    written = [
+        CampaignSettings(learner=ExactLearner(options=SearchOptions(rival=cost))).to_dict()
+        for cost in (None, 7.0)
+    ]
     assert written[0] == written[1]
     assert "raw_samples" in written[0]["learner"]["options"]
     assert "rival" not in written[0]["learner"]["options"]

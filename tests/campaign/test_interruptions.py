@@ -19,10 +19,16 @@ from tests.journals import cut
 from tests.linear import NOISE, LinearSimulator, prior, tensor
 from tests.stubs import StubLearner
 
-PLAN = Plan(torch.linspace(0.1, 2.0, 9, dtype=torch.float64), repeats=2, noise=NOISE, collapses=None)
+PLAN = Plan(
+    torch.linspace(0.1, 2.0, 9, dtype=torch.float64), repeats=2, noise=NOISE, collapses=None
+)
 SETTINGS = CampaignSettings(DesignSpace(), PLAN, Random(), StubLearner())
 LABORATORY = SimulatedLaboratory(
-    LinearSimulator(), PARAMETERS.pack({"G": 5600.0, "mu": 0.18}), noise=NOISE, repeats=2, times=PLAN.times
+    LinearSimulator(),
+    PARAMETERS.pack({"G": 5600.0, "mu": 0.18}),
+    noise=NOISE,
+    repeats=2,
+    times=PLAN.times,
 )
 needs_fork = pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are forked")
 
@@ -62,14 +68,17 @@ def told(folder) -> int:
     return 0
 
 
-EVERY = int(os.environ.get("IMR_TORCH_INTERRUPT_EVERY", "11"))  # operations; 1 for all of them, which takes minutes
+EVERY = int(
+    os.environ.get("IMR_TORCH_INTERRUPT_EVERY", "11")
+)  # operations; 1 for all of them, which takes minutes
 WORK = {"simulated": simulated, "told": told}
 
 
 @pytest.fixture(scope="module", params=WORK)
 def whole(request, tmp_path_factory):
     """What is done, its uninterrupted folder and the number of its operations."""
-    folder, work = tmp_path_factory.mktemp("interruptions") / "whole", WORK[request.param]
+    folder = tmp_path_factory.mktemp("interruptions") / "whole"
+    work = WORK[request.param]
     with Disk().watched() as disk:
         work(folder)
     assert left_over(folder) == []
@@ -89,7 +98,9 @@ def test_that_a_campaign_killed_at_any_operation_is_resumed_to_the_same_journal(
         assert opened(trial).belief.to_dict() == opened(folder).belief.to_dict()
 
 
-def test_that_a_campaign_whose_disk_is_full_from_any_operation_on_is_resumed_to_the_same_journal(whole, tmp_path):
+def test_that_a_campaign_whose_disk_is_full_from_any_operation_on_is_resumed_to_the_same_journal(
+    whole, tmp_path
+):
     work, folder, count = whole
     for at in range(2, count + 1, EVERY):
         trial = tmp_path / "trial"
@@ -111,9 +122,22 @@ def test_that_a_campaign_cut_within_any_line_is_resumed_to_the_same_journal(whol
             assert compare(trial, folder) is None, (events, torn)
 
 
-def test_that_ctrl_c_is_one_line_that_says_what_is_kept_and_how_to_go_on(tmp_path, capsys, monkeypatch):
+def test_that_ctrl_c_is_one_line_that_says_what_is_kept_and_how_to_go_on(
+    tmp_path, capsys, monkeypatch
+):
     out = tmp_path / "gel"
-    base = ["campaign", "--case", "soft-pa", "--policy", "random", "--designs", "1", "--physics", "polytropic", "--quiet"]
+    base = [
+        "campaign",
+        "--case",
+        "soft-pa",
+        "--policy",
+        "random",
+        "--designs",
+        "1",
+        "--physics",
+        "polytropic",
+        "--quiet",
+    ]
 
     def interrupted(*_, **__):
         raise KeyboardInterrupt
@@ -121,6 +145,9 @@ def test_that_ctrl_c_is_one_line_that_says_what_is_kept_and_how_to_go_on(tmp_pat
     monkeypatch.setattr(Campaign, "learn", interrupted)
     assert main([*base, "--out", str(out)]) == 130
     said = capsys.readouterr().err
-    assert said == f"imr-torch: interrupted; what was finished is in {out / 'journal.jsonl'}, continue with --resume\n"
+    assert (
+        said
+        == f"imr-torch: interrupted; what was finished is in {out / 'journal.jsonl'}, continue with --resume\n"
+    )
     text = (out / "journal.jsonl").read_text()
     assert [kind in text for kind in ('"ask"', '"observed"', '"learnt"')] == [True, True, False]

@@ -1,4 +1,7 @@
-"""A journal is append-only: what was cut off is repaired, what was changed is refused by line, and one process writes at a time."""
+"""A journal is append-only:
+
+what was cut off is repaired, what was changed is refused by line, and one process writes at a time.
+"""
 
 import json
 import os
@@ -29,26 +32,50 @@ def swapped(lines):
 
 
 CHANGES = {
-    "edited": (lambda x: [*x[:2], x[2].replace(b'"step": 2', b'"step": 7'), *x[3:]], "line 3: its checksum does not fit"),
-    "a bit of a number": (lambda x: [x[0], x[1].replace(b"0.1", b"0.10000000000000002"), *x[2:]], "line 2: its checksum"),
-    "edited at the end": (lambda x: [*x[:4], x[4].replace(b'"step": 4', b'"step": 7')], "line 5: its checksum does not fit"),
-    "spaced": (lambda x: [x[0].replace(b'"step": 0', b'"step":  0'), *x[1:]], "line 1: its checksum does not fit"),
+    "edited": (
+        lambda x: [*x[:2], x[2].replace(b'"step": 2', b'"step": 7'), *x[3:]],
+        "line 3: its checksum does not fit",
+    ),
+    "a bit of a number": (
+        lambda x: [x[0], x[1].replace(b"0.1", b"0.10000000000000002"), *x[2:]],
+        "line 2: its checksum",
+    ),
+    "edited at the end": (
+        lambda x: [*x[:4], x[4].replace(b'"step": 4', b'"step": 7')],
+        "line 5: its checksum does not fit",
+    ),
+    "spaced": (
+        lambda x: [x[0].replace(b'"step": 0', b'"step":  0'), *x[1:]],
+        "line 1: its checksum does not fit",
+    ),
     "swapped": (swapped, "line 2: its checksum does not fit"),
     "duplicated": (lambda x: [*x[:3], x[2], *x[3:]], "line 4: a copy of line 3"),
     "duplicated at the end": (lambda x: [*x, x[4]], "line 6: a copy of line 5"),
     "removed": (lambda x: [*x[:2], *x[3:]], "line 3: its checksum does not fit"),
     "first removed": (lambda x: x[1:], "line 1: its checksum does not fit"),
-    "last removed": (lambda x: x[:4], r"4 whole lines and journal.head says that 5 were written.*delete journal.head"),
+    "last removed": (
+        lambda x: x[:4],
+        r"4 whole lines and journal.head says that 5 were written.*delete journal.head",
+    ),
     "all removed": (lambda x: [], "0 whole lines and journal.head says that 5"),
-    "five": (lambda x: [x[0], b"5\n", *x[2:]], r"line 2: not a journal entry \(expected an object with an 'event', got '5'"),
+    "five": (
+        lambda x: [x[0], b"5\n", *x[2:]],
+        r"line 2: not a journal entry \(expected an object with an 'event', got '5'",
+    ),
     "null": (lambda x: [*x, b"null\n"], "line 6: not a journal entry .*got 'null'"),
     "empty object": (lambda x: [*x, b"{}\n"], "line 6: not a journal entry .*got '{}'"),
     "list": (lambda x: [*x, b"[]\n"], "line 6: not a journal entry"),
     "empty line": (lambda x: [x[0], b"\n", *x[1:]], "line 2: not a journal entry"),
     "no text": (lambda x: [*x, b"\xff\xfe\n"], "line 6: not a journal entry"),
     "nested": (lambda x: [*x, b"[" * 100000 + b"\n"], "line 6: not a journal entry"),
-    "without check": (lambda x: [b'{"event": "note"}\n', *x[1:]], "line 1: has no checksum .*earlier version of imr_torch"),
-    "NaN": (lambda x: [*x, b'{"event": "note", "value": NaN, "check": "0"}\n'], "line 6: its checksum does not fit"),
+    "without check": (
+        lambda x: [b'{"event": "note"}\n', *x[1:]],
+        "line 1: has no checksum .*earlier version of imr_torch",
+    ),
+    "NaN": (
+        lambda x: [*x, b'{"event": "note", "value": NaN, "check": "0"}\n'],
+        "line 6: its checksum does not fit",
+    ),
 }
 
 
@@ -89,19 +116,39 @@ def test_a_journal_in_place_of_another_is_refused(folder, tmp_path):
 
 
 START = {"event": "start", "prior": {}, "simulator": "", "settings": {}, "seed": 0, "note": {}}
-RECORD = {"number": 1, "label": "", "design": [], "nuisance": {}, "curve": "", "file": "", "sha256": ""}
+RECORD = {
+    "number": 1,
+    "label": "",
+    "design": [],
+    "nuisance": {},
+    "curve": "",
+    "file": "",
+    "sha256": "",
+}
 
 
 @pytest.mark.parametrize(
     ("event", "message"),
     [
         ({"event": "ask", "step": 1}, "line 2: event 'ask' has no 'design'"),
-        ({"event": "stop", "step": "1", "reason": ""}, "line 2: event 'stop': step is '1'; expected int"),
+        (
+            {"event": "stop", "step": "1", "reason": ""},
+            "line 2: event 'stop': step is '1'; expected int",
+        ),
         ({"event": "stop", "step": True, "reason": ""}, "step is True; expected int"),
         ({"event": "forget"}, "event 'forget' has no 'experiment'"),
-        ({"event": "observed", "step": 1, "experiments": [5]}, "an experiment of event 'observed' is 5; expected an object"),
-        ({"event": "observed", "step": 1, "experiments": [RECORD | {"file": None}]}, "file is None; expected str"),
-        ({"event": "learnt", "step": 1, "experiments": [1], "belief": None, "evidence": []}, "belief is None; expected dict"),
+        (
+            {"event": "observed", "step": 1, "experiments": [5]},
+            "an experiment of event 'observed' is 5; expected an object",
+        ),
+        (
+            {"event": "observed", "step": 1, "experiments": [RECORD | {"file": None}]},
+            "file is None; expected str",
+        ),
+        (
+            {"event": "learnt", "step": 1, "experiments": [1], "belief": None, "evidence": []},
+            "belief is None; expected dict",
+        ),
     ],
     ids=str,
 )
@@ -118,7 +165,11 @@ def test_that_a_line_cut_at_any_byte_is_left_out_and_then_repaired(folder, tmp_p
         copy = cut(folder, tmp_path / f"cut{cut_at}", COUNT - 1, torn=(cut_at + 0.5) / len(last))
         before = (copy / "journal.jsonl").read_bytes()
         journal = Journal(copy)
-        assert (copy / "journal.jsonl").read_bytes() == before == whole[: len(whole) - len(last) + cut_at]
+        assert (
+            (copy / "journal.jsonl").read_bytes()
+            == before
+            == whole[: len(whole) - len(last) + cut_at]
+        )
         if len(journal.events) < COUNT:
             journal.append("note", step=COUNT - 1, value=0.1 * (COUNT - 1))
         else:  # nothing but the end of the line was missing
@@ -129,26 +180,37 @@ def test_that_a_line_cut_at_any_byte_is_left_out_and_then_repaired(folder, tmp_p
         assert len(Journal(copy).events) == COUNT
 
 
-def test_that_a_line_that_was_written_and_then_damaged_is_not_taken_for_one_that_was_cut_off(folder):
+def test_that_a_line_that_was_written_and_then_damaged_is_not_taken_for_one_that_was_cut_off(
+    folder,
+):
     path = folder / "journal.jsonl"
     path.write_bytes(path.read_bytes()[:-9])
-    with pytest.raises(InputDataError, match=r"4 whole lines and journal.head says that 5 were written"):
+    with pytest.raises(
+        InputDataError, match=r"4 whole lines and journal.head says that 5 were written"
+    ):
         Journal(folder)
 
 
 def test_that_a_second_writer_is_told_who_holds_the_folder(folder):
-    first, second = Journal(folder), Journal(folder)
+    first = Journal(folder)
+    second = Journal(folder)
     with first.held(), first.held():
-        with pytest.raises(InputDataError, match=rf"whole is in use by another campaign \(process {os.getpid()} on "):
+        with pytest.raises(
+            InputDataError,
+            match=rf"whole is in use by another campaign \(process {os.getpid()} on ",
+        ):
             second.append("note")
         first.append("note", text="mine")
     assert len(Journal(folder).events) == COUNT + 1
 
 
 def test_that_what_was_opened_before_another_wrote_must_be_opened_again(folder):
-    first, second = Journal(folder), Journal(folder)
+    first = Journal(folder)
+    second = Journal(folder)
     first.append("note")
-    with pytest.raises(InputDataError, match="was written to since it was opened here; open the campaign again"):
+    with pytest.raises(
+        InputDataError, match="was written to since it was opened here; open the campaign again"
+    ):
         second.append("note")
     first.append("note")
     assert len(Journal(folder).events) == COUNT + 2
@@ -170,7 +232,8 @@ def test_that_the_lock_ends_with_a_killed_process(folder):
 
 
 def test_that_temporary_files_of_a_killed_process_are_removed_and_others_are_not(folder):
-    left, mine = [".journal.head.ab.tmp", ".experiment_003.npz.cd.tmp"], [".notes.tmp", "experiment_003.npz"]
+    left = [".journal.head.ab.tmp", ".experiment_003.npz.cd.tmp"]
+    mine = [".notes.tmp", "experiment_003.npz"]
     for name in left + mine:
         (folder / name).touch()
     Journal(folder)
@@ -180,12 +243,15 @@ def test_that_temporary_files_of_a_killed_process_are_removed_and_others_are_not
     assert set(mine) <= set(os.listdir(folder))
 
 
-def test_that_a_disk_that_is_full_from_any_operation_on_leaves_the_journal_as_before_or_with_the_event(folder):
+def test_that_a_disk_that_is_full_from_any_operation_on_leaves_the_journal_as_before_or_with_the_event(
+    folder,
+):
     with Disk().watched() as counted:
         Journal(folder).append("note")
     assert counted.done == 8  # owner, line, its flush, four of the head, owner
     for at in range(1, counted.done + 1):
-        journal, known = Journal(folder), len(Journal(folder).events)
+        journal = Journal(folder)
+        known = len(Journal(folder).events)
         before = journal.path.read_bytes()
         said = None
         try:
@@ -193,13 +259,16 @@ def test_that_a_disk_that_is_full_from_any_operation_on_leaves_the_journal_as_be
                 journal.append("note", text=f"try {at}")
         except OSError as error:
             said = str(error)
-        assert said is None or ("the last event was not recorded" in said and journal.path.read_bytes() == before)
+        assert said is None or (
+            "the last event was not recorded" in said and journal.path.read_bytes() == before
+        )
         assert [len(x.events) for x in (journal, Journal(folder))] in ([known] * 2, [known + 1] * 2)
         journal.append("note", text=f"again {at}")  # the same object may go on once there is room
 
 
 def test_that_an_interrupt_in_a_write_leaves_the_journal_as_before(folder, monkeypatch):
-    journal, before = Journal(folder), (folder / "journal.jsonl").read_bytes()
+    journal = Journal(folder)
+    before = (folder / "journal.jsonl").read_bytes()
 
     def interrupted(_):
         raise KeyboardInterrupt
@@ -221,7 +290,10 @@ def test_that_a_number_that_is_not_finite_is_refused_before_anything_is_written(
 
 def test_that_the_head_knows_the_last_line(folder):
     last = json.loads((folder / "journal.jsonl").read_text().splitlines()[-1])
-    assert json.loads((folder / "journal.head").read_text()) == {"lines": COUNT, "check": last["check"]}
+    assert json.loads((folder / "journal.head").read_text()) == {
+        "lines": COUNT,
+        "check": last["check"],
+    }
 
 
 def test_that_a_head_that_lags_behind_is_written_when_the_folder_is_next_held(folder, tmp_path):

@@ -29,23 +29,50 @@ from tests.journals import cut, rewritten
 from tests.linear import NOISE, LinearSimulator, prior, tensor
 
 SPACE = DesignSpace(weber=(200.0, 900.0), rest_radius=(0.15, 0.25))
-PLAN = Plan(torch.linspace(0.1, 2.0, 9, dtype=torch.float64), repeats=4, noise=NOISE, collapses=None)
+PLAN = Plan(
+    torch.linspace(0.1, 2.0, 9, dtype=torch.float64), repeats=4, noise=NOISE, collapses=None
+)
 LISTED = Fixed(((300.0, 0.2), (500.0, 0.16), (700.0, 0.24)))
 QUICK = Optimal(Laplace(draws=3, rivals=3), evaluations=4, initial=3)
-LEARNERS = {"exact": ExactLearner(32, SearchOptions(raw_samples=24)), "paper": PaperLearner(PublishedOptions(12, 2, 2))}
-POLICIES_HERE = {"optimal": QUICK, "random": Random(), "space-filling": SpaceFilling(), "fixed": LISTED}
+LEARNERS = {
+    "exact": ExactLearner(32, SearchOptions(raw_samples=24)),
+    "paper": PaperLearner(PublishedOptions(12, 2, 2)),
+}
+POLICIES_HERE = {
+    "optimal": QUICK,
+    "random": Random(),
+    "space-filling": SpaceFilling(),
+    "fixed": LISTED,
+}
 LABORATORY = SimulatedLaboratory(
-    LinearSimulator(), PARAMETERS.pack({"G": 5600.0, "mu": 0.18}), noise=NOISE, repeats=4, times=PLAN.times
+    LinearSimulator(),
+    PARAMETERS.pack({"G": 5600.0, "mu": 0.18}),
+    noise=NOISE,
+    repeats=4,
+    times=PLAN.times,
 )
 
 
 def choose(policy, number: int, *, seed: int = 0, space: DesignSpace = SPACE) -> torch.Tensor:
-    return policy.choose(Situation(number, prior(("nhkv",)), LinearSimulator(), space, PLAN, seed)).design
+    return policy.choose(
+        Situation(number, prior(("nhkv",)), LinearSimulator(), space, PLAN, seed)
+    ).design
 
 
 def campaign(folder, *, seed: int = 0, **settings) -> Campaign:
-    defaults = {"space": SPACE, "plan": PLAN, "policy": Random(), "learner": LEARNERS["exact"]} | settings
-    return Campaign(folder, prior(("newtonian", "nhkv")), LinearSimulator(), settings=CampaignSettings(**defaults), seed=seed)
+    defaults = {
+        "space": SPACE,
+        "plan": PLAN,
+        "policy": Random(),
+        "learner": LEARNERS["exact"],
+    } | settings
+    return Campaign(
+        folder,
+        prior(("newtonian", "nhkv")),
+        LinearSimulator(),
+        settings=CampaignSettings(**defaults),
+        seed=seed,
+    )
 
 
 def shoot(design, number):
@@ -60,13 +87,18 @@ def test_designs_are_in_the_space_and_the_same_for_the_same_number_and_seed(poli
     assert float((designs[1:] - designs[:-1]).abs().min()) > 0.0 or policy is QUICK
 
 
-@pytest.mark.parametrize("policy", [QUICK, Random(), SpaceFilling()], ids=["optimal", "random", "space-filling"])
+@pytest.mark.parametrize(
+    "policy", [QUICK, Random(), SpaceFilling()], ids=["optimal", "random", "space-filling"]
+)
 def test_another_seed_gives_other_designs(policy):
     assert not torch.equal(choose(policy, 1, seed=1), choose(policy, 1, seed=2))
 
 
 def test_random_designs_are_uniform_and_space_filling_ones_more_even():
-    """Counts in 16 cells of 64 designs: their variance is that of a multinomial for random ones, and far less for Sobol's."""
+    """Counts in 16 cells of 64 designs:
+
+    their variance is that of a multinomial for random ones, and far less for Sobol's.
+    """
 
     def spread(policy) -> float:
         designs = torch.stack([choose(policy, number) for number in range(1, 65)])
@@ -79,7 +111,9 @@ def test_random_designs_are_uniform_and_space_filling_ones_more_even():
 
 
 def test_settings_of_the_laboratory_are_kept():
-    settings = DesignSpace(weber=(200.0, 900.0), rest_radius=(0.15, 0.25), weber_settings=(250.0, 800.0))
+    settings = DesignSpace(
+        weber=(200.0, 900.0), rest_radius=(0.15, 0.25), weber_settings=(250.0, 800.0)
+    )
     listed = DesignSpace(designs=((300.0, 0.2), (500.0, 0.16), (700.0, 0.24)))
     for policy in (Random(), SpaceFilling()):
         assert {float(choose(policy, n, space=settings)[0]) for n in range(1, 9)} == {250.0, 800.0}
@@ -121,18 +155,36 @@ def test_a_search_that_cannot_be_is_refused(options, message):
 
 
 def test_the_papers_search_is_the_published_one():
-    assert Optimal(PublishedEstimator(500), 25, 10, 1, False, STRATEGIES["paper"], PAPER_OPTIMAL.plan, False) == PAPER_OPTIMAL
+    assert (
+        Optimal(
+            PublishedEstimator(500),
+            25,
+            10,
+            1,
+            False,
+            STRATEGIES["paper"],
+            PAPER_OPTIMAL.plan,
+            False,
+        )
+        == PAPER_OPTIMAL
+    )
     assert PAPER_OPTIMAL.plan is PAPER_PLAN
     assert CampaignSettings.paper().policy is PAPER_OPTIMAL
 
 
 @pytest.mark.parametrize("learner", LEARNERS.values(), ids=LEARNERS)
 @pytest.mark.parametrize("policy", POLICIES_HERE.values(), ids=POLICIES_HERE)
-def test_resuming_with_any_policy_and_learner_gives_the_uninterrupted_journal_byte_for_byte(tmp_path, policy, learner):
+def test_resuming_with_any_policy_and_learner_gives_the_uninterrupted_journal_byte_for_byte(
+    tmp_path, policy, learner
+):
     kinds = {"policy": policy, "learner": learner, "stop": Designs(2)}
     whole = campaign(tmp_path / "whole", **kinds)
     whole.run(shoot, 9)
-    assert [event["event"] for event in whole.journal.events] == ["start", *["ask", "observed", "learnt"] * 2, "stop"]
+    assert [event["event"] for event in whole.journal.events] == [
+        "start",
+        *["ask", "observed", "learnt"] * 2,
+        "stop",
+    ]
     for events in (2, 3, 5, 6, 7, 8):
         resumed = campaign(cut(tmp_path / "whole", tmp_path / f"cut{events}", events), **kinds)
         resumed.run(shoot, 9)
@@ -153,7 +205,10 @@ def test_a_journal_begun_before_a_setting_existed_says_which(tmp_path):
     run.ask()
     del run.journal.events[0]["settings"]["learner"]["noise_rounds"]
     rewritten(tmp_path, run.journal.events[:1])
-    with pytest.raises(InputDataError, match=r"settings\.learner\.noise_rounds differ.*another version of imr_torch"):
+    with pytest.raises(
+        InputDataError,
+        match=r"settings\.learner\.noise_rounds differ.*another version of imr_torch",
+    ):
         campaign(tmp_path)
 
 
@@ -198,7 +253,9 @@ def test_that_several_designs_are_asked_for_at_once_each_beside_those_before_it(
     assert [p.step for p in proposals] == [1, 2, 3]
     assert len({tuple(p.design.tolist()) for p in proposals}) == 3
     assert proposals[0].search.pending is None
-    assert proposals[2].search.pending.value == pytest.approx(proposals[0].gain + proposals[1].gain, abs=0.3)
+    assert proposals[2].search.pending.value == pytest.approx(
+        proposals[0].gain + proposals[1].gain, abs=0.3
+    )
     assert [p.design.tolist() for p in campaign(tmp_path, policy=QUICK).ask_several(2)] == [
         p.design.tolist() for p in proposals[:2]
     ]

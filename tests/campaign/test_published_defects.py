@@ -26,17 +26,25 @@ from tests.linear import NOISE, LinearSimulator, exact, experiments, prior, tens
 
 SIMULATOR = LinearSimulator()
 TIMES = torch.linspace(0.1, 3.0, 30, dtype=torch.float64)
-EXACT, PAPER = ExactLearner(64, SearchOptions(raw_samples=24)), PaperLearner()
+EXACT = ExactLearner(64, SearchOptions(raw_samples=24))
+PAPER = PaperLearner()
 TWO = ("newtonian", "nhkv")
 
 
 def learn(learner, batch: ExperimentBatch, models: tuple[str, ...] = TWO) -> Belief:
     """What is believed after all experiments of a batch."""
     belief = prior(models)
-    return learner.learn(Observations(belief, belief, batch, len(batch.experiments), 0), SIMULATOR).belief
+    return learner.learn(
+        Observations(belief, belief, batch, len(batch.experiments), 0), SIMULATOR
+    ).belief
 
 
-def shot(repeats: int = 1, noise: Noise = NOISE, design: tuple[float, float] = (300.0, 0.2), seed: int = 0) -> ExperimentBatch:
+def shot(
+    repeats: int = 1,
+    noise: Noise = NOISE,
+    design: tuple[float, float] = (300.0, 0.2),
+    seed: int = 0,
+) -> ExperimentBatch:
     truth = PARAMETERS.pack({"G": 5300.0, "mu": 0.16})
     laboratory = SimulatedLaboratory(SIMULATOR, truth, noise=noise, repeats=repeats, times=TIMES)
     return ExperimentBatch((laboratory.shoot(tensor(*design), seed=seed),), noise)
@@ -52,10 +60,14 @@ def test_1_the_information_gain_saturates_at_the_log_of_the_draws():
     designs = torch.tensor([[300.0, 0.2]], dtype=torch.float64)
 
     def gain(estimator: InformationEstimator) -> float:
-        return expected_information_gain(prior(("nhkv",)), designs, SIMULATOR, plan, estimator=estimator, seed=0).value
+        return expected_information_gain(
+            prior(("nhkv",)), designs, SIMULATOR, plan, estimator=estimator, seed=0
+        ).value
 
     assert gain(PublishedEstimator(100)) == pytest.approx(math.log(100), abs=0.01)
-    batch = ExperimentBatch((Experiment("", (300.0, 0.2), TIMES, torch.ones(1, 30, dtype=torch.float64)),), NOISE)
+    batch = ExperimentBatch(
+        (Experiment("", (300.0, 0.2), TIMES, torch.ones(1, 30, dtype=torch.float64)),), NOISE
+    )
     one = replace(batch, noise=replace(NOISE, scale=1e-2))  # ten thousand repeats
     truth = -0.5 * float(torch.logdet(exact(prior(("nhkv",)).models[0], one).covariance))
     assert truth > math.log(100) + 5.0
@@ -74,19 +86,27 @@ def test_2_the_likelihood_is_tempered_by_frames_and_repeats():
 
 def test_3_model_probability_does_not_grow_with_repeats_and_is_averaged_over_designs():
     noise = replace(NOISE, scale=120.0)
-    few, many = shot(20, noise), shot(2000, noise)
+    few = shot(20, noise)
+    many = shot(2000, noise)
     decided = [learn(EXACT, batch).probabilities["nhkv"] for batch in (few, many)]
     vague = [learn(PAPER, batch).probabilities["nhkv"] for batch in (few, many)]
     assert decided[0] < 0.95 < 0.999 < decided[1]
     assert abs(vague[1] - vague[0]) < 0.05
     assert vague[1] < 0.6
-    both = ExperimentBatch((*many.experiments, *shot(2000, noise, (800.0, 0.2), 1).experiments), noise)
-    alone = [learn(PAPER, ExperimentBatch((e,), noise)).probabilities["nhkv"] for e in both.experiments]
+    both = ExperimentBatch(
+        (*many.experiments, *shot(2000, noise, (800.0, 0.2), 1).experiments), noise
+    )
+    alone = [
+        learn(PAPER, ExperimentBatch((e,), noise)).probabilities["nhkv"] for e in both.experiments
+    ]
     assert learn(PAPER, both).probabilities["nhkv"] == pytest.approx(sum(alone) / 2, abs=0.1)
 
 
 def test_4_the_prior_is_used_again_with_every_design():
-    """Of data that say nothing the default learns nothing; the published belief halves its variance each time."""
+    """Of data that say nothing the default learns nothing;
+
+    the published belief halves its variance each time.
+    """
     silent = replace(NOISE, scale=1e4)
     batch = ExperimentBatch(shot(1, silent).experiments * 3, silent)
     assert spread(learn(EXACT, batch)) == pytest.approx(0.0, abs=0.1)
@@ -115,15 +135,22 @@ def test_5_the_best_observed_value_wins_by_luck():
 
 def test_6_the_design_that_was_asked_for_is_not_the_one_that_was_achieved(tmp_path):
     truth = PARAMETERS.pack({"G": 5300.0, "mu": 0.16})
-    laboratory = SimulatedLaboratory(SIMULATOR, truth, noise=NOISE, repeats=50, times=TIMES, scatter=(0.2, 0.1))
+    laboratory = SimulatedLaboratory(
+        SIMULATOR, truth, noise=NOISE, repeats=50, times=TIMES, scatter=(0.2, 0.1)
+    )
     asked = tensor(400.0, 0.2)
     achieved = laboratory.shoot(asked, seed=5)
     assert abs(achieved.design[0] / 400.0 - 1.0) > 0.02
     taken_at_its_word = replace(achieved, design=(400.0, 0.2))
-    settings = CampaignSettings(plan=Plan(TIMES, repeats=50, noise=NOISE, collapses=None), learner=EXACT)
+    settings = CampaignSettings(
+        plan=Plan(TIMES, repeats=50, noise=NOISE, collapses=None), learner=EXACT
+    )
 
     def deviation(experiment: Experiment, name: str) -> float:
-        """Of the posterior mean from the truth, in standard deviations; the largest of all parameters."""
+        """Of the posterior mean from the truth, in standard deviations;
+
+        the largest of all parameters.
+        """
         run = Campaign(tmp_path / name, prior(("nhkv",)), SIMULATOR, settings=settings)
         part = run.tell(experiment).belief["nhkv"]
         return float(((part.means - tensor(5300.0, 0.16)) / part.sds).abs().max())

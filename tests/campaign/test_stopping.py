@@ -23,16 +23,27 @@ from imr_torch.observe import Experiment
 TIMES = torch.linspace(0.0, 1.0, 4, dtype=torch.float64)
 
 
-def standing(*, sd: float = 0.02, probability: float = 0.95, repeats: tuple[int, ...] = (10, 20), gain=None) -> CampaignState:
-    """G known within ``sd`` relative, mu within half of it, of a model of some probability; experiments of some repeats."""
+def standing(
+    *, sd: float = 0.02, probability: float = 0.95, repeats: tuple[int, ...] = (10, 20), gain=None
+) -> CampaignState:
+    """G known within ``sd`` relative, mu within half of it, of a model of some probability;
+
+    experiments of some repeats.
+    """
     belief = Belief.prior(
         {
-            "nhkv": {"G": TruncatedNormal(5e3, sd * 5e3), "mu": TruncatedNormal(0.1, 0.5 * sd * 0.1)},
+            "nhkv": {
+                "G": TruncatedNormal(5e3, sd * 5e3),
+                "mu": TruncatedNormal(0.1, 0.5 * sd * 0.1),
+            },
             "newtonian": {"mu": TruncatedNormal(0.1, 0.5)},
         },
         probabilities={"nhkv": probability, "newtonian": 1.0 - probability},
     )
-    made = [Experiment(f"e{n}", (300.0, 0.2), TIMES, torch.ones(n, 4, dtype=torch.float64)) for n in repeats]
+    made = [
+        Experiment(f"e{n}", (300.0, 0.2), TIMES, torch.ones(n, 4, dtype=torch.float64))
+        for n in repeats
+    ]
     return CampaignState(belief, tuple(made), gain)
 
 
@@ -40,17 +51,62 @@ def standing(*, sd: float = 0.02, probability: float = 0.95, repeats: tuple[int,
     ("rule", "going", "over", "reason"),
     [
         (Designs(3), standing(), standing(repeats=(1, 1, 1)), "3 designs were shot"),
-        (RelativeSd(0.02), standing(sd=0.0201), standing(sd=0.0199), r"every parameter of nhkv is known within 2 %"),
-        (RelativeSd(0.02), standing(sd=0.01, probability=0.4), standing(sd=0.01), "parameter of nhkv"),
-        (ModelProbability(0.9), standing(probability=0.89), standing(probability=0.91), "nhkv has a probability above 0.9"),
-        (ModelProbability(0.6), standing(probability=0.41), standing(probability=0.39), "newtonian has a probability"),
-        (GainBelow(0.5), standing(gain=0.5), standing(gain=0.49), "gain of the next design is below 0.5 nats"),
+        (
+            RelativeSd(0.02),
+            standing(sd=0.0201),
+            standing(sd=0.0199),
+            r"every parameter of nhkv is known within 2 %",
+        ),
+        (
+            RelativeSd(0.02),
+            standing(sd=0.01, probability=0.4),
+            standing(sd=0.01),
+            "parameter of nhkv",
+        ),
+        (
+            ModelProbability(0.9),
+            standing(probability=0.89),
+            standing(probability=0.91),
+            "nhkv has a probability above 0.9",
+        ),
+        (
+            ModelProbability(0.6),
+            standing(probability=0.41),
+            standing(probability=0.39),
+            "newtonian has a probability",
+        ),
+        (
+            GainBelow(0.5),
+            standing(gain=0.5),
+            standing(gain=0.49),
+            "gain of the next design is below 0.5 nats",
+        ),
         (Budget(3.0), standing(), standing(repeats=(1, 1, 1)), "3 of the budget of 3 are spent"),
-        (Budget(80.0, 5.0, 1.0), standing(repeats=(10, 20)), standing(repeats=(10, 21, 1, 30)), "82 of the budget of 80"),
-        (Budget(64.9, 5.0, 1.0), standing(repeats=(10,)), standing(repeats=(10, 20)), "40 of the budget of 64.9"),
+        (
+            Budget(80.0, 5.0, 1.0),
+            standing(repeats=(10, 20)),
+            standing(repeats=(10, 21, 1, 30)),
+            "82 of the budget of 80",
+        ),
+        (
+            Budget(64.9, 5.0, 1.0),
+            standing(repeats=(10,)),
+            standing(repeats=(10, 20)),
+            "40 of the budget of 64.9",
+        ),
         (AnyOf((Designs(9), RelativeSd(0.02))), standing(), standing(sd=0.01), "every parameter"),
-        (AllOf((Designs(2), RelativeSd(0.02))), standing(), standing(sd=0.01), "2 designs were shot and every parameter"),
-        (AllOf((Designs(3), RelativeSd(0.02))), standing(sd=0.01), standing(sd=0.01, repeats=(1, 1, 1)), "3 designs"),
+        (
+            AllOf((Designs(2), RelativeSd(0.02))),
+            standing(),
+            standing(sd=0.01),
+            "2 designs were shot and every parameter",
+        ),
+        (
+            AllOf((Designs(3), RelativeSd(0.02))),
+            standing(sd=0.01),
+            standing(sd=0.01, repeats=(1, 1, 1)),
+            "3 designs",
+        ),
     ],
     ids=lambda x: type(x).__name__ if not isinstance(x, str | CampaignState) else "",
 )
@@ -75,7 +131,10 @@ def test_rules_are_read_from_text():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("patience=3", "'patience=3' is not a stopping rule; expected NAME=NUMBER with NAME of designs, sd, probability"),
+        (
+            "patience=3",
+            "'patience=3' is not a stopping rule; expected NAME=NUMBER with NAME of designs, sd, probability",
+        ),
         ("designs=2.5", "'designs=2.5' is not a stopping rule"),
         ("sd", "'sd' is not a stopping rule"),
         ("sd=1:2", "'sd=1:2' is not a stopping rule"),
@@ -100,7 +159,10 @@ def test_all_of_nothing_is_refused():
 def test_that_a_forgotten_experiment_is_spent_and_is_no_datum():
     now = standing(repeats=(1, 1, 1))
     one_lost = CampaignState(now.belief, now.experiments[:2], None, now.experiments[2:])
-    assert Budget(3.5).reason(one_lost) == "3 of the budget of 3.5 are spent, 1 of these on experiments that were forgotten"
+    assert (
+        Budget(3.5).reason(one_lost)
+        == "3 of the budget of 3.5 are spent, 1 of these on experiments that were forgotten"
+    )
     assert Budget(4.0).reason(one_lost) is None
     assert Designs(3).reason(one_lost) is None
     assert Designs(2).reason(one_lost) == "2 designs were shot, besides 1 that were forgotten"

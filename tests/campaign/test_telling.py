@@ -30,18 +30,33 @@ from tests.journals import cut, rewritten
 from tests.linear import NOISE, LinearSimulator, prior, tensor
 from tests.stubs import StubLearner
 
-PLAN = Plan(torch.linspace(0.1, 2.0, 9, dtype=torch.float64), repeats=2, noise=NOISE, collapses=None)
+PLAN = Plan(
+    torch.linspace(0.1, 2.0, 9, dtype=torch.float64), repeats=2, noise=NOISE, collapses=None
+)
 EXACT = ExactLearner(32, SearchOptions(raw_samples=24))
 LABORATORY = SimulatedLaboratory(
-    LinearSimulator(), PARAMETERS.pack({"G": 5600.0, "mu": 0.18}), noise=NOISE, repeats=2, times=PLAN.times
+    LinearSimulator(),
+    PARAMETERS.pack({"G": 5600.0, "mu": 0.18}),
+    noise=NOISE,
+    repeats=2,
+    times=PLAN.times,
 )
 CURVES = [LABORATORY.shoot(tensor(300.0 + 100.0 * n, 0.2), seed=n) for n in range(4)]
 
 
 def campaign(folder, *, simulator=None, seed: int = 0, **settings) -> Campaign:
-    settings = {"space": DesignSpace(), "plan": PLAN, "policy": Random(), "learner": StubLearner()} | settings
+    settings = {
+        "space": DesignSpace(),
+        "plan": PLAN,
+        "policy": Random(),
+        "learner": StubLearner(),
+    } | settings
     return Campaign(
-        folder, prior(("newtonian", "nhkv")), simulator or LinearSimulator(), settings=CampaignSettings(**settings), seed=seed
+        folder,
+        prior(("newtonian", "nhkv")),
+        simulator or LinearSimulator(),
+        settings=CampaignSettings(**settings),
+        seed=seed,
     )
 
 
@@ -61,8 +76,13 @@ def test_that_a_curve_that_was_told_is_refused_with_its_number_and_the_way_out(t
     run.tell(CURVES[1])
     before = run.journal.path.read_bytes()
     run = campaign(tmp_path) if again else run
-    copy = replace(CURVES[1], label="copy", design=(777.0, 0.25), nuisance=Nuisance(rest_radius=0.1))
-    with pytest.raises(InputDataError, match=r"'copy' has the curve of experiment 2 .*forget it first: .*--forget 2"):
+    copy = replace(
+        CURVES[1], label="copy", design=(777.0, 0.25), nuisance=Nuisance(rest_radius=0.1)
+    )
+    with pytest.raises(
+        InputDataError,
+        match=r"'copy' has the curve of experiment 2 .*forget it first: .*--forget 2",
+    ):
         run.tell(CURVES[2], copy)
     assert run.journal.path.read_bytes() == before
     assert len(run.experiments) == 2
@@ -80,7 +100,9 @@ def test_that_a_curve_given_twice_at_once_is_refused(tmp_path):
 def test_that_a_curve_told_and_not_learnt_is_refused_and_says_so(tmp_path):
     campaign(tmp_path / "whole").tell(CURVES[0])
     run = campaign(cut(tmp_path / "whole", tmp_path / "cut", 2))
-    with pytest.raises(InputDataError, match="not learnt yet; resuming without telling it again does so"):
+    with pytest.raises(
+        InputDataError, match="not learnt yet; resuming without telling it again does so"
+    ):
         run.tell(CURVES[0])
 
 
@@ -90,7 +112,11 @@ def test_that_what_was_told_and_not_learnt_is_learnt_before_anything_else(tmp_pa
     whole.tell(CURVES[1])
     whole.ask()
     assert kinds(whole) == ["start", "observed", "learnt", "observed", "learnt", "ask"]
-    for name, act in {"ask": Campaign.ask, "learn": Campaign.learn, "run": lambda c: c.run(None, 2)}.items():
+    for name, act in {
+        "ask": Campaign.ask,
+        "learn": Campaign.learn,
+        "run": lambda c: c.run(None, 2),
+    }.items():
         run = campaign(cut(tmp_path / "whole", tmp_path / name, 4))
         assert run.outstanding == (2,)
         assert run.belief.to_dict() == whole.steps[0].belief.to_dict()
@@ -114,7 +140,9 @@ def test_that_learning_twice_learns_once_and_from_nothing_is_refused(tmp_path):
     assert kinds(run) == ["start", "observed", "learnt"]
 
 
-@pytest.mark.parametrize("learner", [EXACT, PaperLearner(PublishedOptions(12, 2, 2))], ids=["exact", "paper"])
+@pytest.mark.parametrize(
+    "learner", [EXACT, PaperLearner(PublishedOptions(12, 2, 2))], ids=["exact", "paper"]
+)
 def test_that_after_forgetting_the_belief_is_that_of_the_other_curves(tmp_path, learner):
     run = campaign(tmp_path / "all", learner=learner)
     run.tell(CURVES[0])
@@ -135,7 +163,9 @@ def test_that_after_forgetting_the_belief_is_that_of_the_other_curves(tmp_path, 
     assert run.tell(CURVES[2]).number == 4
 
 
-def test_that_forgetting_the_last_curve_goes_back_to_the_step_before_without_learning_again(tmp_path):
+def test_that_forgetting_the_last_curve_goes_back_to_the_step_before_without_learning_again(
+    tmp_path,
+):
     run = campaign(tmp_path)
     first = run.tell(CURVES[0])
     run.tell(CURVES[1])
@@ -179,7 +209,10 @@ def test_that_an_unknown_experiment_cannot_be_forgotten(tmp_path, number):
     run = campaign(tmp_path)
     run.tell(CURVES[0])
     run.tell(CURVES[1])
-    with pytest.raises(InputDataError, match=rf"no experiment {number} to forget .*it counts 1 \('.*'\), 2 \('.*'\)"):
+    with pytest.raises(
+        InputDataError,
+        match=rf"no experiment {number} to forget .*it counts 1 \('.*'\), 2 \('.*'\)",
+    ):
         run.forget(number)
     run.forget(2)
     with pytest.raises(InputDataError, match="no experiment 2 to forget"):
@@ -188,21 +221,28 @@ def test_that_an_unknown_experiment_cannot_be_forgotten(tmp_path, number):
 
 def test_that_a_curve_that_cannot_be_simulated_is_not_recorded(tmp_path):
     run = campaign(tmp_path, simulator=LinearSimulator(fails=True))
-    with pytest.raises(InputDataError, match=r"cannot be simulated: all 8 gels drawn of each of newtonian, nhkv failed"):
+    with pytest.raises(
+        InputDataError,
+        match=r"cannot be simulated: all 8 gels drawn of each of newtonian, nhkv failed",
+    ):
         run.tell(CURVES[0])
     assert not run.journal.path.exists()
     assert list(tmp_path.glob("*.npz")) == []
 
 
-@pytest.mark.parametrize("factor", [1e3, 1e-3], ids=["milliseconds read as seconds", "seconds read as milliseconds"])
+@pytest.mark.parametrize(
+    "factor", [1e3, 1e-3], ids=["milliseconds read as seconds", "seconds read as milliseconds"]
+)
 def test_that_a_curve_whose_times_are_in_another_unit_is_not_recorded(tmp_path, factor):
-    simulator, times = PolytropicSimulator(), torch.linspace(0.0, 3.0, 31, dtype=torch.float64)
+    simulator = PolytropicSimulator()
+    times = torch.linspace(0.0, 3.0, 31, dtype=torch.float64)
     gel = PARAMETERS.pack({"G": 5600.0, "mu": 0.1})
     radius = simulator(gel, tensor(400.0, 0.2), times).radius
     good = Experiment("good", (400.0, 0.2), times, radius.reshape(1, -1))
     run = campaign(tmp_path, simulator=simulator)
     with pytest.raises(
-        InputDataError, match=r"'bad' collapses first at a dimensionless time of .* in another unit than stated"
+        InputDataError,
+        match=r"'bad' collapses first at a dimensionless time of .* in another unit than stated",
     ):
         run.tell(replace(good, label="bad", times=factor * times))
     assert not run.journal.path.exists()
@@ -221,7 +261,10 @@ def test_that_learning_that_fails_names_the_curve_and_forgetting_it_goes_on(tmp_
     loud = replace(CURVES[1], radius=CURVES[1].radius + 5.0)
     run = campaign(tmp_path, learner=StubLearner(fails_above=3.0))
     run.tell(CURVES[0])
-    with pytest.raises(ConvergenceError, match=r"did not converge.*experiment 2, which is in the journal.*--forget 2"):
+    with pytest.raises(
+        ConvergenceError,
+        match=r"did not converge.*experiment 2, which is in the journal.*--forget 2",
+    ):
         run.tell(loud)
     run = campaign(tmp_path, learner=StubLearner(fails_above=3.0))
     with pytest.raises(ConvergenceError, match="--forget 2"):
@@ -237,7 +280,9 @@ def test_that_a_refused_campaign_leaves_no_journal_that_refuses_the_corrected_on
     assert campaign(tmp_path, policy=Fixed(((500.0, 0.2),))).ask().step == 1
 
 
-@pytest.mark.parametrize("bad", [(float("nan"), 0.2), (400.0, float("nan")), (400.0, 1.5), (float("inf"), 0.2)], ids=str)
+@pytest.mark.parametrize(
+    "bad", [(float("nan"), 0.2), (400.0, float("nan")), (400.0, 1.5), (float("inf"), 0.2)], ids=str
+)
 def test_that_a_listed_design_that_cannot_be_is_refused(bad):
     with pytest.raises(InputDataError, match=r"expected We > 0 and 0 < R_inf\* < 1"):
         Fixed(((300.0, 0.2), bad))
@@ -262,7 +307,11 @@ def test_that_a_campaign_is_resumed_on_any_number_of_workers_and_threads(tmp_pat
     campaign(tmp_path / "a", simulator=alone).ask()
     before = (tmp_path / "a" / "journal.jsonl").read_bytes()
     others = [ParallelSimulator(alone, partial(process_pool, n), chunk=64 * n) for n in (2, 3)]
-    for simulator in (*others, PolytropicSimulator(threads=2), ParallelSimulator(others[0], partial(process_pool, 2))):
+    for simulator in (
+        *others,
+        PolytropicSimulator(threads=2),
+        ParallelSimulator(others[0], partial(process_pool, 2)),
+    ):
         run = campaign(tmp_path / "a", simulator=simulator)
         run.ask()
         assert run.journal.path.read_bytes() == before
@@ -275,26 +324,36 @@ def test_that_a_campaign_is_resumed_on_any_number_of_workers_and_threads(tmp_pat
 
 def test_that_addresses_in_memory_are_no_part_of_a_campaign(tmp_path):
     asked = campaign(tmp_path, simulator=Addressed()).ask()
-    before, keep = (tmp_path / "journal.jsonl").read_bytes(), object()
+    before = (tmp_path / "journal.jsonl").read_bytes()
+    keep = object()
     again = campaign(tmp_path, simulator=Addressed(law=keep)).ask()
     assert torch.equal(again.design, asked.design)
     assert (tmp_path / "journal.jsonl").read_bytes() == before
 
 
 def test_that_two_campaigns_on_one_folder_do_not_write_over_each_other(tmp_path):
-    first, second = campaign(tmp_path), campaign(tmp_path)
+    first = campaign(tmp_path)
+    second = campaign(tmp_path)
     with first.journal.held():
         with pytest.raises(InputDataError, match="is in use by another campaign"):
             second.tell(CURVES[1])
         first.tell(CURVES[0])
-    with pytest.raises(InputDataError, match="was written to since it was opened here; open the campaign again"):
+    with pytest.raises(
+        InputDataError, match="was written to since it was opened here; open the campaign again"
+    ):
         second.tell(CURVES[1])
     assert campaign(tmp_path).numbers == [1]
     assert not (tmp_path / "experiment_002.npz").exists()
 
 
 def test_that_a_study_says_which_of_its_folders_is_in_use(tmp_path):
-    study = Study(tmp_path, prior(("nhkv",)), LinearSimulator(), LABORATORY, CampaignSettings(plan=PLAN, policy=SpaceFilling()))
+    study = Study(
+        tmp_path,
+        prior(("nhkv",)),
+        LinearSimulator(),
+        LABORATORY,
+        CampaignSettings(plan=PLAN, policy=SpaceFilling()),
+    )
     study = replace(study, settings=replace(study.settings, learner=StubLearner()))
     with study.open(1).journal.held():
         outcomes = run_campaigns([0, 1], study, 1)
@@ -306,9 +365,21 @@ def test_that_a_study_says_which_of_its_folders_is_in_use(tmp_path):
     ("place", "change", "message"),
     [
         (0, {"event": "note"}, "line 1: event is 'note'; a campaign begins with 'start'"),
-        (2, {"belief": {}}, r"line 3: Expected a document of the format 'imr_torch belief 1', got None"),
-        (2, {"evidence": [5]}, r"line 3: event 'learnt' cannot be read \(AttributeError.*Restore the journal"),
-        (3, {"event": "forget", "experiment": 7}, r"line 4: event 'forget' cannot be read \(KeyError: 7\)"),
+        (
+            2,
+            {"belief": {}},
+            r"line 3: Expected a document of the format 'imr_torch belief 1', got None",
+        ),
+        (
+            2,
+            {"evidence": [5]},
+            r"line 3: event 'learnt' cannot be read \(AttributeError.*Restore the journal",
+        ),
+        (
+            3,
+            {"event": "forget", "experiment": 7},
+            r"line 4: event 'forget' cannot be read \(KeyError: 7\)",
+        ),
     ],
     ids=str,
 )
@@ -341,7 +412,10 @@ def test_that_a_budget_that_was_spent_on_a_forgotten_curve_stays_spent(tmp_path)
     assert [e.label for e in run.forgotten] == [CURVES[1].label]
     run.tell(CURVES[2])
     for again in (run, campaign(tmp_path, stop=Budget(3.0))):
-        assert again.reason_to_stop() == "3 of the budget of 3 are spent, 1 of these on experiments that were forgotten"
+        assert (
+            again.reason_to_stop()
+            == "3 of the budget of 3 are spent, 1 of these on experiments that were forgotten"
+        )
     run.tell(CURVES[1])  # the same curve: one shot
     for again in (run, campaign(tmp_path, stop=Budget(3.0))):
         assert again.forgotten == ()

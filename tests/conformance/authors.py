@@ -15,7 +15,11 @@ from imr_torch.simulate import ACCURACIES, Accuracy, Resolution, TransportSimula
 GRIDS: dict[str, Accuracy] = {
     "converged": ACCURACIES["reference"],
     # NT = NTM = 240 points and L = 2; the tolerance resolves that grid's own solution
-    "authors_240": replace(ACCURACIES["reference"], tolerance=1e-5, resolution=Resolution(240, 240, 2.0, 2.0, "authors")),
+    "authors_240": replace(
+        ACCURACIES["reference"],
+        tolerance=1e-5,
+        resolution=Resolution(240, 240, 2.0, 2.0, "authors"),
+    ),
 }
 MODELS: dict[str, tuple[str, dict[str, str]]] = {
     "qkv": ("qkv", {"G": "G_Pa", "mu": "mu_Pa_s", "alpha": "alpha"}),
@@ -38,13 +42,17 @@ def parameter_vector(case: Mapping[str, Any]) -> Tensor:
     model = case["equivalent_model"]
     key, columns = MODELS.get(model, (model, {"G": "G_Pa", "mu": "mu_Pa_s", "alpha": "alpha"}))
     if key not in MATERIALS or not set(MATERIALS[key].names) <= set(columns):
-        raise UnsupportedError(f"Model {model!r} is not in the registry; known are {', '.join(MODELS)}.")
+        raise UnsupportedError(
+            f"Model {model!r} is not in the registry; known are {', '.join(MODELS)}."
+        )
     return PARAMETERS.pack({name: float(case[columns[name]]) for name in MATERIALS[key].names})
 
 
 def radius(case: Mapping[str, Any], t_star: np.ndarray) -> np.ndarray:
     """``R*`` at ``t_star``, same shape, of a case with the keys of the published set plus ``preset`` and ``grid``."""
     designs = torch.tensor([case["We"], case["Rinf_star"]], dtype=torch.float64)
-    simulator = TransportSimulator(preset(case.get("preset", "published")), GRIDS[case.get("grid", "converged")])
+    simulator = TransportSimulator(
+        preset(case.get("preset", "published")), GRIDS[case.get("grid", "converged")]
+    )
     times = torch.as_tensor(np.asarray(t_star, dtype=np.float64))
     return simulator(parameter_vector(case), designs, times).radius.numpy()

@@ -1,8 +1,10 @@
 """Another public solver's configurations through this toolkit: ``radius(config)``.
 
-Where that solver departs from the textbook, the departure is here and not in the library: a polytropic gas whose vapour is
-compressed with it in the pressure's rate, Gilmore's equation without the factor on the rate of enthalpy and with the
-Tait liquid's own sound speed, and a Zener model that lets the elastic stress relax too.
+Where that solver departs from the textbook, the departure is here and not in the library: a
+    polytropic gas whose vapour is
+compressed with it in the pressure's rate, Gilmore's equation without the factor on the rate of
+enthalpy and with the Tait liquid's own sound speed, and a Zener model that lets the elastic stress
+relax too.
 """
 
 from collections.abc import Mapping
@@ -35,7 +37,11 @@ from imr_torch.simulate import (
 from imr_torch.simulate.radial import keller_miksis_enthalpy
 from imr_torch.units import Surroundings
 
-PARAMETER_OF = {"mu": "viscosity_pa_s", "G": "shear_modulus_pa", "alpha": "strain_stiffening_coefficient"}
+PARAMETER_OF = {
+    "mu": "viscosity_pa_s",
+    "G": "shear_modulus_pa",
+    "alpha": "strain_stiffening_coefficient",
+}
 MODELS = {
     "none": (),
     "neo_hookean_kelvin_voigt": ("mu", "G"),
@@ -83,7 +89,9 @@ def whole_rate_gilmore(
     stiffness: Scalar,
 ) -> Scalar:
     """Without the factor ``1 - U/c`` on the rate of enthalpy."""
-    slower = slowness * power((pressure + stiffness) / (1.0 + stiffness), -0.5 * (1.0 - 1.0 / exponent))
+    slower = slowness * power(
+        (pressure + stiffness) / (1.0 + stiffness), -0.5 * (1.0 - 1.0 / exponent)
+    )
     state = (radius, velocity, pressure, rate, inertia, far, far_rate)
     return keller_miksis_enthalpy(*state, slower, image, exponent, stiffness)
 
@@ -104,10 +112,18 @@ def lagging_zener(
     tau: Scalar,
     retardation: Scalar,
 ) -> tuple[Scalar, ...]:
-    """``De Z' + Z = R^3 S_e - 4 (1 - s) R^2 U/Re``, ``S = Z/R^3 - 4 s U/(Re R)``; wall inertia of the whole viscosity."""
+    """``De Z' + Z = R^3 S_e - 4 (1 - s) R^2 U/Re``, ``S = Z/R^3 - 4 s U/(Re R)``;
+
+    wall inertia of the whole viscosity.
+    """
     strain = velocity / radius
-    elastic = neo_hookean(radius, velocity, rest_radius, G)[0] + stiffening(radius, velocity, rest_radius, G, alpha)[0]
-    change = (elastic - memory - 4.0 * (1.0 - retardation) * mu * strain) / tau - 3.0 * strain * memory
+    elastic = (
+        neo_hookean(radius, velocity, rest_radius, G)[0]
+        + stiffening(radius, velocity, rest_radius, G, alpha)[0]
+    )
+    change = (
+        elastic - memory - 4.0 * (1.0 - retardation) * mu * strain
+    ) / tau - 3.0 * strain * memory
     instant = 4.0 * retardation * mu * strain
     return memory - instant, change + instant * strain, -4.0 * mu / radius, change
 
@@ -127,12 +143,16 @@ def radius(config: Mapping[str, Any]) -> Tensor:
     """
     names = MODELS.get(config["stress_model"])
     if names is None:
-        raise UnsupportedError(f"Stress model {config['stress_model']!r} is not known; known are {', '.join(MODELS)}.")
+        raise UnsupportedError(
+            f"Stress model {config['stress_model']!r} is not known; known are {', '.join(MODELS)}."
+        )
     conditions = _conditions(config)
     outer = conditions.surroundings
     size = float(config["initial_radius_m"])
     times = torch.as_tensor(config["times_s"], dtype=torch.float64) / outer.time_scale(size)
-    designs = torch.tensor([outer.weber(size), config["equilibrium_radius_m"] / size], dtype=torch.float64)
+    designs = torch.tensor(
+        [outer.weber(size), config["equilibrium_radius_m"] / size], dtype=torch.float64
+    )
     terms = (LAGGING_ZENER,) if "tau" in names else None
     if config["bubble_gas"] == "polytropic":
         simulator = PolytropicSimulator(conditions, STEPPINGS["reference"], terms)
@@ -146,12 +166,15 @@ def _values(config: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, floa
     times = {"tau": relaxation, "tau_ucm": relaxation}
     if "retardation" in names:
         times["retardation"] = (config["retardation_time_s"] or 0.0) / relaxation
-    return {name: float(times[name] if name in times else config[PARAMETER_OF[name]]) for name in names}
+    return {
+        name: float(times[name] if name in times else config[PARAMETER_OF[name]]) for name in names
+    }
 
 
 def _conditions(config: Mapping[str, Any]) -> Conditions:
     """Everything but the gel."""
-    pressure, n = config["far_field_pressure_pa"], config["tait_exponent"]
+    pressure = config["far_field_pressure_pa"]
+    n = config["tait_exponent"]
     tait = config["tait_stiffness_pa"]
     motions: dict[str, RadialEquation] = {
         "rayleigh_plesset": RayleighPlesset(),
@@ -160,11 +183,20 @@ def _conditions(config: Mapping[str, Any]) -> Conditions:
         "gilmore": WholeRateGilmore(n, tait / pressure),
     }
     if config["radial_equation"] not in motions:
-        raise UnsupportedError(f"Radial equation {config['radial_equation']!r} is not known; known are {', '.join(motions)}.")
-    density, sound = config["liquid_density_kg_per_m3"], config["sound_speed_m_per_s"]
+        raise UnsupportedError(
+            f"Radial equation {config['radial_equation']!r} is not known; known are {', '.join(motions)}."
+        )
+    density = config["liquid_density_kg_per_m3"]
+    sound = config["sound_speed_m_per_s"]
     if config["radial_equation"] == "gilmore":
         sound = (n * (pressure + tait) / density) ** 0.5
-    outer = Surroundings(pressure, density, config["surface_tension_n_per_m"], config["far_field_temperature_k"], sound)
+    outer = Surroundings(
+        pressure,
+        density,
+        config["surface_tension_n_per_m"],
+        config["far_field_temperature_k"],
+        sound,
+    )
     ratio = config["ratio_of_specific_heats"]
     return Conditions(
         surroundings=outer,
@@ -183,20 +215,35 @@ def _conditions(config: Mapping[str, Any]) -> Conditions:
 
 def _mixture(config: Mapping[str, Any]) -> GasMixture:
     """Gas and vapour of one conductivity: that of the mixture at the start."""
-    vapour_mass, air_mass = config["vapour_molar_mass_kg_per_mol"], config["gas_molar_mass_kg_per_mol"]
-    pressure, tension = config["far_field_pressure_pa"], 2.0 * config["surface_tension_n_per_m"]
-    rest, size = config["equilibrium_radius_m"], config["initial_radius_m"]
+    vapour_mass = config["vapour_molar_mass_kg_per_mol"]
+    air_mass = config["gas_molar_mass_kg_per_mol"]
+    pressure = config["far_field_pressure_pa"]
+    tension = 2.0 * config["surface_tension_n_per_m"]
+    rest = config["equilibrium_radius_m"]
+    size = config["initial_radius_m"]
     saturation = config["saturation_pressure_prefactor_pa"] * torch.exp(
-        torch.tensor(-config["saturation_pressure_temperature_k"] / config["far_field_temperature_k"], dtype=torch.float64)
+        torch.tensor(
+            -config["saturation_pressure_temperature_k"] / config["far_field_temperature_k"],
+            dtype=torch.float64,
+        )
     )
     saturation = float(saturation) if config["vapour_pressure"] else 0.0
     start = (pressure + tension / rest - saturation) * (rest / size) ** 3 + saturation
     share = 1.0 / (1.0 + air_mass / vapour_mass * (start / saturation - 1.0)) if saturation else 0.0
 
     def mixed(name: str) -> float:
-        return share * config[f"vapour_conductivity_{name}"] + (1.0 - share) * config[f"gas_conductivity_{name}"]
+        return (
+            share * config[f"vapour_conductivity_{name}"]
+            + (1.0 - share) * config[f"gas_conductivity_{name}"]
+        )
 
-    vapour = "transported" if config["vapour_mass_transfer"] else "frozen" if config["vapour_pressure"] else "absent"
+    vapour = (
+        "transported"
+        if config["vapour_mass_transfer"]
+        else "frozen"
+        if config["vapour_pressure"]
+        else "absent"
+    )
     return GasMixture(
         heat_ratio=config["ratio_of_specific_heats"],
         conductivity_slope=mixed("slope_w_per_m_k2"),

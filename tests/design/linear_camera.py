@@ -15,7 +15,8 @@ SIGMA = 0.05
 TIMES = torch.linspace(0.1, 2.0, 7, dtype=torch.float64)
 DESIGNS = torch.tensor([[300.0, 0.2], [800.0, 0.28]], dtype=torch.float64)
 INDEX = PARAMETERS.index(("G", "mu", "alpha"))
-TIME_SLOPE, REST_SLOPE = -0.4, 0.5
+TIME_SLOPE = -0.4
+REST_SLOPE = 0.5
 
 
 @dataclass(frozen=True)
@@ -37,9 +38,9 @@ class LinearCamera:
         """``... x 7 x 3`` for ``...`` Weber numbers."""
         k = torch.linspace(0.1, 2.0, 7, dtype=torch.float64)
         w = weber[..., None] / 500.0
-        return torch.stack((torch.sin(w * k), torch.cos(2.0 * w * k), 0.6 * k.expand(*w.shape[:-1], 7)), -1) / torch.tensor(
-            self.units
-        )
+        return torch.stack(
+            (torch.sin(w * k), torch.cos(2.0 * w * k), 0.6 * k.expand(*w.shape[:-1], 7)), -1
+        ) / torch.tensor(self.units)
 
     def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
         shape, parameters, designs, times = broadcast_batch(parameters, designs, times)
@@ -48,7 +49,9 @@ class LinearCamera:
         bad = parameters[:, INDEX[0]] > self.limit
         radius = torch.where(bad[:, None], torch.nan, radius).reshape(*shape, -1)
         status = torch.where(bad, int(Status.NON_FINITE), int(Status.DONE)).reshape(shape)
-        return Solution(times.reshape(*shape, -1), radius, radius, radius, status, torch.ones_like(status))
+        return Solution(
+            times.reshape(*shape, -1), radius, radius, radius, status, torch.ones_like(status)
+        )
 
     def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
         return self(parameters, designs, times)
@@ -72,17 +75,28 @@ def correlated() -> Belief:
     """A posterior: mean and covariance of the controls are not the prior's."""
     part = ONE.models[0]
     chol = torch.tensor([[0.8, 0.0, 0.0], [0.5, 0.4, 0.0], [-0.3, 0.2, 0.9]], dtype=torch.float64)
-    return Belief((part.with_gaussian(torch.tensor([0.3, -0.4, 0.1], dtype=torch.float64), chol),), torch.zeros(1).double())
+    return Belief(
+        (part.with_gaussian(torch.tensor([0.3, -0.4, 0.1], dtype=torch.float64), chol),),
+        torch.zeros(1).double(),
+    )
 
 
 def plan(**changes) -> Plan:
-    return Plan(**{"times": TIMES, "noise": Noise(slope=0.0, drift=0.0, floor=SIGMA), "collapses": None} | changes)
+    return Plan(
+        **{"times": TIMES, "noise": Noise(slope=0.0, drift=0.0, floor=SIGMA), "collapses": None}
+        | changes
+    )
 
 
 def sensitivity(part: ModelBelief, designs: Tensor) -> Tensor:
     """``(q 7) x d``: of all frames to the standard normal controls."""
-    slopes = [float(m.to_physical(torch.tensor(1.0)) - m.to_physical(torch.tensor(0.0))) for m in part.marginals]
-    columns = LinearCamera().columns(designs[:, 0])[..., : len(slopes)] * torch.tensor(slopes, dtype=torch.float64)
+    slopes = [
+        float(m.to_physical(torch.tensor(1.0)) - m.to_physical(torch.tensor(0.0)))
+        for m in part.marginals
+    ]
+    columns = LinearCamera().columns(designs[:, 0])[..., : len(slopes)] * torch.tensor(
+        slopes, dtype=torch.float64
+    )
     return columns.flatten(0, 1) @ part.chol
 
 
@@ -90,16 +104,25 @@ def covariance(designs: Tensor, how: Plan, *, nuisances: bool = True) -> Tensor:
     """``(q 7) x (q 7)``: of the mean of all repeats, nuisances included."""
     gap = (TIMES[:, None] - TIMES).abs()
     tau = how.noise.correlation_time
-    noise = (how.noise.floor * how.noise.scale) ** 2 * (torch.exp(-gap / tau) if tau else torch.eye(7).double()) / how.repeats
+    noise = (
+        (how.noise.floor * how.noise.scale) ** 2
+        * (torch.exp(-gap / tau) if tau else torch.eye(7).double())
+        / how.repeats
+    )
     blocks = []
     for design in designs:
         clock = torch.full((7, 1), TIME_SLOPE * how.nuisance.time_zero, dtype=torch.float64)
-        rest = torch.full((7, 1), REST_SLOPE * float(design[1]) * how.nuisance.rest_radius, dtype=torch.float64)
+        rest = torch.full(
+            (7, 1), REST_SLOPE * float(design[1]) * how.nuisance.rest_radius, dtype=torch.float64
+        )
         blocks.append(noise + (clock @ clock.mT + rest @ rest.mT if nuisances else 0.0))
     return torch.block_diag(*blocks)
 
 
 def exact(belief: Belief, designs: Tensor, how: Plan) -> float:
     """Information about the parameters of the models, averaged over them."""
-    gains = [linear_gaussian_gain(sensitivity(part, designs), covariance(designs, how)) for part in belief.models]
+    gains = [
+        linear_gaussian_gain(sensitivity(part, designs), covariance(designs, how))
+        for part in belief.models
+    ]
     return float(belief.log_probabilities.exp() @ torch.stack(gains))

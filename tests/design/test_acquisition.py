@@ -1,4 +1,7 @@
-"""The information gain as BoTorch's users know acquisitions: batches, joint gains, pending designs, optimisers, targets."""
+"""The information gain as BoTorch's users know acquisitions:
+
+batches, joint gains, pending designs, optimisers, targets.
+"""
 
 import math
 from dataclasses import dataclass
@@ -40,7 +43,9 @@ EVERY = [
 
 
 def acquisition(belief=ONE, estimator=None, **options):
-    return ExpectedInformationGain(belief, LinearCamera(), estimator or Laplace(draws=4), plan=plan(), **options)
+    return ExpectedInformationGain(
+        belief, LinearCamera(), estimator or Laplace(draws=4), plan=plan(), **options
+    )
 
 
 @pytest.mark.parametrize("shape", [(1,), (3,), (2, 3), (0,)])
@@ -49,7 +54,9 @@ def test_that_every_batch_shape_is_kept(shape, q):
     gain = acquisition()
     X = DESIGNS[:q].expand(*shape, q, 2)
     assert gain(X).shape == shape
-    assert torch.allclose(gain(X), torch.tensor(gain.estimate(DESIGNS[:q]).value, dtype=torch.float64))
+    assert torch.allclose(
+        gain(X), torch.tensor(gain.estimate(DESIGNS[:q]).value, dtype=torch.float64)
+    )
 
 
 def test_that_one_set_of_designs_without_a_batch_is_a_batch_of_one():
@@ -66,7 +73,9 @@ def test_that_pending_designs_count_in_the_joint_gain_and_none_restores_the_gain
     gain = acquisition()
     alone = gain(THIRD[None])
     gain.set_X_pending(DESIGNS)
-    assert float(gain(THIRD[None])) == pytest.approx(exact(ONE, torch.cat((THIRD, DESIGNS)), plan()), rel=1e-7)
+    assert float(gain(THIRD[None])) == pytest.approx(
+        exact(ONE, torch.cat((THIRD, DESIGNS)), plan()), rel=1e-7
+    )
     assert float(gain(THIRD[None])) > float(alone) + 0.5
     assert gain.estimate_pending().value == pytest.approx(exact(ONE, DESIGNS, plan()), rel=1e-7)
     gain.set_X_pending(None)
@@ -94,7 +103,9 @@ def test_that_pending_designs_of_another_shape_are_refused():
 
 def test_that_asking_for_gradients_says_what_to_use_instead():
     gain = acquisition()
-    with pytest.raises(UnsupportedError, match=r'options=\{"with_grad": False\}, or use search_design'):
+    with pytest.raises(
+        UnsupportedError, match=r'options=\{"with_grad": False\}, or use search_design'
+    ):
         optimize_acqf(gain, gain.space.bounds, q=1, num_restarts=1, raw_samples=2)
     with torch.no_grad():
         assert torch.isfinite(gain(DESIGNS[None].clone().requires_grad_(True))).all()
@@ -103,7 +114,9 @@ def test_that_asking_for_gradients_says_what_to_use_instead():
 def test_that_optimize_acqf_finds_at_least_the_better_of_two_designs():
     gain = acquisition()
     with manual_seed(0):
-        best, value = optimize_acqf(gain, gain.space.bounds, q=1, num_restarts=1, raw_samples=16, options=NO_GRAD)
+        best, value = optimize_acqf(
+            gain, gain.space.bounds, q=1, num_restarts=1, raw_samples=16, options=NO_GRAD
+        )
     assert best.shape == (1, 2)
     assert float(value) >= float(gain(DESIGNS[:, None]).max()) - 0.05
 
@@ -112,7 +125,13 @@ def test_that_sequential_greedy_takes_each_design_with_those_before_it_pending()
     gain = acquisition(X_pending=THIRD)
     with manual_seed(0):
         best, values = optimize_acqf(
-            gain, gain.space.bounds, q=2, num_restarts=1, raw_samples=8, options=NO_GRAD, sequential=True
+            gain,
+            gain.space.bounds,
+            q=2,
+            num_restarts=1,
+            raw_samples=8,
+            options=NO_GRAD,
+            sequential=True,
         )
     assert best.shape == (2, 2)
     assert torch.equal(gain.X_pending, THIRD)
@@ -126,28 +145,45 @@ def test_that_optimize_acqf_mixed_keeps_to_the_settings():
     fixed = [{0: 200.0}, {0: 800.0}]
     with manual_seed(0):
         best, _ = optimize_acqf_mixed(
-            gain, gain.space.bounds, q=2, num_restarts=1, raw_samples=4, fixed_features_list=fixed, options=NO_GRAD
+            gain,
+            gain.space.bounds,
+            q=2,
+            num_restarts=1,
+            raw_samples=4,
+            fixed_features_list=fixed,
+            options=NO_GRAD,
         )
     assert {float(x) for x in best[:, 0]} <= {200.0, 800.0}
 
 
-@pytest.mark.parametrize("estimator", EVERY, ids=lambda e: f"{type(e).__name__}{getattr(e, 'refinements', '')}")
+@pytest.mark.parametrize(
+    "estimator", EVERY, ids=lambda e: f"{type(e).__name__}{getattr(e, 'refinements', '')}"
+)
 def test_that_the_gain_about_the_model_is_never_above_the_entropy_of_the_models(estimator):
     """By value, by batch, by pending designs and in every evaluation of a search with common draws."""
     gain = acquisition(TWO, estimator, target="model")
-    values = [gain(DESIGNS[:, None]), gain(DESIGNS[None]), gain.with_pending(THIRD)(DESIGNS[:, None])]
+    values = [
+        gain(DESIGNS[:, None]),
+        gain(DESIGNS[None]),
+        gain.with_pending(THIRD)(DESIGNS[:, None]),
+    ]
     search = search_design(gain, seed=1, evaluations=4, initial=3)
     values.append(torch.tensor([g.value for g in search.gains]))
     assert float(torch.cat([v.flatten().double() for v in values]).max()) <= ENTROPY + 1e-9
     assert all(g.parameters == 0.0 and g.variance == g.model_variance for g in search.gains)
 
 
-@pytest.mark.parametrize("estimator", EVERY, ids=lambda e: f"{type(e).__name__}{getattr(e, 'refinements', '')}")
+@pytest.mark.parametrize(
+    "estimator", EVERY, ids=lambda e: f"{type(e).__name__}{getattr(e, 'refinements', '')}"
+)
 def test_that_the_targets_are_the_parts_of_the_whole(estimator):
     parts = {
-        target: acquisition(TWO, estimator, target=target).estimate(DESIGNS[:1]) for target in ("parameters", "model", "both")
+        target: acquisition(TWO, estimator, target=target).estimate(DESIGNS[:1])
+        for target in ("parameters", "model", "both")
     }
-    assert parts["parameters"].value + parts["model"].value == pytest.approx(parts["both"].value, rel=1e-12)
+    assert parts["parameters"].value + parts["model"].value == pytest.approx(
+        parts["both"].value, rel=1e-12
+    )
     assert parts["parameters"].variance == pytest.approx(parts["both"].parameters_variance)
     for gain in parts.values():
         influence = torch.tensor(gain.influence, dtype=torch.float64).sum(1)
@@ -155,7 +191,9 @@ def test_that_the_targets_are_the_parts_of_the_whole(estimator):
 
 
 def test_that_an_unknown_target_is_refused():
-    with pytest.raises(InputDataError, match="target is 'models'; expected one of parameters, model, both"):
+    with pytest.raises(
+        InputDataError, match="target is 'models'; expected one of parameters, model, both"
+    ):
         acquisition(target="models")
 
 

@@ -32,5 +32,8 @@ def test_it_is_additive_over_independent_parameters_and_batched():
 
 
 def test_shapes_that_do_not_fit_are_refused():
-    with pytest.raises(ShapeError, match=r"needs noise \.\.\. x 3 x 3 and prior \.\.\. x 2 x 2; got \(2, 2\) and \(2, 2\)"):
+    with pytest.raises(
+        ShapeError,
+        match=r"needs noise \.\.\. x 3 x 3 and prior \.\.\. x 2 x 2; got \(2, 2\) and \(2, 2\)",
+    ):
         linear_gaussian_gain(torch.ones(3, 2).double(), EYE)

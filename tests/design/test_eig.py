@@ -1,4 +1,7 @@
-"""The information gain against closed forms: a linear camera of Gaussian parameters, where everything is known exactly."""
+"""The information gain against closed forms:
+
+a linear camera of Gaussian parameters, where everything is known exactly.
+"""
 
 import math
 from dataclasses import fields, is_dataclass, replace
@@ -41,7 +44,14 @@ from tests.design.linear_camera import (
 CORRELATED = Noise(slope=0.0, drift=0.0, floor=SIGMA, correlation_time=0.5)
 COARSE = Noise(slope=0.0, drift=0.0, floor=1.0)
 BOTH = Nuisance(time_zero=0.1, rest_radius=0.3)
-EVERY = (Laplace, ImportanceSampling, AdaptiveContrastive, NestedMonteCarlo, PriorContrastive, PublishedEstimator)
+EVERY = (
+    Laplace,
+    ImportanceSampling,
+    AdaptiveContrastive,
+    NestedMonteCarlo,
+    PriorContrastive,
+    PublishedEstimator,
+)
 EXACT = [Laplace(draws=6), ImportanceSampling(draws=6, inner=4, defence=0.0)]
 
 
@@ -51,21 +61,33 @@ def name(value):
 
 def sized(kind, **sizes):
     """An estimator with those of some sizes that it has."""
-    return kind(**{key: value for key, value in sizes.items() if key in {f.name for f in fields(kind)}})
+    return kind(
+        **{key: value for key, value in sizes.items() if key in {f.name for f in fields(kind)}}
+    )
 
 
 def gain(belief, designs, how, estimator, *, camera=None, seed=0):
-    return expected_information_gain(belief, designs, camera or LinearCamera(), how, estimator=estimator, seed=seed)
+    return expected_information_gain(
+        belief, designs, camera or LinearCamera(), how, estimator=estimator, seed=seed
+    )
 
 
 @pytest.mark.parametrize("draws", [6, 100])
 def test_that_a_belief_that_bends_gains_as_its_cloud_and_not_as_its_gaussian(draws):
-    """The draws of a narrow belief inside a Gaussian five times as wide: the gain is that of the narrow one."""
-    part, how, estimator = correlated().models[0], plan(repeats=10), Laplace(draws=draws)
-    narrow, controls = correlated(), part.controls(32, seed=0)
+    """The draws of a narrow belief inside a Gaussian five times as wide:
+
+    the gain is that of the narrow one.
+    """
+    part = correlated().models[0]
+    how = plan(repeats=10)
+    estimator = Laplace(draws=draws)
+    narrow = correlated()
+    controls = part.controls(32, seed=0)
     precision = torch.cholesky_inverse(part.chol).expand(32, -1, -1)
     wide = replace(part, chol=5.0 * part.chol)
-    bent = Belief((wide.with_cloud(cloud(controls, precision)),), torch.zeros(1, dtype=torch.float64))
+    bent = Belief(
+        (wide.with_cloud(cloud(controls, precision)),), torch.zeros(1, dtype=torch.float64)
+    )
     fat = Belief((wide,), torch.zeros(1, dtype=torch.float64))
     found = gain(bent, DESIGNS[:1], how, estimator)
     assert found.value == pytest.approx(exact(narrow, DESIGNS[:1], how), rel=1e-7)
@@ -78,7 +100,13 @@ def test_that_a_belief_that_bends_gains_as_its_cloud_and_not_as_its_gaussian(dra
 @pytest.mark.parametrize("q", [1, 2])
 @pytest.mark.parametrize(
     "changes",
-    [{}, {"repeats": 100}, {"noise": CORRELATED}, {"nuisance": BOTH}, {"nuisance": BOTH, "noise": CORRELATED, "repeats": 10}],
+    [
+        {},
+        {"repeats": 100},
+        {"noise": CORRELATED},
+        {"nuisance": BOTH},
+        {"nuisance": BOTH, "noise": CORRELATED, "repeats": 10},
+    ],
     ids=["one curve", "100 repeats", "correlated", "nuisances", "all three"],
 )
 def test_unsaturated_estimators_are_exact_for_a_linear_gaussian_model(estimator, q, changes):
@@ -111,7 +139,9 @@ def test_unsaturated_estimators_are_not_bounded_by_the_number_of_draws(estimator
     ids=name,
 )
 @pytest.mark.parametrize("belief", [ONE, TWO], ids=["one model", "two models"])
-def test_sampling_estimators_meet_the_closed_form_within_their_error_where_the_gain_is_small(estimator, belief):
+def test_sampling_estimators_meet_the_closed_form_within_their_error_where_the_gain_is_small(
+    estimator, belief
+):
     how = plan(noise=replace(COARSE, floor=0.5 if belief is ONE else 0.3))
     found = gain(belief, DESIGNS[:1], how, estimator, seed=3)
     truth = exact(belief, DESIGNS[:1], how) + model_information(belief, how)
@@ -121,7 +151,10 @@ def test_sampling_estimators_meet_the_closed_form_within_their_error_where_the_g
 
 
 def model_information(belief, how, count=40000):
-    """``I(y; m)`` by plain Monte Carlo with the exact Gaussian evidences; its error is below .004."""
+    """``I(y; m)`` by plain Monte Carlo with the exact Gaussian evidences;
+
+    its error is below .004.
+    """
     if len(belief.models) == 1:
         return 0.0
     noise = covariance(DESIGNS[:1], how)
@@ -130,11 +163,14 @@ def model_information(belief, how, count=40000):
         J = sensitivity(part, DESIGNS[:1])
         laws.append(MultivariateNormal(torch.zeros(7).double(), J @ J.mT + noise))
     torch.manual_seed(0)
-    weights, value = belief.log_probabilities, 0.0
+    weights = belief.log_probabilities
+    value = 0.0
     for i, law in enumerate(laws):
         y = law.sample((count,))
         logs = torch.stack([other.log_prob(y) for other in laws])
-        value += float(weights[i].exp() * (logs[i] - torch.logsumexp(logs + weights[:, None], 0)).mean())
+        value += float(
+            weights[i].exp() * (logs[i] - torch.logsumexp(logs + weights[:, None], 0)).mean()
+        )
     return value
 
 
@@ -168,9 +204,15 @@ def test_the_papers_estimator_does_not_underflow_for_long_records():
 @pytest.mark.parametrize("proposal", ["posterior", "prior"])
 def test_the_bracket_brackets(proposal, repeats):
     how = plan(repeats=repeats)
-    kinds = {"posterior": (AdaptiveContrastive, ImportanceSampling), "prior": (PriorContrastive, NestedMonteCarlo)}[proposal]
+    kinds = {
+        "posterior": (AdaptiveContrastive, ImportanceSampling),
+        "prior": (PriorContrastive, NestedMonteCarlo),
+    }[proposal]
     lower, upper = (kind(draws=40, inner=16 if proposal == "posterior" else 200) for kind in kinds)
-    found = [information_bracket(ONE, DESIGNS[:1], LinearCamera(), how, lower=lower, upper=upper, seed=s) for s in range(12)]
+    found = [
+        information_bracket(ONE, DESIGNS[:1], LinearCamera(), how, lower=lower, upper=upper, seed=s)
+        for s in range(12)
+    ]
     truth = exact(ONE, DESIGNS[:1], how)
     for name, sign in (("lower", 1.0), ("upper", -1.0)):
         values = torch.tensor([getattr(b, name).value for b in found], dtype=torch.float64)
@@ -197,7 +239,9 @@ def test_the_stated_variance_is_the_scatter_over_seeds(estimator, floor):
     how = plan(noise=replace(COARSE, floor=floor))
     found = [gain(TWO, DESIGNS[:1], how, estimator, seed=s) for s in range(60)]
     values = torch.tensor([f.value for f in found], dtype=torch.float64)
-    z = (values - values.mean()) / torch.tensor([f.variance for f in found], dtype=torch.float64).sqrt()
+    z = (values - values.mean()) / torch.tensor(
+        [f.variance for f in found], dtype=torch.float64
+    ).sqrt()
     assert 0.7 < float(z.std()) < 1.4
 
 
@@ -212,8 +256,12 @@ def test_the_bias_of_importance_sampling_is_no_more_than_it_says():
     how = plan(noise=replace(COARSE, floor=0.2))
     rough = ImportanceSampling(draws=60, inner=4, defence=0.5)
     found = [gain(ONE, DESIGNS[:1], how, rough, seed=s) for s in range(30)]
-    excess = torch.tensor([f.value for f in found], dtype=torch.float64) - exact(ONE, DESIGNS[:1], how)
-    assert 3.0 * float(excess.std()) / 30**0.5 < float(excess.mean()) < sum(f.bias for f in found) / 30
+    excess = torch.tensor([f.value for f in found], dtype=torch.float64) - exact(
+        ONE, DESIGNS[:1], how
+    )
+    assert (
+        3.0 * float(excess.std()) / 30**0.5 < float(excess.mean()) < sum(f.bias for f in found) / 30
+    )
 
 
 @pytest.mark.parametrize("kind", EVERY)
@@ -232,7 +280,13 @@ def test_failed_bubbles_are_counted_and_too_many_make_the_estimate_void(kind):
 @pytest.mark.parametrize("kind", EVERY)
 def test_a_belief_none_of_whose_gels_can_be_simulated_gives_a_failed_evaluation(kind):
     for belief in (ONE, TWO):
-        none = gain(belief, DESIGNS[:1], plan(), sized(kind, draws=4, inner=4), camera=LinearCamera(limit=-100.0))
+        none = gain(
+            belief,
+            DESIGNS[:1],
+            plan(),
+            sized(kind, draws=4, inner=4),
+            camera=LinearCamera(limit=-100.0),
+        )
         assert none.counted == 0
         assert math.isnan(none.value)
 
@@ -245,10 +299,14 @@ def test_two_bubbles_together_tell_less_than_the_sum_and_more_than_each(kind):
     assert max(each) < both < sum(each)
 
 
-@pytest.mark.parametrize("kind", [Laplace, ImportanceSampling, NestedMonteCarlo, PublishedEstimator])
+@pytest.mark.parametrize(
+    "kind", [Laplace, ImportanceSampling, NestedMonteCarlo, PublishedEstimator]
+)
 def test_the_gain_does_not_depend_on_the_units_of_the_parameters(kind):
     units = (1e4, 3.0, 0.01)
-    scaled = Belief.prior({"gen_qkv": {"G": normal(3e3), "mu": normal(0.6), "alpha": normal(0.005)}})
+    scaled = Belief.prior(
+        {"gen_qkv": {"G": normal(3e3), "mu": normal(0.6), "alpha": normal(0.005)}}
+    )
     estimator = sized(kind, draws=30, inner=32)
     first = gain(ONE, DESIGNS[:1], plan(), estimator)
     second = gain(scaled, DESIGNS[:1], plan(), estimator, camera=LinearCamera(units=units))
@@ -259,7 +317,9 @@ def test_the_gain_does_not_depend_on_the_units_of_the_parameters(kind):
 @pytest.mark.parametrize("kind", [Laplace, ImportanceSampling, PublishedEstimator])
 @pytest.mark.parametrize("limit", [math.inf, 0.2], ids=["all succeed", "some fail"])
 def test_gains_of_several_designs_each_alone_are_those_of_one_after_the_other(kind, limit):
-    how, camera, estimator = plan(nuisance=BOTH), LinearCamera(limit=limit), kind(draws=12)
+    how = plan(nuisance=BOTH)
+    camera = LinearCamera(limit=limit)
+    estimator = kind(draws=12)
     found = gains_of_each(TWO, DESIGNS, camera, how, estimator=estimator, seed=4)
     assert len(found) == 2
     for each, design in zip(found, DESIGNS, strict=True):
@@ -273,7 +333,9 @@ def test_a_model_of_negligible_probability_costs_nothing():
     sure = Belief(TWO.models, torch.tensor([-30.0, 0.0], dtype=torch.float64))
     found = gain(sure, DESIGNS[:1], plan(), Laplace(draws=6))
     assert found.drawn == 6
-    assert found.value == pytest.approx(exact(Belief(TWO.models[1:], torch.zeros(1).double()), DESIGNS[:1], plan()))
+    assert found.value == pytest.approx(
+        exact(Belief(TWO.models[1:], torch.zeros(1).double()), DESIGNS[:1], plan())
+    )
 
 
 def test_a_shorter_window_tells_less():
@@ -281,8 +343,15 @@ def test_a_shorter_window_tells_less():
     design = torch.tensor([[400.0, 0.2]], dtype=torch.float64)
     values = []
     for collapses in (1, 2, None):
-        how = replace(plan(), times=torch.linspace(0.0, 4.0, 41, dtype=torch.float64), noise=Noise(), collapses=collapses)
-        values.append(gain(belief, design, how, Laplace(draws=8), camera=PolytropicSimulator()).value)
+        how = replace(
+            plan(),
+            times=torch.linspace(0.0, 4.0, 41, dtype=torch.float64),
+            noise=Noise(),
+            collapses=collapses,
+        )
+        values.append(
+            gain(belief, design, how, Laplace(draws=8), camera=PolytropicSimulator()).value
+        )
     assert values[0] < values[1] < values[2]
 
 
@@ -302,7 +371,11 @@ def test_unsaturated_estimators_and_bounds_agree_on_bubbles():
     }
     assert abs(found["Laplace"].value - found["ImportanceSampling"].value) < 0.3
     error = found["ImportanceSampling"].variance ** 0.5
-    assert found["PriorContrastive"].value - error < found["ImportanceSampling"].value < found["NestedMonteCarlo"].value + error
+    assert (
+        found["PriorContrastive"].value - error
+        < found["ImportanceSampling"].value
+        < found["NestedMonteCarlo"].value + error
+    )
 
 
 @pytest.mark.parametrize("kind", [Laplace, ImportanceSampling, PublishedEstimator])
@@ -325,11 +398,17 @@ def test_the_estimate_is_a_function_of_its_seed(kind):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Laplace(draws=1), "Laplace.draws is 1; at least 2 are needed for an error estimate"),
+        (
+            lambda: Laplace(draws=1),
+            "Laplace.draws is 1; at least 2 are needed for an error estimate",
+        ),
         (lambda: Laplace(rivals=1), "Laplace.rivals is 1; at least 2"),
         (lambda: Laplace(refinements=-1), "Laplace.refinements is -1; expected 0 or more"),
         (lambda: ImportanceSampling(inner=1), "ImportanceSampling.inner is 1; at least 2"),
-        (lambda: AdaptiveContrastive(defence=0.9), r"AdaptiveContrastive.defence is 0.9; expected a share in \[0, 0.5\]"),
+        (
+            lambda: AdaptiveContrastive(defence=0.9),
+            r"AdaptiveContrastive.defence is 0.9; expected a share in \[0, 0.5\]",
+        ),
         (lambda: NestedMonteCarlo(inner=0), "NestedMonteCarlo.inner is 0; at least 2"),
         (lambda: PriorContrastive(draws=0), "PriorContrastive.draws is 0; at least 2"),
         (lambda: PublishedEstimator(1), "PublishedEstimator.draws is 1; at least 2"),

@@ -8,8 +8,20 @@ import pytest
 
 import imr_torch.design
 
-MODULES = [f"imr_torch.design.{info.name}" for info in pkgutil.iter_modules(imr_torch.design.__path__)]
-SHOWN = {"acquisition", "eig", "estimator", "gain", "importance", "laplace", "nested", "published", "search"}
+MODULES = [
+    f"imr_torch.design.{info.name}" for info in pkgutil.iter_modules(imr_torch.design.__path__)
+]
+SHOWN = {
+    "acquisition",
+    "eig",
+    "estimator",
+    "gain",
+    "importance",
+    "laplace",
+    "nested",
+    "published",
+    "search",
+}
 
 
 @pytest.mark.parametrize("name", MODULES)

@@ -23,23 +23,37 @@ TOLERANCE = 0.05
 
 def gain(design, estimator, seed):
     X = torch.tensor([design], dtype=torch.float64)
-    return expected_information_gain(PRIOR, X, PolytropicSimulator(), Plan(repeats=1), estimator=estimator, seed=seed)
+    return expected_information_gain(
+        PRIOR, X, PolytropicSimulator(), Plan(repeats=1), estimator=estimator, seed=seed
+    )
 
 
 @functools.cache
 def brute(design):
-    """Nested Monte Carlo of the part about the model: lower and upper bound in practice, and a standard error."""
-    low, high = (gain(design, kind(draws=200, inner=2500), 1) for kind in (NestedMonteCarlo, PriorContrastive))
+    """Nested Monte Carlo of the part about the model:
+
+    lower and upper bound in practice, and a standard error.
+    """
+    low, high = (
+        gain(design, kind(draws=200, inner=2500), 1)
+        for kind in (NestedMonteCarlo, PriorContrastive)
+    )
     return low.model, high.model, high.model_variance**0.5
 
 
 @pytest.mark.parametrize("design", DESIGNS)
 @pytest.mark.parametrize(
     ("estimator", "seeds"),
-    [(Laplace(draws=32, rivals=32), 8), (Laplace(draws=32), 24), (ImportanceSampling(draws=128, inner=32), 1)],
+    [
+        (Laplace(draws=32, rivals=32), 8),
+        (Laplace(draws=32), 24),
+        (ImportanceSampling(draws=128, inner=32), 1),
+    ],
     ids=["Laplace, all data", "Laplace, a quarter of the data", "ImportanceSampling"],
 )
-def test_that_the_gain_about_the_model_is_that_of_brute_nested_monte_carlo(design, estimator, seeds):
+def test_that_the_gain_about_the_model_is_that_of_brute_nested_monte_carlo(
+    design, estimator, seeds
+):
     low, high, error = brute(design)
     found = [gain(design, estimator, seed) for seed in range(2, 2 + seeds)]
     value = sum(g.model for g in found) / seeds
@@ -49,6 +63,11 @@ def test_that_the_gain_about_the_model_is_that_of_brute_nested_monte_carlo(desig
 
 def test_that_evidence_linearised_at_a_draw_of_the_rival_is_too_low_and_refinement_mends_it():
     at_draw, refined = (
-        sum(gain(DESIGNS[0], Laplace(draws=16, rivals=16, refinements=n), seed).model for seed in range(8)) / 8 for n in (0, 3)
+        sum(
+            gain(DESIGNS[0], Laplace(draws=16, rivals=16, refinements=n), seed).model
+            for seed in range(8)
+        )
+        / 8
+        for n in (0, 3)
     )
     assert at_draw > refined + TOLERANCE

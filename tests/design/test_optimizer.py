@@ -28,7 +28,9 @@ def utility(X):
 
 def run(strategy, evaluations, *, seed=0, sd=0.05, space=SPACE, cost=None):
     noise = torch.Generator().manual_seed(seed)
-    optimizer = DesignOptimizer(space, seed=seed, initial=5, strategy=STRATEGIES[strategy], cost=cost)
+    optimizer = DesignOptimizer(
+        space, seed=seed, initial=5, strategy=STRATEGIES[strategy], cost=cost
+    )
     while len(optimizer.train_X) < evaluations:
         X = optimizer.ask()
         Y = utility(X) + sd * torch.randn(len(X), 1, generator=noise, dtype=torch.float64)
@@ -38,7 +40,10 @@ def run(strategy, evaluations, *, seed=0, sd=0.05, space=SPACE, cost=None):
 
 def grid(*counts):
     low, high = SPACE.bounds.tolist()
-    axes = [torch.linspace(a, b, n, dtype=torch.float64) for a, b, n in zip(low, high, counts, strict=True)]
+    axes = [
+        torch.linspace(a, b, n, dtype=torch.float64)
+        for a, b, n in zip(low, high, counts, strict=True)
+    ]
     return torch.cartesian_prod(*axes)
 
 
@@ -46,7 +51,9 @@ def told(space, utility, *, points=None, sd=1e-3, strategy=None, cost=None):
     """An optimizer that was told the utility at a grid of designs."""
     points = grid(13, 5) if points is None else points
     optimizer = DesignOptimizer(space, seed=0, initial=2, strategy=strategy, cost=cost)
-    optimizer.tell(points, utility(points), torch.full((len(points), 1), sd**2, dtype=torch.float64))
+    optimizer.tell(
+        points, utility(points), torch.full((len(points), 1), sd**2, dtype=torch.float64)
+    )
     return optimizer
 
 
@@ -109,9 +116,15 @@ def test_initial_asks_fill_the_space_and_do_not_repeat():
     ("changes", "message"),
     [
         ({"Y": float("nan")}, r"Y\[0\] is nan at design \[300.0, 0.2\]; expected a finite number"),
-        ({"Yvar": float("inf")}, r"Yvar\[0\] is inf at design .*expected a finite positive variance"),
+        (
+            {"Yvar": float("inf")},
+            r"Yvar\[0\] is inf at design .*expected a finite positive variance",
+        ),
         ({"Yvar": 0.0}, r"Yvar\[0\] is 0.0 at design .*expected a finite positive variance"),
-        ({"X": [30.0, 0.2]}, r"\(30, 0.2\) is outside We \[100.0, 1000.0\], R_inf\* \[0.14, 0.3\]; shoot inside"),
+        (
+            {"X": [30.0, 0.2]},
+            r"\(30, 0.2\) is outside We \[100.0, 1000.0\], R_inf\* \[0.14, 0.3\]; shoot inside",
+        ),
         ({"X": [300.0, float("nan")]}, r"\(300, nan\) is outside We"),
     ],
 )
@@ -119,7 +132,9 @@ def test_a_bad_tell_is_refused_and_nothing_is_recorded(changes, message):
     optimizer = DesignOptimizer(SPACE, seed=0)
     values = {"X": [300.0, 0.2], "Y": 1.0, "Yvar": 0.1} | changes
     with pytest.raises(InputDataError, match=message):
-        optimizer.tell(*(torch.tensor(v, dtype=torch.float64).reshape(1, -1) for v in values.values()))
+        optimizer.tell(
+            *(torch.tensor(v, dtype=torch.float64).reshape(1, -1) for v in values.values())
+        )
     assert len(optimizer.train_X) == len(optimizer.train_Y) == 0
 
 
@@ -149,7 +164,11 @@ def test_pending_designs_are_not_asked_again():
 def test_the_published_strategy_recommends_the_best_observed_value_and_wants_an_improvement():
     optimizer = told(SPACE, utility, strategy=STRATEGIES["paper"])
     lucky = torch.tensor([[150.0, 0.29]], dtype=torch.float64)
-    optimizer.tell(lucky, torch.full((1, 1), 9.0, dtype=torch.float64), torch.full((1, 1), 4.0, dtype=torch.float64))
+    optimizer.tell(
+        lucky,
+        torch.full((1, 1), 9.0, dtype=torch.float64),
+        torch.full((1, 1), 4.0, dtype=torch.float64),
+    )
     best = optimizer.recommend()
     assert torch.equal(best.design, lucky[0])
     assert (best.mean, best.sd) == (9.0, 2.0)
@@ -161,12 +180,17 @@ def test_an_improvement_that_cannot_be_had_is_worth_nothing():
     values = []
     for improvement in (0.0, 0.5):
         optimizer = told(SPACE, utility, strategy=Strategy("qEI", improvement), sd=0.1)
-        values.append(float(optimizer._acquisition(torch.empty(0, 2, dtype=torch.float64))(X).detach()))
+        values.append(
+            float(optimizer._acquisition(torch.empty(0, 2, dtype=torch.float64))(X).detach())
+        )
     assert values[0] > 10.0 * values[1]
 
 
 LISTED = ((200.0, 0.15), (400.0, 0.2), (650.0, 0.19), (650.0, 0.28), (900.0, 0.22))
-AXES = {"weber_settings": (150.0, 400.0, 650.0, 900.0), "rest_radius_settings": (0.15, 0.18, 0.22, 0.28)}
+AXES = {
+    "weber_settings": (150.0, 400.0, 650.0, 900.0),
+    "rest_radius_settings": (0.15, 0.18, 0.22, 0.28),
+}
 
 
 @pytest.mark.parametrize(
@@ -187,7 +211,11 @@ def test_only_designs_that_can_be_set_are_asked_and_recommended(space):
     for axis, settings in enumerate((space.weber_settings, space.rest_radius_settings)):
         assert not settings or all(value in settings for value in designs[:, axis].tolist())
     found = float(utility(optimizer.recommend().design[None]))
-    best = float(utility(space.settle(PEAK[None]))) if not space.designs else float(utility(torch.tensor(LISTED)).max())
+    best = (
+        float(utility(space.settle(PEAK[None])))
+        if not space.designs
+        else float(utility(torch.tensor(LISTED)).max())
+    )
     assert found > best - 0.3
 
 
@@ -199,14 +227,18 @@ def test_initial_asks_of_a_list_are_each_design_once():
 
 def test_a_list_without_free_designs_is_refused():
     optimizer = run("qLogNEI", 6, space=DesignSpace(designs=LISTED))
-    with pytest.raises(InputDataError, match="3 designs were asked for and 2 of the 5 in the space are free"):
+    with pytest.raises(
+        InputDataError, match="3 designs were asked for and 2 of the 5 in the space are free"
+    ):
         optimizer.ask(3, pending=torch.tensor(LISTED[:3], dtype=torch.float64))
 
 
 def two_hills(X):
     """A ridge of 2.0 that is narrow in We at 300, and a broad hill of 1.7 at 700."""
     weber = X[:, :1]
-    return 2.0 * torch.exp(-(((weber - 300.0) / 50.0) ** 2)) + 1.7 * torch.exp(-(((weber - 700.0) / 250.0) ** 2))
+    return 2.0 * torch.exp(-(((weber - 300.0) / 50.0) ** 2)) + 1.7 * torch.exp(
+        -(((weber - 700.0) / 250.0) ** 2)
+    )
 
 
 def test_scatter_of_what_is_achieved_moves_the_recommendation_to_the_broad_hill():
@@ -223,7 +255,13 @@ def test_scatter_of_what_is_achieved_moves_the_recommendation_to_the_broad_hill(
 @pytest.mark.parametrize("strategy", ["qLogNEI", "qEI"])
 def test_the_search_goes_where_the_achieved_designs_are_good(strategy):
     points = grid(13, 2)
-    optimizer = told(DesignSpace(scatter=(0.3, 0.0)), two_hills, points=points, sd=0.05, strategy=STRATEGIES[strategy])
+    optimizer = told(
+        DesignSpace(scatter=(0.3, 0.0)),
+        two_hills,
+        points=points,
+        sd=0.05,
+        strategy=STRATEGIES[strategy],
+    )
     assert 450.0 < float(optimizer.ask()[0, 0]) < 950.0
 
 
@@ -234,7 +272,9 @@ def test_costs_move_the_recommendation_to_information_per_cost():
     free, paid = (told(SPACE, utility, sd=0.05, cost=cost).recommend() for cost in (None, dear))
     assert abs(float(free.design[0]) - 700.0) < 20.0
     weber = torch.linspace(100.0, 1000.0, 901, dtype=torch.float64)
-    per_cost = utility(torch.stack((weber, torch.full_like(weber, 0.2)), 1))[:, 0] / (1.0 + weber / 200.0)
+    per_cost = utility(torch.stack((weber, torch.full_like(weber, 0.2)), 1))[:, 0] / (
+        1.0 + weber / 200.0
+    )
     assert float(paid.design[0]) == pytest.approx(float(weber[per_cost.argmax()]), abs=30.0)
     assert paid.mean == pytest.approx(float(per_cost.max()), abs=0.1)
 
@@ -246,14 +286,19 @@ def test_a_cost_that_is_none_is_refused(cost):
 
 
 def test_failed_evaluations_are_recorded_not_told_and_not_asked_again():
-    acquisition = ExpectedInformationGain(ONE, PartlyFailing(), Laplace(draws=4), plan=plan(), space=SPACE)
+    acquisition = ExpectedInformationGain(
+        ONE, PartlyFailing(), Laplace(draws=4), plan=plan(), space=SPACE
+    )
     search = search_design(acquisition, seed=1, evaluations=9, initial=5)
     failed = torch.tensor([gain.failed for gain in search.gains])
     assert 0 < int(failed.sum()) < 7
     assert bool((search.designs[failed, 0] > 600.0).all())
     assert len(search.designs) == 9
     assert len(search.optimizer.train_X) == 9 - int(failed.sum())
-    assert all(math.isnan(gain.value) == bad for gain, bad in zip(search.gains, failed.tolist(), strict=True))
+    assert all(
+        math.isnan(gain.value) == bad
+        for gain, bad in zip(search.gains, failed.tolist(), strict=True)
+    )
     assert len({tuple(row) for row in search.designs.tolist()}) == 9
 
 
@@ -270,14 +315,32 @@ class PartlyFailing(LinearCamera):
     ("make", "message"),
     [
         (lambda: Strategy("thompson"), "expected 'qLogNEI' or 'qEI'"),
-        (lambda: Strategy(incumbent="last"), "Strategy.incumbent is 'last'; expected 'posterior mean' or 'best observed'"),
-        (lambda: Strategy(improvement=0.1), "Strategy.improvement is 0.1; expected a finite number >= 0, and 0 for 'qLogNEI'"),
-        (lambda: DesignSpace(weber_settings=(50.0,)), r"weber_settings is \(50.0,\); expected different values within \[100"),
-        (lambda: DesignSpace(rest_radius_settings=(0.2, 0.2)), "rest_radius_settings is .*expected different values"),
-        (lambda: DesignSpace(designs=LISTED, **AXES), "a list of designs or settings of each axis, not both"),
+        (
+            lambda: Strategy(incumbent="last"),
+            "Strategy.incumbent is 'last'; expected 'posterior mean' or 'best observed'",
+        ),
+        (
+            lambda: Strategy(improvement=0.1),
+            "Strategy.improvement is 0.1; expected a finite number >= 0, and 0 for 'qLogNEI'",
+        ),
+        (
+            lambda: DesignSpace(weber_settings=(50.0,)),
+            r"weber_settings is \(50.0,\); expected different values within \[100",
+        ),
+        (
+            lambda: DesignSpace(rest_radius_settings=(0.2, 0.2)),
+            "rest_radius_settings is .*expected different values",
+        ),
+        (
+            lambda: DesignSpace(designs=LISTED, **AXES),
+            "a list of designs or settings of each axis, not both",
+        ),
         (lambda: DesignSpace(designs=((200.0, 0.2), (200.0, 0.2))), "names a design twice"),
         (lambda: DesignSpace(designs=((50.0, 0.2),)), r"\(50, 0.2\) is outside We"),
-        (lambda: DesignSpace(scatter=(0.1, -0.1)), r"expected two relative standard deviations in \[0, 1\)"),
+        (
+            lambda: DesignSpace(scatter=(0.1, -0.1)),
+            r"expected two relative standard deviations in \[0, 1\)",
+        ),
     ],
 )
 def test_impossible_strategies_and_laboratories_are_refused(make, message):
@@ -285,7 +348,9 @@ def test_impossible_strategies_and_laboratories_are_refused(make, message):
         make()
 
 
-@pytest.mark.parametrize("bad", [{"weber": (500.0, 100.0)}, {"weber": (0.0, 100.0)}, {"rest_radius": (0.2, 1.5)}])
+@pytest.mark.parametrize(
+    "bad", [{"weber": (500.0, 100.0)}, {"weber": (0.0, 100.0)}, {"rest_radius": (0.2, 1.5)}]
+)
 def test_an_impossible_space_is_refused(bad):
     with pytest.raises(InputDataError, match="expected 0 < lower < upper"):
         DesignSpace(**bad)

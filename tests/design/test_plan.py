@@ -46,7 +46,10 @@ def test_tempering_divides_the_misfit_by_the_number_of_frames():
 
 @pytest.mark.parametrize(
     ("bad", "message"),
-    [({"repeats": 0}, "at least 1 curve per design"), ({"collapses": 0}, "Plan.collapses is 0; expected at least 1, or None")],
+    [
+        ({"repeats": 0}, "at least 1 curve per design"),
+        ({"collapses": 0}, "Plan.collapses is 0; expected at least 1, or None"),
+    ],
 )
 def test_an_impossible_plan_is_refused(bad, message):
     with pytest.raises(InputDataError, match=message):

@@ -1,4 +1,7 @@
-"""The search for one or several designs: greedy over pending ones, common draws, and the errors it states."""
+"""The search for one or several designs:
+
+greedy over pending ones, common draws, and the errors it states.
+"""
 
 import pytest
 import torch
@@ -25,7 +28,9 @@ NOISY = plan(noise=Noise(slope=0.0, drift=0.0, floor=0.2))
 
 
 def acquisition(belief=ONE, estimator=None, **options):
-    return ExpectedInformationGain(belief, LinearCamera(), estimator or Laplace(draws=4), plan=plan(), **options)
+    return ExpectedInformationGain(
+        belief, LinearCamera(), estimator or Laplace(draws=4), plan=plan(), **options
+    )
 
 
 @pytest.mark.parametrize("common", [True, False])
@@ -51,8 +56,11 @@ def test_that_several_designs_are_found_one_beside_the_other():
     joint = exact(ONE, search.chosen, plan())
     assert search.joint == pytest.approx(joint, abs=0.2)
     assert search.increments[0] > search.increments[1] > search.increments[2] > 0.0
-    space, source = DesignSpace().bounds, torch.Generator().manual_seed(0)
-    others = space[0] + (space[1] - space[0]) * torch.rand(40, 3, 2, generator=source, dtype=torch.float64)
+    space = DesignSpace().bounds
+    source = torch.Generator().manual_seed(0)
+    others = space[0] + (space[1] - space[0]) * torch.rand(
+        40, 3, 2, generator=source, dtype=torch.float64
+    )
     assert joint > max(exact(ONE, three, plan()) for three in others) - 0.1
 
 
@@ -77,8 +85,12 @@ def test_that_several_designs_of_a_list_are_of_the_list():
 
 
 def test_that_pending_designs_that_cannot_be_simulated_end_the_search_with_a_reason():
-    gain = ExpectedInformationGain(ONE, PartlyFailing(), Laplace(draws=4), plan=plan(), X_pending=DESIGNS[1:])
-    with pytest.raises(ConvergenceError, match="0 of 4 draws could be simulated at the pending designs"):
+    gain = ExpectedInformationGain(
+        ONE, PartlyFailing(), Laplace(draws=4), plan=plan(), X_pending=DESIGNS[1:]
+    )
+    with pytest.raises(
+        ConvergenceError, match="0 of 4 draws could be simulated at the pending designs"
+    ):
         search_design(gain, seed=0, **QUICK)
 
 
@@ -124,20 +136,31 @@ def test_that_the_error_of_the_mean_over_designs_is_the_common_part():
 
 
 def test_that_gains_whose_draws_cannot_be_matched_keep_their_whole_variance():
-    gains = [InformationGain(1.0, 0.0, 0.04, 4, 4), InformationGain(2.0, 0.0, 0.09, 4, 4, influence=((0.3, 0.0),))]
+    gains = [
+        InformationGain(1.0, 0.0, 0.04, 4, 4),
+        InformationGain(2.0, 0.0, 0.09, 4, 4, influence=((0.3, 0.0),)),
+    ]
     errors = separate_errors(gains)
     assert errors.own.tolist() == [0.04, 0.09]
     assert errors.common == 0.0
 
 
 def test_that_the_surrogate_states_the_error_of_a_difference_that_common_draws_leave():
-    """Of bubbles, at designs a search evaluates: the stated noise against the scatter of differences over seeds."""
-    belief, how = (
-        reference_case("soft-pa").prior,
-        plan(times=torch.linspace(0.0, 2.4, 31, dtype=torch.float64), noise=Noise(), repeats=1),
-    )
+    """Of bubbles, at designs a search evaluates:
+
+    the stated noise against the scatter of differences over seeds.
+    """
+    belief = reference_case("soft-pa").prior
+    how = plan(times=torch.linspace(0.0, 2.4, 31, dtype=torch.float64), noise=Noise(), repeats=1)
     designs = torch.tensor([[300.0, 0.2], [350.0, 0.21], [400.0, 0.2]], dtype=torch.float64)
-    found = estimates(Laplace(draws=16, rivals=8), designs, 24, simulator=PolytropicSimulator(), belief=belief, how=how)
+    found = estimates(
+        Laplace(draws=16, rivals=8),
+        designs,
+        24,
+        simulator=PolytropicSimulator(),
+        belief=belief,
+        how=how,
+    )
     values = torch.tensor([[g.value for g in row] for row in found], dtype=torch.float64)
     true = torch.stack([(values[:, i] - values[:, j]).std() for i, j in ((0, 1), (0, 2), (1, 2))])
     stated = torch.stack([separate_errors(row).own for row in found]).mean(0)

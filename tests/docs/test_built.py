@@ -1,4 +1,7 @@
-"""The built pages in a real browser: navigation, search, equations, narrow screens. Skipped where they are not built."""
+"""The built pages in a real browser:
+
+navigation, search, equations, narrow screens. Skipped where they are not built.
+"""
 
 import shutil
 from collections import defaultdict
@@ -15,10 +18,21 @@ from imr_torch.labels import file_name
 from imr_torch.material import LIBRARY
 
 BUILT = Path(__file__).resolve().parents[2] / "docs" / "_build" / "html"
-BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-PAGES = ("index", "start/index", "catalogue/model-sns", "catalogue/effect-wall", "api/material", "howto/file_does_not_load")
+BROWSER = (
+    shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+)
+PAGES = (
+    "index",
+    "start/index",
+    "catalogue/model-sns",
+    "catalogue/effect-wall",
+    "api/material",
+    "howto/file_does_not_load",
+)
 
-built = pytest.mark.skipif(not (BUILT / "index.html").exists(), reason="the documentation is not built (make docs)")
+built = pytest.mark.skipif(
+    not (BUILT / "index.html").exists(), reason="the documentation is not built (make docs)"
+)
 
 
 class Page(HTMLParser):
@@ -26,12 +40,17 @@ class Page(HTMLParser):
 
     def __init__(self, text):
         super().__init__()
-        self.links, self.anchors = [], set()
+        self.links = []
+        self.anchors = set()
         self.feed(text)
 
     def handle_starttag(self, tag, attributes):
         for key, value in attributes:
-            if key in ("href", "src") and value and not value.startswith(("http:", "https:", "data:", "mailto:")):
+            if (
+                key in ("href", "src")
+                and value
+                and not value.startswith(("http:", "https:", "data:", "mailto:"))
+            ):
                 self.links.append(value)
             elif key in ("id", "name") and value:
                 self.anchors.add(value)
@@ -39,14 +58,18 @@ class Page(HTMLParser):
 
 def dead_links(folder):
     """Links within a folder of pages that lead to no file, or to no place in it."""
-    pages = {path.resolve(): Page(path.read_text(encoding="utf-8")) for path in folder.rglob("*.html")}
+    pages = {
+        path.resolve(): Page(path.read_text(encoding="utf-8")) for path in folder.rglob("*.html")
+    }
     dead = defaultdict(set)
     for path, page in pages.items():
         for link in page.links:
             file, anchor = urldefrag(unquote(link))
             target = (path.parent / file.partition("?")[0]).resolve() if file else path
             target = target / "index.html" if target.is_dir() else target
-            if not target.exists() or (anchor and target in pages and anchor not in pages[target].anchors):
+            if not target.exists() or (
+                anchor and target in pages and anchor not in pages[target].anchors
+            ):
                 dead[str(path.relative_to(folder.resolve()))].add(link)
     return dict(dead)
 
@@ -96,7 +119,9 @@ def test_that_no_page_is_wider_than_the_screen(site, browser, name, width):
     page = browser.new_page(viewport={"width": width, "height": 900})
     page.goto(f"{site}/{name}.html")
     assert page.evaluate("document.documentElement.scrollWidth") <= width
-    broken = page.evaluate("[...document.images].filter(x => x.loading != 'lazy' && !x.naturalWidth).map(x => x.src)")
+    broken = page.evaluate(
+        "[...document.images].filter(x => x.loading != 'lazy' && !x.naturalWidth).map(x => x.src)"
+    )
     assert broken == []
     page.close()
 
@@ -115,7 +140,9 @@ def test_that_the_search_finds_a_page_by_its_words(site, browser):
     page = browser.new_page()
     page.goto(f"{site}/search.html?q=medium")
     page.wait_for_selector("#search-results li a", timeout=20000)
-    assert any("medium" in text.lower() for text in page.locator("#search-results li a").all_inner_texts())
+    assert any(
+        "medium" in text.lower() for text in page.locator("#search-results li a").all_inner_texts()
+    )
     page.close()
 
 

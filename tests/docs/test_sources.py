@@ -1,4 +1,7 @@
-"""The sources of the documentation: public names, registries and notebooks are all there; commands in it are real."""
+"""The sources of the documentation:
+
+public names, registries and notebooks are all there; commands in it are real.
+"""
 
 import importlib
 import inspect
@@ -15,7 +18,12 @@ from imr_torch.material import LIBRARY, MATERIALS
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
-WRITTEN = sorted([*DOCS.glob("*.md"), *(x for part in ("start", "howto", "concepts") for x in (DOCS / part).glob("*.md"))])
+WRITTEN = sorted(
+    [
+        *DOCS.glob("*.md"),
+        *(x for part in ("start", "howto", "concepts") for x in (DOCS / part).glob("*.md")),
+    ]
+)
 
 
 @pytest.fixture(scope="module")
@@ -27,8 +35,15 @@ def extensions():
 
 def test_that_every_public_name_has_its_place_in_the_interface(extensions):
     pages = extensions["api"].entries()
-    documented = {id(getattr(importlib.import_module(e.module), e.name)) for found in pages.values() for e in found}
-    names = {package: extensions["api"].public_names(importlib.import_module(f"imr_torch.{package}")) for package in pages}
+    documented = {
+        id(getattr(importlib.import_module(e.module), e.name))
+        for found in pages.values()
+        for e in found
+    }
+    names = {
+        package: extensions["api"].public_names(importlib.import_module(f"imr_torch.{package}"))
+        for package in pages
+    }
     missing = [
         f"{package}.{name}"
         for package, listed in names.items()
@@ -48,10 +63,16 @@ def test_that_every_package_with_public_names_has_a_page(extensions):
 
 
 def test_that_every_model_and_effect_has_an_equation(extensions):
-    built_in = [key for key, model in MATERIALS.items() if type(model).__module__.startswith("imr_torch.")]
+    built_in = [
+        key for key, model in MATERIALS.items() if type(model).__module__.startswith("imr_torch.")
+    ]
     assert set(built_in) == set(extensions["formulas"].MODELS)
     assert set(extensions["formulas"].EFFECTS) <= set(LIBRARY)
-    laws = {name: effect for name, effect in LIBRARY.items() if name not in extensions["formulas"].EFFECTS}
+    laws = {
+        name: effect
+        for name, effect in LIBRARY.items()
+        if name not in extensions["formulas"].EFFECTS
+    }
     assert [name for name, effect in laws.items() if _of_the_package(effect)] == []
 
 
@@ -64,7 +85,9 @@ def commands() -> list[tuple[str, str]]:
     found = []
     for path in WRITTEN:
         for block in re.findall(r"```shell\n(.*?)```", path.read_text(), re.DOTALL):
-            found += [(path.name, line) for line in block.splitlines() if line.startswith("imr-torch ")]
+            found += [
+                (path.name, line) for line in block.splitlines() if line.startswith("imr-torch ")
+            ]
     return found
 
 
@@ -74,8 +97,14 @@ def test_that_a_command_of_the_documentation_has_options_that_exist(page, line):
 
 
 def examples() -> list:
-    blocks = ((path, re.findall(r"```python\n(.*?)```", path.read_text(), re.DOTALL)) for path in WRITTEN)
-    return [pytest.param(code, id=f"{path.stem}-{number}") for path, found in blocks for number, code in enumerate(found)]
+    blocks = (
+        (path, re.findall(r"```python\n(.*?)```", path.read_text(), re.DOTALL)) for path in WRITTEN
+    )
+    return [
+        pytest.param(code, id=f"{path.stem}-{number}")
+        for path, found in blocks
+        for number, code in enumerate(found)
+    ]
 
 
 @pytest.mark.parametrize("code", examples())
@@ -85,9 +114,13 @@ def test_that_an_example_in_python_runs(code, tmp_path, monkeypatch):
 
 
 def test_that_every_page_of_tasks_is_in_the_table_of_contents():
-    listed = re.search(r"```\{toctree\}\n.*?\n\n(.*?)```", (DOCS / "howto" / "index.md").read_text(), re.DOTALL)
+    listed = re.search(
+        r"```\{toctree\}\n.*?\n\n(.*?)```", (DOCS / "howto" / "index.md").read_text(), re.DOTALL
+    )
     assert listed is not None
-    assert set(listed[1].split()) == {path.stem for path in (DOCS / "howto").glob("*.md")} - {"index"}
+    assert set(listed[1].split()) == {path.stem for path in (DOCS / "howto").glob("*.md")} - {
+        "index"
+    }
 
 
 def test_that_commands_were_found():
@@ -101,7 +134,9 @@ def test_that_a_class_or_function_is_documented_by_its_own_directive(extensions)
             assert (entry.kind in ("class", "exception")) == inspect.isclass(value)
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "tutorials").glob("[0-9]*.py")), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path", sorted((ROOT / "tutorials").glob("[0-9]*.py")), ids=lambda path: path.stem
+)
 def test_that_the_notebook_holds_the_cells_of_its_script_and_output(path):
     pytest.importorskip("jupytext")
     from benchmarks.notebooks import cells
@@ -113,8 +148,12 @@ def test_that_the_notebook_holds_the_cells_of_its_script_and_output(path):
     assert str(ROOT) not in text
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "tutorials").glob("[0-9]*.py")), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path", sorted((ROOT / "tutorials").glob("[0-9]*.py")), ids=lambda path: path.stem
+)
 def test_that_a_tutorial_says_what_it_is_good_for_and_how_long_it_takes(path):
-    first = " ".join(line.lstrip("# ") for line in path.read_text().partition("# %%\n")[0].splitlines())
+    first = " ".join(
+        line.lstrip("# ") for line in path.read_text().partition("# %%\n")[0].splitlines()
+    )
     assert "You will be able to" in first
     assert re.search(r"Takes [a-z ]+(seconds|minutes?|minute and a half)\b", first)

@@ -25,19 +25,33 @@ OPTIONS = SearchOptions(raw_samples=24)
 @pytest.fixture(scope="module")
 def weighted() -> Assimilation:
     batch = experiments(3, nuisance=Nuisance(time_zero=0.2, rest_radius=0.3))
-    fit = assimilate(prior(("newtonian", "nhkv")), batch, LinearSimulator(), seed=1, options=OPTIONS)
+    fit = assimilate(
+        prior(("newtonian", "nhkv")), batch, LinearSimulator(), seed=1, options=OPTIONS
+    )
     return weigh(fit, LinearSimulator(), seed=1, samples=1024)
 
 
-def test_that_every_model_has_the_groups_of_the_schema_with_named_axes(weighted: Assimilation) -> None:
+def test_that_every_model_has_the_groups_of_the_schema_with_named_axes(
+    weighted: Assimilation,
+) -> None:
     tree = to_arviz(weighted, seed=0, draws=200)
     assert set(tree.children) == {"newtonian", "nhkv"}
     branch = tree["nhkv"]
-    assert set(branch.children) == {"posterior", "sample_stats", "log_likelihood", "observed_data", "constant_data"}
+    assert set(branch.children) == {
+        "posterior",
+        "sample_stats",
+        "log_likelihood",
+        "observed_data",
+        "constant_data",
+    }
     assert branch["posterior"]["G"].dims == ("chain", "draw")
     assert branch["posterior"]["G"].shape == (1, 200)
     assert branch["posterior"]["nuisances"].dims == ("chain", "draw", "experiment", "nuisance")
-    assert branch["posterior"]["nuisance"].values.tolist() == ["max_radius", "time_zero", "rest_radius"]
+    assert branch["posterior"]["nuisance"].values.tolist() == [
+        "max_radius",
+        "time_zero",
+        "rest_radius",
+    ]
     assert branch["log_likelihood"]["radius"].dims == ("chain", "draw", "experiment")
     assert branch["observed_data"]["radius"].dims == ("experiment", "frame")
     assert branch["observed_data"]["experiment"].values.tolist() == ["e0", "e1", "e2"]
@@ -54,41 +68,56 @@ def test_that_units_travel_with_the_variables(weighted: Assimilation) -> None:
 
 def test_that_draws_have_the_posteriors_moments(weighted: Assimilation) -> None:
     posterior = to_arviz(weighted, seed=0, draws=4000)["nhkv"]["posterior"]
-    part, truth = weighted.prior["nhkv"], exact(weighted.prior["nhkv"], weighted.batch)
+    part = weighted.prior["nhkv"]
+    truth = exact(weighted.prior["nhkv"], weighted.batch)
     slopes = tensor(*[m.sd for m in part.marginals])
-    mean, sd = part.physical(truth.mean), slopes * truth.covariance.diagonal().sqrt()
+    mean = part.physical(truth.mean)
+    sd = slopes * truth.covariance.diagonal().sqrt()
     for i, name in enumerate(part.names):
-        assert float(posterior[name].mean()) == pytest.approx(float(mean[i]), abs=0.1 * float(sd[i]))
+        assert float(posterior[name].mean()) == pytest.approx(
+            float(mean[i]), abs=0.1 * float(sd[i])
+        )
         assert float(posterior[name].std()) == pytest.approx(float(sd[i]), rel=0.08)
     found = posterior["nuisances"].mean(("chain", "draw")).values
     np.testing.assert_allclose(found, truth.nuisances.numpy(), atol=0.12)
 
 
 def test_that_data_are_what_was_measured_and_missing_frames_are_nan(weighted: Assimilation) -> None:
-    tree, batch = to_arviz(weighted, seed=0, draws=10), weighted.batch
-    radius, times = tree["nhkv/observed_data"]["radius"].values, tree["nhkv/constant_data"]["time"].values
+    tree = to_arviz(weighted, seed=0, draws=10)
+    batch = weighted.batch
+    radius = tree["nhkv/observed_data"]["radius"].values
+    times = tree["nhkv/constant_data"]["time"].values
     assert np.array_equal(np.isfinite(radius), batch.mask.numpy())
     assert np.array_equal(radius[batch.mask], batch.mean[batch.mask].numpy())
     assert np.array_equal(times[batch.mask], batch.times[batch.mask].numpy())
-    assert tree["nhkv/constant_data"]["repeats"].values.tolist() == [e.repeats for e in batch.experiments]
+    assert tree["nhkv/constant_data"]["repeats"].values.tolist() == [
+        e.repeats for e in batch.experiments
+    ]
 
 
 def test_that_arvizs_leave_one_out_is_the_score_of_the_library(weighted: Assimilation) -> None:
     """Experiments left out by ArviZ from the exported draws, and by ``cross_validate`` from the weighted ones."""
     loo = pytest.importorskip("arviz_stats", reason="needs arviz-stats").base.array_stats
     branch = to_arviz(weighted, seed=0, draws=4000)["nhkv"]
-    scores = [s for s in cross_validate(weighted, LinearSimulator(), seed=0, options=OPTIONS) if s.model == "nhkv"]
+    scores = [
+        s
+        for s in cross_validate(weighted, LinearSimulator(), seed=0, options=OPTIONS)
+        if s.model == "nhkv"
+    ]
     for e, score in enumerate(scores):
         if score.refitted:
             continue
         likelihood = branch["log_likelihood"]["radius"].values[0, :, e]
         weights, _ = loo.psislw(likelihood)
-        assert np.logaddexp.reduce(weights + likelihood) == pytest.approx(score.value, abs=0.1 + 4.0 * score.error)
+        assert np.logaddexp.reduce(weights + likelihood) == pytest.approx(
+            score.value, abs=0.1 + 4.0 * score.error
+        )
     assert any(not score.refitted for score in scores)
 
 
 def test_that_statistics_are_those_of_the_sample(weighted: Assimilation) -> None:
-    stats, sample = to_arviz(weighted, seed=0, draws=10)["nhkv"]["sample_stats"], weighted["nhkv"].sample
+    stats = to_arviz(weighted, seed=0, draws=10)["nhkv"]["sample_stats"]
+    sample = weighted["nhkv"].sample
     assert float(stats["pareto_k"]) == sample.pareto_k
     assert float(stats["log_evidence"]) == sample.log_evidence
     assert stats["lp"].shape == (1, 10)
@@ -99,7 +128,9 @@ def test_that_a_fit_without_weights_gives_its_gaussian(weighted: Assimilation) -
     branch = to_arviz(fit, seed=0, draws=4000)["nhkv"]
     assert set(branch.children) == {"posterior", "observed_data", "constant_data"}
     expected = fit["nhkv"].posterior
-    assert float(branch["posterior"]["G"].mean()) == pytest.approx(float(expected.means[0]), rel=0.02)
+    assert float(branch["posterior"]["G"].mean()) == pytest.approx(
+        float(expected.means[0]), rel=0.02
+    )
     assert float(branch["posterior"]["G"].std()) == pytest.approx(float(expected.sds[0]), rel=0.05)
 
 
@@ -112,33 +143,47 @@ def test_that_a_belief_gives_its_draws_and_probabilities() -> None:
 
 
 def test_that_a_campaign_gives_every_step_and_the_posterior_of_the_last(tmp_path) -> None:
-    case, simulator = reference_case("soft-pa"), PolytropicSimulator(stepping=Stepping(0.25))
+    case = reference_case("soft-pa")
+    simulator = PolytropicSimulator(stepping=Stepping(0.25))
     times = torch.linspace(0.0, 1.0, 9, dtype=torch.float64)
-    settings = CampaignSettings(plan=Plan(times=times, repeats=20), learner=ExactLearner(64, SearchOptions(raw_samples=24)))
+    settings = CampaignSettings(
+        plan=Plan(times=times, repeats=20), learner=ExactLearner(64, SearchOptions(raw_samples=24))
+    )
     campaign = Campaign(tmp_path, case.prior, simulator, settings=settings)
-    laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(dict(case.truth)), repeats=20, times=times)
+    laboratory = SimulatedLaboratory(
+        simulator, PARAMETERS.pack(dict(case.truth)), repeats=20, times=times
+    )
     campaign.tell(laboratory.shoot(tensor(300.0, 0.2), seed=0))
     tree = to_arviz(campaign, seed=0, draws=50)
     history = tree["campaign"]
     assert history["weber"].values.tolist() == [300.0]
     assert history["model"].values.tolist() == list(case.prior.keys)
-    assert history["log_probability"].values[0].tolist() == campaign.belief.log_probabilities.tolist()
+    assert (
+        history["log_probability"].values[0].tolist() == campaign.belief.log_probabilities.tolist()
+    )
     assert history["entropy"].values.tolist() == [float(campaign.belief.entropy())]
     assert "log_likelihood" in tree["nhkv"].children
     again = to_arviz(Campaign(tmp_path, case.prior, simulator, settings=settings), seed=0, draws=50)
     assert set(again["nhkv"].children) == {"posterior"}
-    assert again["campaign"]["log_evidence"].values.tolist() == history["log_evidence"].values.tolist()
+    assert (
+        again["campaign"]["log_evidence"].values.tolist() == history["log_evidence"].values.tolist()
+    )
 
 
-def test_that_a_file_holds_the_tree_and_is_replaced_whole(weighted: Assimilation, tmp_path, monkeypatch) -> None:
+def test_that_a_file_holds_the_tree_and_is_replaced_whole(
+    weighted: Assimilation, tmp_path, monkeypatch
+) -> None:
     import xarray
 
-    tree, path = to_arviz(weighted, seed=0, draws=20), tmp_path / "fit.nc"
+    tree = to_arviz(weighted, seed=0, draws=20)
+    path = tmp_path / "fit.nc"
     path.write_text("old")
     write_netcdf(tree, path)
     with xarray.open_datatree(path, engine="h5netcdf") as back:
         assert set(back["nhkv"].children) == set(tree["nhkv"].children)
-        assert np.array_equal(back["nhkv/posterior"]["G"].values, tree["nhkv/posterior"]["G"].values)
+        assert np.array_equal(
+            back["nhkv/posterior"]["G"].values, tree["nhkv/posterior"]["G"].values
+        )
         assert back["nhkv/posterior"]["G"].attrs["units"] == "Pa"
         assert back["nhkv/observed_data"]["experiment"].values.tolist() == ["e0", "e1", "e2"]
 
@@ -154,14 +199,20 @@ def test_that_a_file_holds_the_tree_and_is_replaced_whole(weighted: Assimilation
 
 
 def test_that_draws_depend_on_the_seed_alone(weighted: Assimilation) -> None:
-    one, same, other = (to_arviz(weighted, seed=s, draws=30)["nhkv/posterior"]["G"].values.tolist() for s in (1, 1, 2))
+    one, same, other = (
+        to_arviz(weighted, seed=s, draws=30)["nhkv/posterior"]["G"].values.tolist()
+        for s in (1, 1, 2)
+    )
     assert json.dumps(one) == json.dumps(same)
     assert one != other
 
 
 @pytest.mark.parametrize(
     ("source", "draws", "message"),
-    [("belief", 10, "takes an Assimilation, a Belief or a Campaign; got str"), (prior(), 0, "draws is 0; at least 1")],
+    [
+        ("belief", 10, "takes an Assimilation, a Belief or a Campaign; got str"),
+        (prior(), 0, "draws is 0; at least 1"),
+    ],
 )
 def test_that_bad_input_is_named(source, draws: int, message: str) -> None:
     with pytest.raises(InputDataError, match=message):

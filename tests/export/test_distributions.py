@@ -37,7 +37,9 @@ CASES = [
 
 
 @pytest.mark.parametrize("distribution", CASES, ids=lambda d: type(d).__name__)
-def test_that_a_marginal_has_the_density_of_its_distribution(distribution: dist.Distribution) -> None:
+def test_that_a_marginal_has_the_density_of_its_distribution(
+    distribution: dist.Distribution,
+) -> None:
     """``log p(theta) = log phi(z) - log |d theta/d z|``, out to five standard deviations."""
     marginal = to_marginal(distribution)
     z = torch.linspace(-5.0, 5.0, 41, dtype=torch.float64)
@@ -56,7 +58,9 @@ def test_that_the_median_is_at_rest(distribution: dist.Distribution) -> None:
 def test_that_maps_of_the_library_are_used_where_they_exist() -> None:
     assert to_marginal(dist.Normal(*t(1.0, 2.0))) == TruncatedNormal(1.0, 2.0)
     assert to_marginal(dist.LogNormal(*t(0.0, 1.0))) == LogNormal(1.0, math.e)
-    assert to_marginal(dist.Independent(dist.Normal(*[x[None] for x in t(1.0, 2.0)]), 1)) == TruncatedNormal(1.0, 2.0)
+    assert to_marginal(
+        dist.Independent(dist.Normal(*[x[None] for x in t(1.0, 2.0)]), 1)
+    ) == TruncatedNormal(1.0, 2.0)
 
 
 def test_that_a_belief_is_made_saved_and_read_back(tmp_path) -> None:
@@ -69,7 +73,12 @@ def test_that_a_belief_is_made_saved_and_read_back(tmp_path) -> None:
     )
     assert belief.probabilities == {"nhkv": pytest.approx(0.75), "newtonian": pytest.approx(0.25)}
     assert belief["nhkv"].marginals[0] == Quantile("gamma", {"a": 2.0, "scale": 1000.0})
-    torch.testing.assert_close(belief["nhkv"].means, torch.tensor([2000.0, 0.255], dtype=torch.float64), rtol=1e-3, atol=0.0)
+    torch.testing.assert_close(
+        belief["nhkv"].means,
+        torch.tensor([2000.0, 0.255], dtype=torch.float64),
+        rtol=1e-3,
+        atol=0.0,
+    )
     belief.save(tmp_path / "prior.json")
     assert Belief.load(tmp_path / "prior.json").to_dict() == belief.to_dict()
 
@@ -82,8 +91,16 @@ def test_that_a_belief_is_made_saved_and_read_back(tmp_path) -> None:
             InputDataError,
             r"'G' gives a probability of 0.0062 to values outside \[0, 1e\+07\] Pa",
         ),
-        (dist.Cauchy(*t(1e6, 1e6)), InputDataError, r"which are impossible; use one with that support"),
-        (dist.Normal(torch.zeros(2), torch.ones(2)), InputDataError, r"over one number; got a Normal of shape \(2,\)"),
+        (
+            dist.Cauchy(*t(1e6, 1e6)),
+            InputDataError,
+            r"which are impossible; use one with that support",
+        ),
+        (
+            dist.Normal(torch.zeros(2), torch.ones(2)),
+            InputDataError,
+            r"over one number; got a Normal of shape \(2,\)",
+        ),
         (
             dist.VonMises(*t(0.0, 1.0)),
             UnsupportedError,
@@ -91,11 +108,15 @@ def test_that_a_belief_is_made_saved_and_read_back(tmp_path) -> None:
         ),
     ],
 )
-def test_that_a_prior_that_cannot_be_used_is_named(prior: dist.Distribution, error: type[Exception], message: str) -> None:
+def test_that_a_prior_that_cannot_be_used_is_named(
+    prior: dist.Distribution, error: type[Exception], message: str
+) -> None:
     with pytest.raises(error, match=message):
         from_distributions({"nhkv": {"G": prior, "mu": LogNormal(0.1, 2.0)}})
 
 
 def test_that_a_tail_of_a_millionth_outside_the_bounds_is_let_pass() -> None:
-    belief = from_distributions({"nhkv": {"G": dist.Normal(*t(5000.0, 900.0)), "mu": LogNormal(0.1, 2.0)}})
+    belief = from_distributions(
+        {"nhkv": {"G": dist.Normal(*t(5000.0, 900.0)), "mu": LogNormal(0.1, 2.0)}}
+    )
     assert belief["nhkv"].marginals[0] == TruncatedNormal(5000.0, 900.0)

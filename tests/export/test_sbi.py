@@ -1,4 +1,7 @@
-"""The contract of sbi, checked without it: shapes, dtypes, a prior that agrees with itself, NaN for what failed."""
+"""The contract of sbi, checked without it:
+
+shapes, dtypes, a prior that agrees with itself, NaN for what failed.
+"""
 
 import pytest
 import torch
@@ -17,7 +20,9 @@ PART = reference_case("stiff-pa").prior["gen_qkv"]
 
 
 def pair(simulator=None, **options):
-    return sbi_simulator(prior(("nhkv",))["nhkv"], simulator or LinearSimulator(), DESIGNS, TIMES, seed=0, **options)
+    return sbi_simulator(
+        prior(("nhkv",))["nhkv"], simulator or LinearSimulator(), DESIGNS, TIMES, seed=0, **options
+    )
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -30,7 +35,8 @@ def test_that_shapes_and_dtypes_are_those_of_the_contract(dtype: torch.dtype) ->
     assert theta.shape == (5, 2)
     assert given.sample().shape == (2,)
     assert given.sample(torch.Size([3, 4])).shape == (3, 4, 2)
-    density, x = given.log_prob(theta), simulate(theta)
+    density = given.log_prob(theta)
+    x = simulate(theta)
     assert density.shape == (5,)
     assert x.shape == (5, 18)
     assert {theta.dtype, density.dtype, x.dtype, given.mean.dtype, given.variance.dtype} == {dtype}
@@ -53,7 +59,9 @@ def test_that_samples_follow_the_density_and_its_moments() -> None:
 
 
 def test_that_the_support_is_where_the_density_is() -> None:
-    part = Belief.prior({"nhkv": {"G": TruncatedNormal(1e4, 3e3, 0.0, 2e4), "mu": LogNormal(0.1, 2.0)}})["nhkv"]
+    part = Belief.prior(
+        {"nhkv": {"G": TruncatedNormal(1e4, 3e3, 0.0, 2e4), "mu": LogNormal(0.1, 2.0)}}
+    )["nhkv"]
     given = ModelPrior(part, dtype=torch.float64)
     theta = tensor([5e3, 0.1], [-1.0, 0.1], [2.1e4, 0.1], [5e3, -0.1])
     assert given.support.check(theta).tolist() == [True, False, False, False]
@@ -71,10 +79,14 @@ def test_that_curves_are_the_simulators_with_the_stated_noise() -> None:
     given, simulate = pair(noise=NOISE, dtype=torch.float64)
     theta = tensor([MEANS["G"] + SDS["G"], MEANS["mu"]]).expand(4000, 2)
     parameters = given.belief.parameters(given.belief.to_controls(theta[:1]))
-    clean = torch.cat([LinearSimulator()(parameters[0], design, TIMES).radius for design in DESIGNS])
+    clean = torch.cat(
+        [LinearSimulator()(parameters[0], design, TIMES).radius for design in DESIGNS]
+    )
     x = simulate(theta)
     torch.testing.assert_close(x.mean(0), clean, rtol=0.0, atol=5.0 * 0.05 / 4000**0.5)
-    torch.testing.assert_close(x.std(0), torch.full((18,), 0.05, dtype=torch.float64), rtol=0.06, atol=0.0)
+    torch.testing.assert_close(
+        x.std(0), torch.full((18,), 0.05, dtype=torch.float64), rtol=0.06, atol=0.0
+    )
 
 
 def test_that_noise_is_correlated_within_a_curve_and_nuisances_move_whole_curves() -> None:
@@ -82,10 +94,18 @@ def test_that_noise_is_correlated_within_a_curve_and_nuisances_move_whole_curves
     theta = tensor([MEANS["G"], MEANS["mu"]]).expand(4000, 2)
     correlation = torch.corrcoef(simulate(theta).mT)
     gap = float(TIMES[1] - TIMES[0])
-    assert float(correlation[0, 1]) == pytest.approx(torch.exp(tensor(-gap / 0.3)[0]).item(), abs=0.05)
+    assert float(correlation[0, 1]) == pytest.approx(
+        torch.exp(tensor(-gap / 0.3)[0]).item(), abs=0.05
+    )
     assert abs(float(correlation[0, 9])) < 0.06  # another design
-    _, simulate = pair(noise=Noise(floor=1e-6, slope=0.0, drift=0.0), nuisance=Nuisance(time_zero=0.1), dtype=torch.float64)
-    torch.testing.assert_close(simulate(theta).std(0), torch.full((18,), 0.03, dtype=torch.float64), rtol=0.05, atol=0.0)
+    _, simulate = pair(
+        noise=Noise(floor=1e-6, slope=0.0, drift=0.0),
+        nuisance=Nuisance(time_zero=0.1),
+        dtype=torch.float64,
+    )
+    torch.testing.assert_close(
+        simulate(theta).std(0), torch.full((18,), 0.03, dtype=torch.float64), rtol=0.05, atol=0.0
+    )
 
 
 def test_that_a_failed_solve_is_a_row_of_nan_and_leaves_the_others() -> None:
@@ -98,7 +118,8 @@ def test_that_a_failed_solve_is_a_row_of_nan_and_leaves_the_others() -> None:
 def test_that_simulations_depend_on_the_seed_and_go_on_from_call_to_call() -> None:
     theta = tensor([MEANS["G"], MEANS["mu"]]).expand(3, 2)
     (_, one), (_, same) = pair(), pair()
-    first, second = one(theta), one(theta)
+    first = one(theta)
+    second = one(theta)
     assert torch.equal(first, same(theta))
     assert not torch.equal(first, second)
 
@@ -114,10 +135,22 @@ def test_that_real_bubbles_go_through() -> None:
 @pytest.mark.parametrize(
     ("call", "error", "message"),
     [
-        (lambda: pair()[1](torch.zeros(3, 5)), ShapeError, r"theta has shape \(3, 5\); expected n x 2 with \('G', 'mu'\)"),
+        (
+            lambda: pair()[1](torch.zeros(3, 5)),
+            ShapeError,
+            r"theta has shape \(3, 5\); expected n x 2 with \('G', 'mu'\)",
+        ),
         (lambda: pair(dtype=torch.float16), InputDataError, r"dtype is torch.float16; expected"),
-        (lambda: sbi_simulator(PART, LinearSimulator(), DESIGNS[0], TIMES, seed=0), ShapeError, r"expected q x 2"),
-        (lambda: ModelPrior(PART).expand((3,)), ShapeError, r"cannot be expanded to the batch shape \(3,\)"),
+        (
+            lambda: sbi_simulator(PART, LinearSimulator(), DESIGNS[0], TIMES, seed=0),
+            ShapeError,
+            r"expected q x 2",
+        ),
+        (
+            lambda: ModelPrior(PART).expand((3,)),
+            ShapeError,
+            r"cannot be expanded to the batch shape \(3,\)",
+        ),
     ],
 )
 def test_that_bad_input_is_named(call, error: type[Exception], message: str) -> None:

@@ -30,10 +30,15 @@ def shoot(
     plan = ExperimentBatch(tuple(Experiment("plan", d, times, blank) for d in designs))
     truth = predict(SIMULATOR, PARAMETERS.pack(GEL | effect)[None], plan)[0]
     source = generator(seed)
-    rows = [Noise().draw(r, times, repeats, generator=source) if repeats else r[None] for r in truth]
+    rows = [
+        Noise().draw(r, times, repeats, generator=source) if repeats else r[None] for r in truth
+    ]
     known = nuisance or Nuisance()
     return ExperimentBatch(
-        tuple(Experiment(f"design {i}", d, times, r, known) for i, (d, r) in enumerate(zip(designs, rows, strict=True)))
+        tuple(
+            Experiment(f"design {i}", d, times, r, known)
+            for i, (d, r) in enumerate(zip(designs, rows, strict=True))
+        )
     )
 
 
@@ -41,7 +46,9 @@ def fit(batch: ExperimentBatch, hypothesis: Hypothesis | None = None, **effect: 
     """A fit of a hypothesis from the true gel and given values of its effects."""
     prior = (hypothesis or Hypothesis(BASE)).belief
     values = GEL | effect
-    start = prior.to_controls(torch.tensor([values[name] for name in prior.names], dtype=torch.float64))
+    start = prior.to_controls(
+        torch.tensor([values[name] for name in prior.names], dtype=torch.float64)
+    )
     starts = torch.stack((start, start + 0.003))
     belief = Belief((prior,), torch.zeros(1, dtype=torch.float64))
     options = SearchOptions(starts=2)

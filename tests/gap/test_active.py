@@ -1,4 +1,7 @@
-"""Campaigns that look for the cause of a gap: what they shoot, when they end, and that they resume as if nothing had happened."""
+"""Campaigns that look for the cause of a gap:
+
+what they shoot, when they end, and that they resume as if nothing had happened.
+"""
 
 import json
 from dataclasses import replace
@@ -33,7 +36,9 @@ def campaign(folder: Path, above: float = 0.8) -> Campaign:
 
 
 def shoot(effect: dict[str, float]):
-    laboratory = SimulatedLaboratory(SIMULATOR, PARAMETERS.pack(GEL | effect), times=PLAN.times, repeats=PLAN.repeats)
+    laboratory = SimulatedLaboratory(
+        SIMULATOR, PARAMETERS.pack(GEL | effect), times=PLAN.times, repeats=PLAN.repeats
+    )
     return lambda design, number: laboratory.shoot(design, seed=number)
 
 
@@ -74,8 +79,12 @@ def test_that_a_campaign_without_a_gap_names_no_cause(tmp_path: Path) -> None:
 
 
 def test_that_a_resumed_campaign_asks_for_the_same_design(tmp_path: Path) -> None:
-    """The journal keeps verdicts; the design that follows from the fits is found again in a new process."""
-    whole, cut = campaign(tmp_path / "whole", 0.99), campaign(tmp_path / "cut", 0.99)
+    """The journal keeps verdicts;
+
+    the design that follows from the fits is found again in a new process.
+    """
+    whole = campaign(tmp_path / "whole", 0.99)
+    cut = campaign(tmp_path / "cut", 0.99)
     shots = shoot({"damage": 0.02})
     for own in (whole, cut):
         own.tell(shots(own.ask().design, 1))
@@ -104,7 +113,9 @@ def test_that_several_models_or_designs_at_once_are_refused(tmp_path: Path) -> N
     own = campaign(tmp_path)
     with pytest.raises(InputDataError, match="one design at a time"):
         own.ask_several(2)
-    both = Campaign(tmp_path / "two", wide_prior(("nhkv", "gen_qkv")), SIMULATOR, settings=settings(), seed=1)
+    both = Campaign(
+        tmp_path / "two", wide_prior(("nhkv", "gen_qkv")), SIMULATOR, settings=settings(), seed=1
+    )
     with pytest.raises(InputDataError, match="holds 2"):
         both.tell(shoot({})(torch.tensor([400.0, 0.2]).double(), 1))
 
@@ -119,8 +130,30 @@ def test_that_settings_are_checked() -> None:
 
 
 def test_that_the_command_looks_for_a_hidden_cause(tmp_path: Path) -> None:
-    words = ("--goal", "cause", "--case", "stiff-pa", "--hide", "sound_speed=0.8", "--effects", ",".join(OFFERED))
-    main(["campaign", *words, "--designs", "1", "--repeats", "3", "--physics", "polytropic", "--out", str(tmp_path / "hunt")])
+    words = (
+        "--goal",
+        "cause",
+        "--case",
+        "stiff-pa",
+        "--hide",
+        "sound_speed=0.8",
+        "--effects",
+        ",".join(OFFERED),
+    )
+    main(
+        [
+            "campaign",
+            *words,
+            "--designs",
+            "1",
+            "--repeats",
+            "3",
+            "--physics",
+            "polytropic",
+            "--out",
+            str(tmp_path / "hunt"),
+        ]
+    )
     document = json.loads((tmp_path / "hunt" / "campaign.json").read_text())
     assert document["findings"][0]["verdict"] in ("effect", "class", "other", "undecided")
     assert set(document["findings"][0]["probabilities"]) <= {*OFFERED, "none", "other"}

@@ -1,4 +1,7 @@
-"""Where an effect acts: shares by phase that sum to one, none before the effect begins, and the same whatever the repeats."""
+"""Where an effect acts:
+
+shares by phase that sum to one, none before the effect begins, and the same whatever the repeats.
+"""
 
 import pytest
 import torch
@@ -20,7 +23,8 @@ def late() -> dict[int, WhereItActs]:
     for repeats in (5, 80):
         batch = shoot(PULSE, ((400.0, 0.2),), repeats=repeats)
         with_pulse = fit(batch, Hypothesis(BASE, (LIBRARY["pulse"],)), **PULSE)
-        line, causes = linearise(fit(batch), batch, SIMULATOR), {"pulse": (with_pulse, (LIBRARY["pulse"],), 0.9)}
+        line = linearise(fit(batch), batch, SIMULATOR)
+        causes = {"pulse": (with_pulse, (LIBRARY["pulse"],), 0.9)}
         acts = where_it_acts(causes, line, batch, SIMULATOR, seed=0)
         assert acts is not None
         found[repeats] = acts
@@ -31,7 +35,9 @@ def test_that_shares_are_of_one_whole_and_intervals_hold_their_medians(late) -> 
     for acts in late.values():
         assert set(acts.shares) == set(PHASES)
         assert sum(middle for _, middle, _ in acts.shares.values()) == pytest.approx(1.0, abs=0.15)
-        assert all(0.0 <= low <= middle <= high <= 1.0 for low, middle, high in acts.shares.values())
+        assert all(
+            0.0 <= low <= middle <= high <= 1.0 for low, middle, high in acts.shares.values()
+        )
 
 
 def test_that_a_late_pulse_has_no_share_in_what_came_before(late) -> None:

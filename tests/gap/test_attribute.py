@@ -1,4 +1,7 @@
-"""Fits of all effects and what follows from them: the credible set, a winner that was cut short, an effect that is enough alone."""
+"""Fits of all effects and what follows from them:
+
+the credible set, a winner that was cut short, an effect that is enough alone.
+"""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -10,7 +13,12 @@ from imr_torch.gap.attribute import Attribution, Inquiry, attribute, reconsider
 from imr_torch.gap.evidence import CheckedEvidence
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, laplace_evidence
 from imr_torch.material import LIBRARY
-from imr_torch.simulate import ParallelSimulator, PolytropicSimulator, TransportSimulator, fewer_steps
+from imr_torch.simulate import (
+    ParallelSimulator,
+    PolytropicSimulator,
+    TransportSimulator,
+    fewer_steps,
+)
 from tests.gap.synthetic import BASE, SIMULATOR, fit, shoot
 
 
@@ -25,8 +33,15 @@ def test_that_the_credible_set_is_the_smallest_that_reaches_its_level() -> None:
 def test_that_a_winner_whose_fit_was_cut_short_is_fitted_to_the_end(monkeypatch) -> None:
     batch = shoot({"gas_loss": 0.2})
     null = fit(batch)
-    monkeypatch.setattr("imr_torch.gap.attribute._FIT", SearchOptions(starts=2, iterations=2, polish=False))
-    found = attribute(Inquiry(BASE, (LIBRARY["gas_loss"], LIBRARY["surface_tension"]), batch, SIMULATOR), null, {}, seed=0)
+    monkeypatch.setattr(
+        "imr_torch.gap.attribute._FIT", SearchOptions(starts=2, iterations=2, polish=False)
+    )
+    found = attribute(
+        Inquiry(BASE, (LIBRARY["gas_loss"], LIBRARY["surface_tension"]), batch, SIMULATOR),
+        null,
+        {},
+        seed=0,
+    )
     assert found.winner == "gas_loss"
     assert found.fits["gas_loss"].certificate.converged
     assert not found.fits["surface_tension"].certificate.converged
@@ -36,10 +51,19 @@ def test_that_a_winner_whose_fit_was_cut_short_is_fitted_to_the_end(monkeypatch)
 def test_that_an_effect_which_sampling_puts_ahead_is_fitted_to_the_end(monkeypatch) -> None:
     batch = shoot({"gas_loss": 0.2})
     null = fit(batch)
-    monkeypatch.setattr("imr_torch.gap.attribute._FIT", SearchOptions(starts=2, iterations=2, polish=False))
+    monkeypatch.setattr(
+        "imr_torch.gap.attribute._FIT", SearchOptions(starts=2, iterations=2, polish=False)
+    )
     ahead = CheckedEvidence(laplace=0.0, sampled=1e6, error=0.1, reliable=True)
-    monkeypatch.setattr("imr_torch.gap.attribute.check_evidence", lambda *_, **__: {"surface_tension": ahead})
-    found = attribute(Inquiry(BASE, (LIBRARY["gas_loss"], LIBRARY["surface_tension"]), batch, SIMULATOR), null, {}, seed=0)
+    monkeypatch.setattr(
+        "imr_torch.gap.attribute.check_evidence", lambda *_, **__: {"surface_tension": ahead}
+    )
+    found = attribute(
+        Inquiry(BASE, (LIBRARY["gas_loss"], LIBRARY["surface_tension"]), batch, SIMULATOR),
+        null,
+        {},
+        seed=0,
+    )
     assert found.winner == "surface_tension"
     assert found.fits["surface_tension"].certificate.converged
     assert found.log_evidence["surface_tension"] == 1e6
@@ -51,9 +75,13 @@ def test_that_a_fit_that_does_not_converge_is_left_out_and_the_next_one_leads(mo
 
     def never(found, *_, **__):
         loose = replace(found.certificate, converged=False, gradient=1.0)
-        return replace(found, certificate=loose if "gas_loss" in str(found.prior.names) else found.certificate)
+        return replace(
+            found, certificate=loose if "gas_loss" in str(found.prior.names) else found.certificate
+        )
 
-    monkeypatch.setattr("imr_torch.gap.attribute._FIT", SearchOptions(starts=2, iterations=2, polish=False))
+    monkeypatch.setattr(
+        "imr_torch.gap.attribute._FIT", SearchOptions(starts=2, iterations=2, polish=False)
+    )
     monkeypatch.setattr("imr_torch.gap.attribute.finish", never)
     with_wall = (LIBRARY["gas_loss"], LIBRARY["wall"])
     fits = attribute(Inquiry(BASE, with_wall, batch, SIMULATOR), null, {}, seed=0)
@@ -66,10 +94,13 @@ def test_that_a_fit_that_does_not_converge_is_left_out_and_the_next_one_leads(mo
 def test_that_an_effect_found_beside_a_wrong_one_is_taken_alone_if_it_explains_more() -> None:
     batch = shoot({"gas_loss": 0.2})
     null = fit(batch)
-    wrong, right = LIBRARY["wall"], LIBRARY["gas_loss"]
+    wrong = LIBRARY["wall"]
+    right = LIBRARY["gas_loss"]
     first = attribute(Inquiry(BASE, (wrong,), batch, SIMULATOR), null, {}, seed=0)
     inquiry = Inquiry(BASE, (wrong, right), batch, SIMULATOR)
-    both = fit_hypotheses([Hypothesis(BASE, (wrong, right))], first.fits["wall"], batch, SIMULATOR, seed=0)["wall+gas_loss"]
+    both = fit_hypotheses(
+        [Hypothesis(BASE, (wrong, right))], first.fits["wall"], batch, SIMULATOR, seed=0
+    )["wall+gas_loss"]
     again = reconsider(inquiry, first, right, both, seed=0)
     assert again.winner == "gas_loss"
     assert again.fits["gas_loss"].certificate.converged

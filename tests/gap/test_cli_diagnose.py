@@ -1,4 +1,7 @@
-"""The command ``imr-torch diagnose``: results in words, JSON and HTML, and messages before any work."""
+"""The command ``imr-torch diagnose``:
+
+results in words, JSON and HTML, and messages before any work.
+"""
 
 import json
 import re
@@ -24,7 +27,9 @@ def matched(tmp_path_factory) -> Path:
     simulator = PolytropicSimulator()
     outer = simulator.conditions.surroundings
     times = torch.linspace(0.0, 2.6, 53, dtype=torch.float64)
-    laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack({"G": 8e3, "mu": 0.08}), repeats=5, times=times)
+    laboratory = SimulatedLaboratory(
+        simulator, PARAMETERS.pack({"G": 8e3, "mu": 0.08}), repeats=5, times=times
+    )
     designs = torch.tensor([[200.0, 0.2], [600.0, 0.17]], dtype=torch.float64)
     shots = [laboratory.shoot(design, seed=i) for i, design in enumerate(designs)]
     sizes = [float(outer.max_radius(float(we))) for we in designs[:, 0]]
@@ -32,7 +37,9 @@ def matched(tmp_path_factory) -> Path:
     np.savez(
         path,
         time_s=np.stack([times.numpy() * float(outer.time_scale(size)) for size in sizes]),
-        radius_m=np.stack([size * shot.radius.numpy() for size, shot in zip(sizes, shots, strict=True)]),
+        radius_m=np.stack(
+            [size * shot.radius.numpy() for size, shot in zip(sizes, shots, strict=True)]
+        ),
         we=designs[:, 0].numpy(),
         rinf_star=designs[:, 1].numpy(),
     )
@@ -51,10 +58,15 @@ def test_that_a_set_comes_back_as_it_was_shot(matched):
 def single(matched, tmp_path_factory) -> Path:
     """The first repeat of each design as a file of curves, with one negative radius and one frame far off its neighbours."""
     with np.load(matched) as document:
-        times, radii = document["time_s"], document["radius_m"][:, 0].copy()
+        times = document["time_s"]
+        radii = document["radius_m"][:, 0].copy()
     radii[0, 15] *= 1.3
     radii[1, 18] = -1e-6
-    rows = [f"shot {k},{t!r},{r!r}" for k in range(2) for t, r in zip(times[k].tolist(), radii[k].tolist(), strict=True)]
+    rows = [
+        f"shot {k},{t!r},{r!r}"
+        for k in range(2)
+        for t, r in zip(times[k].tolist(), radii[k].tolist(), strict=True)
+    ]
     path = tmp_path_factory.mktemp("curves") / "single.csv"
     path.write_text("\n".join(["experiment_id,time_s,radius_m", *rows]) + "\n")
     return path
@@ -62,8 +74,12 @@ def single(matched, tmp_path_factory) -> Path:
 
 def test_that_single_curves_are_judged_by_the_noise_of_their_frames(single, tmp_path, capsys):
     target = tmp_path / "result.json"
-    assert main(["diagnose", str(single), *FAST, "--rest-radius", "0.185:0.02", "--json", str(target)]) == 0
-    said, result = capsys.readouterr().out, json.loads(target.read_text())
+    assert (
+        main(["diagnose", str(single), *FAST, "--rest-radius", "0.185:0.02", "--json", str(target)])
+        == 0
+    )
+    said = capsys.readouterr().out
+    result = json.loads(target.read_text())
     assert "negative or smaller than a camera sees" in said
     assert "Frames that stand alone, far off their neighbours, were left out: 1 of shot 0." in said
     assert "Noise of single frames, inferred: " in said
@@ -74,11 +90,20 @@ def test_that_single_curves_are_judged_by_the_noise_of_their_frames(single, tmp_
     assert "everything (chi-square)" not in {test["name"] for test in result["tests"]}
 
 
-def test_that_a_document_is_saved_with_null_for_a_number_that_is_not_finite(single, tmp_path, monkeypatch):
+def test_that_a_document_is_saved_with_null_for_a_number_that_is_not_finite(
+    single, tmp_path, monkeypatch
+):
     original = commands.to_json
-    monkeypatch.setattr(commands, "to_json", lambda *a, **k: original(*a, **k) | {"ladder": [{"closed": [0.5, float("nan")]}]})
+    monkeypatch.setattr(
+        commands,
+        "to_json",
+        lambda *a, **k: original(*a, **k) | {"ladder": [{"closed": [0.5, float("nan")]}]},
+    )
     target = tmp_path / "result.json"
-    assert main(["diagnose", str(single), *FAST, "--rest-radius", "0.185:0.02", "--json", str(target)]) == 0
+    assert (
+        main(["diagnose", str(single), *FAST, "--rest-radius", "0.185:0.02", "--json", str(target)])
+        == 0
+    )
     result = json.loads(target.read_text())
     assert result["ladder"] == [{"closed": [0.5, None]}]
     assert result["not_finite"] == ["ladder.0.closed.1"]
@@ -103,7 +128,12 @@ def test_that_matched_data_with_gaps_give_silence(matched, tmp_path):
     lost = np.random.default_rng(0).random(arrays["radius_m"].shape) < 0.2
     arrays["radius_m"][lost] = np.nan
     np.savez(tmp_path / "gaps.npz", **arrays)
-    assert main(["diagnose", str(tmp_path / "gaps.npz"), *FAST, "--json", str(tmp_path / "result.json")]) == 0
+    assert (
+        main(
+            ["diagnose", str(tmp_path / "gaps.npz"), *FAST, "--json", str(tmp_path / "result.json")]
+        )
+        == 0
+    )
     result = json.loads((tmp_path / "result.json").read_text())
     assert (result["gap"], result["verdict"], result["converged"]) == (False, "none", True)
 
@@ -118,7 +148,15 @@ def test_that_noise_may_make_a_collapsed_radius_negative(matched, tmp_path):
 
 def test_that_matched_data_give_silence_in_words_json_and_html(matched, tmp_path, capsys):
     paths = {"json": tmp_path / "result.json", "html": tmp_path / "page.html"}
-    options = [*FAST, "--heldout", "design 1", "--json", str(paths["json"]), "--html", str(paths["html"])]
+    options = [
+        *FAST,
+        "--heldout",
+        "design 1",
+        "--json",
+        str(paths["json"]),
+        "--html",
+        str(paths["html"]),
+    ]
     assert main(["diagnose", str(matched), *options]) == 0
     captured = capsys.readouterr()
     assert captured.err == ""
@@ -127,7 +165,10 @@ def test_that_matched_data_give_silence_in_words_json_and_html(matched, tmp_path
     assert (document["gap"], document["verdict"], document["cause"]) == (False, "none", [])
     assert document["converged"] is True
     assert document["seconds"] > 0.0
-    assert main(["plot", str(paths["json"]), "--out", str(tmp_path / "figures"), "--format", "png"]) == 0
+    assert (
+        main(["plot", str(paths["json"]), "--out", str(tmp_path / "figures"), "--format", "png"])
+        == 0
+    )
     names = {path.stem for path in (tmp_path / "figures").iterdir()}
     assert {"tests"} < names
     assert len(names) == 2  # and the curve
@@ -138,7 +179,9 @@ def test_that_matched_data_give_silence_in_words_json_and_html(matched, tmp_path
 
 
 @pytest.mark.parametrize(("options", "words"), [((), False), (("--noise", "estimated"), True)])
-def test_that_a_set_has_the_published_noise_however_few_its_repeats(options, words, matched, tmp_path, capsys):
+def test_that_a_set_has_the_published_noise_however_few_its_repeats(
+    options, words, matched, tmp_path, capsys
+):
     with np.load(matched) as document:
         arrays = dict(document)
     np.savez(tmp_path / "one.npz", **arrays | {"radius_m": arrays["radius_m"][:, :1]})
@@ -168,7 +211,10 @@ def broken(tmp_path, matched) -> dict[str, Path]:
     files["csv"].write_text("experiment_id,time_s,radius_m\n")
     for name, change in changes.items():
         files[name] = tmp_path / f"{name}.npz"
-        np.savez(files[name], **{key: value for key, value in (good | change).items() if value is not None})
+        np.savez(
+            files[name],
+            **{key: value for key, value in (good | change).items() if value is not None},
+        )
     return files
 
 
@@ -185,17 +231,32 @@ def broken(tmp_path, matched) -> dict[str, Path]:
         (["{empty}"], "design 0 has 0 frames with a finite time and radius; at least 2 are needed"),
         (["{negative}"], "expected We > 0"),
         (["{hole}"], "design 0: radius_m holds -1; expected metres, from about 0"),
-        (["{millimetres}"], r"radius_m holds 0\.\d+; expected metres, from about 0 to not far above Rmax"),
+        (
+            ["{millimetres}"],
+            r"radius_m holds 0\.\d+; expected metres, from about 0 to not far above Rmax",
+        ),
         (["{microseconds}"], r"time_s ends at \d+.*; expected seconds"),
         (["{words}"], "cannot be read as .npz arrays of numbers"),
         (["{good}", "{csv}"], "cannot be mixed"),
-        (["{good}", "--base", "maxwell9"], "--base: unknown model 'maxwell9'; known are newtonian, nhe, nhkv"),
+        (
+            ["{good}", "--base", "maxwell9"],
+            "--base: unknown model 'maxwell9'; known are newtonian, nhe, nhkv",
+        ),
         (["{good}", "--effects", "magic"], "Unknown effect 'magic'; known are strain_stiffening"),
         (["{good}", "--without", "magic"], "Unknown effect 'magic'"),
-        (["{good}", "--base", "gen_qkv", "--effects", "strain_stiffening"], "cannot be put on the base model 'gen_qkv'"),
-        (["{good}", "--heldout", "design 7"], "--heldout: no experiment 'design 7' among the 2 loaded: design 0, design 1"),
+        (
+            ["{good}", "--base", "gen_qkv", "--effects", "strain_stiffening"],
+            "cannot be put on the base model 'gen_qkv'",
+        ),
+        (
+            ["{good}", "--heldout", "design 7"],
+            "--heldout: no experiment 'design 7' among the 2 loaded: design 0, design 1",
+        ),
         (["{good}", "--experiments", "x"], "--experiments: no experiment 'x'"),
-        (["{good}", "--heldout", "design 0,design 1"], "--heldout leaves none of the 2 experiments to fit"),
+        (
+            ["{good}", "--heldout", "design 0,design 1"],
+            "--heldout leaves none of the 2 experiments to fit",
+        ),
     ],
 )
 def test_that_bad_input_ends_with_a_message_before_any_work(arguments, message, broken, capsys):

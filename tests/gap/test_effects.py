@@ -1,10 +1,22 @@
-"""The registry: one test through every effect of the library, and what a user's own effect must be."""
+"""The registry:
+
+one test through every effect of the library, and what a user's own effect must be.
+"""
 
 import pytest
 import torch
 
 from imr_torch.errors import ImrError, InputDataError
-from imr_torch.material import LIBRARY, PARAMETERS, Effect, LogNormal, Parameter, TruncatedNormal, library, register_effect
+from imr_torch.material import (
+    LIBRARY,
+    PARAMETERS,
+    Effect,
+    LogNormal,
+    Parameter,
+    TruncatedNormal,
+    library,
+    register_effect,
+)
 from imr_torch.material import effect as registry
 from imr_torch.material.parameters import ParameterVector
 from imr_torch.observe import predict
@@ -61,8 +73,11 @@ def test_that_the_library_is_complete() -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_that_at_its_neutral_value_it_is_the_base_exactly_and_at_a_start_it_is_not(batch, name: str) -> None:
-    effect, base = LIBRARY[name], seen(batch, {})
+def test_that_at_its_neutral_value_it_is_the_base_exactly_and_at_a_start_it_is_not(
+    batch, name: str
+) -> None:
+    effect = LIBRARY[name]
+    base = seen(batch, {})
     for start in effect.starts:
         values = dict(zip(effect.names, start, strict=True))
         assert torch.equal(seen(batch, values | {effect.names[0]: 0.0}), base)
@@ -89,8 +104,12 @@ def test_that_effects_are_offered_by_name_and_to_bases_that_they_can_act_on() ->
     assert len(library(without=["pulse"])) == len(library()) - 1
     assert "strain_stiffening" in {e.name for e in library(base="nhkv")}
     assert "strain_stiffening" not in {e.name for e in library(base="gen_qkv")}
-    assert not {"strain_stiffening", "damage", "permanent_set"} & {e.name for e in library(base="newtonian")}
-    with pytest.raises(InputDataError, match=r"Unknown effect 'wal'; known are strain_stiffening, "):
+    assert not {"strain_stiffening", "damage", "permanent_set"} & {
+        e.name for e in library(base="newtonian")
+    }
+    with pytest.raises(
+        InputDataError, match=r"Unknown effect 'wal'; known are strain_stiffening, "
+    ):
         library(["wal"])
 
 
@@ -102,14 +121,19 @@ def test_that_effects_are_offered_by_name_and_to_bases_that_they_can_act_on() ->
         (TruncatedNormal(0.0, 0.1, lower=0.0), (0.03, 0.12)),
     ],
 )
-def test_that_usual_starts_are_on_either_side_or_two_sizes_of_a_one_sided_effect(prior, starts) -> None:
+def test_that_usual_starts_are_on_either_side_or_two_sizes_of_a_one_sided_effect(
+    prior, starts
+) -> None:
     effect = Effect("x", "an effect of one parameter", "geometry", {"wall": prior})
     assert [start for (start,) in effect.starts] == pytest.approx(starts)
 
 
 def test_that_an_effect_is_offered_to_models_that_have_what_it_needs() -> None:
     prior = TruncatedNormal(0.0, 0.1)
-    free, bound = (Effect("x", "a wall that needs", "liquid", {"wall": prior}, needs=needs) for needs in ("", "G"))
+    free, bound = (
+        Effect("x", "a wall that needs", "liquid", {"wall": prior}, needs=needs)
+        for needs in ("", "G")
+    )
     assert free.applies("nhkv")
     assert free.applies("newtonian")
     assert bound.applies("nhkv")
@@ -122,7 +146,11 @@ def test_that_an_effect_is_offered_to_models_that_have_what_it_needs() -> None:
         "graded_modulus",
         "permanent_set",
     }
-    assert {e.name for e in LIBRARY.values() if e.needs == "mu"} == {"stress_relaxation", "shear_thinning", "viscous_damage"}
+    assert {e.name for e in LIBRARY.values() if e.needs == "mu"} == {
+        "stress_relaxation",
+        "shear_thinning",
+        "viscous_damage",
+    }
 
 
 def test_that_a_users_effect_is_one_class_and_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -140,17 +168,29 @@ def test_that_a_users_effect_is_one_class_and_is_checked(monkeypatch: pytest.Mon
     with pytest.raises(InputDataError, match=r"needs starts of 1 values each, got \(\)"):
         Effect("x", "no start for such a prior", "geometry", {"wall": LogNormal(1.0, 2.0)})
     for law in ("setting", "gas_loss", "vapour", "far_field"):
-        with pytest.raises(InputDataError, match=rf"its law {law} takes [13] arguments and then wall"):
-            Effect("x", "a law of too many arguments", "liquid", {"wall": prior}, **{law: lambda a, b, c, d, e: a})
+        with pytest.raises(
+            InputDataError, match=rf"its law {law} takes [13] arguments and then wall"
+        ):
+            Effect(
+                "x",
+                "a law of too many arguments",
+                "liquid",
+                {"wall": prior},
+                **{law: lambda a, b, c, d, e: a},
+            )
     with pytest.raises(ImrError, match="stiffness"):
         Effect("x", "needs what there is not", "geometry", {"wall": prior}, needs="stiffness")
     with pytest.raises(ImrError, match="wal"):
         Effect("x", "no such parameter", "geometry", {"wal": prior}, ((0.05,),))
 
 
-def test_that_an_amplitude_that_is_not_neutral_at_zero_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_that_an_amplitude_that_is_not_neutral_at_zero_is_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     own = ParameterVector()
-    own.register(Parameter("slow", "a factor, which does nothing at one", "1", "none", 0.0, 2.0, 1.0))
+    own.register(
+        Parameter("slow", "a factor, which does nothing at one", "1", "none", 0.0, 2.0, 1.0)
+    )
     monkeypatch.setattr(registry, "PARAMETERS", own)
     with pytest.raises(InputDataError, match="its amplitude 'slow' must be neutral at zero"):
         Effect("x", "a factor", "geometry", {"slow": TruncatedNormal(0.0, 0.1)})

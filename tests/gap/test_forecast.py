@@ -23,14 +23,18 @@ PLAN = Plan(times=torch.linspace(0.0, 2.0, 21, dtype=torch.float64), noise=NOISE
 CAUSES = {"strain_stiffening": {"alpha": 0.05}, "damage": {"damage": 0.02}}
 EVEN = dict.fromkeys(CAUSES, 0.5)
 WITH_OTHER = {"strain_stiffening": 0.5, "damage": 0.2, "other": 0.3}
-DESIGN, POOR = torch.tensor([800.0, 0.15]).double(), torch.tensor([100.0, 0.3]).double()
+DESIGN = torch.tensor([800.0, 0.15]).double()
+POOR = torch.tensor([100.0, 0.3]).double()
 
 
 @pytest.fixture(scope="module")
 def known() -> tuple[dict[str, ModelFit], Unknown]:
     """Two causes that are alike in one shot, and an unknown effect that looks like the first."""
     batch = shoot({"alpha": 0.05}, DESIGNS[:1], repeats=4, end=2.0)
-    fits = {name: fit(batch, Hypothesis(BASE, (LIBRARY[name],)), **start) for name, start in CAUSES.items()}
+    fits = {
+        name: fit(batch, Hypothesis(BASE, (LIBRARY[name],)), **start)
+        for name, start in CAUSES.items()
+    }
     offered = library(["strain_stiffening", "damage", "gas_loss", "sound_speed"])
     left = adequacy_test(fits["strain_stiffening"], offered, batch, SIMULATOR, seed=0)
     unknown = unknown_like("strain_stiffening", fits["strain_stiffening"], left)
@@ -38,23 +42,38 @@ def known() -> tuple[dict[str, ModelFit], Unknown]:
     return fits, unknown
 
 
-def ahead(known, design: Tensor = DESIGN, plan: Plan = PLAN, *, causes=EVEN, draws: int = 40) -> Forecast:
+def ahead(
+    known, design: Tensor = DESIGN, plan: Plan = PLAN, *, causes=EVEN, draws: int = 40
+) -> Forecast:
     fits, unknown = known
     return forecast(causes, fits, design, SIMULATOR, plan, draws=draws, seed=1, unknown=unknown)
 
 
-def brute_force(known, causes: dict[str, float], design: Tensor, data: int = 150, gels: int = 3000) -> tuple[float, float]:
-    """Mean probability of the truth and its error: evidences are plain means of the likelihood over posterior draws."""
+def brute_force(
+    known, causes: dict[str, float], design: Tensor, data: int = 150, gels: int = 3000
+) -> tuple[float, float]:
+    """Mean probability of the truth and its error:
+
+    evidences are plain means of the likelihood over posterior draws.
+    """
     fits, unknown = known
-    source, film = generator(5), Film(design[None], PLAN.times[None])
-    curves = {n: predict(SIMULATOR, drawn(own, gels, source), film)[:, 0] for n, own in fits.items()}
+    source = generator(5)
+    film = Film(design[None], PLAN.times[None])
+    curves = {
+        n: predict(SIMULATOR, drawn(own, gels, source), film)[:, 0] for n, own in fits.items()
+    }
     if "other" in causes:
         curves["other"] = with_reference(unknown, curves["strain_stiffening"], film, source)
-    value, variance = 0.0, 0.0
+    value = 0.0
+    variance = 0.0
     for name, weight in causes.items():
         truth = curves[name][:data]
-        y = truth + NOISE.sd(truth, PLAN.times) * torch.randn(truth.shape, generator=source, dtype=torch.float64)
-        logs = torch.stack([math.log(p) + evidence(y, curves[other][data:]) for other, p in causes.items()])
+        y = truth + NOISE.sd(truth, PLAN.times) * torch.randn(
+            truth.shape, generator=source, dtype=torch.float64
+        )
+        logs = torch.stack(
+            [math.log(p) + evidence(y, curves[other][data:]) for other, p in causes.items()]
+        )
         own = torch.softmax(logs, 0)[list(causes).index(name)]
         value += weight * float(own.mean())
         variance += weight**2 * float(own.var()) / data
@@ -70,7 +89,9 @@ def drawn(own: ModelFit, count: int, source: torch.Generator) -> Tensor:
 def with_reference(unknown: Unknown, curves: Tensor, film: Film, source: torch.Generator) -> Tensor:
     """Curves of the leader with one of the references beside it, drawn with its amplitude."""
     seen = []
-    for change, shift in zip(({}, *unknown.changes), (torch.zeros(1), *unknown.shifts), strict=True):
+    for change, shift in zip(
+        ({}, *unknown.changes), (torch.zeros(1), *unknown.shifts), strict=True
+    ):
         values = unknown.fit.parameters((unknown.fit.mean - shift)[None]).clone()
         for name, value in change.items():
             values[0, int(PARAMETERS.index([name])[0])] = value
@@ -100,7 +121,9 @@ def test_that_the_proposed_design_beats_a_poor_one(known) -> None:
     """Both judged by brute force, which the search has not seen."""
     fits, _ = known
     found = identity_design(fits, EVEN, SIMULATOR, seed=0, plan=PLAN, grid=(2, 2), draws=8)
-    (best, error), (poor, other) = (brute_force(known, EVEN, design) for design in (found.design, POOR))
+    (best, error), (poor, other) = (
+        brute_force(known, EVEN, design) for design in (found.design, POOR)
+    )
     assert best > poor + 3.0 * math.hypot(error, other)
 
 
@@ -119,7 +142,9 @@ def test_that_a_shot_that_cannot_tell_leaves_the_probability(known) -> None:
     assert found.after == pytest.approx(found.now, abs=1e-3)
 
 
-def test_that_references_have_no_more_than_their_typical_size_and_leave_the_leader_out(known) -> None:
+def test_that_references_have_no_more_than_their_typical_size_and_leave_the_leader_out(
+    known,
+) -> None:
     _, unknown = known
     assert float(unknown.weights.sum()) == pytest.approx(1.0)
     for change in unknown.changes:
@@ -132,7 +157,13 @@ def test_that_references_have_no_more_than_their_typical_size_and_leave_the_lead
 def test_that_the_plan_is_the_median_of_the_data() -> None:
     def shot(repeats: int, frames: int, sd: float) -> Experiment:
         times = torch.linspace(0.0, frames / 20, frames, dtype=torch.float64)
-        return Experiment("shot", (400.0, 0.2), times, torch.ones(repeats, frames).double(), Nuisance(sd, 0.004, 0.0))
+        return Experiment(
+            "shot",
+            (400.0, 0.2),
+            times,
+            torch.ones(repeats, frames).double(),
+            Nuisance(sd, 0.004, 0.0),
+        )
 
     noise = Noise(scale=1.5)
     plan = plan_of(ExperimentBatch((shot(2, 30, 0.1), shot(5, 40, 0.01), shot(9, 80, 0.02)), noise))

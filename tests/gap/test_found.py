@@ -1,4 +1,7 @@
-"""Every effect of the library both ways: found in data that have it, and not claimed in data that do not."""
+"""Every effect of the library both ways:
+
+found in data that have it, and not claimed in data that do not.
+"""
 
 import pytest
 import torch
@@ -10,9 +13,14 @@ from tests.gap.synthetic import BASE, DESIGNS, fit, shoot
 
 REPEATS = 10
 CLAIMED = 3.5  # nats at which an effect is more probable than none: even odds against its share of the prior
-LARGE = {"permanent_set": 3.0, "vapour_pressure": 2.0}  # prior standard deviations at which these data show them; else 1
+LARGE = {
+    "permanent_set": 3.0,
+    "vapour_pressure": 2.0,
+}  # prior standard deviations at which these data show them; else 1
 FAINT = {"surface_tension"}  # a typical one is not seen in these data
-SLOW = {"stress_relaxation"}  # a fit that leads to a relaxation time of zero takes ever shorter steps, half a minute
+SLOW = {
+    "stress_relaxation"
+}  # a fit that leads to a relaxation time of zero takes ever shorter steps, half a minute
 
 
 def effects(*without: str):
@@ -25,7 +33,13 @@ def typical(effect: Effect) -> dict[str, float]:
     """The effect at a prior standard deviation of its amplitude."""
     prior = effect.priors[effect.names[0]]
     assert isinstance(prior, TruncatedNormal)
-    return dict(zip(effect.names, (LARGE.get(effect.name, 1.0) * prior.sd, *effect.starts[0][1:]), strict=True))
+    return dict(
+        zip(
+            effect.names,
+            (LARGE.get(effect.name, 1.0) * prior.sd, *effect.starts[0][1:]),
+            strict=True,
+        )
+    )
 
 
 def evidence_of(effect: Effect, null: ModelFit, batch, **values: float) -> tuple[float, ModelFit]:
@@ -47,7 +61,8 @@ def test_that_an_effect_is_found_where_it_is(effect: Effect) -> None:
     batch = shoot(values, DESIGNS, repeats=REPEATS)
     gain, found = evidence_of(effect, fit(batch), batch, **values)
     assert found.certificate.converged
-    place, name = found.prior.names.index(effect.names[0]), effect.names[0]
+    place = found.prior.names.index(effect.names[0])
+    name = effect.names[0]
     truth = effect.priors[name].to_control(torch.tensor(values[name], dtype=torch.float64))
     assert abs(float(found.mean[place] - truth)) < 4.0 * float(found.chol[place].norm())
     assert (gain > CLAIMED) == (effect.name not in FAINT)

@@ -1,4 +1,7 @@
-"""Fits that coarse bubbles lead: the same minimum as without them, and no certificate for what was left behind."""
+"""Fits that coarse bubbles lead:
+
+the same minimum as without them, and no certificate for what was left behind.
+"""
 
 import math
 from dataclasses import replace
@@ -22,7 +25,9 @@ EFFECTS = tuple(Hypothesis(BASE, (LIBRARY[name],)) for name in ("gas_loss", "sur
 def _leaking() -> ExperimentBatch:
     """Five repeats of a bubble that loses gas, with heat and vapour transport."""
     times = torch.linspace(0.0, 2.0, 41, dtype=torch.float64)
-    plan = ExperimentBatch((Experiment("plan", (400.0, 0.2), times, torch.ones(1, 41, dtype=torch.float64)),))
+    plan = ExperimentBatch(
+        (Experiment("plan", (400.0, 0.2), times, torch.ones(1, 41, dtype=torch.float64)),)
+    )
     truth = predict(FULL, PARAMETERS.pack(GEL | {"gas_loss": 0.3})[None], plan)[0, 0]
     radius = Noise().draw(truth, times, 5, generator=generator(0))
     return ExperimentBatch((Experiment("shot", (400.0, 0.2), times, radius),))
@@ -35,38 +40,65 @@ def test_that_coarse_bubbles_lead_to_the_minimum_that_others_find(monkeypatch) -
     led = fit_hypotheses(EFFECTS, null, batch, FULL, seed=0, options=options)
     monkeypatch.setattr(hypotheses, "_TOO_COARSE", -1.0)  # no coarse bubbles
     direct = fit_hypotheses(EFFECTS, null, batch, FULL, seed=0, options=options)
-    one, other = led["gas_loss"], direct["gas_loss"]
+    one = led["gas_loss"]
+    other = direct["gas_loss"]
     assert one.certificate.converged
     assert abs(one.cost - other.cost) < 0.1
-    assert float(torch.linalg.solve_triangular(other.chol, (one.mean - other.mean)[:, None], upper=False).norm()) < 0.1
+    assert (
+        float(
+            torch.linalg.solve_triangular(
+                other.chol, (one.mean - other.mean)[:, None], upper=False
+            ).norm()
+        )
+        < 0.1
+    )
 
 
-def test_that_what_coarse_bubbles_leave_behind_has_the_cost_of_the_simulator_and_no_certificate() -> None:
+def test_that_what_coarse_bubbles_leave_behind_has_the_cost_of_the_simulator_and_no_certificate() -> (
+    None
+):
     batch = _leaking()
     options = SearchOptions(starts=2, drop_behind=0.5, basin_rounds=0, polish=False)
-    behind = fit_hypotheses(EFFECTS, fit(batch), batch, FULL, seed=0, options=options)["surface_tension"]
+    behind = fit_hypotheses(EFFECTS, fit(batch), batch, FULL, seed=0, options=options)[
+        "surface_tension"
+    ]
     assert not behind.certificate.converged
-    assert abs(behind.cost + float(Posterior(behind.prior, batch, FULL).log_joint(behind.point))) < 1e-6
+    assert (
+        abs(behind.cost + float(Posterior(behind.prior, batch, FULL).log_joint(behind.point)))
+        < 1e-6
+    )
 
 
 def test_that_effects_far_behind_a_fit_that_is_known_are_given_up() -> None:
-    """One iteration of one start each says that none can come near; all keep their costs, and none a certificate."""
+    """One iteration of one start each says that none can come near;
+
+    all keep their costs, and none a certificate.
+    """
     batch = _leaking()
     null = fit(batch)
-    options = SearchOptions(starts=2, drop_behind=6.0, rival=null.cost - 1e5, basin_rounds=0, polish=False)
+    options = SearchOptions(
+        starts=2, drop_behind=6.0, rival=null.cost - 1e5, basin_rounds=0, polish=False
+    )
     lines: list[str] = []
-    found = fit_hypotheses(EFFECTS, null, batch, FULL, seed=0, options=options, progress=lines.append)
+    found = fit_hypotheses(
+        EFFECTS, null, batch, FULL, seed=0, options=options, progress=lines.append
+    )
     assert len(lines) == 1
     assert len(found) == 2
     assert not any(own.certificate.converged for own in found.values())
 
 
 def test_that_a_collapse_on_the_wrong_side_of_a_frame_ends_no_search() -> None:
-    batch, hypothesis = shoot({"rinf_bias": -0.08}, DESIGNS), Hypothesis(BASE, (LIBRARY["rinf_bias"],))
+    batch = shoot({"rinf_bias": -0.08}, DESIGNS)
+    hypothesis = Hypothesis(BASE, (LIBRARY["rinf_bias"],))
     null = fit_null(BASE, batch, SIMULATOR, seed=0)
     options = SearchOptions(starts=2, basin_rounds=0, polish=False)
-    found = fit_hypotheses([hypothesis], null, batch, SIMULATOR, seed=0, options=options)["rinf_bias"]
-    assert found.cost < fit(batch, hypothesis, rinf_bias=-0.08).cost + 0.1  # 33 nats above with every frame from the start
+    found = fit_hypotheses([hypothesis], null, batch, SIMULATOR, seed=0, options=options)[
+        "rinf_bias"
+    ]
+    assert (
+        found.cost < fit(batch, hypothesis, rinf_bias=-0.08).cost + 0.1
+    )  # 33 nats above with every frame from the start
 
 
 def test_that_of_two_fits_the_lower_counts_or_one_that_may_get_lower() -> None:
@@ -77,7 +109,9 @@ def test_that_of_two_fits_the_lower_counts_or_one_that_may_get_lower() -> None:
         return replace(ended, cost=ended.cost - ahead, certificate=certificate)
 
     def cost(one, two) -> float:
-        (found,) = {hypotheses.lower(*pair, SearchOptions()).cost for pair in ((one, two), (two, one))}
+        (found,) = {
+            hypotheses.lower(*pair, SearchOptions()).cost for pair in ((one, two), (two, one))
+        }
         return found - ended.cost
 
     assert cost(ended, other(1.0, 1e-4)) == pytest.approx(-1.0)

@@ -54,7 +54,9 @@ def test_that_the_phase_clock_runs_on_where_a_record_ends_before_any_collapse() 
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_that_the_onset_is_in_the_phase_in_which_the_effect_acts_and_silent_on_matched_data(cases, name: str) -> None:
+def test_that_the_onset_is_in_the_phase_in_which_the_effect_acts_and_silent_on_matched_data(
+    cases, name: str
+) -> None:
     found = onset(*cases(name), seed=1)
     assert found.phase == CASES[name][1], str(found)
     assert math.isnan(found.time) == (name == "matched")
@@ -66,8 +68,11 @@ def test_that_a_linear_refit_to_all_frames_stays_and_to_some_frames_is_the_nonli
     best = fit(batch)
     line = linearise(best, batch, SIMULATOR)
     shift, to_shift = refit(line)
-    size, sd = len(best.mean), to_shift.norm(dim=1)
-    assert float((shift / sd).abs().max()) < 0.2  # the noise law's own slope is all that differs from least squares
+    size = len(best.mean)
+    sd = to_shift.norm(dim=1)
+    assert (
+        float((shift / sd).abs().max()) < 0.2
+    )  # the noise law's own slope is all that differs from least squares
     assert torch.allclose(sd[:size], torch.linalg.norm(best.chol, dim=1), rtol=0.05)
     early = type(batch)(tuple(e.until(1.5) for e in batch.experiments))
     shift, to_shift = refit(restrict(line, batch.times <= 1.5 + 1e-9))
@@ -76,8 +81,13 @@ def test_that_a_linear_refit_to_all_frames_stays_and_to_some_frames_is_the_nonli
 
 
 def test_that_calibrated_p_values_are_those_of_the_smallest_of_all_tests() -> None:
-    drawn = torch.rand(3, 4000, generator=torch.Generator().manual_seed(0), dtype=torch.float64).log()
-    observed = [torch.tensor([0.02, 0.5], dtype=torch.float64).log(), torch.tensor([1e-9], dtype=torch.float64).log()]
+    drawn = torch.rand(
+        3, 4000, generator=torch.Generator().manual_seed(0), dtype=torch.float64
+    ).log()
+    observed = [
+        torch.tensor([0.02, 0.5], dtype=torch.float64).log(),
+        torch.tensor([1e-9], dtype=torch.float64).log(),
+    ]
     p_values = calibrate(observed, [drawn[:2], drawn[2:]])
     assert float(p_values[0]) == pytest.approx(1.0 - 0.98**3, abs=0.01)
     assert float(p_values[1]) == pytest.approx(3e-9)
@@ -103,8 +113,13 @@ def test_that_an_effect_of_the_rate_shows_as_a_drift_of_viscosity_over_we(cases)
 
 
 def test_that_a_drift_over_one_coordinate_or_over_enough_designs_is_called_by_its_name() -> None:
-    steady, over_weber, over_rest = Trend("G", "R_inf*", 0.0, 0.5), Trend("mu", "We", 1.0, 9.0), Trend("G", "R_inf*", 1.0, 9.0)
-    assert locate._read((over_weber, steady), 0.01, 2) == "Fitted parameters drift: mu over We (points to rate or size)."
+    steady = Trend("G", "R_inf*", 0.0, 0.5)
+    over_weber = Trend("mu", "We", 1.0, 9.0)
+    over_rest = Trend("G", "R_inf*", 1.0, 9.0)
+    assert (
+        locate._read((over_weber, steady), 0.01, 2)
+        == "Fitted parameters drift: mu over We (points to rate or size)."
+    )
     both = locate._read((over_weber, over_rest), 0.01, 4)
     assert "mu over We" in both
     assert "G over R_inf*" in both
@@ -139,7 +154,9 @@ def test_that_the_latent_prior_is_matern_three_halves() -> None:
     assert float((root @ root.mT)[0, 3]) == pytest.approx((1.0 + gap) * math.exp(-gap), abs=1e-8)
 
 
-def test_that_apparent_parameters_are_constant_on_matched_data_and_drift_with_an_effect(cases) -> None:
+def test_that_apparent_parameters_are_constant_on_matched_data_and_drift_with_an_effect(
+    cases,
+) -> None:
     steady = moving_windows(*cases("matched"), windows=4)
     assert float(steady.p_constant.min()) > 0.01
     assert float(steady.drift.abs().max()) < 3.0
@@ -149,13 +166,21 @@ def test_that_apparent_parameters_are_constant_on_matched_data_and_drift_with_an
 
 
 def test_that_p_values_of_constant_parameters_are_uniform(cases) -> None:
-    """Frequency, not luck: the windows' estimates are linear in the noise, so many draws cost nothing."""
+    """Frequency, not luck:
+
+    the windows' estimates are linear in the noise, so many draws cost nothing.
+    """
     from imr_torch.gap.windows import _constancy
 
     line: Linearisation = cases("matched")[1]
     batch = cases("matched")[2]
     starts = torch.linspace(0.0, 2.0, 4, dtype=torch.float64)
-    maps = torch.stack([refit(restrict(line, (batch.times >= s) & (batch.times <= s + 1.0)))[1][:2] for s in starts.tolist()])
+    maps = torch.stack(
+        [
+            refit(restrict(line, (batch.times >= s) & (batch.times <= s + 1.0)))[1][:2]
+            for s in starts.tolist()
+        ]
+    )
     drawn = draw_residuals(line, seed=3, count=300)
     p_values = torch.stack([_constancy(starts, maps @ noise, maps)[1] for noise in drawn])
     assert 0.01 < float((p_values < 0.05).double().mean()) < 0.09

@@ -1,4 +1,7 @@
-"""How alike effects look: angles and what is left against closed forms, the chance of a look-alike against simulation."""
+"""How alike effects look:
+
+angles and what is left against closed forms, the chance of a look-alike against simulation.
+"""
 
 import math
 from types import SimpleNamespace
@@ -30,12 +33,19 @@ def line(size: int = SIZE) -> Linearisation:
 def direction(degrees: float, *, length: float = 1.0, absorbed: float = 0.0) -> torch.Tensor:
     """A direction at an angle to the first axis, and what of it the fit absorbs."""
     row = torch.zeros(1, SIZE, dtype=torch.float64)
-    row[0, 0], row[0, 1], row[0, -1] = math.cos(math.radians(degrees)), math.sin(math.radians(degrees)), absorbed
+    row[0, 0], row[0, 1], row[0, -1] = (
+        math.cos(math.radians(degrees)),
+        math.sin(math.radians(degrees)),
+        absorbed,
+    )
     return length * row
 
 
 def test_that_angles_are_those_beside_the_fit() -> None:
-    rows = {"a": direction(0.0, length=7.0, absorbed=3.0), "b": torch.cat((direction(80.0), direction(20.0, length=-2.0)))}
+    rows = {
+        "a": direction(0.0, length=7.0, absorbed=3.0),
+        "b": torch.cat((direction(80.0), direction(20.0, length=-2.0))),
+    }
     found = angles(rows, line())
     assert found["a"]["b"] == pytest.approx(20.0)
     assert found["b"]["a"] == pytest.approx(20.0)
@@ -54,7 +64,9 @@ def test_that_only_what_cannot_be_told_apart_is_a_look_alike() -> None:
 
 
 @pytest.mark.parametrize(("degrees", "low", "high"), [(2.0, 0.85, 1.0), (80.0, 0.0, 0.02)])
-def test_that_near_effects_are_masked_and_far_ones_are_not(degrees: float, low: float, high: float) -> None:
+def test_that_near_effects_are_masked_and_far_ones_are_not(
+    degrees: float, low: float, high: float
+) -> None:
     rows = {e.name: direction(i * degrees) for i, e in enumerate(EFFECTS)}
     found = likeness(12.0, rows, {}, EFFECTS, line(), seed=0)
     assert low <= found.chance <= high
@@ -62,16 +74,24 @@ def test_that_near_effects_are_masked_and_far_ones_are_not(degrees: float, low: 
 
 
 def test_that_the_chance_is_the_power_of_the_test_of_what_is_left() -> None:
-    """One known effect leaves ``s tan a`` of the other; the block of the third sees it, by the noncentral normal."""
+    """One known effect leaves ``s tan a`` of the other;
+
+    the block of the third sees it, by the noncentral normal.
+    """
     other = torch.zeros(1, SIZE, dtype=torch.float64)
     other[0, 1] = 1.0  # sees what the first leaves of the second
-    left, degrees = 3.0, 20.0
+    left = 3.0
+    degrees = 20.0
     size = left / math.tan(math.radians(degrees))
     rows = {"gas_loss": direction(0.0), "wall": direction(degrees)}
     chances = [
-        likeness(size, rows, {"seen": other}, library(["gas_loss", "wall"]), line(), seed=seed).chance for seed in range(40)
+        likeness(
+            size, rows, {"seen": other}, library(["gas_loss", "wall"]), line(), seed=seed
+        ).chance
+        for seed in range(40)
     ]
-    # two tests (one of rank 1 and chi-square, which sees little) at .05: about Phi(2.24 - 3), less what chi-square adds
+    # two tests (one of rank 1 and chi-square, which sees little) at .05: about Phi(2.24 - 3), less
+    # what chi-square adds
     assert sum(chances) / 40 == pytest.approx(0.22, abs=0.05)
 
 
@@ -89,7 +109,10 @@ def test_that_the_bayes_factor_averages_to_one_under_a_known_effect() -> None:
     log_p = torch.randn(50, 40, generator=source, dtype=torch.float64).square().neg() * 3.0
     found = Likeness(9.0, log_p, torch.full((50,), 0.02, dtype=torch.float64), {})
     log = torch.linspace(-40.0, 0.0, 4001, dtype=torch.float64)
-    density = torch.tensor([found.bayes_factor(math.exp(x)) for x in log.tolist()], dtype=torch.float64) * log.exp()
+    density = (
+        torch.tensor([found.bayes_factor(math.exp(x)) for x in log.tolist()], dtype=torch.float64)
+        * log.exp()
+    )
     assert float(torch.trapezoid(density, log)) == pytest.approx(1.0, abs=0.02)
 
 
@@ -102,7 +125,10 @@ def gas():
     """Data of a lossy bubble with its right fit and that of a wall."""
     batch = shoot({"gas_loss": 0.1})
     chosen = [Hypothesis(BASE, (effect,)) for effect in library(["gas_loss", "wall"])]
-    return batch, {h.name: fit(batch, h, **{h.effects[0].names[0]: 0.1 if h.name == "gas_loss" else 0.01}) for h in chosen}
+    return batch, {
+        h.name: fit(batch, h, **{h.effects[0].names[0]: 0.1 if h.name == "gas_loss" else 0.01})
+        for h in chosen
+    }
 
 
 def test_that_the_evidence_by_sampling_is_on_the_scale_of_the_gaussian_one(gas) -> None:
@@ -124,11 +150,15 @@ def test_that_only_rivals_are_sampled(gas) -> None:
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0])
-def test_that_another_prior_scale_changes_the_evidence_by_the_ratio_of_densities(gas, factor: float) -> None:
+def test_that_another_prior_scale_changes_the_evidence_by_the_ratio_of_densities(
+    gas, factor: float
+) -> None:
     """For a sharp posterior: the half-normal densities at the fitted amplitude."""
     _, fits = gas
-    effect, own = LIBRARY["gas_loss"], fits["gas_loss"]
-    prior, place = effect.priors["gas_loss"], own.prior.names.index("gas_loss")
+    effect = LIBRARY["gas_loss"]
+    own = fits["gas_loss"]
+    prior = effect.priors["gas_loss"]
+    place = own.prior.names.index("gas_loss")
     value = float(prior.to_physical(own.mean[place]))
     exact = 0.5 * (value / prior.sd) ** 2 * (1.0 - factor**-2) - math.log(factor)
     assert rescaled_evidence(own, effect, factor) == pytest.approx(exact, abs=0.03)

@@ -1,4 +1,7 @@
-"""What assumed values of the medium would change: against refits in that medium, and silent where nothing changes."""
+"""What assumed values of the medium would change:
+
+against refits in that medium, and silent where nothing changes.
+"""
 
 import pytest
 import torch
@@ -8,7 +11,14 @@ from imr_torch.assimilate import ModelFit, SearchOptions, assimilate
 from imr_torch.gap import medium_sensitivities
 from imr_torch.gap.medium import DEVIATIONS
 from imr_torch.material import PARAMETERS
-from imr_torch.observe import ExperimentBatch, GelMedium, Nuisance, SimulatedLaboratory, Statement, gel_medium
+from imr_torch.observe import (
+    ExperimentBatch,
+    GelMedium,
+    Nuisance,
+    SimulatedLaboratory,
+    Statement,
+    gel_medium,
+)
 from imr_torch.simulate.medium import OF_MEDIUM
 
 SIMULATOR = PolytropicSimulator()
@@ -22,11 +32,15 @@ def batch(repeats: int) -> ExperimentBatch:
         times=torch.linspace(0.0, 2.5, 51, dtype=torch.float64),
     )  # fmt: skip
     designs = torch.tensor([[400.0, 0.22], [250.0, 0.17]], dtype=torch.float64)
-    return ExperimentBatch(tuple(laboratory.shoot(design, seed=i) for i, design in enumerate(designs)))
+    return ExperimentBatch(
+        tuple(laboratory.shoot(design, seed=i) for i, design in enumerate(designs))
+    )
 
 
 def fit_of(data: ExperimentBatch, prior=None) -> ModelFit:
-    return assimilate(prior or wide_prior(["nhkv"]), data, SIMULATOR, seed=0, options=OPTIONS).fits[0]
+    return assimilate(prior or wide_prior(["nhkv"]), data, SIMULATOR, seed=0, options=OPTIONS).fits[
+        0
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -39,14 +53,23 @@ def many() -> tuple[ExperimentBatch, ModelFit]:
 def test_that_the_shift_is_that_of_a_refit(many, field: str) -> None:
     """The medium is moved a fifth of the deviation, so that the refit stays linear."""
     data, fit = many
-    (found,) = [x for x in medium_sensitivities(fit, data, SIMULATOR, GelMedium()) if x.name == field]
-    entry, share = PARAMETERS[OF_MEDIUM[field]], 0.2
+    (found,) = [
+        x for x in medium_sensitivities(fit, data, SIMULATOR, GelMedium()) if x.name == field
+    ]
+    entry = PARAMETERS[OF_MEDIUM[field]]
+    share = 0.2
     moved = _held(fit, entry.name, share * float(torch.tensor(DEVIATIONS[field]).log()), data)
     shift = (moved.mean - fit.mean) / torch.linalg.norm(fit.chol, dim=1)
     for name, sigma in found.sigmas.items():
-        assert share * sigma == pytest.approx(float(shift[fit.prior.names.index(name)]), rel=0.12, abs=0.03)
-        value, after = (float(f.parameters(f.mean)[PARAMETERS.index([name])[0]]) for f in (fit, moved))
-        assert share * found.relative[name] == pytest.approx(after / value - 1.0, rel=0.12, abs=2e-4)
+        assert share * sigma == pytest.approx(
+            float(shift[fit.prior.names.index(name)]), rel=0.12, abs=0.03
+        )
+        value, after = (
+            float(f.parameters(f.mean)[PARAMETERS.index([name])[0]]) for f in (fit, moved)
+        )
+        assert share * found.relative[name] == pytest.approx(
+            after / value - 1.0, rel=0.12, abs=2e-4
+        )
 
 
 def _held(fit: ModelFit, name: str, value: float, data: ExperimentBatch) -> ModelFit:
@@ -68,7 +91,9 @@ def _held(fit: ModelFit, name: str, value: float, data: ExperimentBatch) -> Mode
     return assimilate(wide_prior(["nhkv"]), data, Moved(), seed=0, options=OPTIONS).fits[0]
 
 
-def test_that_what_is_stated_or_inferred_is_not_listed_and_what_does_not_matter_neither(many) -> None:
+def test_that_what_is_stated_or_inferred_is_not_listed_and_what_does_not_matter_neither(
+    many,
+) -> None:
     data, fit = many
     listed = [x.name for x in medium_sensitivities(fit, data, SIMULATOR, GelMedium())]
     assert {"density", "far_field_pressure"} <= set(listed)
@@ -79,11 +104,17 @@ def test_that_what_is_stated_or_inferred_is_not_listed_and_what_does_not_matter_
     }
     few = batch(1)
     loose = fit_of(few)
-    assert "surface_tension" not in [x.name for x in medium_sensitivities(loose, few, SIMULATOR, GelMedium())]
+    assert "surface_tension" not in [
+        x.name for x in medium_sensitivities(loose, few, SIMULATOR, GelMedium())
+    ]
 
 
 def test_that_the_sentence_names_value_deviation_and_shift(many) -> None:
     data, fit = many
-    (found,) = [x for x in medium_sensitivities(fit, data, SIMULATOR, GelMedium()) if x.name == "density"]
-    assert found.sentence().startswith("density was assumed 1060 kg/m^3; 3 % more would change G by ")
+    (found,) = [
+        x for x in medium_sensitivities(fit, data, SIMULATOR, GelMedium()) if x.name == "density"
+    ]
+    assert found.sentence().startswith(
+        "density was assumed 1060 kg/m^3; 3 % more would change G by "
+    )
     assert " sd)" in found.sentence()

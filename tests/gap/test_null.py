@@ -1,4 +1,7 @@
-"""The base model's fit: taken up again where it had no time to arrive, and certified only where starts agree."""
+"""The base model's fit:
+
+taken up again where it had no time to arrive, and certified only where starts agree.
+"""
 
 from dataclasses import replace
 
@@ -21,13 +24,16 @@ def _short(times: list[int]):
 
     def search(*args, options=None, **more) -> Assimilation:
         options = options or SearchOptions()
-        return whole(*args, options=replace(options, iterations=times.pop(0)) if times else options, **more)
+        return whole(
+            *args, options=replace(options, iterations=times.pop(0)) if times else options, **more
+        )
 
     return search
 
 
 def test_that_a_fit_without_time_to_arrive_is_taken_up_again(monkeypatch) -> None:
-    batch, simulator = shoot({}, DESIGNS[:1], repeats=10, end=1.5), PolytropicSimulator()
+    batch = shoot({}, DESIGNS[:1], repeats=10, end=1.5)
+    simulator = PolytropicSimulator()
     monkeypatch.setattr(map_fit, "polish_slow", lambda searches, _: (searches, None))
     monkeypatch.setattr(hypotheses, "assimilate", _short([2]))
     fit = hypotheses.fit_null(BASE, batch, simulator, seed=0)
@@ -50,7 +56,9 @@ def test_that_starts_which_arrived_apart_are_certified_only_if_more_of_them_find
     known, monkeypatch, again, agreement, cost, converged
 ) -> None:
     def ended(cost: float, agreement: float, converged: bool) -> ModelFit:
-        certificate = replace(known.certificate, gradient=1e-5, agreement=agreement, converged=converged)
+        certificate = replace(
+            known.certificate, gradient=1e-5, agreement=agreement, converged=converged
+        )
         return replace(known, cost=cost, certificate=certificate)
 
     searches = [ended(-3.0, 40.0, False), ended(again, agreement, agreement < 0.1)]
@@ -80,14 +88,21 @@ def test_that_a_fit_taken_up_again_counts_the_agreement_of_starts_that_were_all_
     known, monkeypatch, gradient, cost, more, converged
 ) -> None:
     before = replace(
-        known, cost=-3.0, certificate=replace(known.certificate, gradient=gradient, agreement=1e-3, converged=False)
+        known,
+        cost=-3.0,
+        certificate=replace(known.certificate, gradient=gradient, agreement=1e-3, converged=False),
     )
     apart = replace(known.certificate, gradient=1e-5, agreement=84.0, converged=False)
     ended = replace(known, cost=cost, certificate=apart)
 
     def search(belief, batch, *_, near=None, **__):
-        return Assimilation(belief, batch, (ended if near is not None else replace(ended, cost=cost + more),))
+        return Assimilation(
+            belief, batch, (ended if near is not None else replace(ended, cost=cost + more),)
+        )
 
     monkeypatch.setattr(hypotheses, "assimilate", search)
     batch = shoot({}, DESIGNS[:1], repeats=2, end=1.5)
-    assert hypotheses.finish(before, batch, PolytropicSimulator(), seed=0).certificate.converged is converged
+    assert (
+        hypotheses.finish(before, batch, PolytropicSimulator(), seed=0).certificate.converged
+        is converged
+    )

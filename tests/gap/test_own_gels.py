@@ -1,4 +1,7 @@
-"""Curves that differ: their gels as nuisances against separate bubbles and closed forms, and as a step of the selection."""
+"""Curves that differ:
+
+their gels as nuisances against separate bubbles and closed forms, and as a step of the selection.
+"""
 
 import math
 import re
@@ -12,7 +15,17 @@ import torch
 from imr_torch import PolytropicSimulator
 from imr_torch.assimilate import Point, Posterior, SearchOptions, assimilate
 from imr_torch.errors import InputDataError
-from imr_torch.gap import Parts, additions, describe, diagnose, library, own_gels, prediction, to_json, write_page
+from imr_torch.gap import (
+    Parts,
+    additions,
+    describe,
+    diagnose,
+    library,
+    own_gels,
+    prediction,
+    to_json,
+    write_page,
+)
 from imr_torch.gap.attribute import Inquiry
 from imr_torch.gap.document import selection_document
 from imr_torch.gap.hypotheses import (
@@ -37,12 +50,15 @@ from imr_torch.population import GaussianShots, coordinate_units
 from tests.gap.synthetic import BASE
 
 SIMULATOR = PolytropicSimulator(threads=1)
-STIFF, SOFT = {"G": 11e3, "mu": 0.09}, {"G": 6e3, "mu": 0.09}
+STIFF = {"G": 11e3, "mu": 0.09}
+SOFT = {"G": 6e3, "mu": 0.09}
 
 
 def shot(number: int, gel: dict[str, float]) -> Experiment:
     laboratory = SimulatedLaboratory(SIMULATOR, PARAMETERS.pack(gel), repeats=1)
-    design = torch.tensor([350.0 + 120.0 * (number % 4), 0.2 + 0.03 * (number % 4)], dtype=torch.float64)
+    design = torch.tensor(
+        [350.0 + 120.0 * (number % 4), 0.2 + 0.03 * (number % 4)], dtype=torch.float64
+    )
     return laboratory.shoot(design, seed=number, label=f"shot {number}")
 
 
@@ -60,7 +76,11 @@ def null(two_gels):
 def apart(two_gels, null):
     hypothesis = Hypothesis(BASE, own_gels=True)
     fit = fit_hypotheses([hypothesis], null, two_gels, SIMULATOR, seed=0)[GEL_SCATTER]
-    return fit if fit.certificate.converged else finish(fit, hypothesis.seen(two_gels), SIMULATOR, seed=0)
+    return (
+        fit
+        if fit.certificate.converged
+        else finish(fit, hypothesis.seen(two_gels), SIMULATOR, seed=0)
+    )
 
 
 def test_that_each_experiment_is_seen_with_a_gel_of_its_own(two_gels) -> None:
@@ -76,14 +96,19 @@ def test_that_each_experiment_is_seen_with_a_gel_of_its_own(two_gels) -> None:
         assert torch.allclose(seen[e], alone, atol=1e-12)
 
 
-def test_that_the_strength_of_an_effect_stays_in_the_bounds_of_its_prior_in_every_experiment() -> None:
+def test_that_the_strength_of_an_effect_stays_in_the_bounds_of_its_prior_in_every_experiment() -> (
+    None
+):
     own = scatters(BASE, Hypothesis(BASE, (LIBRARY["gas_loss"], LIBRARY["edge_error"])).belief)
     deviations = torch.tensor([-2.0, 0.0, 2.0], dtype=torch.float64)
     loss = own["gas_loss"].moved(torch.tensor(0.1, dtype=torch.float64), deviations)
     assert bool((loss >= 0.0).all() and (loss.diff() > 0.0).all())
     edge = own["edge_error"]  # its prior has a standard deviation of 2 um
     for value, sd in ((0.0, 1e-6), (4e-6, 1.562e-6), (40e-6, 12.04e-6)):
-        moved = edge.moved(torch.tensor(value, dtype=torch.float64), torch.tensor([-0.003, 0.003], dtype=torch.float64))
+        moved = edge.moved(
+            torch.tensor(value, dtype=torch.float64),
+            torch.tensor([-0.003, 0.003], dtype=torch.float64),
+        )
         assert float(moved.diff()) == pytest.approx(sd * 0.006 / 0.3, rel=1e-3)
     back = own["gas_loss"].deviation(loss[1:2], torch.tensor(0.1, dtype=torch.float64))
     assert float(back) == pytest.approx(0.0, abs=1e-9)
@@ -99,7 +124,9 @@ def test_that_sensitivities_to_a_gel_of_its_own_are_those_of_the_bubbles(two_gel
         moved[0, :, column], moved[1, :, column] = step, -step
         up, down = posterior.predict(Point(point.gel.expand(2, -1), moved))
         by_difference = (up - down) / (2.0 * step)
-        assert torch.allclose(slopes[..., column], by_difference, atol=2e-3 * float(by_difference.abs().max()))
+        assert torch.allclose(
+            slopes[..., column], by_difference, atol=2e-3 * float(by_difference.abs().max())
+        )
 
 
 def test_that_a_scatter_of_gels_that_is_no_number_is_refused(two_gels) -> None:
@@ -109,12 +136,16 @@ def test_that_a_scatter_of_gels_that_is_no_number_is_refused(two_gels) -> None:
         ExperimentBatch(two_gels.experiments, between={"no_such": Scatter(0.3)})
 
 
-def test_that_the_evidence_of_gels_that_differ_is_that_of_the_closed_form(two_gels, null, apart) -> None:
+def test_that_the_evidence_of_gels_that_differ_is_that_of_the_closed_form(
+    two_gels, null, apart
+) -> None:
     """The closed form has the Gaussian of each curve by itself, integrated over gel and population; both are of first order."""
     assert apart.certificate.converged
     alone = fit_alone(null, two_gels, SIMULATOR, seed=0)
     shots = GaussianShots.of_fits(alone, [laplace_evidence(fit) for fit in alone])
-    scatter = torch.tensor([scatters(BASE, BASE)[name].relative for name in BASE.names]) / coordinate_units(BASE)
+    scatter = torch.tensor(
+        [scatters(BASE, BASE)[name].relative for name in BASE.names]
+    ) / coordinate_units(BASE)
     exact = float(shots.given(scatter[None], BASE.mean, torch.cholesky_inverse(BASE.chol)).evidence)
     assert laplace_evidence(apart) == pytest.approx(exact, abs=0.1)
     assert laplace_evidence(apart) > laplace_evidence(null) + 30.0
@@ -149,14 +180,18 @@ def test_that_a_start_from_single_curves_sees_what_they_see(two_gels, null) -> N
     for row, own in zip(seen, alone, strict=True):
         assert torch.allclose(row[: own.prediction.shape[1]], own.prediction[0], atol=1e-3)
     gas_loss = Hypothesis(BASE, (LIBRARY["gas_loss"],), own_gels=True)
-    held = fit_hypotheses([Hypothesis(BASE, (LIBRARY["gas_loss"],))], null, two_gels, SIMULATOR, seed=0)["gas_loss"]
+    held = fit_hypotheses(
+        [Hypothesis(BASE, (LIBRARY["gas_loss"],))], null, two_gels, SIMULATOR, seed=0
+    )["gas_loss"]
     moved = with_gels_of(held, start, gas_loss)
     place = held.prior.names.index("gas_loss")
     assert float(moved.mean[place]) == float(held.mean[place])
     assert float(moved.mean[held.prior.names.index("G")]) == float(start.mean[0])
 
 
-def test_that_the_fit_of_a_curve_that_did_not_converge_is_continued(two_gels, null, monkeypatch) -> None:
+def test_that_the_fit_of_a_curve_that_did_not_converge_is_continued(
+    two_gels, null, monkeypatch
+) -> None:
     one = ExperimentBatch(two_gels.experiments[1:2], two_gels.noise)
     (right,) = fit_alone(null, one, SIMULATOR, seed=0)
     short = SearchOptions(iterations=1, polish=False)
@@ -166,7 +201,9 @@ def test_that_the_fit_of_a_curve_that_did_not_converge_is_continued(two_gels, nu
     assert curve.cost == pytest.approx(right.cost, abs=1e-3)
 
 
-def test_that_the_error_of_a_strength_is_with_the_differences_between_curves_held(two_gels, apart) -> None:
+def test_that_the_error_of_a_strength_is_with_the_differences_between_curves_held(
+    two_gels, apart
+) -> None:
     batch = Hypothesis(BASE, own_gels=True).seen(two_gels)
     line = linearise(apart, batch, SIMULATOR)
     count = len(two_gels.experiments)
@@ -189,7 +226,9 @@ def selected(two_gels):
     return report, closed_by(report, SIMULATOR, unseen)[0]
 
 
-def test_that_gels_that_differ_are_a_step_and_close_the_gap_on_curves_that_no_fit_saw(selected) -> None:
+def test_that_gels_that_differ_are_a_step_and_close_the_gap_on_curves_that_no_fit_saw(
+    selected,
+) -> None:
     """No effect of one gel does."""
     _, selection = selected
     base, only = selection.steps
@@ -208,20 +247,27 @@ def test_that_a_report_of_curves_that_differ_sends_to_the_population(selected) -
     report, selection = selected
     said = replace(report, verdict="other")
     assert "characterize --population" in next_step(said, Parts(selection=selection))
-    assert "characterize --population" not in next_step(said, Parts(selection=replace(selection, steps=selection.steps[:1])))
+    assert "characterize --population" not in next_step(
+        said, Parts(selection=replace(selection, steps=selection.steps[:1]))
+    )
     assert "differences between curves: misfit" in describe(report, Parts(selection=selection))
 
 
 def test_that_curves_and_steps_are_shown_where_no_cause_is_named(selected, tmp_path) -> None:
     report, selection = selected
-    other, parts = replace(report, verdict="other", cause=()), Parts(selection=selection)
+    other = replace(report, verdict="other", cause=())
+    parts = Parts(selection=selection)
     misfits = []
     for curve in to_json(other, parts, simulator=SIMULATOR)["curves"]:
-        measured, sd, base, beside = (np.array(curve[name]) for name in ("R_star", "sd", "base", "with_additions"))
+        measured, sd, base, beside = (
+            np.array(curve[name]) for name in ("R_star", "sd", "base", "with_additions")
+        )
         misfits.append([np.square((measured - curve) / sd).mean() for curve in (base, beside)])
         assert curve["with_cause"] is None
         assert set(curve["drawn"]) == {"base", "with_additions"}
-        t, drawn = (np.array(curve["drawn"]["with_additions"][name]) for name in ("t_star", "R_star"))
+        t, drawn = (
+            np.array(curve["drawn"]["with_additions"][name]) for name in ("t_star", "R_star")
+        )
         error = np.abs(np.interp(curve["t_star"], t, drawn) - curve["with_additions"])
         assert np.quantile(error, 0.9) < 1e-3  # polygons are less exact at collapses
     before, after = np.mean(misfits, 0)
@@ -232,16 +278,25 @@ def test_that_curves_and_steps_are_shown_where_no_cause_is_named(selected, tmp_p
     assert re.search(r"<tr class=marked><td>differences between curves</td><td>0\.\d{4}</td>", text)
     assert "differences between curves: misfit" not in text
     assert "<tr><th>curve</th><th>G (kPa)</th><th>mu (Pa s)</th></tr>" in text
-    values = [f"{1e-3 * value:.3g}" for value in values_of_curves(selection.best.fit, report.null.prior)["G"]]
+    values = [
+        f"{1e-3 * value:.3g}"
+        for value in values_of_curves(selection.best.fit, report.null.prior)["G"]
+    ]
     assert re.findall(r"<tr><td>shot \d</td><td>([\d.]+)</td>", text) == values
     assert "Curve by curve" in describe(other, parts)
     assert "Curve by curve" not in text
 
 
-def test_that_descents_of_a_held_out_curve_that_cannot_get_below_the_best_are_given_up(two_gels, apart, monkeypatch) -> None:
+def test_that_descents_of_a_held_out_curve_that_cannot_get_below_the_best_are_given_up(
+    two_gels, apart, monkeypatch
+) -> None:
     one = replace(ExperimentBatch((shot(3, STIFF),)), between=scatters(BASE, apart.prior))
-    counts, ends = [], []
-    for promised in (float("inf"), 0.0):  # nothing is given up; all that is not below the best at once
+    counts = []
+    ends = []
+    for promised in (
+        float("inf"),
+        0.0,
+    ):  # nothing is given up; all that is not below the best at once
         linearised = []
 
         def counted(*arguments, made=linearised, **options):
@@ -272,7 +327,10 @@ def test_that_an_effect_of_one_gel_is_not_taken_for_differences_between_curves()
 
 
 def test_that_an_effect_whose_strength_differs_between_curves_is_told_with_them() -> None:
-    shots = [shot(number, {"G": 8e3, "mu": 0.09, "gas_loss": loss}) for number, loss in enumerate((0.3, 0.9, 0.5))]
+    shots = [
+        shot(number, {"G": 8e3, "mu": 0.09, "gas_loss": loss})
+        for number, loss in enumerate((0.3, 0.9, 0.5))
+    ]
     report = diagnose(shots, effects=library(["gas_loss", "surface_tension"]), simulator=SIMULATOR)
     selection = closed_by(report, SIMULATOR)[0]
     last = selection.steps[-1]
@@ -281,7 +339,9 @@ def test_that_an_effect_whose_strength_differs_between_curves_is_told_with_them(
     found = values_of_curves(last.fit, BASE)
     assert set(found) == {"G", "mu", "gas_loss"}
     assert found["gas_loss"] == pytest.approx([0.3, 0.9, 0.5], rel=0.3)
-    unusual = unusual_strengths(last.fit, BASE)  # .9 is 4.5 standard deviations of its prior from 0, of which half is cut off
+    unusual = unusual_strengths(
+        last.fit, BASE
+    )  # .9 is 4.5 standard deviations of its prior from 0, of which half is cut off
     assert unusual["gas_loss"] == pytest.approx(4.35, abs=0.5)
     text = describe(report, Parts(selection=selection))
     assert "Curve by curve, with gas_loss and differences between curves: G (kPa) 8" in text
@@ -293,7 +353,10 @@ def test_that_an_effect_whose_strength_differs_between_curves_is_told_with_them(
 
 def test_that_repeats_and_a_single_curve_are_not_asked(two_gels, null) -> None:
     inquiry = Inquiry(BASE, (), two_gels, SIMULATOR)
-    twice = tuple(Experiment(e.label, e.design, e.times, e.radius.expand(2, -1), e.nuisance) for e in two_gels.experiments)
+    twice = tuple(
+        Experiment(e.label, e.design, e.times, e.radius.expand(2, -1), e.nuisance)
+        for e in two_gels.experiments
+    )
     for experiments in (two_gels.experiments[:1], twice):
         other = Inquiry(BASE, (), ExperimentBatch(experiments, two_gels.noise), SIMULATOR)
         assert additions.longer_by_one(other, Hypothesis(BASE)) == []

@@ -1,4 +1,7 @@
-"""What a refit leaves of an effect: as a real refit leaves it, and never more than the first order does."""
+"""What a refit leaves of an effect:
+
+as a real refit leaves it, and never more than the first order does.
+"""
 
 from dataclasses import replace
 
@@ -23,11 +26,15 @@ def one_start(name: str, value: float) -> Effect:
     return replace(LIBRARY[name], starts=((value,),))
 
 
-def left_of(effect: Effect, best: ModelFit, batch: ExperimentBatch, line: Linearisation) -> tuple[float, float]:
+def left_of(
+    effect: Effect, best: ModelFit, batch: ExperimentBatch, line: Linearisation
+) -> tuple[float, float]:
     """Sd that the first order leaves of an effect, and the refit."""
     raw = effect_directions([effect], best, batch, SIMULATOR, line)
     beside = refitted_directions([effect], best, batch, SIMULATOR, line, raw)
-    return float(line.project(raw[effect.name]).norm()), float(line.project(beside[effect.name]).norm())
+    return float(line.project(raw[effect.name]).norm()), float(
+        line.project(beside[effect.name]).norm()
+    )
 
 
 @pytest.fixture(scope="module", params=[Nuisance(), NUISANCE], ids=["exact", "nuisances"])
@@ -38,15 +45,19 @@ def matched(request) -> tuple[ModelFit, ExperimentBatch, Linearisation]:
     return best, batch, linearise(best, batch, SIMULATOR)
 
 
-@pytest.mark.parametrize(("name", "value"), [("heat_exchange", 0.8), ("damage", 0.03), ("sound_speed", 0.3)])
+@pytest.mark.parametrize(
+    ("name", "value"), [("heat_exchange", 0.8), ("damage", 0.03), ("sound_speed", 0.3)]
+)
 def test_that_it_is_what_a_real_refit_leaves(matched, name, value) -> None:
     best, batch, line = matched
     effect = one_start(name, value)
     first, beside = left_of(effect, best, batch, line)
     shot = shoot({name: value}, repeats=REPEATS, nuisance=batch.experiments[0].nuisance)
     refit = fit(shot)
-    # the noise of these repeats is that of the matched set, so the difference of residuals is that of the curves
-    gap, noise = linearise(refit, shot, SIMULATOR), line.project(line.residual).norm()
+    # the noise of these repeats is that of the matched set, so the difference of residuals is that
+    # of the curves
+    gap = linearise(refit, shot, SIMULATOR)
+    noise = line.project(line.residual).norm()
     real = float((gap.residual.square().sum() - noise.square()).clamp_min(0.0).sqrt())
     assert beside == pytest.approx(real, rel=0.2)
     assert first > 1.2 * beside
@@ -61,7 +72,11 @@ def test_that_a_gel_that_cannot_be_simulated_leaves_the_first_order(matched, mon
     best, batch, line = matched
     effect = one_start("heat_exchange", 0.8)
     raw = effect_directions([effect], best, batch, SIMULATOR, line)
-    monkeypatch.setattr(refitted, "curves", lambda *_: torch.full((1, *batch.times.shape), torch.nan, dtype=torch.float64))
+    monkeypatch.setattr(
+        refitted,
+        "curves",
+        lambda *_: torch.full((1, *batch.times.shape), torch.nan, dtype=torch.float64),
+    )
     beside = refitted_directions([effect], best, batch, SIMULATOR, line, raw)
     torch.testing.assert_close(beside["heat_exchange"], raw["heat_exchange"])
     assert refitted_directions([], best, batch, SIMULATOR, line, {}) == {}

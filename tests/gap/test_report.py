@@ -1,4 +1,7 @@
-"""A diagnosis in words, as JSON and as a page: every part that was run is there, and what was not is said."""
+"""A diagnosis in words, as JSON and as a page:
+
+every part that was run is there, and what was not is said.
+"""
 
 import base64
 import io
@@ -18,7 +21,17 @@ from matplotlib.axes import Axes
 from matplotlib.image import imread
 
 import imr_torch.gap.parts
-from imr_torch.gap import GapReport, Parts, describe, diagnose, examine, library, plots, to_json, write_page
+from imr_torch.gap import (
+    GapReport,
+    Parts,
+    describe,
+    diagnose,
+    examine,
+    library,
+    plots,
+    to_json,
+    write_page,
+)
 from imr_torch.gap.report import repeats_needed, sections
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import SimulatedLaboratory
@@ -75,7 +88,9 @@ CAUSES = (
     "parameter_shift",
     "cause_values",
 )
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+BROWSER = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +102,11 @@ def found() -> tuple[GapReport, Parts]:
     laboratory = SimulatedLaboratory(simulator, gel, repeats=10, times=times)
     designs = torch.tensor([[200.0, 0.2], [600.0, 0.17]], dtype=torch.float64)
     experiments = [laboratory.shoot(design, seed=i) for i, design in enumerate(designs)]
-    report = diagnose(experiments, effects=library(("sound_speed", "rinf_bias", "refraction")), simulator=simulator)
+    report = diagnose(
+        experiments,
+        effects=library(("sound_speed", "rinf_bias", "refraction")),
+        simulator=simulator,
+    )
     return report, examine(report, simulator)
 
 
@@ -95,7 +114,9 @@ def found() -> tuple[GapReport, Parts]:
 def page(found, tmp_path_factory) -> Path:
     report, parts = found
     with rendering():
-        return write_page(report, tmp_path_factory.mktemp("page") / "page.html", parts, title="A < B")
+        return write_page(
+            report, tmp_path_factory.mktemp("page") / "page.html", parts, title="A < B"
+        )
 
 
 def test_that_json_has_the_agreed_keys_and_what_was_found(found):
@@ -127,7 +148,8 @@ def test_that_json_has_the_agreed_keys_and_what_was_found(found):
 
 
 @pytest.mark.parametrize(
-    ("p", "words"), [(1e-3, "moving window, G, mu change over"), (0.5, "no parameter changes over the event")]
+    ("p", "words"),
+    [(1e-3, "moving window, G, mu change over"), (0.5, "no parameter changes over the event")],
 )
 def test_that_windows_say_what_changes_or_that_nothing_does(found, p, words):
     report, parts = found
@@ -191,14 +213,20 @@ def test_that_a_diagnosis_ends_with_one_sentence_on_what_to_do(found, changes, w
     assert last[1].count(". ") == 0
 
 
-def test_that_the_next_shot_is_planned_as_the_data_were_and_says_what_it_is_worth(found, monkeypatch):
+def test_that_the_next_shot_is_planned_as_the_data_were_and_says_what_it_is_worth(
+    found, monkeypatch
+):
     report, parts = found
     assert parts.next_design is None  # the cause is sure
     monkeypatch.setattr(imr_torch.gap.parts, "_SURE", 1.0)
     ahead = imr_torch.gap.parts._next(report, PolytropicSimulator(), 0, None)
     parts = replace(parts, next_design=ahead)
     assert ahead is not None
-    assert (ahead.plan.repeats, len(ahead.plan.times), float(ahead.plan.times[-1])) == (10, 53, pytest.approx(2.6))
+    assert (ahead.plan.repeats, len(ahead.plan.times), float(ahead.plan.times[-1])) == (
+        10,
+        53,
+        pytest.approx(2.6),
+    )
     document = to_json(report, parts)["next_design"]
     assert document["p_truth_now"] == ahead.now
     assert document["p_truth_after"] == ahead.after
@@ -214,7 +242,12 @@ def test_that_sections_with_nothing_to_say_are_folded(found):
     report, _ = found
     silent = replace(report, attribution=None, adequacy_p=None, verdict="none", cause=())
     folded = {s.heading for s in sections(silent) if s.folded}
-    assert {"Where does it lie?", "Which effect causes it?", "How far does it shrink?", "What to measure next?"} <= folded
+    assert {
+        "Where does it lie?",
+        "Which effect causes it?",
+        "How far does it shrink?",
+        "What to measure next?",
+    } <= folded
     assert {s.heading for s in sections(silent) if not s.folded} == {"Verdict", "Is there a gap?"}
 
 
@@ -238,9 +271,15 @@ def test_that_fits_that_were_given_up_are_told_from_those_that_did_not_converge(
     assert changed.given_up == ("refraction",)
     assert set(changed.unconverged) == {"refraction", "rinf_bias"}
     text = describe(replace(report, attribution=changed))
-    assert "given up, since by their costs and gradients they cannot come near that of sound_speed: refraction." in text
+    assert (
+        "given up, since by their costs and gradients they cannot come near that of sound_speed: refraction."
+        in text
+    )
     assert "did not converge, so that their probabilities are lower bounds: rinf_bias." in text
-    assert re.search(r"Log evidence gained by a single further effect, nats: sound_speed \d+, .*refraction -?\d+ or more", text)
+    assert re.search(
+        r"Log evidence gained by a single further effect, nats: sound_speed \d+, .*refraction -?\d+ or more",
+        text,
+    )
 
 
 def test_that_what_effects_explain_is_drawn_where_their_probabilities_are_zero(found):
@@ -262,8 +301,12 @@ def test_that_what_effects_explain_is_drawn_where_their_probabilities_are_zero(f
 
 def test_that_nothing_is_said_on_a_fit_that_did_not_converge(found):
     report, _ = found
-    loose = replace(report.null, certificate=replace(report.null.certificate, converged=False, gradient=1.0))
-    undecided = replace(report, null=loose, attribution=None, verdict="undecided", cause=(), reason="Loose.")
+    loose = replace(
+        report.null, certificate=replace(report.null.certificate, converged=False, gradient=1.0)
+    )
+    undecided = replace(
+        report, null=loose, attribution=None, verdict="undecided", cause=(), reason="Loose."
+    )
     assert "an unconverged fit looks exactly like a gap" in describe(undecided)
     assert to_json(undecided)["gap"] is False
     assert examine(undecided, PolytropicSimulator()) == Parts()
@@ -271,12 +314,18 @@ def test_that_nothing_is_said_on_a_fit_that_did_not_converge(found):
 
 def test_that_a_hidden_effect_comes_with_the_repeats_it_would_take(found):
     report, _ = found
-    blocks = tuple(replace(b, power=0.3) if b.name == "refraction" else b for b in report.gap.blocks)
+    blocks = tuple(
+        replace(b, power=0.3) if b.name == "refraction" else b for b in report.gap.blocks
+    )
     text = describe(replace(report, gap=replace(report.gap, blocks=blocks)))
     assert re.search(r"refraction \(power 0\.30; about \d+ x the repeats would show it\)", text)
-    blocks = tuple(replace(b, power=0.01) if b.name in ("refraction", "rinf_bias") else b for b in blocks)
+    blocks = tuple(
+        replace(b, power=0.01) if b.name in ("refraction", "rinf_bias") else b for b in blocks
+    )
     text = describe(replace(report, gap=replace(report.gap, blocks=blocks)))
-    assert re.search(r"(refraction, rinf_bias|rinf_bias, refraction) \(more than \d+ x the repeats\)", text)
+    assert re.search(
+        r"(refraction, rinf_bias|rinf_bias, refraction) \(more than \d+ x the repeats\)", text
+    )
 
 
 def test_that_repeats_needed_follow_the_normal_approximation_of_a_two_sided_test():
@@ -290,18 +339,23 @@ def test_that_repeats_needed_follow_the_normal_approximation_of_a_two_sided_test
 
 def test_that_the_phase_map_shows_a_residual_where_it_is(found):
     report, _ = found
-    fit, batch = report.null, report.batch
+    fit = report.null
+    batch = report.batch
     noise = batch.sd(batch.mean) / batch.counts.sqrt()
     moved = batch.mean.clone()
     moved[1] -= 3.0 * noise[1]
     values = plots.phase_rms(replace(fit, prediction=moved), batch)
     assert torch.allclose(values[0].nan_to_num(), torch.zeros(5, dtype=torch.float64))
-    assert torch.allclose(values[1], torch.full_like(values[1], 3.0), rtol=0.15)  # sd is taken at the prediction
+    assert torch.allclose(
+        values[1], torch.full_like(values[1], 3.0), rtol=0.15
+    )  # sd is taken at the prediction
 
 
 def test_that_every_plot_draws_into_the_axes_it_is_given(found):
     report, parts = found
-    fit, batch, after = report.null, report.batch, report.attribution.fits["sound_speed"]
+    fit = report.null
+    batch = report.batch
+    after = report.attribution.fits["sound_speed"]
     draws = (
         lambda ax: plots.plot_phase_residual(fit, batch, ax=ax),
         lambda ax: plots.plot_scores(report.gap, ax=ax),
@@ -336,7 +390,10 @@ def test_that_the_figures_of_a_document_hold_its_steps_with_what_each_closes(fou
 class _Reader(HTMLParser):
     def __init__(self):
         super().__init__()
-        self.images, self.headings, self.links, self.open = [], [], [], []
+        self.images = []
+        self.headings = []
+        self.links = []
+        self.open = []
 
     def handle_starttag(self, tag, attrs):
         attributes = dict(attrs)
@@ -364,7 +421,9 @@ def test_that_the_page_is_one_file_with_every_figure_decodable_and_described(pag
     assert all(link.startswith("data:") for link in reader.links)
     assert len(reader.images) == 12
     for image in reader.images:
-        pixels = imread(io.BytesIO(base64.b64decode(image["src"].removeprefix("data:image/png;base64,"))))
+        pixels = imread(
+            io.BytesIO(base64.b64decode(image["src"].removeprefix("data:image/png;base64,")))
+        )
         assert min(pixels.shape[:2]) > 100
         assert len(image["alt"]) > 20
 
@@ -374,8 +433,13 @@ def test_that_the_page_has_the_sections_of_the_words_in_order(found, page):
     text = page.read_text()
     shown = [s.heading for s in sections(report, parts)[1:] if not s.folded]
     folded = [s.heading for s in sections(report, parts) if s.folded]
-    assert read(page).headings == ["h1"] + ["h2"] * (len(shown) + 3)  # the gel, the curves, what to do next
-    places = [text.index(f"<h2>{heading}</h2>") for heading in ("The gel", "The curves", *shown, "What to do next")]
+    assert read(page).headings == ["h1"] + ["h2"] * (
+        len(shown) + 3
+    )  # the gel, the curves, what to do next
+    places = [
+        text.index(f"<h2>{heading}</h2>")
+        for heading in ("The gel", "The curves", *shown, "What to do next")
+    ]
     places += [text.index(f"<details><summary>{heading}</summary>") for heading in folded]
     assert places == sorted(places)
     assert "<h1>A &lt; B</h1>" in text
@@ -395,9 +459,7 @@ def test_that_figures_do_not_stay_open(found, tmp_path):
 
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium here to open the page in")
 def test_that_a_browser_draws_every_figure_without_a_complaint(page, tmp_path):
-    probe = (
-        "<script>addEventListener('load', () => {for (const i of document.images) i.dataset.width = i.naturalWidth})</script>"
-    )
+    probe = "<script>addEventListener('load', () => {for (const i of document.images) i.dataset.width = i.naturalWidth})</script>"
     copy = tmp_path / "probe.html"
     copy.write_text(page.read_text().replace("</body>", f"{probe}</body>"))
     options = [
@@ -407,7 +469,12 @@ def test_that_a_browser_draws_every_figure_without_a_complaint(page, tmp_path):
         "--enable-logging=stderr",
         f"--user-data-dir={tmp_path / 'profile'}",
     ]
-    done = subprocess.run([BROWSER, *options, "--dump-dom", copy.as_uri()], capture_output=True, text=True, timeout=120)
+    done = subprocess.run(
+        [BROWSER, *options, "--dump-dom", copy.as_uri()],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
     widths = re.findall(r'data-width="(\d+)"', done.stdout)
     assert len(widths) == 12
     assert all(int(width) > 100 for width in widths)

@@ -1,4 +1,7 @@
-"""Scatter of the gel as a cause: found where gels differ, not where one gel has an effect, not asked of repeats."""
+"""Scatter of the gel as a cause:
+
+found where gels differ, not where one gel has an effect, not asked of repeats.
+"""
 
 from dataclasses import replace
 
@@ -17,7 +20,9 @@ EFFECTS = library(["gas_loss", "surface_tension"])
 
 def shot(number: int, gel: dict[str, float], *, repeats: int = 1) -> Experiment:
     laboratory = SimulatedLaboratory(SIMULATOR, PARAMETERS.pack(gel), repeats=repeats)
-    design = torch.tensor([350.0 + 120.0 * (number % 4), 0.2 + 0.03 * (number % 4)], dtype=torch.float64)
+    design = torch.tensor(
+        [350.0 + 120.0 * (number % 4), 0.2 + 0.03 * (number % 4)], dtype=torch.float64
+    )
     return laboratory.shoot(design, seed=number, label=f"shot {number}")
 
 
@@ -35,7 +40,9 @@ def two_gels() -> tuple[GapReport, GelScatter]:
     return report, found
 
 
-def test_that_gels_that_differ_are_found_and_no_gap_is_left(two_gels: tuple[GapReport, GelScatter]) -> None:
+def test_that_gels_that_differ_are_found_and_no_gap_is_left(
+    two_gels: tuple[GapReport, GelScatter],
+) -> None:
     _, found = two_gels
     assert found.is_cause
     assert found.leading == "gel_scatter"
@@ -47,10 +54,14 @@ def test_that_gels_that_differ_are_found_and_no_gap_is_left(two_gels: tuple[GapR
     assert "the gel differs" in " ".join(found.sentences())
 
 
-def test_that_scatter_beside_an_effect_counts_the_effect_once(two_gels: tuple[GapReport, GelScatter]) -> None:
+def test_that_scatter_beside_an_effect_counts_the_effect_once(
+    two_gels: tuple[GapReport, GelScatter],
+) -> None:
     _, found = two_gels
     both = found.explained[f"{found.rival}+gel_scatter"]
-    assert both < found.explained["gel_scatter"] + 3.0  # the effect is absent, so it costs evidence or gains nothing
+    assert (
+        both < found.explained["gel_scatter"] + 3.0
+    )  # the effect is absent, so it costs evidence or gains nothing
 
 
 def test_that_an_effect_of_one_gel_is_not_taken_for_scatter() -> None:
@@ -74,9 +85,14 @@ def test_that_the_medium_does_not_differ_between_curves() -> None:
     assert found.is_cause
 
 
-def test_that_repeats_and_a_single_curve_are_not_asked(two_gels: tuple[GapReport, GelScatter]) -> None:
+def test_that_repeats_and_a_single_curve_are_not_asked(
+    two_gels: tuple[GapReport, GelScatter],
+) -> None:
     report, _ = two_gels
     one = replace(report, batch=replace(report.batch, experiments=report.batch.experiments[:1]))
     assert gel_scatter(one, SIMULATOR) is None
     twice = tuple(replace(e, radius=e.radius.expand(2, -1)) for e in report.batch.experiments)
-    assert gel_scatter(replace(report, batch=replace(report.batch, experiments=twice)), SIMULATOR) is None
+    assert (
+        gel_scatter(replace(report, batch=replace(report.batch, experiments=twice)), SIMULATOR)
+        is None
+    )

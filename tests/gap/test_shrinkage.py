@@ -7,7 +7,14 @@ from imr_torch import example_gel, load_traces
 from imr_torch.errors import InputDataError
 from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.gap.prediction import HeldOut, held_out
-from imr_torch.gap.shrinkage import Comparison, Shrinkage, _design_weights, _shift, reductions, shrinkage
+from imr_torch.gap.shrinkage import (
+    Comparison,
+    Shrinkage,
+    _design_weights,
+    _shift,
+    reductions,
+    shrinkage,
+)
 from imr_torch.material import LIBRARY
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, prepare
 from imr_torch.simulate import TransportSimulator
@@ -20,11 +27,17 @@ WRONG = Hypothesis(BASE, (LIBRARY["sound_speed"],))
 @pytest.fixture(scope="module")
 def judged() -> Shrinkage:
     batch = shoot({"alpha": 0.05}, DESIGNS, repeats=10, end=1.8)
-    near = {"none": fit(batch), RIGHT.name: fit(batch, RIGHT, alpha=0.05), WRONG.name: fit(batch, WRONG, sound_speed=0.1)}
+    near = {
+        "none": fit(batch),
+        RIGHT.name: fit(batch, RIGHT, alpha=0.05),
+        WRONG.name: fit(batch, WRONG, sound_speed=0.1),
+    }
     return shrinkage(RIGHT, WRONG, batch, SIMULATOR, seed=0, near=near)
 
 
-def test_that_the_right_effect_closes_the_gap_and_a_wrong_one_closes_less(judged: Shrinkage) -> None:
+def test_that_the_right_effect_closes_the_gap_and_a_wrong_one_closes_less(
+    judged: Shrinkage,
+) -> None:
     low, median, high = judged.shrinkage["strain_stiffening"]
     assert judged.converged
     assert low < median < high
@@ -51,10 +64,12 @@ def test_that_the_shift_is_the_bias_of_the_base(judged: Shrinkage) -> None:
 def test_that_the_sd_of_the_shift_is_that_of_an_efficient_against_a_consistent_estimate() -> None:
     """``var(b - a) = var(b) - var(a)`` where ``a`` is efficient (Hausman, Econometrica 46, 1978)."""
     batch = shoot({"alpha": 0.05}, DESIGNS, repeats=10, end=1.8)
-    base, effect = fit(batch), fit(batch, RIGHT, alpha=0.05)
+    base = fit(batch)
+    effect = fit(batch, RIGHT, alpha=0.05)
     shift = _shift(base, effect)["mu"]
     row, other = (f.prior.names.index("mu") for f in (base, effect))
-    value, narrow = float(base.posterior.means[row]), float(base.posterior.sds[row])
+    value = float(base.posterior.means[row])
+    narrow = float(base.posterior.sds[row])
     wide = float(effect.posterior.sds[other])
     assert shift.sd == pytest.approx((wide**2 - narrow**2) ** 0.5 / value, rel=0.05)
     assert shift.sd < 0.95 * wide / value
@@ -67,14 +82,25 @@ def design(bias: float, repeats: float | torch.Tensor, seed: int, slopes: int = 
     own = torch.randn(80, slopes, generator=source, dtype=torch.float64)
     zero = torch.zeros(80, dtype=torch.float64)
     counts = torch.as_tensor(repeats, dtype=torch.float64).expand(80)
-    return HeldOut(bias * counts.sqrt() + noise, own, zero, 0.0, counts, True, torch.zeros(80, 0, dtype=torch.float64))
+    return HeldOut(
+        bias * counts.sqrt() + noise,
+        own,
+        zero,
+        0.0,
+        counts,
+        True,
+        torch.zeros(80, 0, dtype=torch.float64),
+    )
 
 
 def test_that_the_interval_covers_the_shrinkage_of_these_designs_more_often_than_it_says() -> None:
     """It is for other designs; these two are alike, and so are never far from their mean."""
     inside = 0
     for seed in range(40):
-        held = {name: [design(b, 5.0, 3 * seed + k) for k in range(2)] for name, b in (("none", 0.5), ("effect", 0.25))}
+        held = {
+            name: [design(b, 5.0, 3 * seed + k) for k in range(2)]
+            for name, b in (("none", 0.5), ("effect", 0.25))
+        }
         low, _, high = reductions(held, seed)[1]["effect"]
         inside += low <= 0.75 <= high
     assert inside >= 34
@@ -82,7 +108,9 @@ def test_that_the_interval_covers_the_shrinkage_of_these_designs_more_often_than
 
 def test_that_the_gap_is_the_squared_bias_whatever_the_repeats_and_the_nuisances() -> None:
     for repeats in (1.0, 20.0, torch.arange(1, 81).clamp_max(20)):  # the last: repeats with gaps
-        gaps = [reductions({"none": [design(0.3, repeats, seed)]}, 0)[0]["none"] for seed in range(60)]
+        gaps = [
+            reductions({"none": [design(0.3, repeats, seed)]}, 0)[0]["none"] for seed in range(60)
+        ]
         assert sum(gaps) / 60 == pytest.approx(0.09, abs=0.05)
 
 
@@ -90,7 +118,9 @@ def test_that_a_fitted_nuisance_takes_a_shifted_clock_out_of_the_residual() -> N
     (curve,) = shoot({}, DESIGNS[:1], repeats=0).experiments
     best = fit(shoot({}, repeats=20))
     late = [
-        ExperimentBatch((Experiment("late", DESIGNS[0], curve.times + 0.02, curve.radius, nuisance),))
+        ExperimentBatch(
+            (Experiment("late", DESIGNS[0], curve.times + 0.02, curve.radius, nuisance),)
+        )
         for nuisance in (Nuisance(), Nuisance(time_zero=0.02))
     ]
     known, fitted = (held_out(best, one, SIMULATOR) for one in late)
@@ -98,24 +128,38 @@ def test_that_a_fitted_nuisance_takes_a_shifted_clock_out_of_the_residual() -> N
     assert fitted.square < known.square
 
 
-def test_that_time_zero_of_a_held_out_curve_is_found_past_the_minima_that_its_collapse_makes() -> None:
-    """Largest frames of the example gel are one to two standard deviations late; descents from there end frames away."""
+def test_that_time_zero_of_a_held_out_curve_is_found_past_the_minima_that_its_collapse_makes() -> (
+    None
+):
+    """Largest frames of the example gel are one to two standard deviations late;
+
+    descents from there end frames away.
+    """
     experiments = prepare(load_traces(example_gel())).experiments
     best = fit(shoot({}))
     truth = best.prior.to_controls(torch.tensor([8310.0, 0.093], dtype=torch.float64))
-    known, noise = replace(best, mean=truth), Noise(scale=0.33, floor=0.0085)
+    known = replace(best, mean=truth)
+    noise = Noise(scale=0.33, floor=0.0085)
     for experiment in experiments:
         found = held_out(known, ExperimentBatch((experiment,), noise), TransportSimulator())
         assert float(found.residual.square().mean()) < 1.0
 
 
 def test_that_the_interval_covers_the_shrinkage_over_designs_whose_bias_differs() -> None:
-    """Designs are exchangeable: of five, whose squared bias scatters, the interval is for the mean over all there are."""
-    source, inside, width = torch.Generator().manual_seed(0), 0, 0.0
+    """Designs are exchangeable:
+
+    of five, whose squared bias scatters, the interval is for the mean over all there are.
+    """
+    source = torch.Generator().manual_seed(0)
+    inside = 0
+    width = 0.0
     for seed in range(40):
         size = torch.rand(5, generator=source).tolist()
         rows = {"none": [0.4] * 5, "effect": [0.4 * x for x in size]}  # the true mean of x^2 is 1/3
-        held = {name: [design(b, 20.0, 7 * seed + k) for k, b in enumerate(own)] for name, own in rows.items()}
+        held = {
+            name: [design(b, 20.0, 7 * seed + k) for k, b in enumerate(own)]
+            for name, own in rows.items()
+        }
         low, _, high = reductions(held, seed)[1]["effect"]
         inside += low <= 2.0 / 3.0 <= high
         width += (high - low) / 40
@@ -132,14 +176,22 @@ def test_that_weighted_designs_scatter_as_a_sample_mean_does() -> None:
 
 def test_that_the_interval_covers_under_other_training_data_too() -> None:
     """What training data move, alike in all designs, is as wide as the posterior of the training fit says."""
-    source, inside = torch.Generator().manual_seed(1), {True: 0, False: 0}
+    source = torch.Generator().manual_seed(1)
+    inside = {True: 0, False: 0}
     for seed in range(40):
         moved = torch.randn(1, generator=source, dtype=torch.float64)
         slopes = torch.full((80, 1), 0.4, dtype=torch.float64)
         for told in inside:
-            held = {name: [design(b, 5.0, 3 * seed + k) for k in range(2)] for name, b in (("none", 0.5), ("effect", 0.25))}
+            held = {
+                name: [design(b, 5.0, 3 * seed + k) for k in range(2)]
+                for name, b in (("none", 0.5), ("effect", 0.25))
+            }
             held["effect"] = [
-                replace(d, residual=d.residual + slopes @ moved, by_training=slopes if told else slopes[:, :0])
+                replace(
+                    d,
+                    residual=d.residual + slopes @ moved,
+                    by_training=slopes if told else slopes[:, :0],
+                )
                 for d in held["effect"]
             ]
             low, _, high = reductions(held, seed)[1]["effect"]
@@ -154,7 +206,8 @@ def test_that_a_win_needs_two_standard_errors() -> None:
 
 
 def test_that_one_design_or_no_effect_is_refused() -> None:
-    one, two = shoot({}, DESIGNS[:1], repeats=0), shoot({}, repeats=0)
+    one = shoot({}, DESIGNS[:1], repeats=0)
+    two = shoot({}, repeats=0)
     with pytest.raises(InputDataError, match="at least two designs"):
         shrinkage(RIGHT, None, one, SIMULATOR, seed=0)
     with pytest.raises(InputDataError, match="name an effect"):

@@ -1,4 +1,7 @@
-"""From evidence to probabilities, and from these to a verdict: when a cause is named, with others, with an unknown one, or not."""
+"""From evidence to probabilities, and from these to a verdict:
+
+when a cause is named, with others, with an unknown one, or not.
+"""
 
 import math
 import sys
@@ -12,12 +15,16 @@ from imr_torch.gap.verdict import PRIOR_NONE, PRIOR_SLOW, PRIOR_TWO, choose, pro
 from imr_torch.material import library
 from tests.gap.synthetic import BASE
 
-EFFECTS = library(["residual_velocity", "trigger_offset", "gas_loss", "wall"])  # the first two are one family
+EFFECTS = library(
+    ["residual_velocity", "trigger_offset", "gas_loss", "wall"]
+)  # the first two are one family
 EVEN = dict.fromkeys(["none", *(e.name for e in EFFECTS)], -3.0)
 module = sys.modules["imr_torch.gap.diagnose"]  # its name in the package is that of the function
 
 
-def attribution(posterior: dict[str, float], winner: str, *, p_adequate: float = 0.5, converged: bool = True) -> Attribution:
+def attribution(
+    posterior: dict[str, float], winner: str, *, p_adequate: float = 0.5, converged: bool = True
+) -> Attribution:
     certificate = SimpleNamespace(converged=converged, nearly_converged=converged, usable=converged)
     fit = SimpleNamespace(certificate=certificate)
     evidence = dict.fromkeys(["none", winner], 0.0)
@@ -43,21 +50,29 @@ def test_that_even_evidence_gives_the_prior_over_families_back() -> None:
     assert posterior["residual_velocity"] == pytest.approx(0.5 * posterior["gas_loss"])
 
 
-def test_that_evidence_is_weighted_by_its_exponential_and_what_was_not_fitted_counts_for_nothing() -> None:
+def test_that_evidence_is_weighted_by_its_exponential_and_what_was_not_fitted_counts_for_nothing() -> (
+    None
+):
     posterior = probabilities(EVEN | {"wall": -3.0 + math.log(40.0)}, EFFECTS, (), 1.0)
     assert posterior["wall"] == pytest.approx(40.0 * posterior["gas_loss"])
-    assert "wall" not in probabilities({k: v for k, v in EVEN.items() if k != "wall"}, EFFECTS, (), 1.0)
+    assert "wall" not in probabilities(
+        {k: v for k, v in EVEN.items() if k != "wall"}, EFFECTS, (), 1.0
+    )
 
 
 @pytest.mark.parametrize("odds", [1.0 / 9.0, 1.0])
 @pytest.mark.parametrize("factor", [0.01, 1.0, 1e6])
-def test_that_the_odds_of_an_unknown_effect_are_prior_odds_times_the_bayes_factor(odds: float, factor: float) -> None:
+def test_that_the_odds_of_an_unknown_effect_are_prior_odds_times_the_bayes_factor(
+    odds: float, factor: float
+) -> None:
     posterior = probabilities(EVEN | {"wall": 20.0}, EFFECTS, (), factor, odds=odds)
     known = sum(p for name, p in posterior.items() if name not in ("none", "other"))
     assert posterior["other"] / known == pytest.approx(odds * factor)
 
 
-def test_that_two_known_effects_are_rarer_than_one_and_an_unknown_one_must_have_been_seen_through_the_first() -> None:
+def test_that_two_known_effects_are_rarer_than_one_and_an_unknown_one_must_have_been_seen_through_the_first() -> (
+    None
+):
     evidence = {"gas_loss": 0.0, "gas_loss+wall": 50.0}
     posterior = probabilities(evidence, (EFFECTS[3],), (EFFECTS[2],), 0.2, odds=1.0, masked=0.6)
     assert set(posterior) == {"gas_loss+wall", "none", "other"}
@@ -75,8 +90,13 @@ def test_that_two_known_effects_are_rarer_than_one_and_an_unknown_one_must_have_
         ({"a": 0.55} | {f"effect {i}": 0.09 for i in range(5)}, {"a"}, False),
     ],
 )
-def test_that_the_set_is_that_of_least_expected_loss(posterior: dict[str, float], members: set[str], decided: bool) -> None:
-    """Against all sets of the most probable causes: a further member costs .1, a truth outside 1, no verdict .35."""
+def test_that_the_set_is_that_of_least_expected_loss(
+    posterior: dict[str, float], members: set[str], decided: bool
+) -> None:
+    """Against all sets of the most probable causes:
+
+    a further member costs .1, a truth outside 1, no verdict .35.
+    """
     found = choose(posterior)
     assert (set(found.members), found.decided) == (members, decided)
     ranked = sorted(posterior.values(), reverse=True)
@@ -101,18 +121,25 @@ def test_that_an_unknown_effect_is_a_member_beside_the_one_named() -> None:
 
 
 @pytest.mark.parametrize(("none", "verdict"), [(0.09, "effect"), (0.34, "undecided")])
-def test_that_nobody_is_named_while_the_base_model_alone_is_probable(none: float, verdict: str) -> None:
+def test_that_nobody_is_named_while_the_base_model_alone_is_probable(
+    none: float, verdict: str
+) -> None:
     found = named({"gas_loss": 0.96 - none, "none": none, "other": 0.04}, "gas_loss")
     assert found.verdict == verdict
     assert found.cause == ("gas_loss",)
 
 
 def test_that_a_leader_without_a_certificate_is_no_verdict() -> None:
-    assert named({"gas_loss": 0.96, "none": 0.0, "other": 0.04}, "gas_loss", converged=False).verdict == "undecided"
+    assert (
+        named({"gas_loss": 0.96, "none": 0.0, "other": 0.04}, "gas_loss", converged=False).verdict
+        == "undecided"
+    )
 
 
 @pytest.mark.parametrize(("none", "verdict"), [(0.6, "none"), (0.02, "effect")])
-def test_that_the_evidence_takes_a_gap_back_that_no_effect_explains(monkeypatch, none: float, verdict: str) -> None:
+def test_that_the_evidence_takes_a_gap_back_that_no_effect_explains(
+    monkeypatch, none: float, verdict: str
+) -> None:
     found = attribution({"gas_loss": 0.96 - none, "none": none, "other": 0.04}, "gas_loss")
     monkeypatch.setattr(module, "attribute", lambda *_, **__: found)
     finding = selected(0.02)
@@ -135,8 +162,12 @@ def test_that_a_first_effect_is_dropped_where_the_second_is_enough_alone(
     assert finding.steps == (first, both)
 
 
-@pytest.mark.parametrize(("nats", "said"), [(40.0, "nearest comes gas_loss (40 nats;"), (0.3, "explains any of it")])
-def test_that_other_says_what_came_nearest_only_if_that_explains_something(monkeypatch, nats: float, said: str) -> None:
+@pytest.mark.parametrize(
+    ("nats", "said"), [(40.0, "nearest comes gas_loss (40 nats;"), (0.3, "explains any of it")]
+)
+def test_that_other_says_what_came_nearest_only_if_that_explains_something(
+    monkeypatch, nats: float, said: str
+) -> None:
     found = attribution({"gas_loss": 0.0, "none": 0.0, "other": 1.0}, "gas_loss", p_adequate=1e-6)
     monkeypatch.setattr(module, "attribute", lambda *_, **__: found)
     monkeypatch.setattr(module, "laplace_evidence", lambda fit: 0.0 if fit is None else nats)
@@ -146,7 +177,9 @@ def test_that_other_says_what_came_nearest_only_if_that_explains_something(monke
 
 
 def test_that_other_needs_a_certificate_of_what_came_nearest(monkeypatch) -> None:
-    found = attribution({"gas_loss": 0.0, "none": 0.0, "other": 1.0}, "gas_loss", p_adequate=1e-6, converged=False)
+    found = attribution(
+        {"gas_loss": 0.0, "none": 0.0, "other": 1.0}, "gas_loss", p_adequate=1e-6, converged=False
+    )
     monkeypatch.setattr(module, "attribute", lambda *_, **__: found)
     monkeypatch.setattr(module, "laplace_evidence", lambda fit: 0.0 if fit is None else 40.0)
     finding = selected(0.0)
@@ -154,22 +187,32 @@ def test_that_other_needs_a_certificate_of_what_came_nearest(monkeypatch) -> Non
     assert "the fit with gas_loss did not converge" in finding.reason
 
 
-def test_that_slow_noise_has_its_prior_and_deviations_alike_in_all_shots_as_an_unknown_effect() -> None:
+def test_that_slow_noise_has_its_prior_and_deviations_alike_in_all_shots_as_an_unknown_effect() -> (
+    None
+):
     posterior = probabilities(EVEN, EFFECTS, (), 1.0, odds=1.0, smooth=(-3.0, -3.0))
     plain = probabilities(EVEN, EFFECTS, (), 1.0, odds=1.0)
     assert sum(posterior.values()) == pytest.approx(1.0)
-    assert posterior["slow_noise"] / posterior["gas_loss"] == pytest.approx(3.0 * PRIOR_SLOW / (1.0 - PRIOR_SLOW))
-    assert posterior["other"] == pytest.approx(3.0 * posterior["gas_loss"] + posterior["slow_noise"])
+    assert posterior["slow_noise"] / posterior["gas_loss"] == pytest.approx(
+        3.0 * PRIOR_SLOW / (1.0 - PRIOR_SLOW)
+    )
+    assert posterior["other"] == pytest.approx(
+        3.0 * posterior["gas_loss"] + posterior["slow_noise"]
+    )
     assert posterior["gas_loss"] < plain["gas_loss"]
     loud = probabilities(EVEN, EFFECTS, (), 1.0, odds=1.0, smooth=(40.0, -3.0))
-    assert loud["slow_noise"] == pytest.approx(2.0 / 3.0, abs=1e-6)  # an unknown effect may differ between designs too
+    assert loud["slow_noise"] == pytest.approx(
+        2.0 / 3.0, abs=1e-6
+    )  # an unknown effect may differ between designs too
     assert loud["other"] == pytest.approx(1.0 / 3.0, abs=1e-6)
     alike = probabilities(EVEN, EFFECTS, (), 1.0, odds=1.0, smooth=(-3.0, 40.0))
     assert alike["other"] > 0.999
 
 
 def test_that_slow_noise_is_no_effect_and_is_said_with_what_would_decide(monkeypatch) -> None:
-    found = attribution({"gas_loss": 0.05, "none": 0.05, "other": 0.4, "slow_noise": 0.5}, "gas_loss")
+    found = attribution(
+        {"gas_loss": 0.05, "none": 0.05, "other": 0.4, "slow_noise": 0.5}, "gas_loss"
+    )
     monkeypatch.setattr(module, "attribute", lambda *_, **__: found)
     finding = selected(0.0)
     assert (finding.verdict, finding.cause) == ("other", ())

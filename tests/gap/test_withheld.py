@@ -1,4 +1,7 @@
-"""The whole diagnosis of one effect: named where it is offered, "other" where it was withheld, with what came nearest."""
+"""The whole diagnosis of one effect:
+
+named where it is offered, "other" where it was withheld, with what came nearest.
+"""
 
 import re
 
@@ -7,7 +10,8 @@ import pytest
 from imr_torch.gap import diagnose, library
 from tests.gap.synthetic import DESIGNS, SIMULATOR, shoot
 
-TRUTH, RIVALS = "gas_loss", ["wall", "refraction"]
+TRUTH = "gas_loss"
+RIVALS = ["wall", "refraction"]
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,7 @@
-"""Phases in which the noise law says too much: they count as the residuals leave room for, and cancel no misfit elsewhere."""
+"""Phases in which the noise law says too much:
+
+they count as the residuals leave room for, and cancel no misfit elsewhere.
+"""
 
 from dataclasses import replace
 
@@ -25,15 +28,22 @@ def test_that_phase_numbers_are_those_of_the_names() -> None:
 
 
 def test_that_the_law_counts_whole_where_it_is_right() -> None:
-    source, phase = generator(0), torch.arange(200) // 40
+    source = generator(0)
+    phase = torch.arange(200) // 40
     lost = sum(
-        bool((noise_shares([torch.randn(200, generator=source).double().square()], phase) < 1.0).any()) for _ in range(300)
+        bool(
+            (
+                noise_shares([torch.randn(200, generator=source).double().square()], phase) < 1.0
+            ).any()
+        )
+        for _ in range(300)
     )
     assert lost <= 6  # 1500 phases at a chance of .001 each: 1.5 expected
 
 
 def test_that_a_phase_quieter_than_the_law_counts_as_it_is() -> None:
-    phase, scale = torch.arange(200) // 40, torch.ones(200).double()
+    phase = torch.arange(200) // 40
+    scale = torch.ones(200).double()
     scale[160:] = 0.2
     square = (scale * torch.randn(200, generator=generator(1), dtype=torch.float64)).square()
     shares = noise_shares([square, 2.0 * square], phase)  # the hypothesis that leaves least decides
@@ -45,15 +55,23 @@ def test_that_a_phase_quieter_than_the_law_counts_as_it_is() -> None:
 
 def held(bias: float, quiet: float, seed: int) -> HeldOut:
     """Eighty frames with a bias in the first half, and noise of which the law says too much in the second."""
-    noise, phase = torch.randn(80, generator=generator(seed), dtype=torch.float64), torch.arange(80) // 40
+    noise = torch.randn(80, generator=generator(seed), dtype=torch.float64)
+    phase = torch.arange(80) // 40
     residual = torch.where(phase == 0, noise + bias, quiet * noise)
-    nothing, ones = torch.zeros(80, 0, dtype=torch.float64), torch.ones(80, dtype=torch.float64)
+    nothing = torch.zeros(80, 0, dtype=torch.float64)
+    ones = torch.ones(80, dtype=torch.float64)
     return HeldOut(residual, nothing, 0.0 * ones, 0.0, ones, True, nothing, phase)
 
 
 def test_that_a_quiet_phase_takes_nothing_from_the_gap() -> None:
-    """A bias of 1 is halved, which closes .75; frames of noise far below the law would cancel what is left of it."""
-    pair = {name: [held(b, 0.1, seed) for seed in range(12)] for name, b in (("none", 1.0), ("effect", 0.5))}
+    """A bias of 1 is halved, which closes .75;
+
+    frames of noise far below the law would cancel what is left of it.
+    """
+    pair = {
+        name: [held(b, 0.1, seed) for seed in range(12)]
+        for name, b in (("none", 1.0), ("effect", 0.5))
+    }
     gaps, closed = reductions(pair, 0)
     assert gaps["none"] == pytest.approx(0.5, abs=0.15)  # over both halves
     low, middle, high = closed["effect"]
@@ -65,7 +83,8 @@ def test_that_a_quiet_phase_takes_nothing_from_the_gap() -> None:
 
 def test_that_a_law_that_says_too_much_late_hides_no_misfit() -> None:
     batch = shoot({"sound_speed": 0.5}, DESIGNS, repeats=20)
-    found, loud = fit(batch), ExperimentBatch(batch.experiments, replace(batch.noise, drift=0.3))
+    found = fit(batch)
+    loud = ExperimentBatch(batch.experiments, replace(batch.noise, drift=0.3))
     parts = [left_over(found, own) for own in (batch, loud)]
     for own in parts:
         assert sum(part.share for part in own) == pytest.approx(1.0)

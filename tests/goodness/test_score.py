@@ -1,4 +1,8 @@
-"""The gap test both ways: silent at its level on residuals of the model, loud on those that lean, with the power that it states."""
+"""The gap test both ways:
+
+silent at its level on residuals of the model, loud on those that lean, with the power that it
+states.
+"""
 
 import math
 from dataclasses import replace
@@ -8,7 +12,15 @@ import torch
 from scipy.stats import binomtest, chi2
 
 from imr_torch.goodness.linear import Linearisation, linearise
-from imr_torch.goodness.score import LEVEL, Block, block, effect_directions, gap_test, generic_blocks, promising_starts
+from imr_torch.goodness.score import (
+    LEVEL,
+    Block,
+    block,
+    effect_directions,
+    gap_test,
+    generic_blocks,
+    promising_starts,
+)
 from imr_torch.material import LIBRARY, library
 from imr_torch.random import generator
 from tests.gap.synthetic import SIMULATOR, fit, shoot
@@ -33,7 +45,9 @@ def drawn(line: Linearisation, seed: int, lean: torch.Tensor | float = 0.0) -> L
 
 def test_that_it_is_silent_on_residuals_of_the_model_at_its_level(matched) -> None:
     line, _, blocks = matched
-    p_values = [gap_test(blocks, drawn(line, 1000 + seed), seed=seed).p_value for seed in range(200)]
+    p_values = [
+        gap_test(blocks, drawn(line, 1000 + seed), seed=seed).p_value for seed in range(200)
+    ]
     found = sum(p < LEVEL for p in p_values)
     low, high = binomtest(found, 200).proportion_ci(0.99, method="exact")
     assert low < LEVEL < high
@@ -65,7 +79,9 @@ def test_that_what_the_fit_explains_is_no_direction_and_rank_is_counted_once(mat
     twice = torch.cat((rows["gas_loss"][:1], 2.0 * rows["gas_loss"][:1], explained))
     found = block("twice", twice, line)
     assert found.directions.shape[1] == 1
-    torch.testing.assert_close(found.directions.mT @ found.directions, torch.eye(1, dtype=torch.float64))
+    torch.testing.assert_close(
+        found.directions.mT @ found.directions, torch.eye(1, dtype=torch.float64)
+    )
     assert float((line.basis.mT @ found.directions).abs().max()) < 1e-9
 
 
@@ -76,13 +92,18 @@ def test_that_a_chi_square_alone_is_the_smallest_test(matched) -> None:
     result = gap_test([], residual, seed=0)
     (everything,) = result.blocks
     assert everything.rank == freedom
-    assert everything.p_value == pytest.approx(chi2.sf(float(residual.residual.square().sum()), freedom), rel=1e-9)
+    assert everything.p_value == pytest.approx(
+        chi2.sf(float(residual.residual.square().sum()), freedom), rel=1e-9
+    )
     assert result.p_value == pytest.approx(everything.p_value, abs=0.05)
     assert math.isnan(everything.power)
 
 
 def test_where_fits_of_an_effect_start(matched) -> None:
-    """Beside the neutral value, then at the size that the residual asks for; an effect with a shape from all its starts."""
+    """Beside the neutral value, then at the size that the residual asks for;
+
+    an effect with a shape from all its starts.
+    """
     line, rows, _ = matched
     leaning = replace(line, residual=line.project(0.8 * rows["gas_loss"][1]))
     small, asked = promising_starts(LIBRARY["gas_loss"], rows["gas_loss"], leaning)

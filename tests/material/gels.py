@@ -39,7 +39,9 @@ VALUES = {
 
 def values_for(term: StressTerm) -> dict[str, float]:
     """A value of every parameter at which a term acts: nothing relaxes but by its own switch."""
-    return VALUES | {name: 0.0 for name in term.names if name.startswith("tau") and name != term.switch}
+    return VALUES | {
+        name: 0.0 for name in term.names if name.startswith("tau") and name != term.switch
+    }
 
 
 REST = 0.23
@@ -48,7 +50,9 @@ STATES = [(1.0, 0.0), (0.9, -0.7), (REST, -3.0), (0.11, 5.0), (0.06, -9.0), (1.3
 
 def tensors(values: dict[str, float]) -> dict[str, Tensor]:
     """All parameters, those not named neutral."""
-    return {p.name: torch.tensor(values.get(p.name, p.neutral), dtype=torch.float64) for p in PARAMETERS}
+    return {
+        p.name: torch.tensor(values.get(p.name, p.neutral), dtype=torch.float64) for p in PARAMETERS
+    }
 
 
 def values_of(model: Material) -> dict[str, float]:
@@ -76,4 +80,6 @@ def evaluate(
     radius, velocity = (torch.as_tensor(x, dtype=torch.float64) for x in (radius, velocity))
     if memory is None:
         memory = memory_of(model.terms, *radius.shape)
-    return model.stress(radius, velocity, torch.tensor(REST, dtype=torch.float64), tensors(values), memory)
+    return model.stress(
+        radius, velocity, torch.tensor(REST, dtype=torch.float64), tensors(values), memory
+    )

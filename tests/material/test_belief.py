@@ -47,7 +47,11 @@ KEYS = pytest.mark.parametrize("key", MODELS)
 
 def prior() -> Belief:
     models = {key: {name: LAWS[name][0] for name in material(key).free} for key in MODELS}
-    return Belief.prior(models, probabilities={"newtonian": 0.1, "nhkv": 0.4, "qkv": 0.2, "gen_qkv": 0.3}, known={"G": 2770.0})
+    return Belief.prior(
+        models,
+        probabilities={"newtonian": 0.1, "nhkv": 0.4, "qkv": 0.2, "gen_qkv": 0.3},
+        known={"G": 2770.0},
+    )
 
 
 def updated() -> Belief:
@@ -58,20 +62,27 @@ def updated() -> Belief:
         source = torch.Generator().manual_seed(i)
         chol = torch.tril(0.3 * torch.randn(d, d, generator=source, dtype=torch.float64), -1)
         chol = chol + torch.diag(0.2 + 0.5 * torch.rand(d, generator=source, dtype=torch.float64))
-        parts.append(part.with_gaussian(0.5 * torch.randn(d, generator=source, dtype=torch.float64), chol))
+        parts.append(
+            part.with_gaussian(0.5 * torch.randn(d, generator=source, dtype=torch.float64), chol)
+        )
     return Belief(tuple(parts), tensor(-1.0, 0.3, -0.7, 0.1))
 
 
 @KEYS
 def test_that_prior_moments_are_scipys(key: str) -> None:
     part = prior()[key]
-    torch.testing.assert_close(part.means, tensor(*[LAWS[n][1].mean() for n in part.names]), rtol=1e-6, atol=0.0)
-    torch.testing.assert_close(part.sds, tensor(*[LAWS[n][1].std() for n in part.names]), rtol=1e-5, atol=0.0)
+    torch.testing.assert_close(
+        part.means, tensor(*[LAWS[n][1].mean() for n in part.names]), rtol=1e-6, atol=0.0
+    )
+    torch.testing.assert_close(
+        part.sds, tensor(*[LAWS[n][1].std() for n in part.names]), rtol=1e-5, atol=0.0
+    )
 
 
 @KEYS
 def test_that_prior_quantiles_are_scipys(key: str) -> None:
-    part, levels = prior()[key], [1e-9, 0.05, 0.5, 0.95, 1.0 - 1e-9]
+    part = prior()[key]
+    levels = [1e-9, 0.05, 0.5, 0.95, 1.0 - 1e-9]
     expected = torch.stack([torch.tensor(LAWS[n][1].ppf(levels)) for n in part.names], dim=-1)
     assert part.quantile(levels).shape == (5, len(part.names))
     torch.testing.assert_close(part.quantile(levels), expected, rtol=1e-6, atol=0.0)
@@ -81,13 +92,20 @@ def test_that_prior_quantiles_are_scipys(key: str) -> None:
 def test_that_the_prior_density_is_the_product_of_scipys(key: str) -> None:
     part = prior()[key]
     values = part.physical(part.controls(50, seed=3))
-    expected = sum(torch.tensor(LAWS[n][1].logpdf(values[:, i].numpy())) for i, n in enumerate(part.names))
+    expected = sum(
+        torch.tensor(LAWS[n][1].logpdf(values[:, i].numpy())) for i, n in enumerate(part.names)
+    )
     torch.testing.assert_close(part.log_prob(values), expected, rtol=1e-10, atol=1e-10)
 
 
 def differential_entropy(law) -> float:
-    """By quadrature over the probability: SciPy's own entropy of a half-infinite truncated normal is NaN."""
-    return -quad(lambda p: float(law.logpdf(law.ppf(p))), 0.0, 1.0, epsabs=1e-9, epsrel=1e-9, limit=500)[0]
+    """By quadrature over the probability:
+
+    SciPy's own entropy of a half-infinite truncated normal is NaN.
+    """
+    return -quad(
+        lambda p: float(law.logpdf(law.ppf(p))), 0.0, 1.0, epsabs=1e-9, epsrel=1e-9, limit=500
+    )[0]
 
 
 @KEYS
@@ -103,7 +121,9 @@ def test_that_the_density_of_a_correlated_belief_is_the_gaussian_through_its_map
     z = part.controls(40, seed=5)
     law = torch.distributions.MultivariateNormal(part.mean, scale_tril=part.chol)
     slopes = sum(LAWS[n][0].log_slope(z[:, i]) for i, n in enumerate(part.names))
-    torch.testing.assert_close(part.log_prob(part.physical(z)), law.log_prob(z) - slopes, rtol=1e-8, atol=1e-8)
+    torch.testing.assert_close(
+        part.log_prob(part.physical(z)), law.log_prob(z) - slopes, rtol=1e-8, atol=1e-8
+    )
     torch.testing.assert_close(part.log_prob_controls(z), law.log_prob(z))
 
 
@@ -134,10 +154,14 @@ def test_that_a_scale_of_zero_is_impossible_under_a_log_normal() -> None:
 
 
 def test_that_the_density_at_a_bound_is_the_limit_from_inside() -> None:
-    """A truncated normal is not zero at its bound: a gel with ``alpha = 0`` exactly is a gel that may exist."""
+    """A truncated normal is not zero at its bound:
+
+    a gel with ``alpha = 0`` exactly is a gel that may exist.
+    """
     part = prior()["gen_qkv"]
     values = part.physical(torch.zeros(3, dtype=torch.float64))
-    inside, at = values.clone(), values.clone()
+    inside = values.clone()
+    at = values.clone()
     inside[2], at[2] = 1e-12, 0.0
     assert float(part.log_prob(at)) == pytest.approx(float(part.log_prob(inside)), abs=1e-6)
 
@@ -151,20 +175,27 @@ def test_that_entropy_is_the_mean_of_minus_log_prob(belief: Belief) -> None:
 
 
 def test_that_the_entropy_of_a_gaussian_is_its_closed_form() -> None:
-    sds, chol = tensor(700.0, 0.02), tensor([0.5, 0.0], [0.3, 0.2])
+    sds = tensor(700.0, 0.02)
+    chol = tensor([0.5, 0.0], [0.3, 0.2])
     marginals = (TruncatedNormal(5e3, float(sds[0])), TruncatedNormal(0.1, float(sds[1])))
     part = ModelBelief("nhkv", marginals, tensor(0.4, -0.2), chol)
     physical = sds[:, None] * chol
-    expected = torch.distributions.MultivariateNormal(torch.zeros(2, dtype=torch.float64), scale_tril=physical).entropy()
+    expected = torch.distributions.MultivariateNormal(
+        torch.zeros(2, dtype=torch.float64), scale_tril=physical
+    ).entropy()
     assert float(part.entropy()) == pytest.approx(float(expected), abs=1e-10)
-    assert float(Belief((part,), tensor(0.0)).entropy()) == pytest.approx(float(expected), abs=1e-10)
+    assert float(Belief((part,), tensor(0.0)).entropy()) == pytest.approx(
+        float(expected), abs=1e-10
+    )
 
 
 def test_that_the_entropy_of_models_is_that_of_their_probabilities() -> None:
     part = prior()
     weights = part.log_probabilities.exp()
     inner = sum(float(w) * float(m.entropy()) for w, m in zip(weights, part.models, strict=True))
-    assert float(part.entropy()) - inner == pytest.approx(float(stats.entropy([0.1, 0.4, 0.2, 0.3])), abs=1e-12)
+    assert float(part.entropy()) - inner == pytest.approx(
+        float(stats.entropy([0.1, 0.4, 0.2, 0.3])), abs=1e-12
+    )
 
 
 @pytest.mark.parametrize("belief", [prior(), updated()], ids=["prior", "updated"])
@@ -173,13 +204,19 @@ def test_that_samples_have_the_stated_moments_and_frequencies(belief: Belief) ->
     draws = belief.sample(n, seed=2)
     for i, part in enumerate(belief.models):
         values = draws.parameters[draws.model_index == i]
-        share, p = len(values) / n, float(belief.log_probabilities[i].exp())
+        share = len(values) / n
+        p = float(belief.log_probabilities[i].exp())
         assert share == pytest.approx(p, abs=4.5 * (p * (1 - p) / n) ** 0.5)
         free = values[:, PARAMETERS.index(part.names)]
         error = part.sds / len(values) ** 0.5
         assert bool(((free.mean(0) - part.means).abs() < 4.5 * error).all())
         kurtosis = (((free - part.means) / part.sds) ** 4).mean(0)
-        assert bool(((free.std(0) / part.sds - 1.0).abs() < 4.5 * ((kurtosis - 1.0) / 4.0 / len(values)).sqrt()).all())
+        assert bool(
+            (
+                (free.std(0) / part.sds - 1.0).abs()
+                < 4.5 * ((kurtosis - 1.0) / 4.0 / len(values)).sqrt()
+            ).all()
+        )
         for name in set(PARAMETERS.names) - set(part.names):
             expected = part.known.get(name, PARAMETERS[name].neutral)
             assert bool((values[:, PARAMETERS.index([name])[0]] == expected).all())
@@ -187,14 +224,23 @@ def test_that_samples_have_the_stated_moments_and_frequencies(belief: Belief) ->
 
 @KEYS
 def test_that_drawn_controls_have_the_stated_covariance(key: str) -> None:
-    part, n = updated()[key], 40000
-    whitened = torch.linalg.solve_triangular(part.chol, (part.controls(n, seed=4) - part.mean).mT, upper=False)
-    torch.testing.assert_close(whitened @ whitened.mT / n, torch.eye(len(part.names), dtype=torch.float64), rtol=0, atol=0.03)
+    part = updated()[key]
+    n = 40000
+    whitened = torch.linalg.solve_triangular(
+        part.chol, (part.controls(n, seed=4) - part.mean).mT, upper=False
+    )
+    torch.testing.assert_close(
+        whitened @ whitened.mT / n,
+        torch.eye(len(part.names), dtype=torch.float64),
+        rtol=0,
+        atol=0.03,
+    )
 
 
 @KEYS
 def test_that_quantiles_cut_the_samples_where_they_say(key: str) -> None:
-    part, n = updated()[key], 20000
+    part = updated()[key]
+    n = 20000
     values = part.physical(part.controls(n, seed=6))
     for level in (0.1, 0.5, 0.9):
         below = (values < part.quantile([level])[0]).to(torch.float64).mean(0)
@@ -220,10 +266,14 @@ def test_that_controls_and_physical_values_are_each_others_inverse(key: str) -> 
 
 def test_that_a_known_value_reaches_the_parameters_with_all_its_digits() -> None:
     belief = Belief.prior({"qkv": {n: LAWS[n][0] for n in ("mu", "alpha")}}, known={"G": 1234.5678})
-    assert float(belief["qkv"].parameters(tensor(0.0, 0.0))[PARAMETERS.index(["G"])[0]]) == 1234.5678
+    assert (
+        float(belief["qkv"].parameters(tensor(0.0, 0.0))[PARAMETERS.index(["G"])[0]]) == 1234.5678
+    )
 
 
-@pytest.mark.parametrize("belief", [prior(), updated(), wide_prior(), *[c.prior for c in CASES.values()]])
+@pytest.mark.parametrize(
+    "belief", [prior(), updated(), wide_prior(), *[c.prior for c in CASES.values()]]
+)
 def test_that_saving_and_loading_keeps_every_bit(tmp_path: Path, belief: Belief) -> None:
     belief.save(tmp_path / "belief.json")
     back = Belief.load(tmp_path / "belief.json")
@@ -232,7 +282,11 @@ def test_that_saving_and_loading_keeps_every_bit(tmp_path: Path, belief: Belief)
     for old, new in zip(belief.models, back.models, strict=True):
         assert torch.equal(old.mean, new.mean)
         assert torch.equal(old.chol, new.chol)
-        assert (old.marginals, dict(old.known), old.names) == (new.marginals, dict(new.known), new.names)
+        assert (old.marginals, dict(old.known), old.names) == (
+            new.marginals,
+            dict(new.known),
+            new.names,
+        )
     back.save(tmp_path / "again.json")
     assert (tmp_path / "again.json").read_bytes() == (tmp_path / "belief.json").read_bytes()
     assert torch.equal(belief.sample(9, seed=0).parameters, back.sample(9, seed=0).parameters)
@@ -244,7 +298,9 @@ def test_that_a_model_ruled_out_stays_ruled_out_on_disk(tmp_path: Path) -> None:
     assert Belief.load(tmp_path / "belief.json").probabilities["newtonian"] == 0.0
 
 
-def test_that_a_saved_belief_is_text_and_loading_never_unpickles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_that_a_saved_belief_is_text_and_loading_never_unpickles(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import pickle
 
     def refuse(*args, **kwargs):
@@ -270,7 +326,8 @@ def test_that_nothing_given_is_changed() -> None:
     given = {"nhkv": {"G": LAWS["G"][0], "mu": LAWS["mu"][0]}}
     copy = {key: dict(value) for key, value in given.items()}
     belief = Belief.prior(given)
-    logs, z = tensor(1.0), torch.randn(5, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    logs = tensor(1.0)
+    z = torch.randn(5, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     kept = z.clone()
     other = Belief(belief.models, logs)
     values = belief["nhkv"].physical(z)
@@ -293,7 +350,11 @@ def test_that_a_reference_case_names_its_truth_and_believes_it_possible(case) ->
 
 
 def test_that_the_wide_prior_spans_what_it_says() -> None:
-    low, high = wide_prior()["nhkv"].quantile([0.5 * math.erfc(1 / 2**0.5), 1.0 - 0.5 * math.erfc(1 / 2**0.5)]).tolist()
+    low, high = (
+        wide_prior()["nhkv"]
+        .quantile([0.5 * math.erfc(1 / 2**0.5), 1.0 - 0.5 * math.erfc(1 / 2**0.5)])
+        .tolist()
+    )
     assert (low[0], high[0]) == (pytest.approx(1e3), pytest.approx(25e3))
     assert (low[1], high[1]) == (pytest.approx(0.1 / 3.0), pytest.approx(0.3))
 
@@ -313,7 +374,10 @@ def test_that_there_is_a_wide_prior_for_every_model_whose_draws_are_possible() -
 
 def test_that_a_parameter_without_a_prior_is_named() -> None:
     assert PARAMETERS["damage"].prior is None
-    with pytest.raises(InputDataError, match=r"Parameter 'damage' of model 'nhkv\+damage' has no default prior; register it"):
+    with pytest.raises(
+        InputDataError,
+        match=r"Parameter 'damage' of model 'nhkv\+damage' has no default prior; register it",
+    ):
         wide_prior(["nhkv", "nhkv+damage"])
 
 
@@ -330,7 +394,10 @@ EYE = torch.eye(2, dtype=torch.float64)
     [
         (lambda: Belief.prior({"hooke": {}}), r"Unknown model 'hooke'"),
         (lambda: Belief((), tensor()), r"A belief needs at least one model"),
-        (lambda: Belief.prior({"nhkv": {"G": NHKV[0]}}), r"needs a prior of each of \('G', 'mu'\); got \('G',\)"),
+        (
+            lambda: Belief.prior({"nhkv": {"G": NHKV[0]}}),
+            r"needs a prior of each of \('G', 'mu'\); got \('G',\)",
+        ),
         (
             lambda: Belief.prior({"nhkv": {"G": NHKV[0], "mu": NHKV[1], "E": NHKV[0]}}),
             r"needs a prior of each of \('G', 'mu'\)",
@@ -340,40 +407,73 @@ EYE = torch.eye(2, dtype=torch.float64)
             r"Model 'qkv' takes \['G'\] as known; give its value in SI units",
         ),
         (
-            lambda: Belief.prior({"qkv": {"mu": NHKV[1], "alpha": LAWS["alpha"][0]}}, known={"G": -5.0}),
+            lambda: Belief.prior(
+                {"qkv": {"mu": NHKV[1], "alpha": LAWS["alpha"][0]}}, known={"G": -5.0}
+            ),
             r"Parameter 'G' is -5 Pa",
         ),
         (
             lambda: Belief.prior({"newtonian": {"mu": NHKV[1]}}, probabilities={"nhkv": 1.0}),
             r"probabilities must be non-negative, one for each of \['newtonian'\]",
         ),
-        (lambda: Belief.prior({"newtonian": {"mu": NHKV[1]}}, probabilities={"newtonian": 0.0}), r"must be non-negative"),
-        (lambda: Belief.prior({"newtonian": {"mu": NHKV[1]}}, probabilities={"newtonian": math.nan}), r"non-negative"),
+        (
+            lambda: Belief.prior({"newtonian": {"mu": NHKV[1]}}, probabilities={"newtonian": 0.0}),
+            r"must be non-negative",
+        ),
+        (
+            lambda: Belief.prior(
+                {"newtonian": {"mu": NHKV[1]}}, probabilities={"newtonian": math.nan}
+            ),
+            r"non-negative",
+        ),
         (
             lambda: Belief.prior({"newtonian": {"mu": NHKV[1]}})["nhkv"],
             r"'nhkv' is not part of this belief; it holds newtonian",
         ),
         (lambda: Belief(prior().models, tensor(0.0)), r"log_probabilities must be 4 numbers"),
-        (lambda: Belief(prior().models, tensor(0.0, 0.0, math.nan, 0.0)), r"log_probabilities must be 4 numbers"),
-        (lambda: Belief((prior().models[0],) * 2, tensor(0.0, 0.0)), r"each once, got \['newtonian', 'newtonian'\]"),
-        (lambda: ModelBelief("nhkv", NHKV, torch.zeros(3), EYE), r"expected mean of shape \(2,\) and chol of \(2, 2\)"),
+        (
+            lambda: Belief(prior().models, tensor(0.0, 0.0, math.nan, 0.0)),
+            r"log_probabilities must be 4 numbers",
+        ),
+        (
+            lambda: Belief((prior().models[0],) * 2, tensor(0.0, 0.0)),
+            r"each once, got \['newtonian', 'newtonian'\]",
+        ),
+        (
+            lambda: ModelBelief("nhkv", NHKV, torch.zeros(3), EYE),
+            r"expected mean of shape \(2,\) and chol of \(2, 2\)",
+        ),
         (lambda: ModelBelief("nhkv", NHKV[:1], tensor(0.0, 0.0), EYE), r"got 1 marginals"),
         (
             lambda: ModelBelief("nhkv", NHKV, tensor(0.0, math.nan), EYE),
             r"mean must be finite and the diagonal of chol positive",
         ),
         (lambda: ModelBelief("nhkv", NHKV, tensor(0.0, 0.0), -EYE), r"diagonal of chol positive"),
-        (lambda: ModelBelief("nhkv", NHKV, tensor(0.0, 0.0), tensor([1.0, 0.9], [0.0, 1.0])), r"lower triangular"),
-        (lambda: ModelBelief("nhkv", NHKV, tensor(0.0, 0.0), EYE, {"G": 1.0}), r"free parameters \('mu',\); got 2 marginals"),
+        (
+            lambda: ModelBelief("nhkv", NHKV, tensor(0.0, 0.0), tensor([1.0, 0.9], [0.0, 1.0])),
+            r"lower triangular",
+        ),
+        (
+            lambda: ModelBelief("nhkv", NHKV, tensor(0.0, 0.0), EYE, {"G": 1.0}),
+            r"free parameters \('mu',\); got 2 marginals",
+        ),
         (
             lambda: ModelBelief("nhkv", NHKV, tensor(0.0, 0.0), EYE, {"alpha": 1.0}),
             r"needs known nothing and may have .*'alpha'",
         ),
-        (lambda: ModelBelief("nhkv", (), tensor(), EYE[:0, :0], {"G": 1.0, "mu": 0.1}), r"nothing is left to infer"),
-        (lambda: Belief.from_dict({}), r"Expected a document of the format 'imr_torch belief 1', got None"),
+        (
+            lambda: ModelBelief("nhkv", (), tensor(), EYE[:0, :0], {"G": 1.0, "mu": 0.1}),
+            r"nothing is left to infer",
+        ),
+        (
+            lambda: Belief.from_dict({}),
+            r"Expected a document of the format 'imr_torch belief 1', got None",
+        ),
         (lambda: Belief.from_dict(document(format="other")), r"got 'other'"),
         (
-            lambda: Belief.from_dict(document(models=[document()["models"][0] | {"names": ["mu", "G"]}])),
+            lambda: Belief.from_dict(
+                document(models=[document()["models"][0] | {"names": ["mu", "G"]}])
+            ),
             r"Saved parameters \['mu', 'G'\] are not those of 'nhkv'",
         ),
         (lambda: reference_case("jelly"), r"Unknown case 'jelly'; known are stiff-pa, soft-pa"),
@@ -385,7 +485,9 @@ def test_that_bad_input_is_named(call: Callable[[], object], message: str) -> No
 
 
 @pytest.mark.parametrize(
-    "text", ["", "{", "not json", "[" * 100_000, None], ids=["empty", "cut off", "words", "deep", "missing"]
+    "text",
+    ["", "{", "not json", "[" * 100_000, None],
+    ids=["empty", "cut off", "words", "deep", "missing"],
 )
 def test_that_a_file_that_is_no_belief_is_named(tmp_path: Path, text: str | None) -> None:
     path = tmp_path / "belief.json"
@@ -423,7 +525,9 @@ def test_that_json_of_another_kind_is_an_input_error(tmp_path: Path, text: str) 
     ],
     ids=["too many probabilities", "words", "a number", "numbers", "half a matrix", "no marginals"],
 )
-def test_that_a_belief_with_a_part_of_another_kind_is_an_input_error(tmp_path: Path, changes: dict) -> None:
+def test_that_a_belief_with_a_part_of_another_kind_is_an_input_error(
+    tmp_path: Path, changes: dict
+) -> None:
     path = tmp_path / "belief.json"
     path.write_text(json.dumps(document(**changes)))
     with pytest.raises(InputDataError):
@@ -441,7 +545,9 @@ def test_that_a_cloud_is_kept_on_disk_and_goes_with_another_gaussian(tmp_path: P
     belief = reference_case("stiff-pa").prior
     part = belief.models[1]
     assert "cloud" not in belief.to_dict()["models"][1]
-    bent = part.with_cloud(cloud(part.controls(5, seed=1), torch.eye(3, dtype=torch.float64).expand(5, -1, -1) / 3.0))
+    bent = part.with_cloud(
+        cloud(part.controls(5, seed=1), torch.eye(3, dtype=torch.float64).expand(5, -1, -1) / 3.0)
+    )
     Belief((belief.models[0], bent), belief.log_probabilities).save(tmp_path / "belief.json")
     back = Belief.load(tmp_path / "belief.json")
     assert back.models[0].cloud is None

@@ -1,4 +1,7 @@
-"""The generic closure: each law's stress, its scale, and that nothing but the law's own state matters."""
+"""The generic closure:
+
+each law's stress, its scale, and that nothing but the law's own state matters.
+"""
 
 import pytest
 import torch
@@ -6,7 +9,9 @@ import torch
 from imr_torch.material.closure import CLOSURE
 from tests.material.gels import tensors
 
-RADIUS, VELOCITY, REST = 0.4, -2.0, 0.25
+RADIUS = 0.4
+VELOCITY = -2.0
+REST = 0.25
 STRETCH = RADIUS / REST
 STATES = {
     "law_stretch": STRETCH - 1.0,
@@ -22,9 +27,13 @@ STATES = {
 @pytest.mark.parametrize("law", CLOSURE, ids=lambda law: law.switch)
 @pytest.mark.parametrize("coefficient", [0.0, 0.02, -0.04])
 def test_that_each_law_is_a_stress_against_its_state(law, coefficient) -> None:
-    radius, velocity, rest = (torch.tensor(x, dtype=torch.float64) for x in (RADIUS, VELOCITY, REST))
+    radius, velocity, rest = (
+        torch.tensor(x, dtype=torch.float64) for x in (RADIUS, VELOCITY, REST)
+    )
     stress = law(radius, velocity, rest, tensors({law.switch: coefficient}))
-    assert float(stress.value) == pytest.approx(-coefficient * STATES[law.switch], rel=1e-3)  # |U| is rounded off
+    assert float(stress.value) == pytest.approx(
+        -coefficient * STATES[law.switch], rel=1e-3
+    )  # |U| is rounded off
 
 
 def test_that_there_are_seven_and_each_has_a_coefficient_of_its_own() -> None:

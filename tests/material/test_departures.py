@@ -8,7 +8,13 @@ from scipy.integrate import quad
 from torch import Tensor
 
 from imr_torch.material import Stress, material
-from imr_torch.material.departures import DAMAGE, GRADED_MODULUS, PERMANENT_SET, VISCOUS_DAMAGE, YIELD_STRESS
+from imr_torch.material.departures import (
+    DAMAGE,
+    GRADED_MODULUS,
+    PERMANENT_SET,
+    VISCOUS_DAMAGE,
+    YIELD_STRESS,
+)
 from tests.material.gels import REST, evaluate, tensors
 
 GEL = {"G": 0.08, "alpha": 0.7}
@@ -33,7 +39,9 @@ def test_that_a_graded_gel_is_the_quadrature_of_its_modulus(radius: float) -> No
         return 2.0 * 0.08 * 1.5 * REST**3 / cube * (b**-4 - b**2) / s
 
     expected = quad(integrand, 0.0, 1.0, epsabs=1e-14, epsrel=1e-12)[0]
-    stress = GRADED_MODULUS(*scalars(radius, 0.0, REST), tensors({"G": 0.08, "graded_modulus": 1.5}))
+    stress = GRADED_MODULUS(
+        *scalars(radius, 0.0, REST), tensors({"G": 0.08, "graded_modulus": 1.5})
+    )
     assert float(stress.value) == pytest.approx(expected, rel=1e-9, abs=1e-13)
 
 
@@ -41,11 +49,20 @@ def test_that_a_graded_gel_passes_smoothly_through_its_rest() -> None:
     """Its weight is 0/0 there, which the closed form must not show."""
     edge = torch.tensor([-1e-4, 0.0, 1e-4], dtype=torch.float64)
     stretch = torch.exp(edge[:, None] + 1e-9 * torch.tensor([-1.0, 1.0], dtype=torch.float64))
-    stress = GRADED_MODULUS(stretch, stretch, torch.ones_like(stretch), tensors({"G": 1.0, "graded_modulus": 1.0}))
+    stress = GRADED_MODULUS(
+        stretch, stretch, torch.ones_like(stretch), tensors({"G": 1.0, "graded_modulus": 1.0})
+    )
     jump = (stress.value[:, 1] - stress.value[:, 0]) / 2e-9
     assert float((jump + 2.0).abs().max()) < 1e-2  # dS/d ln l = -2 G g at rest
     assert float((stress.rate[:, 1] - stress.rate[:, 0]).abs().max()) < 1e-6
-    assert float(GRADED_MODULUS(*scalars(1.0, 0.0, 1.0), tensors({"G": 1.0, "graded_modulus": 1.0})).value) == 0.0
+    assert (
+        float(
+            GRADED_MODULUS(
+                *scalars(1.0, 0.0, 1.0), tensors({"G": 1.0, "graded_modulus": 1.0})
+            ).value
+        )
+        == 0.0
+    )
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.4, 1.0])
@@ -53,11 +70,16 @@ def test_that_damage_takes_its_share_of_the_elastic_stress(lost: float) -> None:
     whole = elastic(0.6, -1.2)
     held = torch.tensor([lost], dtype=torch.float64)
     part = DAMAGE(*scalars(0.6, -1.2, REST), tensors(GEL | {"damage": 0.3}), held)
-    assert float(part.value + whole.value) == pytest.approx((1.0 - lost) * float(whole.value), rel=1e-13)
+    assert float(part.value + whole.value) == pytest.approx(
+        (1.0 - lost) * float(whole.value), rel=1e-13
+    )
 
 
 def test_that_damage_grows_with_the_path_in_either_direction_and_ends_at_all() -> None:
-    """``D = 1 - exp(-k int |dR/R|)``: at a speed far above the rounding, ``D' = k (1 - D) |U|/R``."""
+    """``D = 1 - exp(-k int |dR/R|)``:
+
+    at a speed far above the rounding, ``D' = k (1 - D) |U|/R``.
+    """
     theta = tensors(GEL | {"damage": 0.3})
     for velocity, held, expected in (
         (-50.0, 0.0, 25.0),
@@ -66,22 +88,34 @@ def test_that_damage_grows_with_the_path_in_either_direction_and_ends_at_all() -
         (50.0, 1.0, 0.0),
         (0.0, 0.2, 0.0),
     ):
-        rate = DAMAGE.memory_rate(*scalars(0.6, velocity, REST), theta, torch.tensor([held], dtype=torch.float64))
+        rate = DAMAGE.memory_rate(
+            *scalars(0.6, velocity, REST), theta, torch.tensor([held], dtype=torch.float64)
+        )
         assert float(rate) == pytest.approx(expected, rel=1e-3, abs=1e-12)
 
 
-def test_that_damage_heals_at_its_rate_where_nothing_moves_and_settles_where_something_does() -> None:
-    """``D' = -D/t_h`` at rest; at a constant strain rate ``D`` stands still at ``k e/(k e + 1/t_h)``."""
+def test_that_damage_heals_at_its_rate_where_nothing_moves_and_settles_where_something_does() -> (
+    None
+):
+    """``D' = -D/t_h`` at rest;
+
+    at a constant strain rate ``D`` stands still at ``k e/(k e + 1/t_h)``.
+    """
     theta = tensors(GEL | {"damage": 0.3, "healing": 2.0})
     for velocity, held, expected in ((0.0, 0.5, -1.0), (50.0, 25.0 / 27.0, 0.0), (50.0, 0.0, 25.0)):
-        rate = DAMAGE.memory_rate(*scalars(0.6, velocity, REST), theta, torch.tensor([held], dtype=torch.float64))
+        rate = DAMAGE.memory_rate(
+            *scalars(0.6, velocity, REST), theta, torch.tensor([held], dtype=torch.float64)
+        )
         assert float(rate) == pytest.approx(expected, rel=1e-3, abs=1e-3)
     assert float(DAMAGE.relaxation_rate(theta)) == 2.0
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.4, 1.0])
-def test_that_viscous_damage_takes_its_share_of_the_newtonian_stress_and_grows_with_the_path(lost: float) -> None:
-    point, held = scalars(0.6, -50.0, REST), torch.tensor([lost], dtype=torch.float64)
+def test_that_viscous_damage_takes_its_share_of_the_newtonian_stress_and_grows_with_the_path(
+    lost: float,
+) -> None:
+    point = scalars(0.6, -50.0, REST)
+    held = torch.tensor([lost], dtype=torch.float64)
     whole = material("newtonian").stress(*point, tensors({"mu": 0.05}))
     theta = tensors({"mu": 0.05, "viscous_damage": 0.3})
     part = VISCOUS_DAMAGE(*point, theta, held)
@@ -89,40 +123,52 @@ def test_that_viscous_damage_takes_its_share_of_the_newtonian_stress_and_grows_w
     assert growth == pytest.approx(0.3 * (1.0 - lost) * 50.0 / 0.6, rel=1e-3, abs=1e-12)
     assert float(part.value) == pytest.approx(-lost * float(whole.value), rel=1e-13)
     assert float(part.acceleration) == pytest.approx(-lost * float(whole.acceleration), rel=1e-13)
-    assert float(part.rate) == pytest.approx(-lost * float(whole.rate) - growth * float(whole.value), rel=1e-13)
+    assert float(part.rate) == pytest.approx(
+        -lost * float(whole.rate) - growth * float(whole.value), rel=1e-13
+    )
 
 
 @pytest.mark.parametrize("relaxing", ["tau", "tau_sls", "tau_sns", "tau_ucm"])
 def test_that_viscous_damage_leaves_a_stress_that_relaxes_alone(relaxing: str) -> None:
     """The law of the branch has taken the Newtonian stress already."""
     theta = tensors({"mu": 0.05, "viscous_damage": 0.3, relaxing: 0.2})
-    stress = VISCOUS_DAMAGE(*scalars(0.6, -1.0, REST), theta, torch.tensor([0.5], dtype=torch.float64))
+    stress = VISCOUS_DAMAGE(
+        *scalars(0.6, -1.0, REST), theta, torch.tensor([0.5], dtype=torch.float64)
+    )
     assert float(stress.value) == float(stress.rate) == float(stress.acceleration) == 0.0
 
 
 @pytest.mark.parametrize("velocity", [-5.0, -0.5, 0.5, 5.0])
 def test_that_a_yield_stress_opposes_motion_over_the_sheared_gel(velocity: float) -> None:
     """``2 int_R^r_y 2 tau_y/(2r) dr = 2 tau_y ln(r_y/R)`` with the shear rate at ``r_y`` a tenth, in units of ``|U|/R = .1``."""
-    radius, stress = 0.4, 0.02
+    radius = 0.4
+    stress = 0.02
     extent = math.log(abs(velocity) / radius / 0.1) / 3.0
-    value = float(YIELD_STRESS(*scalars(radius, velocity, REST), tensors({"yield_stress": stress})).value)
+    value = float(
+        YIELD_STRESS(*scalars(radius, velocity, REST), tensors({"yield_stress": stress})).value
+    )
     assert value == pytest.approx(-math.copysign(2.0 * stress * extent, velocity), rel=0.02)
 
 
 def test_that_a_yield_stress_vanishes_smoothly_at_a_turning_point() -> None:
     velocity = torch.linspace(-1e-3, 1e-3, 5, dtype=torch.float64)
     theta = tensors({"yield_stress": 0.02})
-    values = YIELD_STRESS(torch.full_like(velocity, 0.4), velocity, torch.full_like(velocity, REST), theta).value
+    values = YIELD_STRESS(
+        torch.full_like(velocity, 0.4), velocity, torch.full_like(velocity, REST), theta
+    ).value
     assert float(values[2]) == 0.0
     torch.testing.assert_close(values, -values.flip(0), rtol=1e-12, atol=0.0)
     assert float(values.abs().max()) < 1e-6
 
 
 @RADII
-def test_that_a_set_gel_is_the_gel_referred_to_the_radius_it_was_stretched_to(radius: float) -> None:
+def test_that_a_set_gel_is_the_gel_referred_to_the_radius_it_was_stretched_to(
+    radius: float,
+) -> None:
     share = 0.1
     change = PERMANENT_SET(*scalars(radius, -0.8, REST), tensors(GEL | {"permanent_set": share}))
-    whole, moved = elastic(radius, -0.8), elastic(radius, -0.8, REST * (1.0 + share * (1.0 / REST - 1.0)))
+    whole = elastic(radius, -0.8)
+    moved = elastic(radius, -0.8, REST * (1.0 + share * (1.0 / REST - 1.0)))
     for name in ("value", "rate", "acceleration"):
         assert float(getattr(change, name) + getattr(whole, name)) == pytest.approx(
             float(getattr(moved, name)), rel=1e-12, abs=1e-13
@@ -131,6 +177,11 @@ def test_that_a_set_gel_is_the_gel_referred_to_the_radius_it_was_stretched_to(ra
 
 def test_that_all_departures_leave_a_gel_without_modulus_alone() -> None:
     for name in ("damage", "graded_modulus", "permanent_set"):
-        assert float(evaluate(material(f"nhkv+{name}"), 0.5, -1.0, GEL | {name: 0.2}).value) != elastic(0.5, -1.0).value
+        assert (
+            float(evaluate(material(f"nhkv+{name}"), 0.5, -1.0, GEL | {name: 0.2}).value)
+            != elastic(0.5, -1.0).value
+        )
         stress = evaluate(material(f"newtonian+{name}"), 0.5, -1.0, {"mu": 0.05, name: 0.2})
-        assert float(stress.value) == float(evaluate(material("newtonian"), 0.5, -1.0, {"mu": 0.05}).value)
+        assert float(stress.value) == float(
+            evaluate(material("newtonian"), 0.5, -1.0, {"mu": 0.05}).value
+        )

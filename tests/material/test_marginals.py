@@ -69,14 +69,20 @@ def quantile(marginal: Marginal, z: float) -> float:
     if isinstance(marginal, Quantile):
         law = getattr(stats, marginal.family)(**marginal.arguments)
         return float(law.ppf(stats.norm.cdf(z)) if z < 0.0 else law.isf(stats.norm.sf(z)))
-    ends = [(mpmath.mpf(bound) - marginal.mean) / marginal.sd for bound in (marginal.lower, marginal.upper)]
+    ends = [
+        (mpmath.mpf(bound) - marginal.mean) / marginal.sd
+        for bound in (marginal.lower, marginal.upper)
+    ]
     below, top = (mpmath.ncdf(end) for end in ends)
     p = below + (top - below) * mpmath.ncdf(z)
     return float(marginal.mean + marginal.sd * mpmath.sqrt(2) * mpmath.erfinv(2 * p - 1))
 
 
 def scale(case: Case) -> float:
-    """What rounding is relative to: values next to a bound at zero are differences of numbers of this size."""
+    """What rounding is relative to:
+
+    values next to a bound at zero are differences of numbers of this size.
+    """
     marginal = case.marginal
     if isinstance(marginal, Quantile):
         return abs(float(case.law.mean())) + float(case.law.std())
@@ -90,7 +96,9 @@ def test_that_every_kind_of_marginal_is_tested() -> None:
 @ALL
 def test_that_a_control_is_the_quantile_of_its_probability(case: Case) -> None:
     expected = controls([quantile(case.marginal, z) for z in TAILS])
-    torch.testing.assert_close(case.marginal.to_physical(controls()), expected, rtol=1e-12, atol=1e-13 * scale(case))
+    torch.testing.assert_close(
+        case.marginal.to_physical(controls()), expected, rtol=1e-12, atol=1e-13 * scale(case)
+    )
 
 
 @ALL
@@ -98,12 +106,17 @@ def test_that_a_control_is_the_quantile_of_scipys_law(case: Case) -> None:
     """The same statement against SciPy, where SciPy has the digits."""
     z = controls([v for v in TAILS if abs(v) <= 5.0])
     expected = torch.tensor(case.law.ppf(stats.norm.cdf(z.numpy())))
-    torch.testing.assert_close(case.marginal.to_physical(z), expected, rtol=1e-8, atol=1e-12 * scale(case))
+    torch.testing.assert_close(
+        case.marginal.to_physical(z), expected, rtol=1e-8, atol=1e-12 * scale(case)
+    )
 
 
 @ALL
 def test_that_the_map_is_undone_by_its_inverse(case: Case) -> None:
-    """Where the value itself resolves the control: next to a bound at 8 sd the last bits of the value are the limit."""
+    """Where the value itself resolves the control:
+
+    next to a bound at 8 sd the last bits of the value are the limit.
+    """
     z = torch.linspace(-5.0, 5.0, 201, dtype=torch.float64)
     value = case.marginal.to_physical(z)
     resolution = 1e-15 * (value.abs() + scale(case)) * torch.exp(-case.marginal.log_slope(z))
@@ -128,7 +141,9 @@ def test_that_the_density_is_scipys(case: Case) -> None:
     z = torch.linspace(-6.0, 6.0, 49, dtype=torch.float64)
     value = case.marginal.to_physical(z)
     density = -0.5 * z.square() - 0.5 * math.log(2.0 * math.pi) - case.marginal.log_slope(z)
-    torch.testing.assert_close(density, torch.tensor(case.law.logpdf(value.numpy())), rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(
+        density, torch.tensor(case.law.logpdf(value.numpy())), rtol=1e-9, atol=1e-9
+    )
 
 
 @ALL
@@ -165,17 +180,26 @@ def test_that_a_map_increases_and_stays_inside_the_support(case: Case) -> None:
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 @pytest.mark.parametrize("z", [8.0, 15.0, 24.0, 26.0, 36.0, 60.0])
 def test_that_an_unbounded_tail_follows_the_exact_law_far_out(sign: float, z: float) -> None:
-    """``P(X > x) = Q(z)`` solved with 60 digits: what remains of the other side's truncation is ``Q(x) = kept Q(z)``."""
+    """``P(X > x) = Q(z)`` solved with 60 digits:
+
+    what remains of the other side's truncation is ``Q(x) = kept Q(z)``.
+    """
     mpmath.mp.dps = 60
-    marginal = TruncatedNormal(0.0, 1.0, lower=-0.5) if sign > 0 else TruncatedNormal(0.0, 1.0, upper=0.5)
+    marginal = (
+        TruncatedNormal(0.0, 1.0, lower=-0.5) if sign > 0 else TruncatedNormal(0.0, 1.0, upper=0.5)
+    )
 
     def tail(x: mpmath.mpf) -> mpmath.mpf:
         return mpmath.erfc(x / mpmath.sqrt(2)) / 2
 
     target = mpmath.log(tail(mpmath.mpf(z))) + mpmath.log(1 - tail(mpmath.mpf("0.5")))
     exact = float(mpmath.findroot(lambda x: mpmath.log(tail(x)) - target, z + 0.01))
-    assert float(marginal.to_physical(controls([sign * z]))[0]) == pytest.approx(sign * exact, rel=2e-6)
-    assert float(marginal.to_control(controls([sign * exact]))[0]) == pytest.approx(sign * z, rel=2e-6)
+    assert float(marginal.to_physical(controls([sign * z]))[0]) == pytest.approx(
+        sign * exact, rel=2e-6
+    )
+    assert float(marginal.to_control(controls([sign * exact]))[0]) == pytest.approx(
+        sign * z, rel=2e-6
+    )
 
 
 @pytest.mark.parametrize("x", [-37.0, -20.0, -8.5, -8.0, 0.0, 3.0])
@@ -189,14 +213,23 @@ def test_that_a_normal_that_is_not_truncated_is_the_identity_up_to_scale() -> No
     marginal = TruncatedNormal(3.0, 0.5)
     z = torch.linspace(-8.0, 8.0, 65, dtype=torch.float64)
     torch.testing.assert_close(marginal.to_physical(z), 3.0 + 0.5 * z, rtol=1e-14, atol=1e-14)
-    torch.testing.assert_close(marginal.log_slope(z), torch.full_like(z, math.log(0.5)), rtol=1e-12, atol=1e-12)
+    torch.testing.assert_close(
+        marginal.log_slope(z), torch.full_like(z, math.log(0.5)), rtol=1e-12, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("distance", [4.0, 6.0, 6.9])
 @pytest.mark.parametrize("side", [-1, 1])
 def test_that_a_mean_far_outside_the_bounds_keeps_six_digits(distance: float, side: int) -> None:
-    """The mirror image of each other: cut off from below at ``+distance`` and from above at ``-distance``."""
-    marginal = TruncatedNormal(0.0, 1.0, distance, INF) if side > 0 else TruncatedNormal(0.0, 1.0, -INF, -distance)
+    """The mirror image of each other:
+
+    cut off from below at ``+distance`` and from above at ``-distance``.
+    """
+    marginal = (
+        TruncatedNormal(0.0, 1.0, distance, INF)
+        if side > 0
+        else TruncatedNormal(0.0, 1.0, -INF, -distance)
+    )
     z = [-4.0, -2.0, 0.0, 2.0, 4.0]
     expected = controls([quantile(marginal, v) for v in z])
     torch.testing.assert_close(marginal.to_physical(controls(z)), expected, rtol=1e-6, atol=0.0)
@@ -211,7 +244,9 @@ def test_that_a_marginal_survives_its_dictionary(case: Case) -> None:
 def test_that_autograd_follows_the_map(case: Case) -> None:
     z = torch.linspace(-4.0, 4.0, 33, dtype=torch.float64, requires_grad=True)
     (slope,) = torch.autograd.grad(case.marginal.to_physical(z).sum(), z)
-    torch.testing.assert_close(slope, case.marginal.log_slope(z.detach()).exp(), rtol=1e-8, atol=0.0)
+    torch.testing.assert_close(
+        slope, case.marginal.log_slope(z.detach()).exp(), rtol=1e-8, atol=0.0
+    )
 
 
 @ALL
@@ -230,14 +265,26 @@ def test_that_the_input_is_not_changed_and_any_shape_goes_through(case: Case) ->
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: TruncatedNormal(0.0, 0.0), r"sd must be positive and finite. .*belongs in `known`"),
+        (
+            lambda: TruncatedNormal(0.0, 0.0),
+            r"sd must be positive and finite. .*belongs in `known`",
+        ),
         (lambda: TruncatedNormal(0.0, -1.0), r"sd must be positive and finite"),
         (lambda: TruncatedNormal(math.nan, 1.0), r"TruncatedNormal\(mean=nan"),
         (lambda: TruncatedNormal(0.0, math.inf), r"sd must be positive and finite"),
-        (lambda: TruncatedNormal(0.0, 1.0, 1.0, 1.0), r"lower bound 1.0 is not below upper bound 1.0"),
-        (lambda: TruncatedNormal(0.0, 1.0, 2.0, 1.0), r"lower bound 2.0 is not below upper bound 1.0"),
+        (
+            lambda: TruncatedNormal(0.0, 1.0, 1.0, 1.0),
+            r"lower bound 1.0 is not below upper bound 1.0",
+        ),
+        (
+            lambda: TruncatedNormal(0.0, 1.0, 2.0, 1.0),
+            r"lower bound 2.0 is not below upper bound 1.0",
+        ),
         (lambda: TruncatedNormal(0.0, 1.0, math.nan), r"lower bound nan is not below"),
-        (lambda: TruncatedNormal(-10.0, 1.0, 0.0), r"has no mass between 0.0 and inf; move the mean towards the bounds"),
+        (
+            lambda: TruncatedNormal(-10.0, 1.0, 0.0),
+            r"has no mass between 0.0 and inf; move the mean towards the bounds",
+        ),
         (lambda: LogNormal(0.0, 2.0), r"LogNormal.median is 0.0; it must be positive"),
         (lambda: LogNormal(math.nan, 2.0), r"LogNormal.median is nan"),
         (lambda: LogNormal(1.0, 1.0), r"a spread needs a factor above 1"),
@@ -246,13 +293,27 @@ def test_that_the_input_is_not_changed_and_any_shape_goes_through(case: Case) ->
             lambda: marginal_from_dict({"kind": "Gamma"}),
             r"Unknown prior kind 'Gamma'; known are TruncatedNormal, LogNormal, Quantile",
         ),
-        (lambda: Quantile("poisson", {"mu": 1.0}), r"scipy.stats has no continuous distribution named 'poisson'"),
-        (lambda: Quantile("gamma", {"scale": 1.0}), r"scipy.stats.gamma with \{'scale': 1.0\}: .*'a'"),
-        (lambda: Quantile("gamma", {"a": -1.0}), r"scipy.stats.gamma has no median with \{'a': -1.0\}"),
-        (lambda: marginal_from_dict({"mean": 1.0}), r"Unknown prior kind None"),
-        (lambda: marginal_from_dict({"kind": "LogNormal", "median": 1.0}), r"Prior of the kind LogNormal: .*factor"),
         (
-            lambda: marginal_from_dict({"kind": "LogNormal", "median": 1.0, "factor": 2.0, "mode": 3.0}),
+            lambda: Quantile("poisson", {"mu": 1.0}),
+            r"scipy.stats has no continuous distribution named 'poisson'",
+        ),
+        (
+            lambda: Quantile("gamma", {"scale": 1.0}),
+            r"scipy.stats.gamma with \{'scale': 1.0\}: .*'a'",
+        ),
+        (
+            lambda: Quantile("gamma", {"a": -1.0}),
+            r"scipy.stats.gamma has no median with \{'a': -1.0\}",
+        ),
+        (lambda: marginal_from_dict({"mean": 1.0}), r"Unknown prior kind None"),
+        (
+            lambda: marginal_from_dict({"kind": "LogNormal", "median": 1.0}),
+            r"Prior of the kind LogNormal: .*factor",
+        ),
+        (
+            lambda: marginal_from_dict(
+                {"kind": "LogNormal", "median": 1.0, "factor": 2.0, "mode": 3.0}
+            ),
             r"Prior of the kind LogNormal: .*mode",
         ),
     ],

@@ -1,4 +1,7 @@
-"""Water against tabulated values, and named media: what a source states, moved with temperature as water is."""
+"""Water against tabulated values, and named media:
+
+what a source states, moved with temperature as water is.
+"""
 
 import pytest
 
@@ -18,12 +21,16 @@ from imr_torch.material.media import NAMED, OF_WATER, ROOM, named_medium
         ("surface_tension", 333.15, 66.24e-3, 2e-5),
     ],
 )
-def test_that_water_is_as_in_the_tables(field: str, temperature: float, value: float, error: float) -> None:
+def test_that_water_is_as_in_the_tables(
+    field: str, temperature: float, value: float, error: float
+) -> None:
     assert OF_WATER[field](temperature) == pytest.approx(value, abs=error)
 
 
 @pytest.mark.parametrize("name", NAMED)
-def test_that_a_named_medium_is_its_source_at_its_temperature_and_follows_water_elsewhere(name: str) -> None:
+def test_that_a_named_medium_is_its_source_at_its_temperature_and_follows_water_elsewhere(
+    name: str,
+) -> None:
     medium = named_medium(name)
     assert medium.source
     assert medium.at(medium.temperature) == pytest.approx(dict(medium.values))

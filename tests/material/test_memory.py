@@ -1,7 +1,8 @@
 """Models with memory against the constitutive equations they stand for, integrated shell by shell.
 
-The gel round the bubble is cut into shells; the stress of each follows its own ordinary differential equation, and the
-stress integral is their sum. The toolkit carries one or two states instead.
+The gel round the bubble is cut into shells; the stress of each follows its own ordinary
+differential equation, and the stress integral is their sum. The toolkit carries one or two states
+instead.
 """
 
 import math
@@ -28,12 +29,17 @@ def collapse(t: float) -> tuple[float, float, float]:
 
 def growth(t: float) -> tuple[float, float, float]:
     """A radius that only grows, so that points fixed in space beyond its end have always been in the gel."""
-    return 0.4 + 0.2 * t - 0.02 * math.cos(4.0 * t), 0.2 + 0.08 * math.sin(4.0 * t), 0.32 * math.cos(4.0 * t)
+    return (
+        0.4 + 0.2 * t - 0.02 * math.cos(4.0 * t),
+        0.2 + 0.08 * math.sin(4.0 * t),
+        0.32 * math.cos(4.0 * t),
+    )
 
 
 def toolkit(model: Material, values: dict[str, float], motion) -> float:
     """The stress integral at ``LAST`` after the memory has been integrated along a motion from a relaxed start."""
-    theta, rest = tensors(values), torch.tensor(REST, dtype=torch.float64)
+    theta = tensors(values)
+    rest = torch.tensor(REST, dtype=torch.float64)
 
     def at(t: float, memory: np.ndarray):
         radius, velocity, _ = (torch.tensor(x, dtype=torch.float64) for x in motion(t))
@@ -41,7 +47,12 @@ def toolkit(model: Material, values: dict[str, float], motion) -> float:
 
     start = memory_start(model.terms, rest[None], theta)[:, 0].numpy()
     solution = solve_ivp(
-        lambda t, m: memory_rate(model.terms, *at(t, m)).numpy(), (0.0, LAST), start, method="LSODA", rtol=1e-11, atol=1e-13
+        lambda t, m: memory_rate(model.terms, *at(t, m)).numpy(),
+        (0.0, LAST),
+        start,
+        method="LSODA",
+        rtol=1e-11,
+        atol=1e-13,
     )
     return float(model.stress(*at(LAST, solution.y[:, -1])).value)
 
@@ -61,8 +72,13 @@ def shells(rate, count: int, rtol: float = 1e-10) -> np.ndarray:
 
 @pytest.mark.parametrize("retardation", [0.0, 0.3])
 @pytest.mark.parametrize("tau", [0.05, 0.5, 5.0])
-def test_that_the_maxwell_branch_is_the_linear_maxwell_law_at_every_point_of_the_gel(tau: float, retardation: float) -> None:
-    """``tau d(tau_rr)/dt + tau_rr = -4 mu (1-s) R^2 U/r^3`` at points fixed in space; ``tau_tt = -tau_rr/2``."""
+def test_that_the_maxwell_branch_is_the_linear_maxwell_law_at_every_point_of_the_gel(
+    tau: float, retardation: float
+) -> None:
+    """``tau d(tau_rr)/dt + tau_rr = -4 mu (1-s) R^2 U/r^3`` at points fixed in space;
+
+    ``tau_tt = -tau_rr/2``.
+    """
     mu, (end, speed, _) = 0.05, growth(LAST)
     places = end * X ** (-1.0 / 3.0)
 
@@ -79,7 +95,9 @@ def test_that_the_maxwell_branch_is_the_linear_maxwell_law_at_every_point_of_the
 
 @pytest.mark.parametrize("retardation", [0.0, 0.3])
 @pytest.mark.parametrize("tau", [0.05, 0.5, 5.0])
-def test_that_two_states_carry_the_upper_convected_law_of_every_shell(tau: float, retardation: float) -> None:
+def test_that_two_states_carry_the_upper_convected_law_of_every_shell(
+    tau: float, retardation: float
+) -> None:
     """In the frame of the shells, which keep ``h = r^3 - R^3``: the velocity gradient is ``-2 R^2 U/r^3`` along ``r`` and
     ``R^2 U/r^3`` around, so ``tau (D tau_rr + 4 R^2 U/r^3 tau_rr) + tau_rr = -4 mu R^2 U/r^3`` and
     ``tau (D tau_tt - 2 R^2 U/r^3 tau_tt) + tau_tt = 2 mu R^2 U/r^3``.
@@ -92,7 +110,9 @@ def test_that_two_states_carry_the_upper_convected_law_of_every_shell(tau: float
         strain = radius**2 * velocity / (cubes + radius**3)
         drive = 2.0 * mu * (1.0 - retardation) * strain / tau
         radial, hoop = stress
-        return -(1.0 / tau + 4.0 * strain) * radial - 2.0 * drive, -(1.0 / tau - 2.0 * strain) * hoop + drive
+        return -(1.0 / tau + 4.0 * strain) * radial - 2.0 * drive, -(
+            1.0 / tau - 2.0 * strain
+        ) * hoop + drive
 
     radial, hoop = shells(rate, 2)
     expected = 2.0 * np.sum(W * (radial - hoop) / (3.0 * X)) - 4.0 * mu * retardation * speed / end
@@ -114,7 +134,8 @@ def test_that_a_standard_solid_obeys_its_published_equation(key: str, law) -> No
     """``De (S' + f(l) U/R) + S = S_e(l) - 4 U/(Re R)`` of the whole stress, with no trace of ``U'`` in ``S'``."""
     model = material(key)
     values = values_of(model)
-    theta, relaxation = tensors(values), values["tau_" + key]
+    theta = tensors(values)
+    relaxation = values["tau_" + key]
     for radius, velocity, held in ((0.9, -0.7, 0.1), (0.11, 5.0, -0.4), (0.4, 0.0, 0.02)):
         point = [torch.tensor(x, dtype=torch.float64) for x in (radius, velocity, REST)]
         stress = model.stress(*point, theta, torch.tensor([held], dtype=torch.float64))
@@ -145,5 +166,7 @@ def test_that_memory_forgets_a_step_at_its_relaxation_time(key: str) -> None:
     rest = torch.tensor(REST, dtype=torch.float64)
     relaxed = memory_start(model.terms, (rest / radius)[None], theta)[:, 0]
     rates = memory_rate(model.terms, radius, still, rest, theta, relaxed + 0.1)
-    torch.testing.assert_close(rates, torch.full_like(rates, -0.1 / values[name]), rtol=1e-12, atol=1e-14)
+    torch.testing.assert_close(
+        rates, torch.full_like(rates, -0.1 / values[name]), rtol=1e-12, atol=1e-14
+    )
     assert float(model.terms[-1].relaxation_rate(theta)) == pytest.approx(1.0 / values[name])  # type: ignore[arg-type]

@@ -1,4 +1,7 @@
-"""What every registered model must do, whatever it stands for: calculus, neutral values, mixing, its entry in the registry."""
+"""What every registered model must do, whatever it stands for:
+
+calculus, neutral values, mixing, its entry in the registry.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -22,7 +25,17 @@ from imr_torch.material import (
     register_term,
     stress_integral,
 )
-from tests.material.gels import REST, STATES, VALUES, evaluate, has_memory, memory_of, tensors, values_for, values_of
+from tests.material.gels import (
+    REST,
+    STATES,
+    VALUES,
+    evaluate,
+    has_memory,
+    memory_of,
+    tensors,
+    values_for,
+    values_of,
+)
 
 MODELS = pytest.mark.parametrize("model", MATERIALS.values(), ids=MATERIALS.keys())
 ENTRIES = ("value", "rate", "acceleration")
@@ -37,10 +50,15 @@ def test_that_every_parameter_of_a_term_has_a_test_value_that_is_not_neutral() -
 
 @MODELS
 def test_that_rate_and_acceleration_make_the_time_derivative_of_the_stress(model: Material) -> None:
-    """Along ``R = .7 + .5 cos 3t``, against autograd through the stress integral; memory leaves its state at its own rate."""
-    theta, rest = tensors(values_of(model)), torch.tensor(REST, dtype=torch.float64)
+    """Along ``R = .7 + .5 cos 3t``, against autograd through the stress integral;
+
+    memory leaves its state at its own rate.
+    """
+    theta = tensors(values_of(model))
+    rest = torch.tensor(REST, dtype=torch.float64)
     t = torch.linspace(0.0, 2.0, 41, dtype=torch.float64, requires_grad=True)
-    radius, velocity = 0.7 + 0.5 * torch.cos(3.0 * t), -1.5 * torch.sin(3.0 * t)
+    radius = 0.7 + 0.5 * torch.cos(3.0 * t)
+    velocity = -1.5 * torch.sin(3.0 * t)
     memory = memory_of(model.terms, 41)
     rates = memory_rate(model.terms, radius, velocity, rest, theta, memory).detach()
     stress = model.stress(radius, velocity, rest, theta, memory + rates * (t - t.detach()))
@@ -50,10 +68,16 @@ def test_that_rate_and_acceleration_make_the_time_derivative_of_the_stress(model
 
 
 @MODELS
-def test_that_the_acceleration_factor_is_the_slope_of_the_stress_over_the_velocity(model: Material) -> None:
+def test_that_the_acceleration_factor_is_the_slope_of_the_stress_over_the_velocity(
+    model: Material,
+) -> None:
     velocity = torch.tensor(-2.0, dtype=torch.float64, requires_grad=True)
     stress = evaluate(model, 0.3, velocity, values_of(model))
-    slope = torch.autograd.grad(stress.value, velocity)[0] if stress.value.requires_grad else torch.zeros(())
+    slope = (
+        torch.autograd.grad(stress.value, velocity)[0]
+        if stress.value.requires_grad
+        else torch.zeros(())
+    )
     assert float(stress.acceleration.detach()) == pytest.approx(float(slope), abs=1e-14)
 
 
@@ -65,26 +89,34 @@ def test_that_a_gel_at_rest_has_no_stress(model: Material) -> None:
 
 
 def relaxed(model: Material, radius: float) -> torch.Tensor:
-    """Memory of a gel that has long been held at a radius: its start at ``R = 1`` for the same stretch."""
+    """Memory of a gel that has long been held at a radius:
+
+    its start at ``R = 1`` for the same stretch.
+    """
     held = torch.tensor([REST / radius], dtype=torch.float64)
     return memory_start(model.terms, held, tensors(values_of(model)))[:, 0]
 
 
 @MODELS
 @pytest.mark.parametrize("radius", [0.1, 0.2, 0.3, 0.9])
-def test_that_held_memory_neither_changes_nor_forgets_which_way_to_push(model: Material, radius: float) -> None:
+def test_that_held_memory_neither_changes_nor_forgets_which_way_to_push(
+    model: Material, radius: float
+) -> None:
     memory = relaxed(model, radius)
     stress = evaluate(model, radius, 0.0, values_of(model), memory)
     assert abs(float(stress.rate)) < 1e-15
     elastic = {"G", "G_lin"} & set(model.names)
-    assert float(stress.value) * (radius - REST) < 0.0 if elastic else abs(float(stress.value)) < 1e-15
+    assert (
+        float(stress.value) * (radius - REST) < 0.0 if elastic else abs(float(stress.value)) < 1e-15
+    )
 
 
 @MODELS
 @pytest.mark.parametrize("velocity", [-2.0, 2.0])
 def test_that_viscous_stress_opposes_the_motion(model: Material, velocity: float) -> None:
     """At once, or as the memory of a Maxwell branch builds up."""
-    theta, point = tensors(values_of(model)), [torch.tensor(x, dtype=torch.float64) for x in (REST, velocity, REST)]
+    theta = tensors(values_of(model))
+    point = [torch.tensor(x, dtype=torch.float64) for x in (REST, velocity, REST)]
     memory = 0.0 * memory_of(model.terms)
     value = float(model.stress(*point, theta, memory).value)
     growth = float(memory_rate(model.terms, *point, theta, memory).sum())
@@ -97,7 +129,9 @@ def test_that_viscous_stress_opposes_the_motion(model: Material, velocity: float
 
 @MODELS
 @pytest.mark.parametrize(("radius", "velocity"), STATES)
-def test_that_neutral_parameters_do_nothing_exactly(model: Material, radius: float, velocity: float) -> None:
+def test_that_neutral_parameters_do_nothing_exactly(
+    model: Material, radius: float, velocity: float
+) -> None:
     """Whatever the memory holds, which in a mixed batch is another member's business."""
     stress = evaluate(model, radius, velocity, {})
     assert float(stress.value) == float(stress.rate) == float(stress.acceleration) == 0.0
@@ -105,17 +139,21 @@ def test_that_neutral_parameters_do_nothing_exactly(model: Material, radius: flo
 
 @MODELS
 @pytest.mark.parametrize(("radius", "velocity"), STATES)
-def test_that_a_model_inside_the_full_set_of_terms_is_the_model_alone(model: Material, radius: float, velocity: float) -> None:
+def test_that_a_model_inside_the_full_set_of_terms_is_the_model_alone(
+    model: Material, radius: float, velocity: float
+) -> None:
     theta = tensors(values_of(model))
     point = [torch.tensor(x, dtype=torch.float64) for x in (radius, velocity, REST)]
     own = set(model.terms)
-    rows, start = [], 0
+    rows = []
+    start = 0
     for term in TERMS:
         rows += list(range(start, start + term.states)) if term in own else []
         start += term.states
     memory = 0.0 * memory_of(TERMS)  # where members of other models start, and stay
     memory[rows] = memory_of(model.terms)
-    alone, among_all = model.stress(*point, theta, memory[rows]), stress_integral(TERMS, *point, theta, memory)
+    alone = model.stress(*point, theta, memory[rows])
+    among_all = stress_integral(TERMS, *point, theta, memory)
     for name in ENTRIES:
         assert float(getattr(alone, name)) == float(getattr(among_all, name))
     rates = memory_rate(TERMS, *point, theta, memory)
@@ -133,9 +171,13 @@ def test_that_a_batch_of_mixed_models_equals_its_members_alone() -> None:
     memory = torch.zeros(sum(t.states for t in terms), len(models), dtype=torch.float64)
     mixed = stress_integral(terms, radius, velocity, torch.full_like(radius, REST), theta, memory)
     for i, model in enumerate(models):
-        alone = evaluate(model, radius[i], velocity[i], values_of(model), 0.0 * memory_of(model.terms))
+        alone = evaluate(
+            model, radius[i], velocity[i], values_of(model), 0.0 * memory_of(model.terms)
+        )
         for name in ENTRIES:
-            assert float(getattr(mixed, name)[i]) == pytest.approx(float(getattr(alone, name)), rel=1e-13, abs=1e-15)
+            assert float(getattr(mixed, name)[i]) == pytest.approx(
+                float(getattr(alone, name)), rel=1e-13, abs=1e-15
+            )
 
 
 @pytest.mark.parametrize("name", list(VALUES))
@@ -152,7 +194,8 @@ def test_that_a_term_is_switched_off_by_its_switch_alone(term) -> None:
     point = [torch.tensor(x, dtype=torch.float64) for x in (0.4, -1.0, REST)]
     states = (memory_of([term]),) if term.states else ()
     assert term.switch in term.names
-    on, off = tensors(values_for(term)), tensors(values_for(term) | {term.switch: PARAMETERS[term.switch].neutral})
+    on = tensors(values_for(term))
+    off = tensors(values_for(term) | {term.switch: PARAMETERS[term.switch].neutral})
     assert float(term(*point, on, *states).value) != 0.0
     if term.states:  # a member without it starts without memory, which then stays away
         still = 0.0 * states[0]
@@ -168,7 +211,8 @@ def test_that_names_are_those_that_stress_and_memory_depend_on(model: Material) 
     point = [torch.tensor(x, dtype=torch.float64) for x in (0.4, -1.0, REST)]
 
     def response(values: dict[str, float]) -> list[float]:
-        memory, theta = memory_of(model.terms), tensors(values)
+        memory = memory_of(model.terms)
+        theta = tensors(values)
         stress = model.stress(*point, theta, memory)
         rates = memory_rate(model.terms, *point, theta, memory).tolist()
         return [float(getattr(stress, name)) for name in ENTRIES] + rates
@@ -200,7 +244,9 @@ def test_that_a_model_extended_by_name_has_that_parameter_too() -> None:
     assert extended.names == material("gen_qkv").names
     assert extended.free == ("G", "mu", "alpha")
     one, other = (evaluate(m, 0.6, -1.0, VALUES) for m in (extended, material("gen_qkv")))
-    assert [float(getattr(one, name)) for name in ENTRIES] == [float(getattr(other, name)) for name in ENTRIES]
+    assert [float(getattr(one, name)) for name in ENTRIES] == [
+        float(getattr(other, name)) for name in ENTRIES
+    ]
 
 
 def test_that_a_term_is_registered_once() -> None:
@@ -226,14 +272,23 @@ def forgets_the_velocity(radius, rest_radius, G):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: material("hooke"), r"Unknown model 'hooke'; known are newtonian, nhe, nhkv, qkv, gen_qkv"),
+        (
+            lambda: material("hooke"),
+            r"Unknown model 'hooke'; known are newtonian, nhe, nhkv, qkv, gen_qkv",
+        ),
         (lambda: material("nhkv+wool"), r"Unknown parameter 'wool'"),
         (lambda: material("nhkv+G"), r"names 'G' twice, or 'nhkv' has it already"),
         (lambda: materials(["nhkv", "x"]), r"Unknown model 'x'"),
         (lambda: register(material("nhkv")), r"A material of the key 'nhkv' is registered already"),
-        (lambda: register_term(StressTerm(reads_unknown, switch="G")), r"Unknown parameter 'unheard_of'"),
+        (
+            lambda: register_term(StressTerm(reads_unknown, switch="G")),
+            r"Unknown parameter 'unheard_of'",
+        ),
         (lambda: register_term(replace(TERMS[0], switch="wool")), r"Unknown parameter 'wool'"),
-        (lambda: StressTerm(forgets_the_velocity, switch="G"), r"takes radius, velocity, rest_radius, its 0 memory states"),
+        (
+            lambda: StressTerm(forgets_the_velocity, switch="G"),
+            r"takes radius, velocity, rest_radius, its 0 memory states",
+        ),
     ],
 )
 def test_that_bad_input_is_named(call: Callable[[], object], message: str) -> None:

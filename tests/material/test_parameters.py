@@ -13,9 +13,13 @@ from imr_torch.units import Surroundings
 def test_that_parameters_are_made_dimensionless_by_the_published_numbers() -> None:
     s = Surroundings()
     max_radius = torch.tensor([2e-4, 5e-4], dtype=torch.float64)
-    theta = dimensionless(PARAMETERS.pack({"G": 2770.0, "mu": 0.186, "alpha": 0.48, "tau": 3e-6}), max_radius, s)
+    theta = dimensionless(
+        PARAMETERS.pack({"G": 2770.0, "mu": 0.186, "alpha": 0.48, "tau": 3e-6}), max_radius, s
+    )
     speed = (101325.0 / 1060.0) ** 0.5
-    torch.testing.assert_close(theta["G"].expand(2), torch.full((2,), 2770.0 / 101325.0, dtype=torch.float64))
+    torch.testing.assert_close(
+        theta["G"].expand(2), torch.full((2,), 2770.0 / 101325.0, dtype=torch.float64)
+    )
     torch.testing.assert_close(theta["mu"], 0.186 * speed / (101325.0 * max_radius))
     torch.testing.assert_close(theta["tau"], 3e-6 * speed / max_radius)
     assert float(theta["alpha"]) == pytest.approx(0.48)
@@ -39,7 +43,9 @@ def test_that_bounds_are_inclusive_and_what_lies_beyond_is_named(name: str) -> N
     for bound, beyond in ((entry.lower, entry.lower - 1.0), (entry.upper, entry.upper + 1.0)):
         assert float(PARAMETERS.pack({name: bound})[PARAMETERS.index([name])[0]]) == bound
         for bad in (beyond, float("nan")):
-            with pytest.raises(InputDataError, match=rf"Parameter '{name}' is .*Parameters are given in SI units\."):
+            with pytest.raises(
+                InputDataError, match=rf"Parameter '{name}' is .*Parameters are given in SI units\."
+            ):
                 PARAMETERS.pack({name: torch.tensor([bound, bad], dtype=torch.float64)})
 
 
@@ -73,8 +79,14 @@ def test_that_registering_the_same_parameter_twice_changes_nothing() -> None:
             lambda: PARAMETERS.register(Parameter("G", "another", "Pa", "pressure", 0.0, 1.0, 0.0)),
             r"Parameter 'G' is registered already with another definition",
         ),
-        (lambda: Parameter("x", "x", "1", "none", 1.0, 2.0, 0.0), r"neutral value 0.0 lies outside its bounds \[1.0, 2.0\]"),
-        (lambda: Surroundings(density=-1.0), r"Surroundings.density is -1.0; it must be a positive finite number"),
+        (
+            lambda: Parameter("x", "x", "1", "none", 1.0, 2.0, 0.0),
+            r"neutral value 0.0 lies outside its bounds \[1.0, 2.0\]",
+        ),
+        (
+            lambda: Surroundings(density=-1.0),
+            r"Surroundings.density is -1.0; it must be a positive finite number",
+        ),
         (lambda: Surroundings(sound_speed=float("inf")), r"Surroundings.sound_speed is inf"),
         (lambda: Surroundings(temperature=float("nan")), r"Surroundings.temperature is nan"),
     ],

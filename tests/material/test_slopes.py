@@ -30,8 +30,13 @@ HELD = torch.tensor([[0.4, -2.0], [1.1, 0.3]], dtype=torch.float64)
 
 
 def rows_of(term: StressTerm, theta=None, rest=POINT[2]):
-    """A function of radius, velocity and each memory state: value, rate and acceleration, and the rates of memory."""
-    theta = theta or {name: THETA[name] * float(value != 0.0) for name, value in values_for(term).items()}
+    """A function of radius, velocity and each memory state:
+
+    value, rate and acceleration, and the rates of memory.
+    """
+    theta = theta or {
+        name: THETA[name] * float(value != 0.0) for name, value in values_for(term).items()
+    }
 
     def rows(radius, velocity, *memory):
         held = torch.stack(memory) if memory else None
@@ -48,7 +53,9 @@ def point_of(term: StressTerm):
 @EVERY
 def test_slopes_of_every_term_match_automatic_differentiation(term):
     assert term.compilable
-    ours, automatic = (derivatives(rows_of(term), point_of(term), analytic=analytic) for analytic in (True, False))
+    ours, automatic = (
+        derivatives(rows_of(term), point_of(term), analytic=analytic) for analytic in (True, False)
+    )
     assert ours.shape == (2 + term.states, 3 + term.states, 2)
     assert_close(ours, automatic, rtol=1e-12, atol=1e-13)
     assert float(ours.abs().amax()) > 0.0
@@ -57,12 +64,20 @@ def test_slopes_of_every_term_match_automatic_differentiation(term):
 @EVERY
 @pytest.mark.parametrize(("radius", "velocity"), STATES)
 def test_so_they_do_at_rest_and_where_other_members_have_the_term(term, radius, velocity):
-    """Where laws change their form: no velocity, no strain; and a member that is switched off beside one that is not."""
-    on, off = tensors(values_for(term)), tensors(values_for(term) | {term.switch: 0.0})
+    """Where laws change their form:
+
+    no velocity, no strain; and a member that is switched off beside one that is not.
+    """
+    on = tensors(values_for(term))
+    off = tensors(values_for(term) | {term.switch: 0.0})
     theta = {name: torch.stack((on[name], off[name])) for name in on}
     rest = torch.full((2,), REST, dtype=torch.float64)
-    point = [torch.full_like(rest, x) for x in (radius, velocity)] + list(memory_of([term], 2).contiguous())
-    ours, automatic = (derivatives(rows_of(term, theta, rest), tuple(point), analytic=a) for a in (True, False))
+    point = [torch.full_like(rest, x) for x in (radius, velocity)] + list(
+        memory_of([term], 2).contiguous()
+    )
+    ours, automatic = (
+        derivatives(rows_of(term, theta, rest), tuple(point), analytic=a) for a in (True, False)
+    )
     assert bool(torch.isfinite(ours).all())
     assert_close(ours, automatic, rtol=1e-11, atol=1e-13)
 
@@ -70,7 +85,9 @@ def test_so_they_do_at_rest_and_where_other_members_have_the_term(term, radius, 
 @EVERY
 def test_the_rate_of_every_term_is_the_chain_rule_of_its_value_through_its_memory(term):
     value, rate, acceleration, *changes = rows_of(term)(*point_of(term))
-    by_radius, by_velocity, *by_memory = derivatives(rows_of(term), point_of(term), analytic=True)[:, 0]
+    by_radius, by_velocity, *by_memory = derivatives(rows_of(term), point_of(term), analytic=True)[
+        :, 0
+    ]
     through = by_radius * POINT[1]
     for slope, change in zip(by_memory, changes, strict=True):
         through = through + slope * change
@@ -81,7 +98,8 @@ def test_the_rate_of_every_term_is_the_chain_rule_of_its_value_through_its_memor
 
 def test_slopes_in_memory_match_finite_differences_with_several_terms_at_once():
     memory = torch.tensor(
-        [[0.4, -2.0], [1.1, 0.3], [0.2, 0.6], [-0.3, 0.9], [0.8, -0.1], [0.3, 0.7], [0.5, 0.1]], dtype=torch.float64
+        [[0.4, -2.0], [1.1, 0.3], [0.2, 0.6], [-0.3, 0.9], [0.8, -0.1], [0.3, 0.7], [0.5, 0.1]],
+        dtype=torch.float64,
     )
 
     def rates(*moved):
@@ -100,7 +118,11 @@ def tanh_drag(radius, velocity, rest_radius, mu):
     """Written with a function that only tensors have: ``-4 mu tanh(U)/R``."""
     factor = -4.0 * mu / radius
     direction = torch.tanh(velocity)
-    return factor * direction, -factor * direction * velocity / radius, factor * (1.0 - direction * direction)
+    return (
+        factor * direction,
+        -factor * direction * velocity / radius,
+        factor * (1.0 - direction * direction),
+    )
 
 
 def test_a_term_that_only_tensors_can_evaluate_is_differentiated_automatically():
@@ -115,7 +137,9 @@ def test_a_term_that_only_tensors_can_evaluate_is_differentiated_automatically()
 # ---------------------------------------------------------------- compiled
 
 
-def arguments_at(term: StressTerm, radius: float, velocity: float, values: dict[str, float]) -> list[float]:
+def arguments_at(
+    term: StressTerm, radius: float, velocity: float, values: dict[str, float]
+) -> list[float]:
     memory = np.linspace(-0.03, 0.05, term.states).tolist()
     return [radius, velocity, REST, *memory, *(values[name] for name in term.names)]
 
@@ -142,8 +166,12 @@ def test_the_compiled_start_and_fastest_rate_of_every_term_are_its_own(term):
 
 @EVERY
 def test_a_wrong_sign_anywhere_in_a_compiled_law_would_be_noticed(term):
-    """In any result that is not zero, and in any slope: the comparison above is not an empty one."""
-    law, moving = compiled(term.law), [0, 1, *range(3, 3 + term.states)]
+    """In any result that is not zero, and in any slope:
+
+    the comparison above is not an empty one.
+    """
+    law = compiled(term.law)
+    moving = [0, 1, *range(3, 3 + term.states)]
     arguments = arguments_at(term, *STATES[1], values_for(term))
     values = assert_alike(term.law, arguments, moving)
     assert float(values[0]) != 0.0

@@ -1,8 +1,9 @@
 """Stress integrals without memory against quadrature of what they stand for.
 
-A spherical bubble in an incompressible medium carries the point at ``r0`` to ``r`` with ``r^3 - R^3 = r0^3 - R_inf^3``,
-so the hoop stretch is ``l = r/r0`` and ``I_1 = 2 l^2 + l^-4``. A strain energy ``W(I_1)`` gives
-``tau_rr - tau_tt = 2 W' (l^-4 - l^2)``; a viscosity ``mu`` adds ``-6 mu R^2 U/r^3`` at the shear rate ``2 sqrt(3) R^2 |U|/r^3``.
+A spherical bubble in an incompressible medium carries the point at ``r0`` to ``r`` with ``r^3 - R^3
+= r0^3 - R_inf^3``, so the hoop stretch is ``l = r/r0`` and ``I_1 = 2 l^2 + l^-4``. A strain energy
+``W(I_1)`` gives ``tau_rr - tau_tt = 2 W' (l^-4 - l^2)``; a viscosity ``mu`` adds ``-6 mu R^2
+U/r^3`` at the shear rate ``2 sqrt(3) R^2 |U|/r^3``.
 """
 
 import math
@@ -30,11 +31,18 @@ def modulus(excess: float, v: Values) -> float:
 
 def viscosity(shear: float, v: Values) -> float:
     """Carreau (1972), Newtonian without thinning."""
-    return v.get("mu", 0.0) * (1.0 + (v.get("shear_time", 0.0) * shear) ** 2) ** (-0.5 * v.get("thinning", 0.0))
+    return v.get("mu", 0.0) * (1.0 + (v.get("shear_time", 0.0) * shear) ** 2) ** (
+        -0.5 * v.get("thinning", 0.0)
+    )
 
 
 def quadrature(
-    radius: float, velocity: float, values: Values, *, stiffness: Law = modulus, viscosity: Law = viscosity
+    radius: float,
+    velocity: float,
+    values: Values,
+    *,
+    stiffness: Law = modulus,
+    viscosity: Law = viscosity,
 ) -> float:
     """``2 int_R^inf (tau_rr - tau_tt)/r dr`` by adaptive quadrature over ``s = R/r``."""
 
@@ -43,18 +51,26 @@ def quadrature(
         excess = 2.0 * squared + squared**-2 - 3.0
         elastic = stiffness(excess, values) * (squared**-2 - squared)
         shear = 2.0 * math.sqrt(3.0) * abs(velocity) / radius * s**3
-        small = -2.0 * values.get("G_lin", 0.0) * s**3 * (1.0 - (REST / radius) ** 3)  # 2 G (e_rr - e_tt)
-        return 2.0 * (elastic + small - 6.0 * viscosity(shear, values) * velocity * s**3 / radius) / s
+        small = (
+            -2.0 * values.get("G_lin", 0.0) * s**3 * (1.0 - (REST / radius) ** 3)
+        )  # 2 G (e_rr - e_tt)
+        return (
+            2.0 * (elastic + small - 6.0 * viscosity(shear, values) * velocity * s**3 / radius) / s
+        )
 
     return quad(integrand, 0.0, 1.0, epsabs=1e-13, epsrel=1e-12, limit=400)[0]
 
 
 @pytest.mark.parametrize("model", WITHOUT_MEMORY.values(), ids=WITHOUT_MEMORY.keys())
 @pytest.mark.parametrize(("radius", "velocity"), STATES)
-def test_that_the_stress_integral_is_the_quadrature_over_the_gel(model: Material, radius: float, velocity: float) -> None:
+def test_that_the_stress_integral_is_the_quadrature_over_the_gel(
+    model: Material, radius: float, velocity: float
+) -> None:
     values = values_of(model)
     expected = quadrature(radius, velocity, values)
-    assert float(evaluate(model, radius, velocity, values).value) == pytest.approx(expected, rel=1e-9, abs=1e-10)
+    assert float(evaluate(model, radius, velocity, values).value) == pytest.approx(
+        expected, rel=1e-9, abs=1e-10
+    )
 
 
 @pytest.mark.parametrize("half", [0.5, 1.0])
@@ -66,7 +82,9 @@ def test_that_qkv_is_half_the_square_of_the_first_invariant(half: float) -> None
 
     values = values_of(material("qkv"))
     expected = quadrature(0.9, 0.0, values, stiffness=stiffness)
-    agrees = float(evaluate(material("qkv"), 0.9, 0.0, values).value) == pytest.approx(expected, rel=1e-6)
+    agrees = float(evaluate(material("qkv"), 0.9, 0.0, values).value) == pytest.approx(
+        expected, rel=1e-6
+    )
     assert agrees == (half == 0.5)
 
 
@@ -74,21 +92,32 @@ def test_that_the_stiffening_polynomial_is_177_20_and_no_decimal_of_it() -> None
     l = 4.1  # noqa: E741
     formula = 177 / 20 + 1 / (4 * l**8) + 2 / (5 * l**5) - 3 / (2 * l**4) + 2 / l**2 - 6 / l - 4 * l
     values = {"G": 1.0, "alpha": 1.0}
-    stiff = evaluate(material("qkv"), l * REST, 0.0, values).value - evaluate(material("nhe"), l * REST, 0.0, values).value
+    stiff = (
+        evaluate(material("qkv"), l * REST, 0.0, values).value
+        - evaluate(material("nhe"), l * REST, 0.0, values).value
+    )
     assert float(stiff) == pytest.approx(formula, rel=1e-13)
 
 
 @pytest.mark.parametrize(("stretch", "alpha", "tolerance"), [(0.15, 0.01, 1e-10), (8.0, 0.3, 1e-8)])
-def test_that_exponential_stiffening_is_integrated_where_it_is_extreme(stretch: float, alpha: float, tolerance: float) -> None:
+def test_that_exponential_stiffening_is_integrated_where_it_is_extreme(
+    stretch: float, alpha: float, tolerance: float
+) -> None:
     """Exponents up to 20 and 40: what lies near the wall decides."""
     values = {"G": 1.0, "alpha_fung": alpha}
     expected = quadrature(stretch * REST, 0.0, values)
-    assert float(evaluate(material("fungexp"), stretch * REST, 0.0, values).value) == pytest.approx(expected, rel=tolerance)
+    assert float(evaluate(material("fungexp"), stretch * REST, 0.0, values).value) == pytest.approx(
+        expected, rel=tolerance
+    )
 
 
 @pytest.mark.parametrize("thinning", [0.05, 0.5, 1.0])
 @pytest.mark.parametrize("reduced", [1e-3, 1.0, 30.0, 1e4])
-def test_that_thinning_is_integrated_over_five_decades_of_shear_rate(thinning: float, reduced: float) -> None:
+def test_that_thinning_is_integrated_over_five_decades_of_shear_rate(
+    thinning: float, reduced: float
+) -> None:
     values = {"mu": 1.0, "thinning": thinning, "shear_time": reduced / (2.0 * math.sqrt(3.0))}
     expected = quadrature(1.0, 1.0, values)
-    assert float(evaluate(material("carreau"), 1.0, 1.0, values).value) == pytest.approx(expected, abs=1e-11)
+    assert float(evaluate(material("carreau"), 1.0, 1.0, values).value) == pytest.approx(
+        expected, abs=1e-11
+    )

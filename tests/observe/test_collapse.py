@@ -1,4 +1,7 @@
-"""Collapse times as data: the time of the minimum, its likelihood, coverage of what is inferred, files, and their refusal."""
+"""Collapse times as data:
+
+the time of the minimum, its likelihood, coverage of what is inferred, files, and their refusal.
+"""
 
 import math
 from pathlib import Path
@@ -23,7 +26,12 @@ from imr_torch.observe import (
     load_traces,
     predict,
 )
-from imr_torch.observe.collapse import first_minimum, predict_collapse, scatter_of, serial_correlation
+from imr_torch.observe.collapse import (
+    first_minimum,
+    predict_collapse,
+    scatter_of,
+    serial_correlation,
+)
 from imr_torch.random import generator
 from imr_torch.simulate import Conditions, PolytropicGas
 from imr_torch.units import Surroundings
@@ -39,10 +47,16 @@ def designs(*pairs: tuple[float, float]) -> torch.Tensor:
 
 
 def shots(
-    count: int, *, seed: int = 0, scatter: float = 0.0, timing: float = 0.001, gel: torch.Tensor | None = None
+    count: int,
+    *,
+    seed: int = 0,
+    scatter: float = 0.0,
+    timing: float = 0.001,
+    gel: torch.Tensor | None = None,
 ) -> tuple[CollapseShot, ...]:
     """Simulated shots with the errors that they state, and ``scatter`` (over Rmax/U_c) beyond these."""
-    source, medium = generator(seed), Surroundings()
+    source = generator(seed)
+    medium = Surroundings()
     sizes = 200e-6 + 200e-6 * torch.rand(count, generator=source, dtype=torch.float64)
     stretch = 5.0 + 4.0 * torch.rand(count, generator=source, dtype=torch.float64)
     true = torch.stack((medium.weber(sizes), 1.0 / stretch), 1)
@@ -51,8 +65,17 @@ def shots(
     e = torch.randn(3, count, generator=source, dtype=torch.float64)
     scale = medium.time_scale(sizes)
     measured = (t + math.hypot(timing, scatter) * e[0]) * scale
-    rows = zip(sizes * (1.0 + 0.003 * e[1]), stretch * (1.0 + 0.01 * e[2]), measured, timing * scale, strict=True)
-    return tuple(CollapseShot(f"shot {i}", float(r), float(s), float(c), float(sd)) for i, (r, s, c, sd) in enumerate(rows))
+    rows = zip(
+        sizes * (1.0 + 0.003 * e[1]),
+        stretch * (1.0 + 0.01 * e[2]),
+        measured,
+        timing * scale,
+        strict=True,
+    )
+    return tuple(
+        CollapseShot(f"shot {i}", float(r), float(s), float(c), float(sd))
+        for i, (r, s, c, sd) in enumerate(rows)
+    )
 
 
 def fitted(data: tuple[CollapseShot, ...], traces: TraceSet | None = None, **options):
@@ -69,8 +92,11 @@ def fitted(data: tuple[CollapseShot, ...], traces: TraceSet | None = None, **opt
 
 @pytest.mark.parametrize("gel", [{"G": 500.0, "mu": 0.01}, GEL, {"G": 60e3, "mu": 0.3}])
 def test_that_the_time_is_that_of_a_dense_grid(gel: dict[str, float]) -> None:
-    where, parameters = designs((240.0, 0.13), (400.0, 0.22), (150.0, 0.35)), PARAMETERS.pack(gel)
-    found = predict_collapse(SIMULATOR, parameters, where, torch.full((3,), 0.9, dtype=torch.float64))
+    where = designs((240.0, 0.13), (400.0, 0.22), (150.0, 0.35))
+    parameters = PARAMETERS.pack(gel)
+    found = predict_collapse(
+        SIMULATOR, parameters, where, torch.full((3,), 0.9, dtype=torch.float64)
+    )
     for design, time in zip(where, found, strict=True):
         grid = float(time) + torch.linspace(-2e-3, 2e-3, 4001, dtype=torch.float64)
         radius = SIMULATOR(parameters, design, grid).radius
@@ -87,29 +113,43 @@ def test_that_an_almost_empty_cavity_collapses_in_rayleighs_time() -> None:
     errors = []
     for rest in (0.2, 0.1):
         where = designs((medium.weber(300e-6), rest))
-        found = predict_collapse(bubbles, PARAMETERS.pack({"G": 1e-3, "mu": 1e-7}), where, torch.tensor([0.91]).double())
+        found = predict_collapse(
+            bubbles, PARAMETERS.pack({"G": 1e-3, "mu": 1e-7}), where, torch.tensor([0.91]).double()
+        )
         errors.append(float(found[0]) / rayleigh - 1.0)
-    assert errors[0] / errors[1] == pytest.approx(8.0, rel=0.05)  # the gas goes with the cube of R_inf*
+    assert errors[0] / errors[1] == pytest.approx(
+        8.0, rel=0.05
+    )  # the gas goes with the cube of R_inf*
     assert 0.0 < errors[1] < 0.0011
 
 
 def test_that_the_time_is_smooth_in_the_gel() -> None:
-    """Its slope over steps of 1e-6 and 1e-3 agrees: a gradient of 1e-3 standard deviations can be reached."""
-    where, measured = designs((240.0, 0.133)), torch.tensor([0.91]).double()
+    """Its slope over steps of 1e-6 and 1e-3 agrees:
+
+    a gradient of 1e-3 standard deviations can be reached.
+    """
+    where = designs((240.0, 0.133))
+    measured = torch.tensor([0.91]).double()
     slopes = []
     for step in (1e-6, 1e-3):
-        gels = torch.stack([PARAMETERS.pack(GEL | {"G": 8000.0 * x}) for x in (1.0 - step, 1.0 + step)])
+        gels = torch.stack(
+            [PARAMETERS.pack(GEL | {"G": 8000.0 * x}) for x in (1.0 - step, 1.0 + step)]
+        )
         low, high = predict_collapse(SIMULATOR, gels, where, measured)[:, 0].tolist()
         slopes.append((high - low) / (2.0 * step))
     assert slopes[0] == pytest.approx(slopes[1], rel=2e-4)
 
 
 def test_that_nuisances_move_the_time_as_another_design_does() -> None:
-    where, parameters = designs((240.0, 0.13)), PARAMETERS.pack(GEL)
-    shifts, measured = torch.tensor([[0.02, 0.0, -0.03]]).double(), torch.tensor([0.91]).double()
+    where = designs((240.0, 0.13))
+    parameters = PARAMETERS.pack(GEL)
+    shifts = torch.tensor([[0.02, 0.0, -0.03]]).double()
+    measured = torch.tensor([0.91]).double()
     found = predict_collapse(SIMULATOR, parameters, where, measured, shifts)
     true = designs((240.0 * 1.02, 0.13 * 0.97 / 1.02))
-    assert float(found) == pytest.approx(1.02 * float(predict_collapse(SIMULATOR, parameters, true, measured)), rel=1e-7)
+    assert float(found) == pytest.approx(
+        1.02 * float(predict_collapse(SIMULATOR, parameters, true, measured)), rel=1e-7
+    )
     impossible = torch.tensor([[-2.0, 0.0, 0.0]]).double()
     assert math.isnan(float(predict_collapse(SIMULATOR, parameters, where, measured, impossible)))
 
@@ -123,7 +163,9 @@ def test_that_a_curve_without_a_minimum_has_no_time() -> None:
 
 def test_that_a_batch_predicts_curves_and_times_each_as_alone() -> None:
     times = torch.linspace(0.0, 2.0, 21, dtype=torch.float64)
-    curve = Experiment("c", (400.0, 0.22), times, torch.ones(1, 21, dtype=torch.float64), exposure=0.02)
+    curve = Experiment(
+        "c", (400.0, 0.22), times, torch.ones(1, 21, dtype=torch.float64), exposure=0.02
+    )
     timed = CollapseTime("t", (240.0, 0.13), 0.91, 0.002, Nuisance(max_radius=0.003), scatter=0.003)
     mixed = ExperimentBatch((timed, curve))
     seen = predict(SIMULATOR, PARAMETERS.pack(GEL), mixed)
@@ -138,14 +180,18 @@ def test_that_a_batch_predicts_curves_and_times_each_as_alone() -> None:
 
 
 def test_that_the_scatter_gives_chi_square_its_degrees_of_freedom() -> None:
-    missed, variance = 0.01 * torch.randn(40, generator=generator(1), dtype=torch.float64), torch.full((40,), 1e-6).double()
-    found = scatter_of(missed, variance, 2.0) * 1.6449 / 1.6860  # 95 % quantiles: normal, Student's t with 38
+    missed = 0.01 * torch.randn(40, generator=generator(1), dtype=torch.float64)
+    variance = torch.full((40,), 1e-6).double()
+    found = (
+        scatter_of(missed, variance, 2.0) * 1.6449 / 1.6860
+    )  # 95 % quantiles: normal, Student's t with 38
     assert float((missed.square() / (variance + found**2)).sum()) == pytest.approx(38.0, rel=1e-3)
     assert scatter_of(0.1 * missed, torch.full((40,), 1e-4).double(), 2.0) == 0.0
 
 
 def test_that_serial_correlation_is_seen_and_not_claimed() -> None:
-    order, source = torch.arange(40, dtype=torch.float64), generator(2)
+    order = torch.arange(40, dtype=torch.float64)
+    source = generator(2)
     noise = [torch.randn(40, generator=source, dtype=torch.float64) for _ in range(300)]
     values = torch.tensor([serial_correlation(x, order) for x in noise])
     assert float((values > 2.6).double().mean()) < 0.02
@@ -154,24 +200,44 @@ def test_that_serial_correlation_is_seen_and_not_claimed() -> None:
 
 
 def test_that_the_posterior_is_that_of_quadrature_and_the_scatter_is_found() -> None:
-    """Over a grid of gels, with linear nuisances; the further error that was estimated is taken as given in both."""
+    """Over a grid of gels, with linear nuisances;
+
+    the further error that was estimated is taken as given in both.
+    """
     data = shots(8, seed=3, scatter=0.006)
     result = fitted(data, seed=0)
-    fit, batch = result.assimilation["nhkv"], result.assimilation.batch
+    fit = result.assimilation["nhkv"]
+    batch = result.assimilation.batch
     scatter = result.collapse_times()[0]["scatter"]
     assert scatter == pytest.approx(0.006, rel=0.8)  # of eight shots
     width = 4.0 * fit.posterior.chol.square().sum(1).sqrt()
-    axes = [m + w * torch.linspace(-1.0, 1.0, 25, dtype=torch.float64) for m, w in zip(fit.posterior.mean, width, strict=True)]
+    axes = [
+        m + w * torch.linspace(-1.0, 1.0, 25, dtype=torch.float64)
+        for m, w in zip(fit.posterior.mean, width, strict=True)
+    ]
     gels = torch.cartesian_prod(*axes)
     shifts = torch.zeros(3, 8, 3, dtype=torch.float64)
     shifts[1, :, 0] = shifts[2, :, 2] = 1e-3
     near = batch.mean[:, 0]
     times = torch.stack(
-        [predict_collapse(SIMULATOR, fit.prior.to_si(gels), batch.designs, near, s.expand(625, -1, -1)) for s in shifts]
+        [
+            predict_collapse(
+                SIMULATOR, fit.prior.to_si(gels), batch.designs, near, s.expand(625, -1, -1)
+            )
+            for s in shifts
+        ]
     )
-    slopes = (times[1:] - times[0]) / 1e-3 * torch.tensor([0.003, 0.01], dtype=torch.float64)[:, None, None]
-    variance = slopes.square().sum(0) + torch.tensor([e.whole_sd**2 for e in batch.experiments], dtype=torch.float64)
-    log = -0.5 * ((times[0] - near).square() / variance + variance.log()).sum(1) - 0.5 * gels.square().sum(1)
+    slopes = (
+        (times[1:] - times[0])
+        / 1e-3
+        * torch.tensor([0.003, 0.01], dtype=torch.float64)[:, None, None]
+    )
+    variance = slopes.square().sum(0) + torch.tensor(
+        [e.whole_sd**2 for e in batch.experiments], dtype=torch.float64
+    )
+    log = -0.5 * ((times[0] - near).square() / variance + variance.log()).sum(
+        1
+    ) - 0.5 * gels.square().sum(1)
     weights = (log - log.max()).exp() / (log - log.max()).exp().sum()
     mean = weights @ gels
     sd = (weights @ (gels - mean).square()).sqrt()
@@ -180,17 +246,25 @@ def test_that_the_posterior_is_that_of_quadrature_and_the_scatter_is_found() -> 
 
 
 def test_that_curves_and_times_of_one_gel_tell_more_than_either() -> None:
-    size, source = 300e-6, generator(5)
+    size = 300e-6
+    source = generator(5)
     times = torch.linspace(0.0, 2.5, 60, dtype=torch.float64)
-    radius = SIMULATOR(PARAMETERS.pack(GEL), torch.tensor([Surroundings().weber(size), 0.15]).double(), times).radius
+    radius = SIMULATOR(
+        PARAMETERS.pack(GEL), torch.tensor([Surroundings().weber(size), 0.15]).double(), times
+    ).radius
     radius = radius + 0.01 * torch.randn(60, generator=source, dtype=torch.float64)
-    trace = RadiusTrace("curve", times * Surroundings().time_scale(size), size * radius.clamp_min(1e-3), "test")
-    curve, data = TraceSet((trace,)), shots(8, seed=4)
+    trace = RadiusTrace(
+        "curve", times * Surroundings().time_scale(size), size * radius.clamp_min(1e-3), "test"
+    )
+    curve = TraceSet((trace,))
+    data = shots(8, seed=4)
     both = fitted(data, curve, rest_radius=(0.15, 0.0015))
     either = [fitted(data), fitted((), curve, rest_radius=(0.15, 0.0015))]
     sds = [float(torch.linalg.det(r.assimilation["nhkv"].chol)) for r in (both, *either)]
     assert sds[0] < min(sds[1:])
-    assert both.assimilation["nhkv"].sample.noise is None  # beside collapse times the noise is plugged in
+    assert (
+        both.assimilation["nhkv"].sample.noise is None
+    )  # beside collapse times the noise is plugged in
     assert "plugged in" in both.report()
     assert len(both.collapse_times()) == 8
     assert [e.label for e in both.experiments] == ["curve"]
@@ -201,7 +275,9 @@ def test_that_what_holds_curves_out_is_refused_beside_times() -> None:
     data = shots(3)
     with pytest.raises(InputDataError, match=r"Scores hold curves out, and 3 shot\(s\)"):
         fitted(data, scores=True)
-    with pytest.raises(InputDataError, match=r"A population is inferred from curves, and 3 shot\(s\)"):
+    with pytest.raises(
+        InputDataError, match=r"A population is inferred from curves, and 3 shot\(s\)"
+    ):
         fitted(data, population=True)
     with pytest.raises(InputDataError, match="No curve or collapse time"):
         fitted(())
@@ -223,7 +299,9 @@ def test_that_what_holds_curves_out_is_refused_beside_times() -> None:
         ("experiment_id,time_s,radius_m\na,0,1e-4\n", "is no table of collapse times"),
     ],
 )
-def test_that_bad_tables_are_refused_by_line_and_column(tmp_path: Path, text: str, message: str) -> None:
+def test_that_bad_tables_are_refused_by_line_and_column(
+    tmp_path: Path, text: str, message: str
+) -> None:
     path = tmp_path / "shots.csv"
     path.write_text(text)
     with pytest.raises(InputDataError, match=message):

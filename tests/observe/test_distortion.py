@@ -13,7 +13,9 @@ TIMES = torch.linspace(0.0, 3.0, 31, dtype=torch.float64)
 SIMULATOR = PolytropicSimulator()
 
 
-def seen(designs: torch.Tensor, times: torch.Tensor, shifts: torch.Tensor | None = None, **values: float) -> torch.Tensor:
+def seen(
+    designs: torch.Tensor, times: torch.Tensor, shifts: torch.Tensor | None = None, **values: float
+) -> torch.Tensor:
     """``E x T`` tensor, R/Rmax as measured."""
     return predict(SIMULATOR, PARAMETERS.pack(GEL | values), Film(designs, times), shifts)
 
@@ -29,9 +31,13 @@ def test_that_a_misplaced_edge_is_in_every_radius_that_is_read_off_the_film(erro
     designs = torch.stack((outer.weber(measured_size), (rest * size + error) / measured_size), 1)
     times = TIMES * (outer.time_scale(size) / outer.time_scale(measured_size))[:, None]
     filmed = seen(designs, times, edge_error=error)
-    torch.testing.assert_close(filmed, (true + error) / measured_size[:, None], rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(
+        filmed, (true + error) / measured_size[:, None], rtol=1e-9, atol=1e-9
+    )
     assert float((filmed - seen(designs, times)).abs().max()) > 3e-3
-    torch.testing.assert_close(filmed[:, 0], torch.ones(2).double(), rtol=0.0, atol=1e-12)  # at the maximum, whatever it is
+    torch.testing.assert_close(
+        filmed[:, 0], torch.ones(2).double(), rtol=0.0, atol=1e-12
+    )  # at the maximum, whatever it is
 
 
 def test_that_a_misplaced_edge_adds_to_the_nuisances_of_each_experiment() -> None:
@@ -41,7 +47,9 @@ def test_that_a_misplaced_edge_adds_to_the_nuisances_of_each_experiment() -> Non
     own = torch.tensor([[-edge, 0.0, -edge / 0.2]], dtype=torch.float64)
     both = torch.tensor([[0.01, 0.003, 0.02]], dtype=torch.float64)
     with_error = seen(designs, TIMES[None], both, edge_error=2e-6)
-    torch.testing.assert_close(with_error, seen(designs, TIMES[None], both + own) + edge, rtol=0.0, atol=1e-12)
+    torch.testing.assert_close(
+        with_error, seen(designs, TIMES[None], both + own) + edge, rtol=0.0, atol=1e-12
+    )
     assert Nuisance().sds().shape == both[0].shape
 
 
@@ -49,6 +57,8 @@ def test_that_an_exposure_that_reaches_back_to_before_the_bubble_is_a_failed_mem
     """A search may step there."""
     gels = PARAMETERS.pack(GEL).repeat(2, 1)
     gels[1, PARAMETERS.index(["exposure_blur"])[0]] = 1.8
-    found = predict(SIMULATOR, gels, Film(torch.tensor([[400.0, 0.2]], dtype=torch.float64), TIMES[None]))
+    found = predict(
+        SIMULATOR, gels, Film(torch.tensor([[400.0, 0.2]], dtype=torch.float64), TIMES[None])
+    )
     assert bool(torch.isfinite(found[0]).all())
     assert bool(torch.isnan(found[1]).all())

@@ -31,9 +31,15 @@ def random(*shape: int, seed: int) -> Tensor:
 def shots() -> tuple[Experiment, ...]:
     made = []
     for i, (frames, repeats) in enumerate(SIZES):
-        times = torch.cumsum(0.05 + 0.1 * torch.rand(frames, generator=generator(i), dtype=torch.float64), 0)
+        times = torch.cumsum(
+            0.05 + 0.1 * torch.rand(frames, generator=generator(i), dtype=torch.float64), 0
+        )
         radius = 0.6 + 0.3 * torch.cos(3.0 * times) + 0.03 * random(repeats, frames, seed=10 + i)
-        made.append(Experiment(f"e{i}", (300.0 + 200.0 * i, 0.2), times, radius, Nuisance(0.01 * i, 0.02, 0.0)))
+        made.append(
+            Experiment(
+                f"e{i}", (300.0 + 200.0 * i, 0.2), times, radius, Nuisance(0.01 * i, 0.02, 0.0)
+            )
+        )
     return tuple(made)
 
 
@@ -52,8 +58,11 @@ def dense(noise: Noise, shot: Experiment, predicted: Tensor) -> float:
 
 
 @ALL
-def test_that_the_log_likelihood_is_the_normal_density_of_all_repeats_and_frames(noise: Noise) -> None:
-    batch, predicted = ExperimentBatch(shots(), noise), prediction(2, 3)
+def test_that_the_log_likelihood_is_the_normal_density_of_all_repeats_and_frames(
+    noise: Noise,
+) -> None:
+    batch = ExperimentBatch(shots(), noise)
+    predicted = prediction(2, 3)
     found = batch.log_likelihood(predicted)
     assert found.shape == (2, 3, len(SIZES))
     for i in range(2):
@@ -64,8 +73,16 @@ def test_that_the_log_likelihood_is_the_normal_density_of_all_repeats_and_frames
 
 
 def test_that_the_constant_of_the_normal_density_has_all_its_digits() -> None:
-    """Data on the prediction with unit noise: what is left is ``-n/2 log 2 pi``, and no float32 in it."""
-    shot = Experiment("x", (500.0, 0.2), torch.arange(50, dtype=torch.float64), torch.ones(20, 50, dtype=torch.float64))
+    """Data on the prediction with unit noise:
+
+    what is left is ``-n/2 log 2 pi``, and no float32 in it.
+    """
+    shot = Experiment(
+        "x",
+        (500.0, 0.2),
+        torch.arange(50, dtype=torch.float64),
+        torch.ones(20, 50, dtype=torch.float64),
+    )
     batch = ExperimentBatch((shot,), Noise(floor=1.0, slope=0.0, drift=0.0))
     found = float(batch.log_likelihood(torch.ones(1, 50, dtype=torch.float64)))
     assert found == pytest.approx(-500.0 * math.log(2.0 * math.pi), rel=1e-14)
@@ -75,14 +92,18 @@ def with_gaps() -> ExperimentBatch:
     """The shots with a third of the frames of every repeat but the first missing."""
     made = []
     for i, shot in enumerate(shots()):
-        missing = torch.rand(shot.radius.shape, generator=generator(40 + i), dtype=torch.float64) < 1.0 / 3.0
+        missing = (
+            torch.rand(shot.radius.shape, generator=generator(40 + i), dtype=torch.float64)
+            < 1.0 / 3.0
+        )
         missing[0] = False
         made.append(replace(shot, radius=shot.radius.masked_fill(missing, torch.nan)))
     return ExperimentBatch(tuple(made))
 
 
 def test_that_with_gaps_the_log_likelihood_is_the_density_of_what_was_seen() -> None:
-    batch, predicted = with_gaps(), prediction(2)
+    batch = with_gaps()
+    predicted = prediction(2)
     found = batch.log_likelihood(predicted)
     assert [e.has_gaps for e in batch.experiments] == [True, False, True]
     for i in range(2):
@@ -106,22 +127,29 @@ def test_that_the_mean_is_over_what_was_seen() -> None:
 
 
 def test_that_correlated_noise_with_gaps_is_refused_with_the_remedy() -> None:
-    with pytest.raises(InputDataError, match=r"Experiment 'e0'.*correlation_time is 0.2; leave these frames out.*or take 0"):
+    with pytest.raises(
+        InputDataError,
+        match=r"Experiment 'e0'.*correlation_time is 0.2; leave these frames out.*or take 0",
+    ):
         ExperimentBatch(with_gaps().experiments, Noise(correlation_time=0.2))
 
 
 @ALL
 def test_that_an_experiment_in_company_is_the_experiment_alone(noise: Noise) -> None:
-    batch, predicted = ExperimentBatch(shots(), noise), prediction()
+    batch = ExperimentBatch(shots(), noise)
+    predicted = prediction()
     together = batch.log_likelihood(predicted)
     for e, shot in enumerate(batch.experiments):
-        alone = ExperimentBatch((shot,), noise).log_likelihood(predicted[e : e + 1, : len(shot.times)])
+        alone = ExperimentBatch((shot,), noise).log_likelihood(
+            predicted[e : e + 1, : len(shot.times)]
+        )
         assert float(alone[0]) == pytest.approx(float(together[e]), rel=1e-12)
 
 
 @ALL
 def test_that_what_is_in_the_padding_does_not_count(noise: Noise) -> None:
-    batch, predicted = ExperimentBatch(shots(), noise), prediction()
+    batch = ExperimentBatch(shots(), noise)
+    predicted = prediction()
     moved = torch.where(batch.mask, predicted, 1e3 * predicted)
     assert torch.equal(batch.log_likelihood(predicted), batch.log_likelihood(moved))
     sd = batch.sd(predicted)
@@ -132,7 +160,8 @@ def test_that_what_is_in_the_padding_does_not_count(noise: Noise) -> None:
 @ALL
 def test_that_whitening_makes_the_noise_of_the_mean_standard(noise: Noise) -> None:
     """``W C W^T = I`` for the covariance ``C`` of the mean over repeats, through unit vectors."""
-    batch, predicted = ExperimentBatch(shots(), noise), prediction()
+    batch = ExperimentBatch(shots(), noise)
+    predicted = prediction()
     sd = batch.sd(predicted)
     width = sd.shape[1]
     for e, shot in enumerate(batch.experiments):
@@ -144,26 +173,38 @@ def test_that_whitening_makes_the_noise_of_the_mean_standard(noise: Noise) -> No
         tau = noise.correlation_time
         correlation = torch.exp(-gap / tau) if tau else torch.eye(frames, dtype=torch.float64)
         covariance = sd[e, :frames, None] * correlation * sd[e, :frames] / shot.repeats
-        torch.testing.assert_close(matrix @ covariance @ matrix.mT, torch.eye(frames, dtype=torch.float64), rtol=0, atol=1e-9)
+        torch.testing.assert_close(
+            matrix @ covariance @ matrix.mT,
+            torch.eye(frames, dtype=torch.float64),
+            rtol=0,
+            atol=1e-9,
+        )
 
 
 @ALL
 def test_that_the_slope_of_the_likelihood_is_its_finite_difference(noise: Noise) -> None:
     """The noise depends on the prediction, and that dependence is part of the gradient."""
-    batch, point = ExperimentBatch(shots(), noise), prediction().requires_grad_()
+    batch = ExperimentBatch(shots(), noise)
+    point = prediction().requires_grad_()
     (slope,) = torch.autograd.grad(batch.log_likelihood(point).sum(), point)
     direction = torch.where(batch.mask, random(*point.shape, seed=8), 0.0)
     h = 1e-6
-    ahead, behind = (batch.log_likelihood(point.detach() + s * h * direction).sum() for s in (1.0, -1.0))
-    assert float((slope * direction).sum()) == pytest.approx(float((ahead - behind) / (2.0 * h)), rel=1e-5)
+    ahead, behind = (
+        batch.log_likelihood(point.detach() + s * h * direction).sum() for s in (1.0, -1.0)
+    )
+    assert float((slope * direction).sum()) == pytest.approx(
+        float((ahead - behind) / (2.0 * h)), rel=1e-5
+    )
     assert bool((slope[~batch.mask] == 0.0).all())
 
 
 def test_that_a_failed_prediction_is_impossible_and_its_neighbours_are_not_disturbed() -> None:
-    batch, predicted = ExperimentBatch(shots()), prediction(2)
+    batch = ExperimentBatch(shots())
+    predicted = prediction(2)
     broken = predicted.clone()
     broken[0, 1, 2] = torch.nan
-    found, sound = batch.log_likelihood(broken), batch.log_likelihood(predicted)
+    found = batch.log_likelihood(broken)
+    sound = batch.log_likelihood(predicted)
     assert float(found[0, 1]) == -math.inf
     sound[0, 1] = -math.inf
     assert torch.equal(found, sound)
@@ -171,8 +212,11 @@ def test_that_a_failed_prediction_is_impossible_and_its_neighbours_are_not_distu
 
 def test_that_the_truth_is_likelier_than_a_wrong_curve() -> None:
     shot = shots()[2]
-    times, truth = shot.times, 0.6 + 0.3 * torch.cos(3.0 * shot.times)
-    batch = ExperimentBatch((replace(shot, radius=Noise().draw(truth, times, 50, generator=generator(1))),))
+    times = shot.times
+    truth = 0.6 + 0.3 * torch.cos(3.0 * shot.times)
+    batch = ExperimentBatch(
+        (replace(shot, radius=Noise().draw(truth, times, 50, generator=generator(1))),)
+    )
     good, wrong = (float(batch.log_likelihood(x[None])) for x in (truth, truth + 0.05))
     assert good > wrong + 20.0
 
@@ -194,7 +238,9 @@ def test_that_padding_is_masked_and_times_still_increase() -> None:
 
 def test_that_padding_of_times_before_zero_increases_too() -> None:
     short = Experiment("short", (500.0, 0.2), tensor(-0.3, -0.2), tensor([1.0, 0.9]))
-    long = Experiment("long", (500.0, 0.2), tensor(-0.1, 0.0, 0.1, 0.2), tensor([1.0, 0.9, 0.8, 0.7]))
+    long = Experiment(
+        "long", (500.0, 0.2), tensor(-0.1, 0.0, 0.1, 0.2), tensor([1.0, 0.9, 0.8, 0.7])
+    )
     batch = ExperimentBatch((short, long))
     assert torch.equal(batch.times[0, :2], short.times)
     assert bool((batch.times.diff(dim=1) > 0.0).all())
@@ -204,7 +250,8 @@ def test_that_padding_of_times_before_zero_increases_too() -> None:
 
 
 def test_that_a_prediction_is_the_simulators_radius_at_each_experiments_own_times() -> None:
-    batch, part = ExperimentBatch(shots()), prior(("nhkv",)).models[0]
+    batch = ExperimentBatch(shots())
+    part = prior(("nhkv",)).models[0]
     parameters = part.parameters(random(2, 5, 2, seed=1))
     found = predict(LinearSimulator(), parameters, batch)
     assert found.shape == (2, 5, 3, 12)
@@ -228,7 +275,9 @@ def test_that_zero_shifts_are_no_shifts() -> None:
     batch = ExperimentBatch(shots())
     parameters = prior(("nhkv",)).models[0].parameters(tensor(0.2, -0.3))
     with_none = predict(LinearSimulator(), parameters, batch)
-    with_zero = predict(LinearSimulator(), parameters, batch, torch.zeros(3, 3, dtype=torch.float64))
+    with_zero = predict(
+        LinearSimulator(), parameters, batch, torch.zeros(3, 3, dtype=torch.float64)
+    )
     torch.testing.assert_close(with_none, with_zero, rtol=1e-14, atol=0.0)
 
 
@@ -240,7 +289,9 @@ def test_that_other_times_are_displaced_like_the_frames() -> None:
     every = torch.cat((batch.times, between), 1).sort(1)
     found = predict(PolytropicSimulator(), parameters, batch, shifts, times=every.values)
     frames = found.gather(1, every.indices.argsort(1))[:, : batch.times.shape[1]]
-    torch.testing.assert_close(frames, predict(PolytropicSimulator(), parameters, batch, shifts), rtol=0.0, atol=1e-10)
+    torch.testing.assert_close(
+        frames, predict(PolytropicSimulator(), parameters, batch, shifts), rtol=0.0, atol=1e-10
+    )
 
 
 # ---------------------------------------------------------------- experiments
@@ -251,7 +302,12 @@ def test_that_a_cut_keeps_frames_up_to_its_time_and_nothing_else_changes() -> No
     cut = shot.until(float(shot.times[5]))
     assert torch.equal(cut.times, shot.times[:6])
     assert torch.equal(cut.radius, shot.radius[:, :6])
-    assert (cut.label, cut.design, cut.nuisance, cut.repeats) == (shot.label, shot.design, shot.nuisance, shot.repeats)
+    assert (cut.label, cut.design, cut.nuisance, cut.repeats) == (
+        shot.label,
+        shot.design,
+        shot.nuisance,
+        shot.repeats,
+    )
     assert len(shot.times) == 12
 
 
@@ -265,16 +321,29 @@ def test_that_an_experiment_is_not_changed_by_its_batch() -> None:
         assert torch.equal(shot.radius, radius)
 
 
-TIMES, RADIUS = tensor(0.0, 0.1, 0.2), tensor([1.0, 0.9, 0.8])
+TIMES = tensor(0.0, 0.1, 0.2)
+RADIUS = tensor([1.0, 0.9, 0.8])
 
 
 @pytest.mark.parametrize(
     ("design", "times", "radius", "error", "message"),
     [
-        ((500.0, 0.2), TIMES, RADIUS[0], ShapeError, r"Experiment 'x': expected radius n_repeats x n_t and times n_t"),
+        (
+            (500.0, 0.2),
+            TIMES,
+            RADIUS[0],
+            ShapeError,
+            r"Experiment 'x': expected radius n_repeats x n_t and times n_t",
+        ),
         ((500.0, 0.2), TIMES[:2], RADIUS, ShapeError, r"got \(1, 3\) and \(2,\)"),
         ((500.0, 0.2), TIMES[None], RADIUS, ShapeError, r"got \(1, 3\) and \(1, 3\)"),
-        ((500.0, 0.2), TIMES[:1], RADIUS[:, :1], InputDataError, r"Experiment 'x' has 1 frames; at least 2 are needed"),
+        (
+            (500.0, 0.2),
+            TIMES[:1],
+            RADIUS[:, :1],
+            InputDataError,
+            r"Experiment 'x' has 1 frames; at least 2 are needed",
+        ),
         ((500.0, 1.2), TIMES, RADIUS, InputDataError, r"0 < R_inf\* < 1"),
         ((-1.0, 0.2), TIMES, RADIUS, InputDataError, r"expected We > 0"),
         (
@@ -291,13 +360,39 @@ TIMES, RADIUS = tensor(0.0, 0.1, 0.2), tensor([1.0, 0.9, 0.8])
             InputDataError,
             r"radius of repeat 1, frame 2 is inf",
         ),
-        ((500.0, 0.2), tensor(0.0, 0.2, 0.1), RADIUS, InputDataError, r"times must be finite and increase"),
-        ((500.0, 0.2), tensor(0.0, 0.1, 0.1), RADIUS, InputDataError, r"times must be finite and increase"),
-        ((500.0, 0.2), tensor(0.0, 0.1, math.nan), RADIUS, InputDataError, r"times must be finite and increase"),
-        ((500.0, 0.2), tensor(0.0, 0.1, math.inf), RADIUS, InputDataError, r"times must be finite and increase"),
+        (
+            (500.0, 0.2),
+            tensor(0.0, 0.2, 0.1),
+            RADIUS,
+            InputDataError,
+            r"times must be finite and increase",
+        ),
+        (
+            (500.0, 0.2),
+            tensor(0.0, 0.1, 0.1),
+            RADIUS,
+            InputDataError,
+            r"times must be finite and increase",
+        ),
+        (
+            (500.0, 0.2),
+            tensor(0.0, 0.1, math.nan),
+            RADIUS,
+            InputDataError,
+            r"times must be finite and increase",
+        ),
+        (
+            (500.0, 0.2),
+            tensor(0.0, 0.1, math.inf),
+            RADIUS,
+            InputDataError,
+            r"times must be finite and increase",
+        ),
     ],
 )
-def test_that_bad_input_is_named(design: tuple, times: Tensor, radius: Tensor, error: type, message: str) -> None:
+def test_that_bad_input_is_named(
+    design: tuple, times: Tensor, radius: Tensor, error: type, message: str
+) -> None:
     with pytest.raises(error, match=message):
         Experiment("x", design, times, radius)
 
@@ -333,7 +428,9 @@ def test_that_shifts_which_leave_no_bubble_fail_their_member_alone(shift, bundle
 
 def test_that_frames_before_time_zero_are_as_possible_as_they_were_measured() -> None:
     times = torch.linspace(-0.45, 1.0, 20, dtype=torch.float64)
-    batch = ExperimentBatch((Experiment("early", (400.0, 0.2), times, torch.ones(1, 20, dtype=torch.float64)),))
+    batch = ExperimentBatch(
+        (Experiment("early", (400.0, 0.2), times, torch.ones(1, 20, dtype=torch.float64)),)
+    )
     gel = PARAMETERS.pack({"G": 4e3, "mu": 0.1})[None]
     found = predict(PolytropicSimulator(), gel, batch, torch.zeros(1, 1, 3, dtype=torch.float64))
     assert bool(torch.isfinite(found).all())
@@ -344,29 +441,38 @@ def test_that_a_likelihood_takes_memory_in_proportion_to_the_frames(tau: float) 
     count = 200_000  # a matrix of frames x frames would take 320 GB
     times = torch.linspace(0.0, 2.0, count, dtype=torch.float64)
     radius = torch.stack([0.5 + 0.1 * times, 0.5 - 0.1 * times])
-    batch = ExperimentBatch((Experiment("long", (400.0, 0.22), times, radius),), Noise(correlation_time=tau))
+    batch = ExperimentBatch(
+        (Experiment("long", (400.0, 0.22), times, radius),), Noise(correlation_time=tau)
+    )
     sd = batch.noise.sd(torch.tensor(0.5).double(), times)
     standard = (radius - 0.5) / sd
     kept = math.exp(-2.0 / (count - 1) / tau) if tau else 0.0  # correlation with the frame before
     mean = torch.nn.functional.pad(kept * standard[:, :-1], (1, 0))
     spread = torch.full((count,), math.sqrt(1.0 - kept**2), dtype=torch.float64)
     spread[0] = 1.0
-    expected = torch.distributions.Normal(mean, spread).log_prob(standard).sum() - 2.0 * sd.log().sum()
+    expected = (
+        torch.distributions.Normal(mean, spread).log_prob(standard).sum() - 2.0 * sd.log().sum()
+    )
     value = batch.log_likelihood(torch.full((1, count), 0.5, dtype=torch.float64))
     torch.testing.assert_close(value[0], expected, rtol=1e-7, atol=0.0)
 
 
 def test_that_planned_designs_need_no_data():
-    designs, times = torch.tensor([[400.0, 0.2], [300.0, 0.25]]).double(), torch.linspace(0.0, 2.0, 5).double().expand(2, -1)
+    designs = torch.tensor([[400.0, 0.2], [300.0, 0.25]]).double()
+    times = torch.linspace(0.0, 2.0, 5).double().expand(2, -1)
     shots = tuple(
         Experiment(f"{i}", tuple(x.tolist()), t, torch.zeros(1, 5).double())
         for i, (x, t) in enumerate(zip(designs, times, strict=True))
     )
     gel = PARAMETERS.pack({"G": torch.tensor(5e3).double(), "mu": 0.1})
     assert torch.equal(
-        predict(PolytropicSimulator(), gel, Film(designs, times)), predict(PolytropicSimulator(), gel, ExperimentBatch(shots))
+        predict(PolytropicSimulator(), gel, Film(designs, times)),
+        predict(PolytropicSimulator(), gel, ExperimentBatch(shots)),
     )
-    with pytest.raises(ShapeError, match=r"expected designs E x 2, times E x T, nuisance_sds E x 3; got \(2, 2\), \(1, 5\)"):
+    with pytest.raises(
+        ShapeError,
+        match=r"expected designs E x 2, times E x T, nuisance_sds E x 3; got \(2, 2\), \(1, 5\)",
+    ):
         Film(designs, times[:1])
     with pytest.raises(InputDataError, match="R_inf"):
         Film(torch.tensor([[400.0, 1.2]]).double(), times[:1])
@@ -377,7 +483,9 @@ def test_that_curves_of_any_precision_are_kept_in_float64() -> None:
     shot = Experiment("a", (400.0, 0.22), times, torch.ones(2, 5))
     assert (shot.times.dtype, shot.radius.dtype) == (torch.float64, torch.float64)
     assert torch.equal(shot.times, times.double())
-    mixed = ExperimentBatch((shot, Experiment("b", (400.0, 0.22), times.double(), torch.ones(1, 5).double())))
+    mixed = ExperimentBatch(
+        (shot, Experiment("b", (400.0, 0.22), times.double(), torch.ones(1, 5).double()))
+    )
     assert mixed.times.dtype == torch.float64
 
 

@@ -1,4 +1,7 @@
-"""A known exposure: predictions are averaged over it, by the effect that a diagnosis would name, at its stated value."""
+"""A known exposure:
+
+predictions are averaged over it, by the effect that a diagnosis would name, at its stated value.
+"""
 
 import json
 
@@ -14,14 +17,22 @@ from imr_torch.observe import Experiment, ExperimentBatch, RadiusTrace, TraceSet
 from imr_torch.observe.traces import Given
 from imr_torch.units import Surroundings
 
-SIMULATOR, SIZE, OUTER = PolytropicSimulator(), 221e-6, Surroundings()
+SIMULATOR = PolytropicSimulator()
+SIZE = 221e-6
+OUTER = Surroundings()
 SCALE = float(OUTER.time_scale(SIZE))
 TIMES = torch.linspace(0.05, 2.2, 44, dtype=torch.float64)
 GEL = {"G": 8310.0, "mu": 0.093}
 
 
 def film(exposure: float) -> ExperimentBatch:
-    return ExperimentBatch((Experiment("a", (200.0, 0.2), TIMES, torch.ones(1, len(TIMES)).double(), exposure=exposure),))
+    return ExperimentBatch(
+        (
+            Experiment(
+                "a", (200.0, 0.2), TIMES, torch.ones(1, len(TIMES)).double(), exposure=exposure
+            ),
+        )
+    )
 
 
 def blurred(exposure: float) -> torch.Tensor:
@@ -30,7 +41,9 @@ def blurred(exposure: float) -> torch.Tensor:
     every = (TIMES[:, None] + exposure * offsets).flatten()
     rising, order = every.sort()
     radius = torch.empty_like(every)
-    radius[order] = SIMULATOR(PARAMETERS.pack(GEL), torch.tensor([200.0, 0.2]).double(), rising).radius
+    radius[order] = SIMULATOR(
+        PARAMETERS.pack(GEL), torch.tensor([200.0, 0.2]).double(), rising
+    ).radius
     return radius.reshape(len(TIMES), -1).mean(1)
 
 
@@ -38,7 +51,9 @@ def test_that_a_known_exposure_averages_as_the_effect_of_that_value_does():
     known = predict(SIMULATOR, PARAMETERS.pack(GEL), film(0.04))
     effect = predict(SIMULATOR, PARAMETERS.pack(GEL | {"exposure_blur": 0.04}), film(0.0))
     assert torch.equal(known, effect)
-    torch.testing.assert_close(known[0], blurred(0.04), rtol=0.0, atol=4e-3)  # eight nodes in a collapse
+    torch.testing.assert_close(
+        known[0], blurred(0.04), rtol=0.0, atol=4e-3
+    )  # eight nodes in a collapse
     sharp = predict(SIMULATOR, PARAMETERS.pack(GEL), film(0.0))
     assert float((known - sharp).abs().max()) > 0.02
 
@@ -52,7 +67,8 @@ def test_that_an_exposure_too_short_to_tell_from_none_is_none():
 
 
 def test_that_each_experiment_has_its_own_exposure():
-    first, second = film(0.02).experiments[0], film(0.06).experiments[0]
+    first = film(0.02).experiments[0]
+    second = film(0.06).experiments[0]
     both = predict(SIMULATOR, PARAMETERS.pack(GEL), ExperimentBatch((first, second)))
     for row, exposure in zip(both, (0.02, 0.06), strict=True):
         assert torch.equal(row, predict(SIMULATOR, PARAMETERS.pack(GEL), film(exposure))[0])
@@ -64,8 +80,11 @@ def traces(exposure_s: float | None, radius: torch.Tensor) -> TraceSet:
 
 
 def test_that_a_stated_exposure_brings_the_fit_to_the_truth():
-    exposure, found = 0.045, {}
-    noise = 0.001 * torch.randn(len(TIMES), generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    exposure = 0.045
+    found = {}
+    noise = 0.001 * torch.randn(
+        len(TIMES), generator=torch.Generator().manual_seed(0), dtype=torch.float64
+    )
     radius = blurred(exposure) + noise
     for stated in (None, exposure * SCALE):
         result = characterize(
@@ -82,9 +101,15 @@ def test_that_a_stated_exposure_brings_the_fit_to_the_truth():
 
 
 def test_that_the_json_beside_a_file_states_the_exposure(tmp_path):
-    rows = "".join(f"{t * SCALE},{SIZE * r}\n" for t, r in zip(TIMES.tolist(), blurred(0.04).tolist(), strict=True))
+    rows = "".join(
+        f"{t * SCALE},{SIZE * r}\n"
+        for t, r in zip(TIMES.tolist(), blurred(0.04).tolist(), strict=True)
+    )
     (tmp_path / "gel.csv").write_text("time_s,radius_m\n" + rows)
-    for exposure, message in ((0.04 * SCALE, None), (1.0, "exposure_s is 1e.06 us, and frames are .* us apart")):
+    for exposure, message in (
+        (0.04 * SCALE, None),
+        (1.0, "exposure_s is 1e.06 us, and frames are .* us apart"),
+    ):
         (tmp_path / "gel.json").write_text(json.dumps({"exposure_s": exposure, "Rmax_m": SIZE}))
         loaded = load_traces(tmp_path / "gel.csv")
         if message:

@@ -1,4 +1,7 @@
-"""Files as laboratories write them: units from headers, wide tables, decimal commas, workbooks, folders, the JSON beside."""
+"""Files as laboratories write them:
+
+units from headers, wide tables, decimal commas, workbooks, folders, the JSON beside.
+"""
 
 import json
 import sys
@@ -26,8 +29,12 @@ def rows(mark: str = ",", decimal: str = ".") -> str:
 def check(traces, ids: tuple[str, ...]) -> None:
     assert traces.ids == ids
     for trace in traces:
-        torch.testing.assert_close(trace.radius_m, 1e-6 * torch.tensor(RADII, dtype=torch.float64), rtol=1e-12, atol=0)
-        torch.testing.assert_close(trace.time_s, 1e-6 * torch.arange(8, dtype=torch.float64), rtol=1e-12, atol=1e-20)
+        torch.testing.assert_close(
+            trace.radius_m, 1e-6 * torch.tensor(RADII, dtype=torch.float64), rtol=1e-12, atol=0
+        )
+        torch.testing.assert_close(
+            trace.time_s, 1e-6 * torch.arange(8, dtype=torch.float64), rtol=1e-12, atol=1e-20
+        )
 
 
 HEADERS = {
@@ -52,13 +59,21 @@ def test_that_units_are_read_from_the_header(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("encoding", ["latin-1", "utf-8-sig", "utf-16"])
-def test_that_a_micro_sign_is_read_in_the_encodings_of_spreadsheets(tmp_path: Path, encoding: str) -> None:
+def test_that_a_micro_sign_is_read_in_the_encodings_of_spreadsheets(
+    tmp_path: Path, encoding: str
+) -> None:
     (tmp_path / "gel.csv").write_text(f"time (\u00b5s),R (\u00b5m)\n{rows()}", encoding=encoding)
     check(load_traces(tmp_path / "gel.csv"), ("gel",))
 
 
 @pytest.mark.parametrize(
-    ("mark", "head"), [(";", "t (us);R (um)"), ("\t", "t (us)\tR (um)"), ("  ", "t (us)  R (um)"), (" ", "t_us R_um")]
+    ("mark", "head"),
+    [
+        (";", "t (us);R (um)"),
+        ("\t", "t (us)\tR (um)"),
+        ("  ", "t (us)  R (um)"),
+        (" ", "t_us R_um"),
+    ],
 )
 @pytest.mark.parametrize("decimal", [".", ","])
 def test_that_decimal_commas_are_read_where_columns_are_not_divided_by_commas(
@@ -71,7 +86,13 @@ def test_that_decimal_commas_are_read_where_columns_are_not_divided_by_commas(
 def test_that_blanks_divide_decimal_commas_without_header(tmp_path: Path) -> None:
     text = "".join(f"{i},0 {x}\n".replace(".", ",") for i, x in enumerate(RADII))
     (tmp_path / "gel.txt").write_text(text)
-    check(load_traces(tmp_path / "gel.txt", layout=Layout.from_text("radius=2,radius_unit=um,time=1,time_unit=us")), ("gel",))
+    check(
+        load_traces(
+            tmp_path / "gel.txt",
+            layout=Layout.from_text("radius=2,radius_unit=um,time=1,time_unit=us"),
+        ),
+        ("gel",),
+    )
 
 
 def test_that_the_header_may_be_the_last_comment(tmp_path: Path) -> None:
@@ -79,19 +100,27 @@ def test_that_the_header_may_be_the_last_comment(tmp_path: Path) -> None:
     check(load_traces(tmp_path / "gel.txt"), ("gel",))
 
 
-def test_that_the_line_in_which_spreadsheets_name_the_separator_is_no_header(tmp_path: Path) -> None:
+def test_that_the_line_in_which_spreadsheets_name_the_separator_is_no_header(
+    tmp_path: Path,
+) -> None:
     (tmp_path / "gel.csv").write_text(f"sep=;\nt (us);R (um)\n{rows(';', ',')}")
     check(load_traces(tmp_path / "gel.csv"), ("gel",))
 
 
 def test_that_every_column_of_a_wide_table_is_a_curve(tmp_path: Path) -> None:
-    text = "time (us),shot 1 (um),shot 2 (um),Temperature\n" + "".join(f"{i},{x},{x},21\n" for i, x in enumerate(RADII))
+    text = "time (us),shot 1 (um),shot 2 (um),Temperature\n" + "".join(
+        f"{i},{x},{x},21\n" for i, x in enumerate(RADII)
+    )
     (tmp_path / "gel.csv").write_text(text)
     check(load_traces(tmp_path / "gel.csv"), ("shot 1 (um)", "shot 2 (um)"))
 
 
-def test_that_the_error_of_a_wide_table_without_units_gives_an_option_that_works(tmp_path: Path) -> None:
-    (tmp_path / "gel.csv").write_text("t,a,b\n" + "".join(f"{i},{x},{x}\n" for i, x in enumerate(RADII)))
+def test_that_the_error_of_a_wide_table_without_units_gives_an_option_that_works(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "gel.csv").write_text(
+        "t,a,b\n" + "".join(f"{i},{x},{x}\n" for i, x in enumerate(RADII))
+    )
     with pytest.raises(InputDataError) as caught:
         load_traces(tmp_path / "gel.csv")
     option = str(caught.value).split('--layout "')[1].split('"')[0]
@@ -106,14 +135,20 @@ def test_that_a_column_with_the_error_of_the_radius_is_no_curve(tmp_path: Path) 
 
 
 def test_that_curves_in_columns_of_different_lengths_end_where_they_end(tmp_path: Path) -> None:
-    text = "t (us),R1 (um),R2 (um),\n" + "".join(f"{i},{x},{x if i < 6 else ''},\n" for i, x in enumerate(RADII)) + ",,,\n"
+    text = (
+        "t (us),R1 (um),R2 (um),\n"
+        + "".join(f"{i},{x},{x if i < 6 else ''},\n" for i, x in enumerate(RADII))
+        + ",,,\n"
+    )
     (tmp_path / "gel.csv").write_text(text)
     traces = load_traces(tmp_path / "gel.csv")
     assert [len(trace) for trace in traces] == [8, 6]
 
 
 def test_that_a_column_tells_the_curves_apart_with_units_of_its_own(tmp_path: Path) -> None:
-    text = "shot;t (us);R (um)\n" + "".join(f"{name};{i};{x}\n" for name in "ab" for i, x in enumerate(RADII))
+    text = "shot;t (us);R (um)\n" + "".join(
+        f"{name};{i};{x}\n" for name in "ab" for i, x in enumerate(RADII)
+    )
     (tmp_path / "gel.csv").write_text(text)
     check(load_traces(tmp_path / "gel.csv"), ("a", "b"))
 
@@ -126,28 +161,52 @@ def test_that_the_json_beside_gives_the_units(tmp_path: Path, text: str) -> None
 
 
 def test_that_the_json_beside_gives_pixel_size_and_frame_rate(tmp_path: Path) -> None:
-    (tmp_path / "gel.csv").write_text("frame,R (px)\n" + "".join(f"{i},{x / 2}\n" for i, x in enumerate(RADII)))
+    (tmp_path / "gel.csv").write_text(
+        "frame,R (px)\n" + "".join(f"{i},{x / 2}\n" for i, x in enumerate(RADII))
+    )
     (tmp_path / "gel.json").write_text(json.dumps({"pixel_size_m": 2e-6, "frame_rate_fps": 1e6}))
     check(load_traces(tmp_path / "gel.csv"), ("gel",))
 
 
 def test_that_the_json_beside_describes_camera_medium_and_radii(tmp_path: Path) -> None:
     (tmp_path / "gel.csv").write_text("t (us),R (um)\n" + rows())
-    said = {"medium": "10 % gelatin", "frame_rate_fps": 1e6, "pixel_size_m": 1.6e-6, "exposure_s": 2e-7}
+    said = {
+        "medium": "10 % gelatin",
+        "frame_rate_fps": 1e6,
+        "pixel_size_m": 1.6e-6,
+        "exposure_s": 2e-7,
+    }
     radii = {"Rmax_m": 2.6e-4, "Rmax_sd_m": 2e-6, "Rinf_m": 4e-5, "Rinf_sd_m": 1e-6}
     (tmp_path / "gel.json").write_text(json.dumps(said | radii))
     trace = load_traces(tmp_path / "gel.csv")["gel"]
     given = trace.given
-    assert (given.medium, given.frame_rate_hz, given.pixel_size_m, given.exposure_s) == ("10 % gelatin", 1e6, 1.6e-6, 2e-7)
+    assert (given.medium, given.frame_rate_hz, given.pixel_size_m, given.exposure_s) == (
+        "10 % gelatin",
+        1e6,
+        1.6e-6,
+        2e-7,
+    )
     marks = find_landmarks(trace)
-    assert (marks.max_radius_m, marks.max_radius_sd_m, marks.max_method) == (2.6e-4, 2e-6, "as given")
-    assert (marks.rest_radius_m, marks.rest_radius_sd_m, marks.rest_method) == (4e-5, 1e-6, "as given")
+    assert (marks.max_radius_m, marks.max_radius_sd_m, marks.max_method) == (
+        2.6e-4,
+        2e-6,
+        "as given",
+    )
+    assert (marks.rest_radius_m, marks.rest_radius_sd_m, marks.rest_method) == (
+        4e-5,
+        1e-6,
+        "as given",
+    )
 
 
 def test_that_an_entry_counts_before_the_whole_file(tmp_path: Path) -> None:
-    (tmp_path / "gel.csv").write_text("t (us),a (um),b (um)\n" + "".join(f"{i},{x},{x}\n" for i, x in enumerate(RADII)))
+    (tmp_path / "gel.csv").write_text(
+        "t (us),a (um),b (um)\n" + "".join(f"{i},{x},{x}\n" for i, x in enumerate(RADII))
+    )
     entry = {"experiment_id": "b (um)", "exposure_s": 3e-7, "medium": "water"}
-    (tmp_path / "gel.json").write_text(json.dumps({"exposure_s": 1e-7, "frame_rate_fps": "about 1e6", "experiments": [entry]}))
+    (tmp_path / "gel.json").write_text(
+        json.dumps({"exposure_s": 1e-7, "frame_rate_fps": "about 1e6", "experiments": [entry]})
+    )
     traces = load_traces(tmp_path / "gel.csv")
     assert [t.given.exposure_s for t in traces] == [1e-7, 3e-7]
     assert [t.given.medium for t in traces] == [None, "water"]
@@ -170,20 +229,34 @@ SHEET = [["time (us)", "R (um)"], *([i, x] for i, x in enumerate(RADII))]
 
 def test_that_the_sheets_of_a_workbook_are_tables(tmp_path: Path) -> None:
     check(load_traces(workbook(tmp_path / "gel.xlsx", first=SHEET, empty=[])), ("gel",))
-    check(load_traces(workbook(tmp_path / "two.xlsx", first=SHEET, second=SHEET)), ("two first", "two second"))
+    check(
+        load_traces(workbook(tmp_path / "two.xlsx", first=SHEET, second=SHEET)),
+        ("two first", "two second"),
+    )
     plain = workbook(tmp_path / "plain.xlsx", first=[["t", "R"], [], *SHEET[1:]])
-    check(load_traces(plain, layout=Layout.from_text("radius=R,radius_unit=um,time=t,time_unit=us")), ("plain",))
-    with pytest.raises(InputDataError, match=r"plain\.xlsx: 'R' and 't' have no unit\. .*radius=R,radius_unit=um,time=t"):
+    check(
+        load_traces(plain, layout=Layout.from_text("radius=R,radius_unit=um,time=t,time_unit=us")),
+        ("plain",),
+    )
+    with pytest.raises(
+        InputDataError,
+        match=r"plain\.xlsx: 'R' and 't' have no unit\. .*radius=R,radius_unit=um,time=t",
+    ):
         load_traces(plain)
     with pytest.raises(InputDataError, match=r"none\.xlsx: every sheet is empty"):
         load_traces(workbook(tmp_path / "none.xlsx", first=[]))
 
 
-def test_that_a_workbook_needs_openpyxl_and_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_that_a_workbook_needs_openpyxl_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with zipfile.ZipFile(tmp_path / "gel.xlsx", "w") as archive:
         archive.writestr("xl/workbook.xml", "<workbook/>")
     monkeypatch.setitem(sys.modules, "openpyxl", None)
-    with pytest.raises(UnsupportedError, match=r"gel\.xlsx: .*pip install 'imr_torch\[xlsx\]'; or save the sheet as CSV"):
+    with pytest.raises(
+        UnsupportedError,
+        match=r"gel\.xlsx: .*pip install 'imr_torch\[xlsx\]'; or save the sheet as CSV",
+    ):
         load_traces(tmp_path / "gel.xlsx")
 
 
@@ -207,16 +280,27 @@ def test_that_a_result_of_imrfit_is_read_in_the_units_that_it_declares(tmp_path:
     check(traces, ("si",))
     assert traces[0].given.rest_radius_m == pytest.approx(4e-5)
     assert any("read as a result of IMRFit" in note for note in traces.notes)
-    micro = {"t_exp": np.arange(8.0), "R_exp": np.array(RADII), "Req": 40.0, "time_unit": "us", "radius_unit": "um"}
+    micro = {
+        "t_exp": np.arange(8.0),
+        "R_exp": np.array(RADII),
+        "Req": 40.0,
+        "time_unit": "us",
+        "radius_unit": "um",
+    }
     traces = load_traces(imrfit(tmp_path / "micro.mat", **micro))
     check(traces, ("micro",))
     assert traces[0].given.rest_radius_m == pytest.approx(4e-5)
-    with pytest.raises(InputDataError, match=r"odd\.mat: variable 'radius_unit' is 'furlong'; expected one of m, um, mm"):
+    with pytest.raises(
+        InputDataError,
+        match=r"odd\.mat: variable 'radius_unit' is 'furlong'; expected one of m, um, mm",
+    ):
         load_traces(imrfit(tmp_path / "odd.mat", radius_unit="furlong"))
 
 
 def test_that_variables_with_units_in_their_names_need_no_layout(tmp_path: Path) -> None:
-    scipy.io.savemat(tmp_path / "gel.mat", {"t_us": np.arange(8.0), "R_um": np.array(RADII), "R0": 3.0})
+    scipy.io.savemat(
+        tmp_path / "gel.mat", {"t_us": np.arange(8.0), "R_um": np.array(RADII), "R0": 3.0}
+    )
     check(load_traces(tmp_path / "gel.mat"), ("gel",))
 
 
@@ -226,18 +310,24 @@ def test_that_folders_and_patterns_stand_for_their_files(tmp_path: Path) -> None
     (tmp_path / "b.json").write_text("{}")
     check(load_traces(tmp_path), ("a", "b"))
     check(load_traces(str(tmp_path / "*.csv")), ("b",))
-    assert [p.name for p in find_files(tmp_path, tmp_path / "notes.md")] == ["a.TXT", "b.csv", "notes.md"]
+    assert [p.name for p in find_files(tmp_path, tmp_path / "notes.md")] == [
+        "a.TXT",
+        "b.csv",
+        "notes.md",
+    ]
 
 
 def test_that_curves_of_an_npz_file_are_read(tmp_path: Path) -> None:
-    times, radius = 1e-6 * np.arange(8), 1e-6 * np.array(RADII)
+    times = 1e-6 * np.arange(8)
+    radius = 1e-6 * np.array(RADII)
     np.savez(tmp_path / "one.npz", time_s=times, radius_m=radius)
     np.savez(tmp_path / "two.npz", time_s=times, radius_m=np.stack([radius, radius]))
     check(load_traces(tmp_path / "one.npz"), ("one",))
     check(load_traces(tmp_path / "two.npz"), ("two_01", "two_02"))
     np.savez(tmp_path / "set.npz", time_s=times[None], radius_m=np.ones((1, 2, 8)))
     with pytest.raises(
-        InputDataError, match=r"radius_m \(1, 2, 8\); expected frames, or curves x frames, .*imr-torch diagnose"
+        InputDataError,
+        match=r"radius_m \(1, 2, 8\); expected frames, or curves x frames, .*imr-torch diagnose",
     ):
         load_traces(tmp_path / "set.npz")
 
@@ -249,8 +339,14 @@ def header(shape: tuple[int, ...], kind: str = "<f8") -> bytes:
 
 ARCHIVES = {
     "empty": (None, r"bad\.npz: no array 'time_s'; expected time_s, radius_m, got none\."),
-    "no zip": (b"PK not", r"bad\.npz: cannot be read as \.npz arrays of numbers \(.*\); write it with numpy\.savez\."),
-    "zero-dimensional": (header(()) + bytes(8), r"bad\.npz: time_s has shape \(\) and radius_m \(\); expected frames, .*"),
+    "no zip": (
+        b"PK not",
+        r"bad\.npz: cannot be read as \.npz arrays of numbers \(.*\); write it with numpy\.savez\.",
+    ),
+    "zero-dimensional": (
+        header(()) + bytes(8),
+        r"bad\.npz: time_s has shape \(\) and radius_m \(\); expected frames, .*",
+    ),
     "a header of 73 TiB": (
         header((10**13,)),
         r"bad\.npz: array 'time_s' of shape \(10000000000000,\) takes .*7\.45e\+04 GiB, .*",
@@ -263,12 +359,17 @@ ARCHIVES = {
         header((2,)).replace(b"False", b"print"),
         r"bad\.npz: cannot be read as \.npz arrays of numbers \(.*\); write it with numpy\.savez\.",
     ),
-    "fewer values than declared": (header((9,)) + bytes(8), r"bad\.npz: cannot be read as \.npz arrays of numbers \(.*\); .*"),
+    "fewer values than declared": (
+        header((9,)) + bytes(8),
+        r"bad\.npz: cannot be read as \.npz arrays of numbers \(.*\); .*",
+    ),
 }
 
 
 @pytest.mark.parametrize("name", ARCHIVES)
-def test_that_an_unusable_npz_file_is_named_before_memory_is_taken(tmp_path: Path, name: str) -> None:
+def test_that_an_unusable_npz_file_is_named_before_memory_is_taken(
+    tmp_path: Path, name: str
+) -> None:
     content, message = ARCHIVES[name]
     if name == "no zip":
         (tmp_path / "bad.npz").write_bytes(content + bytes(9))
@@ -282,14 +383,19 @@ def test_that_an_unusable_npz_file_is_named_before_memory_is_taken(tmp_path: Pat
 
 def test_that_a_zip_bomb_is_not_unpacked(tmp_path: Path) -> None:
     with (
-        zipfile.ZipFile(tmp_path / "bad.npz", "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        zipfile.ZipFile(
+            tmp_path / "bad.npz", "w", zipfile.ZIP_DEFLATED, compresslevel=1
+        ) as archive,
         archive.open("time_s.npy", "w", force_zip64=True) as stream,
     ):
         stream.write(header((2,)))
         for _ in range(2100):
             stream.write(bytes(1 << 20))
     started = time.perf_counter()
-    with pytest.raises(InputDataError, match=r"array 'time_s' of shape \(2,\) takes the file to 2\.05 GiB, more than 2 GiB"):
+    with pytest.raises(
+        InputDataError,
+        match=r"array 'time_s' of shape \(2,\) takes the file to 2\.05 GiB, more than 2 GiB",
+    ):
         read_arrays(tmp_path / "bad.npz")
     assert time.perf_counter() - started < 1.0
 
@@ -298,13 +404,23 @@ def test_that_a_matlab_file_of_huge_arrays_is_not_read(tmp_path: Path) -> None:
     h5py = pytest.importorskip("h5py")
     with h5py.File(tmp_path / "bad.mat", "w") as file:
         file.create_dataset("R", shape=(10**12,), chunks=(1000,), dtype="f8")
-    with pytest.raises(InputDataError, match=r"bad\.mat: its variables take 7\.45e\+03 GiB, .*the largest is 'R'"):
+    with pytest.raises(
+        InputDataError, match=r"bad\.mat: its variables take 7\.45e\+03 GiB, .*the largest is 'R'"
+    ):
         load_traces(tmp_path / "bad.mat")
 
 
 @pytest.mark.parametrize(
     ("text", "unit"),
-    [("\u00b5s", "us"), ("[um]", "um"), ("Pixels", "px"), ("sec", "s"), ("kg", None), ("", None), ("1", "dimensionless")],
+    [
+        ("\u00b5s", "us"),
+        ("[um]", "um"),
+        ("Pixels", "px"),
+        ("sec", "s"),
+        ("kg", None),
+        ("", None),
+        ("1", "dimensionless"),
+    ],
 )
 def test_that_a_unit_is_known_by_its_names(text: str, unit: str | None) -> None:
     assert unit_of(text) == unit
@@ -324,7 +440,9 @@ def test_that_a_unit_is_known_by_its_names(text: str, unit: str | None) -> None:
         ("shot_id", "shot_id", None, "experiment"),
     ],
 )
-def test_that_a_name_says_what_a_column_is(name: str, bare: str, unit: str | None, role: str | None) -> None:
+def test_that_a_name_says_what_a_column_is(
+    name: str, bare: str, unit: str | None, role: str | None
+) -> None:
     found = heading(name)
     assert (found.bare, found.unit, found.role) == (bare, unit, role)
 

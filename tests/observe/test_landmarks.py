@@ -16,7 +16,10 @@ from imr_torch.observe.traces import Given, RadiusTrace
 from imr_torch.simulate import PolytropicSimulator, Status, TransportSimulator
 from imr_torch.units import Surroundings
 
-TOP, REST, TAU, PERIOD = 2e-4, 1.1e-4, 4e-5, 2.5e-5
+TOP = 2e-4
+REST = 1.1e-4
+TAU = 4e-5
+PERIOD = 2.5e-5
 OMEGA = 2 * math.pi / PERIOD
 
 
@@ -27,7 +30,9 @@ def trace(time: np.ndarray, radius: np.ndarray, given: Given = Given()) -> Radiu
 def ringing(time: np.ndarray, tau: float = TAU) -> np.ndarray:
     """Growth, then a damped oscillation with extremes exactly at multiples of half a period (a stationary start)."""
     swing = TOP - REST
-    after = REST + swing * np.exp(-time / tau) * (np.cos(OMEGA * time) + np.sin(OMEGA * time) / (OMEGA * tau))
+    after = REST + swing * np.exp(-time / tau) * (
+        np.cos(OMEGA * time) + np.sin(OMEGA * time) / (OMEGA * tau)
+    )
     before = TOP - 0.5 * swing * (OMEGA**2 + tau**-2) * time**2
     return np.where(time < 0, before, after)
 
@@ -39,7 +44,8 @@ def frames(n: int = 200, step: float = 5e-7, start: float = -6e-6) -> np.ndarray
 @pytest.mark.parametrize(("n", "noise"), [(5, 0.005), (9, 0.005), (21, 0.005), (60, 0.005)])
 def test_that_the_peak_of_a_noisy_parabola_is_covered_by_its_sd(n: int, noise: float) -> None:
     rng = np.random.default_rng(n)
-    z, late = [], []
+    z = []
+    late = []
     for _ in range(400):
         time = np.linspace(-1.2e-5, 1.2e-5, n) + rng.uniform(-0.4, 0.4) * 2.4e-5 / n
         radius = TOP * (1 - 0.3 * (time / 1.2e-5) ** 2 + noise * rng.standard_normal(n))
@@ -55,7 +61,8 @@ def test_that_the_peak_of_a_noisy_parabola_is_covered_by_its_sd(n: int, noise: f
 
 def test_that_the_fit_beats_the_largest_frame() -> None:
     rng = np.random.default_rng(1)
-    fitted, largest = [], []
+    fitted = []
+    largest = []
     for _ in range(200):
         time = frames() + rng.uniform(0, 5e-7)
         radius = ringing(time) + 0.005 * TOP * rng.standard_normal(len(time))
@@ -68,19 +75,25 @@ def test_that_the_fit_beats_the_largest_frame() -> None:
 @pytest.mark.parametrize("noise", [0.0005, 0.005])
 def test_that_collapses_and_rebounds_lie_between_the_frames(noise: float) -> None:
     rng = np.random.default_rng(2)
-    step, errors = 5e-7, []
+    step = 5e-7
+    errors = []
     for _ in range(50):
         time = frames(step=step) + rng.uniform(0, step)
-        found = find_landmarks(trace(time, ringing(time) + noise * TOP * rng.standard_normal(len(time))))
+        found = find_landmarks(
+            trace(time, ringing(time) + noise * TOP * rng.standard_normal(len(time)))
+        )
         assert found.collapse_times_s[:2] == pytest.approx([PERIOD / 2, 3 * PERIOD / 2], abs=step)
         assert found.rebound_times_s[0] == pytest.approx(PERIOD, abs=1.5 * step)
-        assert found.rebound_radii_m[0] == pytest.approx(REST + (TOP - REST) * math.exp(-PERIOD / TAU), rel=0.02)
+        assert found.rebound_radii_m[0] == pytest.approx(
+            REST + (TOP - REST) * math.exp(-PERIOD / TAU), rel=0.02
+        )
         errors.append(found.collapse_times_s[0] - PERIOD / 2)
     assert np.sqrt(np.mean(np.square(errors))) < 0.25 * step
 
 
 def test_that_a_sharp_collapse_is_found_within_a_fifth_of_a_frame() -> None:
-    step, period = 1e-6, 2e-5
+    step = 1e-6
+    period = 2e-5
     errors = []
     for shift in np.linspace(0, 1, 21):
         time = (np.arange(60) + shift) * step - 5e-6
@@ -105,7 +118,9 @@ def test_that_noise_on_a_settled_tail_is_no_collapse() -> None:
 def test_that_a_settled_tail_gives_the_rest_radius_with_its_scatter() -> None:
     rng = np.random.default_rng(4)
     time = frames(400)
-    found = find_landmarks(trace(time, ringing(time, tau=1.5e-5) + 5e-7 * rng.standard_normal(len(time))))
+    found = find_landmarks(
+        trace(time, ringing(time, tau=1.5e-5) + 5e-7 * rng.standard_normal(len(time)))
+    )
     assert (found.rest_settled, found.rest_method) == (True, "settled tail")
     assert found.rest_radius_m == pytest.approx(REST, rel=0.005)
     assert 4e-7 < (found.rest_radius_sd_m or 0) < 7e-7
@@ -113,9 +128,14 @@ def test_that_a_settled_tail_gives_the_rest_radius_with_its_scatter() -> None:
 
 @pytest.fixture(scope="module")
 def bubbles_that_still_ring() -> dict[str, np.ndarray]:
-    """For each method: columns ln(rest radius found / true) and the relative standard deviation stated."""
-    rng, count = np.random.default_rng(8), 500
-    we, rest = np.exp(rng.uniform(np.log(100), np.log(1500), count)), rng.uniform(0.08, 0.45, count)
+    """For each method:
+
+    columns ln(rest radius found / true) and the relative standard deviation stated.
+    """
+    rng = np.random.default_rng(8)
+    count = 500
+    we = np.exp(rng.uniform(np.log(100), np.log(1500), count))
+    rest = rng.uniform(0.08, 0.45, count)
     gels = {
         "G": np.exp(rng.uniform(np.log(100), np.log(3e4), count)),
         "mu": np.exp(rng.uniform(np.log(3e-3), np.log(0.2), count)),
@@ -125,14 +145,20 @@ def bubbles_that_still_ring() -> dict[str, np.ndarray]:
     solved = TransportSimulator()(parameters, torch.tensor(np.stack([we, rest], -1)), times)
     found: dict[str, list[tuple[float, float]]] = {}
     for radius, true in zip(
-        solved.radius[solved.status == Status.DONE].numpy(), rest[(solved.status == Status.DONE).numpy()], strict=True
+        solved.radius[solved.status == Status.DONE].numpy(),
+        rest[(solved.status == Status.DONE).numpy()],
+        strict=True,
     ):
         time = np.linspace(-0.3, rng.uniform(1.6, 7.0), int(rng.integers(40, 256)))
-        frames = np.interp(np.abs(time), times.numpy(), radius) + 0.005 * rng.standard_normal(len(time))
+        frames = np.interp(np.abs(time), times.numpy(), radius) + 0.005 * rng.standard_normal(
+            len(time)
+        )
         marks = find_landmarks(trace(1e-5 * time, TOP * np.clip(frames, 0.02, None)))
         if marks.rest_radius_m is not None and marks.rest_radius_sd_m is not None:
             error = math.log(marks.rest_radius_m / (TOP * true))
-            found.setdefault(marks.rest_method, []).append((error, marks.rest_radius_sd_m / marks.rest_radius_m))
+            found.setdefault(marks.rest_method, []).append(
+                (error, marks.rest_radius_sd_m / marks.rest_radius_m)
+            )
     return {method: np.array(values) for method, values in found.items()}
 
 
@@ -160,11 +186,19 @@ def test_that_a_single_rebound_gives_a_wide_rest_radius() -> None:
 def test_that_a_record_without_rebound_has_no_rest_radius_unless_one_is_given() -> None:
     time = frames(35)
     found = find_landmarks(trace(time, ringing(time)))
-    assert (found.rest_radius_m, found.rest_radius_sd_m, found.rest_method) == (None, None, "not in record")
+    assert (found.rest_radius_m, found.rest_radius_sd_m, found.rest_method) == (
+        None,
+        None,
+        "not in record",
+    )
     assert not found.rest_settled
     given = Given(rest_radius_m=1e-4, rest_radius_sd_m=2e-5)
     found = find_landmarks(trace(time, ringing(time), given))
-    assert (found.rest_radius_m, found.rest_radius_sd_m, found.rest_method) == (1e-4, 2e-5, "as given")
+    assert (found.rest_radius_m, found.rest_radius_sd_m, found.rest_method) == (
+        1e-4,
+        2e-5,
+        "as given",
+    )
 
 
 def test_that_a_record_without_growth_uses_the_given_maximum_else_the_first_frame_widely() -> None:
@@ -174,20 +208,36 @@ def test_that_a_record_without_growth_uses_the_given_maximum_else_the_first_fram
     assert (found.max_radius_m, found.time_of_max_s, found.max_method) == (TOP, 0.0, "as given")
     assert found.growth_samples == 0
     found = find_landmarks(trace(time, radius))
-    assert (found.max_radius_m, found.time_of_max_s, found.max_method) == (radius[0], time[0], "edge")
+    assert (found.max_radius_m, found.time_of_max_s, found.max_method) == (
+        radius[0],
+        time[0],
+        "edge",
+    )
     assert found.max_radius_sd_m >= 0.01 * radius[0] * (1 - 1e-12)
 
 
-def test_that_a_record_that_begins_at_its_maximum_gives_it_by_the_frames_after_it_without_bias() -> None:
-    """The largest of noisy frames about a flat maximum is late; the fit is not, and its errors are as stated."""
-    late, times, values = [], [], []
-    simulator, source = PolytropicSimulator(), torch.Generator().manual_seed(0)
+def test_that_a_record_that_begins_at_its_maximum_gives_it_by_the_frames_after_it_without_bias() -> (
+    None
+):
+    """The largest of noisy frames about a flat maximum is late;
+
+    the fit is not, and its errors are as stated.
+    """
+    late = []
+    times = []
+    values = []
+    simulator = PolytropicSimulator()
+    source = torch.Generator().manual_seed(0)
     scale = Surroundings().time_scale(3e-4)
     for number in range(100):
         first = 0.3 * (number % 10) / 10.0 * 1e-6
         seconds = first + 1e-6 * torch.arange(90, dtype=torch.float64)
-        design = torch.tensor([Surroundings().weber(3e-4), 0.15 + 0.01 * (number % 7)], dtype=torch.float64)
-        clean = simulator(PARAMETERS.pack({"G": 3e3 + 200.0 * (number % 9), "mu": 0.06}), design, seconds / scale).radius
+        design = torch.tensor(
+            [Surroundings().weber(3e-4), 0.15 + 0.01 * (number % 7)], dtype=torch.float64
+        )
+        clean = simulator(
+            PARAMETERS.pack({"G": 3e3 + 200.0 * (number % 9), "mu": 0.06}), design, seconds / scale
+        ).radius
         seen = 3e-4 * (clean + 0.003 * torch.randn(90, generator=source, dtype=torch.float64))
         found = find_landmarks(RadiusTrace("shot", seconds, seen, "test"))
         assert found.max_method == "one-sided fit"
@@ -204,7 +254,9 @@ def test_that_a_record_that_begins_at_its_maximum_gives_it_by_the_frames_after_i
 
 def test_that_the_given_maximum_is_not_used_where_frames_bracket_the_peak() -> None:
     time = frames()
-    found = find_landmarks(trace(time, ringing(time), Given(max_radius_m=1.1 * TOP, time_of_max_s=1e-6)))
+    found = find_landmarks(
+        trace(time, ringing(time), Given(max_radius_m=1.1 * TOP, time_of_max_s=1e-6))
+    )
     assert found.max_method == "peak fit"
     assert found.max_radius_m == pytest.approx(TOP, rel=2e-3)
     assert found.growth_samples == 12 or found.growth_samples == 13
@@ -232,14 +284,19 @@ def test_that_phases_follow_each_other() -> None:
 @pytest.mark.parametrize("setting", ["tail_fraction", "settled_below"])
 def test_that_settings_outside_zero_and_one_are_errors(setting: str) -> None:
     time = frames()
-    with pytest.raises(InputDataError, match=f"{setting} is 1.5; expected a number between 0 and 1"):
+    with pytest.raises(
+        InputDataError, match=f"{setting} is 1.5; expected a number between 0 and 1"
+    ):
         find_landmarks(trace(time, ringing(time)), **{setting: 1.5})
 
 
 def both(shared: Path, name: str) -> list[tuple[Landmarks, dict]]:
     listed = json.loads((shared / f"data/{name}.json").read_text())["experiments"]
     published = {entry["experiment_id"]: entry for entry in listed}
-    return [(find_landmarks(t), published[t.experiment_id]) for t in load_traces(shared / f"data/{name}.csv")]
+    return [
+        (find_landmarks(t), published[t.experiment_id])
+        for t in load_traces(shared / f"data/{name}.csv")
+    ]
 
 
 WELL_SAMPLED = [
@@ -270,14 +327,17 @@ def test_that_the_maximum_radius_agrees_with_the_published_one(shared: Path, nam
 
 @pytest.mark.parametrize("name", COARSE)
 def test_that_coarse_records_cover_the_published_maximum(shared: Path, name: str) -> None:
-    # With 2.5 us between 5 to 15 frames the published value is often the largest frame, a lower bound.
+    # With 2.5 us between 5 to 15 frames the published value is often the largest frame, a lower
+    # bound.
     for found, said in both(shared, name):
         assert abs(found.max_radius_m - said["Rmax_m"]) < 2.5 * found.max_radius_sd_m
         assert found.max_radius_m == pytest.approx(said["Rmax_m"], rel=0.04)
 
 
 @pytest.mark.parametrize("name", WELL_SAMPLED + COARSE)
-def test_that_the_rest_radius_agrees_with_the_published_one_where_settled(shared: Path, name: str) -> None:
+def test_that_the_rest_radius_agrees_with_the_published_one_where_settled(
+    shared: Path, name: str
+) -> None:
     for found, said in both(shared, name):
         if said["Rinf_m"] is None:
             assert found.rest_method in ("not in record", "first rebound")
@@ -288,9 +348,18 @@ def test_that_the_rest_radius_agrees_with_the_published_one_where_settled(shared
             assert found.rest_radius_m < 1.05 * said["Rinf_m"]
 
 
-def test_that_shots_of_one_gel_have_one_stretch_however_long_they_were_recorded(shared: Path) -> None:
-    """Eleven shots of one size; the mean radii of their last cycles, over Rmax, scatter by .21, as the published ones do."""
-    stretch = [found.rest_radius_m / found.max_radius_m for found, _ in both(shared, "agarose_0p5pct") if found.rest_radius_m]
+def test_that_shots_of_one_gel_have_one_stretch_however_long_they_were_recorded(
+    shared: Path,
+) -> None:
+    """Eleven shots of one size;
+
+    the mean radii of their last cycles, over Rmax, scatter by .21, as the published ones do.
+    """
+    stretch = [
+        found.rest_radius_m / found.max_radius_m
+        for found, _ in both(shared, "agarose_0p5pct")
+        if found.rest_radius_m
+    ]
     assert len(stretch) == 11
     assert np.std(stretch) / np.mean(stretch) < 0.15
 
@@ -308,7 +377,8 @@ def test_that_the_collapses_agree_with_those_marked_by_the_laboratory(shared: Pa
 
 def test_that_noise_in_the_tail_makes_no_cycles_of_which_the_rest_radius_is_taken() -> None:
     """Noise that grows with time, as the published law does: errors stay within what is stated."""
-    rng, errors = np.random.default_rng(11), []
+    rng = np.random.default_rng(11)
+    errors = []
     for _ in range(100):
         time = frames(80)
         radius = ringing(time, tau=8e-6)
@@ -320,8 +390,12 @@ def test_that_noise_in_the_tail_makes_no_cycles_of_which_the_rest_radius_is_take
     assert np.mean(np.abs(errors) > 2.0) <= 0.05
 
 
-@pytest.mark.parametrize(("given", "method"), [({}, "as given"), ({"rest_settled": False}, "last cycles")])
-def test_that_a_stated_rest_radius_counts_before_a_bubble_that_rings(given: dict[str, bool], method: str) -> None:
+@pytest.mark.parametrize(
+    ("given", "method"), [({}, "as given"), ({"rest_settled": False}, "last cycles")]
+)
+def test_that_a_stated_rest_radius_counts_before_a_bubble_that_rings(
+    given: dict[str, bool], method: str
+) -> None:
     time = frames(150)
     found = find_landmarks(trace(time, ringing(time), Given(rest_radius_m=1.3 * REST, **given)))
     assert found.rest_method == method

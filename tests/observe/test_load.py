@@ -50,7 +50,8 @@ def test_that_every_line_of_the_separated_table_is_used_or_accounted_for(shared:
 
 
 def test_that_the_separated_table_equals_its_published_si_version(shared: Path) -> None:
-    ours, theirs = load_traces(shared / "data/original/laser3.csv"), load_traces(shared / "data/gel03_laser.csv")
+    ours = load_traces(shared / "data/original/laser3.csv")
+    theirs = load_traces(shared / "data/gel03_laser.csv")
     assert len(ours) == len(theirs)
     for a, b in zip(ours, theirs, strict=True):
         torch.testing.assert_close(a.time_s, b.time_s, rtol=0, atol=1e-14)
@@ -59,7 +60,13 @@ def test_that_the_separated_table_equals_its_published_si_version(shared: Path) 
 
 def test_that_the_json_beside_a_table_gives_the_laboratorys_values(tmp_path: Path) -> None:
     path = written(tmp_path / "set.csv", HEADER + table("a") + table("b"))
-    entry = {"experiment_id": "b", "Rmax_m": 2.1e-4, "t_Rmax_s": -1e-7, "Rinf_m": 5e-5, "Rinf_tail_std_m": 1e-6}
+    entry = {
+        "experiment_id": "b",
+        "Rmax_m": 2.1e-4,
+        "t_Rmax_s": -1e-7,
+        "Rinf_m": 5e-5,
+        "Rinf_tail_std_m": 1e-6,
+    }
     beside = {"experiments": [{**entry, "Rinf_settled": True}, {"experiment_id": "c"}]}
     (tmp_path / "set.json").write_text(json.dumps(beside))
     traces = load_traces(path)
@@ -72,8 +79,12 @@ def test_that_lost_frames_are_left_out_with_their_rows_and_reasons(tmp_path: Pat
     rows = ["0,0", "1,nan", "2,90", "3,0", "4,95", "5,94", "6,", "7,90", "8,80", "9,NaN"]
     path = written(tmp_path / "x.txt", "t,R\n" + "\n".join(rows))
     traces = load_traces(path, layout=Layout("R", radius_unit="um", time="t", time_unit="us"))
-    torch.testing.assert_close(traces[0].time_s, 1e-6 * torch.tensor([2.0, 4, 5, 7, 8], dtype=torch.float64))
-    torch.testing.assert_close(traces[0].radius_m, 1e-6 * torch.tensor([90.0, 95, 94, 90, 80], dtype=torch.float64))
+    torch.testing.assert_close(
+        traces[0].time_s, 1e-6 * torch.tensor([2.0, 4, 5, 7, 8], dtype=torch.float64)
+    )
+    torch.testing.assert_close(
+        traces[0].radius_m, 1e-6 * torch.tensor([90.0, 95, 94, 90, 80], dtype=torch.float64)
+    )
     found = [(x.rows, x.reason.partition("(")[2].rstrip(")")) for x in traces.left_out]
     assert found == [("2-3", "before nucleation"), ("5, 8", "lost frames"), ("11", "lost frames")]
     assert all(x.rows in traces.report() and x.reason in traces.report() for x in traces.left_out)
@@ -81,8 +92,12 @@ def test_that_lost_frames_are_left_out_with_their_rows_and_reasons(tmp_path: Pat
 
 def test_that_single_impossible_radii_are_lost_frames_and_many_are_refused(tmp_path: Path) -> None:
     """As noise makes them at a collapse, where the true radius is next to nothing."""
-    times, radii = (1e-6 * np.arange(100)).tolist(), (1.5e-4 + 5e-5 * np.cos(0.1 * np.arange(100))).tolist()
-    rows = [["id", "time_s", "radius_m"], *[["a", f"{t:.9g}", f"{r:.9g}"] for t, r in zip(times, radii, strict=True)]]
+    times = (1e-6 * np.arange(100)).tolist()
+    radii = (1.5e-4 + 5e-5 * np.cos(0.1 * np.arange(100))).tolist()
+    rows = [
+        ["id", "time_s", "radius_m"],
+        *[["a", f"{t:.9g}", f"{r:.9g}"] for t, r in zip(times, radii, strict=True)],
+    ]
     rows[41][2], rows[60][2] = "-4e-6", "3e-8"
     traces = load_traces(written(tmp_path / "gel.csv", "\n".join(",".join(row) for row in rows)))
     (trace,) = traces
@@ -96,7 +111,9 @@ def test_that_single_impossible_radii_are_lost_frames_and_many_are_refused(tmp_p
 
 
 def test_that_a_short_curve_is_left_out_and_the_others_stay(tmp_path: Path) -> None:
-    traces = load_traces(written(tmp_path / "x.csv", HEADER + table("a") + table("short", 4) + table("b")))
+    traces = load_traces(
+        written(tmp_path / "x.csv", HEADER + table("a") + table("short", 4) + table("b"))
+    )
     assert traces.ids == ("a", "b")
     assert traces.left_out[0].experiment_id == "short"
     assert "only 4 frame(s)" in traces.left_out[0].reason
@@ -149,8 +166,12 @@ def test_that_content_and_not_the_suffix_decides(tmp_path: Path) -> None:
 
 
 def test_that_frame_numbers_become_seconds(tmp_path: Path) -> None:
-    path = written(tmp_path / "x.csv", "R\n" + "\n".join(["0", "0", *(str(100 - i) for i in range(6))]))
-    traces = load_traces(path, layout=Layout("R", radius_unit="px", pixel_size=2e-6, frame_interval=5e-7))
+    path = written(
+        tmp_path / "x.csv", "R\n" + "\n".join(["0", "0", *(str(100 - i) for i in range(6))])
+    )
+    traces = load_traces(
+        path, layout=Layout("R", radius_unit="px", pixel_size=2e-6, frame_interval=5e-7)
+    )
     assert traces[0].time_s[0].item() == pytest.approx(1e-6)
     assert traces[0].radius_m[0].item() == pytest.approx(2e-4)
 
@@ -159,7 +180,12 @@ def test_that_a_layout_is_read_from_text() -> None:
     text = "radius=Rnew,radius_unit=px,pixel_size=deltax,frame_interval=5e-7,max_radius_entries=1+3,separator=-1"
     layout = Layout.from_text(text)
     assert layout == Layout(
-        "Rnew", radius_unit="px", pixel_size="deltax", frame_interval=5e-7, max_radius_entries=(1, 3), separator=-1.0
+        "Rnew",
+        radius_unit="px",
+        pixel_size="deltax",
+        frame_interval=5e-7,
+        max_radius_entries=(1, 3),
+        separator=-1.0,
     )
     assert layout.names() == ("Rnew", "deltax")
 
@@ -174,7 +200,9 @@ def test_that_row_numbers_are_joined_to_ranges() -> None:
 
 
 def test_that_a_trace_is_float64_whatever_comes_in() -> None:
-    trace = RadiusTrace("a", torch.arange(3, dtype=torch.float32) * 1e-6, torch.full((3,), 1e-4), "memory")
+    trace = RadiusTrace(
+        "a", torch.arange(3, dtype=torch.float32) * 1e-6, torch.full((3,), 1e-4), "memory"
+    )
     assert trace.time_s.dtype == trace.radius_m.dtype == torch.float64
 
 

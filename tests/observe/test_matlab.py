@@ -1,4 +1,7 @@
-"""MATLAB files in: units, frames, inserted peaks, and which maximum radius belongs to which curve."""
+"""MATLAB files in:
+
+units, frames, inserted peaks, and which maximum radius belongs to which curve.
+"""
 
 import math
 from pathlib import Path
@@ -24,12 +27,17 @@ def cells(vectors: list[np.ndarray]) -> np.ndarray:
     return out
 
 
-def dimensionless_file(path: Path, tops: list[float], curve_tops: list[float], dt: float = 5e-7) -> Path:
+def dimensionless_file(
+    path: Path, tops: list[float], curve_tops: list[float], dt: float = 5e-7
+) -> Path:
     """Curves of ``curve_tops`` at one frame interval, and a list ``tops`` that may be longer."""
     times = [(np.arange(-3, 9) + 0.3) * dt / (top * SCALE) for top in curve_tops]
     times = [np.sort(np.append(t, 0.0)) for t in times]
     radii = [np.where(t == 0.0, 1.0, 1.0 - 0.2 * t**2) for t in times]
-    scipy.io.savemat(path, {"R_nondim_All": cells(radii), "t_nondim_All": cells(times), "RmaxList": np.array(tops)})
+    scipy.io.savemat(
+        path,
+        {"R_nondim_All": cells(radii), "t_nondim_All": cells(times), "RmaxList": np.array(tops)},
+    )
     return path
 
 
@@ -43,7 +51,8 @@ def test_that_dimensionless_cells_of_v73_become_si(shared: Path) -> None:
         assert ours.given.time_of_max_s == 0.0
         step = ours.time_s.diff().median().item()
         assert step == pytest.approx(4.995e-7, rel=1e-3)
-        # The published times were put on exactly 0.5 us; ours use the density and pressure of the layout.
+        # The published times were put on exactly 0.5 us; ours use the density and pressure of the
+        # layout.
         torch.testing.assert_close(ours.time_s, theirs.time_s, rtol=2e-3, atol=1e-11)
     assert "entries 1, 2, 3, 4 are used" in traces.notes[1]
     reasons = [(x.rows, x.reason.split()[0]) for x in traces.left_out]
@@ -56,7 +65,9 @@ def test_that_both_remedies_give_the_same_gelatin_curves(shared: Path, how: dict
     path = shared / "data/original/gelatin10_Rt_nondim_exp_v73.mat"
     settings = {name: getattr(DIMENSIONLESS, name) for name in DIMENSIONLESS.__dataclass_fields__}
     traces = load_traces(path, layout=Layout(**{**settings, **how}))
-    assert [t.given.max_radius_m for t in traces] == [t.given.max_radius_m for t in load_traces(path)]
+    assert [t.given.max_radius_m for t in traces] == [
+        t.given.max_radius_m for t in load_traces(path)
+    ]
 
 
 def test_that_a_fitted_peak_in_the_first_row_is_no_frame(shared: Path) -> None:
@@ -88,7 +99,9 @@ def test_that_micrometres_and_the_rest_radius_become_metres(shared: Path) -> Non
 
 
 @pytest.mark.parametrize("chosen", [(0, 1, 2), (0, 2, 3), (1, 2, 3)])
-def test_that_the_entries_with_equal_frame_spacing_are_found(tmp_path: Path, chosen: tuple[int, ...]) -> None:
+def test_that_the_entries_with_equal_frame_spacing_are_found(
+    tmp_path: Path, chosen: tuple[int, ...]
+) -> None:
     tops = [1.5e-4, 1.83e-4, 1.61e-4, 2.1e-4]
     path = dimensionless_file(tmp_path / "x.mat", tops, [tops[i] for i in chosen])
     traces = load_traces(path)
@@ -113,13 +126,17 @@ def test_that_entries_that_no_frame_interval_explains_are_an_error(tmp_path: Pat
         "radius=R_nondim_All,radius_unit=dimensionless,time=t_nondim_All,time_unit=dimensionless,max_radius=RmaxList,"
         "inserted_peak=time_zero,frame_interval=1e-6"
     )
-    with pytest.raises(InputDataError, match=r"no choice fits a frame spacing of 1e-06 s \(within 1 %\)"):
+    with pytest.raises(
+        InputDataError, match=r"no choice fits a frame spacing of 1e-06 s \(within 1 %\)"
+    ):
         load_traces(path, layout=layout)
 
 
 def test_that_too_few_entries_are_an_error(tmp_path: Path) -> None:
     path = dimensionless_file(tmp_path / "x.mat", [1.5e-4, 1.8e-4], [1.5e-4, 1.8e-4, 1.6e-4])
-    with pytest.raises(InputDataError, match="'RmaxList' has 2 entries for 3 curves; one entry for each curve"):
+    with pytest.raises(
+        InputDataError, match="'RmaxList' has 2 entries for 3 curves; one entry for each curve"
+    ):
         load_traces(path)
 
 
@@ -128,38 +145,54 @@ def test_that_named_entries_override_and_are_counted_from_one(tmp_path: Path) ->
     settings = {name: getattr(DIMENSIONLESS, name) for name in DIMENSIONLESS.__dataclass_fields__}
     traces = load_traces(path, layout=Layout(**{**settings, "max_radius_entries": (2,)}))
     assert traces[0].given.max_radius_m == pytest.approx(1.5e-4)
-    with pytest.raises(InputDataError, match=r"max_radius_entries=\(3,\) for 1 curves and 2 entries"):
+    with pytest.raises(
+        InputDataError, match=r"max_radius_entries=\(3,\) for 1 curves and 2 entries"
+    ):
         load_traces(path, layout=Layout(**{**settings, "max_radius_entries": (3,)}))
 
 
 def test_that_fields_of_a_struct_are_variables(tmp_path: Path) -> None:
-    scipy.io.savemat(tmp_path / "s.mat", {"bubble": {"R": np.arange(60.0, 70.0), "t": np.arange(10.0)}})
+    scipy.io.savemat(
+        tmp_path / "s.mat", {"bubble": {"R": np.arange(60.0, 70.0), "t": np.arange(10.0)}}
+    )
     layout = Layout("bubble.R", radius_unit="um", time="bubble.t", time_unit="us")
     assert len(load_traces(tmp_path / "s.mat", layout=layout)[0]) == 10
 
 
 def test_that_a_first_row_which_is_no_peak_is_an_error(tmp_path: Path) -> None:
     radius = np.linspace(1e-4, 2e-4, 10)
-    scipy.io.savemat(tmp_path / "p.mat", {"Rnew": radius, "t": np.arange(10) * 1e-6, "RmaxAll": 2e-4})
-    with pytest.raises(InputDataError, match=r"row 1: radius 0\.0001 m is not the fitted peak \(max_radius 0\.0002 m\)"):
+    scipy.io.savemat(
+        tmp_path / "p.mat", {"Rnew": radius, "t": np.arange(10) * 1e-6, "RmaxAll": 2e-4}
+    )
+    with pytest.raises(
+        InputDataError,
+        match=r"row 1: radius 0\.0001 m is not the fitted peak \(max_radius 0\.0002 m\)",
+    ):
         load_traces(tmp_path / "p.mat")
 
 
 def test_that_times_at_odds_with_the_frame_interval_are_an_error(tmp_path: Path) -> None:
     scipy.io.savemat(tmp_path / "f.mat", {"R": np.arange(60.0, 70.0), "t": np.arange(10.0)})
     layout = Layout("R", radius_unit="um", time="t", time_unit="us", frame_interval=5e-7)
-    with pytest.raises(InputDataError, match="times are 1e-06 s apart and frame_interval is 5e-07 s"):
+    with pytest.raises(
+        InputDataError, match="times are 1e-06 s apart and frame_interval is 5e-07 s"
+    ):
         load_traces(tmp_path / "f.mat", layout=layout)
 
 
-R, T = np.arange(60.0, 70.0), np.arange(10.0)
+R = np.arange(60.0, 70.0)
+T = np.arange(10.0)
 UM = Layout("R", radius_unit="um", time="t", time_unit="us")
 
 
 @pytest.mark.parametrize(
     ("variables", "layout", "message"),
     [
-        ({"R": R, "t": T}, None, r"'R' and 't' have no unit\. If this is right, add --layout \"radius=R,radius_unit="),
+        (
+            {"R": R, "t": T},
+            None,
+            r"'R' and 't' have no unit\. If this is right, add --layout \"radius=R,radius_unit=",
+        ),
         (
             {"Rnew": R, "t": T, "RmaxAll": 70.0, "deltat": 1e-6, "deltax": 2e-6},
             None,
@@ -172,7 +205,11 @@ UM = Layout("R", radius_unit="um", time="t", time_unit="us")
         ),
         ({"R": "text", "t": T}, UM, r"variable 'R' holds 'text', not real numbers"),
         ({"R": R + 1j, "t": T}, UM, r"variable 'R' holds .*, not real numbers"),
-        ({"R": np.ones((10, 2)), "t": T}, UM, r"variable 'R' has shape \(10, 2\); expected a vector, or a cell array"),
+        (
+            {"R": np.ones((10, 2)), "t": T},
+            UM,
+            r"variable 'R' has shape \(10, 2\); expected a vector, or a cell array",
+        ),
         ({"R": R, "t": T[:-1]}, UM, r"curve 1: 't' has 9 samples and 'R' 10"),
         ({"R": cells([R, R, R]), "t": cells([T, T])}, UM, r"'t' holds 2 vectors and 'R' 3"),
         (
@@ -187,7 +224,9 @@ UM = Layout("R", radius_unit="um", time="t", time_unit="us")
         ),
     ],
 )
-def test_that_unusable_variables_are_named(tmp_path: Path, variables: dict, layout: Layout | None, message: str) -> None:
+def test_that_unusable_variables_are_named(
+    tmp_path: Path, variables: dict, layout: Layout | None, message: str
+) -> None:
     scipy.io.savemat(tmp_path / "bad.mat", variables)
     with pytest.raises(InputDataError, match=r"bad\.mat: .*" + message):
         load_traces(tmp_path / "bad.mat", layout=layout)
@@ -195,7 +234,9 @@ def test_that_unusable_variables_are_named(tmp_path: Path, variables: dict, layo
 
 def test_that_a_damaged_file_says_how_to_save_it_again(tmp_path: Path) -> None:
     (tmp_path / "d.mat").write_bytes(b"MATLAB 5.0 MAT-file" + bytes(range(256)))
-    with pytest.raises(InputDataError, match=r"d\.mat: cannot be read as a MATLAB file .*save\(name, '-v7'\)"):
+    with pytest.raises(
+        InputDataError, match=r"d\.mat: cannot be read as a MATLAB file .*save\(name, '-v7'\)"
+    ):
         load_traces(tmp_path / "d.mat")
 
 

@@ -1,4 +1,7 @@
-"""Statements about the medium: how they are read, which of two counts, what is assumed, and what is refused."""
+"""Statements about the medium:
+
+how they are read, which of two counts, what is assumed, and what is refused.
+"""
 
 import json
 import math
@@ -36,13 +39,17 @@ def test_that_a_stated_temperature_moves_a_named_medium_and_no_assumed_value() -
 
 
 def test_that_standard_deviations_are_priors_of_the_logarithm_in_every_model() -> None:
-    belief = gel_medium(text("density=1000:20,pressure=101325:500")).believed(wide_prior(["newtonian", "nhkv"]))
+    belief = gel_medium(text("density=1000:20,pressure=101325:500")).believed(
+        wide_prior(["newtonian", "nhkv"])
+    )
     assert belief.keys == ("newtonian+medium_pressure+density", "nhkv+medium_pressure+density")
     part = belief.models[1]
     deviations = dict(zip(part.names, part.sds.tolist(), strict=True))
     assert deviations["density"] == pytest.approx(0.02)
     assert deviations["medium_pressure"] == pytest.approx(500.0 / 101325.0)
-    assert gel_medium(text("density=1000:20,pressure=101325:500")).believed(belief).keys == belief.keys  # once
+    assert (
+        gel_medium(text("density=1000:20,pressure=101325:500")).believed(belief).keys == belief.keys
+    )  # once
 
 
 def test_that_the_caller_counts_before_the_file_and_says_so() -> None:
@@ -51,7 +58,10 @@ def test_that_the_caller_counts_before_the_file_and_says_so() -> None:
     assert medium.surroundings.density == 1125.0
     assert not medium.sds  # the file's uncertainty is of the file's value
     assert medium.sources["sound_speed"] == "pbs, gel.json"
-    assert medium.notes[-1] == "Stated twice, density: 1125 (--medium) and 1100 +- 10 (gel.json); the former counts."
+    assert (
+        medium.notes[-1]
+        == "Stated twice, density: 1125 (--medium) and 1100 +- 10 (gel.json); the former counts."
+    )
 
 
 def test_that_files_of_different_media_are_not_fitted_together_unless_the_caller_decides() -> None:
@@ -65,8 +75,14 @@ def test_that_files_of_different_media_are_not_fitted_together_unless_the_caller
     ("said", "message"),
     [
         ("watr", "Unknown medium 'watr'; known are water"),
-        ("density=1.06", "density is 1.06; expected 500 to 3000 kg/m.3. It looks like g/cm.3: multiply by 1000"),
-        ("temperature=37", "temperature is 37; expected 273.15 to 363.15 K. It looks like degrees Celsius: add 273.15"),
+        (
+            "density=1.06",
+            "density is 1.06; expected 500 to 3000 kg/m.3. It looks like g/cm.3: multiply by 1000",
+        ),
+        (
+            "temperature=37",
+            "temperature is 37; expected 273.15 to 363.15 K. It looks like degrees Celsius: add 273.15",
+        ),
         ("surface_tension=72", "It looks like mN/m: divide by 1000"),
         ("sound_speed=1.48", "It looks like km/s: multiply by 1000"),
         ("pressure=101.3", "It looks like kPa: multiply by 1000"),
@@ -81,7 +97,10 @@ def test_that_files_of_different_media_are_not_fitted_together_unless_the_caller
         ("density=1:2:3", "is not PROPERTY=VALUE"),
         ("water,pbs", "the name of a medium, if any, first"),
         ("", "is not PROPERTY=VALUE"),
-        ("viscosity=0.1", "unknown property 'viscosity' of a medium; known are density, sound_speed"),
+        (
+            "viscosity=0.1",
+            "unknown property 'viscosity' of a medium; known are density, sound_speed",
+        ),
         ("density=1000,density=1100", "density is stated twice"),
         ("temperature=360,pressure=20000", "so it boils"),
     ],
@@ -101,7 +120,9 @@ def test_that_what_cannot_be_is_refused_with_a_remedy(said: str, message: str) -
         ({"density": 1.1}, "It looks like g/cm"),
     ],
 )
-def test_that_a_json_file_that_states_nonsense_is_refused_by_its_name(tmp_path, medium, message: str) -> None:
+def test_that_a_json_file_that_states_nonsense_is_refused_by_its_name(
+    tmp_path, medium, message: str
+) -> None:
     (tmp_path / "gel.csv").write_text("time (us),R (um)\n0,200\n1,190\n2,170\n3,140\n4,100\n")
     (tmp_path / "gel.json").write_text(json.dumps({"medium": medium}))
     with pytest.raises(InputDataError, match=f"gel.json.*{message}"):
@@ -110,10 +131,15 @@ def test_that_a_json_file_that_states_nonsense_is_refused_by_its_name(tmp_path, 
 
 def test_that_the_json_beside_a_file_states_the_medium_and_text_stays_a_remark(tmp_path) -> None:
     (tmp_path / "gel.csv").write_text("time (us),R (um)\n0,200\n1,190\n2,170\n3,140\n4,100\n")
-    for medium, density in (({"name": "water", "density": [1010, 5]}, 1010.0), ("water, degassed", 1060.0)):
+    for medium, density in (
+        ({"name": "water", "density": [1010, 5]}, 1010.0),
+        ("water, degassed", 1060.0),
+    ):
         (tmp_path / "gel.json").write_text(json.dumps({"medium": medium}))
         assert medium_of(load_traces(tmp_path / "gel.csv")).surroundings.density == density
-    (tmp_path / "gel.json").write_text(json.dumps({"experiments": [{"experiment_id": "gel", "medium": {"density": 1e3}}]}))
+    (tmp_path / "gel.json").write_text(
+        json.dumps({"experiments": [{"experiment_id": "gel", "medium": {"density": 1e3}}]})
+    )
     with pytest.raises(InputDataError, match="state properties once, at the top"):
         load_traces(tmp_path / "gel.csv")
 
@@ -124,7 +150,8 @@ TRUE = Surroundings(density=1120.0)
 def shots(**gel: float) -> TraceSet:
     """Two shots in a medium of 1120 kg/m^3, with noise of .004 in R*."""
     simulator = gel_medium(text("density=1120")).applied(PolytropicSimulator())
-    noise, traces = torch.Generator().manual_seed(3), []
+    noise = torch.Generator().manual_seed(3)
+    traces = []
     for name, size, rest in (("a", 250e-6, 0.2), ("b", 320e-6, 0.16)):
         times = torch.linspace(0.0, 2.4, 49, dtype=torch.float64)
         design = torch.tensor([float(TRUE.weber(size)), rest], dtype=torch.float64)
@@ -147,11 +174,14 @@ def fitted(curves: TraceSet, medium: str, model: str = "nhkv") -> Characterizati
 
 def test_that_a_density_with_a_standard_deviation_is_inferred_and_widens_the_gel() -> None:
     curves = shots(G=6000.0, mu=0.06)
-    known, uncertain = fitted(curves, "density=1120"), fitted(curves, "density=1060:60")
+    known = fitted(curves, "density=1120")
+    uncertain = fitted(curves, "density=1060:60")
     assert known.posterior.keys == ("nhkv",)
     part = uncertain.posterior["nhkv+density"]
     density = part.names.index("density")
-    assert abs(float(part.means[density]) - math.log(1120.0 / 1060.0)) < 3.0 * float(part.sds[density])
+    assert abs(float(part.means[density]) - math.log(1120.0 / 1060.0)) < 3.0 * float(
+        part.sds[density]
+    )
     assert float(part.sds[density]) < 0.9 * 60.0 / 1060.0  # the curves say something of it
     exact = known.posterior["nhkv"]
     assert bool((part.sds[:2] > 1.1 * exact.sds).any())
@@ -168,7 +198,9 @@ def test_that_a_density_with_a_standard_deviation_is_inferred_and_widens_the_gel
     assert "Medium: density 1060 +- 60 kg/m^3 (medium)" in report
     assert "density was stated 1060 +- 60 kg/m^3 and is 1" in report
     assert "contradict" not in report
-    assert "\n  density " not in report.split("probability")[1]  # as a factor it is in the JSON alone
+    assert (
+        "\n  density " not in report.split("probability")[1]
+    )  # as a factor it is in the JSON alone
 
 
 def test_that_curves_which_contradict_a_statement_say_so_and_others_do_not() -> None:

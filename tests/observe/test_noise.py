@@ -16,7 +16,9 @@ def tensor(*values) -> Tensor:
 
 
 def frames(count: int = 12, seed: int = 0) -> Tensor:
-    return torch.cumsum(0.02 + 0.1 * torch.rand(count, generator=generator(seed), dtype=torch.float64), 0)
+    return torch.cumsum(
+        0.02 + 0.1 * torch.rand(count, generator=generator(seed), dtype=torch.float64), 0
+    )
 
 
 def curve(times: Tensor) -> Tensor:
@@ -39,14 +41,18 @@ ALL = pytest.mark.parametrize("noise", LAWS.values(), ids=LAWS.keys())
 
 
 def test_that_the_published_law_is_a_fiftieth_of_the_deflection_and_a_160th_of_the_time() -> None:
-    """Chu, Estrada & Bryngelson (2024): ``|R* - 1|/50 + t*/160``, here with a floor of .002 in quadrature."""
+    """Chu, Estrada & Bryngelson (2024):
+
+    ``|R* - 1|/50 + t*/160``, here with a floor of .002 in quadrature.
+    """
     sd = Noise().sd(tensor(1.0, 0.2, 1.1), tensor(0.0, 1.6, 3.2))
     law = tensor(0.0, 0.8 / 50 + 0.01, 0.1 / 50 + 0.02)
     torch.testing.assert_close(sd, (law.square() + 0.002**2).sqrt(), rtol=1e-14, atol=0.0)
 
 
 def test_that_scale_multiplies_and_the_floor_is_the_smallest() -> None:
-    radius, times = curve(frames()), frames()
+    radius = curve(frames())
+    times = frames()
     torch.testing.assert_close(Noise(scale=3.0).sd(radius, times), 3.0 * Noise().sd(radius, times))
     assert float(Noise(floor=0.01).sd(tensor(1.0), tensor(0.0))) == 0.01
     assert bool((Noise(floor=0.01).sd(radius, times) > 0.01).all())
@@ -62,8 +68,12 @@ def test_that_decorrelation_makes_the_correlation_the_identity(tau: float) -> No
     assert torch.equal(factors, torch.tril(factors))
     for i, factor in enumerate(factors):
         kept = int(mask[i].sum())
-        whitened = factor[:kept, :kept] @ correlation(times[i, :kept], tau) @ factor[:kept, :kept].mT
-        torch.testing.assert_close(whitened, torch.eye(kept, dtype=torch.float64), rtol=0.0, atol=1e-12)
+        whitened = (
+            factor[:kept, :kept] @ correlation(times[i, :kept], tau) @ factor[:kept, :kept].mT
+        )
+        torch.testing.assert_close(
+            whitened, torch.eye(kept, dtype=torch.float64), rtol=0.0, atol=1e-12
+        )
         assert torch.equal(factor[kept:], torch.eye(12, dtype=torch.float64)[kept:])
 
 
@@ -73,20 +83,25 @@ def test_that_independent_frames_need_no_decorrelation() -> None:
 
 @ALL
 def test_that_a_draw_has_the_stated_mean_and_covariance(noise: Noise) -> None:
-    times, n = frames(), 40000
+    times = frames()
+    n = 40000
     radius = curve(times)
     draws = noise.draw(radius, times, n, generator=generator(3))
     assert draws.shape == (n, 12)
     standard = (draws - radius) / noise.sd(radius, times)
     assert float(standard.mean(0).abs().max()) < 4.5 / n**0.5
     empirical = standard.mT @ standard / n
-    torch.testing.assert_close(empirical, correlation(times, noise.correlation_time), rtol=0.0, atol=4.5 * (2.0 / n) ** 0.5)
+    torch.testing.assert_close(
+        empirical, correlation(times, noise.correlation_time), rtol=0.0, atol=4.5 * (2.0 / n) ** 0.5
+    )
 
 
 def test_that_repeats_are_independent_and_the_seed_decides() -> None:
     times = frames()
     noise = LAWS["correlated"]
-    one, same, other = (noise.draw(curve(times), times, 5000, generator=generator(seed)) for seed in (1, 1, 2))
+    one, same, other = (
+        noise.draw(curve(times), times, 5000, generator=generator(seed)) for seed in (1, 1, 2)
+    )
     assert torch.equal(one, same)
     assert not torch.equal(one, other)
     standard = (one - curve(times)) / noise.sd(curve(times), times)
@@ -96,14 +111,18 @@ def test_that_repeats_are_independent_and_the_seed_decides() -> None:
 @pytest.mark.parametrize("name", ["scale", "floor"])
 @pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
 def test_that_scale_and_floor_must_be_positive(name: str, value: float) -> None:
-    with pytest.raises(InputDataError, match=rf"Noise.{name} is {value}; expected a finite number > 0"):
+    with pytest.raises(
+        InputDataError, match=rf"Noise.{name} is {value}; expected a finite number > 0"
+    ):
         Noise(**{name: value})
 
 
 @pytest.mark.parametrize("name", ["slope", "drift", "correlation_time"])
 @pytest.mark.parametrize("value", [-1.0, math.nan, math.inf])
 def test_that_the_other_parts_must_not_be_negative(name: str, value: float) -> None:
-    with pytest.raises(InputDataError, match=rf"Noise.{name} is {value}; expected a finite number >= 0"):
+    with pytest.raises(
+        InputDataError, match=rf"Noise.{name} is {value}; expected a finite number >= 0"
+    ):
         Noise(**{name: value})
     assert getattr(Noise(**{name: 0.0}), name) == 0.0
 
@@ -112,28 +131,43 @@ def test_that_the_other_parts_must_not_be_negative(name: str, value: float) -> N
 
 
 def test_that_no_shift_displaces_nothing() -> None:
-    designs, times = tensor([500.0, 0.2], [900.0, 0.3]), frames()[None].repeat(2, 1)
+    designs = tensor([500.0, 0.2], [900.0, 0.3])
+    times = frames()[None].repeat(2, 1)
     moved, clock, factor = displaced(designs, times, torch.zeros(2, 3, dtype=torch.float64))
     assert torch.equal(moved, designs)
     assert torch.equal(clock, times)
     assert torch.equal(factor, torch.ones(2, 1, dtype=torch.float64))
 
 
-@pytest.mark.parametrize("shift", [(0.05, 0.0, 0.0), (0.0, 0.03, 0.0), (0.0, 0.0, -0.1), (-0.02, 0.04, 0.07)])
-def test_that_shifts_are_what_they_are_in_metres_and_seconds(shift: tuple[float, float, float]) -> None:
-    """The laboratory measured Rmax, R_inf and a clock; the bubble had ``Rmax (1+a)``, ``R_inf (1+c)`` and a start ``b`` early."""
-    top, rest, scale, speed = 3e-4, 6e-5, 2.0 * 0.056 / 101325.0, 9.777
+@pytest.mark.parametrize(
+    "shift", [(0.05, 0.0, 0.0), (0.0, 0.03, 0.0), (0.0, 0.0, -0.1), (-0.02, 0.04, 0.07)]
+)
+def test_that_shifts_are_what_they_are_in_metres_and_seconds(
+    shift: tuple[float, float, float],
+) -> None:
+    """The laboratory measured Rmax, R_inf and a clock;
+
+    the bubble had ``Rmax (1+a)``, ``R_inf (1+c)`` and a start ``b`` early.
+    """
+    top = 3e-4
+    rest = 6e-5
+    scale = 2.0 * 0.056 / 101325.0
+    speed = 9.777
     measured_times = frames() * top / speed
-    true_top, true_rest = top * (1.0 + shift[0]), rest * (1.0 + shift[2])
+    true_top = top * (1.0 + shift[0])
+    true_rest = rest * (1.0 + shift[2])
     designs, times, factor = displaced(tensor(top / scale, rest / top), frames(), tensor(*shift))
-    torch.testing.assert_close(designs, tensor(true_top / scale, true_rest / true_top), rtol=1e-12, atol=0.0)
+    torch.testing.assert_close(
+        designs, tensor(true_top / scale, true_rest / true_top), rtol=1e-12, atol=0.0
+    )
     expected = (measured_times + shift[1] * top / speed) * speed / true_top
     torch.testing.assert_close(times, expected, rtol=1e-12, atol=0.0)
     assert float(factor) == pytest.approx(true_top / top)
 
 
 def test_that_displacement_broadcasts_over_members_and_keeps_the_rest_radius_possible() -> None:
-    designs, times = tensor([500.0, 0.9], [900.0, 0.3]), frames()[None].repeat(2, 1)
+    designs = tensor([500.0, 0.9], [900.0, 0.3])
+    times = frames()[None].repeat(2, 1)
     shifts = torch.zeros(4, 2, 3, dtype=torch.float64)
     shifts[0, 0, 2], shifts[1, 0, 2] = 0.5, -2.0
     moved, clock, factor = displaced(designs, times, shifts)
@@ -150,7 +184,10 @@ def test_that_standard_deviations_come_in_the_order_of_the_names() -> None:
 @pytest.mark.parametrize("name", NUISANCES)
 @pytest.mark.parametrize("value", [-0.1, 1.0, math.nan, math.inf])
 def test_that_an_impossible_nuisance_is_named(name: str, value: float) -> None:
-    with pytest.raises(InputDataError, match=rf"Nuisance.{name} is {value}; expected a standard deviation in \[0, 1\)"):
+    with pytest.raises(
+        InputDataError,
+        match=rf"Nuisance.{name} is {value}; expected a standard deviation in \[0, 1\)",
+    ):
         Nuisance(**{name: value})
 
 
@@ -160,7 +197,8 @@ def test_that_innovations_are_the_decorrelation(tau: float) -> None:
     mask = torch.ones(2, 12, dtype=torch.bool)
     mask[1, 8:] = False
     noise = Noise(correlation_time=tau)
-    pair, factors = noise.innovations(times, mask), noise.decorrelation(times, mask)
+    pair = noise.innovations(times, mask)
+    factors = noise.decorrelation(times, mask)
     assert pair is not None
     assert factors is not None
     matrix = torch.diag_embed(pair[0]) - torch.diag_embed(pair[1][:, 1:], offset=-1)

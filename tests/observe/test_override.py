@@ -7,20 +7,38 @@ import pytest
 import torch
 
 from imr_torch.errors import InputDataError
-from imr_torch.observe import Given, Override, RadiusTrace, TraceSet, find_landmarks, load_traces, prepare, state
+from imr_torch.observe import (
+    Given,
+    Override,
+    RadiusTrace,
+    TraceSet,
+    find_landmarks,
+    load_traces,
+    prepare,
+    state,
+)
 
 
 def trace(override: Override | None = None) -> RadiusTrace:
     time = torch.linspace(-4e-6, 90e-6, 189, dtype=torch.float64)
     radius = 200e-6 * (0.55 + 0.45 * (-time.clamp(min=0.0) / 2e-4).exp() * torch.cos(1.6e5 * time))
-    return RadiusTrace("shot", time, radius, "memory", Given(rest_radius_m=5e-5, rest_settled=True, override=override))
+    return RadiusTrace(
+        "shot",
+        time,
+        radius,
+        "memory",
+        Given(rest_radius_m=5e-5, rest_settled=True, override=override),
+    )
 
 
 def write(folder: Path, curves: tuple[str, ...] = ("shot",), beside: dict | None = None) -> Path:
     rows = ["experiment_id,time_s,radius_m"]
     for name in curves:
         one = trace()
-        rows += [f"{name},{t!r},{r!r}" for t, r in zip(one.time_s.tolist(), one.radius_m.tolist(), strict=True)]
+        rows += [
+            f"{name},{t!r},{r!r}"
+            for t, r in zip(one.time_s.tolist(), one.radius_m.tolist(), strict=True)
+        ]
     (folder / "gel.csv").write_text("\n".join(rows))
     if beside is not None:
         (folder / "gel.json").write_text(json.dumps(beside))
@@ -29,10 +47,16 @@ def write(folder: Path, curves: tuple[str, ...] = ("shot",), beside: dict | None
 
 def test_that_what_is_stated_replaces_what_is_found_and_the_rest_is_found() -> None:
     found = find_landmarks(trace())
-    stated = find_landmarks(trace(Override(max_radius_m=2.05e-4, rest_radius_m=6e-5, rest_radius_sd_m=3e-6)))
+    stated = find_landmarks(
+        trace(Override(max_radius_m=2.05e-4, rest_radius_m=6e-5, rest_radius_sd_m=3e-6))
+    )
     assert (stated.max_radius_m, stated.max_method) == (2.05e-4, "as stated")
     assert stated.time_of_max_s == found.time_of_max_s
-    assert (stated.rest_radius_m, stated.rest_radius_sd_m, stated.rest_method) == (6e-5, 3e-6, "as stated")
+    assert (stated.rest_radius_m, stated.rest_radius_sd_m, stated.rest_method) == (
+        6e-5,
+        3e-6,
+        "as stated",
+    )
     late = find_landmarks(trace(Override(time_of_max_s=1e-6)))
     assert (late.time_of_max_s, late.max_radius_m) == (1e-6, found.max_radius_m)
     assert find_landmarks(trace(Override())) == found
@@ -48,7 +72,10 @@ def test_that_the_window_ends_where_it_is_stated() -> None:
 
 
 def test_that_a_window_without_frames_is_refused() -> None:
-    with pytest.raises(InputDataError, match=r"1 frames between its maximum and the stated end of the window at 0\.4 us"):
+    with pytest.raises(
+        InputDataError,
+        match=r"1 frames between its maximum and the stated end of the window at 0\.4 us",
+    ):
         prepare(TraceSet((trace(Override(window_end_s=4e-7)),)))
 
 
@@ -66,7 +93,12 @@ def test_that_impossible_values_are_refused(values: dict[str, float], text: str)
 
 
 def test_that_what_is_stated_is_read_again_and_counts_before_the_laboratory(tmp_path: Path) -> None:
-    said = {"medium": "gel", "experiments": [{"experiment_id": "a", "Rmax_m": 2e-4, "Rinf_m": 5e-5, "Rinf_settled": True}]}
+    said = {
+        "medium": "gel",
+        "experiments": [
+            {"experiment_id": "a", "Rmax_m": 2e-4, "Rinf_m": 5e-5, "Rinf_settled": True}
+        ],
+    }
     path = write(tmp_path, ("a", "b"), said)
     before = json.loads((tmp_path / "gel.json").read_text())
     state(path, "b", {"Rinf_m": 6e-5, "Rmax_m": None}, alone=False)
@@ -76,7 +108,10 @@ def test_that_what_is_stated_is_read_again_and_counts_before_the_laboratory(tmp_
     assert traces["a"].given.rest_radius_m == 5e-5
     state(path, "a", {}, alone=False)
     state(path, "b", {}, alone=False)
-    assert json.loads((tmp_path / "gel.json").read_text())["experiments"][0] == before["experiments"][0]
+    assert (
+        json.loads((tmp_path / "gel.json").read_text())["experiments"][0]
+        == before["experiments"][0]
+    )
     assert load_traces(path)["a"].given.override is None
 
 
@@ -90,10 +125,16 @@ def test_that_the_values_at_the_top_of_a_file_with_one_curve_stay_valid(tmp_path
 
 def test_that_unknown_fields_and_wrong_values_are_named(tmp_path: Path) -> None:
     path = write(tmp_path, beside={"override": {"Rmax": 1.0}})
-    with pytest.raises(InputDataError, match=r"override of experiment 'shot' has the unknown field\(s\) Rmax; expected some"):
+    with pytest.raises(
+        InputDataError,
+        match=r"override of experiment 'shot' has the unknown field\(s\) Rmax; expected some",
+    ):
         load_traces(path)
     (tmp_path / "gel.json").write_text('{"override": {"Rinf_m": "4e-5"}}')
-    with pytest.raises(InputDataError, match=r"Rinf_m of the override of experiment 'shot' is '4e-5'; expected a number"):
+    with pytest.raises(
+        InputDataError,
+        match=r"Rinf_m of the override of experiment 'shot' is '4e-5'; expected a number",
+    ):
         load_traces(path)
     (tmp_path / "gel.json").unlink()
     with pytest.raises(InputDataError, match=r"Override\.rest_radius_m is -1\.0"):

@@ -12,11 +12,20 @@ from imr_torch import example_gel
 from imr_torch.errors import ImrError, InputDataError
 from imr_torch.gap import load_set
 from imr_torch.material import PARAMETERS
-from imr_torch.observe import Experiment, Given, RadiusTrace, TraceSet, check_experiment, load_traces, prepare
+from imr_torch.observe import (
+    Experiment,
+    Given,
+    RadiusTrace,
+    TraceSet,
+    check_experiment,
+    load_traces,
+    prepare,
+)
 from imr_torch.simulate import PolytropicSimulator
 from imr_torch.units import Surroundings
 
-SIZE, REST = 300e-6, (0.2, 0.01)
+SIZE = 300e-6
+REST = (0.2, 0.01)
 OUTER = Surroundings()
 SCALE = OUTER.time_scale(SIZE)
 EXAMPLE = example_gel()
@@ -32,7 +41,10 @@ def curve(**gel: float) -> tuple[torch.Tensor, torch.Tensor]:
 
 def prepared(change: Callable, given: Given | None = None, rest: tuple[float, float] = REST):
     """What becomes of the curve, changed."""
-    return prepare(TraceSet((RadiusTrace("shot", *change(*curve()), "gel.csv", given or Given()),)), rest_radius=rest)
+    return prepare(
+        TraceSet((RadiusTrace("shot", *change(*curve()), "gel.csv", given or Given()),)),
+        rest_radius=rest,
+    )
 
 
 def spiked(t, r):
@@ -42,12 +54,42 @@ def spiked(t, r):
 
 
 REFUSED = {
-    "a hundredth of the size": (lambda t, r: (t, 0.01 * r), None, REST, r"the first collapse is at t\* = 91.7"),
-    "centimetres as metres": (lambda t, r: (t, 100.0 * r), None, REST, r"the first collapse is at t\* = 0.00917"),
-    "milliseconds as seconds": (lambda t, r: (1e3 * t, r), None, REST, r"the first collapse is at t\* = 9\d\d"),
-    "microseconds as tenths": (lambda t, r: (0.1 * t, r), None, REST, r"the first collapse is at t\* = 0.09"),
-    "stated in micrometres": (lambda t, r: (t, r), Given(max_radius_m=300.0), REST, r"stated maximum radius is 3e\+08 um"),
-    "stated twice too small": (lambda t, r: (t, r), Given(max_radius_m=SIZE / 2), REST, r"stated maximum radius is 150 um"),
+    "a hundredth of the size": (
+        lambda t, r: (t, 0.01 * r),
+        None,
+        REST,
+        r"the first collapse is at t\* = 91.7",
+    ),
+    "centimetres as metres": (
+        lambda t, r: (t, 100.0 * r),
+        None,
+        REST,
+        r"the first collapse is at t\* = 0.00917",
+    ),
+    "milliseconds as seconds": (
+        lambda t, r: (1e3 * t, r),
+        None,
+        REST,
+        r"the first collapse is at t\* = 9\d\d",
+    ),
+    "microseconds as tenths": (
+        lambda t, r: (0.1 * t, r),
+        None,
+        REST,
+        r"the first collapse is at t\* = 0.09",
+    ),
+    "stated in micrometres": (
+        lambda t, r: (t, r),
+        Given(max_radius_m=300.0),
+        REST,
+        r"stated maximum radius is 3e\+08 um",
+    ),
+    "stated twice too small": (
+        lambda t, r: (t, r),
+        Given(max_radius_m=SIZE / 2),
+        REST,
+        r"stated maximum radius is 150 um",
+    ),
     "one frame far above the others": (
         spiked,
         None,
@@ -91,22 +133,37 @@ def test_that_diameters_are_named_since_a_stiff_gel_looks_alike() -> None:
     (caution,) = prepared(lambda t, r: (t, 2.0 * r)).cautions
     assert "the first collapse is at t* = 0.4" in caution
     assert "that of an empty cavity in water at 0.915, in stiff gels from 0.4 on" in caution
-    assert prepare(TraceSet((RadiusTrace("stiff", *curve(G=1e5), "gel.csv"),)), rest_radius=REST).cautions
+    assert prepare(
+        TraceSet((RadiusTrace("stiff", *curve(G=1e5), "gel.csv"),)), rest_radius=REST
+    ).cautions
 
 
 def test_that_time_zero_is_the_maximum_and_rmax_its_radius() -> None:
     times, radius = curve()
     late = times / SCALE + 0.9
-    shifted = torch.cat((radius.flip(0)[-46:-1], radius)) / SIZE  # the fall to the maximum from the other side
+    shifted = (
+        torch.cat((radius.flip(0)[-46:-1], radius)) / SIZE
+    )  # the fall to the maximum from the other side
     ramp = torch.cat((late[:45] - 0.9, late))
-    with pytest.raises(InputDataError, match=r"the largest frame is at t\* = 0\.90; expected time zero at the maximum"):
+    with pytest.raises(
+        InputDataError,
+        match=r"the largest frame is at t\* = 0\.90; expected time zero at the maximum",
+    ):
         check_experiment(Experiment("shot", (300.0, 0.2), ramp, shifted[None]), "set")
-    with pytest.raises(InputDataError, match=r"the largest frame has R/Rmax = 0\.1; possible is 0\.7 to 1\.1"):
-        check_experiment(Experiment("shot", (300.0, 0.2), times / SCALE, 0.1 * radius[None] / SIZE), "set")
+    with pytest.raises(
+        InputDataError, match=r"the largest frame has R/Rmax = 0\.1; possible is 0\.7 to 1\.1"
+    ):
+        check_experiment(
+            Experiment("shot", (300.0, 0.2), times / SCALE, 0.1 * radius[None] / SIZE), "set"
+        )
 
 
-@pytest.mark.parametrize(("radius", "time", "message"), [(0.1, 1.0, "largest frame"), (1.0, 10.0, "first collapse")])
-def test_that_a_set_in_other_units_is_refused(radius: float, time: float, message: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("radius", "time", "message"), [(0.1, 1.0, "largest frame"), (1.0, 10.0, "first collapse")]
+)
+def test_that_a_set_in_other_units_is_refused(
+    radius: float, time: float, message: str, tmp_path: Path
+) -> None:
     t, r = (x.numpy() for x in curve())
     design = {"we": np.array([OUTER.weber(SIZE)]), "rinf_star": np.array([REST[0]])}
     np.savez(tmp_path / "good.npz", time_s=t[None], radius_m=r[None, None], **design)
@@ -134,7 +191,11 @@ def test_that_measured_curves_pass(shared: Path) -> None:
             cautions = [text for text in found.cautions if "stated R_inf" not in text]
             counts[file.stem] = counts.get(file.stem, 0) + len(cautions)
     assert len(counts) >= 20
-    assert {name for name, count in counts.items() if count > 1} <= {"agarose_5pct", "pegda_s4", "pegda_s5"}  # stiff gels
+    assert {name for name, count in counts.items() if count > 1} <= {
+        "agarose_5pct",
+        "pegda_s4",
+        "pegda_s5",
+    }  # stiff gels
 
 
 def test_that_what_the_laboratory_says_of_a_tail_is_true_or_false(tmp_path: Path) -> None:

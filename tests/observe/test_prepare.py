@@ -7,11 +7,16 @@ import torch
 from imr_torch.errors import InputDataError
 from imr_torch.observe import Given, RadiusTrace, TraceSet, prepare
 
-TOP, REST, PERIOD = 2e-4, 1.0e-4, 4e-5
+TOP = 2e-4
+REST = 1.0e-4
+PERIOD = 4e-5
 
 
 def damped(name: str, damping: float, given: Given = Given()) -> RadiusTrace:  # noqa: B008
-    """Collapses at .5, 1.5, ... periods; after each half a period the swing is down by a factor ``exp(-damping/2)``."""
+    """Collapses at .5, 1.5, ...
+
+    periods; after each half a period the swing is down by a factor ``exp(-damping/2)``.
+    """
     time = np.linspace(0.0, 5.0 * PERIOD, 251)
     swing = (TOP - REST) * np.exp(-damping * time / PERIOD)
     noise = 2e-4 * TOP * np.random.default_rng(0).standard_normal(len(time))
@@ -29,8 +34,14 @@ def test_that_the_window_ends_at_a_second_collapse_that_is_small_and_plain() -> 
 def test_that_a_curve_with_most_of_the_frames_is_named() -> None:
     short = [damped(f"short {k}", 0.4) for k in range(2)]
     open_window = damped("open", 8.0)  # no second collapse is seen
-    assert any("experiment 'open' has" in text for text in prepare(TraceSet((*short, open_window))).cautions)
-    assert not any("decides the result" in text for text in prepare(TraceSet((*short, damped("third", 0.4)))).cautions)
+    assert any(
+        "experiment 'open' has" in text
+        for text in prepare(TraceSet((*short, open_window))).cautions
+    )
+    assert not any(
+        "decides the result" in text
+        for text in prepare(TraceSet((*short, damped("third", 0.4)))).cautions
+    )
 
 
 def test_that_a_stated_rest_radius_that_is_passed_over_is_said() -> None:
@@ -41,25 +52,40 @@ def test_that_a_stated_rest_radius_that_is_passed_over_is_said() -> None:
 
 def test_that_a_record_without_rest_radius_takes_that_of_the_other_curves_widely() -> None:
     short = damped("short", 0.4)
-    cut = RadiusTrace("short", short.time_s[:26], short.radius_m[:26], "memory")  # ends as it collapses
+    cut = RadiusTrace(
+        "short", short.time_s[:26], short.radius_m[:26], "memory"
+    )  # ends as it collapses
     prepared = prepare(TraceSet((damped("long", 0.4), cut)))
     marks = prepared.landmarks["short"]
     assert marks.rest_method == "other curves"
     assert marks.rest_radius_m == pytest.approx(0.5 * TOP, rel=0.1)
     assert marks.rest_radius_sd_m >= 0.39 * marks.rest_radius_m
-    assert any("'short' holds no rebound and no R_inf is stated" in text for text in prepared.cautions)
+    assert any(
+        "'short' holds no rebound and no R_inf is stated" in text for text in prepared.cautions
+    )
     with pytest.raises(InputDataError, match="no rebound and no given R_inf"):
         prepare(TraceSet((cut,)))
 
 
-def test_that_a_late_minimum_of_an_overdamped_bubble_is_no_collapse_and_that_of_wrong_units_is_refused() -> None:
-    """A bubble that creeps to rest, with one deep frame long after; and a plain one whose times are ten times too long."""
+def test_that_a_late_minimum_of_an_overdamped_bubble_is_no_collapse_and_that_of_wrong_units_is_refused() -> (
+    None
+):
+    """A bubble that creeps to rest, with one deep frame long after;
+
+    and a plain one whose times are ten times too long.
+    """
     time = np.linspace(0.0, 1.2e-4, 121)
     radius = REST + (TOP - REST) * np.exp(-time / 8e-6)
     radius[100] -= 0.4 * REST
-    late = RadiusTrace("late", torch.tensor(time), torch.tensor(radius), "memory", Given(rest_radius_m=REST))
+    late = RadiusTrace(
+        "late", torch.tensor(time), torch.tensor(radius), "memory", Given(rest_radius_m=REST)
+    )
     prepared = prepare(TraceSet((late,)))
     assert prepared.first_collapses["late"] == np.inf
     slow = damped("slow", 0.4, Given(rest_radius_m=REST))
     with pytest.raises(InputDataError, match="first collapse is at"):
-        prepare(TraceSet((RadiusTrace("slow", 10.0 * slow.time_s, slow.radius_m, "memory", slow.given),)))
+        prepare(
+            TraceSet(
+                (RadiusTrace("slow", 10.0 * slow.time_s, slow.radius_m, "memory", slow.given),)
+            )
+        )

@@ -21,7 +21,9 @@ def ringing(damping: float = 0.0) -> Tensor:
 
 @pytest.mark.parametrize("number", [1, 2, 3])
 def test_that_collapses_of_a_cosine_are_half_periods(number: int) -> None:
-    assert collapse_time(TIMES, ringing(), number) == pytest.approx((number - 0.5) * PERIOD, abs=0.006)
+    assert collapse_time(TIMES, ringing(), number) == pytest.approx(
+        (number - 0.5) * PERIOD, abs=0.006
+    )
 
 
 @pytest.mark.parametrize("factor", [1e-6, 1.0, 1e3])
@@ -40,14 +42,18 @@ def test_that_a_minimum_counts_only_once_the_curve_has_climbed_from_it() -> None
     radius = ringing()
     climbed = int(torch.nonzero((TIMES > PERIOD / 2) & (radius > 0.1 + 0.08))[0])
     assert collapse_time(TIMES[: climbed - 1], radius[: climbed - 1], 1) == math.inf
-    assert collapse_time(TIMES[: climbed + 2], radius[: climbed + 2], 1) == pytest.approx(PERIOD / 2, abs=0.006)
+    assert collapse_time(TIMES[: climbed + 2], radius[: climbed + 2], 1) == pytest.approx(
+        PERIOD / 2, abs=0.006
+    )
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_that_frame_noise_makes_no_collapse(seed: int) -> None:
     noisy = ringing() + 0.01 * torch.randn(601, generator=generator(seed), dtype=torch.float64)
     for number in (1, 2, 3):
-        assert collapse_time(TIMES, noisy, number) == pytest.approx((number - 0.5) * PERIOD, abs=0.15)
+        assert collapse_time(TIMES, noisy, number) == pytest.approx(
+            (number - 0.5) * PERIOD, abs=0.15
+        )
     assert collapse_time(TIMES, noisy, 5) == math.inf
 
 
@@ -61,4 +67,8 @@ def test_that_collapses_of_a_simulated_bubble_are_where_its_wall_turns() -> None
     turns = torch.nonzero((solution.velocity[:-1] < 0.0) & (solution.velocity[1:] >= 0.0))[:, 0]
     for number in (1, 2):
         found = collapse_time(TIMES, solution.radius, number)
-        assert float(TIMES[turns[number - 1]]) - 1e-9 <= found <= float(TIMES[turns[number - 1] + 1]) + 1e-9
+        assert (
+            float(TIMES[turns[number - 1]]) - 1e-9
+            <= found
+            <= float(TIMES[turns[number - 1] + 1]) + 1e-9
+        )

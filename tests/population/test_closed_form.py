@@ -14,11 +14,18 @@ def shots(count: int, size: int, *, seed: int = 0) -> GaussianShots:
     root = torch.randn(count, size, size, generator=source, dtype=torch.float64)
     precision = root @ root.mT + 0.3 * torch.eye(size, dtype=torch.float64)
     linear = torch.randn(count, size, generator=source, dtype=torch.float64)
-    return GaussianShots(precision, linear, torch.randn(count, generator=source, dtype=torch.float64))
+    return GaussianShots(
+        precision, linear, torch.randn(count, generator=source, dtype=torch.float64)
+    )
 
 
-def dense(likelihoods: GaussianShots, scatter: Tensor, mean: Tensor, precision: Tensor) -> tuple[float, Tensor]:
-    """Log evidence and posterior mean of the centre: the modes of the shots are data with the covariance of all that is uncertain."""
+def dense(
+    likelihoods: GaussianShots, scatter: Tensor, mean: Tensor, precision: Tensor
+) -> tuple[float, Tensor]:
+    """Log evidence and posterior mean of the centre:
+
+    the modes of the shots are data with the covariance of all that is uncertain.
+    """
     count, size = likelihoods.linear.shape
     within = torch.linalg.inv(likelihoods.precision)
     modes = (within @ likelihoods.linear[..., None])[..., 0]
@@ -36,7 +43,8 @@ def dense(likelihoods: GaussianShots, scatter: Tensor, mean: Tensor, precision: 
 
 @pytest.mark.parametrize("scatter", [(0.0, 0.0), (0.7, 0.0), (0.2, 1.5)])
 def test_that_evidence_and_centre_are_those_of_dense_algebra(scatter: tuple[float, float]) -> None:
-    likelihoods, mean = shots(5, 2), torch.tensor([0.3, -0.8], dtype=torch.float64)
+    likelihoods = shots(5, 2)
+    mean = torch.tensor([0.3, -0.8], dtype=torch.float64)
     precision = torch.tensor([[2.0, 0.5], [0.5, 1.0]], dtype=torch.float64)
     wide = torch.tensor(scatter, dtype=torch.float64)
     found = likelihoods.given(wide[None], mean, precision)
@@ -46,29 +54,40 @@ def test_that_evidence_and_centre_are_those_of_dense_algebra(scatter: tuple[floa
 
 
 def test_that_likelihood_times_prior_over_posterior_is_the_evidence_at_every_centre() -> None:
-    mean, precision = torch.zeros(2, dtype=torch.float64), torch.eye(2, dtype=torch.float64)
-    found = shots(4, 2).given(torch.tensor([[0.4, 0.9]], dtype=torch.float64).expand(3, -1), mean, precision)
+    mean = torch.zeros(2, dtype=torch.float64)
+    precision = torch.eye(2, dtype=torch.float64)
+    found = shots(4, 2).given(
+        torch.tensor([[0.4, 0.9]], dtype=torch.float64).expand(3, -1), mean, precision
+    )
     centre = torch.tensor([[0.0, 0.0], [1.0, -1.0], [-2.0, 0.5]], dtype=torch.float64)
     prior = torch.distributions.MultivariateNormal(mean, precision_matrix=precision)
-    posterior = torch.distributions.MultivariateNormal(found.centre[0], precision_matrix=found.chol[0] @ found.chol[0].mT)
+    posterior = torch.distributions.MultivariateNormal(
+        found.centre[0], precision_matrix=found.chol[0] @ found.chol[0].mT
+    )
     evidence = found.log_likelihood(centre) + prior.log_prob(centre) - posterior.log_prob(centre)
     torch.testing.assert_close(evidence, found.evidence, rtol=0, atol=1e-9)
 
 
 def test_that_a_shot_without_information_changes_nothing() -> None:
-    some, scatter = shots(3, 2), torch.tensor([[0.5, 0.0]], dtype=torch.float64)
+    some = shots(3, 2)
+    scatter = torch.tensor([[0.5, 0.0]], dtype=torch.float64)
     more = GaussianShots(
         torch.cat((some.precision, torch.zeros(1, 2, 2, dtype=torch.float64))),
         torch.cat((some.linear, torch.zeros(1, 2, dtype=torch.float64))),
         torch.cat((some.constant, torch.zeros(1, dtype=torch.float64))),
     )
-    mean, precision = torch.zeros(2, dtype=torch.float64), torch.eye(2, dtype=torch.float64)
+    mean = torch.zeros(2, dtype=torch.float64)
+    precision = torch.eye(2, dtype=torch.float64)
     a, b = (x.given(scatter, mean, precision) for x in (some, more))
     torch.testing.assert_close(a.evidence, b.evidence, rtol=0, atol=1e-12)
     torch.testing.assert_close(b.shot_means(b.centre)[0, 3], b.centre[0], rtol=0, atol=1e-12)
 
 
 def test_that_shots_without_scatter_have_the_gel_of_the_population() -> None:
-    found = shots(3, 2).given(torch.zeros(1, 2, dtype=torch.float64), torch.zeros(2).double(), torch.eye(2).double())
-    torch.testing.assert_close(found.shot_means(found.centre)[0], found.centre.expand(3, 2), rtol=0, atol=1e-12)
+    found = shots(3, 2).given(
+        torch.zeros(1, 2, dtype=torch.float64), torch.zeros(2).double(), torch.eye(2).double()
+    )
+    torch.testing.assert_close(
+        found.shot_means(found.centre)[0], found.centre.expand(3, 2), rtol=0, atol=1e-12
+    )
     assert float(found.factor.abs().max()) == 0.0

@@ -8,7 +8,14 @@ import torch
 from torch import Tensor
 
 from imr_torch import PolytropicSimulator, wide_prior
-from imr_torch.assimilate import FrameNoisePrior, Posterior, SearchOptions, assimilate, infer_frame_noise, weigh
+from imr_torch.assimilate import (
+    FrameNoisePrior,
+    Posterior,
+    SearchOptions,
+    assimilate,
+    infer_frame_noise,
+    weigh,
+)
 from imr_torch.assimilate.importance import weighted_quantiles
 from imr_torch.errors import InputDataError
 from imr_torch.material import PARAMETERS, Belief, ModelBelief
@@ -36,18 +43,36 @@ NUISANCE = Nuisance(time_zero=0.03, rest_radius=0.05)
 
 
 def shots(
-    simulator, scatter: tuple[float, float], count: int = 5, *, seed: int = 0, nuisance: Nuisance = NUISANCE
+    simulator,
+    scatter: tuple[float, float],
+    count: int = 5,
+    *,
+    seed: int = 0,
+    nuisance: Nuisance = NUISANCE,
 ) -> list[Experiment]:
     """Shots of gels whose G and mu scatter by these many prior standard deviations about .4 of one above the prior mean."""
-    source, made = generator(seed), []
+    source = generator(seed)
+    made = []
     for e in range(count):
-        gel = tensor(0.4, 0.4) + tensor(*scatter) * torch.randn(2, generator=source, dtype=torch.float64)
-        truth = PARAMETERS.pack({n: MEANS[n] + SDS[n] * float(z) for n, z in zip(("G", "mu"), gel, strict=True)})
+        gel = tensor(0.4, 0.4) + tensor(*scatter) * torch.randn(
+            2, generator=source, dtype=torch.float64
+        )
+        truth = PARAMETERS.pack(
+            {n: MEANS[n] + SDS[n] * float(z) for n, z in zip(("G", "mu"), gel, strict=True)}
+        )
         times = torch.linspace(0.1, 2.0, 8 + e, dtype=torch.float64)
         design = (300.0 + 40.0 * e, 0.2)
         shifts = torch.randn(3, generator=source, dtype=torch.float64) * nuisance.sds()
-        clean = simulator(truth, tensor(*design), times).radius + 0.3 * shifts[1] + 0.5 * design[1] * shifts[2]
-        made.append(Experiment(f"e{e}", design, times, NOISE.draw(clean, times, 1, generator=source), nuisance))
+        clean = (
+            simulator(truth, tensor(*design), times).radius
+            + 0.3 * shifts[1]
+            + 0.5 * design[1] * shifts[2]
+        )
+        made.append(
+            Experiment(
+                f"e{e}", design, times, NOISE.draw(clean, times, 1, generator=source), nuisance
+            )
+        )
     return made
 
 
@@ -55,24 +80,41 @@ class Dense:
     """Density of all frames given the scatter, and the centre, without any Gaussian of a shot."""
 
     def __init__(self, experiments: list[Experiment]) -> None:
-        simulator, slopes = LinearSimulator(), tensor(SDS["G"], SDS["mu"])
-        rows, noises, observed = [], [], []
+        simulator = LinearSimulator()
+        slopes = tensor(SDS["G"], SDS["mu"])
+        rows = []
+        noises = []
+        observed = []
         for shot in experiments:
-            design, frames = tensor(*shot.design), len(shot.times)
-            rows.append(simulator.columns(frames, design[0])[:, PARAMETERS.index(PART.names)] * slopes)
-            common = 0.3**2 * shot.nuisance.time_zero**2 + (0.5 * shot.design[1] * shot.nuisance.rest_radius) ** 2
+            design = tensor(*shot.design)
+            frames = len(shot.times)
+            rows.append(
+                simulator.columns(frames, design[0])[:, PARAMETERS.index(PART.names)] * slopes
+            )
+            common = (
+                0.3**2 * shot.nuisance.time_zero**2
+                + (0.5 * shot.design[1] * shot.nuisance.rest_radius) ** 2
+            )
             noises.append(NOISE.floor**2 * torch.eye(frames, dtype=torch.float64) + common)
-            observed.append(shot.radius[0] - simulator(PART.parameters(PART.mean), design, shot.times).radius)
-        self.rows, self.noise, self.y = torch.cat(rows), torch.block_diag(*noises), torch.cat(observed)
+            observed.append(
+                shot.radius[0] - simulator(PART.parameters(PART.mean), design, shot.times).radius
+            )
+        self.rows = torch.cat(rows)
+        self.noise = torch.block_diag(*noises)
+        self.y = torch.cat(observed)
         self.block = torch.block_diag(*rows)
         self.count = len(rows)
 
     def __call__(self, scatter: Tensor) -> tuple[float, Tensor, Tensor]:
         """Log density, mean and covariance of the centre."""
         R = self.noise + (self.block * scatter.square().repeat(self.count)) @ self.block.mT
-        law = torch.distributions.MultivariateNormal(torch.zeros(len(self.y)).double(), self.rows @ self.rows.mT + R)
+        law = torch.distributions.MultivariateNormal(
+            torch.zeros(len(self.y)).double(), self.rows @ self.rows.mT + R
+        )
         solved = torch.linalg.solve(R, torch.cat((self.rows, self.y[:, None]), 1))
-        covariance = torch.linalg.inv(torch.eye(2, dtype=torch.float64) + self.rows.mT @ solved[:, :2])
+        covariance = torch.linalg.inv(
+            torch.eye(2, dtype=torch.float64) + self.rows.mT @ solved[:, :2]
+        )
         return float(law.log_prob(self.y)), covariance @ self.rows.mT @ solved[:, 2], covariance
 
 
@@ -81,16 +123,23 @@ class Exact:
 
     def __init__(self, experiments: list[Experiment], points: int = 24) -> None:
         middle = (torch.arange(points, dtype=torch.float64) + 0.5) / points * 4.0 * SCALE
-        self.axis, self.wide = middle, float(middle[1] - middle[0])
+        self.axis = middle
+        self.wide = float(middle[1] - middle[0])
         grid = torch.cartesian_prod(middle, middle)
         density = Dense(experiments)
         found = [density(row) for row in grid]
         logs = torch.tensor([x[0] for x in found], dtype=torch.float64)
-        half_normal = math.log(2.0) - 0.5 * math.log(2.0 * math.pi) - math.log(SCALE) - 0.5 * (grid / SCALE).square()
+        half_normal = (
+            math.log(2.0)
+            - 0.5 * math.log(2.0 * math.pi)
+            - math.log(SCALE)
+            - 0.5 * (grid / SCALE).square()
+        )
         logs = logs + half_normal.sum(1)
         self.log_evidence = float(torch.logsumexp(logs, 0)) + 2.0 * math.log(self.wide)
         self.weights = torch.softmax(logs, 0)
-        self.grid, self.means = grid, torch.stack([x[1] for x in found])
+        self.grid = grid
+        self.means = torch.stack([x[1] for x in found])
         self.variances = torch.stack([x[2].diagonal() for x in found])
 
     def centre(self) -> tuple[Tensor, Tensor]:
@@ -110,13 +159,16 @@ def inferred(experiments: list[Experiment], simulator, **options) -> Population:
 @pytest.mark.parametrize("scatter", [(0.8, 0.0), (0.0, 0.0)])
 def test_that_linear_shots_give_what_dense_algebra_gives(scatter: tuple[float, float]) -> None:
     experiments = shots(LinearSimulator(), scatter)
-    population, exact = inferred(experiments, LinearSimulator(), draws=3000), Exact(experiments)
+    population = inferred(experiments, LinearSimulator(), draws=3000)
+    exact = Exact(experiments)
     found = population.found
     assert population.log_evidence == pytest.approx(exact.log_evidence, abs=0.1)
     for values, (mean, sd) in ((found.centre, exact.centre()), (found.scatter, exact.scatter())):
         own = found.weights @ values
         assert bool(((own - mean).abs() / sd < 0.1).all())
-        assert bool((((found.weights @ (values - own).square()).sqrt() / sd - 1.0).abs() < 0.1).all())
+        assert bool(
+            (((found.weights @ (values - own).square()).sqrt() / sd - 1.0).abs() < 0.1).all()
+        )
     none = Dense(experiments)(torch.zeros(2, dtype=torch.float64))[0]
     factor = population.any_scatter
     partial = [_line(experiments, i) for i in (0, 1)]
@@ -128,12 +180,18 @@ def test_that_linear_shots_give_what_dense_algebra_gives(scatter: tuple[float, f
 def _line(experiments: list[Experiment], column: int, points: int = 60) -> float:
     """Log evidence where one parameter alone varies."""
     middle = (torch.arange(points, dtype=torch.float64) + 0.5) / points * 4.0 * SCALE
-    logs, density = [], Dense(experiments)
+    logs = []
+    density = Dense(experiments)
     for value in middle:
         row = torch.zeros(2, dtype=torch.float64)
         row[column] = value
         logs.append(density(row)[0] - 0.5 * float(value / SCALE) ** 2)
-    constant = math.log(2.0) - 0.5 * math.log(2.0 * math.pi) - math.log(SCALE) + math.log(float(middle[1] - middle[0]))
+    constant = (
+        math.log(2.0)
+        - 0.5 * math.log(2.0 * math.pi)
+        - math.log(SCALE)
+        + math.log(float(middle[1] - middle[0]))
+    )
     return float(torch.logsumexp(tensor(*logs), 0)) + constant
 
 
@@ -156,7 +214,9 @@ def test_that_curved_shots_give_what_quadrature_over_gels_and_scatter_gives() ->
     axis = torch.linspace(-4.0, 4.0, 161, dtype=torch.float64)
     controls = torch.cartesian_prod(axis, axis)
     batch = ExperimentBatch(tuple(experiments), NOISE)
-    logs = batch.log_likelihood(predict(simulator, PART.parameters(controls), batch)).mT.reshape(3, 161, 161)
+    logs = batch.log_likelihood(predict(simulator, PART.parameters(controls), batch)).mT.reshape(
+        3, 161, 161
+    )
     step = float(axis[1] - axis[0])
     prior_logs = (-0.5 * controls.square().sum(1) - math.log(2.0 * math.pi)).reshape(161, 161)
     scatters = (torch.arange(60, dtype=torch.float64) + 0.5) / 60 * 4.0 * SCALE
@@ -166,12 +226,26 @@ def test_that_curved_shots_give_what_quadrature_over_gels_and_scatter_gives() ->
         kernel = torch.softmax(kernel, 1)  # each row: mu of a shot given the centre's
         peak = logs.amax((1, 2), keepdim=True)
         smeared = torch.log(((logs - peak).exp() @ kernel.mT).clamp_min(1e-300)) + peak
-        evidence.append(float(torch.logsumexp((smeared.sum(0) + prior_logs).flatten(), 0)) + 2.0 * math.log(step))
-    half_normal = math.log(2.0) - 0.5 * math.log(2.0 * math.pi) - math.log(SCALE) - 0.5 * (scatters / SCALE).square()
+        evidence.append(
+            float(torch.logsumexp((smeared.sum(0) + prior_logs).flatten(), 0))
+            + 2.0 * math.log(step)
+        )
+    half_normal = (
+        math.log(2.0)
+        - 0.5 * math.log(2.0 * math.pi)
+        - math.log(SCALE)
+        - 0.5 * (scatters / SCALE).square()
+    )
     total = tensor(*evidence) + half_normal
     exact = float(torch.logsumexp(total, 0)) + math.log(float(scatters[1] - scatters[0]))
     assert max(shot.misses for shot in population.shots) < 0.2
-    assert max(float(shot.correction(shot.mean + 2.0 * shot.sd).abs().max()) for shot in population.shots) > 0.5  # not Gaussian
+    assert (
+        max(
+            float(shot.correction(shot.mean + 2.0 * shot.sd).abs().max())
+            for shot in population.shots
+        )
+        > 0.5
+    )  # not Gaussian
     assert population.log_evidence == pytest.approx(exact, abs=0.15)
     mean = float(torch.softmax(total, 0) @ scatters)
     sd = float((torch.softmax(total, 0) @ (scatters - mean).square()).sqrt())
@@ -185,7 +259,9 @@ def test_that_without_scatter_the_evidence_is_that_of_a_joint_fit() -> None:
     experiments = shots(simulator, (0.0, 0.0), 4)
     belief = Belief((PART,), torch.zeros(1, dtype=torch.float64))
     joint = weigh(
-        assimilate(belief, ExperimentBatch(tuple(experiments), NOISE), simulator, seed=0, options=OPTIONS),
+        assimilate(
+            belief, ExperimentBatch(tuple(experiments), NOISE), simulator, seed=0, options=OPTIONS
+        ),
         simulator,
         seed=0,
         samples=1000,
@@ -193,41 +269,81 @@ def test_that_without_scatter_the_evidence_is_that_of_a_joint_fit() -> None:
     assert joint is not None
     population = inferred(experiments, simulator)
     from_shots = population.log_evidence - _over_none(population)
-    assert from_shots == pytest.approx(joint.log_evidence, abs=4.0 * math.hypot(joint.log_evidence_error, 0.05))
+    assert from_shots == pytest.approx(
+        joint.log_evidence, abs=4.0 * math.hypot(joint.log_evidence_error, 0.05)
+    )
 
 
 def _over_none(population: Population) -> float:
     """Log evidence of scatter of all parameters over that of none, from all and from the factors of the parameters."""
-    none = sample_population(Problem(population.shots, PART, torch.zeros(2, dtype=torch.float64)), 2000, generator(1))
+    none = sample_population(
+        Problem(population.shots, PART, torch.zeros(2, dtype=torch.float64)), 2000, generator(1)
+    )
     return population.log_evidence - float(none.log_evidences[0])
 
 
 def test_that_the_stated_error_of_the_evidence_is_its_spread_over_seeds() -> None:
-    simulator, values, errors = CurvedSimulator(bend=0.4), [], []
+    simulator = CurvedSimulator(bend=0.4)
+    values = []
+    errors = []
     experiments = shots(simulator, (0.5, 0.5), 3)
     for seed in range(6):
-        fits = fit_shots(PART, experiments, simulator, noise=NOISE, rounds=0, options=OPTIONS, seed=seed, samples=96)
-        smooth = tuple(ShotLikelihood.of(fit.batch.experiments[0].label, fit.fits[0]) for fit in fits)
-        found = [sample_population(Problem(smooth, PART, tensor(s, s)), 500, generator(seed)) for s in (SCALE, 0.0)]
+        fits = fit_shots(
+            PART,
+            experiments,
+            simulator,
+            noise=NOISE,
+            rounds=0,
+            options=OPTIONS,
+            seed=seed,
+            samples=96,
+        )
+        smooth = tuple(
+            ShotLikelihood.of(fit.batch.experiments[0].label, fit.fits[0]) for fit in fits
+        )
+        found = [
+            sample_population(Problem(smooth, PART, tensor(s, s)), 500, generator(seed))
+            for s in (SCALE, 0.0)
+        ]
         difference = found[0].log_evidences - found[1].log_evidences
         values.append(float(difference[0]))
-        errors.append(math.hypot(jackknife_error(difference[1:]), found[0].evidence_error, found[1].evidence_error))
+        errors.append(
+            math.hypot(
+                jackknife_error(difference[1:]), found[0].evidence_error, found[1].evidence_error
+            )
+        )
     spread = float(torch.tensor(values).std())
     assert 0.4 * spread < sum(errors) / len(errors) < 3.0 * spread
 
 
 @pytest.fixture(scope="module")
 def polytropic() -> dict[str, Population]:
-    """Two populations of five shots of real physics: of one gel, and of gels that differ in G alone."""
-    simulator, part, found = PolytropicSimulator(), wide_prior(["nhkv"])["nhkv"], {}
+    """Two populations of five shots of real physics:
+
+    of one gel, and of gels that differ in G alone.
+    """
+    simulator = PolytropicSimulator()
+    part = wide_prior(["nhkv"])["nhkv"]
+    found = {}
     for name, stiffness in (("one", [8e3] * 5), ("many", [5e3, 6.5e3, 8e3, 10e3, 13e3])):
         made = []
         for number, G in enumerate(stiffness):
             laboratory = SimulatedLaboratory(
-                simulator, PARAMETERS.pack({"G": G, "mu": 0.09}), repeats=1, nuisance=Nuisance(0.003, 0.004, 0.01)
+                simulator,
+                PARAMETERS.pack({"G": G, "mu": 0.09}),
+                repeats=1,
+                nuisance=Nuisance(0.003, 0.004, 0.01),
             )
-            made.append(laboratory.shoot(tensor(300.0 + 20.0 * (number * 7 % 5), 0.22), seed=number, label=f"shot {number}"))
-        fits = fit_shots(part, made, simulator, rounds=0, options=replace(OPTIONS, raw_samples=48), samples=128)
+            made.append(
+                laboratory.shoot(
+                    tensor(300.0 + 20.0 * (number * 7 % 5), 0.22),
+                    seed=number,
+                    label=f"shot {number}",
+                )
+            )
+        fits = fit_shots(
+            part, made, simulator, rounds=0, options=replace(OPTIONS, raw_samples=48), samples=128
+        )
         found[name] = infer_population(fits, draws=1000)
     return found
 
@@ -237,7 +353,9 @@ def test_that_shots_of_one_gel_are_not_said_to_differ(polytropic: dict[str, Popu
     assert polytropic["one"].any_scatter.value < 0.0
 
 
-def test_that_gels_that_differ_are_found_and_by_which_parameter(polytropic: dict[str, Population]) -> None:
+def test_that_gels_that_differ_are_found_and_by_which_parameter(
+    polytropic: dict[str, Population],
+) -> None:
     many = polytropic["many"]
     assert many.verdict == "scatter"
     assert many.by_parameter["G"].value > math.log(10.0) > 0.0 > many.by_parameter["mu"].value
@@ -246,7 +364,9 @@ def test_that_gels_that_differ_are_found_and_by_which_parameter(polytropic: dict
     assert "differs between the 5 shots" in many.report()
 
 
-def test_that_the_noise_is_said_and_whether_it_was_widened_for_a_misfit(polytropic: dict[str, Population]) -> None:
+def test_that_the_noise_is_said_and_whether_it_was_widened_for_a_misfit(
+    polytropic: dict[str, Population],
+) -> None:
     one = polytropic["one"]
     assert f"Noise of every shot: {one.noise}." in one.report()
     assert not any("misses" in text for text in one.cautions)
@@ -265,12 +385,15 @@ def test_that_a_result_is_json(polytropic: dict[str, Population]) -> None:
 
 
 def test_that_a_parameter_that_rises_with_the_bubble_is_named() -> None:
-    made, simulator = [], LinearSimulator()
+    made = []
+    simulator = LinearSimulator()
     for e in range(6):
         truth = PARAMETERS.pack({"G": MEANS["G"], "mu": MEANS["mu"] + SDS["mu"] * (0.5 * e - 1.0)})
         times = torch.linspace(0.1, 2.0, 12, dtype=torch.float64)
         design = tensor(200.0 + 100.0 * e, 0.2)
-        radius = NOISE.draw(simulator(truth, design, times).radius, times, 1, generator=generator(e))
+        radius = NOISE.draw(
+            simulator(truth, design, times).radius, times, 1, generator=generator(e)
+        )
         made.append(Experiment(f"e{e}", (float(design[0]), 0.2), times, radius))
     population = inferred(made, simulator)
     assert any(text.startswith("mu rises with the size") for text in population.cautions)
@@ -279,12 +402,18 @@ def test_that_a_parameter_that_rises_with_the_bubble_is_named() -> None:
 
 def test_that_shots_that_differ_are_not_taken_for_noise() -> None:
     experiments = shots(LinearSimulator(), (2.0, 0.5), 8)
-    fits = fit_shots(PART, experiments, LinearSimulator(), noise=NOISE, rounds=0, options=OPTIONS, samples=25)
+    fits = fit_shots(
+        PART, experiments, LinearSimulator(), noise=NOISE, rounds=0, options=OPTIONS, samples=25
+    )
     shared = shared_noise(fits, NOISE, LinearSimulator(), widen=True)
     assert shared is not None
     own = shared.laws.frames.laws[0]
     typical = [
-        float(noise.sd(torch.tensor([0.5], dtype=torch.float64), torch.tensor([1.0], dtype=torch.float64)))
+        float(
+            noise.sd(
+                torch.tensor([0.5], dtype=torch.float64), torch.tensor([1.0], dtype=torch.float64)
+            )
+        )
         for noise in (own, NOISE)
     ]
     assert typical[0] == pytest.approx(typical[1], rel=0.3)
@@ -292,19 +421,25 @@ def test_that_shots_that_differ_are_not_taken_for_noise() -> None:
     together = assimilate(PRIOR, one, LinearSimulator(), seed=0, options=OPTIONS).fits[0]
     near = Posterior(PART, one, LinearSimulator()).neighbourhood(together.point)
     common = infer_frame_noise(near, FrameNoisePrior(NOISE)).for_fits(widen=True).law
-    assert common.sd(tensor(0.5), tensor(1.0)) > 2.0 * shared.law.sd(tensor(0.5), tensor(1.0))  # one gel for all shots
+    assert common.sd(tensor(0.5), tensor(1.0)) > 2.0 * shared.law.sd(
+        tensor(0.5), tensor(1.0)
+    )  # one gel for all shots
 
 
 def test_that_quantiles_of_equal_weights_are_those_of_the_sample() -> None:
     values = torch.randn(2001, generator=generator(0), dtype=torch.float64)
-    own = weighted_quantiles(values, torch.full((2001,), 1.0 / 2001, dtype=torch.float64), tensor(0.05, 0.5, 0.95)).tolist()
+    own = weighted_quantiles(
+        values, torch.full((2001,), 1.0 / 2001, dtype=torch.float64), tensor(0.05, 0.5, 0.95)
+    ).tolist()
     expected = torch.quantile(values, tensor(0.05, 0.5, 0.95)).tolist()
     assert own == pytest.approx(expected, abs=5e-3)
 
 
 def _fits(part: ModelBelief = PART, count: int = 2):
     experiments = shots(LinearSimulator(), (0.5, 0.5), count)
-    return fit_shots(part, experiments, LinearSimulator(), noise=NOISE, rounds=0, options=OPTIONS, samples=25)
+    return fit_shots(
+        part, experiments, LinearSimulator(), noise=NOISE, rounds=0, options=OPTIONS, samples=25
+    )
 
 
 @pytest.mark.parametrize(
@@ -346,16 +481,23 @@ def test_that_a_fit_without_draws_is_refused() -> None:
 def test_that_what_is_inferred_of_the_medium_is_the_same_in_all_shots() -> None:
     medium = gel_medium(Statement.from_text("density=1060:20"))
     part = medium.believed_of(wide_prior(["nhkv"]).models[0])
-    simulator, design = medium.applied(PolytropicSimulator(threads=1)), tensor(400.0, 0.22)
+    simulator = medium.applied(PolytropicSimulator(threads=1))
+    design = tensor(400.0, 0.22)
     films = [
         SimulatedLaboratory(simulator, PARAMETERS.pack({"G": G, "mu": 0.09}), repeats=1).shoot(
             design, seed=i, label=f"film {i}"
         )
         for i, G in enumerate((6e3, 8e3, 11e3))
     ]
-    population = infer_population(fit_shots(part, films, simulator, rounds=0, samples=64), draws=500)
+    population = infer_population(
+        fit_shots(part, films, simulator, rounds=0, samples=64), draws=500
+    )
     assert part.names == ("G", "mu", "density")
     assert population.varying == part.of_gel == ("G", "mu")
-    assert population.shot("film 0", "density") == population.shot("film 2", "density") == population.median("density")
+    assert (
+        population.shot("film 0", "density")
+        == population.shot("film 2", "density")
+        == population.median("density")
+    )
     assert "the same in all shots" in population.report()
     assert set(population.by_parameter) == {"G", "mu"}

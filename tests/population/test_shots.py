@@ -1,4 +1,7 @@
-"""The noise of shots that are fitted each by itself: that of the camera, or of a misfit where the model misses the curves."""
+"""The noise of shots that are fitted each by itself:
+
+that of the camera, or of a misfit where the model misses the curves.
+"""
 
 from dataclasses import replace
 
@@ -6,7 +9,13 @@ import pytest
 import torch
 
 from imr_torch import PolytropicSimulator, wide_prior
-from imr_torch.assimilate import FrameNoisePrior, Posterior, SearchOptions, assimilate, infer_frame_noise
+from imr_torch.assimilate import (
+    FrameNoisePrior,
+    Posterior,
+    SearchOptions,
+    assimilate,
+    infer_frame_noise,
+)
 from imr_torch.material import PARAMETERS, Belief
 from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
 from imr_torch.population import fit_shots
@@ -23,13 +32,18 @@ def test_that_one_law_of_a_misfit_for_shots_of_different_gels_states_intervals_t
         batch, gels = drifting(seed, alone=True)
         shots = [ExperimentBatch((shot,), NOISE) for shot in batch.experiments]
         fits = [assimilate(BELIEF, shot, Slow(), seed=0, options=OPTIONS).fits[0] for shot in shots]
-        near = [Posterior(PART, shot, Slow()).neighbourhood(fit.point) for shot, fit in zip(shots, fits, strict=True)]
+        near = [
+            Posterior(PART, shot, Slow()).neighbourhood(fit.point)
+            for shot, fit in zip(shots, fits, strict=True)
+        ]
         law = infer_frame_noise(near, FrameNoisePrior(NOISE)).for_fits(widen=True).law
         assert law.correlation_time == 0.0
         for kind, scale in (("independent", law.scale / law.widened), ("widened", law.scale)):
             for shot, gel in zip(shots, gels, strict=True):
                 found = exact(PART, replace(shot, noise=replace(law, scale=scale)), Slow())
-                inside[kind] += ((gel - found.mean).abs() < 1.645 * found.covariance.diagonal().sqrt()).tolist()
+                inside[kind] += (
+                    (gel - found.mean).abs() < 1.645 * found.covariance.diagonal().sqrt()
+                ).tolist()
     covered = {kind: sum(rows) / len(rows) for kind, rows in inside.items()}
     assert covered["independent"] < 0.75
     assert 0.8 < covered["widened"] < 0.97
@@ -37,11 +51,22 @@ def test_that_one_law_of_a_misfit_for_shots_of_different_gels_states_intervals_t
 
 @pytest.mark.parametrize("missed", [False, True])
 def test_that_the_noise_is_that_of_a_misfit_where_the_model_misses_the_shots(missed: bool) -> None:
-    simulator, shots = PolytropicSimulator(), []
+    simulator = PolytropicSimulator()
+    shots = []
     for number, G in enumerate((6e3, 9e3)):
         truth = PARAMETERS.pack({"G": G, "mu": 0.09, "gas_loss": 2.0 if missed else 0.0})
         laboratory = SimulatedLaboratory(simulator, truth, repeats=1)
-        shots.append(laboratory.shoot(torch.tensor([400.0, 0.22]).double(), seed=number, label=f"shot {number}"))
-    fits = fit_shots(wide_prior(["nhkv"])["nhkv"], shots, simulator, samples=64, options=replace(OPTIONS, raw_samples=16))
+        shots.append(
+            laboratory.shoot(
+                torch.tensor([400.0, 0.22]).double(), seed=number, label=f"shot {number}"
+            )
+        )
+    fits = fit_shots(
+        wide_prior(["nhkv"])["nhkv"],
+        shots,
+        simulator,
+        samples=64,
+        options=replace(OPTIONS, raw_samples=16),
+    )
     noise = fits[0].batch.noise
     assert (noise.widened > 1.5) == missed

@@ -16,13 +16,21 @@ LABELS = ("$x_{bad$", "a/b", "a_b", "a b", "<script>alert(1)</script>")
 SIMULATOR = PolytropicSimulator()
 
 
-def traces(labels=LABELS[:2], *, noise: float = 0.002, frames: int = 110, **extra: float) -> TraceSet:
-    """Curves of bubbles of several sizes: three frames before the maximum, then to t* = 3.2, after the second collapse."""
-    found, source = [], generator(3)
+def traces(
+    labels=LABELS[:2], *, noise: float = 0.002, frames: int = 110, **extra: float
+) -> TraceSet:
+    """Curves of bubbles of several sizes:
+
+    three frames before the maximum, then to t* = 3.2, after the second collapse.
+    """
+    found = []
+    source = generator(3)
     for number, label in enumerate(labels):
-        size, times = (200e-6 + 60e-6 * number), torch.linspace(0.0, 3.2, frames, dtype=torch.float64)
+        size = 200e-6 + 60e-6 * number
+        times = torch.linspace(0.0, 3.2, frames, dtype=torch.float64)
         design = torch.tensor([Surroundings().weber(size), 0.2], dtype=torch.float64)
-        gel, before = PARAMETERS.pack(GEL | extra), torch.tensor([0.03, 0.06, 0.09], dtype=torch.float64)
+        gel = PARAMETERS.pack(GEL | extra)
+        before = torch.tensor([0.03, 0.06, 0.09], dtype=torch.float64)
         radius = torch.cat([SIMULATOR(gel, design, t).radius for t in (before, times)])
         radius[:3] = radius[:3].flip(0)  # growth mirrors the collapse where the bubble is large
         times = torch.cat((-before.flip(0), times))
@@ -45,4 +53,6 @@ def fitted(records: TraceSet, models=("nhkv",)) -> Characterization:
 
 def documented(records: TraceSet, models=("nhkv",)) -> dict:
     result = fitted(records, models)
-    return header("characterize", medium=Surroundings()) | characterization_document(result, records, SIMULATOR, draws=20)
+    return header("characterize", medium=Surroundings()) | characterization_document(
+        result, records, SIMULATOR, draws=20
+    )

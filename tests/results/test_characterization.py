@@ -16,12 +16,21 @@ from imr_torch.cli.figures import save_figures
 from imr_torch.errors import InputDataError
 from imr_torch.files import write_json
 from imr_torch.labels import file_name, plain
-from imr_torch.results import NamedFigure, characterization_page, check_document, draw_figures, header, read_document
+from imr_torch.results import (
+    NamedFigure,
+    characterization_page,
+    check_document,
+    draw_figures,
+    header,
+    read_document,
+)
 
 _spec = importlib.util.spec_from_file_location("documents", Path(__file__).parent / "documents.py")
 documents = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(documents)
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+BROWSER = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
 
 
 @pytest.fixture(scope="module")
@@ -34,16 +43,23 @@ def result():
 def document(result):
     found, records = result
     whole = header("characterize", medium=documents.Surroundings())
-    return whole | documents.characterization_document(found, records, documents.SIMULATOR, draws=20)
+    return whole | documents.characterization_document(
+        found, records, documents.SIMULATOR, draws=20
+    )
 
 
 def test_that_every_frame_is_fitted_or_has_a_reason(result, document):
     found, records = result
-    for curve, trace, experiment in zip(document["curves"], records, found.experiments, strict=True):
+    for curve, trace, experiment in zip(
+        document["curves"], records, found.experiments, strict=True
+    ):
         use = curve["frames"]
         assert use["recorded"] == len(trace) == len(curve["measured"]["fitted"])
         assert use["fitted"] == sum(curve["measured"]["fitted"]) == len(experiment.times)
-        assert sum(x["last"] - x["first"] + 1 for x in use["not_fitted"]) == use["recorded"] - use["fitted"]
+        assert (
+            sum(x["last"] - x["first"] + 1 for x in use["not_fitted"])
+            == use["recorded"] - use["fitted"]
+        )
         assert [x["reason"].split()[0] for x in use["not_fitted"]] == ["before", "after"]
         assert use["not_fitted"][0]["start_s"] == pytest.approx(float(trace.time_s[0]))
     assert f"{curve['id']}: {use['fitted']} of {use['recorded']} frames fitted" in found.report()
@@ -60,10 +76,15 @@ def test_that_fitted_frames_are_the_ones_of_the_experiment(result, document):
 
 
 def test_that_a_collapse_is_drawn_round(document):
-    """Frames are .03 apart; the drawn curve changes by little between points, down to a lower minimum than any frame's."""
+    """Frames are .03 apart;
+
+    the drawn curve changes by little between points, down to a lower minimum than any frame's.
+    """
     for curve in document["curves"]:
-        model, seen = curve["models"]["nhkv"], curve["measured"]
-        t, r = np.array(model["t_star"]), np.array(model["R_star"])
+        model = curve["models"]["nhkv"]
+        seen = curve["measured"]
+        t = np.array(model["t_star"])
+        r = np.array(model["R_star"])
         assert (np.diff(t) >= 0.0).all()
         assert np.abs(np.diff(r)).max() < 0.04
         frames = np.array(seen["R_star"])[np.array(seen["fitted"])]
@@ -74,11 +95,13 @@ def test_that_a_collapse_is_drawn_round(document):
 def test_that_the_drawn_curve_goes_through_the_predictions(result, document):
     found, _ = result
     for e, curve in enumerate(document["curves"]):
-        times, predicted = (
-            found.experiments[e].times.numpy(),
-            found.assimilation["nhkv"].prediction[e].numpy()[: len(found.experiments[e].times)],
+        times = found.experiments[e].times.numpy()
+        predicted = (
+            found.assimilation["nhkv"].prediction[e].numpy()[: len(found.experiments[e].times)]
         )
-        drawn = np.interp(times, curve["models"]["nhkv"]["t_star"], curve["models"]["nhkv"]["R_star"])
+        drawn = np.interp(
+            times, curve["models"]["nhkv"]["t_star"], curve["models"]["nhkv"]["R_star"]
+        )
         assert drawn == pytest.approx(predicted, abs=2e-3)
         inside = np.interp(times, curve["band"]["t_star"], curve["band"]["high"]) - predicted
         assert (inside > 0.0).all()
@@ -110,7 +133,10 @@ def test_that_files_come_with_their_hashes_and_those_beside_them(tmp_path):
     [
         ({}, "has no 'schema' of imr_torch, .*make it anew with --json"),
         ([1], "has no 'schema' of imr_torch"),
-        ({"schema": {"name": "imr_torch design", "version": 2}}, "schema version is 2; this software reads 1. Install a newer"),
+        (
+            {"schema": {"name": "imr_torch design", "version": 2}},
+            "schema version is 2; this software reads 1. Install a newer",
+        ),
         (
             {"schema": {"name": "imr_torch design", "version": 0}},
             "schema version is 0; this software reads 1. Make the result anew",
@@ -149,9 +175,23 @@ def test_that_labels_are_drawn_as_they_are():
     assert len(plain("a" * 300)) == 48
 
 
-def test_that_every_figure_is_drawn_from_the_file_alone_and_none_overwrites_another(rendered, document, tmp_path):
+def test_that_every_figure_is_drawn_from_the_file_alone_and_none_overwrites_another(
+    rendered, document, tmp_path
+):
     write_json(tmp_path / "result.json", document)
-    assert main(["plot", str(tmp_path / "result.json"), "--out", str(tmp_path / "again"), "--format", "png,svg"]) == 0
+    assert (
+        main(
+            [
+                "plot",
+                str(tmp_path / "result.json"),
+                "--out",
+                str(tmp_path / "again"),
+                "--format",
+                "png,svg",
+            ]
+        )
+        == 0
+    )
     names = {path.stem for path in (tmp_path / "again").glob("*.png")}
     curves = {f"curve_{file_name(label)}" for label in documents.LABELS}
     assert names == {*curves, "residuals", "parameters", "parameter_G", "parameter_mu"}
@@ -169,7 +209,9 @@ def test_that_a_figure_that_fails_costs_no_other(tmp_path, capsys):
     figures = [NamedFigure("first", "", "", fail), NamedFigure("second", "", "", plt.figure)]
     assert save_figures(figures, tmp_path, ["png"]) == 1
     assert [path.name for path in tmp_path.iterdir()] == ["second.png"]
-    assert "the figure first could not be drawn (ValueError: no such glyph)" in capsys.readouterr().err
+    assert (
+        "the figure first could not be drawn (ValueError: no such glyph)" in capsys.readouterr().err
+    )
 
 
 def test_that_the_figure_marks_unused_frames_and_has_second_axes(document):
@@ -177,7 +219,12 @@ def test_that_the_figure_marks_unused_frames_and_has_second_axes(document):
     upper, lower = figure.axes[:2]
     labels = {text.get_text() for text in upper.get_legend().get_texts()}
     use = document["curves"][0]["frames"]
-    assert {f"fitted ({use['fitted']})", f"not fitted ({use['recorded'] - use['fitted']})", "NHKV", "90 % predictive"} == labels
+    assert {
+        f"fitted ({use['fitted']})",
+        f"not fitted ({use['recorded'] - use['fitted']})",
+        "NHKV",
+        "90 % predictive",
+    } == labels
     seconds = list(upper.child_axes)
     assert {s.get_xlabel() or s.get_ylabel() for s in seconds} == {"$t$ (µs)", "$R$ (µm)"}
     assert "residual" in lower.get_ylabel()
@@ -192,7 +239,12 @@ def test_that_a_page_escapes_what_it_is_given_and_loads_nothing(document):
     assert not re.search(r'(src|href)="(?!data:)', text)
     assert "G, shear modulus" in text
     assert re.search(r"\d\.\d+ kPa \(90 %: \d", text)
-    assert text.index("<h2>The gel") < text.index("<h2>What was assumed") < text.index("<h2>Figures") < text.index("<details>")
+    assert (
+        text.index("<h2>The gel")
+        < text.index("<h2>What was assumed")
+        < text.index("<h2>Figures")
+        < text.index("<details>")
+    )
     assert "What to do next" in text
 
 
@@ -243,7 +295,9 @@ def wider_than(page: str, width: int, folder: Path) -> int:
 
 def test_that_curves_of_the_model_are_explained_and_those_of_an_unmodelled_effect_are_not(document):
     assert document["fit_test"]["explained"] is True
-    assert document["fit_test"]["sentence"].startswith("Fit: the model explains the curves within their noise (p = ")
+    assert document["fit_test"]["sentence"].startswith(
+        "Fit: the model explains the curves within their noise (p = "
+    )
     assert document["fit_test"]["seconds"] < 2.0
     assert document["noise"]["widened"] < 1.5
     lossy = documents.documented(documents.traces(("a", "b", "c"), gas_loss=0.5))
@@ -253,13 +307,16 @@ def test_that_curves_of_the_model_are_explained_and_those_of_an_unmodelled_effec
     assert lossy["frame_jitter"] is None
     assert tested["p_value"] < 0.01
     assert re.search(
-        r"explain the curves \(p [=<] .*, nhkv; strongest test: .*; largest residual .* sd in [abc], ", tested["sentence"]
+        r"explain the curves \(p [=<] .*, nhkv; strongest test: .*; largest residual .* sd in [abc], ",
+        tested["sentence"],
     )
     assert tested["sentence"].endswith("have tried: imr-torch diagnose")
     assert 'class="verdict warning"' in characterization_page(lossy)
 
 
-def test_that_the_command_line_writes_json_before_figures_and_the_page(rendered, tmp_path, monkeypatch, capsys):
+def test_that_the_command_line_writes_json_before_figures_and_the_page(
+    rendered, tmp_path, monkeypatch, capsys
+):
     records = documents.traces(("one", "two"))
     rows = [
         f"{t.experiment_id},{s:.10g},{r:.10g}"
@@ -279,7 +336,9 @@ def test_that_the_command_line_writes_json_before_figures_and_the_page(rendered,
         "polytropic",
     ]
     out = tmp_path / "out"
-    assert main([*arguments, "--quiet", "--out", str(out), "--html", str(tmp_path / "page.html")]) == 0
+    assert (
+        main([*arguments, "--quiet", "--out", str(out), "--html", str(tmp_path / "page.html")]) == 0
+    )
     document = json.loads((out / "characterize.json").read_text())
     assert document["files"][0]["name"] == "gel.csv"
     assert document["command"].startswith("imr-torch characterize ")

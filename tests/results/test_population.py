@@ -1,4 +1,7 @@
-"""The population in a result document: figure and part of the page, and the command that makes it."""
+"""The population in a result document:
+
+figure and part of the page, and the command that makes it.
+"""
 
 import json
 
@@ -17,7 +20,12 @@ BAYES = {"value": 4.0, "error": 0.1, "reliable": True}
 
 
 def population(**changes) -> dict:
-    entry = {"median": [5e3, 6e3, 7e3], "next_shot": [4e3, 6e3, 9e3], "scatter": [0.1, 0.2, 0.4], "scatter_of": "ln G"}
+    entry = {
+        "median": [5e3, 6e3, 7e3],
+        "next_shot": [4e3, 6e3, 9e3],
+        "scatter": [0.1, 0.2, 0.4],
+        "scatter_of": "ln G",
+    }
     shot = {"id": "$x_{bad$", "given_all": {"G": [4e3, 5e3, 6e3]}, "alone": {"G": [3e3, 5e3, 7e3]}}
     found = {
         "sentence": "The gel differs between the 2 shots, by more than their errors.",
@@ -35,7 +43,11 @@ def population(**changes) -> dict:
 def test_that_every_shot_is_drawn_twice_beside_the_median() -> None:
     figure = population_figure(population())
     (ax,) = figure.axes
-    widths = [tuple(line.get_xdata()) for line in ax.lines if len(line.get_xdata()) == 2 and line.get_linewidth() > 1.5]
+    widths = [
+        tuple(line.get_xdata())
+        for line in ax.lines
+        if len(line.get_xdata()) == 2 and line.get_linewidth() > 1.5
+    ]
     assert widths == [(3.0, 7.0), (4.0, 6.0)] * 2  # kPa: alone, given all
     assert [text.get_text() for text in ax.get_yticklabels()] == [r"\$x_{bad\$", "b"]
     assert ax.get_title() == "scatter 0.20 (0.10 to 0.40)"
@@ -46,9 +58,15 @@ def test_that_every_shot_is_drawn_twice_beside_the_median() -> None:
 def test_that_the_page_states_median_scatter_and_evidence() -> None:
     block = population_block(population())
     (table,) = (part for part in block if isinstance(part, Table))
-    assert table.rows[0][1:4] == ("6 kPa (90 %: 5 to 7)", "0.200 (90 %: 0.100 to 0.400) of ln G", "4.0 +- 0.1 nats")
+    assert table.rows[0][1:4] == (
+        "6 kPa (90 %: 5 to 7)",
+        "0.200 (90 %: 0.100 to 0.400) of ln G",
+        "4.0 +- 0.1 nats",
+    )
     assert "Caution: mu rises." in block
-    assert "above 30 nats" in population_block(population(log_bayes_factor=BAYES | {"value": 80.0}))[0]
+    assert (
+        "above 30 nats" in population_block(population(log_bayes_factor=BAYES | {"value": 80.0}))[0]
+    )
 
 
 @pytest.mark.parametrize(
@@ -67,14 +85,17 @@ def _written(folder, count: int) -> str:
     lines = ["experiment_id,time_s,radius_m"]
     for trace in traces(tuple("abc"[:count])):
         lines += [
-            f"{trace.experiment_id},{t!r},{r!r}" for t, r in zip(trace.time_s.tolist(), trace.radius_m.tolist(), strict=True)
+            f"{trace.experiment_id},{t!r},{r!r}"
+            for t, r in zip(trace.time_s.tolist(), trace.radius_m.tolist(), strict=True)
         ]
     path = folder / "gel.csv"
     path.write_text("\n".join(lines))
     return str(path)
 
 
-def test_that_the_command_writes_report_json_figure_and_page(rendered: None, tmp_path, capsys) -> None:
+def test_that_the_command_writes_report_json_figure_and_page(
+    rendered: None, tmp_path, capsys
+) -> None:
     options = [
         "--models",
         "nhkv",
@@ -86,8 +107,23 @@ def test_that_the_command_writes_report_json_figure_and_page(rendered: None, tmp
         "--noise",
         "published",
     ]
-    out, page = tmp_path / "out", tmp_path / "page.html"
-    assert main(["characterize", _written(tmp_path, 3), *options, "--quiet", "--out", str(out), "--html", str(page)]) == 0
+    out = tmp_path / "out"
+    page = tmp_path / "page.html"
+    assert (
+        main(
+            [
+                "characterize",
+                _written(tmp_path, 3),
+                *options,
+                "--quiet",
+                "--out",
+                str(out),
+                "--html",
+                str(page),
+            ]
+        )
+        == 0
+    )
     document = json.loads((out / "characterize.json").read_text())
     found = document["population"]
     assert found["verdict"] in ("none", "undecided")  # three shots of one gel
@@ -102,10 +138,17 @@ def test_that_the_command_writes_report_json_figure_and_page(rendered: None, tmp
 
 
 def test_that_a_population_of_one_curve_is_refused(monkeypatch) -> None:
-    with pytest.raises(InputDataError, match="A population needs several shots, and there is 1 curve"):
+    with pytest.raises(
+        InputDataError, match="A population needs several shots, and there is 1 curve"
+    ):
         characterize(traces(("a",)), simulator=SIMULATOR, population=True)
     monkeypatch.setattr("imr_torch.characterization.checks.MOST", 2)
-    with pytest.raises(InputDataError, match="gen_qkv has 3 parameters of the gel, and at most 2 can differ between shots"):
-        characterize(traces(("a", "b")), prior=wide_prior(["gen_qkv"]), simulator=SIMULATOR, population=True)
+    with pytest.raises(
+        InputDataError,
+        match="gen_qkv has 3 parameters of the gel, and at most 2 can differ between shots",
+    ):
+        characterize(
+            traces(("a", "b")), prior=wide_prior(["gen_qkv"]), simulator=SIMULATOR, population=True
+        )
     with pytest.raises(InputDataError, match="scatter_scale is 0"):
         characterize(traces(("a", "b")), simulator=SIMULATOR, population=True, scatter_scale=0.0)

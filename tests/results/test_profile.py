@@ -1,4 +1,7 @@
-"""Profile likelihoods in a result document: words, figure and part of the page, drawn from the JSON that the command writes."""
+"""Profile likelihoods in a result document:
+
+words, figure and part of the page, drawn from the JSON that the command writes.
+"""
 
 import copy
 import json
@@ -17,7 +20,17 @@ from imr_torch.results.profile import profile_figure
 from tests.figures import rendering
 from tests.results.documents import SIMULATOR, traces
 
-QUICK = ["--physics", "polytropic", "--rest-radius", "0.2:0.01", "--noise", "published", "--threads", "1", "--quiet"]
+QUICK = [
+    "--physics",
+    "polytropic",
+    "--rest-radius",
+    "0.2:0.01",
+    "--noise",
+    "published",
+    "--threads",
+    "1",
+    "--quiet",
+]
 
 
 @pytest.fixture(scope="module")
@@ -65,11 +78,16 @@ def test_that_a_flat_parameter_is_called_flat_and_a_bounded_one_bounded(document
     assert "the profile likelihood is flat" in report
 
 
-def test_that_the_figure_is_drawn_from_the_json_with_the_line_of_95_percent_and_the_posterior(document, written) -> None:
+def test_that_the_figure_is_drawn_from_the_json_with_the_line_of_95_percent_and_the_posterior(
+    document, written
+) -> None:
     assert (written / "out" / "profile.png").stat().st_size > 5000
     (named,) = (figure for figure in draw_figures(document) if figure.name == "profile")
     figure = named.draw()
-    assert [ax.get_title() for ax in figure.axes] == ["bounded on both sides", "bounded on neither side"]
+    assert [ax.get_title() for ax in figure.axes] == [
+        "bounded on both sides",
+        "bounded on neither side",
+    ]
     for ax in figure.axes:
         assert {"95 %", "prior", "posterior", "profile"} <= {line.get_label() for line in ax.lines}
         (line,) = (line for line in ax.lines if line.get_label() == "95 %")
@@ -93,7 +111,9 @@ def test_that_the_page_says_what_the_data_bound(written) -> None:
     assert "Do the data bound each parameter?" in page
     assert "open on both sides" in page
     assert "on neither side: flat" in page
-    assert "; not determined: the profile likelihood is flat" in page  # beside the interval of the gel
+    assert (
+        "; not determined: the profile likelihood is flat" in page
+    )  # beside the interval of the gel
 
 
 @pytest.mark.parametrize(
@@ -101,11 +121,26 @@ def test_that_the_page_says_what_the_data_bound(written) -> None:
     [
         (lambda x: x.update(profiles=5), "profiles is 5; expected an object"),
         (lambda x: x["profiles"].update(qkv={}), "profiles is of 'qkv'; expected of gen_qkv"),
-        (lambda x: x["profiles"]["gen_qkv"]["mu"].pop("nats_lost"), r"profiles\.gen_qkv\.mu\.nats_lost is missing"),
-        (lambda x: x["profiles"]["gen_qkv"]["mu"]["values"].pop(), r"profiles\.gen_qkv\.mu is of lengths"),
-        (lambda x: x["profiles"]["gen_qkv"]["mu"]["values"].__setitem__(0, None), r"values\[0\] is None; expected a number"),
-        (lambda x: x["profiles"]["gen_qkv"]["mu"].update(limits_95=["x", 1.0]), r"limits_95\[0\] is 'x'; expected a number"),
-        (lambda x: x["profiles"]["gen_qkv"].update(G=x["profiles"]["gen_qkv"]["mu"]), r"profiles\.gen_qkv is of 'G'"),
+        (
+            lambda x: x["profiles"]["gen_qkv"]["mu"].pop("nats_lost"),
+            r"profiles\.gen_qkv\.mu\.nats_lost is missing",
+        ),
+        (
+            lambda x: x["profiles"]["gen_qkv"]["mu"]["values"].pop(),
+            r"profiles\.gen_qkv\.mu is of lengths",
+        ),
+        (
+            lambda x: x["profiles"]["gen_qkv"]["mu"]["values"].__setitem__(0, None),
+            r"values\[0\] is None; expected a number",
+        ),
+        (
+            lambda x: x["profiles"]["gen_qkv"]["mu"].update(limits_95=["x", 1.0]),
+            r"limits_95\[0\] is 'x'; expected a number",
+        ),
+        (
+            lambda x: x["profiles"]["gen_qkv"].update(G=x["profiles"]["gen_qkv"]["mu"]),
+            r"profiles\.gen_qkv is of 'G'",
+        ),
     ],
 )
 def test_that_profiles_that_are_not_whole_are_refused(document, change, message) -> None:
@@ -115,8 +150,20 @@ def test_that_profiles_that_are_not_whole_are_refused(document, change, message)
         draw_figures(bad)
 
 
-def test_that_a_profile_of_models_with_one_parameter_is_refused_before_any_fit(written, capsys) -> None:
-    with pytest.raises(InputDataError, match="needs a model with two free parameters or more, and newtonian has one"):
-        characterize(traces(("a",)), prior=wide_prior(["newtonian"]), simulator=SIMULATOR, profile=True)
-    assert main(["characterize", str(written / "gel.csv"), "--profile", "--models", "newtonian", *QUICK]) == 2
+def test_that_a_profile_of_models_with_one_parameter_is_refused_before_any_fit(
+    written, capsys
+) -> None:
+    with pytest.raises(
+        InputDataError,
+        match="needs a model with two free parameters or more, and newtonian has one",
+    ):
+        characterize(
+            traces(("a",)), prior=wide_prior(["newtonian"]), simulator=SIMULATOR, profile=True
+        )
+    assert (
+        main(
+            ["characterize", str(written / "gel.csv"), "--profile", "--models", "newtonian", *QUICK]
+        )
+        == 2
+    )
     assert "A profile likelihood needs a model" in capsys.readouterr().err

@@ -1,4 +1,7 @@
-"""Figures at their printed size: widths, sizes of text, colours that colour-blind readers can tell apart."""
+"""Figures at their printed size:
+
+widths, sizes of text, colours that colour-blind readers can tell apart.
+"""
 
 from itertools import combinations
 
@@ -12,7 +15,8 @@ from imr_torch.errors import InputDataError
 from imr_torch.plot import CYCLE
 from imr_torch.results import WIDTHS, for_publication
 
-# Vienot, Brettel and Mollon 1999: linear RGB as seen without the cones of long and of medium wavelengths
+# Vienot, Brettel and Mollon 1999: linear RGB as seen without the cones of long and of medium
+# wavelengths
 SEEN = {
     "protanopia": [[0.11238, 0.88762, 0.0], [0.11238, 0.88762, 0.0], [0.00401, -0.00401, 1.0]],
     "deuteranopia": [[0.29275, 0.70725, 0.0], [0.29275, 0.70725, 0.0], [-0.02234, 0.02234, 1.0]],
@@ -82,4 +86,6 @@ def test_that_the_colours_of_curves_can_be_told_apart(eye):
         np.clip((np.array(x) ** 2.2) @ np.array(SEEN["deuteranopia"]).T, 0, 1) ** (1 / 2.2)
         for x in ([0.8, 0.3, 0], [0.45, 0.45, 0])
     )
-    assert np.linalg.norm(red - green) < 0.15  # the measure sees that a red and a green may look the same
+    assert (
+        np.linalg.norm(red - green) < 0.15
+    )  # the measure sees that a red and a green may look the same

@@ -12,7 +12,18 @@ from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch, Nuisance
 from imr_torch.select import Evidence, evidences, log_evidence, probability_errors, update
-from tests.linear import CORRELATED, MEANS, MODELS, NOISE, SDS, LinearSimulator, exact, experiments, prior, tensor
+from tests.linear import (
+    CORRELATED,
+    MEANS,
+    MODELS,
+    NOISE,
+    SDS,
+    LinearSimulator,
+    exact,
+    experiments,
+    prior,
+    tensor,
+)
 
 OPTIONS = SearchOptions(raw_samples=24)
 BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
@@ -30,10 +41,16 @@ def fitted(batch: ExperimentBatch, belief: Belief | None = None) -> Assimilation
     return assimilate(belief or prior(), batch, LinearSimulator(), seed=1, options=OPTIONS)
 
 
-def weighted(fit: ModelFit, batch: ExperimentBatch, simulator: LinearSimulator | None = None, **options) -> Evidence:
+def weighted(
+    fit: ModelFit, batch: ExperimentBatch, simulator: LinearSimulator | None = None, **options
+) -> Evidence:
     """Evidence of one fit from its own draws."""
     belief = Belief((fit.prior,), tensor(0.0))
-    return log_evidence(weigh(Assimilation(belief, batch, (fit,)), simulator or LinearSimulator(), **options).fits[0])
+    return log_evidence(
+        weigh(Assimilation(belief, batch, (fit,)), simulator or LinearSimulator(), **options).fits[
+            0
+        ]
+    )
 
 
 def found(assimilation: Assimilation, *, seed: int, samples: int = 256) -> tuple[Evidence, ...]:
@@ -42,18 +59,25 @@ def found(assimilation: Assimilation, *, seed: int, samples: int = 256) -> tuple
 
 @pytest.fixture(scope="module")
 def simple() -> tuple[ExperimentBatch, ModelFit, float]:
-    batch, belief = experiments(3, nuisance=BOTH), prior(("nhkv",))
+    batch = experiments(3, nuisance=BOTH)
+    belief = prior(("nhkv",))
     return batch, fitted(batch, belief).fits[0], exact(belief.models[0], batch).log_evidence
 
 
 @pytest.mark.parametrize("correlated", [False, True], ids=["standard prior", "correlated prior"])
 @pytest.mark.parametrize("batch", BATCHES.values(), ids=BATCHES.keys())
-def test_that_the_evidence_is_within_four_errors_of_its_closed_form(batch: ExperimentBatch, correlated: bool) -> None:
+def test_that_the_evidence_is_within_four_errors_of_its_closed_form(
+    batch: ExperimentBatch, correlated: bool
+) -> None:
     belief = prior(correlated=correlated)
-    for part, evidence in zip(belief.models, found(fitted(batch, belief), seed=3, samples=1024), strict=True):
+    for part, evidence in zip(
+        belief.models, found(fitted(batch, belief), seed=3, samples=1024), strict=True
+    ):
         assert evidence.model == part.model
         assert evidence.error < 0.03
-        assert evidence.value == pytest.approx(exact(part, batch).log_evidence, abs=4.0 * evidence.error)
+        assert evidence.value == pytest.approx(
+            exact(part, batch).log_evidence, abs=4.0 * evidence.error
+        )
         assert evidence.trusted
         assert (evidence.samples, evidence.failed) == (1024, 0)
 
@@ -62,19 +86,34 @@ def test_that_the_evidence_is_within_four_errors_of_its_closed_form(batch: Exper
 def test_that_the_stated_error_is_the_scatter_over_seeds(simple, samples: int) -> None:
     batch, fit, truth = simple
     runs = [weighted(fit, batch, seed=seed, samples=samples) for seed in range(60)]
-    values, errors = tensor(*[r.value for r in runs]), tensor(*[r.error for r in runs])
+    values = tensor(*[r.value for r in runs])
+    errors = tensor(*[r.error for r in runs])
     scatter = float((values - truth).square().mean().sqrt())
     assert scatter == pytest.approx(float(errors.square().mean().sqrt()), rel=0.3)
     assert abs(float(values.mean()) - truth) < 4.0 * scatter / 60.0**0.5 + float(errors.mean()) ** 2
 
 
 @pytest.mark.parametrize("nuisance", [None, BOTH], ids=["known designs", "nuisances"])
-def test_that_evidence_and_odds_multiply_exactly_once_over_designs_seen_in_turn(nuisance: Nuisance | None) -> None:
-    """``p(y_1 ... y_n | m) = prod_i p(y_i | y_1 ... y_i-1, m)``: each posterior is the next prior, and nothing counts twice."""
-    belief, batch = prior(("newtonian", "nhkv", "gen_qkv")), experiments(4, nuisance=nuisance)
-    running, totals, variances = belief, torch.zeros(3, dtype=torch.float64), torch.zeros(3, dtype=torch.float64)
+def test_that_evidence_and_odds_multiply_exactly_once_over_designs_seen_in_turn(
+    nuisance: Nuisance | None,
+) -> None:
+    """``p(y_1 ...
+
+    y_n | m) = prod_i p(y_i | y_1 ... y_i-1, m)``: each posterior is the next prior, and nothing
+    counts twice.
+    """
+    belief = prior(("newtonian", "nhkv", "gen_qkv"))
+    batch = experiments(4, nuisance=nuisance)
+    running = belief
+    totals = torch.zeros(3, dtype=torch.float64)
+    variances = torch.zeros(3, dtype=torch.float64)
     for number, experiment in enumerate(batch.experiments):
-        step = weigh(fitted(ExperimentBatch((experiment,), NOISE), running), LinearSimulator(), seed=number, samples=1024)
+        step = weigh(
+            fitted(ExperimentBatch((experiment,), NOISE), running),
+            LinearSimulator(),
+            seed=number,
+            samples=1024,
+        )
         after = evidences(step)
         totals += tensor(*[e.value for e in after])
         variances += tensor(*[e.error**2 for e in after])
@@ -87,14 +126,19 @@ def test_that_evidence_and_odds_multiply_exactly_once_over_designs_seen_in_turn(
     torch.testing.assert_close(odds, expected, rtol=0.0, atol=0.2)
     whole = exact(belief.models[1], batch)
     chained = running["nhkv"]
-    # with uncertain designs, what the draws correct keeps the chance in the nuisances that each of them integrates over
+    # with uncertain designs, what the draws correct keeps the chance in the nuisances that each of
+    # them integrates over
     chance, chance_of_squares = (1e-5, 1e-5) if nuisance is None else (0.03, 0.1)
     moved = torch.linalg.solve_triangular(
         torch.linalg.cholesky(whole.covariance), (chained.mean - whole.mean)[:, None], upper=False
     )
-    scaled = torch.linalg.solve_triangular(torch.linalg.cholesky(whole.covariance), chained.chol, upper=False)
+    scaled = torch.linalg.solve_triangular(
+        torch.linalg.cholesky(whole.covariance), chained.chol, upper=False
+    )
     assert float(moved.abs().max()) < chance
-    torch.testing.assert_close(scaled @ scaled.mT, torch.eye(2, dtype=torch.float64), rtol=0.0, atol=chance_of_squares)
+    torch.testing.assert_close(
+        scaled @ scaled.mT, torch.eye(2, dtype=torch.float64), rtol=0.0, atol=chance_of_squares
+    )
 
 
 def test_that_a_fit_off_its_mark_gives_the_same_evidence_with_a_larger_error(simple) -> None:
@@ -121,13 +165,18 @@ def test_that_samples_that_fail_count_as_impossible_data(simple) -> None:
     """A simulator that fails above the posterior mean of G halves the integral."""
     batch, fit, truth = simple
     limit = MEANS["G"] + SDS["G"] * float(fit.mean[0])
-    evidence = weighted(fit, batch, LinearSimulator(limit={"G": limit}), seed=2, samples=4096, rounds=1)
+    evidence = weighted(
+        fit, batch, LinearSimulator(limit={"G": limit}), seed=2, samples=4096, rounds=1
+    )
     assert evidence.failed == pytest.approx(2048, abs=130)
     assert evidence.value == pytest.approx(truth - math.log(2.0), abs=4.0 * evidence.error)
 
 
 def test_that_a_fit_without_weighted_draws_has_no_evidence(simple) -> None:
-    with pytest.raises(InputDataError, match=r"The fit of 'nhkv' has no weighted draws; pass its assimilation through `weigh`"):
+    with pytest.raises(
+        InputDataError,
+        match=r"The fit of 'nhkv' has no weighted draws; pass its assimilation through `weigh`",
+    ):
         log_evidence(simple[1])
 
 
@@ -145,7 +194,11 @@ def test_that_the_model_that_made_the_data_wins_and_the_extra_parameter_costs() 
     batch = experiments(4)
     logs = [exact(part, batch).log_evidence for part in prior().models]
     values = [e.value for e in found(fitted(batch), seed=1)]
-    assert max(range(3), key=logs.__getitem__) == max(range(3), key=values.__getitem__) == MODELS.index("nhkv")
+    assert (
+        max(range(3), key=logs.__getitem__)
+        == max(range(3), key=values.__getitem__)
+        == MODELS.index("nhkv")
+    )
 
 
 @pytest.mark.parametrize("odds", [(1.0, 1.0, 1.0), (0.98, 0.01, 0.01), (0.0, 0.5, 0.5)])
@@ -155,7 +208,9 @@ def test_that_probabilities_follow_bayes_rule_over_models(odds: tuple[float, ...
     assimilation = fitted(batch, belief)
     evidence = found(assimilation, seed=1, samples=4096)
     after = update(assimilation, evidence)
-    logs = belief.log_probabilities + tensor(*[exact(part, batch).log_evidence for part in belief.models])
+    logs = belief.log_probabilities + tensor(
+        *[exact(part, batch).log_evidence for part in belief.models]
+    )
     expected = torch.softmax(logs, dim=0)
     error = max(e.error for e in evidence)
     torch.testing.assert_close(after.log_probabilities.exp(), expected, rtol=0.0, atol=4.0 * error)
@@ -172,15 +227,19 @@ def made(model: str) -> Evidence:
 @pytest.mark.parametrize("models", [("nhkv", "newtonian", "gen_qkv"), ("newtonian", "nhkv"), ()])
 def test_that_evidence_of_other_models_is_refused(models: tuple[str, ...]) -> None:
     with pytest.raises(
-        InputDataError, match=r"Evidence of .* does not match the belief over \['newtonian', 'nhkv', 'gen_qkv'\]"
+        InputDataError,
+        match=r"Evidence of .* does not match the belief over \['newtonian', 'nhkv', 'gen_qkv'\]",
     ):
         update(fitted(experiments(1)), [made(model) for model in models])
 
 
 @pytest.mark.parametrize(
-    ("effective", "samples", "trusted"), [(26.0, 256, True), (25.0, 256, False), (19.0, 100, False), (20.0, 100, True)]
+    ("effective", "samples", "trusted"),
+    [(26.0, 256, True), (25.0, 256, False), (19.0, 100, False), (20.0, 100, True)],
 )
-def test_that_trust_needs_a_tenth_of_the_samples_and_twenty_of_them(effective: float, samples: int, trusted: bool) -> None:
+def test_that_trust_needs_a_tenth_of_the_samples_and_twenty_of_them(
+    effective: float, samples: int, trusted: bool
+) -> None:
     assert Evidence("nhkv", 0.0, 0.1, effective, samples, 0, 0.3).trusted == trusted
 
 
@@ -192,7 +251,8 @@ def test_that_evidence_with_a_heavy_tail_is_not_trusted() -> None:
 def test_that_the_error_of_a_probability_is_the_scatter_that_the_evidence_errors_make() -> None:
     belief = prior()
     evidence = [
-        Evidence(m, v, e, 200.0, 256, 0, 0.1) for m, v, e in zip(MODELS, (0.3, 0.0, -1.0), (0.05, 0.08, 0.02), strict=True)
+        Evidence(m, v, e, 200.0, 256, 0, 0.1)
+        for m, v, e in zip(MODELS, (0.3, 0.0, -1.0), (0.05, 0.08, 0.02), strict=True)
     ]
     noise = torch.randn(200_000, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     logs = tensor(*[e.value for e in evidence]) + noise * tensor(*[e.error for e in evidence])

@@ -16,7 +16,9 @@ def after(centre: float, sd: float) -> ModelBelief:
     """The prior of G times a Gaussian likelihood of its control; nothing is learnt of mu."""
     precision = 1.0 + sd**-2
     mean = torch.tensor([centre * sd**-2 / precision, 0.0], dtype=torch.float64)
-    return PRIOR.with_gaussian(mean, torch.diag(torch.tensor([precision**-0.5, 1.0], dtype=torch.float64)))
+    return PRIOR.with_gaussian(
+        mean, torch.diag(torch.tensor([precision**-0.5, 1.0], dtype=torch.float64))
+    )
 
 
 @pytest.mark.parametrize(
@@ -24,7 +26,11 @@ def after(centre: float, sd: float) -> ModelBelief:
     [
         (0.0, 0.1, Bound.BOTH),
         (1.0, 0.7, Bound.BOTH),
-        (-2.0, 0.6, Bound.ABOVE),  # the likelihood falls by .35 towards the lower end, and by 28 towards the upper
+        (
+            -2.0,
+            0.6,
+            Bound.ABOVE,
+        ),  # the likelihood falls by .35 towards the lower end, and by 28 towards the upper
         (-6.0, 1.5, Bound.ABOVE),  # its maximum is beyond the prior
         (2.0, 0.6, Bound.BELOW),
         (0.0, 5.0, Bound.NEITHER),
@@ -32,7 +38,9 @@ def after(centre: float, sd: float) -> ModelBelief:
         (0.0, 1.4, Bound.NEITHER),  # by 1.6
     ],
 )
-def test_that_the_bounds_are_those_of_the_likelihood(centre: float, sd: float, bound: Bound) -> None:
+def test_that_the_bounds_are_those_of_the_likelihood(
+    centre: float, sd: float, bound: Bound
+) -> None:
     found = identifiability(PRIOR, after(centre, sd))
     assert [f.bound for f in found] == [bound, Bound.NEITHER]
     assert found[1].limit is None
@@ -49,12 +57,26 @@ def test_that_the_limit_is_the_quantile_of_the_posterior_in_si() -> None:
     ("limits", "bound", "words"),
     [
         ((5e3, 9e3), Bound.BOTH, "bounded by the data on both sides"),
-        ((None, 9e3), Bound.ABOVE, "only bounded from above: below 9 kPa (95 %, profile likelihood)"),
-        ((5e3, None), Bound.BELOW, "only bounded from below: above 5 kPa (95 %, profile likelihood)"),
-        ((None, None), Bound.NEITHER, "not determined: the profile likelihood is flat, and the interval is that of the prior"),
+        (
+            (None, 9e3),
+            Bound.ABOVE,
+            "only bounded from above: below 9 kPa (95 %, profile likelihood)",
+        ),
+        (
+            (5e3, None),
+            Bound.BELOW,
+            "only bounded from below: above 5 kPa (95 %, profile likelihood)",
+        ),
+        (
+            (None, None),
+            Bound.NEITHER,
+            "not determined: the profile likelihood is flat, and the interval is that of the prior",
+        ),
     ],
 )
-def test_that_a_profile_counts_before_the_posterior(limits: tuple, bound: Bound, words: str) -> None:
+def test_that_a_profile_counts_before_the_posterior(
+    limits: tuple, bound: Bound, words: str
+) -> None:
     made = Profile("G", (1e3, 7e3, 2e4), (1.0, 0.0, 1.0), (True,) * 3, limits)
     of_profile, of_posterior = identifiability(PRIOR, after(0.0, 0.1), (made,))
     assert (of_profile.bound, of_profile.words) == (bound, words)
@@ -64,12 +86,16 @@ def test_that_a_profile_counts_before_the_posterior(limits: tuple, bound: Bound,
 def test_that_correlated_priors_and_coordinates_do_not_matter() -> None:
     chol = torch.tensor([[2.0, 0.0], [0.1, 0.5]], dtype=torch.float64)
     prior = PRIOR.with_gaussian(torch.tensor([0.5, -1.0], dtype=torch.float64), chol)
-    precision = torch.linalg.inv(chol @ chol.mT) + torch.diag(torch.tensor([0.0, 400.0], dtype=torch.float64))  # data on mu
+    precision = torch.linalg.inv(chol @ chol.mT) + torch.diag(
+        torch.tensor([0.0, 400.0], dtype=torch.float64)
+    )  # data on mu
 
     def posterior(weight: Tensor) -> ModelBelief:
         return prior.with_gaussian(prior.mean, torch.linalg.cholesky(torch.linalg.inv(weight)))
 
     bounds = [f.bound for f in identifiability(prior, posterior(precision))]
     assert bounds == [Bound.NEITHER, Bound.BOTH]  # mu tells little of G through the prior
-    sharp = torch.linalg.inv(chol @ chol.mT) + torch.diag(torch.tensor([400.0, 0.0], dtype=torch.float64))
+    sharp = torch.linalg.inv(chol @ chol.mT) + torch.diag(
+        torch.tensor([400.0, 0.0], dtype=torch.float64)
+    )
     assert identifiability(prior, posterior(sharp))[0].bound is Bound.BOTH

@@ -18,23 +18,39 @@ BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
 
 def weighted(batch: ExperimentBatch, belief: Belief, samples: int = 1024) -> Assimilation:
     return weigh(
-        assimilate(belief, batch, LinearSimulator(), seed=1, options=OPTIONS), LinearSimulator(), seed=1, samples=samples
+        assimilate(belief, batch, LinearSimulator(), seed=1, options=OPTIONS),
+        LinearSimulator(),
+        seed=1,
+        samples=samples,
     )
 
 
 def without(batch: ExperimentBatch, fold: list[int]) -> ExperimentBatch:
-    return ExperimentBatch(tuple(x for e, x in enumerate(batch.experiments) if e not in fold), NOISE)
+    return ExperimentBatch(
+        tuple(x for e, x in enumerate(batch.experiments) if e not in fold), NOISE
+    )
 
 
 @pytest.mark.parametrize("nuisance", [None, BOTH], ids=["known designs", "nuisances"])
 @pytest.mark.parametrize("folds", [None, [[0, 2], [1, 3]]], ids=["each alone", "two folds"])
-def test_that_scores_are_the_evidence_of_all_over_that_of_the_others(nuisance: Nuisance | None, folds) -> None:
-    belief, batch = prior(("newtonian", "nhkv")), experiments(4, nuisance=nuisance)
-    scores = cross_validate(weighted(batch, belief), LinearSimulator(), seed=3, folds=folds, samples=1024, options=OPTIONS)
+def test_that_scores_are_the_evidence_of_all_over_that_of_the_others(
+    nuisance: Nuisance | None, folds
+) -> None:
+    belief = prior(("newtonian", "nhkv"))
+    batch = experiments(4, nuisance=nuisance)
+    scores = cross_validate(
+        weighted(batch, belief),
+        LinearSimulator(),
+        seed=3,
+        folds=folds,
+        samples=1024,
+        options=OPTIONS,
+    )
     wanted = folds or [[0], [1], [2], [3]]
     assert len(scores) == 2 * len(wanted)
     for i, score in enumerate(scores):
-        fold, part = wanted[i // 2], belief.models[i % 2]
+        fold = wanted[i // 2]
+        part = belief.models[i % 2]
         truth = exact(part, batch).log_evidence - exact(part, without(batch, fold)).log_evidence
         assert score.model == part.model
         assert score.held_out == tuple(batch.experiments[e].label for e in fold)
@@ -55,14 +71,17 @@ def test_that_each_experiment_is_held_out_once_and_at_most_a_quarter_of_many_at_
         assert max(len(group) for group in groups) <= max(1, math.ceil(count / 4))
 
 
-def test_that_a_posterior_too_narrow_to_leave_data_out_is_refitted_and_one_that_is_not_costs_no_solve() -> None:
+def test_that_a_posterior_too_narrow_to_leave_data_out_is_refitted_and_one_that_is_not_costs_no_solve() -> (
+    None
+):
     """A Newtonian liquid is pulled far by each experiment; the right model is not."""
 
     class Refusing(LinearSimulator):
         def __call__(self, *_):
             raise AssertionError("no simulation was needed")
 
-    belief, batch = prior(("newtonian", "nhkv")), experiments(4)
+    belief = prior(("newtonian", "nhkv"))
+    batch = experiments(4)
     both = weighted(batch, belief)
     scores = cross_validate(both, LinearSimulator(), seed=3, folds=[[3]], options=OPTIONS)
     assert [s.refitted for s in scores] == [True, False]
@@ -73,31 +92,43 @@ def test_that_a_posterior_too_narrow_to_leave_data_out_is_refitted_and_one_that_
 
 
 def test_that_the_error_of_a_score_is_its_scatter_over_seeds() -> None:
-    belief, batch = prior(("nhkv",)), experiments(4)
+    belief = prior(("nhkv",))
+    batch = experiments(4)
     fit = assimilate(belief, batch, LinearSimulator(), seed=1, options=OPTIONS)
     runs = [
-        cross_validate(weigh(fit, LinearSimulator(), seed=seed), LinearSimulator(), seed=0, folds=[[3]])[0]
+        cross_validate(
+            weigh(fit, LinearSimulator(), seed=seed), LinearSimulator(), seed=0, folds=[[3]]
+        )[0]
         for seed in range(60)
     ]
-    values, errors = tensor(*[r.value for r in runs]), tensor(*[r.error for r in runs])
+    values = tensor(*[r.value for r in runs])
+    errors = tensor(*[r.error for r in runs])
     assert not any(r.refitted for r in runs)
     assert float(values.std()) == pytest.approx(float(errors.square().mean().sqrt()), rel=0.3)
 
 
 @pytest.mark.parametrize("odds", [(0.5, 0.5), (0.9, 0.1)])
-def test_that_the_predictive_density_of_a_belief_is_that_of_its_mixture_of_models(odds: tuple[float, float]) -> None:
+def test_that_the_predictive_density_of_a_belief_is_that_of_its_mixture_of_models(
+    odds: tuple[float, float],
+) -> None:
     belief = Belief(prior(("nhkv", "gen_qkv"), correlated=True).models, tensor(*odds).log())
     batch = experiments(2, nuisance=BOTH)
-    value, error = predictive_density(belief, batch, LinearSimulator(), seed=0, samples=1024, options=OPTIONS)
+    value, error = predictive_density(
+        belief, batch, LinearSimulator(), seed=0, samples=1024, options=OPTIONS
+    )
     logs = tensor(*[exact(part, batch).log_evidence for part in belief.models])
-    assert value == pytest.approx(float(torch.logsumexp(belief.log_probabilities + logs, dim=0)), abs=4.0 * error)
+    assert value == pytest.approx(
+        float(torch.logsumexp(belief.log_probabilities + logs, dim=0)), abs=4.0 * error
+    )
     assert error < 0.02
 
 
 @pytest.mark.parametrize("fold", [[], [0, 1, 2], [3], [-1]])
 def test_that_an_empty_whole_or_unknown_fold_is_refused(fold: list[int]) -> None:
     fit = weighted(experiments(3), prior(("nhkv",)), samples=64)
-    with pytest.raises(InputDataError, match=r"expected some, and not all, of the experiments 0 to 2"):
+    with pytest.raises(
+        InputDataError, match=r"expected some, and not all, of the experiments 0 to 2"
+    ):
         cross_validate(fit, LinearSimulator(), seed=0, folds=[fold])
 
 

@@ -1,4 +1,7 @@
-"""Coarser bubbles: of the same physics, close to the exact ones, and only where there are finer ones."""
+"""Coarser bubbles:
+
+of the same physics, close to the exact ones, and only where there are finer ones.
+"""
 
 from concurrent.futures import ThreadPoolExecutor
 
@@ -10,19 +13,27 @@ from imr_torch.assimilate.descent import iterate
 from imr_torch.assimilate.options import SearchOptions
 from imr_torch.material import reference_case
 from imr_torch.observe import Experiment, ExperimentBatch
-from imr_torch.simulate import ACCURACIES, ParallelSimulator, PolytropicSimulator, TransportSimulator, coarser
+from imr_torch.simulate import (
+    ACCURACIES,
+    ParallelSimulator,
+    PolytropicSimulator,
+    TransportSimulator,
+    coarser,
+)
 
 TIMES = torch.linspace(0.0, 3.0, 61, dtype=torch.float64)
 DESIGN = torch.tensor([400.0, 0.2], dtype=torch.float64)
 
 
 def test_that_only_finer_bubbles_of_the_full_physics_are_made_coarse():
-    fine, coarse = TransportSimulator(), TransportSimulator(accuracy=ACCURACIES["coarse"])
+    fine = TransportSimulator()
+    coarse = TransportSimulator(accuracy=ACCURACIES["coarse"])
     assert coarser(fine) == coarse
     for simulator in (coarse, PolytropicSimulator()):
         assert coarser(simulator) is simulator
     with ThreadPoolExecutor(1) as executor:
-        spread, cheap = ParallelSimulator(fine, executor), ParallelSimulator(PolytropicSimulator(), executor)
+        spread = ParallelSimulator(fine, executor)
+        cheap = ParallelSimulator(PolytropicSimulator(), executor)
         alike = coarser(spread)
         assert isinstance(alike, ParallelSimulator)
         assert alike.simulator == coarse
@@ -34,7 +45,11 @@ def test_that_their_errors_are_of_the_order_of_a_thousandth():
     gels = reference_case("soft-pa").prior.sample(40, seed=0).parameters
     exact = TransportSimulator(accuracy=ACCURACIES["reference"])(gels, DESIGN, TIMES).radius
     coarse, default = (
-        float((TransportSimulator(accuracy=ACCURACIES[name])(gels, DESIGN, TIMES).radius - exact).abs().mean())
+        float(
+            (TransportSimulator(accuracy=ACCURACIES[name])(gels, DESIGN, TIMES).radius - exact)
+            .abs()
+            .mean()
+        )
         for name in ("coarse", "default")
     )
     assert 1e-4 < coarse < 1e-3
@@ -55,5 +70,7 @@ def test_that_a_descent_takes_its_slopes_from_them_and_its_costs_from_the_simula
     share = (equations.gel_gradient - exact.gel_gradient[0]).norm() / exact.gel_gradient.norm()
     assert 0.0 < share < 0.05
     assert chains.cost < -posterior.log_joint(away)
-    assert torch.equal(chains.cost, -posterior.log_joint(chains.point))  # of the simulator itself, not of coarse bubbles
+    assert torch.equal(
+        chains.cost, -posterior.log_joint(chains.point)
+    )  # of the simulator itself, not of coarse bubbles
     assert torch.equal(chains.seen, posterior.predict(chains.point))

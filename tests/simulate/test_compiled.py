@@ -1,4 +1,7 @@
-"""The compiled engine against the tensor engine: every law of the registries, the same steps, the same answer."""
+"""The compiled engine against the tensor engine:
+
+every law of the registries, the same steps, the same answer.
+"""
 
 import functools
 import importlib.util
@@ -45,8 +48,14 @@ from tests.simulate.bubble import gel, gel_of, grid, tensor
 SAME = 1e-9  # in R*, where both take the same steps; rounding grows at each collapse
 TIMES = grid(2.2, 45)
 DESIGNS = tensor([300.0, 0.3], [700.0, 0.18])
-EFFECTS = [effect for effect in LIBRARY.values() if effect.physical or {t.switch for t in TERMS} & set(effect.names)]
-LAWS = [term for term in TERMS if not any(term.switch in model.names for model in MATERIALS.values())]
+EFFECTS = [
+    effect
+    for effect in LIBRARY.values()
+    if effect.physical or {t.switch for t in TERMS} & set(effect.names)
+]
+LAWS = [
+    term for term in TERMS if not any(term.switch in model.names for model in MATERIALS.values())
+]
 CLOSURES = {
     **PRESETS,
     "cold gel": Conditions(medium=Medium(warm=False)),
@@ -59,7 +68,9 @@ CLOSURES = {
     "table": Conditions(driving=TabulatedDriving((0.0, 1e-5, 3e-5, 5e-5), (0.0, 1e4, -5e3, 0.0))),
     "moving start": Conditions(initial_velocity=-0.5),
 }
-SIMULATORS = pytest.mark.parametrize("kind", [TransportSimulator, PolytropicSimulator], ids=["transport", "polytropic"])
+SIMULATORS = pytest.mark.parametrize(
+    "kind", [TransportSimulator, PolytropicSimulator], ids=["transport", "polytropic"]
+)
 
 
 def both(kind, gels: Tensor, designs: Tensor = DESIGNS, times: Tensor = TIMES, **options):
@@ -89,9 +100,15 @@ def gels_of_the_registries() -> dict[str, Tensor]:
     """A gel in which each law acts, by the name of the law."""
     plain = {"G": 4e3, "mu": 0.08}
     gels = {model: gel_of(model) for model in MATERIALS}
-    gels |= {effect.name: gel(**plain | dict(zip(effect.names, effect.starts[0], strict=True))) for effect in EFFECTS}
+    gels |= {
+        effect.name: gel(**plain | dict(zip(effect.names, effect.starts[0], strict=True)))
+        for effect in EFFECTS
+    }
     amplitudes = {term: {"Pa": 1e3}.get(PARAMETERS[term.switch].unit, 0.01) for term in LAWS}
-    gels |= {term.name: gel(**plain, alpha=0.1, **{term.switch: size}) for term, size in amplitudes.items()}
+    gels |= {
+        term.name: gel(**plain, alpha=0.1, **{term.switch: size})
+        for term, size in amplitudes.items()
+    }
     assert len(gels) == len(MATERIALS) + len(EFFECTS) + len(LAWS), "two laws of one name"
     return gels
 
@@ -104,7 +121,10 @@ def of_the_registries(kind) -> tuple[Solution, Solution]:
 
 def assert_same_law(kind, name: str) -> None:
     row = list(gels_of_the_registries()).index(name)
-    assert_equal(kind, *(Solution(*(x[row] for x in vars(found).values())) for found in of_the_registries(kind)))
+    assert_equal(
+        kind,
+        *(Solution(*(x[row] for x in vars(found).values())) for found in of_the_registries(kind)),
+    )
 
 
 @SIMULATORS
@@ -118,7 +138,10 @@ def test_that_every_material_is_the_same(kind, model: str) -> None:
 def test_that_every_effect_is_the_same(kind, effect) -> None:
     """At its first start; and it must matter, or the test compares nothing."""
     assert_same_law(kind, effect.name)
-    acting, plain = (kind()(g, DESIGNS, TIMES).radius for g in (gels_of_the_registries()[effect.name], gel(G=4e3, mu=0.08)))
+    acting, plain = (
+        kind()(g, DESIGNS, TIMES).radius
+        for g in (gels_of_the_registries()[effect.name], gel(G=4e3, mu=0.08))
+    )
     assert not torch.equal(acting, plain)
 
 
@@ -131,7 +154,11 @@ def test_that_every_other_term_is_the_same(kind, term: StressTerm) -> None:
 @SIMULATORS
 @pytest.mark.parametrize("motion", RADIAL_EQUATIONS.values(), ids=RADIAL_EQUATIONS)
 def test_that_every_radial_equation_is_the_same(kind, motion) -> None:
-    assert_same(kind, gel(G=4e3, mu=0.08, wall=0.1), conditions=Conditions(motion=motion, driving=SineDriving(1e4, 2e4)))
+    assert_same(
+        kind,
+        gel(G=4e3, mu=0.08, wall=0.1),
+        conditions=Conditions(motion=motion, driving=SineDriving(1e4, 2e4)),
+    )
 
 
 @SIMULATORS
@@ -158,7 +185,9 @@ def test_that_threads_change_no_bit(kind) -> None:
 
 
 @pytest.mark.parametrize(
-    "accuracy", [Accuracy(1e-3, Resolution(9, 12)), Accuracy(1e-5, Resolution(24, 17))], ids=["9, 12", "24, 17"]
+    "accuracy",
+    [Accuracy(1e-3, Resolution(9, 12)), Accuracy(1e-5, Resolution(24, 17))],
+    ids=["9, 12", "24, 17"],
 )
 def test_that_grids_of_any_size_are_the_same(accuracy: Accuracy) -> None:
     assert_same(TransportSimulator, gel(G=4e3, mu=0.08, tau=2e-6), accuracy=accuracy)
@@ -168,15 +197,23 @@ def test_that_grids_of_any_size_are_the_same(accuracy: Accuracy) -> None:
 @pytest.mark.parametrize("model", ["nhkv", "zener"])
 def test_that_bundles_are_the_same_and_leaders_as_without_followers(kind, model: str) -> None:
     bundle = gel_of(model).repeat(2, 5, 1)
-    bundle[:, 1:, PARAMETERS.index(["G"])] *= 1.0 + 1e-4 * torch.arange(1, 5, dtype=torch.float64)[:, None]
+    bundle[:, 1:, PARAMETERS.index(["G"])] *= (
+        1.0 + 1e-4 * torch.arange(1, 5, dtype=torch.float64)[:, None]
+    )
     designs = DESIGNS[:, None]
-    ours, reference = (kind(engine=engine).bundle(bundle, designs, TIMES) for engine in ("compiled", "torchdiffeq"))
+    ours, reference = (
+        kind(engine=engine).bundle(bundle, designs, TIMES) for engine in ("compiled", "torchdiffeq")
+    )
     assert bool(ours.ok.all())
     assert float((ours.radius - reference.radius).abs().max()) < SAME
     assert torch.equal(ours.radius[:, 0], kind()(bundle[:, 0], DESIGNS, TIMES).radius)
     assert float((ours.radius[:, 1:] - ours.radius[:, :1]).abs().amax()) > 1e-6
-    bundle[:, 2, PARAMETERS.index(["damage"])] = 1e-3  # a memory that the leader lacks changes the order of its sums
-    damaged, reference = (kind(engine=engine).bundle(bundle, designs, TIMES) for engine in ("compiled", "torchdiffeq"))
+    bundle[:, 2, PARAMETERS.index(["damage"])] = (
+        1e-3  # a memory that the leader lacks changes the order of its sums
+    )
+    damaged, reference = (
+        kind(engine=engine).bundle(bundle, designs, TIMES) for engine in ("compiled", "torchdiffeq")
+    )
     assert float((damaged.radius - reference.radius).abs().max()) < SAME
     assert float((damaged.radius[:, 0] - ours.radius[:, 0]).abs().max()) < SAME
     assert float((damaged.radius[:, 2] - ours.radius[:, 2]).abs().max()) > 1e-6
@@ -185,7 +222,11 @@ def test_that_bundles_are_the_same_and_leaders_as_without_followers(kind, model:
 FOLLOWED = {
     "one term": {"G": 4e3},
     "memory": {"G": 4e3, "mu": 0.08, "tau": 2e-6, "damage": 1e-3},
-    **{e.name: {"G": 4e3, "mu": 0.08} | dict(zip(e.names, e.starts[0], strict=True)) for e in EFFECTS if e.physical},
+    **{
+        e.name: {"G": 4e3, "mu": 0.08} | dict(zip(e.names, e.starts[0], strict=True))
+        for e in EFFECTS
+        if e.physical
+    },
 }
 
 
@@ -196,9 +237,12 @@ def followers(values: dict[str, float], width: int) -> Tensor:
 
 @SIMULATORS
 @pytest.mark.parametrize("values", FOLLOWED.values(), ids=FOLLOWED)
-def test_that_a_follower_is_the_same_in_a_bundle_of_any_size_bit_for_bit(kind, values: dict[str, float]) -> None:
+def test_that_a_follower_is_the_same_in_a_bundle_of_any_size_bit_for_bit(
+    kind, values: dict[str, float]
+) -> None:
     """Many followers are integrated eight at a time, few one by one."""
-    bundle, simulator = followers(values, 15), kind(threads=1)
+    bundle = followers(values, 15)
+    simulator = kind(threads=1)
     whole = simulator.bundle(bundle, DESIGNS[:1], TIMES)
     assert bool(torch.isfinite(whole.radius).all())
     for members in ([0, 3], [0, 14, 1, 2, 3, 4], [0, *range(9, 0, -1)]):
@@ -210,12 +254,16 @@ def test_that_a_follower_is_the_same_in_a_bundle_of_any_size_bit_for_bit(kind, v
 def test_that_grids_of_any_size_serve_many_followers() -> None:
     simulator = TransportSimulator(accuracy=Accuracy(1e-3, Resolution(9, 12)))
     bundle = followers({"G": 4e3, "mu": 0.08, "tau": 2e-6}, 7)
-    many, two = (simulator.bundle(bundle[members], DESIGNS[:1], TIMES).radius for members in (range(7), [0, 6]))
+    many, two = (
+        simulator.bundle(bundle[members], DESIGNS[:1], TIMES).radius
+        for members in (range(7), [0, 6])
+    )
     assert torch.equal(many[[0, 6]], two)
 
 
 def test_that_a_follower_that_fails_disturbs_no_other() -> None:
-    simulator, bundle = TransportSimulator(), followers({"G": 4e3, "mu": 0.08}, 8)
+    simulator = TransportSimulator()
+    bundle = followers({"G": 4e3, "mu": 0.08}, 8)
     good = simulator.bundle(bundle, DESIGNS[:1], TIMES).radius
     bundle[3, PARAMETERS.index(["G"])] = 1e200
     failed = simulator.bundle(bundle, DESIGNS[:1], TIMES).radius
@@ -225,21 +273,40 @@ def test_that_a_follower_that_fails_disturbs_no_other() -> None:
 
 
 FAILURES = [
-    (TransportSimulator, {"G": 4e3, "mu": 0.08}, {"accuracy": Accuracy(max_steps=40)}, Status.TOO_MANY_STEPS),
+    (
+        TransportSimulator,
+        {"G": 4e3, "mu": 0.08},
+        {"accuracy": Accuracy(max_steps=40)},
+        Status.TOO_MANY_STEPS,
+    ),
     (TransportSimulator, {"G": 1e5, "alpha": -1.0}, {}, Status.UNBOUNDED_ENERGY),
-    (PolytropicSimulator, {"G": 4e3, "mu": 0.08}, {"stepping": Stepping(max_steps=32)}, Status.TOO_MANY_STEPS),
-    (PolytropicSimulator, {"G": 1e5, "alpha_fung": 0.1}, {"stepping": Stepping(0.5, retries=0)}, Status.RUNAWAY),
+    (
+        PolytropicSimulator,
+        {"G": 4e3, "mu": 0.08},
+        {"stepping": Stepping(max_steps=32)},
+        Status.TOO_MANY_STEPS,
+    ),
+    (
+        PolytropicSimulator,
+        {"G": 1e5, "alpha_fung": 0.1},
+        {"stepping": Stepping(0.5, retries=0)},
+        Status.RUNAWAY,
+    ),
     (PolytropicSimulator, {"G": 5e4, "alpha": -0.9}, {}, Status.UNBOUNDED_ENERGY),
 ]
 
 
 @pytest.mark.parametrize(("kind", "values", "options", "status"), FAILURES)
-def test_that_failures_have_the_same_status_and_the_same_good_beginning(kind, values, options, status: Status) -> None:
+def test_that_failures_have_the_same_status_and_the_same_good_beginning(
+    kind, values, options, status: Status
+) -> None:
     ours, reference = both(kind, gel(**values), **options)
     assert torch.equal(ours.status, reference.status)
     assert (ours.status == status).all()
     shared = torch.isfinite(ours.radius) & torch.isfinite(reference.radius)
-    before = shared[:, :-1] & shared[:, 1:]  # rounding grows without bound at a singularity, so its last frame is left out
+    before = (
+        shared[:, :-1] & shared[:, 1:]
+    )  # rounding grows without bound at a singularity, so its last frame is left out
     assert float((ours.radius - reference.radius)[:, :-1][before].abs().max()) < SAME
     assert int(before.sum()) >= 2
     assert not torch.isfinite(ours.radius).all()
@@ -252,7 +319,9 @@ def test_that_early_times_and_a_single_time_are_the_same(kind) -> None:
         assert float((ours.radius - reference.radius).abs().max()) < SAME
 
 
-def torch_only(radius: Tensor, velocity: Tensor, rest_radius: Tensor, mu: Tensor) -> tuple[Tensor, ...]:
+def torch_only(
+    radius: Tensor, velocity: Tensor, rest_radius: Tensor, mu: Tensor
+) -> tuple[Tensor, ...]:
     value, rate, acceleration = newtonian(radius, velocity, rest_radius, mu)
     return value.clone(), rate, acceleration
 
@@ -260,8 +329,13 @@ def torch_only(radius: Tensor, velocity: Tensor, rest_radius: Tensor, mu: Tensor
 @SIMULATORS
 def test_that_a_law_without_a_compiled_form_runs_on_tensors_and_is_named_once(kind) -> None:
     engines._say.cache_clear()
-    simulator, designs, times = kind(terms=(StressTerm(torch_only, switch="mu"),)), DESIGNS[:1], TIMES[:12]
-    with pytest.warns(EngineWarning, match=r"torch_only has no compiled form; results are the same and take longer"):
+    simulator = kind(terms=(StressTerm(torch_only, switch="mu"),))
+    designs = DESIGNS[:1]
+    times = TIMES[:12]
+    with pytest.warns(
+        EngineWarning,
+        match=r"torch_only has no compiled form; results are the same and take longer",
+    ):
         ours = simulator(gel(mu=0.1), designs, times)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -270,8 +344,12 @@ def test_that_a_law_without_a_compiled_form_runs_on_tensors_and_is_named_once(ki
     assert float((ours.radius - kind()(gel(mu=0.1), designs, times).radius).abs().max()) < SAME
 
 
-def test_that_a_law_without_a_compiled_form_is_no_obstacle_where_it_does_not_act(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("imr_torch.simulate.bubbles.TERMS", [*TERMS, StressTerm(torch_only, switch="damage")])
+def test_that_a_law_without_a_compiled_form_is_no_obstacle_where_it_does_not_act(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(
+        "imr_torch.simulate.bubbles.TERMS", [*TERMS, StressTerm(torch_only, switch="damage")]
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert bool(PolytropicSimulator()(gel(mu=0.1), DESIGNS, TIMES).ok.all())
@@ -287,7 +365,9 @@ def test_that_float32_and_a_foreign_driving_run_on_tensors_and_say_why() -> None
     times = TIMES[:20]
     with pytest.warns(EngineWarning, match="the driving Foreign is no LawDriving"):
         driven = PolytropicSimulator(Conditions(driving=Foreign()))(gel(mu=0.1), DESIGNS, times)
-    known = PolytropicSimulator(Conditions(driving=SineDriving(1e4, 2e4)))(gel(mu=0.1), DESIGNS, times)
+    known = PolytropicSimulator(Conditions(driving=SineDriving(1e4, 2e4)))(
+        gel(mu=0.1), DESIGNS, times
+    )
     assert float((driven.radius - known.radius).abs().max()) < SAME
 
 
@@ -299,12 +379,17 @@ def test_that_gradients_take_the_engine_that_has_them(kind) -> None:
     step = torch.zeros_like(gels).index_fill(0, torch.tensor(PARAMETERS.index(["G"])), 1.0)
     with torch.no_grad():
         ends = [kind()(gels + sign * step, DESIGNS[0], TIMES[:20]).radius[-1] for sign in (1, -1)]
-    assert float(slope[PARAMETERS.index(["G"])]) == pytest.approx(float(ends[0] - ends[1]) / 2.0, rel=2e-3)
+    assert float(slope[PARAMETERS.index(["G"])]) == pytest.approx(
+        float(ends[0] - ends[1]) / 2.0, rel=2e-3
+    )
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
-    [({"engine": "fortran"}, "engine is 'fortran'; expected one of compiled, torchdiffeq"), ({"threads": 0}, "threads is 0")],
+    [
+        ({"engine": "fortran"}, "engine is 'fortran'; expected one of compiled, torchdiffeq"),
+        ({"threads": 0}, "threads is 0"),
+    ],
 )
 @SIMULATORS
 def test_that_unknown_engines_and_no_threads_are_named(kind, options, message: str) -> None:
@@ -314,7 +399,8 @@ def test_that_unknown_engines_and_no_threads_are_named(kind, options, message: s
 
 def test_that_engine_and_threads_do_not_tell_simulators_apart() -> None:
     """A campaign may be resumed with another number of threads."""
-    one, other = TransportSimulator(threads=1), TransportSimulator(threads=2, engine="torchdiffeq")
+    one = TransportSimulator(threads=1)
+    other = TransportSimulator(threads=2, engine="torchdiffeq")
     assert one == other
     assert repr(one) == repr(other)
     assert replace(one, accuracy=Accuracy(1e-3)) != one
@@ -348,7 +434,9 @@ def test_that_code_is_compiled_once_and_said_so(tmp_path: Path, processes: Proce
     assert "compil" not in nothing
 
 
-def test_that_damaged_code_is_compiled_anew(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_that_damaged_code_is_compiled_anew(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "engine.py"
     path.write_text("import numba\n\n\n@numba.njit(cache=True)\ndef solve(x):\n    return x + 1\n")
 
@@ -357,7 +445,9 @@ def test_that_damaged_code_is_compiled_anew(tmp_path: Path, capsys: pytest.Captu
         spec = importlib.util.spec_from_file_location("engine", path)
         module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
-        return build.announced(module, "solve", (1,)), "compiled solve in" in capsys.readouterr().err
+        return build.announced(
+            module, "solve", (1,)
+        ), "compiled solve in" in capsys.readouterr().err
 
     assert [called(), called()] == [(2, True), (2, False)]
     for cached in (tmp_path / "__pycache__").glob("*.nb?"):  # as a full disk would leave it
@@ -373,13 +463,17 @@ def test_that_a_folder_that_cannot_be_written_is_no_obstacle(
     module = build.engine.__wrapped__(
         registry_of(Conditions(), None)
     )  # not the one that other tests share; nothing is compiled
-    assert "cannot be written, so compiled code is not kept; set IMR_TORCH_CACHE" in capsys.readouterr().err
+    assert (
+        "cannot be written, so compiled code is not kept; set IMR_TORCH_CACHE"
+        in capsys.readouterr().err
+    )
     assert hasattr(module, "solve_polytropic")
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs a system that forks")
 def test_that_a_forked_process_has_threads_of_its_own() -> None:
-    simulator, many = PolytropicSimulator(threads=2), gel(mu=0.1).expand(8, -1)
+    simulator = PolytropicSimulator(threads=2)
+    many = gel(mu=0.1).expand(8, -1)
     before = simulator(many, DESIGNS[:1], TIMES).radius  # makes the threads
     child = os.fork()
     if child == 0:

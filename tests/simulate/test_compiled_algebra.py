@@ -19,11 +19,15 @@ def test_that_inverses_and_the_solutions_beside_them_are_those_of_numpy(size: in
     block[:, :size], block[:, width : width + 2] = matrix, right
     compiled(algebra.invert)(block, vectors.rows(width + 2))
     assert np.allclose(block[:, :size], np.linalg.inv(matrix), rtol=0.0, atol=1e-14)
-    assert np.allclose(block[:, width : width + 2], np.linalg.solve(matrix, right), rtol=0.0, atol=1e-14)
+    assert np.allclose(
+        block[:, width : width + 2], np.linalg.solve(matrix, right), rtol=0.0, atol=1e-14
+    )
 
 
 def test_that_products_are_those_of_numpy() -> None:
-    columns, vector, out = np.random.default_rng(0).normal(size=(5, 16)), np.arange(5.0), vectors.rows(16)
+    columns = np.random.default_rng(0).normal(size=(5, 16))
+    vector = np.arange(5.0)
+    out = vectors.rows(16)
     compiled(algebra.multiply)(columns, vector, out)
     assert np.allclose(out, vector @ columns, rtol=0.0, atol=1e-14)
     compiled(algebra.apply)(columns, 3.0, vector[1:], out)

@@ -1,4 +1,7 @@
-"""Bubbles whose steps are kept: bundles behind them are the same, bit for bit, as behind leaders that are integrated."""
+"""Bubbles whose steps are kept:
+
+bundles behind them are the same, bit for bit, as behind leaders that are integrated.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -24,7 +27,9 @@ def nothing_is_known() -> None:
 
 def _gels(count: int, **leader: float) -> torch.Tensor:
     """A leader and so many followers beside it."""
-    return torch.stack([PARAMETERS.pack(GEL | leader | {"mu": 0.093 * (1.0 + 0.01 * k)}) for k in range(count + 1)])
+    return torch.stack(
+        [PARAMETERS.pack(GEL | leader | {"mu": 0.093 * (1.0 + 0.01 * k)}) for k in range(count + 1)]
+    )
 
 
 def _assert_same(one: Solution, other: Solution) -> None:
@@ -32,7 +37,9 @@ def _assert_same(one: Solution, other: Solution) -> None:
         assert torch.equal(getattr(one, name), getattr(other, name)), name
 
 
-def _twice(solve: Callable[[], Solution], know: Callable[[], Solution]) -> tuple[Solution, Solution]:
+def _twice(
+    solve: Callable[[], Solution], know: Callable[[], Solution]
+) -> tuple[Solution, Solution]:
     """A solution without anything known, and one after a solve that leaves its leader known."""
     alone = solve()
     paths.forget_all()
@@ -43,7 +50,12 @@ def _twice(solve: Callable[[], Solution], know: Callable[[], Solution]) -> tuple
 @pytest.mark.parametrize("followers", [0, 1, 4, 8, 13])
 def test_that_bundles_behind_a_known_leader_are_the_same_bit_for_bit(followers: int) -> None:
     gels = _gels(followers)
-    _assert_same(*_twice(lambda: SIMULATOR.bundle(gels, DESIGN, TIMES), lambda: SIMULATOR(gels[:1], DESIGN, TIMES)))
+    _assert_same(
+        *_twice(
+            lambda: SIMULATOR.bundle(gels, DESIGN, TIMES),
+            lambda: SIMULATOR(gels[:1], DESIGN, TIMES),
+        )
+    )
 
 
 def test_that_a_known_leader_is_not_integrated() -> None:
@@ -57,10 +69,17 @@ def test_that_a_known_leader_is_not_integrated() -> None:
     assert torch.equal(after.radius[1:], before.radius[1:])
 
 
-@pytest.mark.parametrize("change", [{"G": 9000.0}, {"tau": 1e-6}], ids=["another gel", "another term"])
+@pytest.mark.parametrize(
+    "change", [{"G": 9000.0}, {"tau": 1e-6}], ids=["another gel", "another term"]
+)
 def test_that_another_bubble_is_not_taken_for_it(change: dict[str, float]) -> None:
     gels = _gels(2, **change)
-    _assert_same(*_twice(lambda: SIMULATOR.bundle(gels, DESIGN, TIMES), lambda: SIMULATOR(_gels(0), DESIGN, TIMES)))
+    _assert_same(
+        *_twice(
+            lambda: SIMULATOR.bundle(gels, DESIGN, TIMES),
+            lambda: SIMULATOR(_gels(0), DESIGN, TIMES),
+        )
+    )
 
 
 def test_that_other_times_designs_and_accuracies_are_other_bubbles() -> None:
@@ -75,7 +94,11 @@ def test_that_other_times_designs_and_accuracies_are_other_bubbles() -> None:
 def test_that_followers_that_need_more_steps_than_are_known_get_them() -> None:
     gels = _gels(2)
     times = torch.stack((TIMES, 1.3 * TIMES, 1.6 * TIMES))  # followers are asked for longer
-    _assert_same(*_twice(lambda: SIMULATOR.bundle(gels, DESIGN, times), lambda: SIMULATOR(gels[0], DESIGN, TIMES)))
+    _assert_same(
+        *_twice(
+            lambda: SIMULATOR.bundle(gels, DESIGN, times), lambda: SIMULATOR(gels[0], DESIGN, TIMES)
+        )
+    )
 
 
 def test_that_a_leader_that_failed_is_not_kept() -> None:
@@ -84,7 +107,9 @@ def test_that_a_leader_that_failed_is_not_kept() -> None:
     assert not paths._paths
 
 
-def test_that_not_more_are_kept_than_agreed_and_none_of_a_large_batch_or_of_many_times(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_that_not_more_are_kept_than_agreed_and_none_of_a_large_batch_or_of_many_times(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(paths, "_KEPT", 5)
     for k in range(8):
         COARSE(_gels(1)[1] * (1.0 + 0.01 * k), DESIGN, TIMES)

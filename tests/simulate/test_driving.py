@@ -73,18 +73,32 @@ def test_that_a_tabulated_sine_drives_as_the_sine() -> None:
     """Tabulated from a crest on, where the slope is zero as the table's end demands."""
     sine = SineDriving(6e4, 1.0 / PERIOD, 0.5 * math.pi)
     curves = [
-        PolytropicSimulator(Conditions(driving=driving), FINE)(gel(G=5e3, mu=0.05), tensor(300.0, 0.3), grid(3.0, 31)).radius
+        PolytropicSimulator(Conditions(driving=driving), FINE)(
+            gel(G=5e3, mu=0.05), tensor(300.0, 0.3), grid(3.0, 31)
+        ).radius
         for driving in (sine, table(sine, 4e-4))
     ]
     assert float((curves[0] - curves[1]).abs().max()) < 1e-7
-    still = PolytropicSimulator(Conditions(), FINE)(gel(G=5e3, mu=0.05), tensor(300.0, 0.3), grid(3.0, 31)).radius
+    still = PolytropicSimulator(Conditions(), FINE)(
+        gel(G=5e3, mu=0.05), tensor(300.0, 0.3), grid(3.0, 31)
+    ).radius
     assert float((curves[0] - still).abs().max()) > 0.05
 
 
-def driven_reference(driving: Driving, key: str, weber: float, rest: float, mu: float, times: np.ndarray) -> np.ndarray:
-    """A polytropic bubble in SI by SciPy, the pressure and its rate written out; ``key`` is the radial equation's."""
-    s, kappa, tait, stiffness = Surroundings(), 1.3, 7.15, 304.913e6
-    p_inf, rho, c0 = s.far_field_pressure, s.density, s.sound_speed
+def driven_reference(
+    driving: Driving, key: str, weber: float, rest: float, mu: float, times: np.ndarray
+) -> np.ndarray:
+    """A polytropic bubble in SI by SciPy, the pressure and its rate written out;
+
+    ``key`` is the radial equation's.
+    """
+    s = Surroundings()
+    kappa = 1.3
+    tait = 7.15
+    stiffness = 304.913e6
+    p_inf = s.far_field_pressure
+    rho = s.density
+    c0 = s.sound_speed
     r_max = s.max_radius(weber)
     unit = s.time_scale(r_max)
     vapour = 1.17e11 * math.exp(-5200.0 / s.temperature)
@@ -92,7 +106,12 @@ def driven_reference(driving: Driving, key: str, weber: float, rest: float, mu: 
     ratio = tait / (tait - 1.0)
 
     def enthalpy(p: float) -> float:
-        return ratio * (p_inf + stiffness) / rho * ((p + stiffness) / (p_inf + stiffness)) ** (1.0 / ratio)
+        return (
+            ratio
+            * (p_inf + stiffness)
+            / rho
+            * ((p + stiffness) / (p_inf + stiffness)) ** (1.0 / ratio)
+        )
 
     def volume(p: float) -> float:
         return ((p + stiffness) / (p_inf + stiffness)) ** (-1.0 / tait) / rho
@@ -107,9 +126,14 @@ def driven_reference(driving: Driving, key: str, weber: float, rest: float, mu: 
         if key == "rayleigh_plesset":
             return [u, ((wall - far) / rho - 1.5 * u * u) / r]
         if key == "keller_miksis":
-            h, known, inertia, c, f = (wall - far) / rho, (known - push_rate) / rho, 1.0 / rho, c0, 1.0
+            h = (wall - far) / rho
+            known = (known - push_rate) / rho
+            inertia = 1.0 / rho
+            c = c0
+            f = 1.0
         else:
-            h, inertia = enthalpy(wall) - enthalpy(far), volume(wall)
+            h = enthalpy(wall) - enthalpy(far)
+            inertia = volume(wall)
             known = volume(wall) * known - volume(far) * push_rate
             c = c0
             if key == "gilmore":
@@ -120,7 +144,9 @@ def driven_reference(driving: Driving, key: str, weber: float, rest: float, mu: 
         return [u, force / ((1.0 - mach) * r + r / c * f * inertia * 4.0 * mu / r)]
 
     span = (0.0, float(times[-1]) * unit)
-    result = solve_ivp(rate, span, [r_max, 0.0], method="DOP853", t_eval=times * unit, rtol=1e-10, atol=1e-16)
+    result = solve_ivp(
+        rate, span, [r_max, 0.0], method="DOP853", t_eval=times * unit, rtol=1e-10, atol=1e-16
+    )
     assert result.success
     return result.y[0] / r_max
 
@@ -137,7 +163,9 @@ def test_that_a_driven_bubble_is_scipys_in_every_radial_equation(key: str) -> No
 def isothermal(**options) -> Conditions:
     """Gas that conducts so well that it is polytropic with exponent 1, in both simulators."""
     mixture = GasMixture(conductivity_slope=5.3e2, conductivity_offset=1.17e5, vapour="absent")
-    return Conditions(gas=PolytropicGas(1.0, vapour=False), mixture=mixture, medium=Medium(warm=False), **options)
+    return Conditions(
+        gas=PolytropicGas(1.0, vapour=False), mixture=mixture, medium=Medium(warm=False), **options
+    )
 
 
 @pytest.mark.parametrize("key", RADIAL_EQUATIONS)
@@ -159,12 +187,19 @@ def suites(shared: Path) -> dict[str, str]:
     return json.loads(path.read_text())["property_suites"]
 
 
-PULSED = {"linkv": {"G_lin": 1e3}, "nhkv": {"G": 1e3}, "gen_qkv": {"G": 1e3, "alpha": 0.25}, "zener": {"G": 1e3, "tau": 1e-7}}
+PULSED = {
+    "linkv": {"G_lin": 1e3},
+    "nhkv": {"G": 1e3},
+    "gen_qkv": {"G": 1e3, "alpha": 0.25},
+    "zener": {"G": 1e3, "tau": 1e-7},
+}
 PULSED |= {"ucm": {"tau_ucm": 1e-7, "retardation": 0.1}}
 
 
 @pytest.mark.parametrize("key", RADIAL_EQUATIONS)
-def test_that_a_bubble_returns_to_rest_after_a_slow_pulse_of_tension(key: str, suites: dict[str, str]) -> None:
+def test_that_a_bubble_returns_to_rest_after_a_slow_pulse_of_tension(
+    key: str, suites: dict[str, str]
+) -> None:
     """A bubble of 10 um at rest in a very viscous gel, a tension of almost one atmosphere for .1 ms: 2000 units of time,
     which only the implicit solver strides over.
     """
@@ -175,7 +210,12 @@ def test_that_a_bubble_returns_to_rest_after_a_slow_pulse_of_tension(key: str, s
     times = torch.linspace(0.0, 2e-3, 101, dtype=torch.float64) / outer.time_scale(10e-6)
     mixture = GasMixture(vapour="frozen")
     conditions = Conditions(
-        outer, PolytropicGas(1.4, "rest"), mixture, Medium(warm=False), RADIAL_EQUATIONS[key], driving=pulse
+        outer,
+        PolytropicGas(1.4, "rest"),
+        mixture,
+        Medium(warm=False),
+        RADIAL_EQUATIONS[key],
+        driving=pulse,
     )
     simulator = TransportSimulator(conditions, Accuracy(3e-4, Resolution(6, 4)))
     radius = simulator(gels, tensor(outer.weber(10e-6), 1.0 - 1e-9), times).radius
@@ -186,20 +226,41 @@ def test_that_a_bubble_returns_to_rest_after_a_slow_pulse_of_tension(key: str, s
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: SineDriving(math.nan, 1e4), r"SineDriving.amplitude is nan; it must be finite, in SI units"),
-        (lambda: SineDriving(1e4, 0.0), r"SineDriving.frequency is 0.0; it must be a positive finite number"),
+        (
+            lambda: SineDriving(math.nan, 1e4),
+            r"SineDriving.amplitude is nan; it must be finite, in SI units",
+        ),
+        (
+            lambda: SineDriving(1e4, 0.0),
+            r"SineDriving.frequency is 0.0; it must be a positive finite number",
+        ),
         (lambda: SineDriving(1e4, 1e4, math.inf), r"SineDriving.phase is inf"),
         (lambda: GaussianPulse(1e4, math.nan, 1e-6), r"GaussianPulse.centre is nan"),
-        (lambda: GaussianPulse(1e4, 0.0, -1e-6), r"GaussianPulse.width is -1e-06; it must be a positive finite number"),
+        (
+            lambda: GaussianPulse(1e4, 0.0, -1e-6),
+            r"GaussianPulse.width is -1e-06; it must be a positive finite number",
+        ),
         (
             lambda: TabulatedDriving((0.0, 1.0), (0.0, 1.0)),
             r"2 times and 2 pressures; expected as many of each, at least three",
         ),
         (lambda: TabulatedDriving((0.0, 1.0, 2.0), (0.0, 1.0)), r"3 times and 2 pressures"),
-        (lambda: TabulatedDriving((0.0, 1.0, math.nan), (0.0, 1.0, 2.0)), r"holds a value that is not finite"),
-        (lambda: TabulatedDriving((0.0, 1.0, 1.0), (0.0, 1.0, 2.0)), r"times must increase; sort them and drop repeated ones"),
-        (lambda: Conditions(motion="gilmore"), r"Conditions.motion is 'gilmore'; expected a RadialEquation"),  # type: ignore[arg-type]
-        (lambda: Conditions(initial_velocity=math.nan), r"Conditions.initial_velocity is nan; it must be finite, in m/s"),
+        (
+            lambda: TabulatedDriving((0.0, 1.0, math.nan), (0.0, 1.0, 2.0)),
+            r"holds a value that is not finite",
+        ),
+        (
+            lambda: TabulatedDriving((0.0, 1.0, 1.0), (0.0, 1.0, 2.0)),
+            r"times must increase; sort them and drop repeated ones",
+        ),
+        (
+            lambda: Conditions(motion="gilmore"),
+            r"Conditions.motion is 'gilmore'; expected a RadialEquation",
+        ),  # type: ignore[arg-type]
+        (
+            lambda: Conditions(initial_velocity=math.nan),
+            r"Conditions.initial_velocity is nan; it must be finite, in m/s",
+        ),
     ],
 )
 def test_that_bad_options_are_named(call: Callable[[], object], message: str) -> None:
@@ -211,7 +272,8 @@ def test_that_gradients_pass_through_a_tabulated_drive() -> None:
     """The solver's time depends on the gel, so the pressure must be differentiable in time."""
     simulator = PolytropicSimulator(Conditions(driving=table(SINE, 3e-4, 61)))
     parameters = gel(G=5e3, mu=0.05).requires_grad_()
-    designs, times = tensor(300.0, 0.3), grid(1.0, 8)
+    designs = tensor(300.0, 0.3)
+    times = grid(1.0, 8)
 
     def total(p: Tensor) -> Tensor:
         return simulator(p, designs, times).radius.square().sum(-1)
@@ -220,5 +282,7 @@ def test_that_gradients_pass_through_a_tabulated_drive() -> None:
     step = torch.zeros(2, parameters.shape[0], dtype=torch.float64)
     step[0, 0], step[1, 1] = 0.5, 5e-6
     point = parameters.detach()
-    difference = (total(point + step) - total(point - step)) / torch.tensor([1.0, 1e-5], dtype=torch.float64)
+    difference = (total(point + step) - total(point - step)) / torch.tensor(
+        [1.0, 1e-5], dtype=torch.float64
+    )
     torch.testing.assert_close(slope[:2], difference, rtol=1e-5, atol=0.0)

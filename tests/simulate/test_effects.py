@@ -1,4 +1,7 @@
-"""Departures from the base physics: each nothing at its neutral value, something beyond it, and that what its name says."""
+"""Departures from the base physics:
+
+each nothing at its neutral value, something beyond it, and that what its name says.
+"""
 
 import math
 from dataclasses import replace
@@ -31,7 +34,8 @@ from imr_torch.units import Surroundings
 from tests.simulate.bubble import FINE, SI, gel, grid, tensor
 
 BASE = {"G": 4e3, "mu": 0.08}
-DESIGN, TIMES = tensor(300.0, 0.3), grid(1.5, 31)
+DESIGN = tensor(300.0, 0.3)
+TIMES = grid(1.5, 31)
 BEYOND = {
     "sound_speed": 0.5,
     "density": 0.1,
@@ -84,12 +88,22 @@ BESIDE = {
 """What has to be there for some to act."""
 
 
-CAMERA = {"missed_maximum", "trigger_offset", "rinf_bias", "clock", "exposure_blur", "refraction", "edge_error"}
+CAMERA = {
+    "missed_maximum",
+    "trigger_offset",
+    "rinf_bias",
+    "clock",
+    "exposure_blur",
+    "refraction",
+    "edge_error",
+}
 """What a bubble does not feel."""
 SEEN_BY_THE_BUBBLE = [name for name in PARAMETERS.names if name not in CAMERA]
 
 
-def simulators(conditions: Conditions | None = None) -> dict[str, PolytropicSimulator | TransportSimulator]:
+def simulators(
+    conditions: Conditions | None = None,
+) -> dict[str, PolytropicSimulator | TransportSimulator]:
     conditions = conditions or Conditions()
     return {
         "polytropic": PolytropicSimulator(conditions),
@@ -113,24 +127,39 @@ def bases_and_neighbours(*, acting: bool) -> Tensor:
     rows = []
     for name in PARAMETERS.names:
         base = BASE | BESIDE.get(name, {})
-        value = BASE[name] * 1.5 if name in BASE else {**SI, **BEYOND}.get(name, min(0.05, PARAMETERS[name].upper))
+        value = (
+            BASE[name] * 1.5
+            if name in BASE
+            else {**SI, **BEYOND}.get(name, min(0.05, PARAMETERS[name].upper))
+        )
         rows += [gel(**base), gel(**base | {name: value}) if acting else gel(**base)]
     return torch.stack(rows)
 
 
 @pytest.fixture(scope="module")
 def solutions() -> dict[str, list[Solution]]:
-    """Of either simulator: a batch in which nothing acts in any member, and one in which everything does in some."""
+    """Of either simulator:
+
+    a batch in which nothing acts in any member, and one in which everything does in some.
+    """
     both = simulators()
-    both |= {f"{kind} on tensors": replace(simulator, engine="torchdiffeq") for kind, simulator in both.items()}
+    both |= {
+        f"{kind} on tensors": replace(simulator, engine="torchdiffeq")
+        for kind, simulator in both.items()
+    }
     return {
-        kind: [simulator(bases_and_neighbours(acting=acting), DESIGN, TIMES) for acting in (False, True)]
+        kind: [
+            simulator(bases_and_neighbours(acting=acting), DESIGN, TIMES)
+            for acting in (False, True)
+        ]
         for kind, simulator in both.items()
     }
 
 
 @pytest.mark.parametrize("kind", ["polytropic", "polytropic on tensors", "transport"])
-def test_that_at_neutral_it_does_nothing_bit_for_bit_even_beside_bubbles_where_it_acts(solutions, kind: str) -> None:
+def test_that_at_neutral_it_does_nothing_bit_for_bit_even_beside_bubbles_where_it_acts(
+    solutions, kind: str
+) -> None:
     without, among = solutions[kind]
     for entry in ("radius", "velocity", "bubble_pressure"):
         assert torch.equal(getattr(without, entry)[::2], getattr(among, entry)[::2])
@@ -148,13 +177,18 @@ def test_that_it_is_the_same_in_both_engines(solutions, kind: str) -> None:
         assert bool(compiled.ok.all())
         assert torch.equal(compiled.status, tensors.status)
         for entry in ("radius", "velocity", "bubble_pressure"):
-            torch.testing.assert_close(getattr(compiled, entry), getattr(tensors, entry), rtol=1e-10, atol=1e-10)
+            torch.testing.assert_close(
+                getattr(compiled, entry), getattr(tensors, entry), rtol=1e-10, atol=1e-10
+            )
 
 
 @BOTH
 @pytest.mark.parametrize("name", PARAMETERS.names)
-def test_that_beyond_it_does_something_unless_it_is_the_cameras(solutions, kind: str, name: str) -> None:
-    solution, row = solutions[kind][1], 2 * PARAMETERS.names.index(name)
+def test_that_beyond_it_does_something_unless_it_is_the_cameras(
+    solutions, kind: str, name: str
+) -> None:
+    solution = solutions[kind][1]
+    row = 2 * PARAMETERS.names.index(name)
     assert bool(solution.ok[row : row + 2].all())
     change = float((solution.radius[row] - solution.radius[row + 1]).abs().max())
     assert (change == 0.0) if name in CAMERA else (change > 1e-4)
@@ -184,7 +218,9 @@ def test_that_residual_velocity_is_the_initial_velocity(kind: str) -> None:
 @BOTH
 def test_that_the_sound_field_is_a_sine(kind: str) -> None:
     second = float(Surroundings().time_scale(Surroundings().max_radius(DESIGN[0])))
-    sine = Conditions(driving=SineDriving(0.2 * 101325.0, math.exp(1.3) / (2.0 * math.pi * second), 0.6))
+    sine = Conditions(
+        driving=SineDriving(0.2 * 101325.0, math.exp(1.3) / (2.0 * math.pi * second), 0.6)
+    )
     ours = radii(kind, sound_field=0.2, sound_frequency=1.3, sound_phase=0.6)
     assert float((ours - radii(kind, sine)).abs().max()) < 1e-9
 
@@ -193,19 +229,31 @@ def test_that_the_sound_field_is_a_sine(kind: str) -> None:
 def test_that_the_pulse_is_gaussian(kind: str) -> None:
     second = float(Surroundings().time_scale(Surroundings().max_radius(DESIGN[0])))
     pulse = Conditions(driving=GaussianPulse(0.5 * 101325.0, 0.6 * second, math.exp(-1.5) * second))
-    assert float((radii(kind, pulse=0.5, pulse_time=0.6, pulse_width=-1.5) - radii(kind, pulse)).abs().max()) < 1e-9
+    assert (
+        float(
+            (radii(kind, pulse=0.5, pulse_time=0.6, pulse_width=-1.5) - radii(kind, pulse))
+            .abs()
+            .max()
+        )
+        < 1e-9
+    )
 
 
 def test_that_vapour_pressure_is_that_of_a_warmer_liquid() -> None:
     """Where temperature enters by the vapour alone: with polytropic gas."""
     warm = Conditions(Surroundings(temperature=310.0))
     excess = warm.saturation - Conditions().saturation
-    assert float((radii("polytropic", vapour_pressure=excess) - radii("polytropic", warm)).abs().max()) < 1e-12
+    assert (
+        float((radii("polytropic", vapour_pressure=excess) - radii("polytropic", warm)).abs().max())
+        < 1e-12
+    )
 
 
 def test_that_surface_tension_acts_in_its_own_term_and_not_in_the_gas() -> None:
     """Against SciPy: the gas was shut in under the tension of the design."""
-    weber, rest, factor = 20.0, 0.4, 0.8
+    weber = 20.0
+    rest = 0.4
+    factor = 0.8
     gas = (1.0 + 1.0 / (weber * rest)) * rest**3
 
     def rate(t: float, y: np.ndarray) -> list[float]:
@@ -213,21 +261,33 @@ def test_that_surface_tension_acts_in_its_own_term_and_not_in_the_gas() -> None:
         return [u, (gas * r**-4.2 - math.exp(factor) / (weber * r) - 1.0 - 1.5 * u * u) / r]
 
     times = grid(1.5, 16)
-    exact = solve_ivp(rate, (0.0, 1.5), [1.0, 0.0], t_eval=times.numpy(), rtol=1e-11, atol=1e-13, method="DOP853").y[0]
+    exact = solve_ivp(
+        rate, (0.0, 1.5), [1.0, 0.0], t_eval=times.numpy(), rtol=1e-11, atol=1e-13, method="DOP853"
+    ).y[0]
     conditions = Conditions(gas=PolytropicGas(1.4, vapour=False), motion=RayleighPlesset())
-    solution = PolytropicSimulator(conditions, FINE)(gel(surface_tension=factor), tensor(weber, rest), times)
+    solution = PolytropicSimulator(conditions, FINE)(
+        gel(surface_tension=factor), tensor(weber, rest), times
+    )
     torch.testing.assert_close(solution.radius, torch.tensor(exact), rtol=0.0, atol=1e-6)
 
 
-@pytest.mark.parametrize(("factor", "exponent"), [(6.0, 1.0), (-6.0, 1.4)], ids=["isothermal", "adiabatic"])
-def test_that_heat_exchange_leads_from_adiabatic_to_isothermal(factor: float, exponent: float) -> None:
+@pytest.mark.parametrize(
+    ("factor", "exponent"), [(6.0, 1.0), (-6.0, 1.4)], ids=["isothermal", "adiabatic"]
+)
+def test_that_heat_exchange_leads_from_adiabatic_to_isothermal(
+    factor: float, exponent: float
+) -> None:
     """Of dry air in a cold gel, with conduction; and of the polytropic exponent itself."""
     limit = Conditions(
-        gas=PolytropicGas(exponent, vapour=False), mixture=GasMixture(vapour="absent"), medium=Medium(warm=False)
+        gas=PolytropicGas(exponent, vapour=False),
+        mixture=GasMixture(vapour="absent"),
+        medium=Medium(warm=False),
     )
     expected = PolytropicSimulator(limit)(gel(**BASE), tensor(300.0, 0.7), TIMES).radius
     steps = torch.stack([gel(**BASE, heat_exchange=f) for f in (0.0, 0.5 * factor, factor)])
-    radius = TransportSimulator(limit, Accuracy(1e-4, Resolution(24, 4)))(steps, tensor(300.0, 0.7), TIMES).radius
+    radius = TransportSimulator(limit, Accuracy(1e-4, Resolution(24, 4)))(
+        steps, tensor(300.0, 0.7), TIMES
+    ).radius
     errors = (radius - expected).abs().amax(1).tolist()
     assert errors[0] > 2.0 * errors[1] > 4.0 * errors[2]
     assert errors[2] < 5e-3
@@ -252,26 +312,38 @@ def test_that_members_left_alone_drop_the_terms_of_others_but_keep_the_rows_of_t
 
 @pytest.mark.parametrize("strength", [-0.2, 0.3])
 def test_that_a_mirror_bubble_adds_to_the_mass_that_moves(strength: float) -> None:
-    """The pressure of the mirror image at the wall is ``b d(R^2 U)/dt``: ``omega^2`` falls to ``omega^2/(1 + b)``."""
-    rest, weber = 1.0 - 1e-4, 500.0
+    """The pressure of the mirror image at the wall is ``b d(R^2 U)/dt``:
+
+    ``omega^2`` falls to ``omega^2/(1 + b)``.
+    """
+    rest = 1.0 - 1e-4
+    weber = 500.0
     stiffness = 3.0 * 1.4 * (1.0 + 1.0 / (weber * rest)) - 1.0 / (weber * rest)
     conditions = Conditions(gas=PolytropicGas(1.4, "rest", vapour=False), motion=RayleighPlesset())
-    radius = PolytropicSimulator(conditions, FINE)(gel(wall=strength), tensor(weber, rest), grid(6.0)).radius
+    radius = PolytropicSimulator(conditions, FINE)(
+        gel(wall=strength), tensor(weber, rest), grid(6.0)
+    ).radius
     omega = math.sqrt(stiffness / (1.0 + strength))
-    torch.testing.assert_close((radius - rest) / (1.0 - rest), torch.cos(omega * grid(6.0)), rtol=0.0, atol=2e-3)
+    torch.testing.assert_close(
+        (radius - rest) / (1.0 - rest), torch.cos(omega * grid(6.0)), rtol=0.0, atol=2e-3
+    )
 
 
 def test_that_fully_trapped_vapour_is_a_gas() -> None:
     conditions = Conditions(gas=PolytropicGas(1.3))
     solution = PolytropicSimulator(conditions)(gel(**BASE, condensation=1.0), DESIGN, TIMES)
     torch.testing.assert_close(
-        solution.bubble_pressure, solution.bubble_pressure[0] * solution.radius**-3.9, rtol=1e-9, atol=0.0
+        solution.bubble_pressure,
+        solution.bubble_pressure[0] * solution.radius**-3.9,
+        rtol=1e-9,
+        atol=0.0,
     )
 
 
 def test_that_gas_is_lost_along_the_path_below_rest() -> None:
     """``n_end/n = exp(-eta int |dR|/R (1 - R/R_inf)^2)`` down and up, whatever the speed."""
-    conditions, eta = Conditions(gas=PolytropicGas(1.4, vapour=False)), 0.4
+    conditions = Conditions(gas=PolytropicGas(1.4, vapour=False))
+    eta = 0.4
     times = grid(1.5, 6001)
     solution = PolytropicSimulator(conditions, FINE)(gel(**BASE, gas_loss=eta), DESIGN, times)
     amount = solution.bubble_pressure * solution.radius**4.2
@@ -285,19 +357,29 @@ def test_that_gas_is_lost_along_the_path_below_rest() -> None:
 
 @pytest.mark.parametrize("excess", [-0.5, 0.4])
 def test_that_excess_gas_comes_to_rest_where_its_pressure_balances(excess: float) -> None:
-    """Isothermal gas in a viscous liquid: ``(p_0 - p_v) e^x (R_inf/R)^3 + p_v = 1 + 1/(We R)`` at rest."""
-    weber, rest = 20.0, 0.4
+    """Isothermal gas in a viscous liquid:
+
+    ``(p_0 - p_v) e^x (R_inf/R)^3 + p_v = 1 + 1/(We R)`` at rest.
+    """
+    weber = 20.0
+    rest = 0.4
     conditions = Conditions(gas=PolytropicGas(1.0, vapour=False))
-    radius = PolytropicSimulator(conditions)(gel(mu=0.1, excess_gas=excess), tensor(weber, rest), grid(40.0, 3)).radius[-1]
+    radius = PolytropicSimulator(conditions)(
+        gel(mu=0.1, excess_gas=excess), tensor(weber, rest), grid(40.0, 3)
+    ).radius[-1]
     amount = (1.0 + 1.0 / (weber * rest)) * rest**3 * math.exp(excess)
     assert float(amount / radius**3 - 1.0 - 1.0 / (weber * radius)) == pytest.approx(0.0, abs=1e-5)
     assert abs(float(radius) - rest) > 0.05
 
 
-def test_that_hot_contents_press_by_their_mean_temperature_and_come_to_rest_at_r_inf_as_cold_ones_do() -> None:
+def test_that_hot_contents_press_by_their_mean_temperature_and_come_to_rest_at_r_inf_as_cold_ones_do() -> (
+    None
+):
     gels = torch.stack([gel(mu=1.0, hot_contents=x) for x in (0.0, 0.4, -0.2)])
     conditions = Conditions(mixture=GasMixture(vapour="absent"))
-    solution = TransportSimulator(conditions, Accuracy(3e-4, Resolution(12, 12)))(gels, tensor(300.0, 0.3), grid(20.0, 201))
+    solution = TransportSimulator(conditions, Accuracy(3e-4, Resolution(12, 12)))(
+        gels, tensor(300.0, 0.3), grid(20.0, 201)
+    )
     start = solution.bubble_pressure[:, 0] / solution.bubble_pressure[0, 0]
     torch.testing.assert_close(start, tensor(1.0, 1.4, 0.8), rtol=1e-12, atol=0.0)
     assert float((solution.radius[1:] - solution.radius[0]).abs().max()) > 1e-3
@@ -306,29 +388,43 @@ def test_that_hot_contents_press_by_their_mean_temperature_and_come_to_rest_at_r
 
 @pytest.mark.parametrize("warmth", [-0.3, 0.2, 0.6])
 def test_that_the_profile_of_hot_contents_has_its_mean_temperature(warmth: float) -> None:
-    """By quadrature of ``1/T`` over the volume; ``T`` is 1 at the wall, and ``tau`` that of the contents' law."""
+    """By quadrature of ``1/T`` over the volume;
+
+    ``T`` is 1 at the wall, and ``tau`` that of the contents' law.
+    """
     constants = Bubbles.of(gel(**BASE)[None], DESIGN[None], Conditions()).constants
     nodes, weights = (torch.as_tensor(x) for x in np.polynomial.legendre.leggauss(40))
     y = 0.5 * (1.0 + nodes)
     tau = warm_profile(y, torch.tensor(warmth, dtype=torch.float64), constants)
     temperature = temperature_of(conductivity_of(tau, constants), constants)
-    assert float((1.5 * weights * y * y / temperature).sum()) == pytest.approx(1.0 / (1.0 + warmth), rel=1e-10)
+    assert float((1.5 * weights * y * y / temperature).sum()) == pytest.approx(
+        1.0 / (1.0 + warmth), rel=1e-10
+    )
     assert float(warm_profile(torch.tensor(1.0), torch.tensor(warmth), constants)) == 0.0
 
 
-def test_that_a_drift_of_r_inf_is_exponential_in_time_and_the_same_for_bubbles_of_any_size() -> None:
+def test_that_a_drift_of_r_inf_is_exponential_in_time_and_the_same_for_bubbles_of_any_size() -> (
+    None
+):
     """``n = n_0 exp(3 d t)`` in seconds, whatever the bubble does."""
-    conditions, drift = Conditions(gas=PolytropicGas(1.4, vapour=False)), -2e3
+    conditions = Conditions(gas=PolytropicGas(1.4, vapour=False))
+    drift = -2e3
     designs = torch.stack((tensor(100.0, 0.3), tensor(900.0, 0.3)))
-    solution = PolytropicSimulator(conditions, FINE)(gel(**BASE, rinf_drift=drift), designs, grid(1.5, 7))
+    solution = PolytropicSimulator(conditions, FINE)(
+        gel(**BASE, rinf_drift=drift), designs, grid(1.5, 7)
+    )
     amount = solution.bubble_pressure * solution.radius**4.2
     outer = conditions.surroundings
     seconds = grid(1.5, 7) * outer.time_scale(outer.max_radius(designs[:, :1]))
-    torch.testing.assert_close(amount / amount[:, :1], torch.exp(3.0 * drift * seconds), rtol=1e-4, atol=0.0)
+    torch.testing.assert_close(
+        amount / amount[:, :1], torch.exp(3.0 * drift * seconds), rtol=1e-4, atol=0.0
+    )
 
 
 @BOTH
-def test_that_energy_lost_lowers_every_rebound_and_leaves_the_fall_to_rest_nearly_alone(kind: str) -> None:
+def test_that_energy_lost_lowers_every_rebound_and_leaves_the_fall_to_rest_nearly_alone(
+    kind: str,
+) -> None:
     gels = torch.stack([gel(**BASE, energy_loss=x) for x in (0.0, 0.3, 1.0)])
     radius = simulators()[kind](gels, DESIGN, grid(1.8, 181)).radius
     assert bool((radius[:, 110:].amax(1).diff() < -0.01).all())

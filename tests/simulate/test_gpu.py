@@ -41,7 +41,9 @@ def test_bubbles_agree_with_a_processor(simulator: Simulator) -> None:
 def test_large_batches_are_not_cut() -> None:
     values = torch.zeros(1, dtype=torch.float64)
     assert together(values, 1000, 150_000) == 1000
-    assert together(values.cuda(), 1000, 150_000) == max(1000, torch.cuda.mem_get_info()[0] // 300_000)
+    assert together(values.cuda(), 1000, 150_000) == max(
+        1000, torch.cuda.mem_get_info()[0] // 300_000
+    )
 
 
 def test_a_failed_bubble_is_a_status() -> None:
@@ -52,7 +54,8 @@ def test_a_failed_bubble_is_a_status() -> None:
 
 
 def test_autograd_through_the_polytropic_solve() -> None:
-    gel, design = PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), torch.tensor([300.0, 0.2], dtype=torch.float64)
+    gel = PARAMETERS.pack({"G": 8310.0, "mu": 0.093})
+    design = torch.tensor([300.0, 0.2], dtype=torch.float64)
     simulator = PolytropicSimulator(engine="torchdiffeq")
     slopes = []
     for device in ("cpu", "cuda"):
@@ -64,10 +67,13 @@ def test_autograd_through_the_polytropic_solve() -> None:
 
 
 def test_sensitivities() -> None:
-    gel, design = PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), torch.tensor([300.0, 0.2], dtype=torch.float64)
+    gel = PARAMETERS.pack({"G": 8310.0, "mu": 0.093})
+    design = torch.tensor([300.0, 0.2], dtype=torch.float64)
     names = ("G", "mu")
     _, here = sensitivities(PolytropicSimulator(threads=1), gel, design, TIMES, names=names)
-    _, there = sensitivities(PolytropicSimulator(), gel.cuda(), design.cuda(), TIMES.cuda(), names=names)
+    _, there = sensitivities(
+        PolytropicSimulator(), gel.cuda(), design.cuda(), TIMES.cuda(), names=names
+    )
     assert there.is_cuda
     scale = here.abs().amax(-2)
     assert bool(((there.cpu() - here).abs().amax(-2) < 2e-2 * scale).all())
@@ -79,4 +85,8 @@ def test_the_change_of_engine_is_said() -> None:
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         PolytropicSimulator()(parameters.cuda(), designs.cuda(), TIMES.cuda())
-    assert ["does not run on cuda" in str(each.message) for each in said if each.category is EngineWarning] == [True]
+    assert [
+        "does not run on cuda" in str(each.message)
+        for each in said
+        if each.category is EngineWarning
+    ] == [True]

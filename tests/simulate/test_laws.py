@@ -1,6 +1,7 @@
 """Every law that both engines use: on tensors it gives the numbers that it gives compiled, and the same derivatives.
 
-Laws are taken from their registries, so that a new one is tested by itself. Stress terms are in ``tests/material``.
+Laws are taken from their registries, so that a new one is tested by itself. Stress terms are in
+``tests/material``.
 """
 
 import pytest
@@ -8,7 +9,14 @@ import torch
 
 from imr_torch.elementary import NoCompiledForm, compiled
 from imr_torch.material import LIBRARY, PARAMETERS, Effect
-from imr_torch.simulate import RADIAL_EQUATIONS, GaussianPulse, PolytropicGas, RadialEquation, SineDriving, TabulatedDriving
+from imr_torch.simulate import (
+    RADIAL_EQUATIONS,
+    GaussianPulse,
+    PolytropicGas,
+    RadialEquation,
+    SineDriving,
+    TabulatedDriving,
+)
 from imr_torch.simulate.driving import DRIVING_LAWS, LawDriving
 from imr_torch.simulate.gas import compression_of
 from tests.laws import assert_alike
@@ -24,30 +32,52 @@ STATES = (
 
 @pytest.mark.parametrize("motion", RADIAL_EQUATIONS.values(), ids=RADIAL_EQUATIONS)
 @pytest.mark.parametrize("state", STATES, ids=["maximum", "falling", "collapse", "tension"])
-def test_that_a_radial_equation_is_its_compiled_self(motion: RadialEquation, state: tuple[float, ...]) -> None:
+def test_that_a_radial_equation_is_its_compiled_self(
+    motion: RadialEquation, state: tuple[float, ...]
+) -> None:
     found = assert_alike(type(motion).law, [*state, *motion.constants], range(7))
-    assert float(found) == float(motion.acceleration(*(torch.tensor(x, dtype=torch.float64) for x in state)))
+    assert float(found) == float(
+        motion.acceleration(*(torch.tensor(x, dtype=torch.float64) for x in state))
+    )
     assert float(found) != 0.0
 
 
 # ---------------------------------------------------------------- effects
 
 MOVING = {
-    "gas_loss": [(1.0, 0.0, 0.3), (0.31, -2.0, 0.3), (0.1, -7.0, 0.3), (0.06, 0.0, 0.3), (0.2, 5.0, 0.3)],
+    "gas_loss": [
+        (1.0, 0.0, 0.3),
+        (0.31, -2.0, 0.3),
+        (0.1, -7.0, 0.3),
+        (0.06, 0.0, 0.3),
+        (0.2, 5.0, 0.3),
+    ],
     "vapour": [(1.0,), (3e-3,), (40.0,), (5e3,)],
     "far_field": [(0.0,), (0.7,), (2.9,)],
 }
 """What the laws of effects take before the effect's parameters; all but the rest radius moves."""
-LAWS = [(kind, effect) for kind in MOVING for effect in LIBRARY.values() if getattr(effect, kind) is not None]
+LAWS = [
+    (kind, effect)
+    for kind in MOVING
+    for effect in LIBRARY.values()
+    if getattr(effect, kind) is not None
+]
 
 
 def amplitudes(effect: Effect) -> list[tuple[float, ...]]:
-    """Parameters of an effect where it acts: its starts, and an amplitude halfway to its upper bound."""
-    halfway = tuple(0.5 * (PARAMETERS[name].neutral + PARAMETERS[name].upper) for name in effect.names[:1])
+    """Parameters of an effect where it acts:
+
+    its starts, and an amplitude halfway to its upper bound.
+    """
+    halfway = tuple(
+        0.5 * (PARAMETERS[name].neutral + PARAMETERS[name].upper) for name in effect.names[:1]
+    )
     return [*effect.starts, halfway + effect.starts[0][1:]]
 
 
-@pytest.mark.parametrize(("kind", "effect"), LAWS, ids=[f"{kind} of {effect.name}" for kind, effect in LAWS])
+@pytest.mark.parametrize(
+    ("kind", "effect"), LAWS, ids=[f"{kind} of {effect.name}" for kind, effect in LAWS]
+)
 def test_that_the_law_of_an_effect_is_its_compiled_self(kind: str, effect: Effect) -> None:
     assert effect.compilable
     law = getattr(effect, kind)
@@ -63,7 +93,11 @@ def test_that_the_law_of_an_effect_is_its_compiled_self(kind: str, effect: Effec
 
 def test_that_laws_of_every_kind_are_tested() -> None:
     assert {kind for kind, _ in LAWS} == set(MOVING)
-    acting = {e.name for e in LIBRARY.values() if e.gas_loss is not None or e.vapour is not None or e.far_field is not None}
+    acting = {
+        e.name
+        for e in LIBRARY.values()
+        if e.gas_loss is not None or e.vapour is not None or e.far_field is not None
+    }
     assert {effect.name for _, effect in LAWS} == acting
 
 
@@ -87,22 +121,50 @@ def test_that_both_rates_of_a_far_field_are_those_of_its_pressure(name: str) -> 
 def test_that_polytropic_gas_is_its_compiled_self(radius: float) -> None:
     compression = assert_alike(compression_of, [radius, 1.3], [0, 1])
     assert float(compression) == pytest.approx(radius**-3.9, rel=1e-13)
-    for velocity, left, lost, factor, trapped in ((-3.0, 1.0, 0.0, 1.0, 0.0), (2.0, 0.8, 0.3, 1.7, 0.2)):
-        arguments = [radius, velocity, left, lost, float(compression), factor, trapped, 1e-2, 1.3, 0.03]
+    for velocity, left, lost, factor, trapped in (
+        (-3.0, 1.0, 0.0, 1.0, 0.0),
+        (2.0, 0.8, 0.3, 1.7, 0.2),
+    ):
+        arguments = [
+            radius,
+            velocity,
+            left,
+            lost,
+            float(compression),
+            factor,
+            trapped,
+            1e-2,
+            1.3,
+            0.03,
+        ]
         assert_alike(PolytropicGas.law, arguments, range(10))
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.4])
 @pytest.mark.parametrize("trapped", [0.0, 0.3])
-def test_that_the_rate_of_polytropic_gas_is_that_of_its_pressure(trapped: float, lost: float) -> None:
+def test_that_the_rate_of_polytropic_gas_is_that_of_its_pressure(
+    trapped: float, lost: float
+) -> None:
     """Along ``R(t)``, with gas that is lost and vapour whose saturation follows the compression."""
-    exponent, velocity = 1.3, -4.0
+    exponent = 1.3
+    velocity = -4.0
 
     def pressure(time: torch.Tensor) -> torch.Tensor:
         radius = 0.4 + velocity * time
         compression = compression_of(radius, exponent)
         left = 0.9 * torch.exp(-lost * time)
-        return PolytropicGas.law(radius, velocity, left, lost, compression, compression**trapped, trapped, 2e-2, exponent, 0.03)
+        return PolytropicGas.law(
+            radius,
+            velocity,
+            left,
+            lost,
+            compression,
+            compression**trapped,
+            trapped,
+            2e-2,
+            exponent,
+            0.03,
+        )
 
     time = torch.tensor(0.0, dtype=torch.float64)
     value, slope = torch.func.jvp(lambda t: pressure(t)[0], (time,), (torch.ones_like(time),))
@@ -156,7 +218,10 @@ def holds_a_function(x):
         (takes_the_size, "takes_the_size uses 'abs', which has no compiled form"),
         (uses_torch, r"uses_torch uses 'torch' \(module\), which has no compiled form"),
         (asks_for_the_shape, "asks_for_the_shape uses .shape, which only tensors have"),
-        (holds_a_function, "holds_a_function holds a function of its own; put it at the top of the module"),
+        (
+            holds_a_function,
+            "holds_a_function holds a function of its own; put it at the top of the module",
+        ),
         (len, "is not a plain function at the top of a module"),
     ],
 )

@@ -1,4 +1,7 @@
-"""Closures and materials together: rest, small oscillations of gels with memory, limits of relaxation, energy."""
+"""Closures and materials together:
+
+rest, small oscillations of gels with memory, limits of relaxation, energy.
+"""
 
 import numpy as np
 import pytest
@@ -35,7 +38,9 @@ MOTIONS = pytest.mark.parametrize("motion", RADIAL_EQUATIONS.values(), ids=RADIA
 
 def closure(vapour: str, warm: bool, motion=RADIAL_EQUATIONS["keller_miksis"]) -> Conditions:
     gas = PolytropicGas(1.3, "rest", vapour != "absent")
-    return Conditions(gas=gas, mixture=GasMixture(vapour=vapour), medium=Medium(warm=warm), motion=motion)  # type: ignore[arg-type]
+    return Conditions(
+        gas=gas, mixture=GasMixture(vapour=vapour), medium=Medium(warm=warm), motion=motion
+    )  # type: ignore[arg-type]
 
 
 @MOTIONS
@@ -44,7 +49,9 @@ def closure(vapour: str, warm: bool, motion=RADIAL_EQUATIONS["keller_miksis"]) -
 def test_that_nothing_changes_at_rest(vapour: str, warm: bool, motion) -> None:
     """The whole right-hand side vanishes at ``R_inf``, ``T = 1``, the pressure that balances surface and far field."""
     designs = tensor(550.0, 0.22).expand(len(EVERY_GEL), 2)
-    equations = Equations(Bubbles.of(EVERY_GEL, designs, closure(vapour, warm, motion)), *Resolution(6, 6).grids())
+    equations = Equations(
+        Bubbles.of(EVERY_GEL, designs, closure(vapour, warm, motion)), *Resolution(6, 6).grids()
+    )
     state = equations.start()
     state[0] = 0.22
     state[2] = torch.log(1.0 + 1.0 / (550.0 * 0.22) - equations.bubbles.numbers.constant_vapour)
@@ -67,7 +74,9 @@ def test_that_every_gel_released_at_rest_stays_put(vapour: str, warm: bool) -> N
 
 @MOTIONS
 def test_that_so_it_does_with_polytropic_gas(motion) -> None:
-    solution = PolytropicSimulator(closure("absent", False, motion))(EVERY_GEL, tensor(300.0, 1.0 - 1e-12), grid(4.0, 9))
+    solution = PolytropicSimulator(closure("absent", False, motion))(
+        EVERY_GEL, tensor(300.0, 1.0 - 1e-12), grid(4.0, 9)
+    )
     assert float((solution.radius - 1.0).abs().max()) < 1e-10
 
 
@@ -82,26 +91,39 @@ LINEAR = {
 }
 
 
-def linear_gel(key: str, values: dict[str, float], unit: float, rest: float) -> tuple[np.ndarray, np.ndarray, float]:
-    """Rows of the linear gel in ``(x, x', m)``: ``S`` without its part in ``x'``, ``m'``, and the friction at once."""
+def linear_gel(
+    key: str, values: dict[str, float], unit: float, rest: float
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Rows of the linear gel in ``(x, x', m)``:
+
+    ``S`` without its part in ``x'``, ``m'``, and the friction at once.
+    """
     s = Surroundings()
     g = (values.get("G", 0.0) + values.get("G_lin", 0.0)) / s.far_field_pressure
     mu = values["mu"] / (s.far_field_pressure * unit)
     de = next(v for k, v in values.items() if k.startswith("tau")) / unit
     share = values.get("retardation", 0.0)
     if key in ("sls", "sns"):  # the state is the whole stress
-        return np.array([0.0, 0.0, 1.0]), np.array([-4.0 * g, -4.0 * mu - 4.0 * g * de, -rest * 1.0]) / (rest * de), 0.0
+        return (
+            np.array([0.0, 0.0, 1.0]),
+            np.array([-4.0 * g, -4.0 * mu - 4.0 * g * de, -rest * 1.0]) / (rest * de),
+            0.0,
+        )
     rate = np.array([0.0, -4.0 * mu * (1.0 - share) / rest, -1.0]) / de
     return np.array([-4.0 * g / rest, 0.0, 1.0]), rate, 4.0 * mu * share / rest
 
 
 @pytest.mark.parametrize("key", LINEAR)
 @pytest.mark.parametrize("sound", [1e9, 150.0], ids=["incompressible", "compressible"])
-def test_that_a_gel_with_memory_has_its_third_order_small_oscillation(key: str, sound: float) -> None:
+def test_that_a_gel_with_memory_has_its_third_order_small_oscillation(
+    key: str, sound: float
+) -> None:
     """``R_e x'' = (1 + (R_e/c) d/dt)(-k x + S)`` beside one relaxing state: a cubic characteristic equation, solved as the
     exponential of its companion matrix.
     """
-    values, rest, weber = LINEAR[key], 1.0 - 1e-4, 300.0
+    values = LINEAR[key]
+    rest = 1.0 - 1e-4
+    weber = 300.0
     outer = Surroundings(sound_speed=sound)
     unit = outer.time_scale(outer.max_radius(weber))
     gas = 1.0 + 1.0 / (weber * rest)
@@ -109,11 +131,17 @@ def test_that_a_gel_with_memory_has_its_third_order_small_oscillation(key: str, 
     stress, rate, friction = linear_gel(key, values, unit, rest)
     delay = rest * outer.velocity_scale / sound
     pull = stress + np.array([-k, 0.0, 0.0])
-    force = pull + np.array([0.0, -friction, 0.0]) + delay * (pull[0] * np.array([0.0, 1.0, 0.0]) + pull[2] * rate)
+    force = (
+        pull
+        + np.array([0.0, -friction, 0.0])
+        + delay * (pull[0] * np.array([0.0, 1.0, 0.0]) + pull[2] * rate)
+    )
     matrix = np.stack([np.array([0.0, 1.0, 0.0]), force / (rest + delay * friction), rate])
     start = np.array([1.0, 0.0, 0.0])
     if key in ("sls", "sns"):
-        start[2] = -4.0 * values.get("G", values.get("G_lin", 0.0)) / outer.far_field_pressure / rest  # relaxed at the maximum
+        start[2] = (
+            -4.0 * values.get("G", values.get("G_lin", 0.0)) / outer.far_field_pressure / rest
+        )  # relaxed at the maximum
     t = grid(6.0, 61)
     x = torch.tensor([(expm(matrix * float(s)) @ start)[0] for s in t])
     assert np.iscomplex(np.linalg.eigvals(matrix)).any()
@@ -133,10 +161,16 @@ def radii(*gels: dict[str, float]) -> torch.Tensor:
     return EXACT(torch.stack([gel(**g) for g in gels]), MILD, grid(1.3, 27)).radius
 
 
-@pytest.mark.parametrize(("name", "states"), [("tau", 1), ("tau_ucm", 2), ("tau_sns", 1), ("tau_sls", 1)])
-def test_that_fast_relaxation_is_no_memory_to_first_order_in_its_time(name: str, states: int) -> None:
+@pytest.mark.parametrize(
+    ("name", "states"), [("tau", 1), ("tau_ucm", 2), ("tau_sns", 1), ("tau_sls", 1)]
+)
+def test_that_fast_relaxation_is_no_memory_to_first_order_in_its_time(
+    name: str, states: int
+) -> None:
     """Zener, upper-convected Maxwell and both standard solids against the same gel without memory."""
-    base = {"mu": 0.08} | ({"G_lin": 6e3} if name == "tau_sls" else {} if name == "tau_ucm" else {"G": 6e3})
+    base = {"mu": 0.08} | (
+        {"G_lin": 6e3} if name == "tau_sls" else {} if name == "tau_ucm" else {"G": 6e3}
+    )
     curves = radii(base, *(base | {name: t} for t in (1.2e-7, 6e-8, 3e-8)))
     errors = [float((curve - curves[0]).abs().max()) for curve in curves[1:]]
     assert errors[0] < 0.03
@@ -145,7 +179,10 @@ def test_that_fast_relaxation_is_no_memory_to_first_order_in_its_time(name: str,
 
 
 def test_that_slow_relaxation_leaves_the_spring_alone() -> None:
-    """A Maxwell branch that never relaxes carries ``1/De`` of its viscosity: Zener becomes neo-Hookean."""
+    """A Maxwell branch that never relaxes carries ``1/De`` of its viscosity:
+
+    Zener becomes neo-Hookean.
+    """
     elastic = {"G": 6e3}
     curves = radii(elastic, *(elastic | {"mu": 0.08, "tau": t} for t in (0.05, 0.1)))
     errors = [float((curve - curves[0]).abs().max()) for curve in curves[1:]]
@@ -155,7 +192,9 @@ def test_that_slow_relaxation_leaves_the_spring_alone() -> None:
 
 def test_that_full_retardation_is_no_memory() -> None:
     base = {"G": 6e3, "mu": 0.08}
-    curves = radii(base, base | {"tau": 1e-5, "retardation": 1.0}, base | {"tau_ucm": 1e-5, "retardation": 1.0})
+    curves = radii(
+        base, base | {"tau": 1e-5, "retardation": 1.0}, base | {"tau_ucm": 1e-5, "retardation": 1.0}
+    )
     assert float((curves - curves[0]).abs().max()) < 1e-5
 
 
@@ -164,22 +203,42 @@ def test_that_full_retardation_is_no_memory() -> None:
 
 @pytest.mark.parametrize("vapour", ["absent", "constant"])
 def test_that_energy_is_kept_when_the_heat_that_leaves_is_counted(vapour: str) -> None:
-    """Of liquid, far field, surface, elastic gel and gas, ``p R^3/(3(k-1))``; heat leaves at ``chi tau'(1) R``."""
-    conditions = Conditions(mixture=GasMixture(vapour=vapour), medium=Medium(warm=False), motion=RayleighPlesset())  # type: ignore[arg-type]
-    parameters, designs = gel(G=5e3)[None], tensor(300.0, 0.45)[None]
-    field = TransportField.of(parameters, designs, conditions=conditions, resolution=Resolution(12, 4))
-    path = odeint(field, field.start(), torch.arange(301, dtype=torch.float64), method=METHOD, rtol=1e-6)[:, :, 0]
-    times, accepted = path[:, -CONTROL], path[:, -1] <= 1.0
-    states, times = path[accepted & (times <= 2.0), :-CONTROL], times[accepted & (times <= 2.0)]
+    """Of liquid, far field, surface, elastic gel and gas, ``p R^3/(3(k-1))``;
+
+    heat leaves at ``chi tau'(1) R``.
+    """
+    conditions = Conditions(
+        mixture=GasMixture(vapour=vapour), medium=Medium(warm=False), motion=RayleighPlesset()
+    )  # type: ignore[arg-type]
+    parameters = gel(G=5e3)[None]
+    designs = tensor(300.0, 0.45)[None]
+    field = TransportField.of(
+        parameters, designs, conditions=conditions, resolution=Resolution(12, 4)
+    )
+    path = odeint(
+        field, field.start(), torch.arange(301, dtype=torch.float64), method=METHOD, rtol=1e-6
+    )[:, :, 0]
+    times = path[:, -CONTROL]
+    accepted = path[:, -1] <= 1.0
+    states = path[accepted & (times <= 2.0), :-CONTROL]
+    times = times[accepted & (times <= 2.0)]
     assert 1.9 < float(times[-1]) < float(path[-1, -CONTROL])
     fields = field.equations.fields(states.T)
     b, l = field.equations.bubbles, fields.radius / 0.45  # noqa: E741
     vapour_work = float(b.numbers.constant_vapour) * fields.radius**3 / 3.0
     stored = fields.pressure * fields.radius**3 / (3.0 * 0.4) - vapour_work
-    spring = 0.5 * float(b.theta["G"]) * 0.45**3 * (5.0 / 3.0 * l**3 - 2.0 * l**2 + l**-1 - 2.0 / 3.0)
-    liquid = 0.5 * fields.radius**3 * fields.velocity**2 + fields.radius**3 / 3.0 + fields.radius**2 / 600.0
+    spring = (
+        0.5 * float(b.theta["G"]) * 0.45**3 * (5.0 / 3.0 * l**3 - 2.0 * l**2 + l**-1 - 2.0 / 3.0)
+    )
+    liquid = (
+        0.5 * fields.radius**3 * fields.velocity**2
+        + fields.radius**3 / 3.0
+        + fields.radius**2 / 600.0
+    )
     heat = float(b.numbers.chi) * fields.heat * fields.radius
-    lost = -np.array([simpson(heat[: i + 1].numpy(), x=times[: i + 1].numpy()) for i in range(len(times))])
+    lost = -np.array(
+        [simpson(heat[: i + 1].numpy(), x=times[: i + 1].numpy()) for i in range(len(times))]
+    )
     total = (stored + spring + liquid).numpy() + lost
     assert np.abs(total - total[0]).max() < 2e-5
     assert lost.max() > 1e-3
@@ -193,5 +252,7 @@ def test_that_the_spring_of_the_energy_balance_is_the_neo_hookean_stress() -> No
     spring = 0.5 * 0.05 * 0.45**3 * (5.0 / 3.0 * l**3 - 2.0 * l**2 + l**-1 - 2.0 / 3.0)
     (slope,) = torch.autograd.grad(spring.sum(), radius)
     theta = {"G": torch.tensor(0.05, dtype=torch.float64)}
-    stress = MATERIALS["nhe"].stress(radius.detach(), 0.0 * radius.detach(), torch.full((9,), 0.45, dtype=torch.float64), theta)
+    stress = MATERIALS["nhe"].stress(
+        radius.detach(), 0.0 * radius.detach(), torch.full((9,), 0.45, dtype=torch.float64), theta
+    )
     torch.testing.assert_close(slope, -stress.value * radius.detach() ** 2, rtol=1e-12, atol=1e-15)

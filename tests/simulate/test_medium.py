@@ -1,4 +1,7 @@
-"""A medium of each bubble's own: the bubble of other surroundings, seen in the units of the present ones."""
+"""A medium of each bubble's own:
+
+the bubble of other surroundings, seen in the units of the present ones.
+"""
 
 import math
 from dataclasses import replace
@@ -25,7 +28,8 @@ from imr_torch.units import Surroundings
 from tests.simulate.bubble import FINE, gel, grid, tensor
 
 ASSUMED = Surroundings()
-DESIGN, TIMES = tensor(300.0, 0.22), grid(2.2, 45)
+DESIGN = tensor(300.0, 0.22)
+TIMES = grid(2.2, 45)
 BASE = {"G": 4e3, "mu": 0.08, "tau": 4e-6}
 FACTORS = {
     "density": 1.1,
@@ -47,16 +51,29 @@ def radii(kind: str, field: str, **conditions) -> tuple[Tensor, Tensor, Tensor]:
     size = ASSUMED.max_radius(DESIGN[0])
     design = torch.stack((there.weber(size), DESIGN[1]))
     times = TIMES * (ASSUMED.time_scale(size) / there.time_scale(size))
-    here, moved = (replace(SIMULATORS[kind], conditions=Conditions(s, **conditions)) for s in (ASSUMED, there))
-    by_parameter = here(gel(**BASE, **{OF_MEDIUM[field]: math.log(FACTORS[field])}), DESIGN, TIMES).radius
-    return here(gel(**BASE), DESIGN, TIMES).radius, by_parameter, moved(gel(**BASE), design, times).radius
+    here, moved = (
+        replace(SIMULATORS[kind], conditions=Conditions(s, **conditions)) for s in (ASSUMED, there)
+    )
+    by_parameter = here(
+        gel(**BASE, **{OF_MEDIUM[field]: math.log(FACTORS[field])}), DESIGN, TIMES
+    ).radius
+    return (
+        here(gel(**BASE), DESIGN, TIMES).radius,
+        by_parameter,
+        moved(gel(**BASE), design, times).radius,
+    )
 
 
 @pytest.mark.parametrize(
     ("kind", "field"),
     [
         ("tensors", "density"),
-        *((kind, name) for kind in ("polytropic", "transport") for name in FACTORS if name != "temperature"),
+        *(
+            (kind, name)
+            for kind in ("polytropic", "transport")
+            for name in FACTORS
+            if name != "temperature"
+        ),
     ],
 )
 def test_that_the_parameter_is_the_medium_itself_to_solver_error(kind: str, field: str) -> None:
@@ -66,9 +83,13 @@ def test_that_the_parameter_is_the_medium_itself_to_solver_error(kind: str, fiel
 
 
 @pytest.mark.parametrize("motion", [KellerMiksis(), Gilmore()], ids=lambda motion: motion.key)
-def test_that_density_is_exact_in_every_radial_equation_and_under_driving(motion: RadialEquation) -> None:
+def test_that_density_is_exact_in_every_radial_equation_and_under_driving(
+    motion: RadialEquation,
+) -> None:
     """A driving is in Pa and seconds, so it must reach a bubble that moves at another pace at the same moments."""
-    before, ours, there = radii("polytropic", "density", motion=motion, driving=SineDriving(2e4, 3e4, 0.3))
+    before, ours, there = radii(
+        "polytropic", "density", motion=motion, driving=SineDriving(2e4, 3e4, 0.3)
+    )
     assert float((ours - there).abs().max()) < 2e-6
     assert float((ours - before).abs().max()) > 0.05
 

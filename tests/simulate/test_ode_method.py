@@ -1,4 +1,7 @@
-"""The torchdiffeq engine: bubbles integrated through ``torchdiffeq.odeint``, whole states and all."""
+"""The torchdiffeq engine:
+
+bubbles integrated through ``torchdiffeq.odeint``, whole states and all.
+"""
 
 import sys
 
@@ -28,7 +31,9 @@ def test_odeint_gives_whole_states_that_lie_on_the_simulated_curves():
     for member in range(2):
         rows = states[:, :, member]
         moved = torch.cat((torch.tensor([True]), rows[1:, -CONTROL] > rows[:-1, -CONTROL]))
-        time, radius, log_pressure = rows[moved, -CONTROL], rows[moved, 0], rows[moved, 2]
+        time = rows[moved, -CONTROL]
+        radius = rows[moved, 0]
+        log_pressure = rows[moved, 2]
         for engine in ("compiled", "torchdiffeq"):
             simulated = TransportSimulator(engine=engine)(GELS[member], DESIGNS[member], time)
             assert float((radius - simulated.radius).abs().max()) < 1e-9
@@ -44,7 +49,9 @@ def test_ticks_may_be_taken_several_at_a_time():
 def test_the_wall_stays_in_balance():
     field, states = path(1e-6)
     equations = field.equations
-    balance = torch.stack([equations.rate(equations.fields(state[:-CONTROL]))[3] for state in states])
+    balance = torch.stack(
+        [equations.rate(equations.fields(state[:-CONTROL]))[3] for state in states]
+    )
     assert float(balance.abs().max()) < 1e-4
 
 

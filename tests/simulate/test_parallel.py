@@ -1,4 +1,7 @@
-"""Simulators spread over workers: the same numbers on any pool, and workers that die cost nothing but time."""
+"""Simulators spread over workers:
+
+the same numbers on any pool, and workers that die cost nothing but time.
+"""
 
 import os
 import re
@@ -48,10 +51,15 @@ def cluster():
     distributed = pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
     import dask
 
-    calm = {"distributed.scheduler.allowed-failures": 0, "distributed.nanny.pre-spawn-environ": {"OMP_NUM_THREADS": "1"}}
+    calm = {
+        "distributed.scheduler.allowed-failures": 0,
+        "distributed.nanny.pre-spawn-environ": {"OMP_NUM_THREADS": "1"},
+    }
     with (
         dask.config.set(calm),
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as workers,
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None
+        ) as workers,
         distributed.Client(workers) as client,
     ):
         yield client.get_executor()
@@ -67,7 +75,9 @@ def lively_pool(workers=1):
 def draws(count):
     source = torch.Generator().manual_seed(4)
     unit = torch.rand(count, 4, generator=source, dtype=torch.float64)
-    low, high = torch.tensor([[100.0, 0.15, 1e3, 0.05], [900.0, 0.35, 2e4, 0.3]], dtype=torch.float64)
+    low, high = torch.tensor(
+        [[100.0, 0.15, 1e3, 0.05], [900.0, 0.35, 2e4, 0.3]], dtype=torch.float64
+    )
     box = low + (high - low) * unit
     return PARAMETERS.pack({"G": box[:, 2], "mu": box[:, 3]}), box[:, :2]
 
@@ -79,7 +89,9 @@ def cursed(count, *where):
 
 
 def identical(one, other):
-    return [name for name in FIELDS if not torch.equal(getattr(one, name), getattr(other, name))] == []
+    return [
+        name for name in FIELDS if not torch.equal(getattr(one, name), getattr(other, name))
+    ] == []
 
 
 POLYTROPIC = (PolytropicSimulator(), 30, 8)
@@ -91,8 +103,13 @@ def work(request):
     """A simulator, a chunk, arguments, and what the simulator says chunk by chunk and all at once."""
     simulator, count, chunk = request.param
     parameters, designs = draws(count)
-    pieces = [simulator(p, d, TIMES) for p, d in zip(parameters.split(chunk), designs.split(chunk), strict=True)]
-    piecewise = type(pieces[0])(*(torch.cat([getattr(piece, name) for piece in pieces]) for name in FIELDS))
+    pieces = [
+        simulator(p, d, TIMES)
+        for p, d in zip(parameters.split(chunk), designs.split(chunk), strict=True)
+    ]
+    piecewise = type(pieces[0])(
+        *(torch.cat([getattr(piece, name) for piece in pieces]) for name in FIELDS)
+    )
     return simulator, chunk, (parameters, designs, TIMES), piecewise
 
 
@@ -111,7 +128,9 @@ def test_the_number_of_workers_changes_no_bit(work, workers):
 def test_the_order_in_which_chunks_return_changes_no_bit(work):
     simulator, chunk, arguments, piecewise = work
     count = -(-len(arguments[0]) // chunk)
-    assert identical(ParallelSimulator(simulator, Backwards(count), chunk=chunk)(*arguments), piecewise)
+    assert identical(
+        ParallelSimulator(simulator, Backwards(count), chunk=chunk)(*arguments), piecewise
+    )
 
 
 def test_a_dask_cluster_gives_the_same_numbers(work, cluster):
@@ -128,7 +147,9 @@ def test_the_chunk_matters_to_rounding_only(work):
 
 def test_batch_shapes_broadcast_and_the_status_is_explained():
     designs = torch.tensor([[[300.0, 0.3]], [[200.0, 0.4]]], dtype=torch.float64)
-    solution = ParallelSimulator(PolytropicSimulator(), Backwards(2), chunk=3)(draws(3)[0], designs, TIMES)
+    solution = ParallelSimulator(PolytropicSimulator(), Backwards(2), chunk=3)(
+        draws(3)[0], designs, TIMES
+    )
     assert solution.radius.shape == (2, 3, 16)
     assert solution.status.shape == solution.steps.shape == (2, 3)
     assert solution.ok.all()
@@ -145,7 +166,11 @@ def test_workers_have_one_thread_each_and_this_process_keeps_its_own(pool):
 
 def test_bundles_are_never_cut_and_stay_in_lock_step(pool):
     parameters, designs = draws(3)
-    bundles = (parameters[:, None] * torch.tensor([1.0, 1.0 + 1e-7], dtype=torch.float64)[:, None], designs[:, None], TIMES)
+    bundles = (
+        parameters[:, None] * torch.tensor([1.0, 1.0 + 1e-7], dtype=torch.float64)[:, None],
+        designs[:, None],
+        TIMES,
+    )
     solution = ParallelSimulator(COARSE, pool, chunk=3).bundle(*bundles)
     expected = COARSE.bundle(*bundles)
     assert solution.radius.shape == (3, 2, 16)
@@ -156,7 +181,9 @@ def test_bundles_are_never_cut_and_stay_in_lock_step(pool):
 def test_derivatives_pass_through():
     parallel = ParallelSimulator(PolytropicSimulator(), Backwards(2), chunk=3)
     parameters, designs = draws(2)
-    _, expected = sensitivities(PolytropicSimulator(), parameters, designs, TIMES, names=("weber", "rest_radius"))
+    _, expected = sensitivities(
+        PolytropicSimulator(), parameters, designs, TIMES, names=("weber", "rest_radius")
+    )
     designs.requires_grad_(True)
     (gradient,) = torch.autograd.grad(parallel(parameters, designs, TIMES).radius.sum(), designs)
     torch.testing.assert_close(gradient, expected.sum(1), rtol=1e-5, atol=1e-6)
@@ -173,14 +200,21 @@ def test_a_worker_that_is_killed_is_replaced_and_its_chunk_done_again(tmp_path):
 def test_a_killed_dask_worker_costs_a_retry(tmp_path, cluster):
     flag = tmp_path / "killed"
     arguments = (*cursed(6, 3), TIMES)
-    assert identical(ParallelSimulator(Lethal(str(flag)), cluster, chunk=2)(*arguments), closed_form(*arguments))
+    assert identical(
+        ParallelSimulator(Lethal(str(flag)), cluster, chunk=2)(*arguments), closed_form(*arguments)
+    )
     assert flag.exists()
 
 
 def test_a_chunk_that_kills_every_worker_is_lost_alone():
     arguments = (*cursed(6, 1), TIMES)
     parallel = ParallelSimulator(Lethal(), lively_pool, chunk=2, retries=0)
-    with parallel, pytest.warns(ConvergenceWarning, match=r"1 of 3 chunks kept failing \(last: BrokenProcessPool"):
+    with (
+        parallel,
+        pytest.warns(
+            ConvergenceWarning, match=r"1 of 3 chunks kept failing \(last: BrokenProcessPool"
+        ),
+    ):
         solution = parallel(*arguments)
     assert solution.status.tolist() == [Status.LOST_WORKER] * 2 + [Status.DONE] * 4
     assert torch.isnan(solution.radius[:2]).all()
@@ -193,7 +227,9 @@ def test_a_chunk_that_keeps_failing_costs_its_members_only():
     parameters[:, PARAMETERS.index(["alpha"])[0]] = -0.1  # no lost worker is blamed on the gel
     with ThreadPoolExecutor(2) as threads:
         parallel = ParallelSimulator(Faulty(MemoryError("too large")), threads, chunk=2)
-        with pytest.warns(ConvergenceWarning, match="1 of 3 chunks kept failing .*MemoryError: too large"):
+        with pytest.warns(
+            ConvergenceWarning, match="1 of 3 chunks kept failing .*MemoryError: too large"
+        ):
             solution = parallel(parameters, designs, TIMES)
     assert solution.status.tolist() == [0, 0, Status.LOST_WORKER, Status.LOST_WORKER, 0, 0]
 
@@ -202,7 +238,9 @@ def test_a_chunk_that_keeps_failing_costs_its_members_only():
 def test_a_passing_fault_is_forgotten(often, recwarn):
     arguments = (*cursed(6, 2), TIMES)
     with ThreadPoolExecutor(1) as threads:
-        solution = ParallelSimulator(Faulty(OSError("no answer"), often), threads, chunk=2, retries=2)(*arguments)
+        solution = ParallelSimulator(
+            Faulty(OSError("no answer"), often), threads, chunk=2, retries=2
+        )(*arguments)
     assert identical(solution, closed_form(*arguments))
     assert len(recwarn) == 0
 
@@ -211,14 +249,19 @@ def test_where_nothing_comes_back_the_reason_is_raised():
     arguments = (*cursed(4, *range(4)), TIMES)
     with (
         ThreadPoolExecutor(1) as threads,
-        pytest.raises(ConvergenceError, match=r"No chunk came back .*RuntimeError: out of order\. .*survive pickling"),
+        pytest.raises(
+            ConvergenceError,
+            match=r"No chunk came back .*RuntimeError: out of order\. .*survive pickling",
+        ),
     ):
         ParallelSimulator(Faulty(RuntimeError("out of order")), threads, chunk=2)(*arguments)
 
 
 def test_a_simulator_that_cannot_be_sent_is_named(pool):
     with pytest.raises(ConvergenceError, match=r"No chunk came back .*[Pp]ickl.*survive pickling"):
-        ParallelSimulator(PolytropicSimulator(terms=(lambda: None,)), pool, chunk=2)(*draws(4), TIMES)
+        ParallelSimulator(PolytropicSimulator(terms=(lambda: None,)), pool, chunk=2)(
+            *draws(4), TIMES
+        )
 
 
 def test_a_wrong_argument_is_an_error_and_no_lost_worker():
@@ -226,11 +269,16 @@ def test_a_wrong_argument_is_an_error_and_no_lost_worker():
         ThreadPoolExecutor(1) as threads,
         pytest.raises(InputDataError, match="too viscous"),
     ):
-        ParallelSimulator(Faulty(InputDataError("too viscous")), threads, chunk=2)(*cursed(6, 2), TIMES)
+        ParallelSimulator(Faulty(InputDataError("too viscous")), threads, chunk=2)(
+            *cursed(6, 2), TIMES
+        )
 
 
 def test_a_pool_of_the_callers_that_breaks_is_an_error_with_its_remedy():
-    with lively_pool() as executor, pytest.raises(UnsupportedError, match=r"partial\(process_pool, 4\)"):
+    with (
+        lively_pool() as executor,
+        pytest.raises(UnsupportedError, match=r"partial\(process_pool, 4\)"),
+    ):
         ParallelSimulator(Lethal(), executor, chunk=2)(*cursed(4, 0), TIMES)
 
 
@@ -256,7 +304,9 @@ def test_a_pool_is_made_once_closed_with_the_simulator_and_made_again():
 def test_progress_counts_chunks():
     lines = []
     with ThreadPoolExecutor(1) as threads:
-        ParallelSimulator(PolytropicSimulator(), threads, chunk=2, progress=lines.append)(*draws(5), TIMES)
+        ParallelSimulator(PolytropicSimulator(), threads, chunk=2, progress=lines.append)(
+            *draws(5), TIMES
+        )
     assert lines == [f"{k} of 3 chunks simulated" for k in (1, 2, 3)]
 
 
@@ -278,7 +328,9 @@ def test_bad_input_is_refused_before_anything_is_sent():
 
 def test_float32_warns_here_and_comes_back_as_float32():
     with ThreadPoolExecutor(1) as threads, pytest.warns(PrecisionWarning):
-        solution = ParallelSimulator(PolytropicSimulator(), threads)(draws(2)[0].float(), draws(2)[1], TIMES)
+        solution = ParallelSimulator(PolytropicSimulator(), threads)(
+            draws(2)[0].float(), draws(2)[1], TIMES
+        )
     assert solution.radius.dtype == torch.float32
 
 

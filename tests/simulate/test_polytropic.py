@@ -1,4 +1,7 @@
-"""The polytropic simulator's contract: batches, what comes out, failures as data, derivatives, bad input."""
+"""The polytropic simulator's contract:
+
+batches, what comes out, failures as data, derivatives, bad input.
+"""
 
 import math
 from collections.abc import Callable
@@ -10,7 +13,15 @@ from torch import Tensor
 
 from imr_torch.errors import InputDataError, PrecisionWarning, ShapeError
 from imr_torch.material import MATERIALS, PARAMETERS
-from imr_torch.simulate import Conditions, PolytropicGas, PolytropicSimulator, Solution, Status, Stepping, broadcast_batch
+from imr_torch.simulate import (
+    Conditions,
+    PolytropicGas,
+    PolytropicSimulator,
+    Solution,
+    Status,
+    Stepping,
+    broadcast_batch,
+)
 from imr_torch.simulate.engines import ENGINES, Engine
 from tests.simulate.bubble import DESIGN, FINE, GEL, gel, gel_of, grid, tensor
 
@@ -23,14 +34,18 @@ BOTH = pytest.mark.parametrize("engine", ENGINES)
 def mixed_batch() -> tuple[Tensor, Tensor, Tensor]:
     parameters = torch.stack([gel_of(model) for model in MATERIALS])
     count = len(parameters)
-    designs = torch.stack((torch.linspace(200.0, 1000.0, count), torch.linspace(0.3, 0.15, count)), dim=-1).to(torch.float64)
+    designs = torch.stack(
+        (torch.linspace(200.0, 1000.0, count), torch.linspace(0.3, 0.15, count)), dim=-1
+    ).to(torch.float64)
     times = torch.stack([grid(1.5 + 0.05 * i, 31) for i in range(count)])
     return parameters, designs, times
 
 
 def assert_same(one: Solution, other: Solution, **tolerance: float) -> None:
     for name in ("times", "radius", "velocity", "bubble_pressure"):
-        torch.testing.assert_close(getattr(one, name), getattr(other, name), equal_nan=True, **tolerance, msg=name)
+        torch.testing.assert_close(
+            getattr(one, name), getattr(other, name), equal_nan=True, **tolerance, msg=name
+        )
     assert torch.equal(one.status, other.status)
 
 
@@ -62,12 +77,16 @@ def test_that_both_engines_give_the_same_solution() -> None:
 def test_that_the_order_of_a_batch_does_not_matter(engine: Engine) -> None:
     parameters, designs, times = mixed_batch()
     forward = PolytropicSimulator(engine=engine)(parameters, designs, times)
-    backward = PolytropicSimulator(engine=engine)(parameters.flip(0), designs.flip(0), times.flip(0))
+    backward = PolytropicSimulator(engine=engine)(
+        parameters.flip(0), designs.flip(0), times.flip(0)
+    )
     torch.testing.assert_close(backward.radius.flip(0), forward.radius, rtol=0.0, atol=1e-12)
 
 
 @BOTH
-def test_that_a_batch_wider_than_a_block_is_its_members(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_that_a_batch_wider_than_a_block_is_its_members(
+    engine: Engine, monkeypatch: pytest.MonkeyPatch
+) -> None:
     parameters, designs, times = mixed_batch()
     whole = PolytropicSimulator(engine=engine)(parameters, designs, times)
     monkeypatch.setattr("imr_torch.simulate.polytropic._BATCH", 2)
@@ -87,43 +106,62 @@ def test_that_a_batch_wider_than_a_block_is_its_members(engine: Engine, monkeypa
         ((3, 1), (2,), (3, 1), (3, 2)),
     ],
 )
-def test_that_batch_shapes_broadcast(engine: Engine, parameters: tuple, designs: tuple, times: tuple, batch: tuple) -> None:
+def test_that_batch_shapes_broadcast(
+    engine: Engine, parameters: tuple, designs: tuple, times: tuple, batch: tuple
+) -> None:
     source = torch.Generator().manual_seed(0)
-    p = gel(G=5e3, mu=0.1) * (1.0 + 0.1 * torch.rand(*parameters, 1, generator=source, dtype=torch.float64))
-    d = tensor(*DESIGN) * (1.0 + 0.1 * torch.rand(*designs, 1, generator=source, dtype=torch.float64))
-    t = grid(2.0, 9)[1:] * (1.0 + 0.1 * torch.rand(*times, 1, generator=source, dtype=torch.float64))
+    p = gel(G=5e3, mu=0.1) * (
+        1.0 + 0.1 * torch.rand(*parameters, 1, generator=source, dtype=torch.float64)
+    )
+    d = tensor(*DESIGN) * (
+        1.0 + 0.1 * torch.rand(*designs, 1, generator=source, dtype=torch.float64)
+    )
+    t = grid(2.0, 9)[1:] * (
+        1.0 + 0.1 * torch.rand(*times, 1, generator=source, dtype=torch.float64)
+    )
     solution = PolytropicSimulator(engine=engine)(p, d, t)
     for name in ("times", "radius", "velocity", "bubble_pressure"):
         assert getattr(solution, name).shape == (*batch, 8)
     assert solution.status.shape == solution.steps.shape == solution.ok.shape == torch.Size(batch)
-    flat = PolytropicSimulator(engine=engine)(*(x.expand(*batch, x.shape[-1]).reshape(-1, x.shape[-1]) for x in (p, d, t)))
+    flat = PolytropicSimulator(engine=engine)(
+        *(x.expand(*batch, x.shape[-1]).reshape(-1, x.shape[-1]) for x in (p, d, t))
+    )
     torch.testing.assert_close(solution.radius.reshape(-1, 8), flat.radius, rtol=0.0, atol=1e-12)
 
 
 @BOTH
 def test_that_the_frames_asked_for_do_not_change_the_bubble(engine: Engine) -> None:
-    sparse, dense = grid(3.0, 7), grid(3.0, 601)
-    one, other = (PolytropicSimulator(engine=engine)(gel(**GEL), tensor(*DESIGN), t).radius for t in (sparse, dense))
-    torch.testing.assert_close(one, other[::100], rtol=0.0, atol=1e-13)
-    assert float(PolytropicSimulator(engine=engine)(gel(**GEL), tensor(*DESIGN), tensor(1.5)).radius) == pytest.approx(
-        float(other[300])
+    sparse = grid(3.0, 7)
+    dense = grid(3.0, 601)
+    one, other = (
+        PolytropicSimulator(engine=engine)(gel(**GEL), tensor(*DESIGN), t).radius
+        for t in (sparse, dense)
     )
+    torch.testing.assert_close(one, other[::100], rtol=0.0, atol=1e-13)
+    assert float(
+        PolytropicSimulator(engine=engine)(gel(**GEL), tensor(*DESIGN), tensor(1.5)).radius
+    ) == pytest.approx(float(other[300]))
 
 
 @BOTH
 def test_that_frames_just_before_the_maximum_see_the_bubble_grow(engine: Engine) -> None:
     times = tensor(-0.02, -0.01, 0.0, 0.01, 0.02)
-    radius = PolytropicSimulator(engine=engine, stepping=FINE)(gel(**GEL), tensor(*DESIGN), times).radius
+    radius = PolytropicSimulator(engine=engine, stepping=FINE)(
+        gel(**GEL), tensor(*DESIGN), times
+    ).radius
     assert float(radius[2]) == 1.0
     torch.testing.assert_close(radius[:2], radius[3:].flip(0), rtol=0.0, atol=1e-4)
     assert bool((radius[:2] < 1.0).all())
 
 
 @BOTH
-def test_that_nothing_given_is_changed_and_the_same_call_gives_the_same_bits(engine: Engine) -> None:
+def test_that_nothing_given_is_changed_and_the_same_call_gives_the_same_bits(
+    engine: Engine,
+) -> None:
     given = mixed_batch()
     copies = [x.clone() for x in given]
-    one, other = PolytropicSimulator(engine=engine)(*given), PolytropicSimulator(engine=engine)(*given)
+    one = PolytropicSimulator(engine=engine)(*given)
+    other = PolytropicSimulator(engine=engine)(*given)
     assert all(torch.equal(a, b) for a, b in zip(given, copies, strict=True))
     assert_same(one, other, rtol=0.0, atol=0.0)
 
@@ -133,10 +171,12 @@ def test_that_nothing_given_is_changed_and_the_same_call_gives_the_same_bits(eng
 
 def test_that_velocity_is_the_time_derivative_of_radius() -> None:
     """By the five-point difference, in five-frame groups as close as 2e-4 about each time."""
-    h, offsets = 2e-4, tensor(-2.0, -1.0, 0.0, 1.0, 2.0)
+    h = 2e-4
+    offsets = tensor(-2.0, -1.0, 0.0, 1.0, 2.0)
     times = (grid(2.0, 101)[1:, None] + h * offsets).reshape(-1)
     solution = PolytropicSimulator(stepping=FINE)(gel(**GEL), tensor(1000.0, 0.4), times)
-    r, velocity = solution.radius.reshape(-1, 5), solution.velocity.reshape(-1, 5)[:, 2]
+    r = solution.radius.reshape(-1, 5)
+    velocity = solution.velocity.reshape(-1, 5)[:, 2]
     slope = (8.0 * (r[:, 3] - r[:, 1]) - (r[:, 4] - r[:, 0])) / (12.0 * h)
     assert float((slope - velocity).abs().max()) < 1e-6 * float(velocity.abs().max())
 
@@ -174,9 +214,17 @@ def failing_batch() -> Tensor:
 
 
 @BOTH
-def test_that_a_failing_member_is_named_and_its_neighbours_are_not_disturbed(engine: Engine) -> None:
+def test_that_a_failing_member_is_named_and_its_neighbours_are_not_disturbed(
+    engine: Engine,
+) -> None:
     solution = PolytropicSimulator(engine=engine)(failing_batch(), tensor(*DESIGN), grid())
-    assert solution.status.tolist() == [Status.DONE, Status.NON_FINITE, Status.DONE, Status.RUNAWAY, Status.DONE]
+    assert solution.status.tolist() == [
+        Status.DONE,
+        Status.NON_FINITE,
+        Status.DONE,
+        Status.RUNAWAY,
+        Status.DONE,
+    ]
     assert solution.ok.tolist() == [True, False, True, False, True]
     alone = PolytropicSimulator(engine=engine)(gel(**GEL), tensor(*DESIGN), grid())
     for i in (0, 2, 4):
@@ -197,7 +245,9 @@ def test_that_running_out_of_steps_says_so_and_gives_what_was_reached(engine: En
     known = torch.isfinite(solution.radius)
     assert 1 < int(known.sum()) < 101
     assert not bool(known.diff().to(torch.int8).sum() > 1)
-    full = PolytropicSimulator(engine=engine, stepping=Stepping(0.1))(gel(**GEL), tensor(*DESIGN), grid(10.0, 101))
+    full = PolytropicSimulator(engine=engine, stepping=Stepping(0.1))(
+        gel(**GEL), tensor(*DESIGN), grid(10.0, 101)
+    )
     torch.testing.assert_close(solution.radius[known], full.radius[known], rtol=0.0, atol=1e-12)
 
 
@@ -213,16 +263,24 @@ def test_that_one_member_out_of_steps_does_not_stop_the_others(engine: Engine) -
 
 @BOTH
 def test_that_a_member_that_fails_at_a_coarse_step_is_saved_by_a_finer_one(engine: Engine) -> None:
-    """Without a gel and from twenty times its rest radius: the longest step loses the wall, half of it does not."""
-    parameters, designs = torch.stack((gel(**GEL), gel())), tensor([1000.0, 0.2], [1000.0, 0.05])
+    """Without a gel and from twenty times its rest radius:
+
+    the longest step loses the wall, half of it does not.
+    """
+    parameters = torch.stack((gel(**GEL), gel()))
+    designs = tensor([1000.0, 0.2], [1000.0, 0.05])
     once, again = (
-        PolytropicSimulator(engine=engine, stepping=Stepping(0.5, retries=retries))(parameters, designs, grid(1.0, 11))
+        PolytropicSimulator(engine=engine, stepping=Stepping(0.5, retries=retries))(
+            parameters, designs, grid(1.0, 11)
+        )
         for retries in (0, 3)
     )
     assert once.ok.tolist() == [True, False]
     assert again.ok.tolist() == [True, True]
     assert torch.equal(once.radius[0], again.radius[0])
-    exact = PolytropicSimulator(engine=engine, stepping=FINE)(parameters[1], designs[1], grid(1.0, 11))
+    exact = PolytropicSimulator(engine=engine, stepping=FINE)(
+        parameters[1], designs[1], grid(1.0, 11)
+    )
     torch.testing.assert_close(again.radius[1, :9], exact.radius[:9], rtol=0.0, atol=2e-2)
 
 
@@ -235,7 +293,9 @@ def test_that_memory_that_fades_within_a_step_is_followed_at_the_limit_of_stabil
     springs = {"tau": {"G": 5e3}, "tau_ucm": {}, "tau_sns": {"G": 5e3}, "tau_sls": {"G_lin": 5e3}}
     gels = torch.stack([gel(mu=0.1, **{name: 4e-7}, **spring) for name, spring in springs.items()])
     coarse, fine = (
-        PolytropicSimulator(engine=chosen, stepping=stepping)(gels, tensor(400.0, 0.2), grid(1.5, 31))
+        PolytropicSimulator(engine=chosen, stepping=stepping)(
+            gels, tensor(400.0, 0.2), grid(1.5, 31)
+        )
         for chosen, stepping in ((engine, Stepping(step, retries=0)), ("compiled", FINE))
     )
     assert bool(coarse.ok.all())
@@ -258,8 +318,11 @@ def differentiable() -> tuple[Tensor, Tensor, Tensor]:
 def test_that_autograd_is_the_finite_difference(model: str) -> None:
     """Of a randomly weighted sum of radii over each of the model's parameters and each part of the design."""
     _, designs, times = differentiable()
-    parameters, simulator = gel_of(model), PolytropicSimulator(stepping=Stepping(0.1))
-    weight = torch.randn(len(times), generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    parameters = gel_of(model)
+    simulator = PolytropicSimulator(stepping=Stepping(0.1))
+    weight = torch.randn(
+        len(times), generator=torch.Generator().manual_seed(0), dtype=torch.float64
+    )
     base = [parameters.requires_grad_(), designs.requires_grad_()]
     total = (simulator(*base, times).radius * weight).sum()
     slopes = torch.cat(torch.autograd.grad(total, base))
@@ -288,7 +351,9 @@ def test_that_a_failed_member_does_not_spoil_the_gradient_of_the_others() -> Non
     solution = PolytropicSimulator()(batch, designs, times)
     (together,) = torch.autograd.grad(solution.radius[solution.ok].sum(), batch)
     alone = parameters.clone().requires_grad_()
-    (expected,) = torch.autograd.grad(PolytropicSimulator()(alone, designs, times).radius.sum(), alone)
+    (expected,) = torch.autograd.grad(
+        PolytropicSimulator()(alone, designs, times).radius.sum(), alone
+    )
     torch.testing.assert_close(together[0], expected, rtol=1e-9, atol=0.0)
     torch.testing.assert_close(together[2], expected, rtol=1e-9, atol=0.0)
 
@@ -305,7 +370,9 @@ def test_that_float32_warns_and_still_computes() -> None:
 
 
 def test_that_broadcast_batch_flattens_and_names_the_batch() -> None:
-    shape, parameters, designs, times = broadcast_batch(gel().expand(2, 1, -1), tensor(*DESIGN).expand(3, -1), grid(1.0, 5))
+    shape, parameters, designs, times = broadcast_batch(
+        gel().expand(2, 1, -1), tensor(*DESIGN).expand(3, -1), grid(1.0, 5)
+    )
     assert shape == (2, 3)
     assert (parameters.shape[0], designs.shape[0], times.shape[0]) == (6, 6, 6)
 
@@ -313,27 +380,95 @@ def test_that_broadcast_batch_flattens_and_names_the_batch() -> None:
 @pytest.mark.parametrize(
     ("parameters", "designs", "times", "error", "message"),
     [
-        (gel()[:-1], tensor(*DESIGN), grid(), ShapeError, r"parameters has shape .*expected batch_shape x .*PARAMETERS.pack"),
-        (gel(), tensor(1000.0), grid(), ShapeError, r"designs has shape \(1,\); expected batch_shape x 2"),
+        (
+            gel()[:-1],
+            tensor(*DESIGN),
+            grid(),
+            ShapeError,
+            r"parameters has shape .*expected batch_shape x .*PARAMETERS.pack",
+        ),
+        (
+            gel(),
+            tensor(1000.0),
+            grid(),
+            ShapeError,
+            r"designs has shape \(1,\); expected batch_shape x 2",
+        ),
         (gel(), tensor(*DESIGN, 1.0), grid(), ShapeError, r"designs has shape \(3,\)"),
         (gel(), tensor(*DESIGN), tensor(1.0)[0], ShapeError, r"times has shape \(\); expected n_t"),
         (gel(), tensor(*DESIGN), tensor(), ShapeError, r"times has shape \(0,\)"),
-        (gel().repeat(2, 1), tensor(*DESIGN).repeat(3, 1), grid(), ShapeError, r"Batch shapes do not broadcast"),
-        (gel(), tensor(-1.0, 0.2), grid(), InputDataError, r"Design \(We, R_inf\*\) = \(-1, 0.2\): expected We > 0"),
+        (
+            gel().repeat(2, 1),
+            tensor(*DESIGN).repeat(3, 1),
+            grid(),
+            ShapeError,
+            r"Batch shapes do not broadcast",
+        ),
+        (
+            gel(),
+            tensor(-1.0, 0.2),
+            grid(),
+            InputDataError,
+            r"Design \(We, R_inf\*\) = \(-1, 0.2\): expected We > 0",
+        ),
         (gel(), tensor(0.0, 0.2), grid(), InputDataError, r"expected We > 0"),
-        (gel(), tensor(math.nan, 0.2), grid(), InputDataError, r"Design \(We, R_inf\*\) = \(nan, 0.2\)"),
-        (gel(), tensor(math.inf, 0.2), grid(), InputDataError, r"Design \(We, R_inf\*\) = \(inf, 0.2\)"),
+        (
+            gel(),
+            tensor(math.nan, 0.2),
+            grid(),
+            InputDataError,
+            r"Design \(We, R_inf\*\) = \(nan, 0.2\)",
+        ),
+        (
+            gel(),
+            tensor(math.inf, 0.2),
+            grid(),
+            InputDataError,
+            r"Design \(We, R_inf\*\) = \(inf, 0.2\)",
+        ),
         (gel(), tensor(1000.0, 1.0), grid(), InputDataError, r"0 < R_inf\* < 1"),
         (gel(), tensor(1000.0, 0.0), grid(), InputDataError, r"0 < R_inf\* < 1"),
         (gel(), tensor(1000.0, math.nan), grid(), InputDataError, r"0 < R_inf\* < 1"),
-        (gel(), tensor(*DESIGN), tensor(0.0, math.nan, 1.0), InputDataError, r"times holds a value that is not finite"),
-        (gel(), tensor(*DESIGN), tensor(0.0, math.inf), InputDataError, r"times holds a value that is not finite"),
-        (gel(), tensor(*DESIGN), tensor(0.0, 1.0, 1.0), InputDataError, r"times of batch member 0 do not increase"),
-        (gel(), tensor(*DESIGN), tensor([0.0, 1.0], [1.0, 0.5]), InputDataError, r"times of batch member 1 do not increase"),
-        (gel(), tensor(*DESIGN), tensor(-0.6, 1.0), InputDataError, r"times start at -0.6; .*growth is not simulated"),
+        (
+            gel(),
+            tensor(*DESIGN),
+            tensor(0.0, math.nan, 1.0),
+            InputDataError,
+            r"times holds a value that is not finite",
+        ),
+        (
+            gel(),
+            tensor(*DESIGN),
+            tensor(0.0, math.inf),
+            InputDataError,
+            r"times holds a value that is not finite",
+        ),
+        (
+            gel(),
+            tensor(*DESIGN),
+            tensor(0.0, 1.0, 1.0),
+            InputDataError,
+            r"times of batch member 0 do not increase",
+        ),
+        (
+            gel(),
+            tensor(*DESIGN),
+            tensor([0.0, 1.0], [1.0, 0.5]),
+            InputDataError,
+            r"times of batch member 1 do not increase",
+        ),
+        (
+            gel(),
+            tensor(*DESIGN),
+            tensor(-0.6, 1.0),
+            InputDataError,
+            r"times start at -0.6; .*growth is not simulated",
+        ),
     ],
 )
-def test_that_bad_input_is_named(parameters: Tensor, designs: Tensor, times: Tensor, error: type, message: str) -> None:
+def test_that_bad_input_is_named(
+    parameters: Tensor, designs: Tensor, times: Tensor, error: type, message: str
+) -> None:
     with pytest.raises(error, match=message):
         PolytropicSimulator()(parameters, designs, times)
 
@@ -341,7 +476,10 @@ def test_that_bad_input_is_named(parameters: Tensor, designs: Tensor, times: Ten
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: PolytropicGas(0.9), r"PolytropicGas.exponent is 0.9; expected 1 \(isothermal\) to 5/3"),
+        (
+            lambda: PolytropicGas(0.9),
+            r"PolytropicGas.exponent is 0.9; expected 1 \(isothermal\) to 5/3",
+        ),
         (lambda: PolytropicGas(math.nan), r"PolytropicGas.exponent is nan"),
         (lambda: PolytropicGas(reference="start"), r"PolytropicGas.reference is 'start'"),  # type: ignore[arg-type]
         (lambda: Stepping(0.0), r"Stepping.step is 0.0; expected above 0 and at most 0.5"),
@@ -359,7 +497,9 @@ def test_that_bad_options_are_named(call: Callable[[], object], message: str) ->
 def test_a_follower_that_needs_a_little_longer_than_its_leader_gets_there(engine: Engine):
     gel = PARAMETERS.pack({"G": 8e3, "mu": 0.08}).expand(2, -1)
     designs = torch.tensor([[400.0, 0.2]], dtype=torch.float64).expand(2, -1)
-    times = torch.linspace(0.0, 2.0, 21, dtype=torch.float64) * torch.tensor([[1.0], [1.4]], dtype=torch.float64)
+    times = torch.linspace(0.0, 2.0, 21, dtype=torch.float64) * torch.tensor(
+        [[1.0], [1.4]], dtype=torch.float64
+    )
     alone = PolytropicSimulator(engine=engine)(gel, designs, times)
     enough = int(alone.steps[0])
     assert int(alone.steps[1]) > enough

@@ -20,34 +20,63 @@ SCENES = {
     "qKV large alpha": (Conditions(), {"G": 3e3, "mu": 0.1, "alpha": 3.0}, (1500.0, 0.3)),
     "overdamped": (Conditions(), {"G": 1e4, "mu": 3.0}, (300.0, 0.2)),
     "no gel": (Conditions(gas=PolytropicGas(1.4, vapour=False)), {}, (1000.0, 0.3)),
-    "isothermal, anchored at rest": (Conditions(gas=PolytropicGas(1.0, "rest")), GEL, (1000.0, 0.2)),
-    "other liquid": (Conditions(Surroundings(8e4, 900.0, 0.03, 310.0, 1200.0), PolytropicGas(1.2)), GEL, (500.0, 0.2)),
+    "isothermal, anchored at rest": (
+        Conditions(gas=PolytropicGas(1.0, "rest")),
+        GEL,
+        (1000.0, 0.2),
+    ),
+    "other liquid": (
+        Conditions(Surroundings(8e4, 900.0, 0.03, 310.0, 1200.0), PolytropicGas(1.2)),
+        GEL,
+        (500.0, 0.2),
+    ),
 }
 
 
 @pytest.mark.parametrize(("conditions", "values", "design"), SCENES.values(), ids=SCENES.keys())
-def test_that_the_solution_is_scipys(conditions: Conditions, values: dict[str, float], design: tuple[float, float]) -> None:
+def test_that_the_solution_is_scipys(
+    conditions: Conditions, values: dict[str, float], design: tuple[float, float]
+) -> None:
     times = grid(3.0, 121)
     expected = Reference(conditions, **values).solve(*design, times.numpy())
     solution = PolytropicSimulator(conditions, FINE)(gel(**values), tensor(*design), times)
     assert bool(solution.ok)
     torch.testing.assert_close(solution.radius, torch.tensor(expected[0]), rtol=0.0, atol=1e-6)
     scale = float(np.abs(expected[1]).max())
-    torch.testing.assert_close(solution.velocity, torch.tensor(expected[1]), rtol=0.0, atol=1e-4 * scale)
+    torch.testing.assert_close(
+        solution.velocity, torch.tensor(expected[1]), rtol=0.0, atol=1e-4 * scale
+    )
 
 
 def test_that_the_default_step_is_good_to_the_floor_of_the_noise() -> None:
-    """A tenth of a thousandth of Rmax, for both reference gels over designs: twenty times below the noise floor of .002."""
+    """A tenth of a thousandth of Rmax, for both reference gels over designs:
+
+    twenty times below the noise floor of .002.
+    """
     for values in (GEL, {"G": 8310.0, "mu": 0.093}):
         designs = torch.cartesian_prod(tensor(100.0, 400.0, 1000.0), tensor(0.1, 0.2, 0.3))
-        coarse, fine = (PolytropicSimulator(stepping=s)(gel(**values), designs, grid()) for s in (Stepping(), FINE))
+        coarse, fine = (
+            PolytropicSimulator(stepping=s)(gel(**values), designs, grid())
+            for s in (Stepping(), FINE)
+        )
         assert float((coarse.radius - fine.radius).abs().max()) < 1e-4
 
 
 def test_that_named_steppings_are_ordered_by_their_error() -> None:
-    exact = PolytropicSimulator(stepping=Stepping(0.02, max_steps=100_000))(gel(**GEL), tensor(*DESIGN), grid()).radius
+    exact = PolytropicSimulator(stepping=Stepping(0.02, max_steps=100_000))(
+        gel(**GEL), tensor(*DESIGN), grid()
+    ).radius
     errors = [
-        float((PolytropicSimulator(stepping=STEPPINGS[k])(gel(**GEL), tensor(*DESIGN), grid()).radius - exact).abs().max())
+        float(
+            (
+                PolytropicSimulator(stepping=STEPPINGS[k])(
+                    gel(**GEL), tensor(*DESIGN), grid()
+                ).radius
+                - exact
+            )
+            .abs()
+            .max()
+        )
         for k in ("reference", "default", "fast")
     ]
     assert errors == sorted(errors)
@@ -57,9 +86,12 @@ def test_that_named_steppings_are_ordered_by_their_error() -> None:
 @pytest.mark.parametrize("design", [(1000.0, 0.3), (300.0, 0.2)])
 def test_that_halving_the_step_divides_the_error_by_sixteen(design: tuple[float, float]) -> None:
     def radius(step: float) -> Tensor:
-        return PolytropicSimulator(stepping=Stepping(step, 10**6, retries=0))(gel(**GEL), tensor(*design), grid(2.0, 41)).radius
+        return PolytropicSimulator(stepping=Stepping(step, 10**6, retries=0))(
+            gel(**GEL), tensor(*design), grid(2.0, 41)
+        ).radius
 
-    exact, steps = radius(0.0075), (0.24, 0.12, 0.06, 0.03)
+    exact = radius(0.0075)
+    steps = (0.24, 0.12, 0.06, 0.03)
     errors = [float((radius(step) - exact).norm()) for step in steps]
     slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]
     assert slope == pytest.approx(4.0, abs=0.35)
@@ -90,13 +122,18 @@ def imrv2(shared: Path) -> tuple[dict, list[dict], dict[str, np.ndarray], dict[s
     for case in cases:
         conditions, values, design, times = imrv2_setting(document["constants"], case)
         simulator = PolytropicSimulator(conditions, STEPPINGS["reference"])
-        ours[case["id"]] = simulator(gel(**values), tensor(*design), torch.tensor(times)).radius.numpy()
+        ours[case["id"]] = simulator(
+            gel(**values), tensor(*design), torch.tensor(times)
+        ).radius.numpy()
     return document["constants"], cases, curves, ours
 
 
-def imrv2_setting(constants: dict, case: dict) -> tuple[Conditions, dict[str, float], tuple[float, float], np.ndarray]:
+def imrv2_setting(
+    constants: dict, case: dict
+) -> tuple[Conditions, dict[str, float], tuple[float, float], np.ndarray]:
     """Conditions, gel, design and times of one of their configurations; their quadratic model is qKV term by term:
-    ``(3a-1)(5-4x-x^4)/2 + 2a (27/40 + x^8/8 + x^5/5 + x^2 - 2/x)`` sums to our ``177/20 + ...`` at ``alpha = a``.
+    ``(3a-1)(5-4x-x^4)/2 + 2a (27/40 + x^8/8 + x^5/5 + x^2 - 2/x)`` sums to our ``177/20 + ...`` at
+    ``alpha = a``.
     """
     c = case["configuration"]
     surroundings = Surroundings(
@@ -106,8 +143,15 @@ def imrv2_setting(constants: dict, case: dict) -> tuple[Conditions, dict[str, fl
         constants["far_field_temperature_k"],
         constants["sound_speed_m_per_s"],
     )
-    conditions = Conditions(surroundings, PolytropicGas(constants["ratio_of_specific_heats"], "rest", c["vapour_pressure"]))
-    names = {"G": "shear_modulus_pa", "mu": "viscosity_pa_s", "alpha": "strain_stiffening_coefficient"}
+    conditions = Conditions(
+        surroundings,
+        PolytropicGas(constants["ratio_of_specific_heats"], "rest", c["vapour_pressure"]),
+    )
+    names = {
+        "G": "shear_modulus_pa",
+        "mu": "viscosity_pa_s",
+        "alpha": "strain_stiffening_coefficient",
+    }
     values = {ours: c[theirs] or 0.0 for ours, theirs in names.items()}
     top = c["initial_radius_m"]
     times = np.linspace(0.0, c["final_time_s"], c["number_of_times"]) / surroundings.time_scale(top)
@@ -119,19 +163,29 @@ def relative(curve: np.ndarray, reference: np.ndarray) -> float:
 
 
 def test_that_imrv2_curves_are_met_up_to_their_known_departure(imrv2) -> None:
-    """Their pressure rate counts the vapour as a gas; each case records what the textbook term makes of its curve."""
+    """Their pressure rate counts the vapour as a gas;
+
+    each case records what the textbook term makes of its curve.
+    """
     _, cases, curves, ours = imrv2
     for case in cases:
         recorded = case["tolerance"]["deviation_if_textbook_term"]["vapour_in_pressure_rate"]
-        assert relative(ours[case["id"]], curves[case["id"]]) == pytest.approx(recorded, rel=0.05), case["id"]
+        assert relative(ours[case["id"]], curves[case["id"]]) == pytest.approx(
+            recorded, rel=0.05
+        ), case["id"]
 
 
 def test_that_imrv2_curves_are_met_exactly_with_their_departure_put_in(imrv2) -> None:
-    """Closes the ring: SciPy with their pressure rate is on their curves, SciPy without it is on ours."""
+    """Closes the ring:
+
+    SciPy with their pressure rate is on their curves, SciPy without it is on ours.
+    """
     constants, cases, curves, ours = imrv2
     for case in cases:
         conditions, values, design, times = imrv2_setting(constants, case)
-        theirs = Reference(conditions, **values, vapour_stiffens=True).solve(*design, times, rtol=1e-9)[0]
+        theirs = Reference(conditions, **values, vapour_stiffens=True).solve(
+            *design, times, rtol=1e-9
+        )[0]
         assert relative(theirs, curves[case["id"]]) < 2e-5, case["id"]
         textbook = Reference(conditions, **values).solve(*design, times, rtol=1e-9)[0]
         assert relative(ours[case["id"]], textbook) < 1e-5, case["id"]

@@ -1,4 +1,7 @@
-"""Bubbles by SciPy: they agree with the toolkit's own solvers, and the finite-difference grid with the spectral one."""
+"""Bubbles by SciPy:
+
+they agree with the toolkit's own solvers, and the finite-difference grid with the spectral one.
+"""
 
 from dataclasses import replace
 
@@ -39,27 +42,40 @@ def gel(name="qKV"):
     ("name", "conditions", "method", "rtol"),
     [
         ("qKV", Conditions(), "BDF", 1e-5),
-        ("NHKV", Conditions(medium=Medium(capacity_of="gas_wall"), stress_acceleration=False), "BDF", 1e-5),
+        (
+            "NHKV",
+            Conditions(medium=Medium(capacity_of="gas_wall"), stress_acceleration=False),
+            "BDF",
+            1e-5,
+        ),
         ("standard linear solid", Conditions(mixture=GasMixture(vapour="constant")), "Radau", 1e-4),
     ],
     ids=["qKV, published", "NHKV, authors' code", "memory, constant vapour, Radau"],
 )
 def test_transport_agrees_with_the_toolkits_solver(name, conditions, method, rtol):
     ours = TransportSimulator(conditions, Accuracy(1e-6, FEW))(gel(name), DESIGN, TIMES)
-    scipy = ScipySimulator(conditions, resolution=FEW, method=method, rtol=rtol, atol=1e-2 * rtol)(gel(name), DESIGN, TIMES)
+    scipy = ScipySimulator(conditions, resolution=FEW, method=method, rtol=rtol, atol=1e-2 * rtol)(
+        gel(name), DESIGN, TIMES
+    )
     assert ours.ok.all()
     assert scipy.ok.all()
     assert int(scipy.steps) > 50
     torch.testing.assert_close(scipy.radius, ours.radius, rtol=0.0, atol=2e-4)
     torch.testing.assert_close(scipy.bubble_pressure, ours.bubble_pressure, rtol=5e-3, atol=0.0)
-    assert float((scipy.velocity - ours.velocity).abs().max()) < 5e-3 * float(ours.velocity.abs().max())
+    assert float((scipy.velocity - ours.velocity).abs().max()) < 5e-3 * float(
+        ours.velocity.abs().max()
+    )
 
 
 @pytest.mark.parametrize("name", GELS)
 def test_polytropic_agrees_to_eight_digits(name):
     conditions = Conditions(driving=SineDriving(2e4, 2e4)) if name == "qKV" else Conditions()
-    ours = PolytropicSimulator(conditions, Stepping(0.015, max_steps=10**5))(gel(name), DESIGN, TIMES)
-    scipy = ScipySimulator(conditions, "polytropic", method="LSODA", rtol=1e-11, atol=1e-13)(gel(name), DESIGN, TIMES)
+    ours = PolytropicSimulator(conditions, Stepping(0.015, max_steps=10**5))(
+        gel(name), DESIGN, TIMES
+    )
+    scipy = ScipySimulator(conditions, "polytropic", method="LSODA", rtol=1e-11, atol=1e-13)(
+        gel(name), DESIGN, TIMES
+    )
     assert ours.ok.all()
     assert scipy.ok.all()
     torch.testing.assert_close(scipy.radius, ours.radius, rtol=0.0, atol=1e-8)
@@ -86,7 +102,9 @@ def test_scipy_on_finite_differences_shares_neither_time_nor_space_with_the_defa
     grid = Resolution(24, 24, kind="finite_difference")
     times = TIMES[:28]
     other = ScipySimulator(resolution=grid, rtol=1e-5, atol=1e-7)(gel(), DESIGN, times)
-    assert float((other.radius - TransportSimulator()(gel(), DESIGN, times).radius).abs().max()) < 5e-3
+    assert (
+        float((other.radius - TransportSimulator()(gel(), DESIGN, times).radius).abs().max()) < 5e-3
+    )
 
 
 def test_batches_broadcast_and_number_types_follow():
@@ -115,12 +133,24 @@ def test_a_bubble_that_scipy_cannot_do_has_a_status_and_the_rest_goes_on(method)
 @pytest.mark.parametrize(
     ("make", "error", "text"),
     [
-        (lambda: ScipySimulator(physics="adiabatic"), InputDataError, "expected 'transport' or 'polytropic'"),
-        (lambda: ScipySimulator(method="Euler"), InputDataError, "expected 'Radau', 'BDF' or 'LSODA'"),
+        (
+            lambda: ScipySimulator(physics="adiabatic"),
+            InputDataError,
+            "expected 'transport' or 'polytropic'",
+        ),
+        (
+            lambda: ScipySimulator(method="Euler"),
+            InputDataError,
+            "expected 'Radau', 'BDF' or 'LSODA'",
+        ),
         (lambda: ScipySimulator(rtol=0.0), InputDataError, "rtol 0.0"),
         (lambda: ScipySimulator()(gel(), DESIGN, TIMES - 0.1), InputDataError, "from t\\* = 0 on"),
         (lambda: ScipySimulator()(gel(), DESIGN[:1], TIMES), ShapeError, "batch_shape x 2"),
-        (lambda: ScipySimulator()(gel().requires_grad_(True), DESIGN, TIMES), UnsupportedError, "no gradients"),
+        (
+            lambda: ScipySimulator()(gel().requires_grad_(True), DESIGN, TIMES),
+            UnsupportedError,
+            "no gradients",
+        ),
         (lambda: ScipySimulator().bundle(gel(), DESIGN, TIMES), UnsupportedError, "lock step"),
     ],
 )

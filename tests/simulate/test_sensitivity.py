@@ -1,4 +1,7 @@
-"""Sensitivities of R*(t) against differences of separate solves, autograd, linearity; bundles and their failures."""
+"""Sensitivities of R*(t) against differences of separate solves, autograd, linearity;
+
+bundles and their failures.
+"""
 
 from dataclasses import replace
 
@@ -38,14 +41,16 @@ SIMULATORS = [
 
 def gels(count: int) -> tuple[Tensor, Tensor]:
     random = torch.Generator().manual_seed(3)
-    low, high = torch.tensor([100.0, 0.14]), torch.tensor([1000.0, 0.30])
+    low = torch.tensor([100.0, 0.14])
+    high = torch.tensor([1000.0, 0.30])
     designs = low + (high - low) * torch.rand(count, 2, generator=random, dtype=torch.float64)
     return reference_case("stiff-pa").prior.sample(count, seed=3).parameters, designs
 
 
 def joined(parameters: Tensor, designs: Tensor, moves: Tensor) -> tuple[Tensor, Tensor]:
     """Parameters and designs moved by ``moves`` in the order of ``NAMES``."""
-    parameters, designs = parameters.expand(*moves.shape[:-1], -1).clone(), designs.expand(*moves.shape[:-1], -1)
+    parameters = parameters.expand(*moves.shape[:-1], -1).clone()
+    designs = designs.expand(*moves.shape[:-1], -1)
     parameters[..., PARAMETERS.index(NAMES[:3])] += moves[..., :3]
     return parameters, designs + moves[..., 3:]
 
@@ -55,7 +60,11 @@ def relative(found: Tensor, expected: Tensor) -> float:
     return float(((found - expected).abs().amax(-2) / expected.abs().amax(-2)).max())
 
 
-@pytest.mark.parametrize("simulator", [FINE, PolytropicSimulator(stepping=Stepping(0.03))], ids=["transport", "polytropic"])
+@pytest.mark.parametrize(
+    "simulator",
+    [FINE, PolytropicSimulator(stepping=Stepping(0.03))],
+    ids=["transport", "polytropic"],
+)
 def test_that_they_are_the_differences_of_separate_fine_solves(simulator: Simulator) -> None:
     parameters, designs = gels(1)
     _, jacobian = sensitivities(simulator, parameters, designs, TIMES, names=NAMES)
@@ -68,14 +77,19 @@ def test_that_they_are_the_differences_of_separate_fine_solves(simulator: Simula
 def test_that_the_default_accuracy_gives_them_to_two_percent() -> None:
     parameters, designs = gels(6)
     _, jacobian = sensitivities(TransportSimulator(), parameters, designs, TIMES, names=NAMES)
-    _, exact = sensitivities(TransportSimulator(accuracy=Accuracy(1e-6)), parameters, designs, TIMES, names=NAMES)
+    _, exact = sensitivities(
+        TransportSimulator(accuracy=Accuracy(1e-6)), parameters, designs, TIMES, names=NAMES
+    )
     active = [i for i in range(len(NAMES)) if bool(exact[..., i].any())]
     assert relative(jacobian[..., active], exact[..., active]) < 2e-2
 
 
 def test_that_polytropic_ones_are_those_of_autograd() -> None:
-    gel, shot, times = PARAMETERS.pack({"G": 2770.0, "mu": 0.186, "alpha": 0.48}), gels(1)[1][0], TIMES[::4]
-    simulator, columns = PolytropicSimulator(), torch.tensor(PARAMETERS.index(NAMES[:3]))
+    gel = PARAMETERS.pack({"G": 2770.0, "mu": 0.186, "alpha": 0.48})
+    shot = gels(1)[1][0]
+    times = TIMES[::4]
+    simulator = PolytropicSimulator()
+    columns = torch.tensor(PARAMETERS.index(NAMES[:3]))
     _, jacobian = sensitivities(simulator, gel, shot, times, names=NAMES)
 
     def radius(values: Tensor, design: Tensor) -> Tensor:
@@ -86,14 +100,17 @@ def test_that_polytropic_ones_are_those_of_autograd() -> None:
 
 
 @pytest.mark.parametrize("simulator", SIMULATORS)
-def test_that_a_bundle_answers_a_combination_of_moves_by_the_combination_of_sensitivities(simulator: Simulator) -> None:
+def test_that_a_bundle_answers_a_combination_of_moves_by_the_combination_of_sensitivities(
+    simulator: Simulator,
+) -> None:
     parameters, designs = gels(2)
     _, jacobian = sensitivities(simulator, parameters, designs, TIMES, names=NAMES)
     direction = 1e-6 * torch.tensor([300.0, -0.02, 0.1, 50.0, 0.02], dtype=torch.float64)
     moves = torch.stack((0.0 * direction, direction))
     gel, design = joined(parameters[:, None], designs[:, None], moves.expand(2, 2, -1))
     radius = simulator.bundle(gel, design, TIMES).radius
-    change, expected = radius[:, 1] - radius[:, 0], jacobian @ direction
+    change = radius[:, 1] - radius[:, 0]
+    expected = jacobian @ direction
     assert relative(change[..., None], expected[..., None]) < 1e-4
 
 
@@ -107,19 +124,29 @@ def test_that_the_leader_of_a_bundle_does_not_feel_its_followers(simulator: Simu
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_that_they_do_not_depend_on_neighbours_blocks_or_the_other_columns(engine, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_that_they_do_not_depend_on_neighbours_blocks_or_the_other_columns(
+    engine, monkeypatch: pytest.MonkeyPatch
+) -> None:
     parameters, designs = gels(4)
     simulator = replace(FAST, engine=engine)
     with monkeypatch.context() as patch:
         patch.setattr("imr_torch.simulate.transport._BATCH", 9)
-        _, together = sensitivities(simulator, parameters, designs, TIMES, names=("G", "mu", "rest_radius"))
+        _, together = sensitivities(
+            simulator, parameters, designs, TIMES, names=("G", "mu", "rest_radius")
+        )
     for i in (0, 3):
-        _, alone = sensitivities(simulator, parameters[i], designs[i], TIMES, names=("rest_radius", "G"))
+        _, alone = sensitivities(
+            simulator, parameters[i], designs[i], TIMES, names=("rest_radius", "G")
+        )
         assert relative(together[i][:, [2, 0]], alone) < 1e-5
 
 
-@pytest.mark.parametrize(("size", "blocks"), [(9, [8, 8, 4]), (4, [4] * 5), (3, [4] * 5), (100, [20])])
-def test_that_a_block_holds_whole_bundles_and_no_more_members_than_it_may(size: int, blocks: list[int]) -> None:
+@pytest.mark.parametrize(
+    ("size", "blocks"), [(9, [8, 8, 4]), (4, [4] * 5), (3, [4] * 5), (100, [20])]
+)
+def test_that_a_block_holds_whole_bundles_and_no_more_members_than_it_may(
+    size: int, blocks: list[int]
+) -> None:
     parameters, designs = gels(5)
     seen = []
 
@@ -135,9 +162,13 @@ def test_that_a_block_holds_whole_bundles_and_no_more_members_than_it_may(size: 
 
 
 def test_that_members_of_a_bundle_differ_smoothly_and_separate_solves_do_not() -> None:
-    """Jumps of the slope along a line of gels, as shares of the slope: decisions that change show in separate solves."""
+    """Jumps of the slope along a line of gels, as shares of the slope:
+
+    decisions that change show in separate solves.
+    """
     parameters, designs = gels(1)
-    line, simulator = parameters.repeat(81, 1), TransportSimulator(accuracy=Accuracy(resolution=SMALL))
+    line = parameters.repeat(81, 1)
+    simulator = TransportSimulator(accuracy=Accuracy(resolution=SMALL))
     line[:, 0] *= torch.linspace(1.0, 1.02, 81, dtype=torch.float64)
 
     def roughness(radius: Tensor) -> float:
@@ -149,7 +180,10 @@ def test_that_members_of_a_bundle_differ_smoothly_and_separate_solves_do_not() -
 
 
 def test_that_frames_before_the_maximum_are_as_smooth_as_the_others() -> None:
-    """The first step is tiny; a polynomial through it would carry its rounding errors to the thirtyfold of it and more."""
+    """The first step is tiny;
+
+    a polynomial through it would carry its rounding errors to the thirtyfold of it and more.
+    """
     parameters, designs = gels(1)
     line = parameters.repeat(21, 1)
     line[:, 1] *= torch.linspace(1.0, 1.01, 21, dtype=torch.float64)
@@ -171,9 +205,12 @@ def test_that_frames_before_the_maximum_are_as_smooth_as_the_others() -> None:
     ],
     ids=["no stiffening", "no spring", "no viscosity", "stiffest", "at rest"],
 )
-def test_that_an_entry_at_its_bound_is_differentiated_inwards(simulator: Simulator, values, design, name: str) -> None:
+def test_that_an_entry_at_its_bound_is_differentiated_inwards(
+    simulator: Simulator, values, design, name: str
+) -> None:
     """Against a difference of a thousand times the increment, inside the bounds."""
-    parameters, shot = PARAMETERS.pack(values), torch.tensor(design, dtype=torch.float64)
+    parameters = PARAMETERS.pack(values)
+    shot = torch.tensor(design, dtype=torch.float64)
     times = TIMES[:12]
     solution, jacobian = sensitivities(simulator, parameters, shot, times, names=(name,))
     column = (*PARAMETERS.names, *DESIGN).index(name)
@@ -197,11 +234,16 @@ def test_that_a_bubble_that_fails_has_no_sensitivities_and_leaves_the_others_alo
 
 
 @pytest.mark.parametrize("simulator", SIMULATORS)
-def test_that_followers_that_fail_or_fall_behind_leave_their_leader_alone(simulator: Simulator) -> None:
-    gel = PARAMETERS.pack({"G": 3e3, "mu": torch.tensor([0.1, 0.1, 5.0, 0.101], dtype=torch.float64)})
+def test_that_followers_that_fail_or_fall_behind_leave_their_leader_alone(
+    simulator: Simulator,
+) -> None:
+    gel = PARAMETERS.pack(
+        {"G": 3e3, "mu": torch.tensor([0.1, 0.1, 5.0, 0.101], dtype=torch.float64)}
+    )
     gel[1, PARAMETERS.index(["G"])] = torch.nan
     shot = torch.tensor([500.0, 0.2], dtype=torch.float64)
-    bundle, alone = simulator.bundle(gel, shot, TIMES), simulator(gel[[0, 2, 3]], shot, TIMES)
+    bundle = simulator.bundle(gel, shot, TIMES)
+    alone = simulator(gel[[0, 2, 3]], shot, TIMES)
     assert bundle.status.tolist() == [Status.DONE] * 4
     torch.testing.assert_close(bundle.radius[0], alone.radius[0], rtol=1e-9, atol=1e-9)
     assert bool(torch.isnan(bundle.radius[1, 1:]).all())
@@ -212,7 +254,10 @@ def test_that_followers_that_fail_or_fall_behind_leave_their_leader_alone(simula
 
 
 def test_that_a_follower_that_leaves_all_bounds_is_no_bubble_from_there_on() -> None:
-    """In the steps of its leader it may end at 1e154; an interpolation towards that is no radius either."""
+    """In the steps of its leader it may end at 1e154;
+
+    an interpolation towards that is no radius either.
+    """
     curves = torch.ones(4, len(TIMES), dtype=torch.float64)
     curves[1, 20:22] = torch.tensor([-2.6e154, torch.nan])
     curves[2, 30] = 3.1
@@ -222,19 +267,33 @@ def test_that_a_follower_that_leaves_all_bounds_is_no_bubble_from_there_on() -> 
         return curves, curves, curves, status, status
 
     parameters, designs = gels(1)
-    found = solve_bundles(solve, 4, (parameters[:, None].expand(-1, 4, -1), designs[:, None], TIMES))
+    found = solve_bundles(
+        solve, 4, (parameters[:, None].expand(-1, 4, -1), designs[:, None], TIMES)
+    )
     for values in (found.radius, found.velocity, found.bubble_pressure):
         assert torch.isfinite(values[0]).sum(1).tolist() == [33, 20, 30, 33]
         assert float(values.nan_to_num().max()) == 1.0
 
 
 def test_that_a_leader_saved_by_a_finer_step_takes_its_followers_along() -> None:
-    """A bubble that fails at its first step: a follower at another step than its leader would show as noise."""
-    parameters, designs = PARAMETERS.neutral(), torch.tensor([1000.0, 0.05], dtype=torch.float64)
+    """A bubble that fails at its first step:
+
+    a follower at another step than its leader would show as noise.
+    """
+    parameters = PARAMETERS.neutral()
+    designs = torch.tensor([1000.0, 0.05], dtype=torch.float64)
     times = torch.linspace(0.0, 1.0, 11, dtype=torch.float64)[:9]
-    assert not bool(PolytropicSimulator(stepping=Stepping(0.5, retries=0))(parameters, designs, times + 0.2).ok)
+    assert not bool(
+        PolytropicSimulator(stepping=Stepping(0.5, retries=0))(parameters, designs, times + 0.2).ok
+    )
     coarse, fine = (
-        sensitivities(PolytropicSimulator(stepping=Stepping(step)), parameters, designs, times + 0.2, names=NAMES)
+        sensitivities(
+            PolytropicSimulator(stepping=Stepping(step)),
+            parameters,
+            designs,
+            times + 0.2,
+            names=NAMES,
+        )
         for step in (0.5, 0.03)
     )
     assert bool(coarse[0].ok)
@@ -248,8 +307,12 @@ def test_that_a_leader_saved_by_a_finer_step_takes_its_followers_along() -> None
 def test_that_gradients_are_the_sensitivities() -> None:
     parameters, designs = gels(2)
     given = [x.clone().requires_grad_() for x in (parameters, designs, TIMES)]
-    weights = torch.randn(2, len(TIMES), generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    gradients = torch.autograd.grad((FAST(given[0], given[1], given[2]).radius * weights).sum(), given)
+    weights = torch.randn(
+        2, len(TIMES), generator=torch.Generator().manual_seed(0), dtype=torch.float64
+    )
+    gradients = torch.autograd.grad(
+        (FAST(given[0], given[1], given[2]).radius * weights).sum(), given
+    )
     solution, jacobian = sensitivities(FAST, parameters, designs, TIMES)
     columns = (weights[..., None] * jacobian).sum(1).nan_to_num()  # time scales of 0
     torch.testing.assert_close(gradients[0], columns[:, : len(PARAMETERS)], rtol=1e-5, atol=1e-8)
@@ -258,7 +321,10 @@ def test_that_gradients_are_the_sensitivities() -> None:
 
 
 def test_that_a_relaxation_time_has_a_sensitivity_where_it_is_not_zero() -> None:
-    gel, shot = PARAMETERS.pack({"G": 3e3, "mu": 0.1, "tau": torch.tensor([0.0, 2e-6], dtype=torch.float64)}), gels(1)[1]
+    gel = PARAMETERS.pack(
+        {"G": 3e3, "mu": 0.1, "tau": torch.tensor([0.0, 2e-6], dtype=torch.float64)}
+    )
+    shot = gels(1)[1]
     _, jacobian = sensitivities(FAST, gel, shot, TIMES, names=("tau", "mu"))
     assert bool(torch.isnan(jacobian[0, :, 0]).all())
     assert bool(torch.isfinite(jacobian[..., 1]).all())
@@ -310,7 +376,9 @@ def test_that_nothing_is_differentiated_where_nobody_asks() -> None:
 
 def test_that_an_unknown_name_and_a_bundle_without_members_are_refused() -> None:
     parameters, designs = gels(1)
-    with pytest.raises(InputDataError, match=r"No sensitivity to 'beta'; known are G, .*rest_radius"):
+    with pytest.raises(
+        InputDataError, match=r"No sensitivity to 'beta'; known are G, .*rest_radius"
+    ):
         sensitivities(FAST, parameters, designs, TIMES, names=("beta",))
     for simulator in (FAST, PolytropicSimulator()):
         with pytest.raises(ShapeError, match="A bundle needs a batch dimension"):

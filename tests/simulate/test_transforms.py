@@ -1,4 +1,7 @@
-"""Simulators inside ``torch.func``: vmap is a batch, forward and reverse derivatives are those of ``sensitivities``."""
+"""Simulators inside ``torch.func``:
+
+vmap is a batch, forward and reverse derivatives are those of ``sensitivities``.
+"""
 
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -9,11 +12,19 @@ from torch.func import grad, hessian, jacfwd, jacrev, jvp, vjp, vmap
 
 from imr_torch.errors import UnsupportedError
 from imr_torch.material import PARAMETERS
-from imr_torch.simulate import ParallelSimulator, PolytropicSimulator, Simulator, TransportSimulator, sensitivities
+from imr_torch.simulate import (
+    ParallelSimulator,
+    PolytropicSimulator,
+    Simulator,
+    TransportSimulator,
+    sensitivities,
+)
 
 TIMES = torch.linspace(0.0, 2.0, 9, dtype=torch.float64)
 DESIGN = torch.tensor([300.0, 0.2], dtype=torch.float64)
-GELS = torch.stack([PARAMETERS.pack({"G": g, "mu": m}) for g, m in ((5000.0, 0.1), (9000.0, 0.06), (3000.0, 0.2))])
+GELS = torch.stack(
+    [PARAMETERS.pack({"G": g, "mu": m}) for g, m in ((5000.0, 0.1), (9000.0, 0.06), (3000.0, 0.2))]
+)
 SIMULATORS = {
     "polytropic": PolytropicSimulator(),
     "tensors": PolytropicSimulator(engine="torchdiffeq"),
@@ -28,9 +39,13 @@ def test_that_vmap_is_a_batch_over_gels_designs_and_both(simulator: Simulator) -
     designs = torch.stack((DESIGN, 1.3 * DESIGN))
     by_gel = vmap(lambda gel: simulator(gel, DESIGN, TIMES).radius)(GELS)
     torch.testing.assert_close(by_gel, simulator(GELS, DESIGN, TIMES).radius, atol=1e-9, rtol=0.0)
-    both = vmap(lambda gel: vmap(lambda design: simulator(gel, design, TIMES).radius)(designs))(GELS)
+    both = vmap(lambda gel: vmap(lambda design: simulator(gel, design, TIMES).radius)(designs))(
+        GELS
+    )
     assert both.shape == (3, 2, 9)
-    torch.testing.assert_close(both, simulator(GELS[:, None], designs, TIMES).radius, atol=1e-9, rtol=0.0)
+    torch.testing.assert_close(
+        both, simulator(GELS[:, None], designs, TIMES).radius, atol=1e-9, rtol=0.0
+    )
 
 
 @EACH
@@ -43,13 +58,19 @@ def test_that_forward_and_reverse_jacobians_are_the_sensitivities(simulator: Sim
     torch.testing.assert_close(reverse, slopes, rtol=1e-8, atol=1e-6 * float(slopes.abs().amax()))
     _, by_design = sensitivities(simulator, GELS[0], DESIGN, TIMES, names=["weber", "rest_radius"])
     found = jacfwd(lambda design: simulator(GELS[0], design, TIMES).radius)(DESIGN)
-    torch.testing.assert_close(found, by_design, rtol=1e-8, atol=1e-6 * float(by_design.abs().amax()))
+    torch.testing.assert_close(
+        found, by_design, rtol=1e-8, atol=1e-6 * float(by_design.abs().amax())
+    )
 
 
 def test_that_the_derivative_in_time_is_the_velocity() -> None:
     simulator = PolytropicSimulator()
-    _, change = jvp(lambda times: simulator(GELS[0], DESIGN, times).radius, (TIMES,), (torch.ones_like(TIMES),))
-    torch.testing.assert_close(change, simulator(GELS[0], DESIGN, TIMES).velocity, rtol=1e-9, atol=1e-12)
+    _, change = jvp(
+        lambda times: simulator(GELS[0], DESIGN, times).radius, (TIMES,), (torch.ones_like(TIMES),)
+    )
+    torch.testing.assert_close(
+        change, simulator(GELS[0], DESIGN, TIMES).velocity, rtol=1e-9, atol=1e-12
+    )
 
 
 def test_that_jacobians_of_many_gels_at_once_are_those_of_each() -> None:
@@ -61,13 +82,18 @@ def test_that_jacobians_of_many_gels_at_once_are_those_of_each() -> None:
 
 
 def test_that_reverse_and_forward_agree_on_a_functional() -> None:
-    simulator, gel = PolytropicSimulator(), GELS[0]
+    simulator = PolytropicSimulator()
+    gel = GELS[0]
     weights = torch.linspace(-1.0, 1.0, 9, dtype=torch.float64)
     direction = 0.01 * gel
-    total, change = jvp(lambda g: (simulator(g, DESIGN, TIMES).radius * weights).sum(), (gel,), (direction,))
+    total, change = jvp(
+        lambda g: (simulator(g, DESIGN, TIMES).radius * weights).sum(), (gel,), (direction,)
+    )
     value, pull = vjp(lambda g: (simulator(g, DESIGN, TIMES).radius * weights).sum(), gel)
     assert float(total) == float(value)
-    assert float(change) == pytest.approx(float(pull(torch.ones_like(value))[0] @ direction), rel=1e-9)
+    assert float(change) == pytest.approx(
+        float(pull(torch.ones_like(value))[0] @ direction), rel=1e-9
+    )
 
 
 def test_that_second_derivatives_are_refused_and_not_wrong() -> None:
@@ -83,6 +109,8 @@ def test_that_second_derivatives_are_refused_and_not_wrong() -> None:
         lambda: jacfwd(lambda gel: jacrev(lambda design: total(gel, design))(DESIGN))(GELS[0]),
         lambda: grad(total)(GELS[0].clone().requires_grad_()),
     ):
-        with pytest.raises(UnsupportedError, match="Second derivatives of a bubble cannot be taken"):
+        with pytest.raises(
+            UnsupportedError, match="Second derivatives of a bubble cannot be taken"
+        ):
             twice()
     assert torch.equal(grad(total)(GELS[0].clone().requires_grad_().detach()), grad(total)(GELS[0]))

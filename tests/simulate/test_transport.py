@@ -1,4 +1,7 @@
-"""The full-physics simulator: its contract, its physics in the limits that are known, its robustness."""
+"""The full-physics simulator:
+
+its contract, its physics in the limits that are known, its robustness.
+"""
 
 import math
 
@@ -47,8 +50,11 @@ def draws(count):
     """Gels of the paper's prior and designs all over its box."""
     random = torch.Generator().manual_seed(11)
     parameters = reference_case("stiff-pa").prior.sample(count, seed=11).parameters
-    low, high = torch.tensor([100.0, 0.14]), torch.tensor([1000.0, 0.30])
-    return parameters, low + (high - low) * torch.rand(count, 2, generator=random, dtype=torch.float64)
+    low = torch.tensor([100.0, 0.14])
+    high = torch.tensor([1000.0, 0.30])
+    return parameters, low + (high - low) * torch.rand(
+        count, 2, generator=random, dtype=torch.float64
+    )
 
 
 def test_batch_shapes_broadcast_and_every_member_is_done():
@@ -63,7 +69,8 @@ def test_batch_shapes_broadcast_and_every_member_is_done():
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_member_does_not_depend_on_its_neighbours_or_on_the_blocks(engine, monkeypatch):
     parameters, designs = draws(7)
-    simulator, times = TransportSimulator(engine=engine), TIMES[:26]
+    simulator = TransportSimulator(engine=engine)
+    times = TIMES[:26]
     alone = torch.stack([simulator(parameters[i], designs[i], times).radius for i in (0, 4, 6)])
     monkeypatch.setattr("imr_torch.simulate.transport._BATCH", 3)
     together = simulator(parameters, designs, times)
@@ -73,12 +80,16 @@ def test_a_member_does_not_depend_on_its_neighbours_or_on_the_blocks(engine, mon
 
 def test_both_engines_give_the_same_solution_of_a_batch():
     parameters, designs = draws(12)
-    compiled, tensors = (TransportSimulator(engine=engine)(parameters, designs, TIMES) for engine in ENGINES)
+    compiled, tensors = (
+        TransportSimulator(engine=engine)(parameters, designs, TIMES) for engine in ENGINES
+    )
     assert compiled.ok.all()
     assert torch.equal(compiled.steps, tensors.steps)
     assert torch.equal(compiled.status, tensors.status)
     for name in ("radius", "velocity", "bubble_pressure"):
-        torch.testing.assert_close(getattr(compiled, name), getattr(tensors, name), rtol=1e-9, atol=1e-10)
+        torch.testing.assert_close(
+            getattr(compiled, name), getattr(tensors, name), rtol=1e-9, atol=1e-10
+        )
 
 
 def test_default_accuracy_meets_its_target_on_prior_draws():
@@ -93,10 +104,12 @@ def test_default_accuracy_meets_its_target_on_prior_draws():
 
 
 def test_velocity_is_the_slope_of_the_radius_and_pressure_peaks_at_collapse():
-    centres, eps = torch.linspace(0.05, 2.0, 400, dtype=torch.float64), 1e-5
+    centres = torch.linspace(0.05, 2.0, 400, dtype=torch.float64)
+    eps = 1e-5
     times = (centres[:, None] + torch.tensor([-eps, 0.0, eps], dtype=torch.float64)).reshape(-1)
     solution = TransportSimulator()(GEL, DESIGN, times)
-    radius, velocity = solution.radius.reshape(-1, 3), solution.velocity.reshape(-1, 3)[:, 1]
+    radius = solution.radius.reshape(-1, 3)
+    velocity = solution.velocity.reshape(-1, 3)[:, 1]
     slope = (radius[:, 2] - radius[:, 0]) / (2.0 * eps)
     assert float((slope - velocity).abs().max()) < 1e-3
     assert abs(int(solution.bubble_pressure.argmax()) - int(solution.radius.argmin())) <= 3
@@ -115,15 +128,20 @@ def test_an_equilibrium_bubble_stays_put(conditions):
 
 
 def test_air_is_neither_made_nor_lost():
-    equations = Equations(Bubbles.of(GEL[None], DESIGN[None], Conditions()), *Resolution(24, 24).grids())
+    equations = Equations(
+        Bubbles.of(GEL[None], DESIGN[None], Conditions()), *Resolution(24, 24).grids()
+    )
     controller = Controller(1e-5)
-    state, step = equations.start(), torch.tensor([1e-3], dtype=torch.float64)
-    masses, time = [air(equations, state)], 0.0
+    state = equations.start()
+    step = torch.tensor([1e-3], dtype=torch.float64)
+    masses = [air(equations, state)]
+    time = 0.0
     while time < 1.2:
         trial = rosenbrock_step(equations, state, step)
         error = controller.error(state, trial.state, trial.error, equations)
         if error <= 1.0:
-            state, time = trial.state, time + float(step)
+            state = trial.state
+            time = time + float(step)
             masses.append(air(equations, state))
         step = step * controller.factor(error)
     assert max(masses) / min(masses) - 1.0 < 1e-4
@@ -131,7 +149,8 @@ def test_air_is_neither_made_nor_lost():
 
 def air(equations, state):
     """Mass of air over 4 pi, by spectral quadrature of ``(1 - C) P/(R_mix T) R^3 y^2`` over ``y``."""
-    f, n = equations.fields(state), equations.n
+    f = equations.fields(state)
+    n = equations.n
     stretch = Resolution().stretch
     y = np.concatenate(([1.0], equations.inside.nodes.numpy()))
     nodes, weights = legendre.leggauss(80)
@@ -149,20 +168,30 @@ def air(equations, state):
     return float(quadrature @ density)
 
 
-@pytest.mark.parametrize(("factor", "exponent"), [(1e5, 1.0), (1e-5, 1.4)], ids=["isothermal", "adiabatic"])
+@pytest.mark.parametrize(
+    ("factor", "exponent"), [(1e5, 1.0), (1e-5, 1.4)], ids=["isothermal", "adiabatic"]
+)
 def test_perfect_and_absent_conduction_are_the_polytropic_limits(factor, exponent):
-    mixture = GasMixture(conductivity_slope=5.3e-5 * factor, conductivity_offset=1.17e-2 * factor, vapour="absent")
+    mixture = GasMixture(
+        conductivity_slope=5.3e-5 * factor, conductivity_offset=1.17e-2 * factor, vapour="absent"
+    )
     gas = PolytropicGas(exponent, vapour=False)
     conditions = Conditions(gas=gas, mixture=mixture, medium=Medium(warm=False))
-    parameters, designs = PARAMETERS.pack({"G": 2770.0, "mu": 0.2}), torch.tensor([300.0, 0.3], dtype=torch.float64)
-    transport = TransportSimulator(conditions, Accuracy(1e-5, Resolution(32, 8)))(parameters, designs, TIMES)
+    parameters = PARAMETERS.pack({"G": 2770.0, "mu": 0.2})
+    designs = torch.tensor([300.0, 0.3], dtype=torch.float64)
+    transport = TransportSimulator(conditions, Accuracy(1e-5, Resolution(32, 8)))(
+        parameters, designs, TIMES
+    )
     polytropic = PolytropicSimulator(conditions)(parameters, designs, TIMES)
     assert float((transport.radius - polytropic.radius).abs().max()) < 5e-3
 
 
 @pytest.fixture(scope="module")
 def by_closure():
-    return {name: TransportSimulator(c, ACCURACIES["fast"])(GEL, DESIGN, TIMES) for name, c in CLOSURES.items()}
+    return {
+        name: TransportSimulator(c, ACCURACIES["fast"])(GEL, DESIGN, TIMES)
+        for name, c in CLOSURES.items()
+    }
 
 
 def test_every_closure_runs_and_damps_the_bubble(by_closure):
@@ -192,7 +221,8 @@ def test_a_member_that_fails_has_a_status_and_leaves_the_others_alone():
 
 def test_a_wide_box_of_gels_and_designs_is_solved():
     random = torch.Generator().manual_seed(2)
-    low, high = torch.tensor([50.0, 0.08, 0.0, 0.0, 0.0]), torch.tensor([2000.0, 0.5, 3e5, 1.0, 0.3])
+    low = torch.tensor([50.0, 0.08, 0.0, 0.0, 0.0])
+    high = torch.tensor([2000.0, 0.5, 3e5, 1.0, 0.3])
     box = low + (high - low) * torch.rand(40, 5, generator=random, dtype=torch.float64)
     parameters = PARAMETERS.pack({"G": box[:, 2], "mu": box[:, 3], "alpha": box[:, 4]})
     solution = TransportSimulator(accuracy=ACCURACIES["fast"])(parameters, box[:, :2], TIMES)
@@ -202,7 +232,9 @@ def test_a_wide_box_of_gels_and_designs_is_solved():
 
 @pytest.mark.parametrize(("radius", "accepted"), [(1e-3, True), (0.0, False), (-1e-3, False)])
 def test_that_a_step_ends_at_any_size_short_of_the_centre(radius, accepted):
-    equations = Equations(Bubbles.of(GEL[None], DESIGN[None], Conditions()), *Resolution(6, 6).grids())
+    equations = Equations(
+        Bubbles.of(GEL[None], DESIGN[None], Conditions()), *Resolution(6, 6).grids()
+    )
     before = equations.start()
     after = before.clone()
     after[0] = radius
@@ -212,9 +244,12 @@ def test_that_a_step_ends_at_any_size_short_of_the_centre(radius, accepted):
 
 def test_that_values_between_steps_are_a_cubic_and_before_the_first_a_line():
     nodes = torch.tensor([[0.0, 0.3, 0.5, 1.2]], dtype=torch.float64)
-    values, rates = torch.sin(3.0 * nodes) + 1.0, 3.0 * torch.cos(3.0 * nodes)
+    values = torch.sin(3.0 * nodes) + 1.0
+    rates = 3.0 * torch.cos(3.0 * nodes)
     times = torch.tensor([[-0.2, 0.0, 0.1, 0.29, 0.4, 0.6, 1.1, 1.2]], dtype=torch.float64)
-    expected = torch.as_tensor(CubicHermiteSpline(*(x[0].numpy() for x in (nodes, values, rates)))(times.numpy()))
+    expected = torch.as_tensor(
+        CubicHermiteSpline(*(x[0].numpy() for x in (nodes, values, rates)))(times.numpy())
+    )
     expected[0, 0] = 1.0 - 0.2 * 3.0
     torch.testing.assert_close(_cubic(nodes, values, rates, times), expected, rtol=0.0, atol=1e-12)
 
@@ -230,7 +265,10 @@ def test_that_values_between_steps_are_a_cubic_and_before_the_first_a_line():
         (lambda: Medium(capacity_of="air"), "expected 'medium' or 'gas_wall'"),
         (lambda: Accuracy(tolerance=0.0), "expected 1e-12 to 0.1"),
         (lambda: Accuracy(max_steps=0), "max_steps is 0; expected at least 1"),
-        (lambda: TransportSimulator(engine="gpu"), "engine is 'gpu'; expected one of compiled, torchdiffeq"),
+        (
+            lambda: TransportSimulator(engine="gpu"),
+            "engine is 'gpu'; expected one of compiled, torchdiffeq",
+        ),
         (lambda: TransportSimulator()(GEL, torch.tensor([550.0, 1.2]), TIMES), "0 < R_inf\\* < 1"),
         (lambda: TransportSimulator()(GEL, DESIGN, TIMES.flip(0)), "do not increase"),
     ],

@@ -6,7 +6,15 @@ import pytest
 import torch
 
 from imr_torch.material import PARAMETERS
-from imr_torch.simulate import PRESETS, RADIAL_EQUATIONS, Conditions, GasMixture, Medium, Resolution, SineDriving
+from imr_torch.simulate import (
+    PRESETS,
+    RADIAL_EQUATIONS,
+    Conditions,
+    GasMixture,
+    Medium,
+    Resolution,
+    SineDriving,
+)
 from imr_torch.simulate.bordered import Factors, invert
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.linearise import linearise
@@ -24,7 +32,9 @@ CONDITIONS = {
 
 def gels(**columns):
     """Three gels, from three values of each parameter."""
-    return PARAMETERS.pack({name: torch.tensor(values, dtype=torch.float64) for name, values in columns.items()})
+    return PARAMETERS.pack(
+        {name: torch.tensor(values, dtype=torch.float64) for name, values in columns.items()}
+    )
 
 
 PLAIN = {"G": (2770.0, 8310.0, 1000.0), "mu": (0.186, 0.09, 0.02), "alpha": (0.48, 0.0, 1.0)}
@@ -33,9 +43,21 @@ DESIGNS = torch.tensor([[550.0, 0.22], [900.0, 0.14], [120.0, 0.3]], dtype=torch
 REMEMBERING = {
     "Zener": {"tau": (2e-5, 0.0, 1e-6), "retardation": (0.2, 0.0, 0.5)},
     "upper-convected": {"tau_ucm": (2e-5, 3e-6, 1e-6), "retardation": (0.2, 0.0, 0.5)},
-    "standard solids": {"G_lin": (1e3, 0.0, 2e3), "tau_sls": (2e-5, 0.0, 1e-6), "tau_sns": (0.0, 1e-5, 0.0)},
-    "damage, thinning": {"damage": (0.3, 0.0, 1.0), "thinning": (0.5, 0.2, 0.0), "shear_time": (1e-6, 1e-5, 0.0)},
-    "Fung, yield": {"alpha_fung": (0.01, 0.0, 0.02), "alpha_fung2": (0.1, 0.2, 0.0), "yield_stress": (500.0, 0.0, 50.0)},
+    "standard solids": {
+        "G_lin": (1e3, 0.0, 2e3),
+        "tau_sls": (2e-5, 0.0, 1e-6),
+        "tau_sns": (0.0, 1e-5, 0.0),
+    },
+    "damage, thinning": {
+        "damage": (0.3, 0.0, 1.0),
+        "thinning": (0.5, 0.2, 0.0),
+        "shear_time": (1e-6, 1e-5, 0.0),
+    },
+    "Fung, yield": {
+        "alpha_fung": (0.01, 0.0, 0.02),
+        "alpha_fung2": (0.1, 0.2, 0.0),
+        "yield_stress": (500.0, 0.0, 50.0),
+    },
     "graded, set": {"graded_modulus": (0.3, 0.0, 1.0), "permanent_set": (0.1, -0.05, 0.0)},
 }
 ACTING = {
@@ -48,14 +70,20 @@ ACTING = {
         "heat_exchange": (0.5, 0.0, -0.5),
         "vapour_pressure": (0.05, 0.0, 0.01),
     },
-    "in a sound field": {"sound_field": (0.3, 0.0, 0.1), "sound_frequency": (1.0, 0.0, 2.0), "pulse": (0.5, 0.0, -0.4)},
+    "in a sound field": {
+        "sound_field": (0.3, 0.0, 0.1),
+        "sound_frequency": (1.0, 0.0, 2.0),
+        "pulse": (0.5, 0.0, -0.4),
+    },
 }
 
 
 def rough_state(equations, vapour=True):
     """A state with fields of every kind, far from the start."""
     random = torch.Generator().manual_seed(3)
-    n, m, y = equations.n, equations.m, equations.inside.nodes[:, None]
+    n = equations.n
+    m = equations.m
+    y = equations.inside.nodes[:, None]
 
     def noise(rows):
         return torch.rand(rows, 3, generator=random, dtype=torch.float64)
@@ -73,39 +101,51 @@ def rough_state(equations, vapour=True):
 
 
 def dense_jacobian(equations, state, time):
-    """The Jacobian of one member by forward differentiation: a batch of its copies, each moved along one axis."""
+    """The Jacobian of one member by forward differentiation:
+
+    a batch of its copies, each moved along one axis.
+    """
     count = len(state)
     copies = equations.take(torch.zeros(count, dtype=torch.long))
 
     def rate(states):
         return copies.rate(copies.fields(states, time.expand(count)))
 
-    return torch.func.jvp(rate, (state[:, None].repeat(1, count),), (torch.eye(count, dtype=torch.float64),))[1]
+    return torch.func.jvp(
+        rate, (state[:, None].repeat(1, count),), (torch.eye(count, dtype=torch.float64),)
+    )[1]
 
 
 def assert_bordered_solve_is_dense(equations, vapour=True):
     """One solve with a rough state, random right-hand side and steps of very different length."""
     state = rough_state(equations, vapour)
     shift, time = torch.tensor([[1e2, 1e3, 1e1], [0.3, 0.7, 1.1]], dtype=torch.float64)
-    inside, outside = equations.inside.first, equations.outside.first
+    inside = equations.inside.first
+    outside = equations.outside.first
     fields = equations.fields(state, time)
     known, jacobian = linearise(equations, fields)
     rate = equations.rate(fields)
     assert torch.equal(known[0], rate[1])
     assert torch.equal(known[1], rate[len(state) - equations.memory :])
     assert torch.equal(equations.rate(fields, known), rate)
-    right = torch.randn(state.shape, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
+    right = torch.randn(
+        state.shape, generator=torch.Generator().manual_seed(5), dtype=torch.float64
+    )
     solution = Factors(jacobian, shift, inside[1:, 1:], inside[0, 1:], outside[0, 1:]).solve(right)
     mass = torch.ones(len(state), dtype=torch.float64)
     mass[3] = 0.0
     for i in range(3):
         member = equations.take(torch.tensor([i]))
-        matrix = torch.diag(mass * shift[i]) - dense_jacobian(member, state[:, i].clone(), time[i : i + 1])
+        matrix = torch.diag(mass * shift[i]) - dense_jacobian(
+            member, state[:, i].clone(), time[i : i + 1]
+        )
         dense = torch.linalg.solve(matrix, right[:, i])
         assert float((solution[:, i] - dense).norm() / dense.norm()) < 1e-10
 
 
-@pytest.mark.parametrize("resolution", [Resolution(4, 6), Resolution(5, 5)], ids=["unequal", "equal"])
+@pytest.mark.parametrize(
+    "resolution", [Resolution(4, 6), Resolution(5, 5)], ids=["unequal", "equal"]
+)
 @pytest.mark.parametrize("conditions", CONDITIONS.values(), ids=CONDITIONS)
 def test_bordered_solve_equals_the_dense_solve_with_the_automatic_jacobian(conditions, resolution):
     equations = Equations(Bubbles.of(PARAMETER_ROWS, DESIGNS, conditions), *resolution.grids())
@@ -116,7 +156,9 @@ def test_bordered_solve_equals_the_dense_solve_with_the_automatic_jacobian(condi
 @pytest.mark.parametrize("columns", REMEMBERING.values(), ids=REMEMBERING)
 def test_so_it_does_with_every_gel_in_every_radial_equation(columns, motion):
     conditions = Conditions(motion=motion, driving=SineDriving(5e4, 2e4))
-    equations = Equations(Bubbles.of(gels(**PLAIN | columns), DESIGNS, conditions), *Resolution(4, 4).grids())
+    equations = Equations(
+        Bubbles.of(gels(**PLAIN | columns), DESIGNS, conditions), *Resolution(4, 4).grids()
+    )
     assert_bordered_solve_is_dense(equations)
 
 
@@ -125,7 +167,9 @@ def test_so_it_does_with_every_gel_in_every_radial_equation(columns, motion):
 def test_so_it_does_with_every_effect(columns, key):
     for motion in (RADIAL_EQUATIONS["keller_miksis"], RADIAL_EQUATIONS["gilmore"]):
         conditions = replace(PRESETS[key], motion=motion)
-        equations = Equations(Bubbles.of(gels(**PLAIN | columns), DESIGNS, conditions), *Resolution(4, 4).grids())
+        equations = Equations(
+            Bubbles.of(gels(**PLAIN | columns), DESIGNS, conditions), *Resolution(4, 4).grids()
+        )
         assert_bordered_solve_is_dense(equations)
 
 
@@ -134,8 +178,11 @@ def test_the_slope_in_time_is_that_of_the_acceleration(motion):
     """By automatic differentiation, with driving, a sound field and a pulse at once."""
     columns = PLAIN | ACTING["in a sound field"]
     conditions = Conditions(motion=motion, driving=SineDriving(5e4, 2e4))
-    equations = Equations(Bubbles.of(gels(**columns), DESIGNS, conditions), *Resolution(4, 4).grids())
-    state, time = rough_state(equations), torch.tensor([0.3, 0.7, 1.1], dtype=torch.float64)
+    equations = Equations(
+        Bubbles.of(gels(**columns), DESIGNS, conditions), *Resolution(4, 4).grids()
+    )
+    state = rough_state(equations)
+    time = torch.tensor([0.3, 0.7, 1.1], dtype=torch.float64)
     _, jacobian = linearise(equations, equations.fields(state, time))
 
     def acceleration(time):
@@ -147,7 +194,9 @@ def test_the_slope_in_time_is_that_of_the_acceleration(motion):
 
 @pytest.mark.parametrize("size", [9, 70], ids=["Gauss-Jordan", "LAPACK"])
 def test_every_member_is_inverted(size):
-    blocks = torch.randn(size, size, 5, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    blocks = torch.randn(
+        size, size, 5, generator=torch.Generator().manual_seed(1), dtype=torch.float64
+    )
     blocks += 30.0 * torch.eye(size, dtype=torch.float64)[:, :, None]
     expected = torch.linalg.inv(blocks.permute(2, 0, 1)).permute(1, 2, 0)
     assert torch.allclose(invert(blocks.clone()), expected, rtol=0.0, atol=1e-13)
@@ -166,10 +215,13 @@ ORDERS = {
 
 @pytest.mark.parametrize(("columns", "conditions"), ORDERS.values(), ids=ORDERS)
 def test_steps_are_of_fourth_order(columns, conditions):
-    equations = Equations(Bubbles.of(gels(**columns), DESIGNS, conditions), *Resolution(8, 8).grids())
+    equations = Equations(
+        Bubbles.of(gels(**columns), DESIGNS, conditions), *Resolution(8, 8).grids()
+    )
 
     def radius(steps):
-        state, step = equations.start(), torch.full((3,), 0.6 / steps, dtype=torch.float64)
+        state = equations.start()
+        step = torch.full((3,), 0.6 / steps, dtype=torch.float64)
         for i in range(steps):
             state = rosenbrock_step(equations, state, step, i * step).state
         return state[:2]

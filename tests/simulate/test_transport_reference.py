@@ -36,7 +36,9 @@ def oracle(shared):
 def simulate(adapter, cases, times, key, accuracy):
     parameters = torch.stack([adapter.parameter_vector(case) for case in cases])
     designs = torch.tensor([[case["We"], case["Rinf_star"]] for case in cases], dtype=torch.float64)
-    return TransportSimulator(preset(key), accuracy)(parameters, designs, torch.as_tensor(times)).radius.numpy()
+    return TransportSimulator(preset(key), accuracy)(
+        parameters, designs, torch.as_tensor(times)
+    ).radius.numpy()
 
 
 @pytest.mark.parametrize("key", CURVES)
@@ -45,7 +47,9 @@ def test_radius_agrees_with_the_independent_solver(adapter, cases, oracle, key):
     error = np.abs(radius - oracle[f"{CURVES[key]}_R_1601"])
     assert np.median(error) < 5e-5
     assert np.median(error.max(1)) < 1e-3
-    assert error.max() < 2.5e-3  # the independent solver itself is good to 1e-3 or 2e-3 in the most violent case
+    assert (
+        error.max() < 2.5e-3
+    )  # the independent solver itself is good to 1e-3 or 2e-3 in the most violent case
 
 
 @pytest.mark.parametrize("key", CURVES)
@@ -61,7 +65,9 @@ def test_collapse_times_and_rebounds_agree_at_default_accuracy(adapter, cases, o
 
 
 def test_the_adapter_gives_the_converged_curve(adapter, cases, oracle):
-    radius = adapter.radius({**cases[2], "preset": "published", "grid": "converged"}, oracle["t_1601"][::20])
+    radius = adapter.radius(
+        {**cases[2], "preset": "published", "grid": "converged"}, oracle["t_1601"][::20]
+    )
     assert np.abs(radius - oracle["estrada2018_R_1601"][2, ::20]).max() < 3e-4
 
 

@@ -1,4 +1,5 @@
-"""Names and defaults that help texts and choices need, written out so that PyTorch is not imported to print them.
+"""Names and defaults that help texts and choices need, written out so that PyTorch is not imported
+to print them.
 
 A test compares each with the registry or setting that it is taken from.
 """

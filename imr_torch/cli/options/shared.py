@@ -2,14 +2,26 @@
 
 import argparse
 
-from imr_torch.cli.options.names import CASES, COLLAPSES, DEFAULT_MODELS, ENGINES, MEDIA, MODELS, PHYSICS
+from imr_torch.cli.options.names import (
+    CASES,
+    COLLAPSES,
+    DEFAULT_MODELS,
+    ENGINES,
+    MEDIA,
+    MODELS,
+    PHYSICS,
+)
 
 
 def add_prior_arguments(parser: argparse.ArgumentParser) -> None:
     """Options that choose the prior belief."""
     group = parser.add_argument_group("what is believed before")
     group.add_argument("--case", choices=CASES, help="prior of a reference gel of the literature")
-    group.add_argument("--belief", metavar="FILE", help="a saved belief (the 'belief' of an earlier --json, or Belief.save)")
+    group.add_argument(
+        "--belief",
+        metavar="FILE",
+        help="a saved belief (the 'belief' of an earlier --json, or Belief.save)",
+    )
     group.add_argument(
         "--models",
         help=f"candidate models, of {', '.join(MODELS)} (default {DEFAULT_MODELS})",
@@ -24,8 +36,15 @@ def add_prior_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_window_arguments(parser: argparse.ArgumentParser) -> None:
     """Options for which part of a curve is fitted, and with what noise."""
-    parser.add_argument("--collapses", type=int, default=COLLAPSES, help="collapses in the fitted window (default %(default)s)")
-    parser.add_argument("--rest-radius", metavar="VALUE:SD", help="assumed R_inf/Rmax, for records without a tail")
+    parser.add_argument(
+        "--collapses",
+        type=int,
+        default=COLLAPSES,
+        help="collapses in the fitted window (default %(default)s)",
+    )
+    parser.add_argument(
+        "--rest-radius", metavar="VALUE:SD", help="assumed R_inf/Rmax, for records without a tail"
+    )
     parser.add_argument(
         "--noise",
         choices=("estimated", "published"),
@@ -40,13 +59,15 @@ def add_physics_argument(parser: argparse.ArgumentParser) -> None:
         "--physics",
         choices=PHYSICS,
         default="transport",
-        help="transport of heat and vapour, as in real bubbles (default), or polytropic gas, some 20 times faster and biased",
+        help="transport of heat and vapour, as in real bubbles (default), or polytropic gas, some "
+        "20 times faster and biased",
     )
 
 
 MEDIUM_HELP = (
     "the medium: a name and values in SI, each with an optional standard deviation, for example "
-    "water,temperature=310,density=1125:11 (properties density, sound_speed, surface_tension, temperature, pressure; names "
+    "water,temperature=310,density=1125:11 (properties density, sound_speed, surface_tension, "
+    "temperature, pressure; names "
     f"{', '.join(MEDIA)}); what is not stated is assumed"
 )
 
@@ -62,13 +83,22 @@ def add_engine_arguments(parser: argparse.ArgumentParser) -> None:
         "--engine",
         choices=ENGINES,
         default="compiled",
-        help="what integrates the bubbles: compiled code (default), or tensors through torchdiffeq; same results, slower",
+        help="what integrates the bubbles: compiled code (default), or tensors through "
+        "torchdiffeq; same results, slower",
     )
     parser.add_argument(
-        "--threads", type=int, metavar="N", help="processor threads of the compiled engine (default: all cores)"
+        "--threads",
+        type=int,
+        metavar="N",
+        help="processor threads of the compiled engine (default: all cores)",
     )
 
 
 def add_workers_argument(parser: argparse.ArgumentParser) -> None:
-    """The option that spreads large batches over processes; the batches of one model's fit are too small to gain by it."""
-    parser.add_argument("--workers", type=int, default=1, help="processes that share large batches (default 1)")
+    """The option that spreads large batches over processes.
+
+    The batches of one model's fit are too small to gain by it.
+    """
+    parser.add_argument(
+        "--workers", type=int, default=1, help="processes that share large batches (default 1)"
+    )

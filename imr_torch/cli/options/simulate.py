@@ -2,8 +2,9 @@
 
   imr-torch simulate --model nhkv --set G=8310,mu=0.093 --we 300 --rinf 0.2 --out bubble
 
-Values are in SI units (G in Pa, mu in Pa s). The design is the Weber number We = p_inf Rmax/(2 gamma) and
-R_inf* = R_inf/Rmax. --medium states the density, sound speed, surface tension, temperature and ambient pressure.
+Values are in SI units (G in Pa, mu in Pa s). The design is the Weber number We = p_inf Rmax/(2
+gamma) and R_inf* = R_inf/Rmax. --medium states the density, sound speed, surface tension,
+temperature and ambient pressure.
 """
 
 import argparse
@@ -21,13 +22,28 @@ WITHOUT = ("seed",)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the subcommand."""
-    parser.add_argument("--model", default="nhkv", help=f"constitutive model, of {', '.join(MODELS)} (default nhkv)")
-    parser.add_argument("--set", default="", metavar="NAME=VALUE,...", help="parameters of the model in SI units")
-    parser.add_argument("--we", type=float, default=300.0, help="Weber number (default 300: Rmax 332 um)")
+    parser.add_argument(
+        "--model", default="nhkv", help=f"constitutive model, of {', '.join(MODELS)} (default nhkv)"
+    )
+    parser.add_argument(
+        "--set", default="", metavar="NAME=VALUE,...", help="parameters of the model in SI units"
+    )
+    parser.add_argument(
+        "--we", type=float, default=300.0, help="Weber number (default 300: Rmax 332 um)"
+    )
     parser.add_argument("--rinf", type=float, default=0.2, help="R_inf/Rmax (default 0.2)")
-    parser.add_argument("--until", type=float, default=4.0, help="last time, in Rmax/U_c (default 4)")
-    parser.add_argument("--frames", type=int, default=161, help="number of output times (default 161)")
-    parser.add_argument("--accuracy", choices=("fast", "default", "reference"), default="default", help="named setting")
+    parser.add_argument(
+        "--until", type=float, default=4.0, help="last time, in Rmax/U_c (default 4)"
+    )
+    parser.add_argument(
+        "--frames", type=int, default=161, help="number of output times (default 161)"
+    )
+    parser.add_argument(
+        "--accuracy",
+        choices=("fast", "default", "reference"),
+        default="default",
+        help="named setting",
+    )
     add_medium_argument(parser)
     add_physics_argument(parser)
     parser.add_argument("--out", metavar="DIR", help="folder for figure and JSON")

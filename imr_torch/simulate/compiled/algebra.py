@@ -2,7 +2,8 @@
 
 Also for eight bubbles, one number of each at a time: see :mod:`imr_torch.simulate.compiled.lanes`.
 
-Rows are padded with zeros to a multiple of eight: see :mod:`imr_torch.simulate.compiled.vectors`. Four pivots are taken at a
+Rows are padded with zeros to a multiple of eight: see :mod:`imr_torch.simulate.compiled.vectors`.
+    Four pivots are taken at a
 time, so that a row is loaded and stored a quarter as often.
 """
 
@@ -12,7 +13,8 @@ from imr_torch.simulate.compiled.vectors import STRIDE, load, spread, store, tot
 def dot(one, other, space, spare):
     """Inner product of rows of all fields, of which ``other`` may be longer.
 
-    Padding adds nothing; that of eight bubbles, without padding, takes ``space`` and a ``spare`` row.
+    Padding adds nothing; that of eight bubbles, without padding, takes ``space`` and a ``spare``
+    row.
     """
     partial = spread(0.0)
     for i in range(0, len(one), 8):
@@ -30,7 +32,10 @@ def apply(columns, first, values, out):
 
 
 def multiply(columns, vector, out):
-    """``out = matrix vector`` with a matrix by columns, which may have others beside them; ``out`` has its padded length."""
+    """``out = matrix vector`` with a matrix by columns, which may have others beside them.
+
+    ``out`` has its padded length.
+    """
     for i in range(0, len(out), STRIDE):
         sums = spread(vector[0]) * load(columns[0], i)
         for j in range(1, len(columns)):
@@ -39,10 +44,12 @@ def multiply(columns, vector, out):
 
 
 def invert(a, keep):
-    """Invert a matrix in place by Gauss-Jordan without pivoting, four pivots at a time; columns beside it become solutions.
+    """Invert a matrix in place by Gauss-Jordan without pivoting, four pivots at a time; columns
+    beside it become solutions.
 
-    For ``I/(h gamma) - J`` with dissipative ``J``; a vanishing pivot gives non-finite numbers, which make the step fail and be
-    tried again at a smaller ``h``, where the identity dominates. ``keep`` is a row to spare, as long.
+    For ``I/(h gamma) - J`` with dissipative ``J``; a vanishing pivot gives non-finite numbers,
+    which make the step fail and be tried again at a smaller ``h``, where the identity dominates.
+    ``keep`` is a row to spare, as long.
     """
     size = len(a)
     whole = size - size % 4
@@ -60,19 +67,47 @@ def invert(a, keep):
 
 
 def _take_pivots(a, k):
-    """Multiply four rows with the inverse of their block at the pivots, and put that inverse in its place."""
-    p, q, r, s = a[k], a[k + 1], a[k + 2], a[k + 3]
+    """Multiply four rows with the inverse of their block at the pivots, and put that inverse in its
+    place.
+    """
+    p = a[k]
+    q = a[k + 1]
+    r = a[k + 2]
+    s = a[k + 3]
     one = (p[k], p[k + 1], q[k], q[k + 1])
     two = (p[k + 2], p[k + 3], q[k + 2], q[k + 3])
     three = (r[k], r[k + 1], s[k], s[k + 1])
     four = (r[k + 2], r[k + 3], s[k + 2], s[k + 3])
     one, two, three, four = _inverse_four(one, two, three, four)
     for j in range(0, a.shape[1], STRIDE):
-        x, y, z, t = load(p, j), load(q, j), load(r, j), load(s, j)
-        store(p, j, spread(one[0]) * x + spread(one[1]) * y + (spread(two[0]) * z + spread(two[1]) * t))
-        store(q, j, spread(one[2]) * x + spread(one[3]) * y + (spread(two[2]) * z + spread(two[3]) * t))
-        store(r, j, spread(three[0]) * x + spread(three[1]) * y + (spread(four[0]) * z + spread(four[1]) * t))
-        store(s, j, spread(three[2]) * x + spread(three[3]) * y + (spread(four[2]) * z + spread(four[3]) * t))
+        x = load(p, j)
+        y = load(q, j)
+        z = load(r, j)
+        t = load(s, j)
+        store(
+            p,
+            j,
+            spread(one[0]) * x + spread(one[1]) * y + (spread(two[0]) * z + spread(two[1]) * t),
+        )
+        store(
+            q,
+            j,
+            spread(one[2]) * x + spread(one[3]) * y + (spread(two[2]) * z + spread(two[3]) * t),
+        )
+        store(
+            r,
+            j,
+            spread(three[0]) * x
+            + spread(three[1]) * y
+            + (spread(four[0]) * z + spread(four[1]) * t),
+        )
+        store(
+            s,
+            j,
+            spread(three[2]) * x
+            + spread(three[3]) * y
+            + (spread(four[2]) * z + spread(four[3]) * t),
+        )
     p[k], p[k + 1], p[k + 2], p[k + 3] = one[0], one[1], two[0], two[1]
     q[k], q[k + 1], q[k + 2], q[k + 3] = one[2], one[3], two[2], two[3]
     r[k], r[k + 1], r[k + 2], r[k + 3] = three[0], three[1], four[0], four[1]
@@ -81,26 +116,36 @@ def _take_pivots(a, k):
 
 def _take_from(a, k, keep):
     """Eliminate four pivots from all other rows; ``keep`` is 0 at the pivots, else 1."""
-    p, q, r, s = a[k], a[k + 1], a[k + 2], a[k + 3]
+    p = a[k]
+    q = a[k + 1]
+    r = a[k + 2]
+    s = a[k + 3]
     for i in range(len(a)):
         if k <= i < k + 4:
             continue
         row = a[i]
-        one, two, three, four = spread(row[k]), spread(row[k + 1]), spread(row[k + 2]), spread(row[k + 3])
+        one = spread(row[k])
+        two = spread(row[k + 1])
+        three = spread(row[k + 2])
+        four = spread(row[k + 3])
         for j in range(0, a.shape[1], STRIDE):
-            change = (one * load(p, j) + two * load(q, j)) + (three * load(r, j) + four * load(s, j))
+            change = (one * load(p, j) + two * load(q, j)) + (
+                three * load(r, j) + four * load(s, j)
+            )
             store(row, j, load(row, j) * load(keep, j) - change)
 
 
 def _take_pivot(a, k):
     """One step of Gauss-Jordan."""
-    pivots, scale = a[k], 1.0 / a[k, k]
+    pivots = a[k]
+    scale = 1.0 / a[k, k]
     for j in range(0, a.shape[1], STRIDE):
         store(pivots, j, spread(scale) * load(pivots, j))
     pivots[k] = scale
     for i in range(len(a)):
         if i != k:
-            row, factor = a[i], a[i, k]
+            row = a[i]
+            factor = a[i, k]
             for j in range(0, a.shape[1], STRIDE):
                 store(row, j, load(row, j) - spread(factor) * load(pivots, j))
             row[k] = -factor * scale
@@ -109,9 +154,11 @@ def _take_pivot(a, k):
 def _inverse_four(one, two, three, four):
     """Inverse of a matrix of 2 x 2 blocks, in the order of rows, by its Schur complement."""
     first = _inverse_two(one)
-    left, above = _product(three, first), _product(first, two)
+    left = _product(three, first)
+    above = _product(first, two)
     last = _inverse_two(_difference(four, _product(left, two)))
-    up, down = _product(above, last), _product(last, left)
+    up = _product(above, last)
+    down = _product(last, left)
     whole = _product(up, left)
     return (
         (first[0] + whole[0], first[1] + whole[1], first[2] + whole[2], first[3] + whole[3]),

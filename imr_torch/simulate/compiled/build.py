@@ -1,10 +1,12 @@
 """From laws to compiled code: what is compiled, where it is kept, and when it is compiled anew.
 
-The laws of all registries (stress terms, effects, radial equations, gas laws, drivings) are put into one small generated
-module beside the entry points of the engine; Numba compiles it once and keeps the machine code next to it. The folder is named
-by a hash of the code of the engine and of every law, and of the versions of Python, Numba and NumPy; Numba itself tells
-processors apart. So code of another version is never used, a killed compilation leaves files that nobody reads, and a
-read-only installation works, since the folder is in the user's cache (``IMR_TORCH_CACHE`` names another).
+The laws of all registries (stress terms, effects, radial equations, gas laws, drivings) are put
+into one small generated module beside the entry points of the engine; Numba compiles it once and
+keeps the machine code next to it. The folder is named by a hash of the code of the engine and of
+every law, and of the versions of Python, Numba and NumPy; Numba itself tells processors apart. So
+code of another version is never used, a killed compilation leaves files that nobody reads, and a
+read-only installation works, since the folder is in the user's cache (``IMR_TORCH_CACHE`` names
+another).
 """
 
 import builtins
@@ -32,23 +34,42 @@ from imr_torch.files import write_atomically
 from imr_torch.material import PARAMETERS, Effect, StressTerm
 from imr_torch.simulate import contents
 from imr_torch.simulate.bubbles import Constants, Numbers
-from imr_torch.simulate.compiled import algebra, lanes, laws, polytropic, step, transport, vectors, wall
+from imr_torch.simulate.compiled import (
+    algebra,
+    lanes,
+    laws,
+    polytropic,
+    step,
+    transport,
+    vectors,
+    wall,
+)
 from imr_torch.simulate.compiled.lanes import STAND_INS, ForEight
 
 _FIELDS = tuple(
     dict.fromkeys(
         name
-        for kind in (Constants, Numbers, *(x for x in vars(contents).values() if hasattr(x, "_fields")))
+        for kind in (
+            Constants,
+            Numbers,
+            *(x for x in vars(contents).values() if hasattr(x, "_fields")),
+        )
         for name in kind._fields
     )
 )
 
-_INLINE: dict[Any, Literal["never", "machine", "source"]] = {transport.solve_bundle: "source", wall.motion_slopes: "never"}
+_INLINE: dict[Any, Literal["never", "machine", "source"]] = {
+    transport.solve_bundle: "source",
+    wall.motion_slopes: "never",
+}
 """How callers take in a function, where not as machine code: see :func:`imr_torch.elementary.kernel`.
 
 Calls of a long function cost little, and so do those of functions for eight bubbles; taking them in takes longer to compile.
 """
-_TWICE = (step.__name__, algebra.__name__)  # whose functions are compiled for one bubble and for eight
+_TWICE = (
+    step.__name__,
+    algebra.__name__,
+)  # whose functions are compiled for one bubble and for eight
 
 
 @dataclass(frozen=True)
@@ -74,21 +95,26 @@ class Registry:
         for term in self.terms:
             yield from (law for law in (term.law, term.start, term.fastest) if law is not None)
         for effect in self.effects:
-            yield from (law for law in (effect.gas_loss, effect.vapour, effect.far_field) if law is not None)
+            yield from (
+                law for law in (effect.gas_loss, effect.vapour, effect.far_field) if law is not None
+            )
         yield from (*self.radial, *self.gases, *self.drivings)
 
 
 @functools.cache
 def switches(registry: Registry) -> tuple[list[int], list[int]]:
     """Columns of the parameters that switch each term and each effect on."""
-    return PARAMETERS.index([t.switch for t in registry.terms]), PARAMETERS.index([e.names[0] for e in registry.effects])
+    return PARAMETERS.index([t.switch for t in registry.terms]), PARAMETERS.index(
+        [e.names[0] for e in registry.effects]
+    )
 
 
 @functools.cache
 def engine(registry: Registry) -> types.ModuleType:
     """The compiled module of a registry, with ``solve_transport`` and ``solve_polytropic``."""
     folder = _folder(registry)
-    path, text = folder / "engine.py", source(registry)
+    path = folder / "engine.py"
+    text = source(registry)
     if not path.exists() or path.read_text() != text:
         write_atomically(path, lambda stream: stream.write(text.encode()))
     spec = importlib.util.spec_from_file_location(f"imr_torch_engine_{folder.name}", path)
@@ -96,11 +122,18 @@ def engine(registry: Registry) -> types.ModuleType:
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     vars(module).update({name: elementary.compiled(law) for name, law in _names(registry)})
-    sys.modules[spec.name] = module  # where Numba looks for the module of a function that it reads from its cache
+    sys.modules[spec.name] = (
+        module  # where Numba looks for the module of a function that it reads from its cache
+    )
     spec.loader.exec_module(module)
     bound: dict[Any, Any] = {}
-    for name, function in (("solve_transport", transport.solve_block), ("solve_polytropic", polytropic.solve_block)):
-        code = function.__code__.replace(co_filename=str(path), co_qualname=name)  # beside which Numba keeps what it compiled
+    for name, function in (
+        ("solve_transport", transport.solve_block),
+        ("solve_polytropic", polytropic.solve_block),
+    ):
+        code = function.__code__.replace(
+            co_filename=str(path), co_qualname=name
+        )  # beside which Numba keeps what it compiled
         entry = types.FunctionType(code, _scope(function, module, bound), name)
         vars(module)[name] = elementary.kernel(entry, cache=True)
     return module
@@ -112,12 +145,16 @@ def _bound(function: Any, module: types.ModuleType, bound: dict[Any, Any]) -> An
         own = function.function if isinstance(function, ForEight) else function
         scope = _scope(function, module, bound)
         inline = _INLINE.get(function, "never" if own is not function else "machine")
-        bound[function] = elementary.kernel(types.FunctionType(own.__code__, scope, own.__name__), inline=inline)
+        bound[function] = elementary.kernel(
+            types.FunctionType(own.__code__, scope, own.__name__), inline=inline
+        )
     return bound[function]
 
 
 def _scope(function: Any, module: types.ModuleType, bound: dict[Any, Any]) -> dict[str, Any]:
-    """The globals of a function of the engine: laws of a module in place of their declarations, and all else compiled."""
+    """The globals of a function of the engine: laws of a module in place of their declarations, and
+    all else compiled.
+    """
     scope: dict[str, Any] = {"__builtins__": builtins, "__name__": __name__}
     eightfold = isinstance(function, ForEight)
     own = function.function if eightfold else function
@@ -146,29 +183,52 @@ def _cached(module: types.ModuleType, entry: str) -> list[Path]:
 
 
 def announced(module: types.ModuleType, entry: str, arguments: Sequence[Any]) -> Any:
-    """Call an entry point that has not run in this process; where it has to be compiled, say so and how long it took."""
+    """Call an entry point that has not run in this process.
+
+    Where it has to be compiled, say so and how long it took.
+    """
     function = getattr(module, entry)
     if cached := _cached(module, entry):
         try:
             return function(*arguments)
-        except Exception:  # whatever unpickling half a file raises; what is wrong with the arguments is raised again below
+        # whatever unpickling half a file raises; what is wrong with the arguments is raised again
+        # below
+        except Exception:
             for path in cached:
                 path.unlink(missing_ok=True)
-    print(f"imr_torch: compiling {entry} (once on this machine, about a minute) ...", file=sys.stderr, flush=True)
+    print(
+        f"imr_torch: compiling {entry} (once on this machine, about a minute) ...",
+        file=sys.stderr,
+        flush=True,
+    )
     begin = time.perf_counter()
     result = function(*arguments)
-    print(f"imr_torch: compiled {entry} in {time.perf_counter() - begin:.0f} s", file=sys.stderr, flush=True)
+    print(
+        f"imr_torch: compiled {entry} in {time.perf_counter() - begin:.0f} s",
+        file=sys.stderr,
+        flush=True,
+    )
     return result
 
 
 def _names(registry: Registry) -> Iterator[tuple[str, Law]]:
     """The name of each law in the generated module."""
     for i, term in enumerate(registry.terms):
-        yield from ((f"{kind}_{i}", law) for kind in ("law", "start", "fastest") if (law := getattr(term, kind)) is not None)
+        yield from (
+            (f"{kind}_{i}", law)
+            for kind in ("law", "start", "fastest")
+            if (law := getattr(term, kind)) is not None
+        )
     for i, effect in enumerate(registry.effects):
         kinds = ("gas_loss", "vapour", "far_field")
-        yield from ((f"{kind}_{i}", law) for kind in kinds if (law := getattr(effect, kind)) is not None)
-    for kind, group in (("radial", registry.radial), ("gas", registry.gases), ("driving", registry.drivings)):
+        yield from (
+            (f"{kind}_{i}", law) for kind in kinds if (law := getattr(effect, kind)) is not None
+        )
+    for kind, group in (
+        ("radial", registry.radial),
+        ("gas", registry.gases),
+        ("driving", registry.drivings),
+    ):
         yield from ((f"{kind}_{i}", law) for i, law in enumerate(group))
 
 
@@ -200,13 +260,19 @@ def _columns(names: Sequence[str]) -> str:
 def _stress(terms: Sequence[StressTerm]) -> str:
     """The sum of the terms that act, and the rates of their memory."""
     lines = ["@kernel", "def stress(radius, velocity, rest_radius, on, theta, memory, rates):"]
-    lines += ["    value = 0.0 * radius", "    rate = value", "    acceleration = value", "    k = 0"]
+    lines += [
+        "    value = 0.0 * radius",
+        "    rate = value",
+        "    acceleration = value",
+        "    k = 0",
+    ]
     for i, term in enumerate(terms):
         states = "".join(f", memory[k + {j}]" for j in range(term.states))
         changes = "".join(f", z{j}" for j in range(term.states))
         lines += [
             f"    if on[{i}]:  # {term.name}",
-            f"        v, r, a{changes} = law_{i}(radius, velocity, rest_radius{states}{_columns(term.names)})",
+            f"        v, r, a{changes} = law_{i}(radius, velocity, "
+            f"rest_radius{states}{_columns(term.names)})",
             "        value += v",
             "        rate += r",
             "        acceleration += a",
@@ -236,7 +302,9 @@ def _memory(terms: Sequence[StressTerm]) -> str:
         if term.fastest is not None:
             arguments = _columns(term.names)[2:]
             fade += [f"    if on[{i}]:", f"        rate = max(rate, fastest_{i}({arguments}))"]
-    return "\n\n\n".join("\n".join(x) for x in ([*count, "    return k"], begin, [*fade, "    return rate"]))
+    return "\n\n\n".join(
+        "\n".join(x) for x in ([*count, "    return k"], begin, [*fade, "    return rate"])
+    )
 
 
 def _effects(effects: Sequence[Effect]) -> str:
@@ -248,7 +316,9 @@ def _effects(effects: Sequence[Effect]) -> str:
     }
     functions = []
     for kind, (asks, arguments, nothing, operator) in kinds.items():
-        chosen = [(i, effect) for i, effect in enumerate(effects) if getattr(effect, kind) is not None]
+        chosen = [
+            (i, effect) for i, effect in enumerate(effects) if getattr(effect, kind) is not None
+        ]
         any_on = " or ".join(f"on[{i}]" for i, _ in chosen) or "False"
         functions.append(f"@kernel\ndef {asks}(on):\n    return bool({any_on})")
         lines = ["@kernel", f"def {kind}({arguments}, on, theta):", f"    total = {nothing}"]
@@ -256,7 +326,10 @@ def _effects(effects: Sequence[Effect]) -> str:
             call = f"{kind}_{i}({arguments}{_columns(effect.names)})"
             lines += [f"    if on[{i}]:  # {effect.name}"]
             if kind == "far_field":
-                lines += [f"        v, r, a = {call}", "        total = (total[0] + v, total[1] + r, total[2] + a)"]
+                lines += [
+                    f"        v, r, a = {call}",
+                    "        total = (total[0] + v, total[1] + r, total[2] + a)",
+                ]
             else:
                 lines += [f"        total = total {operator} {call}"]
         functions.append("\n".join([*lines, "    return total"]))
@@ -264,11 +337,17 @@ def _effects(effects: Sequence[Effect]) -> str:
 
 
 def _choice(kind: str, laws: Sequence[Law], shared: int = 0) -> str:
-    """One function that calls the law of a number; its arguments after the first ``shared`` come out of one array."""
+    """One function that calls the law of a number.
+
+    Its arguments after the first ``shared`` come out of one array.
+    """
     signatures = [tuple(inspect.signature(law).parameters) for law in laws]
     common = signatures[0][:shared] if shared else signatures[0]
     arguments = ", ".join(common)
-    calls = [f"{kind}_{i}({arguments}{_entries(len(own) - len(common))})" for i, own in enumerate(signatures)]
+    calls = [
+        f"{kind}_{i}({arguments}{_entries(len(own) - len(common))})"
+        for i, own in enumerate(signatures)
+    ]
     lines = ["@kernel", f"def {kind}(kind, {arguments}{', constants' if shared else ''}):"]
     for i, (law, call) in enumerate(zip(laws[:-1], calls[:-1], strict=True)):
         lines += [f"    if kind == {i}:  # {law.__qualname__}", f"        return {call}"]
@@ -288,7 +367,11 @@ def _folder(registry: Registry) -> Path:
     """Where the code of a registry is kept; made if need be."""
     root = os.environ.get("IMR_TORCH_CACHE")
     if root is None:
-        home = os.environ.get("LOCALAPPDATA") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        home = (
+            os.environ.get("LOCALAPPDATA")
+            or os.environ.get("XDG_CACHE_HOME")
+            or Path.home() / ".cache"
+        )
         root = Path(home) / "imr_torch"
     folder = Path(root) / _hash(registry)
     try:
@@ -296,7 +379,11 @@ def _folder(registry: Registry) -> Path:
         with tempfile.TemporaryFile(dir=folder):
             return folder
     except OSError:
-        print(f"imr_torch: {folder} cannot be written, so compiled code is not kept; set IMR_TORCH_CACHE.", file=sys.stderr)
+        print(
+            f"imr_torch: {folder} cannot be written, so compiled code is not kept; set "
+            "IMR_TORCH_CACHE.",
+            file=sys.stderr,
+        )
         return Path(tempfile.mkdtemp(prefix="imr_torch_"))
 
 
@@ -305,7 +392,12 @@ def _hash(registry: Registry) -> str:
     digest = hashlib.sha256()
     for version in (sys.version, numba.__version__, llvmlite.__version__, np.__version__):
         digest.update(version.encode())
-    for file in (__file__, elementary.__file__, vectors.__file__, lanes.__file__):  # how functions are compiled
+    for file in (
+        __file__,
+        elementary.__file__,
+        vectors.__file__,
+        lanes.__file__,
+    ):  # how functions are compiled
         digest.update(Path(file).read_bytes())
     for function in (transport.solve_block, polytropic.solve_block, *registry.laws()):
         for part in elementary.code_of(function):

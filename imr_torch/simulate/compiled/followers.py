@@ -1,8 +1,9 @@
 """Followers of a bundle, eight at a time along the leader's steps; compiled.
 
-All eight take a step together (:mod:`imr_torch.simulate.compiled.lanes`), which costs as much as some four steps of one bubble:
-where fewer followers are left than ``LEAST``, the caller takes them one by one. What a follower gives is the same either way,
-bit for bit, and depends on no other follower. Functions here are compiled by :mod:`imr_torch.simulate.compiled.build`.
+All eight take a step together (:mod:`imr_torch.simulate.compiled.lanes`), which costs as much as
+some four steps of one bubble: where fewer followers are left than ``LEAST``, the caller takes them
+one by one. What a follower gives is the same either way, bit for bit, and depends on no other
+follower. Functions here are compiled by :mod:`imr_torch.simulate.compiled.build`.
 """
 
 from typing import Any, NamedTuple
@@ -47,13 +48,19 @@ class Followers(NamedTuple):
 
 
 def arrays_for(nodes: int, outer_nodes: int, states: int, width: int) -> tuple[Any, ...]:
-    """What :func:`followers_of` takes beside the grids; as small as may be where all members are taken one by one."""
+    """What :func:`followers_of` takes beside the grids.
+
+    As small as may be where all members are taken one by one.
+    """
     eights = -(-(width - alone(width)) // LANES)
     if not eights:
-        nodes, outer_nodes = 1, 1
+        nodes = 1
+        outer_nodes = 1
     work = work_for(nodes, outer_nodes, states, eights, eightfold=True)
     size = work[0].shape[1]
-    spare = Spare(np.zeros(size), np.zeros((2, states)), np.zeros(5 + states), np.zeros((2 + states, states)))
+    spare = Spare(
+        np.zeros(size), np.zeros((2, states)), np.zeros(5 + states), np.zeros((2 + states, states))
+    )
     return work, (lanes(eights, len(Numbers._fields)),), tuple(spare)
 
 
@@ -64,23 +71,34 @@ def followers_of(grids, arrays):
 
 
 def alone(width):
-    """How many members at the beginning of a bundle are integrated one by one: the leader, and few followers."""
+    """How many members at the beginning of a bundle are integrated one by one: the leader, and few
+    followers.
+    """
     rest = (width - 1) % LANES
     return 1 + rest if rest < LEAST else 1
 
 
 def eightfold(which, numbers, theta, terms, effects, followers):
-    """The members of one eight; arguments as :func:`imr_torch.simulate.compiled.transport.solve_bundle`."""
-    loses, traps, driven = laws.loses(effects), laws.traps(effects), laws.drives(effects)
-    first, own = alone(len(numbers)) + LANES * which, laws.numbers(followers.numbers[which])
-    return Eightfold(own, numbers, theta, first, terms, effects, driven, loses, traps, followers.spare)
+    """The members of one eight.
+
+    Arguments as :func:`imr_torch.simulate.compiled.transport.solve_bundle`.
+    """
+    loses = laws.loses(effects)
+    traps = laws.traps(effects)
+    driven = laws.drives(effects)
+    first = alone(len(numbers)) + LANES * which
+    own = laws.numbers(followers.numbers[which])
+    return Eightfold(
+        own, numbers, theta, first, terms, effects, driven, loses, traps, followers.spare
+    )
 
 
 def start_followers(numbers, theta, terms, effects, setup, followers):
     """The numbers of all eights, and their states at time zero."""
     last = len(numbers) - 1
     for which in range(len(followers.numbers)):
-        row, state = followers.numbers[which], followers.work.state[which]
+        row = followers.numbers[which]
+        state = followers.work.state[which]
         for k in range(LANES):
             write_lane(row, k, numbers[min(alone(len(numbers)) + LANES * which + k, last)])
         members = eightfold(which, numbers, theta, terms, effects, followers)
@@ -90,19 +108,30 @@ def start_followers(numbers, theta, terms, effects, setup, followers):
 
 
 def follow(which, members, ended, h, paced, followers, setup, clock, nodes, counts, times, curves):
-    """Record the states of one eight, and take the leader's step ``h`` from them unless the leader has ``ended``.
+    """Record the states of one eight, and take the leader's step ``h`` from them unless the leader
+    has ``ended``.
 
-    ``paced`` is the leader's time scale; other arguments as in :mod:`imr_torch.simulate.compiled.transport`.
+    ``paced`` is the leader's time scale; other arguments as in
+    :mod:`imr_torch.simulate.compiled.transport`.
     """
-    space, work, first = followers.space, followers.work, members.first
-    state, time, last = work.state[which], spread(0.0), len(clock) - 1
+    space = followers.space
+    work = followers.work
+    first = members.first
+    state = work.state[which]
+    time = spread(0.0)
+    last = len(clock) - 1
     for k in range(LANES):
         time = with_lane(time, k, clock[min(first + k, last)])
     log_rate = linearise_eight(state, time, space, work, members, setup)
     for k in range(min(LANES, len(clock) - first)):
-        i, (radius, velocity, log_pressure) = first + k, (lane(state[0], k), lane(state[1], k), lane(state[2], k))
+        i, (radius, velocity, log_pressure) = (
+            first + k,
+            (lane(state[0], k), lane(state[1], k), lane(state[2], k)),
+        )
         node = (clock[i], radius, velocity, lane(work.rate[1], k), log_pressure, lane(log_rate, k))
-        counts[0, i] = record(node, nodes[i], counts[0, i], counts[1, i] > 0, times[i], curves[:, i])
+        counts[0, i] = record(
+            node, nodes[i], counts[0, i], counts[1, i] > 0, times[i], curves[:, i]
+        )
         counts[1, i] += 1
     if not ended:
         length = h * (pace_eight(state) / paced)
@@ -112,9 +141,11 @@ def follow(which, members, ended, h, paced, followers, setup, clock, nodes, coun
 
 def accept(h, paced, clock, followers):
     """Make the states after the step those of all eights."""
-    work, width = followers.work, len(clock)
+    work = followers.work
+    width = len(clock)
     for which in range(len(followers.numbers)):
-        length, first = h * (pace_eight(work.state[which]) / paced), alone(width) + LANES * which
+        length = h * (pace_eight(work.state[which]) / paced)
+        first = alone(width) + LANES * which
         for k in range(min(LANES, width - first)):
             clock[first + k] += lane(length, k)
         for i in range(work.state.shape[1]):

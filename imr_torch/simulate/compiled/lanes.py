@@ -1,10 +1,12 @@
-"""What stands in the place of some functions where one step is taken for eight bubbles at once; compiled.
+"""What stands in the place of some functions where one step is taken for eight bubbles at once;
+compiled.
 
-The source of a step (:mod:`imr_torch.simulate.compiled.step`) and of its algebra is compiled twice. For one bubble, rows are
-taken eight neighbours at a time. For eight bubbles, each number is an :class:`~imr_torch.simulate.compiled.vectors.Eight` with
-one bubble's in each place, and rows are taken one entry at a time. The balance of the wall, with the laws of gels, effects and
-liquids, is computed for one of the eight after the other by the same code as for one bubble. Operations on a bubble's numbers
-and their order are the same both ways, and so are the results, bit for bit.
+The source of a step (:mod:`imr_torch.simulate.compiled.step`) and of its algebra is compiled twice.
+For one bubble, rows are taken eight neighbours at a time. For eight bubbles, each number is an
+:class:`~imr_torch.simulate.compiled.vectors.Eight` with one bubble's in each place, and rows are
+taken one entry at a time. The balance of the wall, with the laws of gels, effects and liquids, is
+computed for one of the eight after the other by the same code as for one bubble. Operations on a
+bubble's numbers and their order are the same both ways, and so are the results, bit for bit.
 """
 
 from collections.abc import Callable
@@ -19,12 +21,10 @@ from imr_torch.simulate.compiled.vectors import lane, spread, with_lane
 from imr_torch.simulate.compiled.wall import Member
 
 LANES = 8
-gas_loss_of_one, motion_of_one, motion_slopes_of_one, vapour_factor_of_one = (
-    wall.gas_loss,
-    wall.motion,
-    wall.motion_slopes,
-    wall.vapour_factor,
-)
+gas_loss_of_one = wall.gas_loss
+motion_of_one = wall.motion
+motion_slopes_of_one = wall.motion_slopes
+vapour_factor_of_one = wall.vapour_factor
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,8 @@ class Spare(NamedTuple):
     Args:
         state: a state.
         memory: ``2 x K``: memory and its rates.
-        slopes: ``5 + K``, see :func:`imr_torch.simulate.compiled.wall.motion_slopes`; ``memory_slopes`` likewise.
+        slopes: ``5 + K``, see :func:`imr_torch.simulate.compiled.wall.motion_slopes`;
+            ``memory_slopes`` likewise.
         memory_slopes: ``(2 + K) x K``.
     """
 
@@ -62,7 +63,8 @@ class Eightfold(NamedTuple):
         b: their numbers.
         numbers: ``w x N``, the numbers of the whole bundle; ``theta`` likewise.
         theta: ``w x p``, dimensionless parameters.
-        first: which member is the first of the eight; where the bundle ends, the last one fills the places that are left.
+        first: which member is the first of the eight; where the bundle ends, the last one fills the
+            places that are left.
         terms: which stress terms act; ``effects`` likewise.
         effects: see ``terms``.
         driven: whether the far field changes.
@@ -99,15 +101,19 @@ def same(value):
 
 
 def dot(one, other, space, spare):
-    """Inner product of rows of all fields, in the order of sums of :func:`imr_torch.simulate.compiled.algebra.dot`."""
-    n, m = len(space.y), len(space.shear)
+    """Inner product of rows of all fields, in the order of sums of
+    :func:`imr_torch.simulate.compiled.algebra.dot`.
+    """
+    n = len(space.y)
+    m = len(space.shear)
     for j in range(8):
         sums = spread(0.0)
         for begin, end in ((0, n), (n, 2 * n), (2 * n, 2 * n + m)):
             for i in range(begin + j, end, 8):
                 sums = sums + one[i] * other[i]
         spare[j] = sums
-    left, right = (spare[0] + spare[4]) + (spare[2] + spare[6]), (spare[1] + spare[5]) + (spare[3] + spare[7])
+    left = (spare[0] + spare[4]) + (spare[2] + spare[6])
+    right = (spare[1] + spare[5]) + (spare[3] + spare[7])
     return left + right
 
 
@@ -115,7 +121,15 @@ def single(member, k):
     """One of the eight."""
     place = min(member.first + k, len(member.numbers) - 1)
     b = laws.numbers(member.numbers[place])
-    return Member(b, member.theta[place], member.terms, member.effects, member.driven, member.loses, member.traps)
+    return Member(
+        b,
+        member.theta[place],
+        member.terms,
+        member.effects,
+        member.driven,
+        member.loses,
+        member.traps,
+    )
 
 
 def write_lane(row, k, values):
@@ -126,7 +140,8 @@ def write_lane(row, k, values):
 
 def motion(time, radius, velocity, pressure, rate, memory, memory_rates, member, setup):
     """As :func:`imr_torch.simulate.compiled.wall.motion`."""
-    states, out = len(memory), radius
+    states = len(memory)
+    out = radius
     for k in range(LANES):
         for j in range(states):
             member.spare.memory[0, j] = lane(memory[j], k)
@@ -147,9 +162,23 @@ def motion(time, radius, velocity, pressure, rate, memory, memory_rates, member,
     return out
 
 
-def motion_slopes(time, radius, velocity, pressure, rate, memory, member, setup, slopes, memory_slopes, moved, spare):
+def motion_slopes(
+    time,
+    radius,
+    velocity,
+    pressure,
+    rate,
+    memory,
+    member,
+    setup,
+    slopes,
+    memory_slopes,
+    moved,
+    spare,
+):
     """As :func:`imr_torch.simulate.compiled.wall.motion_slopes`."""
-    states, out = len(memory), radius
+    states = len(memory)
+    out = radius
     for k in range(LANES):
         for j in range(states):
             member.spare.memory[0, j] = lane(memory[j], k)
@@ -173,13 +202,17 @@ def motion_slopes(time, radius, velocity, pressure, rate, memory, member, setup,
         for j in range(states):
             spare[j] = with_lane(spare[j], k, member.spare.memory[1, j])
             for i in range(2 + states):
-                memory_slopes[i, j] = with_lane(memory_slopes[i, j], k, member.spare.memory_slopes[i, j])
+                memory_slopes[i, j] = with_lane(
+                    memory_slopes[i, j], k, member.spare.memory_slopes[i, j]
+                )
     return out
 
 
 def gas_loss(radius, velocity, member):
     """As :func:`imr_torch.simulate.compiled.wall.gas_loss`."""
-    lost, by_radius, by_velocity = spread(0.0), spread(0.0), spread(0.0)
+    lost = spread(0.0)
+    by_radius = spread(0.0)
+    by_velocity = spread(0.0)
     if member.loses:
         for k in range(LANES):
             values = gas_loss_of_one(lane(radius, k), lane(velocity, k), single(member, k))
@@ -191,11 +224,13 @@ def gas_loss(radius, velocity, member):
 
 def vapour_factor(compression, member):
     """As :func:`imr_torch.simulate.compiled.wall.vapour_factor`."""
-    factor, trapped = spread(1.0), spread(0.0)
+    factor = spread(1.0)
+    trapped = spread(0.0)
     if member.traps:
         for k in range(LANES):
             values = vapour_factor_of_one(lane(compression, k), single(member, k))
-            factor, trapped = with_lane(factor, k, values[0]), with_lane(trapped, k, values[1])
+            factor = with_lane(factor, k, values[0])
+            trapped = with_lane(trapped, k, values[1])
     return factor, trapped
 
 

@@ -1,8 +1,10 @@
-"""What the generated module of :mod:`imr_torch.simulate.compiled.build` offers to the engine: each kind of law as one function.
+"""What the generated module of :mod:`imr_torch.simulate.compiled.build` offers to the engine: each
+kind of law as one function.
 
-These are declarations. Where a function of the engine is compiled, the generated module takes this one's place; each of its
-functions knows all laws of the registries and calls those that act. Boolean arrays ``terms`` and ``effects`` say which do;
-``theta`` are the dimensionless parameters of a bubble.
+These are declarations. Where a function of the engine is compiled, the generated module takes this
+one's place; each of its functions knows all laws of the registries and calls those that act.
+Boolean arrays ``terms`` and ``effects`` say which do; ``theta`` are the dimensionless parameters of
+a bubble.
 """
 
 from typing import Any
@@ -15,8 +17,13 @@ def numbers(row: Any) -> Numbers:
     raise NotImplementedError
 
 
-def stress(radius: Any, velocity: Any, rest_radius: Any, terms: Any, theta: Any, memory: Any, rates: Any) -> tuple:
-    """Value, rate and acceleration of the sum of the stress terms; writes the rates of memory. Real or complex."""
+def stress(
+    radius: Any, velocity: Any, rest_radius: Any, terms: Any, theta: Any, memory: Any, rates: Any
+) -> tuple:
+    """Value, rate and acceleration of the sum of the stress terms.
+
+    Writes the rates of memory. Real or complex.
+    """
     raise NotImplementedError
 
 
@@ -36,17 +43,26 @@ def fastest(terms: Any, theta: Any) -> float:
 
 
 def radial(kind: int, *state: Any) -> Any:
-    """``U'`` by the radial equation of a number; the arguments are those of its law up to ``image``, then its constants."""
+    """``U'`` by the radial equation of a number.
+
+    The arguments are those of its law up to ``image``, then its constants.
+    """
     raise NotImplementedError
 
 
 def gas(kind: int, *state: Any) -> tuple:
-    """Pressure and its rate by the gas law of a number; arguments as :func:`imr_torch.simulate.gas.polytropic`."""
+    """Pressure and its rate by the gas law of a number.
+
+    Arguments as :func:`imr_torch.simulate.gas.polytropic`.
+    """
     raise NotImplementedError
 
 
 def driving(kind: int, time: Any, values: Any, knots: Any, cubics: Any) -> tuple:
-    """Pressure and its derivatives (SI) by the driving of a number; see :class:`imr_torch.simulate.driving.LawDriving`."""
+    """Pressure and its derivatives (SI) by the driving of a number.
+
+    See :class:`imr_torch.simulate.driving.LawDriving`.
+    """
     raise NotImplementedError
 
 

@@ -1,4 +1,6 @@
-"""Radius, velocity and pressure of one bubble at the times asked for, filled in as its steps are taken; compiled."""
+"""Radius, velocity and pressure of one bubble at the times asked for, filled in as its steps are
+taken; compiled.
+"""
 
 import numpy as np
 
@@ -9,7 +11,8 @@ TIME, RADIUS, VELOCITY, ACCELERATION, PRESSURE, PRESSURE_RATE = range(6)
 def fill(before, after, begin, times, radius, velocity):
     """Radius and velocity at all times up to a node, by quintic Hermite interpolation.
 
-    As :func:`imr_torch.simulate.clock.interpolate`: before ``t* = 0`` the polynomial ends after its second power.
+    As :func:`imr_torch.simulate.clock.interpolate`: before ``t* = 0`` the polynomial ends after its
+    second power.
 
     Args:
         before: the node before, six numbers in the order of the rows above.
@@ -24,10 +27,17 @@ def fill(before, after, begin, times, radius, velocity):
     """
     t0 = before[TIME]
     h = max(after[TIME] - t0, 1e-300)
-    r0, u0, a0 = before[RADIUS], before[VELOCITY] * h, before[ACCELERATION] * h * h
-    u1, a1 = after[VELOCITY] * h, after[ACCELERATION] * h * h
-    d, e, f = after[RADIUS] - r0 - u0 - 0.5 * a0, u1 - u0 - a0, a1 - a0
-    c3, c4, c5 = 10.0 * d - 4.0 * e + 0.5 * f, -15.0 * d + 7.0 * e - f, 6.0 * d - 3.0 * e + 0.5 * f
+    r0 = before[RADIUS]
+    u0 = before[VELOCITY] * h
+    a0 = before[ACCELERATION] * h * h
+    u1 = after[VELOCITY] * h
+    a1 = after[ACCELERATION] * h * h
+    d = after[RADIUS] - r0 - u0 - 0.5 * a0
+    e = u1 - u0 - a0
+    f = a1 - a0
+    c3 = 10.0 * d - 4.0 * e + 0.5 * f
+    c4 = -15.0 * d + 7.0 * e - f
+    c5 = 6.0 * d - 3.0 * e + 0.5 * f
     while begin < len(times) and times[begin] <= after[TIME]:
         s = (times[begin] - t0) / h
         if s < 0.0:
@@ -40,20 +50,30 @@ def fill(before, after, begin, times, radius, velocity):
 
 
 def fill_pressure(before, after, begin, end, times, pressure):
-    """Pressure at some times before a node, by cubic Hermite interpolation of its logarithm; arguments as :func:`fill`."""
+    """Pressure at some times before a node, by cubic Hermite interpolation of its logarithm.
+
+    Arguments as :func:`fill`.
+    """
     t0 = before[TIME]
     h = max(after[TIME] - t0, 1e-300)
-    p0, q0, q1 = before[PRESSURE], before[PRESSURE_RATE] * h, after[PRESSURE_RATE] * h
+    p0 = before[PRESSURE]
+    q0 = before[PRESSURE_RATE] * h
+    q1 = after[PRESSURE_RATE] * h
     rise = after[PRESSURE] - p0
-    bend, twist = 3.0 * rise - 2.0 * q0 - q1, q0 + q1 - 2.0 * rise
+    bend = 3.0 * rise - 2.0 * q0 - q1
+    twist = q0 + q1 - 2.0 * rise
     for j in range(begin, end):
         s = (times[j] - t0) / h
         pressure[j] = np.exp(p0 + s * q0 if s < 0.0 else p0 + s * (q0 + s * (bend + s * twist)))
 
 
 def record(node, nodes, begin, second, times, curves):
-    """Make a node the last of two, and fill the output up to it unless it is the first; returns the next time to be filled."""
-    before, after = nodes[0], nodes[1]
+    """Make a node the last of two, and fill the output up to it unless it is the first.
+
+    Returns the next time to be filled.
+    """
+    before = nodes[0]
+    after = nodes[1]
     for i in range(len(node)):
         before[i], after[i] = after[i], node[i]
     if not second:

@@ -1,8 +1,10 @@
-"""Steps of bubbles that were integrated lately, so that others can follow them without integrating them again.
+"""Steps of bubbles that were integrated lately, so that others can follow them without integrating
+them again.
 
-A search near a minimum asks for bundle after bundle behind one leader. What a follower takes of its leader is the length and
-the time scale of each step, and what a leader gives does not depend on who follows it, bit for bit: so both are kept. Only
-bubbles of small batches are; those of a large one would displace all others.
+A search near a minimum asks for bundle after bundle behind one leader. What a follower takes of its
+leader is the length and the time scale of each step, and what a leader gives does not depend on who
+follows it, bit for bit: so both are kept. Only bubbles of small batches are; those of a large one
+would displace all others.
 """
 
 import threading
@@ -94,7 +96,11 @@ class Leaders:
             if path is not None:
                 curves[:, bundle], counts[bundle] = path.curves, path.nodes
             elif done[bundle] and counts[bundle] - 1 <= self.steps.shape[1]:
-                own = self.steps[bundle, : counts[bundle] - 1].copy(), curves[:, bundle].copy(), int(counts[bundle])
+                own = (
+                    self.steps[bundle, : counts[bundle] - 1].copy(),
+                    curves[:, bundle].copy(),
+                    int(counts[bundle]),
+                )
                 with _lock:
                     _paths[key] = Path(*own)
                     while len(_paths) > _KEPT:

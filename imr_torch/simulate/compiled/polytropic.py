@@ -1,8 +1,9 @@
 """One bubble of polytropic gas, and a bundle of them, integrated by compiled code.
 
-The same method as the tensor engine (:mod:`imr_torch.simulate.polytropic`): the classical Runge-Kutta method with fixed steps
-of a stretched time (:mod:`imr_torch.simulate.clock`), tried again with half the step where a leader fails. Functions here are
-compiled by :mod:`imr_torch.simulate.compiled.build`.
+The same method as the tensor engine (:mod:`imr_torch.simulate.polytropic`): the classical
+    Runge-Kutta method with fixed steps
+of a stretched time (:mod:`imr_torch.simulate.clock`), tried again with half the step where a leader
+fails. Functions here are compiled by :mod:`imr_torch.simulate.compiled.build`.
 """
 
 from typing import NamedTuple
@@ -16,13 +17,17 @@ from imr_torch.simulate.compiled.wall import gas_loss, member_of, motion, setup_
 from imr_torch.simulate.gas import compression_of
 from imr_torch.simulate.simulator import RUNAWAY, Status
 
-_DONE, _TOO_MANY, _NON_FINITE = int(Status.DONE), int(Status.TOO_MANY_STEPS), int(Status.NON_FINITE)
+_DONE = int(Status.DONE)
+_TOO_MANY = int(Status.TOO_MANY_STEPS)
+_NON_FINITE = int(Status.NON_FINITE)
 _RUNAWAY = int(Status.RUNAWAY)
 _HEAD = 3  # R, U, t, then memory, then gas left
 
 
 class Work(NamedTuple):
-    """Arrays for one bubble: its state, that of a stage, the rates of four stages, and the last two nodes of its path."""
+    """Arrays for one bubble: its state, that of a stage, the rates of four stages, and the last two
+    nodes of its path.
+    """
 
     state: np.ndarray
     stage: np.ndarray
@@ -43,16 +48,38 @@ def contents(radius, velocity, left, member, setup):
     factor, trapped = vapour_factor(compression, member)
     lost = gas_loss(radius, velocity, member)[0]
     pressure, rate = laws.gas(
-        setup.gas, radius, velocity, left, lost, compression, factor, trapped, b.gas, b.exponent, b.vapour
+        setup.gas,
+        radius,
+        velocity,
+        left,
+        lost,
+        compression,
+        factor,
+        trapped,
+        b.gas,
+        b.exponent,
+        b.vapour,
     )
     return pressure, rate, lost
 
 
 def rates_at(state, fading, member, setup, out):
     """Derivatives of the state in stretched time; returns ``U'``."""
-    radius, velocity, last = state[0], state[1], len(state) - 1
+    radius = state[0]
+    velocity = state[1]
+    last = len(state) - 1
     pressure, rate, lost = contents(radius, velocity, state[last], member, setup)
-    force = motion(state[2], radius, velocity, pressure, rate, state[_HEAD:last], out[_HEAD:last], member, setup)
+    force = motion(
+        state[2],
+        radius,
+        velocity,
+        pressure,
+        rate,
+        state[_HEAD:last],
+        out[_HEAD:last],
+        member,
+        setup,
+    )
     tick = time_per_tick(radius, velocity, force, pressure, fading, member.b)
     out[0], out[1], out[2] = tick * velocity, tick * force, tick
     for k in range(_HEAD, last):
@@ -80,13 +107,18 @@ def march(numbers, theta, terms, effects, setup, h, share, max_steps, last, time
     """
     member = member_of(numbers, theta, terms, effects)
     fading = laws.fastest(terms, theta) * share
-    state, stage, rates, nodes = work.state, work.stage, work.rates, work.nodes
+    state = work.state
+    stage = work.stage
+    rates = work.rates
+    nodes = work.nodes
     size = len(state)
     gas = size - 1
     state[0], state[1], state[2], state[gas] = 1.0, member.b.velocity, 0.0, 1.0
     laws.start(member.b.rest_radius, terms, theta, state[_HEAD:gas])
     curves[:] = np.nan
-    filled, step, gas_before = 0, 0, 1.0
+    filled = 0
+    step = 0
+    gas_before = 1.0
     while True:
         force = rates_at(state, fading, member, setup, rates[0])
         finite = np.isfinite(force) and state[0] > 0.0
@@ -99,9 +131,15 @@ def march(numbers, theta, terms, effects, setup, h, share, max_steps, last, time
         node = nodes[1]
         for i in range(len(node)):
             nodes[0, i] = node[i]
-        node[TIME], node[RADIUS], node[VELOCITY], node[ACCELERATION] = state[2], state[0], state[1], force
+        node[TIME], node[RADIUS], node[VELOCITY], node[ACCELERATION] = (
+            state[2],
+            state[0],
+            state[1],
+            force,
+        )
         if step > 0:
-            begin, filled = filled, fill(nodes[0], node, filled, times, curves[0], curves[1])
+            begin = filled
+            filled = fill(nodes[0], node, filled, times, curves[0], curves[1])
             for j in range(begin, filled):
                 share_after = (times[j] - nodes[0, TIME]) / max(node[TIME] - nodes[0, TIME], 1e-300)
                 left = gas_before + share_after * (state[gas] - gas_before)
@@ -111,7 +149,10 @@ def march(numbers, theta, terms, effects, setup, h, share, max_steps, last, time
             return _DONE, step
         if step >= max_steps:
             return _TOO_MANY, step
-        first, second, third, fourth = rates[0], rates[1], rates[2], rates[3]
+        first = rates[0]
+        second = rates[1]
+        third = rates[2]
+        fourth = rates[3]
         for i in range(size):
             stage[i] = state[i] + h * first[i] * (1.0 / 3.0)
         rates_at(stage, fading, member, setup, second)
@@ -126,7 +167,21 @@ def march(numbers, theta, terms, effects, setup, h, share, max_steps, last, time
         step += 1
 
 
-def solve_block(which, width, rows, theta, terms, effects, shared, settings, times, curves, status, steps, arrays):
+def solve_block(
+    which,
+    width,
+    rows,
+    theta,
+    terms,
+    effects,
+    shared,
+    settings,
+    times,
+    curves,
+    status,
+    steps,
+    arrays,
+):
     """Integrate some bundles of a batch, one by one.
 
     Args:
@@ -137,8 +192,8 @@ def solve_block(which, width, rows, theta, terms, effects, shared, settings, tim
         terms: a row a bundle: which stress terms act; ``effects`` likewise.
         effects: see ``terms``.
         shared: what :func:`imr_torch.simulate.compiled.wall.setup_of` takes.
-        settings: for each attempt, the length of a step of stretched time and the weight of the gel's memory; and steps at
-            most.
+        settings: for each attempt, the length of a step of stretched time and the weight of the
+            gel's memory; and steps at most.
         times: ``B x n_t``.
         curves: ``3 x B x n_t``, receives radius, velocity and pressure.
         status: of each bundle's leader; ``steps`` likewise.
@@ -146,9 +201,11 @@ def solve_block(which, width, rows, theta, terms, effects, shared, settings, tim
         arrays: of :func:`work_for`, for the memory states that these bundles have.
     """
     attempts, max_steps = settings
-    setup, work = setup_of(shared), Work(*arrays)
+    setup = setup_of(shared)
+    work = Work(*arrays)
     for bundle in which:
-        lead, chosen = bundle * width, 0
+        lead = bundle * width
+        chosen = 0
         for attempt in range(len(attempts)):
             chosen = attempt
             status[bundle], steps[bundle] = march(
@@ -167,7 +224,9 @@ def solve_block(which, width, rows, theta, terms, effects, shared, settings, tim
             )
             if status[bundle] == _DONE or status[bundle] == _TOO_MANY:
                 break
-        for member in range(lead + 1, lead + width):  # a follower may need a little longer than its leader
+        for member in range(
+            lead + 1, lead + width
+        ):  # a follower may need a little longer than its leader
             march(
                 rows[member],
                 theta[member],

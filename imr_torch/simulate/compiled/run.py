@@ -1,7 +1,7 @@
 """The compiled engine: tensors in, tensors out, bubbles shared among processor threads.
 
-Bubbles are independent and each is integrated by itself, so results depend neither on the batch nor on the number of threads,
-bit for bit.
+Bubbles are independent and each is integrated by itself, so results depend neither on the batch nor
+on the number of threads, bit for bit.
 """
 
 import functools
@@ -39,14 +39,20 @@ _SHARES = 8  # chunks a thread, at least, so that none waits long for the last
 
 
 def obstacle(bubbles: Bubbles) -> str | None:
-    """What keeps a batch from the compiled engine, in words; None if nothing does. Laws that do not act are no obstacle."""
+    """What keeps a batch from the compiled engine, in words.
+
+    None if nothing does. Laws that do not act are no obstacle.
+    """
     conditions = bubbles.conditions
     kinds = [type(conditions.motion), type(conditions.gas)]
     if conditions.driving is not None:
         if not isinstance(conditions.driving, LawDriving):
             return f"the driving {type(conditions.driving).__name__} is no LawDriving"
         kinds.append(type(conditions.driving))
-    missing = [*_without_form(*kinds), *(part.name for part in (*bubbles.terms, *bubbles.effects) if not part.compilable)]
+    missing = [
+        *_without_form(*kinds),
+        *(part.name for part in (*bubbles.terms, *bubbles.effects) if not part.compilable),
+    ]
     return f"{missing[0]} has no compiled form" if missing else None
 
 
@@ -61,8 +67,13 @@ def registry_of(conditions: Conditions, terms: Sequence[StressTerm] | None) -> R
     driving = [type(conditions.driving).law] if isinstance(conditions.driving, LawDriving) else []
     return Registry(
         terms=tuple(term for term in _all(TERMS, terms or ()) if term.compilable),
-        effects=tuple(e for e in LIBRARY.values() if e.compilable and (e.gas_loss or e.vapour or e.far_field)),
-        radial=_all([type(motion).law for motion in RADIAL_EQUATIONS.values()], [type(conditions.motion).law]),
+        effects=tuple(
+            e for e in LIBRARY.values() if e.compilable and (e.gas_loss or e.vapour or e.far_field)
+        ),
+        radial=_all(
+            [type(motion).law for motion in RADIAL_EQUATIONS.values()],
+            [type(conditions.motion).law],
+        ),
         gases=_all([polytropic_law], [type(conditions.gas).law]),
         drivings=_all(DRIVING_LAWS, driving),
     )
@@ -81,7 +92,8 @@ def solve_transport(
     limits: tuple[float, int, float],
     threads: int | None,
 ) -> tuple[Tensor, ...]:
-    """Integrate bubbles with heat and vapour transport; see :func:`_solve` for arguments and results.
+    """Integrate bubbles with heat and vapour transport; see :func:`_solve` for arguments and
+    results.
 
     Args:
         bubbles: the batch.
@@ -98,7 +110,18 @@ def solve_transport(
     arrays = partial(_transport_arrays, *sizes)
     leaders = Leaders(len(times) // width, times.shape[1], limits[1])
     settings = (spaces, *limits, leaders.steps, leaders.known)
-    return _solve("solve_transport", bubbles, terms, times, width, settings, arrays, threads, leaders, (resolution, *limits))
+    return _solve(
+        "solve_transport",
+        bubbles,
+        terms,
+        times,
+        width,
+        settings,
+        arrays,
+        threads,
+        leaders,
+        (resolution, *limits),
+    )
 
 
 def solve_polytropic(
@@ -113,12 +136,19 @@ def solve_polytropic(
     steps = [stepping.step * 0.5**attempt for attempt in range(stepping.retries + 1)]
     attempts = np.array([(step, memory_share(step)) for step in steps])
     settings = (attempts, stepping.max_steps)
-    return _solve("solve_polytropic", bubbles, terms, times, width, settings, _polytropic_arrays, threads)
+    return _solve(
+        "solve_polytropic", bubbles, terms, times, width, settings, _polytropic_arrays, threads
+    )
 
 
 @functools.lru_cache(maxsize=_KEPT)
-def _transport_arrays(nodes: int, outer_nodes: int, states: int, width: int, _: int) -> tuple[Any, ...]:
-    """What the entry point works in; the last argument is the thread whose arrays these are, which nothing else uses."""
+def _transport_arrays(
+    nodes: int, outer_nodes: int, states: int, width: int, _: int
+) -> tuple[Any, ...]:
+    """What the entry point works in.
+
+    The last argument is the thread whose arrays these are, which nothing else uses.
+    """
     sizes = nodes, outer_nodes, states, width
     return step.work_for(*sizes), followers.arrays_for(*sizes)
 
@@ -150,13 +180,15 @@ def _solve(
         times: ``B x n_t`` tensor.
         width: members of a bundle.
         settings: what the entry point takes of the simulator's.
-        arrays: memory states, width of a bundle and number of a thread to the arrays that the entry point works in.
+        arrays: memory states, width of a bundle and number of a thread to the arrays that the entry
+            point works in.
         threads: that share the bubbles; all cores if None.
         leaders: of the bundles, some of which may be known; None where none is kept.
         same: what leaders must have in common, beside their numbers and conditions, to be the same.
 
     Returns:
-        Radius, velocity, pressure (``B x n_t`` each), status and steps (``B`` each; of the leaders).
+        Radius, velocity, pressure (``B x n_t`` each), status and steps (``B`` each; of the
+        leaders).
     """
     registry = registry_of(bubbles.conditions, terms)
     module = engine(registry)
@@ -164,7 +196,8 @@ def _solve(
     rows = torch.stack(torch.broadcast_tensors(*bubbles.numbers), 1).numpy()
     theta = bubbles.parameters.T.contiguous().numpy()
     curves = np.empty((3, *times.shape))
-    status, steps = np.empty(count, np.int64), np.empty(count, np.int64)
+    status = np.empty(count, np.int64)
+    steps = np.empty(count, np.int64)
     of_terms, of_effects = switches(registry)
     on = _acting(theta[:, of_terms], registry.terms, bubbles.terms, width)
     acting = _acting(theta[:, of_effects], registry.effects, bubbles.effects, width)
@@ -176,14 +209,23 @@ def _solve(
     def integrate(some: np.ndarray) -> None:
         for number in np.unique(states[some]):
             bundles = some[states[some] == number]
-            _share_out(module, entry, bundles, arguments, partial(arrays, int(number), width), threads or cores())
+            _share_out(
+                module,
+                entry,
+                bundles,
+                arguments,
+                partial(arrays, int(number), width),
+                threads or cores(),
+            )
 
     if leaders is None or not leaders.kept:
         integrate(np.arange(count))
     else:
         conditions = (module, same, b"".join(np.asarray(x).tobytes() for x in shared))
         parts = (rows[::width], theta[::width], on, acting, moments[::width])
-        leaders.recall([(conditions, *(part[bundle].tobytes() for part in parts)) for bundle in range(count)])
+        leaders.recall(
+            [(conditions, *(part[bundle].tobytes() for part in parts)) for bundle in range(count)]
+        )
         integrate(np.arange(count))
         short = np.flatnonzero(status == EXHAUSTED)
         if len(short):
@@ -194,21 +236,29 @@ def _solve(
     return *torch.from_numpy(curves).unbind(0), *every
 
 
-def _acting(switches: np.ndarray, known: Sequence[Any], chosen: Sequence[Any], width: int) -> np.ndarray:
-    """Which of the engine's terms or effects act in each bundle, ``bundles x known``; what is not zero is switched on."""
+def _acting(
+    switches: np.ndarray, known: Sequence[Any], chosen: Sequence[Any], width: int
+) -> np.ndarray:
+    """Which of the engine's terms or effects act in each bundle, ``bundles x known``.
+
+    What is not zero is switched on.
+    """
     acts = (switches != 0.0) & np.array([x in chosen for x in known], dtype=bool)
     return np.ascontiguousarray(acts.reshape(len(acts) // width, width, len(known)).any(1))
 
 
 def _shared(bubbles: Bubbles, registry: Registry) -> tuple[Any, ...]:
     """What :func:`imr_torch.simulate.compiled.wall.setup_of` takes."""
-    conditions, driving = bubbles.conditions, bubbles.conditions.driving
+    conditions = bubbles.conditions
+    driving = bubbles.conditions.driving
     kinds = [
         registry.radial.index(type(conditions.motion).law),
         registry.gases.index(type(conditions.gas).law),
         registry.drivings.index(type(driving).law) if isinstance(driving, LawDriving) else -1,
     ]
-    shape, values = (driving, driving.values) if isinstance(driving, LawDriving) else (LawDriving(), ())  # a table of zeros
+    shape, values = (
+        (driving, driving.values) if isinstance(driving, LawDriving) else (LawDriving(), ())
+    )  # a table of zeros
     return (
         np.array(bubbles.constants, dtype=np.float64),
         np.array(kinds),
@@ -232,14 +282,17 @@ def _share_out(
     threads = min(threads, len(bundles))
     size = _CHUNK if threads == 1 else max(1, min(_CHUNK, len(bundles) // (_SHARES * threads)))
     chunks = [bundles[first : first + size] for first in range(0, len(bundles), size)]
-    own, function = arrays(get_ident()), getattr(module, entry)
+    own = arrays(get_ident())
+    function = getattr(module, entry)
     if not function.overloads:  # is compiled before threads begin
         announced(module, entry, (chunks.pop(0), *arguments, own))
     if threads == 1 or len(chunks) == 1:
         for chunk in chunks:
             function(chunk, *arguments, own)
     else:
-        for _ in _pool(threads).map(lambda chunk: function(chunk, *arguments, arrays(get_ident())), chunks):
+        for _ in _pool(threads).map(
+            lambda chunk: function(chunk, *arguments, arrays(get_ident())), chunks
+        ):
             pass
 
 
@@ -249,12 +302,19 @@ def _pool(threads: int) -> ThreadPoolExecutor:
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_pool.cache_clear)  # threads do not survive a fork, and waiting for them never ends
+    os.register_at_fork(
+        after_in_child=_pool.cache_clear
+    )  # threads do not survive a fork, and waiting for them never ends
 
 
 @functools.cache
-def _space(resolution: Resolution, as_rows: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, ...]:
-    """Grids as :class:`imr_torch.simulate.compiled.step.Space` has them, each in rows; read only."""
+def _space(
+    resolution: Resolution, as_rows: Callable[[np.ndarray], np.ndarray]
+) -> tuple[np.ndarray, ...]:
+    """Grids as :class:`imr_torch.simulate.compiled.step.Space` has them, each in rows.
+
+    Read only.
+    """
     inside, outside = resolution.grids()
 
     def operators(grid: Any) -> np.ndarray:

@@ -1,9 +1,12 @@
-"""One step of a bubble with heat and vapour transport: its right-hand side, derivatives, factors and stages; compiled.
+"""One step of a bubble with heat and vapour transport: its right-hand side, derivatives, factors
+and stages; compiled.
 
-The same equations and method as the tensor engine (:mod:`~imr_torch.simulate.rhs`, :mod:`~imr_torch.simulate.linearise`,
-:mod:`~imr_torch.simulate.bordered`, :mod:`~imr_torch.simulate.rosenbrock`), in loops over the nodes of one bubble. Functions
-here are compiled by :mod:`imr_torch.simulate.compiled.build`, for one bubble and for eight
-(:mod:`imr_torch.simulate.compiled.lanes`): a number that differs between bubbles may be eight numbers, so none is tested.
+The same equations and method as the tensor engine (:mod:`~imr_torch.simulate.rhs`,
+:mod:`~imr_torch.simulate.linearise`, :mod:`~imr_torch.simulate.bordered`,
+:mod:`~imr_torch.simulate.rosenbrock`), in loops over the nodes of one bubble. Functions here are
+compiled by :mod:`imr_torch.simulate.compiled.build`, for one bubble and for eight
+(:mod:`imr_torch.simulate.compiled.lanes`): a number that differs between bubbles may be eight
+numbers, so none is tested.
 """
 
 from typing import NamedTuple
@@ -46,18 +49,21 @@ def _lower(rows: tuple[tuple[float, ...], ...]) -> np.ndarray:
     return np.array([[*row, *[0.0] * (STAGES - len(row))] for row in ((), *rows)])
 
 
-_ARGUMENT, _COUPLING = _lower(RODAS4P.stages), _lower(RODAS4P.coupling)
+_ARGUMENT = _lower(RODAS4P.stages)
+_COUPLING = _lower(RODAS4P.coupling)
 _TIME_INCREMENTS, _MOMENTS = (np.array(x) for x in RODAS4P.ticks)
 
 
 class Space(NamedTuple):
-    """The grids, laid out for loops over contiguous rows, which end with zeros: ``n'`` is ``n`` padded to a multiple of eight.
+    """The grids, laid out for loops over contiguous rows, which end with zeros: ``n'`` is ``n``
+    padded to a multiple of eight.
 
     Args:
-        inside: ``(n+1) x (2n'+8)``: column ``j`` of the operators ``d/dy`` and Laplacian at the inner nodes, and of ``d/dy`` at
-            the wall, as a row; the wall's column first.
+        inside: ``(n+1) x (2n'+8)``: column ``j`` of the operators ``d/dy`` and Laplacian at the
+            inner nodes, and of ``d/dy`` at the wall, as a row; the wall's column first.
         outside: ``(m+1) x (2m'+8)``, likewise.
-        first: ``n x n'``, column ``j`` of ``d/dy`` at the inner nodes from the inner nodes, as a row; ``laplacian`` likewise.
+        first: ``n x n'``, column ``j`` of ``d/dy`` at the inner nodes from the inner nodes, as a
+            row; ``laplacian`` likewise.
         rows: ``n x n'``, ``d/dy`` at the inner nodes from the inner nodes.
         outer_first: ``m x m'``; ``outer_laplacian`` likewise.
         y: ``n`` nodes.
@@ -79,39 +85,45 @@ class Space(NamedTuple):
 
 def parts_of(space):
     """Where ``C``, ``theta`` and the memory begin in a state; ``tau`` begins at ``HEAD``."""
-    n, m = space.first.shape[1], space.outer_first.shape[1]
+    n = space.first.shape[1]
+    m = space.outer_first.shape[1]
     return HEAD + n, HEAD + 2 * n, HEAD + 2 * n + m
 
 
 class Work(NamedTuple):
-    """Arrays for bundles of ``w`` bubbles with ``K`` memory states; most are written anew at every step.
+    """Arrays for bundles of ``w`` bubbles with ``K`` memory states; most are written anew at every
+    step.
 
-    A state of length ``nx`` is (R, U, ln P, tau_w), and then ``tau``, ``C``, ``theta`` and memory; each part ends with zeros
-    so that all begin at multiples of eight. ``n'`` is ``n`` padded to a multiple of eight, and ``fields`` is ``2n' + m'``.
+    A state of length ``nx`` is (R, U, ln P, tau_w), and then ``tau``, ``C``, ``theta`` and memory;
+    each part ends with zeros so that all begin at multiples of eight. ``n'`` is ``n`` padded to a
+    multiple of eight, and ``fields`` is ``2n' + m'``.
 
     Args:
         state: ``w x nx``; ``fresh`` likewise, the states after a step.
         clock: ``w``, the bubbles' times.
-        nodes: ``w x 2 x 6``, the last two nodes of each path, see :mod:`imr_torch.simulate.compiled.output`.
+        nodes: ``w x 2 x 6``, the last two nodes of each path, see
+            :mod:`imr_torch.simulate.compiled.output`.
         counts: ``2 x w``: times filled in, and nodes recorded.
-        inner: ``2 x (2n'+8)``: slopes and Laplacians of ``tau`` and ``C``, and slopes at the wall; ``outer`` likewise of
-            ``theta``.
+        inner: ``2 x (2n'+8)``: slopes and Laplacians of ``tau`` and ``C``, and slopes at the wall;
+            ``outer`` likewise of ``theta``.
         profile: ``3 x n``: conductivity, temperature and ``R_mix`` at the inner nodes.
-        heat: ``n x (n+2)'``, the block of ``tau`` by columns, then its inverse, with two columns beside it; ``vapour`` and
-            ``gel`` likewise with one: see :func:`factorise`.
+        heat: ``n x (n+2)'``, the block of ``tau`` by columns, then its inverse, with two columns
+            beside it; ``vapour`` and ``gel`` likewise with one: see :func:`factorise`.
         edges: ``5 x fields``: derivatives of the fields' rates in (R, U, ln P, q, tau_w).
-        factors: ``9 x max(n', m')``: factors of slope, Laplacian and value in the rates of ``tau``, ``C`` and ``theta`` at each
-            node.
+        factors: ``9 x max(n', m')``: factors of slope, Laplacian and value in the rates of ``tau``,
+            ``C`` and ``theta`` at each node.
         coupling: ``2 x n'``: how ``C_t`` hangs on the value and on the slope of ``tau``.
         functionals: ``2 x fields``: what the fields add to the rows of ``q`` and of the wall.
         border: ``(5+K) x (5+K)'``, the system that is left by columns, then its inverse.
         increments: ``6 x nx``.
         argument: ``nx``; ``right`` likewise.
         rate: ``nx``, ``f(x)`` at the beginning of the step.
-        slopes: see :func:`imr_torch.simulate.compiled.wall.motion_slopes`; ``memory_slopes`` and ``moved`` likewise.
-        wall_rows: ``2 x 8``: derivatives of ``d ln P/dt`` and of the wall's balance in (R, U, ln P, q, tau_w) and in the slopes
-            of ``tau``, ``C`` and ``theta`` at the wall.
-        drive: ``fields`` numbers to spare; ``small``: ``2 x max(n', (5+K)')``; ``keep``: as long as the longest row of a block.
+        slopes: see :func:`imr_torch.simulate.compiled.wall.motion_slopes`; ``memory_slopes`` and
+            ``moved`` likewise.
+        wall_rows: ``2 x 8``: derivatives of ``d ln P/dt`` and of the wall's balance in (R, U, ln P,
+            q, tau_w) and in the slopes of ``tau``, ``C`` and ``theta`` at the wall.
+        drive: ``fields`` numbers to spare; ``small``: ``2 x max(n', (5+K)')``; ``keep``: as long as
+            the longest row of a block.
     """
 
     state: np.ndarray
@@ -143,13 +155,18 @@ class Work(NamedTuple):
     keep: np.ndarray
 
 
-def work_for(nodes: int, outer_nodes: int, states: int, width: int, eightfold: bool = False) -> tuple[np.ndarray, ...]:
-    """The entries of :class:`Work` for grids of so many nodes, memory states and members of a bundle.
+def work_for(
+    nodes: int, outer_nodes: int, states: int, width: int, eightfold: bool = False
+) -> tuple[np.ndarray, ...]:
+    """The entries of :class:`Work` for grids of so many nodes, memory states and members of a
+    bundle.
 
     ``eightfold`` gives arrays for ``width`` groups of eight members; rows are not padded there.
     """
     pad, rows = (int, lanes) if eightfold else (padded, vectors.rows)
-    n, m, border = pad(nodes), pad(outer_nodes), _BORDER + states
+    n = pad(nodes)
+    m = pad(outer_nodes)
+    border = _BORDER + states
     fields = 2 * n + m
     size = HEAD + fields + pad(states)
     work = Work(
@@ -185,7 +202,9 @@ def work_for(nodes: int, outer_nodes: int, states: int, width: int, eightfold: b
 
 
 class Point(NamedTuple):
-    """What holds at one state: of the wall, pressure of the mixture, its rate, and the slopes of the fields there."""
+    """What holds at one state: of the wall, pressure of the mixture, its rate, and the slopes of
+    the fields there.
+    """
 
     wall: Wall
     radius: float
@@ -199,9 +218,16 @@ class Point(NamedTuple):
 
 
 def point_at(state, space, work, member, setup):
-    """Temperatures, slopes and the pressure's rate at a state, into ``work``; returns the :class:`Point`."""
-    b, c, n = member.b, setup.c, len(space.y)
-    radius, velocity, pressure = state[0], state[1], np.exp(state[2])
+    """Temperatures, slopes and the pressure's rate at a state, into ``work``.
+
+    Returns the :class:`Point`.
+    """
+    b = member.b
+    c = setup.c
+    n = len(space.y)
+    radius = state[0]
+    velocity = state[1]
+    pressure = np.exp(state[2])
     conductivity = conductivity_of(state[3], c)
     factor, trapped = vapour_factor(pressure / b.start, member)
     wall = wall_of(pressure, conductivity, factor, trapped, b, c)
@@ -216,14 +242,28 @@ def point_at(state, space, work, member, setup):
         work.profile[2, i] = mixture_of(state[vapours + i], c)
     loss = gas_loss(radius, velocity, member)
     at_wall = 2 * space.first.shape[1]
-    heat, vapour = work.inner[0, at_wall], work.inner[1, at_wall]
+    heat = work.inner[0, at_wall]
+    vapour = work.inner[1, at_wall]
     rate = pressure_rate(radius, velocity, pressure, wall, heat, vapour, loss[0], b, c)
-    return Point(wall, radius, velocity, pressure, rate, heat, vapour, work.outer[0, 2 * space.outer_first.shape[1]], loss)
+    return Point(
+        wall,
+        radius,
+        velocity,
+        pressure,
+        rate,
+        heat,
+        vapour,
+        work.outer[0, 2 * space.outer_first.shape[1]],
+        loss,
+    )
 
 
 def node_at(i, space, work):
     """What :func:`point_at` left of an inner node."""
-    bends, heat, vapour, profile = space.first.shape[1], work.inner[0], work.inner[1], work.profile
+    bends = space.first.shape[1]
+    heat = work.inner[0]
+    vapour = work.inner[1]
+    profile = work.profile
     return Node(
         space.y[i],
         profile[0, i],
@@ -238,25 +278,54 @@ def node_at(i, space, work):
 
 def rates_at(point, acceleration, space, work, member, setup, out):
     """``f(x)`` without the rates of memory."""
-    b, c, n, m = member.b, setup.c, len(space.y), len(space.shear)
-    radius, velocity, pressure, rate = point.radius, point.velocity, point.pressure, point.rate
+    b = member.b
+    c = setup.c
+    n = len(space.y)
+    m = len(space.shear)
+    radius = point.radius
+    velocity = point.velocity
+    pressure = point.pressure
+    rate = point.rate
     vapours, gel, _ = parts_of(space)
     out[0], out[1], out[2] = velocity, acceleration, rate / pressure
     out[3] = wall_balance(point.wall, point.heat, point.vapour, point.outer, b, c)
     for i in range(n):
         node = node_at(i, space, work)
         out[HEAD + i], out[vapours + i] = node_rates(node, radius, velocity, pressure, rate, b, c)
-    slopes, bends = work.outer[0], work.outer[0, space.outer_first.shape[1] :]
+    slopes = work.outer[0]
+    bends = work.outer[0, space.outer_first.shape[1] :]
     for i in range(m):
-        out[gel + i] = gel_rate(space.stretching[i], space.shear[i], slopes[i], bends[i], radius, velocity, point.wall, b)
+        out[gel + i] = gel_rate(
+            space.stretching[i],
+            space.shear[i],
+            slopes[i],
+            bends[i],
+            radius,
+            velocity,
+            point.wall,
+            b,
+        )
 
 
 def field_slopes(point, space, work, member, setup):
-    """The derivatives of the fields' rates at each node, into ``work``: factors of the operators, and the border."""
-    b, c, n, m, wall = member.b, setup.c, len(space.y), len(space.shear), point.wall
-    radius, velocity, pressure, rate = point.radius, point.velocity, point.pressure, point.rate
-    factors, bends, outer_bends = work.factors, space.first.shape[1], space.outer_first.shape[1]
-    by_heat, by_vapour, by_gel = work.edges, work.edges[:, bends:], work.edges[:, 2 * bends :]
+    """The derivatives of the fields' rates at each node, into ``work``: factors of the operators,
+    and the border.
+    """
+    b = member.b
+    c = setup.c
+    n = len(space.y)
+    m = len(space.shear)
+    wall = point.wall
+    radius = point.radius
+    velocity = point.velocity
+    pressure = point.pressure
+    rate = point.rate
+    factors = work.factors
+    bends = space.first.shape[1]
+    outer_bends = space.outer_first.shape[1]
+    by_heat = work.edges
+    by_vapour = work.edges[:, bends:]
+    by_gel = work.edges[:, 2 * bends :]
     log_rate = rate / pressure
     for i in range(n):
         node = node_at(i, space, work)
@@ -264,7 +333,9 @@ def field_slopes(point, space, work, member, setup):
         factors[0, i], factors[1, i], factors[2, i] = s.heat_first, s.heat_second, s.heat_self
         factors[3, i], factors[4, i], factors[5, i] = s.vapour_first, s.vapour_second, s.vapour_self
         heat_wall = s.heat_second * space.inside[0, bends + i] + s.heat_first * space.inside[0, i]
-        vapour_wall = s.vapour_second * space.inside[0, bends + i] + s.vapour_first * space.inside[0, i]
+        vapour_wall = (
+            s.vapour_second * space.inside[0, bends + i] + s.vapour_first * space.inside[0, i]
+        )
         by_pressure = s.vapour_pressure + vapour_wall * wall.vapour_pressure
         by_heat[0, i], by_vapour[0, i] = s.heat_radius, s.vapour_radius
         by_heat[1, i], by_vapour[1, i] = s.heat_velocity, s.vapour_velocity
@@ -276,18 +347,36 @@ def field_slopes(point, space, work, member, setup):
         work.coupling[0, i], work.coupling[1, i] = s.coupling, s.coupling_slope
     outer = work.outer[0]
     for i in range(m):
-        g = gel_slopes(space.stretching[i], space.shear[i], outer[i], outer[outer_bends + i], radius, velocity, wall, b, c)
+        g = gel_slopes(
+            space.stretching[i],
+            space.shear[i],
+            outer[i],
+            outer[outer_bends + i],
+            radius,
+            velocity,
+            wall,
+            b,
+            c,
+        )
         factors[6, i], factors[7, i], factors[8, i] = g.first, g.second, 0.0
-        through = (g.second * space.outside[0, outer_bends + i] + g.first * space.outside[0, i]) / wall.conductivity
+        through = (
+            g.second * space.outside[0, outer_bends + i] + g.first * space.outside[0, i]
+        ) / wall.conductivity
         by_gel[0, i], by_gel[1, i], by_gel[2, i] = g.radius, g.velocity, pressure * g.pressure
         by_gel[3, i], by_gel[4, i] = 0.0, g.wall + through
 
 
 def shifted(factors, first, laplacian, shift, out):
-    """``out = shift - J`` of one field by columns, from the factors of value, slope and Laplacian at each node."""
-    by_slope, by_bend, by_value = factors[0], factors[1], factors[2]
+    """``out = shift - J`` of one field by columns, from the factors of value, slope and Laplacian
+    at each node.
+    """
+    by_slope = factors[0]
+    by_bend = factors[1]
+    by_value = factors[2]
     for j in range(len(out)):
-        column, slope, bend = out[j], first[j], laplacian[j]
+        column = out[j]
+        slope = first[j]
+        bend = laplacian[j]
         for i in range(0, first.shape[1], STRIDE):
             change = load(by_bend, i) * load(bend, i) + load(by_slope, i) * load(slope, i)
             store(column, i, spread(0.0) - change)
@@ -295,10 +384,18 @@ def shifted(factors, first, laplacian, shift, out):
 
 
 def linearise(state, time, space, work, member, setup):
-    """``f(x)`` at a state (``work.rate``) and all its derivatives, into ``work``; returns ``d ln P/dt``."""
-    b, c, memory, states = member.b, setup.c, parts_of(space)[2], work.moved.shape[1]
+    """``f(x)`` at a state (``work.rate``) and all its derivatives, into ``work``.
+
+    Returns ``d ln P/dt``.
+    """
+    b = member.b
+    c = setup.c
+    memory = parts_of(space)[2]
+    states = work.moved.shape[1]
     point = point_at(state, space, work, member, setup)
-    wall, pressure, log_rate = point.wall, point.pressure, point.rate / point.pressure
+    wall = point.wall
+    pressure = point.pressure
+    log_rate = point.rate / point.pressure
     acceleration = motion_slopes(
         time,
         point.radius,
@@ -315,13 +412,30 @@ def linearise(state, time, space, work, member, setup):
     )
     rates_at(point, acceleration, space, work, member, setup, work.rate)
     field_slopes(point, space, work, member, setup)
-    s, corner = work.slopes, space.inside[0, 2 * space.first.shape[1]]
+    s = work.slopes
+    corner = space.inside[0, 2 * space.first.shape[1]]
     outer_corner = space.outside[0, 2 * space.outer_first.shape[1]]
     s[2], s[3] = pressure * (s[2] + log_rate * s[3]), pressure * s[3]
-    q = pressure_rate_slopes(point.radius, point.velocity, pressure, wall, point.heat, point.vapour, corner, point.loss, b, c)
+    q = pressure_rate_slopes(
+        point.radius,
+        point.velocity,
+        pressure,
+        wall,
+        point.heat,
+        point.vapour,
+        corner,
+        point.loss,
+        b,
+        c,
+    )
     w = wall_balance_slopes(pressure, wall, point.vapour, corner, outer_corner, b, c)
     rows = work.wall_rows
-    rows[0, 0], rows[0, 1], rows[0, 3], rows[0, 4] = q.radius / pressure, q.velocity / pressure, q.rate, q.wall / pressure
+    rows[0, 0], rows[0, 1], rows[0, 3], rows[0, 4] = (
+        q.radius / pressure,
+        q.velocity / pressure,
+        q.rate,
+        q.wall / pressure,
+    )
     rows[0, 2] = q.pressure + log_rate * q.rate - log_rate
     rows[0, 5], rows[0, 6], rows[0, 7] = q.heat / pressure, q.vapour / pressure, q.outer / pressure
     rows[1, 0], rows[1, 1], rows[1, 3], rows[1, 4] = w.radius, w.velocity, pressure * w.rate, w.wall
@@ -331,21 +445,30 @@ def linearise(state, time, space, work, member, setup):
 
 
 def factorise(shift, space, work):
-    """Invert ``shift - J``: the blocks of the fields, what they add to the rows of the wall, and what is left beside them.
+    """Invert ``shift - J``: the blocks of the fields, what they add to the rows of the wall, and
+    what is left beside them.
 
-    What the fields add is ``w (shift - J)^-1`` with the slopes at the wall ``w``: columns beside the blocks (which stand by
-    columns, as their transposes) that Gauss-Jordan carries along.
+    What the fields add is ``w (shift - J)^-1`` with the slopes at the wall ``w``: columns beside
+    the blocks (which stand by columns, as their transposes) that Gauss-Jordan carries along.
     """
-    factors, coupling, keep = work.factors, work.coupling, work.keep
-    heat, vapour, gel = work.heat, work.vapour, work.gel
-    n, m, inner, outer = space.first.shape[1], space.outer_first.shape[1], len(space.y), len(space.shear)
+    factors = work.factors
+    coupling = work.coupling
+    keep = work.keep
+    heat = work.heat
+    vapour = work.vapour
+    gel = work.gel
+    n = space.first.shape[1]
+    m = space.outer_first.shape[1]
+    inner = len(space.y)
+    outer = len(space.shear)
     shifted(factors[0:3], space.first, space.laplacian, shift, heat)
     shifted(factors[3:6], space.first, space.laplacian, shift, vapour)
     shifted(factors[6:9], space.outer_first, space.outer_laplacian, shift, gel)
     for j in range(inner):
         vapour[j, inner] = space.inside[1 + j, 2 * n]
     invert(vapour, keep)
-    through, slope = work.small[0], work.small[1, :n]
+    through = work.small[0]
+    slope = work.small[1, :n]
     for j in range(inner):  # the slope of C at the wall hangs on tau through C_t
         through[j] = vapour[j, inner] * coupling[1, j]
     multiply(space.rows, through, slope)
@@ -357,7 +480,8 @@ def factorise(shift, space, work):
         gel[j, outer] = space.outside[1 + j, 2 * m]
     invert(gel, keep)
     for k in range(2):
-        row, line = work.wall_rows[k], work.functionals[k]
+        row = work.wall_rows[k]
+        line = work.functionals[k]
         for j in range(inner):
             line[j] = row[5] * heat[j, inner] + row[6] * heat[j, inner + 1]
             line[n + j] = row[6] * vapour[j, inner]
@@ -372,8 +496,11 @@ def factorise(shift, space, work):
 
 
 def _border(shift, space, work):
-    """The system in (R, U, ln P, q, tau_w, memory) that is left when the fields are eliminated, by columns."""
-    columns, s = work.border, work.slopes
+    """The system in (R, U, ln P, q, tau_w, memory) that is left when the fields are eliminated, by
+    columns.
+    """
+    columns = work.border
+    s = work.slopes
     states = len(columns) - _BORDER
     columns[:] = 0.0
     columns[0, 0], columns[1, 0] = shift, -1.0
@@ -381,11 +508,17 @@ def _border(shift, space, work):
     columns[2, 2], columns[3, 2] = shift, -1.0
     for row in range(2):
         for k in range(_BORDER):
-            columns[k, 3 + row] = -dot(work.functionals[row], work.edges[k], space, work.keep) - work.wall_rows[row, k]
+            columns[k, 3 + row] = (
+                -dot(work.functionals[row], work.edges[k], space, work.keep)
+                - work.wall_rows[row, k]
+            )
     columns[3, 3] += 1.0
     for k in range(states):
         columns[_BORDER + k, 1] = -s[5 + k]
-        columns[0, _BORDER + k], columns[1, _BORDER + k] = -work.memory_slopes[0, k], -work.memory_slopes[1, k]
+        columns[0, _BORDER + k], columns[1, _BORDER + k] = (
+            -work.memory_slopes[0, k],
+            -work.memory_slopes[1, k],
+        )
         for j in range(states):
             columns[_BORDER + j, _BORDER + k] = -work.memory_slopes[2 + j, k]
         columns[_BORDER + k, _BORDER + k] += shift
@@ -394,8 +527,12 @@ def _border(shift, space, work):
 def solve(right, space, work, out):
     """``out = (shift - J)^-1 right`` in the layout of the state."""
     vapours, gels, memory = parts_of(space)
-    n, states, coupling, drive = vapours - HEAD, len(work.border) - _BORDER, work.coupling, work.drive
-    inputs, z = work.small[1], work.small[0, : work.border.shape[1]]
+    n = vapours - HEAD
+    states = len(work.border) - _BORDER
+    coupling = work.coupling
+    drive = work.drive
+    inputs = work.small[1]
+    z = work.small[0, : work.border.shape[1]]
     for k in range(2):
         inputs[3 + k] = dot(work.functionals[k], right[HEAD:], space, work.keep)
     inputs[0], inputs[1], inputs[2] = right[0], right[1], right[2]
@@ -411,7 +548,8 @@ def solve(right, space, work, out):
         for k in range(1, _BORDER):
             change = change + spread(z[k]) * load(work.edges[k], i)
         store(drive, i, load(right, HEAD + i) + change)
-    warm, slope = out[HEAD:vapours], work.small[0, :n]
+    warm = out[HEAD:vapours]
+    slope = work.small[0, :n]
     multiply(work.heat, drive, warm)
     multiply(space.first, warm, slope)
     for i in range(0, n, STRIDE):
@@ -431,12 +569,17 @@ def add_increments(weights, count, scale, increments, out):
 
 
 def step(state, time, h, space, work, member, setup, out):
-    """One step of Rodas4P from a state whose rates and factors are in ``work``; ``out`` receives the new state.
+    """One step of Rodas4P from a state whose rates and factors are in ``work``; ``out`` receives
+    the new state.
 
     The last increment, the estimate of the error, is left in ``work.increments``.
     """
-    memory, size, states = parts_of(space)[2], len(state), work.moved.shape[1]
-    increments, argument, right = work.increments, work.argument, work.right
+    memory = parts_of(space)[2]
+    size = len(state)
+    states = work.moved.shape[1]
+    increments = work.increments
+    argument = work.argument
+    right = work.right
     driven = member.driven or setup.drive >= 0
     for stage in range(STAGES):
         if stage == 0:

@@ -1,16 +1,24 @@
-"""Bundles of bubbles with heat and vapour transport, integrated one after the other by compiled code.
+"""Bundles of bubbles with heat and vapour transport, integrated one after the other by compiled
+code.
 
 Step control and bundles as in the tensor engine (:mod:`~imr_torch.simulate.controller`,
-:mod:`~imr_torch.simulate.ode_method`), for one bubble at a time: no masks, no slots. A bundle is a loop over its members along
-the leader's steps (:mod:`imr_torch.simulate.compiled.step`), or over eights of them
-(:mod:`imr_torch.simulate.compiled.followers`). Functions here are compiled by
+:mod:`~imr_torch.simulate.ode_method`), for one bubble at a time: no masks, no slots. A bundle is a
+loop over its members along the leader's steps (:mod:`imr_torch.simulate.compiled.step`), or over
+eights of them (:mod:`imr_torch.simulate.compiled.followers`). Functions here are compiled by
 :mod:`imr_torch.simulate.compiled.build`.
 """
 
 import numpy as np
 
 from imr_torch.simulate.compiled import laws
-from imr_torch.simulate.compiled.followers import accept, alone, eightfold, follow, followers_of, start_followers
+from imr_torch.simulate.compiled.followers import (
+    accept,
+    alone,
+    eightfold,
+    follow,
+    followers_of,
+    start_followers,
+)
 from imr_torch.simulate.compiled.output import record
 from imr_torch.simulate.compiled.paths import EXHAUSTED
 from imr_torch.simulate.compiled.step import (
@@ -31,8 +39,11 @@ from imr_torch.simulate.compiled.wall import member_of, setup_of
 from imr_torch.simulate.controller import GROW, HEAT_WEIGHT, PATIENCE, SAFETY, SHRINK, UNDERFLOW
 from imr_torch.simulate.simulator import RUNAWAY, Status
 
-_DONE, _TOO_MANY, _NON_FINITE = int(Status.DONE), int(Status.TOO_MANY_STEPS), int(Status.NON_FINITE)
-_RUNAWAY, _UNDERFLOW = int(Status.RUNAWAY), int(Status.STEP_UNDERFLOW)
+_DONE = int(Status.DONE)
+_TOO_MANY = int(Status.TOO_MANY_STEPS)
+_NON_FINITE = int(Status.NON_FINITE)
+_RUNAWAY = int(Status.RUNAWAY)
+_UNDERFLOW = int(Status.STEP_UNDERFLOW)
 
 
 def scaled_error(before, after, error, space, tolerance):
@@ -42,7 +53,10 @@ def scaled_error(before, after, error, space, tolerance):
     if not radius > 0.0:
         return np.inf
     pressure = 1.0 + np.exp(after[2])
-    hottest, heat, vapour, gel = 0.0, 0.0, 0.0, 0.0
+    hottest = 0.0
+    heat = 0.0
+    vapour = 0.0
+    gel = 0.0
     for i in range(HEAD, HEAD + n):
         hottest = max(hottest, max(abs(before[i]), abs(after[i])))
         heat += error[i] * error[i]
@@ -62,9 +76,24 @@ def scaled_error(before, after, error, space, tolerance):
 
 
 def solve_bundle(
-    numbers, theta, terms, effects, setup, space, tolerance, max_steps, first_step, path, known, times, curves, work, followers
+    numbers,
+    theta,
+    terms,
+    effects,
+    setup,
+    space,
+    tolerance,
+    max_steps,
+    first_step,
+    path,
+    known,
+    times,
+    curves,
+    work,
+    followers,
 ):
-    """Integrate a leader and its followers, which take its steps in proportion to their time scales.
+    """Integrate a leader and its followers, which take its steps in proportion to their time
+    scales.
 
     Why so: :mod:`imr_torch.simulate.ode_method`.
 
@@ -78,20 +107,29 @@ def solve_bundle(
         tolerance: relative error of a step.
         max_steps: attempted steps after which the bundle is given up.
         first_step: length of the first step.
-        path: ``most x 2``, length and time scale of the leader's steps; receives them, as far as there is room, where they are
-            not known.
+        path: ``most x 2``, length and time scale of the leader's steps; receives them, as far as
+            there is room, where they are not known.
         known: how many of them are known; the leader is then not integrated. 0 where it is to be.
         times: ``w x n_t``.
-        curves: ``3 x w x n_t``, receives radius, velocity and pressure; NaN where a member did not get, and of a known leader.
+        curves: ``3 x w x n_t``, receives radius, velocity and pressure; NaN where a member did not
+            get, and of a known leader.
         work: arrays to spare.
         followers: see :class:`imr_torch.simulate.compiled.followers.Followers`.
 
     Returns:
         The leader's status, and how many nodes its path has.
     """
-    width, single = len(numbers), alone(len(numbers))  # the members after these are taken eight at a time
-    state, fresh, clock, nodes = work.state, work.fresh, work.clock, work.nodes
-    filled, recorded, last = work.counts[0], work.counts[1], 0.0
+    width, single = (
+        len(numbers),
+        alone(len(numbers)),
+    )  # the members after these are taken eight at a time
+    state = work.state
+    fresh = work.fresh
+    clock = work.clock
+    nodes = work.nodes
+    filled = work.counts[0]
+    recorded = work.counts[1]
+    last = 0.0
     curves[:] = np.nan
     clock[:] = 0.0
     work.counts[:] = 0
@@ -100,18 +138,27 @@ def solve_bundle(
     for k in range(single):
         start(space, member_of(numbers[k], theta[k], terms, effects), setup, state[k])
     start_followers(numbers, theta, terms, effects, setup, followers)
-    h, error, grow, count, tries, paced, status = first_step, 0.0, True, 1, 0, pace(state[0]), -1
+    h = first_step
+    error = 0.0
+    grow = True
+    count = 1
+    tries = 0
+    paced = pace(state[0])
+    status = -1
     while True:
         behind = False
         for k in range(width):
             behind |= clock[k] < last
-        if count > 1 and (not behind or (clock[0] >= PATIENCE * last and clock[0] >= last)):  # output takes two nodes
+        if count > 1 and (
+            not behind or (clock[0] >= PATIENCE * last and clock[0] >= last)
+        ):  # output takes two nodes
             status = _DONE
         elif known > 0:
             if count > known:
                 status = EXHAUSTED
             else:
-                h, paced = path[count - 1, 0], path[count - 1, 1]
+                h = path[count - 1, 0]
+                paced = path[count - 1, 1]
         elif state[0, 0] > RUNAWAY:
             status = _RUNAWAY
         elif h < UNDERFLOW * (1.0 + clock[0]):
@@ -124,7 +171,9 @@ def solve_bundle(
             if recorded[k] < count:  # a state at which no step was tried yet
                 log_rate = linearise(state[k], clock[k], space, work, member, setup)
                 node = (clock[k], state[k, 0], state[k, 1], work.rate[1], state[k, 2], log_rate)
-                filled[k] = record(node, nodes[k], filled[k], recorded[k] > 0, times[k], curves[:, k])
+                filled[k] = record(
+                    node, nodes[k], filled[k], recorded[k] > 0, times[k], curves[:, k]
+                )
                 recorded[k] = count
             if status != -1:
                 continue
@@ -132,13 +181,28 @@ def solve_bundle(
             factorise(1.0 / (GAMMA * length), space, work)
             step(state[k], clock[k], length, space, work, member, setup, fresh[k])
             if k == 0:
-                error = scaled_error(state[0], fresh[0], work.increments[STAGES - 1], space, tolerance)
+                error = scaled_error(
+                    state[0], fresh[0], work.increments[STAGES - 1], space, tolerance
+                )
                 if not error <= 1.0:
                     break
         accepted = status == -1 and error <= 1.0
         for which in range(len(followers.numbers) if accepted or status != -1 else 0):
             members = eightfold(which, numbers, theta, terms, effects, followers)
-            follow(which, members, status != -1, h, paced, followers, setup, clock, nodes, work.counts, times, curves)
+            follow(
+                which,
+                members,
+                status != -1,
+                h,
+                paced,
+                followers,
+                setup,
+                clock,
+                nodes,
+                work.counts,
+                times,
+                curves,
+            )
         if status != -1:
             break
         if accepted:
@@ -165,7 +229,21 @@ def solve_bundle(
     return status, count
 
 
-def solve_block(which, width, rows, theta, terms, effects, shared, settings, times, curves, status, steps, arrays):
+def solve_block(
+    which,
+    width,
+    rows,
+    theta,
+    terms,
+    effects,
+    shared,
+    settings,
+    times,
+    curves,
+    status,
+    steps,
+    arrays,
+):
     """Integrate some bundles of a batch, one by one.
 
     Args:
@@ -176,20 +254,24 @@ def solve_block(which, width, rows, theta, terms, effects, shared, settings, tim
         terms: a row a bundle: which stress terms act; ``effects`` likewise.
         effects: see ``terms``.
         shared: what :func:`imr_torch.simulate.compiled.wall.setup_of` takes.
-        settings: the entries of :class:`Space`, with rows padded and not; tolerance, steps at most, and length of the
-            first step; the steps of all leaders, and how many of each are known.
+        settings: the entries of :class:`Space`, with rows padded and not; tolerance, steps at most,
+            and length of the first step; the steps of all leaders, and how many of each are known.
         times: ``B x n_t``.
         curves: ``3 x B x n_t``, receives radius, velocity and pressure.
         status: of each bundle, receives its status; ``steps`` the nodes of its path.
         steps: see ``status``.
         arrays: of :func:`imr_torch.simulate.compiled.step.work_for` and
-            :func:`imr_torch.simulate.compiled.followers.arrays_for`, for the memory states that these bundles have.
+            :func:`imr_torch.simulate.compiled.followers.arrays_for`, for the memory states that
+            these bundles have.
     """
     (padded, plain), tolerance, max_steps, first_step, paths, known = settings
-    setup, space, work = setup_of(shared), Space(*padded), Work(*arrays[0])
+    setup = setup_of(shared)
+    space = Space(*padded)
+    work = Work(*arrays[0])
     followers = followers_of(plain, arrays[1])
     for bundle in which:
-        begin, end = bundle * width, (bundle + 1) * width
+        begin = bundle * width
+        end = (bundle + 1) * width
         status[bundle], steps[bundle] = solve_bundle(
             rows[begin:end],
             theta[begin:end],

@@ -1,12 +1,13 @@
 """Eight numbers as one value of compiled code, with the instructions that processors have for that.
 
-They are eight neighbours of a row, or, where eight bubbles are integrated at once, one number of each
-(:mod:`imr_torch.simulate.compiled.lanes`).
+They are eight neighbours of a row, or, where eight bubbles are integrated at once, one number of
+each (:mod:`imr_torch.simulate.compiled.lanes`).
 
-Compilers turn a plain loop over a row of 16 numbers into tests (whether rows overlap, what is left over) that take as long as
-the arithmetic. With :func:`load`, :func:`store`, :func:`spread` and the operators ``+``, ``-`` and ``*`` there is nothing to
-test. Rows have lengths of a multiple of eight (:func:`padded`), with zeros at the end. On processors with shorter vector
-instructions LLVM splits the value; the order of sums, and so the result, is the same on all.
+Compilers turn a plain loop over a row of 16 numbers into tests (whether rows overlap, what is left
+over) that take as long as the arithmetic. With :func:`load`, :func:`store`, :func:`spread` and the
+operators ``+``, ``-`` and ``*`` there is nothing to test. Rows have lengths of a multiple of eight
+(:func:`padded`), with zeros at the end. On processors with shorter vector instructions LLVM splits
+the value; the order of sums, and so the result, is the same on all.
 """
 
 import operator
@@ -93,7 +94,10 @@ def _spread(builder: Any, number: Any) -> Any:
 
 
 def _instructions(maker: Any) -> Any:
-    """A compiled function from one that returns its signature and what builds its instructions; the first argument goes."""
+    """A compiled function from one that returns its signature and what builds its instructions.
+
+    The first argument goes.
+    """
     return intrinsic(maker)
 
 
@@ -158,7 +162,9 @@ def with_lane(typing: Any, value: Any, number: Any, entry: Any) -> Any:
 def _roots(typing: Any, value: Any) -> Any:
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         kind = ir.FunctionType(_VECTOR, [_VECTOR])
-        return builder.call(cgutils.get_or_insert_function(builder.module, kind, f"llvm.sqrt.v{_WIDTH}f64"), args)
+        return builder.call(
+            cgutils.get_or_insert_function(builder.module, kind, f"llvm.sqrt.v{_WIDTH}f64"), args
+        )
 
     return _EIGHT(_EIGHT), lower
 
@@ -184,7 +190,9 @@ def _exp(x):
 
 @_instructions
 def members_of(typing: Any, arrays: Any) -> Any:
-    """A tuple of arrays, those of floating-point numbers whose last length is eight seen as arrays of ``Eight``."""
+    """A tuple of arrays, those of floating-point numbers whose last length is eight seen as arrays
+    of ``Eight``.
+    """
 
     def seen(kind: Any) -> Any:
         changes = isinstance(kind, types.Array) and kind.dtype == types.float64 and kind.ndim > 1
@@ -202,7 +210,8 @@ def members_of(typing: Any, arrays: Any) -> Any:
 
 def _seen(context: Any, builder: Any, given: Any, wanted: Any, value: Any) -> Any:
     """One array as an array of eights."""
-    old, new = make_array(given)(context, builder, value), make_array(wanted)(context, builder)
+    old = make_array(given)(context, builder, value)
+    new = make_array(wanted)(context, builder)
     shape, strides = (cgutils.unpack_tuple(builder, x)[:-1] for x in (old.shape, old.strides))
     data = builder.bitcast(old.data, _VECTOR.as_pointer())
     size = context.get_constant(types.intp, 8 * _WIDTH)
@@ -217,8 +226,12 @@ def total(typing: Any, value: Any) -> Any:
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         (rest,), half = args, _WIDTH // 2
         while half:
-            low, high = (builder.shuffle_vector(rest, rest, _lanes(range(first, first + half))) for first in (0, half))
-            rest, half = builder.fadd(low, high), half // 2
+            low, high = (
+                builder.shuffle_vector(rest, rest, _lanes(range(first, first + half)))
+                for first in (0, half)
+            )
+            rest = builder.fadd(low, high)
+            half = half // 2
         return builder.extract_element(rest, ir.Constant(ir.IntType(32), 0))
 
     return types.float64(_EIGHT), lower
@@ -235,7 +248,9 @@ def padded(size: int) -> int:
 
 
 def rows(*shape: int) -> np.ndarray:
-    """An array of zeros whose last length is a multiple of eight or more, in the order of rows, at the start of a line."""
+    """An array of zeros whose last length is a multiple of eight or more, in the order of rows, at
+    the start of a line.
+    """
     shape = (*shape[:-1], padded(shape[-1]))
     size = int(np.prod(shape))
     spare = np.zeros(size + _LINE // 8)

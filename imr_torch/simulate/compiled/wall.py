@@ -1,8 +1,9 @@
-"""The wall of one bubble, compiled: its acceleration, the rates of the gel's memory, and the derivatives of both.
+"""The wall of one bubble, compiled: its acceleration, the rates of the gel's memory, and the
+derivatives of both.
 
-The same laws as :mod:`imr_torch.simulate.wall` puts together for tensors, for numbers. Derivatives are imaginary parts at a
-tiny imaginary step (Squire & Trapp, SIAM Rev. 40, 1998) through the source of the laws. Functions here are compiled by
-:mod:`imr_torch.simulate.compiled.build`.
+The same laws as :mod:`imr_torch.simulate.wall` puts together for tensors, for numbers. Derivatives
+are imaginary parts at a tiny imaginary step (Squire & Trapp, SIAM Rev. 40, 1998) through the source
+of the laws. Functions here are compiled by :mod:`imr_torch.simulate.compiled.build`.
 """
 
 from typing import NamedTuple
@@ -22,8 +23,8 @@ class Setup(NamedTuple):
         c: constants of the contents.
         motion: number of the radial equation, and ``liquid``, its constants.
         gas: number of the gas law.
-        drive: number of the driving; -1 for none. ``values``, ``knots`` and ``cubics`` are its numbers, ``scale`` is
-            ``1/p_inf``.
+        drive: number of the driving; -1 for none. ``values``, ``knots`` and ``cubics`` are its
+            numbers, ``scale`` is ``1/p_inf``.
     """
 
     c: Constants
@@ -62,19 +63,25 @@ class Member(NamedTuple):
 def setup_of(shared):
     """The :class:`Setup` from plain arrays: constants, numbers of the and what these take."""
     c, kinds, liquid, values, knots, cubics, scale = shared
-    constants = Constants(c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7] != 0.0, c[8] != 0.0, c[9] != 0.0)
+    constants = Constants(
+        c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7] != 0.0, c[8] != 0.0, c[9] != 0.0
+    )
     return Setup(constants, kinds[0], liquid, kinds[1], kinds[2], values, knots, cubics, scale)
 
 
 def member_of(numbers, theta, terms, effects):
     """One bubble from its rows of the batch's arrays."""
-    loses, traps, driven = laws.loses(effects), laws.traps(effects), laws.drives(effects)
+    loses = laws.loses(effects)
+    traps = laws.traps(effects)
+    driven = laws.drives(effects)
     return Member(laws.numbers(numbers), theta, terms, effects, driven, loses, traps)
 
 
 def far_field(time, member, setup):
     """Far-field pressure and its first two time derivatives."""
-    value, rate, bend = member.b.far, 0.0, 0.0
+    value = member.b.far
+    rate = 0.0
+    bend = 0.0
     if setup.drive >= 0:
         seconds = member.b.seconds
         v, r, a = laws.driving(setup.drive, time * seconds, setup.values, setup.knots, setup.cubics)
@@ -90,9 +97,13 @@ def far_field(time, member, setup):
 
 
 def balance(radius, velocity, pressure, rate, stress, far, far_rate, member, setup):
-    """``U'`` from the contents' pressure and its rate, the gel's stress and the far field; all real or all complex."""
+    """``U'`` from the contents' pressure and its rate, the gel's stress and the far field.
+
+    All real or all complex.
+    """
     value, stress_rate, inertia = stress
-    tension, pace = member.b.tension / radius, member.b.pace
+    tension = member.b.tension / radius
+    pace = member.b.pace
     if not setup.c.stress_acceleration:
         inertia = 0.0 * inertia
     force = laws.radial(
@@ -114,11 +125,26 @@ def balance(radius, velocity, pressure, rate, stress, far, far_rate, member, set
 def motion(time, radius, velocity, pressure, rate, memory, memory_rates, member, setup):
     """``U'``; writes the rates of memory."""
     far, far_rate, _ = far_field(time, member, setup)
-    stress = laws.stress(radius, velocity, member.b.rest_radius, member.terms, member.theta, memory, memory_rates)
+    stress = laws.stress(
+        radius, velocity, member.b.rest_radius, member.terms, member.theta, memory, memory_rates
+    )
     return balance(radius, velocity, pressure, rate, stress, far, far_rate, member, setup)
 
 
-def motion_slopes(time, radius, velocity, pressure, rate, memory, member, setup, slopes, memory_slopes, moved, spare):
+def motion_slopes(
+    time,
+    radius,
+    velocity,
+    pressure,
+    rate,
+    memory,
+    member,
+    setup,
+    slopes,
+    memory_slopes,
+    moved,
+    spare,
+):
     """Derivatives of :func:`motion`.
 
     Args:
@@ -131,7 +157,8 @@ def motion_slopes(time, radius, velocity, pressure, rate, memory, member, setup,
         member: the bubble.
         setup: what the batch shares.
         slopes: ``5 + K``; receives the derivatives of ``U'`` in (R, U, P, dP/dt, t) and in memory.
-        memory_slopes: ``(2 + K) x K``; receives those of the rates of memory in (R, U, memory), by rows.
+        memory_slopes: ``(2 + K) x K``; receives those of the rates of memory in (R, U, memory), by
+            rows.
         moved: ``2 x K`` complex numbers to spare.
         spare: ``K``; receives the rates of memory.
 
@@ -139,12 +166,17 @@ def motion_slopes(time, radius, velocity, pressure, rate, memory, member, setup,
         ``U'``.
     """
     far, far_rate, far_bend = far_field(time, member, setup)
-    states, rates, moved = len(memory), moved[1], moved[0]
-    b, nothing, imaginary = member.b, complex(0.0, 0.0), complex(0.0, _STEP)
+    states = len(memory)
+    rates = moved[1]
+    moved = moved[0]
+    b = member.b
+    nothing = complex(0.0, 0.0)
+    imaginary = complex(0.0, _STEP)
     for k in range(states):
         moved[k] = memory[k]
     for direction in range(2 + states):
-        r, u = radius + nothing, velocity + nothing
+        r = radius + nothing
+        u = velocity + nothing
         if direction == 0:
             r += imaginary
         elif direction == 1:
@@ -152,16 +184,31 @@ def motion_slopes(time, radius, velocity, pressure, rate, memory, member, setup,
         else:
             moved[direction - 2] += imaginary
         stress = laws.stress(r, u, b.rest_radius, member.terms, member.theta, moved, rates)
-        force = balance(r, u, pressure + nothing, rate + nothing, stress, far + nothing, far_rate + nothing, member, setup)
+        force = balance(
+            r,
+            u,
+            pressure + nothing,
+            rate + nothing,
+            stress,
+            far + nothing,
+            far_rate + nothing,
+            member,
+            setup,
+        )
         slopes[direction if direction < 2 else direction + 3] = force.imag / _STEP
         for k in range(states):
             memory_slopes[direction, k] = rates[k].imag / _STEP
         if direction >= 2:
             moved[direction - 2] = memory[direction - 2]
-    value, stress_rate, inertia = laws.stress(radius, velocity, b.rest_radius, member.terms, member.theta, memory, spare)
+    value, stress_rate, inertia = laws.stress(
+        radius, velocity, b.rest_radius, member.terms, member.theta, memory, spare
+    )
     stress = (value + nothing, stress_rate + nothing, inertia + nothing)
     for direction in range(2, 5):
-        p, q, f, g = pressure + nothing, rate + nothing, far + nothing, far_rate + nothing
+        p = pressure + nothing
+        q = rate + nothing
+        f = far + nothing
+        g = far_rate + nothing
         if direction == 2:
             p += imaginary
         elif direction == 3:
@@ -171,16 +218,31 @@ def motion_slopes(time, radius, velocity, pressure, rate, memory, member, setup,
             g += far_bend * imaginary
         force = balance(radius + nothing, velocity + nothing, p, q, stress, f, g, member, setup)
         slopes[direction] = force.imag / _STEP
-    return balance(radius, velocity, pressure, rate, (value, stress_rate, inertia), far, far_rate, member, setup)
+    return balance(
+        radius,
+        velocity,
+        pressure,
+        rate,
+        (value, stress_rate, inertia),
+        far,
+        far_rate,
+        member,
+        setup,
+    )
 
 
 def gas_loss(radius, velocity, member):
     """Relative rate at which gas is lost, and its derivatives in ``R`` and ``U``."""
     if not member.loses:
         return 0.0, 0.0, 0.0
-    rest, imaginary = member.b.rest_radius, complex(0.0, _STEP)
-    by_radius = laws.gas_loss(radius + imaginary, velocity + 0.0 * imaginary, rest, member.effects, member.theta)
-    by_velocity = laws.gas_loss(radius + 0.0 * imaginary, velocity + imaginary, rest, member.effects, member.theta)
+    rest = member.b.rest_radius
+    imaginary = complex(0.0, _STEP)
+    by_radius = laws.gas_loss(
+        radius + imaginary, velocity + 0.0 * imaginary, rest, member.effects, member.theta
+    )
+    by_velocity = laws.gas_loss(
+        radius + 0.0 * imaginary, velocity + imaginary, rest, member.effects, member.theta
+    )
     return by_radius.real, by_radius.imag / _STEP, by_velocity.imag / _STEP
 
 
