@@ -69,18 +69,18 @@ def run(args: argparse.Namespace) -> None:
         effects=effects,
         estimate_noise=_estimates_noise(args),
         simulator=simulator,
+        most=args.most,
         seed=args.seed,
         progress=progress,
     )
-    parts = examine(
-        report, simulator, unseen=held_out, most=args.most, seed=args.seed, progress=progress
-    )
+    parts = examine(report, simulator, unseen=held_out, seed=args.seed, progress=progress)
     assumed = (
         medium_sensitivities(report.null, report.batch, simulator, medium)
         if report.converged
         else ()
     )
-    print(describe(report, parts))
+    document = to_json(report, parts, simulator=simulator)
+    print(describe(document))
     said = (*medium.learnt(report.null.posterior), *(found.sentence() for found in assumed))
     print(
         "\n"
@@ -89,17 +89,12 @@ def run(args: argparse.Namespace) -> None:
         )
     )
     of_medium = medium_document(medium, assumed, report.null.posterior)
-    write_result(
-        args,
-        to_json(report, parts, simulator=simulator)
-        | of_medium
-        | {"seconds": time.perf_counter() - started},
-    )
+    seconds = time.perf_counter() - started
+    write_result(args, document | of_medium | {"seconds": seconds})
     if args.html:
         about = header_of(args) | of_medium
         facts = (*provenance_table(about).rows, *assumed_rows(about))
-        said = footer(about)
-        page = write_page(report, args.html, parts, facts=facts, footer=said, simulator=simulator)
+        page = write_page(document, args.html, facts=facts, footer=footer(about))
         print(f"wrote {page}")
     if not report.converged:
         raise ConvergenceError("a fit that the verdict rests on has not converged (see above).")

@@ -3,26 +3,22 @@
 from imr_torch.gap.active import CauseLearner, TellCausesApart
 from imr_torch.gap.diagnose import GapReport, diagnose
 from imr_torch.gap.document import to_json
+from imr_torch.gap.examine import Parts, examine
 from imr_torch.gap.medium import MediumSensitivity, medium_sensitivities
 from imr_torch.gap.page import write_page
-from imr_torch.gap.parts import MOST, Parts, examine
-from imr_torch.gap.report import describe
-from imr_torch.gap.stepwise import SelectionStep, StepwiseSelection
+from imr_torch.gap.text import describe
 from imr_torch.goodness import FitTest, check_fit
 from imr_torch.material import LIBRARY, Effect, library, register_effect
 from imr_torch.observe.sets import load_set
 
 __all__ = [
     "LIBRARY",
-    "MOST",
     "CauseLearner",
     "Effect",
     "FitTest",
     "GapReport",
     "MediumSensitivity",
     "Parts",
-    "SelectionStep",
-    "StepwiseSelection",
     "TellCausesApart",
     "check_fit",
     "describe",

@@ -193,15 +193,12 @@ class TellCausesApart:
     ) -> NextDesign | None:
         """The design that tells the remaining causes apart; None where no cause was fitted."""
         found = report.attribution
-        if found is None:
+        if found is None or found.winner.gels_differ:
             return None
-        unknown = (
-            None
-            if found.left is None
-            else unknown_like(found.winner, found.fits[found.winner], found.left)
-        )
+        one_gel = {n: fit for n, fit in found.fits.items() if not found.hypotheses[n].gels_differ}
+        unknown = unknown_like(found.winner.name, found.winner_fit, found.left)
         return identity_design(
-            found.fits,
+            one_gel,
             found.posterior,
             coarser(situation.simulator),
             seed=child(situation.seed, "apart", situation.number),
@@ -254,7 +251,7 @@ def _base_posterior(report: GapReport) -> ModelBelief:
     found = report.attribution
     base = report.null.prior
     named = report.verdict == "effect" and found is not None
-    fit = found.fits[found.winner] if named and found is not None else report.null
+    fit = found.winner_fit if named and found is not None else report.null
     posterior = fit.posterior
     own = [posterior.names.index(name) for name in base.names]
     covariance = (posterior.chol @ posterior.chol.mT)[own][:, own]

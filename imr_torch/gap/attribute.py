@@ -1,5 +1,5 @@
-"""Attribution of the gap: evidence of each effect, of none and of an unknown one, and the adequacy
-of the best.
+"""Attribution of the gap: evidence of each effect, of gels that differ between shots, of none and of
+an unknown effect, and the adequacy of the best.
 
 All effects are fitted in one batch, from two starts or, where an effect has several minima, from
 more; one is discarded once it cannot come within 6 nats of the best. (Scores at the null fit rank
@@ -19,10 +19,19 @@ import torch
 from imr_torch.assimilate import ModelFit, Posterior, SearchOptions
 from imr_torch.assimilate.slow_noise import SmoothDeviations, smooth_deviations
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
+from imr_torch.gap.differing import fit_differing
 from imr_torch.gap.evidence import CheckedEvidence, check_evidence, rescaled_evidence
-from imr_torch.gap.hypotheses import Hypothesis, finish, fit_hypotheses, laplace_evidence, promised
+from imr_torch.gap.hypotheses import (
+    GEL_SCATTER,
+    Hypothesis,
+    finish,
+    fit_hypotheses,
+    laplace_evidence,
+    may_differ,
+    promised,
+)
 from imr_torch.gap.lookalike import LIKE, Likeness
-from imr_torch.gap.verdict import NONE, ODDS, VERDICT_ODDS, probabilities
+from imr_torch.gap.verdict import ODDS, VERDICT_ODDS, probabilities
 from imr_torch.goodness.score import GapTest
 from imr_torch.material import Effect, ModelBelief
 from imr_torch.observe import ExperimentBatch
@@ -40,9 +49,9 @@ _LESS = 0.7  # amplitude of a second start over that of the first, where the fir
 _WIDE = 45.0  # degrees from which on two effects are not called alike, however small
 _NEGLIGIBLE = 20.0  # nats behind the best at which another prior scale does not matter
 _BEHIND = 6.0  # nats behind the best from which on a fit is given up
-_FIT = SearchOptions(
-    starts=2, iterations=30, drop_behind=_BEHIND, basin_rounds=0, polish=False
-)  # the winner's is finished later
+# the winner's is finished later
+_FIT = SearchOptions(starts=2, iterations=30, drop_behind=_BEHIND, basin_rounds=0, polish=False)
+_FIT_GELS = replace(_FIT, iterations=60)
 
 
 @dataclass(frozen=True)
@@ -50,40 +59,58 @@ class Attribution:
     """Fits, evidence and probabilities of all causes.
 
     Args:
-        fits: hypothesis -> fit, ``"none"`` among them; one that was discarded is not converged.
+        held: the hypothesis that every other one extends by one part.
+        hypotheses: name -> hypothesis, ``held`` among them.
+        fits: name of a hypothesis -> fit, ``held`` among them; one that was discarded is not
+            converged.
         log_evidence: hypothesis -> nats.
-        posterior: hypothesis -> probability at ``VERDICT_ODDS``, with ``"none"``, ``"other"`` and,
-            where the noise was inferred, ``"slow_noise"``; those not fitted to the end are far
-            behind.
-        families: family -> probability, declared forms of one thing summed.
-        winner: name of the best hypothesis beside none.
-        adequacy: the gap test at the winner's fit.
-        next_starts: from where a further effect beside the winner would start.
-        left: the test at the winner's fit with its directions, for a further effect.
+        posterior: hypothesis -> probability at ``VERDICT_ODDS``, with ``"none"`` (of the parts asked
+            about), ``"other"`` and, where the noise was inferred, ``"slow_noise"``; those not fitted
+            to the end are far behind.
+        winner: the best hypothesis beside ``held``.
+        left: the gap test at the winner's fit with its directions, for a further effect.
         likeness: what an unknown effect of this size would look like.
         at_odds: prior odds of an unknown effect -> posterior.
-        alike: effects that look like the winner's last one at its fitted size -> angle in degrees,
-            and what they leave of it in sd, nearest first.
+        alike: effects that look like the winner's at its fitted size -> angle in degrees, and what
+            they leave of it in sd, nearest first.
         checked: hypothesis -> its evidence by importance sampling, of those near the best.
         rescaled: factor on the prior scales of all amplitudes -> probability of the winner.
         left_out: hypotheses ahead of the winner whose fits did not converge, which therefore have
             no probability.
     """
 
+    held: Hypothesis
+    hypotheses: dict[str, Hypothesis]
     fits: dict[str, ModelFit]
     log_evidence: dict[str, float]
     posterior: dict[str, float]
-    families: dict[str, float]
-    winner: str
-    adequacy: GapTest
-    next_starts: dict[str, tuple[tuple[float, ...], ...]]
-    left: Adequacy | None = None
-    likeness: Likeness | None = None
+    winner: Hypothesis
+    left: Adequacy
+    likeness: Likeness
     at_odds: dict[float, dict[str, float]] = field(default_factory=dict)
     alike: dict[str, tuple[float, float]] = field(default_factory=dict)
     checked: dict[str, CheckedEvidence] = field(default_factory=dict)
     rescaled: dict[float, float] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
+
+    @property
+    def adequacy(self) -> GapTest:
+        """The gap test at the winner's fit."""
+        return self.left.test
+
+    @property
+    def winner_fit(self) -> ModelFit:
+        """The fit of the best hypothesis."""
+        return self.fits[self.winner.name]
+
+    def part(self, name: str) -> str:
+        """What an entry of the posterior adds to ``held``; the entry itself where it is no
+        hypothesis.
+        """
+        if name not in self.hypotheses or name == self.held.name:
+            return name
+        (part,) = set(self.hypotheses[name].parts) - set(self.held.parts)
+        return part
 
     def credible_set(self, level: float = 0.95) -> tuple[str, ...]:
         """The most probable entries of the posterior that together reach a level."""
@@ -98,16 +125,16 @@ class Attribution:
 
     @property
     def explained(self) -> dict[str, float]:
-        """Hypothesis -> nats that its last effect explains: its log evidence over that without it,
+        """Hypothesis -> nats that its last part explains: its log evidence over that without it,
         the largest first.
 
         Of a fit in :attr:`unconverged` it is what was explained where the fit ended.
         """
-        without = "+".join(self.winner.split("+")[:-1]) or NONE
+        without = self.log_evidence[self.held.name]
         gained = {
-            name: own - self.log_evidence[without]
-            for name, own in self.log_evidence.items()
-            if name != without
+            name: value - without
+            for name, value in self.log_evidence.items()
+            if name != self.held.name
         }
         return dict(sorted(gained.items(), key=lambda item: -item[1]))
 
@@ -145,106 +172,128 @@ class Inquiry:
     batch: ExperimentBatch
     simulator: Simulator
 
-    def beside(self, chosen: Sequence[Effect]) -> tuple[Effect, ...]:
-        """The effects that share no parameter with those chosen."""
-        taken = {name for effect in chosen for name in effect.names}
-        return tuple(effect for effect in self.effects if not taken & set(effect.names))
+    def longer(self, held: Hypothesis) -> dict[str, Hypothesis]:
+        """What a hypothesis can be made by one part more -> that hypothesis.
+
+        An effect that shares no parameter with those held, or gels that differ, where shots can
+        show that.
+        """
+        taken = {name for effect in held.effects for name in effect.names}
+        found = {e.name: held.beside(e) for e in self.effects if not taken & set(e.names)}
+        if not held.gels_differ and may_differ(self.batch):
+            found[GEL_SCATTER] = held.differing()
+        return found
 
 
 def attribute(
     inquiry: Inquiry,
     null: ModelFit,
-    starts: Mapping[str, Sequence[Sequence[float]]] | None = None,
+    held: Hypothesis,
     *,
     seed: int,
-    with_: Sequence[Effect] = (),
+    alone: Sequence[ModelFit] = (),
     before: Adequacy | None = None,
     masked: float = 1.0,
     progress: Progress | None = None,
 ) -> Attribution:
-    """Fit all effects and compute their probabilities.
+    """Fit all hypotheses with one part more and compute their probabilities.
 
     Args:
         inquiry: base model, effects and data.
-        null: the fit that leaves a gap, from which effects start.
-        starts: from which values each effect starts; those of ``before`` by default.
+        null: the fit of ``held``, which leaves a gap, from which the others start.
+        held: what every hypothesis has.
         seed: of the fits and of the adequacy test.
-        with_: effects that are in every hypothesis already (forward selection of a second one).
+        alone: the base model's fit of each experiment by itself, from which gels that differ start;
+            without them they are not among the causes.
         before: the gap test at ``null``, made here where it is not given.
-        masked: beside ``with_``, the chance that these alone did not explain an unknown effect.
+        masked: beside a selected part, the chance that this alone did not explain an unknown
+            effect.
         progress: called with one line per step.
     """
-    base = inquiry.base
-    batch = inquiry.batch
-    simulator = inquiry.simulator
-    effects = inquiry.beside(with_)
+    longer = inquiry.longer(held)
+    if not alone:
+        longer.pop(GEL_SCATTER, None)
+    batch = held.seen(inquiry.batch)
     before = before or adequacy_test(
-        null, inquiry.effects, batch, simulator, seed=child(seed, "before")
+        null, inquiry.effects, batch, inquiry.simulator, seed=child(seed, "before")
     )
-    null_name = Hypothesis(base, tuple(with_)).name
-    hypotheses = [Hypothesis(base, (*with_, effect)) for effect in effects]
     if progress:
-        progress(f"attribution: {len(effects)} effects")
-    starts = before.starts if starts is None else starts
-    found = fit_hypotheses(
-        hypotheses,
+        progress(f"attribution: {len(longer)} hypotheses")
+    alike = [h for h in longer.values() if h.gels_differ is held.gels_differ]
+    fits = {held.name: null} | fit_hypotheses(
+        alike,
         null,
-        batch,
-        simulator,
+        inquiry.batch,
+        inquiry.simulator,
         seed=seed,
-        starts=starts,
+        starts=before.starts,
         options=_FIT,
         progress=progress,
     )
-    fits = {null_name: null} | found
+    if GEL_SCATTER in longer:
+        differing = longer[GEL_SCATTER]
+        lowest = min(fit.cost for fit in fits.values())
+        fits[differing.name] = fit_differing(
+            differing,
+            null,
+            alone,
+            inquiry.batch,
+            inquiry.simulator,
+            seed=child(seed, "differing"),
+            options=replace(_FIT_GELS, rival=lowest),
+        )
     evidence = {name: laplace_evidence(fit) for name, fit in fits.items()}
-    problem = _Problem(inquiry, null, before, tuple(with_), masked)
+    problem = _Problem(inquiry, null, before, held, longer, masked)
     return _concluded(problem, fits, evidence, seed=seed, progress=progress)
 
 
 def reconsider(
     inquiry: Inquiry,
     found: Attribution,
-    effect: Effect,
+    part: str,
     beside: ModelFit,
     *,
+    before: Adequacy,
     seed: int,
-    before: Adequacy | None = None,
 ) -> Attribution:
-    """The attribution of a first effect again, once another was found beside its winner: is that
-    one better alone?
+    """The attribution of a first part again, once another was found beside its winner: is that one
+    better alone?
 
     An effect with several minima (the moment of a pulse) may be found only beside another effect
     that explains most.
 
     Args:
         inquiry: base model, effects and data.
-        found: the attribution of the first effect.
-        effect: the one found beside it.
+        found: the attribution of the first part.
+        part: the effect found beside it.
         beside: the fit of both.
+        before: the gap test at the fit without a part.
         seed: of the fit and of the adequacy test.
-        before: the gap test at the fit without an effect, made here where it is not given.
 
     Returns:
         ``found`` itself unless the effect alone explains more than its winner.
     """
-    batch = inquiry.batch
-    simulator = inquiry.simulator
-    starts = {effect.name: near_values(beside, effect)}
-    alone = Hypothesis(inquiry.base, (effect,))
-    options = replace(_FIT, rival=found.fits[found.winner].cost)
-    fit = fit_hypotheses(
-        [alone], beside, batch, simulator, seed=seed, starts=starts, options=options
-    )[alone.name]
-    if laplace_evidence(fit) <= found.log_evidence[found.winner]:
+    longer = inquiry.longer(found.held)
+    alone = longer[part]
+    if alone.gels_differ:
         return found
-    null = found.fits[NONE]
-    before = before or adequacy_test(
-        null, inquiry.effects, batch, simulator, seed=child(seed, "before")
-    )
+    starts = {part: near_values(beside, alone.effects[-1])}
+    options = replace(_FIT, rival=found.winner_fit.cost)
+    fit = fit_hypotheses(
+        [alone],
+        beside,
+        inquiry.batch,
+        inquiry.simulator,
+        seed=seed,
+        starts=starts,
+        options=options,
+    )[alone.name]
+    if laplace_evidence(fit) <= found.log_evidence[found.winner.name]:
+        return found
     fits = found.fits | {alone.name: fit}
     evidence = found.log_evidence | {alone.name: laplace_evidence(fit)}
-    return _concluded(_Problem(inquiry, null, before, (), 1.0), fits, evidence, seed=seed)
+    problem = _Problem(inquiry, fits[found.held.name], before, found.held, longer, 1.0)
+    return _concluded(problem, fits, evidence, seed=seed)
 
 
 def near_values(fit: ModelFit, effect: Effect) -> list[tuple[float, ...]]:
@@ -261,25 +310,32 @@ def fitted_values(fit: ModelFit, effect: Effect) -> tuple[float, ...]:
 
 @dataclass(frozen=True)
 class _Problem:
-    """One round of attribution: an inquiry, the fit that leaves a gap, the test there, and effects
-    that are held.
+    """One round of attribution: an inquiry, the fit that leaves a gap, the test there, what is
+    held, and what is asked about: part -> hypothesis.
     """
 
     inquiry: Inquiry
     null: ModelFit
     before: Adequacy
-    with_: tuple[Effect, ...]
+    held: Hypothesis
+    longer: dict[str, Hypothesis]
     masked: float
 
     @property
-    def effects(self) -> tuple[Effect, ...]:
-        """The effects asked about."""
-        return self.inquiry.beside(self.with_)
+    def batch(self) -> ExperimentBatch:
+        """The data as what is held has them."""
+        return self.held.seen(self.inquiry.batch)
 
     @property
-    def null_name(self) -> str:
-        """Name of the hypothesis without any of them."""
-        return Hypothesis(self.inquiry.base, self.with_).name
+    def hypotheses(self) -> dict[str, Hypothesis]:
+        """Name -> hypothesis, ``held`` among them."""
+        return {h.name: h for h in (self.held, *self.longer.values())}
+
+    @property
+    def families(self) -> dict[str, str]:
+        """Name of a hypothesis -> family of the part that it adds."""
+        families = {effect.name: effect.family for effect in self.inquiry.effects}
+        return {h.name: families.get(part, part) for part, h in self.longer.items()}
 
 
 def _concluded(
@@ -292,44 +348,68 @@ def _concluded(
 ) -> Attribution:
     """Fits with what their evidence and the winner's adequacy say."""
     inquiry = problem.inquiry
-    batch = inquiry.batch
     simulator = inquiry.simulator
     winner, left_out = _converged_winner(problem, fits, evidence, seed=seed, progress=progress)
-    checked = check_evidence(fits, evidence, batch, simulator, seed=child(seed, "evidence"))
+    checked = _check(problem, fits, evidence, seed=child(seed, "evidence"))
     if checked and all(found.reliable for found in checked.values()):
         evidence |= {name: found.sampled for name, found in checked.items()}
-        own = child(seed, "ahead")
         winner, others = _converged_winner(
-            problem, fits, evidence, sampled=checked, seed=own, progress=progress
+            problem,
+            fits,
+            evidence,
+            sampled=checked,
+            seed=child(seed, "ahead"),
+            progress=progress,
         )
         left_out += others
+    best = problem.hypotheses[winner]
     left = adequacy_test(
-        fits[winner], inquiry.effects, batch, simulator, seed=child(seed, "adequacy")
+        fits[winner],
+        inquiry.effects,
+        best.seen(inquiry.batch),
+        simulator,
+        seed=child(seed, "adequacy"),
     )
     size = math.sqrt(max(2.0 * (problem.null.cost - fits[winner].cost), 0.0))
     like = problem.before.likeness(size, seed=seed)
-    factor = like.bayes_factor(left.test.p_value)
-    masked = problem.masked
-    smooth = _smooth_deviations(problem)
-    believed = _Believed(problem, fits, factor, masked, smooth)
+    believed = _Believed(
+        problem, fits, like.bayes_factor(left.test.p_value), _smooth_deviations(problem)
+    )
     at_odds = {odds: believed.posterior(evidence, odds) for odds in ODDS}
-    posterior = at_odds[VERDICT_ODDS]
-    effect = next(e for e in problem.effects if e.name == winner.split("+")[-1])
     return Attribution(
+        problem.held,
+        problem.hypotheses,
         fits,
         evidence,
-        posterior,
-        _families(posterior, problem.effects),
-        winner,
-        left.test,
-        left.starts,
-        left=left,
-        likeness=like,
+        at_odds[VERDICT_ODDS],
+        best,
+        left,
+        like,
         at_odds=at_odds,
-        alike=_alike(problem, fits, winner, effect, size),
+        alike=_alike(problem, fits, best, size),
         checked=checked,
         rescaled={scale: _rescaled(believed, evidence, scale)[winner] for scale in SCALES},
         left_out=left_out,
+    )
+
+
+def _check(
+    problem: _Problem, fits: Mapping[str, ModelFit], evidence: Mapping[str, float], *, seed: int
+) -> dict[str, CheckedEvidence]:
+    """Evidence by importance sampling of the leading hypotheses, of those that have the same
+    nuisances as what is held.
+    """
+    alike = [
+        name
+        for name in evidence
+        if problem.hypotheses[name].gels_differ is problem.held.gels_differ
+    ]
+    return check_evidence(
+        {name: fits[name] for name in alike},
+        {name: evidence[name] for name in alike},
+        problem.batch,
+        problem.inquiry.simulator,
+        seed=seed,
     )
 
 
@@ -338,13 +418,12 @@ def _smooth_deviations(problem: _Problem) -> SmoothDeviations | None:
 
     None where the noise is known, slow noise included.
     """
-    batch = problem.inquiry.batch
+    batch = problem.batch
     if batch.noise_laws is None or not batch.noise_laws.of_residuals:
         return None
+    null = problem.null
     return smooth_deviations(
-        Posterior(problem.null.prior, batch, problem.inquiry.simulator).neighbourhood(
-            problem.null.point
-        )
+        Posterior(null.prior, batch, problem.inquiry.simulator).neighbourhood(null.point)
     )
 
 
@@ -357,7 +436,6 @@ class _Believed:
     problem: _Problem
     fits: Mapping[str, ModelFit]
     bayes_factor: float
-    masked: float
     smooth: SmoothDeviations | None
 
     def posterior(
@@ -373,20 +451,22 @@ class _Believed:
                 1.0 - math.exp(-2.0 * log_scale)
             )  # nats that a larger noise gives back of each squared residual
             scaled = {name: value + share * squares[name] for name, value in evidence.items()}
-            smallest = share * min(squares.values()) - share * squares[self.problem.null_name]
+            smallest = share * min(squares.values()) - share * squares[self.problem.held.name]
             each.append(self._at(scaled, odds, smallest))
         return {name: sum(one[name] for one in each) / len(each) for name in each[0]}
 
     def _at(self, evidence: Mapping[str, float], odds: float, of_scale: float) -> dict[str, float]:
+        held = self.problem.held
+        base = evidence[held.name] + of_scale
         smooth = self.smooth
-        base = evidence[self.problem.null_name] + of_scale
         return probabilities(
             evidence,
-            self.problem.effects,
-            self.problem.with_,
+            self.problem.families,
+            held.name,
             self.bayes_factor,
             odds=odds,
-            masked=self.masked,
+            beside=bool(held.parts),
+            masked=self.problem.masked,
             smooth=None if smooth is None else (base + smooth.own, base + smooth.common),
         )
 
@@ -400,32 +480,33 @@ class _Believed:
 
 
 def _alike(
-    problem: _Problem, fits: Mapping[str, ModelFit], winner: str, effect: Effect, size: float
+    problem: _Problem, fits: Mapping[str, ModelFit], winner: Hypothesis, size: float
 ) -> dict[str, tuple[float, float]]:
     """Effects that look like the winner's: by the angle between their directions, or because they
     fit the data as well.
     """
-    batch = problem.inquiry.batch
-    simulator = problem.inquiry.simulator
-    values = fitted_values(fits[winner], effect)
-    found = problem.before.look_alikes(effect, values, size, problem.null, batch, simulator)
-    for other in problem.effects:
-        name = Hypothesis(problem.inquiry.base, (*problem.with_, other)).name
-        behind = (
-            math.sqrt(max(2.0 * (fits[name].cost - fits[winner].cost), 0.0))
-            if name in fits
-            else math.inf
+    fit = fits[winner.name]
+    found = dict[str, tuple[float, float]]()
+    last = problem.held.parts
+    if winner.gels_differ is problem.held.gels_differ:
+        effect = winner.effects[-1]
+        found = problem.before.look_alikes(
+            effect,
+            fitted_values(fit, effect),
+            size,
+            problem.null,
+            problem.batch,
+            problem.inquiry.simulator,
         )
-        if other.name != effect.name and behind < min(
-            LIKE, size, found.get(other.name, (0.0, math.inf))[1]
-        ):
-            found[other.name] = math.degrees(math.asin(behind / size)), behind
-    return dict(
-        sorted(
-            ((name, pair) for name, pair in found.items() if pair[0] < _WIDE),
-            key=lambda item: item[1][1],
-        )
-    )
+        last = (effect.name,)
+    for part, other in problem.longer.items():
+        if part in last or other.name not in fits or other.name == winner.name:
+            continue
+        behind = math.sqrt(max(2.0 * (fits[other.name].cost - fit.cost), 0.0))
+        if behind < min(LIKE, size, found.get(part, (0.0, math.inf))[1]):
+            found[part] = math.degrees(math.asin(behind / size)), behind
+    near = [(name, pair) for name, pair in found.items() if pair[0] < _WIDE]
+    return dict(sorted(near, key=lambda item: item[1][1]))
 
 
 def _converged_winner(
@@ -443,8 +524,6 @@ def _converged_winner(
     Fits are continued where they have not converged; ``fits`` and ``evidence`` are brought up to
     date, but for evidence that was ``sampled``.
     """
-    batch = problem.inquiry.batch
-    simulator = problem.inquiry.simulator
     continued = set[str]()
     left_out = list[str]()
     while True:
@@ -454,7 +533,11 @@ def _converged_winner(
         if winner not in continued:
             continued.add(winner)
             fits[winner] = finish(
-                fits[winner], batch, simulator, seed=child(seed, "finish"), progress=progress
+                fits[winner],
+                problem.hypotheses[winner].seen(problem.inquiry.batch),
+                problem.inquiry.simulator,
+                seed=child(seed, "finish"),
+                progress=progress,
             )
             if winner not in sampled:
                 evidence[winner] = laplace_evidence(fits[winner])
@@ -470,28 +553,18 @@ def _converged_winner(
 
 def _winner(problem: _Problem, evidence: Mapping[str, float]) -> str:
     return max(
-        (name for name in evidence if name != problem.null_name), key=lambda name: evidence[name]
+        (name for name in evidence if name != problem.held.name), key=lambda name: evidence[name]
     )
 
 
 def _rescaled(believed: _Believed, evidence: Mapping[str, float], scale: float) -> dict[str, float]:
     """The posterior with the prior scales of all amplitudes multiplied."""
     problem = believed.problem
-    fits = believed.fits
     best = max(evidence.values())
     changed = dict(evidence)
-    for effect in problem.effects:
-        name = Hypothesis(problem.inquiry.base, (*problem.with_, effect)).name
-        if evidence.get(name, -math.inf) > best - _NEGLIGIBLE:
-            changed[name] += rescaled_evidence(fits[name], effect, scale)
+    for name, hypothesis in problem.hypotheses.items():
+        near = evidence.get(name, -math.inf) > best - _NEGLIGIBLE
+        if near and len(hypothesis.effects) > len(problem.held.effects):
+            fit = believed.fits[name]
+            changed[name] += rescaled_evidence(fit, hypothesis.effects[-1], scale)
     return believed.posterior(changed)
-
-
-def _families(posterior: Mapping[str, float], effects: Sequence[Effect]) -> dict[str, float]:
-    """Probability of each family, of none and of other."""
-    families = {effect.name: effect.family for effect in effects}
-    total: dict[str, float] = {}
-    for name, probability in posterior.items():
-        family = families.get(name.split("+")[-1], name)
-        total[family] = total.get(family, 0.0) + probability
-    return total

@@ -1,14 +1,13 @@
-"""The whole diagnosis in order: null fit, gap test, location, attribution, shrinkage, next design.
+"""The diagnosis: null fit, gap test, forward selection of causes, verdict.
 
-Each step is usable alone; this runs them, stops where a step lacks what it needs, and says so. No
-verdict is given without converged fits.
+What a cause may be is decided by one selection: effects of the library, and that the gel differs
+between shots. No verdict is given without converged fits. Where the gap lies, how far it shrinks on
+unseen curves and what to shoot next is :func:`imr_torch.gap.examine`.
 """
 
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-
-from torch import Tensor
 
 from imr_torch.assimilate import ModelFit, Posterior
 from imr_torch.assimilate.frame_noise import infer_frame_noise
@@ -16,9 +15,16 @@ from imr_torch.assimilate.spikes import without_spikes
 from imr_torch.errors import InputDataError
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.attribute import Attribution, Inquiry, attribute, reconsider
-from imr_torch.gap.hypotheses import EXPLAINS, Hypothesis, fit_null, laplace_evidence
+from imr_torch.gap.differing import fit_alone
+from imr_torch.gap.hypotheses import (
+    EXPLAINS,
+    Hypothesis,
+    fit_null,
+    in_words,
+    laplace_evidence,
+    may_differ,
+)
 from imr_torch.gap.verdict import MEMBER, NONE, OTHER, SLOW_NOISE, Choice, choose
-from imr_torch.goodness.linear import Linearisation
 from imr_torch.goodness.score import GapTest
 from imr_torch.labels import p_value
 from imr_torch.material import LIBRARY, Effect, ModelBelief, library, wide_prior
@@ -43,18 +49,21 @@ class GapReport:
         batch: the data, with their noise.
         null: the base model's fit.
         gap: the gap test at that fit.
-        line: local sensitivities at that fit.
-        directions: what each effect changes there, whitened: name -> ``S x N``.
-        attribution: causes, if the test finds a gap: of the last effect selected if all are enough
+        left: the test there, with local sensitivities and what each effect changes.
+        attribution: causes, if the test finds a gap: of the last part selected if all are enough
             together, else of the first.
-        adequacy_p: of all effects that were selected together; None where none was.
+        selected: all parts that were selected together, whether or not they are enough; the base
+            model alone where none was.
+        selected_fit: its fit.
+        adequacy_p: of all parts that were selected together; None where none was.
         verdict: ``"none"``, ``"effect"``, ``"class"``, ``"other"`` or ``"undecided"``.
-        cause: names of the effects that the verdict names.
+        cause: names of the parts that the verdict names: effects, or ``"gel_scatter"``.
         seconds: wall time.
         reason: one sentence on how the verdict came about.
         choice: the causes of least expected loss with their probabilities; None where no effect was
             fitted.
         steps: attributions in the order of the selection, ``attribution`` among them.
+        alone: the base model's fit of each experiment by itself, where gels may differ.
         spoilt: label of a curve -> frames that a single error of the camera has spoilt, which are
             left out.
 
@@ -72,10 +81,10 @@ class GapReport:
 
     batch: ExperimentBatch
     null: ModelFit
-    gap: GapTest
-    line: Linearisation
-    directions: dict[str, Tensor]
+    left: Adequacy
     attribution: Attribution | None
+    selected: Hypothesis
+    selected_fit: ModelFit
     adequacy_p: float | None
     verdict: str
     cause: tuple[str, ...]
@@ -83,7 +92,18 @@ class GapReport:
     reason: str = field(default="")
     choice: Choice | None = None
     steps: tuple[Attribution, ...] = ()
+    alone: tuple[ModelFit, ...] = ()
     spoilt: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def gap(self) -> GapTest:
+        """The gap test at the base model's fit."""
+        return self.left.test
+
+    @property
+    def base(self) -> ModelBelief:
+        """The base model's prior."""
+        return self.null.prior
 
     @property
     def found(self) -> bool:
@@ -108,7 +128,7 @@ class GapReport:
         """Whether the fits that the verdict is based on have converged."""
         sound = self.null.certificate.usable
         if self.attribution is not None:
-            sound &= self.attribution.fits[self.attribution.winner].certificate.usable
+            sound &= self.attribution.winner_fit.certificate.usable
         return sound
 
 
@@ -171,33 +191,30 @@ def diagnose(
         null, batch = _with_inferred_noise(
             null, base, batch, simulator, seed=child(seed, "noise"), progress=progress
         )
-    base_left = adequacy_test(null, effects, batch, simulator, seed=child(seed, "gap"))
-    gap = base_left.test
+    left = adequacy_test(null, effects, batch, simulator, seed=child(seed, "gap"))
+    gap = left.test
     if progress:
         progress(f"gap test: {p_value(gap.p_value)}, leading block {gap.blocks[0].name}")
 
+    alone = tuple[ModelFit, ...]()
+    nothing = _Finding("none", (), "No block of the gap test rejects the base model.", null)
     if not null.certificate.usable:
-        found = _Finding(
-            "undecided", (), f"The base model's fit did not converge: {null.certificate}."
-        )
+        reason = f"The base model's fit did not converge: {null.certificate}."
+        found = replace(nothing, verdict="undecided", reason=reason)
     elif not gap.found:
-        found = _Finding("none", (), "No block of the gap test rejects the base model.")
+        found = nothing
     else:
-        found = _select(
-            Inquiry(base, effects, batch, simulator),
-            null,
-            base_left,
-            most,
-            seed=seed,
-            progress=progress,
-        )
+        if may_differ(batch):
+            alone = fit_alone(null, batch, simulator, seed=child(seed, "alone"))
+        inquiry = Inquiry(base, effects, batch, simulator)
+        found = _select(inquiry, null, left, most, alone=alone, seed=seed, progress=progress)
     return GapReport(
         batch=batch,
         null=null,
-        gap=gap,
-        line=base_left.line,
-        directions=base_left.directions,
+        left=left,
         attribution=found.attribution,
+        selected=found.selected or Hypothesis(base),
+        selected_fit=found.selected_fit,
         adequacy_p=found.adequacy_p,
         verdict=found.verdict,
         cause=found.cause,
@@ -205,6 +222,7 @@ def diagnose(
         reason=found.reason,
         choice=found.choice,
         steps=found.steps,
+        alone=alone,
         spoilt=spoilt,
     )
 
@@ -248,11 +266,13 @@ def _with_inferred_noise(
 
 @dataclass(frozen=True)
 class _Finding:
-    """A verdict, with the attribution that it is based on."""
+    """A verdict, with the attribution that it is based on and what was selected."""
 
     verdict: str
     cause: tuple[str, ...]
     reason: str
+    selected_fit: ModelFit
+    selected: Hypothesis | None = None
     attribution: Attribution | None = None
     adequacy_p: float | None = None
     choice: Choice | None = None
@@ -265,109 +285,105 @@ def _select(
     left: Adequacy,
     most: int,
     *,
+    alone: Sequence[ModelFit],
     seed: int,
     progress: Progress | None,
 ) -> _Finding:
-    """Forward selection of effects until an unknown effect is improbable, and the verdict that
+    """Forward selection of parts until an unknown effect is improbable, and the verdict that
     follows.
 
-    Each round adds the effect of largest evidence beside those chosen. A first effect that the
-    second does not need is dropped. Where an unknown effect stays more probable than not, the
-    verdict is "other", or undecided where the last fit has not nearly converged.
+    Each round adds the part of largest evidence beside those held. A first part that the second
+    does not need is dropped. Where an unknown effect stays more probable than not, the verdict is
+    "other", or undecided where the last fit has not nearly converged.
     """
-    chosen: tuple[Effect, ...] = ()
+    held = Hypothesis(inquiry.base)
     fit = null
     before = left
     masked = 1.0
     steps: tuple[Attribution, ...] = ()
-    while len(chosen) < most and inquiry.beside(chosen):
-        own = child(seed, "attribute", len(chosen))
+    while len(held.parts) < most and inquiry.longer(held):
         found = attribute(
-            inquiry, fit, seed=own, with_=chosen, before=before, masked=masked, progress=progress
+            inquiry,
+            fit,
+            held,
+            seed=child(seed, "attribute", len(held.parts)),
+            alone=alone,
+            before=before,
+            masked=masked,
+            progress=progress,
         )
-        gained = (
-            found.log_evidence[found.winner]
-            - found.log_evidence[Hypothesis(inquiry.base, chosen).name]
-        )
-        if chosen and gained < EXPLAINS:
+        if held.parts and found.explained[found.winner.name] < EXPLAINS:
             break
         choice = choose(found.posterior)
         steps = (*steps, found)
-        held = chosen
-        if not held and found.posterior[NONE] >= _NO_GAP:
-            return replace(_not_confirmed(found, left.test), choice=choice, steps=steps)
+        if not held.parts and found.posterior[NONE] >= _NO_GAP:
+            return replace(_not_confirmed(found, null, left.test), choice=choice, steps=steps)
         if _is_slow_noise(found):
-            return replace(_slow_noise(found, steps[0], choice, held), steps=steps)
-        chosen = (
-            *chosen,
-            next(e for e in inquiry.effects if e.name == found.winner.split("+")[-1]),
-        )
-        fit = found.fits[found.winner]
+            return replace(_slow_noise(found, steps[0], choice, held, fit), steps=steps)
+        held = found.winner
+        fit = found.winner_fit
         if found.posterior[OTHER] <= _UNKNOWN:
-            return replace(
-                _without_first(inquiry, left, steps, chosen, seed) or _name(held, found, choice),
-                steps=steps,
-            )
-        before = found.left or before
-        masked = masked * (1.0 - found.likeness.chance if found.likeness else 1.0)
-    return replace(_unexplained(null, left, chosen, fit, steps), steps=steps)
+            named = _without_first(inquiry, left, steps, seed) or _name(found, choice)
+            return replace(named, steps=steps)
+        before = found.left
+        masked = masked * (1.0 - found.likeness.chance)
+    return replace(_unexplained(null, left, held, fit, steps), steps=steps)
 
 
 def _without_first(
-    inquiry: Inquiry,
-    left: Adequacy,
-    steps: Sequence[Attribution],
-    chosen: tuple[Effect, ...],
-    seed: int,
+    inquiry: Inquiry, left: Adequacy, steps: Sequence[Attribution], seed: int
 ) -> _Finding | None:
-    """The verdict on the last effect alone, where that explains the data without those selected
+    """The verdict on the last part alone, where that explains the data without those selected
     before it.
     """
-    if len(chosen) < 2:
+    last = steps[-1]
+    if len(last.winner.parts) < 2:
         return None
-    beside = steps[-1].fits[steps[-1].winner]
     alone = reconsider(
-        inquiry, steps[0], chosen[-1], beside, seed=child(seed, "reconsider"), before=left
+        inquiry,
+        steps[0],
+        last.part(last.winner.name),
+        last.winner_fit,
+        before=left,
+        seed=child(seed, "reconsider"),
     )
     choice = choose(alone.posterior)
     if alone is steps[0] or choice.leader == NONE or alone.posterior[OTHER] > _UNKNOWN:
         return None
-    return _name((), alone, choice)
+    return _name(alone, choice)
 
 
 def _unexplained(
     null: ModelFit,
     left: Adequacy,
-    chosen: Sequence[Effect],
+    held: Hypothesis,
     fit: ModelFit,
     steps: Sequence[Attribution],
 ) -> _Finding:
     """The verdict where an unknown effect stays more probable than not."""
-    first = steps[0]
-    last = steps[-1]
-    test = last.adequacy
-    choice = choose(last.posterior)
-    nearest = " and ".join(effect.name for effect in chosen)
+    test = steps[-1].adequacy
+    nearest = " and ".join(map(in_words, held.parts))
     explained = laplace_evidence(fit) - laplace_evidence(null)
-    if (
-        not fit.certificate.nearly_converged
-    ):  # a nearly converged fit would not become adequate by converging further
+    finding = _Finding(
+        OTHER, (), "", fit, held, steps[0], test.p_value, choose(steps[-1].posterior)
+    )
+    # a nearly converged fit would not become adequate by converging further
+    if not fit.certificate.nearly_converged:
         reason = (
             f"No effect of the library was found to be enough, but the fit with {nearest} did not "
-            "converge "
-            f"({explained:.0f} nats better than the base; adequacy {p_value(test.p_value)}), "
-            "which may be why."
+            f"converge ({explained:.0f} nats better than the base; adequacy "
+            f"{p_value(test.p_value)}), which may be why."
         )
-        return _Finding("undecided", (), reason, first, test.p_value, choice)
+        return replace(finding, verdict="undecided", reason=reason)
     if explained < EXPLAINS:
         reason = f"No effect of the library explains any of it (adequacy {p_value(test.p_value)})."
-    else:
-        misfit = f"the misfit in R* goes from {left.test.bias_radius:.4f} to {test.bias_radius:.4f}"
-        reason = (
-            f"No effect of the library is enough; nearest comes {nearest} "
-            f"({explained:.0f} nats; {misfit}; adequacy {p_value(test.p_value)})."
-        )
-    return _Finding(OTHER, (), reason, first, test.p_value, choice)
+        return replace(finding, reason=reason, selected=None, selected_fit=null)
+    misfit = f"the misfit in R* goes from {left.test.bias_radius:.4f} to {test.bias_radius:.4f}"
+    reason = (
+        f"No effect of the library is enough; nearest comes {nearest} "
+        f"({explained:.0f} nats; {misfit}; adequacy {p_value(test.p_value)})."
+    )
+    return replace(finding, reason=reason)
 
 
 def _is_slow_noise(found: Attribution) -> bool:
@@ -381,52 +397,55 @@ def _is_slow_noise(found: Attribution) -> bool:
 
 
 def _slow_noise(
-    found: Attribution, first: Attribution, choice: Choice, held: Sequence[Effect]
+    found: Attribution, first: Attribution, choice: Choice, held: Hypothesis, fit: ModelFit
 ) -> _Finding:
     """The verdict where deviations look like noise that lasts several frames, of each curve its
     own.
     """
-    beside = f"Beside {' and '.join(effect.name for effect in held)}, the" if held else "The"
+    beside = f"Beside {' and '.join(map(in_words, held.parts))}, the" if held.parts else "The"
     slow = found.posterior[SLOW_NOISE]
     reason = (
         f"{beside} curves differ from the model by slow noise of the camera (probability "
-        f"{slow:.2f}) or by an unknown effect "
-        "that looks like it: repeat a shot. Noise will differ from shot to shot, an effect will "
-        "not."
+        f"{slow:.2f}) or by an unknown effect that looks like it: repeat a shot. Noise will differ "
+        "from shot to shot, an effect will not."
     )
-    return _Finding(OTHER, (), reason, first, found.adequacy.p_value, choice)
+    return _Finding(OTHER, (), reason, fit, held, first, found.adequacy.p_value, choice)
 
 
-def _not_confirmed(found: Attribution, test: GapTest) -> _Finding:
+def _not_confirmed(found: Attribution, null: ModelFit, test: GapTest) -> _Finding:
     """Verdict "none" although the test rejects: it does so by chance at its level, and then no
     effect explains much.
     """
     reason = (
         f"A test rejects the base model ({p_value(test.p_value)}), but no effect of the library "
-        "explains enough: the base "
-        f"model alone keeps a probability of {found.posterior[NONE]:.2f}."
+        "explains enough: the base model alone keeps a probability of "
+        f"{found.posterior[NONE]:.2f}."
     )
-    return _Finding(NONE, (), reason, found)
+    return _Finding(NONE, (), reason, null, attribution=found)
 
 
-def _name(held: Sequence[Effect], found: Attribution, choice: Choice) -> _Finding:
-    """The verdict on a known cause: the effects of the set of least expected loss, beside those
-    that every hypothesis holds.
+def _name(found: Attribution, choice: Choice) -> _Finding:
+    """The verdict on a known cause: the parts of the set of least expected loss, beside those that
+    every hypothesis holds.
     """
-    before = tuple(effect.name for effect in held)
+    before = found.held.parts
     adequacy = found.adequacy.p_value
-    causes = (*before, *(name.split("+")[-1] for name in choice.causes))
-    finding = _Finding("undecided", causes, "", found, adequacy, choice)
-    if not found.fits[found.winner].certificate.usable:
+    causes = (*before, *map(found.part, choice.causes))
+    finding = _Finding(
+        "undecided", causes, "", found.winner_fit, found.winner, found, adequacy, choice
+    )
+    if not found.winner_fit.certificate.usable:
         return replace(finding, reason="No fit with an effect converged.")
     if found.left_out:
-        ahead = ", ".join(name.split("+")[-1] for name in found.left_out)
+        ahead = ", ".join(in_words(found.part(name)) for name in found.left_out)
         return replace(
             finding,
             reason=f"The fit with {ahead} did not converge and was left out; it may explain more.",
         )
     if NONE in choice.members:
-        without = f"{' and '.join(before)} alone" if before else "The base model alone"
+        without = (
+            f"{' and '.join(map(in_words, before))} alone" if before else "The base model alone"
+        )
         reason = (
             f"{without} keeps a probability of {choice.members[NONE]:.2f}: too much to name a "
             "cause."

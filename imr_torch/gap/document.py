@@ -1,44 +1,40 @@
-"""A diagnosis as JSON: what the report says, and the curves, tests and probabilities from which its
-figures are drawn again.
+"""A diagnosis as JSON-ready values: all that its text, its page and its figures say and show.
+
+Text (:mod:`imr_torch.gap.text`), figures and page are made of this document alone, so a saved result
+says and shows the same again.
 """
 
 import math
-from dataclasses import replace
 from typing import Any
 
-from jaxtyping import Float
+import torch
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.assimilate.dense import dense_curve
+from imr_torch.design import Plan
 from imr_torch.files import drawn_numbers
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
-from imr_torch.gap.hypotheses import scatters
+from imr_torch.gap.differing import gels_of
+from imr_torch.gap.examine import Parts
+from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.gap.identity_design import NextDesign
-from imr_torch.gap.lookalike import Likeness
-from imr_torch.gap.parts import Parts
-from imr_torch.gap.plots import BESIDE
-from imr_torch.gap.report import headline, next_step, odds_text
-from imr_torch.gap.stepwise import SelectionStep, StepwiseSelection
-from imr_torch.gap.strengths import unusual_strengths, values_of_curves
-from imr_torch.gap.values import (
-    all_parameters,
-    cause_values,
-    fit_beside,
-    parameter_shift,
-    parameters,
-)
+from imr_torch.gap.shrinkage import Shrinkage
+from imr_torch.gap.text import headline, next_step
 from imr_torch.gap.verdict import VERDICT_ODDS
-from imr_torch.material import ModelBelief
-from imr_torch.observe import ExperimentBatch
+from imr_torch.goodness.phases import PHASES, phase_clock, phase_name
+from imr_torch.material import LIBRARY
+from imr_torch.observe import ExperimentBatch, noise_sentences
 from imr_torch.simulate import Simulator
+
+_LEVELS = torch.tensor((0.05, 0.5, 0.95), dtype=torch.float64)
 
 
 def to_json(
     report: GapReport, parts: Parts | None = None, *, simulator: Simulator | None = None
 ) -> dict[str, Any]:
-    """The report as JSON-ready values; null for every part that was not run.
+    """The document of a diagnosis; null for every part that was not run.
 
     Args:
         report: the diagnosis.
@@ -58,114 +54,237 @@ def to_json(
     'none'
     """
     parts = parts or Parts()
-    found = report.attribution
-    when = parts.onset
-    judged = parts.shrinkage
-    ahead = parts.next_design
-    return {
+    document = {
         "gap": report.found,
-        "p_gap": report.gap.p_value,
-        "bias_sigma": report.gap.bias_sigma,
-        "first_detected_t": None if when is None or when.phase == "none" else when.time,
-        "first_detected_phase": None if when is None else when.phase,
-        "acts": None
-        if parts.acts is None
-        else {phase: list(values) for phase, values in parts.acts.shares.items()},
         "verdict": report.verdict,
         "cause": list(report.cause),
-        "members": None if report.choice is None else report.choice.members,
-        "expected_loss": None if report.choice is None else report.choice.loss,
-        "posterior": None if found is None else found.posterior,
-        "explained_nats": None if found is None else found.explained,
-        "unconverged": None if found is None else list(found.unconverged),
-        "posterior_at_odds": None
-        if found is None
-        else {odds_text(odds): own for odds, own in found.at_odds.items()},
-        "verdict_odds": odds_text(VERDICT_ODDS),
-        "unknown": None
-        if found is None or found.likeness is None
-        else _unknown(found, found.likeness),
-        "look_alikes": None if found is None else _look_alikes(found),
-        "evidence_checks": None
-        if found is None
-        else {name: vars(own) for name, own in found.checked.items()},
-        "prior_scales": None
-        if found is None
-        else {f"{scale:g}": p for scale, p in found.rescaled.items()},
-        "credible_set": None if found is None else list(found.credible_set()),
-        "adequacy_p": report.adequacy_p,
-        "shrinkage": None
-        if judged is None
-        else {name: list(values) for name, values in judged.shrinkage.items()},
-        "best_rival": None if judged is None else judged.rival,
-        "ladder": None if parts.selection is None else selection_document(parts.selection),
-        "ladder_ended": None if parts.selection is None else parts.selection.ended,
-        "ladder_differing": None
-        if parts.selection is None
-        else differing_document(parts.selection),
-        "ladder_unsettled": None
-        if parts.selection is None
-        else [name.split("+") for name in parts.selection.unsettled],
-        "gel_scatter": None if parts.scatter is None else parts.scatter.to_dict(),
-        "cause_values": cause_values(report),
-        "parameter_shift": parameter_shift(report),
-        "parameters": parameters(report),
-        "tests": [
-            vars(b) | {"power": None if math.isnan(b.power) else b.power} for b in report.gap.blocks
-        ],
-        "curves": curves_of(report, parts, simulator),
-        "noise": vars(report.batch.noise),
-        "noise_interval": report.batch.noise_interval(report.null.prediction),
-        "noise_factors": {e.label: e.noise_factor for e in report.batch.curves},
-        "frames_left_out": dict(report.spoilt),
-        "headline": headline(report),
-        "next_step": next_step(report, parts),
-        "next_design": None if ahead is None else _design(ahead),
+        "reason": report.reason,
+        "members": report.choice and report.choice.members,
+        "expected_loss": report.choice and report.choice.loss,
         "converged": report.converged,
-        "certificates": certificates(report),
+        "null_usable": report.null.certificate.usable,
+        "model": _model(report),
+        **_test(report),
+        **_causes(report.attribution),
+        "selected": list(report.selected.parts),
+        "adequacy_p": report.adequacy_p,
+        **_values(report, parts),
+        "hidden": [vars(row) | {"sentence": row.sentence()} for row in parts.hidden],
+        **_where(parts),
+        "shrinkage": parts.shrinkage and _shrinkage(parts.shrinkage, report),
+        "next_design": parts.next_design and _design(parts.next_design),
+        "examined": parts.onset is not None,
+        "phase_residual": {"phases": PHASES, "rows": _phase_residual(report.null, report.batch)},
+        "curves": _curves(report, simulator),
+        **_noise(report),
+        "certificates": _certificates(report),
         "seconds": report.seconds,
     }
+    return document | {"headline": headline(document), "next_step": next_step(document)}
 
 
-def _unknown(found: Attribution, like: Likeness) -> dict[str, float]:
-    """What an unknown effect of the size found would look like."""
+def _model(report: GapReport) -> dict[str, Any]:
+    base = report.base
+    return {"key": base.model, "title": base.material.title, "known": dict(base.known)}
+
+
+def _test(report: GapReport) -> dict[str, Any]:
+    test = report.gap
     return {
-        "size_sd": like.size,
-        "chance_look_alike": like.chance,
-        "standard_error": like.error,
-        "bayes_factor": like.bayes_factor(found.adequacy.p_value),
+        "p_gap": test.p_value,
+        "test_rejects": test.found,
+        "bias_sigma": test.bias_sigma,
+        "bias_R": test.bias_radius,
+        "tests": [
+            vars(b) | {"power": None if math.isnan(b.power) else b.power} for b in test.blocks
+        ],
     }
 
 
-def _look_alikes(found: Attribution) -> dict[str, dict[str, float]]:
-    return {
-        name: {"angle_deg": angle, "leaves_sd": left} for name, (angle, left) in found.alike.items()
-    }
+def odds_text(odds: float) -> str:
+    """Prior odds in words: ``"1:9"``, ``"1:1"``.
 
-
-def certificates(report: GapReport) -> dict[str, dict[str, Any]]:
-    """The certificate of the base model's fit and of the leading fit of every step of the
-    selection.
+    >>> from imr_torch.gap.document import odds_text
+    >>> odds_text(1.0 / 9.0)
+    '1:9'
     """
-    fits = {"none": report.null} | {step.winner: step.fits[step.winner] for step in report.steps}
-    if report.attribution is not None:
-        fits[report.attribution.winner] = report.attribution.fits[report.attribution.winner]
-    return {name: vars(fit.certificate) for name, fit in fits.items()}
+    return f"1:{1.0 / odds:g}" if odds <= 1.0 else f"{odds:g}:1"
 
 
-def curves_of(
-    report: GapReport, parts: Parts, simulator: Simulator | None = None
-) -> list[dict[str, Any]]:
-    """Mean measured curves and the base model by experiment, and the model with the cause or,
-    without one, with additions.
+def _causes(found: Attribution | None) -> dict[str, Any]:
+    """Probabilities and evidence of all causes; null without an attribution."""
+    names = (
+        "leading",
+        "posterior",
+        "explained_nats",
+        "unconverged",
+        "given_up",
+        "posterior_at_odds",
+        "verdict_odds",
+        "unknown",
+        "look_alikes",
+        "evidence_checks",
+        "prior_scales",
+        "credible_set",
+        "leading_adequacy_p",
+    )
+    if found is None:
+        return dict.fromkeys(names)
+    like = found.likeness
+    values = (
+        found.winner.name,
+        found.posterior,
+        found.explained,
+        list(found.unconverged),
+        list(found.given_up),
+        {odds_text(odds): own for odds, own in found.at_odds.items()},
+        odds_text(VERDICT_ODDS),
+        {
+            "size_sd": like.size,
+            "chance_look_alike": like.chance,
+            "standard_error": like.error,
+            "bayes_factor": like.bayes_factor(found.adequacy.p_value),
+        },
+        {
+            name: {"angle_deg": angle, "leaves_sd": left}
+            for name, (angle, left) in found.alike.items()
+        },
+        {name: vars(checked) for name, checked in found.checked.items()},
+        {f"{scale:g}": p for scale, p in found.rescaled.items()},
+        list(found.credible_set()),
+        found.adequacy.p_value,
+    )
+    return dict(zip(names, values, strict=True))
 
-    ``with_cause`` and ``with_additions`` are None where they are not shown; see
-    :func:`imr_torch.gap.report.fit_beside`. With a simulator, ``drawn`` holds the curves of the
-    models at 600 points.
+
+def named_fit(report: GapReport) -> ModelFit | None:
+    """The fit with the leading cause, where the verdict names one."""
+    return report.selected_fit if report.verdict in ("effect", "class") else None
+
+
+def _values(report: GapReport, parts: Parts) -> dict[str, Any]:
+    """The parameters of the gel and of the named cause, with 90 % intervals."""
+    named = named_fit(report)
+    error = parts.model_error
+    return {
+        "parameters": _intervals(named or report.null, report.base.names),
+        "parameters_with_model_error": error and {n: list(v) for n, v in error.intervals.items()},
+        "parameter_bound_sd": error and error.bound,
+        "parameter_shift": named
+        and {
+            name: {"base": before, "with_cause": after}
+            for (name, before), after in zip(
+                _intervals(report.null, report.base.names).items(),
+                _intervals(named, report.base.names).values(),
+                strict=True,
+            )
+        },
+        "cause_values": named and _cause_values(report, named),
+        "selected_values": _intervals(
+            report.selected_fit, [n for e in report.selected.effects for n in e.names]
+        ),
+        "gels": gels_of(report.selected_fit, report.selected) or None,
+    }
+
+
+def _intervals(fit: ModelFit, names: tuple[str, ...] | list[str]) -> dict[str, list[float]]:
+    """Parameter -> 5, 50, 95 %, SI."""
+    quantiles = fit.posterior.quantile(_LEVELS)
+    return {name: quantiles[:, fit.prior.names.index(name)].tolist() for name in names}
+
+
+def _cause_values(report: GapReport, named: ModelFit) -> dict[str, dict[str, list[float]]]:
+    """Named effect -> its parameters; members of a class that the leading fit does not hold have the
+    values of their own fits.
+    """
+    found = report.attribution
+    values = {}
+    for part in report.cause:
+        if part not in LIBRARY:
+            continue
+        names = LIBRARY[part].names
+        fits = (
+            [named, *(f for n, f in found.fits.items() if found.part(n) == part)] if found else []
+        )
+        holding = [fit for fit in fits if set(names) <= set(fit.prior.names)]
+        if holding:
+            values[part] = _intervals(holding[0], list(names))
+    return values
+
+
+def _where(parts: Parts) -> dict[str, Any]:
+    """Location of the gap."""
+    when = parts.onset
+    which = parts.by_experiment
+    return {
+        "onset": when
+        and {
+            "t": None if when.phase == "none" else when.time,
+            "phase": when.phase,
+            "times": list(when.times),
+            "p_values": list(when.p_values),
+            "level": when.level,
+            "sentence": str(when),
+        },
+        "acts": parts.acts
+        and {
+            "shares": {phase: list(values) for phase, values in parts.acts.shares.items()},
+            "sentence": str(parts.acts),
+        },
+        "experiments": which
+        and {
+            "p_values": dict(zip(which.labels, which.p_values, strict=True)),
+            "values": which.values,
+            "reading": which.reading,
+            "converged": which.converged,
+        },
+    }
+
+
+def _shrinkage(found: Shrinkage, report: GapReport) -> dict[str, Any]:
+    return {
+        "share": found.share and list(found.share),
+        "later": found.later and list(found.later),
+        "placebo_median": found.placebo_median if found.placebo else None,
+        "placebo_95": found.placebo_high if found.placebo else None,
+        "placebos": len(found.placebo),
+        "base_gap": found.base_gap,
+        "base_p": found.base_p,
+        "selected": [list(parts) for parts in found.selected],
+        "converged": found.converged,
+        "word": found.word(report.adequacy_p or 0.0),
+    }
+
+
+def _phase_residual(fit: ModelFit, batch: ExperimentBatch) -> list[list[float | None]]:
+    """Root mean square residual of the mean curves by experiment and phase, over its noise; null
+    where a phase has no frames.
+    """
+    clock = phase_clock(batch.times, fit.prediction, batch.mask)
+    noise = batch.sd(fit.prediction) / batch.counts.sqrt()
+    square = torch.where(batch.mask, ((batch.mean - fit.prediction) / noise).square(), 0.0)
+    names = [[phase_name(c) for c in row] for row in clock.tolist()]
+    columns = []
+    for phase in PHASES:
+        inside = torch.tensor([[name == phase for name in row] for row in names]) & batch.mask
+        columns.append((torch.where(inside, square, 0.0).sum(1) / inside.sum(1)).sqrt())
+    return [drawn_numbers(row) for row in torch.stack(columns, 1)]
+
+
+def _curves(report: GapReport, simulator: Simulator | None) -> list[dict[str, Any]]:
+    """Mean measured curves, the base model and, where anything was selected, the model with it.
+
+    With a simulator, ``drawn`` holds the curves of the models at 600 points.
     """
     batch = report.batch
-    beside = fit_beside(report, parts)
-    dense = {} if simulator is None else dense_curves(report, parts, simulator)
+    fits = {"base": (Hypothesis(report.base), report.null)}
+    if report.selected.parts:
+        fits["selected"] = (report.selected, report.selected_fit)
+    dense = {
+        name: dense_curve(fit, hypothesis.seen(batch), simulator)
+        for name, (hypothesis, fit) in fits.items()
+        if simulator is not None
+    }
     noise = batch.sd(report.null.prediction) / batch.counts.sqrt()
     rows = []
     for e, experiment in enumerate(batch.experiments):
@@ -178,87 +297,13 @@ def curves_of(
                 "t_star": batch.times[e][seen].tolist(),
                 "R_star": batch.mean[e][seen].tolist(),
                 "sd": noise[e][seen].tolist(),
-                "base": report.null.prediction[e][seen].tolist(),
-                **dict.fromkeys(BESIDE),
-                **({beside.name: beside.fit.prediction[e][seen].tolist()} if beside else {}),
-                "drawn": {
-                    name: _drawn(times[e], radius[e]) for name, (times, radius) in dense.items()
-                },
+                "base": None,
+                "selected": None,
+                **{name: fit.prediction[e][seen].tolist() for name, (_, fit) in fits.items()},
+                "drawn": {name: _drawn(t[e], r[e]) for name, (t, r) in dense.items()},
             }
         )
     return rows
-
-
-def selection_document(selection: StepwiseSelection) -> list[dict[str, Any]]:
-    """A stepwise selection as JSON-ready values, a step each, the base model first."""
-    return [_step(step, selection.steps[0].fit.prior) for step in selection.steps]
-
-
-def differing_document(selection: StepwiseSelection) -> dict[str, Any] | None:
-    """What a selection says of the base model where curves differ, like a step.
-
-    None where a step is that, or none was made.
-    """
-    return (
-        None
-        if selection.differing is None
-        else _step(selection.differing, selection.steps[0].fit.prior)
-    )
-
-
-def _step(step: SelectionStep, base: ModelBelief) -> dict[str, Any]:
-    """A step of the selection: its effects, what is left and where, what is closed on held-out
-    designs, and the parameters.
-
-    ``curves`` has those of each curve, where they differ, and ``unusual`` the amplitudes of effects
-    that are far from their prior, in its standard deviations.
-    """
-    return {
-        "effects": list(step.effects),
-        "added": step.added or None,
-        "alternatives": list(step.alternatives),
-        "misfit": step.misfit,
-        "noise": step.noise,
-        "left": [vars(part) for part in step.left],
-        "gained_nats": step.gained,
-        "closed": None if step.closed is None else list(step.closed),
-        "log_score": None if step.log_score is None else list(step.log_score),
-        "adequacy_p": step.test.p_value,
-        "converged": step.converged,
-        "certificate": str(step.fit.certificate),
-        "parameters": all_parameters(step.fit),
-        "curves": values_of_curves(step.fit, base),
-        "unusual": unusual_strengths(step.fit, base),
-    }
-
-
-def dense_curves(
-    report: GapReport, parts: Parts, simulator: Simulator
-) -> dict[str, tuple[Float[Tensor, "experiments dense"], Float[Tensor, "experiments dense"]]]:
-    """Curves of the base model and of what is shown beside it: by name, t* and R*, ``E x D``
-    tensors.
-
-    Args:
-        report: the diagnosis.
-        parts: what was run beside the verdict.
-        simulator: makes the bubbles.
-    """
-    fits = {"base": report.null}
-    beside = fit_beside(report, parts)
-    if beside is not None:
-        fits[beside.name] = beside.fit
-    return {name: dense_curve(fit, _seen(report, fit), simulator) for name, fit in fits.items()}
-
-
-def _seen(report: GapReport, fit: ModelFit) -> ExperimentBatch:
-    """The data as a fit has them: with differences between curves where it holds such nuisances."""
-    base = report.null.prior
-    known = report.null.nuisances.shape[1]
-    return (
-        replace(report.batch, between=scatters(base, fit.prior))
-        if fit.nuisances.shape[1] > known
-        else report.batch
-    )
 
 
 def _drawn(times: Tensor, radius: Tensor) -> dict[str, list[float | None]]:
@@ -266,17 +311,55 @@ def _drawn(times: Tensor, radius: Tensor) -> dict[str, list[float | None]]:
     return {"t_star": drawn_numbers(times), "R_star": drawn_numbers(radius)}
 
 
+def _noise(report: GapReport) -> dict[str, Any]:
+    """The noise law, what is known of it, and what was left out."""
+    batch = report.batch
+    interval = batch.noise_interval(report.null.prediction)
+    return {
+        "noise": vars(batch.noise),
+        "noise_text": str(batch.noise),
+        "noise_inferred": batch.noise_laws is not None,
+        "noise_sentences": noise_sentences(batch.noise, interval),
+        "noise_interval": interval,
+        "noise_factors": {e.label: e.noise_factor for e in batch.curves},
+        "frames_left_out": dict(report.spoilt),
+    }
+
+
+def _certificates(report: GapReport) -> dict[str, dict[str, Any]]:
+    """The certificate of the base model's fit and of the leading fit of every step of the
+    selection.
+    """
+    fits = {"none": report.null} | {step.winner.name: step.winner_fit for step in report.steps}
+    return {
+        name: vars(fit.certificate) | {"text": str(fit.certificate)} for name, fit in fits.items()
+    }
+
+
 def _design(found: NextDesign) -> dict[str, Any]:
-    """The next design, its gain in nats and what it tells apart."""
+    """The next design, its gain in nats, what it tells apart and how it is taken to be observed."""
     weber, rest = found.design.tolist()
     return {
         "We": weber,
         "R_inf*": rest,
         "gain": found.gain,
         "gain_sd": found.error,
+        "entropy": found.entropy,
         "tells_apart": list(found.causes),
         "p_truth_now": found.now,
         "p_truth_after": found.after,
         "p_truth_after_sd": found.after_error,
         "helps": found.helps,
+        "plan": _plan(found.plan),
+    }
+
+
+def _plan(plan: Plan) -> dict[str, float]:
+    return {
+        "repeats": plan.repeats,
+        "frames": len(plan.times),
+        "end_t": float(plan.times[-1]),
+        "max_radius_sd": plan.nuisance.max_radius,
+        "time_zero_sd": plan.nuisance.time_zero,
+        "rest_radius_sd": plan.nuisance.rest_radius,
     }

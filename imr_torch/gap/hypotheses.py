@@ -20,7 +20,7 @@ from torch import Tensor
 from imr_torch.assimilate import Assimilation, ModelFit, Point, Posterior, SearchOptions, assimilate
 from imr_torch.assimilate.fit import NEARLY, ONE_MINIMUM, PROMISED
 from imr_torch.assimilate.starts import BESIDE, around
-from imr_torch.material import LIBRARY, Belief, Effect, ModelBelief
+from imr_torch.material import Belief, Effect, ModelBelief
 from imr_torch.material.belief import beside
 from imr_torch.observe import NUISANCES, ExperimentBatch, Scatter
 from imr_torch.population import SCALE
@@ -31,12 +31,10 @@ from imr_torch.types import Progress
 EXPLAINS = 3.0
 """Nats that an effect must explain to count as more than nothing."""
 GEL_SCATTER = "gel_scatter"
-"""Name of the hypothesis that the gel, and with it how strong effects are, differs between experiments."""
+"""Name of the hypothesis that the gel differs between experiments."""
 LEADING = 6
 """Fits of an attribution that get a second start by the simulator's own bubbles."""
 
-# standard deviations of its prior by which an effect's amplitude differs, however small it is
-_AMOUNT = 0.5
 _GEL_APART = 0.25  # prior standard deviations between the starts of a fit that frees no effect
 _MANY = 6  # starts where fewer disagree
 _AGAIN = 3  # starts beside a fit whose own disagree
@@ -52,38 +50,44 @@ class Hypothesis:
 
     Args:
         base: the base model's prior.
-        effects: what is freed beside it.
-        own_gels: whether the gel, and with it how strong the effects are, differs between
-            experiments (:func:`scatters`).
+        effects: what is freed beside it, of one strength in all experiments.
+        gels_differ: whether the gel differs between experiments (:func:`scatters`).
+
+    >>> from imr_torch.gap.hypotheses import Hypothesis
+    >>> from imr_torch.material import LIBRARY, wide_prior
+    >>> base = Hypothesis(wide_prior(["nhkv"]).models[0])
+    >>> base.name, base.beside(LIBRARY["clock"]).differing().name
+    ('none', 'clock+gel_scatter')
     """
 
     base: ModelBelief
     effects: tuple[Effect, ...] = ()
-    own_gels: bool = False
+    gels_differ: bool = False
 
     @property
     def parts(self) -> tuple[str, ...]:
         """Names of the effects, and ``gel_scatter`` where gels differ."""
-        return (
-            *(effect.name for effect in self.effects),
-            *((GEL_SCATTER,) if self.own_gels else ()),
-        )
+        scatter = (GEL_SCATTER,) if self.gels_differ else ()
+        return (*(effect.name for effect in self.effects), *scatter)
 
     @property
     def name(self) -> str:
         """``"none"``, or the parts joined by ``+``."""
         return "+".join(self.parts) or "none"
 
+    def beside(self, effect: Effect) -> "Hypothesis":
+        """The same with one effect more."""
+        return replace(self, effects=(*self.effects, effect))
+
+    def differing(self) -> "Hypothesis":
+        """The same with gels that differ between experiments."""
+        return replace(self, gels_differ=True)
+
     def seen(self, batch: ExperimentBatch) -> ExperimentBatch:
         """The data as this hypothesis has them: experiments with gels of their own where these
         differ.
         """
-        return replace(batch, between=scatters(self.base, self.belief) if self.own_gels else {})
-
-    @property
-    def extra(self) -> tuple[str, ...]:
-        """Parameters beside those of the base, in the order of the effects."""
-        return tuple(name for effect in self.effects for name in effect.names)
+        return replace(batch, between=scatters(self.base) if self.gels_differ else {})
 
     @property
     def belief(self) -> ModelBelief:
@@ -103,10 +107,10 @@ class Hypothesis:
             null: the fit; what it holds of the other effects is kept.
             of_last: values of the last effect's parameters; its own starts by default.
         """
-        if not self.effects:
-            gel = null.mean[[null.prior.names.index(name) for name in self.base.names]]
-            return torch.stack((gel, gel + _GEL_APART))
         belief = self.belief
+        if set(belief.names) <= set(null.prior.names):
+            kept = null.mean[[null.prior.names.index(name) for name in belief.names]]
+            return torch.stack((kept, kept + _GEL_APART))
         last = self.effects[-1]
         rows = []
         for start in of_last or last.starts:
@@ -126,31 +130,25 @@ def in_words(part: str) -> str:
 
     >>> from imr_torch.gap.hypotheses import in_words
     >>> in_words("gel_scatter"), in_words("clock")
-    ('differences between curves', 'clock')
+    ('differences between shots', 'clock')
     """
-    return "differences between curves" if part == GEL_SCATTER else part
+    return "differences between shots" if part == GEL_SCATTER else part
 
 
-def scatters(base: ModelBelief, prior: ModelBelief) -> dict[str, Scatter]:
-    """Parameter -> its scatter between experiments whose gels differ.
-
-    Parameters of the gel differ by a share of them, amplitudes of effects by that share and by an
-    amount that goes with their prior, whose bounds hold in every experiment. What is inferred of
-    the medium and the shape of an effect do not differ.
-
-    Args:
-        base: the base model's prior.
-        prior: that of the base model, perhaps with effects.
+def may_differ(batch: ExperimentBatch) -> bool:
+    """Whether gels can be asked to differ between experiments: repeats may be of different gels
+    themselves.
     """
-    gel = base.of_gel
-    amplitudes = {effect.names[0] for effect in LIBRARY.values()}
-    found = dict[str, Scatter]()
-    for name, marginal in zip(prior.names, prior.marginals, strict=True):
-        if name in gel:
-            found[name] = Scatter(SCALE)
-        elif name in amplitudes and name not in base.names:
-            found[name] = Scatter(SCALE, _AMOUNT, marginal)
-    return found
+    return len(batch.experiments) > 1 and all(e.repeats == 1 for e in batch.experiments)
+
+
+def scatters(base: ModelBelief) -> dict[str, Scatter]:
+    """Parameter of the gel -> its scatter between experiments whose gels differ.
+
+    What is inferred of the medium does not differ, nor does the strength of an effect: an effect
+    that may differ freely between curves explains anything.
+    """
+    return {name: Scatter(SCALE) for name in base.of_gel}
 
 
 def fit_null(
@@ -231,7 +229,7 @@ def fit_hypotheses(
     twice: int = LEADING,
     progress: Progress | None = None,
 ) -> dict[str, ModelFit]:
-    """Fit hypotheses from the null fit, in one batch; those with gels that differ in another.
+    """Fit hypotheses from the null fit: in one batch, and those with gels that differ in another.
 
     Where the gap is large, the null fit's collapses lie on the wrong side of frames, each a local
     minimum. Hypotheses are then also fitted by searches that begin without the frames next to
@@ -256,13 +254,16 @@ def fit_hypotheses(
     """
     found = dict[str, ModelFit]()
     options = options or SearchOptions()
-    together = [h for h in hypotheses if not h.own_gels]
-    for kind in (*([together] if together else []), *([h] for h in hypotheses if h.own_gels)):
-        fits = _fit_alike(
-            kind, null, kind[0].seen(batch), simulator, seed, starts or {}, options, twice, progress
-        )
-        found |= {h.name: fit for h, fit in zip(kind, fits, strict=True)}
-        options = replace(options, rival=min(options.known_cost, *(fit.cost for fit in fits)))
+    for differ in (False, True):
+        kind = [h for h in hypotheses if h.gels_differ is differ]
+        if kind:
+            seen = kind[0].seen(batch)
+            fits = _fit_alike(
+                kind, null, seen, simulator, seed, starts or {}, options, twice, progress
+            )
+            found |= {h.name: fit for h, fit in zip(kind, fits, strict=True)}
+            known = min(options.known_cost, *(fit.cost for fit in fits))
+            options = replace(options, rival=known)
     return found
 
 
@@ -296,21 +297,15 @@ def _fit_alike(
 
 
 def deviating(fit: ModelFit, hypothesis: Hypothesis) -> Tensor:
-    """Nuisances ``E x w`` of a fit for another hypothesis: deviations of what it does not hold
-    begin at zero.
+    """Nuisances ``E x w`` of a fit for another hypothesis: gels that it does not let differ begin
+    alike.
     """
-    count = len(NUISANCES)
-    known, own = (
-        list(scatters(hypothesis.base, prior)) for prior in (fit.prior, hypothesis.belief)
-    )
-    nuisances = torch.nn.functional.pad(
-        fit.nuisances[:, :count], (0, len(own) if hypothesis.own_gels else 0)
-    )
-    if hypothesis.own_gels and fit.nuisances.shape[1] > count:
-        both = [name for name in own if name in known]
-        at, of = ([count + names.index(name) for name in both] for names in (own, known))
-        nuisances[:, at] = fit.nuisances[:, of]
-    return nuisances
+    known = fit.nuisances[:, : len(NUISANCES)]
+    if not hypothesis.gels_differ:
+        return known
+    if fit.nuisances.shape[1] > len(NUISANCES):
+        return fit.nuisances
+    return torch.nn.functional.pad(known, (0, len(scatters(hypothesis.base))))
 
 
 def _descend(

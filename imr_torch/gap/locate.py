@@ -1,37 +1,43 @@
-"""Location of the gap: from when in the event on it can be detected, and in which experiments.
+"""Location of the gap: from when in the event on it can be detected, where its cause acts, and in
+which experiments it lies.
 
 *When*: refit on the frames up to a moment and test; frames before an effect acts are free of it,
-    whereas the residual of a
-fit to all frames is spread over them by the fit. The first moment that rejects is the first at
-which the gap can be detected: it comes earlier with more repeats, and no earlier than the effect
-acts (where that is: :mod:`imr_torch.gap.acts`). *Which*: the same test on one design at a time, and
-the drift of the parameters over designs: a trend in We (which fixes the size and so the rate)
-points to rate or size, one in R_inf* to stretch or gas, none to what is alike everywhere. Refits
-are linear about the fit (:mod:`imr_torch.gap.restrict`).
+whereas the residual of a fit to all frames is spread over them by the fit. The first moment that
+rejects is the first at which the gap can be detected: it comes earlier with more repeats. *Where
+the cause acts* does not: the named effect is switched off at its own fit, and what a refit of the
+gel to the frames up to the end of each phase leaves of the change is that phase's share. Both
+refits are linear: leaving frames out changes neither curves nor sensitivities, only which rows
+count. *Which experiments*: each is fitted by itself, and tested there; a drift of the parameters
+over We (which fixes the size and so the rate) points to rate or size, one over R_inf* to stretch or
+gas.
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
-from imr_torch.errors import InputDataError
-from imr_torch.gap.restrict import calibrate, draw_residuals, log_p, refit, restrict
+from imr_torch.gap.adequacy import adequacy_test
+from imr_torch.gap.diagnose import GapReport
 from imr_torch.goodness.linear import Linearisation, curves
-from imr_torch.goodness.phases import phase_clock, phase_name
-from imr_torch.goodness.score import pulse_changes, shape_rows
+from imr_torch.goodness.phases import PHASES, phase_clock, phase_name
+from imr_torch.goodness.score import BOOTSTRAP, block, log_survival, pulse_changes, shape_rows
 from imr_torch.labels import p_value
+from imr_torch.material import LIBRARY, PARAMETERS, Effect
 from imr_torch.observe import ExperimentBatch
-from imr_torch.random import SeedLike
+from imr_torch.random import SeedLike, child, generator
 from imr_torch.simulate import Simulator
 
 _GRID = (0.15, 0.3, 0.5, 0.75, 0.94, 1.06, 1.25, 1.5, 1.75, 1.94, 2.06, 2.25, 2.6, 3.2, math.inf)
 _LEVEL = 0.01  # of a false onset or trend; that there is a gap at all is not decided here
 _BESIDE = 4  # designs from which on the trends in We and R_inf* are told apart
+_DRAWS = 24  # posterior draws behind the shares of phases
+_SHOWN = 0.15  # upper end of a share from which on its phase is mentioned
+_LEVELS = (0.05, 0.5, 0.95)
 
 
 @dataclass(frozen=True)
@@ -115,7 +121,9 @@ def onset(
     """
     tests = generic_directions(fit, line, batch, simulator) | dict(directions or {})
     clock = phase_clock(batch.times, line.prediction, batch.mask)
-    drawn = draw_residuals(line, seed=seed)
+    drawn = torch.randn(
+        BOOTSTRAP, line.residual.shape[0], generator=generator(seed), dtype=torch.float64
+    )
     ends = []
     times = []
     observed = []
@@ -127,12 +135,12 @@ def onset(
             continue
         before = int(frames.sum())
         part = restrict(line, frames)
-        data, null = log_p(part, frames, tests, drawn)
+        data, null = _log_p(part, frames, tests, drawn)
         ends.append(end)
         times.append(_last_frame(batch.times, frames))
         observed.append(data)
         calibration.append(null)
-    p_values = calibrate(observed, calibration).tolist()
+    p_values = _calibrate(observed, calibration).tolist()
     first = next((i for i, p in enumerate(p_values) if p < level), None)
     if first is None:
         return Onset(math.nan, "none", tuple(times), tuple(p_values), level)
@@ -164,151 +172,102 @@ class Trend:
 
 @dataclass(frozen=True)
 class ByExperiment:
-    """Which experiments the gap lies in.
+    """Which experiments the gap lies in: each fitted by itself.
 
     Args:
         labels: of the experiments.
-        p_values: of each design on its own, its parameters refitted; calibrated over designs and
-            tests.
-        names: fitted parameters.
-        values: ``E x d`` tensor, refitted to each design alone, SI.
-        low: ``E x d`` tensor, one standard deviation below.
-        high: ``E x d`` tensor, one above.
+        p_values: of the gap test at each one's own fit, times their number.
+        values: parameter -> its 5, 50, 95 % in each experiment by itself, SI.
         trends: drift of each parameter over each coordinate of the design.
         reading: one sentence on what the trends point to.
+        converged: whether all of these fits did.
     """
 
     labels: tuple[str, ...]
     p_values: tuple[float, ...]
-    names: tuple[str, ...]
-    values: Float[Tensor, "experiments controls"]
-    low: Float[Tensor, "experiments controls"]
-    high: Float[Tensor, "experiments controls"]
+    values: dict[str, list[list[float]]]
     trends: tuple[Trend, ...]
     reading: str
+    converged: bool
 
 
 def by_experiment(
-    fit: ModelFit,
-    line: Linearisation,
-    batch: ExperimentBatch,
-    simulator: Simulator,
-    *,
-    seed: SeedLike,
-    directions: Mapping[str, Tensor] | None = None,
-    level: float = _LEVEL,
+    report: GapReport, simulator: Simulator, alone: Sequence[ModelFit], *, seed: int
 ) -> ByExperiment:
-    """The gap test and the parameters of each design alone, and the drift of the parameters over
-    designs.
+    """The gap test and the parameters of each experiment by itself, and the drift of the parameters
+    over designs.
 
     Args:
-        fit: the base model's fit.
-        line: local sensitivities at the fit.
-        batch: the data.
+        report: the diagnosis.
         simulator: makes the bubbles.
-        seed: of the residuals drawn for the calibration.
-        directions: as in :func:`onset`.
-        level: chance of a false trend, over all parameters and coordinates.
-
-    Returns:
-        Tests, parameters by linear refit, trends by generalised least squares with all nuisances
-        free.
+        alone: the base model's fit of each experiment by itself
+            (:func:`imr_torch.gap.differing.fit_alone`).
+        seed: of the tests.
     """
-    tests = generic_directions(fit, line, batch, simulator) | dict(directions or {})
-    drawn = draw_residuals(line, seed=seed)
-    observed = []
-    calibration = []
-    values = []
-    for e in range(len(batch.experiments)):
-        frames = torch.zeros_like(batch.mask)
-        frames[e] = batch.mask[e]
-        part = restrict(line, frames)
-        shift, to_shift = refit(part)
-        sd = to_shift[: len(fit.mean)].norm(dim=1)
-        centre = fit.mean + shift[: len(fit.mean)]
-        values.append(
-            torch.stack([_physical(fit, centre + step * sd) for step in (0.0, -1.0, 1.0)])
-        )
-        data, null = log_p(part, frames, tests, drawn)
-        observed.append(data)
-        calibration.append(null)
-    trends = drifts(fit, line, batch)
-    centre, low, high = torch.stack(values).unbind(1)
-    p_values = tuple(calibrate(observed, calibration).tolist())
-    labels = tuple(e.label for e in batch.experiments)
+    batch = report.batch
+    effects = tuple(LIBRARY[name] for name in report.left.directions if name in LIBRARY)
+    p_values = []
+    for e, (fit, experiment) in enumerate(zip(alone, batch.experiments, strict=True)):
+        one = replace(batch, experiments=(experiment,), between={})
+        test = adequacy_test(fit, effects, one, simulator, seed=child(seed, e)).test
+        p_values.append(min(1.0, len(alone) * test.p_value))
+    levels = torch.tensor(_LEVELS, dtype=torch.float64)
+    quantiles = torch.stack([fit.posterior.quantile(levels) for fit in alone])
+    trends = drifts(alone, batch.designs)
     return ByExperiment(
-        labels,
-        p_values,
-        fit.prior.names,
-        centre,
-        low,
-        high,
+        tuple(e.label for e in batch.experiments),
+        tuple(p_values),
+        {name: quantiles[:, :, i].tolist() for i, name in enumerate(report.base.names)},
         trends,
-        _read(trends, level, len(labels)),
+        _read(trends, len(alone)),
+        all(fit.certificate.nearly_converged for fit in alone),
     )
 
 
-def _physical(fit: ModelFit, controls: Tensor) -> Tensor:
-    return fit.prior.physical(fit.prior.mean + fit.prior.chol @ controls)
-
-
-def drifts(fit: ModelFit, line: Linearisation, batch: ExperimentBatch) -> tuple[Trend, ...]:
-    """Slopes of the fitted parameters over log We and R_inf*, from generalised least squares beside
-    all that was fitted.
+def drifts(alone: Sequence[ModelFit], designs: Float[Tensor, "experiments 2"]) -> tuple[Trend, ...]:
+    """Slopes of the parameters of single experiments over log We and R_inf*, by generalised least
+    squares with the covariance of each fit.
 
     With fewer than four designs each coordinate is taken alone, so that one that goes with the
     other shows in both.
     """
-    size = len(fit.mean)
-    coordinates = {"We": batch.designs[:, 0].log(), "R_inf*": batch.designs[:, 1]}
+    size = len(alone[0].mean)
+    coordinates = {"We": designs[:, 0].log(), "R_inf*": designs[:, 1]}
     scaled = {
-        name: _centred(x) for name, x in coordinates.items() if float(x.max() - x.min()) > 1e-6
+        name: (x - x.mean()) / (x.max() - x.min())
+        for name, x in coordinates.items()
+        if float(x.max() - x.min()) > 1e-6
     }
-    gel = line.fitted.clone()
-    gel[batch.mask.numel() :] = (
-        0.0  # a drift is no shift of the mean, so the prior says nothing of it
-    )
-    rows = {}
-    for name, x in scaled.items():
-        weight = torch.nn.functional.pad(
-            x[:, None].expand_as(batch.mask).flatten(), (0, len(gel) - batch.mask.numel())
-        )
-        rows[name] = line.project(gel[:, :size].mT * weight)
+    values = torch.cat([fit.mean for fit in alone])
+    precision = torch.block_diag(*[torch.cholesky_inverse(fit.chol) for fit in alone])
+    unit = torch.eye(size, dtype=torch.float64)
+    level = unit.repeat(len(alone), 1)
+    groups = [list(scaled)] if len(alone) >= _BESIDE else [[name] for name in scaled]
     trends = []
-    for name, own in rows.items():
-        others = (
-            [row for other, row in rows.items() if other != name]
-            if len(batch.experiments) >= _BESIDE
-            else []
-        )
-        for i, parameter in enumerate(fit.prior.names):
-            beside = torch.cat([own[:i], own[i + 1 :], *others])
-            left = (
-                own[i] - torch.linalg.lstsq(beside.mT, own[i], driver="gelsd").solution @ beside
-                if len(beside)
-                else own[i]
-            )
-            length = float(left.norm())
-            if length > 1e-3:
-                z = float(left @ line.residual) / length
-                trends.append(Trend(parameter, name, z / length, z))
+    for names in groups:
+        rows = [torch.cat([x * unit for x in scaled[name]]) for name in names]
+        design = torch.cat((level, *rows), 1)
+        if design.shape[1] > len(values) or not names:
+            continue
+        covariance = torch.linalg.pinv(design.mT @ precision @ design)
+        slopes = covariance @ design.mT @ precision @ values
+        errors = covariance.diagonal().clamp_min(1e-300).sqrt()
+        for k, name in enumerate(names):
+            for i, parameter in enumerate(alone[0].prior.names):
+                place = (k + 1) * size + i
+                slope = float(slopes[place])
+                trends.append(Trend(parameter, name, slope, slope / float(errors[place])))
     return tuple(trends)
-
-
-def _centred(x: Tensor) -> Tensor:
-    """A coordinate over its range, about its mean."""
-    return (x - x.mean()) / (x.max() - x.min())
 
 
 _MEANING = {"We": "rate or size", "R_inf*": "stretch or gas"}
 
 
-def _read(trends: tuple[Trend, ...], level: float, experiments: int) -> str:
+def _read(trends: Sequence[Trend], experiments: int) -> str:
     if not trends:
         return "All experiments share one design, so nothing can be said about trends."
-    limit = -torch.special.ndtri(
-        torch.tensor(0.5 * level / len(trends), dtype=torch.float64)
-    ).item()
+    level = torch.tensor(0.5 * _LEVEL / len(trends), dtype=torch.float64)
+    limit = -torch.special.ndtri(level).item()
     found = {
         name: [t.parameter for t in trends if t.over == name and abs(t.z) > limit]
         for name in _MEANING
@@ -321,33 +280,196 @@ def _read(trends: tuple[Trend, ...], level: float, experiments: int) -> str:
     if len(said) > 1 and experiments < _BESIDE:
         names = ", ".join(sorted({name for over in found.values() for name in over}))
         return (
-            f"Fitted parameters differ between the experiments: {names}. {experiments} "
-            "experiments do not tell a drift over We "
-            f"({_MEANING['We']}) from one over R_inf* ({_MEANING['R_inf*']}); {_BESIDE} would."
+            f"Parameters of single experiments differ: {names}. {experiments} experiments do not "
+            f"tell a drift over We ({_MEANING['We']}) from one over R_inf* "
+            f"({_MEANING['R_inf*']}); {_BESIDE} would."
         )
     if said:
-        return f"Fitted parameters drift: {'; '.join(said)}."
-    return (
-        "No fitted parameter drifts over the designs: the cause, if any, is alike in all, as "
-        "errors of measurement are."
+        return f"Parameters of single experiments drift: {'; '.join(said)}."
+    return "No parameter of single experiments drifts over We or R_inf*."
+
+
+@dataclass(frozen=True)
+class WhereItActs:
+    """Share of the signal by phase.
+
+    Args:
+        shares: phase -> [5 %, 50 %, 95 %] of its share of the squared signal; the shares of each
+            draw sum to one.
+        draws: posterior draws behind it.
+
+    >>> from imr_torch.gap.locate import WhereItActs
+    >>> print(WhereItActs({"start": (0.0, 0.02, 0.1), "first collapse": (0.7, 0.8, 0.9), "later": (0.1, 0.18, 0.3)}, 24))
+    Its signal beside a refit of the gel comes from: first collapse .80 (.70 to .90), later .18 (.10 to .30).
+    """
+
+    shares: dict[str, tuple[float, float, float]]
+    draws: int
+
+    def __str__(self) -> str:
+        ranked = sorted(self.shares.items(), key=lambda item: -item[1][1])
+        shown = [item for item in ranked if item[1][2] >= _SHOWN]
+        said = [
+            f"{phase} {_share(middle)} ({_share(low)} to {_share(high)})"
+            for phase, (low, middle, high) in shown
+        ]
+        return f"Its signal beside a refit of the gel comes from: {', '.join(said)}."
+
+
+def _share(value: float) -> str:
+    return f"{value:.2f}".removeprefix("0")
+
+
+def where_it_acts(
+    causes: Mapping[str, tuple[ModelFit, Sequence[Effect], float]],
+    line: Linearisation,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    *,
+    seed: int,
+    draws: int = _DRAWS,
+) -> WhereItActs | None:
+    """Share of the signal of the named effects by phase, with its 90 % interval; None where no draw
+    can be simulated.
+
+    Args:
+        causes: name -> fit with the effects, those effects, and its probability.
+        line: local sensitivities at the base model's fit.
+        batch: the data.
+        simulator: makes the bubbles.
+        seed: of the posterior draws.
+        draws: over all causes, in proportion to their probabilities, one of each at least.
+    """
+    total = sum(share for _, _, share in causes.values())
+    rows = [
+        _changes(
+            fit,
+            effects,
+            line,
+            batch,
+            simulator,
+            max(1, round(draws * share / total)),
+            child(seed, "acts", name),
+        )
+        for name, (fit, effects, share) in causes.items()
+    ]
+    signal = torch.cat(rows)
+    signal = signal[torch.isfinite(signal).all(1)]
+    clock = phase_clock(batch.times, line.prediction, batch.mask)
+    phase = torch.tensor([[PHASES.index(phase_name(c)) for c in row] for row in clock.tolist()])
+    squares = []
+    for last in range(len(PHASES)):
+        frames = (phase <= last) & batch.mask
+        part = restrict(line, frames)
+        squares.append(part.project(signal * _kept_rows(line, frames).to(signal)).square().sum(1))
+    reached = torch.stack(squares, 1)
+    known = reached[:, -1] > 0.0
+    if not bool(known.any()):
+        return None
+    gained = torch.diff(
+        reached[known], dim=1, prepend=torch.zeros(int(known.sum()), 1, dtype=torch.float64)
+    ).clamp_min(0.0)
+    shares = gained / gained.sum(1, keepdim=True)
+    low, middle, high = shares.quantile(torch.tensor(_LEVELS, dtype=torch.float64), dim=0).tolist()
+    return WhereItActs(
+        dict(zip(PHASES, zip(low, middle, high, strict=True), strict=True)), len(shares)
     )
 
 
-def frames_between(
-    batch: ExperimentBatch, start: float, end: float
-) -> Bool[Tensor, "experiments frames"]:
-    """``E x T`` boolean tensor: frames with ``start <= t* < end``.
+def _changes(
+    fit: ModelFit,
+    effects: Sequence[Effect],
+    line: Linearisation,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    draws: int,
+    seed: int,
+) -> Tensor:
+    """What the effects change at posterior draws of their fit, whitened: ``draws x N``."""
+    noise = (
+        torch.randn(draws, len(fit.mean), generator=generator(seed), dtype=torch.float64)
+        @ fit.chol.mT
+    )
+    free = int((batch.nuisance_sds > 0.0).any(0).sum()) * len(batch.experiments)
+    shift = torch.nn.functional.pad(noise, (0, free)).repeat(2, 1)
+    off = {effect.names[0]: PARAMETERS[effect.names[0]].neutral for effect in effects}
+    made = curves(fit, batch, simulator, [{}] * draws + [off] * draws, shift)
+    return line.whiten(made[:draws] - made[draws:])
 
-    Raises:
-        InputDataError: if there is no such frame.
+
+def restrict(line: Linearisation, frames: Bool[Tensor, "experiments frames"]) -> Linearisation:
+    """The same sensitivities with the rows of all other frames set to zero.
+
+    Args:
+        line: local sensitivities at a fit.
+        frames: ``E x T`` boolean tensor, frames that stay. With correlated noise a frame stands for
+            what it adds to the frames before it.
     """
-    frames = (batch.times >= start) & (batch.times < end) & batch.mask
-    if not bool(frames.any()):
-        raise InputDataError(
-            f"No frame lies between t* = {start:g} and {end:g}; the records end at {_end(batch):g}."
+    keep = _kept_rows(line, frames).to(line.residual)
+    return replace(line, residual=line.residual * keep, fitted=line.fitted * keep[:, None])
+
+
+def _kept_rows(
+    line: Linearisation, frames: Bool[Tensor, "experiments frames"]
+) -> Bool[Tensor, "rows"]:
+    """Which whitened rows (``N`` boolean tensor) belong to frames; those of priors always do."""
+    rows = (frames & line.batch.mask).flatten()
+    return torch.nn.functional.pad(rows, (0, line.residual.shape[0] - rows.shape[0]), value=True)
+
+
+def _log_p(
+    part: Linearisation,
+    frames: Bool[Tensor, "experiments frames"],
+    directions: Mapping[str, Float[Tensor, "_ rows"]],
+    drawn: Float[Tensor, "draws rows"],
+) -> tuple[Float[Tensor, "tests"], Float[Tensor, "tests draws"]]:
+    """Log p-values of what a refit to some frames leaves, in several directions and in all
+    (chi-square).
+
+    Args:
+        part: a linearisation restricted to ``frames``.
+        frames: ``E x T`` boolean tensor.
+        directions: name -> whitened rows ``k x N``, tested together.
+        drawn: ``B x N`` tensor, residuals under the fitted model.
+
+    Returns:
+        ``n`` tensor of the data's log p-values and ``n x B`` tensor of those drawn; tests without a
+        direction are left out.
+    """
+    keep = _kept_rows(part, frames).to(part.residual)
+    blocks = [block(name, rows * keep, part).directions for name, rows in directions.items()]
+    rows = part.project(torch.cat((part.residual[None], drawn * keep)))
+    freedom = int(keep.sum()) - part.fitted.shape[1]
+    tests = [((rows @ u).square().sum(1), u.shape[1]) for u in blocks if u.shape[1]]
+    if freedom > 0:
+        tests.append((rows.square().sum(1), freedom))
+    if not tests:
+        return torch.zeros(0, dtype=torch.float64), torch.zeros(0, len(drawn), dtype=torch.float64)
+    logs = torch.stack([log_survival(statistic, k) for statistic, k in tests])
+    return logs[:, 0], logs[:, 1:]
+
+
+def _calibrate(
+    observed: Sequence[Float[Tensor, "_"]], drawn: Sequence[Float[Tensor, "_ draws"]]
+) -> Float[Tensor, "groups"]:
+    """P-values of groups of tests, each against the smallest p-value of all tests of all groups.
+
+    Args:
+        observed: per group, ``n`` tensor of log p-values.
+        drawn: per group, ``n x B`` tensor of those under the fitted model.
+
+    Returns:
+        One p-value a group, controlled for all tests together; beyond the reach of the draws it is
+        Bonferroni's bound.
+    """
+    smallest = torch.cat(list(drawn)).amin(0)
+    tests = sum(len(group) for group in observed)
+    values = []
+    for group in observed:
+        log = group.amin() if len(group) else torch.zeros((), dtype=torch.float64)
+        count = int((smallest <= log).sum())
+        bound = min(1.0, tests * float(log.exp()))
+        values.append(
+            (1 + count) / (1 + len(smallest)) if count else min(bound, 1.0 / (1 + len(smallest)))
         )
-    return frames
-
-
-def _end(batch: ExperimentBatch) -> float:
-    return float(batch.times[batch.mask].max())
+    return torch.tensor(values, dtype=torch.float64)

@@ -1,374 +1,372 @@
-"""Reduction of the gap by an effect, cross-validated: all fits use some designs, and are judged on
-the others.
+"""How far the gap shrinks on unseen curves, and how far it would by chance.
 
-In sample almost any effect closes most of a gap, so each design is predicted from fits to other
-designs. With the mean curve ``y`` of ``n`` repeats, single-shot noise ``sigma`` and held-out
-prediction ``f``,
+A curve that was not fitted is predicted without what was selected and with it
+(:mod:`imr_torch.gap.held_out`). Both residuals are judged after the same directions are removed:
+all that the curve's own nuisances can make under either model, and its own gel where gels differ.
+With whitened residual ``r``, single-shot variances and the projector ``P`` beside these directions,
 
-    D = mean((y - f)^2 / sigma^2 - 1/n),        S = 1 - D_effect / D_base,
+    D = sum(|P r|^2 - tr P) / n,        S = 1 - D_effect / D_base,
 
-so that ``D`` is a squared bias without noise and ``S`` the part of it that is gone. Where the
-residuals of a phase are smaller than the noise law allows, ``sigma`` counts as what they leave room
-for (:func:`imr_torch.goodness.phases.noise_shares`). Beside it stand the best rival's ``S`` and the
-difference in held-out log predictive density (Vehtari, Gelman & Gabry, Stat. Comput. 27, 2017, for
-its standard error).
+so freedom earns nothing. A second figure fits what is the curve's own to the frames before the
+first rebound's maximum alone and takes ``S`` over the frames after it.
+
+What the procedure says where there is nothing to find is its placebo: a library of as many random
+smooth errors of radius and of time, alike in all curves and of the size of the effects' priors,
+from which as many are selected by the same rule. A gap counts as closed where ``S`` exceeds 95 % of
+the placebos.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
+from jaxtyping import Float
 from scipy.special import chdtrc
 from torch import Tensor
 
-from imr_torch.assimilate import ModelFit
-from imr_torch.errors import InputDataError
-from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, fit_null
-from imr_torch.gap.prediction import HeldOut, hold_out
-from imr_torch.goodness.phases import noise_shares
-from imr_torch.goodness.score import BOOTSTRAP
+from imr_torch.gap.diagnose import GapReport
+from imr_torch.gap.held_out import HeldOut, Judged, judge_designs
+from imr_torch.gap.hypotheses import EXPLAINS
+from imr_torch.goodness.linear import Linearisation
+from imr_torch.goodness.phases import PHASES, noise_shares, phase_clock, phase_numbers
+from imr_torch.goodness.score import ADEQUATE
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
-_ADEQUATE = 0.01
+TURN = 1.5
+"""Reading of the phase clock at the first rebound's maximum."""
+_DRAWS = 2000  # of the interval
+_MANY = 5  # curves from which on they are drawn anew; of fewer, the phases of each
 _WIDEST = 2.0  # size of S beyond which the base leaves almost no gap to reduce
-_NONE = "none"
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """Held-out log predictive density of the effect less that of another hypothesis.
-
-    Args:
-        against: the other hypothesis.
-        difference: nats; positive if the effect predicts better.
-        standard_error: from the scatter over frames, each given those before it: of these held-out
-            curves.
-    """
-
-    against: str
-    difference: float
-    standard_error: float
-
-    @property
-    def won(self) -> bool:
-        """Whether the effect wins by two standard errors."""
-        return self.difference > 2.0 * self.standard_error
-
-
-@dataclass(frozen=True)
-class Shift:
-    """How far a parameter of the base moves when the effect is added.
-
-    Args:
-        relative: change over the base's value.
-        sd: of that change (Hausman: the effect's variance less the base's).
-    """
-
-    relative: float
-    sd: float
+_KNOTS = torch.arange(0.0, 5.0, 0.15, dtype=torch.float64)  # of a random function of the phase
+_SMOOTH = 0.3  # its length on the phase clock
 
 
 @dataclass(frozen=True)
 class Shrinkage:
-    """How far the gap shrinks on held-out designs.
+    """How far the gap shrinks on unseen curves.
 
     Args:
-        gap: hypothesis -> held-out ``D``, squared bias in single-shot variances.
-        shrinkage: hypothesis (effect, then rival) -> lower, median and upper value of ``S``, 90 %
-            interval, under new noise of the held-out curves, other training data, and other
-            designs.
-        comparisons: the effect against the base and the rival.
-        shift: parameter of the base -> how far it moves.
-        adequacy_p: p-value of the held-out curves under the effect's prediction.
+        share: 5, 50, 95 % of ``S``, by the scatter between curves (between phases of a curve where
+            there are fewer than five); None where the directions that are removed leave no gap.
+        later: the same over the frames after the first rebound's maximum, with what is the curve's
+            own fitted before it.
+        placebo: ``S`` of each random library, sorted.
+        base_gap: ``D`` of the base model, in single-shot variances.
+        base_p: that the base model's residuals beside the directions that are removed are noise.
+        selected: what each curve's selection held without it.
         converged: whether every training fit did.
-        effect: name of the effect's hypothesis.
-        rival: name of the rival's, if there is one.
+
+    >>> from imr_torch.gap.shrinkage import Shrinkage
+    >>> found = Shrinkage((0.7, 0.9, 0.95), None, tuple(0.02 * i for i in range(20)), 4.0, 1e-9, (("clock",),), True)
+    >>> found.placebo_high, found.word(adequacy=0.4)
+    (0.361, 'closed')
     """
 
-    gap: dict[str, float]
-    shrinkage: dict[str, tuple[float, float, float]]
-    comparisons: tuple[Comparison, ...]
-    shift: dict[str, Shift]
-    adequacy_p: float
+    share: tuple[float, float, float] | None
+    later: tuple[float, float, float] | None
+    placebo: tuple[float, ...]
+    base_gap: float
+    base_p: float
+    selected: tuple[tuple[str, ...], ...]
     converged: bool
-    effect: str
-    rival: str | None
 
-    def word(self, adequacy_in_sample: float) -> str:
-        """``"closed"``, ``"partly closed"`` or ``"not closed"``.
+    @property
+    def placebo_median(self) -> float:
+        """Median over random libraries."""
+        return float(torch.tensor(self.placebo, dtype=torch.float64).quantile(0.5))
 
-        Closed needs more than half of the gap gone for sure, adequacy in and out of sample, and a
-        win over every other hypothesis by two standard errors. A rival of the effect's own class is
-        none: leave it out.
+    @property
+    def placebo_high(self) -> float:
+        """95th percentile over random libraries."""
+        return round(float(torch.tensor(self.placebo, dtype=torch.float64).quantile(0.95)), 6)
+
+    def word(self, adequacy: float) -> str:
+        """``"closed"``, ``"partly closed"``, ``"not closed"`` or ``"no gap left"``.
+
+        Closed needs more than half of the gap gone and more than random effects close, each with
+        its lower bound, and a fit that leaves only noise on the fitted curves.
 
         Args:
-            adequacy_in_sample: p-value of the gap test at the effect's own fit.
+            adequacy: p-value of the gap test at the fit with what was selected.
         """
-        low, median, _ = self.shrinkage[self.effect]
-        adequate = min(adequacy_in_sample, self.adequacy_p) >= _ADEQUATE
-        if low > 0.5 and adequate and all(c.won for c in self.comparisons):
+        if self.share is None:
+            return "no gap left"
+        low, middle, _ = self.share
+        if low > max(0.5, self.placebo_high) and adequacy >= ADEQUATE:
             return "closed"
-        return "partly closed" if median > 0.0 else "not closed"
+        return "partly closed" if low > 0.0 and middle > self.placebo_high else "not closed"
 
 
 def shrinkage(
-    effect: Hypothesis,
-    rival: Hypothesis | None,
-    batch: ExperimentBatch,
+    report: GapReport,
     simulator: Simulator,
+    unseen: ExperimentBatch | None = None,
     *,
-    seed: int,
-    near: Mapping[str, ModelFit] | None = None,
+    placebos: int = 20,
+    seed: int = 0,
     progress: Progress | None = None,
-) -> Shrinkage:
-    """Judge an effect, its base and a rival on designs that their fits did not see.
-
-    Up to five designs are held out one by one; of more, a quarter at a time, so that each is held
-    out once. Searches start at the fits to all designs, and end at the optimum of the training
-    designs alone.
+) -> Shrinkage | None:
+    """Judge what a diagnosis selected on curves that neither fits nor selection saw.
 
     Args:
-        effect: the base model with the effect (or effects) to judge.
-        rival: the best hypothesis of another class; none to leave it out.
-        batch: all the data.
+        report: a diagnosis that found a gap.
         simulator: makes the bubbles.
-        seed: of starts and bootstrap.
-        near: name of a hypothesis (and ``"none"``) -> fit to all designs; what is missing is fitted
-            first.
+        unseen: designs that were held out before anything was fitted; without them those of the
+            diagnosis are left out in turn.
+        placebos: random libraries.
+        seed: of starts, random functions and interval.
         progress: called with one line per step.
 
-    Raises:
-        InputDataError: with fewer than two designs, for a hypothesis without an effect, or two of
-            one name.
+    Returns:
+        None where nothing was selected beside differences between shots, or no curve can judge.
     """
-    base = Hypothesis(effect.base)
-    hypotheses = [base, effect, *([rival] if rival else [])]
-    _check(hypotheses, batch)
-    fits = _near(hypotheses, near or {}, batch, simulator, seed, progress)
-    return judge(
-        effect,
-        rival,
-        fits,
-        hold_out(fits, batch, simulator, seed=seed, progress=progress),
-        seed=seed,
+    if not report.selected.effects:
+        return None
+    judged = judge_designs(report, simulator, unseen, seed=child(seed, "judge"), progress=progress)
+    if not judged:
+        return None
+    pairs = [_compared(pair) for pair in judged]
+    source = generator(child(seed, "interval"))
+    base_gap = float(torch.cat([pair.base for pair in pairs]).sum())
+    count = sum(pair.frames for pair in pairs)
+    base_p = float(
+        chdtrc(sum(pair.freedom for pair in pairs), sum(pair.base_square for pair in pairs))
     )
-
-
-def judge(
-    effect: Hypothesis,
-    rival: Hypothesis | None,
-    fits: Mapping[str, ModelFit],
-    held: Mapping[str, Sequence[HeldOut]],
-    *,
-    seed: int,
-) -> Shrinkage:
-    """Compare held-out predictions of the base, the effect and the rival.
-
-    Args:
-        effect: the base model with the effect (or effects) to judge.
-        rival: the best hypothesis of another class; none to leave it out.
-        fits: name of each hypothesis (and ``"none"``) -> fit to all designs.
-        held: the same names -> held-out predictions (:func:`hold_out`); of other names too, which
-            are passed over.
-        seed: of the bootstrap.
-    """
-    names = [_NONE, effect.name, *([rival.name] if rival else [])]
-    held = {name: held[name] for name in names}
-    gaps, intervals = reductions(held, seed)
-    comparisons = tuple(compare(held, effect.name, name) for name in names if name != effect.name)
-    frames = sum(len(d.residual) for d in held[effect.name])
+    left = base_p < ADEQUATE and base_gap > 0.0
+    later = [pair.later for pair in pairs if pair.later is not None]
+    later_base = [base for base, _ in later]
+    later_effect = [effect for _, effect in later]
     return Shrinkage(
-        gap=gaps,
-        shrinkage=intervals,
-        comparisons=comparisons,
-        shift=_shift(fits[_NONE], fits[effect.name]),
-        adequacy_p=float(chdtrc(frames, sum(d.square for d in held[effect.name]))),
-        converged=all(d.converged for designs in held.values() for d in designs),
-        effect=effect.name,
-        rival=rival.name if rival else None,
+        share=_interval([p.base for p in pairs], [p.effect for p in pairs], source)
+        if left
+        else None,
+        later=_interval(later_base, later_effect, source)
+        if left and later and float(torch.cat(later_base).sum()) > 0.0
+        else None,
+        placebo=_placebo(report, judged, placebos, child(seed, "placebo")) if left else (),
+        base_gap=base_gap / count,
+        base_p=base_p,
+        selected=tuple(pair.effect.hypothesis.parts for pair in judged),
+        converged=all(pair.base.converged and pair.effect.converged for pair in judged),
     )
 
 
-def _check(hypotheses: Sequence[Hypothesis], batch: ExperimentBatch) -> None:
-    if len(batch.experiments) < 2:
-        raise InputDataError(
-            f"Shrinkage is judged on held-out designs, and there is {len(batch.experiments)}; "
-            "give at least two designs."
-        )
-    names = [h.name for h in hypotheses]
-    if len(set(names)) != len(names):
-        raise InputDataError(
-            f"Base, effect and rival must be three hypotheses, got {names}; name an effect, and "
-            "another rival."
-        )
-
-
-def _near(
-    hypotheses: Sequence[Hypothesis],
-    near: Mapping[str, ModelFit],
-    batch: ExperimentBatch,
-    simulator: Simulator,
-    seed: int,
-    progress: Progress | None,
-) -> dict[str, ModelFit]:
-    """Fits to all designs, those that are given and those that are not."""
-    null = near.get(_NONE) or fit_null(
-        hypotheses[0].base, batch, simulator, seed=child(seed, "null"), progress=progress
-    )
-    fits = {_NONE: null}
-    for hypothesis in hypotheses[1:]:
-        if hypothesis.name in near:
-            fits[hypothesis.name] = near[hypothesis.name]
-            continue
-        fit = null
-        for count in range(1, len(hypothesis.effects) + 1):  # one effect after the other
-            part = replace(hypothesis, effects=hypothesis.effects[:count])
-            fit = fit_hypotheses(
-                [part], fit, batch, simulator, seed=child(seed, part.name), progress=progress
-            )[part.name]
-        fits[hypothesis.name] = fit
-    return fits
-
-
-def reductions(
-    held: Mapping[str, Sequence[HeldOut]], seed: int
-) -> tuple[dict[str, float], dict[str, tuple[float, float, float]]]:
-    """``D`` of each hypothesis, and the 90 % interval of ``S`` of all but the base.
-
-    The bias found, scaled to the size that is left of it without noise and without the variance of
-    the training fit, is taken as true. Noise is drawn anew, the same for every hypothesis, and
-    passed through the fit of the nuisances; so is what other training data would have changed, the
-    same for all designs of a draw. Designs are drawn anew too, since it is they that are
-    exchangeable, not frames.
+@dataclass(frozen=True)
+class _Compared:
+    """Squares of a design beyond noise by phase, without and with what was selected, in single-shot
+    variances: all frames, and those after the turn.
     """
-    source = generator(child(seed, "bootstrap"))
-    count = sum(len(d.residual) for d in held[_NONE])
-    noise = [
-        torch.randn(BOOTSTRAP, len(d.residual), generator=source, dtype=torch.float64)
-        for d in held[_NONE]
-    ]
-    quiet = [_noise_sds([held[name][i] for name in held]) for i in range(len(noise))]
-    noise = [own * sds for own, sds in zip(noise, quiet, strict=True)]
-    weights = _design_weights(len(noise), source)
-    gaps = {}
-    drawn = {}
-    for name, designs in held.items():
-        expected = [_expected(d, sds) / count for d, sds in zip(designs, quiet, strict=True)]
-        observed = [float((d.residual.square() / d.counts).sum()) / count for d in designs]
-        gaps[name] = sum(observed) - sum(expected)
-        trained = [
-            float((_less_nuisances(d, d.by_training.mT).square() / d.counts).sum()) / count
-            for d in designs
+
+    base: Tensor
+    effect: Tensor
+    later: tuple[Tensor, Tensor] | None
+    base_square: float
+    freedom: float
+    frames: int
+
+
+def _compared(pair: Judged) -> _Compared:
+    phase = _phases(pair.base)
+    beside = _beside(pair)
+    share = _noise_share(pair, phase)
+    expected = share * beside.square().sum(1)
+    counts = pair.base.line.batch.counts[0]
+    squares = [(beside @ own.residual).square() for own in (pair.base, pair.effect)]
+    base, effect = (_by_phase((square - expected) / counts, phase) for square in squares)
+    early = _clock(pair.base) <= TURN
+    later = None
+    if bool(early.any()) and not bool(early.all()):
+        both = [_later(own, early, share) / counts[~early] for own in (pair.base, pair.effect)]
+        later = (_by_phase(both[0], phase[~early]), _by_phase(both[1], phase[~early]))
+    return _Compared(
+        base,
+        effect,
+        later,
+        float(squares[0].sum()),
+        float(beside.diagonal().sum()),
+        len(phase),
+    )
+
+
+def _beside(pair: Judged) -> Float[Tensor, "frames frames"]:
+    """Projector beside all that is the curve's own under either model."""
+    directions = torch.cat((pair.base.by_nuisance, pair.effect.by_nuisance), 1)
+    basis, size, _ = torch.linalg.svd(directions, full_matrices=False)
+    kept = basis[:, size > 1e-6 * size[:1]]
+    return torch.eye(len(directions), dtype=torch.float64) - kept @ kept.mT
+
+
+def _later(own: HeldOut, early: Tensor, share: Tensor) -> Tensor:
+    """Squares beyond noise after the turn, with what is the curve's own fitted before it."""
+    centred = own.residual + own.by_nuisance @ own.nuisances
+    before = own.by_nuisance[early]
+    precision = torch.eye(before.shape[1], dtype=torch.float64) + before.mT @ before
+    fitted = torch.linalg.solve(precision, before.mT @ centred[early])
+    after = own.by_nuisance[~early]
+    expected = share[~early] + (after @ torch.linalg.inv(precision) * after).sum(1)
+    return (centred[~early] - after @ fitted).square() - expected
+
+
+def _noise_share(pair: Judged, phase: Tensor) -> Tensor:
+    """How much of the noise law counts in each frame, by the residuals of both models."""
+    return noise_shares([own.residual.square() for own in (pair.base, pair.effect)], phase)
+
+
+def _phases(own: HeldOut) -> Tensor:
+    batch = own.line.batch
+    return phase_numbers(batch.times, batch.mean, batch.mask)[0]
+
+
+def _clock(own: HeldOut) -> Tensor:
+    batch = own.line.batch
+    return phase_clock(batch.times, batch.mean, batch.mask)[0]
+
+
+def _by_phase(squares: Tensor, phase: Tensor) -> Tensor:
+    return torch.zeros(len(PHASES), dtype=torch.float64).index_add(0, phase, squares)
+
+
+def _interval(
+    base: Sequence[Tensor], effect: Sequence[Tensor], source: torch.Generator
+) -> tuple[float, float, float]:
+    """5, 50, 95 % of ``1 - sum(effect) / sum(base)`` over curves, or over phases of few curves,
+    drawn anew.
+
+    One unit fewer than there are is drawn with replacement (Rao & Wu, J. Am. Stat. Assoc. 83,
+    1988). A draw in which the base leaves no gap counts as -1 for the lower bound and as 1 for the
+    upper; none counts as more than 2 in size.
+    """
+    rows = torch.stack([torch.stack(list(pair)) for pair in zip(base, effect, strict=True)])
+    units = rows.sum(2) if len(rows) >= _MANY else rows.movedim(1, 2).flatten(0, 1)
+    units = units[(units != 0.0).any(1)]
+    count = len(units)
+    picked = torch.randint(count, (_DRAWS, max(count - 1, 1)), generator=source)
+    weights = torch.nn.functional.one_hot(picked, count).sum(1).to(torch.float64)
+    without, with_effect = (weights @ units).unbind(1)
+    ratio = torch.where(without > 0.0, 1.0 - with_effect / without.clamp_min(1e-300), torch.nan)
+    ratio = ratio.clamp(-_WIDEST, _WIDEST)
+    low = float(ratio.nan_to_num(nan=-1.0).quantile(0.05))
+    high = float(ratio.nan_to_num(nan=1.0).quantile(0.95))
+    total = units.sum(0)
+    middle = float((1.0 - total[1] / total[0]).clamp(-_WIDEST, _WIDEST))
+    return min(low, middle), middle, max(high, middle)
+
+
+def _placebo(
+    report: GapReport, judged: Sequence[Judged], count: int, seed: int
+) -> tuple[float, ...]:
+    """``S`` of random libraries, sorted: the procedure where no candidate is the cause."""
+    directions = report.left.directions
+    first = report.steps[0]
+    offered = len(first.hypotheses) - 1
+    rounds = len(report.selected.effects)
+    sizes = [rows.norm(dim=1).mean() for rows in directions.values() if len(rows)]
+    typical = float(torch.stack(sizes).median()) if sizes else 1.0
+    whole = int(report.batch.mask.sum())
+    shares = []
+    for number in range(count):
+        source = generator(child(seed, number))
+        weights = torch.randn(offered, len(_KNOTS), generator=source, dtype=torch.float64)
+        in_time = torch.arange(offered) % 2 == 0
+        before = 0.0
+        after = 0.0
+        known = dict[int, tuple[list[int], Tensor, Tensor]]()
+        for pair in judged:
+            key = id(pair.training)
+            if key not in known:
+                frames = int(pair.training.batch.mask.sum())
+                size = typical * math.sqrt(frames / whole)
+                rows = _random_rows(pair.training, weights, in_time)
+                scale = size / rows.norm(dim=1, keepdim=True).clamp_min(1e-300)
+                chosen, shift = _select_rows(rows * scale, pair.training, rounds)
+                known[key] = chosen, shift, scale[:, 0]
+            chosen, shift, scale_each = known[key]
+            expected, beside, counts = _expected(pair)
+            change = _predicted_change(pair, chosen, shift, scale_each, weights, in_time)
+            own = [(beside @ r).square() for r in (pair.base.residual, pair.base.residual - change)]
+            before += float(((own[0] - expected) / counts).sum())
+            after += float(((own[1] - expected) / counts).sum())
+        shares.append(max(-_WIDEST, min(_WIDEST, 1.0 - after / before)))
+    return tuple(sorted(shares))
+
+
+def _expected(pair: Judged) -> tuple[Tensor, Tensor, Tensor]:
+    """Squares that noise leaves in each frame, the projector, and repeats."""
+    beside = _beside(pair)
+    share = _noise_share(pair, _phases(pair.base))
+    return share * beside.square().sum(1), beside, pair.base.line.batch.counts[0]
+
+
+def _random_rows(
+    line: Linearisation, weights: Float[Tensor, "effects knots"], in_time: Tensor
+) -> Float[Tensor, "effects rows"]:
+    """Whitened changes by random smooth functions of the phase: errors of the radius, or of time."""
+    batch: ExperimentBatch = line.batch
+    clock = phase_clock(batch.times, line.prediction, batch.mask)
+    bumps = (-0.5 * ((clock[..., None] - _KNOTS) / _SMOOTH).square()).exp()
+    smooth = torch.einsum("etk,nk->net", bumps, weights)
+    slope = torch.stack(
+        [
+            torch.gradient(r, spacing=(t,))[0]
+            for r, t in zip(line.prediction, batch.times, strict=True)
         ]
-        scales = _scales(observed, expected, trained)
-        training = torch.randn(
-            BOOTSTRAP, designs[0].by_training.shape[1], generator=source, dtype=torch.float64
-        )
-        rows = [
-            (
-                (scale * d.residual + _less_nuisances(d, e + training @ d.by_training.mT)).square()
-                / d.counts
-            ).sum(1)
-            / count
-            - left
-            for d, e, left, scale in zip(designs, noise, expected, scales, strict=True)
-        ]
-        drawn[name] = (torch.stack(rows, 1) * weights).sum(1)
-    intervals = {name: _ratio_interval(drawn[name], drawn[_NONE]) for name in held if name != _NONE}
-    return gaps, intervals
-
-
-def _scales(
-    observed: Sequence[float], expected: Sequence[float], trained: Sequence[float]
-) -> list[float]:
-    """Factors on the residual of each design that leave its bias alone, without noise and the
-    variance of the training fit.
-
-    Designs whose square is below that of noise have none; the others share what is left of the
-    whole.
-    """
-    own = [max(o - e - t, 0.0) for o, e, t in zip(observed, expected, trained, strict=True)]
-    whole = max(sum(observed) - sum(expected) - sum(trained), 0.0)
-    share = whole / sum(own) if whole else 0.0
-    return [math.sqrt(share * part / total) for part, total in zip(own, observed, strict=True)]
-
-
-def _design_weights(count: int, source: torch.Generator) -> Tensor:
-    """``B x count`` random weights of mean one, under which a mean over designs has the variance of
-    a sample mean.
-
-    One design fewer than there are is drawn with replacement (Rao & Wu, J. Am. Stat. Assoc. 83,
-    1988).
-    """
-    if count == 1:
-        return torch.ones(BOOTSTRAP, 1, dtype=torch.float64)
-    picked = torch.randint(count, (BOOTSTRAP, count - 1), generator=source)
-    times = torch.nn.functional.one_hot(picked, count).sum(1).to(torch.float64)
-    return times * count / (count - 1)
-
-
-def _ratio_interval(left: Tensor, base: Tensor) -> tuple[float, float, float]:
-    """Lower, median and upper ``S = 1 - left/base`` of draws; one in which the base leaves no gap
-    says nothing of it.
-
-    Such a draw counts as -1 for the lower value and as 1 for the upper; none counts as more than 2
-    in size.
-    """
-    known = base > 0.0
-    ratio = torch.where(known, 1.0 - left / base.clamp_min(1e-300), torch.nan).clamp(
-        -_WIDEST, _WIDEST
     )
-    low = ratio.nan_to_num(nan=-1.0).quantile(0.05)
-    high = ratio.nan_to_num(nan=1.0).quantile(0.95)
-    median = ratio[known].median() if bool(known.any()) else torch.zeros(())
-    return float(low), float(median), float(high)
+    return line.whiten(torch.where(in_time[:, None, None], smooth * slope, smooth))
 
 
-def _less_nuisances(design: HeldOut, rows: Tensor) -> Tensor:
-    """What a fit of the nuisances with their priors leaves of rows ``B x n_t``."""
-    slopes = design.by_nuisance
-    precision = torch.eye(slopes.shape[1], dtype=torch.float64) + slopes.mT @ slopes
-    return rows - torch.linalg.solve(precision, slopes.mT @ rows.mT).mT @ slopes.mT
-
-
-def _noise_sds(design: Sequence[HeldOut]) -> Tensor:
-    """Noise of each frame of a design, over that of the law, from the residuals of all hypotheses."""
-    first = design[0]
-    phase = (
-        torch.zeros(len(first.residual), dtype=torch.long) if first.phase is None else first.phase
-    )
-    return noise_shares([own.residual.square() for own in design], phase).sqrt()
-
-
-def _expected(design: HeldOut, sds: Tensor) -> float:
-    """Expected square of what the fit of the nuisances leaves of noise, in single-shot variances."""
-    return float((_less_nuisances(design, torch.diag(sds)).square() / design.counts).sum())
-
-
-def compare(held: Mapping[str, Sequence[HeldOut]], effect: str, other: str) -> Comparison:
-    """Paired difference over all held-out frames."""
-    pairs = zip(held[effect], held[other], strict=True)
-    difference = torch.cat([a.log_density - b.log_density for a, b in pairs])
-    return Comparison(
-        other, float(difference.sum()), float(difference.std() * math.sqrt(len(difference)))
-    )
-
-
-def _shift(base: ModelFit, effect: ModelFit) -> dict[str, Shift]:
-    """Relative change of each parameter of the base, with the sd of an efficient against a
-    consistent estimate.
+def _select_rows(
+    rows: Float[Tensor, "effects rows"], line: Linearisation, rounds: int
+) -> tuple[list[int], Float[Tensor, "fitted"]]:
+    """Random effects chosen one after the other by their evidence, and the shift of everything
+    fitted with them, their amplitudes last; amplitudes have a standard normal prior.
     """
-    before = base.posterior
-    after = effect.posterior
-    shifts = {}
-    for i, name in enumerate(base.prior.names):
-        j = effect.prior.names.index(name)
-        value = float(before.physical(before.mean)[i])
-        change = float(after.physical(after.mean)[j]) - value
-        variance = float(after.sds[j].square() - before.sds[i].square())
-        shifts[name] = Shift(change / value, math.sqrt(max(variance, 0.0)) / abs(value))
-    return shifts
+    chosen: list[int] = []
+    here = line
+    for _ in range(rounds):
+        left = here.project(_padded(rows, here))
+        square = left.square().sum(1)
+        gain = 0.5 * (left @ here.residual).square() / (1.0 + square) - 0.5 * torch.log1p(square)
+        gain[chosen] = -math.inf
+        best = int(gain.argmax())
+        if float(gain[best]) < EXPLAINS:
+            break
+        chosen.append(best)
+        here = _with_row(here, _padded(rows[best : best + 1], here)[0])
+    return chosen, here.to_shift @ here.residual
+
+
+def _padded(rows: Tensor, line: Linearisation) -> Tensor:
+    return torch.nn.functional.pad(rows, (0, len(line.residual) - rows.shape[-1]))
+
+
+def _with_row(line: Linearisation, row: Tensor) -> Linearisation:
+    """A linearisation with one more fitted amplitude, its prior a row more."""
+    fitted = torch.cat((line.fitted, row[:, None]), 1)
+    prior = torch.zeros(1, fitted.shape[1], dtype=torch.float64)
+    prior[0, -1] = -1.0
+    residual = torch.cat((line.residual, torch.zeros(1, dtype=torch.float64)))
+    return replace(line, residual=residual, fitted=torch.cat((fitted, prior)))
+
+
+def _predicted_change(
+    pair: Judged,
+    chosen: Sequence[int],
+    shift: Tensor,
+    scale: Tensor,
+    weights: Tensor,
+    in_time: Tensor,
+) -> Tensor:
+    """What the random effects that were chosen change in the prediction of a held-out curve, with
+    the gel that is refitted beside them.
+    """
+    own = pair.base
+    data = len(own.residual)
+    change = own.by_gel @ shift[: own.by_gel.shape[1]]
+    if chosen:
+        rows = _random_rows(own.line, weights[chosen], in_time[chosen])[:, :data]
+        change = change + (shift[-len(chosen) :] * scale[chosen]) @ rows
+    return change

@@ -11,10 +11,9 @@ like any other.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
-
-from imr_torch.material import Effect
 
 NONE = "none"
 OTHER = "other"
@@ -79,63 +78,58 @@ def choose(posterior: Mapping[str, float]) -> Choice:
 
 def probabilities(
     evidence: Mapping[str, float],
-    effects: Sequence[Effect],
-    with_: Sequence[Effect],
+    families: Mapping[str, str],
+    held: str,
     bayes_factor: float,
     *,
     odds: float = VERDICT_ODDS,
+    beside: bool = False,
     masked: float = 1.0,
     smooth: tuple[float, float] | None = None,
 ) -> dict[str, float]:
-    """Posterior over hypotheses, ``"none"`` (of the effects asked about), ``"other"`` and, if asked
+    """Posterior over hypotheses, ``"none"`` (of the parts asked about), ``"other"`` and, if asked
     for, ``"slow_noise"``.
 
     Prior: the base model .5; the rest is shared between known and unknown effects by ``odds``, and
-        among the known ones evenly
-    over families (declared forms of one thing, so that two forms of an effect do not count twice).
-    Beside an effect that was selected, "other" stands for an unknown effect in place of two known
-    ones, which are rarer than one.
+    among the known ones evenly over families (declared forms of one thing, so that two forms of an
+    effect do not count twice; gels that differ between shots are one). Beside a part that was
+    selected, "other" stands for an unknown effect in place of two known ones, which are rarer than
+    one.
 
     Args:
-        evidence: hypothesis -> nats.
-        effects: those asked about.
-        with_: those that every hypothesis holds.
+        evidence: hypothesis -> nats, that of ``held`` among them.
+        families: each hypothesis asked about -> family of what it adds to ``held``.
+        held: name of what every hypothesis has.
         bayes_factor: of an unknown effect over the leading one, by what that leaves unexplained.
         odds: prior odds of an unknown effect against the known ones.
-        masked: beside selected effects, the chance that these alone did not explain an unknown
+        beside: whether parts were selected before.
+        masked: beside selected parts, the chance that these alone did not explain an unknown
             effect.
         smooth: log evidence, nats, of smooth deviations that differ between shots and of those that
             are alike in all. Noise of the camera that lasts several frames makes the first kind, an
             unknown effect either, with equal probability.
     """
-    prefix = "+".join(effect.name for effect in with_)
-    families = [effect.family for effect in effects]
+    counts = Counter(families.values())
     known = (1.0 - PRIOR_NONE) / (1.0 + odds)
     slow = 0.0
     unknown = -math.inf
     if smooth is not None:
         slow = PRIOR_SLOW * known
         known -= slow
-        unknown = (
-            math.log(slow * odds)
-            + max(smooth)
-            + math.log(0.5 + 0.5 * math.exp(-abs(smooth[0] - smooth[1])))
-        )
-    logs = {}
-    for effect in effects:
-        name = f"{prefix}+{effect.name}" if prefix else effect.name
-        if name in evidence:
-            logs[name] = (
-                math.log(known / len(set(families)) / families.count(effect.family))
-                + evidence[name]
-            )
-    logs[NONE] = math.log(PRIOR_NONE) + evidence[prefix or NONE]
+        either = max(smooth) + math.log(0.5 + 0.5 * math.exp(-abs(smooth[0] - smooth[1])))
+        unknown = math.log(slow * odds) + either
+    logs = {
+        name: math.log(known / len(counts) / counts[family]) + evidence[name]
+        for name, family in families.items()
+        if name in evidence
+    }
+    logs[NONE] = math.log(PRIOR_NONE) + evidence[held]
     if smooth is not None:
         logs[SLOW_NOISE] = math.log(slow) + smooth[0]
     top = max(*logs.values(), unknown)
     weights = {name: math.exp(value - top) for name, value in logs.items()}
     of_effects = sum(weight for name, weight in weights.items() if name not in (NONE, SLOW_NOISE))
-    against = odds * masked / PRIOR_TWO if with_ else odds
+    against = odds * masked / PRIOR_TWO if beside else odds
     weights[OTHER] = of_effects * min(against * bayes_factor, 1e12) + math.exp(unknown - top)
     total = sum(weights.values())
     return {name: weight / total for name, weight in weights.items()}

@@ -16,16 +16,7 @@ from matplotlib.figure import Figure
 from scipy.special import ndtri
 
 from imr_torch.errors import InputDataError
-from imr_torch.gap.plots import (
-    BESIDE,
-    DrawnStep,
-    only_other,
-    plot_causes,
-    plot_explained,
-    plot_scores,
-    plot_selection,
-)
-from imr_torch.goodness.score import BlockResult, GapTest
+from imr_torch.gap.figures import gap_figures
 from imr_torch.labels import R_STAR, T_STAR, file_name, plain
 from imr_torch.material import Belief, material
 from imr_torch.plot import (
@@ -74,7 +65,7 @@ def draw_figures(document: Mapping[str, Any]) -> list[NamedFigure]:
         check_characterization(document)
         return list(_of_characterization(document))
     if "curves" in document and "verdict" in document:
-        return list(_of_diagnosis(document))
+        return [NamedFigure(f.name, f.caption, f.alt, f.draw) for f in gap_figures(document)]
     if "evaluations" in document and "map" in document:
         return list(_of_design(document))
     if "R_star" in document and "t_star" in document:
@@ -156,91 +147,6 @@ def _of_characterization(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
             "Bar chart of model probabilities.",
             lambda: figure_of(plot_probabilities(beliefs)),
         )
-
-
-def _of_diagnosis(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
-    for curve in document["curves"]:
-        yield NamedFigure(
-            f"curve_{file_name(curve['id'])}",
-            f"{curve['id']}: measured, the base model, and that with the cause or additions; "
-            "below, residuals over noise.",
-            f"Line chart of radius over time of {curve['id']}.",
-            lambda curve=curve: diagnosis_figure(curve),
-        )
-    blocks = tuple(
-        BlockResult(**row | {"power": math.nan if row["power"] is None else row["power"]})
-        for row in document["tests"]
-    )
-    yield NamedFigure(
-        "tests",
-        "Tests of the base model's residual.",
-        f"Bar chart of {len(blocks)} tests.",
-        lambda: figure_of(
-            plot_scores(GapTest(document["p_gap"], blocks, document["bias_sigma"], 0.0))
-        ),
-    )
-    if (
-        document["posterior"]
-        and only_other(document["posterior"])
-        and document.get("explained_nats")
-    ):
-        yield NamedFigure(
-            "causes",
-            "What a single further effect explains; none is enough. Light: its fit did not "
-            "converge.",
-            "Bar chart of log evidence gained.",
-            lambda: figure_of(plot_explained(document["explained_nats"], document["unconverged"])),
-        )
-    elif document["posterior"]:
-        yield NamedFigure(
-            "causes",
-            "Probability of each cause.",
-            "Bar chart of probabilities.",
-            lambda: figure_of(plot_causes(document["posterior"])),
-        )
-    if document.get("ladder"):
-        steps = [
-            DrawnStep(*(row[name] for name in DrawnStep._fields)) for row in document["ladder"]
-        ]
-        yield NamedFigure(
-            "effects_together",
-            "Misfit from the base model to the last effect added, and the share of the held-out "
-            "gap that each step closes.",
-            f"Bar chart of {len(steps)} misfits.",
-            lambda: figure_of(plot_selection(steps)),
-        )
-
-
-def diagnosis_figure(curve: Mapping[str, Any]) -> Figure:
-    """One mean measured curve with the base model and the model with the cause or with additions,
-    and residuals below.
-    """
-    figure, (ax, below) = plt.subplots(
-        2, 1, figsize=(5.2, 4.4), height_ratios=[2, 1], sharex=True, layout="constrained"
-    )
-    t, r, sd = (_floats(curve[name]) for name in ("t_star", "R_star", "sd"))
-    ax.plot(t, r, ".", ms=4, color=DATA, label="measured")
-    below.axhspan(-2.0, 2.0, color="#E2E2E2", lw=0)
-    for name, label in {"base": "base model", **BESIDE}.items():
-        color, style = (SECOND, "--") if name == "base" else (MODEL, "-")
-        if curve.get(name) is not None:
-            drawn = curve.get("drawn", {}).get(
-                name, {"t_star": curve["t_star"], "R_star": curve[name]}
-            )
-            ax.plot(
-                _floats(drawn["t_star"]),
-                _floats(drawn["R_star"]),
-                color=color,
-                ls=style,
-                lw=1.3,
-                label=label,
-            )
-            below.plot(t, (r - _floats(curve[name])) / sd, color=color, ls=style, lw=1.2)
-    ax.set(ylabel=R_STAR, ylim=(0.0, None))
-    ax.set_title(plain(curve["id"]), fontsize=10)
-    ax.legend(frameon=False, fontsize=8)
-    below.set(xlabel=T_STAR, ylabel="residual / noise")
-    return figure
 
 
 def _of_design(document: Mapping[str, Any]) -> Iterator[NamedFigure]:

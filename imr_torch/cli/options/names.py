@@ -56,4 +56,4 @@ COLLAPSES = 2
 """Collapses in the fitted window, if not said otherwise."""
 SCATTER_SCALE = 0.3
 EVALUATIONS = 25
-EFFECTS_ADDED = 4
+EFFECTS_ADDED = 2

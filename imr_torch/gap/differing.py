@@ -1,0 +1,120 @@
+"""Fits in which the gel differs between experiments, found from the fits of single curves.
+
+Where the gel differs much, the fit of one gel has its collapses on the wrong side of frames in all
+curves, and a search that begins there ends in a local minimum. Each curve by itself is fitted well.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+
+from imr_torch.assimilate import ModelFit, SearchOptions, assimilate
+from imr_torch.gap.hypotheses import Hypothesis, finish, fit_hypotheses, lower, scatters
+from imr_torch.material import Belief
+from imr_torch.observe import NUISANCES, ExperimentBatch
+from imr_torch.random import child, generator
+from imr_torch.simulate import Simulator
+
+_APART = 0.5  # prior standard deviations between the starts of a curve's own fit
+
+
+def fit_alone(
+    fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, seed: int
+) -> tuple[ModelFit, ...]:
+    """Each experiment by itself, from the fit to all and from points beside it.
+
+    Args:
+        fit: to all experiments.
+        batch: the data.
+        simulator: makes the bubbles.
+        seed: of the starts.
+    """
+    belief = Belief((fit.prior,), torch.zeros(1, dtype=torch.float64))
+    found = []
+    for e, experiment in enumerate(batch.experiments):
+        seed_here = child(seed, "alone", experiment.label)
+        beside = _APART * torch.randn(
+            2, len(fit.mean), generator=generator(seed_here), dtype=torch.float64
+        )
+        starts = [torch.cat((fit.mean[None], fit.mean + beside))]
+        one = replace(batch, experiments=(experiment,), between={})
+        nuisances = [fit.nuisances[e : e + 1, : len(NUISANCES)]]
+        alone = assimilate(
+            belief, one, simulator, seed=seed_here, starts=starts, nuisances=nuisances, warn=False
+        ).fits[0]
+        if not alone.certificate.converged:
+            alone = finish(alone, one, simulator, seed=child(seed_here, "finish"))
+        found.append(alone)
+    return tuple(found)
+
+
+def fit_differing(
+    hypothesis: Hypothesis,
+    near: ModelFit,
+    alone: Sequence[ModelFit],
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    *,
+    seed: int,
+    options: SearchOptions,
+) -> ModelFit:
+    """The lower of the fits of gels that differ from two starts: the gels of single curves, and one
+    gel.
+
+    Args:
+        hypothesis: with gels that differ.
+        near: fit of the same with one gel.
+        alone: the base model's fit of each experiment by itself.
+        batch: the data.
+        simulator: makes the bubbles.
+        seed: of the searches.
+        options: how to search.
+    """
+    apart = start_apart(hypothesis, near, alone)
+    first = fit_hypotheses(
+        [hypothesis], apart, batch, simulator, seed=seed, options=options, twice=0
+    )[hypothesis.name]
+    options = replace(options, rival=first.cost)
+    second = fit_hypotheses(
+        [hypothesis], near, batch, simulator, seed=seed, options=options, twice=0
+    )[hypothesis.name]
+    return lower(first, second, options)
+
+
+def start_apart(hypothesis: Hypothesis, near: ModelFit, alone: Sequence[ModelFit]) -> ModelFit:
+    """A fit to all experiments, moved to where the gels of single ones are: a start, not a fit.
+
+    Args:
+        hypothesis: with gels that differ.
+        near: fit of the same with one gel.
+        alone: the base model's fit of each experiment by itself.
+    """
+    gels = torch.stack([fit.mean for fit in alone])
+    prior = alone[0].prior
+    common = prior.physical(gels.mean(0))
+    deviations = []
+    for name, scatter in scatters(hypothesis.base).items():
+        place = prior.names.index(name)
+        of_curves = prior.physical(gels)[:, place]
+        deviations.append(scatter.deviation(of_curves, common[place]) / scatter.relative)
+    mean = near.mean.clone()
+    mean[[near.prior.names.index(name) for name in prior.names]] = gels.mean(0)
+    nuisances = torch.cat([fit.nuisances[:, : len(NUISANCES)] for fit in alone])
+    return replace(near, mean=mean, nuisances=torch.cat((nuisances, torch.stack(deviations, 1)), 1))
+
+
+def gels_of(fit: ModelFit, hypothesis: Hypothesis) -> dict[str, list[float]]:
+    """Parameter of the gel -> its value in each experiment of a fit with gels that differ, SI.
+
+    Empty where they do not differ.
+    """
+    deviations = fit.nuisances[:, len(NUISANCES) :]
+    if not hypothesis.gels_differ:
+        return {}
+    common = dict(zip(fit.prior.names, fit.prior.physical(fit.mean), strict=True))
+    between = scatters(hypothesis.base).items()
+    return {
+        name: scatter.moved(common[name], scatter.relative * column).tolist()
+        for (name, scatter), column in zip(between, deviations.unbind(1), strict=True)
+    }

@@ -1,0 +1,169 @@
+"""What follows from a diagnosis: where the gap lies, how far it shrinks on unseen curves, what hides,
+the parameters with model error, and what to shoot next.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from imr_torch.errors import ConvergenceError, InputDataError
+from imr_torch.gap.diagnose import GapReport
+from imr_torch.gap.differing import fit_alone
+from imr_torch.gap.forecast import plan_of, unknown_like
+from imr_torch.gap.hidden import Hidden, hidden_effects
+from imr_torch.gap.identity_design import NextDesign, identity_design
+from imr_torch.gap.locate import (
+    ByExperiment,
+    Onset,
+    WhereItActs,
+    by_experiment,
+    onset,
+    where_it_acts,
+)
+from imr_torch.gap.model_error import ModelError, model_error
+from imr_torch.gap.shrinkage import Shrinkage, shrinkage
+from imr_torch.gap.verdict import OTHER
+from imr_torch.observe import Experiment
+from imr_torch.random import child
+from imr_torch.simulate import Simulator
+from imr_torch.threads import one_torch_thread
+from imr_torch.types import Progress
+
+_SURE = 0.95  # probability of the leading cause from which on no shot is designed
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Parts beside the verdict; None where one was not run.
+
+    Args:
+        onset: from when on the gap can be detected.
+        acts: where the named effects act.
+        by_experiment: which experiments it lies in.
+        shrinkage: how far it shrinks on curves that no fit saw.
+        next_design: what to shoot to tell the causes apart that are still possible.
+        model_error: parameters with what the model may lack.
+        hidden: what these data would not show.
+
+    >>> from imr_torch.gap import Parts
+    >>> Parts().onset is None  # not run
+    True
+    """
+
+    onset: Onset | None = None
+    acts: WhereItActs | None = None
+    by_experiment: ByExperiment | None = None
+    shrinkage: Shrinkage | None = None
+    next_design: NextDesign | None = None
+    model_error: ModelError | None = None
+    hidden: tuple[Hidden, ...] = ()
+
+
+@one_torch_thread()
+def examine(
+    report: GapReport,
+    simulator: Simulator,
+    *,
+    unseen: Sequence[Experiment] = (),
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Parts:
+    """All parts that a report allows; none where the base model's fit has not converged.
+
+    Without a gap these are the parameters with model error and what would hide.
+
+    Args:
+        report: the diagnosis.
+        simulator: makes the bubbles, as in the diagnosis.
+        unseen: experiments that the diagnosis did not see, on which the shrinkage is judged;
+            without them the diagnosed ones are held out in turn.
+        seed: of calibrations and searches.
+        progress: called with one line per step.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator
+    >>> from imr_torch.gap import diagnose, examine
+    >>> from imr_torch.material import PARAMETERS, library
+    >>> from imr_torch.observe import SimulatedLaboratory
+    >>> laboratory = SimulatedLaboratory(PolytropicSimulator(), PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=5)
+    >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=0)
+    >>> report = diagnose([shot], effects=library(["sound_speed"]), simulator=PolytropicSimulator())
+    >>> parts = examine(report, PolytropicSimulator())
+    >>> parts.onset is None, [row.effect for row in parts.hidden]  # no gap, so there is nothing to locate
+    (True, ['sound_speed'])
+    """
+    if not report.null.certificate.usable:
+        return Parts()
+    parts = Parts(
+        model_error=model_error(report, seed=child(seed, "model error")),
+        hidden=hidden_effects(report),
+    )
+    if not report.found:
+        return parts
+    if progress:
+        progress("location, shrinkage, next design")
+    alone = report.alone or fit_alone(
+        report.null, report.batch, simulator, seed=child(seed, "alone")
+    )
+    judging = replace(report.batch, experiments=tuple(unseen)) if unseen else None
+    return replace(
+        parts,
+        onset=onset(
+            report.null,
+            report.left.line,
+            report.batch,
+            simulator,
+            seed=child(seed, "onset"),
+            directions=report.left.directions,
+        ),
+        acts=_acts(report, simulator, seed),
+        by_experiment=by_experiment(report, simulator, alone, seed=child(seed, "experiments")),
+        shrinkage=shrinkage(
+            report, simulator, judging, seed=child(seed, "shrinkage"), progress=progress
+        ),
+        next_design=_next(report, simulator, seed, progress),
+    )
+
+
+def _acts(report: GapReport, simulator: Simulator, seed: int) -> WhereItActs | None:
+    """Where the named effects act; None without a named effect."""
+    found = report.attribution
+    choice = report.choice
+    if found is None or choice is None or report.verdict not in ("effect", "class"):
+        return None
+    named = {
+        name: (found.fits[name], found.hypotheses[name].effects, choice.members[name])
+        for name in choice.causes
+        if found.hypotheses[name].effects and not found.hypotheses[name].gels_differ
+    }
+    if not named:
+        return None
+    return where_it_acts(named, report.left.line, report.batch, simulator, seed=child(seed, "acts"))
+
+
+def _next(
+    report: GapReport, simulator: Simulator, seed: int, progress: Progress | None
+) -> NextDesign | None:
+    """The design that tells causes apart, by the data's own plan, where the leading one is not
+    sure and a shot can.
+    """
+    found = report.attribution
+    if found is None or report.verdict == OTHER or found.winner.gels_differ:
+        return None
+    if found.posterior.get(found.winner.name, 0.0) > _SURE:
+        return None
+    one_gel = {n: fit for n, fit in found.fits.items() if not found.hypotheses[n].gels_differ}
+    try:
+        return identity_design(
+            one_gel,
+            found.posterior,
+            simulator,
+            seed=child(seed, "next"),
+            plan=plan_of(report.batch),
+            unknown=unknown_like(found.winner.name, found.winner_fit, found.left),
+            progress=progress,
+        )
+    except InputDataError:
+        return None  # fewer than two causes have a fit
+    except ConvergenceError:
+        # bubbles that cannot be simulated elsewhere take nothing from what was found here
+        return None
