@@ -92,7 +92,7 @@ def _hidden(effect: Effect, left: Adequacy, fit: ModelFit, gel: Sequence[str]) -
     times = needed / float(beside[place])
     plausible = times <= _PLAUSIBLE
     shift = (times if plausible else 1.0) * (left.line.to_shift @ rows[place])[: len(fit.mean)]
-    moved = torch.stack((fit.mean, fit.mean - shift))
+    moved = torch.stack((fit.mean, fit.mean + shift))
     before, after = fit.prior.physical(fit.prior.unwhitened(moved))
     relative = (after / before - 1.0).tolist()
     names = [name for name in fit.prior.names if name in gel]

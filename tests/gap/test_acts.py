@@ -6,8 +6,8 @@ shares by phase that sum to one, none before the effect begins, and the same wha
 import pytest
 import torch
 
-from imr_torch.gap.acts import WhereItActs, where_it_acts
 from imr_torch.gap.hypotheses import Hypothesis
+from imr_torch.gap.locate import WhereItActs, where_it_acts
 from imr_torch.goodness.linear import linearise
 from imr_torch.goodness.phases import PHASES
 from imr_torch.material import LIBRARY

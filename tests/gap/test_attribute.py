@@ -9,6 +9,7 @@ from dataclasses import replace
 import pytest
 
 from imr_torch.assimilate import SearchOptions
+from imr_torch.gap.adequacy import adequacy_test
 from imr_torch.gap.attribute import Attribution, Inquiry, attribute, reconsider
 from imr_torch.gap.evidence import CheckedEvidence
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, laplace_evidence
@@ -24,7 +25,8 @@ from tests.gap.synthetic import BASE, SIMULATOR, fit, shoot
 
 def test_that_the_credible_set_is_the_smallest_that_reaches_its_level() -> None:
     posterior = {"a": 0.6, "b": 0.3, "none": 0.06, "other": 0.04}
-    found = Attribution({}, {}, posterior, {}, "a", None, {})
+    base = Hypothesis(BASE)
+    found = Attribution(base, {"none": base}, {}, {}, posterior, base, None, None)
     assert found.credible_set(0.5) == ("a",)
     assert found.credible_set(0.85) == ("a", "b")
     assert found.credible_set(0.95) == ("a", "b", "none")
@@ -39,10 +41,10 @@ def test_that_a_winner_whose_fit_was_cut_short_is_fitted_to_the_end(monkeypatch)
     found = attribute(
         Inquiry(BASE, (LIBRARY["gas_loss"], LIBRARY["surface_tension"]), batch, SIMULATOR),
         null,
-        {},
+        Hypothesis(BASE),
         seed=0,
     )
-    assert found.winner == "gas_loss"
+    assert found.winner.name == "gas_loss"
     assert found.fits["gas_loss"].certificate.converged
     assert not found.fits["surface_tension"].certificate.converged
     assert found.log_evidence["gas_loss"] == pytest.approx(laplace_evidence(found.fits["gas_loss"]))
@@ -61,10 +63,10 @@ def test_that_an_effect_which_sampling_puts_ahead_is_fitted_to_the_end(monkeypat
     found = attribute(
         Inquiry(BASE, (LIBRARY["gas_loss"], LIBRARY["surface_tension"]), batch, SIMULATOR),
         null,
-        {},
+        Hypothesis(BASE),
         seed=0,
     )
-    assert found.winner == "surface_tension"
+    assert found.winner.name == "surface_tension"
     assert found.fits["surface_tension"].certificate.converged
     assert found.log_evidence["surface_tension"] == 1e6
 
@@ -84,9 +86,9 @@ def test_that_a_fit_that_does_not_converge_is_left_out_and_the_next_one_leads(mo
     )
     monkeypatch.setattr("imr_torch.gap.attribute.finish", never)
     with_wall = (LIBRARY["gas_loss"], LIBRARY["wall"])
-    fits = attribute(Inquiry(BASE, with_wall, batch, SIMULATOR), null, {}, seed=0)
+    fits = attribute(Inquiry(BASE, with_wall, batch, SIMULATOR), null, Hypothesis(BASE), seed=0)
     assert fits.left_out == ("gas_loss",)
-    assert fits.winner == "wall"
+    assert fits.winner.name == "wall"
     assert "gas_loss" not in fits.posterior
     assert sum(fits.posterior.values()) == pytest.approx(1.0)
 
@@ -96,16 +98,17 @@ def test_that_an_effect_found_beside_a_wrong_one_is_taken_alone_if_it_explains_m
     null = fit(batch)
     wrong = LIBRARY["wall"]
     right = LIBRARY["gas_loss"]
-    first = attribute(Inquiry(BASE, (wrong,), batch, SIMULATOR), null, {}, seed=0)
+    first = attribute(Inquiry(BASE, (wrong,), batch, SIMULATOR), null, Hypothesis(BASE), seed=0)
     inquiry = Inquiry(BASE, (wrong, right), batch, SIMULATOR)
     both = fit_hypotheses(
         [Hypothesis(BASE, (wrong, right))], first.fits["wall"], batch, SIMULATOR, seed=0
     )["wall+gas_loss"]
-    again = reconsider(inquiry, first, right, both, seed=0)
-    assert again.winner == "gas_loss"
+    before = adequacy_test(null, inquiry.effects, batch, SIMULATOR, seed=0)
+    again = reconsider(inquiry, first, "gas_loss", both, before=before, seed=0)
+    assert again.winner.name == "gas_loss"
     assert again.fits["gas_loss"].certificate.converged
     assert again.posterior["gas_loss"] > 0.9
-    assert reconsider(inquiry, again, wrong, both, seed=0) is again
+    assert reconsider(inquiry, again, "wall", both, before=before, seed=0) is again
 
 
 def test_that_few_steps_of_polytropic_bubbles_are_taken_by_workers_too() -> None:

@@ -170,8 +170,8 @@ def test_that_matched_data_give_silence_in_words_json_and_html(matched, tmp_path
         == 0
     )
     names = {path.stem for path in (tmp_path / "figures").iterdir()}
-    assert {"tests"} < names
-    assert len(names) == 2  # and the curve
+    assert {"tests", "parameters"} < names
+    assert len(names) == 3  # and the curve
     page = paths["html"].read_text()
     assert "No gap was found" in page
     assert "Curves of design 0" in page

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import pytest
 
 from imr_torch.gap.attribute import Attribution, Inquiry
+from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.gap.verdict import PRIOR_NONE, PRIOR_SLOW, PRIOR_TWO, choose, probabilities
 from imr_torch.material import library
 from tests.gap.synthetic import BASE
@@ -18,31 +19,51 @@ from tests.gap.synthetic import BASE
 EFFECTS = library(
     ["residual_velocity", "trigger_offset", "gas_loss", "wall"]
 )  # the first two are one family
-EVEN = dict.fromkeys(["none", *(e.name for e in EFFECTS)], -3.0)
+FAMILIES = {effect.name: effect.family for effect in EFFECTS}
+EVEN = dict.fromkeys(["none", *FAMILIES], -3.0)
+NOTHING = Hypothesis(BASE)
 module = sys.modules["imr_torch.gap.diagnose"]  # its name in the package is that of the function
 
 
+def hypothesis(name: str) -> Hypothesis:
+    known = {effect.name: effect for effect in EFFECTS}
+    return Hypothesis(BASE, tuple(known[part] for part in name.split("+")))
+
+
 def attribution(
-    posterior: dict[str, float], winner: str, *, p_adequate: float = 0.5, converged: bool = True
+    posterior: dict[str, float],
+    winner: str,
+    *,
+    p_adequate: float = 0.5,
+    converged: bool = True,
+    held: Hypothesis = NOTHING,
+    nats: float = 0.0,
 ) -> Attribution:
     certificate = SimpleNamespace(converged=converged, nearly_converged=converged, usable=converged)
     fit = SimpleNamespace(certificate=certificate)
-    evidence = dict.fromkeys(["none", winner], 0.0)
+    best = hypothesis(winner)
+    names = [n for n in posterior if n not in ("none", "other", "slow_noise")]
+    hypotheses = {held.name: held, winner: best} | {n: hypothesis(n) for n in names}
     test = SimpleNamespace(p_value=p_adequate, bias_radius=0.01)
-    return Attribution({winner: fit}, evidence, posterior, {}, winner, test, {})
+    left = SimpleNamespace(test=test, starts={})
+    evidence = {held.name: 0.0, winner: nats}
+    likeness = SimpleNamespace(chance=0.1)
+    return Attribution(held, hypotheses, {winner: fit}, evidence, posterior, best, left, likeness)
 
 
 def named(posterior: dict[str, float], winner: str, **about: float):
-    return module._name((), attribution(posterior, winner, **about), choose(posterior))
+    return module._name(attribution(posterior, winner, **about), choose(posterior))
 
 
 def selected(p_gap: float):
     left = SimpleNamespace(test=SimpleNamespace(p_value=p_gap, bias_radius=0.02), starts={})
-    return module._select(Inquiry(BASE, EFFECTS, None, None), None, left, 2, seed=0, progress=None)
+    batch = SimpleNamespace(experiments=(0,))
+    inquiry = Inquiry(BASE, EFFECTS, batch, None)
+    return module._select(inquiry, None, left, 2, alone=(), seed=0, progress=None)
 
 
 def test_that_even_evidence_gives_the_prior_over_families_back() -> None:
-    posterior = probabilities(EVEN, EFFECTS, (), 1.0, odds=1.0)
+    posterior = probabilities(EVEN, FAMILIES, "none", 1.0, odds=1.0)
     assert sum(posterior.values()) == pytest.approx(1.0)
     assert posterior["none"] == pytest.approx(PRIOR_NONE)
     assert posterior["other"] == pytest.approx(0.25)
@@ -53,10 +74,10 @@ def test_that_even_evidence_gives_the_prior_over_families_back() -> None:
 def test_that_evidence_is_weighted_by_its_exponential_and_what_was_not_fitted_counts_for_nothing() -> (
     None
 ):
-    posterior = probabilities(EVEN | {"wall": -3.0 + math.log(40.0)}, EFFECTS, (), 1.0)
+    posterior = probabilities(EVEN | {"wall": -3.0 + math.log(40.0)}, FAMILIES, "none", 1.0)
     assert posterior["wall"] == pytest.approx(40.0 * posterior["gas_loss"])
     assert "wall" not in probabilities(
-        {k: v for k, v in EVEN.items() if k != "wall"}, EFFECTS, (), 1.0
+        {k: v for k, v in EVEN.items() if k != "wall"}, FAMILIES, "none", 1.0
     )
 
 
@@ -65,7 +86,7 @@ def test_that_evidence_is_weighted_by_its_exponential_and_what_was_not_fitted_co
 def test_that_the_odds_of_an_unknown_effect_are_prior_odds_times_the_bayes_factor(
     odds: float, factor: float
 ) -> None:
-    posterior = probabilities(EVEN | {"wall": 20.0}, EFFECTS, (), factor, odds=odds)
+    posterior = probabilities(EVEN | {"wall": 20.0}, FAMILIES, "none", factor, odds=odds)
     known = sum(p for name, p in posterior.items() if name not in ("none", "other"))
     assert posterior["other"] / known == pytest.approx(odds * factor)
 
@@ -74,7 +95,10 @@ def test_that_two_known_effects_are_rarer_than_one_and_an_unknown_one_must_have_
     None
 ):
     evidence = {"gas_loss": 0.0, "gas_loss+wall": 50.0}
-    posterior = probabilities(evidence, (EFFECTS[3],), (EFFECTS[2],), 0.2, odds=1.0, masked=0.6)
+    families = {"gas_loss+wall": "wall"}
+    posterior = probabilities(
+        evidence, families, "gas_loss", 0.2, odds=1.0, beside=True, masked=0.6
+    )
     assert set(posterior) == {"gas_loss+wall", "none", "other"}
     assert posterior["other"] / posterior["gas_loss+wall"] == pytest.approx(0.2 * 0.6 / PRIOR_TWO)
 
@@ -152,10 +176,12 @@ def test_that_a_first_effect_is_dropped_where_the_second_is_enough_alone(
     monkeypatch, other: float, cause: tuple[str, ...]
 ) -> None:
     first = attribution({"gas_loss": 0.0, "none": 0.0, "other": 1.0}, "gas_loss", p_adequate=1e-6)
-    both = attribution({"gas_loss+wall": 0.96, "none": 0.0, "other": 0.04}, "gas_loss+wall")
-    both.log_evidence.update({"gas_loss": 0.0, "gas_loss+wall": 20.0})
+    probable = {"gas_loss+wall": 0.96, "none": 0.0, "other": 0.04}
+    both = attribution(probable, "gas_loss+wall", held=hypothesis("gas_loss"), nats=20.0)
     alone = attribution({"wall": 1.0 - other, "none": 0.0, "other": other}, "wall")
-    monkeypatch.setattr(module, "attribute", lambda *_, with_, **__: both if with_ else first)
+    monkeypatch.setattr(
+        module, "attribute", lambda _, fit, held, **__: both if held.parts else first
+    )
     monkeypatch.setattr(module, "reconsider", lambda *_, **__: alone)
     finding = selected(0.0)
     assert (finding.verdict, finding.cause) == ("effect", cause)
@@ -190,8 +216,8 @@ def test_that_other_needs_a_certificate_of_what_came_nearest(monkeypatch) -> Non
 def test_that_slow_noise_has_its_prior_and_deviations_alike_in_all_shots_as_an_unknown_effect() -> (
     None
 ):
-    posterior = probabilities(EVEN, EFFECTS, (), 1.0, odds=1.0, smooth=(-3.0, -3.0))
-    plain = probabilities(EVEN, EFFECTS, (), 1.0, odds=1.0)
+    posterior = probabilities(EVEN, FAMILIES, "none", 1.0, odds=1.0, smooth=(-3.0, -3.0))
+    plain = probabilities(EVEN, FAMILIES, "none", 1.0, odds=1.0)
     assert sum(posterior.values()) == pytest.approx(1.0)
     assert posterior["slow_noise"] / posterior["gas_loss"] == pytest.approx(
         3.0 * PRIOR_SLOW / (1.0 - PRIOR_SLOW)
@@ -200,12 +226,12 @@ def test_that_slow_noise_has_its_prior_and_deviations_alike_in_all_shots_as_an_u
         3.0 * posterior["gas_loss"] + posterior["slow_noise"]
     )
     assert posterior["gas_loss"] < plain["gas_loss"]
-    loud = probabilities(EVEN, EFFECTS, (), 1.0, odds=1.0, smooth=(40.0, -3.0))
+    loud = probabilities(EVEN, FAMILIES, "none", 1.0, odds=1.0, smooth=(40.0, -3.0))
     assert loud["slow_noise"] == pytest.approx(
         2.0 / 3.0, abs=1e-6
     )  # an unknown effect may differ between designs too
     assert loud["other"] == pytest.approx(1.0 / 3.0, abs=1e-6)
-    alike = probabilities(EVEN, EFFECTS, (), 1.0, odds=1.0, smooth=(-3.0, 40.0))
+    alike = probabilities(EVEN, FAMILIES, "none", 1.0, odds=1.0, smooth=(-3.0, 40.0))
     assert alike["other"] > 0.999
 
 
@@ -225,6 +251,9 @@ def test_that_slow_noise_is_no_effect_and_is_said_with_what_would_decide(monkeyp
 
 def test_that_a_cause_is_not_sure_where_a_fit_ahead_of_it_did_not_converge() -> None:
     found = attribution({"gas_loss": 0.96, "none": 0.0, "other": 0.04}, "gas_loss")
-    finding = module._name((), replace(found, left_out=("wall",)), choose(found.posterior))
+    found = replace(
+        found, left_out=("wall",), hypotheses=found.hypotheses | {"wall": hypothesis("wall")}
+    )
+    finding = module._name(found, choose(found.posterior))
     assert (finding.verdict, finding.cause) == ("undecided", ("gas_loss",))
     assert "The fit with wall did not converge and was left out" in finding.reason

@@ -1,0 +1,298 @@
+"""The document of a diagnosis, and what is made of it alone: words, figures and page, which agree."""
+
+import base64
+import io
+import json
+import math
+import re
+import shutil
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+import torch
+from matplotlib.image import imread
+
+from imr_torch.errors import ConvergenceError
+from imr_torch.gap import describe, diagnose, examine, library, to_json, write_page
+from imr_torch.gap.figures import gap_figures
+from imr_torch.gap.text import hidden_rows, sections, title
+from imr_torch.material import LIBRARY, PARAMETERS
+from imr_torch.observe import SimulatedLaboratory
+from imr_torch.results import draw_figures
+from imr_torch.simulate import PolytropicSimulator
+from tests.figures import rendering
+
+SIMULATOR = PolytropicSimulator(threads=1)
+OFFERED = ("sound_speed", "rinf_bias", "refraction")
+BROWSER = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
+
+
+def shots(effect: dict[str, float], repeats: int, stiffness: tuple[float, ...]):
+    """Shots of gels with an effect, one a stiffness."""
+    times = torch.linspace(0.0, 2.6, 53, dtype=torch.float64)
+    made = []
+    for number, stiff in enumerate(stiffness):
+        gel = PARAMETERS.pack({"G": stiff, "mu": 0.08} | effect)
+        laboratory = SimulatedLaboratory(SIMULATOR, gel, repeats=repeats, times=times)
+        design = torch.tensor([200.0 + 200.0 * number, 0.2 - 0.015 * number], dtype=torch.float64)
+        made.append(laboratory.shoot(design, seed=number, label=f"shot {number}"))
+    return made
+
+
+def document_of(experiments, offered=OFFERED) -> dict:
+    report = diagnose(experiments, effects=library(offered), simulator=SIMULATOR)
+    made = to_json(report, examine(report, SIMULATOR), simulator=SIMULATOR)
+    return json.loads(json.dumps(made, allow_nan=False))
+
+
+@pytest.fixture(scope="module")
+def documents() -> dict[str, dict]:
+    """Diagnoses of each kind of answer."""
+    slower = {"sound_speed": 0.5}
+    return {
+        "named": document_of(shots(slower, 10, (8e3, 8e3, 8e3))),
+        "other": document_of(shots(slower, 10, (8e3, 8e3, 8e3)), OFFERED[1:]),
+        "none": document_of(shots({}, 5, (8e3, 8e3))),
+        "differ": document_of(shots({}, 1, (6e3, 11e3, 8e3))),
+        "one shot": document_of(shots(slower, 10, (8e3,))),
+    }
+
+
+def test_that_every_kind_of_answer_is_among_them(documents) -> None:
+    assert documents["named"]["cause"] == ["sound_speed"]
+    assert documents["other"]["verdict"] == "other"
+    assert documents["none"]["verdict"] == "none"
+    assert documents["differ"]["cause"] == ["gel_scatter"]
+    assert documents["one shot"]["gap"]
+
+
+def test_that_probabilities_and_numbers_are_consistent(documents) -> None:
+    for document in documents.values():
+        if document["posterior"] is not None:
+            assert sum(document["posterior"].values()) == pytest.approx(1.0)
+            at_odds = document["posterior_at_odds"]
+            assert set(at_odds) == {"1:9", "1:1"}
+            assert document["posterior"] == at_odds[document["verdict_odds"]]
+            assert set(document["members"]) <= set(document["posterior"])
+        for name, (low, middle, high) in document["parameters"].items():
+            assert low < middle < high
+            wide = document["parameters_with_model_error"][name]
+            assert wide[0] < wide[1] < wide[2]
+        for curve in document["curves"]:
+            assert len(curve["t_star"]) == len(curve["R_star"]) == len(curve["base"])
+
+
+def test_that_headline_sections_and_values_agree(documents) -> None:
+    """Every sentence is made of the document; none says what another denies."""
+    for document in documents.values():
+        text = describe(document)
+        assert document["headline"] in text
+        assert "nan" not in text
+        assert re.search(r"[a-z]_[0-9a-f]{8}", text) is None
+        if document["verdict"] == "none":
+            assert "No gap was found" in text
+            assert "There is a gap" not in text
+            assert document["shrinkage"] is None
+        if document["verdict"] == "other":
+            assert document["cause"] == []
+            assert "is closed" not in text
+        for name in document["cause"]:
+            assert title(name) in document["headline"]
+        if document["verdict"] == "effect" and document["cause"] == ["gel_scatter"]:
+            assert "no effect of the library" not in text.lower()
+            assert "by themselves: none" in text
+        for name, values in document["parameters"].items():
+            assert f"{name} is " in text
+            assert PARAMETERS[name].interval(*values).split(" (")[0]
+
+
+def test_that_a_named_cause_closes_the_gap_and_one_shot_says_why_nothing_is_judged(
+    documents,
+) -> None:
+    named = documents["named"]["shrinkage"]
+    assert named["word"] == "closed"
+    assert named["share"][0] > named["placebo_95"]
+    assert named["selected"] == [["sound_speed"]] * 3
+    assert "goes with what was selected (the speed of sound differs (sound_speed))" in describe(
+        documents["named"]
+    )
+    assert documents["one shot"]["shrinkage"] is None
+    assert "give two curves or more" in describe(documents["one shot"])
+    assert "no effect was selected" in describe(documents["differ"])
+
+
+def test_that_what_these_data_would_not_show_stands_beside_every_verdict(documents) -> None:
+    for document in documents.values():
+        rows = hidden_rows(document)
+        assert len(rows) >= 1
+        assert all(len(row) == 3 and row[0].endswith(")") for row in rows)
+    assert {row["effect"] for row in documents["none"]["hidden"]} == set(OFFERED)
+
+
+def test_that_gels_that_differ_are_listed_shot_by_shot(documents) -> None:
+    gels = documents["differ"]["gels"]
+    assert gels["G"] == pytest.approx([6e3, 11e3, 8e3], rel=0.15)
+    assert "G of each shot:" in describe(documents["differ"])
+    assert "characterize --population" in documents["differ"]["next_step"]
+    assert documents["named"]["gels"] is None
+
+
+def test_that_words_are_remade_from_a_saved_document(documents, tmp_path) -> None:
+    target = tmp_path / "result.json"
+    target.write_text(json.dumps(documents["named"]))
+    again = json.loads(target.read_text())
+    assert describe(again) == describe(documents["named"])
+    assert write_page(again, tmp_path / "again.html").read_text()
+
+
+def test_that_titles_are_words_with_the_code_name_behind() -> None:
+    assert title("gel_scatter") == "the gel differs between shots"
+    assert title("clock+wall").count(" and ") == 1
+    assert all(title(name).endswith(f"({name})") for name in LIBRARY)
+
+
+def test_that_drawn_curves_pass_through_the_predictions(documents) -> None:
+    for curve in documents["named"]["curves"]:
+        for name in ("base", "selected"):
+            drawn = curve["drawn"][name]
+            t, r = (np.array(drawn[key], dtype=float) for key in ("t_star", "R_star"))
+            known = np.isfinite(r)
+            error = np.abs(np.interp(curve["t_star"], t[known], r[known]) - curve[name])
+            assert np.quantile(error, 0.9) < 1e-3  # polygons are less exact at collapses
+
+
+def test_that_every_figure_of_a_document_is_drawn_by_plot_too(documents) -> None:
+    for document in documents.values():
+        with rendering():
+            names = [figure.name for figure in gap_figures(document)]
+            drawn = draw_figures(document)
+            assert [figure.name for figure in drawn] == names
+            for figure in drawn:
+                made = figure.draw()
+                assert all(ax.has_data() for ax in made.axes[:1])
+                assert len(figure.alt) > 20
+                plt.close(made)
+    assert "shrinkage" in [figure.name for figure in gap_figures(documents["named"])]
+
+
+class _Reader(HTMLParser):
+    def __init__(self):
+        super().__init__()
+        self.images = []
+        self.headings = []
+        self.links = []
+        self.open = []
+
+    def handle_starttag(self, tag, attrs):
+        attributes = dict(attrs)
+        self.links += [attributes[key] for key in ("src", "href") if key in attributes]
+        if tag == "img":
+            self.images.append(attributes)
+        if re.fullmatch(r"h\d", tag):
+            self.headings.append(tag)
+        if tag not in ("img", "meta", "link"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+def read(page: Path) -> _Reader:
+    reader = _Reader()
+    reader.feed(page.read_text())
+    assert reader.open == []
+    return reader
+
+
+@pytest.fixture(scope="module")
+def page(documents, tmp_path_factory) -> Path:
+    with rendering():
+        target = tmp_path_factory.mktemp("page") / "page.html"
+        return write_page(documents["named"], target, name="A < B")
+
+
+def test_that_the_page_is_one_file_with_every_figure_decodable_and_described(
+    documents, page
+) -> None:
+    reader = read(page)
+    assert all(link.startswith("data:") for link in reader.links)
+    assert len(reader.images) == len(list(gap_figures(documents["named"])))
+    for image in reader.images:
+        pixels = imread(
+            io.BytesIO(base64.b64decode(image["src"].removeprefix("data:image/png;base64,")))
+        )
+        assert min(pixels.shape[:2]) > 100
+        assert len(image["alt"]) > 20
+
+
+def test_that_the_page_has_the_sections_of_the_words_in_order(documents, page) -> None:
+    document = documents["named"]
+    text = page.read_text()
+    shown = [s.heading for s in sections(document)[1:] if not s.folded]
+    folded = [s.heading for s in sections(document) if s.folded]
+    places = [
+        text.index(f"<h2>{heading}</h2>")
+        for heading in ("The gel", "The curves", *shown, "What to do next")
+    ]
+    places += [text.index(f"<details><summary>{heading}</summary>") for heading in folded]
+    assert places == sorted(places)
+    assert "<h1>A &lt; B</h1>" in text
+
+
+def test_that_figures_do_not_stay_open(documents, tmp_path) -> None:
+    before = plt.get_fignums()
+    write_page(documents["none"], tmp_path / "page.html")
+    assert plt.get_fignums() == before
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium here to open the page in")
+def test_that_a_browser_draws_every_figure_without_a_complaint(page, tmp_path) -> None:
+    probe = "<script>addEventListener('load', () => {for (const i of document.images) i.dataset.width = i.naturalWidth})</script>"
+    copy = tmp_path / "probe.html"
+    copy.write_text(page.read_text().replace("</body>", f"{probe}</body>"))
+    options = [
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--enable-logging=stderr",
+        f"--user-data-dir={tmp_path / 'profile'}",
+    ]
+    done = subprocess.run(
+        [BROWSER, *options, "--dump-dom", copy.as_uri()],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    widths = re.findall(r'data-width="(\d+)"', done.stdout)
+    assert len(widths) == len(read(page).images)
+    assert all(int(width) > 100 for width in widths)
+    assert "CONSOLE" not in done.stderr
+
+
+def test_that_a_power_that_is_no_number_is_null_and_not_printed(documents) -> None:
+    powers = [row["power"] for document in documents.values() for row in document["tests"]]
+    assert None in powers
+    assert not any(math.isnan(power) for power in powers if power is not None)
+
+
+def test_that_bubbles_that_cannot_be_simulated_elsewhere_cost_the_next_design_alone(
+    monkeypatch,
+) -> None:
+    def failing(*_, **__):
+        raise ConvergenceError("too few designs")
+
+    module = sys.modules["imr_torch.gap.examine"]  # its name in the package is the function's
+    monkeypatch.setattr(module, "identity_design", failing)
+    monkeypatch.setattr(module, "_SURE", 1.1)
+    experiments = shots({"sound_speed": 0.5}, 10, (8e3, 8e3))
+    report = diagnose(experiments, effects=library(OFFERED), simulator=SIMULATOR)
+    parts = examine(report, SIMULATOR)
+    assert parts.next_design is None
+    assert parts.onset is not None
