@@ -6,6 +6,7 @@ help, version and mistakes answer without PyTorch; the demo; completion of comma
 import json
 import subprocess
 import sys
+from inspect import signature
 from typing import get_args
 
 import pytest
@@ -20,7 +21,7 @@ from imr_torch.cli.design import ESTIMATORS
 from imr_torch.cli.figures import FORMATS
 from imr_torch.cli.options import COMMANDS, names
 from imr_torch.design import STRATEGIES, Target
-from imr_torch.gap import MOST
+from imr_torch.gap import diagnose
 from imr_torch.material import CASES, MATERIALS
 from imr_torch.material.media import NAMED
 from imr_torch.population import SCALE
@@ -77,7 +78,7 @@ def test_that_the_version_is_that_of_the_package(capsys):
         (names.FORMATS, FORMATS),
         (
             (names.SCATTER_SCALE, names.EVALUATIONS, names.EFFECTS_ADDED),
-            (SCALE, Optimal.evaluations, MOST),
+            (SCALE, Optimal.evaluations, signature(diagnose).parameters["most"].default),
         ),
     ],
 )

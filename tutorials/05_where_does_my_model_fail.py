@@ -14,7 +14,8 @@ from pathlib import Path
 import torch
 
 from imr_torch import example_gel
-from imr_torch.gap import LIBRARY, describe, diagnose, examine, library, plots, to_json, write_page
+from imr_torch.gap import LIBRARY, describe, diagnose, examine, library, to_json, write_page
+from imr_torch.gap.figures import plot_tests
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import SimulatedLaboratory, load_traces, prepare
 from imr_torch.simulate import PolytropicSimulator, TransportSimulator
@@ -50,14 +51,15 @@ offered = library(("sound_speed", "rinf_bias", "strain_stiffening") if SMOKE els
 
 report = diagnose(experiments, effects=offered, simulator=simulator)
 parts = examine(report, simulator)
-print(describe(report, parts))
+document = to_json(report, parts, simulator=simulator)
+print(describe(document))
 
 # %% [markdown]
 # The page holds the same words with their figures; every figure can be drawn alone.
 
 # %%
-print("wrote", write_page(report, OUT / "withheld.html", parts, title="A withheld effect"))
-plots.plot_scores(report.gap).figure.savefig(OUT / "tests.png")
+print("wrote", write_page(document, OUT / "withheld.html", name="A withheld effect"))
+plot_tests(document["tests"]).figure.savefig(OUT / "tests.png")
 
 # %% [markdown]
 # ## The effect is not in the library
@@ -90,12 +92,13 @@ offered = library(("rinf_bias", "clock", "heat_exchange")) if SMOKE else None
 report = diagnose(curves, effects=offered, estimate_noise=True, simulator=physics)
 print(f"noise {report.batch.noise}")
 parts = examine(report, physics)
-print(describe(report, parts))
-write_page(report, OUT / "example_gel.html", parts, title="Example gel")
+document = to_json(report, parts, simulator=physics)
+print(describe(document))
+write_page(document, OUT / "example_gel.html", name="Example gel")
 print(
     {
         key: value
-        for key, value in to_json(report, parts).items()
+        for key, value in document.items()
         if key in ("gap", "p_gap", "verdict", "cause", "converged")
     }
 )

@@ -14,7 +14,7 @@ import torch
 
 from imr_torch.assimilate import SearchOptions, assimilate
 from imr_torch.elementary import Scalar, exp
-from imr_torch.gap import describe, diagnose, examine
+from imr_torch.gap import describe, diagnose, examine, to_json
 from imr_torch.material import (
     PARAMETERS,
     Effect,
@@ -121,7 +121,7 @@ rivals = ("fading_pressure", "far_field_pressure", "sound_speed") + (
     () if SMOKE else ("heat_exchange", "rinf_bias", "wall")
 )
 report = diagnose(experiments, effects=library(rivals), simulator=simulator, seed=0)
-print(describe(report, examine(report, simulator, seed=0)))
+print(describe(to_json(report, examine(report, simulator, seed=0))))
 
 # %% [markdown]
 # ## And in a fit

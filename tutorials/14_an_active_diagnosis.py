@@ -17,7 +17,7 @@ from imr_torch import PolytropicSimulator, wide_prior
 from imr_torch.campaign import Campaign, CampaignSettings, CauseProbability
 from imr_torch.design import Plan
 from imr_torch.gap import CauseLearner, TellCausesApart
-from imr_torch.gap.plots import plot_causes
+from imr_torch.gap.figures import plot_causes
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import SimulatedLaboratory
 from imr_torch.random import child

@@ -139,7 +139,7 @@ def _components(report: GapReport) -> list[tuple[float, list[_Place], bool, floa
     parts = []
     shares = dict(found.posterior)
     known = 1.0 - shares.get(OTHER, 0.0)
-    if 0.0 < known and 1.0 - known < _MISNAMED:
+    if known > 0.0 and 1.0 - known < _MISNAMED:
         shares = {name: p * (1.0 - _MISNAMED) / known for name, p in shares.items()}
         shares[OTHER] = _MISNAMED
     for name, weight in shares.items():

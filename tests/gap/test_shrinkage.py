@@ -11,7 +11,7 @@ from imr_torch import example_gel, load_traces
 from imr_torch.gap import diagnose, library
 from imr_torch.gap.held_out import HeldOut, Judged, held_out, judge_designs
 from imr_torch.gap.hypotheses import Hypothesis
-from imr_torch.gap.shrinkage import Shrinkage, _compared, _interval, shrinkage
+from imr_torch.gap.shrinkage import Shrinkage, _compared, _interval, _phases, shrinkage
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, prepare
 from imr_torch.simulate import TransportSimulator
 from tests.gap.synthetic import BASE, DESIGNS, SIMULATOR, fit, shoot
@@ -78,7 +78,8 @@ def pair(bias: float, freedom: int, seed: int) -> Judged:
     radius = 0.2 + 0.8 * torch.cos(1.7 * times).abs()
     batch = ExperimentBatch((Experiment("shot", (400.0, 0.2), times, radius[None]),))
     rows = torch.arange(90, dtype=torch.float64) / 90.0
-    smooth = torch.stack([torch.cos(torch.pi * k * rows) for k in range(freedom)], 1)
+    numbers = torch.arange(freedom, dtype=torch.float64)
+    smooth = torch.cos(torch.pi * rows[:, None] * numbers)
     gap = bias * torch.sin(7.0 * rows + 6.0 * torch.rand(1, generator=source, dtype=torch.float64))
     residual = gap + torch.randn(90, generator=source, dtype=torch.float64)
     nothing = torch.zeros(90, 0, dtype=torch.float64)
@@ -172,3 +173,17 @@ def test_that_time_zero_of_a_held_out_curve_is_found_past_the_minima_that_its_co
         one = ExperimentBatch((experiment,), noise)
         found = held_out(known, Hypothesis(BASE), one, TransportSimulator())
         assert float(found.residual.square().mean()) < 1.0
+
+
+def test_that_a_quiet_phase_takes_nothing_from_the_gap() -> None:
+    """Late frames of noise far below the law would cancel what is left of the gap in early ones."""
+    gaps = []
+    for seed in range(12):
+        judged = pair(0.0, 0, seed)
+        phase = _phases(judged.base)
+        noise = torch.randn(90, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+        residual = torch.where(phase < 2, noise + 1.0, 0.1 * noise)
+        loud = replace(judged.base, residual=residual)
+        compared = _compared(replace(judged, base=loud, effect=loud))
+        gaps.append(float(compared.base.sum()) / int((phase < 2).sum()))
+    assert sum(gaps) / 12 == pytest.approx(1.0, abs=0.3)
