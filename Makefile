@@ -41,11 +41,11 @@ benchmark: setup
 
 locks: setup
 	$(PIP) -e ".[release]"
-	$(BIN)/python -m benchmarks.locks
+	$(BIN)/python -m tools.locks
 
 release-check: setup
 	$(PIP) -e ".[release]"
-	$(BIN)/python -m benchmarks.release
+	$(BIN)/python -m tools.release
 
 clean:
 	rm -rf $(VENV) docs/_build

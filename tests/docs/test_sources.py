@@ -139,7 +139,7 @@ def test_that_a_class_or_function_is_documented_by_its_own_directive(extensions)
 )
 def test_that_the_notebook_holds_the_cells_of_its_script_and_output(path):
     pytest.importorskip("jupytext")
-    from benchmarks.notebooks import cells
+    from tools.notebooks import cells
 
     notebook = path.with_suffix(".ipynb")
     assert cells(notebook) == cells(path)
