@@ -155,7 +155,7 @@ def make_set(task: Task) -> SyntheticSet:
 
 
 def _try(task: Task, source: torch.Generator) -> SyntheticSet | None:
-    gel = {name: draw_log_uniform(bounds, source) for name, bounds in GEL.items()}
+    gel = {name: _log_uniform(bounds, source) for name, bounds in GEL.items()}
     plan = make_plan(draw_designs(task.designs + UNSEEN, source), task)
     known = library()
     chosen: dict[Effect, dict[str, float]] = {}
@@ -216,8 +216,7 @@ def _one_of(effects: tuple[Effect, ...], source: torch.Generator) -> Effect:
     return effects[int(torch.randint(len(effects), (), generator=source))]
 
 
-def draw_log_uniform(bounds: tuple[float, float], source: torch.Generator) -> float:
-    """A number whose logarithm is uniform."""
+def _log_uniform(bounds: tuple[float, float], source: torch.Generator) -> float:
     low, high = map(math.log, bounds)
     return math.exp(
         low + (high - low) * float(torch.rand((), generator=source, dtype=torch.float64))
@@ -257,7 +256,7 @@ def draw_effect(effect: Effect, source: torch.Generator) -> tuple[Effect, dict[s
         if i:
             values[name] = float(prior.to_physical(u))
             continue
-        size = prior.sd * draw_log_uniform(_AMPLITUDE, source)  # type: ignore[attr-defined]  # amplitudes are truncated normal
+        size = prior.sd * _log_uniform(_AMPLITUDE, source)  # type: ignore[attr-defined]  # amplitudes are truncated normal
         signed = math.copysign(size, float(u))
         lower = max(prior.lower, PARAMETERS[name].lower)
         upper = min(prior.upper, PARAMETERS[name].upper)

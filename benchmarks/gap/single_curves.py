@@ -30,7 +30,7 @@ import torch
 from scipy.stats import kstest
 from torch import Tensor
 
-from benchmarks.gap.sets import GEL, SHARP, draw_designs, draw_effect, draw_log_uniform
+from benchmarks.gap.sets import GEL, SHARP, draw_designs, draw_effect
 from benchmarks.gap.verdicts import families, is_named
 from benchmarks.records import Job, Line, read_record, run_missing_jobs, write_table
 from imr_torch import characterize, wide_prior
@@ -134,7 +134,10 @@ def simulate_set(number: int, kind: str, *, stated: bool) -> tuple[TraceSet, lis
     times = torch.linspace(0.0, LENGTH, _DENSE, dtype=torch.float64)
     blank = torch.ones(1, _DENSE, dtype=torch.float64)
     while True:
-        values = {name: draw_log_uniform(bounds, source) for name, bounds in GEL.items()}
+        values = {
+            name: low * (high / low) ** float(torch.rand((), generator=source))
+            for name, (low, high) in GEL.items()
+        }
         truth: Line = {"effect": "none", **values}
         if kind == "effect":
             name = names[int(torch.randint(len(names), (), generator=source))]
