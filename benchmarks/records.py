@@ -194,4 +194,5 @@ def write_figures(figures: Iterable[Figure]) -> str:
 def write_table(head: Sequence[object], rows: Iterable[Sequence[object]]) -> str:
     """A Markdown table."""
     lines = (head, ["---"] * len(head), *rows)
-    return "\n".join(f"| {' | '.join(map(str, line))} |" for line in lines)
+    cells = ([f"{x:.4g}" if isinstance(x, float) else str(x) for x in line] for line in lines)
+    return "\n".join(f"| {' | '.join(line)} |" for line in cells)
