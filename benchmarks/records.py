@@ -193,6 +193,6 @@ def write_figures(figures: Iterable[Figure]) -> str:
 
 def write_table(head: Sequence[object], rows: Iterable[Sequence[object]]) -> str:
     """A Markdown table."""
-    lines = (head, ["---"] * len(head), *rows)
-    cells = ([f"{x:.4g}" if isinstance(x, float) else str(x) for x in line] for line in lines)
-    return "\n".join(f"| {' | '.join(line)} |" for line in cells)
+    cells = [[f"{x:.4g}" if isinstance(x, float) else str(x) for x in row] for row in (head, *rows)]
+    first, *others = (f"| {' | '.join(row)} |" for row in cells)
+    return "\n".join((first, "|" + "---|" * len(head), *others))
