@@ -37,7 +37,7 @@ docs: setup
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
 
 benchmark: setup
-	$(BIN)/python benchmarks/solver.py
+	$(BIN)/python -m benchmarks.solver
 
 locks: setup
 	$(PIP) -e ".[release]"
