@@ -17,7 +17,7 @@ KINDS = (
     "layout",
     "set",
     "option",
-    "new",
+    "times",
     "target",
     "belief",
     "journal",
