@@ -203,7 +203,7 @@ def test_that_a_worker_that_dies_costs_its_own_shot_alone(
 ) -> None:
     monkeypatch.setattr(batch, "characterize_shot", fatal)
     summary = run_batch(
-        shots, folder=tmp_path / "out", options=OPTIONS, executor=partial(process_pool, 2), window=2
+        shots, folder=tmp_path / "out", options=OPTIONS, executor=partial(process_pool, 1), window=2
     )
     errors = {row["shot"]: row["error"] for row in summary.rows}
     assert errors["gel_0"] == "gel_0 was here"
