@@ -37,15 +37,15 @@ docs: setup
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
 
 benchmark: setup
-	$(BIN)/python benchmarks/solver.py
+	$(BIN)/python -m benchmarks.solver
 
 locks: setup
 	$(PIP) -e ".[release]"
-	$(BIN)/python -m benchmarks.locks
+	$(BIN)/python -m tools.locks
 
 release-check: setup
 	$(PIP) -e ".[release]"
-	$(BIN)/python -m benchmarks.release
+	$(BIN)/python -m tools.release
 
 clean:
 	rm -rf $(VENV) docs/_build

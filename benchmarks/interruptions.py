@@ -1,8 +1,8 @@
 """What kills, full disks and interruptions leave of a campaign: is the resumed journal the
 uninterrupted one, byte for byte?
 
-  python benchmarks/interruptions.py [--data CSV] [--experiments a,b,c] [--goal gel]
-      [--every 1] [--random 40] [--json OUT]
+  python -m benchmarks.interruptions [--data CSV] [--experiments a,b,c] [--goal gel]
+      [--every 1] [--random 40]
 
 Commands of a real campaign (what to shoot first; then a curve told at a time) run in processes of
 their own, which are
@@ -28,7 +28,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -38,7 +38,6 @@ from imr_torch.assimilate import SearchOptions
 from imr_torch.cli import campaign as command
 from imr_torch.cli import main
 from imr_torch.cli.common import METHODS
-from imr_torch.files import write_json
 
 WATCHED = ("journal", ".journal", "experiment_", ".experiment_", "campaign.json", ".campaign.json")
 OPTIONS = shlex.split(
@@ -229,28 +228,6 @@ def forked(
         )
 
 
-@dataclass
-class Tally:
-    """Counts of one kind of interruption.
-
-    Args:
-        tried: processes that were interrupted.
-        same: of which the campaign was resumed to the uninterrupted journal.
-        problems: what the others led to.
-    """
-
-    tried: int = 0
-    same: int = 0
-    problems: list[str] = field(default_factory=list)
-
-    def add(self, problem: str | None) -> None:
-        """Count an interruption."""
-        self.tried += 1
-        self.same += problem is None
-        if problem is not None:
-            self.problems.append(problem)
-
-
 def left_over(folder: Path) -> list[str]:
     """Files that should not be there once a command has ended."""
     return sorted(
@@ -366,58 +343,49 @@ def split(data: Path, names: Sequence[str], folder: Path) -> list[Path]:
     return files
 
 
-def run(
-    real: RealCampaign, every: int, randoms: int, note: Callable[[str], None]
-) -> dict[str, Tally]:
+Problems = dict[str, list[str | None]]
+"""Kind of interruption -> what it led to, None where the journal was the uninterrupted one."""
+
+
+def count_same(found: Problems) -> str:
+    """How many interruptions left the uninterrupted journal, in words."""
+    return ", ".join(f"{name} {rows.count(None)} of {len(rows)}" for name, rows in found.items())
+
+
+def interrupt_all(real: RealCampaign, every: int, randoms: int) -> Problems:
     """Interruptions of all commands: at every so many operations (0 for none), and so many at
     random.
     """
-    found = {
-        name: Tally()
-        for name in (
-            "killed at a disk operation",
-            "full disk",
-            "killed at random",
-            "Ctrl-C at random",
-        )
-    }
+    killed, full = "killed at a disk operation", "full disk"
+    found: Problems = {killed: [], full: []}
     counts = real.prepare()
-    note(f"disk operations of each command {counts}; seconds {[round(s, 1) for s in real.seconds]}")
+    print(f"disk operations of each command {counts}", flush=True)
     for number, count in enumerate(counts):
         for at in range(1, count + 1, every) if every else ():
             ended, problem = real.interrupt(number, Disk(at, "kill"))
-            wrong = None if ended.code == -signal.SIGKILL else f"ended with {ended.code}"
-            found["killed at a disk operation"].add(problem or wrong)
+            found[killed].append(problem or _expect(ended, ended.code == -signal.SIGKILL))
             ended, problem = real.interrupt(number, Disk(at, "full"))
-            plain = (
-                ended.code in (0, 1)
-                and ended.said.count("\n") <= 1
-                and "Traceback" not in ended.said
-            )
-            found["full disk"].add(
-                problem or (None if plain else f"ended with {ended.code}: {ended.said}")
-            )
-        note(f"command {number}: " + ", ".join(f"{k} {v.same}/{v.tried}" for k, v in found.items()))
+            plain = ended.code in (0, 1) and "Traceback" not in ended.said
+            found[full].append(problem or _expect(ended, plain and ended.said.count("\n") <= 1))
+        print(f"command {number}: {count_same(found)}", flush=True)
     source = random.Random(0)
-    for _ in range(randoms):
-        for name, signum in (
-            ("killed at random", signal.SIGKILL),
-            ("Ctrl-C at random", signal.SIGINT),
-        ):
-            number = source.randrange(len(counts))
-            after = 0.05 + source.random() * real.seconds[number]
-            ended, problem = real.interrupt(number, None, after=after, signum=signum)
-            if ended.code == 0 and problem is None:  # it had finished before
-                continue
-            plain = signum == signal.SIGKILL or (
-                ended.code in (0, 130) and ended.said.count("\n") <= 1
-            )
-            found[name].add(
-                problem
-                or (None if plain else f"after {after:.2f} s ended with {ended.code}: {ended.said}")
-            )
-    note(", ".join(f"{k} {v.same}/{v.tried}" for k, v in found.items()))
+    for name, signum in randoms * (
+        ("killed at random", signal.SIGKILL),
+        ("Ctrl-C at random", signal.SIGINT),
+    ):
+        number = source.randrange(len(counts))
+        after = 0.05 + source.random() * real.seconds[number]
+        ended, problem = real.interrupt(number, None, after=after, signum=signum)
+        if ended.code == 0 and problem is None:  # it had finished before
+            continue
+        plain = ended.code in (0, 130) and ended.said.count("\n") <= 1
+        wrong = problem or _expect(ended, signum == signal.SIGKILL or plain)
+        found.setdefault(name, []).append(wrong)
     return found
+
+
+def _expect(ended: Ended, good: bool) -> str | None:
+    return None if good else f"ended with {ended.code}: {ended.said}"
 
 
 def start() -> None:
@@ -439,18 +407,15 @@ def start() -> None:
     parser.add_argument(
         "--random", type=int, default=40, help="attempts to interrupt at random times, of each kind"
     )
-    parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         curves = split(args.data, args.experiments.split(","), Path(folder))
         real = RealCampaign(Path(folder), curves, [*OPTIONS, *GOALS.get(args.goal, [])])
-        found = run(real, args.every, args.random, lambda text: print(text, flush=True))
-    for name, tally in found.items():
-        print(f"{name}: {tally.same} of {tally.tried} resumed to the same journal")
-        for problem in tally.problems[:5]:
-            print(f"  {problem}")
-    if args.json:
-        write_json(args.json, {name: vars(tally) for name, tally in found.items()})
+        found = interrupt_all(real, args.every, args.random)
+    print(f"resumed to the same journal: {count_same(found)}")
+    for name, problems in found.items():
+        for problem in filter(None, problems):
+            print(f"  {name}: {problem}")
 
 
 if __name__ == "__main__":

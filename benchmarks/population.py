@@ -1,38 +1,34 @@
-"""Is the population's inference right on average? Coverage of medians and scatters, false alarms
-and power.
+"""Is the population's inference right on average, and do chosen designs help a campaign about one?
 
-  python benchmarks/population.py run --populations 300 --out population.jsonl [--noise estimated]
-  python benchmarks/population.py table --out population.jsonl
-  python benchmarks/population.py time --shots 20
-  python benchmarks/population.py campaigns --populations 20 --shots 4 --out campaigns.jsonl
+  python -m benchmarks.population run OUT.jsonl [--populations 300] [--noise estimated] [--seed 5]
+  python -m benchmarks.population campaigns OUT.jsonl [--populations 24] [--scatter .2 .1]
 
 `run` simulates, with the polytropic simulator, populations of 4 to 10 shots of one curve each, at
 Weber numbers of 250 to 600, R_inf* of .18 to .28 and with uncertain Rmax, time zero and R_inf, and
 infers them with the noise that made them, or with one that is estimated from the residuals, as of
 measured curves. A third have their scatters drawn from the prior of the inference (coverage is then
 right if the inference is exact), a third have none (false alarms), and the others a scatter of .1,
-.2 or .4 in ln G and none in mu (power). Results are appended as JSON lines, so a run that was cut
-off continues. `time` takes that many shots of a simulated population with heat and vapour
-transport, noise estimated, on one thread. `campaigns` runs simulated campaigns of that many shots
-about populations of given scatters (.2 in ln G and .1 in ln mu, or --scatter), each once with
-chosen and once with random designs, and compares what is known of median and scatter.
+.2 or .4 in ln G and none in mu (power). `campaigns` runs simulated campaigns of four shots about
+populations of given scatters, each once with chosen and once with random designs, and compares what
+is known of median and scatter. A run goes on where it stopped.
 """
 
 import argparse
-import json
 import math
+import statistics
 import tempfile
 import time
 import warnings
-from collections.abc import Iterator
+from collections import Counter
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from imr_torch import PolytropicSimulator, TransportSimulator, wide_prior
+from benchmarks.records import Figure, Line, run_missing_jobs, write_figures
+from imr_torch import PolytropicSimulator
 from imr_torch.assimilate import SearchOptions
-from imr_torch.calibration import coverage
 from imr_torch.campaign import (
     Campaign,
     CampaignSettings,
@@ -46,7 +42,6 @@ from imr_torch.material import PARAMETERS, Belief, LogNormal
 from imr_torch.observe import Experiment, Noise, Nuisance, SimulatedLaboratory
 from imr_torch.population import SCALE, Population, fit_shots, infer_population
 from imr_torch.random import child, generator
-from imr_torch.simulate import ACCURACIES
 
 KINDS = ("prior", "none", "prior", "none", "prior", "none", "0.1", "0.2", "0.4")
 UNCERTAIN = Nuisance(max_radius=0.005, time_zero=0.008, rest_radius=0.02)
@@ -56,7 +51,9 @@ NAMES = PRIOR.names
 OPTIONS = SearchOptions(raw_samples=96, starts=2)
 
 
-def simulated(number: int, seed: int, kind: str) -> tuple[dict[str, Any], list[Experiment]]:
+def simulate_population(
+    number: int, seed: int, kind: str
+) -> tuple[dict[str, Any], list[Experiment]]:
     """Truth and shots of one population; a shot whose gel cannot be simulated is drawn again."""
     source = generator(child(seed, "truth", number))
     count = 4 + int(torch.randint(7, (), generator=source))
@@ -89,7 +86,7 @@ def simulated(number: int, seed: int, kind: str) -> tuple[dict[str, Any], list[E
     return {"median": median.exp().tolist(), "scatter": scatter.tolist(), "gels": gels}, shots
 
 
-def judged(found: Population, truth: dict[str, Any]) -> dict[str, Any]:
+def judge_population(found: Population, truth: dict[str, Any]) -> dict[str, Any]:
     """What is kept of one population: intervals beside the truth, evidence, quality of the draws."""
     shots = [
         found.shot(label, name)[0] <= gel[i] <= found.shot(label, name)[2]
@@ -126,153 +123,54 @@ def _ranks(found: Population, name: str, truth: dict[str, Any]) -> tuple[float, 
     )  # type: ignore[return-value]
 
 
-def run(args: argparse.Namespace) -> None:
-    """Simulate and infer, one line each."""
-    path = Path(args.out)
-    done = {row["number"] for row in _rows(path)} if path.exists() else set()
-    simulator = PolytropicSimulator(threads=1)
-    noise: dict[str, Any] = {"noise": NOISE, "rounds": 0} if args.noise == "known" else {}
-    with path.open("a", encoding="utf-8") as stream:
-        for number in range(args.first, args.populations):
-            if number in done:
-                continue
-            kind = KINDS[number % len(KINDS)]
-            truth, shots = simulated(number, args.seed, kind)
-            started = time.process_time()
-            row: dict[str, Any] = {"number": number, "kind": kind, "count": len(shots)}
-            try:
-                fits = fit_shots(PRIOR, shots, simulator, **noise, seed=number, options=OPTIONS)
-                row |= judged(infer_population(fits, seed=number), truth)
-            except ImrError as error:
-                row["error"] = str(error)
-            row["seconds"] = time.process_time() - started
-            stream.write(json.dumps(row) + "\n")
-            stream.flush()
-
-
-def _rows(path: Path) -> Iterator[dict[str, Any]]:
-    for line in path.read_text(encoding="utf-8").splitlines():
-        yield json.loads(line)
-
-
-def table(args: argparse.Namespace) -> None:
-    """Print coverage, false alarms and power."""
-    rows = list(_rows(Path(args.out)))
-    wrong = [row for row in rows if "error" in row]
-    rows = [row for row in rows if "error" not in row]
-    print(
-        f"{len(rows)} populations, {len(wrong)} without an answer, "
-        f"{sum(row['seconds'] for row in rows) / len(rows):.1f} s each"
+def infer_one(number: int, seed: int, noise: str) -> Line:
+    """One population, simulated and inferred."""
+    truth, shots = simulate_population(number, seed, KINDS[number % len(KINDS)])
+    started = time.process_time()
+    known: dict[str, Any] = {"noise": NOISE, "rounds": 0} if noise == "known" else {}
+    fits = fit_shots(
+        PRIOR, shots, PolytropicSimulator(threads=1), **known, seed=number, options=OPTIONS
     )
-    print(f"draws not reliable by their own account: {sum(not row['reliable'] for row in rows)}")
+    line = judge_population(infer_population(fits, seed=number), truth)
+    return line | {"count": len(shots), "seconds": time.process_time() - started}
+
+
+def score_populations(lines: list[Line]) -> str:
+    """Coverage, false alarms and power."""
+    good = [line for line in lines if "error" not in line]
+    loose = sum(not line["reliable"] for line in good)
+    seconds = statistics.fmean(line["seconds"] for line in good)
+    pages = [
+        f"{len(lines)} populations, {len(lines) - len(good)} without an answer, {loose} that call "
+        f"their draws not reliable, {seconds:.1f} s each"
+    ]
     for kind in ("prior", "0.1", "0.2", "0.4", "none"):
-        some = [row for row in rows if row["kind"] == kind]
-        if not some:
-            continue
-        print(f"\nscatter {kind}: {len(some)} populations")
+        own = [line for line in good if line["kind"] == kind]
+        figures = []
         for name in NAMES:
-            for what in ("median", "scatter"):
-                if what == "scatter" and kind == "none":
-                    continue  # a scatter of zero lies below every interval of a positive one
-                ranks = [row["rank"][name][what == "scatter"] for row in some]
-                if what == "scatter" and max(row["scatter"][name][3] for row in some) == 0.0:
-                    continue
-                found = coverage(ranks, 0.9)
-                print(
-                    f"  90 % of {what} of {name}: {found.share:.3f} ({found.low:.3f} to "
-                    f"{found.high:.3f})"
-                )
-        held = [sum(row["shots"][i] for row in some) for i in (0, 1)]
-        print(f"  90 % of the shots' own values: {held[0] / held[1]:.3f} of {held[1]}")
-        for what in ("scatter", "undecided", "none"):
-            print(
-                f"  verdict {what}: {sum(row['verdict'] == what for row in some)} of {len(some)}",
-                end="",
-            )
-        named = {
-            name: sum(row["by_parameter"][name]["value"] > math.log(10.0) for row in some)
-            for name in NAMES
-        }
-        print(f"\n  odds above 10 for a scatter of: {named}")
-        errors = sorted(row["any"]["error"] for row in some)
-        print(f"  median Monte Carlo error of the log Bayes factor: {errors[len(errors) // 2]:.3f}")
+            for place, what in enumerate(("median", "scatter")):
+                # a scatter of zero lies below every interval of a positive one
+                if what == "median" or any(line["scatter"][name][3] for line in own):
+                    held = [abs(line["rank"][name][place] - 0.5) <= 0.45 for line in own]
+                    figures.append(Figure.of_share(f"90 % of {what} of {name}", held))
+        held, count = (sum(line["shots"][i] for line in own) for i in (0, 1))
+        verdicts = dict(Counter(line["verdict"] for line in own))
+        pages += [
+            f"\nscatter {kind}: {held} of {count} shots' own values in 90 %; verdicts {verdicts}\n",
+            write_figures(figures),
+        ]
+    return "\n".join(pages)
 
 
-def clock(args: argparse.Namespace) -> None:
-    """Time the whole of an inference with full physics."""
-    simulator = TransportSimulator(accuracy=ACCURACIES["search"], threads=1)
-    source = generator(args.seed)
-    shots = []
-    for number in range(args.shots):
-        gel = {"G": 8e3 * math.exp(0.2 * float(torch.randn((), generator=source))), "mu": 0.09}
-        design = torch.tensor(
-            [250.0 + 350.0 * float(torch.rand((), generator=source)), 0.22], dtype=torch.float64
-        )
-        laboratory = SimulatedLaboratory(
-            simulator, PARAMETERS.pack(gel), repeats=1, nuisance=UNCERTAIN
-        )
-        shots.append(laboratory.shoot(design, seed=number, label=f"shot {number}").until(2.5))
-    wall = time.perf_counter()
-    used = time.process_time()
-    fits = fit_shots(wide_prior(["nhkv"])["nhkv"], shots, simulator)
-    after = time.process_time()
-    found = infer_population(fits)
-    print(found.report())
-    print(
-        f"{args.shots} shots: fits {after - used:.1f} s, population "
-        f"{time.process_time() - after:.1f} s of one core"
-    )
-    print(f"wall {time.perf_counter() - wall:.1f} s")
-
-
-def campaigns(args: argparse.Namespace) -> None:
-    """Run simulated campaigns with chosen and with random designs, and compare them pair by pair."""
-    path = Path(args.out)
-    learner = PopulationLearner()
-    policies = {"chosen": LearnPopulation(learner), "random": Random()}
-    done = {(row["number"], row["policy"]) for row in _rows(path)} if path.exists() else set()
-    with path.open("a", encoding="utf-8") as stream:
-        for number, (name, policy) in (
-            (n, pair) for n in range(args.populations) for pair in policies.items()
-        ):
-            if (number, name) not in done:
-                settings = CampaignSettings(
-                    plan=Plan(repeats=1, noise=NOISE), policy=policy, learner=learner
-                )
-                stream.write(
-                    json.dumps(
-                        {"number": number, "policy": name} | _campaign(settings, args, number)
-                    )
-                    + "\n"
-                )
-                stream.flush()
-    rows = {(row["number"], row["policy"]): row for row in _rows(path)}
-    pairs = [(rows[n, "chosen"], rows[n, "random"]) for n in range(args.populations)]
-    print(f"{len(pairs)} populations, {args.shots} shots; chosen minus random, negative is better:")
-    for what in (
-        "log_sd_median_G",
-        "log_sd_median_mu",
-        "log_width_scatter_G",
-        "log_width_scatter_mu",
-    ):
-        differences = torch.tensor([a[what] - b[what] for a, b in pairs], dtype=torch.float64)
-        print(
-            f"  {what}: {float(differences.mean()):+.3f} +- "
-            f"{float(differences.std()) / math.sqrt(len(pairs)):.3f}"
-        )
-    for name in policies:
-        some = [row for (_, policy), row in rows.items() if policy == name]
-        held = {key: sum(row["inside"][key] for row in some) for key in some[0]["inside"]}
-        print(f"  {name}: 90 % intervals hold, of {len(some)}: {held}")
-
-
-def _campaign(settings: CampaignSettings, args: argparse.Namespace, number: int) -> dict[str, Any]:
+def run_campaign(
+    policy: str, number: int, shots: int, scatters: tuple[float, ...], seed: int
+) -> Line:
     """What is known after the last shot of a campaign about one population."""
     truth = {"G": 8e3, "mu": 0.09}
-    scatter = dict(zip(NAMES, args.scatter, strict=True))
+    scatter = dict(zip(NAMES, scatters, strict=True))
 
     def shoot(design: torch.Tensor, shot: int) -> Experiment:
-        source = generator(child(args.seed, "campaign", number, shot))
+        source = generator(child(seed, "campaign", number, shot))
         spread = {
             key: scatter[key] * float(torch.randn((), generator=source, dtype=torch.float64))
             for key in NAMES
@@ -281,66 +179,84 @@ def _campaign(settings: CampaignSettings, args: argparse.Namespace, number: int)
         laboratory = SimulatedLaboratory(
             PolytropicSimulator(threads=1), gel, noise=NOISE, repeats=1
         )
-        return laboratory.shoot(design, seed=child(args.seed, "noise", number, shot))
+        return laboratory.shoot(design, seed=child(seed, "noise", number, shot))
 
+    learner = PopulationLearner()
+    chosen = {"chosen": LearnPopulation(learner), "random": Random()}[policy]
+    settings = CampaignSettings(plan=Plan(repeats=1, noise=NOISE), policy=chosen, learner=learner)
     prior = Belief((PRIOR,), torch.zeros(1, dtype=torch.float64))
     with tempfile.TemporaryDirectory() as folder:
         own = Campaign(
             folder, prior, PolytropicSimulator(threads=1), settings=settings, seed=number
         )
-        found = own.run(shoot, args.shots)[-1].population
+        found = own.run(shoot, shots)[-1].population
         designs = [experiment.design for experiment in own.experiments]
     assert found is not None
-    row: dict[str, Any] = {"designs": designs, "verdict": found["verdict"], "inside": {}}
+    line: Line = {"designs": designs, "verdict": found["verdict"], "inside": {}}
     for name, value in truth.items():
-        (low, _, high), (least, _, most) = (
-            found["parameters"][name]["median"],
-            found["parameters"][name]["scatter"],
-        )
-        row |= {
+        known = found["parameters"][name]
+        (low, _, high), (least, _, most) = known["median"], known["scatter"]
+        line |= {
             f"log_sd_median_{name}": math.log(math.log(high / low)),
             f"log_width_scatter_{name}": math.log(most - least),
         }
-        row["inside"] |= {
+        line["inside"] |= {
             f"median {name}": low < value < high,
             f"scatter {name}": least < scatter[name] < most,
         }
-    return row
+    return line
+
+
+def score_campaigns(lines: list[Line]) -> str:
+    """Ratios of widths, chosen over random, and coverage."""
+    widths = [name for name in lines[0] if name.startswith("log_")]
+    chosen, random = (
+        [line for line in lines if line["policy"] == policy] for policy in ("chosen", "random")
+    )
+    figures = [
+        Figure.of_mean(name, [a[name] - b[name] for a, b in zip(chosen, random, strict=True)])
+        for name in widths
+    ]
+    held = [inside for line in lines for inside in line["inside"].values()]
+    return "Chosen less random, negative is better:\n\n" + write_figures(
+        [*figures, Figure.of_share("truths in 90 % intervals", held)]
+    )
 
 
 def main() -> None:
-    """Parse and run."""
+    """Run and tabulate."""
     warnings.simplefilter("ignore")
-    torch.set_num_threads(1)
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    commands = parser.add_subparsers(required=True)
-    for name, function in (
-        ("run", run),
-        ("table", table),
-        ("time", clock),
-        ("campaigns", campaigns),
-    ):
-        command = commands.add_parser(name)
-        command.set_defaults(function=function)
-        command.add_argument("--out", default="population.jsonl")
+    commands = parser.add_subparsers(dest="what", required=True)
+    runs = commands.add_parser("run")
+    runs.add_argument("--noise", choices=("known", "estimated"), default="known")
+    runs.add_argument("--populations", type=int, default=300)
+    about = commands.add_parser("campaigns")
+    about.add_argument("--populations", type=int, default=24)
+    about.add_argument("--shots", type=int, default=4)
+    about.add_argument("--scatter", type=float, nargs=2, default=(0.2, 0.1), help="of ln G, ln mu")
+    for command in (runs, about):
+        command.add_argument("out", type=Path, metavar="OUT.jsonl")
         command.add_argument("--seed", type=int, default=0)
-        command.add_argument("--populations", type=int, default=300)
-        command.add_argument("--first", type=int, default=0)
-        command.add_argument("--shots", type=int, default=20)
-        command.add_argument(
-            "--noise", choices=("known", "estimated"), default="known", help="of run"
-        )
-        command.add_argument(
-            "--scatter",
-            type=float,
-            nargs=2,
-            default=(0.2, 0.1),
-            help="of ln G and ln mu, of campaigns",
-        )
+        command.add_argument("--workers", type=int, default=1)
     args = parser.parse_args()
-    args.function(args)
+    numbers = range(args.populations)
+    if args.what == "run":
+        jobs = {f"{n}": partial(infer_one, n, args.seed, args.noise) for n in numbers}
+        notes = {f"{n}": {"kind": KINDS[n % len(KINDS)]} for n in numbers}
+        print(
+            score_populations(run_missing_jobs(args.out, jobs, about=notes, workers=args.workers))
+        )
+        return
+    pairs = [(n, policy) for n in numbers for policy in ("chosen", "random")]
+    jobs = {
+        f"{n}/{policy}": partial(run_campaign, policy, n, args.shots, args.scatter, args.seed)
+        for n, policy in pairs
+    }
+    notes = {f"{n}/{policy}": {"policy": policy} for n, policy in pairs}
+    print(score_campaigns(run_missing_jobs(args.out, jobs, about=notes, workers=args.workers)))
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from statistics import median
 from typing import Any
 
@@ -30,9 +31,6 @@ MATERIAL = ELASTIC | {
 }
 """Effects of the library that are properties of the gel, and neither of the drive nor of the contents or the camera."""
 
-_SOFT = 1e3  # Pa
-_LIKELY = 0.5
-
 
 @dataclass(frozen=True)
 class Control:
@@ -49,24 +47,23 @@ class Control:
 
 def controls(record: Record) -> list[Control]:
     """All controls of a record, in the order of the page."""
-    checks: tuple[Callable[[Record], Control], ...] = (
-        _liquids,
-        _viscosities,
-        _no_elastic,
-        _water,
-        _drives("gel03"),
-        _drives("gel25"),
-        _crosslinking,
-        _closed,
-        _residual,
-        _certified,
-        _scores,
-        _halves,
-        _halves_choices,
-        _halves_of_all,
-        _time,
-    )
-    return [check(record) for check in checks]
+    checked = []
+    for name, must, check in CHECKS:
+        try:
+            value, met = check(record)
+            checked.append(Control(name, must, value, met))
+        except LookupError:
+            checked.append(Control(name, must, "not in the record yet", None))
+        except _SetFailedError as failed:
+            checked.append(Control(name, must, str(failed), False))
+    return checked
+
+
+Answer = tuple[str, bool]
+
+
+class _SetFailedError(Exception):
+    """A set that a control needs has failed."""
 
 
 def model(row: dict[str, Any], name: str) -> dict[str, Any]:
@@ -74,128 +71,90 @@ def model(row: dict[str, Any], name: str) -> dict[str, Any]:
     return next(own for key, own in row["models"].items() if key.split("+")[0] == name)
 
 
-def _all(record: Record, names: Iterable[str], task: str) -> list[dict[str, Any]] | None:
-    """Lines of all these sets; None where one is missing."""
-    found = [record.get((name, task)) for name in names]
-    return None if any(row is None for row in found) else [row for row in found if row]
+def _characterized(record: Record, names: Iterable[str]) -> list[dict[str, Any]]:
+    """Lines of all these sets.
+
+    Raises:
+        LookupError: where one is missing.
+        _SetFailedError: where one failed.
+    """
+    rows = [record[name, "characterize"] for name in names]
+    failed = [f"{x['set']}: {x['error'].split(':')[0]}" for x in rows if "error" in x]
+    if failed:
+        raise _SetFailedError(", ".join(failed))
+    return rows
 
 
-def _open(name: str, must: str) -> Control:
-    return Control(name, must, "not in the record yet", None)
+def _some(rows: list[Any]) -> list[Any]:
+    """The rows.
+
+    Raises:
+        LookupError: where there are none.
+    """
+    if not rows:
+        raise LookupError
+    return rows
 
 
-def _failed(rows: list[dict[str, Any]]) -> str | None:
-    """Which sets have failed; None if none."""
-    return (
-        ", ".join(
-            f"{row['set']}: {row['failure'].split(':')[0]}" for row in rows if "failure" in row
-        )
-        or None
-    )
-
-
-def _liquids(record: Record) -> Control:
-    name = "PEG 8k liquids, density stated"
-    must = "Newtonian ahead, or 95 % limit of G below 1 kPa"
-    rows = _all(record, LIQUIDS, "characterize")
-    if rows is None or _failed(rows):
-        return Control(name, must, _failed(rows), False) if rows else _open(name, must)
+def _liquids(record: Record) -> Answer:
     values = []
     good = True
-    for row in rows:
-        newton = sum(
-            p for key, p in row["model_probabilities"].items() if key.split("+")[0] == "newtonian"
-        )
+    for row in _characterized(record, LIQUIDS):
+        chances = row["model_probabilities"].items()
+        newton = sum(p for key, p in chances if key.split("+")[0] == "newtonian")
         limit = model(row, "nhkv")["intervals"]["G"][2]
-        good &= newton > _LIKELY or limit < _SOFT
+        good &= newton > 0.5 or limit < 1e3
         values.append(f"{row['set'][6:8]} %: P {newton:.2f}, G < {limit:.0f} Pa")
-    return Control(name, must, "; ".join(values), good)
+    return "; ".join(values), good
 
 
-def _viscosities(record: Record) -> Control:
-    name = "viscosity of the PEG 8k liquids"
-    must = "rises with concentration"
-    rows = _all(record, LIQUIDS, "characterize")
-    if rows is None or _failed(rows):
-        return Control(name, must, _failed(rows), False) if rows else _open(name, must)
+def _viscosities(record: Record) -> Answer:
+    rows = _characterized(record, LIQUIDS)
     found = [model(row, "newtonian")["intervals"]["mu"] for row in rows]
     value = ", ".join(f"{mid:.3g} ({low:.3g} to {high:.3g})" for low, mid, high in found) + " Pa s"
-    return Control(name, must, value, all(a[1] < b[1] for a, b in itertools.pairwise(found)))
+    return value, all(a[1] < b[1] for a, b in itertools.pairwise(found))
 
 
-def _named(record: Record, names: Iterable[str]) -> dict[str, list[str]] | None:
-    """Causes that each set names, over both halves; None where one is missing."""
-    found = {
-        name: [record.get((name, task)) for task in ("diagnose", "other half")] for name in names
-    }
-    if any(row is None for rows in found.values() for row in rows):
-        return None
-    sure = ("effect", "class")
-    return {
-        name: sorted(
-            {cause for row in rows if row and row.get("verdict") in sure for cause in row["cause"]}
-        )
-        for name, rows in found.items()
-    }
+def _named(record: Record, names: Iterable[str]) -> tuple[str, list[set[str]]]:
+    """Causes that each set names, over both halves: as text, and as sets."""
+    found = []
+    words = []
+    for name in names:
+        rows = [record[name, task] for task in ("diagnose", "other half")]
+        sure = [row for row in rows if row.get("verdict") in ("effect", "class")]
+        found.append({cause for row in sure for cause in row["cause"]})
+        words.append(f"{name}: {', '.join(sorted(found[-1])) or 'none'}")
+    return "; ".join(words), found
 
 
-def _no_elastic(record: Record) -> Control:
-    name = "causes in the PEG 8k liquids, NHKV as base"
-    must = "no elastic effect named"
-    named = _named(record, LIQUIDS)
-    if named is None:
-        return _open(name, must)
-    return Control(
-        name, must, _listed(named), not any(ELASTIC & set(own) for own in named.values())
-    )
+def _no_elastic(record: Record) -> Answer:
+    value, found = _named(record, LIQUIDS)
+    return value, not any(ELASTIC & own for own in found)
 
 
-def _water(record: Record) -> Control:
-    name = "water by laser and by histotripsy"
-    must = "no cause named; sound speed and heat exchange never"
-    named = _named(record, WATER)
-    return (
-        _open(name, must)
-        if named is None
-        else Control(name, must, _listed(named), not any(named.values()))
-    )
+def _water(record: Record) -> Answer:
+    value, found = _named(record, WATER)
+    return value, not any(found)
 
 
-def _drives(gel: str) -> Callable[[Record], Control]:
-    def check(record: Record) -> Control:
-        name = f"{gel} by laser and by histotripsy"
-        must = "causes in the material agree, or none is named"
-        named = _named(record, (f"{gel}_laser", f"{gel}_histotripsy"))
-        if named is None:
-            return _open(name, must)
-        one, two = (set(own) & MATERIAL for own in named.values())
-        unfit = [
-            row["set"] for key, row in record.items() if key[0].startswith(gel) and "failure" in row
-        ]
-        value = _listed(named) + (f"; not fitted: {', '.join(sorted(set(unfit)))}" if unfit else "")
-        return Control(name, must, value, one == two)
+def _drives(gel: str) -> Callable[[Record], Answer]:
+    def check(record: Record) -> Answer:
+        value, (one, two) = _named(record, (f"{gel}_laser", f"{gel}_histotripsy"))
+        failed = {key[0] for key, x in record.items() if key[0].startswith(gel) and "error" in x}
+        if failed:
+            value += f"; not fitted: {', '.join(sorted(failed))}"
+        return value, one & MATERIAL == two & MATERIAL
 
     return check
 
 
-def _listed(named: dict[str, list[str]]) -> str:
-    return "; ".join(f"{name}: {', '.join(own) or 'none'}" for name, own in named.items())
-
-
-def _crosslinking(record: Record) -> Control:
-    name = "G of PEGDA S1 to S5 (NHKV)"
-    must = "rises with crosslinking, within 90 % intervals, and from first to last"
-    rows = _all(record, PEGDA, "characterize")
-    if rows is None or _failed(rows):
-        return Control(name, must, _failed(rows), False) if rows else _open(name, must)
+def _crosslinking(record: Record) -> Answer:
+    rows = _characterized(record, PEGDA)
     found = [[1e-3 * x for x in model(row, "nhkv")["intervals"]["G"]] for row in rows]
     rises = all(b[2] >= a[0] for a, b in itertools.pairwise(found)) and found[-1][0] > found[0][2]
-    return Control(
-        name,
-        must,
-        ", ".join(f"{mid:.3g} ({low:.3g}-{high:.3g})" for low, mid, high in found) + " kPa",
-        rises,
-    )
+    return ", ".join(
+        f"{mid:.3g} ({low:.3g}-{high:.3g})" for low, mid, high in found
+    ) + " kPa", rises
 
 
 def selections(record: Record) -> list[dict[str, Any]]:
@@ -232,91 +191,59 @@ def share(step: dict[str, Any]) -> float:
     return step["closed"][1] if step["closed"] else 0.0
 
 
-def _closed(record: Record) -> Control:
-    name = "share of the gap closed on unseen curves by what is reported"
-    must = "median .8"
-    rows = judged(record)
-    if not rows:
-        return _open(name, must)
-    found = [share(best_step(row)) for row in rows]
-    last = [share(row["ladder"][-1]) for row in rows]
-    usual = [share(best_step(row, usual=True)) for row in rows]
-    value = (
-        f"median {median(found):.2f} of {len(rows)} sets; by the last step, whatever it predicts, "
-        f"{median(last):.2f}"
+def _closed(record: Record) -> Answer:
+    rows = _some(judged(record))
+    found, last, usual = (
+        median(share(pick(row)) for row in rows)
+        for pick in (best_step, lambda row: row["ladder"][-1], partial(best_step, usual=True))
     )
-    value += f"; by steps whose effects are all of usual strength, {median(usual):.2f}"
-    return Control(name, must, value, median(found) >= 0.8)
+    value = (
+        f"median {found:.2f} of {len(rows)} sets; by the last step, whatever it predicts, "
+        f"{last:.2f}; by steps whose effects are all of usual strength, {usual:.2f}"
+    )
+    return value, found >= 0.8
 
 
-def _residual(record: Record) -> Control:
-    name = "least misfit of a step over its noise"
-    must = "at most 2 in half of the sets"
-    ratios = [_ratio(row) for row in selections(record)]
-    if not ratios:
-        return _open(name, must)
+def _residual(record: Record) -> Answer:
+    rows = _some(selections(record))
+    ratios = [min(step["misfit"] / step["noise"] for step in row["ladder"]) for row in rows]
     within = sum(ratio <= 2.0 for ratio in ratios)
     value = f"{within} of {len(ratios)} sets; median {median(ratios):.2f}"
-    return Control(name, must, value, 2 * within >= len(ratios))
+    return value, 2 * within >= len(ratios)
 
 
-def _ratio(row: dict[str, Any]) -> float:
-    """Least misfit over noise of all steps."""
-    return min(step["misfit"] / step["noise"] for step in row["ladder"])
-
-
-def _certified(record: Record) -> Control:
-    name = "certificates of the steps"
-    must = "every step"
-    steps = [step for row in selections(record) for step in all_steps(row)]
+def _certified(record: Record) -> Answer:
+    steps = _some([step for row in selections(record) for step in all_steps(row)])
     good = sum(step["converged"] for step in steps)
-    return (
-        Control(name, must, f"{good} of {len(steps)}", good == len(steps))
-        if steps
-        else _open(name, must)
-    )
+    return f"{good} of {len(steps)}", good == len(steps)
 
 
-def _scores(record: Record) -> Control:
-    name = "held-out log score of what is reported over the base model"
-    must = "positive in 90 % of the sets"
-    rows = judged(record)
-    if not rows:
-        return _open(name, must)
+def _scores(record: Record) -> Answer:
+    rows = _some(judged(record))
     ahead = sum(bool(best_step(row)["effects"]) for row in rows)
     last = sum(row["ladder"][-1]["log_score"][0] > 0.0 for row in rows)
-    value = f"{ahead} of {len(rows)}; of the last step in {last}"
-    return Control(name, must, value, ahead >= 0.9 * len(rows))
+    return f"{ahead} of {len(rows)}; of the last step in {last}", ahead >= 0.9 * len(rows)
 
 
-def _halves(record: Record) -> Control:
-    name = "the same gel, two halves of its curves"
-    must = "same first addition, or no gap in both, in 70 % of the sets"
-    pairs = _pairs(record)
-    if not pairs:
-        return _open(name, must)
-    found = [(_first(one), _first(two)) for one, two in pairs]
+def _halves(record: Record) -> Answer:
+    found = [(_first(one), _first(two)) for one, two in _some(_pairs(record))]
     same = sum(a == b for a, b in found)
     both = [pair for pair in found if all(pair)]
     value = (
         f"{same} of {len(found)} sets; of {len(both)} with an addition in both, "
         f"{sum(a == b for a, b in both)}"
     )
-    return Control(name, must, value, same >= 0.7 * len(found))
+    return value, same >= 0.7 * len(found)
 
 
-def _halves_choices(record: Record) -> Control:
+def _halves_choices(record: Record) -> Answer:
     """The same with additions that are not clearly worse.
 
     Wide choices overlap by chance, so that is stated.
     """
-    name = "the same, additions that are not clearly worse included"
-    must = "no target of its own; 70 % as above"
-    pairs = _pairs(record)
-    if not pairs:
-        return _open(name, must)
     choices = [
-        (first_choice(one), first_choice(two), 1 + len(one["effects"])) for one, two in pairs
+        (first_choice(one), first_choice(two), 1 + len(one["effects"]))
+        for one, two in _some(_pairs(record))
     ]
     agree = sum(bool(a & b) or not (a or b) for a, b, _ in choices)
     gaps = [(a, b, count) for a, b, count in choices if a and b]
@@ -327,25 +254,16 @@ def _halves_choices(record: Record) -> Control:
     sizes = [len(choice) for a, b, _ in gaps for choice in (a, b)]
     value = (
         f"{agree} of {len(choices)} sets; of {len(gaps)} with an addition in both, {overlap} (by "
-        f"chance {chance:.1f}); "
+        f"chance {chance:.1f}); additions in a choice: median {median(sizes or [0]):.0f}"
     )
-    return Control(
-        name,
-        must,
-        value + f"additions in a choice: median {median(sizes or [0]):.0f}",
-        agree >= 0.7 * len(choices),
-    )
+    return value, agree >= 0.7 * len(choices)
 
 
-def _halves_of_all(record: Record) -> Control:
+def _halves_of_all(record: Record) -> Answer:
     """The same by halves of all curves, by first additions and by those not clearly worse."""
-    name = "the same, halves of all curves, of 20 at most"
-    must = "no target of its own; 70 % as above"
-    pairs = [
-        row["halves"] for (_, task), row in record.items() if task == "halves" and "halves" in row
-    ]
-    if not pairs:
-        return _open(name, must)
+    pairs = _some(
+        [row["halves"] for (_, task), row in record.items() if task == "halves" and "halves" in row]
+    )
     same = sum(_first(one) == _first(two) for one, two in pairs)
     choices = [(first_choice(one), first_choice(two)) for one, two in pairs]
     common = sum(bool(a & b) or not (a or b) for a, b in choices)
@@ -354,7 +272,7 @@ def _halves_of_all(record: Record) -> Control:
         f"{same} of {len(pairs)} sets; {common} with those that are not clearly worse; {sizes[0]} "
         f"to {sizes[-1]} curves a half"
     )
-    return Control(name, must, value, same >= 0.7 * len(pairs))
+    return value, same >= 0.7 * len(pairs)
 
 
 def _pairs(record: Record) -> list[tuple[dict[str, Any], dict[str, Any]]]:
@@ -386,18 +304,58 @@ def first_choice(row: dict[str, Any]) -> set[str]:
     return {first, *row["ladder"][1]["alternatives"]} if first else set()
 
 
-def _time(record: Record) -> Control:
-    name = (
-        "processor time of two curves, a stepwise selection of at most four additions, one thread"
-    )
-    must = "120 s"
-    times = sorted(row["cpu"] for row in selections(record) if len(row["curves"]) == 2)
-    if not times:
-        return _open(name, must)
+def _time(record: Record) -> Answer:
+    times = _some(sorted(row["cpu"] for row in selections(record) if len(row["curves"]) == 2))
     late = times[math.ceil(0.9 * len(times)) - 1]
     within = sum(t <= 120.0 for t in times)
     value = (
         f"median {median(times):.0f} s, 90 % within {late:.0f} s; {within} of {len(times)} sets "
         "within 120 s"
     )
-    return Control(name, must, value, within == len(times))
+    return value, within == len(times)
+
+
+_AGREE = "causes in the material agree, or none is named"
+_NO_TARGET = "no target of its own; 70 % as above"
+CHECKS: tuple[tuple[str, str, Callable[[Record], Answer]], ...] = (
+    (
+        "PEG 8k liquids, density stated",
+        "Newtonian ahead, or 95 % limit of G below 1 kPa",
+        _liquids,
+    ),
+    ("viscosity of the PEG 8k liquids", "rises with concentration", _viscosities),
+    ("causes in the PEG 8k liquids, NHKV as base", "no elastic effect named", _no_elastic),
+    (
+        "water by laser and by histotripsy",
+        "no cause named; sound speed and heat exchange never",
+        _water,
+    ),
+    ("gel03 by laser and by histotripsy", _AGREE, _drives("gel03")),
+    ("gel25 by laser and by histotripsy", _AGREE, _drives("gel25")),
+    (
+        "G of PEGDA S1 to S5 (NHKV)",
+        "rises with crosslinking, within 90 % intervals, and from first to last",
+        _crosslinking,
+    ),
+    ("share of the gap closed on unseen curves by what is reported", "median .8", _closed),
+    ("least misfit of a step over its noise", "at most 2 in half of the sets", _residual),
+    ("certificates of the steps", "every step", _certified),
+    (
+        "held-out log score of what is reported over the base model",
+        "positive in 90 % of the sets",
+        _scores,
+    ),
+    (
+        "the same gel, two halves of its curves",
+        "same first addition, or no gap in both, in 70 % of the sets",
+        _halves,
+    ),
+    ("the same, additions that are not clearly worse included", _NO_TARGET, _halves_choices),
+    ("the same, halves of all curves, of 20 at most", _NO_TARGET, _halves_of_all),
+    (
+        "processor time of two curves, a stepwise selection of at most four additions, one thread",
+        "120 s",
+        _time,
+    ),
+)
+"""What is checked, what must hold, and the check."""

@@ -1,13 +1,13 @@
 """Speed and accuracy of both engines: process CPU time (on a GPU wall time), one thread, medians
 over repeats.
 
-  python benchmarks/solver.py [--json OUT] [--repeats 5] [--device cpu]
+  python -m benchmarks.solver [--repeats 5] [--device cpu]
 
 Bubbles are drawn from the prior of the stiff-PA reference case, designs uniformly from We 100-1000
 and R_inf* .14-.30, with 81 samples of t* in [0, 4]; every call that is timed has bubbles of its
 own. Errors of the polytropic solver are against itself at a third of the step, those of the full
 physics against its `reference` setting. Beside them, in the same run, what a user would do without
-this package: torchdiffeq's dopri5 with one step for the batch, and a loop over bubbles with SciPy.
+this package: torchdiffeq's dopri5 with one step for the batch, and SciPy bubble by bubble.
 """
 
 import argparse
@@ -26,7 +26,6 @@ import numpy as np
 import torch
 from torchdiffeq import odeint
 
-from imr_torch.files import write_json
 from imr_torch.material import PARAMETERS, reference_case
 from imr_torch.simulate import (
     ACCURACIES,
@@ -96,10 +95,13 @@ def milliseconds(simulator: Simulator, count: int, repeats: int, device: str = "
 
 
 def errors(
-    simulator: Simulator, reference: Simulator, count: int, device: str
+    simulator: Simulator, reference: Simulator, count: int, device: str = "cpu"
 ) -> tuple[float, float]:
-    """Median and largest over bubbles of the largest error in R*."""
-    error = (simulate(simulator, count, device) - simulate(reference, count, device)).abs().amax(1)
+    """Median and largest over bubbles of the largest error in R*; those of the reference are made
+    here.
+    """
+    radius = simulate(simulator, count, device).cpu()
+    error = (radius - simulate(reference, count, "cpu")).abs().amax(1)
     return float(error.median()), float(error.max())
 
 
@@ -161,7 +163,7 @@ def plain_dopri5(count: int) -> Callable[[], Any]:
     return lambda: odeint(rate, start, TIMES, method="dopri5", rtol=1e-5, atol=1e-7)
 
 
-def on_device(device: str) -> dict[str, float]:
+def measure_device(device: str) -> dict[str, float]:
     """Milliseconds of wall time a bubble by the tensor engine there, and the largest differences
     from the compiled engine.
     """
@@ -169,13 +171,7 @@ def on_device(device: str) -> dict[str, float]:
     simulators: tuple[Simulator, ...] = (TransportSimulator(), PolytropicSimulator())
     for simulator in simulators:
         name = type(simulator).__name__
-        there = simulate(simulator, 1000, device).cpu()
-        here = simulate(simulator, 1000, "cpu")
-        error = (there - here).abs().amax(1)
-        result |= {
-            f"{name}_median_difference": float(error.median()),
-            f"{name}_max_difference": float(error.max()),
-        }
+        result[f"{name}_max_difference"] = errors(simulator, simulator, 1000, device)[1]
         for count in (48, 1000, 10_000, 100_000):
             torch.cuda.reset_peak_memory_stats()
             repeats = 3 if count < 10_000 else 1
@@ -190,58 +186,42 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--json", metavar="OUT")
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--device", default="cpu")
     args = parser.parse_args()
     torch.set_num_threads(1)
-    result: dict[str, float] = {}
-    if args.device != "cpu":
-        report(on_device(args.device), args.json)
-        return
-    result["compile_s"] = compile_seconds()
-    for name, stepping in STEPPINGS.items():
-        simulator = PolytropicSimulator(stepping=stepping, threads=1)
-        finer = PolytropicSimulator(
-            stepping=replace(stepping, step=stepping.step / 3.0, max_steps=10**6)
-        )
-        median, largest = errors(simulator, finer, 1000, args.device)
-        result |= {f"polytropic_median_dr_{name}": median, f"polytropic_max_dr_{name}": largest}
+    on_processor = args.device == "cpu"
+    result = measure_processor(args.repeats) if on_processor else measure_device(args.device)
+    print(json.dumps(result, indent=1))
+
+
+def measure_processor(repeats: int) -> dict[str, float]:
+    """Everything of the compiled engine, and of what it is compared with."""
     full = TransportSimulator(threads=1)
     polytropic = PolytropicSimulator(threads=1)
-    for name, simulator, counts in (
-        ("full", full, (1, 8, 48, 1000)),
-        ("polytropic", polytropic, (1, 48, 1000, 10000)),
+    finer = replace(STEPPINGS["default"], step=STEPPINGS["default"].step / 3.0, max_steps=10**6)
+    sharp = TransportSimulator(accuracy=ACCURACIES["reference"])
+    result = {"compile_s": compile_seconds()}
+    for name, simulator, reference, counts in (
+        ("full", full, sharp, (1, 8, 48, 1000)),
+        ("polytropic", polytropic, PolytropicSimulator(stepping=finer), (1, 48, 1000)),
     ):
+        median, largest = errors(simulator, reference, 1000)
+        result |= {f"{name}_median_dr": median, f"{name}_max_dr": largest}
         for count in counts:
-            repeats = 9 * args.repeats if count < 10 else args.repeats
-            result[f"{name}_{count}_ms"] = milliseconds(simulator, count, repeats)
-    result["bundle_8_ms"] = bundle_milliseconds(full, 8, 3 * args.repeats)
+            many = 9 * repeats if count < 10 else repeats
+            result[f"{name}_{count}_ms"] = milliseconds(simulator, count, many)
+    result["bundle_8_ms"] = bundle_milliseconds(full, 8, 3 * repeats)
+    tensors = TransportSimulator(engine="torchdiffeq")
     for count in (48, 1000):
-        result[f"tensor_{count}_ms"] = milliseconds(
-            TransportSimulator(engine="torchdiffeq"), count, 1
-        )
-    result["speedup_2_threads"] = speedup(1000, args.repeats)
-    result["peak_mib"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    reference = TransportSimulator(accuracy=ACCURACIES["reference"])
-    result["median_dr"], result["max_dr"] = errors(full, reference, 1000, args.device)
+        result[f"tensor_{count}_ms"] = milliseconds(tensors, count, 1)
+    result["speedup_2_threads"] = speedup(1000, repeats)
     try:
         result["dopri5_48_ms"] = 1e3 * seconds_of(plain_dopri5(48), 1) / 48
     except AssertionError as error:  # torchdiffeq's word for a step that shrank to nothing
         print(f"plain dopri5 with one step for 48 bubbles fails: {error}")
-    loop = ScipySimulator(physics="polytropic", method="LSODA")
-    result["scipy_lsoda_ms"] = milliseconds(loop, 10, 1)
     stiff = ScipySimulator(method="BDF", rtol=1e-5, atol=1e-7)
-    result["scipy_bdf_full_s"] = 1e-3 * milliseconds(stiff, 3, 1)
-    result["scipy_bdf_full_max_dr"] = errors(stiff, reference, 3, "cpu")[1]
-    report(result, args.json)
-
-
-def report(result: dict[str, float], path: str | None) -> None:
-    """Print, and write where asked."""
-    print(json.dumps(result, indent=1))
-    if path:
-        write_json(path, result)
+    return result | {"scipy_bdf_full_s": 1e-3 * milliseconds(stiff, 3, 1)}
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ closed forms for Gaussians, weighted draws as they are, and silence where there 
 import json
 import math
 import re
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -17,6 +16,7 @@ from imr_torch.compare import compare
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief, wide_prior
 from imr_torch.saved import SavedCharacterization
+from tests import float64
 
 PRIOR = wide_prior(["nhkv"])
 TRUSTED = {"verdict": "trusted", "certificate": {"converged": True}}
@@ -27,8 +27,8 @@ def gel(
 ) -> SavedCharacterization:
     """The result for a datum of each control with independent noise, under a standard normal prior."""
     precision = 1.0 + 1.0 / sd**2
-    mean = torch.tensor(datum, dtype=torch.float64) / sd**2 / precision
-    chol = torch.eye(2, dtype=torch.float64) / math.sqrt(precision)
+    mean = float64.tensor(datum) / sd**2 / precision
+    chol = float64.eye(2) / math.sqrt(precision)
     belief = Belief(
         tuple(part.with_gaussian(mean, chol) for part in prior.models), prior.log_probabilities
     )
@@ -40,27 +40,22 @@ def gel(
 def evidence(data: torch.Tensor, sd: float) -> float:
     """Log density of repeated data of one gel's control, its control integrated out."""
     count = len(data)
-    covariance = sd**2 * torch.eye(count, dtype=torch.float64) + 1.0
-    normal = torch.distributions.MultivariateNormal(
-        torch.zeros(count, dtype=torch.float64), covariance
-    )
+    covariance = sd**2 * float64.eye(count) + 1.0
+    normal = torch.distributions.MultivariateNormal(float64.zeros(count), covariance)
     return float(normal.log_prob(data))
 
 
 @pytest.mark.parametrize("other", [(0.3, -0.2), (0.5, 0.0), (2.0, -0.2)])
-def test_that_the_bayes_factor_is_that_of_the_closed_form(other: tuple[float, float]) -> None:
+def test_that_the_bayes_factor_is_that_of_the_closed_form(other):
     one = (0.3, -0.2)
     sd = 0.25
-    together = sum(
-        evidence(torch.tensor([x, y], dtype=torch.float64), sd)
-        for x, y in zip(one, other, strict=True)
-    )
-    apart = sum(evidence(torch.tensor([x], dtype=torch.float64), sd) for x in (*one, *other))
+    together = sum(evidence(float64.tensor([x, y]), sd) for x, y in zip(one, other, strict=True))
+    apart = sum(evidence(float64.tensor([x]), sd) for x in (*one, *other))
     found = compare(gel(one, sd), gel(other, sd))
     assert found.log_bayes_factor == pytest.approx(together - apart, abs=1e-9)
 
 
-def test_that_models_count_by_their_probabilities() -> None:
+def test_that_models_count_by_their_probabilities():
     prior = wide_prior(["nhkv", "newtonian"])
     twins = []
     for _ in range(2):
@@ -69,7 +64,7 @@ def test_that_models_count_by_their_probabilities() -> None:
         other = prior["newtonian"].with_gaussian(
             prior["newtonian"].mean, 0.1 * prior["newtonian"].chol
         )
-        belief = Belief((nhkv, other), torch.log(torch.tensor([0.9, 0.1], dtype=torch.float64)))
+        belief = Belief((nhkv, other), torch.log(float64.tensor([0.9, 0.1])))
         models = {"nhkv": TRUSTED, "newtonian": TRUSTED}
         twins.append(
             SavedCharacterization.from_dict(
@@ -84,13 +79,13 @@ def test_that_models_count_by_their_probabilities() -> None:
     assert compare(*twins, model="nhkv").log_bayes_factor == pytest.approx(2 * overlap, abs=1e-9)
 
 
-def test_that_same_gels_are_called_the_same_and_others_different() -> None:
+def test_that_same_gels_are_called_the_same_and_others_different():
     assert compare(gel((0.3, 0.0), 0.02), gel((0.31, 0.0), 0.02)).verdict == "same"
     assert compare(gel((0.3, 0.0), 0.02), gel((0.9, 0.0), 0.02)).verdict == "different"
     assert compare(gel((0.3, 0.0), 0.9), gel((0.9, 0.0), 0.9)).verdict == "undecided"
 
 
-def test_that_parameters_are_compared_over_all_pairs_of_weighted_draws() -> None:
+def test_that_parameters_are_compared_over_all_pairs_of_weighted_draws():
     def with_draws(stiffness: list[float], weights: list[float]) -> SavedCharacterization:
         values = {"G": stiffness, "mu": [0.1] * len(stiffness)}
         return gel((0.0, 0.0), 0.1, weighted_draws={"nhkv": {"weights": weights, "values": values}})
@@ -113,9 +108,7 @@ def test_that_parameters_are_compared_over_all_pairs_of_weighted_draws() -> None
         ),
     ],
 )
-def test_that_there_is_no_bayes_factor_without_its_basis(
-    change: dict[str, Any], reason: str
-) -> None:
+def test_that_there_is_no_bayes_factor_without_its_basis(change, reason):
     document = {**gel((0.3, 0.0), 0.02).document, **change}
     document.pop(document.pop("without", ""), None)
     found = compare(SavedCharacterization.from_dict(document), gel((0.9, 0.0), 0.02))
@@ -125,7 +118,7 @@ def test_that_there_is_no_bayes_factor_without_its_basis(
     assert f"No Bayes factor: {found.reason}" in found.report()
 
 
-def test_that_priors_that_differ_give_no_bayes_factor() -> None:
+def test_that_priors_that_differ_give_no_bayes_factor():
     part = PRIOR["nhkv"]
     moved = Belief((part.with_gaussian(part.mean + 0.1, part.chol),), PRIOR.log_probabilities)
     assert (
@@ -134,7 +127,7 @@ def test_that_priors_that_differ_give_no_bayes_factor() -> None:
     )
 
 
-def test_that_doubtful_results_are_compared_with_a_caution() -> None:
+def test_that_doubtful_results_are_compared_with_a_caution():
     bad = {"verdict": "refused", "certificate": {"converged": False}}
     found = compare(
         gel((0.3, 0.0), 0.1, models={"nhkv": bad}), gel((0.3, 0.0), 0.1), names=("a", "b")
@@ -146,7 +139,7 @@ def test_that_doubtful_results_are_compared_with_a_caution() -> None:
     assert "their data are not independent" in " ".join(compare(same, same).cautions)
 
 
-def test_that_a_comparison_is_a_table_and_a_document() -> None:
+def test_that_a_comparison_is_a_table_and_a_document():
     found = compare(gel((0.3, 0.0), 0.1), gel((0.9, 0.0), 0.1))
     assert list(found.to_dataframe()["parameter"]) == ["G", "mu"]
     assert json.loads(json.dumps(found.to_dict()))["verdict"] == found.verdict
@@ -174,7 +167,7 @@ DOCUMENTS = {
 
 
 @pytest.mark.parametrize("name", DOCUMENTS)
-def test_that_files_of_other_kinds_are_named(name: str, tmp_path: Path, capsys) -> None:
+def test_that_files_of_other_kinds_are_named(name, tmp_path, capsys):
     content, message = DOCUMENTS[name]
     (tmp_path / "a.json").write_text(content)
     assert main(["compare", str(tmp_path / "a.json"), str(tmp_path / "a.json")]) == 2
@@ -182,7 +175,7 @@ def test_that_files_of_other_kinds_are_named(name: str, tmp_path: Path, capsys) 
     assert re.search(message, error), error
 
 
-def test_that_results_without_a_common_model_are_refused(tmp_path: Path) -> None:
+def test_that_results_without_a_common_model_are_refused(tmp_path):
     other = wide_prior(["newtonian"])
     document = {"belief": other.to_dict(), "models": {"newtonian": TRUSTED}}
     with pytest.raises(
@@ -197,6 +190,6 @@ def test_that_results_without_a_common_model_are_refused(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     "draws", [{"weights": [1.0]}, {"weights": [1.0], "values": {"G": [1.0, 2.0], "mu": [1.0, 2.0]}}]
 )
-def test_that_draws_that_are_not_whole_are_refused(draws: dict[str, Any]) -> None:
+def test_that_draws_that_are_not_whole_are_refused(draws):
     with pytest.raises(InputDataError, match="draws of 'nhkv'"):
         compare(gel((0.3, 0.0), 0.1, weighted_draws={"nhkv": draws}), gel((0.3, 0.0), 0.1))

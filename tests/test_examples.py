@@ -70,7 +70,7 @@ def public_objects() -> dict[str, object]:
 
 
 @pytest.mark.parametrize("example", examples(), ids=lambda example: example.name)
-def test_that_the_example_prints_what_it_says(example: doctest.DocTest) -> None:
+def test_that_the_example_prints_what_it_says(example):
     for module, needed in NEEDS.items():
         if example.name.startswith(module):
             for name in needed:
@@ -85,21 +85,23 @@ def test_that_the_example_prints_what_it_says(example: doctest.DocTest) -> None:
     assert failed == 0, "".join(said)
 
 
-@pytest.mark.parametrize("name", public_objects())
-def test_that_the_public_object_has_an_example(name: str) -> None:
-    assert ">>>" in (inspect.getdoc(public_objects()[name]) or "")
+OBJECTS = public_objects()
 
 
-def test_that_an_example_which_prints_something_else_fails() -> None:
+@pytest.mark.parametrize("name", OBJECTS)
+def test_that_the_public_object_has_an_example(name):
+    assert ">>>" in (inspect.getdoc(OBJECTS[name]) or "")
+
+
+def test_that_an_example_which_prints_something_else_fails():
     wrong = doctest.DocTestParser().get_doctest(">>> 1 + 1\n3\n", {}, "wrong", None, None)
     assert doctest.DocTestRunner(verbose=False).run(wrong, out=lambda _: None).failed == 1
 
 
-def test_that_the_public_objects_are_looked_at() -> None:
-    names = public_objects()
-    assert len(names) > 150
+def test_that_the_public_objects_are_looked_at():
+    assert len(OBJECTS) > 150
     assert {
         "imr_torch.characterization.infer.characterize",
         "imr_torch.units.Surroundings",
         "imr_torch.gap.diagnose.diagnose",
-    } <= set(names)
+    } <= set(OBJECTS)

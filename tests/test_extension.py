@@ -6,12 +6,11 @@ import pytest
 
 from imr_torch.errors import InputDataError
 from imr_torch.observe import READERS, Layout, Reader, TraceSet, load_traces, register_reader
-from tests.processes import Processes
 
 
 def test_that_a_format_a_model_an_effect_and_an_estimator_are_added_from_outside(
-    tmp_path: Path, processes: Processes
-) -> None:
+    tmp_path, processes
+):
     """In a process of its own, since registries are shared by all tests."""
     ran = processes.run(Path(__file__).with_name("extension.py"), str(tmp_path), timeout=900)
     assert ran.returncode == 0, ran.stderr
@@ -23,7 +22,7 @@ def test_that_a_format_a_model_an_effect_and_an_estimator_are_added_from_outside
     assert estimator == "estimator 2 True True"
 
 
-def test_that_a_reader_is_asked_first_and_takes_no_layout(tmp_path: Path) -> None:
+def test_that_a_reader_is_asked_first_and_takes_no_layout(tmp_path):
     file = tmp_path / "a.csv"
     asked = []
     file.write_text("MINE\n1,2\n")

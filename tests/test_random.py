@@ -6,9 +6,10 @@ import pytest
 import torch
 
 from imr_torch.random import child, generator
+from tests import float64
 
 
-def test_that_a_child_seed_depends_on_its_path_and_not_on_what_was_drawn() -> None:
+def test_that_a_child_seed_depends_on_its_path_and_not_on_what_was_drawn():
     before = child(7, "eig", 3)
     torch.randn(100)
     generator(7)
@@ -16,7 +17,7 @@ def test_that_a_child_seed_depends_on_its_path_and_not_on_what_was_drawn() -> No
     assert child(7, "eig", 3) == before
 
 
-def test_that_a_child_seed_is_the_same_in_every_process_and_version() -> None:
+def test_that_a_child_seed_is_the_same_in_every_process_and_version():
     """The first 63 bits of SHA-256 of the path:
 
     not Python's ``hash``, which is salted per process.
@@ -24,7 +25,7 @@ def test_that_a_child_seed_is_the_same_in_every_process_and_version() -> None:
     assert child(0) == 3456079177858693020
 
 
-def test_that_different_paths_and_seeds_have_different_children() -> None:
+def test_that_different_paths_and_seeds_have_different_children():
     paths = [
         (),
         ("a",),
@@ -41,29 +42,27 @@ def test_that_different_paths_and_seeds_have_different_children() -> None:
     assert len(set(seeds)) == len(seeds)
 
 
-def test_that_a_child_seed_is_one_that_torch_takes() -> None:
+def test_that_a_child_seed_is_one_that_torch_takes():
     for name in range(200):
         seed = child(3, name)
         assert 0 <= seed < 2**63
     assert generator(child(3, "x")).initial_seed() == child(3, "x")
 
 
-def test_that_the_bits_of_child_seeds_are_fair() -> None:
+def test_that_the_bits_of_child_seeds_are_fair():
     n = 2000
-    bits = torch.tensor(
-        [[child(0, name) >> i & 1 for i in range(63)] for name in range(n)], dtype=torch.float64
-    )
+    bits = float64.tensor([[child(0, name) >> i & 1 for i in range(63)] for name in range(n)])
     assert float((bits.mean(0) - 0.5).abs().max()) < 4.5 * 0.5 / n**0.5
 
 
-def test_that_a_generator_is_passed_through_and_shared() -> None:
+def test_that_a_generator_is_passed_through_and_shared():
     source = torch.Generator().manual_seed(5)
     assert generator(source) is source
     first, second = (torch.randn(4, generator=generator(source)) for _ in range(2))
     assert not torch.equal(first, second)
 
 
-def test_that_a_seed_gives_a_fresh_generator_each_time() -> None:
+def test_that_a_seed_gives_a_fresh_generator_each_time():
     first, second = (torch.randn(4, generator=generator(5)) for _ in range(2))
     assert torch.equal(first, second)
 
@@ -71,7 +70,7 @@ def test_that_a_seed_gives_a_fresh_generator_each_time() -> None:
 @pytest.mark.parametrize(
     "call", [lambda: child(1, "a"), lambda: torch.randn(3, generator=generator(1))]
 )
-def test_that_the_global_generator_is_not_touched(call) -> None:
+def test_that_the_global_generator_is_not_touched(call):
     state = torch.get_rng_state()
     call()
     assert torch.equal(torch.get_rng_state(), state)

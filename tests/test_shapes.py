@@ -73,7 +73,7 @@ def test_that_does_not_fit():
 
 
 @pytest.fixture(scope="module")
-def checked(tmp_path_factory: pytest.TempPathFactory) -> str:
+def checked(tmp_path_factory):
     """What pytest printed of the tests to check and of a wrong shape, in one process, since the checks take long to make."""
     wrong = tmp_path_factory.mktemp("shapes") / "test_wrong.py"
     wrong.write_text(WRONG)
@@ -93,7 +93,7 @@ def ran(*arguments: str) -> str:
     return done.stdout
 
 
-def test_that_tensors_have_the_shapes_of_their_annotations(checked: str) -> None:
+def test_that_tensors_have_the_shapes_of_their_annotations(checked):
     failed = re.findall(r"^(?:FAILED|ERROR) \S*?((?:::)?[^/\s]+)(?:\s|$)", checked, re.MULTILINE)
     assert failed == ["::test_that_does_not_fit"], checked[
         -8000:
@@ -101,7 +101,7 @@ def test_that_tensors_have_the_shapes_of_their_annotations(checked: str) -> None
     assert int(re.findall(r"(\d+) passed", checked)[-1]) > 600
 
 
-def test_that_a_wrong_shape_is_found(checked: str) -> None:
+def test_that_a_wrong_shape_is_found(checked):
     assert "FAILED ::test_that_does_not_fit" in checked
     assert "jaxtyping.TypeCheckError" in checked
     assert "acceleration" in checked

@@ -7,7 +7,6 @@ import os
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -21,7 +20,7 @@ BASH = shutil.which("bash")
 
 
 @pytest.mark.skipif(BASH is None or os.name != "posix", reason="job scripts are for a POSIX shell")
-def test_that_the_job_script_fits_every_shot_on_the_workers(tmp_path: Path) -> None:
+def test_that_the_job_script_fits_every_shot_on_the_workers(tmp_path):
     pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
     tools = tmp_path / "bin"
     tools.mkdir()

@@ -11,7 +11,7 @@ from imr_torch.threads import one_torch_thread
 from tests.linear import LinearSimulator, experiments, prior
 
 
-def test_that_a_fit_sees_one_thread_and_the_caller_its_own() -> None:
+def test_that_a_fit_sees_one_thread_and_the_caller_its_own():
     seen = set()
 
     class Watching(LinearSimulator):
@@ -37,7 +37,7 @@ def test_that_a_fit_sees_one_thread_and_the_caller_its_own() -> None:
         torch.set_num_threads(before)
 
 
-def test_that_blocks_that_overlap_leave_as_many_threads_as_were_before_the_first() -> None:
+def test_that_blocks_that_overlap_leave_as_many_threads_as_were_before_the_first():
     before = torch.get_num_threads()
     torch.set_num_threads(2)
     try:

@@ -5,8 +5,6 @@ from pathlib import Path
 
 import pytest
 
-from tests.processes import Processes
-
 ROOT = Path(__file__).resolve().parents[1]
 TUTORIALS = sorted((ROOT / "tutorials").glob("[0-9]*.py"))
 NEEDS = {"16_on_a_cluster": "distributed", "17_neural_posterior_with_sbi": "sbi"}
@@ -17,7 +15,7 @@ def test_there_are_tutorials():
 
 
 @pytest.mark.parametrize("path", TUTORIALS, ids=lambda path: path.stem)
-def test_the_tutorial_runs(path: Path, processes: Processes) -> None:
+def test_the_tutorial_runs(path, processes):
     if (needed := NEEDS.get(path.stem)) and importlib.util.find_spec(needed) is None:
         pytest.skip(f"{needed} is not installed")
     done = processes.run(path, env={"IMR_TORCH_SMOKE": "1"})

@@ -1,7 +1,7 @@
 """Bad inputs as one set, through the command line: is each refused in one clear line, before any
 fit?
 
-  python -m benchmarks.bad_inputs [--only TEXT] [--kind NAME] [--fuzz 40] [--json OUT]
+  python -m benchmarks.bad_inputs [--only TEXT] [--kind NAME] [--fuzz 40]
 
 Every case is a command in a folder of its own, run in this process with all fits replaced by a
 stop. A case is
@@ -28,12 +28,12 @@ from unittest import mock
 
 from benchmarks.bad_inputs.beliefs import beliefs
 from benchmarks.bad_inputs.case import MODELS, QUICK, Case, good
+from benchmarks.bad_inputs.collapse_tables import collapse_tables
 from benchmarks.bad_inputs.curves import scales, tables
 from benchmarks.bad_inputs.damaged import damaged
 from benchmarks.bad_inputs.described import layouts, sidecars
 from benchmarks.bad_inputs.documents import results
 from benchmarks.bad_inputs.journals import journals
-from benchmarks.bad_inputs.newest import newest
 from benchmarks.bad_inputs.options import options
 from benchmarks.bad_inputs.sets import archive, sets
 from benchmarks.bad_inputs.targets import targets
@@ -84,7 +84,7 @@ def prepared(folder: Path) -> None:
 
 def cases(folder: Path, fuzz: int) -> Iterator[Case]:
     """All cases; ``folder`` holds good files."""
-    for group in (tables, scales, sidecars, layouts, sets, options, newest, targets):
+    for group in (tables, scales, sidecars, layouts, sets, options, collapse_tables, targets):
         yield from group()
     yield from beliefs(json.loads((folder / "belief.json").read_text()))
     yield from journals(folder / "gel")

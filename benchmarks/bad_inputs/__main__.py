@@ -10,7 +10,6 @@ import torch
 
 import benchmarks.bad_inputs as bad_inputs
 from benchmarks.bad_inputs import Outcome, cases, prepared, tried
-from imr_torch.files import write_json
 
 
 def start() -> int:
@@ -23,7 +22,6 @@ def start() -> int:
     parser.add_argument(
         "--fuzz", type=int, default=40, help="damaged files of each kind (default 40)"
     )
-    parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     torch.set_num_threads(1)
     found: list[Outcome] = []
@@ -54,14 +52,6 @@ def start() -> int:
         "what is left of them being valid"
     )
     print(f"slowest {max((o.seconds for o in found), default=0.0):.1f} s")
-    if args.json:
-        write_json(
-            args.json,
-            [
-                {"kind": o.case.kind, "name": o.case.name, "verdict": o.verdict, "said": o.said}
-                for o in found
-            ],
-        )
     return int(any(o.verdict != "handled" for o in found))
 
 

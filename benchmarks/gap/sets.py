@@ -1,5 +1,5 @@
-"""Synthetic sets whose truth is known: a random gel and designs, with no effect, one, or two, as a
-camera would film them.
+"""Synthetic sets whose truth is known: a random gel and designs, with no effect or one, as a camera
+would film them.
 
 Effects act through the library, so this tests the diagnosis where its closures are right; whether
 it survives those of another hand is for data from elsewhere. Truths are simulated by another
@@ -8,14 +8,14 @@ or with another number of them (``modes``: 24 + 28).
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
 
 from benchmarks.gap.signals import signals
 from imr_torch.errors import ConvergenceError, InputDataError
-from imr_torch.gap import LIBRARY, Effect, library
+from imr_torch.gap import Effect, library
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, predict
 from imr_torch.observe.sets import NUISANCE
@@ -29,10 +29,10 @@ from imr_torch.simulate import (
     TransportSimulator,
 )
 
-KINDS = ("none", "effect", "withheld", "pair", "next")
+KINDS = ("none", "effect", "withheld", "next")
 PHYSICS = ("polytropic", "transport")
 TRUTHS = ("reference", "modes")
-_MODES = Accuracy(1e-6, Resolution(24, 28), max_steps=100000)
+SHARP = Accuracy(1e-6, Resolution(24, 28), max_steps=100000)
 UNSEEN = 2  # designs beside those diagnosed, to judge shrinkage on
 
 GEL = {"G": (2e3, 15e3), "mu": (0.03, 0.3)}
@@ -42,13 +42,7 @@ _APART = 0.1  # least distance of two designs, both coordinates scaled to 1
 _AMPLITUDE = (0.2, 2.0)  # in prior standard deviations
 _ACTS = 0.1  # least sd: what acts less does nothing in this physics
 _SEEN = 4.0  # sd beside a refit at which an effect counts as detectable
-_DRAWS = {
-    "none": 0,
-    "effect": 4,
-    "withheld": 4,
-    "pair": 8,
-    "next": 4,
-}  # effects drawn, of which detectable ones come first
+_DRAWS = 4  # effects drawn, of which the first that is detectable acts
 _ATTEMPTS = 20
 
 
@@ -64,8 +58,6 @@ class Task:
         seed: of the set and of its diagnosis.
         nuisances: whether each experiment has errors of Rmax, time zero and R_inf, which the
             diagnosis knows about.
-        effects: names that truths are drawn from and that are offered; the whole library when
-            empty.
         truths: one of ``TRUTHS``, by what the truth is simulated; polytropic ones are by finer
             steps in either case.
     """
@@ -76,7 +68,6 @@ class Task:
     physics: str
     seed: int
     nuisances: bool = False
-    effects: tuple[str, ...] = ()
     truths: str = "reference"
 
     def __post_init__(self) -> None:
@@ -103,11 +94,6 @@ class Task:
         own = "" if self.truths == TRUTHS[0] else f"/{self.truths}"
         return f"{self.kind}/{self.size}/{self.physics}/{'nuisances' if self.nuisances else 'exact'}/{self.seed}{own}"
 
-    @property
-    def candidates(self) -> tuple[Effect, ...]:
-        """Effects that the truth is drawn from."""
-        return library(self.effects or None)
-
     def simulator(self, *, fine: bool = False) -> PolytropicSimulator | TransportSimulator:
         """The simulator of the diagnosis, or that of the truth, which has another discretisation
         error.
@@ -117,7 +103,7 @@ class Task:
         if not fine:
             return TransportSimulator(accuracy=ACCURACIES["search"])
         return TransportSimulator(
-            accuracy=_MODES if self.truths == "modes" else ACCURACIES["reference"]
+            accuracy=SHARP if self.truths == "modes" else ACCURACIES["reference"]
         )
 
 
@@ -129,7 +115,7 @@ class SyntheticSet:
         experiments: what the diagnosis sees.
         unseen: further designs of the same gel.
         curves: true curves of both, as filmed without noise: ``E x n_t`` tensor.
-        truth: names of the effects that act.
+        truth: name of the effect that acts, in a tuple; empty without one.
         offered: the library of the diagnosis.
         values: true parameters beside neutral ones, SI.
         signal: sd that a refit of G, mu and nuisances leaves of each effect in the data that are
@@ -144,14 +130,13 @@ class SyntheticSet:
     values: dict[str, float]
     signal: dict[str, float] = field(default_factory=dict)
 
-    def noiseless(self, *, unseen: bool = False) -> ExperimentBatch:
-        """The set, or its unseen designs, with the true curve in place of every repeat."""
-        chosen, start = (self.unseen, len(self.experiments)) if unseen else (self.experiments, 0)
-        rows = self.curves[start : start + len(chosen)]
+    def unseen_without_noise(self) -> ExperimentBatch:
+        """The unseen designs with the true curve in place of every repeat."""
+        rows = self.curves[len(self.experiments) :]
         return ExperimentBatch(
             tuple(
-                Experiment(e.label, e.design, e.times, row.expand_as(e.radius), e.nuisance)
-                for e, row in zip(chosen, rows, strict=True)
+                replace(e, radius=row.expand_as(e.radius))
+                for e, row in zip(self.unseen, rows, strict=True)
             )
         )
 
@@ -172,29 +157,30 @@ def make_set(task: Task) -> SyntheticSet:
 def _try(task: Task, source: torch.Generator) -> SyntheticSet | None:
     gel = {name: _log_uniform(bounds, source) for name, bounds in GEL.items()}
     plan = make_plan(draw_designs(task.designs + UNSEEN, source), task)
-    drawn = [
-        draw_effect(_one_of(task.candidates, source), source) for _ in range(_DRAWS[task.kind])
-    ]
-    diagnosed = ExperimentBatch(plan.experiments[: task.designs])
-    shown = signals(gel, [changed for _, changed in drawn], diagnosed, task.simulator())
-    chosen = choose(drawn, shown, {"none": 0, "pair": 2}.get(task.kind, 1))
-    if chosen is None:
-        return None
-    values = gel | {name: value for i in chosen for name, value in drawn[i][1].items()}
+    known = library()
+    chosen: dict[Effect, dict[str, float]] = {}
+    signal: dict[str, float] = {}
+    if task.kind != "none":
+        drawn = [draw_effect(_one_of(known, source), source) for _ in range(_DRAWS)]
+        diagnosed = ExperimentBatch(plan.experiments[: task.designs])
+        shown = signals(gel, [changed for _, changed in drawn], diagnosed, task.simulator())
+        place = choose(shown)
+        if place is None:
+            return None
+        effect, changed = drawn[place]
+        chosen, signal = {effect: changed}, {effect.name: shown[place]}
+    values = gel | {name: value for own in chosen.values() for name, value in own.items()}
     filmed = film(values, plan, task, source)
     if filmed is None:
         return None
     experiments, curves = filmed
-    truth = tuple(drawn[i][0].name for i in chosen)
-    hidden = {drawn[i][0].family for i in chosen} if task.kind == "withheld" else set()
-    offered = tuple(effect for effect in task.candidates if effect.family not in hidden)
-    signal = {drawn[i][0].name: shown[i] for i in chosen}
+    hidden = {effect.family for effect in chosen} if task.kind == "withheld" else set()
     return SyntheticSet(
         experiments[: task.designs],
         experiments[task.designs :],
         curves,
-        truth,
-        offered,
+        tuple(effect.name for effect in chosen),
+        tuple(effect for effect in known if effect.family not in hidden),
         values,
         signal,
     )
@@ -278,20 +264,8 @@ def draw_effect(effect: Effect, source: torch.Generator) -> tuple[Effect, dict[s
     return effect, values
 
 
-def choose(
-    drawn: list[tuple[Effect, dict[str, float]]], signals: list[float], count: int
-) -> list[int] | None:
-    """Which draws become the truth: of different families, the first that are detectable, else the
-    strongest.
-
-    Returns:
-        Places in ``drawn``; None if too few act at all.
-    """
+def choose(signals: list[float]) -> int | None:
+    """Place of the first draw that is detectable, else of the strongest; None if none acts at all."""
     able = [i for i, signal in enumerate(signals) if signal >= _ACTS]  # not NaN either
-    order = sorted(able, key=lambda i: (0, i) if signals[i] >= _SEEN else (1, -signals[i]))
-    chosen: list[int] = []
-    for i in order:
-        families = {LIBRARY[drawn[j][0].name].family for j in chosen}
-        if len(chosen) < count and drawn[i][0].family not in families:
-            chosen.append(i)
-    return chosen if len(chosen) == count else None
+    seen = [i for i in able if signals[i] >= _SEEN]
+    return seen[0] if seen else max(able, key=lambda i: signals[i], default=None)

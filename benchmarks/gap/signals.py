@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from torch import Tensor
 
-from imr_torch.goodness.phases import PHASES, phase_clock, phase_name
 from imr_torch.material import PARAMETERS, Effect
 from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.simulate import Simulator
@@ -54,32 +53,7 @@ def signals(
     curves = predict(
         simulator, torch.stack([PARAMETERS.pack({**gel, **effect}) for effect in effects]), plan
     )
-    return [_refit(gel, curve, plan.mask, plan, simulator)[0] for curve in curves]
-
-
-def signal_by_phase(
-    gel: Mapping[str, float],
-    effect: Mapping[str, float],
-    plan: ExperimentBatch,
-    simulator: Simulator,
-) -> list[float]:
-    """What a refit of the frames up to the end of each of ``PHASES`` leaves of an effect; see
-    :func:`signals`.
-
-    Few frames have minima that the whole does not; where all frames lead is tried for each phase
-    too.
-    """
-    without, curve = predict(
-        simulator, torch.stack([PARAMETERS.pack(gel), PARAMETERS.pack({**gel, **effect})]), plan
-    )
-    clock = phase_clock(plan.times, without, plan.mask)
-    phase = torch.tensor([[PHASES.index(phase_name(c)) for c in row] for row in clock.tolist()])
-    _, whole = _refit(gel, curve, plan.mask, plan, simulator)
-    parts = [plan.mask & (phase <= last) for last in range(len(PHASES))]
-    return [
-        min(_refit(gel, curve, frames, plan, simulator, start=start)[0] for start in (None, whole))
-        for frames in parts
-    ]
+    return [_refit(gel, curve, plan, simulator) for curve in curves]
 
 
 def beside_rival(
@@ -101,22 +75,19 @@ def beside_rival(
     """
     curve = predict(simulator, PARAMETERS.pack({**gel, **truth})[None], plan)[0]
     return min(
-        _refit(gel, curve, plan.mask, plan, simulator, rival=(rival, values))[0]
-        for values in rival.starts
+        _refit(gel, curve, plan, simulator, rival=(rival, values)) for values in rival.starts
     )
 
 
 def _refit(
     gel: Mapping[str, float],
     curve: Tensor,
-    frames: Tensor,
     plan: ExperimentBatch,
     simulator: Simulator,
     *,
-    start: Vector | None = None,
     rival: tuple[Effect, Sequence[float]] | None = None,
-) -> tuple[float, Vector]:
-    """Length of what a refit leaves of a true curve (``E x T``) in some frames, and where it ended.
+) -> float:
+    """Length of what a refit leaves of a true curve (``E x T``).
 
     Places are moves of the log of each parameter of the gel, then controls of the parameters of a
     rival, which begin at given values, then moves of each uncertain nuisance of each experiment in
@@ -133,8 +104,8 @@ def _refit(
     ]
     own = len(gel) + len(priors)
     still = np.concatenate((np.zeros(len(gel)), begun, np.zeros(experiments * len(uncertain))))
-    if not bool(torch.isfinite(curve[frames]).all()):
-        return math.nan, still
+    if not bool(torch.isfinite(curve[plan.mask]).all()):
+        return math.nan
 
     def place(x: Tensor) -> tuple[Tensor, Tensor]:
         moved = torch.tensor(list(gel.values()), dtype=torch.float64) * x[:, : len(gel)].exp()
@@ -151,7 +122,7 @@ def _refit(
         return rows, shifts * plan.nuisance_sds
 
     def whitened(radius: Tensor) -> Tensor:
-        return plan.whiten(radius - curve, sd)[..., frames]
+        return plan.whiten(radius - curve, sd)[..., plan.mask]
 
     def residual(x: Vector) -> Vector:
         rows, shifts = place(torch.from_numpy(x)[None])
@@ -176,8 +147,8 @@ def _refit(
         return torch.cat((columns, believed), 1).mT.numpy()
 
     farthest = np.repeat((_FARTHEST, _UNLIKELY, np.inf), (len(gel), len(priors), len(still) - own))
-    begin = (still if start is None else start).clip(-farthest, farthest)
+    begin = still.clip(-farthest, farthest)
     found = least_squares(
         residual, begin, slopes, (-farthest, farthest), ftol=_TOLERANCE, max_nfev=_EVALUATIONS
     )
-    return math.sqrt(2.0 * found.cost), found.x
+    return math.sqrt(2.0 * found.cost)

@@ -17,7 +17,7 @@ KINDS = (
     "layout",
     "set",
     "option",
-    "new",
+    "times",
     "target",
     "belief",
     "journal",
@@ -27,7 +27,7 @@ KINDS = (
 
 
 @pytest.fixture(scope="module")
-def every(tmp_path_factory) -> list[Case]:
+def every(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bad_inputs") / "good"
     prepared(folder)
     return list(cases(folder, DAMAGED))

@@ -1,7 +1,6 @@
 """One table of unusable files: what is in them, and exactly what the reader is told."""
 
 import re
-from pathlib import Path
 
 import pytest
 import torch
@@ -229,7 +228,7 @@ FILES = {
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_that_an_unusable_file_names_place_value_and_remedy(tmp_path: Path, name: str) -> None:
+def test_that_an_unusable_file_names_place_value_and_remedy(tmp_path, name):
     content, layout, message = FILES[name]
     (tmp_path / "bad.csv").write_bytes(content)
     with pytest.raises(InputDataError) as caught:
@@ -238,7 +237,7 @@ def test_that_an_unusable_file_names_place_value_and_remedy(tmp_path: Path, name
     assert re.fullmatch(expected, str(caught.value)), str(caught.value)
 
 
-def test_that_a_missing_file_a_folder_and_no_file_are_told_apart(tmp_path: Path) -> None:
+def test_that_a_missing_file_a_folder_and_no_file_are_told_apart(tmp_path):
     with pytest.raises(
         InputDataError, match=r"none\.csv: no such file; check the name and the folder"
     ):
@@ -292,9 +291,7 @@ def test_that_a_missing_file_a_folder_and_no_file_are_told_apart(tmp_path: Path)
         ),
     ],
 )
-def test_that_an_unusable_json_beside_a_table_is_named(
-    tmp_path: Path, content: str, message: str
-) -> None:
+def test_that_an_unusable_json_beside_a_table_is_named(tmp_path, content, message):
     (tmp_path / "bad.csv").write_text(lines())
     (tmp_path / "bad.json").write_text(content)
     with pytest.raises(InputDataError, match=message):
@@ -320,7 +317,7 @@ LAYOUTS = {
 
 
 @pytest.mark.parametrize("text", LAYOUTS)
-def test_that_an_unusable_layout_says_what_to_set(text: str) -> None:
+def test_that_an_unusable_layout_says_what_to_set(text):
     with pytest.raises(InputDataError) as caught:
         Layout.from_text(text)
     assert re.fullmatch(LAYOUTS[text], str(caught.value)), str(caught.value)
@@ -376,7 +373,7 @@ TRACES = {
 
 
 @pytest.mark.parametrize("name", TRACES)
-def test_that_an_impossible_trace_is_refused(name: str) -> None:
+def test_that_an_impossible_trace_is_refused(name):
     experiment, time, radius, message = TRACES[name]
     with pytest.raises(InputDataError) as caught:
         RadiusTrace(experiment, torch.tensor(time), torch.tensor(radius), "memory")
@@ -392,7 +389,7 @@ def test_that_an_impossible_trace_is_refused(name: str) -> None:
         ("rest_radius_sd_m", -1.0),
     ],
 )
-def test_that_impossible_given_values_are_refused(field: str, value: float) -> None:
+def test_that_impossible_given_values_are_refused(field, value):
     with pytest.raises(
         InputDataError, match=rf"Given\.{field} is {value}; expected .*None if unknown"
     ):

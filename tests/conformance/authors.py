@@ -11,6 +11,7 @@ from torch import Tensor
 from imr_torch.errors import UnsupportedError
 from imr_torch.material import MATERIALS, PARAMETERS
 from imr_torch.simulate import ACCURACIES, Accuracy, Resolution, TransportSimulator, preset
+from tests import float64
 
 GRIDS: dict[str, Accuracy] = {
     "converged": ACCURACIES["reference"],
@@ -50,7 +51,7 @@ def parameter_vector(case: Mapping[str, Any]) -> Tensor:
 
 def radius(case: Mapping[str, Any], t_star: np.ndarray) -> np.ndarray:
     """``R*`` at ``t_star``, same shape, of a case with the keys of the published set plus ``preset`` and ``grid``."""
-    designs = torch.tensor([case["We"], case["Rinf_star"]], dtype=torch.float64)
+    designs = float64.tensor([case["We"], case["Rinf_star"]])
     simulator = TransportSimulator(
         preset(case.get("preset", "published")), GRIDS[case.get("grid", "converged")]
     )

@@ -36,6 +36,7 @@ from imr_torch.simulate import (
 )
 from imr_torch.simulate.radial import keller_miksis_enthalpy
 from imr_torch.units import Surroundings
+from tests import float64
 
 PARAMETER_OF = {
     "mu": "viscosity_pa_s",
@@ -150,9 +151,7 @@ def radius(config: Mapping[str, Any]) -> Tensor:
     outer = conditions.surroundings
     size = float(config["initial_radius_m"])
     times = torch.as_tensor(config["times_s"], dtype=torch.float64) / outer.time_scale(size)
-    designs = torch.tensor(
-        [outer.weber(size), config["equilibrium_radius_m"] / size], dtype=torch.float64
-    )
+    designs = float64.tensor([outer.weber(size), config["equilibrium_radius_m"] / size])
     terms = (LAGGING_ZENER,) if "tau" in names else None
     if config["bubble_gas"] == "polytropic":
         simulator = PolytropicSimulator(conditions, STEPPINGS["reference"], terms)
@@ -222,9 +221,8 @@ def _mixture(config: Mapping[str, Any]) -> GasMixture:
     rest = config["equilibrium_radius_m"]
     size = config["initial_radius_m"]
     saturation = config["saturation_pressure_prefactor_pa"] * torch.exp(
-        torch.tensor(
+        float64.tensor(
             -config["saturation_pressure_temperature_k"] / config["far_field_temperature_k"],
-            dtype=torch.float64,
         )
     )
     saturation = float(saturation) if config["vapour_pressure"] else 0.0

@@ -134,12 +134,23 @@ def test_that_a_class_or_function_is_documented_by_its_own_directive(extensions)
             assert (entry.kind in ("class", "exception")) == inspect.isclass(value)
 
 
+def test_that_the_results_name_every_record_and_command_of_the_benchmarks_and_no_other():
+    folder = ROOT / "benchmarks"
+    text = (folder / "RESULTS.md").read_text()
+    named = set(re.findall(r"records/(\w+)\.jsonl", text))
+    assert named == {path.stem for path in (folder / "records").glob("*.jsonl")}
+    run = {name.replace(".", "/") for name in re.findall(r"python -m benchmarks\.([\w.]+)", text)}
+    files = {path.relative_to(folder) for path in folder.rglob("*.py")}
+    commands = {path for path in files if '__name__ == "__main__"' in (folder / path).read_text()}
+    assert {str(path.with_suffix("")).removesuffix("/__main__") for path in commands} == run
+
+
 @pytest.mark.parametrize(
     "path", sorted((ROOT / "tutorials").glob("[0-9]*.py")), ids=lambda path: path.stem
 )
 def test_that_the_notebook_holds_the_cells_of_its_script_and_output(path):
     pytest.importorskip("jupytext")
-    from benchmarks.notebooks import cells
+    from tools.notebooks import cells
 
     notebook = path.with_suffix(".ipynb")
     assert cells(notebook) == cells(path)

@@ -4,9 +4,8 @@ import json
 
 import numpy as np
 import pytest
-import torch
 
-from imr_torch.assimilate import Assimilation, SearchOptions, assimilate, weigh
+from imr_torch.assimilate import SearchOptions, assimilate, weigh
 from imr_torch.campaign import Campaign, CampaignSettings, ExactLearner
 from imr_torch.design import Plan
 from imr_torch.errors import InputDataError
@@ -15,6 +14,7 @@ from imr_torch.material import PARAMETERS, reference_case
 from imr_torch.observe import Nuisance, SimulatedLaboratory
 from imr_torch.select import cross_validate
 from imr_torch.simulate import PolytropicSimulator, Stepping
+from tests import float64
 from tests.linear import LinearSimulator, exact, experiments, prior, tensor
 
 pytest.importorskip("arviz_base", reason="needs the extra arviz")
@@ -23,7 +23,7 @@ OPTIONS = SearchOptions(raw_samples=24)
 
 
 @pytest.fixture(scope="module")
-def weighted() -> Assimilation:
+def weighted():
     batch = experiments(3, nuisance=Nuisance(time_zero=0.2, rest_radius=0.3))
     fit = assimilate(
         prior(("newtonian", "nhkv")), batch, LinearSimulator(), seed=1, options=OPTIONS
@@ -32,8 +32,8 @@ def weighted() -> Assimilation:
 
 
 def test_that_every_model_has_the_groups_of_the_schema_with_named_axes(
-    weighted: Assimilation,
-) -> None:
+    weighted,
+):
     tree = to_arviz(weighted, seed=0, draws=200)
     assert set(tree.children) == {"newtonian", "nhkv"}
     branch = tree["nhkv"]
@@ -58,7 +58,7 @@ def test_that_every_model_has_the_groups_of_the_schema_with_named_axes(
     assert set(tree["newtonian"]["posterior"].data_vars) == {"mu", "nuisances"}
 
 
-def test_that_units_travel_with_the_variables(weighted: Assimilation) -> None:
+def test_that_units_travel_with_the_variables(weighted):
     branch = to_arviz(weighted, seed=0, draws=10)["nhkv"]
     assert branch["posterior"]["G"].attrs == {"units": "Pa", "long_name": "shear modulus"}
     assert branch["posterior"]["mu"].attrs["units"] == "Pa s"
@@ -66,7 +66,7 @@ def test_that_units_travel_with_the_variables(weighted: Assimilation) -> None:
     assert branch["constant_data"]["time"].attrs["units"] == "t U_c/Rmax"
 
 
-def test_that_draws_have_the_posteriors_moments(weighted: Assimilation) -> None:
+def test_that_draws_have_the_posteriors_moments(weighted):
     posterior = to_arviz(weighted, seed=0, draws=4000)["nhkv"]["posterior"]
     part = weighted.prior["nhkv"]
     truth = exact(weighted.prior["nhkv"], weighted.batch)
@@ -82,7 +82,7 @@ def test_that_draws_have_the_posteriors_moments(weighted: Assimilation) -> None:
     np.testing.assert_allclose(found, truth.nuisances.numpy(), atol=0.12)
 
 
-def test_that_data_are_what_was_measured_and_missing_frames_are_nan(weighted: Assimilation) -> None:
+def test_that_data_are_what_was_measured_and_missing_frames_are_nan(weighted):
     tree = to_arviz(weighted, seed=0, draws=10)
     batch = weighted.batch
     radius = tree["nhkv/observed_data"]["radius"].values
@@ -95,7 +95,7 @@ def test_that_data_are_what_was_measured_and_missing_frames_are_nan(weighted: As
     ]
 
 
-def test_that_arvizs_leave_one_out_is_the_score_of_the_library(weighted: Assimilation) -> None:
+def test_that_arvizs_leave_one_out_is_the_score_of_the_library(weighted):
     """Experiments left out by ArviZ from the exported draws, and by ``cross_validate`` from the weighted ones."""
     loo = pytest.importorskip("arviz_stats", reason="needs arviz-stats").base.array_stats
     branch = to_arviz(weighted, seed=0, draws=4000)["nhkv"]
@@ -115,7 +115,7 @@ def test_that_arvizs_leave_one_out_is_the_score_of_the_library(weighted: Assimil
     assert any(not score.refitted for score in scores)
 
 
-def test_that_statistics_are_those_of_the_sample(weighted: Assimilation) -> None:
+def test_that_statistics_are_those_of_the_sample(weighted):
     stats = to_arviz(weighted, seed=0, draws=10)["nhkv"]["sample_stats"]
     sample = weighted["nhkv"].sample
     assert float(stats["pareto_k"]) == sample.pareto_k
@@ -123,7 +123,7 @@ def test_that_statistics_are_those_of_the_sample(weighted: Assimilation) -> None
     assert stats["lp"].shape == (1, 10)
 
 
-def test_that_a_fit_without_weights_gives_its_gaussian(weighted: Assimilation) -> None:
+def test_that_a_fit_without_weights_gives_its_gaussian(weighted):
     fit = assimilate(prior(("nhkv",)), experiments(1), LinearSimulator(), seed=1, options=OPTIONS)
     branch = to_arviz(fit, seed=0, draws=4000)["nhkv"]
     assert set(branch.children) == {"posterior", "observed_data", "constant_data"}
@@ -134,7 +134,7 @@ def test_that_a_fit_without_weights_gives_its_gaussian(weighted: Assimilation) -
     assert float(branch["posterior"]["G"].std()) == pytest.approx(float(expected.sds[0]), rel=0.05)
 
 
-def test_that_a_belief_gives_its_draws_and_probabilities() -> None:
+def test_that_a_belief_gives_its_draws_and_probabilities():
     case = reference_case("stiff-pa")
     tree = to_arviz(case.prior, seed=0, draws=2000)
     assert set(tree.children) == {"nhkv", "gen_qkv", "models"}
@@ -142,10 +142,10 @@ def test_that_a_belief_gives_its_draws_and_probabilities() -> None:
     assert np.exp(tree["models"]["log_probability"].values).tolist() == pytest.approx([0.5, 0.5])
 
 
-def test_that_a_campaign_gives_every_step_and_the_posterior_of_the_last(tmp_path) -> None:
+def test_that_a_campaign_gives_every_step_and_the_posterior_of_the_last(tmp_path):
     case = reference_case("soft-pa")
     simulator = PolytropicSimulator(stepping=Stepping(0.25))
-    times = torch.linspace(0.0, 1.0, 9, dtype=torch.float64)
+    times = float64.linspace(0.0, 1.0, 9)
     settings = CampaignSettings(
         plan=Plan(times=times, repeats=20), learner=ExactLearner(64, SearchOptions(raw_samples=24))
     )
@@ -170,9 +170,7 @@ def test_that_a_campaign_gives_every_step_and_the_posterior_of_the_last(tmp_path
     )
 
 
-def test_that_a_file_holds_the_tree_and_is_replaced_whole(
-    weighted: Assimilation, tmp_path, monkeypatch
-) -> None:
+def test_that_a_file_holds_the_tree_and_is_replaced_whole(weighted, tmp_path, monkeypatch):
     import xarray
 
     tree = to_arviz(weighted, seed=0, draws=20)
@@ -198,7 +196,7 @@ def test_that_a_file_holds_the_tree_and_is_replaced_whole(
     assert [p.name for p in tmp_path.iterdir()] == ["fit.nc"]
 
 
-def test_that_draws_depend_on_the_seed_alone(weighted: Assimilation) -> None:
+def test_that_draws_depend_on_the_seed_alone(weighted):
     one, same, other = (
         to_arviz(weighted, seed=s, draws=30)["nhkv/posterior"]["G"].values.tolist()
         for s in (1, 1, 2)
@@ -214,6 +212,6 @@ def test_that_draws_depend_on_the_seed_alone(weighted: Assimilation) -> None:
         (prior(), 0, "draws is 0; at least 1"),
     ],
 )
-def test_that_bad_input_is_named(source, draws: int, message: str) -> None:
+def test_that_bad_input_is_named(source, draws, message):
     with pytest.raises(InputDataError, match=message):
         to_arviz(source, seed=0, draws=draws)

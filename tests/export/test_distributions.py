@@ -9,10 +9,11 @@ from torch import distributions as dist
 from imr_torch.errors import InputDataError, UnsupportedError
 from imr_torch.export import from_distributions, to_marginal
 from imr_torch.material import Belief, LogNormal, Quantile, TruncatedNormal
+from tests import float64
 
 
 def t(*values: float) -> list[torch.Tensor]:
-    return [torch.tensor(v, dtype=torch.float64) for v in values]
+    return [float64.tensor(v) for v in values]
 
 
 CASES = [
@@ -38,24 +39,24 @@ CASES = [
 
 @pytest.mark.parametrize("distribution", CASES, ids=lambda d: type(d).__name__)
 def test_that_a_marginal_has_the_density_of_its_distribution(
-    distribution: dist.Distribution,
-) -> None:
+    distribution,
+):
     """``log p(theta) = log phi(z) - log |d theta/d z|``, out to five standard deviations."""
     marginal = to_marginal(distribution)
-    z = torch.linspace(-5.0, 5.0, 41, dtype=torch.float64)
+    z = float64.linspace(-5.0, 5.0, 41)
     value = marginal.to_physical(z)
     density = -0.5 * z.square() - 0.5 * math.log(2.0 * math.pi) - marginal.log_slope(z)
     torch.testing.assert_close(density, distribution.log_prob(value), rtol=1e-7, atol=1e-7)
 
 
 @pytest.mark.parametrize("distribution", CASES, ids=lambda d: type(d).__name__)
-def test_that_the_median_is_at_rest(distribution: dist.Distribution) -> None:
-    middle = to_marginal(distribution).to_physical(torch.zeros(1, dtype=torch.float64))
+def test_that_the_median_is_at_rest(distribution):
+    middle = to_marginal(distribution).to_physical(float64.zeros(1))
     draws = distribution.expand((20_000,)).sample()
     assert float((draws < middle).double().mean()) == pytest.approx(0.5, abs=0.015)
 
 
-def test_that_maps_of_the_library_are_used_where_they_exist() -> None:
+def test_that_maps_of_the_library_are_used_where_they_exist():
     assert to_marginal(dist.Normal(*t(1.0, 2.0))) == TruncatedNormal(1.0, 2.0)
     assert to_marginal(dist.LogNormal(*t(0.0, 1.0))) == LogNormal(1.0, math.e)
     assert to_marginal(
@@ -63,7 +64,7 @@ def test_that_maps_of_the_library_are_used_where_they_exist() -> None:
     ) == TruncatedNormal(1.0, 2.0)
 
 
-def test_that_a_belief_is_made_saved_and_read_back(tmp_path) -> None:
+def test_that_a_belief_is_made_saved_and_read_back(tmp_path):
     belief = from_distributions(
         {
             "nhkv": {"G": dist.Gamma(*t(2.0, 1e-3)), "mu": dist.Uniform(*t(0.01, 0.5))},
@@ -75,7 +76,7 @@ def test_that_a_belief_is_made_saved_and_read_back(tmp_path) -> None:
     assert belief["nhkv"].marginals[0] == Quantile("gamma", {"a": 2.0, "scale": 1000.0})
     torch.testing.assert_close(
         belief["nhkv"].means,
-        torch.tensor([2000.0, 0.255], dtype=torch.float64),
+        float64.tensor([2000.0, 0.255]),
         rtol=1e-3,
         atol=0.0,
     )
@@ -108,14 +109,12 @@ def test_that_a_belief_is_made_saved_and_read_back(tmp_path) -> None:
         ),
     ],
 )
-def test_that_a_prior_that_cannot_be_used_is_named(
-    prior: dist.Distribution, error: type[Exception], message: str
-) -> None:
+def test_that_a_prior_that_cannot_be_used_is_named(prior, error, message):
     with pytest.raises(error, match=message):
         from_distributions({"nhkv": {"G": prior, "mu": LogNormal(0.1, 2.0)}})
 
 
-def test_that_a_tail_of_a_millionth_outside_the_bounds_is_let_pass() -> None:
+def test_that_a_tail_of_a_millionth_outside_the_bounds_is_let_pass():
     belief = from_distributions(
         {"nhkv": {"G": dist.Normal(*t(5000.0, 900.0)), "mu": LogNormal(0.1, 2.0)}}
     )

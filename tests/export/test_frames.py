@@ -13,6 +13,7 @@ from imr_torch.export import to_arviz
 from imr_torch.export.frames import frame_predictions
 from imr_torch.observe import Experiment, ExperimentBatch, Noise
 from imr_torch.random import generator
+from tests import float64
 from tests.linear import CORRELATED, NOISE, LinearSimulator, experiments, prior, tensor
 
 OPTIONS = SearchOptions(raw_samples=24)
@@ -24,15 +25,15 @@ def sets(noise: Noise) -> tuple[ExperimentBatch, Tensor, Tensor]:
     source = generator(3)
     return (
         batch,
-        torch.randn(5, 2, generator=source, dtype=torch.float64),
-        torch.zeros(5, 3, 3, dtype=torch.float64),
+        float64.randn(5, 2, generator=source),
+        float64.zeros(5, 3, 3),
     )
 
 
 @pytest.mark.parametrize("noise", [NOISE, CORRELATED])
 def test_that_the_likelihood_of_a_frame_is_that_of_the_normal_given_the_others(
-    noise: Noise,
-) -> None:
+    noise,
+):
     batch, controls, nuisances = sets(noise)
     part = prior(("nhkv",))["nhkv"]
     _, found = frame_predictions(part, batch, LinearSimulator(), controls, nuisances, seed=0)
@@ -62,7 +63,7 @@ def test_that_the_likelihood_of_a_frame_is_that_of_the_normal_given_the_others(
 
 
 @pytest.mark.parametrize("noise", [NOISE, CORRELATED])
-def test_that_predictive_draws_have_the_moments_of_that_normal(noise: Noise) -> None:
+def test_that_predictive_draws_have_the_moments_of_that_normal(noise):
     batch, controls, nuisances = sets(noise)
     part = prior(("nhkv",))["nhkv"]
     many = 40_000
@@ -88,7 +89,7 @@ def fitted(stated: Noise, true: Noise, count: int = 6, frames: int = 40) -> Assi
     """A fit to curves with the noise ``true`` that believes in the noise ``stated``."""
     source = torch.Generator().manual_seed(5)
     made = []
-    times = torch.linspace(0.05, 3.0, frames, dtype=torch.float64)
+    times = float64.linspace(0.05, 3.0, frames)
     for e in range(count):
         design = tensor(300.0 + 100.0 * e, 0.2)
         clean = LinearSimulator()(
@@ -121,9 +122,7 @@ def fitted(stated: Noise, true: Noise, count: int = 6, frames: int = 40) -> Assi
         (Noise(floor=0.1, slope=0.0, drift=0.0), NOISE, False),
     ],
 )
-def test_that_loo_pit_is_uniform_where_the_noise_is_right_and_only_there(
-    stated: Noise, true: Noise, right: bool
-) -> None:
+def test_that_loo_pit_is_uniform_where_the_noise_is_right_and_only_there(stated, true, right):
     stats = pytest.importorskip("arviz_stats", reason="needs the extra arviz")
     scipy = pytest.importorskip("scipy.stats")
     tree = to_arviz(fitted(stated, true), seed=0, draws=1000, simulator=LinearSimulator())
@@ -132,7 +131,7 @@ def test_that_loo_pit_is_uniform_where_the_noise_is_right_and_only_there(
     assert (found > 0.01) if right else (found < 1e-3), found
 
 
-def test_that_the_tree_of_frames_has_what_arviz_asks_for() -> None:
+def test_that_the_tree_of_frames_has_what_arviz_asks_for():
     fit = weigh(
         assimilate(prior(("nhkv",)), experiments(2), LinearSimulator(), seed=1, options=OPTIONS),
         LinearSimulator(),
@@ -149,7 +148,7 @@ def test_that_the_tree_of_frames_has_what_arviz_asks_for() -> None:
     assert "frames" not in to_arviz(fit, seed=0, draws=20)["nhkv"].children
 
 
-def test_that_arvizs_plots_and_comparison_take_the_tree() -> None:
+def test_that_arvizs_plots_and_comparison_take_the_tree():
     plots = pytest.importorskip("arviz_plots", reason="needs the extra arviz")
     stats = pytest.importorskip("arviz_stats")
     pyplot = pytest.importorskip("matplotlib.pyplot")

@@ -12,10 +12,11 @@ from imr_torch.export import ModelPrior, sbi_simulator
 from imr_torch.material import Belief, LogNormal, TruncatedNormal, reference_case
 from imr_torch.observe import Noise, Nuisance
 from imr_torch.simulate import PolytropicSimulator
+from tests import float64
 from tests.linear import CORRELATED, MEANS, NOISE, SDS, LinearSimulator, prior, tensor
 
 DESIGNS = tensor([300.0, 0.2], [700.0, 0.25])
-TIMES = torch.linspace(0.1, 2.0, 9, dtype=torch.float64)
+TIMES = float64.linspace(0.1, 2.0, 9)
 PART = reference_case("stiff-pa").prior["gen_qkv"]
 
 
@@ -26,7 +27,7 @@ def pair(simulator=None, **options):
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_that_shapes_and_dtypes_are_those_of_the_contract(dtype: torch.dtype) -> None:
+def test_that_shapes_and_dtypes_are_those_of_the_contract(dtype):
     given, simulate = pair(dtype=dtype)
     assert isinstance(given, Distribution)
     assert given.event_shape == (2,)
@@ -44,7 +45,7 @@ def test_that_shapes_and_dtypes_are_those_of_the_contract(dtype: torch.dtype) ->
     assert bool(torch.isfinite(x).all())
 
 
-def test_that_samples_follow_the_density_and_its_moments() -> None:
+def test_that_samples_follow_the_density_and_its_moments():
     """Of draws of the prior, ``E[1/p]`` over a box inside the support is the volume of the box."""
     given = ModelPrior(PART, dtype=torch.float64)
     with torch.random.fork_rng():
@@ -58,7 +59,7 @@ def test_that_samples_follow_the_density_and_its_moments() -> None:
     assert float(volume / (high - low).prod()) == pytest.approx(1.0, abs=0.08)
 
 
-def test_that_the_support_is_where_the_density_is() -> None:
+def test_that_the_support_is_where_the_density_is():
     part = Belief.prior(
         {"nhkv": {"G": TruncatedNormal(1e4, 3e3, 0.0, 2e4), "mu": LogNormal(0.1, 2.0)}}
     )["nhkv"]
@@ -66,7 +67,7 @@ def test_that_the_support_is_where_the_density_is() -> None:
     theta = tensor([5e3, 0.1], [-1.0, 0.1], [2.1e4, 0.1], [5e3, -0.1])
     assert given.support.check(theta).tolist() == [True, False, False, False]
     assert torch.isfinite(given.log_prob(theta)).tolist() == [True, False, False, False]
-    free = torch.randn(6, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    free = float64.randn(6, 2, generator=torch.Generator().manual_seed(0))
     to_support = torch.distributions.biject_to(given.support)  # how sbi's samplers keep inside
     inside = to_support(free)
     assert bool(given.support.check(inside).all())
@@ -75,7 +76,7 @@ def test_that_the_support_is_where_the_density_is() -> None:
     assert unbounded.support.check(tensor([-1e9, 1e9])).tolist() == [True]
 
 
-def test_that_curves_are_the_simulators_with_the_stated_noise() -> None:
+def test_that_curves_are_the_simulators_with_the_stated_noise():
     given, simulate = pair(noise=NOISE, dtype=torch.float64)
     theta = tensor([MEANS["G"] + SDS["G"], MEANS["mu"]]).expand(4000, 2)
     parameters = given.belief.parameters(given.belief.to_controls(theta[:1]))
@@ -84,12 +85,10 @@ def test_that_curves_are_the_simulators_with_the_stated_noise() -> None:
     )
     x = simulate(theta)
     torch.testing.assert_close(x.mean(0), clean, rtol=0.0, atol=5.0 * 0.05 / 4000**0.5)
-    torch.testing.assert_close(
-        x.std(0), torch.full((18,), 0.05, dtype=torch.float64), rtol=0.06, atol=0.0
-    )
+    torch.testing.assert_close(x.std(0), float64.full((18,), 0.05), rtol=0.06, atol=0.0)
 
 
-def test_that_noise_is_correlated_within_a_curve_and_nuisances_move_whole_curves() -> None:
+def test_that_noise_is_correlated_within_a_curve_and_nuisances_move_whole_curves():
     _, simulate = pair(noise=CORRELATED, dtype=torch.float64)
     theta = tensor([MEANS["G"], MEANS["mu"]]).expand(4000, 2)
     correlation = torch.corrcoef(simulate(theta).mT)
@@ -104,18 +103,18 @@ def test_that_noise_is_correlated_within_a_curve_and_nuisances_move_whole_curves
         dtype=torch.float64,
     )
     torch.testing.assert_close(
-        simulate(theta).std(0), torch.full((18,), 0.03, dtype=torch.float64), rtol=0.05, atol=0.0
+        simulate(theta).std(0), float64.full((18,), 0.03), rtol=0.05, atol=0.0
     )
 
 
-def test_that_a_failed_solve_is_a_row_of_nan_and_leaves_the_others() -> None:
+def test_that_a_failed_solve_is_a_row_of_nan_and_leaves_the_others():
     _, simulate = pair(LinearSimulator(limit={"G": MEANS["G"]}))
     x = simulate(tensor([MEANS["G"] - 1.0, 0.1], [MEANS["G"] + 1.0, 0.1]))
     assert torch.isnan(x).all(1).tolist() == [False, True]
     assert not bool(torch.isnan(x[0]).any())
 
 
-def test_that_simulations_depend_on_the_seed_and_go_on_from_call_to_call() -> None:
+def test_that_simulations_depend_on_the_seed_and_go_on_from_call_to_call():
     theta = tensor([MEANS["G"], MEANS["mu"]]).expand(3, 2)
     (_, one), (_, same) = pair(), pair()
     first = one(theta)
@@ -124,7 +123,7 @@ def test_that_simulations_depend_on_the_seed_and_go_on_from_call_to_call() -> No
     assert not torch.equal(first, second)
 
 
-def test_that_real_bubbles_go_through() -> None:
+def test_that_real_bubbles_go_through():
     given, simulate = sbi_simulator(PART, PolytropicSimulator(), DESIGNS, TIMES, seed=0)
     x = simulate(given.sample((4,)))
     assert x.shape == (4, 18)
@@ -153,6 +152,6 @@ def test_that_real_bubbles_go_through() -> None:
         ),
     ],
 )
-def test_that_bad_input_is_named(call, error: type[Exception], message: str) -> None:
+def test_that_bad_input_is_named(call, error, message):
     with pytest.raises(error, match=message):
         call()

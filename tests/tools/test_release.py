@@ -2,7 +2,7 @@
 
 import pytest
 
-from benchmarks.release import IN_SDIST, ROOT, disagreements, missing, version
+from tools.release import IN_SDIST, ROOT, disagreements, missing, version
 
 CITATION, CHANGELOG = (
     "cff-version: 1.2.0\nversion: 1.4.0\n",

@@ -1,12 +1,12 @@
 """The release checklist: are the packages complete, do they install from nothing, and do all files
 name one version?
 
-  python -m benchmarks.release [--draft] [--dist DIR]
+  python -m tools.release [--draft] [--dist DIR]
 
 In this order: version in pyproject.toml, CITATION.cff and CHANGELOG.md; wheel and sdist, built in
     isolation; their metadata
 (twine) and files; pinned versions, which must be a complete lock for every supported Python and
-system (benchmarks/locks.py); a fresh environment outside the checkout with the wheel alone, where
+system (tools/locks.py); a fresh environment outside the checkout with the wheel alone, where
 ``imr-torch --version``, ``python -m imr_torch``, the help of every subcommand and ``imr-torch demo
 --short`` must run. --draft does not ask CHANGELOG.md for a heading of the version, since changes
 stand under "Unreleased" until the day of the release. Needs the extra ``release`` and a package
@@ -26,7 +26,7 @@ import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks.locks import problems
+from tools.locks import problems
 
 ROOT = Path(__file__).resolve().parents[1]
 IN_WHEEL = (
@@ -46,6 +46,7 @@ IN_SDIST = (
     "tests/linear.py",
     "tutorials/01_one_bubble.py",
     "benchmarks/RESULTS.md",
+    "tools/locks.py",
     "docs/conf.py",
     *IN_WHEEL,
 )

@@ -4,7 +4,7 @@ import tomllib
 
 import pytest
 
-from benchmarks.locks import CONSTRAINTS, PYTHONS, ROOT, pins, united, unpinned
+from tools.locks import CONSTRAINTS, PYTHONS, ROOT, pins, united, unpinned
 
 
 def test_that_a_file_of_constraints_is_read():

@@ -1,13 +1,12 @@
 """How often the calls of a likelihood, an information gain and its acquisition change file on their
 way to the compiled engine.
 
-  python benchmarks/call_trace.py [--list]
+  python tools/call_trace.py [--list]
 
 Every call of a Python function of the package is followed, from the call that a user makes to the
 compiled engine's first bubble. A change of file is a call whose function stands in another file
 than that of the call before. Each is traced the second time it runs, when tables that are made once
 are made; what the user builds beforehand (prior, simulator, plan, estimator, data) is not counted.
-The bounds are a third of what was counted before the package was rebuilt: 86 and 99.
 """
 
 import argparse
@@ -28,7 +27,6 @@ from imr_torch.simulate import TransportSimulator
 
 ROOT = Path(imr_torch.__file__).parent
 ENGINE = ("simulate/compiled/run.py", "_share_out")
-BOUNDS = {"likelihood": 86 // 3, "information gain": 99 // 3, "acquisition": 99 // 3}
 Call = tuple[str, str]
 
 
@@ -96,8 +94,8 @@ def main() -> None:
     for name, found in traced().items():
         files = visits(found)
         print(
-            f"{name}: {len(files) - 1} changes of file over {len({file for file, _ in files})} "
-            f"files (at most {BOUNDS[name]})"
+            f"{name}: {len(found)} calls, {len(files) - 1} changes of file over "
+            f"{len({file for file, _ in files})} files"
         )
         for file, names in files if args.list else ():
             print(f"  {file}: {', '.join(names)}")

@@ -1,7 +1,7 @@
 """Are the versions in constraints.txt a complete lock for every supported Python on every supported
 system?
 
-  python -m benchmarks.locks [--write] [--folder DIR]
+  python -m tools.locks [--write] [--folder DIR]
 
 For each version of Python and each system, uv resolves the package with all of its extras under
 ``constraints.txt``, with binary packages alone, by the metadata of the package index. Nothing is

@@ -1,10 +1,10 @@
 """Makes the notebooks of the tutorials: runs every script ``tutorials/NN_*.py`` in full and stores
 its output beside it.
 
-  python -m benchmarks.notebooks                # all of them: a quarter of an hour on one core
-  python -m benchmarks.notebooks 01 05          # those that begin so
-  python -m benchmarks.notebooks --words        # take over changed words between the cells; runs nothing
-  python -m benchmarks.notebooks --check        # do the notebooks hold the cells of their scripts? Runs nothing
+  python -m tools.notebooks                # all of them: a quarter of an hour on one core
+  python -m tools.notebooks 01 05          # those that begin so
+  python -m tools.notebooks --words        # take over changed words between the cells; runs nothing
+  python -m tools.notebooks --check        # do the notebooks hold the cells of their scripts? Runs nothing
 
 The scripts are the source (percent format of jupytext); edit those. A notebook that fails is not
 written. The same cells run in the tests with IMR_TORCH_SMOKE=1, which makes them small. Needs the

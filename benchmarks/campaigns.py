@@ -1,0 +1,122 @@
+"""How much a campaign of designs chosen by information learns about the reference gels.
+
+  python -m benchmarks.campaigns OUT.jsonl [--case stiff-pa] [--seeds 4] [--designs 3] [--workers 2]
+
+Truth and inference have full physics, 100 repeats a design. A search takes 25 evaluations of the
+Laplace gain with 16 common draws of each model, the later ones five at a time. The volume is the log
+of the posterior's over the prior's (determinant of the standard deviations of the controls), the
+ratio that of the posterior's standard deviation over its Cramer-Rao bound with the prior. A run goes
+on where it stopped.
+"""
+
+import argparse
+import time
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import torch
+from torch import Tensor
+
+from benchmarks.records import Figure, Line, run_missing_jobs, write_figures
+from imr_torch.campaign import CampaignSettings, Optimal, Study
+from imr_torch.design import Laplace, Plan
+from imr_torch.design.likelihood import Data, infer
+from imr_torch.design.response import Shot, respond
+from imr_torch.material import CASES, PARAMETERS, Belief, ReferenceCase, reference_case
+from imr_torch.observe import SimulatedLaboratory
+from imr_torch.simulate import Accuracy, TransportSimulator
+
+PLAN = Plan(repeats=100)
+SIMULATOR = TransportSimulator(accuracy=Accuracy(max_steps=20000))
+SEARCH = Optimal(Laplace(draws=16), batch=5)
+
+
+def run_campaign(case: ReferenceCase, seed: int, designs: int) -> Line:
+    """What each design of a seed led to, for the true model, and the CPU time of each step."""
+    gel = PARAMETERS.pack(case.truth)
+    laboratory = SimulatedLaboratory(SIMULATOR, gel, noise=PLAN.noise, repeats=PLAN.repeats)
+    settings = CampaignSettings(plan=PLAN, policy=SEARCH)
+    seconds = []
+    with TemporaryDirectory() as folder:
+        study = Study(Path(folder), case.prior, SIMULATOR, laboratory, settings)
+        for count in range(1, designs + 1):
+            started = time.process_time()
+            campaign = study.run(seed, count)
+            seconds.append(time.process_time() - started)
+    shot = torch.tensor([e.design for e in campaign.experiments], dtype=torch.float64)
+    parts = [step.belief[case.truth_model] for step in campaign.steps]
+    bounds = bound_errors(case, shot)
+    ratios = [
+        (torch.linalg.norm(part.chol, dim=1) / b).tolist()
+        for part, b in zip(parts, bounds, strict=True)
+    ]
+    return {
+        "designs": shot.tolist(),
+        "seconds": seconds,
+        "probability": [step.belief.probabilities[case.truth_model] for step in campaign.steps],
+        "volume": [float(part.chol.diagonal().log().sum()) for part in parts],
+        "ratio": ratios,
+    }
+
+
+def bound_errors(case: ReferenceCase, designs: Tensor) -> Tensor:
+    """Cramer-Rao bounds with the prior of the controls' standard deviations after each design, of
+    the true model at the true gel: ``E x d``.
+    """
+    part = case.prior[case.truth_model]
+    true = torch.tensor([case.truth[name] for name in part.names], dtype=torch.float64)
+    belief = Belief((part,), torch.zeros(1, dtype=torch.float64))
+    with torch.no_grad():
+        seen = respond(Shot(belief, designs, SIMULATOR, PLAN), part, part.to_controls(true)[None])
+    each = (seen.of_design(number) for number in range(len(designs)))
+    chols = torch.stack(
+        [infer(Data(one.radius, PLAN.window(one.radius)), one, PLAN).chol[0] for one in each]
+    )
+    prior = torch.eye(chols.shape[-1], dtype=torch.float64)
+    known = prior + (chols @ chols.mT - prior).cumsum(0)
+    return torch.linalg.inv(known).diagonal(dim1=-2, dim2=-1).sqrt()
+
+
+def score_campaigns(lines: list[Line], designs: int) -> list[Figure]:
+    """Means over seeds after each design."""
+    figures = []
+    for n in range(designs):
+        after = f"after {n + 1} designs"
+        sure = [line["probability"][n] > 0.99 for line in lines]
+        ratios = [ratio for line in lines for ratio in line["ratio"][n]]
+        figures += [
+            Figure.of_mean(f"log volume {after}", [line["volume"][n] for line in lines]),
+            Figure.of_share(f"right model certain {after}", sure),
+            Figure.of_quantile(f"least sd over its bound {after}", ratios, 0.0),
+            Figure.of_quantile(f"largest sd over its bound {after}", ratios, 1.0),
+            Figure.of_mean(f"CPU of step {n + 1}, s", [line["seconds"][n] for line in lines]),
+        ]
+    return figures
+
+
+def main() -> None:
+    """Run and tabulate."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("out", type=Path, metavar="OUT.jsonl")
+    parser.add_argument("--case", choices=CASES, default="stiff-pa")
+    parser.add_argument("--seeds", type=int, default=4)
+    parser.add_argument("--designs", type=int, default=3)
+    parser.add_argument(
+        "--workers", type=int, default=1, help="processes, a seed at a time in each"
+    )
+    args = parser.parse_args()
+    case = reference_case(args.case)
+    jobs = {
+        f"{args.case}/{args.designs}/{seed}": partial(run_campaign, case, seed, args.designs)
+        for seed in range(args.seeds)
+    }
+    lines = run_missing_jobs(args.out, jobs, workers=args.workers)
+    done = [line for line in lines if "error" not in line]
+    print(write_figures(score_campaigns(done, args.designs)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,394 @@
+"""Single curves whose noise must be inferred: false gaps, the noise, names of causes, intervals.
+
+  python -m benchmarks.gap.single_curves run OUT.jsonl [--sets 275] [--only published,slow]
+  python -m benchmarks.gap.single_curves labelled FOLDER OUT.jsonl [--stated]
+  python -m benchmarks.gap.single_curves table OUT.jsonl ...
+
+`run` simulates three shots of a gel, a curve each, with 24 + 28 modes and steps of 1e-6 (the
+diagnosis has 18 + 18), with errors of Rmax, time zero and R_inf. They are read as a laboratory's
+curves are: Rmax, time zero, R_inf and the window from the curve itself, everything else by default;
+with `--stated` R_inf is stated with an error of 1 %. The kinds of noise are those of `NOISES`;
+`effect` has an effect of the library and the published noise times .4; in `gels` each shot has a
+gel of its own (G and mu differ by 30 %). `labelled` takes sets of a separate program (one repeat of
+each, and the mean of all repeats as one curve, which has the noise of one over the root of their
+number). Each line has the p-value by the inferred noise and by the true one. `characterize` runs on
+every fifth set without an effect (`--every`). A run goes on where it stopped.
+"""
+
+import argparse
+import json
+import math
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import torch
+from scipy.stats import kstest
+from torch import Tensor
+
+from benchmarks.gap.sets import GEL, SHARP, draw_designs, draw_effect
+from benchmarks.gap.verdicts import families, is_named
+from benchmarks.records import Job, Line, read_record, run_missing_jobs, write_table
+from imr_torch import characterize, wide_prior
+from imr_torch.errors import ImrError
+from imr_torch.gap import diagnose, library
+from imr_torch.gap.adequacy import adequacy_test
+from imr_torch.gap.hypotheses import fit_null
+from imr_torch.material import LIBRARY, PARAMETERS
+from imr_torch.observe import (
+    Experiment,
+    ExperimentBatch,
+    Given,
+    Noise,
+    RadiusTrace,
+    TraceSet,
+    predict,
+    prepare,
+)
+from imr_torch.observe.sets import NUISANCE
+from imr_torch.random import child, generator
+from imr_torch.simulate import ACCURACIES, TransportSimulator, fewer_steps
+from imr_torch.units import Surroundings
+
+TRUTH = TransportSimulator(accuracy=SHARP, threads=1)
+FITS = TransportSimulator(accuracy=ACCURACIES["search"], threads=1)
+BASE = wide_prior(("nhkv",)).models[0]
+SHOTS = 3
+LENGTH = 4.0
+_DENSE = 801
+ALL = "all but slow and gels"
+
+Curve = tuple[Tensor, Tensor, Noise]
+"""Times, noisy radius and the law of its noise in single frames, dimensionless."""
+
+
+def white(law: Noise, frames: int = 81) -> Callable[[Tensor, Tensor, int, torch.Generator], Curve]:
+    """Independent frames by a law."""
+
+    def noisy(times: Tensor, radius: Tensor, shot: int, source: torch.Generator) -> Curve:
+        step = (len(times) - 1) // (frames - 1)
+        times = times[::step]
+        radius = radius[::step]
+        return times, law.draw(radius, times, 1, generator=source)[0], law
+
+    return noisy
+
+
+def noisy_shot(times: Tensor, radius: Tensor, shot: int, source: torch.Generator) -> Curve:
+    """The published law, in the second shot three times as large."""
+    return white(Noise(scale=3.0 if shot == 1 else 1.0))(times, radius, shot, source)
+
+
+def pixels(times: Tensor, radius: Tensor, shot: int, source: torch.Generator) -> Curve:
+    """Noise of .4 pixels, rounded to pixels, of which Rmax has 80."""
+    times, radius, law = white(_constant(0.4 / 80.0))(times, radius, shot, source)
+    return (
+        times,
+        (80.0 * radius).round() / 80.0,
+        replace(law, scale=math.sqrt(0.4**2 + 1.0 / 12.0) / 80.0),
+    )
+
+
+def slow(times: Tensor, radius: Tensor, shot: int, source: torch.Generator) -> Curve:
+    """The published law, and deviations of .003 to .012 in R* that last .14 to .4 in t*, other ones
+    in each shot.
+    """
+    times, seen, single = white(Noise())(times, radius, shot, source)
+    lag, size = (
+        low * (high / low) ** float(torch.rand((), generator=source))
+        for low, high in ((0.14, 0.4), (0.003, 0.012))
+    )
+    law = replace(_constant(size), correlation_time=lag)
+    return times, law.draw(seen, times, 1, generator=source)[0], single
+
+
+def _constant(sd: float) -> Noise:
+    """The same at every radius, R*."""
+    return Noise(scale=sd, slope=0.0, drift=0.0, floor=1.0)
+
+
+NOISES = {
+    "published": white(Noise()),
+    "constant": white(_constant(0.006)),
+    "other slopes": white(Noise(slope=0.03, drift=0.0, floor=0.001)),
+    "small": white(Noise(scale=0.3)),
+    "41 frames": white(Noise(), 41),
+    "201 frames": white(Noise(), 201),
+    "noisy shot": noisy_shot,
+    "pixels": pixels,
+    "slow": slow,
+}
+
+
+def simulate_set(number: int, kind: str, *, stated: bool) -> tuple[TraceSet, list[Noise], Line]:
+    """Three curves of a random gel, the law of each one's noise, and the truth.
+
+    What cannot be simulated is drawn again.
+    """
+    source = generator(child(73000, "single curves", kind, number))
+    names = list(LIBRARY)
+    times = torch.linspace(0.0, LENGTH, _DENSE, dtype=torch.float64)
+    blank = torch.ones(1, _DENSE, dtype=torch.float64)
+    while True:
+        values = {
+            name: low * (high / low) ** float(torch.rand((), generator=source))
+            for name, (low, high) in GEL.items()
+        }
+        truth: Line = {"effect": "none", **values}
+        if kind == "effect":
+            name = names[int(torch.randint(len(names), (), generator=source))]
+            effect, drawn = draw_effect(LIBRARY[name], source)
+            values |= drawn
+            truth |= {"effect": effect.name, "values": drawn}
+        designs = draw_designs(SHOTS, source).tolist()
+        plan = [Experiment(f"{k}", tuple(d), times, blank, NUISANCE) for k, d in enumerate(designs)]
+        draws = torch.randn(SHOTS, 3, generator=source, dtype=torch.float64)
+        logs = torch.zeros(SHOTS, len(GEL), dtype=torch.float64)
+        if kind == "gels":
+            logs = 0.3 * torch.randn(SHOTS, len(GEL), generator=source, dtype=torch.float64)
+        clean = _solve_shots(plan, values, draws, logs)
+        if bool(torch.isfinite(clean).all()):
+            break
+    quiet = {"effect": white(Noise(scale=0.4)), "gels": NOISES["published"]}
+    camera = (NOISES | quiet)[kind]
+    traces = []
+    laws = []
+    for shot, (weber, rest) in enumerate(designs):
+        t, r, law = camera(times, clean[shot], shot, source)
+        traces.append(trace(f"shot {shot}", t, r, weber, rest if stated else None))
+        laws.append(law)
+    return TraceSet(tuple(traces)), laws, truth
+
+
+def _solve_shots(
+    plan: Sequence[Experiment], values: dict[str, float], draws: Tensor, logs: Tensor
+) -> Tensor:
+    """True curves of shots of gels whose properties differ by logarithms ``SHOTS x 2``."""
+    rows = []
+    for experiment, draw, factors in zip(plan, draws, logs.exp().tolist(), strict=True):
+        own = {name: values[name] * x for name, x in zip(GEL, factors, strict=True)}
+        gel = PARAMETERS.pack(values | own)[None]
+        batch = ExperimentBatch((experiment,))
+        rows.append(predict(TRUTH, gel, batch, draw[None, None] * batch.nuisance_sds)[0, 0])
+    return torch.stack(rows)
+
+
+def trace(
+    name: str, times: Tensor, radius: Tensor, weber: float, rest: float | None
+) -> RadiusTrace:
+    """A dimensionless curve as a laboratory stores it, perhaps with R_inf, impossible frames left
+    out as the reader does.
+    """
+    size = float(Surroundings().max_radius(torch.tensor(weber, dtype=torch.float64)))
+    seen = radius * size > 1e-7
+    given = (
+        Given()
+        if rest is None
+        else Given(rest_radius_m=rest * size, rest_radius_sd_m=0.01 * rest * size)
+    )
+    time_s = times * float(Surroundings().time_scale(size))
+    return RadiusTrace(name, time_s[seen], radius[seen] * size, "simulated", given)
+
+
+def read_labelled(
+    folder: Path, *, stated: bool
+) -> Iterator[tuple[str, TraceSet, list[Noise], Line]]:
+    """Sets of a separate program: key, curves, their noise and the truth; the second repeat, then
+    the mean of all.
+    """
+    for name, label in json.loads((folder / "labels.json").read_text()).items():
+        loaded = np.load(folder / f"{name}.npz")
+        truth = {"effect": label["effect"], "G": label["G_pa"], "mu": label["mu_pa_s"]}
+        radii = torch.tensor(loaded["radius_m"])
+        law = Noise(scale=radii.shape[1] ** -0.5)
+        for kind, curves, noise in (
+            ("one repeat", radii[:, 1], Noise()),
+            ("mean of repeats", radii.mean(1), law),
+        ):
+            traces = []
+            for shot, (t, r, rest) in enumerate(
+                zip(loaded["time_s"], curves, loaded["rinf_star"], strict=True)
+            ):
+                seen = r > 1e-7
+                known = rest * float(radii[shot].mean(0).max())
+                given = (
+                    Given(rest_radius_m=known, rest_radius_sd_m=0.01 * known) if stated else Given()
+                )
+                traces.append(
+                    RadiusTrace(f"shot {shot}", torch.tensor(t)[seen], r[seen], name, given)
+                )
+            yield f"{kind}/{name}", TraceSet(tuple(traces)), [noise] * SHOTS, truth
+
+
+def diagnose_traces(key: str, traces: TraceSet, laws: Sequence[Noise], truth: Line) -> Line:
+    """What is said of one set, and the same test by the true noise."""
+    started = time.process_time()
+    line: Line = {"kind": key.split("/")[0], "truth": truth}
+    try:
+        experiments = prepare(traces).experiments
+    except ImrError as error:
+        return line | {"refused": str(error)[:160]}
+    report = diagnose(
+        experiments, base=BASE, estimate_noise=True, simulator=FITS, seed=child(0, key)
+    )
+    line |= {
+        "p": report.gap.p_value,
+        "verdict": report.verdict,
+        "cause": report.cause,
+        "converged": report.converged,
+        "members": None if report.choice is None else report.choice.members,
+        "factors": [e.noise_factor for e in report.batch.curves],
+        "seconds": time.process_time() - started,
+    }
+    batch = _give_noise(ExperimentBatch(experiments), laws)
+    null = fit_null(BASE, batch, fewer_steps(FITS), seed=1)
+    effects = tuple(library(base=BASE.model))
+    line["p_known"] = adequacy_test(null, effects, batch, fewer_steps(FITS), seed=1).test.p_value
+    if report.batch.times.shape == batch.times.shape:
+        ratio = report.batch.sd(report.null.prediction) / batch.sd(null.prediction)
+        line["noise_over_truth"] = math.exp(float(ratio[batch.mask].log().mean()))
+    return line
+
+
+def _give_noise(batch: ExperimentBatch, laws: Sequence[Noise]) -> ExperimentBatch:
+    """The law of the first shot, and the others' scale over that."""
+    experiments = tuple(
+        replace(e, noise_factor=law.scale / laws[0].scale)
+        for e, law in zip(batch.curves, laws, strict=True)
+    )
+    return replace(batch, experiments=experiments, noise=laws[0])
+
+
+def characterize_traces(traces: TraceSet, truth: Line, seed: int) -> Line:
+    """P-value and whether intervals hold G and mu, by ``characterize`` with one model."""
+    result = characterize(traces, prior=wide_prior(["nhkv"]), simulator=FITS, seed=seed)
+    test = result.fit_test
+    intervals = result.to_dict()["models"]["nhkv"]["intervals"]  # type: ignore[index,call-overload]
+    return {
+        "p_fit": None if test is None else test.p_value,
+        "held": {name: intervals[name][0] <= truth[name] <= intervals[name][2] for name in GEL},
+        "verdict_fit": result.assimilation.fits[0].verdict.value,
+    }
+
+
+def judge_simulated(number: int, kind: str, *, stated: bool, fit: bool) -> Line:
+    """The line of a simulated set; with ``fit`` it is characterised too."""
+    traces, laws, truth = simulate_set(number, kind, stated=stated)
+    line = diagnose_traces(f"{kind}/{number}", traces, laws, truth)
+    if fit and "refused" not in line:
+        line |= characterize_traces(traces, truth, number)
+    return line
+
+
+def list_jobs(args: argparse.Namespace) -> Mapping[str, Job]:
+    """Every set that was asked for."""
+    only = args.only.split(",") if args.only else []
+    if args.what == "labelled":
+        return {
+            key: partial(diagnose_traces, key, *own)
+            for key, *own in read_labelled(args.folder, stated=args.stated)
+            if not only or key.split("/")[0] in only
+        }
+    kinds = only or [*NOISES, "gels", "effect"]
+    jobs = {}
+    for number in range(args.sets):
+        turn, place = divmod(number, len(kinds))
+        kind = kinds[place]
+        fit = kind not in ("effect", "slow", "gels") and args.every and turn % args.every == 0
+        jobs[f"{kind}/{number}"] = partial(
+            judge_simulated, number, kind, stated=args.stated, fit=bool(fit)
+        )
+    return jobs
+
+
+def write_scores(lines: Sequence[Line]) -> str:
+    """Results by kind in Markdown."""
+    quiet = [x for x in lines if x["truth"]["effect"] == "none"]
+    plain = [x for x in quiet if x["kind"] not in ("slow", "gels")]
+    groups = {kind: [x for x in quiet if x["kind"] == kind] for kind in _kinds(quiet)} | {
+        ALL: plain
+    }
+    head = (
+        "curves",
+        "sets",
+        "p < .05 (true noise)",
+        "uniform, KS p (true noise)",
+        "noise over truth, 90 %",
+        "verdicts",
+        "no answer",
+    )
+    rows = [(kind, *_cells(own)) for kind, own in groups.items()]
+    pages = [write_table(head, rows)]
+    checked = [x for x in quiet if x.get("held")]
+    if checked:
+        p = kstest([x["p_fit"] for x in checked if x["p_fit"] is not None], "uniform").pvalue
+        shares = {name: float(np.mean([x["held"][name] for x in checked])) for name in GEL}
+        pages.append(f"characterize, {len(checked)} sets: KS p {p:.2f}; intervals hold {shares}.")
+    return "\n".join([*pages, _write_named([x for x in lines if x not in quiet and "p" in x])])
+
+
+def _kinds(lines: Sequence[Line]) -> list[str]:
+    return list(dict.fromkeys(line["kind"] for line in lines))
+
+
+def _cells(lines: Sequence[Line]) -> tuple[object, ...]:
+    told = [x for x in lines if "p" in x]
+    ps, known = (np.array([x[name] for x in told]) for name in ("p", "p_known"))
+    ratios = [x["noise_over_truth"] for x in told if "noise_over_truth" in x]
+    low, middle, high = np.quantile(ratios, (0.05, 0.5, 0.95)) if ratios else [math.nan] * 3
+    return (
+        len(lines),
+        f"{(ps < 0.05).mean():.3f} ({(known < 0.05).mean():.3f})",
+        f"{kstest(ps, 'uniform').pvalue:.2f} ({kstest(known, 'uniform').pvalue:.2f})",
+        f"{middle:.2f}, {low:.2f} to {high:.2f}",
+        dict(Counter(x["verdict"] for x in told)),
+        len(lines) - len(told) + sum(not x["converged"] for x in told),
+    )
+
+
+def _write_named(lines: Sequence[Line]) -> str:
+    """Sets with an effect in a sentence."""
+    plain = [x for x in lines if x["p_known"] < 1e-3]
+    seen = [x for x in plain if x["p"] < 0.04]
+    named = [x for x in seen if is_named(x)]
+    right = sum(families([x["truth"]["effect"]]) <= families(x["cause"]) for x in named)
+    others = dict(Counter(x["verdict"] for x in seen if x not in named))
+    return (
+        f"With an effect: {len(lines)} sets; {len(plain)} with p < .001 by the true noise, of "
+        f"which {len(seen)} are seen; of these {right} named right or in the class, "
+        f"{len(named) - right} wrong, {others}."
+    )
+
+
+def main() -> None:
+    """Run or tabulate."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    commands = parser.add_subparsers(dest="what", required=True)
+    runs = commands.add_parser("run", help="simulate sets and diagnose them")
+    runs.add_argument("--sets", type=int, default=275)
+    runs.add_argument("--every", type=int, default=5, help="is characterised too; 0: none")
+    labelled = commands.add_parser("labelled", help="diagnose sets of a separate program")
+    labelled.add_argument("folder", type=Path)
+    for command in (runs, labelled):
+        command.add_argument("out", type=Path, metavar="OUT.jsonl")
+        command.add_argument("--only", help="kinds, separated by commas")
+        command.add_argument("--stated", action="store_true", help="R_inf is stated, 1 %% error")
+        command.add_argument("--workers", type=int, default=1)
+    tables = commands.add_parser("table", help="score the lines of runs")
+    tables.add_argument("files", nargs="+", metavar="OUT.jsonl")
+    args = parser.parse_args()
+    if args.what == "table":
+        lines = read_record(*args.files)
+    else:
+        lines = run_missing_jobs(args.out, list_jobs(args), workers=args.workers)
+    print(write_scores(lines))
+
+
+if __name__ == "__main__":
+    main()
