@@ -10,11 +10,9 @@ be fitted and whose tail does not grow again. The medium is stated (`SETS`); mod
 vapour transport. Tasks:
 
 - `characterize`: Newtonian, NHKV and generalised QKV.
-- `diagnose`: additions selected stepwise on every second curve, at most four, judged on the other
-  curves, which no fit saw. Two curves have two halves of one, one curve has none and its additions
-  are judged in sample.
-- `other half`: the first addition of those other curves.
-- `halves`: the first addition of either half of all curves, of 20 at most.
+- `diagnose`: every second curve, judged on the other curves, which no fit saw, beside the placebo.
+  Two curves have two halves of one, one curve has none.
+- `other half`: the diagnosis of those other curves.
 
 `table` writes one page, with the controls (`real_gels_controls.py`).
 """
@@ -23,8 +21,7 @@ import argparse
 import json
 import time
 import warnings
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -34,15 +31,11 @@ from imr_torch import characterize, load_traces
 from imr_torch.assimilate import SearchOptions
 from imr_torch.characterization import medium_of
 from imr_torch.errors import ImrError, InputDataError
-from imr_torch.gap import GapReport, diagnose, library
-from imr_torch.gap.attribute import Inquiry
-from imr_torch.gap.document import differing_document, selection_document
-from imr_torch.gap.parts import closed_by
-from imr_torch.gap.stepwise import select_stepwise
-from imr_torch.material import Effect, ModelBelief, wide_prior
-from imr_torch.observe import Experiment, TraceSet, find_landmarks, prepare
+from imr_torch.gap import diagnose, examine, library, to_json
+from imr_torch.material import wide_prior
+from imr_torch.observe import TraceSet, find_landmarks, prepare
 from imr_torch.random import child
-from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
+from imr_torch.simulate import ACCURACIES, TransportSimulator
 
 SETS: dict[str, str] = {
     "gel03_histotripsy": "agarose_0.5,density=1002:5",
@@ -71,10 +64,8 @@ SETS: dict[str, str] = {
 measured value; gel03 and gel25 are agarose of .3 and 2.5 % by inference, and lie between the two that are stated."""
 
 BASE = "nhkv"
-MOST = 4
 SEED = 0
 REST = (0.2, 0.08)  # assumed R_inf/Rmax of a record without a tail
-HALVED = 20  # curves that are divided into halves, at most
 _DROP_BEHIND = 50.0  # nats by which a model must be behind to be left there
 
 
@@ -118,117 +109,57 @@ def characterize_set(file: Path, most: int, medium: str) -> Line:
     return document | {"best": result.posterior.best.model, "rest_assumed": rest is not None}
 
 
-@dataclass(frozen=True)
-class Asked:
-    """The curves of a set in their halves, with the medium stated: what a diagnosis is asked."""
-
-    halves: tuple[Sequence[Experiment], Sequence[Experiment]]
-    base: ModelBelief
-    effects: tuple[Effect, ...]
-    simulator: Simulator
-    rest_assumed: bool
-
-    @classmethod
-    def read(cls, file: Path, most: int, medium: str) -> "Asked":
-        """At most so many curves of a file; effects are the library less what is inferred with the
-        medium.
-        """
-        traces, rest = read_curves(file, most)
-        simulator = TransportSimulator(accuracy=ACCURACIES["search"], threads=1)
-        stated = medium_of(traces, medium, simulator.conditions.surroundings)
-        experiments = prepare(traces, stated.surroundings, rest_radius=rest).experiments
-        known = library(base=BASE)
-        return cls(
-            (experiments[::2], experiments[1::2]),
-            stated.believed_of(wide_prior((BASE,)).models[0]),
-            tuple(effect for effect in known if not set(effect.names) & set(stated.priors)),
-            stated.applied(simulator),
-            rest is not None,
-        )
-
-    def diagnose_half(self, half: int, most: int) -> GapReport:
-        """The diagnosis of one half."""
-        return diagnose(
-            self.halves[half],
-            base=self.base,
-            effects=self.effects,
-            estimate_noise=True,
-            simulator=self.simulator,
-            most=min(most, 2),
-            seed=_seed_of(half),
-        )
-
-
-def _seed_of(half: int) -> int:
-    return child(SEED, ("first", "other")[half])
-
-
-def halve_set(file: Path, most: int, medium: str) -> Line:
-    """What either half of all curves, ``most`` at most, adds first."""
-    asked = Asked.read(file, most, medium)
-    if min(map(len, asked.halves)) < 2:
-        return {"skipped": "a half has fewer than two curves"}
-    found = []
-    for half in (0, 1):
-        report = asked.diagnose_half(half, 1)
-        row: Line = {
-            "curves": [e.label for e in report.batch.experiments],
-            "gap": report.found,
-            "p_gap": report.gap.p_value,
-            "converged": report.converged,
-            "ladder": None,
-        }
-        if report.found:
-            inquiry = Inquiry(report.null.prior, asked.effects, report.batch, asked.simulator)
-            tested = {step.winner: step.left for step in report.steps if step.left}
-            here = (inquiry, report.null, report.gap, report.fits)
-            selection = select_stepwise(*here, tested=tested, most=1, seed=_seed_of(half))
-            row |= {"ladder": selection_document(selection), "unsettled": selection.unsettled}
-        found.append(row)
-    return {"halves": found}
-
-
 def diagnose_set(file: Path, most: int, medium: str, *, other: bool) -> Line:
-    """Verdict and selection of every second curve, judged on the others.
-
-    Of the ``other`` half its first addition only.
-    """
-    asked = Asked.read(file, most, medium)
-    fitted, unseen = asked.halves[::-1] if other else asked.halves
+    """The diagnosis of every second curve, judged on the others; of the ``other`` half unjudged."""
+    traces, rest = read_curves(file, most)
+    simulator = TransportSimulator(accuracy=ACCURACIES["search"], threads=1)
+    stated = medium_of(traces, medium, simulator.conditions.surroundings)
+    experiments = prepare(traces, stated.surroundings, rest_radius=rest).experiments
+    fitted, unseen = experiments[int(other) :: 2], experiments[1 - int(other) :: 2]
     if not fitted:
         return {"skipped": "one curve has no other half"}
-    additions, half = (1, 1) if other else (MOST, 0)
-    report = asked.diagnose_half(half, additions)
-    row: Line = {
-        "curves": [e.label for e in fitted],
-        "unseen": [e.label for e in unseen],
-        "rest_assumed": asked.rest_assumed,
-        "effects": [effect.name for effect in asked.effects],
-        "noise": vars(report.batch.noise),
-        "verdict": report.verdict,
-        "cause": report.cause,
-        "reason": report.reason,
-        "p_gap": report.gap.p_value,
-        "posterior": None if report.attribution is None else report.attribution.posterior,
-        "converged": report.converged,
-        "ladder": None,
-    }
-    if report.found:
-        own = {"most": additions, "seed": _seed_of(half)}
-        selection = closed_by(report, asked.simulator, unseen, **own)[0]
-        row |= {
-            "ladder": selection_document(selection),
-            "sentence": str(selection),
-            "differing": differing_document(selection),
-        }
-    return row
+    simulator = stated.applied(simulator)
+    effects = [e for e in library(base=BASE) if not set(e.names) & set(stated.priors)]
+    seed = child(SEED, "other" if other else "first")
+    report = diagnose(
+        fitted,
+        base=stated.believed_of(wide_prior((BASE,)).models[0]),
+        effects=effects,
+        estimate_noise=True,
+        simulator=simulator,
+        seed=seed,
+    )
+    parts = None if other else examine(report, simulator, unseen=unseen, seed=seed)
+    document = to_json(report, parts)
+    about = {"curves": [e.label for e in fitted], "unseen": [e.label for e in unseen]}
+    return about | {name: document[name] for name in KEPT} | {"rest_assumed": rest is not None}
+
+
+KEPT = (
+    "gap",
+    "p_gap",
+    "verdict",
+    "cause",
+    "headline",
+    "reason",
+    "members",
+    "posterior",
+    "selected",
+    "adequacy_p",
+    "shrinkage",
+    "parameters",
+    "parameters_with_model_error",
+    "gels",
+    "noise",
+    "converged",
+)
+"""Of the document of a diagnosis, what a line holds."""
 
 
 TASKS: dict[str, Callable[[Path, int, str], Line]] = {
     "characterize": characterize_set,
     "diagnose": partial(diagnose_set, other=False),
     "other half": partial(diagnose_set, other=True),
-    "halves": lambda file, _, medium: halve_set(file, HALVED, medium),
 }
 
 

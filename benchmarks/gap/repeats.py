@@ -19,6 +19,7 @@ import math
 import warnings
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -27,9 +28,9 @@ from benchmarks.gap.verdicts import families, is_in_class, is_named, summarise
 from benchmarks.records import Figure, Line, read_record, run_missing_jobs, write_figures
 from imr_torch.errors import ConvergenceWarning
 from imr_torch.gap import GapReport, diagnose
+from imr_torch.gap.held_out import judge_designs
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses
-from imr_torch.gap.prediction import held_out, hold_out
-from imr_torch.gap.shrinkage import judge
+from imr_torch.gap.shrinkage import beside_nuisances, shrinkage
 from imr_torch.material import LIBRARY
 from imr_torch.observe import ExperimentBatch
 from imr_torch.observe.sets import load_set
@@ -89,24 +90,27 @@ def measure_shrinkage(
     if not report.found or report.attribution is None or data.truth == ():
         return {}
     (truth,) = data.truth
-    if truth not in report.attribution.fits:
+    if truth not in report.steps[0].fits:
         return {}
-    right = Hypothesis(report.null.prior, (LIBRARY[truth],))
-    fits = {"none": report.null, truth: report.attribution.fits[truth]}
-    if not fits[truth].certificate.converged:
-        own = child(seed, "loose")
-        fits |= fit_hypotheses([right], report.null, report.batch, simulator, seed=own)
+    right = Hypothesis(report.base, (LIBRARY[truth],))
+    fit = report.steps[0].fits[truth]
+    if not fit.certificate.converged:
+        loose = child(seed, "loose")
+        fit = fit_hypotheses([right], report.null, report.batch, simulator, seed=loose)[truth]
+    told = replace(report, selected=right, selected_fit=fit)
     unseen = ExperimentBatch(data.unseen, report.batch.noise)
-    held = hold_out(fits, report.batch, simulator, seed=seed, unseen=unseen)
-    judged = judge(right, None, fits, held, seed=child(seed, "shrinkage"))
-    parts = [ExperimentBatch((e,)) for e in data.unseen_without_noise().experiments]
-    left = {
-        name: sum(float(held_out(fit, p, simulator).residual.square().sum()) for p in parts)
-        for name, fit in fits.items()
-    }
+    judged = shrinkage(told, simulator, unseen, seed=child(seed, "shrinkage"))
+    if judged is None or judged.share is None:
+        return {}
+    pairs = judge_designs(told, simulator, data.unseen_without_noise(), seed=seed)
+    left = [
+        sum(float((beside_nuisances(p) @ held.residual).square().sum()) for p, held in rows)
+        for rows in ([(p, p.base) for p in pairs], [(p, p.effect) for p in pairs])
+    ]
     return {
-        "shrinkage": judged.shrinkage[truth],
-        "shrinkage_true": 1.0 - left[truth] / max(left["none"], 1e-300),
+        "shrinkage": judged.share,
+        "placebo": judged.placebo,
+        "shrinkage_true": 1.0 - left[1] / max(left[0], 1e-300),
     }
 
 
@@ -127,6 +131,7 @@ def score_causes(lines: Sequence[Line]) -> list[Figure]:
     alarms = [bool(line.get("gap")) for line in lines if line["kind"] == "none"]
     right = [is_in_class(line) for line in known if is_named(line)]
     wrong = [_top(line)[0] != families(line["truth"]) for line in sure]
+    random = [share for line in judged for share in line["placebo"]]
     closes = "held-out gap closed by the right effect"
     return [
         Figure.of_share("false alarm", alarms, (0.0, 0.05)),
@@ -156,6 +161,7 @@ def score_causes(lines: Sequence[Line]) -> list[Figure]:
         ),
         Figure.of_quantile(f"{closes}, median", closed, 0.5),
         Figure.of_quantile(f"{closes}, 10th percentile", closed, 0.1, (0.8, 1.0)),
+        Figure.of_quantile("held-out gap closed by random effects, 95th percentile", random, 0.95),
         Figure.of_share("true shrinkage inside its 90 % interval", covered, (0.82, 0.97)),
         Figure.of_quantile("seconds of a diagnosis, median", seconds, 0.5, (0.0, 30.0)),
     ]

@@ -1,6 +1,5 @@
 """What a diagnosis says, as a line of a record, and what its verdict is worth against the truth."""
 
-import math
 from collections.abc import Iterable
 from typing import Any
 
@@ -23,16 +22,16 @@ _KEPT = (
 
 
 def summarise(report: GapReport) -> Line:
-    """What a report says, in the words of the command's JSON; ``selected`` are effects that were
-    settled on before the last.
+    """What a report says, in the words of the command's JSON; ``selected`` are parts that were settled
+    on before the last.
     """
     document = to_json(report)
     line: dict[str, Any] = {key: document[key] for key in _KEPT}
-    line["selected"] = report.attribution.winner.split("+")[:-1] if report.attribution else []
+    line["selected"] = list(report.attribution.held.parts) if report.attribution else []
     if report.steps:
         first = report.steps[0]
         line["first"] = {
-            "chance": first.likeness.chance if first.likeness else math.nan,
+            "chance": first.likeness.chance,
             "adequate": first.adequacy.p_value >= ADEQUATE,
         }
     return line

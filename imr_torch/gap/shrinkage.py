@@ -171,7 +171,7 @@ class _Compared:
 
 def _compared(pair: Judged) -> _Compared:
     phase = _phases(pair.base)
-    beside = _beside(pair)
+    beside = beside_nuisances(pair)
     share = _noise_share(pair, phase)
     expected = share * beside.square().sum(1)
     counts = pair.base.line.batch.counts[0]
@@ -192,7 +192,7 @@ def _compared(pair: Judged) -> _Compared:
     )
 
 
-def _beside(pair: Judged) -> Float[Tensor, "frames frames"]:
+def beside_nuisances(pair: Judged) -> Float[Tensor, "frames frames"]:
     """Projector beside all that is the curve's own under either model."""
     directions = torch.cat((pair.base.by_nuisance, pair.effect.by_nuisance), 1)
     basis, size, _ = torch.linalg.svd(directions, full_matrices=False)
@@ -296,7 +296,7 @@ def _placebo(
 
 def _expected(pair: Judged) -> tuple[Tensor, Tensor, Tensor]:
     """Squares that noise leaves in each frame, the projector, and repeats."""
-    beside = _beside(pair)
+    beside = beside_nuisances(pair)
     share = _noise_share(pair, _phases(pair.base))
     return share * beside.square().sum(1), beside, pair.base.line.batch.counts[0]
 
