@@ -6,9 +6,9 @@ import torch
 from imr_torch.assimilate import ModelFit
 from imr_torch.design import DesignSpace, ExpectedInformationGain, Laplace, Plan
 from imr_torch.errors import InputDataError
+from imr_torch.gap.held_out import held_out
 from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.gap.identity_design import NextDesign, identity_design, remaining_causes
-from imr_torch.gap.prediction import held_out
 from imr_torch.material import LIBRARY, Belief
 from imr_torch.observe import Experiment, ExperimentBatch, predict
 from tests.gap.synthetic import BASE, DESIGNS, SIMULATOR, fit, shoot
@@ -49,11 +49,11 @@ def separation(fits: dict[str, ModelFit], design: list[float]) -> float:
     total = 0.0
     for own, other in (("strain_stiffening", "damage"), ("damage", "strain_stiffening")):
         curve = predict(SIMULATOR, fits[own].parameters(fits[own].mean)[None], plan)[0]
-        total += held_out(
-            fits[other],
-            ExperimentBatch((Experiment("own", (design[0], design[1]), times, curve),)),
-            SIMULATOR,
-        ).square
+        shot = ExperimentBatch((Experiment("own", (design[0], design[1]), plan.times[0], curve),))
+        found = held_out(fits[other], Hypothesis(BASE, (LIBRARY[other],)), shot, SIMULATOR)
+        spread = torch.cat((found.by_gel @ fits[other].chol, found.by_nuisance), 1)
+        covariance = torch.eye(len(spread), dtype=torch.float64) + spread @ spread.mT
+        total += float(found.residual @ torch.linalg.solve(covariance, found.residual))
     return total
 
 
