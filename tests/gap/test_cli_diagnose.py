@@ -174,8 +174,8 @@ def test_that_matched_data_give_silence_in_words_json_and_html(matched, tmp_path
     assert len(names) == 3  # and the curve
     page = paths["html"].read_text()
     assert "No gap was found" in page
-    assert "Curves of design 0" in page
-    assert "Curves of design 1" not in page  # the one that is held out is not looked at
+    assert "radius over time of design 0" in page
+    assert "radius over time of design 1" not in page  # the one that is held out is not looked at
 
 
 @pytest.mark.parametrize(("options", "words"), [((), False), (("--noise", "estimated"), True)])
