@@ -19,6 +19,7 @@ PACKAGE = Path(imr_torch.__file__).parent
 STAGES = (
     "material",
     "simulate",
+    "reading",
     "observe",
     "assimilate",
     "goodness",

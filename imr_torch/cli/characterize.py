@@ -40,8 +40,8 @@ from imr_torch.observe import (
     load_traces,
     prepare,
 )
-from imr_torch.observe.collapse import is_collapse_file
 from imr_torch.population import SCALE
+from imr_torch.reading.readers import is_shot_file
 from imr_torch.results import characterization_document, characterization_page, draw_figures
 
 
@@ -90,7 +90,7 @@ def _load(args: argparse.Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]
     it is given.
     """
     files = find_files(*args.files)
-    tables = [path for path in files if is_collapse_file(path)]
+    tables = [path for path in files if is_shot_file(path)]
     curves = [path for path in files if path not in tables]
     shots = load_collapse_times(*tables) if tables else ()
     for option in ("each", "scores", "population") if shots else ():

@@ -27,16 +27,17 @@ from torch import Tensor
 
 from imr_torch.errors import InputDataError
 from imr_torch.observe.distortion import Distortion
-from imr_torch.observe.medium import Statement
 from imr_torch.observe.nuisance import SMALLEST, Nuisance, displaced
-from imr_torch.observe.sidecar import Sidecar
+from imr_torch.reading.matlab import read_matlab
+from imr_torch.reading.readers import SHOT_ARRAY, SHOT_COLUMNS, is_shot_file
+from imr_torch.reading.sidecar import Sidecar
+from imr_torch.reading.statement import Statement
 from imr_torch.simulate import Simulator, check_designs
 from imr_torch.units import Surroundings
 
 RESOLUTION_S = 20e-9
 """Error of a collapse time that a file does not state: what Zhu et al. (2025) give for theirs."""
 
-_COLUMNS = ("experiment_id", "rmax_m", "stretch", "collapse_time_s")
 _ERRORS = {
     "collapse_time_sd_s": "collapse_time_sd_s",
     "rmax_sd_m": "max_radius_sd_m",
@@ -320,22 +321,15 @@ def predict_collapse(
     return torch.where(lost, torch.nan, found / rate * scale[..., 0] - shifts[..., 1])
 
 
-def is_collapse_file(path: str | Path) -> bool:
-    """Whether a file is a table of collapse times, by its header."""
-    try:
-        with Path(path).open(encoding="utf-8-sig") as stream:
-            return set(_COLUMNS) <= {cell.strip() for cell in stream.readline().split(",")}
-    except (OSError, UnicodeDecodeError):
-        return False
-
-
 def load_collapse_times(*paths: str | Path) -> tuple[CollapseShot, ...]:
     r"""Read shots from tables with the columns ``experiment_id, rmax_m, stretch, collapse_time_s``,
     one row a shot.
 
     Args:
         paths: CSV files; further columns ``collapse_time_sd_s``, ``rmax_sd_m`` and ``stretch_sd``
-            give errors. A JSON file of the same name beside each may state the medium.
+            give errors. Or MATLAB files with the array ``pIMR_array`` of Zhu et al. (2025): Rmax
+            in m, stretch and collapse time in s, one row a shot. A JSON file of the same name
+            beside each may state the medium.
 
     Raises:
         InputDataError: for a missing column, a cell that is no number, a value that no bubble has,
@@ -352,12 +346,15 @@ def load_collapse_times(*paths: str | Path) -> tuple[CollapseShot, ...]:
     """
     shots: list[CollapseShot] = []
     for path in map(Path, paths):
-        if not is_collapse_file(path):
+        if not is_shot_file(path):
             raise InputDataError(
                 f"{path}: is no table of collapse times; expected the columns "
-                f"{', '.join(_COLUMNS)}."
+                f"{', '.join(SHOT_COLUMNS)}."
             )
         stated = Sidecar(path).stated
+        if path.suffix.lower() == ".mat":
+            shots += _shots_of_array(path, stated)
+            continue
         with path.open(encoding="utf-8-sig", newline="") as stream:
             table = csv.DictReader(stream, skipinitialspace=True)
             _check_columns(path, table.fieldnames or ())
@@ -373,14 +370,28 @@ def load_collapse_times(*paths: str | Path) -> tuple[CollapseShot, ...]:
     return tuple(shots)
 
 
+def _shots_of_array(path: Path, stated: Statement | None) -> list[CollapseShot]:
+    """The shots of a MATLAB file."""
+    array = read_matlab(path)[0].values[SHOT_ARRAY]
+    if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind != "f":
+        raise InputDataError(
+            f"{path}: {SHOT_ARRAY} has shape {array.shape}; expected one row a shot of Rmax in m, "
+            "stretch and collapse time in s."
+        )
+    return [
+        CollapseShot(f"{path.stem}_{i:03d}", *row, source=str(path), stated=stated)
+        for i, row in enumerate(array.tolist(), 1)
+    ]
+
+
 def _check_columns(path: Path, names: Sequence[str]) -> None:
     """Raise for a column that would not be read, such as a misspelt error, or that is there twice."""
-    known = (*_COLUMNS, *_ERRORS)
+    known = (*SHOT_COLUMNS, *_ERRORS)
     for name in names:
         if name.strip() not in known:
             raise InputDataError(
                 f"{path}: column {name!r} is none of a table of collapse times; expected "
-                f"{', '.join(_COLUMNS)} and perhaps "
+                f"{', '.join(SHOT_COLUMNS)} and perhaps "
                 f"{', '.join(_ERRORS)}. Rename it, or leave it out."
             )
         if list(names).count(name) > 1:
@@ -401,7 +412,7 @@ def _shot(row: dict[str, str], where: str, source: str, stated: Statement | None
     errors = {name: number(column) for column, name in _ERRORS.items() if row.get(column)}
     return CollapseShot(
         row["experiment_id"],
-        *(number(column) for column in _COLUMNS[1:]),
+        *(number(column) for column in SHOT_COLUMNS[1:]),
         **errors,
         source=source,
         stated=stated,

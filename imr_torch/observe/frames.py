@@ -7,7 +7,7 @@ import torch
 
 from imr_torch.observe.experiments import Experiment
 from imr_torch.observe.landmarks import Landmarks
-from imr_torch.observe.traces import RadiusTrace
+from imr_torch.reading.traces import RadiusTrace
 from imr_torch.units import Surroundings
 
 _SAME = 1e-9  # in t*: times of the same frame

@@ -17,7 +17,7 @@ from scipy.optimize import curve_fit
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
-from imr_torch.observe.traces import RadiusTrace
+from imr_torch.reading.traces import RadiusTrace
 
 PEAK_WINDOWS = (0.85, 0.95)
 NEIGHBOUR = 0.75

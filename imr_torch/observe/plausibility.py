@@ -16,8 +16,8 @@ from torch import Tensor
 from imr_torch.errors import InputDataError
 from imr_torch.observe.experiments import Experiment
 from imr_torch.observe.landmarks import NEIGHBOUR, Landmarks, roughness
-from imr_torch.observe.traces import RadiusTrace
 from imr_torch.observe.window import collapse_time
+from imr_torch.reading.traces import RadiusTrace
 from imr_torch.units import Surroundings
 
 RAYLEIGH_TIME = 0.915

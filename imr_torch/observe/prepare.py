@@ -16,7 +16,7 @@ from imr_torch.observe.plausibility import (
     check_experiment,
     check_maximum,
 )
-from imr_torch.observe.traces import RadiusTrace, TraceSet
+from imr_torch.reading.traces import RadiusTrace, TraceSet
 from imr_torch.units import Surroundings
 
 _MIN_FRAMES = 5

@@ -9,9 +9,9 @@ import torch
 
 from imr_torch.errors import InputDataError
 from imr_torch.observe.experiments import Experiment
-from imr_torch.observe.npz import read_arrays
 from imr_torch.observe.nuisance import Nuisance
 from imr_torch.observe.plausibility import check_experiment
+from imr_torch.reading.npz import read_arrays
 from imr_torch.units import Surroundings
 
 NUISANCE = Nuisance(max_radius=0.003, time_zero=0.004, rest_radius=0.01)

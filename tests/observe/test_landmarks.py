@@ -11,8 +11,8 @@ import torch
 from imr_torch.errors import InputDataError
 from imr_torch.material import PARAMETERS
 from imr_torch.observe.landmarks import Landmarks, find_landmarks, phase_name
-from imr_torch.observe.load import load_traces
-from imr_torch.observe.traces import Given, RadiusTrace
+from imr_torch.reading.load import load_traces
+from imr_torch.reading.traces import Given, RadiusTrace
 from imr_torch.simulate import PolytropicSimulator, Status, TransportSimulator
 from imr_torch.units import Surroundings
 

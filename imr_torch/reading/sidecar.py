@@ -18,7 +18,7 @@ the frames included: ``{"override": {"Rmax_m": 2.5e-4, "Rmax_sd_m": 1e-6, "t_Rma
 ``material`` is read as ``medium``. A ``medium`` at the top that is an object states properties,
 with or without a standard
 deviation: ``{"name": "water", "temperature": 310, "density": [1125, 11]}``
-    (:mod:`imr_torch.observe.medium`).
+    (:mod:`imr_torch.reading.statement`).
 Other fields are left alone. A file with one curve may have its values at the top.
 """
 
@@ -29,10 +29,10 @@ from typing import Any
 
 from imr_torch.errors import InputDataError
 from imr_torch.files import read_json, write_json
-from imr_torch.observe.headers import Said, unit_of
-from imr_torch.observe.layout import LENGTHS, TIMES
-from imr_torch.observe.medium import Statement
-from imr_torch.observe.traces import Given, Override, RadiusTrace, TraceSet
+from imr_torch.reading.layout import LENGTHS, TIMES
+from imr_torch.reading.names import Said, unit_of
+from imr_torch.reading.statement import Statement
+from imr_torch.reading.traces import Given, Override, RadiusTrace, TraceSet
 
 _NUMBERS = {
     "Rmax_m": "max_radius_m",
@@ -53,7 +53,7 @@ OVERRIDES = {
     "Rinf_sd_m": "rest_radius_sd_m",
     "window_end_s": "window_end_s",
 }
-"""Fields of ``override`` in the JSON file, and those of :class:`imr_torch.observe.Override`."""
+"""Fields of ``override`` in the JSON file, and those of :class:`imr_torch.reading.Override`."""
 _REMARKS = (
     "frame_rate_fps",
     "pixel_size_m",
@@ -77,7 +77,7 @@ class Sidecar:
 
     >>> import tempfile
     >>> from pathlib import Path
-    >>> from imr_torch.observe.sidecar import Sidecar
+    >>> from imr_torch.reading.sidecar import Sidecar
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     _ = (Path(folder) / "gel.json").write_text('{"radius_unit": "um", "frame_rate_fps": 1e6, "Rinf_m": 4e-5}')
     ...     beside = Sidecar(Path(folder) / "gel.csv")
@@ -287,7 +287,7 @@ def state(
 
     >>> import tempfile
     >>> from pathlib import Path
-    >>> from imr_torch.observe.sidecar import Sidecar, state
+    >>> from imr_torch.reading.sidecar import Sidecar, state
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     _ = state(Path(folder) / "gel.csv", "gel", {"Rinf_m": 4e-5}, alone=True)
     ...     Sidecar(Path(folder) / "gel.csv").given("gel", alone=True).override.rest_radius_m

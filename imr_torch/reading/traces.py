@@ -17,7 +17,7 @@ from jaxtyping import Real
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
-from imr_torch.observe.medium import Statement
+from imr_torch.reading.statement import Statement
 
 RADIUS_RANGE_M = (1e-7, 1e-1)
 DURATION_RANGE_S = (1e-7, 1.0)
@@ -41,7 +41,7 @@ class Override:
         InputDataError: if a length is not positive and finite, a time not finite, or a standard
             deviation stands alone.
 
-    >>> from imr_torch.observe import Override
+    >>> from imr_torch.reading import Override
     >>> Override(rest_radius_m=4e-5, window_end_s=6e-5).window_end_s
     6e-05
     """
@@ -95,7 +95,7 @@ class Given:
     Raises:
         InputDataError: if a number is not finite, or one that must be is not positive.
 
-    >>> from imr_torch.observe import Given
+    >>> from imr_torch.reading import Given
     >>> Given(max_radius_m=200e-6, rest_radius_m=40e-6).rest_radius_m
     4e-05
     """
@@ -148,13 +148,15 @@ class RadiusTrace:
         radius_m: m, positive; stored as float64.
         source: file (or simulation) that the trace comes from.
         given: what the laboratory says about the experiment.
+        asphericity: ``a/b - 1`` of a bubble seen as an ellipse of half axes ``a`` and, along its
+            axis of symmetry, ``b``: 0 for a sphere; None where one radius was seen.
 
     Raises:
         InputDataError: if the trace cannot be one bubble in SI units; the message names experiment,
             field and sample.
 
     >>> import torch
-    >>> from imr_torch.observe import RadiusTrace
+    >>> from imr_torch.reading import RadiusTrace
     >>> trace = RadiusTrace("shot 1", torch.tensor([0.0, 1e-6, 2e-6]), torch.tensor([2e-4, 1.9e-4, 1.7e-4]), "example")
     >>> len(trace), trace.time_s.dtype
     (3, torch.float64)
@@ -165,6 +167,7 @@ class RadiusTrace:
     radius_m: Real[Tensor, "frames"]
     source: str
     given: Given = Given()
+    asphericity: Real[Tensor, "frames"] | None = None
 
     def __post_init__(self) -> None:
         if not self.experiment_id:
@@ -279,7 +282,7 @@ class LeftOut:
             ``"1-7, 12"``.
         reason: why they were left out.
 
-    >>> from imr_torch.observe import LeftOut
+    >>> from imr_torch.reading import LeftOut
     >>> lost = LeftOut("gel.csv", "shot 1", "4-6", "lost frames")
     >>> lost.rows, lost.reason
     ('4-6', 'lost frames')
@@ -289,6 +292,12 @@ class LeftOut:
     experiment_id: str
     rows: str
     reason: str
+
+    @property
+    def count(self) -> int:
+        """How many rows."""
+        ends = [[int(x) for x in part.split("-")] for part in self.rows.split(", ") if part]
+        return sum(end[-1] - end[0] + 1 for end in ends)
 
 
 def row_ranges(rows: Iterable[int]) -> str:
@@ -315,7 +324,7 @@ class TraceSet:
         InputDataError: if two traces have the same id.
 
     >>> import torch
-    >>> from imr_torch.observe import RadiusTrace, TraceSet
+    >>> from imr_torch.reading import RadiusTrace, TraceSet
     >>> trace = RadiusTrace("shot 1", torch.tensor([0.0, 1e-6, 2e-6]), torch.tensor([2e-4, 1.9e-4, 1.7e-4]), "example")
     >>> print(TraceSet((trace,)).report())
     1 curve(s):
@@ -428,7 +437,7 @@ class TraceSet:
             f"{len(self.left_out)} record(s) of rows left out:" if self.left_out else every
         )
         lines += [
-            f"  {x.file} [{x.experiment_id or '-'}] row(s) {x.rows or '-'}: {x.reason}"
+            f"  {x.file} [{x.experiment_id or '-'}] {x.count} row(s), {x.rows or '-'}: {x.reason}"
             for x in self.left_out
         ]
         if self.notes:
