@@ -243,9 +243,6 @@ KNOWN_LAYOUTS: Mapping[str, Layout] = MappingProxyType(
         "converted_plot_set": Layout(
             "alternatePlotSet.AverageRadius", radius_unit="um", time="alternatePlotSet.TimeVector"
         ),
-        "micrometres_with_rest": Layout(
-            "R", radius_unit="um", time="t", rest_radius="Req", rest_radius_unit="um"
-        ),
     }
 )
 """Name -> layout that is recognised without being stated: the tables of this project and of IMR_DDI;

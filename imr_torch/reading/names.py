@@ -17,7 +17,7 @@ import numpy as np
 from imr_torch.errors import InputDataError
 from imr_torch.reading.content import Content
 from imr_torch.reading.layout import LENGTHS, TIMES, Layout
-from imr_torch.reading.traces import DURATION_RANGE_S, RADIUS_RANGE_M
+from imr_torch.reading.traces import RADIUS_RANGE_M
 
 _UNITS = {
     "s": "s sec second seconds",
@@ -35,7 +35,7 @@ _ALIASES = {alias: unit for unit, aliases in _UNITS.items() for alias in aliases
 _ROLES = {
     "time": "t time times texp timestamp elapsedtime",
     "frames": "frame frames frameno framenr framenumber frameindex",
-    "radius": "r radius radii rexp rad rt roft bubbleradius meanradius averageradius "
+    "radius": "r radius radii rexp rad rt rnew roft bubbleradius meanradius averageradius "
     "equivalentradius",
     "half axis a": "a axisa semiaxisa halfaxisa",
     "half axis b": "b axisb semiaxisb halfaxisb",
@@ -235,15 +235,27 @@ def _in_one_unit(radii: list[Heading]) -> list[Heading]:
     return [h for h in radii if best[h.bare] is h or h.unit == best[h.bare].unit]
 
 
-def _possible_unit(content: Content, radius: str, time: str) -> str | None:
-    """``"m"`` or ``"um"``: in which of them, and in seconds, a bubble may be; None if in neither."""
+def _possible_unit(
+    content: Content, radius: str, time: str, *, lasts: tuple[float, float] = (0.05, 100.0)
+) -> str | None:
+    """``"m"`` or ``"um"``: in which of them, and in seconds, a bubble may be; None if in neither.
+
+    Args:
+        content: the file.
+        radius: name of the radii.
+        time: name of the times.
+        lasts: shortest and longest record, in ``Rmax sqrt(rho/p)``, .1 s/m in water at 1 atm.
+    """
     largest = float(np.nanmax(content.entries(radius), initial=0.0))
     seconds = content.entries(time)
-    lasts = float(np.ptp(seconds[np.isfinite(seconds)])) if np.isfinite(seconds).any() else 0.0
-    if not DURATION_RANGE_S[0] <= lasts <= DURATION_RANGE_S[1]:
-        return None
-    low, high = RADIUS_RANGE_M
-    return next((unit for unit in ("m", "um") if low < largest * LENGTHS[unit] < high), None)
+    finite = seconds[np.isfinite(seconds)]
+    span = float(finite.max() - finite.min()) if len(finite) else 0.0
+    for unit in ("m", "um"):
+        top = largest * LENGTHS[unit]
+        possible = RADIUS_RANGE_M[0] < top < RADIUS_RANGE_M[1]
+        if possible and lasts[0] < span / (0.1 * top) < lasts[1]:
+            return unit
+    return None
 
 
 def _rest_name(content: Content) -> str | None:

@@ -432,6 +432,9 @@ class TraceSet:
                 f"  {t.experiment_id}: {len(t)} frames over {span:.4g} us, largest radius "
                 f"{top:.4g} um"
             )
+            if t.asphericity is not None:
+                low, high = t.asphericity.aminmax()
+                lines.append(f"    asphericity a/b - 1 from {low:.2g} to {high:.2g}")
         every = "Every row of the files was read."
         lines.append(
             f"{len(self.left_out)} record(s) of rows left out:" if self.left_out else every
