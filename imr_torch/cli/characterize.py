@@ -101,7 +101,9 @@ def _load(args: argparse.Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]
             )
     if not curves:
         _check_no_curves(args, tables)
-    traces = load_traces(*curves, layout=layout_of(args)) if curves else TraceSet(())
+    traces = (
+        load_traces(*curves, layout=layout_of(args), sort=args.sort) if curves else TraceSet(())
+    )
     double = {trace.experiment_id for trace in traces} & {shot.experiment_id for shot in shots}
     if double:
         raise InputDataError(
@@ -250,8 +252,10 @@ def diagnose_command(args: argparse.Namespace, best: ModelBelief) -> str:
         ("--rest-radius", args.rest_radius),
         ("--collapses", str(args.collapses) if args.collapses != COLLAPSES else None),
         ("--medium", args.medium),
+        ("--driving", args.driving),
         ("--physics", args.physics if args.physics != "transport" else None),
     ):
         if value:
             parts += [option, value]
+    parts += ["--sort"] if args.sort else []
     return shlex.join([*parts, "--html", "diagnosis.html"])

@@ -2,6 +2,7 @@
 
 from imr_torch.reading.layout import KNOWN_LAYOUTS, Layout
 from imr_torch.reading.load import SUFFIXES, find_files, load_traces
+from imr_torch.reading.pressure import load_driving
 from imr_torch.reading.readers import READERS, Reader, register_reader
 from imr_torch.reading.sidecar import state
 from imr_torch.reading.statement import Statement
@@ -20,6 +21,7 @@ __all__ = [
     "Statement",
     "TraceSet",
     "find_files",
+    "load_driving",
     "load_traces",
     "register_reader",
     "state",

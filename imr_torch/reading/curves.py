@@ -156,7 +156,8 @@ def find_layout(content: Content, said: Said) -> tuple[Layout, list[str]]:
             f"half axes a and b of an ellipsoid from '{layout.radius}' and "
             f"'{layout.symmetry_axis}' in {layout.radius_unit}, R = (a^2 b)^(1/3)"
         )
-    return layout, [f"{content.path}: {radius}, {time}."]
+    size = "; of metres and micrometres these fit a bubble" if layout.absent else ""
+    return layout, [f"{content.path}: {radius}, {time}{size}."]
 
 
 def _has_rows_of(content: Content, value: float | None) -> bool:

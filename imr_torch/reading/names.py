@@ -9,7 +9,7 @@ error proposes.
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,17 +88,19 @@ class Heading:
         return self.unit in (*LENGTHS, "px")
 
 
-def unit_of(text: str) -> str | None:
-    """The unit that a text means, or None: ``"µs"``, ``"microseconds"`` and ``"[us]"`` are
-    ``"us"``.
+def unit_of(text: str, units: Collection[str] = tuple(_UNITS)) -> str | None:
+    """The unit among some that a text means, or None: ``"µs"``, ``"microseconds"`` and ``"[us]"``
+    are ``"us"``.
     """
     plain = text.strip().strip("()[]{}").strip().lower()
-    return _ALIASES.get(plain.replace("\u00b5", "u").replace("\u03bc", "u"))
+    plain = plain.replace("\u00b5", "u").replace("\u03bc", "u")
+    unit = _ALIASES.get(plain, plain)
+    return unit if unit in units else None
 
 
-def heading(name: str, below: str = "") -> Heading:
-    """A name with its unit: behind it in brackets, after a stroke, comma or underscore, or in the
-    row below.
+def heading(name: str, below: str = "", units: Collection[str] = tuple(_UNITS)) -> Heading:
+    """A name with its unit, one of some: behind it in brackets, after a stroke, comma or
+    underscore, or in the row below.
     """
     text = name.strip()
     for pattern in (
@@ -108,10 +110,10 @@ def heading(name: str, below: str = "") -> Heading:
         r"(.+?)[_ ]([^_ ]+)",
     ):
         found = re.fullmatch(pattern, text)
-        unit = unit_of(found[2]) if found else None
+        unit = unit_of(found[2], units) if found else None
         if found and unit is not None and found[2] != "1":
             return Heading(name, found[1].strip(), unit)
-    unit = "dimensionless" if text.endswith("*") else unit_of(below) if below else None
+    unit = "dimensionless" if text.endswith("*") else unit_of(below, units)
     return Heading(name, text, unit)
 
 

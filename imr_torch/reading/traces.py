@@ -440,7 +440,7 @@ class TraceSet:
             f"{len(self.left_out)} record(s) of rows left out:" if self.left_out else every
         )
         lines += [
-            f"  {x.file} [{x.experiment_id or '-'}] {x.count} row(s), {x.rows or '-'}: {x.reason}"
+            f"  {x.file} [{x.experiment_id or '-'}] row(s) {x.rows or '-'} ({x.count} in all): {x.reason}"
             for x in self.left_out
         ]
         if self.notes:

@@ -94,7 +94,9 @@ def test_that_pixels_and_frames_of_bubbletrack_take_their_scales_from_the_json_b
     check(load_traces(tmp_path / "table.csv"), digits=1e-5)
     traces = load_traces(tmp_path / "pixels.mat")
     check(traces)
-    assert "2 row(s), 1-2: radius 0, negative or NaN before the first frame" in traces.report()
+    assert (
+        "row(s) 1-2 (2 in all): radius 0, negative or NaN before the first frame" in traces.report()
+    )
 
 
 @pytest.mark.parametrize("with_peak", [True, False])

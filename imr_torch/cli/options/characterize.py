@@ -28,9 +28,11 @@ import argparse
 
 from imr_torch.cli.options.names import EFFORTS, FRAMES, METHODS, SCATTER_SCALE
 from imr_torch.cli.options.shared import (
+    add_driving_argument,
     add_medium_argument,
     add_physics_argument,
     add_prior_arguments,
+    add_sort_argument,
     add_window_arguments,
 )
 
@@ -49,6 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--layout", metavar="TEXT", help="how to read the files: name=value pairs, see above"
     )
+    add_sort_argument(parser)
     parser.add_argument("--experiments", metavar="ID,...", help="fit only these experiments")
     parser.add_argument(
         "--each", action="store_true", help="fit every curve by itself instead of all together"
@@ -108,5 +111,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--html", metavar="FILE", help="write the result with its figures as one HTML file"
     )
     add_medium_argument(parser)
+    add_driving_argument(parser)
     add_physics_argument(parser)
     add_prior_arguments(parser)
