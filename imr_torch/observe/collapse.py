@@ -99,24 +99,16 @@ class CollapseShot:
                     "expected "
                     f"{low:g} to {high:g}, in SI units."
                 )
-        for name in ("collapse_time_sd_s", "max_radius_sd_m", "stretch_sd"):
-            sd = getattr(self, name)
-            if sd is not None and not 0.0 < sd < math.inf:
-                raise InputDataError(
-                    f"{self.source}: experiment '{self.experiment_id}': {name} is {sd:g}; "
-                    "expected an error above 0, or leave "
-                    "it out."
-                )
         for name, value, of in (
             ("collapse_time_sd_s", self.collapse_time_sd_s, self.collapse_time_s),
             ("max_radius_sd_m", self.max_radius_sd_m, self.max_radius_m),
             ("stretch_sd", self.stretch_sd, self.stretch),
         ):
-            if value is not None and value >= of:
+            if value is not None and not 0.0 < value < of:
                 raise InputDataError(
                     f"{self.source}: experiment '{self.experiment_id}': {name} is {value:g}; "
-                    "expected an error below the value "
-                    f"itself, {of:g}, in SI units."
+                    f"expected an error above 0 and below the value itself, {of:g}, in SI units, "
+                    "or leave it out."
                 )
 
     def to_experiment(self, surroundings: Surroundings) -> "CollapseTime":

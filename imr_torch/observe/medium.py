@@ -25,10 +25,6 @@ from imr_torch.simulate.conditions import saturation_pressure
 from imr_torch.simulate.medium import OF_MEDIUM
 from imr_torch.units import Surroundings
 
-_FAR = 2.5  # standard deviations of the shift from which on curves contradict a statement
-_LEAST = 0.1  # of a standard deviation: shifts of values that curves say nothing of are noise
-
-
 _NAME_OF = {entry.field: name for name, entry in PROPERTIES.items()}
 
 
@@ -100,16 +96,22 @@ class GelMedium:
         """A field's value with its unit, as text."""
         return f"{getattr(self.surroundings, name):.4g} {PROPERTIES[_NAME_OF[name]].unit}"
 
-    def learnt(self, posterior: ModelBelief) -> tuple[str, ...]:
+    def learnt(
+        self, posterior: ModelBelief, *, contradicts: float = 2.5, least: float = 0.1
+    ) -> tuple[str, ...]:
         """What curves say of the uncertain values: a sentence each, which names those that they
         contradict.
 
         Under the statement the posterior mean lies ``N(0, sd^2 - sd_after^2)`` from the stated
-        value (Gaussian updating), so a shift of more than 2.5 of that is a contradiction.
+        value (Gaussian updating), so a shift of several of that is a contradiction.
 
         Args:
             posterior: of a model with these values as parameters; those that it does not infer are
                 passed over.
+            contradicts: shift, in such standard deviations, from which on curves contradict a
+                statement.
+            least: expected shift at least, of the stated standard deviation: shifts of values that
+                curves say nothing of are noise.
         """
         lines = []
         for name, sd in self.sds.items():
@@ -122,11 +124,11 @@ class GelMedium:
             ).tolist()
             after = float(posterior.sds[column])
             before = sd / stated
-            expected = math.sqrt(max(before**2 - after**2, (_LEAST * before) ** 2))
+            expected = math.sqrt(max(before**2 - after**2, (least * before) ** 2))
             shift = float(posterior.means[column]) / expected
             doubt = (
                 "; the curves contradict what was stated, or the model lacks something"
-                if abs(shift) > _FAR
+                if abs(shift) > contradicts
                 else ""
             )
             lines.append(

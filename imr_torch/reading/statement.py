@@ -13,8 +13,6 @@ from typing import Any
 from imr_torch.errors import InputDataError
 from imr_torch.material.media import named_medium
 
-_WIDEST = 0.3  # standard deviation over the value
-
 
 @dataclass(frozen=True)
 class _Property:
@@ -159,9 +157,9 @@ def _pair(text: str, part: str, where: str) -> tuple[float, float | None]:
     return value, sd[0] if sd else None
 
 
-def _check(name: str, value: float, sd: float | None) -> None:
+def _check(name: str, value: float, sd: float | None, *, widest: float = 0.3) -> None:
     """Raise unless a property is known, its value possible in SI units, and its standard deviation
-    usable.
+    usable: at most ``widest`` of the value.
     """
     if name not in PROPERTIES:
         raise InputDataError(
@@ -176,9 +174,9 @@ def _check(name: str, value: float, sd: float | None) -> None:
         raise InputDataError(
             f"{name} is {value:g}; expected {known.low:g} to {known.high:g} {known.unit}.{remedy}"
         )
-    if sd is not None and not 0.0 < sd <= _WIDEST * value:
+    if sd is not None and not 0.0 < sd <= widest * value:
         raise InputDataError(
             f"the standard deviation of {name} is {sd:g} {known.unit}; expected above 0 and at "
-            f"most {100 * _WIDEST:.0f} % of "
-            f"the value ({_WIDEST * value:g}). Leave it out where the value is exact."
+            f"most {100 * widest:.0f} % of "
+            f"the value ({widest * value:g}). Leave it out where the value is exact."
         )
