@@ -10,18 +10,18 @@ fit.
   "radius=Rnew,radius_unit=px,pixel_size=deltax,frame_interval=deltat"
 
 Files are tables (text or .xlsx) with the columns experiment_id, time_s, radius_m, or with units in
-the header ("time (us)", "R [um]"), MATLAB files, or .npz. What their names do not say, --layout
-says; units are never guessed. In a wide table every column of radii is a curve. A JSON file of the
-same name beside a file may give R_inf, Rmax, their sd, medium, frame rate, pixel size and exposure.
-A table with the columns experiment_id, rmax_m, stretch, collapse_time_s holds shots of which no
-more is known (errors: collapse_time_sd_s, 20 ns if not given, rmax_sd_m, stretch_sd), alone or
-beside curves of the same gel. --medium states density, sound speed, surface tension, temperature
-and ambient pressure of the gel (--medium water,temperature=310,density=1125:11: with a standard
-deviation it is inferred beside the gel); the report says what was assumed and whether that matters.
-All curves are taken to be of one gel and are fitted together; --each fits every curve by itself,
-which shows whether they agree, and --population says how much the gel differs between them, by
-evidence. The report says whether the model explains the curves, which rows were left out, which
-frames were fitted, and why.
+the header ("time (us)", "R [um]"), MATLAB files, .npz, or files of other programs of the field
+(BubbleTrack, InCA, IMR codes). What their names do not say, --layout says; units are never guessed.
+In a wide table every column of radii is a curve. A JSON file of the same name beside a file may
+give R_inf, Rmax, their sd, medium, frame rate, pixel size and exposure. A table with the columns
+experiment_id, rmax_m, stretch, collapse_time_s holds shots of which no more is known (errors:
+collapse_time_sd_s, 20 ns if not given, rmax_sd_m, stretch_sd), alone or beside curves of the same
+gel. --medium states density, sound speed, surface tension, temperature and ambient pressure of the
+gel (--medium water,temperature=310,density=1125:11: with a standard deviation it is inferred beside
+the gel); the report says what was assumed and whether that matters. All curves are taken to be of
+one gel and are fitted together; --each fits every curve by itself, which shows whether they agree,
+and --population says how much the gel differs between them, by evidence. The report says whether
+the model explains the curves, which rows were left out, which frames were fitted, and why.
 """
 
 import argparse
