@@ -236,21 +236,20 @@ def _split(content: Content, layout: Layout) -> tuple[list[RawCurve], list[LeftO
     file = str(content.path)
     names = _radius_names(content, layout)
     radii = [(name, cell) for name in names for cell in content.vectors(name)]
-    times = [None] if layout.time is None else content.vectors(layout.time)
-    times = times * len(radii) if len(times) == 1 else times
-    if len(times) != len(radii):
-        raise InputDataError(
-            f"{file}: '{layout.time}' holds {len(times)} vectors and '{layout.radius}' "
-            f"{len(radii)}; expected one vector of times for each curve, or one for all."
-        )
-    axes = (
-        [None] * len(radii)
-        if layout.symmetry_axis is None
-        else content.vectors(layout.symmetry_axis)
-    )
+    beside = []
+    for name in (layout.time, layout.symmetry_axis):
+        vectors = [None] if name is None else content.vectors(name)
+        vectors = vectors * len(radii) if len(vectors) == 1 else vectors
+        if len(vectors) != len(radii):
+            what = "times" if name == layout.time else "half axes"
+            raise InputDataError(
+                f"{file}: '{name}' holds {len(vectors)} vectors and '{layout.radius}' "
+                f"{len(radii)}; expected one vector of {what} for each curve, or one for all."
+            )
+        beside.append(vectors)
     groups, left_out = _groups(content, layout)
     curves = []
-    for i, ((column, radius), time, axis) in enumerate(zip(radii, times, axes, strict=True)):
+    for i, ((column, radius), time, axis) in enumerate(zip(radii, *beside, strict=True)):
         for name, other in ((layout.time, time), (layout.symmetry_axis, axis)):
             if other is not None and len(other) != len(radius):
                 raise InputDataError(

@@ -17,7 +17,7 @@ import numpy as np
 from imr_torch.errors import InputDataError
 from imr_torch.reading.content import Content
 from imr_torch.reading.layout import LENGTHS, TIMES, Layout
-from imr_torch.reading.traces import RADIUS_RANGE_M
+from imr_torch.reading.traces import MIN_SAMPLES, RADIUS_RANGE_M
 
 _UNITS = {
     "s": "s sec second seconds",
@@ -175,6 +175,11 @@ def infer_layout(content: Content, said: Said) -> Layout:
     _check_kinds(file, usable, radii)
     radii = [h for h in radii if h is not time]
     experiment = _experiment(headings, (time, *radii))
+    if experiment is not None and not content.is_table:
+        labels = list(content.values[experiment.name])
+        shared = bool(radii) and len(labels) == np.size(content.values[radii[0].name])
+        few = len(set(map(str, labels))) * MIN_SAMPLES <= len(labels)
+        experiment = experiment if shared and few else None
     proposal = _propose(usable, values, said)
     if not radii or (time is None and said.frame_interval is None):
         if not radii and any(name.startswith("struct_best_fit") for name in content.values):

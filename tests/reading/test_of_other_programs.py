@@ -15,6 +15,9 @@ import torch
 
 from imr_torch.errors import InputDataError
 from imr_torch.observe import TraceSet, load_collapse_times, load_traces
+from imr_torch.reading import matlab
+from imr_torch.reading.content import Content
+from imr_torch.reading.names import Said, infer_layout
 
 COUNT = 40
 TIMES = 1e-6 * np.arange(COUNT)  # s
@@ -257,6 +260,30 @@ def test_that_tables_timetables_and_strings_of_matlab_are_read(
     content = {"t_exp": 1e6 * TIMES, "R_exp": 1e6 * RADII, **texts}
     matio.save_to_mat(str(path), content, version=version)
     check(load_traces(path))
+
+
+def test_that_units_of_the_columns_of_a_table_are_used() -> None:
+    table = pd.DataFrame({"tau": TIMES, "size": 1e6 * RADII})
+    values: dict = {}
+    units: dict = {}
+    table.attrs["VariableUnits"] = ["s", "um"]
+    matlab._flatten("T", table, values, units)
+    assert units == {"T.tau": "s", "T.size": "um"}
+    layout = infer_layout(Content(Path("gel.mat"), values, units=units), Said())
+    assert (layout.radius, layout.radius_unit, layout.time) == ("T.size", "um", "T.tau")
+
+
+def test_that_names_of_cells_and_numbers_of_frames_tell_no_rows_apart(tmp_path: Path) -> None:
+    curves = {"R_um": as_cells([1e6 * RADII] * 2), "t_us": 1e6 * TIMES}
+    scipy.io.savemat(tmp_path / "cells.mat", curves | {"id": as_cells(["first", "second"])})
+    check(load_traces(tmp_path / "cells.mat"), count=2)
+    frames = {"id": np.arange(COUNT), "R_um": 1e6 * RADII, "t_us": 1e6 * TIMES}
+    scipy.io.savemat(tmp_path / "frames.mat", {"shot": frames})
+    check(load_traces(tmp_path / "frames.mat"))
+    axes = {"a_um": as_cells([1e6 * RADII] * 3), "b_um": as_cells([1e6 * RADII] * 2)}
+    scipy.io.savemat(tmp_path / "axes.mat", axes | {"t_us": 1e6 * TIMES})
+    with pytest.raises(InputDataError, match=r"'b_um' holds 2 vectors and 'a_um' 3; .* half axes"):
+        load_traces(tmp_path / "axes.mat")
 
 
 def test_that_digitised_curves_are_sorted_where_this_is_asked_for(tmp_path: Path) -> None:
