@@ -258,6 +258,34 @@ def first_minimum(
     return torch.where(turns.any(-1), t0 + h * share.clamp(0.0, 1.0), torch.nan)
 
 
+def simulate_bubbles(
+    simulator: Simulator,
+    parameters: Float[Tensor, "*#batch parameters"],
+    designs: Float[Tensor, "*#batch experiments 2"],
+    times: Float[Tensor, "*#batch experiments frames"],
+    *,
+    bundled: bool = False,
+) -> tuple[
+    Float[Tensor, "*#batch experiments frames"], Float[Tensor, "*#batch experiments frames"]
+]:
+    """Radius and velocity of each gel in each experiment, dimensionless.
+
+    Args:
+        simulator: makes the bubbles.
+        parameters: SI.
+        designs: true ones.
+        times: true ones.
+        bundled: as for :func:`imr_torch.observe.predict`.
+    """
+    if not bundled:
+        solution = simulator(parameters[..., None, :], designs, times)
+        return solution.radius, solution.velocity
+    # experiments are bundles of their own, so members move to the last batch dimension
+    inputs = (x if x.ndim > 2 else x[None] for x in (parameters[..., None, :], designs, times))
+    solution = simulator.bundle(*(x.transpose(-3, -2) for x in inputs))
+    return solution.radius.transpose(-3, -2), solution.velocity.transpose(-3, -2)
+
+
 def predict_collapse(
     simulator: Simulator,
     parameters: Float[Tensor, "*#batch parameters"],
@@ -295,12 +323,7 @@ def predict_collapse(
         rate = torch.exp(distortion.clock)
 
     def solved(times: Tensor) -> tuple[Tensor, Tensor]:
-        if not bundled:
-            solution = simulator(parameters[..., None, :], designs, times)
-            return solution.radius, solution.velocity
-        inputs = (x if x.ndim > 2 else x[None] for x in (parameters[..., None, :], designs, times))
-        solution = simulator.bundle(*(x.transpose(-3, -2) for x in inputs))
-        return solution.radius.transpose(-3, -2), solution.velocity.transpose(-3, -2)
+        return simulate_bubbles(simulator, parameters, designs, times, bundled=bundled)
 
     found = first_minimum(times[..., :_USUAL], *solved(times[..., :_USUAL]))
     if bool(torch.isnan(found).any()):

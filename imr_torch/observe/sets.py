@@ -4,7 +4,6 @@
 
 from pathlib import Path
 
-import numpy as np
 import torch
 
 from imr_torch.errors import InputDataError
@@ -48,7 +47,7 @@ def load_set(
     ('design 0', 2)
     """
     outer = surroundings or Surroundings()
-    arrays = _arrays(Path(path))
+    arrays = read_arrays(path, _SHAPES)
     if arrays["we"].ndim != 1 or not len(arrays["we"]):
         raise InputDataError(
             f"{path}: we has shape {arrays['we'].shape}; expected a Weber number a design, of one "
@@ -123,8 +122,3 @@ def _check_units(
             f"on, {shortest * unit:.2g} to "
             f"{longest * unit:.2g} of them."
         )
-
-
-def _arrays(path: Path) -> dict[str, np.ndarray]:
-    """The arrays of a set by name."""
-    return read_arrays(path, _SHAPES)
