@@ -6,6 +6,7 @@ array is a list of one value a struct. Row times of a timetable, and durations, 
 
 import math
 import warnings
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import h5py
 import numpy as np
 import scipy  # whose parts are imported when they are used
 
-from imr_torch.errors import InputDataError
+from imr_torch.errors import InputDataError, UnsupportedError
 from imr_torch.reading.content import LARGEST, Content
 
 
@@ -30,14 +31,25 @@ def read_matlab(path: Path) -> list[Content]:
         InputDataError: if the file cannot be read, or holds no variable.
     """
     _check_size(path)
+    holds_objects = _has_objects(path)
+    if holds_objects and find_spec("matio") is None:
+        raise UnsupportedError(
+            f"{path}: holds objects of MATLAB (tables, timetables or strings), which need mat-io: "
+            "pip install mat-io; or save plain vectors, as by table2struct(T, 'ToScalar', true)."
+        )
     values: dict[str, Any] = {}
     units: dict[str, str] = {}
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            import matio  # takes long to import
+            if holds_objects:
+                import matio  # takes long to import
 
-            content = matio.load_from_mat(str(path), add_table_attrs=True)
+                content = matio.load_from_mat(str(path), add_table_attrs=True)
+            else:
+                import pymatreader  # takes long to import
+
+                content = pymatreader.read_mat(str(path))
         for name, value in content.items():
             if not name.startswith(("__", "#")):
                 _flatten(name, value, values, units)
@@ -51,6 +63,19 @@ def read_matlab(path: Path) -> list[Content]:
             f"{path}: holds no variables; save the radius and time vectors into it."
         )
     return [Content(path, values, units=units)]
+
+
+def _has_objects(path: Path) -> bool:
+    """Whether a file holds objects: it has a subsystem then, whose place MATLAB 5 heads it with."""
+    try:
+        if h5py.is_hdf5(path):
+            with h5py.File(path) as file:
+                return "#subsystem#" in file
+        with path.open("rb") as stream:
+            head = stream.read(124)
+        return head.startswith(b"MATLAB 5.0") and bool(head[116:].strip(b"\0 "))
+    except Exception:  # a damaged file is reported where it is read
+        return False
 
 
 def _check_size(path: Path) -> None:
@@ -89,6 +114,9 @@ def _flatten(name: str, value: Any, values: dict[str, Any], units: dict[str, str
         for column, unit in zip(value.columns, [*written, *[""] * value.shape[1]], strict=False):
             values[f"{name}.{column}"] = _plain(value[column].to_numpy())
             units |= {f"{name}.{column}": unit} if unit else {}
+    elif isinstance(value, dict):
+        for field, part in value.items():
+            _flatten(f"{name}.{field}", part, values, units)
     elif isinstance(value, np.ndarray) and value.dtype.names:
         structs = value.reshape(-1)
         for field in value.dtype.names:
@@ -104,6 +132,10 @@ def _flatten(name: str, value: Any, values: dict[str, Any], units: dict[str, str
 
 def _plain(value: Any) -> Any:
     """An array without dimensions of 1, a text, or a list of these."""
+    if isinstance(value, list):
+        return [_plain(cell) for cell in value]
+    if isinstance(value, (bool, int, float, np.generic)):
+        return np.asarray(value)
     if not isinstance(value, np.ndarray):
         return value
     if value.dtype.kind in "mM":

@@ -13,7 +13,7 @@ import pytest
 import scipy.io
 import torch
 
-from imr_torch.errors import InputDataError
+from imr_torch.errors import InputDataError, UnsupportedError
 from imr_torch.observe import TraceSet, load_collapse_times, load_traces
 from imr_torch.reading import matlab
 from imr_torch.reading.content import Content
@@ -331,3 +331,17 @@ def test_that_collapse_times_of_parsimonious_imr_are_read(tmp_path: Path) -> Non
     scipy.io.savemat(tmp_path / "bad.mat", {"pIMR_array": array.T})
     with pytest.raises(InputDataError, match=r"pIMR_array has shape \(3, 2\); expected one row"):
         load_collapse_times(tmp_path / "bad.mat")
+
+
+def test_that_tables_of_matlab_ask_for_the_library_that_reads_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table = pd.DataFrame({"Time_s": TIMES, "Radius_um": 1e6 * RADII})
+    monkeypatch.setattr(matlab, "find_spec", lambda name: None)
+    for version in ("v7", "v7.3"):
+        matio.save_to_mat(str(tmp_path / "table.mat"), {"T": table}, version=version)
+        with pytest.raises(UnsupportedError, match=r"table\.mat: .* pip install mat-io; or save"):
+            load_traces(tmp_path / "table.mat")
+        plain = {"t_s": TIMES, "R_um": 1e6 * RADII}
+        matio.save_to_mat(str(tmp_path / "plain.mat"), plain, version=version)
+        check(load_traces(tmp_path / "plain.mat"))
