@@ -121,6 +121,7 @@ def test_that_the_stages_that_exist_were_looked_at() -> None:
     assert {
         "material",
         "simulate",
+        "reading",
         "observe",
         "assimilate",
         "select",
