@@ -58,6 +58,7 @@ class BatchOptions:
         prior: what is believed before.
         simulator: makes the bubbles; on one thread where processes share the work.
         layout: how files are read.
+        sort: whether rows are put in the order of their times.
         each: whether every curve of a file is a shot; else the curves of a file are fitted
             together, as one.
         collapses: as for :func:`imr_torch.characterize`.
@@ -77,6 +78,7 @@ class BatchOptions:
     prior: Belief
     simulator: Simulator
     layout: Layout | None = None
+    sort: bool = False
     each: bool = False
     collapses: int = 2
     rest_radius: tuple[float, float] | None = None
@@ -91,6 +93,7 @@ class BatchOptions:
             json.dumps(self.prior.to_dict(), sort_keys=True),
             repr(self.simulator),
             repr(self.layout),
+            repr(self.sort),
             self.each,
         ]
         parts += [
@@ -400,7 +403,7 @@ def _shots(files: Sequence[Path], options: BatchOptions) -> Iterator[Shot]:
     names = _names(files)
     for path, name in zip(files, names, strict=True):
         try:
-            traces = load_traces(path, layout=options.layout)
+            traces = load_traces(path, layout=options.layout, sort=options.sort)
             key = _key(path, of_options)
         except (ImrError, OSError) as error:
             yield Shot(name, str(path), None, "", str(error))

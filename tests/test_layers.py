@@ -19,6 +19,7 @@ PACKAGE = Path(imr_torch.__file__).parent
 STAGES = (
     "material",
     "simulate",
+    "reading",
     "observe",
     "assimilate",
     "goodness",
@@ -120,6 +121,7 @@ def test_that_the_stages_that_exist_were_looked_at() -> None:
     assert {
         "material",
         "simulate",
+        "reading",
         "observe",
         "assimilate",
         "select",

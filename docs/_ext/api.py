@@ -15,6 +15,7 @@ from pages import Folder
 PACKAGES = {
     "material": "What is the gel?",
     "simulate": "What does the bubble do?",
+    "reading": "What did the laboratory write down?",
     "observe": "What does the camera see?",
     "assimilate": "What do we learn?",
     "goodness": "Does the model explain the curves?",

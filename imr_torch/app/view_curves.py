@@ -9,7 +9,7 @@ from nicegui import events, ui
 from imr_torch.app.workspace import CurveView, Workspace
 from imr_torch.cli.options.names import COLLAPSES
 from imr_torch.errors import ImrError
-from imr_torch.observe.sidecar import OVERRIDES
+from imr_torch.reading.sidecar import OVERRIDES
 
 _FITTED, _OUTSIDE, _MAXIMUM, _REST, _WINDOW = "#0072b2", "#9a9a9a", "#d55e00", "#009e73", "#cc79a7"
 _MICRO = 1e6

@@ -33,7 +33,7 @@ from imr_torch.observe import (
     prepare,
     state,
 )
-from imr_torch.observe.collapse import is_collapse_file
+from imr_torch.reading.readers import is_shot_file
 
 LARGEST_FILE = 2**30
 """Bytes of an uploaded file."""
@@ -209,7 +209,7 @@ class Workspace:
 
     def _file_state(self, path: Path) -> FileState:
         try:
-            if is_collapse_file(path):
+            if is_shot_file(path):
                 return FileState(path.name, shots=len(load_collapse_times(path)))
             return FileState(path.name, curves=len(self._load(path)))
         except ImrError as error:

@@ -47,6 +47,7 @@ def run(args: argparse.Namespace) -> None:
         prior_of(args),
         replace(simulator, threads=1) if apart else simulator,
         layout=layout_of(args),
+        sort=args.sort,
         each=args.each,
         collapses=args.collapses,
         rest_radius=rest_radius_of(args),

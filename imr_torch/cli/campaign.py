@@ -158,7 +158,7 @@ def _real(campaign: Campaign, args: argparse.Namespace) -> tuple[Sequence[Propos
     progress = progress_of(args)
     experiments = ()
     if args.tell:
-        traces = load_traces(*args.tell, layout=layout_of(args))
+        traces = load_traces(*args.tell, layout=layout_of(args), sort=args.sort)
         print(traces.report())
         surroundings = campaign.simulator.conditions.surroundings
         _check_medium(traces, args)

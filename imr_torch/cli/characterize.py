@@ -40,8 +40,8 @@ from imr_torch.observe import (
     load_traces,
     prepare,
 )
-from imr_torch.observe.collapse import is_collapse_file
 from imr_torch.population import SCALE
+from imr_torch.reading.readers import is_shot_file
 from imr_torch.results import characterization_document, characterization_page, draw_figures
 
 
@@ -90,7 +90,7 @@ def _load(args: argparse.Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]
     it is given.
     """
     files = find_files(*args.files)
-    tables = [path for path in files if is_collapse_file(path)]
+    tables = [path for path in files if is_shot_file(path)]
     curves = [path for path in files if path not in tables]
     shots = load_collapse_times(*tables) if tables else ()
     for option in ("each", "scores", "population") if shots else ():
@@ -101,7 +101,9 @@ def _load(args: argparse.Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]
             )
     if not curves:
         _check_no_curves(args, tables)
-    traces = load_traces(*curves, layout=layout_of(args)) if curves else TraceSet(())
+    traces = (
+        load_traces(*curves, layout=layout_of(args), sort=args.sort) if curves else TraceSet(())
+    )
     double = {trace.experiment_id for trace in traces} & {shot.experiment_id for shot in shots}
     if double:
         raise InputDataError(
@@ -250,8 +252,10 @@ def diagnose_command(args: argparse.Namespace, best: ModelBelief) -> str:
         ("--rest-radius", args.rest_radius),
         ("--collapses", str(args.collapses) if args.collapses != COLLAPSES else None),
         ("--medium", args.medium),
+        ("--driving", args.driving),
         ("--physics", args.physics if args.physics != "transport" else None),
     ):
         if value:
             parts += [option, value]
+    parts += ["--sort"] if args.sort else []
     return shlex.join([*parts, "--html", "diagnosis.html"])

@@ -21,6 +21,7 @@ from imr_torch.errors import InputDataError
 from imr_torch.files import without_nonfinite, write_json
 from imr_torch.material import PARAMETERS, Belief, reference_case, wide_prior
 from imr_torch.observe import CollapseShot, GelMedium, Layout, Statement, TraceSet
+from imr_torch.reading import load_driving
 from imr_torch.results import header
 from imr_torch.simulate import (
     ACCURACIES,
@@ -72,10 +73,14 @@ def with_medium(
 
 
 def with_engine(simulator: AnySimulator, args: argparse.Namespace) -> AnySimulator:
-    """A simulator with the engine and threads that the options name."""
+    """A simulator with the engine, threads and driving that the options name."""
     if args.threads is not None and args.threads < 1:
         raise InputDataError(f"--threads is {args.threads}; expected at least 1.")
-    return replace(simulator, engine=args.engine, threads=args.threads)
+    simulator = replace(simulator, engine=args.engine, threads=args.threads)
+    if not getattr(args, "driving", None):
+        return simulator
+    driven = replace(simulator.conditions, driving=load_driving(args.driving))
+    return replace(simulator, conditions=driven)
 
 
 def simulator_of(args: argparse.Namespace, *, chunk: int = _CHUNK) -> Simulator:

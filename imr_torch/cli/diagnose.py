@@ -146,7 +146,7 @@ def _experiments(
     assumed = simulator.conditions.surroundings
     sets = [name for name in args.files if _is_set(name)]
     if not sets:
-        traces = load_traces(*args.files, layout=layout_of(args))
+        traces = load_traces(*args.files, layout=layout_of(args), sort=args.sort)
         print(traces.report() + "\n")
         rest = rest_radius_of(args)
         medium = medium_of(traces, statement, assumed)

@@ -1,25 +1,36 @@
-"""Observations: reading files, landmarks, noise, and experiments as dimensionless batches."""
+"""Observations: landmarks, noise, and experiments as dimensionless batches; beside what reads files."""
 
-from imr_torch.observe import formats as formats  # registers the readers of the package
 from imr_torch.observe.collapse import CollapseShot, CollapseTime, load_collapse_times
 from imr_torch.observe.convert import to_experiment
 from imr_torch.observe.experiments import Experiment, ExperimentBatch, Film, predict
 from imr_torch.observe.laboratory import SimulatedLaboratory
-from imr_torch.observe.landmarks import Landmarks, find_landmarks
-from imr_torch.observe.layout import KNOWN_LAYOUTS, Layout
-from imr_torch.observe.load import SUFFIXES, find_files, load_traces
-from imr_torch.observe.medium import GelMedium, Statement, gel_medium
+from imr_torch.observe.landmarks import LandmarkOptions, Landmarks, find_landmarks
+from imr_torch.observe.medium import GelMedium, gel_medium
 from imr_torch.observe.noise import Noise
 from imr_torch.observe.noise_laws import NoiseLaws, noise_sentences
 from imr_torch.observe.nuisance import NUISANCES, Nuisance, displaced
 from imr_torch.observe.plausibility import check_experiment, check_maximum
 from imr_torch.observe.prepare import Prepared, prepare
-from imr_torch.observe.readers import READERS, Reader, register_reader
 from imr_torch.observe.scatter import Scatter
 from imr_torch.observe.sets import load_set
-from imr_torch.observe.sidecar import state
-from imr_torch.observe.traces import Given, LeftOut, Override, RadiusTrace, TraceSet
 from imr_torch.observe.window import collapse_time
+from imr_torch.reading import (
+    KNOWN_LAYOUTS,
+    READERS,
+    SUFFIXES,
+    Given,
+    Layout,
+    LeftOut,
+    Override,
+    RadiusTrace,
+    Reader,
+    Statement,
+    TraceSet,
+    find_files,
+    load_traces,
+    register_reader,
+    state,
+)
 
 __all__ = [
     "KNOWN_LAYOUTS",
@@ -33,6 +44,7 @@ __all__ = [
     "Film",
     "GelMedium",
     "Given",
+    "LandmarkOptions",
     "Landmarks",
     "Layout",
     "LeftOut",

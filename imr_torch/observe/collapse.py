@@ -27,16 +27,17 @@ from torch import Tensor
 
 from imr_torch.errors import InputDataError
 from imr_torch.observe.distortion import Distortion
-from imr_torch.observe.medium import Statement
 from imr_torch.observe.nuisance import SMALLEST, Nuisance, displaced
-from imr_torch.observe.sidecar import Sidecar
+from imr_torch.reading.matlab import read_matlab
+from imr_torch.reading.readers import SHOT_ARRAY, SHOT_COLUMNS, is_shot_file
+from imr_torch.reading.sidecar import Sidecar
+from imr_torch.reading.statement import Statement
 from imr_torch.simulate import Simulator, check_designs
 from imr_torch.units import Surroundings
 
 RESOLUTION_S = 20e-9
 """Error of a collapse time that a file does not state: what Zhu et al. (2025) give for theirs."""
 
-_COLUMNS = ("experiment_id", "rmax_m", "stretch", "collapse_time_s")
 _ERRORS = {
     "collapse_time_sd_s": "collapse_time_sd_s",
     "rmax_sd_m": "max_radius_sd_m",
@@ -98,24 +99,16 @@ class CollapseShot:
                     "expected "
                     f"{low:g} to {high:g}, in SI units."
                 )
-        for name in ("collapse_time_sd_s", "max_radius_sd_m", "stretch_sd"):
-            sd = getattr(self, name)
-            if sd is not None and not 0.0 < sd < math.inf:
-                raise InputDataError(
-                    f"{self.source}: experiment '{self.experiment_id}': {name} is {sd:g}; "
-                    "expected an error above 0, or leave "
-                    "it out."
-                )
         for name, value, of in (
             ("collapse_time_sd_s", self.collapse_time_sd_s, self.collapse_time_s),
             ("max_radius_sd_m", self.max_radius_sd_m, self.max_radius_m),
             ("stretch_sd", self.stretch_sd, self.stretch),
         ):
-            if value is not None and value >= of:
+            if value is not None and not 0.0 < value < of:
                 raise InputDataError(
                     f"{self.source}: experiment '{self.experiment_id}': {name} is {value:g}; "
-                    "expected an error below the value "
-                    f"itself, {of:g}, in SI units."
+                    f"expected an error above 0 and below the value itself, {of:g}, in SI units, "
+                    "or leave it out."
                 )
 
     def to_experiment(self, surroundings: Surroundings) -> "CollapseTime":
@@ -265,6 +258,34 @@ def first_minimum(
     return torch.where(turns.any(-1), t0 + h * share.clamp(0.0, 1.0), torch.nan)
 
 
+def simulate_bubbles(
+    simulator: Simulator,
+    parameters: Float[Tensor, "*#batch parameters"],
+    designs: Float[Tensor, "*#batch experiments 2"],
+    times: Float[Tensor, "*#batch experiments frames"],
+    *,
+    bundled: bool = False,
+) -> tuple[
+    Float[Tensor, "*#batch experiments frames"], Float[Tensor, "*#batch experiments frames"]
+]:
+    """Radius and velocity of each gel in each experiment, dimensionless.
+
+    Args:
+        simulator: makes the bubbles.
+        parameters: SI.
+        designs: true ones.
+        times: true ones.
+        bundled: as for :func:`imr_torch.observe.predict`.
+    """
+    if not bundled:
+        solution = simulator(parameters[..., None, :], designs, times)
+        return solution.radius, solution.velocity
+    # experiments are bundles of their own, so members move to the last batch dimension
+    inputs = (x if x.ndim > 2 else x[None] for x in (parameters[..., None, :], designs, times))
+    solution = simulator.bundle(*(x.transpose(-3, -2) for x in inputs))
+    return solution.radius.transpose(-3, -2), solution.velocity.transpose(-3, -2)
+
+
 def predict_collapse(
     simulator: Simulator,
     parameters: Float[Tensor, "*#batch parameters"],
@@ -302,12 +323,7 @@ def predict_collapse(
         rate = torch.exp(distortion.clock)
 
     def solved(times: Tensor) -> tuple[Tensor, Tensor]:
-        if not bundled:
-            solution = simulator(parameters[..., None, :], designs, times)
-            return solution.radius, solution.velocity
-        inputs = (x if x.ndim > 2 else x[None] for x in (parameters[..., None, :], designs, times))
-        solution = simulator.bundle(*(x.transpose(-3, -2) for x in inputs))
-        return solution.radius.transpose(-3, -2), solution.velocity.transpose(-3, -2)
+        return simulate_bubbles(simulator, parameters, designs, times, bundled=bundled)
 
     found = first_minimum(times[..., :_USUAL], *solved(times[..., :_USUAL]))
     if bool(torch.isnan(found).any()):
@@ -320,22 +336,15 @@ def predict_collapse(
     return torch.where(lost, torch.nan, found / rate * scale[..., 0] - shifts[..., 1])
 
 
-def is_collapse_file(path: str | Path) -> bool:
-    """Whether a file is a table of collapse times, by its header."""
-    try:
-        with Path(path).open(encoding="utf-8-sig") as stream:
-            return set(_COLUMNS) <= {cell.strip() for cell in stream.readline().split(",")}
-    except (OSError, UnicodeDecodeError):
-        return False
-
-
 def load_collapse_times(*paths: str | Path) -> tuple[CollapseShot, ...]:
     r"""Read shots from tables with the columns ``experiment_id, rmax_m, stretch, collapse_time_s``,
     one row a shot.
 
     Args:
         paths: CSV files; further columns ``collapse_time_sd_s``, ``rmax_sd_m`` and ``stretch_sd``
-            give errors. A JSON file of the same name beside each may state the medium.
+            give errors. Or MATLAB files with the array ``pIMR_array`` of Zhu et al. (2025): Rmax
+            in m, stretch and collapse time in s, one row a shot. A JSON file of the same name
+            beside each may state the medium.
 
     Raises:
         InputDataError: for a missing column, a cell that is no number, a value that no bubble has,
@@ -352,12 +361,15 @@ def load_collapse_times(*paths: str | Path) -> tuple[CollapseShot, ...]:
     """
     shots: list[CollapseShot] = []
     for path in map(Path, paths):
-        if not is_collapse_file(path):
+        if not is_shot_file(path):
             raise InputDataError(
                 f"{path}: is no table of collapse times; expected the columns "
-                f"{', '.join(_COLUMNS)}."
+                f"{', '.join(SHOT_COLUMNS)}."
             )
         stated = Sidecar(path).stated
+        if path.suffix.lower() == ".mat":
+            shots += _shots_of_array(path, stated)
+            continue
         with path.open(encoding="utf-8-sig", newline="") as stream:
             table = csv.DictReader(stream, skipinitialspace=True)
             _check_columns(path, table.fieldnames or ())
@@ -373,14 +385,28 @@ def load_collapse_times(*paths: str | Path) -> tuple[CollapseShot, ...]:
     return tuple(shots)
 
 
+def _shots_of_array(path: Path, stated: Statement | None) -> list[CollapseShot]:
+    """The shots of a MATLAB file."""
+    array = read_matlab(path)[0].values[SHOT_ARRAY]
+    if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind != "f":
+        raise InputDataError(
+            f"{path}: {SHOT_ARRAY} has shape {array.shape}; expected one row a shot of Rmax in m, "
+            "stretch and collapse time in s."
+        )
+    return [
+        CollapseShot(f"{path.stem}_{i:03d}", *row, source=str(path), stated=stated)
+        for i, row in enumerate(array.tolist(), 1)
+    ]
+
+
 def _check_columns(path: Path, names: Sequence[str]) -> None:
     """Raise for a column that would not be read, such as a misspelt error, or that is there twice."""
-    known = (*_COLUMNS, *_ERRORS)
+    known = (*SHOT_COLUMNS, *_ERRORS)
     for name in names:
         if name.strip() not in known:
             raise InputDataError(
                 f"{path}: column {name!r} is none of a table of collapse times; expected "
-                f"{', '.join(_COLUMNS)} and perhaps "
+                f"{', '.join(SHOT_COLUMNS)} and perhaps "
                 f"{', '.join(_ERRORS)}. Rename it, or leave it out."
             )
         if list(names).count(name) > 1:
@@ -401,7 +427,7 @@ def _shot(row: dict[str, str], where: str, source: str, stated: Statement | None
     errors = {name: number(column) for column, name in _ERRORS.items() if row.get(column)}
     return CollapseShot(
         row["experiment_id"],
-        *(number(column) for column in _COLUMNS[1:]),
+        *(number(column) for column in SHOT_COLUMNS[1:]),
         **errors,
         source=source,
         stated=stated,

@@ -11,11 +11,10 @@ from imr_torch.errors import InputDataError
 from imr_torch.observe.experiments import Experiment
 from imr_torch.observe.landmarks import Landmarks
 from imr_torch.observe.nuisance import Nuisance
-from imr_torch.observe.traces import RadiusTrace
+from imr_torch.reading.traces import RadiusTrace
 from imr_torch.units import Surroundings
 
 FLOOR = Nuisance(max_radius=0.003, time_zero=0.004, rest_radius=0.01)
-_WIDEST = 0.5
 
 
 def to_experiment(
@@ -24,6 +23,7 @@ def to_experiment(
     surroundings: Surroundings,
     *,
     rest_radius: tuple[float, float] | None = None,
+    widest: float = 0.5,
 ) -> Experiment:
     """Make a trace dimensionless, from its maximum radius on.
 
@@ -33,6 +33,7 @@ def to_experiment(
         surroundings: the liquid side, for the scales.
         rest_radius: assumed R_inf/Rmax and its standard deviation, in place of what the record
             says.
+        widest: largest standard deviation of a nuisance, beyond which a normal law means nothing.
 
     Returns:
         The experiment, one repeat, all frames from the maximum on.
@@ -61,9 +62,9 @@ def to_experiment(
     times = (trace.time_s - landmarks.time_of_max_s) / scale
     kept = times >= 0.0
     nuisance = Nuisance(
-        max_radius=min(math.hypot(landmarks.max_radius_sd_m / top, FLOOR.max_radius), _WIDEST),
-        time_zero=min(math.hypot(landmarks.time_of_max_sd_s / scale, FLOOR.time_zero), _WIDEST),
-        rest_radius=min(math.hypot(sd / value, FLOOR.rest_radius), _WIDEST),
+        max_radius=min(math.hypot(landmarks.max_radius_sd_m / top, FLOOR.max_radius), widest),
+        time_zero=min(math.hypot(landmarks.time_of_max_sd_s / scale, FLOOR.time_zero), widest),
+        rest_radius=min(math.hypot(sd / value, FLOOR.rest_radius), widest),
     )
     design = (surroundings.weber(top), value)
     exposure = 0.0 if trace.given.exposure_s is None else trace.given.exposure_s / float(scale)

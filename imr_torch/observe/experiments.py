@@ -17,7 +17,7 @@ from torch import Tensor
 
 from imr_torch.errors import InputDataError, ShapeError
 from imr_torch.material import PARAMETERS
-from imr_torch.observe.collapse import CollapseTime, predict_collapse
+from imr_torch.observe.collapse import CollapseTime, predict_collapse, simulate_bubbles
 from imr_torch.observe.distortion import Distortion
 from imr_torch.observe.noise import Noise, previous
 from imr_torch.observe.noise_laws import NoiseLaws
@@ -551,11 +551,7 @@ def _radii(
         factor = torch.where(lost, torch.nan, factor)
 
     def simulate(times: Tensor) -> Tensor:
-        if not bundled:
-            return simulator(parameters[..., None, :], designs, times).radius
-        # experiments are bundles of their own, so members move to the last batch dimension
-        inputs = (x if x.ndim > 2 else x[None] for x in (parameters[..., None, :], designs, times))
-        return simulator.bundle(*(x.transpose(-3, -2) for x in inputs)).radius.transpose(-3, -2)
+        return simulate_bubbles(simulator, parameters, designs, times, bundled=bundled)[0]
 
     if distortion is None:
         radius = simulate(times)

@@ -1,16 +1,15 @@
 """Which frames of a record were fitted, and why the others were not."""
 
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any
 
 import torch
 
 from imr_torch.observe.experiments import Experiment
 from imr_torch.observe.landmarks import Landmarks
-from imr_torch.observe.traces import RadiusTrace
+from imr_torch.reading.traces import RadiusTrace
 from imr_torch.units import Surroundings
-
-_SAME = 1e-9  # in t*: times of the same frame
 
 
 @dataclass(frozen=True)
@@ -109,27 +108,22 @@ def frame_use(
     times = (trace.time_s - landmarks.time_of_max_s) / surroundings.time_scale(
         landmarks.max_radius_m
     )
-    fitted = (times[:, None] - experiment.times).abs().amin(1) < _SAME
-    first = float(experiment.times[0])
+    fitted = torch.isclose(times[:, None], experiment.times, rtol=0.0, atol=1e-9).any(1).tolist()
+    first = min(0.0, float(experiment.times[0]))
     last = float(experiment.times[-1])
 
-    def reason(t: float) -> str:
-        if t < min(0.0, first):
+    def reason(frame: int) -> str:
+        if fitted[frame]:
+            return ""
+        if times[frame] < first:
             return "before the maximum radius"
-        return (
-            f"after collapse {collapses}, where the fitted window ends"
-            if t > last
-            else "left out of the fitted window"
-        )
+        if times[frame] > last:
+            return f"after collapse {collapses}, where the fitted window ends"
+        return "left out of the fitted window"
 
-    stretches: list[tuple[int, int, str]] = []
-    for i in torch.nonzero(~fitted)[:, 0].tolist():
-        why = reason(float(times[i]))
-        if stretches and stretches[-1][1:] == (i - 1, why):
-            stretches[-1] = (stretches[-1][0], i, why)
-        else:
-            stretches.append((i, i, why))
-    unused = tuple(
-        Unused(a, b, float(trace.time_s[a]), float(trace.time_s[b]), why) for a, b, why in stretches
-    )
-    return FrameUse(trace.experiment_id, tuple(times.tolist()), tuple(fitted.tolist()), unused)
+    unused = []
+    for why, group in groupby(range(len(fitted)), reason):
+        frames = list(group)
+        start, end = (float(trace.time_s[frame]) for frame in (frames[0], frames[-1]))
+        unused += [Unused(frames[0], frames[-1], start, end, why)] if why else []
+    return FrameUse(trace.experiment_id, tuple(times.tolist()), tuple(fitted), tuple(unused))

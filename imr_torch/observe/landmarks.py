@@ -11,52 +11,85 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-import torch
-from jaxtyping import Float, Int
 from scipy.optimize import curve_fit
-from torch import Tensor
 
 from imr_torch.errors import InputDataError
-from imr_torch.observe.traces import RadiusTrace
+from imr_torch.observe.window import turning_points
+from imr_torch.reading.traces import Given, RadiusTrace
 
-PEAK_WINDOWS = (0.85, 0.95)
-NEIGHBOUR = 0.75
-MAX_EXCESS = 0.04
-QUARTIC_FROM = 9
-NOISE_RANGE = (0.002, 0.02)
-DEFAULT_NOISE = 0.005
-PRIOR_WEIGHT = 3.0
-REVERSAL = 6.0
-LOCAL_REVERSAL = 4.5
-"""Of the noise of the frames around: noise that grows with time would make cycles of its own in the tail of a record."""
-LOCAL_FRAMES = 25
-RINGING_POWER = 2.0 / 3.0
-"""Of (smallest x largest radius of a cycle / mean^2), times the mean: the rest radius of a bubble that still rings. Fitted to
-1200 simulated bubbles with heat and vapour transport (We 100-1500, R_inf* .08-.45, G .1-30 kPa, mu .003-.2 Pa s)."""
-RINGING_SD = 0.2
-"""Largest relative standard deviation that the ringing adds: that of this fit."""
-MIN_RINGING_SD = 0.10
-MIN_PARTIAL_SD = 0.30
-NOISY_TAIL = 1.2
-"""A tail that scatters by no more than this times the noise of its frames has settled."""
-MIN_STATED_SD = 0.01
-EDGE_SD = 0.01
-START_WINDOWS = (0.8, 0.9)
-START_FRAMES = 8
-START_REACH = 2.0
-EXPOSURE = 0.2
-ORDINALS = (
-    "first",
-    "second",
-    "third",
-    "fourth",
-    "fifth",
-    "sixth",
-    "seventh",
-    "eighth",
-    "ninth",
-    "tenth",
-)
+
+@dataclass(frozen=True)
+class LandmarkOptions:
+    """How landmarks are found; every default was chosen on simulated and measured curves.
+
+    Args:
+        tail: share of the last frames whose mean is the rest radius, if the bubble has settled.
+        settled_below: the bubble has settled if std/mean of these frames is below this, over half a
+            cycle or more.
+        noisy_tail: a tail that scatters by no more than this times the noise of its frames has
+            settled too.
+        peak_windows: frames above these shares of the largest one are fitted for the maximum; what
+            the second window changes is an error.
+        neighbour: share of the largest frame that a frame beside it must have.
+        largest_excess: of a fitted maximum over the largest frame; beyond, the fit is not used.
+        quartic_from: frames from which on a polynomial of degree 4 is fitted.
+        exposure: of the time between frames, by which the time of the maximum is blurred.
+        noise_range: least and largest noise of a frame, of the largest radius.
+        few_frames_noise: noise of the frames of a record too short to show it.
+        prior_weight: frames that this noise counts for in the variance of a fit.
+        reversal: of the noise of a frame, by which a curve must turn.
+        local_reversal: the same of the noise of the frames around: noise that grows with time
+            would make cycles of its own in the tail of a record.
+        local_frames: frames around.
+        start_windows: as ``peak_windows``, for a record that begins near its maximum.
+        start_frames: fewest frames for that.
+        start_reach: frames before the record that the maximum may lie.
+        edge_sd: least relative standard deviation of a maximum that is the largest frame.
+        ringing_power: power of (smallest x largest radius of a cycle / mean^2) that is, times the
+            mean, the rest radius of a bubble that still rings; fitted to 1200 simulated bubbles
+            with heat and vapour transport (We 100-1500, R_inf* .08-.45, G .1-30 kPa, mu .003-.2
+            Pa s).
+        ringing_sd: largest relative standard deviation that the ringing adds: that of this fit.
+        ringing_floor: least relative standard deviation of a rest radius from a ringing bubble.
+        partial_floor: the same from less than a cycle.
+        stated_floor: the same of a stated rest radius.
+
+    >>> from imr_torch.observe.landmarks import LandmarkOptions
+    >>> LandmarkOptions(tail=0.2).settled_below
+    0.03
+    """
+
+    tail: float = 0.15
+    settled_below: float = 0.03
+    noisy_tail: float = 1.2
+    peak_windows: tuple[float, float] = (0.85, 0.95)
+    neighbour: float = 0.75
+    largest_excess: float = 0.04
+    quartic_from: int = 9
+    exposure: float = 0.2
+    noise_range: tuple[float, float] = (0.002, 0.02)
+    few_frames_noise: float = 0.005
+    prior_weight: float = 3.0
+    reversal: float = 6.0
+    local_reversal: float = 4.5
+    local_frames: int = 25
+    start_windows: tuple[float, float] = (0.8, 0.9)
+    start_frames: int = 8
+    start_reach: float = 2.0
+    edge_sd: float = 0.01
+    ringing_power: float = 2.0 / 3.0
+    ringing_sd: float = 0.2
+    ringing_floor: float = 0.10
+    partial_floor: float = 0.30
+    stated_floor: float = 0.01
+
+    def __post_init__(self) -> None:
+        for name in ("tail", "settled_below"):
+            value = getattr(self, name)
+            if not 0.0 < value < 1.0:
+                raise InputDataError(
+                    f"LandmarkOptions.{name} is {value}; expected a number between 0 and 1."
+                )
 
 
 @dataclass(frozen=True)
@@ -80,15 +113,14 @@ class Landmarks:
         collapse_times_s: times of the minima after the maximum radius.
         rebound_times_s: times of the maxima after the first collapse.
         rebound_radii_m: their radii.
-        growth_samples: number of frames before the maximum radius.
         frame_noise_m: standard deviation of a frame, estimated from the record.
 
     >>> import torch
     >>> from imr_torch.observe import RadiusTrace, find_landmarks
     >>> time = torch.linspace(0.0, 60e-6, 61, dtype=torch.float64)
     >>> landmarks = find_landmarks(RadiusTrace("shot 1", time, 1e-4 * (1.1 + torch.cos(2e5 * time)), "example"))
-    >>> [round(float(1e6 * t), 1) for t in landmarks.collapse_times_s], landmarks.phase(20e-6)  # us
-    ([15.7, 47.1], 'first rebound')
+    >>> [round(float(1e6 * t), 1) for t in landmarks.collapse_times_s]  # us
+    [15.7, 47.1]
     """
 
     max_radius_m: float
@@ -103,57 +135,18 @@ class Landmarks:
     collapse_times_s: tuple[float, ...]
     rebound_times_s: tuple[float, ...]
     rebound_radii_m: tuple[float, ...]
-    growth_samples: int
     frame_noise_m: float
 
-    @property
-    def boundaries_s(self) -> tuple[float, ...]:
-        """Times at which one phase ends and the next begins, in order."""
-        return tuple(sorted((self.time_of_max_s, *self.collapse_times_s, *self.rebound_times_s)))
 
-    def phase_index(self, time_s: Float[Tensor, "*batch"]) -> Int[Tensor, "*batch"]:
-        """Phase of each time: 0 growth, 1 first collapse, 2 first rebound, 3 second collapse, ...
-
-        Args:
-            time_s: tensor of any shape, s, on the time axis of the trace.
-
-        Returns:
-            Tensor of the same shape, int64.
-        """
-        edges = torch.tensor(self.boundaries_s, dtype=time_s.dtype, device=time_s.device)
-        return torch.bucketize(time_s, edges, right=True)
-
-    def phase(self, time_s: float) -> str:
-        """Phase of a time in s, in words: "growth", "first collapse", "first rebound", ..."""
-        return phase_name(int(self.phase_index(torch.tensor(time_s, dtype=torch.float64))))
-
-
-def phase_name(index: int) -> str:
-    """Name of a phase number of :meth:`Landmarks.phase_index`."""
-    if index == 0:
-        return "growth"
-    cycle = (index - 1) // 2
-    ordinal = ORDINALS[cycle] if cycle < len(ORDINALS) else f"{cycle + 1}th"
-    return f"{ordinal} {'collapse' if index % 2 else 'rebound'}"
-
-
-def find_landmarks(
-    trace: RadiusTrace, *, tail_fraction: float = 0.15, settled_below: float = 0.03
-) -> Landmarks:
+def find_landmarks(trace: RadiusTrace, options: LandmarkOptions | None = None) -> Landmarks:
     """Find the landmarks of a curve.
 
     Args:
         trace: the curve.
-        tail_fraction: share of the last frames whose mean is the rest radius, if the bubble has
-            settled.
-        settled_below: the bubble has settled if std/mean of these frames is below this, over half a
-            cycle or more.
+        options: how they are found.
 
     Returns:
         The landmarks, with a method for the maximum and the rest radius.
-
-    Raises:
-        InputDataError: if ``tail_fraction`` or ``settled_below`` is not between 0 and 1.
 
     >>> import torch
     >>> from imr_torch.observe import RadiusTrace, find_landmarks
@@ -163,19 +156,10 @@ def find_landmarks(
     >>> round(1e6 * landmarks.max_radius_m, 1), landmarks.max_method  # um
     (210.0, 'peak fit')
     """
-    for name, value in (("tail_fraction", tail_fraction), ("settled_below", settled_below)):
-        if not 0.0 < value < 1.0:
-            raise InputDataError(
-                f"find_landmarks: {name} is {value}; expected a number between 0 and 1."
-            )
-    time = trace.time_s.detach().cpu().numpy()
-    radius = trace.radius_m.detach().cpu().numpy()
-    noise = _frame_noise(radius)
-    peak, method = _peak(trace, time, radius, noise)
-    minima, maxima = _extremes(time, radius, noise)
-    rest, sd, settled, rest_method = _rest(
-        trace, time, radius, (minima, maxima), tail_fraction, settled_below
-    )
+    curve = _Curve.of(trace, options or LandmarkOptions())
+    peak, method = _peak(curve)
+    minima, maxima = _extremes(curve)
+    rest, sd, settled, rest_method = _rest(curve, minima, maxima)
     return Landmarks(
         max_radius_m=peak.value,
         max_radius_sd_m=peak.value_sd,
@@ -189,9 +173,37 @@ def find_landmarks(
         collapse_times_s=tuple(x.time for x in minima),
         rebound_times_s=tuple(x.time for x in maxima),
         rebound_radii_m=tuple(x.value for x in maxima),
-        growth_samples=int((time < peak.time).sum()),
-        frame_noise_m=noise,
+        frame_noise_m=curve.noise,
     )
+
+
+@dataclass(frozen=True)
+class _Curve:
+    """A record as arrays, with the frame and radius of its maximum and the noise of a frame in m."""
+
+    time: np.ndarray
+    radius: np.ndarray
+    given: Given
+    noise: float
+    k: int
+    top: float
+    options: LandmarkOptions
+
+    @classmethod
+    def of(cls, trace: RadiusTrace, options: LandmarkOptions) -> "_Curve":
+        radius = trace.radius_m.numpy()
+        k = int(radius.argmax())
+        top = float(radius[k])
+        noise = options.few_frames_noise * top
+        if len(radius) >= 12:
+            low, high = options.noise_range
+            noise = float(np.clip(roughness(radius), low * top, high * top))
+        return cls(trace.time_s.numpy(), radius, trace.given, noise, k, top, options)
+
+    @property
+    def spacing(self) -> float:
+        """Longest time between the largest frame and one beside it, s."""
+        return float(np.diff(self.time)[max(self.k - 1, 0) : self.k + 1].max())
 
 
 @dataclass(frozen=True)
@@ -202,14 +214,6 @@ class _Extreme:
     value: float
     time_sd: float
     value_sd: float
-
-
-def _frame_noise(radius: np.ndarray) -> float:
-    """Standard deviation of a frame in m, from third differences (they remove a local parabola)."""
-    top = float(radius.max())
-    if len(radius) < 12:
-        return DEFAULT_NOISE * top
-    return float(np.clip(roughness(radius), NOISE_RANGE[0] * top, NOISE_RANGE[1] * top))
 
 
 def roughness(radius: np.ndarray) -> float:
@@ -240,16 +244,16 @@ def _window(radius: np.ndarray, k: int, keep: np.ndarray) -> slice:
     return slice(low, high)
 
 
-def _fit_extreme(
-    time: np.ndarray, radius: np.ndarray, noise: float, degree: int, sign: int
-) -> _Extreme | None:
+def _fit_extreme(curve: _Curve, window: slice, degree: int, sign: int) -> _Extreme | None:
     """Least-squares polynomial and its vertex; None if the vertex is not inside the frames.
 
-    The residual variance is pooled with ``noise**2`` (weight ``PRIOR_WEIGHT`` frames), because a
-    few frames cannot determine it, and enlarged where neighbouring residuals agree (edge detection
+    The residual variance is pooled with ``noise**2`` (as ``prior_weight`` frames), because a few
+    frames cannot determine it, and enlarged where neighbouring residuals agree (edge detection
     and misfit err smoothly). The value varies as the fit at the vertex does (its derivative there
     is zero); the time as the slope there over the curvature.
     """
+    time = curve.time[window]
+    radius = curve.radius[window]
     centre = 0.5 * (time[0] + time[-1])
     span = 0.5 * (time[-1] - time[0])
     x = (time - centre) / span
@@ -264,8 +268,9 @@ def _fit_extreme(
     vertex = max(vertices, key=lambda r: sign * float(np.polyval(coefficients, r)))
     residual = radius - basis @ coefficients
     freedom = len(x) - degree - 1
-    variance = (float(residual @ residual) + PRIOR_WEIGHT * noise**2) / (freedom + PRIOR_WEIGHT)
-    if len(x) >= QUARTIC_FROM:
+    weight = curve.options.prior_weight
+    variance = (float(residual @ residual) + weight * curve.noise**2) / (freedom + weight)
+    if len(x) >= curve.options.quartic_from:
         lag = float(residual[1:] @ residual[:-1]) / max(float(residual @ residual), 1e-300)
         variance *= (1.0 + max(lag, 0.0)) / (1.0 - max(lag, 0.0))
     covariance = variance * np.linalg.pinv(basis.T @ basis)
@@ -279,56 +284,52 @@ def _fit_extreme(
     )
 
 
-def _peak(
-    trace: RadiusTrace, time: np.ndarray, radius: np.ndarray, noise: float
-) -> tuple[_Extreme, str]:
+def _peak(curve: _Curve) -> tuple[_Extreme, str]:
     """Maximum radius: as it is stated, or else found; what is not stated of it is found."""
-    found, method = _found_peak(trace, time, radius, noise)
-    stated = trace.given.override
+    found, method = _found_peak(curve)
+    stated = curve.given.override
     if stated is None or (stated.max_radius_m is None and stated.time_of_max_s is None):
         return found, method
     if stated.max_radius_m is not None:
-        found = replace(found, value=stated.max_radius_m, value_sd=stated.max_radius_sd_m or noise)
+        sd = stated.max_radius_sd_m or curve.noise
+        found = replace(found, value=stated.max_radius_m, value_sd=sd)
     if stated.time_of_max_s is not None:
-        found = replace(
-            found, time=stated.time_of_max_s, time_sd=float(np.median(np.diff(time))) / 2.0
-        )
+        sd = float(np.median(np.diff(curve.time))) / 2.0
+        found = replace(found, time=stated.time_of_max_s, time_sd=sd)
     return found, "as stated"
 
 
-def _found_peak(
-    trace: RadiusTrace, time: np.ndarray, radius: np.ndarray, noise: float
-) -> tuple[_Extreme, str]:
+def _found_peak(curve: _Curve) -> tuple[_Extreme, str]:
     """Maximum radius: a fit where frames stand on both sides of it, else what the laboratory says,
     else a frame.
     """
-    k = int(radius.argmax())
-    top = float(radius[k])
-    given = trace.given
+    options = curve.options
+    radius = curve.radius
+    k = curve.k
+    top = curve.top
     interior = 0 < k < len(radius) - 1
-    found = _fit_peak(time, radius, k, noise) if interior else None
-    near = interior and min(radius[k - 1], radius[k + 1]) >= NEIGHBOUR * top
-    if found is not None and near and found.value <= (1.0 + MAX_EXCESS) * top:
+    found = _fit_peak(curve) if interior else None
+    near = interior and min(radius[k - 1], radius[k + 1]) >= options.neighbour * top
+    if found is not None and near and found.value <= (1.0 + options.largest_excess) * top:
         return found, "peak fit"
-    spacing = float(np.diff(time)[max(k - 1, 0) : k + 1].max())
-    stated = given.max_radius_m
+    at = float(curve.time[k])
+    stated = curve.given.max_radius_m
     if stated is not None and abs(stated / top - 1.0) > 1e-6:
-        at = float(time[k]) if given.time_of_max_s is None else given.time_of_max_s
-        sd = (
-            max(noise, abs(stated - top))
-            if given.max_radius_sd_m is None
-            else given.max_radius_sd_m
-        )
-        return _Extreme(at, stated, spacing / 2.0, sd), "as given"
-    from_start = _fit_start(time, radius, k, noise)
+        if curve.given.time_of_max_s is not None:
+            at = curve.given.time_of_max_s
+        sd = curve.given.max_radius_sd_m
+        sd = max(curve.noise, abs(stated - top)) if sd is None else sd
+        return _Extreme(at, stated, curve.spacing / 2.0, sd), "as given"
+    from_start = _fit_start(curve)
     if from_start is not None:
         return from_start, "one-sided fit"
     drop = top - float(radius[k - 1 if k == len(radius) - 1 else k + 1])
-    missed = found.value - top if found is not None else min(drop, MIN_RINGING_SD * top)
-    return _Extreme(float(time[k]), top, spacing, max(noise, EDGE_SD * top, missed)), "edge"
+    missed = found.value - top if found is not None else min(drop, options.ringing_floor * top)
+    sd = max(curve.noise, options.edge_sd * top, missed)
+    return _Extreme(at, top, curve.spacing, sd), "edge"
 
 
-def _fit_start(time: np.ndarray, radius: np.ndarray, k: int, noise: float) -> _Extreme | None:
+def _fit_start(curve: _Curve) -> _Extreme | None:
     """Maximum of a record that begins near it, by the frames after it; None if they are few or put
     it well before the record.
 
@@ -337,33 +338,35 @@ def _fit_start(time: np.ndarray, radius: np.ndarray, k: int, noise: float) -> _E
     ``s`` from the maximum (Rayleigh, Phil. Mag. 34, 1917, expanded), which is even and has three
     parameters. What another window changes is added to the standard deviations.
     """
-    top = float(radius[k])
-    spacing = float(np.diff(time)[max(k - 1, 0) : k + 1].max())
+    options = curve.options
+    top = curve.top
+    spacing = curve.spacing
     fits = []
-    for level in START_WINDOWS:
-        below = np.flatnonzero(radius < level * top)
+    for level in options.start_windows:
+        below = np.flatnonzero(curve.radius < level * top)
         stop = int(below[0]) if len(below) else 0
-        if stop <= k or stop < START_FRAMES:
+        if stop <= curve.k or stop < options.start_frames:
             return None
-        x = (time[:stop] - time[0]) / spacing
-        y = radius[:stop] / top
+        x = (curve.time[:stop] - curve.time[0]) / spacing
+        y = curve.radius[:stop] / top
         guess = (1.0, (1.0 - level) / x[-1] ** 2, 0.0)
-        error = np.full(stop, noise / top)
+        error = np.full(stop, curve.noise / top)
         try:
             best, covariance = curve_fit(_near_maximum, x, y, guess, error, absolute_sigma=True)
         except RuntimeError:  # no minimum was found
             return None
         fits.append((best, np.sqrt(covariance.diagonal())))
     (found, sd), (other, _) = fits
-    if not -START_REACH <= found[2] <= (time[k] - time[0]) / spacing + 1.0 or sd[2] > START_REACH:
+    latest = (curve.time[curve.k] - curve.time[0]) / spacing + 1.0
+    if not -options.start_reach <= found[2] <= latest or sd[2] > options.start_reach:
         return None
     value_sd = math.hypot(sd[0], other[0] - found[0])
     time_sd = math.hypot(sd[2], other[2] - found[2])
     return _Extreme(
-        float(time[0] + spacing * found[2]),
+        float(curve.time[0] + spacing * found[2]),
         top * float(found[0]),
         spacing * time_sd,
-        max(noise, top * value_sd),
+        max(curve.noise, top * value_sd),
     )
 
 
@@ -372,160 +375,149 @@ def _near_maximum(time: np.ndarray, top: float, bend: float, at: float) -> np.nd
     return top * (1.0 - square - 2.0 / 3.0 * square**2)
 
 
-def _fit_peak(time: np.ndarray, radius: np.ndarray, k: int, noise: float) -> _Extreme | None:
-    """Fitted maximum near frame ``k``; None if frames on both sides do not bracket it.
+def _fit_peak(curve: _Curve) -> _Extreme | None:
+    """Fitted maximum near the largest frame; None if frames on both sides do not bracket it.
 
     What the choice of window changes, the length of an exposure, and half of what the fit adds to
     the largest frame of a coarse record, are added to the standard deviations: the curve is no
     polynomial.
     """
-    top = float(radius[k])
-    wide, narrow = (_window(radius, k, radius >= level * top) for level in PEAK_WINDOWS)
-    many = min(k - wide.start, wide.stop - 1 - k) >= 3 and wide.stop - wide.start >= QUARTIC_FROM
-    found = _fit_extreme(time[wide], radius[wide], noise, 4 if many else 2, +1)
-    if found is None or found.value - max(radius[wide.start], radius[wide.stop - 1]) < 3.0 * noise:
+    radius = curve.radius
+    k = curve.k
+    wide, narrow = (
+        _window(radius, k, radius >= level * curve.top) for level in curve.options.peak_windows
+    )
+    enough = wide.stop - wide.start >= curve.options.quartic_from
+    many = enough and min(k - wide.start, wide.stop - 1 - k) >= 3
+    found = _fit_extreme(curve, wide, 4 if many else 2, +1)
+    ends = max(radius[wide.start], radius[wide.stop - 1])
+    if found is None or found.value - ends < 3.0 * curve.noise:
         return None
     if not many:
-        excess = 0.5 * max(found.value - top, 0.0)
+        excess = 0.5 * max(found.value - curve.top, 0.0)
         return replace(found, value_sd=math.hypot(found.value_sd, excess))
-    other = (
-        _fit_extreme(time[narrow], radius[narrow], noise, 2, +1)
-        if narrow.stop - narrow.start >= 5
-        else None
-    )
+    other = _fit_extreme(curve, narrow, 2, +1) if narrow.stop - narrow.start >= 5 else None
     if other is None:
         return found
-    exposure = EXPOSURE * float(np.diff(time[wide]).max())
-    time_sd = math.hypot(found.time_sd, other.time - found.time, exposure)
+    exposure = curve.options.exposure * float(np.diff(curve.time[wide]).max())
     return replace(
-        found, value_sd=math.hypot(found.value_sd, other.value - found.value), time_sd=time_sd
+        found,
+        value_sd=math.hypot(found.value_sd, other.value - found.value),
+        time_sd=math.hypot(found.time_sd, other.time - found.time, exposure),
     )
 
 
-def _extremes(
-    time: np.ndarray, radius: np.ndarray, noise: float
-) -> tuple[list[_Extreme], list[_Extreme]]:
+def _extremes(curve: _Curve) -> tuple[list[_Extreme], list[_Extreme]]:
     """Minima and maxima after the main maximum, alternating.
 
     A reversal smaller than the noise is none.
     """
+    time = curve.time
+    radius = curve.radius
+    noise = curve.noise
     minima: list[_Extreme] = []
     maxima: list[_Extreme] = []
-    turns = _turning_points(radius, int(radius.argmax()), noise)
-    for i, (k, sign) in enumerate(turns):
-        low = turns[i - 1][0] if i else int(radius.argmax())
-        high = turns[i + 1][0] if i + 1 < len(turns) else len(radius)
+    turns = turning_points(radius.tolist(), _reversals(curve).tolist(), curve.k)
+    places = [curve.k, *(k for k, _ in turns), len(radius)]
+    for low, (k, sign), high in zip(places, turns, places[2:], strict=False):
         swing = min(abs(radius[low] - radius[k]), np.abs(radius[k:high] - radius[k]).max())
         near = np.abs(radius - radius[k]) <= 0.2 * swing
         near[:low], near[high:] = False, False
-        window = _window(radius, k, near)
-        frame = _Extreme(
-            float(time[k]), float(radius[k]), float(time[k + 1] - time[k - 1]) / 4.0, noise
-        )
-        found = _fit_extreme(time[window], radius[window], noise, 2, sign)
-        sensible = found is not None and abs(found.value - radius[k]) <= max(
-            0.3 * swing, 3.0 * noise
-        )
-        (maxima if sign > 0 else minima).append(found if found is not None and sensible else frame)
+        found = _fit_extreme(curve, _window(radius, k, near), 2, sign)
+        farthest = max(0.3 * swing, 3.0 * noise)
+        if found is None or abs(found.value - radius[k]) > farthest:
+            apart = float(time[k + 1] - time[k - 1])
+            found = _Extreme(float(time[k]), float(radius[k]), apart / 4.0, noise)
+        (maxima if sign > 0 else minima).append(found)
     return minima, maxima
 
 
-def _turning_points(radius: np.ndarray, start: int, noise: float) -> list[tuple[int, int]]:
-    """Frames where the curve turns by more than the noise can, each with +1 (maximum) or -1
-    (minimum).
-    """
-    turns: list[tuple[int, int]] = []
-    places = np.arange(len(radius)) - LOCAL_FRAMES // 2
-    last = max(len(radius) - LOCAL_FRAMES, 0)
-    near = [radius[k : k + LOCAL_FRAMES] for k in places.clip(0, last)]
-    local = np.array([roughness(some) if len(some) >= LOCAL_FRAMES else noise for some in near])
-    threshold = np.maximum(REVERSAL * noise, LOCAL_REVERSAL * local)
-    sign = -1
-    best = start
-    for i in range(start + 1, len(radius)):
-        if sign * (radius[i] - radius[best]) > 0.0:
-            best = i
-        elif sign * (radius[best] - radius[i]) > threshold[i]:
-            if best > start:
-                turns.append((best, sign))
-                sign = -sign
-            best = i
-    return turns
+def _reversals(curve: _Curve) -> np.ndarray:
+    """By how much the curve must turn at each frame to turn by more than its noise can."""
+    radius = curve.radius
+    options = curve.options
+    count = options.local_frames
+    starts = (np.arange(len(radius)) - count // 2).clip(0, max(len(radius) - count, 0))
+    local = np.full(len(radius), curve.noise)
+    if len(radius) >= count:
+        local = np.array([roughness(radius[start : start + count]) for start in starts])
+    return np.maximum(options.reversal * curve.noise, options.local_reversal * local)
 
 
 def _rest(
-    trace: RadiusTrace,
-    time: np.ndarray,
-    radius: np.ndarray,
-    extremes: tuple[list[_Extreme], list[_Extreme]],
-    tail_fraction: float,
-    settled_below: float,
+    curve: _Curve, minima: list[_Extreme], maxima: list[_Extreme]
 ) -> tuple[float | None, float | None, bool, str]:
     """Rest radius, its sd, whether settled, and the method."""
-    override = trace.given.override
-    if override is not None and override.rest_radius_m is not None:
-        sd = override.rest_radius_sd_m or MIN_STATED_SD * override.rest_radius_m
-        return override.rest_radius_m, sd, True, "as stated"
-    minima, maxima = extremes
-    count = max(5, math.ceil(tail_fraction * len(radius)))
+    options = curve.options
+    given = curve.given
+    time = curve.time
+    radius = curve.radius
+    if given.override is not None and given.override.rest_radius_m is not None:
+        stated = given.override.rest_radius_m
+        sd = given.override.rest_radius_sd_m or options.stated_floor * stated
+        return stated, sd, True, "as stated"
+    count = max(5, math.ceil(options.tail * len(radius)))
     tail = radius[-count:]
     mean = float(tail.mean())
     scatter = float(tail.std(ddof=1)) if count <= len(radius) else math.inf
-    came_down = bool(maxima) or mean < 0.6 * float(radius.max())
-    turns = sorted([float(time[radius.argmax()]), *(x.time for x in (*minima, *maxima))])
+    came_down = bool(maxima) or mean < 0.6 * curve.top
+    turns = sorted([float(time[curve.k]), *(x.time for x in (*minima, *maxima))])
     # A quiet tail shorter than half a cycle may be the flat top of a rebound.
     quiet = float(time[-1]) - min(float(time[-count:][0]), turns[-1])
-    long_enough = len(turns) == 1 or quiet >= float(np.median(np.diff(turns)))
-    came_to_rest = came_down and long_enough
+    came_to_rest = came_down and (len(turns) == 1 or quiet >= float(np.median(np.diff(turns))))
     drift = 0.5 * abs(float(tail[: count // 2].mean() - tail[count // 2 :].mean()))
-    if came_to_rest and scatter < settled_below * mean:
+    if came_to_rest and scatter < options.settled_below * mean:
         return mean, math.hypot(scatter, drift), True, "settled tail"
-    stated = trace.given.rest_radius_m
-    stated_sd = trace.given.rest_radius_sd_m or 0.0
-    settled = trace.given.rest_settled
-    if (
-        stated is not None and settled is not False
-    ):  # better than what a bubble shows that still oscillates
-        floor = MIN_STATED_SD if settled or stated_sd else MIN_RINGING_SD
+    stated = given.rest_radius_m
+    stated_sd = given.rest_radius_sd_m or 0.0
+    if stated is not None and given.rest_settled is not False:  # better than what ringing shows
+        sure = given.rest_settled or stated_sd
+        floor = options.stated_floor if sure else options.ringing_floor
         return stated, max(stated_sd, floor * stated), True, "as given"
-    if came_to_rest and scatter < NOISY_TAIL * roughness(tail):  # ringing that the noise may hide
-        return mean, math.hypot(scatter, drift, MIN_RINGING_SD * mean), True, "settled tail"
+    if came_to_rest and scatter < options.noisy_tail * roughness(tail):  # noise may hide ringing
+        sd = math.hypot(scatter, drift, options.ringing_floor * mean)
+        return mean, sd, True, "settled tail"
     if maxima or (minima and time[-1] - minima[0].time > minima[0].time - turns[0]):
-        first, last, method = _last_cycles(time, minima, maxima)
+        first, last, method = _last_cycles(curve, minima, maxima)
         inside = (time >= first) & (time <= last)
         if inside.sum() >= 3:
-            rest, relative_sd = _rest_while_ringing(time[inside], radius[inside])
-            floor = MIN_RINGING_SD if method == "last cycles" else MIN_PARTIAL_SD
+            rest, relative_sd = _rest_while_ringing(curve, inside)
+            whole = method == "last cycles"
+            floor = options.ringing_floor if whole else options.partial_floor
             return rest, rest * math.hypot(floor, relative_sd), False, method
     if stated is not None:
-        return stated, max(stated_sd, MIN_RINGING_SD * stated), False, "as given"
+        return stated, max(stated_sd, options.ringing_floor * stated), False, "as given"
     return None, None, False, "not in record"
 
 
-def _rest_while_ringing(time: np.ndarray, radius: np.ndarray) -> tuple[float, float]:
+def _rest_while_ringing(curve: _Curve, inside: np.ndarray) -> tuple[float, float]:
     """Rest radius of a bubble that oscillates, from one cycle, and the relative standard deviation
     that this adds.
 
     The mean radius is no estimate of it: gas resists compression more than expansion, so a bubble
-        is mostly larger than at rest
-    (its mean radius is half as large again where the first rebounds are all that was recorded).
+    is mostly larger than at rest (its mean radius is half as large again where the first rebounds
+    are all that was recorded).
     """
+    time = curve.time[inside]
+    radius = curve.radius[inside]
+    power = curve.options.ringing_power
     mean = float(np.trapezoid(radius, time) / (time[-1] - time[0]))
     low = float(radius.min())
     high = float(radius.max())
-    excess = -RINGING_POWER * math.log(low * high / mean**2)
-    by_noise = RINGING_POWER * roughness(radius) * math.hypot(1.0 / low, 1.0 / high)
-    return mean * math.exp(-excess), math.hypot(min(abs(excess), RINGING_SD), by_noise)
+    excess = -power * math.log(low * high / mean**2)
+    by_noise = power * roughness(radius) * math.hypot(1.0 / low, 1.0 / high)
+    added = min(abs(excess), curve.options.ringing_sd)
+    return mean * math.exp(-excess), math.hypot(added, by_noise)
 
 
 def _last_cycles(
-    time: np.ndarray, minima: list[_Extreme], maxima: list[_Extreme]
+    curve: _Curve, minima: list[_Extreme], maxima: list[_Extreme]
 ) -> tuple[float, float, str]:
     """Bounds in s of the last full cycle, or of what follows it where that is longer (ringing below
     the noise).
     """
     pairs = [(a.time, b.time) for kind in (minima, maxima) for a, b in pairwise(kind)]
-    end = float(time[-1])
+    end = float(curve.time[-1])
     if not pairs:
         return minima[0].time, end, "first rebound"
     first, last = max(pairs, key=lambda pair: pair[1])

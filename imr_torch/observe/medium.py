@@ -1,11 +1,8 @@
-"""What a laboratory states about the medium round the bubble, and the medium that a fit uses:
-stated values and assumed ones.
+"""The medium that a fit uses: values that a laboratory states (:mod:`imr_torch.reading.statement`),
+and assumed ones.
 
-A statement is a named medium, values, or both: ``"water,temperature=310"``, ``"density=1125:11"``
-    (value and standard
-deviation, SI). In the JSON beside a file: ``{"medium": {"name": "water", "temperature": 310,
-"density": [1125, 11]}}``. What the command (or the caller) states counts before what the file says,
-a value before a name, and what nobody states is assumed. A value with a standard deviation is a
+What the command (or the caller) states counts before what the file says, a value before a name, and
+what nobody states is assumed. A value with a standard deviation is a
 parameter of the fit, the same for all shots, with that prior (:mod:`imr_torch.simulate.medium`).
 
 A stated temperature changes the vapour pressure and the conduction of heat in the bubble, and the
@@ -22,184 +19,13 @@ from imr_torch.errors import InputDataError
 from imr_torch.material import Belief, Marginal, ModelBelief, TruncatedNormal
 from imr_torch.material.belief import beside
 from imr_torch.material.media import named_medium
+from imr_torch.reading.statement import PROPERTIES, Statement
 from imr_torch.simulate import Simulator, with_inner
 from imr_torch.simulate.conditions import saturation_pressure
 from imr_torch.simulate.medium import OF_MEDIUM
 from imr_torch.units import Surroundings
 
-_WIDEST = 0.3  # standard deviation over the value
-_FAR = 2.5  # standard deviations of the shift from which on curves contradict a statement
-_LEAST = 0.1  # of a standard deviation: shifts of values that curves say nothing of are noise
-
-
-@dataclass(frozen=True)
-class _Property:
-    """A property that may be stated: its field, unit, range, and ranges that betray another unit."""
-
-    field: str
-    unit: str
-    low: float
-    high: float
-    other: tuple[tuple[float, float, str], ...] = ()
-
-
-PROPERTIES: dict[str, _Property] = {
-    "density": _Property(
-        "density", "kg/m^3", 500.0, 3000.0, ((0.5, 3.0, "g/cm^3: multiply by 1000"),)
-    ),
-    "sound_speed": _Property(
-        "sound_speed", "m/s", 300.0, 6000.0, ((0.3, 6.0, "km/s: multiply by 1000"),)
-    ),
-    "surface_tension": _Property(
-        "surface_tension", "N/m", 1e-3, 0.5, ((1.0, 500.0, "mN/m: divide by 1000"),)
-    ),
-    "temperature": _Property(
-        "temperature", "K", 273.15, 363.15, ((-20.0, 100.0, "degrees Celsius: add 273.15"),)
-    ),
-    "pressure": _Property(
-        "far_field_pressure",
-        "Pa",
-        1e4,
-        1e8,
-        ((0.2, 9.0, "bar or atm: multiply by 1e5"), (10.0, 2000.0, "kPa: multiply by 1000")),
-    ),
-}
-"""Name in a statement -> property; ``pressure`` is the ambient pressure."""
-
 _NAME_OF = {entry.field: name for name, entry in PROPERTIES.items()}
-
-
-@dataclass(frozen=True)
-class Statement:
-    """What one source says about the medium.
-
-    Args:
-        name: of a named medium (:data:`imr_torch.material.media.NAMED`), or empty.
-        values: property -> value and standard deviation (None: taken as exact), SI; properties as
-            in :data:`PROPERTIES`.
-        where: the source, for reports.
-
-    Raises:
-        InputDataError: for an unknown name or property, a value that is out of range, or a standard
-            deviation that is not positive, or above 30 % of the value; the message names source,
-            value and remedy.
-
-    >>> from imr_torch.observe import Statement
-    >>> Statement.from_text("water,temperature=310:2").values
-    {'temperature': (310.0, 2.0)}
-    """
-
-    name: str = ""
-    values: Mapping[str, tuple[float, float | None]] = field(default_factory=dict)
-    where: str = "the caller"
-
-    def __post_init__(self) -> None:
-        try:
-            if self.name:
-                named_medium(self.name)
-            for name, (value, sd) in self.values.items():
-                _check(name, value, sd)
-        except InputDataError as error:
-            raise InputDataError(f"{self.where}: {error}") from None
-
-    @classmethod
-    def from_text(cls, text: str, where: str = "--medium") -> "Statement":
-        """Read ``"NAME,PROPERTY=VALUE,PROPERTY=VALUE:SD"``.
-
-        A name stands first, and each part may be missing.
-        """
-        name = ""
-        values = {}
-        for number, part in enumerate(part.strip() for part in text.split(",")):
-            key, given, rest = part.partition("=")
-            if not given and number == 0 and part:
-                name = part
-                continue
-            key = key.strip()
-            if not given:
-                raise InputDataError(
-                    f"{where}: {part!r} is not PROPERTY=VALUE or PROPERTY=VALUE:SD; write for "
-                    "example "
-                    "water,temperature=310,density=1125:11 (the name of a medium, if any, first)."
-                )
-            if key in values:
-                raise InputDataError(f"{where}: {key} is stated twice; state it once.")
-            values[key] = _pair(rest, part, where)
-        return cls(name, values, where)
-
-    @classmethod
-    def from_json(cls, document: Mapping[str, Any], where: str) -> "Statement":
-        """Read ``{"name": ..., "density": value or [value, sd], ...}``."""
-        values: dict[str, tuple[float, float | None]] = {}
-        for key, given in document.items():
-            if key == "name":
-                continue
-            parts = given if isinstance(given, list) else [given]
-            if not 1 <= len(parts) <= 2 or any(
-                isinstance(x, bool) or not isinstance(x, (int, float)) for x in parts
-            ):
-                raise InputDataError(
-                    f"{where}: medium: {key} is {given!r}; write a number in SI units, or [value, "
-                    "sd]."
-                )
-            values[key] = (float(parts[0]), float(parts[1]) if len(parts) == 2 else None)
-        name = document.get("name", "")
-        if not isinstance(name, str):
-            raise InputDataError(f"{where}: medium: name is {name!r}; write the name of a medium.")
-        return cls(name, values, where)
-
-    def at(self, temperature: float) -> dict[str, tuple[float, float | None, str]]:
-        """Field of the surroundings -> value, standard deviation and source.
-
-        Those of the name at a temperature in K.
-        """
-        found: dict[str, tuple[float, float | None, str]] = {}
-        if self.name:
-            medium = named_medium(self.name)
-            for name, value in medium.at(temperature).items():
-                found[name] = (value, medium.sds.get(name), f"{self.name}, {self.where}")
-        for name, (value, sd) in self.values.items():
-            found[PROPERTIES[name].field] = (value, sd, self.where)
-        return found
-
-
-def _pair(text: str, part: str, where: str) -> tuple[float, float | None]:
-    try:
-        value, *sd = (float(x) for x in text.split(":"))
-    except ValueError:
-        value = math.nan
-        sd = [math.nan, math.nan]
-    if len(sd) > 1:
-        raise InputDataError(
-            f"{where}: {part!r} is not PROPERTY=VALUE or PROPERTY=VALUE:SD, for example "
-            "density=1125:11."
-        )
-    return value, sd[0] if sd else None
-
-
-def _check(name: str, value: float, sd: float | None) -> None:
-    """Raise unless a property is known, its value possible in SI units, and its standard deviation
-    usable.
-    """
-    if name not in PROPERTIES:
-        raise InputDataError(
-            f"unknown property {name!r} of a medium; known are {', '.join(PROPERTIES)}."
-        )
-    known = PROPERTIES[name]
-    if not known.low <= value <= known.high:
-        remedy = next(
-            (f" It looks like {text}." for low, high, text in known.other if low <= value <= high),
-            "",
-        )
-        raise InputDataError(
-            f"{name} is {value:g}; expected {known.low:g} to {known.high:g} {known.unit}.{remedy}"
-        )
-    if sd is not None and not 0.0 < sd <= _WIDEST * value:
-        raise InputDataError(
-            f"the standard deviation of {name} is {sd:g} {known.unit}; expected above 0 and at "
-            f"most {100 * _WIDEST:.0f} % of "
-            f"the value ({_WIDEST * value:g}). Leave it out where the value is exact."
-        )
 
 
 @dataclass(frozen=True)
@@ -270,16 +96,22 @@ class GelMedium:
         """A field's value with its unit, as text."""
         return f"{getattr(self.surroundings, name):.4g} {PROPERTIES[_NAME_OF[name]].unit}"
 
-    def learnt(self, posterior: ModelBelief) -> tuple[str, ...]:
+    def learnt(
+        self, posterior: ModelBelief, *, contradicts: float = 2.5, least: float = 0.1
+    ) -> tuple[str, ...]:
         """What curves say of the uncertain values: a sentence each, which names those that they
         contradict.
 
         Under the statement the posterior mean lies ``N(0, sd^2 - sd_after^2)`` from the stated
-        value (Gaussian updating), so a shift of more than 2.5 of that is a contradiction.
+        value (Gaussian updating), so a shift of several of that is a contradiction.
 
         Args:
             posterior: of a model with these values as parameters; those that it does not infer are
                 passed over.
+            contradicts: shift, in such standard deviations, from which on curves contradict a
+                statement.
+            least: expected shift at least, of the stated standard deviation: shifts of values that
+                curves say nothing of are noise.
         """
         lines = []
         for name, sd in self.sds.items():
@@ -292,11 +124,11 @@ class GelMedium:
             ).tolist()
             after = float(posterior.sds[column])
             before = sd / stated
-            expected = math.sqrt(max(before**2 - after**2, (_LEAST * before) ** 2))
+            expected = math.sqrt(max(before**2 - after**2, (least * before) ** 2))
             shift = float(posterior.means[column]) / expected
             doubt = (
                 "; the curves contradict what was stated, or the model lacks something"
-                if abs(shift) > _FAR
+                if abs(shift) > contradicts
                 else ""
             )
             lines.append(

@@ -15,9 +15,9 @@ from torch import Tensor
 
 from imr_torch.errors import InputDataError
 from imr_torch.observe.experiments import Experiment
-from imr_torch.observe.landmarks import NEIGHBOUR, Landmarks, roughness
-from imr_torch.observe.traces import RadiusTrace
+from imr_torch.observe.landmarks import LandmarkOptions, Landmarks, roughness
 from imr_torch.observe.window import collapse_time
+from imr_torch.reading.traces import RadiusTrace
 from imr_torch.units import Surroundings
 
 RAYLEIGH_TIME = 0.915
@@ -37,19 +37,47 @@ class Range:
     usual: tuple[float, float]
 
 
-WEBER = Range((1.0, 1e5), (20.0, 3000.0))
-REST_RADIUS = Range((0.02, 0.95), (0.07, 0.65))
-FIRST_COLLAPSE = Range((0.25, 3.0), (0.7, 1.4))
-LARGEST_RADIUS = Range((0.7, 1.1), (0.85, 1.05))
-SCATTER = Range((0.0, 0.25), (0.0, 0.15))
-STATED_OVER_SEEN = Range((0.75, 1.35), (0.95, 1.1))
-_LONGEST_EXPOSURE = 1.05  # of the time between frames
-_LEAST_CHANGE = 0.01  # of the largest radius
-_LATEST_MAXIMUM = 0.45  # t* of the largest frame
-_FRAMES = 2.5  # by which the maximum may lie before the first frame of a record that begins near it
-_SHORTEST, _LONGEST = 0.1, 3.0  # t* that a record without a collapse may last
-_MANY = 12  # frames, from which on their scatter is looked at
-_DENSE = 0.15  # t* between frames, within which no bubble falls by a quarter from its maximum
+@dataclass(frozen=True)
+class Limits:
+    """What curves of bubbles look like.
+
+    Args:
+        weber: We.
+        rest_radius: R_inf/Rmax.
+        first_collapse: t* of the first collapse.
+        largest_radius: R/Rmax of the largest frame.
+        scatter: of neighbouring frames, of the range of all radii; noise alone has .25 and more.
+        stated_over_seen: stated maximum radius over that of the frames.
+        latest_maximum: latest t* of the largest frame.
+        frames_to_maximum: frames by which the maximum may lie before a record that begins near it.
+        duration: t* that a record without a collapse may last.
+        fewest_frames: from which on their scatter is looked at.
+        dense: t* between frames, within which no bubble falls by a quarter from its maximum.
+        least_change: of the radius, over the largest one.
+        longest_exposure: over the time between frames.
+
+    >>> from imr_torch.observe.plausibility import Limits
+    >>> Limits().first_collapse.usual
+    (0.7, 1.4)
+    """
+
+    weber: Range = Range((1.0, 1e5), (20.0, 3000.0))
+    rest_radius: Range = Range((0.02, 0.95), (0.07, 0.65))
+    first_collapse: Range = Range((0.25, 3.0), (0.7, 1.4))
+    largest_radius: Range = Range((0.7, 1.1), (0.85, 1.05))
+    scatter: Range = Range((0.0, 0.25), (0.0, 0.15))
+    stated_over_seen: Range = Range((0.75, 1.35), (0.95, 1.1))
+    latest_maximum: float = 0.45
+    frames_to_maximum: float = 2.5
+    duration: tuple[float, float] = (0.1, 3.0)
+    fewest_frames: int = 12
+    dense: float = 0.15
+    least_change: float = 0.01
+    longest_exposure: float = 1.05
+
+
+LIMITS = Limits()
+"""The limits of :func:`check_experiment` and :func:`check_maximum`."""
 
 
 def check_experiment(
@@ -86,20 +114,22 @@ def check_experiment(
     at = float(times[int(radius.argmax())])
     first = collapse_time(times, radius, 1) if first is None else first
     last = float(times[-1])
-    if at > max(_LATEST_MAXIMUM, _FRAMES * float(times.diff()[:1].sum())):
+    if at > max(LIMITS.latest_maximum, LIMITS.frames_to_maximum * float(times.diff()[:1].sum())):
         raise InputDataError(
             f"{where}: the largest frame is at t* = {at:.2f}; expected time zero at the maximum "
             "radius, within "
-            f"{_LATEST_MAXIMUM}.{advice}"
+            f"{LIMITS.latest_maximum}.{advice}"
         )
     found = [
-        (WEBER, experiment.design[0], "We is {:.4g}"),
-        (REST_RADIUS, experiment.design[1], "R_inf/Rmax is {:.4g}"),
-        (LARGEST_RADIUS, largest, "the largest frame has R/Rmax = {:.3g}"),
+        (LIMITS.weber, experiment.design[0], "We is {:.4g}"),
+        (LIMITS.rest_radius, experiment.design[1], "R_inf/Rmax is {:.4g}"),
+        (LIMITS.largest_radius, largest, "the largest frame has R/Rmax = {:.3g}"),
     ]
     if first < math.inf:
         cavity = f"that of an empty cavity in water at {RAYLEIGH_TIME}, in stiff gels from 0.4 on"
-        found.append((FIRST_COLLAPSE, first, f"the first collapse is at t* = {{:.3g}} ({cavity})"))
+        found.append(
+            (LIMITS.first_collapse, first, f"the first collapse is at t* = {{:.3g}} ({cavity})")
+        )
     cautions = []
     for limits, value, text in found:
         what = f"{where}: {text.format(value)}"
@@ -109,20 +139,20 @@ def check_experiment(
             )
         if not limits.usual[0] <= value <= limits.usual[1]:
             cautions.append(f"{what}; usual is {limits.usual[0]:g} to {limits.usual[1]:g}.{advice}")
-    if first == math.inf and not _SHORTEST <= last <= _LONGEST:
+    if first == math.inf and not LIMITS.duration[0] <= last <= LIMITS.duration[1]:
         text = f"{where}: the record lasts t* = {last:.3g} and holds no collapse."
-        if last < _SHORTEST:
-            raise InputDataError(f"{text} Expected at least {_SHORTEST}.{advice}")
+        if last < LIMITS.duration[0]:
+            raise InputDataError(f"{text} Expected at least {LIMITS.duration[0]}.{advice}")
         cautions.append(f"{text} Only overdamped bubbles do not rebound.{advice}")
     scatter = roughness(radius.numpy()) / max(float(radius.amax() - radius.amin()), 1e-300)
-    if len(radius) >= _MANY and scatter > SCATTER.usual[1]:
+    if len(radius) >= LIMITS.fewest_frames and scatter > LIMITS.scatter.usual[1]:
         what = (
             f"{where}: neighbouring frames scatter by {100.0 * scatter:.0f} % of the range of all "
             "radii, as noise alone does"
         )
-        if scatter > SCATTER.possible[1]:
+        if scatter > LIMITS.scatter.possible[1]:
             raise InputDataError(f"{what}; check which column holds the radii.")
-        cautions.append(f"{what}; usual is less than {100.0 * SCATTER.usual[1]:.0f} %.")
+        cautions.append(f"{what}; usual is less than {100.0 * LIMITS.scatter.usual[1]:.0f} %.")
     return tuple(cautions)
 
 
@@ -135,9 +165,9 @@ def _check_rise(where: str, radius: Tensor, largest: int) -> None:
             "holds no collapse. Check the units of the times, and that radius and time are not "
             "exchanged."
         )
-    if float(radius.amax() - radius.amin()) < _LEAST_CHANGE * float(radius[largest]):
+    if float(radius.amax() - radius.amin()) < LIMITS.least_change * float(radius[largest]):
         raise InputDataError(
-            f"{where}: the radius stays within {100.0 * _LEAST_CHANGE:g} % of "
+            f"{where}: the radius stays within {100.0 * LIMITS.least_change:g} % of "
             f"{1e6 * float(radius[largest]):.4g} um; expected "
             "a bubble that collapses. Check which column holds the radii."
         )
@@ -162,7 +192,7 @@ def _check_stated(
                 f"{1e6 * largest:.4g} um at most."
             )
     apart = float(trace.time_s.diff().median())
-    if given.exposure_s is not None and given.exposure_s > _LONGEST_EXPOSURE * apart:
+    if given.exposure_s is not None and given.exposure_s > LIMITS.longest_exposure * apart:
         raise InputDataError(
             f"{where}: exposure_s is {1e6 * given.exposure_s:.4g} us, and frames are "
             f"{1e6 * apart:.4g} us apart; expected the "
@@ -172,7 +202,7 @@ def _check_stated(
     overridden = given.override is not None and given.override.time_of_max_s is not None
     stated = None if overridden else given.time_of_max_s
     scale = float(surroundings.time_scale(top))
-    if stated is not None and abs(stated - landmarks.time_of_max_s) > _LATEST_MAXIMUM * scale:
+    if stated is not None and abs(stated - landmarks.time_of_max_s) > LIMITS.latest_maximum * scale:
         raise InputDataError(
             f"{where}: t_Rmax_s is {1e6 * stated:.4g} us, and the maximum radius of the frames is "
             "at "
@@ -216,8 +246,8 @@ def check_maximum(
     stated = trace.given.max_radius_m
     dense = 0 < k < len(radius) - 1 and float(
         time[k + 1] - time[k]
-    ) < _DENSE * surroundings.time_scale(top)
-    if dense and max(float(radius[k - 1]), float(radius[k + 1])) < NEIGHBOUR * top:
+    ) < LIMITS.dense * surroundings.time_scale(top)
+    if dense and max(float(radius[k - 1]), float(radius[k + 1])) < LandmarkOptions.neighbour * top:
         raise InputDataError(
             f"{where}: frame {k} (counted from 0, {1e6 * float(time[k]):.4g} us) has the largest "
             f"radius, {1e6 * top:.4g} um, "
@@ -234,8 +264,8 @@ def check_maximum(
         f"frames {1e6 * seen:.4g} um. "
         "Check Rmax_m (metres, a radius) and the units of the radii."
     )
-    low, high = STATED_OVER_SEEN.possible
+    low, high = LIMITS.stated_over_seen.possible
     if not low <= ratio <= high:
         raise InputDataError(text)
-    low, high = STATED_OVER_SEEN.usual
+    low, high = LIMITS.stated_over_seen.usual
     return () if low <= ratio <= high else (text,)

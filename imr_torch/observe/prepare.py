@@ -11,16 +11,13 @@ from imr_torch.observe.convert import to_experiment
 from imr_torch.observe.experiments import Experiment
 from imr_torch.observe.landmarks import Landmarks, find_landmarks
 from imr_torch.observe.plausibility import (
-    FIRST_COLLAPSE,
+    LIMITS,
     RAYLEIGH_TIME,
     check_experiment,
     check_maximum,
 )
-from imr_torch.observe.traces import RadiusTrace, TraceSet
+from imr_torch.reading.traces import MIN_SAMPLES, RadiusTrace, TraceSet
 from imr_torch.units import Surroundings
-
-_MIN_FRAMES = 5
-_BORROWED_SD = 0.4  # of R_inf/Rmax, where it is that of other curves
 
 
 @dataclass(frozen=True)
@@ -122,7 +119,7 @@ def prepare(
             "deviation >= 0, for example 0.2:0.1."
         )
     landmarks = {trace.experiment_id: find_landmarks(trace) for trace in traces}
-    cautions = [] if rest_radius else _borrowed(landmarks)
+    cautions = [] if rest_radius else _borrow_rest_radii(landmarks)
     experiments = []
     frames = {}
     firsts = {}
@@ -135,7 +132,7 @@ def prepare(
         whole = to_experiment(trace, marks, outer, rest_radius=rest_radius)
         first = _first_collapse(whole, marks, outer)
         cautions += check_experiment(whole, where, first=first)
-        window = _window(trace, whole, marks, outer, collapses)
+        window = _cut_window(trace, whole, marks, outer, collapses)
         experiments.append(window)
         frames[name] = (
             len(trace),
@@ -143,28 +140,28 @@ def prepare(
             len(whole.times) - len(window.times),
         )
         firsts[name] = first
-    cautions += _outvoted(experiments)
-    cautions += () if rest_radius else _passed_over(traces, landmarks)
+    cautions += _find_outvoting_curve(experiments)
+    cautions += () if rest_radius else _name_unused_rest_radii(traces, landmarks)
     return Prepared(
         tuple(experiments), landmarks, frames, firsts, rest_radius is not None, tuple(cautions)
     )
 
 
 def _first_collapse(whole: Experiment, marks: Landmarks, surroundings: Surroundings) -> float:
-    """:func:`_collapse` of the first.
+    """:func:`_collapse_frame` of the first.
 
     Of a bubble that has come down long before it, a late minimum is noise and none.
     """
-    first = _collapse(whole, marks, surroundings, 1)
+    first = _collapse_frame(whole, marks, surroundings, 1)
     radius = whole.radius[0]
-    latest = FIRST_COLLAPSE.possible[1]
+    latest = LIMITS.first_collapse.possible[1]
     came_down = whole.times[(radius < 0.5 * (radius.max() + radius.min())).double().argmax()]
     return math.inf if first > latest >= 2.0 * float(came_down) else first
 
 
-def _borrowed(landmarks: dict[str, Landmarks]) -> list[str]:
-    """Gives curves whose record does not hold R_inf that of the others, over Rmax and with a wide
-    error, and says so.
+def _borrow_rest_radii(landmarks: dict[str, Landmarks], *, least_sd: float = 0.4) -> list[str]:
+    """Gives curves whose record does not hold R_inf that of the others, over Rmax and with an error
+    of ``least_sd`` of it or more, and says so.
     """
     ratios = [
         m.rest_radius_m / m.max_radius_m for m in landmarks.values() if m.rest_radius_m is not None
@@ -173,7 +170,7 @@ def _borrowed(landmarks: dict[str, Landmarks]) -> list[str]:
     if not ratios or not lacking:
         return []
     value = sum(ratios) / len(ratios)
-    sd = max(_BORROWED_SD * value, math.sqrt(sum((x - value) ** 2 for x in ratios) / len(ratios)))
+    sd = max(least_sd * value, math.sqrt(sum((x - value) ** 2 for x in ratios) / len(ratios)))
     for name in lacking:
         top = landmarks[name].max_radius_m
         found = {
@@ -190,7 +187,7 @@ def _borrowed(landmarks: dict[str, Landmarks]) -> list[str]:
     ]
 
 
-def _collapse(
+def _collapse_frame(
     whole: Experiment, marks: Landmarks, surroundings: Surroundings, number: int
 ) -> float:
     """Dimensionless time of the lowest frame of a collapse (1 is the first).
@@ -206,7 +203,7 @@ def _collapse(
     return float(whole.times[near[whole.radius[0, near].argmin()]])
 
 
-def _passed_over(traces: TraceSet, landmarks: dict[str, Landmarks]) -> list[str]:
+def _name_unused_rest_radii(traces: TraceSet, landmarks: dict[str, Landmarks]) -> list[str]:
     """Says which stated rest radii are not used though the record's is another, and why."""
     reasons: dict[str, list[str]] = {}
     for trace in traces:
@@ -233,7 +230,7 @@ def _passed_over(traces: TraceSet, landmarks: dict[str, Landmarks]) -> list[str]
     ]
 
 
-def _outvoted(experiments: Sequence[Experiment]) -> tuple[str, ...]:
+def _find_outvoting_curve(experiments: Sequence[Experiment]) -> tuple[str, ...]:
     """Says where one of several curves has more frames than all others together."""
     counts = [len(e.times) for e in experiments]
     if len(counts) < 3 or 2 * max(counts) <= sum(counts):
@@ -246,7 +243,7 @@ def _outvoted(experiments: Sequence[Experiment]) -> tuple[str, ...]:
     )
 
 
-def _window(
+def _cut_window(
     trace: RadiusTrace,
     whole: Experiment,
     marks: Landmarks,
@@ -256,7 +253,7 @@ def _window(
     """The frames that are fitted: up to the stated end of the window, else up to a collapse."""
     override = trace.given.override
     last = f"collapse {collapses}"
-    end = _collapse(whole, marks, surroundings, collapses)
+    end = _collapse_frame(whole, marks, surroundings, collapses)
     remedy = "Raise the number of collapses, or leave it out."
     if override is not None and override.window_end_s is not None:
         end = (override.window_end_s - marks.time_of_max_s) / float(
@@ -264,10 +261,10 @@ def _window(
         )
         last = f"the stated end of the window at {1e6 * override.window_end_s:.4g} us"
         remedy = "State a later window_end_s, on the time axis of the file, or leave it out."
-    if (count := int((whole.times <= end).sum())) < _MIN_FRAMES:
+    if (count := int((whole.times <= end).sum())) < MIN_SAMPLES:
         raise InputDataError(
             f"{_where(trace)} has {count} frames between its maximum and {last}; at least "
-            f"{_MIN_FRAMES} are needed. {remedy}"
+            f"{MIN_SAMPLES} are needed. {remedy}"
         )
     return whole.until(end)
 

@@ -4,21 +4,17 @@
 
 from pathlib import Path
 
-import numpy as np
 import torch
 
 from imr_torch.errors import InputDataError
 from imr_torch.observe.experiments import Experiment
-from imr_torch.observe.npz import read_arrays
 from imr_torch.observe.nuisance import Nuisance
 from imr_torch.observe.plausibility import check_experiment
+from imr_torch.reading.npz import read_arrays
 from imr_torch.units import Surroundings
 
 NUISANCE = Nuisance(max_radius=0.003, time_zero=0.004, rest_radius=0.01)
 """How well a careful laboratory knows Rmax, time zero and R_inf of each experiment."""
-
-_RADII = (-0.2, 2.0)  # over Rmax; noise alone makes a collapsed bubble's radius negative
-_DURATIONS = (0.1, 1e3)  # of a record, in t*
 
 _SHAPES = {"time_s": 2, "radius_m": 3, "we": 1, "rinf_star": 1}
 
@@ -51,7 +47,7 @@ def load_set(
     ('design 0', 2)
     """
     outer = surroundings or Surroundings()
-    arrays = _arrays(Path(path))
+    arrays = read_arrays(path, _SHAPES)
     if arrays["we"].ndim != 1 or not len(arrays["we"]):
         raise InputDataError(
             f"{path}: we has shape {arrays['we'].shape}; expected a Weber number a design, of one "
@@ -98,28 +94,31 @@ def load_set(
     return experiments
 
 
-def _check_units(where: str, experiment: Experiment, size: float, unit: float) -> None:
-    """Refuse radii and times that no bubble has: most are in another unit than ``size`` (m) and
-    ``unit`` (s) say.
+def _check_units(
+    where: str,
+    experiment: Experiment,
+    size: float,
+    unit: float,
+    *,
+    radii: tuple[float, float] = (-0.2, 2.0),
+    durations: tuple[float, float] = (0.1, 1e3),
+) -> None:
+    """Refuse radii (over Rmax) and times (t*) that no bubble has: most are in another unit than
+    ``size`` (m) and ``unit`` (s) say; noise alone makes a collapsed bubble's radius negative.
     """
     radius = experiment.radius
     last = float(experiment.times[-1])
-    wrong = radius[(radius < _RADII[0]) | (radius > _RADII[1])]
+    wrong = radius[(radius < radii[0]) | (radius > radii[1])]
     if len(wrong):
         raise InputDataError(
             f"{where}: radius_m holds {float(wrong[0]) * size:g}; expected metres, from about 0 "
             "to not far above Rmax, "
             f"{size:.3g} m by its we. Mark missing frames by NaN."
         )
-    shortest, longest = _DURATIONS
+    shortest, longest = durations
     if not shortest <= last <= longest:
         raise InputDataError(
             f"{where}: time_s ends at {last * unit:g}; expected seconds from the maximum radius "
             f"on, {shortest * unit:.2g} to "
             f"{longest * unit:.2g} of them."
         )
-
-
-def _arrays(path: Path) -> dict[str, np.ndarray]:
-    """The arrays of a set by name."""
-    return read_arrays(path, _SHAPES)

@@ -1,11 +1,40 @@
-"""The assimilation window: collapse times of a curve, after which (the second by default) a record
-is cut.
+"""Turning points of a curve, and the assimilation window: collapse times, after which (the second by
+default) a record is cut.
 """
 
 import math
+from collections.abc import Sequence
 
 from jaxtyping import Float
 from torch import Tensor
+
+
+def turning_points(
+    values: Sequence[float], thresholds: Sequence[float], start: int = 0
+) -> list[tuple[int, int]]:
+    """Places where a curve turns by more than a threshold, each with +1 (maximum) or -1 (minimum).
+
+    Args:
+        values: the curve, at a maximum at ``start``.
+        thresholds: by how much it must have turned at each place.
+        start: place from which on it is followed.
+
+    >>> from imr_torch.observe.window import turning_points
+    >>> turning_points([9.0, 2.0, 1.0, 1.5, 6.0, 5.8, 2.0], [1.0] * 7)
+    [(2, -1), (4, 1)]
+    """
+    turns: list[tuple[int, int]] = []
+    sign = -1
+    best = start
+    for i in range(start + 1, len(values)):
+        if sign * (values[i] - values[best]) > 0.0:
+            best = i
+        elif sign * (values[best] - values[i]) > thresholds[i]:
+            if best > start:
+                turns.append((best, sign))
+                sign = -sign
+            best = i
+    return turns
 
 
 def collapse_time(
@@ -29,26 +58,6 @@ def collapse_time(
     [3.1, 9.4, inf]
     """
     depth = 0.1 * float(radius.amax() - radius.amin())
-    low = math.inf
-    high = float(radius[0])
-    falling = True
-    found = 0
-    at = math.inf
-    for t, r in zip(times.tolist(), radius.tolist(), strict=True):
-        if falling:
-            if r < low:
-                low = r
-                at = t
-            elif r > low + depth:
-                found = found + 1
-                falling = False
-                high = r
-                if found == number:
-                    return at
-        elif r > high:
-            high = r
-        elif r < high - depth:
-            falling = True
-            low = r
-            at = t
-    return math.inf
+    turns = turning_points(radius.tolist(), [depth] * len(radius))
+    minima = [k for k, sign in turns if sign < 0]
+    return float(times[minima[number - 1]]) if len(minima) >= number else math.inf

@@ -114,7 +114,12 @@ def _curves(
                     "t_star": use.t_star,
                     "R_star": (trace.radius_m / marks.max_radius_m).tolist(),
                     "fitted": use.fitted,
-                },
+                }
+                | (
+                    {}
+                    if trace.asphericity is None
+                    else {"asphericity": drawn_numbers(trace.asphericity)}
+                ),
                 "models": {fit.model: _model(fit, batch, e, drawn[fit.model]) for fit in fits},
                 "band": {
                     "model": best,

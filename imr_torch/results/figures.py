@@ -227,6 +227,10 @@ def curve_figure(curve: Mapping[str, Any], document: Mapping[str, Any]) -> Figur
         label=f"fitted ({int(fitted.sum())})",
         zorder=4,
     )
+    if "asphericity" in curve["measured"]:
+        shape = ax.twinx()
+        shape.plot(t, _floats(curve["measured"]["asphericity"]), "x", ms=3, color=SECOND)
+        shape.set_ylabel("asphericity $a/b - 1$", color=SECOND)
     end = float(t[fitted].max())
     start = float(min(t.min(), 0.0))
     shown = min(float(t.max()), _FARTHER * end)

@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from imr_torch.errors import InputDataError
-from imr_torch.observe.layout import Layout
-from imr_torch.observe.load import load_traces
-from imr_torch.observe.traces import Given, RadiusTrace
+from imr_torch.reading.layout import Layout
+from imr_torch.reading.load import load_traces
+from imr_torch.reading.traces import Given, RadiusTrace
 
 HEAD = "experiment_id,time_s,radius_m\n"
 GOOD = [f"a,{i}e-6,{20 - i}e-5" for i in range(8)]
@@ -156,7 +156,7 @@ FILES = {
     "all frames lost": (
         "".join(f"{i},0\n" for i in range(6)).encode(),
         UM,
-        r"bad\.csv: no usable curve \(row\(s\) 1-6: radius 0 or NaN before the first frame .*",
+        r"bad\.csv: no usable curve \(row\(s\) 1-6: radius 0, negative or NaN before the first frame .*",
     ),
     "negative radius": (
         lines((4, "a,4e-6,-1e-4")).encode(),

@@ -14,7 +14,7 @@ from imr_torch.campaign import Journal
 from imr_torch.errors import InputDataError
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, RadiusTrace, TraceSet, predict, prepare
-from imr_torch.observe.traces import Given
+from imr_torch.reading.traces import Given
 from imr_torch.units import Surroundings
 
 SIMULATOR = PolytropicSimulator()

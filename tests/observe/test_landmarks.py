@@ -10,9 +10,9 @@ import torch
 
 from imr_torch.errors import InputDataError
 from imr_torch.material import PARAMETERS
-from imr_torch.observe.landmarks import Landmarks, find_landmarks, phase_name
-from imr_torch.observe.load import load_traces
-from imr_torch.observe.traces import Given, RadiusTrace
+from imr_torch.observe.landmarks import LandmarkOptions, Landmarks, find_landmarks
+from imr_torch.reading.load import load_traces
+from imr_torch.reading.traces import Given, RadiusTrace
 from imr_torch.simulate import PolytropicSimulator, Status, TransportSimulator
 from imr_torch.units import Surroundings
 
@@ -206,7 +206,6 @@ def test_that_a_record_without_growth_uses_the_given_maximum_else_the_first_fram
     radius = ringing(time)
     found = find_landmarks(trace(time, radius, Given(max_radius_m=TOP, time_of_max_s=0.0)))
     assert (found.max_radius_m, found.time_of_max_s, found.max_method) == (TOP, 0.0, "as given")
-    assert found.growth_samples == 0
     found = find_landmarks(trace(time, radius))
     assert (found.max_radius_m, found.time_of_max_s, found.max_method) == (
         radius[0],
@@ -259,7 +258,6 @@ def test_that_the_given_maximum_is_not_used_where_frames_bracket_the_peak() -> N
     )
     assert found.max_method == "peak fit"
     assert found.max_radius_m == pytest.approx(TOP, rel=2e-3)
-    assert found.growth_samples == 12 or found.growth_samples == 13
 
 
 def test_that_a_neighbour_far_below_the_largest_frame_is_no_bracket() -> None:
@@ -268,26 +266,21 @@ def test_that_a_neighbour_far_below_the_largest_frame_is_no_bracket() -> None:
     assert (found.max_method, found.max_radius_m) == ("edge", pytest.approx(82e-6))
 
 
-def test_that_phases_follow_each_other() -> None:
-    time = frames(120)
-    found = find_landmarks(trace(time, ringing(time)))
-    middle = [-3e-6, PERIOD / 4, 0.75 * PERIOD, 1.25 * PERIOD, 1.75 * PERIOD]
-    names = ["growth", "first collapse", "first rebound", "second collapse", "second rebound"]
-    assert [found.phase(t) for t in middle] == names
-    index = found.phase_index(torch.tensor(middle, dtype=torch.float64).reshape(5, 1))
-    assert index.tolist() == [[0], [1], [2], [3], [4]]
-    assert found.phase(found.time_of_max_s) == "first collapse"
-    assert phase_name(23) == "12th collapse"
-    assert list(found.boundaries_s) == sorted(found.boundaries_s)
-
-
-@pytest.mark.parametrize("setting", ["tail_fraction", "settled_below"])
+@pytest.mark.parametrize("setting", ["tail", "settled_below"])
 def test_that_settings_outside_zero_and_one_are_errors(setting: str) -> None:
-    time = frames()
     with pytest.raises(
         InputDataError, match=f"{setting} is 1.5; expected a number between 0 and 1"
     ):
-        find_landmarks(trace(time, ringing(time)), **{setting: 1.5})
+        LandmarkOptions(**{setting: 1.5})
+
+
+def test_that_options_are_used() -> None:
+    time = frames()
+    record = trace(time, ringing(time))
+    usual = find_landmarks(record)
+    strict = find_landmarks(record, LandmarkOptions(reversal=1000.0))
+    assert len(usual.collapse_times_s) > 0
+    assert strict.collapse_times_s == ()
 
 
 def both(shared: Path, name: str) -> list[tuple[Landmarks, dict]]:

@@ -24,6 +24,7 @@ from imr_torch.results import (
     header,
     read_document,
 )
+from imr_torch.results.figures import curve_figure
 
 _spec = importlib.util.spec_from_file_location("documents", Path(__file__).parent / "documents.py")
 documents = importlib.util.module_from_spec(_spec)
@@ -246,6 +247,16 @@ def test_that_a_page_escapes_what_it_is_given_and_loads_nothing(document):
         < text.index("<details>")
     )
     assert "What to do next" in text
+
+
+def test_that_the_shape_of_a_bubble_is_drawn_where_two_axes_were_seen(document):
+    curve = document["curves"][0]
+    frames = len(curve["measured"]["t_star"])
+    seen = curve["measured"] | {"asphericity": [0.05] * frames}
+    plain, shaped = (curve_figure(entry, document) for entry in (curve, curve | {"measured": seen}))
+    assert len(shaped.axes) == len(plain.axes) + 1
+    (points,) = shaped.axes[-1].lines
+    assert points.get_ydata().tolist() == seen["asphericity"]
 
 
 def test_that_a_page_without_a_figure_keeps_the_numbers(document, monkeypatch):

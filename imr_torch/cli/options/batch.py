@@ -22,6 +22,7 @@ from imr_torch.cli.options.shared import (
     add_medium_argument,
     add_physics_argument,
     add_prior_arguments,
+    add_sort_argument,
     add_window_arguments,
 )
 
@@ -48,6 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="TEXT",
         help="how to read the files, as for characterize (radius=R,radius_unit=um,...)",
     )
+    add_sort_argument(parser)
     add_window_arguments(parser)
     parser.add_argument("--method", choices=METHODS, default="map", help="as for characterize")
     parser.add_argument(

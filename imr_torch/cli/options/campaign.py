@@ -47,6 +47,7 @@ from imr_torch.cli.options.shared import (
     add_medium_argument,
     add_physics_argument,
     add_prior_arguments,
+    add_sort_argument,
     add_workers_argument,
 )
 
@@ -131,6 +132,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--layout", metavar="TEXT", help="how to read told files, as for characterize"
     )
+    add_sort_argument(parser)
     parser.add_argument(
         "--rest-radius", metavar="VALUE:SD", help="assumed R_inf/Rmax of told files without a tail"
     )

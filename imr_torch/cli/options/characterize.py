@@ -10,27 +10,29 @@ fit.
   "radius=Rnew,radius_unit=px,pixel_size=deltax,frame_interval=deltat"
 
 Files are tables (text or .xlsx) with the columns experiment_id, time_s, radius_m, or with units in
-the header ("time (us)", "R [um]"), MATLAB files, or .npz. What their names do not say, --layout
-says; units are never guessed. In a wide table every column of radii is a curve. A JSON file of the
-same name beside a file may give R_inf, Rmax, their sd, medium, frame rate, pixel size and exposure.
-A table with the columns experiment_id, rmax_m, stretch, collapse_time_s holds shots of which no
-more is known (errors: collapse_time_sd_s, 20 ns if not given, rmax_sd_m, stretch_sd), alone or
-beside curves of the same gel. --medium states density, sound speed, surface tension, temperature
-and ambient pressure of the gel (--medium water,temperature=310,density=1125:11: with a standard
-deviation it is inferred beside the gel); the report says what was assumed and whether that matters.
-All curves are taken to be of one gel and are fitted together; --each fits every curve by itself,
-which shows whether they agree, and --population says how much the gel differs between them, by
-evidence. The report says whether the model explains the curves, which rows were left out, which
-frames were fitted, and why.
+the header ("time (us)", "R [um]"), MATLAB files, .npz, or files of other programs of the field
+(BubbleTrack, InCA, IMR codes). What their names do not say, --layout says; units are never guessed.
+In a wide table every column of radii is a curve. A JSON file of the same name beside a file may
+give R_inf, Rmax, their sd, medium, frame rate, pixel size and exposure. A table with the columns
+experiment_id, rmax_m, stretch, collapse_time_s holds shots of which no more is known (errors:
+collapse_time_sd_s, 20 ns if not given, rmax_sd_m, stretch_sd), alone or beside curves of the same
+gel. --medium states density, sound speed, surface tension, temperature and ambient pressure of the
+gel (--medium water,temperature=310,density=1125:11: with a standard deviation it is inferred beside
+the gel); the report says what was assumed and whether that matters. All curves are taken to be of
+one gel and are fitted together; --each fits every curve by itself, which shows whether they agree,
+and --population says how much the gel differs between them, by evidence. The report says whether
+the model explains the curves, which rows were left out, which frames were fitted, and why.
 """
 
 import argparse
 
 from imr_torch.cli.options.names import EFFORTS, FRAMES, METHODS, SCATTER_SCALE
 from imr_torch.cli.options.shared import (
+    add_driving_argument,
     add_medium_argument,
     add_physics_argument,
     add_prior_arguments,
+    add_sort_argument,
     add_window_arguments,
 )
 
@@ -49,6 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--layout", metavar="TEXT", help="how to read the files: name=value pairs, see above"
     )
+    add_sort_argument(parser)
     parser.add_argument("--experiments", metavar="ID,...", help="fit only these experiments")
     parser.add_argument(
         "--each", action="store_true", help="fit every curve by itself instead of all together"
@@ -108,5 +111,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--html", metavar="FILE", help="write the result with its figures as one HTML file"
     )
     add_medium_argument(parser)
+    add_driving_argument(parser)
     add_physics_argument(parser)
     add_prior_arguments(parser)

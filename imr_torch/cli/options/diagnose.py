@@ -15,8 +15,10 @@ import argparse
 
 from imr_torch.cli.options.names import EFFECTS_ADDED, MODELS
 from imr_torch.cli.options.shared import (
+    add_driving_argument,
     add_medium_argument,
     add_physics_argument,
+    add_sort_argument,
     add_workers_argument,
 )
 
@@ -64,6 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="how to read files of curves, as for "
         "characterize (radius=R,radius_unit=um,time=t,...)",
     )
+    add_sort_argument(parser)
     parser.add_argument(
         "--rest-radius", metavar="VALUE:SD", help="assumed R_inf/Rmax, for curves without a tail"
     )
@@ -86,5 +89,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--html", metavar="FILE", help="write the report with its figures as one HTML file"
     )
     add_medium_argument(parser)
+    add_driving_argument(parser)
     add_physics_argument(parser)
     add_workers_argument(parser)

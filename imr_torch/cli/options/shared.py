@@ -64,6 +64,25 @@ def add_physics_argument(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_sort_argument(parser: argparse.ArgumentParser) -> None:
+    """The option that sorts the rows of files."""
+    parser.add_argument(
+        "--sort",
+        action="store_true",
+        help="put the rows of every curve in the order of their times, as digitised curves need it",
+    )
+
+
+def add_driving_argument(parser: argparse.ArgumentParser) -> None:
+    """The option that names a measured pressure."""
+    parser.add_argument(
+        "--driving",
+        metavar="FILE",
+        help="pressure on top of the ambient one, such as a hydrophone's: a table with units in "
+        'its header ("time (us),p (kPa)"), time zero at the maximum radius',
+    )
+
+
 MEDIUM_HELP = (
     "the medium: a name and values in SI, each with an optional standard deviation, for example "
     "water,temperature=310,density=1125:11 (properties density, sound_speed, surface_tension, "

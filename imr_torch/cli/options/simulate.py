@@ -11,6 +11,7 @@ import argparse
 
 from imr_torch.cli.options.names import MODELS
 from imr_torch.cli.options.shared import (
+    add_driving_argument,
     add_medium_argument,
     add_physics_argument,
 )
@@ -45,5 +46,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="named setting",
     )
     add_medium_argument(parser)
+    add_driving_argument(parser)
     add_physics_argument(parser)
     parser.add_argument("--out", metavar="DIR", help="folder for figure and JSON")

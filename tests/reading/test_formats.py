@@ -16,8 +16,8 @@ import torch
 
 from imr_torch.errors import InputDataError, UnsupportedError
 from imr_torch.observe import Layout, find_files, find_landmarks, load_traces
-from imr_torch.observe.headers import heading, unit_of
-from imr_torch.observe.npz import read_arrays
+from imr_torch.reading.names import heading, unit_of
+from imr_torch.reading.npz import read_arrays
 
 RADII = [254.5 - 3.25 * i for i in range(8)]
 
@@ -201,9 +201,9 @@ def test_that_the_json_beside_describes_camera_medium_and_radii(tmp_path: Path) 
 
 def test_that_an_entry_counts_before_the_whole_file(tmp_path: Path) -> None:
     (tmp_path / "gel.csv").write_text(
-        "t (us),a (um),b (um)\n" + "".join(f"{i},{x},{x}\n" for i, x in enumerate(RADII))
+        "t (us),one (um),two (um)\n" + "".join(f"{i},{x},{x}\n" for i, x in enumerate(RADII))
     )
-    entry = {"experiment_id": "b (um)", "exposure_s": 3e-7, "medium": "water"}
+    entry = {"experiment_id": "two (um)", "exposure_s": 3e-7, "medium": "water"}
     (tmp_path / "gel.json").write_text(
         json.dumps({"exposure_s": 1e-7, "frame_rate_fps": "about 1e6", "experiments": [entry]})
     )
@@ -279,7 +279,7 @@ def test_that_a_result_of_imrfit_is_read_in_the_units_that_it_declares(tmp_path:
     traces = load_traces(imrfit(tmp_path / "si.mat"))
     check(traces, ("si",))
     assert traces[0].given.rest_radius_m == pytest.approx(4e-5)
-    assert any("read as a result of IMRFit" in note for note in traces.notes)
+    assert any("radius from 'R_exp' in m, time from 't_exp' in s" in x for x in traces.notes)
     micro = {
         "t_exp": np.arange(8.0),
         "R_exp": np.array(RADII),

@@ -16,8 +16,6 @@ LENGTHS = {"m": 1.0, "um": 1e-6, "mm": 1e-3}
 TIMES = {"s": 1.0, "us": 1e-6, "ms": 1e-3, "ns": 1e-9}
 RADIUS_UNITS = (*LENGTHS, "px", "dimensionless")
 TIME_UNITS = (*TIMES, "frames", "dimensionless")
-PEAKS = (None, "first_row", "time_zero")
-EXAMPLE = "radius=<name>,radius_unit=um,time=<name>,time_unit=us"
 
 
 @dataclass(frozen=True)
@@ -32,6 +30,8 @@ class Layout:
             curve). In a wide table, which has one column of radii a curve: their names joined by
             ``+``, or ``*`` for all columns but the time.
         radius_unit: one of m, um, mm, px, dimensionless (R/Rmax).
+        symmetry_axis: name of the half axis ``b`` of an ellipsoid along its axis of symmetry, where
+            ``radius`` names the half axis ``a`` across it: then ``R = (a^2 b)^(1/3)``.
         time: name of the time, or None: frames counted from 0.
         time_unit: one of s, us, ms, ns, frames, dimensionless; ignored without ``time``.
         experiment: name of a column that tells the curves of a table apart.
@@ -46,13 +46,15 @@ class Layout:
         far_field_pressure: Pa, used by the source to make time dimensionless.
         inserted_peak: where the source inserted a fitted peak that is no camera frame: None,
             "first_row", "time_zero".
+        absent: ``"negative"`` where every negative radius marks a frame without a bubble; -1 and what
+            is not above 0 before the first bubble always do.
         separator: number that fills the rows between curves of a table.
 
     Raises:
         InputDataError: if a unit is unknown, a number is not positive, or a scale that the units
             need is missing.
 
-    >>> from imr_torch.observe import Layout
+    >>> from imr_torch.reading import Layout
     >>> Layout("R", radius_unit="um", time="t", time_unit="us").names()
     ('R', 't')
     >>> Layout.from_text("radius=R,radius_unit=px,pixel_size=2e-6,frame_interval=1e-6").pixel_size
@@ -62,6 +64,7 @@ class Layout:
     radius: str
     _: KW_ONLY
     radius_unit: str
+    symmetry_axis: str | None = None
     time: str | None = None
     time_unit: str = "s"
     experiment: str | None = None
@@ -75,6 +78,7 @@ class Layout:
     density: float = 998.0
     far_field_pressure: float = 101325.0
     inserted_peak: str | None = None
+    absent: str | None = None
     separator: float | None = None
 
     def __post_init__(self) -> None:
@@ -83,7 +87,8 @@ class Layout:
             ("time_unit", TIME_UNITS),
             ("max_radius_unit", tuple(LENGTHS)),
             ("rest_radius_unit", RADIUS_UNITS),
-            ("inserted_peak", PEAKS),
+            ("inserted_peak", (None, "first_row", "time_zero")),
+            ("absent", (None, "negative")),
         ):
             if getattr(self, name) not in allowed:
                 listed = ", ".join(map(str, allowed))
@@ -136,18 +141,11 @@ class Layout:
         """``sqrt(rho / p_inf)`` in s/m: dimensionless time times ``Rmax`` times this is seconds."""
         return math.sqrt(self.density / self.far_field_pressure)
 
-    def length_factor(
-        self, unit: str, pixel_size: float | None = None, max_radius_m: float | None = None
-    ) -> float:
-        """Metres per ``unit``."""
-        factor = {**LENGTHS, "px": pixel_size, "dimensionless": max_radius_m}[unit]
-        assert factor is not None
-        return factor
-
     def names(self) -> tuple[str, ...]:
         """The variables or columns that the layout asks for."""
         named = (
             "radius",
+            "symmetry_axis",
             "time",
             "experiment",
             "frame_interval",
@@ -230,9 +228,23 @@ KNOWN_LAYOUTS: Mapping[str, Layout] = MappingProxyType(
         "pixels_by_frame": Layout(
             "Rnew", radius_unit="px", pixel_size="deltax", frame_interval="deltat"
         ),
-        "micrometres_with_rest": Layout(
-            "R", radius_unit="um", time="t", rest_radius="Req", rest_radius_unit="um"
+        "peak_at_time_zero": Layout(
+            "R",
+            radius_unit="um",
+            time="t",
+            max_radius="RmaxAll",
+            max_radius_unit="um",
+            inserted_peak="time_zero",
+            absent="negative",
+        ),
+        "struct_of_experiments": Layout(
+            "Roft", radius_unit="m", time="t", max_radius="R0", rest_radius="Req"
+        ),
+        "converted_plot_set": Layout(
+            "alternatePlotSet.AverageRadius", radius_unit="um", time="alternatePlotSet.TimeVector"
         ),
     }
 )
-"""Name -> layout that is recognised without being stated."""
+"""Name -> layout that is recognised without being stated: the tables of this project and of IMR_DDI;
+MATLAB files of IMR_PRIME, IMR_v1, BubbleTrack (``peak_at_time_zero``), fitIMR
+(``struct_of_experiments``) and InCA (``converted_plot_set``)."""

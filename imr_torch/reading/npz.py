@@ -10,14 +10,38 @@ from pathlib import Path
 import numpy as np
 
 from imr_torch.errors import InputDataError
-
-LARGEST = 2 << 30
-"""Bytes that the arrays of one file may take, 2 GiB."""
+from imr_torch.reading.content import LARGEST, Content
 
 _HEADERS = {
     (1, 0): np.lib.format.read_array_header_1_0,
     (2, 0): np.lib.format.read_array_header_2_0,
 }
+
+
+def is_npz(path: Path, head: bytes) -> bool:
+    """Whether a file is an ``.npz``."""
+    return head.startswith(b"PK") and path.suffix.lower() == ".npz"
+
+
+def read_npz(path: Path) -> list[Content]:
+    """One curve, or one a row, in SI units."""
+    arrays = read_arrays(path, ("time_s", "radius_m"))
+    time = arrays["time_s"]
+    radius = arrays["radius_m"]
+    fits = time.ndim in (1, radius.ndim) and time.shape[-1:] == radius.shape[-1:]
+    if radius.ndim not in (1, 2) or not fits:
+        raise InputDataError(
+            f"{path}: time_s has shape {time.shape} and radius_m {radius.shape}; expected frames, "
+            "or curves x frames, with one time for every radius. Sets of repeated designs "
+            "(designs x repeats x frames) are read by imr-torch diagnose."
+        )
+    if time.ndim == 2 and len(time) != len(radius):
+        raise InputDataError(
+            f"{path}: time_s has {len(time)} curves and radius_m {len(radius)}; give one row of "
+            "times each."
+        )
+    values = {name: x if x.ndim == 1 else list(x) for name, x in arrays.items()}
+    return [Content(path, values)]
 
 
 def read_arrays(path: str | Path, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
@@ -34,7 +58,7 @@ def read_arrays(path: str | Path, names: Iterable[str] | None = None) -> dict[st
     >>> import tempfile
     >>> from pathlib import Path
     >>> import numpy
-    >>> from imr_torch.observe.npz import read_arrays
+    >>> from imr_torch.reading.npz import read_arrays
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     numpy.savez(Path(folder) / "gel.npz", time_s=[0.0, 1e-6])
     ...     read_arrays(Path(folder) / "gel.npz", ["time_s"])["time_s"].shape
@@ -61,23 +85,19 @@ def read_arrays(path: str | Path, names: Iterable[str] | None = None) -> dict[st
                     f"{', '.join(held) or 'none'}."
                 )
             _check_sizes(path, archive, {name: held[name] for name in wanted})
-            arrays = {name: _array(path, archive, name, held[name]) for name in wanted}
-    except (
-        OSError,
-        ValueError,
-        TypeError,
-        EOFError,
-        RuntimeError,
-        zipfile.BadZipFile,
-        zipfile.LargeZipFile,
-    ) as error:
-        if isinstance(error, InputDataError):
-            raise
+            arrays = {}
+            for name in wanted:
+                with archive.open(held[name]) as stream:
+                    array = np.lib.format.read_array(stream, allow_pickle=False)
+                    arrays[name] = np.asarray(array, dtype=np.float64)
+            return arrays
+    except InputDataError:
+        raise
+    except Exception as error:  # zipfile and NumPy each raise their own kinds on damaged files
         raise InputDataError(
             f"{path}: cannot be read as .npz arrays of numbers ({error}); write it with "
             "numpy.savez."
         ) from error
-    return arrays
 
 
 def _check_sizes(path: Path, archive: zipfile.ZipFile, members: dict[str, str]) -> None:
@@ -95,16 +115,10 @@ def _check_sizes(path: Path, archive: zipfile.ZipFile, members: dict[str, str]) 
         if dtype.kind not in "fiub":
             raise ValueError(f"array {name!r} holds {dtype}, not real numbers")
         declared = math.prod(shape) * max(dtype.itemsize, 8)
-        unpacked = archive.getinfo(member).file_size
-        total += max(declared, unpacked)
+        total += max(declared, archive.getinfo(member).file_size)
         if total > LARGEST:
             raise InputDataError(
                 f"{path}: array {name!r} of shape {shape} takes the file to {total / 2**30:.3g} "
-                "GiB, more than "
-                f"{LARGEST / 2**30:.3g} GiB; it is damaged, or must be divided into several files."
+                f"GiB, more than {LARGEST / 2**30:.3g} GiB; it is damaged, or must be divided into "
+                "several files."
             )
-
-
-def _array(path: Path, archive: zipfile.ZipFile, name: str, member: str) -> np.ndarray:
-    with archive.open(member) as stream:
-        return np.asarray(np.lib.format.read_array(stream, allow_pickle=False), dtype=np.float64)

@@ -13,8 +13,8 @@ import scipy.io
 import torch
 
 from imr_torch.errors import InputDataError
-from imr_torch.observe.layout import KNOWN_LAYOUTS, Layout
-from imr_torch.observe.load import load_traces
+from imr_torch.reading.layout import KNOWN_LAYOUTS, Layout
+from imr_torch.reading.load import load_traces
 
 DIMENSIONLESS = KNOWN_LAYOUTS["dimensionless_cells"]
 SCALE = math.sqrt(998.0 / 101325.0)
@@ -194,7 +194,7 @@ UM = Layout("R", radius_unit="um", time="t", time_unit="us")
             r"'R' and 't' have no unit\. If this is right, add --layout \"radius=R,radius_unit=",
         ),
         (
-            {"Rnew": R, "t": T, "RmaxAll": 70.0, "deltat": 1e-6, "deltax": 2e-6},
+            {"Rnew": 1e-3 * R, "t": T, "RmaxAll": 0.07, "deltat": 1e-6, "deltax": 2e-6},
             None,
             r"several known layouts fit \(fitted_peak_first, pixels_by_frame\)",
         ),

@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from imr_torch.errors import InputDataError
-from imr_torch.observe.layout import KNOWN_LAYOUTS, Layout
-from imr_torch.observe.load import load_traces
-from imr_torch.observe.traces import Given, RadiusTrace, TraceSet, row_ranges
+from imr_torch.reading.layout import KNOWN_LAYOUTS, Layout
+from imr_torch.reading.load import load_traces
+from imr_torch.reading.traces import Given, RadiusTrace, TraceSet, row_ranges
 
 HEADER = "experiment_id,time_s,radius_m\n"
 

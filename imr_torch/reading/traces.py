@@ -5,23 +5,37 @@ laboratory says about it); a :class:`TraceSet` is an ordered collection of them 
 everything a reader left out, and why.
 """
 
+import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
-import numpy as np
 import torch
 from jaxtyping import Real
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
-from imr_torch.observe.medium import Statement
+from imr_torch.reading.statement import Statement
 
 RADIUS_RANGE_M = (1e-7, 1e-1)
 DURATION_RANGE_S = (1e-7, 1.0)
 MIN_SAMPLES = 5
+
+
+def _is_positive(value: float) -> bool:
+    return 0.0 < value < math.inf
+
+
+def _check_numbers(
+    of: object, names: Sequence[str], fits: Callable[[float], bool], expected: str
+) -> None:
+    """Refuse fields that are stated and do not fit."""
+    for name in names:
+        value = getattr(of, name)
+        if value is not None and not fits(value):
+            raise InputDataError(f"{type(of).__name__}.{name} is {value}; expected {expected}.")
 
 
 @dataclass(frozen=True)
@@ -41,7 +55,7 @@ class Override:
         InputDataError: if a length is not positive and finite, a time not finite, or a standard
             deviation stands alone.
 
-    >>> from imr_torch.observe import Override
+    >>> from imr_torch.reading import Override
     >>> Override(rest_radius_m=4e-5, window_end_s=6e-5).window_end_s
     6e-05
     """
@@ -54,20 +68,11 @@ class Override:
     window_end_s: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("max_radius_m", "max_radius_sd_m", "rest_radius_m", "rest_radius_sd_m"):
-            value = getattr(self, name)
-            if value is not None and not 0.0 < value < float("inf"):
-                raise InputDataError(
-                    f"Override.{name} is {value}; expected a positive length in m, or None."
-                )
-        for name in ("time_of_max_s", "window_end_s"):
-            value = getattr(self, name)
-            if value is not None and not np.isfinite(value):
-                raise InputDataError(f"Override.{name} is {value}; expected seconds, or None.")
-        for value, sd in (
-            ("max_radius_m", "max_radius_sd_m"),
-            ("rest_radius_m", "rest_radius_sd_m"),
-        ):
+        lengths = ("max_radius_m", "max_radius_sd_m", "rest_radius_m", "rest_radius_sd_m")
+        _check_numbers(self, lengths, _is_positive, "a positive length in m, or None")
+        _check_numbers(self, ("time_of_max_s", "window_end_s"), math.isfinite, "seconds, or None")
+        for value in ("max_radius_m", "rest_radius_m"):
+            sd = value.replace("_m", "_sd_m")
             if getattr(self, value) is None and getattr(self, sd) is not None:
                 raise InputDataError(
                     f"Override.{sd} is {getattr(self, sd)} and {value} is not given; give both."
@@ -95,7 +100,7 @@ class Given:
     Raises:
         InputDataError: if a number is not finite, or one that must be is not positive.
 
-    >>> from imr_torch.observe import Given
+    >>> from imr_torch.reading import Given
     >>> Given(max_radius_m=200e-6, rest_radius_m=40e-6).rest_radius_m
     4e-05
     """
@@ -114,28 +119,16 @@ class Given:
     override: Override | None = None
 
     def __post_init__(self) -> None:
-        for names, what in (
-            (("max_radius_m", "rest_radius_m", "pixel_size_m"), "a positive length in m"),
-            (("frame_rate_hz",), "frames per second, above 0"),
-            (("exposure_s",), "a positive duration in s"),
+        lengths = ("max_radius_m", "rest_radius_m", "pixel_size_m")
+        sds = ("rest_radius_sd_m", "max_radius_sd_m")
+        for names, fits, expected in (
+            (lengths, _is_positive, "a positive length in m"),
+            (("frame_rate_hz",), _is_positive, "frames per second, above 0"),
+            (("exposure_s",), _is_positive, "a positive duration in s"),
+            (("time_of_max_s",), math.isfinite, "seconds"),
+            (sds, lambda sd: 0.0 <= sd < math.inf, "a length in m >= 0"),
         ):
-            for name in names:
-                value = getattr(self, name)
-                if value is not None and not 0.0 < value < float("inf"):
-                    raise InputDataError(
-                        f"Given.{name} is {value}; expected {what}, or None if unknown."
-                    )
-        if self.time_of_max_s is not None and not np.isfinite(self.time_of_max_s):
-            raise InputDataError(
-                f"Given.time_of_max_s is {self.time_of_max_s}; expected seconds, or None if "
-                "unknown."
-            )
-        for name in ("rest_radius_sd_m", "max_radius_sd_m"):
-            value = getattr(self, name)
-            if value is not None and not 0.0 <= value < float("inf"):
-                raise InputDataError(
-                    f"Given.{name} is {value}; expected a length in m >= 0, or None if unknown."
-                )
+            _check_numbers(self, names, fits, f"{expected}, or None if unknown")
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,13 +141,15 @@ class RadiusTrace:
         radius_m: m, positive; stored as float64.
         source: file (or simulation) that the trace comes from.
         given: what the laboratory says about the experiment.
+        asphericity: ``a/b - 1`` of a bubble seen as an ellipse of half axes ``a`` and, along its
+            axis of symmetry, ``b``: 0 for a sphere; None where one radius was seen.
 
     Raises:
         InputDataError: if the trace cannot be one bubble in SI units; the message names experiment,
             field and sample.
 
     >>> import torch
-    >>> from imr_torch.observe import RadiusTrace
+    >>> from imr_torch.reading import RadiusTrace
     >>> trace = RadiusTrace("shot 1", torch.tensor([0.0, 1e-6, 2e-6]), torch.tensor([2e-4, 1.9e-4, 1.7e-4]), "example")
     >>> len(trace), trace.time_s.dtype
     (3, torch.float64)
@@ -165,6 +160,7 @@ class RadiusTrace:
     radius_m: Real[Tensor, "frames"]
     source: str
     given: Given = Given()
+    asphericity: Real[Tensor, "frames"] | None = None
 
     def __post_init__(self) -> None:
         if not self.experiment_id:
@@ -199,72 +195,61 @@ class RadiusTrace:
         row = "" if sample is None else f", sample {sample} (counted from 0)"
         return f"{self.source}: experiment '{self.experiment_id}', {field}{row}"
 
+    def _refuse(self, wrong: Tensor, field: str, text: str) -> None:
+        """Refuse the first sample of a field that is wrong, with its value and the one before."""
+        if bool(wrong.any()):
+            i = int(wrong.nonzero()[0])
+            values = getattr(self, field)
+            said = text.format(values[i].item(), values[i - 1].item())
+            raise InputDataError(f"{self._at(field, i)} is {said}")
+
     def _check_values(self) -> None:
+        time = self.time_s
+        radius = self.radius_m
         for name in ("time_s", "radius_m"):
-            value = getattr(self, name)
-            if not bool(value.isfinite().all()):
-                i = int((~value.isfinite()).nonzero()[0])
-                raise InputDataError(
-                    f"{self._at(name, i)} is {value[i].item()}; leave lost frames out of the trace."
-                )
-        if bool((self.radius_m <= 0).any()):
-            i = int((self.radius_m <= 0).nonzero()[0])
-            raise InputDataError(
-                f"{self._at('radius_m', i)} is {self.radius_m[i].item():g}; a radius is positive: "
-                "leave out frames "
-                "without a bubble."
-            )
-        step = self.time_s.diff()
-        if bool((step <= 0).any()):
-            i = int((step <= 0).nonzero()[0]) + 1
-            raise InputDataError(
-                f"{self._at('time_s', i)} is {self.time_s[i].item():g} after "
-                f"{self.time_s[i - 1].item():g}; times must "
-                "increase strictly: remove the duplicate, or sort the rows."
-            )
+            wrong = ~getattr(self, name).isfinite()
+            self._refuse(wrong, name, "{}; leave lost frames out of the trace.")
+        text = "{:g}; a radius is positive: leave out frames without a bubble."
+        self._refuse(radius <= 0.0, "radius_m", text)
+        backwards = torch.nn.functional.pad(time.diff(), (1, 0), value=1.0) <= 0.0
+        text = (
+            "{:g} after {:g}; times must increase strictly: remove the duplicate, or sort the rows."
+        )
+        self._refuse(backwards, "time_s", text)
 
     def _check_units(self) -> None:
         top = float(self.radius_m.max())
-        low = float(self.radius_m.min())
-        if top > RADIUS_RANGE_M[1]:
-            unit = "millimetres" if top < 10.0 else "micrometres"
-            remedy = (
-                "radius_unit=mm"
-                if top < 10.0
-                else "radius_unit=um (or px with a pixel_size if the numbers are pixels)"
-            )
+        smallest, largest = RADIUS_RANGE_M
+        if not smallest <= top <= largest:
+            guess = "metres converted once too often: write radius_unit=m"
+            if top >= 10.0:
+                guess = (
+                    "micrometres given as metres: write radius_unit=um (or px with a pixel_size "
+                    "if the numbers are pixels)"
+                )
+            elif top > largest:
+                guess = "millimetres given as metres: write radius_unit=mm"
             raise InputDataError(
                 f"{self._at('radius_m')} is {top:.4g} at its largest, in m; bubbles lie between "
-                "1e-07 and 0.1 m. "
-                f"This looks like {unit} given as metres: write {remedy} into --layout."
+                f"1e-07 and 0.1 m. This looks like {guess} into --layout."
             )
-        if top < RADIUS_RANGE_M[0]:
-            raise InputDataError(
-                f"{self._at('radius_m')} is {top:.4g} at its largest, in m; bubbles lie between "
-                "1e-07 and 0.1 m. "
-                "This looks like metres converted once too often: write radius_unit=m into "
-                "--layout."
-            )
-        if low < RADIUS_RANGE_M[0]:
-            i = int(self.radius_m.argmin())
-            raise InputDataError(
-                f"{self._at('radius_m', i)} is {low:.4g} m, below what a camera can see (1e-07 "
-                "m): set the frame to "
-                "NaN if the bubble was lost in it."
-            )
+        text = (
+            "{:.4g} m, below what a camera can see (1e-07 m): set the frame to NaN if the bubble "
+            "was lost in it."
+        )
+        self._refuse(self.radius_m < smallest, "radius_m", text)
         duration = float(self.time_s[-1] - self.time_s[0])
-        if not DURATION_RANGE_S[0] <= duration <= DURATION_RANGE_S[1]:
-            long = duration > DURATION_RANGE_S[1]
-            guess = (
-                "microseconds (or frames) given as seconds"
-                if long
-                else "seconds converted once too often"
-            )
-            remedy = "time_unit=us (or frames with a frame_interval)" if long else "time_unit=s"
+        shortest, longest = DURATION_RANGE_S
+        if not shortest <= duration <= longest:
+            guess = "seconds converted once too often: write time_unit=s"
+            if duration > longest:
+                guess = (
+                    "microseconds (or frames) given as seconds: write time_unit=us (or frames "
+                    "with a frame_interval)"
+                )
             raise InputDataError(
                 f"{self._at('time_s')} spans {duration:.4g} s; records last between 1e-07 and 1 "
-                "s. This looks like "
-                f"{guess}: write {remedy} into --layout."
+                f"s. This looks like {guess} into --layout."
             )
 
 
@@ -279,7 +264,7 @@ class LeftOut:
             ``"1-7, 12"``.
         reason: why they were left out.
 
-    >>> from imr_torch.observe import LeftOut
+    >>> from imr_torch.reading import LeftOut
     >>> lost = LeftOut("gel.csv", "shot 1", "4-6", "lost frames")
     >>> lost.rows, lost.reason
     ('4-6', 'lost frames')
@@ -289,6 +274,12 @@ class LeftOut:
     experiment_id: str
     rows: str
     reason: str
+
+    @property
+    def count(self) -> int:
+        """How many rows."""
+        ends = [[int(x) for x in part.split("-")] for part in self.rows.split(", ") if part]
+        return sum(end[-1] - end[0] + 1 for end in ends)
 
 
 def row_ranges(rows: Iterable[int]) -> str:
@@ -315,7 +306,7 @@ class TraceSet:
         InputDataError: if two traces have the same id.
 
     >>> import torch
-    >>> from imr_torch.observe import RadiusTrace, TraceSet
+    >>> from imr_torch.reading import RadiusTrace, TraceSet
     >>> trace = RadiusTrace("shot 1", torch.tensor([0.0, 1e-6, 2e-6]), torch.tensor([2e-4, 1.9e-4, 1.7e-4]), "example")
     >>> print(TraceSet((trace,)).report())
     1 curve(s):
@@ -390,23 +381,15 @@ class TraceSet:
         traces = [trace for s in sets for trace in s.traces]
         left_out = [x for s in sets for x in s.left_out]
         notes = [x for s in sets for x in s.notes]
-        for prefix in (_stem, _folder_and_stem):
+        for folder in (False, True):
             counts = Counter(t.experiment_id for t in traces)
             new = {
-                (t.source, t.experiment_id): f"{prefix(t)}"
+                (t.source, t.experiment_id): _longer_name(t, folder=folder)
                 for t in traces
                 if counts[t.experiment_id] > 1
             }
-            if not new:
-                break
-            traces = [
-                replace(t, experiment_id=new.get((t.source, t.experiment_id), t.experiment_id))
-                for t in traces
-            ]
-            left_out = [
-                replace(x, experiment_id=new.get((x.file, x.experiment_id), x.experiment_id))
-                for x in left_out
-            ]
+            traces = [replace(t, experiment_id=_renamed(new, t.source, t)) for t in traces]
+            left_out = [replace(x, experiment_id=_renamed(new, x.file, x)) for x in left_out]
             notes += [
                 f"{file}: experiment '{old}' is named '{name}' here."
                 for (file, old), name in new.items()
@@ -423,12 +406,15 @@ class TraceSet:
                 f"  {t.experiment_id}: {len(t)} frames over {span:.4g} us, largest radius "
                 f"{top:.4g} um"
             )
+            if t.asphericity is not None:
+                low, high = t.asphericity.aminmax()
+                lines.append(f"    asphericity a/b - 1 from {low:.2g} to {high:.2g}")
         every = "Every row of the files was read."
         lines.append(
             f"{len(self.left_out)} record(s) of rows left out:" if self.left_out else every
         )
         lines += [
-            f"  {x.file} [{x.experiment_id or '-'}] row(s) {x.rows or '-'}: {x.reason}"
+            f"  {x.file} [{x.experiment_id or '-'}] row(s) {x.rows or '-'} ({x.count} in all): {x.reason}"
             for x in self.left_out
         ]
         if self.notes:
@@ -436,12 +422,15 @@ class TraceSet:
         return "\n".join(lines)
 
 
-def _stem(trace: RadiusTrace) -> str:
-    return f"{Path(trace.source).stem}:{trace.experiment_id}"
+def _longer_name(trace: RadiusTrace, *, folder: bool) -> str:
+    """The id of a trace after the name of its file, or of its folder."""
+    source = Path(trace.source)
+    before = f"{source.parent.name}/" if folder else f"{source.stem}:"
+    return f"{before}{trace.experiment_id}"
 
 
-def _folder_and_stem(trace: RadiusTrace) -> str:
-    return f"{Path(trace.source).parent.name}/{trace.experiment_id}"
+def _renamed(names: Mapping[tuple[str, str], str], file: str, named: RadiusTrace | LeftOut) -> str:
+    return names.get((file, named.experiment_id), named.experiment_id)
 
 
 def _some(names: Sequence[str], limit: int = 8) -> str:

@@ -1,0 +1,587 @@
+"""From what a file holds to curves in SI units, with a record of every row left out.
+
+A :class:`~imr_torch.reading.layout.Layout` says what names mean. Which entries of a longer list of
+maximum radii belong to the curves is worked out: all curves of one camera have the same frame
+spacing once their dimensionless times are undone.
+"""
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+
+from imr_torch.errors import InputDataError
+from imr_torch.reading.content import Content
+from imr_torch.reading.layout import KNOWN_LAYOUTS, LENGTHS, TIMES, Layout
+from imr_torch.reading.names import Said, headings_of, infer_layout, unit_of
+from imr_torch.reading.traces import (
+    MIN_SAMPLES,
+    RADIUS_RANGE_M,
+    Given,
+    LeftOut,
+    RadiusTrace,
+    TraceSet,
+    row_ranges,
+)
+
+_TABLES = ("experiment_table", "separated_table")
+
+
+@dataclass(frozen=True, eq=False)
+class RawCurve:
+    """One curve as rows of a file: NaN or zero radii still in it.
+
+    Args:
+        file: the file, for messages.
+        experiment_id: name of the experiment.
+        time: ``n`` array of times (in s once converted), or None where the file has no times.
+        radius: ``n`` array of radii (in m once converted).
+        rows: ``n`` array of row numbers counted from 1.
+        asphericity: ``n`` array, or None: see :class:`imr_torch.reading.RadiusTrace`.
+        given: what the laboratory says.
+    """
+
+    file: str
+    experiment_id: str
+    time: np.ndarray | None
+    radius: np.ndarray
+    rows: np.ndarray
+    asphericity: np.ndarray | None = None
+    given: Given = field(default_factory=Given)
+
+    @property
+    def where(self) -> str:
+        """File and experiment, for messages."""
+        return f"{self.file}: experiment '{self.experiment_id}'"
+
+    @property
+    def times(self) -> np.ndarray:
+        """The times, once they are known."""
+        assert self.time is not None
+        return self.time
+
+    def take(self, index: np.ndarray) -> "RawCurve":
+        """The curve at some of its rows, in the order of an index."""
+        parts = {
+            name: None if getattr(self, name) is None else getattr(self, name)[index]
+            for name in ("time", "radius", "rows", "asphericity")
+        }
+        return replace(self, **parts)
+
+    def without(self, keep: np.ndarray, reason: str) -> tuple["RawCurve", list[LeftOut]]:
+        """The curve with the rows where the ``n`` boolean array ``keep`` holds, and a record of the
+        others.
+        """
+        if keep.all():
+            return self, []
+        record = LeftOut(self.file, self.experiment_id, row_ranges(self.rows[~keep]), reason)
+        return self.take(np.flatnonzero(keep)), [record]
+
+
+def curves_of(content: Content, layout: Layout | None, said: Said, *, sort: bool) -> TraceSet:
+    """The curves of a file in SI units, and what was left out of them.
+
+    Args:
+        content: what the file holds.
+        layout: what its names mean; None: they must say it themselves.
+        said: what the JSON file beside it says.
+        sort: whether rows are put in the order of their times.
+
+    Raises:
+        InputDataError: if the file cannot be used; the message names place, value and remedy.
+    """
+    notes = []
+    if layout is None:
+        layout, notes = find_layout(content, said)
+    else:
+        _check_units(content, layout)
+    raw, left_out = _split(content, layout)
+    interval = content.number("frame_interval", layout.frame_interval)
+    pixel = content.number("pixel_size", layout.pixel_size)
+    tops, more = _max_radii(content, layout, raw, interval)
+    rests = _rest_radii(content, layout, len(raw))
+    traces = []
+    for curve, top, rest in zip(raw, tops, rests, strict=True):
+        top_m = None if top is None else top * LENGTHS[layout.max_radius_unit]
+        converted = _to_si(_mark_absent(curve, layout), layout, interval, pixel, top_m)
+        if rest is not None:
+            rest_m = rest * _metres(layout.rest_radius_unit, pixel, top_m)
+            converted = replace(converted, given=replace(converted.given, rest_radius_m=rest_m))
+        converted, peak = _without_peak(converted, layout)
+        trace, dropped = _to_trace(converted, sort=sort)
+        left_out += [*peak, *dropped]
+        traces += [] if trace is None else [trace]
+    if not traces:
+        why = "; ".join(f"row(s) {x.rows or '-'}: {x.reason}" for x in left_out[:4])
+        raise InputDataError(
+            f"{content.path}: no usable curve ({why or 'it holds no curve'}). Give a record with "
+            f"at least {MIN_SAMPLES} frames of the bubble."
+        )
+    return TraceSet(tuple(traces), tuple(left_out), (*notes, *more))
+
+
+def find_layout(content: Content, said: Said) -> tuple[Layout, list[str]]:
+    """The known layout whose names a file holds, or the one that names and units say; and notes."""
+    fitting = {
+        name: known
+        for name, known in KNOWN_LAYOUTS.items()
+        if (name in _TABLES) == content.is_table
+        and all(len(content.names_like(x)) == 1 for x in known.names())
+        and _has_rows_of(content, known.separator)
+    }
+    if len(fitting) > 1:
+        possible = {name: x for name, x in fitting.items() if _is_possible(content, x)} or fitting
+        most = max(len(x.names()) for x in possible.values())
+        fitting = {name: x for name, x in possible.items() if len(x.names()) == most}
+    if len(fitting) > 1:
+        raise InputDataError(
+            f"{content.path}: several known layouts fit ({', '.join(fitting)}). The file holds: "
+            f"{content.describe()}. Say what they mean with --layout "
+            '"radius=<name>,radius_unit=um,time=<name>,time_unit=us" (in Python '
+            'layout=Layout.from_text("...")).'
+        )
+    if fitting:
+        ((name, layout),) = fitting.items()
+        return layout, [f"{content.path}: read with the known layout '{name}'."]
+    layout = infer_layout(content, _declared(content, said))
+    time = f"frames {layout.frame_interval:g} s apart" if layout.frame_interval else ""
+    if layout.time:
+        time = f"time from '{layout.time}' in {layout.time_unit}"
+    radius = f"radius from '{layout.radius}' in {layout.radius_unit}"
+    if layout.symmetry_axis:
+        radius = (
+            f"half axes a and b of an ellipsoid from '{layout.radius}' and "
+            f"'{layout.symmetry_axis}' in {layout.radius_unit}, R = (a^2 b)^(1/3)"
+        )
+    size = "; of metres and micrometres these fit a bubble" if layout.absent else ""
+    return layout, [f"{content.path}: {radius}, {time}{size}."]
+
+
+def _has_rows_of(content: Content, value: float | None) -> bool:
+    return value is None or bool(_separators(content, value).any())
+
+
+def _separators(content: Content, value: float) -> np.ndarray:
+    """Rows of a table that consist of one number alone."""
+    if any(isinstance(column, list) for column in content.values.values()):
+        return np.zeros(1, dtype=bool)
+    return (np.stack(list(content.values.values())) == value).all(0)
+
+
+def _is_possible(content: Content, layout: Layout) -> bool:
+    """Whether a bubble may have the radii of a file by a layout."""
+    largest = float(np.nanmax(content.entries(layout.radius), initial=0.0))
+    low, high = RADIUS_RANGE_M
+    return low < largest * LENGTHS.get(layout.radius_unit, math.nan) < high or (
+        layout.radius_unit not in LENGTHS
+    )
+
+
+def _declared(content: Content, said: Said) -> Said:
+    """What is said beside the file, with the units that the file itself declares, as IMRFit does."""
+    units = {}
+    for name, allowed in (("time_unit", TIMES), ("radius_unit", LENGTHS)):
+        if content.is_table or name not in content.values:
+            continue
+        written = content.values[name]
+        unit = unit_of(written) if isinstance(written, str) else None
+        if unit not in allowed:
+            raise InputDataError(
+                f"{content.path}: variable '{name}' is {str(written)[:40]!r}; expected one of "
+                f"{', '.join(allowed)}: export it again."
+            )
+        units[name] = unit
+    return replace(said, **units)
+
+
+def _radius_names(content: Content, layout: Layout) -> list[str]:
+    """The columns of radii: one, those joined by ``+``, or with ``*`` all but those of times and
+    names.
+    """
+    if layout.radius == "*":
+        named = (layout.time, layout.experiment)
+        other = {content.find(name) for name in named if name is not None}
+        found = [name for name in content.values if name not in other]
+        if not found:
+            raise InputDataError(
+                f"{content.path}: radius=* names every other column, and there is none; add a "
+                "column of radii."
+            )
+        return found
+    if layout.radius in content.values or "+" not in layout.radius:
+        return [content.find(layout.radius)]
+    return [content.find(name.strip()) for name in layout.radius.split("+")]
+
+
+def _check_units(content: Content, layout: Layout) -> None:
+    """Refuse a layout that contradicts a unit written in the header of a table."""
+    if not content.is_table:
+        return
+    written = {heading.name: heading.unit for heading in headings_of(content)}
+    asked = [(column, layout.radius_unit) for column in _radius_names(content, layout)]
+    asked += [(layout.time, layout.time_unit)] if layout.time in content.values else []
+    for column, unit in asked:
+        if written[column] is not None and written[column] != unit:
+            raise InputDataError(
+                f"{content.path}: column '{column}' is in {written[column]} by its header and in "
+                f"{unit} by the layout; correct the layout, or leave it out."
+            )
+
+
+def _split(content: Content, layout: Layout) -> tuple[list[RawCurve], list[LeftOut]]:
+    """The curves in the units of the file, and rows left out on the way."""
+    file = str(content.path)
+    names = _radius_names(content, layout)
+    radii = [(name, cell) for name in names for cell in content.vectors(name)]
+    beside = []
+    for name in (layout.time, layout.symmetry_axis):
+        vectors = [None] if name is None else content.vectors(name)
+        vectors = vectors * len(radii) if len(vectors) == 1 else vectors
+        if len(vectors) != len(radii):
+            what = "times" if name == layout.time else "half axes"
+            raise InputDataError(
+                f"{file}: '{name}' holds {len(vectors)} vectors and '{layout.radius}' "
+                f"{len(radii)}; expected one vector of {what} for each curve, or one for all."
+            )
+        beside.append(vectors)
+    groups, left_out = _groups(content, layout)
+    curves = []
+    for i, ((column, radius), time, axis) in enumerate(zip(radii, *beside, strict=True)):
+        for name, other in ((layout.time, time), (layout.symmetry_axis, axis)):
+            if other is not None and len(other) != len(radius):
+                raise InputDataError(
+                    f"{file}: curve {i + 1}: '{name}' has {len(other)} samples and "
+                    f"'{layout.radius}' {len(radius)}; give one for every radius."
+                )
+        asphericity = None
+        if axis is not None:
+            seen = (radius > 0.0) & (axis > 0.0)
+            asphericity = np.divide(radius, axis, out=np.full(len(axis), np.nan), where=seen) - 1.0
+            radius = np.where(seen, np.cbrt(radius * radius * axis), np.nan)
+        rows = np.arange(1, len(radius) + 1) if content.rows is None else content.rows
+        whole = RawCurve(file, "", time, radius, rows, asphericity)
+        numbered = f"{content.path.stem}_{i + 1:02d}"
+        for group, chosen in groups.items():
+            label = group or content.path.stem
+            if len(names) > 1:
+                label = column if len(groups) == 1 else f"{group}:{column}"
+            elif len(radii) > 1:
+                label = numbered
+            curve = whole if chosen is None else whole.take(chosen)
+            curves.append(replace(curve, experiment_id=label))
+    return curves, left_out
+
+
+def _groups(content: Content, layout: Layout) -> tuple[dict[str, np.ndarray | None], list[LeftOut]]:
+    """Row indices of each curve, by experiment column, by separator rows, or all in one."""
+    file = str(content.path)
+    if layout.experiment is not None:
+        column = content.find(layout.experiment)
+        groups: dict[str, list[int]] = {}
+        for i, label in enumerate(content.texts.get(column, content.values[column])):
+            groups.setdefault(str(label), []).append(i)
+        if "" in groups:
+            row = groups[""][0]
+            line = row + 1 if content.rows is None else content.rows[row]
+            raise InputDataError(
+                f"{file}: row {line}, column '{layout.experiment}' is empty; name the experiment."
+            )
+        return {name: np.array(rows) for name, rows in groups.items()}, []
+    if layout.separator is None:
+        return {"": None}, []
+    rows = content.rows
+    assert rows is not None
+    marks = np.flatnonzero(_separators(content, layout.separator))
+    left_out = []
+    if len(marks):
+        left_out.append(LeftOut(file, "", row_ranges(rows[marks]), "separator rows between curves"))
+    bounds = zip([-1, *marks], [*marks, len(rows)], strict=True)
+    parts = [np.arange(a + 1, b) for a, b in bounds]
+    if len(marks) and 0 < len(parts[0]) < MIN_SAMPLES:
+        stray = "stray row(s) before the first separator"
+        left_out.append(LeftOut(file, "", row_ranges(rows[parts[0]]), stray))
+        parts = parts[1:]
+    filled = [part for part in parts if len(part)]
+    return {f"{content.path.stem}_{i:03d}": part for i, part in enumerate(filled, 1)}, left_out
+
+
+def _metres(unit: str, pixel_size: float | None, max_radius: float | None) -> float:
+    """Metres per unit of radii."""
+    size = {**LENGTHS, "px": pixel_size, "dimensionless": max_radius}[unit]
+    assert size is not None
+    return size
+
+
+def _mark_absent(curve: RawCurve, layout: Layout) -> RawCurve:
+    """The curve with radius 0 where the file marks a frame without a bubble."""
+    radius = curve.radius.copy()
+    seen = np.flatnonzero(radius > 0.0)
+    absent = (radius == -1.0) | (np.arange(len(radius)) < (seen[0] if len(seen) else 0))
+    absent |= layout.absent == "negative"
+    radius[absent & (radius < 0.0) & np.isfinite(radius)] = 0.0
+    return replace(curve, radius=radius)
+
+
+def _to_si(
+    curve: RawCurve,
+    layout: Layout,
+    interval: float | None,
+    pixel_size: float | None,
+    max_radius: float | None,
+    *,
+    tolerance: float = 0.01,
+) -> RawCurve:
+    """The curve in s and m; ``tolerance``: of the frame interval that is stated beside times."""
+    if max_radius is not None and not 0.0 < max_radius < math.inf:
+        raise InputDataError(
+            f"{curve.where}: max_radius is {max_radius / LENGTHS[layout.max_radius_unit]}; "
+            "expected a positive length."
+        )
+    radius = curve.radius * _metres(layout.radius_unit, pixel_size, max_radius)
+    given = curve.given if max_radius is None else replace(curve.given, max_radius_m=max_radius)
+    if curve.time is None or layout.time_unit == "frames":
+        assert interval is not None
+        frames = np.arange(len(radius)) if curve.time is None else curve.time
+        return replace(curve, time=frames * interval, radius=radius, given=given)
+    scale = TIMES.get(layout.time_unit)
+    time = curve.time * ((max_radius or 1.0) * layout.time_per_length if scale is None else scale)
+    if interval is not None and len(time) > 1:
+        step = float(np.nanmedian(np.diff(time)))
+        if not abs(step / interval - 1.0) <= tolerance:
+            raise InputDataError(
+                f"{curve.where}: times are {step:.4g} s apart and frame_interval is "
+                f"{interval:.4g} s; correct time_unit={layout.time_unit}, max_radius or "
+                "frame_interval in --layout."
+            )
+    return replace(curve, time=time, radius=radius, given=given)
+
+
+def _without_peak(curve: RawCurve, layout: Layout) -> tuple[RawCurve, list[LeftOut]]:
+    """The curve without a peak that its source inserted, which is given as the maximum."""
+    chosen = np.zeros(len(curve.radius), dtype=bool)
+    if layout.inserted_peak == "first_row":
+        chosen[:1] = True
+    elif layout.inserted_peak == "time_zero":
+        chosen = curve.times == 0.0
+    if not chosen.any():
+        return curve, []
+    peak = float(curve.radius[chosen][0])
+    stated = curve.given.max_radius_m
+    if not peak > 0.0 or (stated is not None and abs(peak / stated - 1.0) > 0.01):
+        raise InputDataError(
+            f"{curve.where}, row {curve.rows[chosen][0]}: radius {peak:.5g} m is not the fitted "
+            f"peak (max_radius {stated} m) that inserted_peak='{layout.inserted_peak}' announces; "
+            "write inserted_peak=none into --layout if the row is a camera frame."
+        )
+    at = float(curve.times[chosen][0])
+    given = replace(curve.given, max_radius_m=stated or peak, time_of_max_s=at)
+    reason = "fitted peak inserted by the source, not a camera frame"
+    return replace(curve, given=given).without(~chosen, reason)
+
+
+def _to_trace(
+    curve: RawCurve, *, sort: bool, few: float = 0.02
+) -> tuple[RadiusTrace | None, list[LeftOut]]:
+    """Drop the frames without a bubble and build the trace.
+
+    Args:
+        curve: in SI units.
+        sort: whether rows are put in the order of their times.
+        few: share of the frames that may have an impossible radius and are dropped as lost; more
+            are another unit, or no radius.
+
+    Returns:
+        The trace (None if fewer than ``MIN_SAMPLES`` frames are left) and what was left out.
+
+    Raises:
+        InputDataError: on infinite values, more than single negative ones, times that do not
+            increase, and implausible units.
+    """
+    radius = curve.radius
+    impossible = (radius < RADIUS_RANGE_M[0]) & (radius != 0.0) & ~np.isneginf(radius)
+    left_out: list[LeftOut] = []
+    if impossible.sum() <= few * len(radius):
+        reason = "radius negative or smaller than a camera sees (lost frames)"
+        curve, left_out = curve.without(~impossible, reason)
+    _check_rows(curve)
+    empty = np.isnan(curve.radius) | (curve.radius == 0.0) | np.isnan(curve.times)
+    seen = np.flatnonzero(~empty)
+    first, last = (seen[0], seen[-1]) if len(seen) else (len(empty), len(empty))
+    index = np.arange(len(empty))
+    for chosen, place in (
+        (index < first, "before the first frame with a bubble (before nucleation)"),
+        ((index > first) & (index < last), "between frames with a bubble (lost frames)"),
+        (index > last, "after the last frame with a bubble (lost frames)"),
+    ):
+        _, record = curve.without(~(empty & chosen), f"radius 0, negative or NaN {place}")
+        left_out += record
+    curve = curve.take(seen)
+    if sort:
+        order = np.argsort(curve.times, kind="stable")
+        curve = curve.take(order)
+        fresh = np.diff(curve.times, prepend=-np.inf) > 0.0
+        curve, record = curve.without(fresh, "its time is that of another row")
+        left_out += record
+    if len(curve.radius) < MIN_SAMPLES:
+        reason = (
+            f"only {len(curve.radius)} frame(s) with a bubble; a curve needs at least {MIN_SAMPLES}"
+        )
+        short = LeftOut(curve.file, curve.experiment_id, row_ranges(curve.rows), reason)
+        return None, [*left_out, short]
+    _check_order(curve)
+    time = torch.from_numpy(curve.times.copy())
+    radii = torch.from_numpy(curve.radius.copy())
+    shape = None if curve.asphericity is None else torch.from_numpy(curve.asphericity.copy())
+    trace = RadiusTrace(curve.experiment_id, time, radii, curve.file, curve.given, shape)
+    return trace, left_out
+
+
+def _check_rows(curve: RawCurve) -> None:
+    for name, values in (("time", curve.times), ("radius", curve.radius)):
+        if np.isinf(values).any():
+            i = int(np.flatnonzero(np.isinf(values))[0])
+            raise InputDataError(
+                f"{curve.where}, row {curve.rows[i]}: {name} is {values[i]}; write NaN for a lost "
+                "frame."
+            )
+    if (curve.radius < 0).any():
+        i = int(np.flatnonzero(curve.radius < 0)[0])
+        raise InputDataError(
+            f"{curve.where}, row {curve.rows[i]}: radius is {curve.radius[i]:g} m, which is "
+            "negative. Write NaN for a lost frame; if such rows separate curves, write "
+            "separator=<that number> into --layout."
+        )
+
+
+def _check_order(curve: RawCurve) -> None:
+    time = curve.times
+    step = np.diff(time)
+    if (step <= 0).any():
+        i = int(np.flatnonzero(step <= 0)[0]) + 1
+        what = "repeats" if step[i - 1] == 0 else "goes back from"
+        raise InputDataError(
+            f"{curve.where}, row {curve.rows[i]}: time {time[i]:.6g} s {what} {time[i - 1]:.6g} s "
+            f"of row {curve.rows[i - 1]}; times must increase strictly: remove the duplicate row, "
+            "or let --sort (in Python sort=True) sort the rows by time."
+        )
+
+
+def _rest_radii(content: Content, layout: Layout, count: int) -> list[float | None]:
+    """The rest radius of each curve, in the unit of the file."""
+    if layout.rest_radius is None or count == 0:
+        return [None] * count
+    found = content.entries(layout.rest_radius)
+    if len(found) not in (1, count) or not (found > 0.0).all():
+        raise InputDataError(
+            f"{content.path}: variable '{layout.rest_radius}' (rest_radius) holds {found[:6]} for "
+            f"{count} curves; expected one positive length, or one for each curve: write "
+            "rest_radius=none into --layout to leave it aside."
+        )
+    return np.broadcast_to(found, count).tolist()
+
+
+def _max_radii(
+    content: Content, layout: Layout, raw: Sequence[RawCurve], interval: float | None
+) -> tuple[list[float | None], list[str]]:
+    """The maximum radius of each curve, in the unit of the file, and notes on how it was chosen.
+
+    Raises:
+        InputDataError: if the entries cannot be assigned to the curves in exactly one way.
+    """
+    if not isinstance(layout.max_radius, str) or content.is_table:
+        return [content.number("max_radius", layout.max_radius)] * len(raw), []
+    file = content.path
+    found = content.entries(layout.max_radius)
+    named = layout.max_radius_entries
+    if named is not None:
+        if len(named) != len(raw) or max(named) > len(found):
+            raise InputDataError(
+                f"{file}: max_radius_entries={named} for {len(raw)} curves and {len(found)} "
+                f"entries of '{layout.max_radius}'; give one entry number (from 1 to "
+                f"{len(found)}) for each curve."
+            )
+        return [float(found[i - 1]) for i in named], []
+    if len(found) in (1, len(raw)):
+        return np.broadcast_to(found, len(raw)).tolist(), []
+    if len(found) < len(raw):
+        raise InputDataError(
+            f"{file}: variable '{layout.max_radius}' has {len(found)} entries for {len(raw)} "
+            "curves; one entry for each curve is needed: add the missing ones, or give max_radius "
+            "as a number."
+        )
+    choice, note = _choose_entries(content, layout, found, raw, interval)
+    return [float(found[i]) for i in choice], [note]
+
+
+def _choose_entries(
+    content: Content,
+    layout: Layout,
+    found: np.ndarray,
+    raw: Sequence[RawCurve],
+    interval: float | None,
+    *,
+    tolerance: float = 0.01,
+    common_tolerance: float = 0.002,
+    most: int = 20_000,
+) -> tuple[tuple[int, ...], str]:
+    """The one order-preserving choice of entries under which all curves have the same frame
+    spacing.
+
+    Args:
+        content: the file.
+        layout: what its names mean.
+        found: entries of the maximum radius.
+        raw: the curves, fewer than the entries.
+        interval: time between frames in s, if known.
+        tolerance: relative, of spacings from a known interval.
+        common_tolerance: relative, between the spacings of curves.
+        most: choices that are tried.
+    """
+    counts = (
+        f"{content.path}: variable '{layout.max_radius}' has {len(found)} entries for {len(raw)} "
+        "curves"
+    )
+    numbers = "+".join(str(i + 1) for i in range(len(raw)))
+    by_hand = f"max_radius_entries={numbers} in --layout (entry numbers from 1, one for each curve)"
+    if layout.time_unit != "dimensionless":
+        raise InputDataError(f"{counts}; say which belong to them with {by_hand}.")
+    if math.comb(len(found), len(raw)) > most:
+        raise InputDataError(
+            f"{counts}, too many choices to try; say which belong to them with {by_hand}."
+        )
+    steps = np.array([float(np.nanmedian(np.diff(curve.times))) for curve in raw])
+    seconds = found * LENGTHS[layout.max_radius_unit] * layout.time_per_length
+    implied = steps[:, None] * seconds
+
+    def agrees(spacings: np.ndarray) -> bool:
+        if interval is not None:
+            return bool(np.all(np.abs(spacings / interval - 1.0) <= tolerance))
+        return bool(np.ptp(spacings) <= common_tolerance * spacings.mean())
+
+    choices = itertools.combinations(range(len(found)), len(raw))
+    fitting = [choice for choice in choices if agrees(implied[range(len(raw)), choice])]
+    if len(fitting) == 1:
+        chosen = fitting[0]
+        listed = ", ".join(f"{implied[k, i]:.4g}" for k, i in enumerate(chosen))
+        how = "no other choice makes them equal"
+        if interval:
+            how = "they match the frame interval given"
+        return chosen, (
+            f"{counts}: entries {', '.join(str(i + 1) for i in chosen)} are used, in order; the "
+            f"frame spacings they imply are {listed} s, and {how}. Name them with "
+            "max_radius_entries to override this."
+        )
+    table = "; ".join(
+        f"curve {k + 1}: " + ", ".join(f"{x:.4g}" for x in row) for k, row in enumerate(implied)
+    )
+    why = f"{len(fitting)} choices fit" if fitting else "no choice fits"
+    target = ", equal for all curves (within 0.2 %)"
+    if interval:
+        target = f" of {interval:g} s (within 1 %)"
+    raise InputDataError(
+        f"{counts}, and {why} a frame spacing{target}. Give frame_interval=<seconds between "
+        f"frames>, or {by_hand}. Frame spacings in s implied by each entry: {table}."
+    )

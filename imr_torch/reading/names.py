@@ -1,0 +1,384 @@
+"""Names and units of columns and variables: which is the time, which the radius, and in what unit.
+
+A unit is read where it is written (``time (us)``, ``R [um]``, ``t_us``, ``R/mm``, a row of units
+below the header, the JSON file beside), or is that of the program that wrote the file. The size of
+numbers decides one thing alone: whether variables that IMR codes name ``R`` and ``t`` are in metres
+or in micrometres, where no bubble could be in the other. Else it only chooses the option that an
+error proposes.
+"""
+
+import math
+import re
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imr_torch.errors import InputDataError
+from imr_torch.reading.content import Content
+from imr_torch.reading.layout import LENGTHS, TIMES, Layout
+from imr_torch.reading.traces import MIN_SAMPLES, RADIUS_RANGE_M
+
+_UNITS = {
+    "s": "s sec second seconds",
+    "ms": "ms msec millisecond milliseconds",
+    "us": "us usec microsecond microseconds mus",
+    "ns": "ns nsec nanosecond nanoseconds",
+    "frames": "frame frames",
+    "m": "m meter meters metre metres",
+    "mm": "mm millimeter millimeters millimetre millimetres",
+    "um": "um micron microns micrometer micrometers micrometre micrometres mum",
+    "px": "px pix pixel pixels",
+    "dimensionless": "dimensionless nondim rmax r_max - 1",
+}
+_ALIASES = {alias: unit for unit, aliases in _UNITS.items() for alias in aliases.split()}
+_ROLES = {
+    "time": "t time times texp timestamp elapsedtime",
+    "frames": "frame frames frameno framenr framenumber frameindex",
+    "radius": "r radius radii rexp rad rt rnew roft bubbleradius meanradius averageradius "
+    "equivalentradius",
+    "half axis a": "a axisa semiaxisa halfaxisa",
+    "half axis b": "b axisb semiaxisb halfaxisb",
+    "experiment": "experimentid experiment id shot shotid curve curveid trial run bubble",
+}
+_ERROR = re.compile(r"(^|[^a-z])(sd|std|err|error|sigma|uncertainty)([^a-z]|$)", re.IGNORECASE)
+_OF_PROGRAMS = (
+    ("BubbleTrack", ("Radius", "CircleFitPar"), {"Radius": "px"}),
+    ("InCA", ("Average Radius", "Surface Area"), {"Average Radius": "px"}),
+    ("InCA", ("RoFT", "FTs"), {"RoFT": "px", "t": "s"}),
+)
+"""Program, names that show it, and the units of its names."""
+_OF_IMR_CODES = (("R", "t"), ("Rnew", "t"), ("R2", "t2"), ("R_exp", "t_exp"), ("R1_exp", "t_exp"))
+"""Names of radius and time that IMR codes save in m, or um, and s."""
+_REST = ("Req", "R_eq", "R1_eq")
+
+
+@dataclass(frozen=True)
+class Heading:
+    """One column or variable.
+
+    Args:
+        name: as in the file.
+        bare: the name without its unit, and without the struct that it is a field of.
+        unit: one of the units of a :class:`~imr_torch.reading.layout.Layout`, or None.
+    """
+
+    name: str
+    bare: str
+    unit: str | None
+
+    @property
+    def role(self) -> str | None:
+        """``"time"``, ``"frames"``, ``"radius"``, ``"diameter"``, ``"half axis a"``, ``"half axis
+        b"``, ``"experiment"``, or None where the name does not say.
+        """
+        plain = re.sub(r"[^a-z]", "", self.bare.lower())
+        if _ERROR.search(self.bare):
+            return None
+        if plain == "d" or "diam" in plain:
+            return "diameter"
+        role = next((role for role, names in _ROLES.items() if plain in names.split()), None)
+        if role in ("half axis a", "half axis b") and any(map(str.isdigit, self.bare)):
+            return None  # a coefficient, such as a1
+        return None if role == "experiment" and self.unit is not None else role
+
+    @property
+    def is_length(self) -> bool:
+        """Whether the unit is one of radii."""
+        return self.unit in (*LENGTHS, "px")
+
+
+def unit_of(text: str, units: Collection[str] = tuple(_UNITS)) -> str | None:
+    """The unit among some that a text means, or None: ``"µs"``, ``"microseconds"`` and ``"[us]"``
+    are ``"us"``.
+    """
+    plain = text.strip().strip("()[]{}").strip().lower()
+    plain = plain.replace("\u00b5", "u").replace("\u03bc", "u")
+    unit = _ALIASES.get(plain, plain)
+    return unit if unit in units else None
+
+
+def heading(name: str, below: str = "", units: Collection[str] = tuple(_UNITS)) -> Heading:
+    """A name with its unit, one of some: behind it in brackets, after a stroke, comma or
+    underscore, or in the row below.
+    """
+    text = name.strip()
+    for pattern in (
+        r"(.*?)\s*[(\[{]([^)\]}]*)[)\]}]",
+        r"(.+?)\s*/\s*(\S+)",
+        r"(.+?)\s*,\s*(\S+)",
+        r"(.+?)[_ ]([^_ ]+)",
+    ):
+        found = re.fullmatch(pattern, text)
+        unit = unit_of(found[2], units) if found else None
+        if found and unit is not None and found[2] != "1":
+            return Heading(name, found[1].strip(), unit)
+    unit = "dimensionless" if text.endswith("*") else unit_of(below, units)
+    return Heading(name, text, unit)
+
+
+def headings_of(content: Content) -> list[Heading]:
+    """Columns, or variables that are vectors, with their units."""
+    vectors = content.plain_vectors()
+    units = dict(content.units)
+    for _, shown_by, of_names in _OF_PROGRAMS:
+        if all(content.names_like(name) for name in shown_by):
+            units |= {full: u for name, u in of_names.items() for full in content.names_like(name)}
+    found = []
+    for name, value in content.values.items():
+        cells = isinstance(value, list) and value and all(isinstance(x, np.ndarray) for x in value)
+        if content.is_table or name in vectors or cells or _is_texts(value):
+            field = name if content.is_table else name.rpartition(".")[2]
+            part = heading(field, units.get(name, ""))
+            found.append(Heading(name, part.bare, part.unit))
+    return found
+
+
+def _is_texts(value: object) -> bool:
+    return isinstance(value, list) and bool(value) and all(isinstance(x, str) for x in value)
+
+
+@dataclass(frozen=True)
+class Said:
+    """What is said about all curves of a file, as far as a layout needs it."""
+
+    time_unit: str | None = None
+    radius_unit: str | None = None
+    frame_interval: float | None = None
+    pixel_size: float | None = None
+    max_radius: float | None = None
+
+
+def infer_layout(content: Content, said: Said) -> Layout:
+    """The layout that names and units say.
+
+    Args:
+        content: the file.
+        said: what the JSON file beside it says, or the file itself.
+
+    Raises:
+        InputDataError: if no column of radii is found, times are missing, or a unit is; the message
+            has the option to add.
+    """
+    file = content.path
+    headings = headings_of(content)
+    values = content.plain_vectors()
+    if not content.has_header and len(headings) == 2 and said.time_unit and said.radius_unit:
+        headings = [Heading("1", "t", None), Heading("2", "R", None)]
+    usable = [h for h in headings if h.name in values or h.role or h.unit]
+    usable = [h for h in usable if not _is_texts(content.values[h.name]) or content.is_table]
+    time = _time(usable)
+    radii = _radii(usable)
+    axes = [h for role in ("half axis a", "half axis b") for h in usable if h.role == role]
+    ellipse = not any(h.role == "radius" for h in radii) and len(axes) == 2 and axes[0].is_length
+    radii = axes[:1] if ellipse else radii
+    _check_kinds(file, usable, radii)
+    radii = [h for h in radii if h is not time]
+    experiment = _experiment(headings, (time, *radii))
+    if experiment is not None and not content.is_table:
+        labels = list(content.values[experiment.name])
+        shared = bool(radii) and len(labels) == np.size(content.values[radii[0].name])
+        few = len(set(map(str, labels))) * MIN_SAMPLES <= len(labels)
+        experiment = experiment if shared and few else None
+    proposal = _propose(usable, values, said)
+    if not radii or (time is None and said.frame_interval is None):
+        if not radii and any(name.startswith("struct_best_fit") for name in content.values):
+            raise InputDataError(
+                f"{file}: holds the parameters of a fit (struct_best_fit) and no curve; give the "
+                "file of the curve that was fitted."
+            )
+        what = "no column of radii" if not radii else "no column of times"
+        raise InputDataError(
+            f"{file}: {what} is found by its name or unit. The file holds: {content.describe()}. "
+            f"{proposal}"
+        )
+    radii = _in_one_unit(radii)
+    units = {h.unit or said.radius_unit for h in radii} | (
+        {axes[1].unit or said.radius_unit} if ellipse else set()
+    )
+    if len(units) > 1:
+        listed = ", ".join(f"'{h.name}'" for h in (axes if ellipse else radii))
+        raise InputDataError(
+            f"{file}: the columns of radii {listed} differ in their units; write all in one unit."
+        )
+    radius_unit = units.pop()
+    time_unit = None
+    if time is not None:
+        time_unit = "frames" if time.role == "frames" else time.unit or said.time_unit
+    by_size = False
+    if time is not None and not content.is_table and len(radii) == 1:
+        pair = (radii[0].name.rpartition(".")[2], time.name.rpartition(".")[2])
+        if radius_unit is None and pair in _OF_IMR_CODES and time_unit in (None, "s"):
+            radius_unit = _possible_unit(content, radii[0].name, time.name)
+            by_size = radius_unit is not None
+            time_unit = "s" if by_size else time_unit
+    lacking = [] if radius_unit else [f"'{h.name}'" for h in radii[:3]]
+    lacking += [] if time is None or time_unit else [f"'{time.name}'"]
+    if lacking or radius_unit is None:
+        verb = "has" if len(lacking) == 1 else "have"
+        raise InputDataError(f"{file}: {' and '.join(lacking)} {verb} no unit. {proposal}")
+    _check_scales(file, said, radii, time, radius_unit, time_unit)
+    rest = _rest_name(content) if not content.is_table and len(radii) == 1 else None
+    return Layout(
+        "+".join(h.name for h in radii),
+        radius_unit=radius_unit,
+        symmetry_axis=axes[1].name if ellipse else None,
+        time=None if time is None else time.name,
+        time_unit=time_unit or "s",
+        experiment=None if experiment is None else experiment.name,
+        frame_interval=said.frame_interval if time_unit in (None, "frames") else None,
+        pixel_size=said.pixel_size,
+        max_radius=said.max_radius if "dimensionless" in (radius_unit, time_unit) else None,
+        rest_radius=rest,
+        rest_radius_unit=radius_unit if rest else "m",
+        absent="negative" if by_size else None,
+    )
+
+
+def _in_one_unit(radii: list[Heading]) -> list[Heading]:
+    """The columns of radii, without those that repeat others in pixels or over Rmax."""
+    order = [*LENGTHS, "px", "dimensionless", None]
+    best = {h.bare: h for h in sorted(radii, key=lambda h: -order.index(h.unit))}
+    return [h for h in radii if best[h.bare] is h or h.unit == best[h.bare].unit]
+
+
+def _possible_unit(
+    content: Content, radius: str, time: str, *, lasts: tuple[float, float] = (0.05, 100.0)
+) -> str | None:
+    """``"m"`` or ``"um"``: in which of them, and in seconds, a bubble may be; None if in neither.
+
+    Args:
+        content: the file.
+        radius: name of the radii.
+        time: name of the times.
+        lasts: shortest and longest record, in ``Rmax sqrt(rho/p)``, .1 s/m in water at 1 atm.
+    """
+    largest = float(np.nanmax(content.entries(radius), initial=0.0))
+    seconds = content.entries(time)
+    finite = seconds[np.isfinite(seconds)]
+    span = float(finite.max() - finite.min()) if len(finite) else 0.0
+    for unit in ("m", "um"):
+        top = largest * LENGTHS[unit]
+        possible = RADIUS_RANGE_M[0] < top < RADIUS_RANGE_M[1]
+        if possible and lasts[0] < span / (0.1 * top) < lasts[1]:
+            return unit
+    return None
+
+
+def _rest_name(content: Content) -> str | None:
+    """The variable of the rest radius, if it is one positive number."""
+    for name in _REST:
+        value = content.values.get(name)
+        if isinstance(value, np.ndarray) and value.size == 1 and float(value) > 0.0:
+            return name
+    return None
+
+
+def _experiment(headings: Sequence[Heading], taken: Sequence[Heading | None]) -> Heading | None:
+    return next((h for h in headings if h.role == "experiment" and h not in taken), None)
+
+
+def _check_kinds(file: object, headings: Sequence[Heading], radii: Sequence[Heading]) -> None:
+    """Refuse diameters in the place of radii, and several columns of times."""
+    diameters = [h.name for h in headings if h.role == "diameter"]
+    if diameters and not radii:
+        raise InputDataError(
+            f"{file}: '{diameters[0]}' is a diameter by its name; divide it by 2 and name the "
+            "column R."
+        )
+    times = [f"'{h.name}'" for h in headings if h.role == "time"]
+    if len(times) > 1:
+        raise InputDataError(
+            f"{file}: {' and '.join(times)} are all times. If one holds for all radii, name it "
+            f'with --layout "radius=<name>,radius_unit=um,time={times[0][1:-1]},time_unit=us"; '
+            "else write the curves below each other, with a column experiment_id, or into files "
+            "of their own."
+        )
+
+
+def _check_scales(
+    file: object,
+    said: Said,
+    radii: Sequence[Heading],
+    time: Heading | None,
+    radius_unit: str,
+    time_unit: str | None,
+) -> None:
+    """Refuse units whose size is not known."""
+    known = f"radius={'+'.join(h.name for h in radii)},radius_unit={radius_unit}"
+    known += f",time={time.name},time_unit={time_unit}" if time is not None else ""
+    dimensionless = "dimensionless" in (radius_unit, time_unit)
+    for needed, key, setting, meaning in (
+        (radius_unit == "px", "pixel_size_m", "pixel_size", "metres per pixel"),
+        (time_unit == "frames", "frame_rate_fps", "frame_interval", "seconds between frames"),
+        (dimensionless, "Rmax_m", "max_radius", "metres"),
+    ):
+        if needed and getattr(said, setting) is None:
+            raise InputDataError(
+                f"{file}: radii are in {radius_unit} and times in {time_unit or 'frames'}, and no "
+                f"{setting} is known; write {key} into the JSON file of the same name beside it, "
+                f'or add --layout "{known},{setting}=<{meaning}>".'
+            )
+
+
+def _time(headings: Sequence[Heading]) -> Heading | None:
+    return next(
+        (
+            h
+            for wanted in ("time", "unit", "frames")
+            for h in headings
+            if h.role == wanted or (wanted == "unit" and h.unit in TIMES and h.role is None)
+        ),
+        None,
+    )
+
+
+def _radii(headings: Sequence[Heading]) -> list[Heading]:
+    named = [h for h in headings if h.role == "radius"]
+    unnamed = (None, "half axis a", "half axis b")
+    return named or [
+        h for h in headings if h.is_length and h.role in unnamed and not _ERROR.search(h.bare)
+    ]
+
+
+def _propose(headings: Sequence[Heading], values: Mapping[str, np.ndarray], said: Said) -> str:
+    """The option to add, with the units that give a bubble of usual size and a record of usual
+    length.
+    """
+    numeric = [h for h in headings if h.name in values]
+    time = _time(numeric)
+    if time is None and len(numeric) > 1 and _radii(numeric)[:1] != numeric[:1]:
+        time = numeric[0]
+    radii = [h for h in _radii(numeric) or numeric if h is not time]
+    if not radii:
+        return (
+            'Say what they mean: --layout "radius=<name>,radius_unit=um,time=<name>,time_unit=us".'
+        )
+    top = max(float(np.nanmax(np.abs(values[h.name]), initial=0.0)) for h in radii)
+    unit = radii[0].unit or said.radius_unit or _nearest_unit(top, LENGTHS, 2e-4)
+    every = len(radii) > 1 and len(radii) == len(numeric) - (time is not None)
+    option = f"radius={'*' if every else '+'.join(h.name for h in radii)},radius_unit={unit}"
+    option += ",pixel_size=<metres per pixel>" if unit == "px" else ""
+    sense = f"a largest radius of {top:.4g} {unit}"
+    if time is None:
+        option += ",frame_interval=<seconds between frames>"
+    else:
+        finite = values[time.name][np.isfinite(values[time.name])]
+        span = float(np.ptp(finite)) if len(finite) else 0.0
+        clock = time.unit or said.time_unit or _nearest_unit(span, TIMES, 3e-5)
+        option += f",time={time.name},time_unit={clock}"
+        sense += f" and a record of {span:.4g} {clock}"
+    experiment = _experiment(headings, (time, *radii))
+    option += f",experiment={experiment.name}" if experiment else ""
+    return (
+        f'If this is right, add --layout "{option}" (in Python '
+        f'layout=Layout.from_text("{option}")), which gives {sense}; '
+        "or write the units into the header, as in 'time (us)' and 'R (um)'."
+    )
+
+
+def _nearest_unit(size: float, units: Mapping[str, float], usual: float) -> str:
+    """The unit in which a size comes nearest to the usual one, in SI units."""
+    if not 0.0 < size < math.inf:
+        return "us" if "us" in units else "um"
+    return min(units, key=lambda unit: abs(math.log(size * units[unit] / usual)))

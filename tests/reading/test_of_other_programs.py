@@ -1,0 +1,347 @@
+"""Files as other programs of the field write them: each loads without an option, in the right units.
+
+The layouts are those of the programs; every value is made here.
+"""
+
+import json
+from pathlib import Path
+
+import matio
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.io
+import torch
+
+from imr_torch.errors import InputDataError, UnsupportedError
+from imr_torch.observe import TraceSet, load_collapse_times, load_traces
+from imr_torch.reading import matlab
+from imr_torch.reading.content import Content
+from imr_torch.reading.names import Said, infer_layout
+
+COUNT = 40
+TIMES = 1e-6 * np.arange(COUNT)  # s
+RADII = 1e-6 * (120.0 + 80.0 * np.cos(0.2 * np.arange(COUNT)))  # m
+
+
+def check(
+    traces: TraceSet, *, first: int = 0, count: int = 1, digits: float = 1e-9, **given: float
+) -> None:
+    """That a file gave the curve from frame ``first`` on, ``count`` times, and what is given."""
+    assert len(traces) == count
+    for trace in traces:
+        times = torch.as_tensor(TIMES[first:])
+        shift = trace.time_s[0] - times[0]
+        torch.testing.assert_close(trace.time_s - shift, times, rtol=1e-6, atol=1e-11)
+        torch.testing.assert_close(
+            trace.radius_m, torch.as_tensor(RADII[first:]), rtol=digits, atol=0
+        )
+        for name, value in given.items():
+            assert getattr(trace.given, name) == pytest.approx(value, rel=1e-9)
+
+
+def as_cells(vectors: list[np.ndarray]) -> np.ndarray:
+    out = np.empty((1, len(vectors)), dtype=object)
+    for i, vector in enumerate(vectors):
+        out[0, i] = vector
+    return out
+
+
+def tracker_rows(*, scale: float | None = 3.2, rate: float | None = 1e6) -> list[list[str]]:
+    """The table of BubbleTrack 3.0: frames without a bubble are left out of it."""
+    header = ["Frame", *(["Time_s"] if rate else []), "Radius_px", "Center_Row_px", "Center_Col_px"]
+    header += ["Radius_um", "Center_Row_um", "Center_Col_um"] if scale else []
+    rows = [header]
+    for i, radius in enumerate(1e6 * RADII):
+        row = [str(i + 1), *([f"{i / rate:.8f}"] if rate else [])]
+        row += [f"{x:.4f}" for x in (radius / 3.2, 60.0, 61.0)]
+        rows.append(
+            row + ([f"{x * scale:.4f}" for x in (radius / 3.2, 60.0, 61.0)] if scale else [])
+        )
+    return rows
+
+
+def test_that_a_table_of_bubbletrack_has_its_radii_in_micrometres(tmp_path: Path) -> None:
+    (tmp_path / "gel.csv").write_text("\n".join(",".join(row) for row in tracker_rows()))
+    traces = load_traces(tmp_path / "gel.csv")
+    check(traces, digits=1e-5)
+    assert "radius from 'Radius_um' in um, time from 'Time_s' in s" in traces.notes[0]
+
+
+def test_that_a_workbook_of_bubbletrack_is_read_alike(tmp_path: Path) -> None:
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    for row in tracker_rows():
+        book.active.append(row)
+    book.save(tmp_path / "gel.xlsx")
+    check(load_traces(tmp_path / "gel.xlsx"), digits=1e-5)
+
+
+def test_that_pixels_and_frames_of_bubbletrack_take_their_scales_from_the_json_beside(
+    tmp_path: Path,
+) -> None:
+    rows = tracker_rows(scale=None, rate=None)
+    (tmp_path / "table.csv").write_text("\n".join(",".join(row) for row in rows))
+    pixels = np.concatenate([[-1.0, -1.0], 1e6 * RADII / 3.2, [-1.0]])
+    centres = np.zeros((len(pixels), 2))
+    edges = as_cells([np.zeros((3, 2))] * len(pixels))
+    scipy.io.savemat(
+        tmp_path / "pixels.mat",
+        {"Radius": pixels[None], "CircleFitPar": centres, "CircleXY": edges},
+    )
+    with pytest.raises(InputDataError, match=r"no column of times is found .*frame_interval="):
+        load_traces(tmp_path / "pixels.mat")
+    for name in ("table", "pixels"):
+        said = {"pixel_size_m": 3.2e-6, "frame_rate_fps": 1e6}
+        (tmp_path / f"{name}.json").write_text(json.dumps(said))
+    check(load_traces(tmp_path / "table.csv"), digits=1e-5)
+    traces = load_traces(tmp_path / "pixels.mat")
+    check(traces)
+    assert (
+        "row(s) 1-2 (2 in all): radius 0, negative or NaN before the first frame" in traces.report()
+    )
+
+
+@pytest.mark.parametrize("with_peak", [True, False])
+def test_that_a_curve_of_bubbletrack_has_marks_for_frames_without_a_bubble(
+    tmp_path: Path, with_peak: bool
+) -> None:
+    """Radii in um, -1 pixel where there was no bubble, and a fitted peak between the frames."""
+    radius = np.concatenate([np.full(3, -3.2), 1e6 * RADII])
+    times = 1e-6 * np.arange(-3.0, COUNT)
+    radius[25] = -3.2
+    content = {"R": radius[:, None], "t": times[:, None]}
+    if with_peak:
+        radius = np.insert(radius, 4, 200.5)
+        times = np.insert(times, 4, 0.4e-6) - 0.4e-6
+        times[4] = 0.0
+        content = {"R": radius[:, None], "t": times[:, None]}
+        content |= {"RmaxAll": np.array([[200.5]]), "RmaxTimeLoc": np.array([[4.4e-6]])}
+    scipy.io.savemat(tmp_path / "gel.mat", content)
+    traces = load_traces(tmp_path / "gel.mat")
+    (trace,) = traces
+    kept = np.delete(RADII, 22)
+    torch.testing.assert_close(trace.radius_m, torch.as_tensor(kept), rtol=1e-9, atol=0)
+    reasons = {x.rows: x.reason for x in traces.left_out}
+    assert "before nucleation" in reasons["1-3"]
+    assert sum("lost frames" in reason for reason in reasons.values()) == 1
+    if with_peak:
+        assert trace.given.max_radius_m == pytest.approx(200.5e-6)
+        assert trace.given.time_of_max_s == 0.0
+
+
+def test_that_single_marks_before_the_first_bubble_are_no_bubble_yet(tmp_path: Path) -> None:
+    rows = [f"{i},{-5 if i < 4 else 1e6 * RADII[i]}" for i in range(COUNT)]
+    (tmp_path / "gel.csv").write_text("\n".join(["t (us),R (um)", *rows]))
+    traces = load_traces(tmp_path / "gel.csv")
+    check(traces, first=4)
+    assert traces.left_out[0].count == 4
+    rows[10] = rows[11] = "10,-5"
+    (tmp_path / "bad.csv").write_text("\n".join(["t (us),R (um)", *rows]))
+    with pytest.raises(InputDataError, match="which is negative"):
+        load_traces(tmp_path / "bad.csv")
+
+
+@pytest.mark.parametrize(
+    ("radius", "time"), [("R", "t"), ("R2", "t2"), ("R_exp", "t_exp"), ("Rnew", "t")]
+)
+@pytest.mark.parametrize("scale", [1.0, 1e6])
+def test_that_imr_codes_save_metres_or_micrometres_and_seconds(
+    tmp_path: Path, radius: str, time: str, scale: float
+) -> None:
+    content = {radius: scale * RADII, time: TIMES, "P_inf": 101325.0, "Req": scale * 4e-5}
+    scipy.io.savemat(tmp_path / "gel.mat", content)
+    traces = load_traces(tmp_path / "gel.mat")
+    check(traces, rest_radius_m=4e-5)
+
+
+def test_that_names_of_imr_codes_do_not_stand_for_other_units(tmp_path: Path) -> None:
+    for name, content in {
+        "times in us": {"R": 1e6 * RADII, "t": 1e6 * TIMES},
+        "R over Rmax": {"R2": RADII / RADII.max(), "t2": TIMES},
+        "other names": {"rad": 1e6 * RADII, "time": TIMES},
+    }.items():
+        scipy.io.savemat(tmp_path / "gel.mat", content)
+        with pytest.raises(InputDataError, match=r"no unit\. If this is right, add --layout"):
+            print(name, load_traces(tmp_path / "gel.mat"))
+
+
+def test_that_a_result_with_its_experiment_gives_the_experiment(tmp_path: Path) -> None:
+    """BDT and its relatives save the curve beside the simulation and the parameters of the fit."""
+    fit = np.zeros((1, 3), dtype=[("name", object), ("value", object)])
+    fit["name"] = [["G", "mu", "alpha"]]
+    fit["value"] = [[1e4, 0.1, 0.2]]
+    simulated = {"t_sim": TIMES, "R_sim": RADII, "R1_nondim_exp": RADII, "t_nondim_exp": TIMES}
+    scipy.io.savemat(tmp_path / "fit.mat", {"struct_best_fit": fit})
+    with pytest.raises(
+        InputDataError,
+        match=r"fit\.mat: holds the parameters of a fit \(struct_best_fit\) and no curve; give",
+    ):
+        load_traces(tmp_path / "fit.mat")
+    whole = {"struct_best_fit": fit, "t_exp": TIMES, "R1_exp": RADII, **simulated}
+    scipy.io.savemat(tmp_path / "whole.mat", whole)
+    check(load_traces(tmp_path / "whole.mat"))
+    scipy.io.savemat(
+        tmp_path / "nested.mat", {"struct_best_fit": {"t_exp": TIMES, "R1_exp": RADII, "G": 1e4}}
+    )
+    check(load_traces(tmp_path / "nested.mat"))
+
+
+def test_that_structs_of_experiments_are_curves(tmp_path: Path) -> None:
+    """fitIMR and IMR_PRIME: ``expts(i)`` with time, R(t), R_max and R_eq in SI units."""
+    dtype = [(name, object) for name in ("t", "Roft", "R0", "Req")]
+    expts = np.zeros((1, 3), dtype=dtype)
+    for i in range(3):
+        expts[0, i] = (TIMES[None], RADII[None], RADII.max(), 4e-5)
+    scipy.io.savemat(tmp_path / "gel.mat", {"expts": expts})
+    traces = load_traces(tmp_path / "gel.mat")
+    check(traces, count=3, max_radius_m=RADII.max(), rest_radius_m=4e-5)
+    assert traces.ids == ("gel_01", "gel_02", "gel_03")
+    scipy.io.savemat(tmp_path / "one.mat", {"expts": expts[:, :1]})
+    check(load_traces(tmp_path / "one.mat"), max_radius_m=RADII.max())
+
+
+def test_that_dimensionless_cells_of_imr_prime_become_si(tmp_path: Path) -> None:
+    scale = RADII.max() * (998.0 / 101325.0) ** 0.5
+    content = {
+        "R_nondim_All": as_cells([RADII / RADII.max()] * 2),
+        "t_nondim_All": as_cells([TIMES / scale + 1e-3] * 2),
+        "RmaxList": np.full(2, RADII.max()),
+    }
+    scipy.io.savemat(tmp_path / "gel.mat", content)
+    check(load_traces(tmp_path / "gel.mat"), count=2, max_radius_m=RADII.max())
+
+
+def test_that_inca_gives_converted_curves_its_table_and_what_it_exports_for_imr(
+    tmp_path: Path,
+) -> None:
+    converted = {"AverageRadius": 1e6 * RADII, "TimeVector": TIMES, "Area": np.ones(COUNT)}
+    info = np.zeros(COUNT, dtype=[("AverageRadius", object), ("Area", object)])
+    scipy.io.savemat(
+        tmp_path / "saved.mat",
+        {"alternatePlotSet": converted, "BubbleRadius": 1e6 * RADII / 3.2, "infoStruct": info},
+    )
+    check(load_traces(tmp_path / "saved.mat"))
+    scales = json.dumps({"pixel_size_m": 3.2e-6, "frame_rate_fps": 1e6})
+    terms = np.ones((COUNT, 4))
+    scipy.io.savemat(
+        tmp_path / "imr.mat", {"data": {"RoFT": 1e6 * RADII / 3.2, "t": TIMES, "FTs": terms}}
+    )
+    (tmp_path / "imr.json").write_text(scales)
+    check(load_traces(tmp_path / "imr.mat"))
+    names = "Centroid;Average Radius;Area;Perimeter;Surface Area;Volume;a0;b0;a1;b1"
+    rows = [f'"60, 61";{r:.9g};1;1;1;1;1;1;{r:.9g};{r:.9g}' for r in 1e6 * RADII / 3.2]
+    lost = ";".join(["NaN"] * 10)
+    (tmp_path / "table.csv").write_text("\n".join([names, lost, *rows]))
+    (tmp_path / "table.json").write_text(scales)
+    check(load_traces(tmp_path / "table.csv"), digits=1e-8)
+
+
+@pytest.mark.parametrize("version", ["v7", "v7.3"])
+def test_that_tables_timetables_and_strings_of_matlab_are_read(
+    tmp_path: Path, version: str
+) -> None:
+    path = tmp_path / "gel.mat"
+    table = pd.DataFrame({"Time_s": TIMES, "Radius_um": 1e6 * RADII})
+    matio.save_to_mat(str(path), {"T": table}, version=version)
+    check(load_traces(path))
+    shots = pd.concat([table.assign(shot="first"), table.assign(shot="second")], ignore_index=True)
+    matio.save_to_mat(str(path), {"T": shots}, version=version)
+    traces = load_traces(path)
+    check(traces, count=2)
+    assert traces.ids == ("first", "second")
+    index = pd.Index((1e9 * TIMES).round().astype("timedelta64[ns]"), name="Time")
+    timetable = pd.DataFrame({"R_um": 1e6 * RADII}, index=index)
+    with pytest.warns(Warning, match="Defaulting to"):
+        matio.save_to_mat(str(path), {"TT": timetable}, version=version)
+    check(load_traces(path))
+    texts = {"time_unit": np.array("us", dtype=np.dtypes.StringDType()).reshape(1, 1)}
+    texts["radius_unit"] = np.array("um", dtype=np.dtypes.StringDType()).reshape(1, 1)
+    content = {"t_exp": 1e6 * TIMES, "R_exp": 1e6 * RADII, **texts}
+    matio.save_to_mat(str(path), content, version=version)
+    check(load_traces(path))
+
+
+def test_that_units_of_the_columns_of_a_table_are_used() -> None:
+    table = pd.DataFrame({"tau": TIMES, "size": 1e6 * RADII})
+    values: dict = {}
+    units: dict = {}
+    table.attrs["VariableUnits"] = ["s", "um"]
+    matlab._flatten("T", table, values, units)
+    assert units == {"T.tau": "s", "T.size": "um"}
+    layout = infer_layout(Content(Path("gel.mat"), values, units=units), Said())
+    assert (layout.radius, layout.radius_unit, layout.time) == ("T.size", "um", "T.tau")
+
+
+def test_that_names_of_cells_and_numbers_of_frames_tell_no_rows_apart(tmp_path: Path) -> None:
+    curves = {"R_um": as_cells([1e6 * RADII] * 2), "t_us": 1e6 * TIMES}
+    scipy.io.savemat(tmp_path / "cells.mat", curves | {"id": as_cells(["first", "second"])})
+    check(load_traces(tmp_path / "cells.mat"), count=2)
+    frames = {"id": np.arange(COUNT), "R_um": 1e6 * RADII, "t_us": 1e6 * TIMES}
+    scipy.io.savemat(tmp_path / "frames.mat", {"shot": frames})
+    check(load_traces(tmp_path / "frames.mat"))
+    axes = {"a_um": as_cells([1e6 * RADII] * 3), "b_um": as_cells([1e6 * RADII] * 2)}
+    scipy.io.savemat(tmp_path / "axes.mat", axes | {"t_us": 1e6 * TIMES})
+    with pytest.raises(InputDataError, match=r"'b_um' holds 2 vectors and 'a_um' 3; .* half axes"):
+        load_traces(tmp_path / "axes.mat")
+
+
+def test_that_digitised_curves_are_sorted_where_this_is_asked_for(tmp_path: Path) -> None:
+    order = np.random.default_rng(1).permutation(COUNT)
+    order = np.append(order, order[0])
+    rows = [f"{1e6 * TIMES[i]:.6g},{1e6 * RADII[i]:.9g}" for i in order]
+    (tmp_path / "gel.csv").write_text("\n".join(["t (us),R (um)", *rows]))
+    with pytest.raises(
+        InputDataError, match=r"goes back from .*let --sort .*sort the rows by time"
+    ):
+        load_traces(tmp_path / "gel.csv")
+    traces = load_traces(tmp_path / "gel.csv", sort=True)
+    check(traces, digits=1e-8)
+    assert [(x.rows, x.reason) for x in traces.left_out] == [
+        (str(COUNT + 2), "its time is that of another row")
+    ]
+
+
+def test_that_two_half_axes_are_a_radius_and_an_asphericity(tmp_path: Path) -> None:
+    stretch = np.linspace(0.9, 1.1, COUNT)
+    across = 1e6 * RADII * stretch ** (1 / 3)
+    along = 1e6 * RADII * stretch ** (-2 / 3)
+    across[0] = 0.0
+    rows = [f"{1e6 * t},{a:.12g},{b:.12g}" for t, a, b in zip(TIMES, across, along, strict=True)]
+    (tmp_path / "gel.csv").write_text("\n".join(["t (us),a (um),b (um)", *rows]))
+    traces = load_traces(tmp_path / "gel.csv")
+    check(traces, first=1)
+    (trace,) = traces
+    assert trace.asphericity is not None
+    torch.testing.assert_close(
+        trace.asphericity, torch.as_tensor(stretch[1:] - 1.0), rtol=1e-9, atol=1e-12
+    )
+    assert "half axes a and b of an ellipsoid" in traces.notes[0]
+    assert "asphericity a/b - 1 from -0.095 to 0.1" in traces.report()
+    (tmp_path / "gel.csv").write_text("\n".join(["t (us),a (um),b (mm)", *rows]))
+    with pytest.raises(InputDataError, match=r"'a \(um\)', 'b \(mm\)' differ in their units"):
+        load_traces(tmp_path / "gel.csv")
+
+
+def test_that_collapse_times_of_parsimonious_imr_are_read(tmp_path: Path) -> None:
+    array = np.array([[3.4e-4, 8.0, 3.05e-5], [3.0e-4, 7.5, 2.7e-5]])
+    scipy.io.savemat(tmp_path / "gel.mat", {"pIMR_array": array})
+    shots = load_collapse_times(tmp_path / "gel.mat")
+    assert [(x.experiment_id, x.stretch) for x in shots] == [("gel_001", 8.0), ("gel_002", 7.5)]
+    scipy.io.savemat(tmp_path / "bad.mat", {"pIMR_array": array.T})
+    with pytest.raises(InputDataError, match=r"pIMR_array has shape \(3, 2\); expected one row"):
+        load_collapse_times(tmp_path / "bad.mat")
+
+
+def test_that_tables_of_matlab_ask_for_the_library_that_reads_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table = pd.DataFrame({"Time_s": TIMES, "Radius_um": 1e6 * RADII})
+    monkeypatch.setattr(matlab, "find_spec", lambda name: None)
+    for version in ("v7", "v7.3"):
+        matio.save_to_mat(str(tmp_path / "table.mat"), {"T": table}, version=version)
+        with pytest.raises(UnsupportedError, match=r"table\.mat: .* pip install mat-io; or save"):
+            load_traces(tmp_path / "table.mat")
+        plain = {"t_s": TIMES, "R_um": 1e6 * RADII}
+        matio.save_to_mat(str(tmp_path / "plain.mat"), plain, version=version)
+        check(load_traces(tmp_path / "plain.mat"))
