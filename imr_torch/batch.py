@@ -28,10 +28,12 @@ from typing import TYPE_CHECKING, Any
 
 from imr_torch.assimilate import FitOptions
 from imr_torch.characterization import characterize
+from imr_torch.document import header
 from imr_torch.errors import ImrError, InputDataError
 from imr_torch.files import read_json, write_atomically, write_json
 from imr_torch.material import PARAMETERS, Belief
 from imr_torch.observe import Layout, Statement, TraceSet, find_files, load_traces
+from imr_torch.results import document_report
 from imr_torch.saved import SavedCharacterization, to_dataframe
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
@@ -47,7 +49,17 @@ DONE = "done"
 NOT_CONVERGED = "not converged"
 FAILED = "failed"
 _WINDOW = 64  # shots handed to an executor at a time
-_FEATURES = ("status", "file", "curves", "frames", "We", "R_inf*", "model", "probability")
+_FEATURES = (
+    "status",
+    "explained",
+    "file",
+    "curves",
+    "frames",
+    "We",
+    "R_inf*",
+    "model",
+    "probability",
+)
 
 
 @dataclass(frozen=True)
@@ -129,7 +141,8 @@ class BatchSummary:
     """One row per shot.
 
     Args:
-        rows: ``shot``, ``status`` (done, not converged, failed), ``file``, ``curves``, ``frames``,
+        rows: ``shot``, ``status`` (done, not converged, failed), ``explained`` (whether the most
+            probable model explains the curves: yes, no, not tested), ``file``, ``curves``, ``frames``,
             ``We``, ``R_inf*``, ``model`` and its ``probability``, ``<parameter>_low``,
             ``<parameter>`` and ``<parameter>_high`` (5, 50, 95 % quantile of the most probable
             model, SI), ``rmse``, ``verdict``, ``cpu_seconds``, ``error``.
@@ -164,22 +177,13 @@ class BatchSummary:
         """Shots of a status."""
         return sum(row["status"] == status for row in self.rows)
 
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready values, from which page and report are made."""
+        return {"shots": [dict(row) for row in self.rows]}
+
     def report(self) -> str:
         """How many shots have a result, and why others have none, as text."""
-        lines = [
-            f"{len(self.rows)} shot(s): "
-            + ", ".join(f"{self.count(s)} {s}" for s in (DONE, NOT_CONVERGED, FAILED))
-        ]
-        return "\n".join(
-            [
-                *lines,
-                *(
-                    f"  {row['shot']}: {row['error']}"
-                    for row in self.rows
-                    if row["status"] == FAILED
-                ),
-            ]
-        )
+        return document_report(header("batch") | self.to_dict())
 
     def to_csv(self) -> str:
         """The rows as CSV with a header; numbers keep every bit."""
@@ -491,6 +495,7 @@ def _row(shot: Shot, document: Mapping[str, Any]) -> dict[str, Any]:
         "probability": saved.probabilities[saved.best],
         "rmse": entry.get("rmse"),
         "verdict": saved.verdict(),
+        "explained": {True: "yes", False: "no", None: "not tested"}[saved.explained],
         "cpu_seconds": document.get("cpu_seconds"),
     }
     for name, (low, middle, high) in saved.intervals().items():

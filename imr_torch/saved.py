@@ -134,6 +134,11 @@ class SavedCharacterization:
         """Key of the most probable model."""
         return self.posterior.best.model
 
+    @property
+    def explained(self) -> bool | None:
+        """Whether the most probable model explains the curves; None where that was not tested."""
+        return (self.document.get("fit_test") or {}).get("explained")
+
     def intervals(self, model: str | None = None) -> dict[str, list[float]]:
         """Parameter -> [5 %, 50 %, 95 %] quantile of a model (the most probable when not given),
         SI.

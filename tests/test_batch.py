@@ -18,11 +18,12 @@ import imr_torch.batch as batch
 from imr_torch import Characterization, PolytropicSimulator, characterize, wide_prior
 from imr_torch.assimilate import SearchOptions
 from imr_torch.batch import BatchOptions, BatchSummary, characterize_shot, run_batch
-from imr_torch.batch_page import plot_shots, write_summary
 from imr_torch.cli import main
 from imr_torch.errors import InputDataError, UnsupportedError
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import load_traces
+from imr_torch.results import document_page, header
+from imr_torch.results.shots import plot_shots, usable
 from imr_torch.saved import SavedCharacterization, to_dataframe
 from imr_torch.simulate import process_pool
 from imr_torch.units import Surroundings
@@ -275,14 +276,14 @@ ROWS = (
 )
 
 
-def test_that_the_page_has_a_line_a_shot_and_a_plot_a_parameter(tmp_path: Path) -> None:
-    text = write_summary(BatchSummary(ROWS), tmp_path / "summary.html").read_text()
+def test_that_the_page_has_a_line_a_shot_and_a_plot_a_parameter() -> None:
+    text = document_page(header("batch") | BatchSummary(ROWS).to_dict())
     assert text.count("<tr") == 4  # two tables of a head and a row
     assert text.count("data:image/png;base64,") == 2
     assert "a&lt;b" in text
     assert "no &lt;bubble&gt;" in text
     assert "5 (4 to 6)" in text  # kPa
-    ax = plot_shots(BatchSummary(ROWS), "G")
+    ax = plot_shots(ROWS, "G")
     assert ax.get_ylabel() == "G (kPa)"
     assert [label.get_text() for label in ax.get_xticklabels()] == ["a<b"]
 

@@ -32,13 +32,13 @@ STAGES = (
 )
 BASE = ("errors", "units", "random", "files", "types", "threads", "elementary", "labels", "html")
 ROOMS = (
+    "document",
     "example",
     "saved",
     "characterization",
     "results",
     "compare",
     "batch",
-    "batch_page",
     "plot",
     "cli",
     "app",

@@ -7,41 +7,33 @@ import argparse
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import torch
 
-from imr_torch.campaign import Campaign, CampaignSettings, Finding, Journal, Proposal
+from imr_torch.campaign import Campaign, CampaignSettings, Journal, Proposal
 from imr_torch.characterization import medium_of
 from imr_torch.cli.campaign_settings import check_goal, hidden, one_model, scatter, settings_of
 from imr_torch.cli.common import (
     check_counts,
-    header_of,
     layout_of,
     prior_of,
     progress_of,
     rest_radius_of,
+    show_result,
     simulator_of,
     statement_of,
     with_medium,
     write_result,
 )
-from imr_torch.cli.figures import save_figures
 from imr_torch.errors import InputDataError
 from imr_torch.files import remove_temporaries
-from imr_torch.html import write
 from imr_torch.material import PARAMETERS, Belief, ReferenceCase, reference_case
 from imr_torch.observe import Experiment, SimulatedLaboratory, TraceSet, load_traces, prepare
 from imr_torch.observe.medium import label
 from imr_torch.random import child, generator
-from imr_torch.results import campaign_document, campaign_page, draw_figures
-from imr_torch.results.campaign_page import cause_sentence
-from imr_torch.results.population import population_lines
+from imr_torch.results import campaign_document, document_report
 from imr_torch.simulate import Simulator
-
-_SHOWN, _LEAST = 6, 0.001  # causes that are listed, and the probability below which none is
 
 
 def run(args: argparse.Namespace) -> None:
@@ -172,30 +164,8 @@ def _real(campaign: Campaign, args: argparse.Namespace) -> tuple[Sequence[Propos
     elif campaign.outstanding:  # the last run was cut off while it learnt
         campaign.learn(progress=progress)
     if reason := campaign.reason_to_stop():
-        print(f"Enough: {reason}")
         return (), reason
-    proposals = campaign.ask_several(args.q, progress=progress)
-    for proposal in proposals:
-        where = campaign.settings.space.describe(
-            proposal.design, campaign.simulator.conditions.surroundings
-        )
-        expected = (
-            ""
-            if proposal.gain is None
-            else f"; expected gain {proposal.gain:.2f} +- {proposal.gain_sd:.2f} nats"
-        )
-        print(f"{'Shoot next' if proposal is proposals[0] else 'then'}: {where}{expected}")
-        if proposal.reason:
-            print(f"  {proposal.reason}")
-        if reason := campaign.reason_to_stop(proposal):
-            print(f"or leave it: {reason}")
-    gains = [proposal.gain for proposal in proposals if proposal.gain is not None]
-    if len(gains) > 1:
-        print(
-            f"expected gain of all together {sum(gains):.2f} nats; each is what a design adds to "
-            "those before it"
-        )
-    return proposals, None
+    return campaign.ask_several(args.q, progress=progress), None
 
 
 def _check_medium(traces: TraceSet, args: argparse.Namespace) -> None:
@@ -223,55 +193,17 @@ def _report(
     proposals: Sequence[Proposal],
     stopped: str | None,
 ) -> None:
-    """Print the belief; write JSON, figures and page."""
-    belief = campaign.belief
-    if campaign.steps and campaign.steps[-1].noise:
-        print(f"noise {campaign.steps[-1].noise}")
-    if campaign.steps and (found := campaign.steps[-1].finding):
-        print(_found(found))
-    if campaign.steps and (population := campaign.steps[-1].population):
-        for line in population_lines(population):
-            print(line)
-    print(
-        "model probabilities: " + ", ".join(f"{k} {v:.4f}" for k, v in belief.probabilities.items())
-    )
-    errors = {}
+    """Print the belief and what to shoot next; write JSON, figures and page."""
     truth = None
+    errors = {}
     if case:
-        part = belief[case.truth_model]
+        part = campaign.belief[case.truth_model]
         truth = {name: case.truth[name] for name in part.names}
-        errors = {
-            n: abs(float(m) / truth[n] - 1.0) for n, m in zip(part.names, part.means, strict=True)
-        }
-        for name, mean, sd in zip(part.names, part.means.tolist(), part.sds.tolist(), strict=True):
-            entry = PARAMETERS[name]
-            mean, sd, true = (x * entry.display_scale for x in (mean, sd, truth[name]))
-            print(
-                f"  {entry.label}: {mean:.4g} +- {sd:.2g}, truth {true:.4g}, error "
-                f"{100 * errors[name]:.2f} %"
-            )
+        means = dict(zip(part.names, part.means.tolist(), strict=True))
+        errors = {name: abs(means[name] / true - 1.0) for name, true in truth.items()}
     document = campaign_document(campaign, proposals=proposals, stopped=stopped, truth=truth)
     document |= {"relative_error": errors, "cpu_seconds": seconds}
-    write_result(args, document)  # before any figure, so that nothing computed is lost if one fails
-    _figures(campaign, document)
-    if args.html:
-        print(f"wrote {write(campaign_page(header_of(args) | document), args.html)}")
-
-
-def _found(found: Finding) -> str:
-    """What the last diagnosis says, in two lines."""
-    ranked = sorted(found.probabilities.items(), key=lambda item: -item[1])[:_SHOWN]
-    listed = (
-        ", ".join(f"{name} {p:.3f}" for name, p in ranked if p >= _LEAST)
-        or "none fitted, since no test finds a gap"
-    )
-    return f"Cause of the gap: {cause_sentence(asdict(found))}\n  probabilities: {listed}"
-
-
-def _figures(campaign: Campaign, document: dict[str, Any]) -> None:
-    """Figures of the campaign so far.
-
-    Those that need a fit are drawn for the steps made in this run.
-    """
-    save_figures(draw_figures(document), campaign.journal.folder)
+    document = write_result(args, document)  # before any figure, so that nothing is lost
+    print(document_report(document))
+    show_result(args, document)
     print(f"figures and journal in {campaign.journal.folder}")

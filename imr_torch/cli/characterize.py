@@ -20,17 +20,18 @@ from imr_torch.cli.common import (
     prior_of,
     progress_of,
     rest_radius_of,
+    show_result,
     simulator_of,
     statement_of,
     with_medium,
     write_result,
 )
-from imr_torch.cli.figures import save_figures, subfolder
 from imr_torch.cli.options.names import COLLAPSES
 from imr_torch.cli.progress import characterize_stages
 from imr_torch.errors import ConvergenceError, ImrError, InputDataError
+from imr_torch.export import write_mat
 from imr_torch.files import write_atomically
-from imr_torch.html import write
+from imr_torch.labels import file_name
 from imr_torch.material import ModelBelief
 from imr_torch.observe import (
     CollapseShot,
@@ -42,7 +43,7 @@ from imr_torch.observe import (
 )
 from imr_torch.observe.collapse import is_collapse_file
 from imr_torch.population import SCALE
-from imr_torch.results import characterization_document, characterization_page, draw_figures
+from imr_torch.results import document_report
 
 
 def run(args: argparse.Namespace) -> None:
@@ -52,10 +53,12 @@ def run(args: argparse.Namespace) -> None:
             "--scores predicts curves from others, and --each fits every one alone; leave one of "
             "them out."
         )
-    if args.each and args.html:
-        raise InputDataError(
-            "--html shows one gel, and --each fits every curve by itself; leave one of them out."
-        )
+    for option in ("html", "mat"):
+        if args.each and getattr(args, option):
+            raise InputDataError(
+                f"--{option} shows one gel, and --each fits every curve by itself; leave one of "
+                "them out."
+            )
     if args.each and args.population:
         raise InputDataError(
             "--population takes the curves as shots of one gel, and --each every one alone; leave "
@@ -76,7 +79,7 @@ def run(args: argparse.Namespace) -> None:
         _each(traces, args)
         return
     document, report, converged = _characterize(traces, args, shots=shots)
-    write_result(args, document)  # before any figure, so that nothing computed is lost if one fails
+    document = write_result(args, document)  # before any figure, so that nothing is lost
     _show(document, report, args, Path(args.out) if args.out else None)
     if not converged:
         raise ConvergenceError(
@@ -160,7 +163,7 @@ def _each(traces: TraceSet, args: argparse.Namespace) -> None:
                 document,
                 report,
                 args,
-                Path(args.out) / subfolder(trace.experiment_id) if args.out else None,
+                Path(args.out) / file_name(trace.experiment_id) if args.out else None,
             )
     finally:
         write_result(args, {"each": results})
@@ -217,9 +220,9 @@ def _characterize(
         progress=progress_of(args, stages, label),
     )
     command = diagnose_command(args, result.posterior.best)
-    said = result.report(command)
+    document = header_of(args) | result.to_document(command, seed=args.seed)
+    said = document_report(document)
     print("\n" + said)
-    document = characterization_document(result, traces, simulator, command=command, seed=args.seed)
     read = (traces.report(), prepared.report(frames=False)) if len(traces) else ()
     report = "\n\n".join((*read, said)) + "\n"
     return document, report, result.assimilation.converged
@@ -228,15 +231,13 @@ def _characterize(
 def _show(
     document: dict[str, Any], report: str, args: argparse.Namespace, folder: Path | None
 ) -> None:
-    """Write the report, the figures and the page of a result."""
+    """Write the report, the figures, the page and the MATLAB file of a result."""
     if folder:
         write_atomically(folder / "report.txt", lambda stream: stream.write(report.encode()))
-        save_figures(draw_figures(document), folder)
-    if args.html:
-        print(
-            "wrote "
-            f"{write(characterization_page(header_of(args) | document, report=report), args.html)}"
-        )
+    show_result(args, document, folder=folder, report=report)
+    if args.mat:
+        write_mat(document, args.mat)
+        print(f"wrote {args.mat}")
 
 
 def diagnose_command(args: argparse.Namespace, best: ModelBelief) -> str:

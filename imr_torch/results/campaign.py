@@ -9,7 +9,7 @@ from typing import Any
 import torch
 
 from imr_torch.campaign import Campaign, PopulationLearner, Proposal
-from imr_torch.characterization import LEVELS, intervals, predictive_band
+from imr_torch.characterization.bands import LEVELS, intervals, predictive_band
 from imr_torch.files import drawn_numbers
 from imr_torch.material import Belief
 from imr_torch.plot import information_map
@@ -95,8 +95,13 @@ def _design(campaign: Campaign, weber: float, rest: float) -> dict[str, float]:
 
 def _proposal(campaign: Campaign, proposal: Proposal) -> dict[str, Any]:
     weber, rest = proposal.design.tolist()
-    expected = {"gain": proposal.gain, "gain_sd": proposal.gain_sd, "reason": proposal.reason}
-    return {"step": proposal.step} | expected | _design(campaign, weber, rest)
+    return {
+        "step": proposal.step,
+        "gain": proposal.gain,
+        "gain_sd": proposal.gain_sd,
+        "reason": proposal.reason,
+        "stop": campaign.reason_to_stop(proposal),
+    } | _design(campaign, weber, rest)
 
 
 def _searches(campaign: Campaign) -> list[dict[str, Any]]:

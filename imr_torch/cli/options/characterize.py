@@ -107,6 +107,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--html", metavar="FILE", help="write the result with its figures as one HTML file"
     )
+    parser.add_argument(
+        "--mat",
+        metavar="FILE",
+        help="write parameters, intervals, curves and residuals for MATLAB, which plots a curve in "
+        "two lines: load FILE; plot(curves(1).time_us, curves(1).radius_um, '.', "
+        "curves(1).model_time_us, curves(1).model_radius_um)",
+    )
     add_medium_argument(parser)
     add_physics_argument(parser)
     add_prior_arguments(parser)

@@ -25,3 +25,5 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--model",
         help="model whose parameters are compared (default: the most probable of both together)",
     )
+    parser.add_argument("--out", metavar="DIR", help="folder for the figure and JSON")
+    parser.add_argument("--html", metavar="FILE", help="write the comparison as one HTML file")

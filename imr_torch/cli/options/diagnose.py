@@ -82,6 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help=f"effects that are added one after the other (default {EFFECTS_ADDED})",
     )
+    parser.add_argument("--out", metavar="DIR", help="folder for figures and JSON")
     parser.add_argument(
         "--html", metavar="FILE", help="write the report with its figures as one HTML file"
     )

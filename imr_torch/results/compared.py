@@ -1,0 +1,50 @@
+"""The figure of a comparison of two gels, drawn from its document alone."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+
+from imr_torch.labels import symbol
+from imr_torch.plot import DATA, MODEL
+from imr_torch.results.named import NamedFigure
+
+
+def compared_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
+    """The ratio of every parameter of the two gels."""
+    yield NamedFigure(
+        "ratios",
+        f"Each parameter of {document['a']} over that of {document['b']}, with its 90 % interval.",
+        "Interval chart of the ratios; the table gives the numbers.",
+        lambda: plot_ratios(document),
+    )
+
+
+def plot_ratios(document: Mapping[str, Any]) -> Axes:
+    """Ratio of every parameter with its 90 % interval, on a logarithmic axis.
+
+    Args:
+        document: of ``compare``.
+    """
+    rows = document["parameters"]
+    low, middle, high = np.array(
+        [[row[f"ratio_{end}"] for end in ("low", "median", "high")] for row in rows]
+    ).T
+    size = (5.2, 1.2 + 0.4 * len(rows))
+    ax = plt.subplots(figsize=size, layout="constrained")[1]
+    ax.errorbar(
+        middle,
+        range(len(rows)),
+        xerr=(middle - low, high - middle),
+        fmt="o",
+        capsize=3,
+        color=MODEL,
+    )
+    ax.axvline(1.0, color=DATA, lw=0.8, ls="--")
+    ax.set_yticks(range(len(rows)), [symbol(row["parameter"]) for row in rows])
+    ax.set(
+        xlabel="a / b", xscale="log" if low.min() > 0.0 else "linear", ylim=(-0.5, len(rows) - 0.5)
+    )
+    return ax
