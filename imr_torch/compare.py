@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     import pandas
 
 LEVELS = (0.05, 0.5, 0.95)
+_ENDS = ("low", "median", "high")
 DECISIVE = math.log(10.0)
 """Log Bayes factor, nats, from which one of the two hypotheses is called right: odds of 10 to 1."""
 CLEAR = 0.975
@@ -119,18 +120,9 @@ class Comparison:
     def rows(self) -> list[dict[str, Any]]:
         """One row per parameter."""
         return [
-            {
-                "parameter": p.name,
-                "probability_greater": p.probability_greater,
-                **dict(zip(("ratio_low", "ratio_median", "ratio_high"), p.ratio, strict=True)),
-                **dict(
-                    zip(
-                        ("difference_low", "difference_median", "difference_high"),
-                        p.difference,
-                        strict=True,
-                    )
-                ),
-            }
+            {"parameter": p.name, "probability_greater": p.probability_greater}
+            | {f"ratio_{end}": x for end, x in zip(_ENDS, p.ratio, strict=True)}
+            | {f"difference_{end}": x for end, x in zip(_ENDS, p.difference, strict=True)}
             for p in self.parameters
         ]
 
@@ -207,19 +199,16 @@ def _parameter(name: str, a: WeightedDraws, b: WeightedDraws) -> ParameterCompar
     difference = (first[:, None] - second).flatten()
     ratio = (first[:, None] / second).flatten()
     greater = float((weights * ((difference > 0.0).double() + 0.5 * (difference == 0.0))).sum())
-    return ParameterComparison(
-        name, min(greater, 1.0), _quantiles(ratio, weights), _quantiles(difference, weights)
-    )
+    ratios, differences = (_quantiles(values, weights) for values in (ratio, difference))
+    return ParameterComparison(name, min(greater, 1.0), ratios, differences)
 
 
 def _quantiles(values: Tensor, weights: Tensor) -> tuple[float, float, float]:
     """5, 50 and 95 % quantile of weighted values."""
     order = values.argsort()
     below = weights[order].cumsum(0)
-    places = torch.searchsorted(
-        below, torch.tensor(LEVELS, dtype=below.dtype) * below[-1]
-    ).clamp_max(len(values) - 1)
-    low, middle, high = values[order][places].tolist()
+    levels = torch.tensor(LEVELS, dtype=below.dtype) * below[-1]
+    low, middle, high = values[order][torch.searchsorted(below, levels)].tolist()
     return low, middle, high
 
 

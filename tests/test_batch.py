@@ -110,6 +110,8 @@ def test_that_a_result_reopens_with_its_posterior_its_draws_and_its_table(
         options=OPTIONS.options,
     )
     result.save(tmp_path / "gel.json")
+    assert main(["plot", str(tmp_path / "gel.json"), "--format", "png", "--quiet"]) == 0
+    assert (tmp_path / "parameter_G.png").exists()
     saved = Characterization.load(tmp_path / "gel.json")
     assert saved.posterior.to_dict() == result.posterior.to_dict()
     assert saved.prior is not None
@@ -125,6 +127,15 @@ def test_that_a_result_reopens_with_its_posterior_its_draws_and_its_table(
     frame = result.to_dataframe()
     assert list(frame["parameter"]) == ["G", "mu"]
     assert frame.equals(saved.to_dataframe())
+
+
+def test_that_the_workbook_holds_the_table(shots: Path, tmp_path: Path) -> None:
+    openpyxl = pytest.importorskip("openpyxl")
+    summary = run_batch(shots / "gel_1.csv", folder=tmp_path, options=OPTIONS)
+    (sheet,) = openpyxl.load_workbook(tmp_path / "summary.xlsx").worksheets
+    head, line = sheet.iter_rows(values_only=True)
+    assert head == summary.columns
+    assert line == tuple(summary.rows[0].get(name) for name in head)
 
 
 def test_that_a_table_needs_pandas_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -278,7 +289,7 @@ ROWS = (
 
 def test_that_the_page_has_a_line_a_shot_and_a_plot_a_parameter() -> None:
     text = document_page(header("batch") | BatchSummary(ROWS).to_dict())
-    assert text.count("<tr") == 4  # two tables of a head and a row
+    assert text.partition("<details>")[0].count("<tr") == 4  # two tables of a head and a row
     assert text.count("data:image/png;base64,") == 2
     assert "a&lt;b" in text
     assert "no &lt;bubble&gt;" in text
@@ -286,6 +297,29 @@ def test_that_the_page_has_a_line_a_shot_and_a_plot_a_parameter() -> None:
     ax = plot_shots(ROWS, "G")
     assert ax.get_ylabel() == "G (kPa)"
     assert [label.get_text() for label in ax.get_xticklabels()] == ["a<b"]
+
+
+def test_that_shots_whose_curves_the_model_does_not_explain_are_not_to_be_quoted() -> None:
+    misfit = ROWS[0] | {"explained": "no"}
+    assert usable(ROWS[0])
+    assert not usable(misfit)
+    summary = BatchSummary((misfit,))
+    said = "the model does not explain the curves of 1, whose numbers are not to be quoted"
+    assert said in summary.report()
+    page = document_page(header("batch") | summary.to_dict())
+    assert 'class="verdict warning"' in page
+    assert '<tr class="marked">' in page
+
+
+def test_that_a_result_and_a_shot_can_be_drawn_again(shots: Path, tmp_path: Path, rendered) -> None:
+    run_batch(shots / "gel_1.csv", folder=tmp_path / "out", options=OPTIONS)
+    found = characterize_shot(load_traces(shots / "gel_1.csv"), OPTIONS)
+    assert found["schema"]["name"] == "imr_torch characterize"
+    page = str(tmp_path / "page.html")
+    shot = str(tmp_path / "out" / "shots" / "gel_1.json")
+    again = ["--out", str(tmp_path / "again"), "--format", "png", "--html", page]
+    assert main(["plot", shot, *again, "--quiet"]) == 0
+    assert (tmp_path / "again" / "parameter_G.png").exists()
 
 
 COMMAND = [
@@ -311,7 +345,9 @@ def test_that_the_command_writes_all_and_tells_of_failures(
     assert (
         "1 of 4 shots have no result, for the reasons above; the others are written" in captured.err
     )
-    assert {path.name for path in out.iterdir()} == {
+    figures = {f"shots_{name}.{kind}" for name in ("G", "mu") for kind in ("png", "pdf")}
+    tables = {path.name for path in out.glob("summary.xlsx")}
+    assert {path.name for path in out.iterdir()} == figures | tables | {
         "shots",
         "summary.csv",
         "summary.html",

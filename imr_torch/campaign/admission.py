@@ -1,8 +1,7 @@
 """Whether a curve is new and can be simulated under a belief, asked before it enters a journal.
 
 A curve whose times or size are in another unit is found by the bubbles of the belief: they fail, or
-    collapse at another time
-than the curve does by orders of magnitude.
+collapse at another time than the curve does by orders of magnitude.
 """
 
 import math

@@ -1,12 +1,10 @@
 """The command ``imr-torch``: results as text, JSON and figures.
 
 Each subcommand has two modules of its name: help and options in :mod:`imr_torch.cli.options`, which
-    are light, and what it
-runs in :mod:`imr_torch.cli`, imported when it is asked for.
+are light, and what it runs in :mod:`imr_torch.cli`, imported when it is asked for.
 
 Exit status: 0 done, 2 input that cannot be used (the message says what to do), 1 a computation that
-    did not converge or a file
-that could not be written, 130 interrupted by the user.
+did not converge or a file that could not be written, 130 interrupted by the user.
 """
 
 import argparse

@@ -29,7 +29,14 @@ from imr_torch.cli.common import (
 from imr_torch.errors import InputDataError
 from imr_torch.files import remove_temporaries
 from imr_torch.material import PARAMETERS, Belief, ReferenceCase, reference_case
-from imr_torch.observe import Experiment, SimulatedLaboratory, TraceSet, load_traces, prepare
+from imr_torch.observe import (
+    Experiment,
+    SimulatedLaboratory,
+    TraceSet,
+    find_files,
+    load_traces,
+    prepare,
+)
 from imr_torch.observe.medium import label
 from imr_torch.random import child, generator
 from imr_torch.results import campaign_document, document_report
@@ -42,6 +49,7 @@ def run(args: argparse.Namespace) -> None:
     Raises:
         KeyboardInterrupt: if the user stops it, with what to do next.
     """
+    begun = _begun_with(args)
     if args.tell and args.case:
         raise InputDataError(
             "--tell gives real experiments and --case simulates them; give one of the two."
@@ -55,7 +63,8 @@ def run(args: argparse.Namespace) -> None:
                 "--tell."
             )
     settings = settings_of(args)
-    simulator, prior, medium = with_medium(args, simulator_of(args), prior_of(args))
+    prior = prior_of(args) if begun is None else begun
+    simulator, prior, medium = with_medium(args, simulator_of(args), prior)
     if args.case and medium.sds:
         raise InputDataError(
             f"--medium gives {label(next(iter(medium.sds)))} a standard deviation, and --case "
@@ -80,6 +89,19 @@ def run(args: argparse.Namespace) -> None:
             else ""
         )
         raise KeyboardInterrupt(f"interrupted{kept}") from None
+
+
+def _begun_with(args: argparse.Namespace) -> Belief | None:
+    """The prior of the campaign that is resumed, where no option names one; its case is as if it
+    was given.
+    """
+    if not args.resume or any((args.models, args.known, args.belief, args.case)):
+        return None
+    start = Journal(args.out).find("start")
+    if start is None:
+        return None
+    args.case = start["note"].get("case")
+    return None if args.case else Belief.from_dict(start["prior"])
 
 
 def _open(
@@ -148,24 +170,37 @@ def _simulated(
 def _real(campaign: Campaign, args: argparse.Namespace) -> tuple[Sequence[Proposal], str | None]:
     """Learn from told files, then say what to shoot next: the proposals, or why it is enough."""
     progress = progress_of(args)
-    experiments = ()
-    if args.tell:
-        traces = load_traces(*args.tell, layout=layout_of(args))
-        print(traces.report())
-        surroundings = campaign.simulator.conditions.surroundings
-        _check_medium(traces, args)
-        prepared = prepare(traces, surroundings, rest_radius=rest_radius_of(args))
-        print(prepared.report())
-        experiments = prepared.experiments
+    experiments: list[Experiment] = []
+    failed: list[tuple[str, InputDataError]] = []
+    for path in find_files(*args.tell) if args.tell else ():
+        try:
+            experiments += _prepared(path, campaign, args)
+        except InputDataError as error:
+            if not campaign.journal.events:  # nobody asked for this shot
+                raise
+            failed.append((path.name, error))
     if args.forget is not None:
         campaign.forget(args.forget, progress=progress)
     if experiments:
         campaign.tell(*experiments, progress=progress)
     elif campaign.outstanding:  # the last run was cut off while it learnt
         campaign.learn(progress=progress)
+    for name, error in failed:
+        campaign.fail(name, str(error))
     if reason := campaign.reason_to_stop():
         return (), reason
     return campaign.ask_several(args.q, progress=progress), None
+
+
+def _prepared(path: Path, campaign: Campaign, args: argparse.Namespace) -> tuple[Experiment, ...]:
+    """The experiments in a told file; what was read and left out is printed."""
+    traces = load_traces(path, layout=layout_of(args))
+    print(traces.report())
+    _check_medium(traces, args)
+    surroundings = campaign.simulator.conditions.surroundings
+    prepared = prepare(traces, surroundings, rest_radius=rest_radius_of(args))
+    print(prepared.report())
+    return prepared.experiments
 
 
 def _check_medium(traces: TraceSet, args: argparse.Namespace) -> None:

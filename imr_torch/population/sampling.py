@@ -1,11 +1,11 @@
 """Draws of population, scatter and shots, weighted by the smooth likelihoods of the shots.
 
 The proposal is the closed form of Gaussian shots: a cell of a grid over the scatters by its
-    probability there, the scatter
-uniform within it, the population's centre from its Gaussian with heavier tails, each shot from its
-own Gaussian given both. A draw's weight has the prior of the scatter exactly, and for every shot
-the mean of its likelihood over its Gaussian part. Where the weights vary much, the Gaussian parts
-are fitted again to the likelihoods at the draws (as in expectation propagation: Minka 2001).
+probability there, the scatter uniform within it, the population's centre from its Gaussian with
+heavier tails, each shot from its own Gaussian given both. A draw's weight has the prior of the
+scatter exactly, and for every shot the mean of its likelihood over its Gaussian part. Where the
+weights vary much, the Gaussian parts are fitted again to the likelihoods at the draws (as in
+expectation propagation: Minka 2001).
 """
 
 import math

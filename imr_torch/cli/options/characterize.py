@@ -6,8 +6,7 @@ fit.
   imr-torch characterize day1/ --population --html day1.html
   imr-torch characterize gel.csv --layout "radius=R,radius_unit=um,time=t,time_unit=us"
   imr-torch characterize wide.csv --layout "radius=*,radius_unit=um,time=t,time_unit=us"
-  imr-torch characterize bubble.mat --layout
-  "radius=Rnew,radius_unit=px,pixel_size=deltax,frame_interval=deltat"
+  imr-torch characterize bubble.mat --layout "radius=Rnew,radius_unit=px,pixel_size=deltax,frame_interval=deltat"
 
 Files are tables (text or .xlsx) with the columns experiment_id, time_s, radius_m, or with units in
 the header ("time (us)", "R [um]"), MATLAB files, or .npz. What their names do not say, --layout
