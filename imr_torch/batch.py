@@ -302,7 +302,7 @@ def characterize_shot(traces: TraceSet | None, options: BatchOptions) -> dict[st
         )
         files = list({trace.source: None for trace in traces})
         document = header("characterize", files=files, medium=result.medium) | {
-            "converged": result.assimilation.converged,
+            "converged": result.converged,
             "frames_fitted": sum(len(experiment.times) for experiment in result.experiments),
             **result.to_document(),
         }

@@ -421,8 +421,22 @@ def test_that_a_file_is_told_once_and_forgotten_by_its_number(told_once, tmp_pat
     assert "There is no experiment 1 to forget" in capsys.readouterr().err
 
 
+def radii_above(rows: list[str], largest_um: float) -> list[str]:
+    """Rows of a bubble that leaves the picture where it is larger."""
+    return [row for row in rows if 1e6 * float(row.split(",")[2]) < largest_um]
+
+
+@pytest.mark.parametrize(
+    ("kept", "reason"),
+    [
+        (lambda rows: rows[:6], "has 6 frames to fit, and at least 10 are needed"),
+        (lambda rows: radii_above(rows, 250.0), "begins after its maximum radius"),
+        (lambda rows: rows[:20], "shows no collapse"),
+    ],
+    ids=["six frames", "cut off by the edge", "no collapse"],
+)
 def test_that_a_told_shot_that_cannot_be_used_is_recorded_as_failed_and_asked_for_again(
-    told_once, tmp_path, capsys
+    told_once, tmp_path, capsys, kept, reason
 ):
     whole, shot = told_once
     out = tmp_path / "gel"
@@ -431,10 +445,13 @@ def test_that_a_told_shot_that_cannot_be_used_is_recorded_as_failed_and_asked_fo
     before = belief_of(out)
     assert main(real(out, "--resume")) == 0
     (first,) = re.findall("Shoot next: .*", capsys.readouterr().out)
-    short.write_text("\n".join(shot.read_text().splitlines()[:7]) + "\n")
+    header, *rows = shot.read_text().splitlines()
+    short.write_text("\n".join([header, *kept(rows)]) + "\n")
     assert main(real(out, "--resume", "--tell", short)) == 0
     said = capsys.readouterr().out
-    assert re.search(r"short\.csv failed: .* It is recorded as failed, and the belief is as", said)
+    assert re.search(
+        rf"short\.csv failed: Experiment 'a' {reason}.* It is recorded as failed", said
+    )
     assert first in said
     assert belief_of(out) == before
     document = json.loads((out / "campaign.json").read_text())

@@ -69,7 +69,7 @@ class RunView:
         go: opens another tab.
     """
 
-    def __init__(self, workspace: Workspace, runs: Runs, go: Callable[[str], None]) -> None:
+    def __init__(self, workspace: Workspace, runs: Runs, go: Callable[[str], object]) -> None:
         self.workspace = workspace
         self.runs = runs
         self.go = go
@@ -125,7 +125,7 @@ class RunView:
         except ImrError as error:
             ui.label(str(error)).classes("problem")
             return
-        kept = [name for name in self.values["experiments"] if name in names]
+        kept = [name for name in self.values["experiments"] or () if name in names]
         self.values["experiments"] = kept
         ui.select(
             names,

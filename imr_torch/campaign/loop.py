@@ -278,7 +278,7 @@ class Campaign:
         search = found.search
         tried = zip(search.gains, search.designs, strict=True) if search else ()
         evaluations = [asdict(gain) | {"design": design.tolist()} for gain, design in tried]
-        pending = search and search.pending and asdict(search.pending)
+        before = search and search.pending and asdict(search.pending)
         self._record(
             "ask",
             step=number,
@@ -286,7 +286,7 @@ class Campaign:
             gain=found.gain,
             gain_sd=found.gain_sd,
             reason=found.reason,
-            pending=without_nonfinite(pending)[0],
+            pending=without_nonfinite(before)[0],
             evaluations=without_nonfinite(evaluations)[0],
         )
         return found

@@ -46,6 +46,9 @@ if TYPE_CHECKING:
     import pandas
 
 
+_COUNTS = 0.01  # probability from which on a model whose fit failed makes the result doubtful
+
+
 @dataclass(frozen=True)
 class Characterization:
     """Parameters, model probabilities and fits inferred from curves of one gel.
@@ -145,6 +148,16 @@ class Characterization:
             return None
         fit, curves = self.assimilation[self.posterior.best.model].of_curves(batch)
         return curves.noise_interval(fit.prediction)
+
+    @property
+    def converged(self) -> bool:
+        """Whether the fit of every model that holds 1 % of the probability or more has converged."""
+        chances = self.posterior.probabilities
+        return all(
+            fit.certificate.converged
+            for fit in self.assimilation.fits
+            if chances[fit.model] >= _COUNTS
+        )
 
     @property
     def cautions(self) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ from pathlib import Path
 import torch
 
 from imr_torch.campaign import Campaign, CampaignSettings, Journal, Proposal
+from imr_torch.campaign.admission import check_whole
 from imr_torch.characterization import medium_of
 from imr_torch.cli.campaign_settings import check_goal, hidden, one_model, scatter, settings_of
 from imr_torch.cli.common import (
@@ -31,8 +32,8 @@ from imr_torch.files import remove_temporaries
 from imr_torch.material import PARAMETERS, Belief, ReferenceCase, reference_case
 from imr_torch.observe import (
     Experiment,
+    GelMedium,
     SimulatedLaboratory,
-    TraceSet,
     find_files,
     load_traces,
     prepare,
@@ -174,11 +175,22 @@ def _real(campaign: Campaign, args: argparse.Namespace) -> tuple[Sequence[Propos
     failed: list[tuple[str, InputDataError]] = []
     for path in find_files(*args.tell) if args.tell else ():
         try:
-            experiments += _prepared(path, campaign, args)
+            traces = load_traces(path, layout=layout_of(args))
+            print(traces.report())
+            medium = medium_of(traces, statement_of(args))
+            surroundings = campaign.simulator.conditions.surroundings
+            prepared = prepare(traces, surroundings, rest_radius=rest_radius_of(args))
+            print(prepared.report())
+            for experiment in prepared.experiments:
+                marks = prepared.landmarks[experiment.label]
+                check_whole(experiment, marks.max_method)
         except InputDataError as error:
             if not campaign.journal.events:  # nobody asked for this shot
                 raise
             failed.append((path.name, error))
+            continue
+        _check_medium(medium, args)
+        experiments += prepared.experiments
     if args.forget is not None:
         campaign.forget(args.forget, progress=progress)
     if experiments:
@@ -192,22 +204,10 @@ def _real(campaign: Campaign, args: argparse.Namespace) -> tuple[Sequence[Propos
     return campaign.ask_several(args.q, progress=progress), None
 
 
-def _prepared(path: Path, campaign: Campaign, args: argparse.Namespace) -> tuple[Experiment, ...]:
-    """The experiments in a told file; what was read and left out is printed."""
-    traces = load_traces(path, layout=layout_of(args))
-    print(traces.report())
-    _check_medium(traces, args)
-    surroundings = campaign.simulator.conditions.surroundings
-    prepared = prepare(traces, surroundings, rest_radius=rest_radius_of(args))
-    print(prepared.report())
-    return prepared.experiments
-
-
-def _check_medium(traces: TraceSet, args: argparse.Namespace) -> None:
+def _check_medium(told: GelMedium, args: argparse.Namespace) -> None:
     """The medium of a campaign is stated when it begins: told files may say the same, or be
     overruled by --medium, said.
     """
-    told = medium_of(traces, statement_of(args))
     own = args.gel_medium
     new = [name for name in told.sources if name not in own.sources]
     if new:

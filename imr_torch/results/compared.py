@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from imr_torch.labels import symbol
-from imr_torch.plot import DATA, MODEL
+from imr_torch.plot import DATA, MODEL, set_scale
 from imr_torch.results.named import NamedFigure
 
 
@@ -34,17 +34,13 @@ def plot_ratios(document: Mapping[str, Any]) -> Axes:
     ).T
     size = (5.2, 1.2 + 0.4 * len(rows))
     ax = plt.subplots(figsize=size, layout="constrained")[1]
-    ax.errorbar(
-        middle,
-        range(len(rows)),
-        xerr=(middle - low, high - middle),
-        fmt="o",
-        capsize=3,
-        color=MODEL,
-    )
+    places = range(len(rows))
+    reach = (middle - low, high - middle)
+    ax.errorbar(middle, places, xerr=reach, fmt="o", capsize=3, color=MODEL)
     ax.axvline(1.0, color=DATA, lw=0.8, ls="--")
-    ax.set_yticks(range(len(rows)), [symbol(row["parameter"]) for row in rows])
-    ax.set(
-        xlabel="a / b", xscale="log" if low.min() > 0.0 else "linear", ylim=(-0.5, len(rows) - 0.5)
-    )
+    ax.set_yticks(places, [symbol(row["parameter"]) for row in rows])
+    if set_scale(ax, "x", low.min(), high.max(), ratio=5.0):
+        ax.xaxis.set_major_formatter("{x:g}")
+        ax.xaxis.set_minor_formatter("{x:g}")
+    ax.set(xlabel="a / b", ylim=(len(rows) - 0.5, -0.5))
     return ax

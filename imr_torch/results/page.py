@@ -6,6 +6,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from jinja2 import UndefinedError
+
 from imr_torch.assimilate import BadFrame
 from imr_torch.errors import InputDataError
 from imr_torch.html import render
@@ -48,7 +50,7 @@ def document_report(document: Mapping[str, Any]) -> str:
     Shoot We = 400, R_inf* = 0.200 (Rmax = 570 um, R_inf = 114 um)
     expected information gain 3.200 +- 0.100 nats
     """
-    return render(f"{_kind(document)}.txt", **_names(document)).strip("\n")
+    return _filled(f"{_kind(document)}.txt", **_names(document)).strip("\n")
 
 
 def document_page(document: Mapping[str, Any], *, title: str = "", report: str = "") -> str:
@@ -71,17 +73,25 @@ def document_page(document: Mapping[str, Any], *, title: str = "", report: str =
     """
     kind = _kind(document)
     names = _names(document)
-    return render(
+    return _filled(
         f"{kind}.html",
         **names,
         title=title or TITLES[kind].format(files=_files(document) or "the given curves"),
         drawn=_drawn(draw_figures(document) if document.get("map", True) else ()),
-        report=report or render(f"{kind}.txt", **names),
+        report=report or _filled(f"{kind}.txt", **names),
         footer=footer(document),
         provenance_rows=provenance_rows(document),
         warning=False,
         next_step="",
     )
+
+
+def _filled(template: str, **names: Any) -> str:
+    """A template filled in; what the document lacks is named."""
+    try:
+        return render(template, **names)
+    except UndefinedError as error:
+        raise InputDataError(f"The result is not whole ({error}); make it anew.") from None
 
 
 def _kind(document: Mapping[str, Any]) -> str:

@@ -118,7 +118,8 @@ def _check(value: Any, kind: Any, place: str) -> None:
     """Raise unless a value is of a kind."""
     expected = _outer(kind)
     fits = isinstance(value, expected) and not isinstance(value, bool)
-    if not fits or (type(value) is float and not math.isfinite(value)):
+    finite = not isinstance(value, float) or math.isfinite(value)
+    if not (fits and finite):
         raise _wrong(place, repr(value)[:40], _words(expected))
     if isinstance(kind, dict):
         for key in (name for wanted in kind for name in (value if wanted == "*" else [wanted])):

@@ -21,6 +21,7 @@ from imr_torch.cli.options.shared import (
     add_medium_argument,
     add_physics_argument,
     add_prior_arguments,
+    add_reading_arguments,
     add_window_arguments,
 )
 
@@ -42,11 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--each", action="store_true", help="every curve of a file is a shot of its own"
     )
-    parser.add_argument(
-        "--layout",
-        metavar="TEXT",
-        help="how to read the files, as for characterize (radius=R,radius_unit=um,...)",
-    )
+    add_reading_arguments(parser)
     add_window_arguments(parser)
     parser.add_argument("--method", choices=METHODS, default="map", help="as for characterize")
     parser.add_argument(

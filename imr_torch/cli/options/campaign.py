@@ -47,6 +47,7 @@ from imr_torch.cli.options.shared import (
     add_medium_argument,
     add_physics_argument,
     add_prior_arguments,
+    add_reading_arguments,
     add_workers_argument,
 )
 
@@ -128,12 +129,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="take experiment N, in the order of telling, out of the belief; the journal keeps it "
         "and the numbers of others",
     )
-    parser.add_argument(
-        "--layout", metavar="TEXT", help="how to read told files, as for characterize"
-    )
-    parser.add_argument(
-        "--rest-radius", metavar="VALUE:SD", help="assumed R_inf/Rmax of told files without a tail"
-    )
+    add_reading_arguments(parser)
     parser.add_argument(
         "--html",
         metavar="FILE",

@@ -28,8 +28,10 @@ import argparse
 from imr_torch.cli.options.names import EFFORTS, FRAMES, METHODS, SCATTER_SCALE
 from imr_torch.cli.options.shared import (
     add_medium_argument,
+    add_output_arguments,
     add_physics_argument,
     add_prior_arguments,
+    add_reading_arguments,
     add_window_arguments,
 )
 
@@ -45,10 +47,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="files (CSV, text, .xlsx, MATLAB, .npz), folders or patterns",
     )
-    parser.add_argument(
-        "--layout", metavar="TEXT", help="how to read the files: name=value pairs, see above"
-    )
+    add_reading_arguments(parser)
     parser.add_argument("--experiments", metavar="ID,...", help="fit only these experiments")
+    parser.add_argument("--exclude", metavar="ID,...", help="leave these experiments out")
     parser.add_argument(
         "--each", action="store_true", help="fit every curve by itself instead of all together"
     )
@@ -93,8 +94,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--effort",
         choices=EFFORTS,
         default="normal",
-        help="how far draws are weighted where they do not settle the intervals of a model "
-        "(default normal)",
+        help="how many posterior draws are made of a model whose first ones do not settle its "
+        "intervals: up to 4 rounds (normal, default) or 8 (thorough)",
     )
     parser.add_argument(
         "--frames",
@@ -102,10 +103,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="all",
         help="single bad frames are named; `robust` leaves them out of the fit too (default all)",
     )
-    parser.add_argument("--out", metavar="DIR", help="folder for figures, report and JSON")
-    parser.add_argument(
-        "--html", metavar="FILE", help="write the result with its figures as one HTML file"
-    )
+    add_output_arguments(parser)
     parser.add_argument(
         "--mat",
         metavar="FILE",

@@ -34,6 +34,28 @@ def add_prior_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_output_arguments(parser: argparse.ArgumentParser, *, page: bool = True) -> None:
+    """Options for where figures and the page go."""
+    parser.add_argument("--out", metavar="DIR", help="folder for figures and JSON")
+    if page:
+        parser.add_argument(
+            "--html", metavar="FILE", help="write the result with its figures as one HTML file"
+        )
+
+
+def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options that say what files of curves do not."""
+    parser.add_argument(
+        "--layout",
+        metavar="TEXT",
+        help="how to read the files: name=value pairs (radius=R,radius_unit=um,time=t,...), as "
+        "imr-torch characterize --help says",
+    )
+    parser.add_argument(
+        "--rest-radius", metavar="VALUE:SD", help="assumed R_inf/Rmax, for records without a tail"
+    )
+
+
 def add_window_arguments(parser: argparse.ArgumentParser) -> None:
     """Options for which part of a curve is fitted, and with what noise."""
     parser.add_argument(
@@ -41,9 +63,6 @@ def add_window_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=COLLAPSES,
         help="collapses in the fitted window (default %(default)s)",
-    )
-    parser.add_argument(
-        "--rest-radius", metavar="VALUE:SD", help="assumed R_inf/Rmax, for records without a tail"
     )
     parser.add_argument(
         "--noise",
