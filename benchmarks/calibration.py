@@ -36,8 +36,8 @@ from imr_torch.calibration import (
 from imr_torch.design import DesignSpace, Laplace, Plan, expected_information_gain
 from imr_torch.material import reference_case, wide_prior
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance
-from imr_torch.plot import plot_places, plot_reliability
 from imr_torch.random import child
+from imr_torch.results.plot import plot_places, plot_reliability
 from imr_torch.simulate import PolytropicSimulator, Simulator, TransportSimulator
 
 DESIGNS = {"stiff-pa": (900.0, 0.28), "soft-pa": (400.0, 0.22), "wide": (400.0, 0.22)}

@@ -53,9 +53,9 @@ from imr_torch.files import write_json
 from imr_torch.labels import REST_RADIUS, WEBER, symbol, with_unit
 from imr_torch.material import CASES, PARAMETERS, Belief, TruncatedNormal, reference_case
 from imr_torch.observe import Experiment, ExperimentBatch, SimulatedLaboratory, collapse_time
-from imr_torch.plot import CYCLE, MODEL, SECOND, TRUTH
 from imr_torch.random import child
 from imr_torch.results import for_publication
+from imr_torch.results.plot import CYCLE, MODEL, SECOND, TRUTH
 from imr_torch.results.publication import STYLE
 
 CASE = reference_case("stiff-pa")

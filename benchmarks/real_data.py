@@ -27,7 +27,7 @@ from imr_torch.assimilate import ModelFit, SearchOptions, Verdict
 from imr_torch.characterization import Characterization, predictive_band
 from imr_torch.errors import ImrError, InputDataError
 from imr_torch.observe import NUISANCES, TraceSet, collapse_time, find_landmarks, prepare
-from imr_torch.plot import plot_experiment
+from imr_torch.results.plot import plot_experiment
 from imr_torch.simulate import (
     Conditions,
     PolytropicSimulator,

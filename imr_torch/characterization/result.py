@@ -23,6 +23,7 @@ from imr_torch.characterization.document import curves_document
 from imr_torch.characterization.effort import EFFORTS
 from imr_torch.characterization.medium import medium_document
 from imr_torch.characterization.profiles import profiles_document
+from imr_torch.characterization.saved import SavedCharacterization, draws_to_dict
 from imr_torch.document import header
 from imr_torch.files import without_nonfinite, write_json
 from imr_torch.gap import MediumSensitivity
@@ -31,7 +32,6 @@ from imr_torch.material import Belief
 from imr_torch.observe import Experiment, GelMedium, Landmarks, Noise, Prepared, TraceSet
 from imr_torch.observe.frames import FrameUse
 from imr_torch.population import Population
-from imr_torch.saved import SavedCharacterization, draws_to_dict
 from imr_torch.select import (
     Evidence,
     Identifiability,

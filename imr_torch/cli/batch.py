@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from imr_torch.batch import FAILED, NOT_CONVERGED, BatchOptions, run_batch
+from imr_torch.characterization.batch import FAILED, NOT_CONVERGED, BatchOptions, run_batch
 from imr_torch.cli.common import (
     METHODS,
     SIMULATORS,

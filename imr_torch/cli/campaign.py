@@ -185,7 +185,7 @@ def _real(campaign: Campaign, args: argparse.Namespace) -> tuple[Sequence[Propos
                 marks = prepared.landmarks[experiment.label]
                 check_whole(experiment, marks.max_method)
         except InputDataError as error:
-            if not campaign.journal.events:  # nobody asked for this shot
+            if not campaign.journal.events or not path.is_file():  # nobody asked for this shot
                 raise
             failed.append((path.name, error))
             continue

@@ -2,10 +2,10 @@
 
 import argparse
 
+from imr_torch.characterization.compare import compare
+from imr_torch.characterization.saved import SavedCharacterization
 from imr_torch.cli.common import show_result, write_result
-from imr_torch.compare import compare
 from imr_torch.results import document_report
-from imr_torch.saved import SavedCharacterization
 
 
 def run(args: argparse.Namespace) -> None:

@@ -34,8 +34,8 @@ from imr_torch.design import (
 )
 from imr_torch.errors import InputDataError
 from imr_torch.observe import Nuisance
-from imr_torch.plot import information_map
 from imr_torch.results import document_report
+from imr_torch.results.plot import information_map
 from imr_torch.simulate import coarser
 from imr_torch.units import Surroundings
 

@@ -40,17 +40,11 @@ def write_mat(document: Mapping[str, Any], path: str | Path) -> None:
     5000.0
     """
     chances = document["model_probabilities"]
+    names = ("model", "name", "unit", "low", "median", "high")
     parameters = [
-        {
-            "model": key,
-            "name": name,
-            "unit": PARAMETERS[name].unit,
-            "low": low,
-            "median": middle,
-            "high": high,
-        }
+        dict(zip(names, (key, name, PARAMETERS[name].unit, *interval), strict=True))
         for key, entry in document["models"].items()
-        for name, (low, middle, high) in entry["intervals"].items()
+        for name, interval in entry["intervals"].items()
     ]
     content = {
         "model": max(chances, key=chances.__getitem__),
@@ -63,21 +57,24 @@ def write_mat(document: Mapping[str, Any], path: str | Path) -> None:
 
 def _curve(curve: Mapping[str, Any]) -> dict[str, Any]:
     """One curve in us and um, with the most probable model."""
+    measured = curve["measured"]
     band = curve["band"]
     model = curve["models"][band["model"]]
+    to_us = 1e6 * curve["time_scale_s"]
+    to_um = 1e6 * curve["Rmax_m"]
     columns = {
-        "time_us": (curve["measured"]["t_star"], 1e6 * curve["time_scale_s"]),
-        "radius_um": (curve["measured"]["R_star"], 1e6 * curve["Rmax_m"]),
-        "fitted": (curve["measured"]["fitted"], 1.0),
-        "model_time_us": (model["t_star"], 1e6 * curve["time_scale_s"]),
-        "model_radius_um": (model["R_star"], 1e6 * curve["Rmax_m"]),
-        "band_time_us": (band["t_star"], 1e6 * curve["time_scale_s"]),
-        "band_low_um": (band["low"], 1e6 * curve["Rmax_m"]),
-        "band_high_um": (band["high"], 1e6 * curve["Rmax_m"]),
-        "residual": (model["residual"], 1.0),
-        "residual_over_sd": (model["residual_over_sd"], 1.0),
+        "time_us": (to_us, measured["t_star"]),
+        "radius_um": (to_um, measured["R_star"]),
+        "fitted": (1.0, measured["fitted"]),
+        "model_time_us": (to_us, model["t_star"]),
+        "model_radius_um": (to_um, model["R_star"]),
+        "band_time_us": (to_us, band["t_star"]),
+        "band_low_um": (to_um, band["low"]),
+        "band_high_um": (to_um, band["high"]),
+        "residual": (1.0, model["residual"]),
+        "residual_over_sd": (1.0, model["residual_over_sd"]),
     }
-    arrays = {name: scale * np.array(x, dtype=float) for name, (x, scale) in columns.items()}
+    arrays = {name: scale * np.array(x, dtype=float) for name, (scale, x) in columns.items()}
     return {"id": curve["id"], "We": curve["We"], "rinf_star": curve["R_inf*"]} | arrays
 
 

@@ -13,7 +13,7 @@ from imr_torch.characterization.bands import LEVELS, intervals, predictive_band
 from imr_torch.files import drawn_numbers
 from imr_torch.goodness import check_fit
 from imr_torch.material import Belief
-from imr_torch.plot import information_map
+from imr_torch.results.plot import information_map
 
 _REPEATS = 12  # curves of one experiment that are drawn
 _POINTS = 400  # of a predictive band

@@ -9,7 +9,8 @@ from matplotlib.figure import Figure
 
 from imr_torch.labels import R_STAR, T_STAR, plain
 from imr_torch.material import Belief, material
-from imr_torch.plot import (
+from imr_torch.results.named import NamedFigure
+from imr_torch.results.plot import (
     DATA,
     MODEL,
     draw_information,
@@ -19,7 +20,6 @@ from imr_torch.plot import (
     plot_probabilities,
     with_lengths,
 )
-from imr_torch.results.named import NamedFigure
 from imr_torch.results.population import population_named_figure
 
 _CAUSES = 6  # that are drawn

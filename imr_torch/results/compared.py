@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from imr_torch.labels import symbol
-from imr_torch.plot import DATA, MODEL, set_scale
 from imr_torch.results.named import NamedFigure
+from imr_torch.results.plot import DATA, MODEL, set_scale
 
 
 def compared_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:

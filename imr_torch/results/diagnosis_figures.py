@@ -17,8 +17,8 @@ from imr_torch.gap.plots import (
 )
 from imr_torch.goodness.score import BlockResult, GapTest
 from imr_torch.labels import file_name
-from imr_torch.plot import DATA, MODEL, SECOND, curve_panels, floats
 from imr_torch.results.named import NamedFigure
+from imr_torch.results.plot import DATA, MODEL, SECOND, curve_panels, floats
 
 
 def diagnosis_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:

@@ -17,7 +17,11 @@ from scipy.special import ndtri
 from imr_torch.errors import InputDataError
 from imr_torch.labels import R_STAR, T_STAR, file_name
 from imr_torch.material import Belief, material
-from imr_torch.plot import (
+from imr_torch.results.campaign_figures import campaign_figures
+from imr_torch.results.compared import compared_figures
+from imr_torch.results.diagnosis_figures import diagnosis_figures
+from imr_torch.results.named import NamedFigure
+from imr_torch.results.plot import (
     CYCLE,
     DATA,
     MODEL,
@@ -32,10 +36,6 @@ from imr_torch.plot import (
     plot_probabilities,
     with_lengths,
 )
-from imr_torch.results.campaign_figures import campaign_figures
-from imr_torch.results.compared import compared_figures
-from imr_torch.results.diagnosis_figures import diagnosis_figures
-from imr_torch.results.named import NamedFigure
 from imr_torch.results.population import population_named_figure
 from imr_torch.results.profile import profile_named_figures
 from imr_torch.results.shots import shots_figures

@@ -9,8 +9,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from imr_torch.labels import plain
 from imr_torch.material import PARAMETERS
-from imr_torch.plot import DATA, MODEL, PALE, floats, parameter_label, set_scale
 from imr_torch.results.named import NamedFigure
+from imr_torch.results.plot import DATA, MODEL, PALE, floats, parameter_label, set_scale
 
 _WIDE = 5.0  # ratio of the ends of an axis from which on it is logarithmic
 _ROWS = 40  # shots with a label

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from imr_torch.assimilate.profile import FALL
 from imr_torch.labels import file_name
 from imr_torch.material import PARAMETERS, Belief, ModelBelief, material
-from imr_torch.plot import DATA, MODEL, PALE, SECOND, parameter_label, set_scale
 from imr_torch.results.named import NamedFigure
+from imr_torch.results.plot import DATA, MODEL, PALE, SECOND, parameter_label, set_scale
 
 _TOP = 4.2  # nats that are drawn
 _COLUMNS = 2

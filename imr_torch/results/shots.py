@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 
 from imr_torch.labels import plain, shown_unit
 from imr_torch.material import PARAMETERS
-from imr_torch.plot import DATA, MODEL, TRUTH, set_scale
 from imr_torch.results.named import NamedFigure
+from imr_torch.results.plot import DATA, MODEL, TRUTH, set_scale
 
 _NAMED = 40  # shots whose names stand below a plot
 

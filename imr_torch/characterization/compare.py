@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
+from imr_torch.characterization.saved import SavedCharacterization, WeightedDraws, to_dataframe
 from imr_torch.document import header
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief, ModelBelief
 from imr_torch.results import document_report
-from imr_torch.saved import SavedCharacterization, WeightedDraws, to_dataframe
 
 if TYPE_CHECKING:
     import pandas
@@ -71,8 +71,8 @@ class Comparison:
             may be its error: the verdict is then undecided.
 
     >>> from imr_torch import wide_prior
-    >>> from imr_torch.compare import compare
-    >>> from imr_torch.saved import SavedCharacterization
+    >>> from imr_torch.characterization.compare import compare
+    >>> from imr_torch.characterization.saved import SavedCharacterization
     >>> prior = wide_prior(["nhkv"])
     >>> part = prior["nhkv"]
     >>> def gel(shift):
@@ -164,8 +164,8 @@ def compare(
         InputDataError: if the results have no model in common, or not the one that was asked for.
 
     >>> from imr_torch import wide_prior
-    >>> from imr_torch.compare import compare
-    >>> from imr_torch.saved import SavedCharacterization
+    >>> from imr_torch.characterization.compare import compare
+    >>> from imr_torch.characterization.saved import SavedCharacterization
     >>> gel = SavedCharacterization.from_dict({"belief": wide_prior(["nhkv"]).to_dict(), "models": {"nhkv": {}}})
     >>> comparison = compare(gel, gel)
     >>> comparison.verdict, comparison.log_bayes_factor

@@ -29,13 +29,13 @@ from typing import TYPE_CHECKING, Any
 
 from imr_torch.assimilate import FitOptions
 from imr_torch.characterization import characterize
+from imr_torch.characterization.saved import SavedCharacterization, to_dataframe, write_xlsx
 from imr_torch.document import header
 from imr_torch.errors import ImrError, InputDataError
 from imr_torch.files import read_json, write_atomically, write_json
 from imr_torch.material import PARAMETERS, Belief
 from imr_torch.observe import Layout, Statement, TraceSet, find_files, load_traces
 from imr_torch.results import document_report
-from imr_torch.saved import SavedCharacterization, to_dataframe, write_xlsx
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
@@ -82,7 +82,7 @@ class BatchOptions:
         seed: as for :func:`imr_torch.characterize`.
 
     >>> from imr_torch import PolytropicSimulator, wide_prior
-    >>> from imr_torch.batch import BatchOptions
+    >>> from imr_torch.characterization.batch import BatchOptions
     >>> BatchOptions(wide_prior(["nhkv"]), PolytropicSimulator()).collapses
     2
     """
@@ -134,7 +134,7 @@ class BatchSummary:
             ``<parameter>`` and ``<parameter>_high`` (5, 50, 95 % quantile of the most probable
             model, SI), ``rmse``, ``verdict``, ``cpu_seconds``, ``error``.
 
-    >>> from imr_torch.batch import BatchSummary
+    >>> from imr_torch.characterization.batch import BatchSummary
     >>> failed = {"shot": "b", "status": "failed", "error": "no bubble"}
     >>> summary = BatchSummary(({"shot": "a", "status": "done", "G": 5e3}, failed))
     >>> summary.count("failed"), summary.columns
@@ -231,7 +231,7 @@ def run_batch(
 
     >>> import tempfile
     >>> from imr_torch import PolytropicSimulator, wide_prior
-    >>> from imr_torch.batch import BatchOptions, run_batch
+    >>> from imr_torch.characterization.batch import BatchOptions, run_batch
     >>> options = BatchOptions(wide_prior(["nhkv"]), PolytropicSimulator())
     >>> with tempfile.TemporaryDirectory() as home:
     ...     (path := __import__("pathlib").Path(home) / "gel.csv").write_text("t,R")

@@ -69,7 +69,7 @@ class SavedCharacterization:
         source: where it comes from, for messages.
 
     >>> from imr_torch import wide_prior
-    >>> from imr_torch.saved import SavedCharacterization
+    >>> from imr_torch.characterization.saved import SavedCharacterization
     >>> belief = wide_prior(["nhkv"])
     >>> intervals = {"G": [1.0, 2.0, 3.0], "mu": [0.1, 0.2, 0.3]}
     >>> saved = SavedCharacterization.from_dict({"belief": belief.to_dict(), "models": {"nhkv": {"intervals": intervals}}})
@@ -223,7 +223,7 @@ def write_xlsx(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], path: 
 
     >>> import tempfile
     >>> from pathlib import Path
-    >>> from imr_torch.saved import write_xlsx
+    >>> from imr_torch.characterization.saved import write_xlsx
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     write_xlsx([{"shot": "a", "G": 5000.0}], ("shot", "G"), Path(folder) / "summary.xlsx")
     True
@@ -246,7 +246,7 @@ def to_dataframe(rows: Sequence[Mapping[str, Any]]) -> "pandas.DataFrame":
     Raises:
         UnsupportedError: if pandas is not installed.
 
-    >>> from imr_torch.saved import to_dataframe
+    >>> from imr_torch.characterization.saved import to_dataframe
     >>> to_dataframe([{"shot": "a", "G": 5000.0}]).shape
     (1, 2)
     """
