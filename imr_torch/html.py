@@ -44,8 +44,9 @@ def render(template: str, **values: Any) -> str:
     Raises:
         jinja2.UndefinedError: if the template uses a name that is not among them.
 
-    >>> from imr_torch.html import Table, render
-    >>> render("blocks.html", title="Gel <7>", verdict=["Fit."], blocks=[]).count("Gel &lt;7&gt;")
+    >>> from imr_torch.html import render
+    >>> text = render("base.html", title="Gel <7>", verdict=["Fit."], warning=False, next_step="", footer="")
+    >>> text.count("Gel &lt;7&gt;")
     2
     """
     return _environment().get_template(template).render(**values)

@@ -41,7 +41,7 @@ _LABELS = {
     "profile": "profile likelihoods",
     "scores": "predict held-out curves",
     "known": "Known parameters, SI, as G=2770",
-    "rest_radius": "R_inf/Rmax of curves without a tail, as 0.2:0.05",
+    "rest_radius": "R_inf/Rmax without a tail, as 0.2:0.05",
     "base": "Model that is put to the test",
     "most": "Effects added at most",
     "belief": "What is known before",
