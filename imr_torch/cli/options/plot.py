@@ -35,5 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--columns", choices=COLUMNS, help="draw at the printed width of one or two columns"
     )
     parser.add_argument(
-        "--html", metavar="FILE", help="write the page too (of characterize, campaign, design, batch, compare)"
+        "--html",
+        metavar="FILE",
+        help="write the page too (of characterize, campaign, design, batch, compare)",
     )
