@@ -40,7 +40,7 @@ def write_mat(document: Mapping[str, Any], path: str | Path) -> None:
     5000.0
     """
     chances = document["model_probabilities"]
-    names = ("model", "name", "unit", "low", "median", "high")
+    names: tuple[str, ...] = ("model", "name", "unit", "low", "median", "high")
     parameters = [
         dict(zip(names, (key, name, PARAMETERS[name].unit, *interval), strict=True))
         for key, entry in document["models"].items()

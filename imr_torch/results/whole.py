@@ -116,11 +116,8 @@ def _check_profiles(document: Mapping[str, Any]) -> None:
 
 def _check(value: Any, kind: Any, place: str) -> None:
     """Raise unless a value is of a kind."""
-    expected = _outer(kind)
-    fits = isinstance(value, expected) and not isinstance(value, bool)
-    finite = not isinstance(value, float) or math.isfinite(value)
-    if not (fits and finite):
-        raise _wrong(place, repr(value)[:40], _words(expected))
+    if not _is_of_kind(value, _outer(kind)):
+        raise _wrong(place, repr(value)[:40], _words(_outer(kind)))
     if isinstance(kind, dict):
         for key in (name for wanted in kind for name in (value if wanted == "*" else [wanted])):
             inner = kind.get(key, kind.get("*"))
@@ -131,6 +128,12 @@ def _check(value: Any, kind: Any, place: str) -> None:
     elif isinstance(kind, list):
         for number, entry in enumerate(value):
             _check(entry, kind[0], f"{place}[{number}]")
+
+
+def _is_of_kind(value: Any, kind: Any) -> bool:
+    """Whether a value is of a kind; no number is a truth value, or infinite."""
+    finite = not isinstance(value, float) or math.isfinite(value)
+    return isinstance(value, kind) and not isinstance(value, bool) and finite
 
 
 def _check_lengths(values: Mapping[str, Any], names: Sequence[str], place: str) -> None:
