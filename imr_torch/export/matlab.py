@@ -41,7 +41,7 @@ def write_mat(document: Mapping[str, Any], path: str | Path) -> None:
     """
     chances = document["model_probabilities"]
     names: tuple[str, ...] = ("model", "name", "unit", "low", "median", "high")
-    parameters = [
+    parameters: list[dict[str, Any]] = [
         dict(zip(names, (key, name, PARAMETERS[name].unit, *interval), strict=True))
         for key, entry in document["models"].items()
         for name, interval in entry["intervals"].items()
