@@ -292,7 +292,10 @@ class RealCampaign:
         arguments = self.arguments(out, number, resume=resume, tell=tell)
 
         def act() -> int:
-            with mock.patch.object(command, "_figures"), mock.patch.dict(METHODS, {"map": QUICK}):
+            with (
+                mock.patch.object(command, "show_result"),
+                mock.patch.dict(METHODS, {"map": QUICK}),
+            ):
                 return main(arguments)
 
         return act

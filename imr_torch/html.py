@@ -1,48 +1,55 @@
-"""A page as one self-contained HTML file: a verdict, a table of facts, figures, sections, and
-details folded away.
+"""Texts and pages from templates (jinja2, in ``imr_torch/templates``): the templates hold the words and
+their layout, the caller gives the numbers.
 
-Nothing is fetched and nothing runs, so the file can be mailed and kept. All text is escaped here;
-figures are embedded as images with alternative texts. The page is readable on a screen 400 pixels
-wide.
+A page is one self-contained HTML file: nothing is fetched and nothing runs, so the file can be
+mailed and kept. All text in a page is escaped; figures are embedded as images with alternative
+texts. The page is readable on a screen 400 pixels wide.
 """
 
 import base64
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
-from itertools import groupby
+from functools import cache
 from pathlib import Path
+from typing import Any
 
+from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 from matplotlib.figure import Figure
 
 from imr_torch.files import write_atomically
+from imr_torch.labels import shown_unit
 
-_STYLE = """
-:root { color-scheme: light; }
-body { font: 16px/1.5 system-ui, sans-serif; max-width: 58rem; margin: 2rem auto; padding: 0 1rem; color: #222;
-  background: #fff; overflow-wrap: anywhere; }
-h1 { font-size: 1.6rem; line-height: 1.25; } h2 { font-size: 1.2rem; margin-top: 2rem; border-bottom: 1px solid #ccc; }
-.verdict { font-size: 1.15rem; background: #eef4f9; border-left: 4px solid #0072b2; padding: .6rem 1rem; }
-.warning { background: #fdf0e6; border-left-color: #d55e00; }
-.next { font-weight: 600; }
-.figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 24rem), 1fr)); gap: 1rem; }
-figure { margin: 1rem 0; } figcaption { color: #444; font-size: .9rem; } img { max-width: min(100%, 44rem); height: auto; }
-ul { padding-left: 1.2rem; }
-table { border-collapse: collapse; margin: 1rem 0; width: 100%; }
-th, td { text-align: left; vertical-align: top; padding: .3rem .8rem .3rem 0; border-bottom: 1px solid #ddd; }
-.facts th { min-width: 7.5rem; } .wide { overflow-x: auto; }
-.wide td, .wide th { overflow-wrap: break-word; min-width: 3.5rem; }
-.marked td { background: #fdf0e6; }
-details { margin: .8rem 0; border: 1px solid #ddd; border-radius: 4px; padding: .4rem .8rem; }
-summary { cursor: pointer; font-weight: 600; } pre { white-space: pre-wrap; font-size: .85rem; }
-@media (max-width: 480px) {
-  body { margin: .5rem auto; padding: 0 .6rem; } h1 { font-size: 1.3rem; }
-  .facts th, .facts td { display: block; border: 0; padding: 0; } .facts td { padding-bottom: .5rem; }
-  .facts tr { border-bottom: 1px solid #ddd; display: block; }
-}
-@media print { details > * { display: block; } }
-"""
+
+@cache
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("imr_torch"),
+        autoescape=select_autoescape(("html",)),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["unit"] = shown_unit
+    return environment
+
+
+def render(template: str, **values: Any) -> str:
+    """A template with values filled in; those of HTML files are escaped.
+
+    Args:
+        template: name of the file in ``imr_torch/templates``.
+        values: names of the template -> values, objects and functions.
+
+    Raises:
+        jinja2.UndefinedError: if the template uses a name that is not among them.
+
+    >>> from imr_torch.html import render
+    >>> text = render("base.html", title="Gel <7>", verdict=["Fit."], warning=False, next_step="", footer="")
+    >>> text.count("Gel &lt;7&gt;")
+    2
+    """
+    return _environment().get_template(template).render(**values)
 
 
 @dataclass(frozen=True)
@@ -56,13 +63,20 @@ class Picture:
 
     >>> from matplotlib.figure import Figure
     >>> from imr_torch.html import Picture
-    >>> Picture("Measured radius.", "Line chart of R(t).", Figure()).caption
-    'Measured radius.'
+    >>> Picture("Measured radius.", "Line chart of R(t).", Figure()).source[:22]
+    'data:image/png;base64,'
     """
 
     caption: str
     alt: str
     figure: Figure
+
+    @property
+    def source(self) -> str:
+        """The drawing as a data URI."""
+        stream = io.BytesIO()
+        self.figure.savefig(stream, format="png", dpi=140, metadata={"Software": None})
+        return f"data:image/png;base64,{base64.b64encode(stream.getvalue()).decode()}"
 
 
 @dataclass(frozen=True)
@@ -90,7 +104,7 @@ class Block:
 
     Args:
         heading: its title.
-        content: sentences (a list), tables, pictures and preformatted texts, in order.
+        content: sentences, tables and pictures, in order.
         folded: whether it is folded away until it is asked for.
 
     >>> from imr_torch.html import Block
@@ -99,20 +113,8 @@ class Block:
     """
 
     heading: str
-    content: tuple["str | Table | Picture | Preformatted", ...]
+    content: tuple[str | Table | Picture, ...]
     folded: bool = False
-
-
-@dataclass(frozen=True)
-class Preformatted:
-    r"""Text that keeps its line breaks.
-
-    >>> from imr_torch.html import Preformatted
-    >>> Preformatted("a\nb").text.count("\n")
-    1
-    """
-
-    text: str
 
 
 def page(
@@ -124,7 +126,7 @@ def page(
     next_step: str = "",
     footer: str = "",
 ) -> str:
-    """A page as HTML.
+    """A page of sections as HTML.
 
     Args:
         title: of the page, also its first heading.
@@ -139,28 +141,14 @@ def page(
     >>> "<title>Gel &lt;7&gt;</title>" in text, "<details><summary>Details</summary>" in text
     (True, True)
     """
-    first, *rest = verdict
-    body = [
-        f"<h1>{escape(title)}</h1>",
-        f'<p class="verdict{" warning" if warning else ""}">{escape(first)}</p>',
-    ]
-    body += [f"<p>{escape(sentence)}</p>" for sentence in rest]
-    body += [_block(block) for block in blocks if not block.folded]
-    if next_step:
-        body.append(
-            f'<section><h2>What to do next</h2><p class="next">{escape(next_step)}</p></section>'
-        )
-    body += [_block(block) for block in blocks if block.folded]
-    if footer:
-        body.append(f"<footer><p><small>{escape(footer)}</small></p></footer>")
-    head = f'<meta charset="utf-8"><title>{escape(title)}</title>'
-    head += '<meta name="viewport" content="width=device-width, initial-scale=1">'
-    # an empty icon, because browsers ask for one otherwise
-    head += f'<link rel="icon" href="data:,"><style>{_STYLE}</style>'
-    text = "\n".join(body)
-    return (
-        "<!DOCTYPE html>\n<html "
-        f'lang="en"><head>{head}</head>\n<body><main>\n{text}\n</main></body></html>\n'
+    return render(
+        "blocks.html",
+        title=title,
+        verdict=verdict,
+        blocks=blocks,
+        warning=warning,
+        next_step=next_step,
+        footer=footer,
     )
 
 
@@ -176,53 +164,3 @@ def write(text: str, path: str | Path) -> Path:
     """
     write_atomically(Path(path), lambda stream: stream.write(text.encode()))
     return Path(path)
-
-
-def _block(block: Block) -> str:
-    """A section; sentences side by side are a list, pictures side by side a grid."""
-    parts = []
-    for kind, items in groupby(
-        block.content, key=lambda item: type(item) if isinstance(item, str | Picture) else None
-    ):
-        inside = [
-            f"<li>{escape(item)}</li>" if isinstance(item, str) else _item(item) for item in items
-        ]
-        before, after = {str: ("<ul>", "</ul>"), Picture: ('<div class="figures">', "</div>")}.get(
-            kind, ("", "")
-        )
-        parts.append(before + "\n".join(inside) + after)
-    text = "\n".join(parts)
-    if block.folded:
-        return f"<details><summary>{escape(block.heading)}</summary>\n{text}</details>"
-    return f"<section><h2>{escape(block.heading)}</h2>\n{text}</section>"
-
-
-def _item(item: Table | Picture | Preformatted) -> str:
-    if isinstance(item, Preformatted):
-        return f"<pre>{escape(item.text)}</pre>"
-    if isinstance(item, Picture):
-        return _embedded(item)
-    if not item.head:
-        rows = "".join(
-            f"<tr><th>{escape(name)}</th><td>{escape(' '.join(values))}</td></tr>"
-            for name, *values in item.rows
-        )
-        return f'<table class="facts">{rows}</table>'
-    head = "".join(f"<th>{escape(cell)}</th>" for cell in item.head)
-    rows = "".join(
-        f"<tr{' class=marked' * (number in item.marked)}>"
-        + "".join(f"<td>{escape(cell)}</td>" for cell in row)
-        + "</tr>"
-        for number, row in enumerate(item.rows)
-    )
-    return f'<div class="wide"><table><tr>{head}</tr>{rows}</table></div>'
-
-
-def _embedded(picture: Picture) -> str:
-    stream = io.BytesIO()
-    picture.figure.savefig(stream, format="png", dpi=140, metadata={"Software": None})
-    data = base64.b64encode(stream.getvalue()).decode()
-    return (
-        f'<figure><img alt="{escape(picture.alt)}" src="data:image/png;base64,{data}">'
-        f"<figcaption>{escape(picture.caption)}</figcaption></figure>"
-    )

@@ -7,6 +7,7 @@ functions before it is drawn or names a file.
 """
 
 import hashlib
+from typing import Any
 
 _OPEN = 0.1  # error of a probability from which on it may be undecided
 _LONGEST = 48  # characters of a label in a figure or a file name
@@ -97,6 +98,21 @@ def with_unit(text: str, unit: str) -> str:
     ('tau (µs)', 'alpha')
     """
     return text if unit in ("", "1") else f"{text} ({'µs' if unit == 'us' else unit})"
+
+
+def shown_unit(parameter: Any) -> str:
+    """The unit in which a parameter is shown; empty for a number without one.
+
+    Args:
+        parameter: with ``display_unit`` and ``unit``, as :class:`imr_torch.material.Parameter`.
+
+    >>> from imr_torch.labels import shown_unit
+    >>> from imr_torch.material import PARAMETERS
+    >>> shown_unit(PARAMETERS["G"]), shown_unit(PARAMETERS["alpha"])
+    ('kPa', '')
+    """
+    unit = str(parameter.display_unit or parameter.unit)
+    return {"1": "", "us": "µs", "um": "µm"}.get(unit, unit)
 
 
 def p_value(value: float) -> str:

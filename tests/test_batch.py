@@ -9,20 +9,27 @@ import re
 import sys
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
+from pathlib import Path
 
 import pytest
 import torch
 
-import imr_torch.batch as batch
+import imr_torch.characterization.batch as batch
 from imr_torch import Characterization, PolytropicSimulator, characterize, wide_prior
 from imr_torch.assimilate import SearchOptions
-from imr_torch.batch import BatchOptions, BatchSummary, characterize_shot, run_batch
-from imr_torch.batch_page import plot_shots, write_summary
+from imr_torch.characterization.batch import (
+    BatchOptions,
+    BatchSummary,
+    characterize_shot,
+    run_batch,
+)
+from imr_torch.characterization.saved import SavedCharacterization, to_dataframe
 from imr_torch.cli import main
 from imr_torch.errors import InputDataError, UnsupportedError
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import load_traces
-from imr_torch.saved import SavedCharacterization, to_dataframe
+from imr_torch.results import document_page, header
+from imr_torch.results.shots import plot_shots, usable
 from imr_torch.simulate import process_pool
 from imr_torch.units import Surroundings
 from tests import float64
@@ -107,6 +114,8 @@ def test_that_a_result_reopens_with_its_posterior_its_draws_and_its_table(shots,
         options=OPTIONS.options,
     )
     result.save(tmp_path / "gel.json")
+    assert main(["plot", str(tmp_path / "gel.json"), "--format", "png", "--quiet"]) == 0
+    assert (tmp_path / "parameter_G.png").exists()
     saved = Characterization.load(tmp_path / "gel.json")
     assert saved.posterior.to_dict() == result.posterior.to_dict()
     assert saved.prior is not None
@@ -124,7 +133,18 @@ def test_that_a_result_reopens_with_its_posterior_its_draws_and_its_table(shots,
     assert frame.equals(saved.to_dataframe())
 
 
-def test_that_a_table_needs_pandas_and_says_so(monkeypatch):
+def test_that_the_workbook_holds_the_table(shots: Path, tmp_path: Path) -> None:
+    openpyxl = pytest.importorskip("openpyxl")
+    summary = run_batch(shots / "gel_1.csv", folder=tmp_path, options=OPTIONS)
+    (sheet,) = openpyxl.load_workbook(tmp_path / "summary.xlsx").worksheets
+    head, line = sheet.iter_rows(values_only=True)
+    assert head == summary.columns
+    wanted = [summary.rows[0].get(name) for name in head]
+    for found, value in zip(line, wanted, strict=True):  # a workbook keeps 16 digits
+        assert found == (pytest.approx(value) if isinstance(value, float) else value)
+
+
+def test_that_a_table_needs_pandas_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(
         UnsupportedError,
@@ -265,16 +285,39 @@ ROWS = (
 )
 
 
-def test_that_the_page_has_a_line_a_shot_and_a_plot_a_parameter(tmp_path):
-    text = write_summary(BatchSummary(ROWS), tmp_path / "summary.html").read_text()
-    assert text.count("<tr") == 4  # two tables of a head and a row
+def test_that_the_page_has_a_line_a_shot_and_a_plot_a_parameter() -> None:
+    text = document_page(header("batch") | BatchSummary(ROWS).to_dict())
+    assert text.partition("<details>")[0].count("<tr") == 4  # two tables of a head and a row
     assert text.count("data:image/png;base64,") == 2
     assert "a&lt;b" in text
     assert "no &lt;bubble&gt;" in text
     assert "5 (4 to 6)" in text  # kPa
-    ax = plot_shots(BatchSummary(ROWS), "G")
+    ax = plot_shots(ROWS, "G")
     assert ax.get_ylabel() == "G (kPa)"
     assert [label.get_text() for label in ax.get_xticklabels()] == ["a<b"]
+
+
+def test_that_shots_whose_curves_the_model_does_not_explain_are_not_to_be_quoted() -> None:
+    misfit = ROWS[0] | {"explained": "no"}
+    assert usable(ROWS[0])
+    assert not usable(misfit)
+    summary = BatchSummary((misfit,))
+    said = "the model does not explain the curves of 1, whose numbers are not to be quoted"
+    assert said in summary.report()
+    page = document_page(header("batch") | summary.to_dict())
+    assert 'class="verdict warning"' in page
+    assert '<tr class="marked">' in page
+
+
+def test_that_a_result_and_a_shot_can_be_drawn_again(shots: Path, tmp_path: Path, rendered) -> None:
+    run_batch(shots / "gel_1.csv", folder=tmp_path / "out", options=OPTIONS)
+    found = characterize_shot(load_traces(shots / "gel_1.csv"), OPTIONS)
+    assert found["schema"]["name"] == "imr_torch characterize"
+    page = str(tmp_path / "page.html")
+    shot = str(tmp_path / "out" / "shots" / "gel_1.json")
+    again = ["--out", str(tmp_path / "again"), "--format", "png", "--html", page]
+    assert main(["plot", shot, *again, "--quiet"]) == 0
+    assert (tmp_path / "again" / "parameter_G.png").exists()
 
 
 COMMAND = [
@@ -298,7 +341,9 @@ def test_that_the_command_writes_all_and_tells_of_failures(shots, tmp_path, caps
     assert (
         "1 of 4 shots have no result, for the reasons above; the others are written" in captured.err
     )
-    assert {path.name for path in out.iterdir()} == {
+    figures = {f"shots_{name}.{kind}" for name in ("G", "mu") for kind in ("png", "pdf")}
+    tables = {path.name for path in out.glob("summary.xlsx")}
+    assert {path.name for path in out.iterdir()} == figures | tables | {
         "shots",
         "summary.csv",
         "summary.html",

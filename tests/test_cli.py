@@ -388,6 +388,18 @@ def test_that_resume_learns_what_a_killed_tell_did_not(told_once, tmp_path, caps
     assert belief_of(out) == belief_of(whole)
 
 
+def test_that_a_campaign_is_resumed_without_naming_its_models_again(told_once, tmp_path, capsys):
+    whole, _ = told_once
+    out = tmp_path / "gel"
+    shutil.copytree(whole, out)
+    words = real(out, "--resume")
+    at = words.index("--models")
+    assert main(words[:at] + words[at + 2 :]) == 0
+    said = capsys.readouterr().out
+    assert "Shoot next: We = " in said
+    assert re.search(r"^  G \d.* kPa \(90 %:", said, re.MULTILINE)
+
+
 def test_that_a_file_is_told_once_and_forgotten_by_its_number(told_once, tmp_path, capsys):
     whole, shot = told_once
     out = tmp_path / "gel"
@@ -407,6 +419,45 @@ def test_that_a_file_is_told_once_and_forgotten_by_its_number(told_once, tmp_pat
     assert (out / "journal.jsonl").read_bytes().startswith(before)
     assert main(real(out, "--resume", "--forget", 1)) == 2
     assert "There is no experiment 1 to forget" in capsys.readouterr().err
+
+
+def radii_above(rows: list[str], largest_um: float) -> list[str]:
+    """Rows of a bubble that leaves the picture where it is larger."""
+    return [row for row in rows if 1e6 * float(row.split(",")[2]) < largest_um]
+
+
+@pytest.mark.parametrize(
+    ("kept", "reason"),
+    [
+        (lambda rows: rows[:6], "has 6 frames to fit, and at least 10 are needed"),
+        (lambda rows: radii_above(rows, 250.0), "begins after its maximum radius"),
+        (lambda rows: rows[:20], "shows no collapse"),
+    ],
+    ids=["six frames", "cut off by the edge", "no collapse"],
+)
+def test_that_a_told_shot_that_cannot_be_used_is_recorded_as_failed_and_asked_for_again(
+    told_once, tmp_path, capsys, kept, reason
+):
+    whole, shot = told_once
+    out = tmp_path / "gel"
+    short = tmp_path / "short.csv"
+    shutil.copytree(whole, out)
+    before = belief_of(out)
+    assert main(real(out, "--resume")) == 0
+    (first,) = re.findall("Shoot next: .*", capsys.readouterr().out)
+    header, *rows = shot.read_text().splitlines()
+    short.write_text("\n".join([header, *kept(rows)]) + "\n")
+    assert main(real(out, "--resume", "--tell", short)) == 0
+    said = capsys.readouterr().out
+    assert re.search(
+        rf"short\.csv failed: Experiment 'a' {reason}.* It is recorded as failed", said
+    )
+    assert first in said
+    assert belief_of(out) == before
+    document = json.loads((out / "campaign.json").read_text())
+    assert [x["file"] for x in document["failed_shots"]] == ["short.csv"]
+    assert document["experiments"] == [1]
+    assert main(real(out, "--resume", "--tell", tmp_path / "none.csv")) == 2
 
 
 def test_that_a_refused_tell_leaves_no_journal_that_refuses_the_corrected_command(

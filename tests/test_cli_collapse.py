@@ -11,7 +11,7 @@ import torch
 
 from imr_torch.cli import main
 from imr_torch.observe import load_collapse_times
-from imr_torch.results import characterization_page, draw_figures
+from imr_torch.results import document_page, draw_figures
 
 DATA = Path(__file__).parents[1] / "imr_torch" / "data"
 QUICK = ["--physics", "polytropic", "--models", "nhkv", "--quiet"]
@@ -60,9 +60,8 @@ def test_that_a_table_gives_result_figure_and_page(tmp_path, capsys) -> None:
     assert "root mean square" in page.read_text()
     assert (out / "collapse_times.png").exists()
     assert "collapse_times" in [figure.name for figure in draw_figures(document)]
-    assert (
-        "It was not tested whether the model explains the collapse times"
-        in characterization_page(document)
+    assert "It was not tested whether the model explains the collapse times" in document_page(
+        document
     )
 
 

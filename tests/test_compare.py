@@ -11,11 +11,11 @@ from typing import Any
 import pytest
 import torch
 
+from imr_torch.characterization.compare import compare
+from imr_torch.characterization.saved import SavedCharacterization
 from imr_torch.cli import main
-from imr_torch.compare import compare
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief, wide_prior
-from imr_torch.saved import SavedCharacterization
 from tests import float64
 
 PRIOR = wide_prior(["nhkv"])
@@ -79,7 +79,17 @@ def test_that_models_count_by_their_probabilities():
     assert compare(*twins, model="nhkv").log_bayes_factor == pytest.approx(2 * overlap, abs=1e-9)
 
 
-def test_that_same_gels_are_called_the_same_and_others_different():
+def test_that_results_whose_model_misses_the_curves_give_no_verdict() -> None:
+    document = gel((0.3, 0.0), 0.02).document | {"fit_test": {"explained": False}}
+    missed = SavedCharacterization.from_dict(document)
+    found = compare(missed, gel((0.9, 0.0), 0.02), names=("a", "b"))
+    assert (found.verdict, found.misfits) == ("undecided", ("a",))
+    said = "No verdict on whether the gels differ: the model does not explain the curves of a."
+    assert found.report().startswith(said)
+    assert "not to be quoted" in found.cautions[0]
+
+
+def test_that_same_gels_are_called_the_same_and_others_different() -> None:
     assert compare(gel((0.3, 0.0), 0.02), gel((0.31, 0.0), 0.02)).verdict == "same"
     assert compare(gel((0.3, 0.0), 0.02), gel((0.9, 0.0), 0.02)).verdict == "different"
     assert compare(gel((0.3, 0.0), 0.9), gel((0.9, 0.0), 0.9)).verdict == "undecided"

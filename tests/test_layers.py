@@ -33,14 +33,10 @@ STAGES = (
 )
 BASE = ("errors", "units", "random", "files", "types", "threads", "elementary", "labels", "html")
 ROOMS = (
+    "document",
     "example",
-    "saved",
     "characterization",
     "results",
-    "compare",
-    "batch",
-    "batch_page",
-    "plot",
     "cli",
     "app",
 )
@@ -144,7 +140,11 @@ def test_that_the_stages_that_exist_were_looked_at() -> None:
         ("import imr_torch.select.evidence as e", ("assimilate", "fit"), "select"),
         ("import imr_torch", ("material", "terms"), "*"),
         ("from imr_torch import Belief", ("material", "terms"), "Belief"),
-        ("def f():\n    from imr_torch.plot import plot_fit", ("observe", "load"), "plot"),
+        (
+            "def f():\n    from imr_torch.results.plot import plot_fit",
+            ("observe", "load"),
+            "results",
+        ),
         ("from ..observe import Noise", ("simulate", "wall"), "observe"),
         ("from .. import observe", ("simulate", "wall"), "observe"),
         ("from .material import Belief", ("errors",), "material"),

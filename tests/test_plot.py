@@ -6,7 +6,7 @@ import torch
 
 from imr_torch import wide_prior
 from imr_torch.observe import Experiment
-from imr_torch.plot import (
+from imr_torch.results.plot import (
     draw_information,
     draw_parameters,
     plot_experiment,

@@ -11,7 +11,7 @@ import sys
 import pytest
 
 from imr_torch import example_gel
-from imr_torch.saved import SavedCharacterization
+from imr_torch.characterization.saved import SavedCharacterization
 from tests.docs.test_sources import ROOT
 
 OPTIONS = "--models nhkv --physics polytropic --noise published --quiet"

@@ -15,7 +15,7 @@ from pathlib import Path
 import torch
 
 from imr_torch.material import MATERIALS, PARAMETERS
-from imr_torch.plot import plot_solution
+from imr_torch.results.plot import plot_solution
 from imr_torch.simulate import STEPPINGS, PolytropicSimulator
 
 SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"

@@ -21,7 +21,7 @@ from imr_torch.characterization import characterize, predictive_band
 from imr_torch.errors import InputDataError
 from imr_torch.material import wide_prior
 from imr_torch.observe import KNOWN_LAYOUTS, Layout, find_landmarks, load_traces
-from imr_torch.plot import plot_experiment
+from imr_torch.results.plot import plot_experiment
 from imr_torch.simulate import TransportSimulator
 
 SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"

@@ -16,8 +16,8 @@ from imr_torch.campaign import Campaign, CampaignSettings, ExactLearner, Optimal
 from imr_torch.design import Laplace, Plan
 from imr_torch.material import PARAMETERS, reference_case
 from imr_torch.observe import SimulatedLaboratory
-from imr_torch.plot import plot_information, plot_parameter
 from imr_torch.random import child
+from imr_torch.results.plot import plot_information, plot_parameter
 from imr_torch.simulate import PolytropicSimulator
 
 SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"

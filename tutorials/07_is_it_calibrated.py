@@ -20,7 +20,7 @@ from imr_torch.calibration import Arrangement, calibrate, coverage, reliability,
 from imr_torch.design import Plan
 from imr_torch.material import reference_case
 from imr_torch.observe import ExperimentBatch, Noise
-from imr_torch.plot import plot_places, plot_reliability
+from imr_torch.results.plot import plot_places, plot_reliability
 from imr_torch.simulate import PolytropicSimulator
 
 SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"

@@ -31,7 +31,7 @@ from imr_torch.design import (
     search_design,
 )
 from imr_torch.material import reference_case
-from imr_torch.plot import plot_information
+from imr_torch.results.plot import plot_information
 from imr_torch.simulate import PolytropicSimulator
 
 SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"

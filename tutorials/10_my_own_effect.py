@@ -25,7 +25,7 @@ from imr_torch.material import (
     wide_prior,
 )
 from imr_torch.observe import ExperimentBatch, Film, SimulatedLaboratory, predict
-from imr_torch.plot import plot_solution
+from imr_torch.results.plot import plot_solution
 from imr_torch.simulate import PolytropicSimulator
 
 SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"

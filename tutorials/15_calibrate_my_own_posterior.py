@@ -17,8 +17,8 @@ from imr_torch.calibration import Arrangement, calibrate, coverage, uniformity
 from imr_torch.design import Plan
 from imr_torch.material import Belief, LogNormal
 from imr_torch.observe import predict
-from imr_torch.plot import plot_places
 from imr_torch.random import generator
+from imr_torch.results.plot import plot_places
 
 SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
 

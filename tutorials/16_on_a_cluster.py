@@ -14,7 +14,7 @@ from pathlib import Path
 import torch
 
 from imr_torch import PolytropicSimulator, wide_prior
-from imr_torch.batch import BatchOptions, run_batch
+from imr_torch.characterization.batch import BatchOptions, run_batch
 from imr_torch.material import PARAMETERS
 from imr_torch.random import generator
 

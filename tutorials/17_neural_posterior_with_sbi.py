@@ -18,7 +18,7 @@ from imr_torch.design import Plan
 from imr_torch.export import sbi_simulator
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
-from imr_torch.plot import plot_places
+from imr_torch.results.plot import plot_places
 
 try:
     from sbi.inference import NPE

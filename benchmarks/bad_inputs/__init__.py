@@ -74,7 +74,7 @@ def prepared(folder: Path) -> None:
         "--json",
         str(folder / "fit.json"),
     ]
-    with mock.patch.object(campaign_command, "_figures"), mock.patch.dict(METHODS, SMALL):
+    with mock.patch.object(campaign_command, "show_result"), mock.patch.dict(METHODS, SMALL):
         for arguments in (told, [*told, "--resume", "--tell", str(folder / "gel.csv")], fit):
             with contextlib.redirect_stdout(io.StringIO()):
                 if main(arguments) not in (0, 1):

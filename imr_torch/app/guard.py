@@ -7,25 +7,21 @@ origin. Pages may load nothing from elsewhere.
 """
 
 import secrets
-from collections.abc import Awaitable, Callable, MutableMapping
-from http.cookies import CookieError, SimpleCookie
-from typing import Any
-from urllib.parse import parse_qs
 
-Scope = MutableMapping[str, Any]
-Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
-Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
-Application = Callable[[Scope, Receive, Send], Awaitable[None]]
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import HTTPConnection
+from starlette.responses import PlainTextResponse, RedirectResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.websockets import WebSocketClose
 
-_POLICY = (
-    "default-src 'self' data: blob:; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; "
-    "style-src 'self' 'unsafe-inline'; frame-ancestors 'self'; form-action 'self'"
-)
-_HEADERS = (
-    (b"content-security-policy", _POLICY.encode()),
-    (b"referrer-policy", b"no-referrer"),
-    (b"x-content-type-options", b"nosniff"),
-)
+_HEADERS = {
+    "content-security-policy": (
+        "default-src 'self' data: blob:; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; "
+        "style-src 'self' 'unsafe-inline'; frame-ancestors 'self'; form-action 'self'"
+    ),
+    "referrer-policy": "no-referrer",
+    "x-content-type-options": "nosniff",
+}
 
 
 class Guard:
@@ -37,7 +33,7 @@ class Guard:
         port: of this start.
     """
 
-    def __init__(self, application: Application, *, token: str, port: int) -> None:
+    def __init__(self, application: ASGIApp, *, token: str, port: int) -> None:
         self.application = application
         self.token = token
         self.cookie = f"imr_torch_{port}"
@@ -45,46 +41,34 @@ class Guard:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, set the cookie, or refuse."""
-        if scope["type"] not in ("http", "websocket"):
-            await self.application(scope, receive, send)
-            return
-        headers = {
-            name.decode("latin-1").lower(): value.decode("latin-1")
-            for name, value in scope["headers"]
-        }
-        if not self._is_here(headers):
-            await _refuse(scope, send)
-        elif self._same(_cookie(headers.get("cookie", ""), self.cookie)):
-            await self.application(scope, receive, _with_headers(send))
-        elif scope["type"] == "http" and self._same(
-            parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
-        ):
-            cookie = f"{self.cookie}={self.token}; HttpOnly; SameSite=Strict; Path=/"
-            await _answer(
-                send,
-                303,
-                "",
-                ((b"set-cookie", cookie.encode()), (b"location", scope["path"].encode("latin-1"))),
-            )
-        else:
-            await _refuse(scope, send)
+        send = _with_headers(send)
+        answer: ASGIApp = self.application
+        if scope["type"] in ("http", "websocket"):
+            asked = HTTPConnection(scope)
+            here = self._is_here(asked.headers)
+            if here and self._is_token(asked.cookies.get(self.cookie, "")):
+                pass
+            elif scope["type"] == "websocket":
+                answer = WebSocketClose(1008)
+            elif here and self._is_token(asked.query_params.get("token", "")):
+                cookie = f"{self.cookie}={self.token}; HttpOnly; SameSite=Strict; Path=/"
+                headers = {"set-cookie": cookie, "cache-control": "no-store"}
+                answer = RedirectResponse(scope["path"], 303, headers)
+            else:
+                answer = PlainTextResponse(
+                    "This is not the address that imr-torch app printed. Open that one, with its "
+                    "token, on the machine that it runs on.",
+                    403,
+                    {"cache-control": "no-store"},
+                )
+        await answer(scope, receive, send)
 
-    def _is_here(self, headers: dict[str, str]) -> bool:
-        origin = headers.get("origin")
-        return headers.get("host") in self.hosts and (
-            origin is None or origin in {f"http://{host}" for host in self.hosts}
-        )
+    def _is_here(self, headers: Headers) -> bool:
+        origins = {None, *(f"http://{host}" for host in self.hosts)}
+        return headers.get("host") in self.hosts and headers.get("origin") in origins
 
-    def _same(self, given: str) -> bool:
+    def _is_token(self, given: str) -> bool:
         return secrets.compare_digest(given.encode(), self.token.encode())
-
-
-def _cookie(text: str, name: str) -> str:
-    try:
-        found = SimpleCookie(text).get(name)
-    except CookieError:
-        return ""
-    return found.value if found else ""
 
 
 def _with_headers(send: Send) -> Send:
@@ -93,36 +77,11 @@ def _with_headers(send: Send) -> Send:
     A policy that is set already stays.
     """
 
-    async def sent(message: MutableMapping[str, Any]) -> None:
+    async def sent(message: Message) -> None:
         if message["type"] == "http.response.start":
-            known = {name.lower() for name, _ in message.get("headers", ())}
-            added = [header for header in _HEADERS if header[0] not in known]
-            message = {**message, "headers": [*message.get("headers", ()), *added]}
+            headers = MutableHeaders(scope=message)
+            for name, value in _HEADERS.items():
+                headers.setdefault(name, value)
         await send(message)
 
     return sent
-
-
-async def _refuse(scope: Scope, send: Send) -> None:
-    if scope["type"] == "websocket":
-        await send({"type": "websocket.close", "code": 1008})
-        return
-    text = (
-        "This is not the address that imr-torch app printed. Open that one, with its token, on "
-        "the machine that it runs on."
-    )
-    await _answer(send, 403, text)
-
-
-async def _answer(
-    send: Send, status: int, text: str, headers: tuple[tuple[bytes, bytes], ...] = ()
-) -> None:
-    plain = ((b"content-type", b"text/plain; charset=utf-8"), (b"cache-control", b"no-store"))
-    await send(
-        {
-            "type": "http.response.start",
-            "status": status,
-            "headers": [*plain, *_HEADERS[1:], *headers],
-        }
-    )
-    await send({"type": "http.response.body", "body": text.encode()})

@@ -9,11 +9,12 @@ running was interrupted with the application.
 import io
 import re
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -26,11 +27,7 @@ from imr_torch.files import read_json, write_atomically, write_json
 _COMMAND = "import sys; from imr_torch.cli import main; sys.exit(main(sys.argv[1:], live=True))"
 _TIME = re.compile(r"((?:\d+:)?\d+:\d\d), about ((?:\d+:)?\d+:\d\d) left")
 _PATIENCE = 10.0  # seconds that a stopped command has to end by itself
-_ANSWERED = (
-    0,
-    2,
-    130,
-)  # exit statuses with which a command ends by itself, or answers that it is stopped
+_ANSWERED = (0, 2, 130)  # exit statuses of a command that ends by itself, or answers a stop
 _STATUS = {
     0: "done",
     1: "not converged, or a file could not be written",
@@ -87,12 +84,9 @@ class Result:
 
     def archive(self) -> bytes:
         """All files of the run as a zip file."""
-        stream = io.BytesIO()
-        with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as file:
-            for path in sorted(self.folder.rglob("*")):
-                if path.is_file():
-                    file.write(path, f"{self.name}/{path.relative_to(self.folder).as_posix()}")
-        return stream.getvalue()
+        with tempfile.TemporaryDirectory() as place:
+            path = shutil.make_archive(f"{place}/all", "zip", self.folder.parent, self.folder.name)
+            return Path(path).read_bytes()
 
 
 def command_line(arguments: tuple[str, ...] | list[str]) -> str:
@@ -111,9 +105,8 @@ class Run:
     def __init__(self, result: Result, home: Path) -> None:
         self.result = result
         self.line = "starting"
-        self._messages = ""
+        self._messages: list[str] = []
         self._stopping = False
-        new_group = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)
         self._process = subprocess.Popen(
             [sys.executable, "-c", _COMMAND, *result.arguments],
             cwd=home,
@@ -121,7 +114,7 @@ class Run:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
-            creationflags=new_group,
+            creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
         )
         self._output: list[bytes] = []
         self._readers = [
@@ -171,34 +164,31 @@ class Run:
     def _read_messages(self) -> None:
         """Standard error: a line that ends with a carriage return is progress, any other a message."""
         assert self._process.stderr is not None
-        pending = ""
         reader = io.TextIOWrapper(
             self._process.stderr, encoding="utf-8", errors="replace", newline=""
         )
-        while character := reader.read(1):
-            if character not in "\r\n":
-                pending += character
+        for line in reader:
+            if not (text := line.strip()):
                 continue
-            if character == "\n":
-                self._messages += pending.strip() + "\n" * bool(pending.strip())
-            elif pending.strip():
-                self.line = pending.strip()
-            pending = ""
-        self._messages += pending.strip()
+            if line.endswith("\r"):
+                self.line = text
+            else:
+                self._messages.append(text)
 
     def _finish(self) -> None:
         status = self._process.wait()
         for reader in self._readers:
             reader.join()
-        folder = self.result.folder
-        messages = self._messages
-        if (
-            self._stopping and status not in _ANSWERED
-        ):  # before Python could answer, or killed since it did not
-            status = 130
-            messages = ""
-        write_atomically(folder / "output.txt", lambda stream: stream.write(b"".join(self._output)))
-        write_atomically(folder / "messages.txt", lambda stream: stream.write(messages.encode()))
+        if self._stopping and status not in _ANSWERED:
+            status = 130  # before Python could answer, or killed since it did not
+            self._messages.clear()
+        for name, content in (
+            ("output.txt", b"".join(self._output)),
+            ("messages.txt", "\n".join(self._messages).encode()),
+        ):
+            write_atomically(
+                self.result.folder / name, lambda stream, content=content: stream.write(content)
+            )
         _write_record(self.result, status)
 
 
@@ -262,10 +252,10 @@ class Runs:
         Raises:
             InputDataError: if there is none of that name.
         """
-        found = {result.name: result for result in self.results()}
-        if name not in found:
-            raise InputDataError(f"There is no result {name!r}.")
-        return found[name]
+        for result in self.results():
+            if result.name == name:
+                return result
+        raise InputDataError(f"There is no result {name!r}.")
 
 
 def _seconds(clock: str) -> float:

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from contextlib import closing, suppress
 from pathlib import Path
 
-from fastapi import Response
+from fastapi import Request, Response
 from filelock import FileLock, Timeout
 from nicegui import app, ui
 
@@ -129,33 +129,30 @@ def _add_routes(runs: Runs) -> None:
 
     @app.get("/result/{name}/page")
     def page(name: str) -> Response:
-        found = _result_page(runs, name)
-        if found is None:
-            return Response("There is no such page.", 404, media_type="text/plain")
+        path = runs.result(name).page
+        if path is None:
+            raise InputDataError("There is no such page.")
         policy = (
             "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors "
             "'self'; sandbox"
         )
-        return Response(found, media_type="text/html", headers={"Content-Security-Policy": policy})
+        return Response(
+            path.read_bytes(),
+            media_type="text/html",
+            headers={"Content-Security-Policy": policy},
+        )
 
     @app.get("/result/{name}/archive")
     def archive(name: str) -> Response:
-        try:
-            content = runs.result(name).archive()
-        except InputDataError as error:
-            return Response(str(error), 404, media_type="text/plain")
-        disposition = f'attachment; filename="{name}.zip"'
         return Response(
-            content, media_type="application/zip", headers={"Content-Disposition": disposition}
+            runs.result(name).archive(),
+            media_type="application/zip",
+            headers={"Content-Disposition": f'attachment; filename="{name}.zip"'},
         )
 
-
-def _result_page(runs: Runs, name: str) -> bytes | None:
-    try:
-        path = runs.result(name).page
-    except InputDataError:
-        return None
-    return path.read_bytes() if path else None
+    @app.exception_handler(InputDataError)
+    def refuse(_: Request, error: InputDataError) -> Response:
+        return Response(str(error), 404, media_type="text/plain")
 
 
 def _page(workspace: Workspace, runs: Runs) -> None:
@@ -172,14 +169,11 @@ def _page(workspace: Workspace, runs: Runs) -> None:
         for number, name in enumerate(names, start=1):
             ui.tab(name, f"{number} {name}")
 
-    def go(name: str) -> None:
-        tabs.set_value(name)
-
     views = {
-        "Files": FilesView(workspace, go=go),
+        "Files": FilesView(workspace, go=tabs.set_value),
         "Curves": CurvesView(workspace),
         "Medium": MediumView(workspace),
-        "Run": RunView(workspace, runs, go=go),
+        "Run": RunView(workspace, runs, go=tabs.set_value),
         "Results": ResultsView(runs),
     }
     content = ui.column().classes("w-full q-pt-md")

@@ -11,7 +11,8 @@ from imr_torch.cli.options.names import COLLAPSES
 from imr_torch.errors import ImrError
 from imr_torch.reading.sidecar import OVERRIDES
 
-_FITTED, _OUTSIDE, _MAXIMUM, _REST, _WINDOW = "#0072b2", "#9a9a9a", "#d55e00", "#009e73", "#cc79a7"
+_FITTED = "#0072b2"
+_OUTSIDE = "#9a9a9a"
 _MICRO = 1e6
 _FIELDS = {
     "Rmax_m": "Rmax (um)",
@@ -21,14 +22,13 @@ _FIELDS = {
     "Rinf_sd_m": "its sd (um)",
     "window_end_s": "last fitted time (us)",
 }
-_LINES = ("t_Rmax_s", "Rmax_m", "Rinf_m", "window_end_s")
-"""What the lines of the figure show, in their order."""
-_NAMES = {
-    "t_Rmax_s": "maximum",
-    "Rmax_m": "Rmax",
-    "Rinf_m": "R_inf",
-    "window_end_s": "end of window",
+_LINES = {
+    "t_Rmax_s": ("maximum", "#d55e00", "solid"),
+    "Rmax_m": ("Rmax", "#d55e00", "solid"),
+    "Rinf_m": ("R_inf", "#009e73", "dash"),
+    "window_end_s": ("end of window", "#cc79a7", "dot"),
 }
+"""What the lines of the figure show, in their order: name, colour and dash."""
 _PAIRS = {"Rmax_m": "Rmax_sd_m", "Rinf_m": "Rinf_sd_m"}
 
 
@@ -174,37 +174,28 @@ def figure(view: CurveView) -> dict[str, Any]:
     time = (_MICRO * view.trace.time_s).tolist()
     radius = (_MICRO * view.trace.radius_m).tolist()
     first, last = view.fitted or (len(time), len(time) - 1)
-    chosen = set(range(first, last + 1))
     found = found_values(view)
+    stretches = {
+        "frames not fitted": (_OUTSIDE, [*range(first), *range(last + 1, len(time))]),
+        "fitted frames": (_FITTED, range(first, last + 1)),
+    }
     data = [
         {
             "type": "scatter",
             "mode": "markers",
             "name": name,
-            "x": [t for i, t in enumerate(time) if (i in chosen) == inside],
-            "y": [r for i, r in enumerate(radius) if (i in chosen) == inside],
+            "x": [time[i] for i in frames],
+            "y": [radius[i] for i in frames],
             "marker": {"size": 6, "color": colour},
         }
-        for name, inside, colour in (
-            ("fitted frames", True, _FITTED),
-            ("frames not fitted", False, _OUTSIDE),
-        )
-    ]
-    lines = [
-        _line(key, found[key], colour, dash)
-        for key, colour, dash in zip(
-            _LINES,
-            (_MAXIMUM, _MAXIMUM, _REST, _WINDOW),
-            ("solid", "solid", "dash", "dot"),
-            strict=True,
-        )
+        for name, (colour, frames) in stretches.items()
     ]
     layout = {
         "margin": {"l": 56, "r": 16, "t": 10, "b": 46},
         "xaxis": {"title": {"text": "time (us)"}},
         "yaxis": {"title": {"text": "R (um)"}, "rangemode": "tozero"},
         "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom"},
-        "shapes": lines,
+        "shapes": [_line(key, found[key]) for key in _LINES],
     }
     config = {
         "displaylogo": False,
@@ -214,22 +205,17 @@ def figure(view: CurveView) -> dict[str, Any]:
     return {"data": data, "layout": layout, "config": config}
 
 
-def _line(key: str, value: float | None, colour: str, dash: str) -> dict[str, Any]:
+def _line(key: str, value: float | None) -> dict[str, Any]:
     """A line that can be moved; one of a value that is not known is not seen."""
+    name, colour, dash = _LINES[key]
     at = 0.0 if value is None else _MICRO * value
-    place = (
-        {"x0": at, "x1": at, "y0": 0, "y1": 1, "yref": "paper"}
-        if key.endswith("_s")
-        else {"y0": at, "y1": at, "x0": 0, "x1": 1, "xref": "paper"}
-    )
-    side = (
-        "left" if key == "t_Rmax_s" else "right"
-    )  # towards the frames between the two vertical lines
-    upright = (
-        {"textangle": 0, "textposition": "start", "xanchor": side}
-        if key.endswith("_s")
-        else {"textposition": "end"}
-    )
-    label = {"text": _NAMES[key], "font": {"size": 11, "color": colour}, **upright}
+    label: dict[str, Any] = {"text": name, "font": {"size": 11, "color": colour}}
+    if key.endswith("_s"):
+        place = {"x0": at, "x1": at, "y0": 0, "y1": 1, "yref": "paper"}
+        side = "left" if key == "t_Rmax_s" else "right"  # towards the frames between the two
+        label |= {"textangle": 0, "textposition": "start", "xanchor": side}
+    else:
+        place = {"y0": at, "y1": at, "x0": 0, "x1": 1, "xref": "paper"}
+        label |= {"textposition": "end"}
     line = {"color": colour, "width": 2, "dash": dash}
     return {"type": "line", "visible": value is not None, "line": line, "label": label} | place

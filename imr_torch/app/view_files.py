@@ -23,7 +23,7 @@ class FilesView:
         go: opens another tab.
     """
 
-    def __init__(self, workspace: Workspace, go: Callable[[str], None]) -> None:
+    def __init__(self, workspace: Workspace, go: Callable[[str], object]) -> None:
         self.workspace = workspace
         self.go = go
 

@@ -14,6 +14,7 @@ from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
 
+from imr_torch.characterization import medium_of
 from imr_torch.errors import ImrError, InputDataError
 from imr_torch.example import example_gel
 from imr_torch.files import read_json, write_atomically, write_json
@@ -22,7 +23,6 @@ from imr_torch.observe import (
     GelMedium,
     Landmarks,
     Layout,
-    Prepared,
     RadiusTrace,
     Statement,
     TraceSet,
@@ -191,10 +191,7 @@ class Workspace:
         Raises:
             InputDataError: if statements contradict each other.
         """
-        said = [trace.given.stated for trace in self.traces() if trace.given.stated is not None]
-        text = self.settings["medium"]
-        beside = list({repr(statement): statement for statement in said}.values())
-        return gel_medium(Statement.from_text(text) if text else None, beside)
+        return medium_of(self.traces(), self.settings["medium"] or None)
 
     @property
     def _paths(self) -> list[Path]:
@@ -213,9 +210,11 @@ class Workspace:
                 return FileState(path.name, shots=len(load_collapse_times(path)))
             return FileState(path.name, curves=len(self._load(path)))
         except ImrError as error:
-            return FileState(
-                path.name, problem=str(error).replace(f"{self.folder}", "").lstrip("/\\")
-            )
+            return FileState(path.name, problem=self._without_folder(error))
+
+    def _without_folder(self, error: ImrError) -> str:
+        """A message with names relative to the folder."""
+        return str(error).replace(f"{self.folder}", "").lstrip("/\\")
 
     def _load(self, path: Path) -> TraceSet:
         beside = path.with_suffix(".json")
@@ -231,19 +230,10 @@ class Workspace:
         return [f"files/{file.name}" for file in self.files() if not file.problem]
 
     def traces(self) -> TraceSet:
-        """The curves of all files that can be used.
-
-        Raises:
-            InputDataError: if two files hold curves of one name.
-        """
-        found = [
-            self._load(self.files_folder / file.name)
-            for file in self.files()
-            if file.curves and not file.problem
-        ]
-        traces = tuple(trace for one in found for trace in one)
-        left_out = tuple(x for one in found for x in one.left_out)
-        return TraceSet(traces, left_out, tuple(note for one in found for note in one.notes))
+        """The curves of all files that can be used, named as the commands name them."""
+        return TraceSet.join(
+            self._load(self.files_folder / file.name) for file in self.files() if file.curves
+        )
 
     def curve(self, name: str, collapses: int) -> CurveView:
         """A curve with what is found in it and what will be fitted."""
@@ -255,23 +245,11 @@ class Workspace:
             surroundings = self.medium().surroundings
             prepared = prepare(traces.select([name]), surroundings, collapses=collapses)
         except ImrError as error:
-            return CurveView(
-                trace,
-                marks,
-                None,
-                None,
-                str(error).replace(f"{self.folder}", "").lstrip("/\\"),
-                alone,
-            )
+            return CurveView(trace, marks, None, None, self._without_folder(error), alone)
         count, before, after = prepared.frames[name]
-        return CurveView(
-            trace,
-            marks,
-            (before, count - after - 1),
-            float(trace.time_s[count - after - 1]),
-            _sentences(prepared),
-            alone,
-        )
+        last = count - after - 1
+        said = "\n".join(line.strip() for line in prepared.report().splitlines()[1:])
+        return CurveView(trace, marks, (before, last), float(trace.time_s[last]), said, alone)
 
     def state(self, view: CurveView, values: Mapping[str, float | None]) -> None:
         """Write what a person states about a curve (:func:`imr_torch.observe.state`).
@@ -310,10 +288,6 @@ def check_name(name: str, size: int) -> str:
     if not 0 < size <= LARGEST_FILE:
         raise InputDataError(f"{base} has {size} bytes; expected 1 to {LARGEST_FILE}.")
     return base
-
-
-def _sentences(prepared: Prepared) -> str:
-    return "\n".join(line.strip() for line in prepared.report().splitlines()[1:])
 
 
 @lru_cache(maxsize=64)

@@ -1,8 +1,7 @@
 """Whether a curve is new and can be simulated under a belief, asked before it enters a journal.
 
 A curve whose times or size are in another unit is found by the bubbles of the belief: they fail, or
-    collapse at another time
-than the curve does by orders of magnitude.
+collapse at another time than the curve does by orders of magnitude.
 """
 
 import math
@@ -21,6 +20,33 @@ from imr_torch.simulate import Simulator
 
 _DRAWS = 8
 _FACTOR = 30.0
+
+
+def check_whole(experiment: Experiment, max_method: str, *, fewest: int = 10) -> None:
+    """Raise for a curve that shows too little of a bubble to learn from: a shot that failed.
+
+    Args:
+        experiment: cut to the window that is assimilated.
+        max_method: how its maximum was found, of :class:`imr_torch.observe.Landmarks`.
+        fewest: frames that a curve must have.
+
+    Raises:
+        InputDataError: if it has fewer frames, its maximum is not in the record, or it shows no
+            collapse.
+    """
+    count = len(experiment.times)
+    reason = ""
+    if count < fewest:
+        reason = f"has {count} frames to fit, and at least {fewest} are needed"
+    elif max_method == "edge":
+        reason = (
+            "begins after its maximum radius (cut off by the edge of the picture, or filmed too "
+            "late); if that is known, state Rmax_m in the JSON file beside it"
+        )
+    elif not math.isfinite(collapse_time(experiment.times, experiment.mean, 1)):
+        reason = "shows no collapse"
+    if reason:
+        raise InputDataError(f"Experiment {experiment.label!r} {reason}.")
 
 
 def check_simulated(

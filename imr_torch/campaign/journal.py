@@ -42,6 +42,7 @@ _FIELDS: dict[str, dict[str, type | tuple[type, ...]]] = {
     "observed": {"step": int, "experiments": list},
     "learnt": {"step": int, "experiments": list, "belief": dict, "evidence": list},
     "forget": {"experiment": int},
+    "failed": {"step": int, "label": str, "reason": str},
     "stop": {"step": int, "reason": str},
 }
 _RECORD: dict[str, type | tuple[type, ...]] = {

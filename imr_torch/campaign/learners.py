@@ -8,7 +8,6 @@ multiplies the result into the belief it started from, and averages model probab
 designs.
 """
 
-import math
 from dataclasses import asdict, dataclass, field
 from typing import Any, Protocol
 
@@ -24,6 +23,7 @@ from imr_torch.assimilate import (
     weigh,
 )
 from imr_torch.errors import InputDataError
+from imr_torch.files import without_nonfinite
 from imr_torch.material import Belief, ModelBelief
 from imr_torch.observe import ExperimentBatch, Noise
 from imr_torch.random import child
@@ -201,7 +201,9 @@ class ExactLearner:
         )
         evidence = evidences(result)
         record = {
-            "certificates": {fit.model: finite(asdict(fit.certificate)) for fit in result.fits},
+            "certificates": {
+                fit.model: without_nonfinite(asdict(fit.certificate))[0] for fit in result.fits
+            },
             "gaussian_answer": {fit.model: fit.trust for fit in result.fits},
         }
         noise = result.batch.noise if self.noise_rounds else None
@@ -273,10 +275,3 @@ def product(first: ModelBelief, second: ModelBelief) -> ModelBelief:
     covariance = torch.linalg.inv(precisions[0] + precisions[1])
     mean = covariance @ (precisions[0] @ first.mean + precisions[1] @ second.mean)
     return first.with_gaussian(mean, torch.linalg.cholesky(0.5 * (covariance + covariance.mT)))
-
-
-def finite(values: dict[str, Any]) -> dict[str, Any]:
-    """Numbers that are not finite as None, since JSON cannot represent them."""
-    return {
-        k: (None if isinstance(v, float) and not math.isfinite(v) else v) for k, v in values.items()
-    }

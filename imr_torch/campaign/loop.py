@@ -11,7 +11,7 @@ an experiment is forgotten.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -22,12 +22,13 @@ from torch import Tensor
 from imr_torch.campaign.admission import check_new, check_simulated
 from imr_torch.campaign.history import Step, check_identity, replayed
 from imr_torch.campaign.journal import Journal, curve_hash
-from imr_torch.campaign.learners import Observations, finite
+from imr_torch.campaign.learners import Observations
 from imr_torch.campaign.policies import Proposal, Situation
 from imr_torch.campaign.settings import CampaignSettings, through_json
 from imr_torch.campaign.stopping import CampaignState
 from imr_torch.design import DesignSearch, Plan
 from imr_torch.errors import ImrError, InputDataError
+from imr_torch.files import without_nonfinite
 from imr_torch.material import Belief
 from imr_torch.observe import Experiment, ExperimentBatch, collapse_time
 from imr_torch.simulate import Simulator, described
@@ -107,11 +108,11 @@ class Campaign:
         check_identity(self.journal, identity)
         return identity
 
-    def _record(self, event: str, **fields: Any) -> None:
+    def _record(self, event: str, **values: Any) -> None:
         """Write an event, after the start of the journal if there is none yet."""
         if not self.journal.events:
             self.journal.append("start", **self._identity)
-        self.journal.append(event, **fields)
+        self.journal.append(event, **values)
 
     def _drop_steps(self, number: int) -> None:
         """Drop the steps that learnt from an experiment."""
@@ -203,17 +204,51 @@ class Campaign:
                 proposals.append(self._propose(number, pending, progress))
         return tuple(proposals)
 
+    def fail(self, label: str, reason: str) -> None:
+        """Record that the shot that was asked for gave no curve that can be used.
+
+        The belief is as before and the design is asked for again; one that failed twice is moved,
+        by a policy that searches.
+
+        Args:
+            label: of the shot or its file.
+            reason: why it cannot be used.
+        """
+        with self.journal.held():
+            self._record("failed", step=self.told + 1, label=label, reason=reason)
+
+    @property
+    def failures(self) -> list[dict[str, Any]]:
+        """The shots that failed: ``step``, ``label`` and ``reason``."""
+        return [event for event in self.journal.events if event["event"] == "failed"]
+
     def _asked(self, number: int) -> dict[str, Any] | None:
         """The journal's last ``ask`` of a step.
 
-        None if it was to be answered under a belief that was withdrawn since.
+        None if it was to be answered under a belief that was withdrawn since, or its design failed
+        twice.
         """
+        failed = 0
         for event in reversed(self.journal.events):
             if event["event"] == "forget" and number > self.told:
                 return None
-            if event["event"] == "ask" and event["step"] == number:
-                return event
+            if event.get("step") == number:
+                failed += event["event"] == "failed"
+                if event["event"] == "ask":
+                    return None if failed > 1 else event
         return None
+
+    def _failed_designs(self, number: int) -> list[list[float]]:
+        """Designs that were asked for in a step and failed twice."""
+        found = []
+        failed = 0
+        for event in reversed(self.journal.events):
+            if event.get("step") == number:
+                failed += event["event"] == "failed"
+                if event["event"] == "ask":
+                    found += [event["design"]] if failed > 1 else []
+                    failed = 0
+        return found
 
     def _propose(self, number: int, pending: Tensor | None, progress: Progress | None) -> Proposal:
         """The proposal of one step, from the journal if it was made before."""
@@ -225,6 +260,9 @@ class Campaign:
             )
         settings = self.settings
         batch = self._batch(self.experiments) if self.experiments else None
+        if given_up := self._failed_designs(number):
+            moved = torch.tensor(given_up, dtype=torch.float64)
+            pending = moved if pending is None else torch.cat((pending, moved))
         situation = Situation(
             number,
             self.belief,
@@ -239,6 +277,8 @@ class Campaign:
         found = settings.policy.choose(situation, progress=progress)
         search = found.search
         tried = zip(search.gains, search.designs, strict=True) if search else ()
+        evaluations = [asdict(gain) | {"design": design.tolist()} for gain, design in tried]
+        before = search and search.pending and asdict(search.pending)
         self._record(
             "ask",
             step=number,
@@ -246,10 +286,8 @@ class Campaign:
             gain=found.gain,
             gain_sd=found.gain_sd,
             reason=found.reason,
-            pending=finite(asdict(search.pending)) if search and search.pending else None,
-            evaluations=[
-                finite(asdict(gain)) | {"design": design.tolist()} for gain, design in tried
-            ],
+            pending=without_nonfinite(before)[0],
+            evaluations=without_nonfinite(evaluations)[0],
         )
         return found
 
@@ -406,24 +444,14 @@ class Campaign:
                 step=fresh[-1],
                 experiments=list(self.numbers),
                 belief=inference.belief.to_dict(),
-                evidence=[finite(asdict(e)) for e in inference.evidence],
+                evidence=without_nonfinite([asdict(e) for e in inference.evidence])[0],
                 noise=vars(inference.noise) if inference.noise else None,
                 **({"finding": asdict(inference.finding)} if inference.finding else {}),
                 **({"population": inference.population} if inference.population else {}),
                 **inference.record,
             )
-        found = inference
-        self.steps.append(
-            Step(
-                fresh[-1],
-                found.belief,
-                found.evidence,
-                found.assimilation,
-                found.noise,
-                found.finding,
-                found.population,
-            )
-        )
+        kept = {f.name: getattr(inference, f.name) for f in fields(Step) if f.name != "number"}
+        self.steps.append(Step(fresh[-1], **kept))
         return self.steps[-1]
 
     def _batch(self, experiments: Sequence[Experiment]) -> ExperimentBatch:

@@ -11,7 +11,7 @@ import hashlib
 import json
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -24,6 +24,7 @@ from imr_torch.campaign.learners import Inference, Observations
 from imr_torch.campaign.policies import Optimal, Proposal, Situation
 from imr_torch.design import DesignSearch, DesignSpace, PopulationInformation
 from imr_torch.errors import InputDataError
+from imr_torch.files import without_nonfinite
 from imr_torch.material import Belief, ModelBelief
 from imr_torch.observe import Experiment, ExperimentBatch, Noise
 from imr_torch.population import (
@@ -94,7 +95,7 @@ class PopulationLearner:
             observations.prior, observations.batch, simulator, observations.seed, progress=progress
         )
         belief = Belief((found.median,), torch.zeros(1, dtype=torch.float64))
-        population = None if found.population is None else _finite(found.population.to_dict())
+        population = found.population and without_nonfinite(found.population.to_dict())[0]
         return Inference(
             belief, noise=found.noise if self.noise_rounds else None, population=population
         )
@@ -296,12 +297,3 @@ def _key(prior: Belief, batch: ExperimentBatch, *rest: object) -> str:
     return hashlib.sha256(
         json.dumps([prior.to_dict(), curves, vars(batch.noise), rest], default=repr).encode()
     ).hexdigest()
-
-
-def _finite(value: Any) -> Any:
-    """Numbers that are not finite as None, since JSON cannot represent them."""
-    if isinstance(value, Mapping):
-        return {key: _finite(part) for key, part in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(part) for part in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

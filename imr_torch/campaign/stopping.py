@@ -5,9 +5,9 @@ A rule looks at what is believed and what was done, and answers with a reason or
 that gain has not been estimated.
 
 An experiment that was forgotten counts as spent and not as data: ``Budget`` charges it, ``Designs``
-    and all rules about the
-belief do not see it. A curve that was forgotten and told again unchanged is one shot, charged once;
-a corrected curve is charged again, since nothing says that it is of the same shot.
+and all rules about the belief do not see it. A curve that was forgotten and told again unchanged is
+one shot, charged once; a corrected curve is charged again, since nothing says that it is of the
+same shot.
 """
 
 import math

@@ -249,6 +249,8 @@ def characterize(
         gels,
         followed,
         jitter,
+        traces,
+        simulator,
     )
 
 

@@ -24,11 +24,12 @@ def medium_document(
     >>> from imr_torch.characterization import medium_document
     >>> from imr_torch.observe import gel_medium
     >>> sorted(medium_document(gel_medium()))
-    ['medium', 'medium_notes', 'medium_sensitivities']
+    ['medium', 'medium_notes', 'medium_sensitivities', 'medium_sentence']
     """
     learnt = () if posterior is None else medium.learnt(posterior)
     return {
         "medium": medium.to_dict(),
+        "medium_sentence": medium.report().splitlines()[0],
         "medium_notes": [*medium.notes, *learnt],
         "medium_sensitivities": [entry.to_dict() for entry in found],
     }

@@ -2,25 +2,36 @@
 table and a report.
 """
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from imr_torch.assimilate import Assimilation, BadFrame, BadFrames, FrameJitter, ModelFit, Profile
+from imr_torch.assimilate import (
+    Assimilation,
+    BadFrame,
+    BadFrames,
+    FrameJitter,
+    ModelFit,
+    Profile,
+    Verdict,
+)
 from imr_torch.characterization.bands import intervals
 from imr_torch.characterization.collapse import collapse_rows, patterns
+from imr_torch.characterization.document import curves_document
+from imr_torch.characterization.effort import EFFORTS
 from imr_torch.characterization.medium import medium_document
 from imr_torch.characterization.profiles import profiles_document
-from imr_torch.characterization.report import report_lines
-from imr_torch.files import write_json
+from imr_torch.characterization.saved import SavedCharacterization, draws_to_dict
+from imr_torch.document import header
+from imr_torch.files import without_nonfinite, write_json
 from imr_torch.gap import MediumSensitivity
 from imr_torch.goodness import FitTest
 from imr_torch.material import Belief
-from imr_torch.observe import Experiment, GelMedium, Landmarks, Noise, Prepared
+from imr_torch.observe import Experiment, GelMedium, Landmarks, Noise, Prepared, TraceSet
 from imr_torch.observe.frames import FrameUse
 from imr_torch.population import Population
-from imr_torch.saved import SavedCharacterization, draws_to_dict
 from imr_torch.select import (
     Evidence,
     Identifiability,
@@ -28,10 +39,14 @@ from imr_torch.select import (
     identifiability,
     probability_errors,
 )
+from imr_torch.simulate import Simulator
 from imr_torch.units import Surroundings
 
 if TYPE_CHECKING:
     import pandas
+
+
+_COUNTS = 0.01  # probability from which on a model whose fit failed makes the result doubtful
 
 
 @dataclass(frozen=True)
@@ -61,6 +76,9 @@ class Characterization:
         profiles: model key -> the profile likelihoods of its parameters, of models with .05 of the
             probability or more, at the estimated noise; None where not asked for.
         jitter: of frame times, under the most probable model; None where that was not asked for.
+        traces: the records that were fitted.
+        simulator: makes the bubbles, in the medium of the curves; None where no curves are to be
+            drawn.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, characterize, wide_prior
@@ -98,6 +116,8 @@ class Characterization:
     population: Population | None = None
     profiles: Mapping[str, tuple[Profile, ...]] | None = None
     jitter: FrameJitter | None = None
+    traces: TraceSet = field(default_factory=lambda: TraceSet(()))
+    simulator: Simulator | None = None
 
     @property
     def experiments(self) -> tuple[Experiment, ...]:
@@ -130,6 +150,16 @@ class Characterization:
         return curves.noise_interval(fit.prediction)
 
     @property
+    def converged(self) -> bool:
+        """Whether the fit of every model that holds 1 % of the probability or more has converged."""
+        chances = self.posterior.probabilities
+        return all(
+            fit.certificate.converged
+            for fit in self.assimilation.fits
+            if chances[fit.model] >= _COUNTS
+        )
+
+    @property
     def cautions(self) -> tuple[str, ...]:
         """What makes the numbers doubtful, a sentence each."""
         return (*self.prepared.cautions, *patterns(self.collapse_times()))
@@ -140,25 +170,17 @@ class Characterization:
         """
         return identifiability(fit.prior, fit.posterior, (self.profiles or {}).get(fit.model, ()))
 
-    def to_dict(self) -> dict[str, object]:
-        """JSON-ready summary: intervals in SI units, probabilities, residuals, certificates."""
-        models = {}
-        for fit, evidence in zip(self.assimilation.fits, self.evidence, strict=True):
-            certificate = vars(fit.certificate) | {
-                "agreement": min(fit.certificate.agreement, 1e300)
-            }
-            models[fit.model] = {
-                "intervals": intervals(fit.posterior),
-                "identifiability": {f.parameter.name: f.words for f in self.identifiability(fit)},
-                "rmse": self.assimilation.rmse(fit.model),
-                "rmse_by_experiment": self.assimilation.rmse_by_experiment(fit.model),
-                "log_evidence": evidence.value,
-                "log_evidence_error": evidence.error,
-                "effective_samples": evidence.effective_samples,
-                "draws": fit.trust,
-                "verdict": fit.verdict.name.lower(),
-                "certificate": certificate,
-            }
+    def to_dict(self, command: str = "imr-torch diagnose") -> dict[str, Any]:
+        """JSON-ready summary: intervals in SI units, probabilities, residuals, certificates.
+
+        Args:
+            command: what to try if the model does not explain the curves.
+        """
+        best = self.posterior.best
+        medium = (
+            {} if self.medium is None else medium_document(self.medium, self.sensitivities, best)
+        )
+        tested = self.fit_test
         return {
             "experiments": [
                 {
@@ -170,15 +192,16 @@ class Characterization:
                 for e in self.experiments
             ],
             "cautions": list(self.cautions),
-            **(
-                {}
-                if self.medium is None
-                else medium_document(self.medium, self.sensitivities, self.posterior.best)
-            ),
+            **medium,
+            "medium_inferred": [] if self.medium is None else list(self.medium.priors),
             "collapse_times": self.collapse_times(),
+            "collapse_patterns": patterns(self.collapse_times()),
             "model_probabilities": self.posterior.probabilities,
             "model_probability_errors": probability_errors(self.assimilation.prior, self.evidence),
-            "models": models,
+            "models": {
+                fit.model: self._model(fit, evidence)
+                for fit, evidence in zip(self.assimilation.fits, self.evidence, strict=True)
+            },
             "scores": {
                 s.model: {"value": s.value, "error": s.error, "refitted": s.refitted}
                 for s in self.scores
@@ -189,16 +212,81 @@ class Characterization:
             "noise_factors": {
                 e.label: e.noise_factor for e in self.experiments if e.noise_factor != 1.0
             },
-            "bad_frames": None if self.bad_frames is None else self.bad_frames.to_dict(),
-            "frame_jitter": None if self.jitter is None else self.jitter.to_dict(),
+            "bad_frames": self.bad_frames and self.bad_frames.to_dict(),
+            "frame_jitter": self.jitter and self.jitter.to_dict(),
             "frames_left_out": [vars(frame) for frame in self.left_out],
-            "fit_test": None if self.fit_test is None else self.fit_test.to_dict(),
-            "population": None if self.population is None else self.population.to_dict(),
+            "frame_lines": [line for use in self.frames for line in use.lines()],
+            "fit_test": tested
+            and tested.to_dict() | {"command": command, "sentence": tested.sentence(command)},
+            "population": self.population and self.population.to_dict(),
             "profiles": profiles_document(self.profiles),
             "prior": self.assimilation.prior.to_dict(),
             "belief": self.posterior.to_dict(),
             "weighted_draws": draws_to_dict(self.assimilation),
             "cpu_seconds": self.seconds,
+        }
+
+    def _model(self, fit: ModelFit, evidence: Evidence) -> dict[str, Any]:
+        """What is known of one model, JSON-ready."""
+        certificate = fit.certificate
+        return {
+            "intervals": intervals(fit.posterior),
+            "identifiability": {f.parameter.name: f.words for f in self.identifiability(fit)},
+            "rmse": self.assimilation.rmse(fit.model),
+            "rmse_by_experiment": self.assimilation.rmse_by_experiment(fit.model),
+            "log_evidence": evidence.value,
+            "log_evidence_error": evidence.error,
+            "effective_samples": evidence.effective_samples,
+            "draws": fit.trust,
+            "advice": self._advice(fit),
+            "verdict": fit.verdict.name.lower(),
+            "certificate": vars(certificate)
+            | {"agreement": min(certificate.agreement, 1e300), "sentence": str(certificate)},
+        }
+
+    def _advice(self, fit: ModelFit) -> str:
+        """What can be done where the intervals of a model are not reliable."""
+        if fit.verdict is not Verdict.REFUSED:
+            return ""
+        few = self.posterior.probabilities[fit.model] < math.exp(-EFFORTS["normal"].behind)
+        drawn = (
+            "few draws, since it is improbable"
+            if few
+            else "curves at other designs may settle them"
+        )
+        return f"; {drawn}; effort='thorough' (--effort thorough) weighs more"
+
+    def to_document(
+        self, command: str = "imr-torch diagnose", *, draws: int = 100, seed: int = 0
+    ) -> dict[str, Any]:
+        """:meth:`to_dict` with the measured frames, the curves of the models and the residuals, from
+        which figures and page are made (:func:`imr_torch.results.draw_figures`).
+
+        Args:
+            command: what to try if the model does not explain the curves.
+            draws: posterior draws behind the predictive band.
+            seed: of these draws.
+        """
+        curves = []
+        if self.simulator is not None and len(self.traces):
+            curves = curves_document(
+                self.assimilation,
+                self.posterior,
+                self.prepared,
+                self.frames,
+                self.traces,
+                self.simulator,
+                draws=draws,
+                seed=seed,
+            )
+        left_out = [
+            {"file": x.file, "experiment": x.experiment_id, "rows": str(x.rows), "reason": x.reason}
+            for x in self.traces.left_out
+        ]
+        return self.to_dict(command) | {
+            "rows_left_out": left_out,
+            "notes": list(self.traces.notes),
+            "curves": curves,
         }
 
     def collapse_times(self) -> list[dict[str, object]]:
@@ -211,8 +299,22 @@ class Characterization:
         )
 
     def save(self, path: str | Path) -> None:
-        """Write :meth:`to_dict` as JSON, atomically."""
-        write_json(path, self.to_dict())
+        """Write :meth:`to_document` with its header as JSON, atomically: a result as ``imr-torch
+        characterize --json`` writes it, which ``imr-torch plot`` draws.
+
+        A number that is not finite is written as null.
+        """
+        files = {trace.source: None for trace in self.traces}
+        made = header("characterize", files=list(files), medium=self.medium)
+        write_json(path, without_nonfinite(made | self.to_document())[0])
+
+    def to_mat(self, path: str | Path) -> None:
+        """Write parameters, intervals, curves and residuals for MATLAB
+        (:func:`imr_torch.export.write_mat`).
+        """
+        from imr_torch.export import write_mat
+
+        write_mat(self.to_document(), path)
 
     @staticmethod
     def load(path: str | Path) -> SavedCharacterization:
@@ -235,4 +337,6 @@ class Characterization:
         Args:
             command: what to try if the model does not explain the curves.
         """
-        return "\n".join(report_lines(self, command))
+        from imr_torch.results import document_report  # which draws, and needs matplotlib
+
+        return document_report(header("characterize") | self.to_dict(command))

@@ -1,12 +1,10 @@
 """The command ``imr-torch``: results as text, JSON and figures.
 
 Each subcommand has two modules of its name: help and options in :mod:`imr_torch.cli.options`, which
-    are light, and what it
-runs in :mod:`imr_torch.cli`, imported when it is asked for.
+are light, and what it runs in :mod:`imr_torch.cli`, imported when it is asked for.
 
 Exit status: 0 done, 2 input that cannot be used (the message says what to do), 1 a computation that
-    did not converge or a file
-that could not be written, 130 interrupted by the user.
+did not converge or a file that could not be written, 130 interrupted by the user.
 """
 
 import argparse
@@ -146,23 +144,21 @@ def _ended(message: str, status: int) -> int:
 
 def _check_targets(args: argparse.Namespace) -> None:
     """Refuse files and folders that could not be written, before any work is done."""
-    for option, folder in (("json", False), ("html", False), ("out", True)):
+    if getattr(args, "out", None) is not None:
+        check_target(args.out, "--out", folder=True)
+    seen: dict[Path, str] = {}
+    for option in ("html", "json", "mat"):
         path = getattr(args, option, None)
         if path is None:
             continue
-        check_target(path, f"--{option}", folder=folder)
-        if not folder:
-            _check_kept(args, option, Path(path).resolve())
-            for other in ("json", "html"):
-                second = getattr(args, other, None)
-                if (
-                    other < option
-                    and second is not None
-                    and Path(second).resolve() == Path(path).resolve()
-                ):
-                    raise InputDataError(
-                        f"--{other} and --{option} are both {path!r}; give each a file of its own."
-                    )
+        check_target(path, f"--{option}")
+        target = Path(path).resolve()
+        _check_kept(args, option, target)
+        if target in seen:
+            raise InputDataError(
+                f"--{seen[target]} and --{option} are both {path!r}; give each a file of its own."
+            )
+        seen[target] = option
 
 
 def _check_kept(args: argparse.Namespace, option: str, target: Path) -> None:

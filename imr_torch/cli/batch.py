@@ -9,8 +9,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from imr_torch.batch import FAILED, NOT_CONVERGED, BatchOptions, run_batch
-from imr_torch.batch_page import write_summary
+from imr_torch.characterization.batch import FAILED, NOT_CONVERGED, BatchOptions, run_batch
 from imr_torch.cli.common import (
     METHODS,
     SIMULATORS,
@@ -19,12 +18,14 @@ from imr_torch.cli.common import (
     prior_of,
     progress_of,
     rest_radius_of,
+    show_result,
     statement_of,
     with_engine,
     write_result,
 )
 from imr_torch.errors import ConvergenceError, InputDataError, UnsupportedError
 from imr_torch.observe import find_files
+from imr_torch.results import document_report
 from imr_torch.simulate import process_pool
 
 _ANSWER_WITHIN = 15  # seconds in which a scheduler answers
@@ -67,10 +68,11 @@ def run(args: argparse.Namespace) -> None:
             window=window,
             progress=progress,
         )
-    print(summary.report())
+    document = write_result(args, summary.to_dict())
+    print(document_report(document))
     print(f"wrote {folder / 'summary.csv'}")
-    print(f"wrote {write_summary(summary, folder / 'summary.html')}")
-    write_result(args, {"shots": [dict(row) for row in summary.rows]})
+    args.html = folder / "summary.html"
+    show_result(args, document)
     if failed := summary.count(FAILED):
         raise InputDataError(
             f"{failed} of {len(summary.rows)} shots have no result, for the reasons above; the "

@@ -7,41 +7,41 @@ import argparse
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import torch
 
-from imr_torch.campaign import Campaign, CampaignSettings, Finding, Journal, Proposal
+from imr_torch.campaign import Campaign, CampaignSettings, Journal, Proposal
+from imr_torch.campaign.admission import check_whole
 from imr_torch.characterization import medium_of
 from imr_torch.cli.campaign_settings import check_goal, hidden, one_model, scatter, settings_of
 from imr_torch.cli.common import (
     check_counts,
-    header_of,
     layout_of,
     prior_of,
     progress_of,
     rest_radius_of,
+    show_result,
     simulator_of,
     statement_of,
     with_medium,
     write_result,
 )
-from imr_torch.cli.figures import save_figures
 from imr_torch.errors import InputDataError
 from imr_torch.files import remove_temporaries
-from imr_torch.html import write
 from imr_torch.material import PARAMETERS, Belief, ReferenceCase, reference_case
-from imr_torch.observe import Experiment, SimulatedLaboratory, TraceSet, load_traces, prepare
+from imr_torch.observe import (
+    Experiment,
+    GelMedium,
+    SimulatedLaboratory,
+    find_files,
+    load_traces,
+    prepare,
+)
 from imr_torch.observe.medium import label
 from imr_torch.random import child, generator
-from imr_torch.results import campaign_document, campaign_page, draw_figures
-from imr_torch.results.campaign_page import cause_sentence
-from imr_torch.results.population import population_lines
+from imr_torch.results import campaign_document, document_report
 from imr_torch.simulate import Simulator
-
-_SHOWN, _LEAST = 6, 0.001  # causes that are listed, and the probability below which none is
 
 
 def run(args: argparse.Namespace) -> None:
@@ -50,6 +50,7 @@ def run(args: argparse.Namespace) -> None:
     Raises:
         KeyboardInterrupt: if the user stops it, with what to do next.
     """
+    begun = _begun_with(args)
     if args.tell and args.case:
         raise InputDataError(
             "--tell gives real experiments and --case simulates them; give one of the two."
@@ -63,7 +64,8 @@ def run(args: argparse.Namespace) -> None:
                 "--tell."
             )
     settings = settings_of(args)
-    simulator, prior, medium = with_medium(args, simulator_of(args), prior_of(args))
+    prior = prior_of(args) if begun is None else begun
+    simulator, prior, medium = with_medium(args, simulator_of(args), prior)
     if args.case and medium.sds:
         raise InputDataError(
             f"--medium gives {label(next(iter(medium.sds)))} a standard deviation, and --case "
@@ -88,6 +90,19 @@ def run(args: argparse.Namespace) -> None:
             else ""
         )
         raise KeyboardInterrupt(f"interrupted{kept}") from None
+
+
+def _begun_with(args: argparse.Namespace) -> Belief | None:
+    """The prior of the campaign that is resumed, where no option names one; its case is as if it
+    was given.
+    """
+    if not args.resume or any((args.models, args.known, args.belief, args.case)):
+        return None
+    start = Journal(args.out).find("start")
+    if start is None:
+        return None
+    args.case = start["note"].get("case")
+    return None if args.case else Belief.from_dict(start["prior"])
 
 
 def _open(
@@ -156,53 +171,43 @@ def _simulated(
 def _real(campaign: Campaign, args: argparse.Namespace) -> tuple[Sequence[Proposal], str | None]:
     """Learn from told files, then say what to shoot next: the proposals, or why it is enough."""
     progress = progress_of(args)
-    experiments = ()
-    if args.tell:
-        traces = load_traces(*args.tell, layout=layout_of(args), sort=args.sort)
-        print(traces.report())
-        surroundings = campaign.simulator.conditions.surroundings
-        _check_medium(traces, args)
-        prepared = prepare(traces, surroundings, rest_radius=rest_radius_of(args))
-        print(prepared.report())
-        experiments = prepared.experiments
+    experiments: list[Experiment] = []
+    failed: list[tuple[str, InputDataError]] = []
+    for path in find_files(*args.tell) if args.tell else ():
+        try:
+            traces = load_traces(path, layout=layout_of(args), sort=args.sort)
+            print(traces.report())
+            medium = medium_of(traces, statement_of(args))
+            surroundings = campaign.simulator.conditions.surroundings
+            prepared = prepare(traces, surroundings, rest_radius=rest_radius_of(args))
+            print(prepared.report())
+            for experiment in prepared.experiments:
+                marks = prepared.landmarks[experiment.label]
+                check_whole(experiment, marks.max_method)
+        except InputDataError as error:
+            if not campaign.journal.events or not path.is_file():  # nobody asked for this shot
+                raise
+            failed.append((path.name, error))
+            continue
+        _check_medium(medium, args)
+        experiments += prepared.experiments
     if args.forget is not None:
         campaign.forget(args.forget, progress=progress)
     if experiments:
         campaign.tell(*experiments, progress=progress)
     elif campaign.outstanding:  # the last run was cut off while it learnt
         campaign.learn(progress=progress)
+    for name, error in failed:
+        campaign.fail(name, str(error))
     if reason := campaign.reason_to_stop():
-        print(f"Enough: {reason}")
         return (), reason
-    proposals = campaign.ask_several(args.q, progress=progress)
-    for proposal in proposals:
-        where = campaign.settings.space.describe(
-            proposal.design, campaign.simulator.conditions.surroundings
-        )
-        expected = (
-            ""
-            if proposal.gain is None
-            else f"; expected gain {proposal.gain:.2f} +- {proposal.gain_sd:.2f} nats"
-        )
-        print(f"{'Shoot next' if proposal is proposals[0] else 'then'}: {where}{expected}")
-        if proposal.reason:
-            print(f"  {proposal.reason}")
-        if reason := campaign.reason_to_stop(proposal):
-            print(f"or leave it: {reason}")
-    gains = [proposal.gain for proposal in proposals if proposal.gain is not None]
-    if len(gains) > 1:
-        print(
-            f"expected gain of all together {sum(gains):.2f} nats; each is what a design adds to "
-            "those before it"
-        )
-    return proposals, None
+    return campaign.ask_several(args.q, progress=progress), None
 
 
-def _check_medium(traces: TraceSet, args: argparse.Namespace) -> None:
+def _check_medium(told: GelMedium, args: argparse.Namespace) -> None:
     """The medium of a campaign is stated when it begins: told files may say the same, or be
     overruled by --medium, said.
     """
-    told = medium_of(traces, statement_of(args))
     own = args.gel_medium
     new = [name for name in told.sources if name not in own.sources]
     if new:
@@ -223,55 +228,17 @@ def _report(
     proposals: Sequence[Proposal],
     stopped: str | None,
 ) -> None:
-    """Print the belief; write JSON, figures and page."""
-    belief = campaign.belief
-    if campaign.steps and campaign.steps[-1].noise:
-        print(f"noise {campaign.steps[-1].noise}")
-    if campaign.steps and (found := campaign.steps[-1].finding):
-        print(_found(found))
-    if campaign.steps and (population := campaign.steps[-1].population):
-        for line in population_lines(population):
-            print(line)
-    print(
-        "model probabilities: " + ", ".join(f"{k} {v:.4f}" for k, v in belief.probabilities.items())
-    )
-    errors = {}
+    """Print the belief and what to shoot next; write JSON, figures and page."""
     truth = None
+    errors = {}
     if case:
-        part = belief[case.truth_model]
+        part = campaign.belief[case.truth_model]
         truth = {name: case.truth[name] for name in part.names}
-        errors = {
-            n: abs(float(m) / truth[n] - 1.0) for n, m in zip(part.names, part.means, strict=True)
-        }
-        for name, mean, sd in zip(part.names, part.means.tolist(), part.sds.tolist(), strict=True):
-            entry = PARAMETERS[name]
-            mean, sd, true = (x * entry.display_scale for x in (mean, sd, truth[name]))
-            print(
-                f"  {entry.label}: {mean:.4g} +- {sd:.2g}, truth {true:.4g}, error "
-                f"{100 * errors[name]:.2f} %"
-            )
+        means = dict(zip(part.names, part.means.tolist(), strict=True))
+        errors = {name: abs(means[name] / true - 1.0) for name, true in truth.items()}
     document = campaign_document(campaign, proposals=proposals, stopped=stopped, truth=truth)
     document |= {"relative_error": errors, "cpu_seconds": seconds}
-    write_result(args, document)  # before any figure, so that nothing computed is lost if one fails
-    _figures(campaign, document)
-    if args.html:
-        print(f"wrote {write(campaign_page(header_of(args) | document), args.html)}")
-
-
-def _found(found: Finding) -> str:
-    """What the last diagnosis says, in two lines."""
-    ranked = sorted(found.probabilities.items(), key=lambda item: -item[1])[:_SHOWN]
-    listed = (
-        ", ".join(f"{name} {p:.3f}" for name, p in ranked if p >= _LEAST)
-        or "none fitted, since no test finds a gap"
-    )
-    return f"Cause of the gap: {cause_sentence(asdict(found))}\n  probabilities: {listed}"
-
-
-def _figures(campaign: Campaign, document: dict[str, Any]) -> None:
-    """Figures of the campaign so far.
-
-    Those that need a fit are drawn for the steps made in this run.
-    """
-    save_figures(draw_figures(document), campaign.journal.folder)
+    document = write_result(args, document)  # before any figure, so that nothing is lost
+    print(document_report(document))
+    show_result(args, document)
     print(f"figures and journal in {campaign.journal.folder}")

@@ -20,17 +20,18 @@ from imr_torch.cli.common import (
     prior_of,
     progress_of,
     rest_radius_of,
+    show_result,
     simulator_of,
     statement_of,
     with_medium,
     write_result,
 )
-from imr_torch.cli.figures import save_figures, subfolder
 from imr_torch.cli.options.names import COLLAPSES
 from imr_torch.cli.progress import characterize_stages
 from imr_torch.errors import ConvergenceError, ImrError, InputDataError
+from imr_torch.export import write_mat
 from imr_torch.files import write_atomically
-from imr_torch.html import write
+from imr_torch.labels import file_name
 from imr_torch.material import ModelBelief
 from imr_torch.observe import (
     CollapseShot,
@@ -42,25 +43,21 @@ from imr_torch.observe import (
 )
 from imr_torch.population import SCALE
 from imr_torch.reading.readers import is_shot_file
-from imr_torch.results import characterization_document, characterization_page, draw_figures
+from imr_torch.results import document_report
 
 
 def run(args: argparse.Namespace) -> None:
     """Load, infer, report."""
-    if args.each and args.scores:
-        raise InputDataError(
-            "--scores predicts curves from others, and --each fits every one alone; leave one of "
-            "them out."
-        )
-    if args.each and args.html:
-        raise InputDataError(
-            "--html shows one gel, and --each fits every curve by itself; leave one of them out."
-        )
-    if args.each and args.population:
-        raise InputDataError(
-            "--population takes the curves as shots of one gel, and --each every one alone; leave "
-            "one out."
-        )
+    for option, what in (
+        ("scores", "predicts curves from others"),
+        ("population", "takes the curves as shots of one gel"),
+        ("html", "shows one gel"),
+        ("mat", "holds one gel"),
+    ):
+        if args.each and getattr(args, option):
+            raise InputDataError(
+                f"--{option} {what}, and --each fits every one alone; leave one of them out."
+            )
     if args.scatter_scale is not None and not args.population:
         raise InputDataError("--scatter-scale is about --population; add that, or leave it out.")
     statement_of(args)  # checked before any work
@@ -76,7 +73,7 @@ def run(args: argparse.Namespace) -> None:
         _each(traces, args)
         return
     document, report, converged = _characterize(traces, args, shots=shots)
-    write_result(args, document)  # before any figure, so that nothing computed is lost if one fails
+    document = write_result(args, document)  # before any figure, so that nothing is lost
     _show(document, report, args, Path(args.out) if args.out else None)
     if not converged:
         raise ConvergenceError(
@@ -110,10 +107,17 @@ def _load(args: argparse.Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]
             f"{tables[0]}: experiment_id '{min(double)}' is also that of a curve; give the shots "
             "other names."
         )
-    if args.experiments is None:
+    if args.experiments is None and args.exclude is None:
         return traces, shots
-    wanted = names_of(args.experiments, "--experiments")
-    known = {shot.experiment_id for shot in shots}
+    known = [shot.experiment_id for shot in shots]
+    wanted = [*traces.ids, *known]
+    if args.experiments is not None:
+        wanted = names_of(args.experiments, "--experiments")
+    if args.exclude is not None:
+        left_out = names_of(args.exclude, "--exclude")
+        traces.select([name for name in left_out if name not in known])  # which must be there
+        wanted = [name for name in wanted if name not in left_out]
+        args.experiments = ",".join(wanted)  # what a diagnosis is to take
     of_curves = [name for name in wanted if name not in known]
     chosen = traces.select(of_curves) if of_curves else TraceSet(())
     return chosen, tuple(shot for shot in shots if shot.experiment_id in wanted)
@@ -143,36 +147,26 @@ def _each(traces: TraceSet, args: argparse.Namespace) -> None:
     wrong: dict[str, ImrError] = {}
     try:
         for number, trace in enumerate(traces, start=1):
-            print(f"\n--- {trace.experiment_id}")
-            one = traces.select([trace.experiment_id])
-            label = f"curve {number} of {len(traces)}"
+            name = trace.experiment_id
+            print(f"\n--- {name}")
             try:
-                document, report, converged = _characterize(one, args, label)
+                results[name], report, converged = _characterize(
+                    traces.select([name]), args, f"curve {number} of {len(traces)}"
+                )
             except ImrError as error:
                 print(f"imr-torch: {error}", file=sys.stderr)
-                wrong[trace.experiment_id], results[trace.experiment_id] = (
-                    error,
-                    {"error": str(error)},
-                )
+                wrong[name] = error
+                results[name] = {"error": str(error)}
                 continue
-            results[trace.experiment_id] = document
             if not converged:
-                wrong[trace.experiment_id] = ConvergenceError("a fit has not converged.")
-            _show(
-                document,
-                report,
-                args,
-                Path(args.out) / subfolder(trace.experiment_id) if args.out else None,
-            )
+                wrong[name] = ConvergenceError("a fit has not converged.")
+            folder = Path(args.out) / file_name(name) if args.out else None
+            _show(results[name], report, args, folder)
     finally:
         write_result(args, {"each": results})
     if wrong:
-        kind = (
-            InputDataError
-            if any(isinstance(x, InputDataError) for x in wrong.values())
-            else ConvergenceError
-        )
-        raise kind(
+        refused = any(isinstance(error, InputDataError) for error in wrong.values())
+        raise (InputDataError if refused else ConvergenceError)(
             f"{len(wrong)} of {len(traces)} curves have no result to be used: {', '.join(wrong)}; "
             "the others are written."
         )
@@ -187,13 +181,14 @@ def _characterize(
     """Fit some curves together and print the result: its document, the report, and whether all fits
     have converged.
     """
-    simulator = simulator_of(args)
-    rounds = NOISE_ROUNDS if args.noise == "estimated" else 0
     rest_radius = rest_radius_of(args)
     stages = characterize_stages(
-        rounds, scores=args.scores, population=args.population, profile=args.profile
+        NOISE_ROUNDS if args.noise == "estimated" else 0,
+        scores=args.scores,
+        population=args.population,
+        profile=args.profile,
     )
-    simulator, prior, medium = with_medium(args, simulator, prior_of(args), traces, shots)
+    simulator, prior, medium = with_medium(args, simulator_of(args), prior_of(args), traces, shots)
     prepared = prepare(
         traces, simulator.conditions.surroundings, collapses=args.collapses, rest_radius=rest_radius
     )
@@ -219,26 +214,24 @@ def _characterize(
         progress=progress_of(args, stages, label),
     )
     command = diagnose_command(args, result.posterior.best)
-    said = result.report(command)
+    document = header_of(args) | result.to_document(command, seed=args.seed)
+    said = document_report(document)
     print("\n" + said)
-    document = characterization_document(result, traces, simulator, command=command, seed=args.seed)
     read = (traces.report(), prepared.report(frames=False)) if len(traces) else ()
     report = "\n\n".join((*read, said)) + "\n"
-    return document, report, result.assimilation.converged
+    return document, report, result.converged
 
 
 def _show(
     document: dict[str, Any], report: str, args: argparse.Namespace, folder: Path | None
 ) -> None:
-    """Write the report, the figures and the page of a result."""
+    """Write the report, the figures, the page and the MATLAB file of a result."""
     if folder:
         write_atomically(folder / "report.txt", lambda stream: stream.write(report.encode()))
-        save_figures(draw_figures(document), folder)
-    if args.html:
-        print(
-            "wrote "
-            f"{write(characterization_page(header_of(args) | document, report=report), args.html)}"
-        )
+    show_result(args, document, folder=folder, report=report)
+    if args.mat:
+        write_mat(document, args.mat)
+        print(f"wrote {args.mat}")
 
 
 def diagnose_command(args: argparse.Namespace, best: ModelBelief) -> str:

@@ -15,14 +15,16 @@ import torch
 
 from imr_torch.assimilate import En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.characterization import medium_of
+from imr_torch.cli.figures import save_figures
 from imr_torch.cli.options.names import DEFAULT_MODELS
 from imr_torch.cli.progress import Stage, Terminal
 from imr_torch.errors import InputDataError
-from imr_torch.files import without_nonfinite, write_json
+from imr_torch.files import read_json, without_nonfinite, write_json
+from imr_torch.html import write
 from imr_torch.material import PARAMETERS, Belief, reference_case, wide_prior
 from imr_torch.observe import CollapseShot, GelMedium, Layout, Statement, TraceSet
 from imr_torch.reading import load_driving
-from imr_torch.results import header
+from imr_torch.results import document_page, draw_figures, header
 from imr_torch.simulate import (
     ACCURACIES,
     ParallelSimulator,
@@ -116,6 +118,17 @@ def prior_of(args: argparse.Namespace) -> Belief:
         return reference_case(args.case).prior
     models = names_of(DEFAULT_MODELS if args.models is None else args.models, "--models")
     return wide_prior(models, known=parse_values(args.known, "--known"))
+
+
+def belief_cautions(args: argparse.Namespace) -> list[str]:
+    """What is to be known of the result whose belief ``--belief`` names."""
+    document = read_json(args.belief) if args.belief else {}
+    if (document.get("fit_test") or {}).get("explained") is not False:
+        return []
+    return [
+        f"the model of {args.belief} does not explain its curves, and what follows assumes that it "
+        "does; find out what it lacks first: imr-torch diagnose"
+    ]
 
 
 def parse_values(text: str, option: str) -> dict[str, float]:
@@ -234,11 +247,11 @@ def header_of(args: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def write_result(args: argparse.Namespace, document: dict[str, Any]) -> None:
-    """Write ``document`` with its header to ``--json`` and into ``--out``, where given.
+def write_result(args: argparse.Namespace, document: dict[str, Any]) -> dict[str, Any]:
+    """Write ``document`` with its header to ``--json`` and into ``--out``, where given; returns it.
 
     A number that is not finite is written as null, and its place is said: what was computed is not
-        lost for it.
+    lost for it.
     """
     document, places = without_nonfinite(header_of(args) | document)
     if places:
@@ -249,3 +262,26 @@ def write_result(args: argparse.Namespace, document: dict[str, Any]) -> None:
     for path in targets:
         write_json(path, document)
         print(f"wrote {path}")
+    return document
+
+
+def show_result(
+    args: argparse.Namespace,
+    document: dict[str, Any],
+    *,
+    folder: Path | None = None,
+    report: str = "",
+) -> None:
+    """Draw the figures of a result into ``--out`` and its page into ``--html``, where given.
+
+    Args:
+        args: the options.
+        document: with its header, as :func:`write_result` returns it.
+        folder: of the figures, where it is not ``--out``.
+        report: what the page holds as text; the report of the document when not given.
+    """
+    folder = folder or (Path(args.out) if args.out else None)
+    if folder:
+        save_figures(draw_figures(document), folder)
+    if getattr(args, "html", None):
+        print(f"wrote {write(document_page(document, report=report), args.html)}")

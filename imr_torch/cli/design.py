@@ -2,21 +2,20 @@
 
 import argparse
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 from imr_torch.campaign import Optimal
 from imr_torch.cli.common import (
+    belief_cautions,
     check_counts,
-    header_of,
     parse_pair,
     prior_of,
     progress_of,
+    show_result,
     simulator_of,
     with_medium,
     write_result,
 )
-from imr_torch.cli.figures import save_figures
 from imr_torch.cli.progress import DESIGN
 from imr_torch.design import (
     STRATEGIES,
@@ -34,10 +33,9 @@ from imr_torch.design import (
     search_design,
 )
 from imr_torch.errors import InputDataError
-from imr_torch.html import write
 from imr_torch.observe import Nuisance
-from imr_torch.plot import information_map
-from imr_torch.results import design_page, draw_figures
+from imr_torch.results import document_report
+from imr_torch.results.plot import information_map
 from imr_torch.simulate import coarser
 from imr_torch.units import Surroundings
 
@@ -122,21 +120,10 @@ def run(args: argparse.Namespace) -> None:
     )
     steps = (*search.earlier, search)
     document = search_document(steps, simulator.conditions.surroundings)
-    write_result(args, document)  # before any figure, so that nothing computed is lost if one fails
-    for number, step in enumerate(steps, start=1):
-        best = step.recommendation
-        where = space.describe(step.recommendation.design, simulator.conditions.surroundings)
-        print(f"Shoot {where}")
-        print(
-            f"{'adds' if number > 1 else 'expected information gain'} {best.mean:.3f} +- "
-            f"{best.sd:.3f} nats"
-        )
-    if len(steps) > 1:
-        print(f"together {search.joint:.3f} nats")
-    if args.html:
-        print(f"wrote {write(design_page(header_of(args) | document), args.html)}")
-    if args.out:
-        save_figures(draw_figures(document), Path(args.out))
+    document["cautions"] = belief_cautions(args)
+    document = write_result(args, document)  # before any figure, so that nothing is lost
+    print(document_report(document))
+    show_result(args, document)
 
 
 def search_document(

@@ -11,7 +11,6 @@ from pathlib import Path
 
 from imr_torch.characterization import medium_document, medium_of
 from imr_torch.cli.common import (
-    header_of,
     layout_of,
     names_of,
     parse_values,
@@ -21,6 +20,7 @@ from imr_torch.cli.common import (
     statement_of,
     write_result,
 )
+from imr_torch.cli.figures import save_figures
 from imr_torch.cli.progress import DIAGNOSE
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap import (
@@ -36,7 +36,8 @@ from imr_torch.gap import (
 )
 from imr_torch.material import MATERIALS, wide_prior
 from imr_torch.observe import Experiment, GelMedium, TraceSet, load_traces, prepare
-from imr_torch.results.page import assumed_rows, footer, provenance_table
+from imr_torch.results import draw_figures
+from imr_torch.results.page import footer, provenance_rows
 from imr_torch.simulate import Simulator
 
 _CHUNK = 360  # half of what 25 effects and three experiments take
@@ -89,12 +90,14 @@ def run(args: argparse.Namespace) -> None:
         )
     )
     of_medium = medium_document(medium, assumed, report.null.posterior)
-    seconds = time.perf_counter() - started
-    write_result(args, document | of_medium | {"seconds": seconds})
+    args.gel_medium = medium
+    document = write_result(args, document | of_medium | {"seconds": time.perf_counter() - started})
+    if args.out:
+        save_figures(draw_figures(document), Path(args.out))
     if args.html:
-        about = header_of(args) | of_medium
-        facts = (*provenance_table(about).rows, *assumed_rows(about))
-        page = write_page(document, args.html, facts=facts, footer=footer(about))
+        moved = [("Were the medium another", found.sentence()) for found in assumed]
+        facts = (*provenance_rows(document), *moved)
+        page = write_page(document, args.html, facts=facts, footer=footer(document))
         print(f"wrote {page}")
     if not report.converged:
         raise ConvergenceError("a fit that the verdict rests on has not converged (see above).")

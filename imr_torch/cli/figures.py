@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 
 from imr_torch.errors import InputDataError
 from imr_torch.files import write_atomically
-from imr_torch.labels import file_name
 from imr_torch.results import NamedFigure
 
 matplotlib.use("Agg")  # commands write files and open no window
@@ -33,11 +32,6 @@ def formats_of(text: str) -> tuple[str, ...]:
                 f"--format is {text!r}; expected some of {', '.join(FORMATS)} with commas between."
             )
     return found
-
-
-def subfolder(label: str) -> str:
-    """The folder of one experiment's figures."""
-    return file_name(label)
 
 
 def save(figure: Figure, folder: Path, name: str, formats: Sequence[str] = ()) -> list[Path]:

@@ -1,28 +1,23 @@
 """Runs ``imr-torch plot``; its help and options are in :mod:`imr_torch.cli.options.plot`."""
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from imr_torch.cli.figures import formats_of, save_figures, subfolder
+from imr_torch.cli.figures import formats_of, save_figures
 from imr_torch.errors import InputDataError
 from imr_torch.html import write
+from imr_torch.labels import file_name
 from imr_torch.results import (
     NamedFigure,
-    campaign_page,
-    characterization_page,
+    document_page,
     draw_figures,
     for_publication,
     read_document,
 )
-
-_PAGES: dict[str, Callable[[Mapping[str, Any]], str]] = {
-    "imr_torch characterize": characterization_page,
-    "imr_torch campaign": campaign_page,
-}
 
 
 def run(args: argparse.Namespace) -> None:
@@ -48,7 +43,7 @@ def run(args: argparse.Namespace) -> None:
         len(items) - save_figures(items, place, formats) for place, items in figures.items()
     )
     if args.html:
-        print(f"wrote {write(_page(document), args.html)}")
+        print(f"wrote {write(document_page(document), args.html)}")
     if missing:
         raise InputDataError(
             f"{args.file}: {missing} figure(s) could not be drawn (see above); make the result "
@@ -61,7 +56,7 @@ def _sized(figures: Sequence[NamedFigure], columns: str | None) -> list[NamedFig
     if columns is None:
         return list(figures)
     return [
-        replace(figure, draw=partial(for_publication, figure.draw, columns)) for figure in figures
+        replace(figure, plot=partial(for_publication, figure.draw, columns)) for figure in figures
     ]
 
 
@@ -83,15 +78,5 @@ def _each(
         if "error" in part:
             print(f"{name}: not fitted: {part['error']}")
         else:
-            parts[folder / subfolder(name)] = part
+            parts[folder / file_name(name)] = part
     return parts
-
-
-def _page(document: Mapping[str, Any]) -> str:
-    name = document["schema"]["name"]
-    if name not in _PAGES:
-        raise InputDataError(
-            f"--html: the result is of {name!r}; a page is made again of {' and '.join(_PAGES)} "
-            "only. Leave --html out."
-        )
-    return _PAGES[name](document)

@@ -13,14 +13,15 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack, redirect_stdout
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any, TextIO
 
-_EVERY, _LOG_EVERY = 0.5, 30.0  # seconds between lines on a terminal, and in a log
+_EVERY = 0.5  # seconds between lines on a terminal
+_LOG_EVERY = 30.0  # seconds between lines in a log
 _EARLY = 0.1  # part of the work before which no time left is said
 _LONGEST = 140
-_OF = re.compile(r"(\d+)\s*/\s*(\d+)")
+_OF = re.compile(r"(.*?)(\d+)\s*/\s*(\d+)")
 _STEP = re.compile(r"(cycle \d+, )?(iteration|round) \d+")
 
 
@@ -52,23 +53,20 @@ def characterize_stages(
     """
     # measured on the example gel: a first fit takes a sixth of all, each later one, which ends more
     # precisely, a third
-    fits = [Stage("fit of all models" + ("" if noise_rounds else ", and draws"), 0.5)]
+    stages = [Stage("fit of all models" + ("" if noise_rounds else ", and draws"), 0.5)]
     for number in range(1, noise_rounds + 1):
         again = f" (round {number} of {noise_rounds})" if noise_rounds > 1 else ""
         draws = ", and draws" if number == noise_rounds else ""
-        fits.append(Stage(f"fit with the estimated noise{again}{draws}", 1.0, r"^noise "))
-    last = [Stage("scores of held-out curves", 2.0, r"^scores")] if scores else []
-    shots = (
-        [Stage("each shot by itself, and the population", 1.5, r"^shots: ")] if population else []
-    )
-    profiles = [Stage("profile likelihoods, and figures", 0.5, r"^profile of")] if profile else []
-    return (
-        *fits,
-        *last,
-        Stage("fit test" if shots or profile else "fit test and figures", 0.1, r"^fit test"),
-        *shots,
-        *profiles,
-    )
+        stages.append(Stage(f"fit with the estimated noise{again}{draws}", 1.0, r"^noise "))
+    figures = "" if population or profile else " and figures"
+    for wanted, stage in (
+        (scores, Stage("scores of held-out curves", 2.0, r"^scores")),
+        (True, Stage(f"fit test{figures}", 0.1, r"^fit test")),
+        (population, Stage("each shot by itself, and the population", 1.5, r"^shots: ")),
+        (profile, Stage("profile likelihoods, and figures", 0.5, r"^profile of")),
+    ):
+        stages += [stage] if wanted else []
+    return tuple(stages)
 
 
 DIAGNOSE = (
@@ -116,19 +114,12 @@ class Terminal:
         self.stream = stream or sys.stderr
         self.clock = clock
         self.live = (self.stream.isatty() if live is None else live) and not quiet and not verbose
-        self.started = self.said = clock()
-        self.label = ""
-        self.stages = ()
-        self.at = 0
-        self.step = ""
-        self.part = 0.0
-        self._begun = False
         self._drawn = 0
-        self._last = ""
         self._lock = threading.RLock()
         self._stop = threading.Event()
-        self._thread: threading.Thread | None = None
-        self._stdout: TextIO | None = None
+        self._open = ExitStack()
+        self.plan(())
+        self._begun = False
 
     def plan(self, stages: Sequence[Stage], label: str = "") -> None:
         """Name the stages to come, from the first; ``label`` says of what (for example a curve)."""
@@ -138,9 +129,9 @@ class Terminal:
             self.step = ""
             self.part = 0.0
             self.label = label
-            self.started = self.clock()
+            self.started = self.said = self.clock()
+            self._said_stage = -1
             self._begun = True
-            self._last = ""
 
     def __call__(self, text: str) -> None:
         """Report one line of detail."""
@@ -155,7 +146,7 @@ class Terminal:
                 return
             self._read(text)
             if self.live:
-                self._draw()
+                self._draw(self.line())
             else:
                 self._log()
 
@@ -163,45 +154,37 @@ class Terminal:
         """The state in one line, what matters most first, since a narrow terminal cuts the end off."""
         elapsed = self.clock() - self.started
         done = self._done()
-        parts = [self.command + (f" {self.label}" if self.label else "")]
+        parts = [f"{self.command} {self.label}".strip()]
         if len(self.stages) > 1:
             parts.append(f"stage {self.at + 1} of {len(self.stages)}")
         parts.append(_clock(elapsed))
         if done >= _EARLY:
             parts.append(f"about {_clock(elapsed * (1.0 - done) / done)} left")
-        doing = [self.stages[self.at].name] if self.stages else []
-        doing += [self.step] if self.step else []
-        return ", ".join(parts) + (f": {', '.join(doing)}" if doing else "")
+        stage = self.stages[self.at].name if self.stages else ""
+        doing = ", ".join(filter(None, (stage, self.step)))
+        return ", ".join(parts) + (f": {doing}" if doing else "")
 
     def _done(self) -> float:
         """Part of the work that is done, roughly.
 
         Of the step that counts, where no stages are planned.
         """
-        if not self.stages:
-            return self.part
-        total = sum(stage.share for stage in self.stages)
-        return (
-            sum(stage.share for stage in self.stages[: self.at])
-            + self.part * self.stages[self.at].share
-        ) / total
+        shares = [stage.share for stage in self.stages] or [1.0]
+        return (sum(shares[: self.at]) + self.part * shares[self.at]) / sum(shares)
 
     def _read(self, text: str) -> None:
         """Take stage and step from a reported line."""
-        following = self.stages[self.at + 1 :]
-        new = next((i for i, stage in enumerate(following) if re.search(stage.begins, text)), None)
+        following = range(self.at + 1, len(self.stages))
+        new = next((i for i in following if re.search(self.stages[i].begins, text)), None)
         if new is not None:
-            self.at = self.at + 1 + new
+            self.at = new
             self.part = 0.0
             self.step = ""
-        counted = _OF.search(text)
-        step = _STEP.search(text)
-        if counted and int(counted[2]) > 0:
-            self.part = min(1.0, int(counted[1]) / int(counted[2]))
-            self.step = (
-                f"{text[: counted.start()].strip(' :,')} {counted[1]} of {counted[2]}".strip()
-            )
-        elif step:
+        counted = _OF.match(text)
+        if counted and int(counted[3]) > 0:
+            self.part = min(1.0, int(counted[2]) / int(counted[3]))
+            self.step = f"{counted[1].strip(' :,')} {counted[2]} of {counted[3]}".strip()
+        elif step := _STEP.search(text):
             self.step = step[0]
         elif new is None:
             self.step = text.partition(":")[0][:40]
@@ -209,53 +192,44 @@ class Terminal:
     def _log(self) -> None:
         """A line for a log: when the stage has changed, else seldom."""
         now = self.clock()
-        stage = f"{self.label} {self.at}" if self.stages else "-"
-        if stage != self._last or now - self.said >= _LOG_EVERY:
-            self._last = stage
+        if self._said_stage != self.at or now - self.said >= _LOG_EVERY:
+            self._said_stage = self.at
             self.said = now
             print(self.line()[:_LONGEST], file=self.stream, flush=True)
 
-    def _draw(self) -> None:
+    def _draw(self, text: str) -> None:
         width = max(20, shutil.get_terminal_size().columns - 1)
-        text = self.line()[:width]
-        self.stream.write("\r" + text + " " * max(0, self._drawn - len(text)))
+        self.stream.write("\r" + text[:width].ljust(self._drawn))
         self.stream.flush()
-        self._drawn = len(text)
+        self._drawn = len(text[:width])
 
     def clear(self) -> None:
         """Wipe the line, so that something else can be printed."""
         with self._lock:
             if self._drawn:
-                self.stream.write("\r" + " " * self._drawn + "\r")
+                self._draw("")
+                self.stream.write("\r")
                 self.stream.flush()
-                self._drawn = 0
 
     def __enter__(self) -> "Terminal":
         if self.live:
-            self._stdout, sys.stdout = sys.stdout, _Clearing(sys.stdout, self)  # type: ignore[assignment]
-            self._thread = threading.Thread(target=self._beat, daemon=True)
-            self._thread.start()
+            self._open.enter_context(redirect_stdout(_Clearing(sys.stdout, self)))  # type: ignore[type-var]
+            beat = threading.Thread(target=self._beat, daemon=True)
+            beat.start()
+            self._open.callback(beat.join)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._stop.set()
-        if self._thread is not None:
-            self._thread.join()
+        self._open.close()
         self.clear()
-        if self._stdout is not None:
-            sys.stdout = self._stdout
 
     def _beat(self) -> None:
         """Rewrite the line while nothing is reported, so that a long step is no silence."""
         while not self._stop.wait(_EVERY):
             with self._lock:
                 if self._begun:
-                    self._draw()
+                    self._draw(self.line())
 
 
 class _Clearing:

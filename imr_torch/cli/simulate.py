@@ -4,7 +4,6 @@ Its help and options are in :mod:`imr_torch.cli.options.simulate`.
 """
 
 import argparse
-from pathlib import Path
 
 import torch
 
@@ -12,15 +11,14 @@ from imr_torch.characterization import medium_of
 from imr_torch.cli.common import (
     AnySimulator,
     parse_values,
+    show_result,
     statement_of,
     with_engine,
     write_result,
 )
-from imr_torch.cli.figures import save_figures
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.material import PARAMETERS, material
 from imr_torch.observe import TraceSet
-from imr_torch.results import draw_figures
 from imr_torch.simulate import ACCURACIES, STEPPINGS, PolytropicSimulator, TransportSimulator
 
 SIMULATORS: dict[tuple[str, str], AnySimulator] = {
@@ -97,8 +95,4 @@ def run(args: argparse.Namespace) -> None:
         "U_star": solution.velocity[0].tolist(),
         "bubble_pressure_over_p_inf": pressure.tolist(),
     }
-    write_result(
-        args, document
-    )  # before the figure, so that nothing computed is lost if that fails
-    if args.out:
-        save_figures(draw_figures(document), Path(args.out))
+    show_result(args, write_result(args, document))

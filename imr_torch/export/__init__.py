@@ -2,6 +2,7 @@
 
 from imr_torch.export.arviz import to_arviz, write_netcdf
 from imr_torch.export.distributions import from_distributions, to_marginal
+from imr_torch.export.matlab import write_mat
 from imr_torch.export.sbi import ModelPrior, SbiSimulator, sbi_simulator
 
 __all__ = [
@@ -11,5 +12,6 @@ __all__ = [
     "sbi_simulator",
     "to_arviz",
     "to_marginal",
+    "write_mat",
     "write_netcdf",
 ]

@@ -131,16 +131,17 @@ def _groups(
     }
 
 
-def _variable(dims: tuple[str, ...], values: Any, **attributes: str) -> "Variable":
+def _variable(dims: str, values: Any, units: str = "", long_name: str = "") -> "Variable":
+    """A variable with its dimensions, separated by blanks, and its attributes."""
     from xarray import Variable
 
-    return Variable(
-        dims, values.numpy() if isinstance(values, Tensor) else np.asarray(values), attributes
-    )
+    attributes = {"units": units, "long_name": long_name}
+    array = values.numpy() if isinstance(values, Tensor) else np.asarray(values)
+    return Variable(dims.split(), array, {k: v for k, v in attributes.items() if v})
 
 
 def _draw_axes(count: int) -> Variables:
-    return {"chain": _variable(("chain",), [0]), "draw": _variable(("draw",), range(count))}
+    return {"chain": _variable("chain", [0]), "draw": _variable("draw", range(count))}
 
 
 def _parameters(part: ModelBelief, controls: Tensor) -> Variables:
@@ -148,9 +149,9 @@ def _parameters(part: ModelBelief, controls: Tensor) -> Variables:
     values = part.physical(controls)
     variables = {
         name: _variable(
-            ("chain", "draw"),
+            "chain draw",
             values[None, :, i],
-            units=PARAMETERS[name].unit,
+            PARAMETERS[name].unit,
             long_name=PARAMETERS[name].meaning,
         )
         for i, name in enumerate(part.names)
@@ -171,29 +172,27 @@ def _fit_groups(
         return {"posterior": _parameters(fit.prior, fit.prior.unwhitened(controls))} | data
     chosen = sample.resample(draws, source)
     posterior = _parameters(fit.prior, fit.prior.unwhitened(sample.controls[chosen]))
-    posterior |= _experiments(batch) | {"nuisance": _variable(("nuisance",), list(NUISANCES))}
+    posterior |= _experiments(batch) | {"nuisance": _variable("nuisance", list(NUISANCES))}
     sds = _variable(
-        ("chain", "draw", "experiment", "nuisance"),
+        "chain draw experiment nuisance",
         sample.nuisances[chosen][None],
-        units="prior sd",
+        "prior sd",
     )
     posterior["nuisances"] = sds
     likelihood = sample.by_experiment[chosen]
     stats = _draw_axes(draws) | {
-        "lp": _variable(
-            ("chain", "draw"), (likelihood.sum(1) + sample.log_prior[chosen])[None], units="nat"
-        ),
+        "lp": _variable("chain draw", (likelihood.sum(1) + sample.log_prior[chosen])[None], "nat"),
         "pareto_k": _variable(
-            (), sample.pareto_k, long_name="shape of the tail of the importance weights"
+            "", sample.pareto_k, long_name="shape of the tail of the importance weights"
         ),
-        "effective_samples": _variable((), sample.effective_samples),
-        "log_evidence": _variable((), sample.log_evidence, units="nat"),
-        "log_evidence_error": _variable((), sample.log_evidence_error, units="nat"),
+        "effective_samples": _variable("", sample.effective_samples),
+        "log_evidence": _variable("", sample.log_evidence, "nat"),
+        "log_evidence_error": _variable("", sample.log_evidence_error, "nat"),
     }
     seen = _variable(
-        ("chain", "draw", "experiment"),
+        "chain draw experiment",
         likelihood[None],
-        units="nat",
+        "nat",
         long_name="of all repeats and frames",
     )
     return {
@@ -219,39 +218,36 @@ def _frame_groups(
     )
     experiment, frame = torch.nonzero(batch.mask, as_tuple=True)
     labels = [e.label for e in batch.experiments]
-    where = {"observation": _variable(("observation",), range(len(frame)))}
+    where = {"observation": _variable("observation", range(len(frame)))}
     known = {
-        "experiment": _variable(("observation",), [labels[i] for i in experiment.tolist()]),
-        "time": _variable(("observation",), batch.times[batch.mask], units="t U_c/Rmax"),
+        "experiment": _variable("observation", [labels[i] for i in experiment.tolist()]),
+        "time": _variable("observation", batch.times[batch.mask], "t U_c/Rmax"),
     }
     axes = _draw_axes(len(chosen)) | where
-    dims = ("chain", "draw", "observation")
+    dims = "chain draw observation"
     return {
         "frames/posterior": _parameters(fit.prior, fit.prior.unwhitened(controls)),
-        "frames/posterior_predictive": axes
-        | {"radius": _variable(dims, drawn[None], units="R/Rmax")},
-        "frames/log_likelihood": axes | {"radius": _variable(dims, likelihood[None], units="nat")},
+        "frames/posterior_predictive": axes | {"radius": _variable(dims, drawn[None], "R/Rmax")},
+        "frames/log_likelihood": axes | {"radius": _variable(dims, likelihood[None], "nat")},
         "frames/observed_data": where
-        | {"radius": _variable(("observation",), batch.mean[batch.mask], units="R/Rmax")},
+        | {"radius": _variable("observation", batch.mean[batch.mask], "R/Rmax")},
         "frames/constant_data": where | known,
     }
 
 
 def _experiments(batch: ExperimentBatch) -> Variables:
-    return {"experiment": _variable(("experiment",), [e.label for e in batch.experiments])}
+    return {"experiment": _variable("experiment", [e.label for e in batch.experiments])}
 
 
 def _frames(batch: ExperimentBatch) -> Variables:
-    return _experiments(batch) | {"frame": _variable(("frame",), range(batch.times.shape[1]))}
+    return _experiments(batch) | {"frame": _variable("frame", range(batch.times.shape[1]))}
 
 
 def _observed(batch: ExperimentBatch) -> Variables:
     """Mean curves; NaN where an experiment has fewer frames than the longest."""
     mean = torch.where(batch.mask, batch.mean, torch.nan)
     return _frames(batch) | {
-        "radius": _variable(
-            ("experiment", "frame"), mean, units="R/Rmax", long_name="mean of the repeats"
-        )
+        "radius": _variable("experiment frame", mean, "R/Rmax", long_name="mean of the repeats")
     }
 
 
@@ -259,23 +255,21 @@ def _constant(batch: ExperimentBatch) -> Variables:
     """Designs, times, repeats and prior spreads of the nuisances."""
     times = torch.where(batch.mask, batch.times, torch.nan)
     return _frames(batch) | {
-        "time": _variable(("experiment", "frame"), times, units="t U_c/Rmax"),
-        "weber": _variable(
-            ("experiment",), batch.designs[:, 0], units="1", long_name="Weber number"
-        ),
-        "rest_radius": _variable(("experiment",), batch.designs[:, 1], units="R_inf/Rmax"),
-        "repeats": _variable(("experiment",), [e.repeats for e in batch.experiments]),
-        "nuisance": _variable(("nuisance",), list(NUISANCES)),
+        "time": _variable("experiment frame", times, "t U_c/Rmax"),
+        "weber": _variable("experiment", batch.designs[:, 0], "1", long_name="Weber number"),
+        "rest_radius": _variable("experiment", batch.designs[:, 1], "R_inf/Rmax"),
+        "repeats": _variable("experiment", [e.repeats for e in batch.experiments]),
+        "nuisance": _variable("nuisance", list(NUISANCES)),
         "nuisance_sd": _variable(
-            ("experiment", "nuisance"), batch.nuisance_sds, units="relative, t*, relative"
+            "experiment nuisance", batch.nuisance_sds, "relative, t*, relative"
         ),
     }
 
 
 def _probabilities(belief: Belief) -> Variables:
     return {
-        "model": _variable(("model",), list(belief.keys)),
-        "log_probability": _variable(("model",), belief.log_probabilities, units="nat"),
+        "model": _variable("model", list(belief.keys)),
+        "log_probability": _variable("model", belief.log_probabilities, "nat"),
     }
 
 
@@ -292,19 +286,15 @@ def _history(campaign: Campaign) -> Variables:
     )
     evidence = {
         "log_evidence": _variable(
-            ("step", "model"), values, units="nat", long_name="of all experiments so far"
+            "step model", values, "nat", long_name="of all experiments so far"
         ),
-        "log_evidence_error": _variable(("step", "model"), errors, units="nat"),
+        "log_evidence_error": _variable("step model", errors, "nat"),
     }
     return (evidence if known else {}) | {
-        "step": _variable(("step",), numbers),
-        "model": _variable(("model",), list(campaign.prior.keys)),
-        "weber": _variable(
-            ("step",), [weber for weber, _ in designs], units="1", long_name="Weber number"
-        ),
-        "rest_radius": _variable(("step",), [rest for _, rest in designs], units="R_inf/Rmax"),
-        "log_probability": _variable(("step", "model"), logs, units="nat"),
-        "entropy": _variable(
-            ("step",), [float(step.belief.entropy()) for step in steps], units="nat"
-        ),
+        "step": _variable("step", numbers),
+        "model": _variable("model", list(campaign.prior.keys)),
+        "weber": _variable("step", [weber for weber, _ in designs], "1", long_name="Weber number"),
+        "rest_radius": _variable("step", [rest for _, rest in designs], "R_inf/Rmax"),
+        "log_probability": _variable("step model", logs, "nat"),
+        "entropy": _variable("step", [float(step.belief.entropy()) for step in steps], "nat"),
     }

@@ -2,8 +2,7 @@
 normal to it.
 
 The map is exact: the library's own where there is one, else SciPy's quantile function of the same
-    distribution, so that a
-belief made here can be saved, assimilated and designed with like any other.
+distribution, so that a belief made here can be saved, assimilated and designed with like any other.
 """
 
 import math

@@ -1,11 +1,10 @@
 """Prior and simulator of one model in the form that the sbi toolbox takes, without importing it.
 
 Its contract (sbi-dev.github.io, "prior and simulator"): the prior is a
-    ``torch.distributions.Distribution`` with
-``sample((n,))`` of shape ``n x d`` and ``log_prob`` of shape ``n``, and a support; the simulator
-takes ``theta`` of shape ``n x d`` to ``x`` of shape ``n x m``; a failed simulation is a row with
-NaN, which its training leaves out. Its networks are float32, so that is what comes out; inside,
-everything is float64.
+``torch.distributions.Distribution`` with ``sample((n,))`` of shape ``n x d`` and ``log_prob`` of
+shape ``n``, and a support; the simulator takes ``theta`` of shape ``n x d`` to ``x`` of shape ``n x
+m``; a failed simulation is a row with NaN, which its training leaves out. Its networks are float32,
+so that is what comes out; inside, everything is float64.
 """
 
 from collections.abc import Sequence

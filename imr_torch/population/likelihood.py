@@ -111,7 +111,7 @@ class ShotLikelihood:
         chol = torch.linalg.cholesky(covariance)
         unscale = torch.linalg.inv(chol)
         whitened = (controls - mean) @ unscale.mT
-        missed = likelihood - _quadratic(controls, precision, linear)
+        missed = likelihood - quadratic_form(controls, precision, linear)
         square = whitened.square().sum(1)
         wide = torch.where(
             square < _REACH**2,
@@ -150,7 +150,7 @@ class ShotLikelihood:
         controls = controls[near]
         likelihood = likelihood[near]
         log_ratio = log_ratio[near]
-        smooth = _quadratic(controls, self.precision, self.linear)[:, None] + self.correction(
+        smooth = quadratic_form(controls, self.precision, self.linear)[:, None] + self.correction(
             controls
         )
         shift = torch.logsumexp(likelihood + log_ratio, 0) - torch.logsumexp(
@@ -176,12 +176,13 @@ class ShotLikelihood:
         """Log likelihood at ``n x d`` controls, nats: ``n``."""
         return (
             self.constant
-            + _quadratic(controls, self.precision, self.linear)
+            + quadratic_form(controls, self.precision, self.linear)
             + self.correction(controls)[..., 0]
         )
 
 
-def _quadratic(controls: Tensor, precision: Tensor, linear: Tensor) -> Tensor:
+def quadratic_form(controls: Tensor, precision: Tensor, linear: Tensor) -> Tensor:
+    """``b z - z A z / 2`` at ``... x d`` controls ``z``."""
     return controls @ linear - 0.5 * (controls * (controls @ precision)).sum(-1)
 
 

@@ -12,8 +12,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate.importance import weighted_quantiles
+from imr_torch.html import render
 from imr_torch.labels import plain
-from imr_torch.material import LogNormal, ModelBelief, Parameter, material
+from imr_torch.material import PARAMETERS, LogNormal, ModelBelief, material
 from imr_torch.observe import Noise
 from imr_torch.population.likelihood import ShotLikelihood
 from imr_torch.population.sampling import WeightedPopulation
@@ -269,42 +270,14 @@ class Population:
 
     def report(self) -> str:
         """The result as text."""
-        entries = {p.name: p for p in material(self.prior.model).parameters}
-        lines = [
-            f"{self.sentence} Scatter of any parameter against none: {self.any_scatter}.",
-            f"Population of {self.prior.material.title} gels (90 % intervals; prior of scatters "
-            f"half-normal, {self.scale:g}):",
-        ]
-        for name in self.prior.names:
-            median = entries[name].interval(*self.median(name))
-            if name not in self.varying:
-                lines.append(f"  {name:6s} {median}, the same in all shots")
-            else:
-                lines.append(
-                    f"  {name:6s} median {median}, a shot to come "
-                    f"{_range(entries[name], self.next_shot(name))}"
-                )
-                words = scatter_words(self.prior, name, self.scatter(name))
-                lines.append(f"         {words}; evidence for it {self.by_parameter[name]}")
-        lines.append("Each shot, given all (and alone):")
-        for label in self.labels:
-            cells = []
-            for name in self.varying:
-                alone = _range(entries[name], self.alone(label, name))
-                cells.append(
-                    f"{name} {entries[name].interval(*self.shot(label, name))}, alone {alone}"
-                )
-            lines.append(f"  {label}: " + "; ".join(cells))
-        for check in self.checks:
-            found = ", ".join(
-                f"{name} {x[1]:.3f} ({x[0]:.3f} to {x[2]:.3f})" for name, x in check.scatter.items()
-            )
-            lines.append(
-                f"With a scale of {check.scale:g}: evidence of scatter {check.any_scatter}; "
-                f"scatter of {found}."
-            )
-        lines += [f"Noise of every shot: {self.noise}.", self.draws_line]
-        return "\n".join([*lines, *(f"Caution: {text}" for text in self.cautions)])
+        return render(
+            "population.txt",
+            found=self.to_dict(),
+            parameters=PARAMETERS,
+            material=material,
+            BayesFactor=BayesFactor,
+            Noise=Noise,
+        ).strip("\n")
 
     @property
     def sentence(self) -> str:
@@ -315,17 +288,6 @@ class Population:
             "none": f"The {count} shots are of one gel within their errors.",
             "undecided": f"The {count} shots do not decide whether the gel differs between them.",
         }[self.verdict]
-
-    @property
-    def draws_line(self) -> str:
-        """Number and quality of the draws behind the intervals."""
-        worst = max(max(self.error(name)) for name in self.varying)
-        return (
-            f"Draws: effective {self.found.effective_samples:.0f} of {len(self.found.weights)} (k "
-            f"{self.found.pareto_k:.2f}); "
-            f"Monte Carlo errors up to {worst:.2f} posterior sd; smooth likelihoods miss "
-            f"{max(shot.misses for shot in self.shots):.2f} nats at a draw, at most."
-        )
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready values; intervals are [5 %, 50 %, 95 %], SI."""
@@ -381,6 +343,7 @@ class Population:
                 "count": len(self.found.weights),
                 "pareto_k": self.found.pareto_k,
                 "reliable": self.reliable,
+                "worst_error": max(max(self.error(name)) for name in self.varying),
             },
             "cautions": list(self.cautions),
         }
@@ -396,15 +359,6 @@ def scatter_of(prior: ModelBelief, name: str) -> str:
     )
 
 
-def scatter_words(prior: ModelBelief, name: str, interval: Interval) -> str:
-    """The scatter of a parameter as text."""
-    low, middle, high = interval
-    return (
-        f"standard deviation between shots of {scatter_of(prior, name)}: {middle:.3f} (90 %: "
-        f"{low:.3f} to {high:.3f})"
-    )
-
-
 def scatter_interval(
     found: WeightedPopulation, column: int, units: Float[Tensor, "controls"]
 ) -> Interval:
@@ -413,12 +367,3 @@ def scatter_interval(
         found.scatter[:, column] * units[column], found.weights, _LEVELS
     ).tolist()
     return low, middle, high
-
-
-def _range(entry: Parameter, interval: Interval) -> str:
-    """Two ends of an interval in display units."""
-    unit = entry.display_unit or entry.unit
-    shown = "" if unit in ("", "1") else f" {'µs' if unit == 'us' else unit}"
-    return (
-        f"{entry.display_scale * interval[0]:.4g} to {entry.display_scale * interval[2]:.4g}{shown}"
-    )

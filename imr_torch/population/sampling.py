@@ -1,11 +1,11 @@
 """Draws of population, scatter and shots, weighted by the smooth likelihoods of the shots.
 
 The proposal is the closed form of Gaussian shots: a cell of a grid over the scatters by its
-    probability there, the scatter
-uniform within it, the population's centre from its Gaussian with heavier tails, each shot from its
-own Gaussian given both. A draw's weight has the prior of the scatter exactly, and for every shot
-the mean of its likelihood over its Gaussian part. Where the weights vary much, the Gaussian parts
-are fitted again to the likelihoods at the draws (as in expectation propagation: Minka 2001).
+probability there, the scatter uniform within it, the population's centre from its Gaussian with
+heavier tails, each shot from its own Gaussian given both. A draw's weight has the prior of the
+scatter exactly, and for every shot the mean of its likelihood over its Gaussian part. Where the
+weights vary much, the Gaussian parts are fitted again to the likelihoods at the draws (as in
+expectation propagation: Minka 2001).
 """
 
 import math
@@ -20,7 +20,7 @@ from imr_torch.assimilate.importance import kish, largest_shape, smooth
 from imr_torch.assimilate.proposals import student_draws, student_log_prob
 from imr_torch.material import ModelBelief
 from imr_torch.population.closed_form import GaussianShots
-from imr_torch.population.likelihood import ShotLikelihood
+from imr_torch.population.likelihood import ShotLikelihood, quadratic_form
 from imr_torch.population.quadrature import cells, half_normal
 
 _DEFENSIVE = 0.1  # share of the proposal that is the prior of the scatters
@@ -209,19 +209,17 @@ def _given(
         half = torch.randn(count, each // 2, size, generator=source, dtype=torch.float64)
         noise = torch.cat((half, -half), 1)
         gels = means[:, e, None] + noise @ given.factor[:, e].mT
-        base = shot.constant - gaussian.constant[e] + _quadratic(gels, shot.precision, shot.linear)
+        base = (
+            shot.constant - gaussian.constant[e] + quadratic_form(gels, shot.precision, shot.linear)
+        )
         left = (
             shot.correction(gels)
-            + (base - _quadratic(gels, gaussian.precision[e], gaussian.linear[e]))[..., None]
+            + (base - quadratic_form(gels, gaussian.precision[e], gaussian.linear[e]))[..., None]
         )
         chosen = torch.multinomial(torch.softmax(left[..., 0], 1), 1, generator=source)[:, 0]
         shots.append(gels[torch.arange(count), chosen])
         missed.append(torch.logsumexp(left, 1) - math.log(each))
     return centre, torch.stack(shots, 1), log_weights[:, None] + torch.stack(missed).sum(0)
-
-
-def _quadratic(controls: Tensor, precision: Tensor, linear: Tensor) -> Tensor:
-    return controls @ linear - 0.5 * (controls * (controls @ precision)).sum(-1)
 
 
 def _fitted_again(problem: Problem, found: WeightedPopulation) -> GaussianShots:

@@ -9,10 +9,11 @@ from typing import Any
 import torch
 
 from imr_torch.campaign import Campaign, PopulationLearner, Proposal
-from imr_torch.characterization import LEVELS, intervals, predictive_band
+from imr_torch.characterization.bands import LEVELS, intervals, predictive_band
 from imr_torch.files import drawn_numbers
+from imr_torch.goodness import check_fit
 from imr_torch.material import Belief
-from imr_torch.plot import information_map
+from imr_torch.results.plot import information_map
 
 _REPEATS = 12  # curves of one experiment that are drawn
 _POINTS = 400  # of a predictive band
@@ -70,9 +71,27 @@ def campaign_document(
         "population": population,
         "proposals": [_proposal(campaign, proposal) for proposal in proposals],
         "stopped": stopped,
+        "failed_shots": [
+            {"step": event["step"], "file": event["label"], "reason": event["reason"]}
+            for event in campaign.failures
+        ],
+        "fit_test": _fit_test(campaign),
         "searches": _searches(campaign),
         "curves": _curves(campaign),
     }
+
+
+def _fit_test(campaign: Campaign) -> dict[str, Any] | None:
+    """Whether the most probable model explains the curves, where the last step was made in this
+    run.
+    """
+    whole = campaign.steps[-1].assimilation if campaign.steps else None
+    if whole is None:
+        return None
+    fit = whole[campaign.belief.best.model]
+    tested = check_fit(*fit.of_curves(whole.batch), campaign.simulator)
+    command = "imr-torch diagnose, or a campaign with --goal cause"
+    return tested.to_dict() | {"sentence": tested.sentence(command)}
 
 
 def _medians(population: dict[str, Any]) -> dict[str, list[float]]:
@@ -95,8 +114,13 @@ def _design(campaign: Campaign, weber: float, rest: float) -> dict[str, float]:
 
 def _proposal(campaign: Campaign, proposal: Proposal) -> dict[str, Any]:
     weber, rest = proposal.design.tolist()
-    expected = {"gain": proposal.gain, "gain_sd": proposal.gain_sd, "reason": proposal.reason}
-    return {"step": proposal.step} | expected | _design(campaign, weber, rest)
+    return {
+        "step": proposal.step,
+        "gain": proposal.gain,
+        "gain_sd": proposal.gain_sd,
+        "reason": proposal.reason,
+        "stop": campaign.reason_to_stop(proposal),
+    } | _design(campaign, weber, rest)
 
 
 def _searches(campaign: Campaign) -> list[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""Profile likelihoods in a result document: their figure, and their part of the page."""
+"""Profile likelihoods in a result document: their figure."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -10,14 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from imr_torch.assimilate.profile import FALL
-from imr_torch.html import Table
-from imr_torch.labels import file_name, symbol, with_unit
+from imr_torch.labels import file_name
 from imr_torch.material import PARAMETERS, Belief, ModelBelief, material
-from imr_torch.plot import DATA, MODEL, PALE, SECOND
 from imr_torch.results.named import NamedFigure
+from imr_torch.results.plot import DATA, MODEL, PALE, SECOND, parameter_label, set_scale
 
 _TOP = 4.2  # nats that are drawn
-_WIDE = 30.0  # ratio of the ends of an axis from which on it is logarithmic
 _COLUMNS = 2
 _REACH = 3.0  # standard deviations of the posterior that are drawn
 
@@ -60,22 +58,20 @@ def profile_figure(document: Mapping[str, Any], key: str) -> Figure:
     for ax in axes.flat[len(found) :]:
         ax.set_axis_off()
     for ax, (name, entry) in zip(axes.flat, found.items(), strict=False):
-        _panel(ax, name, entry, prior, posterior)
-    for row in axes:
-        row[0].set_ylabel("nats lost")
-    handles, labels = axes.flat[0].get_legend_handles_labels()
+        _plot_profile(ax, name, entry, prior, posterior)
+    for ax in axes[:, 0]:
+        ax.set_ylabel("nats lost")
     figure.legend(
-        handles,
-        labels,
+        *axes.flat[0].get_legend_handles_labels(),
         loc="outside lower center",
-        ncols=2 if columns == 1 else 4,
+        ncols=2 * columns,
         frameon=False,
         fontsize=8,
     )
     return figure
 
 
-def _panel(
+def _plot_profile(
     ax: Axes, name: str, entry: Mapping[str, Any], prior: ModelBelief, posterior: ModelBelief
 ) -> None:
     """The profile of one parameter, with the line of 95 % and what posterior and prior would lose."""
@@ -90,7 +86,7 @@ def _panel(
     ]
     low = min(values.min(), curves[1].min())
     high = max(values.max(), curves[1].max())
-    wide = low > 0.0 and high > _WIDE * low
+    wide = set_scale(ax, "x", low, high)
     ax.axhline(FALL, color=DATA, ls="--", lw=1.0, label="95 %")
     for at, color, label in zip(curves, (PALE, SECOND), ("prior", "posterior"), strict=True):
         ax.plot(at, 0.5 * z.square(), color=color, lw=1.2, label=label)
@@ -101,8 +97,7 @@ def _panel(
     for limit in entry["limits_95"]:
         if limit is not None:
             ax.plot(2 * [parameter.display_scale * limit], (0.0, FALL), color=MODEL, lw=0.9, ls=":")
-    ax.set(xscale="log" if wide else "linear", xlim=(low, high), ylim=(0.0, _TOP))
-    ax.set_xlabel(with_unit(symbol(name), parameter.display_unit or parameter.unit))
+    ax.set(xlim=(low, high), ylim=(0.0, _TOP), xlabel=parameter_label(parameter))
     ax.set_title(f"bounded {entry['bounded']}", fontsize=9)
 
 
@@ -115,56 +110,3 @@ def _between(values: np.ndarray, lost: np.ndarray, wide: bool) -> tuple[np.ndarr
     roots = np.sqrt(lost) * np.where(np.arange(len(lost)) < best, -1.0, 1.0)
     dense = np.linspace(at[0], at[-1], 201)
     return (np.exp(dense) if wide else dense), np.interp(dense, at, roots) ** 2
-
-
-def profile_block(document: Mapping[str, Any]) -> tuple[str | Table, ...]:
-    """Sentences and a table for the page.
-
-    Args:
-        document: of ``characterize``.
-    """
-    rows = []
-    alone = []
-    loose = 0
-    for key, found in document["profiles"].items():
-        title = material(key).title
-        if not found:
-            alone.append(
-                f"{title} has one free parameter, so that its posterior says the same as a profile."
-            )
-        for name, entry in found.items():
-            loose += entry["converged"].count(False)
-            posterior = PARAMETERS[name].interval(*document["models"][key]["intervals"][name])
-            shown = name if len(document["profiles"]) == 1 else f"{title}: {name}"
-            flat = ": flat" * (entry["limits_95"] == [None, None])
-            rows.append(
-                (shown, posterior, _interval(name, entry["limits_95"]), entry["bounded"] + flat)
-            )
-    lines = [
-        "Each parameter is held at values on both sides of its most probable one, and all others, "
-        "Rmax, time zero and R_inf "
-        "are fitted again; the noise is the estimated one. The 95 % interval of the profile holds "
-        "the values at which the fit "
-        "loses less than 1.92 nats, whatever the prior of the parameter says.",
-        *alone,
-    ]
-    if loose:
-        lines.append(
-            f"{loose} of these fits have not converged (hollow in the figure), so that they may "
-            "lose less than is drawn."
-        )
-    heads = ("parameter", "posterior", "profile, 95 %", "bounded by the data")
-    return (*lines, Table(tuple(rows), heads)) if rows else tuple(lines)
-
-
-def _interval(name: str, limits: tuple[float | None, float | None]) -> str:
-    """A 95 % interval in display units, with the sides that are open."""
-    parameter = PARAMETERS[name]
-    unit = parameter.display_unit or parameter.unit
-    shown = "" if unit in ("", "1") else f" {unit}"
-    low, high = (None if x is None else f"{parameter.display_scale * x:.4g}" for x in limits)
-    if low is not None and high is not None:
-        return f"{low} to {high}{shown}"
-    if low is None and high is None:
-        return "open on both sides"
-    return f"below {high}{shown}" if low is None else f"above {low}{shown}"

@@ -2,7 +2,7 @@
 thin lines.
 
 A figure that is made small by the typesetting has text that cannot be read. Here it is drawn again
-at its printed width, so that points are points. Colours are those of :mod:`imr_torch.plot` (Okabe
+at its printed width, so that points are points. Colours are those of :mod:`imr_torch.results.plot` (Okabe
 and Ito 2008), which colour-blind readers can tell apart.
 """
 
@@ -10,7 +10,9 @@ from collections.abc import Callable
 from typing import Any
 
 import matplotlib.pyplot as plt
+from matplotlib.artist import Artist
 from matplotlib.figure import Figure
+from matplotlib.legend import Legend
 from matplotlib.text import Text
 
 from imr_torch.errors import InputDataError
@@ -70,18 +72,20 @@ def for_publication(draw: Callable[[], Figure], columns: str) -> Figure:
         wanted = WIDTHS[columns] * _MM
         share = height / width if columns == "one" else min(height / width, height / wanted)
         figure.set_size_inches(wanted, max(share * wanted, _LEAST_HEIGHT * WIDTHS["one"] * _MM))
-        for text in figure.findobj(Text):
-            _fit(text, TEXT)
+        _shrink(figure, TEXT)
         if columns == "one":
             _legend_below(figure)
-        legends = [
-            legend for ax in figure.axes if (legend := ax.get_legend()) is not None
-        ] + figure.legends
-        for text in (text for legend in legends for text in legend.get_texts()):
-            _fit(text, SMALL)
+        for legend in figure.findobj(Legend):
+            _shrink(legend, SMALL)
         _break_long_labels(figure)
         figure.draw_without_rendering()  # makes the ticks under these settings
     return figure
+
+
+def _shrink(artist: Artist, largest: float) -> None:
+    """Make all text of a part of a figure as small as ``largest`` points at most."""
+    for text in artist.findobj(Text):
+        text.set_fontsize(min(float(text.get_fontsize()), largest))
 
 
 def _break_long_labels(figure: Figure) -> None:
@@ -90,11 +94,11 @@ def _break_long_labels(figure: Figure) -> None:
     """
     figure.draw_without_rendering()
     for ax in figure.axes:
+        room = _WIDER * ax.get_window_extent().width
         for text in (ax.title, ax.xaxis.label):
-            if text.get_window_extent().width > _WIDER * ax.get_window_extent().width:
+            if text.get_window_extent().width > room:
                 text.set_text(in_two_lines(text.get_text()))
-                share = _WIDER * ax.get_window_extent().width / text.get_window_extent().width
-                _fit(text, max(LEAST, share * TEXT))
+                _shrink(text, max(LEAST, TEXT * room / text.get_window_extent().width))
 
 
 def in_two_lines(text: str) -> str:
@@ -116,26 +120,14 @@ def in_two_lines(text: str) -> str:
 
 def _legend_below(figure: Figure) -> None:
     """Put the only legend of a small figure below it, where it hides no data."""
-    owners = [ax for ax in figure.axes if ax.get_legend() is not None]
-    if len(owners) != 1 or figure.legends:
+    legends = figure.findobj(Legend)
+    if len(legends) != 1 or figure.legends:
         return
-    legend = owners[0].get_legend()
-    assert legend is not None
-    handles = legend.legend_handles
+    (legend,) = legends
+    handles = [handle for handle in legend.legend_handles if handle is not None]
     labels = [text.get_text() for text in legend.get_texts()]
     legend.remove()
-    rows = (len(labels) + 1) // 2
-    figure.legend(
-        [h for h in handles if h is not None],
-        labels,
-        loc="outside lower center",
-        ncols=2,
-        frameon=False,
-    )
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False)
     width, height = figure.get_size_inches()
+    rows = (len(labels) + 1) // 2
     figure.set_size_inches(width, height + rows * 1.5 * SMALL / 72.0)
-
-
-def _fit(text: Text, largest: float) -> None:
-    if float(text.get_fontsize()) > largest:
-        text.set_fontsize(largest)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from imr_torch.app.commands import Characterize, Data, Design, Diagnose
+from imr_torch.app.commands import DEFAULTS, OPTIONS, command_arguments
 from imr_torch.app.runs import Run, Runs
 from imr_torch.app.workspace import Workspace
 from imr_torch.cli import parser
@@ -117,62 +117,68 @@ def test_that_a_run_that_ended_with_the_application_is_known_as_interrupted(tmp_
 
 
 @pytest.mark.parametrize(
-    "form",
+    ("command", "values"),
     [
-        Characterize(Data(["files/a.csv", "files/b.csv"])),
-        Characterize(
-            Data(["files/a.csv"], "radius=R,radius_unit=um", "water,temperature=310", ["x", "y"]),
-            models=("nhkv",),
-            known="G=2770",
-            physics="polytropic",
-            collapses=1,
-            rest_radius="0.2:0.05",
-            further=("population", "profile", "scores"),
-            robust=True,
+        ("characterize", {}),
+        (
+            "characterize",
+            {
+                "layout": "radius=R,radius_unit=um",
+                "medium": "water,temperature=310",
+                "experiments": ["x", "y"],
+                "models": ["nhkv"],
+                "known": "G=2770",
+                "physics": "polytropic",
+                "collapses": 1,
+                "rest_radius": "0.2:0.05",
+                "population": True,
+                "profile": True,
+                "scores": True,
+                "frames": "robust",
+            },
         ),
-        Diagnose(
-            Data(["files/a.csv"]),
-            base="zener",
-            known="G=1",
-            physics="polytropic",
-            collapses=3,
-            rest_radius="0.2:0",
-            most=2,
+        (
+            "diagnose",
+            {
+                "base": "zener",
+                "known": "G=1",
+                "physics": "polytropic",
+                "collapses": 3,
+                "rest_radius": "0.2:0",
+                "most": 2,
+            },
         ),
-        Design(),
-        Design(
-            "results/1/characterize.json",
-            (),
-            "water",
-            "polytropic",
-            "200:300",
-            "0.15:0.2",
-            "model",
-            3,
-            7,
+        ("design", {}),
+        (
+            "design",
+            {
+                "belief": "results/1/characterize.json",
+                "medium": "water",
+                "physics": "polytropic",
+                "we_range": "200:300",
+                "rinf_range": "0.15:0.2",
+                "target": "model",
+                "q": 3,
+                "evaluations": 7,
+            },
         ),
     ],
 )
-def test_that_a_form_makes_arguments_that_the_command_takes(
-    form: Characterize | Diagnose | Design,
+def test_that_a_form_makes_arguments_that_the_command_takes(command: str, values: dict) -> None:
+    files = [] if command == "design" else ["files/a.csv", "files/b.csv"]
+    words = command_arguments(command, DEFAULTS | values, "results/001", files=files)
+    read = vars(parser().parse_args(words))
+    assert (read["html"], read["out"]) == ("results/001/page.html", "results/001")
+    assert read.get("files", files) == files
+    for name, value in values.items():
+        assert read[name] == (",".join(value) if isinstance(value, list) else value)
+
+
+@pytest.mark.parametrize("command", OPTIONS)
+def test_that_options_left_out_are_those_that_say_what_the_command_does_anyhow(
+    command: str,
 ) -> None:
-    read = vars(parser().parse_args(form.arguments("results/001")))
-    assert read["html"] == "results/001/page.html"
-    for name in (
-        "known",
-        "physics",
-        "collapses",
-        "rest_radius",
-        "base",
-        "most",
-        "target",
-        "evaluations",
-    ):
-        if hasattr(form, name):
-            assert read[name] == (getattr(form, name) or read[name])
-    data = getattr(form, "data", None)
-    if data is not None:
-        assert read["files"] == list(data.files)
-        assert (read["medium"] or "", read["layout"] or "") == (data.medium, data.layout)
-    else:
-        assert (read["q"], read["belief"] or "") == (form.count, form.belief)
+    files = [] if command == "design" else ["files/a.csv"]
+    read = vars(parser().parse_args(command_arguments(command, {}, "results/001", files=files)))
+    for name in set(OPTIONS[command]) - {"models", "collapses"}:
+        assert (read[name] or "") == (DEFAULTS[name] or "")

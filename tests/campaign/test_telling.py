@@ -403,6 +403,38 @@ def test_that_numbers_of_experiments_are_in_the_journal(tmp_path):
     assert journal.find("learnt")["experiments"] == [2]
 
 
+def test_that_a_shot_that_failed_is_recorded_and_its_design_asked_again_then_moved(tmp_path):
+    @dataclass(frozen=True)
+    class Away(Random):
+        """Next to what is pending."""
+
+        def choose(self, situation, *, progress=None):
+            found = super().choose(situation, progress=progress)
+            if situation.pending is None:
+                return found
+            return replace(found, design=situation.pending[-1] + tensor(1.0, 0.0))
+
+    run = campaign(tmp_path, policy=Away())
+    run.tell(CURVES[0])
+    asked = run.ask()
+    before = run.belief.to_dict()
+    run.fail("shot.csv", "It has 6 frames.")
+    for known in (run, campaign(tmp_path, policy=Away())):
+        assert known.belief.to_dict() == before
+        assert known.told == 1
+        again = known.ask()
+        assert (again.step, again.design.tolist()) == (2, asked.design.tolist())
+        assert [(x["label"], x["reason"]) for x in known.failures] == [
+            ("shot.csv", "It has 6 frames.")
+        ]
+    run.fail("shot.csv", "It is cut off by the edge.")
+    moved = run.ask()
+    assert moved.design.tolist() == (asked.design + tensor(1.0, 0.0)).tolist()
+    assert run.ask().design.tolist() == moved.design.tolist()
+    assert kinds(run)[-4:] == ["ask", "failed", "failed", "ask"]
+    assert run.tell(CURVES[1]).number == 2
+
+
 def test_that_a_budget_that_was_spent_on_a_forgotten_curve_stays_spent(tmp_path):
     run = campaign(tmp_path, stop=Budget(3.0))
     run.tell(CURVES[0])

@@ -58,7 +58,7 @@ def test_that_every_public_name_has_its_place_in_the_interface(extensions):
 def test_that_every_package_with_public_names_has_a_page(extensions):
     packages = {path.parent.name for path in (ROOT / "imr_torch").glob("*/__init__.py")}
     files = {path.stem for path in (ROOT / "imr_torch").glob("*.py")}
-    apart = {"app", "cli", "__init__", "__main__", "batch_page"}
+    apart = {"app", "cli", "__init__", "__main__"}
     assert (packages | files) - set(extensions["api"].PACKAGES) == apart
 
 

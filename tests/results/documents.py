@@ -8,7 +8,7 @@ from imr_torch.characterization import Characterization
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import RadiusTrace, TraceSet
 from imr_torch.random import generator
-from imr_torch.results import characterization_document, header
+from imr_torch.results import header
 from imr_torch.units import Surroundings
 
 GEL = {"G": 8310.0, "mu": 0.093}
@@ -53,6 +53,4 @@ def fitted(records: TraceSet, models=("nhkv",)) -> Characterization:
 
 def documented(records: TraceSet, models=("nhkv",)) -> dict:
     result = fitted(records, models)
-    return header("characterize", medium=Surroundings()) | characterization_document(
-        result, records, SIMULATOR, draws=20
-    )
+    return header("characterize", medium=Surroundings()) | result.to_document(draws=20)

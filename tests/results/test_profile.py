@@ -15,7 +15,7 @@ from imr_torch.assimilate import SearchOptions
 from imr_torch.cli import main
 from imr_torch.cli.common import METHODS
 from imr_torch.errors import InputDataError
-from imr_torch.results import characterization_page, draw_figures, read_document
+from imr_torch.results import document_page, draw_figures, read_document
 from imr_torch.results.profile import profile_figure
 from tests.figures import rendering
 from tests.results.documents import SIMULATOR, traces
@@ -103,7 +103,7 @@ def test_that_fits_that_have_not_converged_are_hollow_and_said(document) -> None
     (hollow,) = (line for line in figure.axes[0].lines if line.get_markerfacecolor() == "white")
     assert len(hollow.get_xdata()) == 1
     plt.close(figure)
-    assert "1 of these fits have not converged" in characterization_page(loose)
+    assert "1 of these fits have not converged" in document_page(loose)
 
 
 def test_that_the_page_says_what_the_data_bound(written) -> None:

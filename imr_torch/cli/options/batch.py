@@ -1,18 +1,17 @@
 """Characterise many shots: every file by itself, in several processes, with a summary over all.
 
   imr-torch batch day1/ --out day1_results
-  imr-torch batch "gel7/*.csv" --out gel7 --workers 8 --layout
-  "radius=R,radius_unit=um,time=t,time_unit=us" imr-torch batch day1/ --out day1_results --cluster
-  tcp://scheduler:8786
+  imr-torch batch "gel7/*.csv" --out gel7 --workers 8 --layout "radius=R,radius_unit=um,time=t,time_unit=us"
+  imr-torch batch day1/ --out day1_results --cluster tcp://scheduler:8786
 
-Writes DIR/shots/NAME.json (a result as of characterize, for imr-torch compare), DIR/summary.csv and
-DIR/summary.html. Curves of one file are of one gel and fitted together; --each takes every curve by
-itself. The same command again computes only what is
-missing: shots whose file, JSON beside it or options have changed, and those that failed. A file
-    that cannot be used does not
-stop the others; the exit status is then 2. Workers of a cluster (Dask, with the extra 'cluster')
-get the curves sent and need imr_torch, not the files. --medium states the medium of all shots;
-without it each file's JSON may state its own.
+Writes DIR/shots/NAME.json (a result as of characterize, for imr-torch compare and plot),
+DIR/summary.csv (and summary.xlsx, with openpyxl), DIR/summary.html and a figure of each parameter.
+Curves of one file are of one gel and fitted together; --each takes every curve by itself. The same
+command again computes only what is missing: shots whose file, JSON beside it or options have
+changed, and those that failed. A file that cannot be used does not stop the others; the exit status
+is then 2. Workers of a cluster (Dask, with the extra 'cluster') get the curves sent and need
+imr_torch, not the files. --medium states the medium of all shots; without it each file's JSON may
+state its own.
 """
 
 import argparse
@@ -22,7 +21,7 @@ from imr_torch.cli.options.shared import (
     add_medium_argument,
     add_physics_argument,
     add_prior_arguments,
-    add_sort_argument,
+    add_reading_arguments,
     add_window_arguments,
 )
 
@@ -44,12 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--each", action="store_true", help="every curve of a file is a shot of its own"
     )
-    parser.add_argument(
-        "--layout",
-        metavar="TEXT",
-        help="how to read the files, as for characterize (radius=R,radius_unit=um,...)",
-    )
-    add_sort_argument(parser)
+    add_reading_arguments(parser)
     add_window_arguments(parser)
     parser.add_argument("--method", choices=METHODS, default="map", help="as for characterize")
     parser.add_argument(

@@ -10,11 +10,12 @@ With your own gel, ask and tell in turn; the folder remembers everything:
   imr-torch campaign --models nhkv,gen_qkv --out gel7                    # says what to shoot first
   imr-torch campaign --models nhkv,gen_qkv --out gel7 --resume --tell shot1.csv   # learns, says what to shoot next
 
-Told files carry their achieved design: Rmax and R_inf are measured from the curves. A campaign that
-    was cut off
-continues with --resume, with the same result as if it had not been. Each curve counts once; one
-that should not count is taken out again by its number, and may be told again when its file is
-corrected:
+Told files carry their achieved design: Rmax and R_inf are measured from the curves. A told file of
+which no curve can be used (a bubble cut off by the edge, a few frames) is recorded as a failed shot
+with its reason: the belief stays, and its design is asked for again, or another one if it failed
+twice. A campaign that was cut off continues with --resume, with the same result as if it had not
+been; --models, --known and --case need not be given again. Each curve counts once; one that should
+not count is taken out again by its number, and may be told again when its file is corrected:
 
   imr-torch campaign --models nhkv,gen_qkv --out gel7 --resume --forget 2 --tell shot2_corrected.csv
 
@@ -36,8 +37,7 @@ chosen for the median of all and the scatter between them:
 
 What to compare with, and when to end:
 
-  imr-torch campaign --case soft-pa --designs 5 --policy random --stop sd=0.01,probability=0.99
-  --out baseline
+  imr-torch campaign --case soft-pa --designs 5 --policy random --stop sd=0.01,probability=0.99 --out baseline
 """
 
 import argparse
@@ -47,7 +47,7 @@ from imr_torch.cli.options.shared import (
     add_medium_argument,
     add_physics_argument,
     add_prior_arguments,
-    add_sort_argument,
+    add_reading_arguments,
     add_workers_argument,
 )
 
@@ -129,13 +129,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="take experiment N, in the order of telling, out of the belief; the journal keeps it "
         "and the numbers of others",
     )
-    parser.add_argument(
-        "--layout", metavar="TEXT", help="how to read told files, as for characterize"
-    )
-    add_sort_argument(parser)
-    parser.add_argument(
-        "--rest-radius", metavar="VALUE:SD", help="assumed R_inf/Rmax of told files without a tail"
-    )
+    add_reading_arguments(parser)
     parser.add_argument(
         "--html",
         metavar="FILE",

@@ -6,8 +6,7 @@ fit.
   imr-torch characterize day1/ --population --html day1.html
   imr-torch characterize gel.csv --layout "radius=R,radius_unit=um,time=t,time_unit=us"
   imr-torch characterize wide.csv --layout "radius=*,radius_unit=um,time=t,time_unit=us"
-  imr-torch characterize bubble.mat --layout
-  "radius=Rnew,radius_unit=px,pixel_size=deltax,frame_interval=deltat"
+  imr-torch characterize bubble.mat --layout "radius=Rnew,radius_unit=px,pixel_size=deltax,frame_interval=deltat"
 
 Files are tables (text or .xlsx) with the columns experiment_id, time_s, radius_m, or with units in
 the header ("time (us)", "R [um]"), MATLAB files, .npz, or files of other programs of the field
@@ -30,9 +29,10 @@ from imr_torch.cli.options.names import EFFORTS, FRAMES, METHODS, SCATTER_SCALE
 from imr_torch.cli.options.shared import (
     add_driving_argument,
     add_medium_argument,
+    add_output_arguments,
     add_physics_argument,
     add_prior_arguments,
-    add_sort_argument,
+    add_reading_arguments,
     add_window_arguments,
 )
 
@@ -48,11 +48,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="files (CSV, text, .xlsx, MATLAB, .npz), folders or patterns",
     )
-    parser.add_argument(
-        "--layout", metavar="TEXT", help="how to read the files: name=value pairs, see above"
-    )
-    add_sort_argument(parser)
+    add_reading_arguments(parser)
     parser.add_argument("--experiments", metavar="ID,...", help="fit only these experiments")
+    parser.add_argument("--exclude", metavar="ID,...", help="leave these experiments out")
     parser.add_argument(
         "--each", action="store_true", help="fit every curve by itself instead of all together"
     )
@@ -97,8 +95,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--effort",
         choices=EFFORTS,
         default="normal",
-        help="how far draws are weighted where they do not settle the intervals of a model "
-        "(default normal)",
+        help="how many posterior draws are made of a model whose first ones do not settle its "
+        "intervals: up to 4 rounds (normal, default) or 8 (thorough)",
     )
     parser.add_argument(
         "--frames",
@@ -106,9 +104,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="all",
         help="single bad frames are named; `robust` leaves them out of the fit too (default all)",
     )
-    parser.add_argument("--out", metavar="DIR", help="folder for figures, report and JSON")
+    add_output_arguments(parser)
     parser.add_argument(
-        "--html", metavar="FILE", help="write the result with its figures as one HTML file"
+        "--mat",
+        metavar="FILE",
+        help="write parameters, intervals, curves and residuals for MATLAB, which plots a curve in "
+        "two lines: load FILE; plot(curves(1).time_us, curves(1).radius_um, '.', "
+        "curves(1).model_time_us, curves(1).model_radius_um)",
     )
     add_medium_argument(parser)
     add_driving_argument(parser)

@@ -12,6 +12,8 @@ probability of 97.5 %.
 
 import argparse
 
+from imr_torch.cli.options.shared import add_output_arguments
+
 NAME = "compare"
 SUMMARY = "whether two gels differ, and by how much"
 WITHOUT = ("seed", "engine")
@@ -25,3 +27,4 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--model",
         help="model whose parameters are compared (default: the most probable of both together)",
     )
+    add_output_arguments(parser)

@@ -11,6 +11,7 @@ import argparse
 from imr_torch.cli.options.names import ESTIMATORS, EVALUATIONS, STRATEGIES, TARGETS
 from imr_torch.cli.options.shared import (
     add_medium_argument,
+    add_output_arguments,
     add_physics_argument,
     add_prior_arguments,
     add_workers_argument,
@@ -50,10 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--draws", type=int, default=16, help="draws per model of each estimate (default 16)"
     )
-    parser.add_argument("--out", metavar="DIR", help="folder for the map and JSON")
-    parser.add_argument(
-        "--html", metavar="FILE", help="write the result with its map as one HTML file"
-    )
+    add_output_arguments(parser)
     add_medium_argument(parser)
     add_physics_argument(parser)
     add_workers_argument(parser)

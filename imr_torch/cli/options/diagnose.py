@@ -17,8 +17,9 @@ from imr_torch.cli.options.names import EFFECTS_ADDED, MODELS
 from imr_torch.cli.options.shared import (
     add_driving_argument,
     add_medium_argument,
+    add_output_arguments,
     add_physics_argument,
-    add_sort_argument,
+    add_reading_arguments,
     add_workers_argument,
 )
 
@@ -60,16 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="experiments that no fit may see (of a set: design 0, design 1, ...)",
     )
     parser.add_argument("--experiments", metavar="ID,...", help="use only these experiments")
-    parser.add_argument(
-        "--layout",
-        metavar="TEXT",
-        help="how to read files of curves, as for "
-        "characterize (radius=R,radius_unit=um,time=t,...)",
-    )
-    add_sort_argument(parser)
-    parser.add_argument(
-        "--rest-radius", metavar="VALUE:SD", help="assumed R_inf/Rmax, for curves without a tail"
-    )
+    add_reading_arguments(parser)
     parser.add_argument(
         "--collapses", type=int, help="collapses in the window of a curve (default 2)"
     )
@@ -85,9 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help=f"effects that are added one after the other (default {EFFECTS_ADDED})",
     )
-    parser.add_argument(
-        "--html", metavar="FILE", help="write the report with its figures as one HTML file"
-    )
+    add_output_arguments(parser)
     add_medium_argument(parser)
     add_driving_argument(parser)
     add_physics_argument(parser)

@@ -4,10 +4,10 @@
   imr-torch plot result/characterize.json --out paper --format pdf,svg --html gel.html
   imr-torch plot result/characterize.json --out paper --format pdf --columns one
 
-Nothing is computed again. Results of characterize, diagnose, design, campaign and simulate hold
-what their figures need. Figures go beside the JSON file, or into --out. With --columns they are
-drawn at the width at which a journal prints them (one column: 86 mm, two: 178 mm), with text of 6
-to 8 points.
+Nothing is computed again. Results of characterize (also of result.save in Python), diagnose,
+design, campaign, batch, compare and simulate hold what their figures need. Figures go beside the
+JSON file, or into --out. With --columns they are drawn at the width at which a journal prints them
+(one column: 86 mm, two: 178 mm), with text of 6 to 8 points.
 """
 
 import argparse
@@ -35,5 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--columns", choices=COLUMNS, help="draw at the printed width of one or two columns"
     )
     parser.add_argument(
-        "--html", metavar="FILE", help="write the page of a characterisation or campaign too"
+        "--html",
+        metavar="FILE",
+        help="write the page too (of characterize, campaign, design, batch, compare)",
     )

@@ -34,6 +34,33 @@ def add_prior_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_output_arguments(parser: argparse.ArgumentParser, *, page: bool = True) -> None:
+    """Options for where figures and the page go."""
+    parser.add_argument("--out", metavar="DIR", help="folder for figures and JSON")
+    if page:
+        parser.add_argument(
+            "--html", metavar="FILE", help="write the result with its figures as one HTML file"
+        )
+
+
+def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options that say what files of curves do not."""
+    parser.add_argument(
+        "--layout",
+        metavar="TEXT",
+        help="how to read the files: name=value pairs (radius=R,radius_unit=um,time=t,...), as "
+        "imr-torch characterize --help says",
+    )
+    parser.add_argument(
+        "--rest-radius", metavar="VALUE:SD", help="assumed R_inf/Rmax, for records without a tail"
+    )
+    parser.add_argument(
+        "--sort",
+        action="store_true",
+        help="put the rows of every curve in the order of their times, as digitised curves need it",
+    )
+
+
 def add_window_arguments(parser: argparse.ArgumentParser) -> None:
     """Options for which part of a curve is fitted, and with what noise."""
     parser.add_argument(
@@ -41,9 +68,6 @@ def add_window_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=COLLAPSES,
         help="collapses in the fitted window (default %(default)s)",
-    )
-    parser.add_argument(
-        "--rest-radius", metavar="VALUE:SD", help="assumed R_inf/Rmax, for records without a tail"
     )
     parser.add_argument(
         "--noise",
@@ -61,15 +85,6 @@ def add_physics_argument(parser: argparse.ArgumentParser) -> None:
         default="transport",
         help="transport of heat and vapour, as in real bubbles (default), or polytropic gas, some "
         "20 times faster and biased",
-    )
-
-
-def add_sort_argument(parser: argparse.ArgumentParser) -> None:
-    """The option that sorts the rows of files."""
-    parser.add_argument(
-        "--sort",
-        action="store_true",
-        help="put the rows of every curve in the order of their times, as digitised curves need it",
     )
 
 

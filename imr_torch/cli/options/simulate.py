@@ -13,6 +13,7 @@ from imr_torch.cli.options.names import MODELS
 from imr_torch.cli.options.shared import (
     add_driving_argument,
     add_medium_argument,
+    add_output_arguments,
     add_physics_argument,
 )
 
@@ -48,4 +49,4 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_medium_argument(parser)
     add_driving_argument(parser)
     add_physics_argument(parser)
-    parser.add_argument("--out", metavar="DIR", help="folder for figure and JSON")
+    add_output_arguments(parser, page=False)

@@ -14,20 +14,23 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
+from imr_torch.characterization.saved import SavedCharacterization, WeightedDraws, to_dataframe
+from imr_torch.document import header
 from imr_torch.errors import InputDataError
-from imr_torch.material import Belief, ModelBelief, material
-from imr_torch.saved import SavedCharacterization, WeightedDraws, to_dataframe
+from imr_torch.material import Belief, ModelBelief
+from imr_torch.results import document_report
 
 if TYPE_CHECKING:
     import pandas
 
 LEVELS = (0.05, 0.5, 0.95)
+_ENDS = ("low", "median", "high")
 DECISIVE = math.log(10.0)
 """Log Bayes factor, nats, from which one of the two hypotheses is called right: odds of 10 to 1."""
 CLEAR = 0.975
 """Probability from which a parameter is called larger where there is no Bayes factor."""
 
-_SHOWN = 30.0  # nats; a larger log Bayes factor rests on the far tails of the Gaussians
+_IMPROBABLE = 30.0  # nats below the others, from which on a model is passed over
 
 
 @dataclass(frozen=True)
@@ -64,10 +67,12 @@ class Comparison:
             they are two, nats; None where it cannot be had.
         reason: why it cannot be had, else which models it is about.
         cautions: what makes the numbers doubtful.
+        misfits: names of the results whose model does not explain its curves, so that what differs
+            may be its error: the verdict is then undecided.
 
     >>> from imr_torch import wide_prior
-    >>> from imr_torch.compare import compare
-    >>> from imr_torch.saved import SavedCharacterization
+    >>> from imr_torch.characterization.compare import compare
+    >>> from imr_torch.characterization.saved import SavedCharacterization
     >>> prior = wide_prior(["nhkv"])
     >>> part = prior["nhkv"]
     >>> def gel(shift):
@@ -86,10 +91,13 @@ class Comparison:
     log_bayes_factor: float | None
     reason: str
     cautions: tuple[str, ...] = ()
+    misfits: tuple[str, ...] = ()
 
     @property
     def verdict(self) -> str:
         """``"same"``, ``"different"`` or ``"undecided"``."""
+        if self.misfits:
+            return "undecided"
         if self.log_bayes_factor is None:
             return "different" if any(p.clear for p in self.parameters) else "undecided"
         if abs(self.log_bayes_factor) < DECISIVE:
@@ -107,54 +115,14 @@ class Comparison:
 
     def report(self) -> str:
         """The comparison as text."""
-        a, b = self.names
-        sentences = {
-            "same": "The data speak for one gel.",
-            "different": "The gels differ.",
-            "undecided": "The data do not decide whether the gels differ.",
-        }
-        lines = [sentences[self.verdict]]
-        if self.log_bayes_factor is None:
-            lines.append(f"No Bayes factor: {self.reason}.")
-        else:
-            value = self.log_bayes_factor
-            shown = (
-                f"{value:.1f}"
-                if abs(value) <= _SHOWN
-                else f"{'below -' if value < 0 else 'above '}{_SHOWN:.0f}"
-            )
-            lines.append(
-                f"log Bayes factor, one gel against two with the same prior: {shown} nats "
-                f"({self.reason})"
-            )
-        lines.append(f"\n{material(self.model).title}: a = {a}, b = {b}")
-        scales = {p.name: p for p in material(self.model).parameters}
-        for p in self.parameters:
-            entry = scales[p.name]
-            unit = entry.display_unit or ("" if entry.unit == "1" else entry.unit)
-            low, middle, high = (entry.display_scale * x for x in p.difference)
-            lines.append(
-                f"  {p.name:6s} a/b {p.ratio[1]:.3g} (90 %: {p.ratio[0]:.3g} to {p.ratio[2]:.3g}), "
-                f"a - b {middle:.3g} {unit} ({low:.3g} to {high:.3g}), P(a > b) "
-                f"{_probability(p.probability_greater)}"
-            )
-        return "\n".join([*lines, *(f"Caution: {text}." for text in self.cautions)])
+        return document_report(header("compare") | self.to_dict())
 
     def rows(self) -> list[dict[str, Any]]:
         """One row per parameter."""
         return [
-            {
-                "parameter": p.name,
-                "probability_greater": p.probability_greater,
-                **{
-                    f"ratio_{level}": x
-                    for level, x in zip(("low", "median", "high"), p.ratio, strict=True)
-                },
-                **{
-                    f"difference_{level}": x
-                    for level, x in zip(("low", "median", "high"), p.difference, strict=True)
-                },
-            }
+            {"parameter": p.name, "probability_greater": p.probability_greater}
+            | {f"ratio_{end}": x for end, x in zip(_ENDS, p.ratio, strict=True)}
+            | {f"difference_{end}": x for end, x in zip(_ENDS, p.difference, strict=True)}
             for p in self.parameters
         ]
 
@@ -172,12 +140,9 @@ class Comparison:
             "log_bayes_factor": self.log_bayes_factor,
             "reason": self.reason,
             "parameters": self.rows(),
+            "misfits": list(self.misfits),
             "cautions": list(self.cautions),
         }
-
-
-def _probability(value: float) -> str:
-    return "> 0.999" if value > 0.999 else "< 0.001" if value < 0.001 else f"{value:.3f}"
 
 
 def compare(
@@ -199,8 +164,8 @@ def compare(
         InputDataError: if the results have no model in common, or not the one that was asked for.
 
     >>> from imr_torch import wide_prior
-    >>> from imr_torch.compare import compare
-    >>> from imr_torch.saved import SavedCharacterization
+    >>> from imr_torch.characterization.compare import compare
+    >>> from imr_torch.characterization.saved import SavedCharacterization
     >>> gel = SavedCharacterization.from_dict({"belief": wide_prior(["nhkv"]).to_dict(), "models": {"nhkv": {}}})
     >>> comparison = compare(gel, gel)
     >>> comparison.verdict, comparison.log_bayes_factor
@@ -220,9 +185,11 @@ def compare(
     parameters = tuple(_parameter(name, *draws) for name in draws[0].names)
     value, reason = _log_bayes_factor(a, b, common if model is None else [chosen])
     labels = names or (a.source, b.source)
-    return Comparison(
-        labels, chosen, parameters, value, reason, tuple(_cautions(a, b, chosen, labels))
+    cautions = tuple(_cautions(a, b, chosen, labels))
+    misfits = tuple(
+        name for result, name in zip((a, b), labels, strict=True) if result.explained is False
     )
+    return Comparison(labels, chosen, parameters, value, reason, cautions, misfits)
 
 
 def _parameter(name: str, a: WeightedDraws, b: WeightedDraws) -> ParameterComparison:
@@ -232,19 +199,16 @@ def _parameter(name: str, a: WeightedDraws, b: WeightedDraws) -> ParameterCompar
     difference = (first[:, None] - second).flatten()
     ratio = (first[:, None] / second).flatten()
     greater = float((weights * ((difference > 0.0).double() + 0.5 * (difference == 0.0))).sum())
-    return ParameterComparison(
-        name, min(greater, 1.0), _quantiles(ratio, weights), _quantiles(difference, weights)
-    )
+    ratios, differences = (_quantiles(values, weights) for values in (ratio, difference))
+    return ParameterComparison(name, min(greater, 1.0), ratios, differences)
 
 
 def _quantiles(values: Tensor, weights: Tensor) -> tuple[float, float, float]:
     """5, 50 and 95 % quantile of weighted values."""
     order = values.argsort()
     below = weights[order].cumsum(0)
-    places = torch.searchsorted(
-        below, torch.tensor(LEVELS, dtype=below.dtype) * below[-1]
-    ).clamp_max(len(values) - 1)
-    low, middle, high = values[order][places].tolist()
+    levels = torch.tensor(LEVELS, dtype=below.dtype) * below[-1]
+    low, middle, high = values[order][torch.searchsorted(below, levels)].tolist()
     return low, middle, high
 
 
@@ -253,6 +217,11 @@ def _cautions(
 ) -> list[str]:
     found = []
     for result, name in ((a, names[0]), (b, names[1])):
+        if result.explained is False:
+            found.append(
+                f"the model does not explain the curves of {name}, so that its parameters are not "
+                "to be quoted and what differs may be the error of the model"
+            )
         if not result.converged(model):
             found.append(f"the fit of {model} to {name} has not converged")
         if result.verdict(model) == "refused":
@@ -293,7 +262,7 @@ def _log_bayes_factor(
         if every:
             logs = [float(_log_priors(x, [key])) for x in (a.posterior, b.posterior, a.prior)]
             weight = logs[0] + logs[1] - logs[2]
-            if weight < -_SHOWN:
+            if weight < -_IMPROBABLE:
                 continue
         wrong = next((x for x in (a, b) if x.verdict(key) != "trusted"), None)
         if wrong is not None:

@@ -69,9 +69,9 @@ def header(
         "units": UNITS,
     }
     if medium is not None:
-        document["medium"] = (
-            GelMedium(medium) if isinstance(medium, Surroundings) else medium
-        ).to_dict()
+        stated = GelMedium(medium) if isinstance(medium, Surroundings) else medium
+        document["medium"] = stated.to_dict()
+        document["medium_sentence"] = stated.report().splitlines()[0]
     return document
 
 

@@ -5,11 +5,12 @@ Every ``plot_*`` draws into ``ax`` (a new figure when None) and returns the axes
 or saved here.
 """
 
-import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import matplotlib.pyplot as plt
+import numpy as np
 import torch
 from jaxtyping import Float
 from matplotlib.axes import Axes
@@ -24,33 +25,58 @@ from imr_torch.observe import Experiment
 from imr_torch.simulate import Solution
 from imr_torch.units import Surroundings
 
-DATA, MODEL, SECOND, TRUTH = (
-    "#222222",
-    "#0072B2",
-    "#E69F00",
-    "#D55E00",
-)  # safe for colour-blind readers
+DATA = "#222222"
+MODEL = "#0072B2"
+SECOND = "#E69F00"
+TRUTH = "#D55E00"
 PALE = "#B8B8B8"  # frames that were not fitted
-CYCLE = (
-    MODEL,
-    TRUTH,
-    "#009E73",
-    SECOND,
-    "#CC79A7",
-    "#56B4E9",
-    DATA,
-)  # several curves in one panel (Okabe and Ito 2008)
+CYCLE = (MODEL, TRUTH, "#009E73", SECOND, "#CC79A7", "#56B4E9", DATA)
+"""Several curves in one panel, safe for colour-blind readers (Okabe and Ito 2008)."""
+
+NOISE_BAND: dict[str, Any] = {"color": "#E2E2E2", "lw": 0}
+"""Style of the band that noise alone stays in."""
+
 _CURVES_SHOWN = 12
 _WIDE = 30.0  # ratio of the largest to the smallest value from which on an axis is logarithmic
 _LINE = 0.06  # part of an axis below which a density is a line, and is drawn again in an inset
 _DRAWS = 1500  # of a joint plot
 _GRID = 60
+_LEVELS = torch.linspace(0.002, 0.998, 400, dtype=torch.float64)  # of a density
+
+floats = partial(np.asarray, dtype=float)
+"""Numbers of a document as an array; None is NaN."""
 
 
 def _axes(ax: Axes | None, size: tuple[float, float] = (5.2, 3.4)) -> Axes:
-    if ax is not None:
-        return ax
-    return plt.subplots(figsize=size, layout="constrained")[1]
+    return ax or plt.subplots(figsize=size, layout="constrained")[1]
+
+
+def curve_panels(title: str) -> tuple[Figure, Axes, Axes]:
+    """A figure with a panel for radius over time and, below, one for residuals over their noise."""
+    figure, (ax, below) = plt.subplots(
+        2, 1, figsize=(5.8, 4.8), height_ratios=[3, 1], sharex=True, layout="constrained"
+    )
+    ax.set_ylabel(R_STAR)
+    below.axhspan(-2.0, 2.0, **NOISE_BAND)
+    below.set(xlabel=T_STAR, ylabel="residual\n/ noise")
+    figure.suptitle(plain(title), fontsize=10)
+    return figure, ax, below
+
+
+def fill_band(ax: Axes, band: Mapping[str, Any]) -> None:
+    """Draw a 90 % predictive band: ``t_star``, ``low`` and ``high``, and ``median`` if it is to be
+    drawn.
+    """
+    times, low, high = (floats(band[name]) for name in ("t_star", "low", "high"))
+    ax.fill_between(times, low, high, color=MODEL, alpha=0.22, lw=0, label="90 % predictive")
+
+
+def set_scale(ax: Axes, axis: str, low: float, high: float, *, ratio: float = _WIDE) -> bool:
+    """Make an axis logarithmic where its values span more than a ratio; whether it is."""
+    logarithmic = low > 0.0 and high > ratio * low
+    if logarithmic:
+        ax.set(**{f"{axis}scale": "log"})
+    return logarithmic
 
 
 def plot_solution(
@@ -104,19 +130,13 @@ def plot_experiment(
         surroundings: the liquid side; with it, us and um are second axes.
     """
     ax = _axes(ax)
-    style = {
-        "ms": 3,
-        "color": DATA,
-        "alpha": 0.5 if experiment.repeats == 1 else 0.15,
-        "ls": "none",
-        "marker": ".",
-    }
-    for curve in experiment.radius[:_CURVES_SHOWN]:
-        ax.plot(experiment.times, curve, **style)
+    alpha = 0.5 if experiment.repeats == 1 else 0.15
+    curves = experiment.radius[:_CURVES_SHOWN].mT
+    ax.plot(experiment.times, curves, ".", ms=3, color=DATA, alpha=alpha)
     if band is not None:
         at = experiment.times if times is None else times
         low, middle, high = (x[: len(at)] for x in band)
-        ax.fill_between(at, low, high, color=MODEL, alpha=0.25, lw=0, label="90 % predictive")
+        fill_band(ax, {"t_star": at, "low": low, "high": high})
         ax.plot(at, middle, color=MODEL, lw=1.5, label="median")
         ax.legend(frameon=False, fontsize=8)
     ax.set(xlabel=T_STAR, ylabel=R_STAR, ylim=(0.0, None))
@@ -127,7 +147,8 @@ def plot_experiment(
     return ax
 
 
-def _label(entry: Parameter) -> str:
+def parameter_label(entry: Parameter) -> str:
+    """Symbol and unit of a parameter, for an axis."""
     return with_unit(symbol(entry.name), entry.display_unit or entry.unit)
 
 
@@ -148,64 +169,44 @@ def plot_parameter(
     is a line there too is drawn again in an inset.
     """
     ax = _axes(ax, (4.2, 3.0))
-    levels = torch.linspace(0.002, 0.998, 400, dtype=torch.float64)
+    entry = _entry(beliefs[0][1], name)
     rows = [
-        (
-            plain(label),
-            belief.quantile(levels)[:, belief.names.index(name)]
-            * _entry(belief, name).display_scale,
-            color,
-        )
-        for (label, belief), color in zip(beliefs, (SECOND, MODEL, TRUTH, DATA), strict=False)
+        belief.quantile(_LEVELS)[:, belief.names.index(name)] * entry.display_scale
+        for _, belief in beliefs
     ]
-    low, high = (
-        float(f(torch.stack([values for _, values, _ in rows]))) for f in (torch.amin, torch.amax)
-    )
-    logarithmic = low > 0.0 and high > _WIDE * low
-    for label, values, color in rows:
-        ax.plot(*_density(values, levels, logarithmic), color=color, label=label)
-    scale = _entry(beliefs[0][1], name).display_scale
-    if truth is not None:
-        ax.axvline(truth * scale, color=TRUTH, ls="--", lw=1)
-    if logarithmic:
-        ax.set_xscale("log")
-    ax.set(
-        yticks=[],
-        ylabel="density (scaled)",
-        xlabel=_label(_entry(beliefs[0][1], name)),
-        ylim=(0.0, 1.45),
-    )
+    low = min(float(values[0]) for values in rows)
+    high = max(float(values[-1]) for values in rows)
+    logarithmic = set_scale(ax, "x", low, high)
+    colors = (SECOND, MODEL, TRUTH, DATA)
+    for (label, _), values, color in zip(beliefs, rows, colors, strict=False):
+        ax.plot(*_density(values, logarithmic), color=color, label=plain(label))
+    ax.set(yticks=[], ylabel="density (scaled)", xlabel=parameter_label(entry), ylim=(0.0, 1.45))
     ax.legend(frameon=False, fontsize=8, loc="upper left", ncols=2)
-    last = rows[-1][1]
-    width = (
-        math.log(float(last[-1] / last[0])) / math.log(high / low)
-        if logarithmic
-        else float(last[-1] - last[0]) / (high - low)
-    )
-    if width < _LINE:
-        middle = 0.5 * float(last[0] + last[-1])
-        place = (
-            math.log(middle / low) / math.log(high / low)
-            if logarithmic
-            else (middle - low) / (high - low)
-        )
-        inset = ax.inset_axes((0.08 if place > 0.5 else 0.62, 0.36, 0.32, 0.36))
-        inset.plot(*_density(last, levels, False), color=rows[-1][2])
-        inset.set(yticks=[], ylim=(0.0, 1.1))
-        if truth is not None and float(last[0]) < truth * scale < float(last[-1]):
-            inset.axvline(truth * scale, color=TRUTH, ls="--", lw=1)
+    last = rows[-1]
+    panels = [ax]
+    ends = torch.stack((last[0], last[-1], torch.tensor(low), torch.tensor(high)))
+    first, final, left, right = (ends.log() if logarithmic else ends).tolist()
+    if final - first < _LINE * (right - left):
+        on_the_right = 0.5 * (first + final) > 0.5 * (left + right)
+        inset = ax.inset_axes((0.08 if on_the_right else 0.62, 0.36, 0.32, 0.36))
+        inset.plot(*_density(last, False), color=colors[len(rows) - 1])
+        inset.set(yticks=[], ylim=(0.0, 1.1), xlim=(float(last[0]), float(last[-1])))
         inset.set_xticks(last[[20, 379]].tolist(), [f"{x:.3g}" for x in last[[20, 379]].tolist()])
         inset.tick_params(labelsize=7)
+        panels.append(inset)
+    if truth is not None:
+        for panel in panels:
+            panel.axvline(truth * entry.display_scale, color=TRUTH, ls="--", lw=1)
     return ax
 
 
-def _density(values: Tensor, levels: Tensor, logarithmic: bool) -> tuple[Tensor, Tensor]:
+def _density(values: Tensor, logarithmic: bool) -> tuple[Tensor, Tensor]:
     """Points of a density, at most 1, from its quantiles.
 
     Of the logarithm of the parameter on a logarithmic axis.
     """
     at = values.log() if logarithmic else values
-    density = levels.diff() / at.diff().clamp_min(1e-300)
+    density = _LEVELS.diff() / at.diff().clamp_min(1e-300)
     middle = 0.5 * (at[1:] + at[:-1])
     return (middle.exp() if logarithmic else middle), density / density.max()
 
@@ -227,46 +228,38 @@ def draw_parameters(belief: ModelBelief, *, seed: int = 0) -> Figure:
         layout="constrained",
         squeeze=False,
     )
-    scales = torch.tensor(
-        [_entry(belief, name).display_scale for name in names], dtype=torch.float64
-    )
+    entries = [_entry(belief, name) for name in names]
+    scales = torch.tensor([entry.display_scale for entry in entries], dtype=torch.float64)
     draws = belief.physical(belief.controls(_DRAWS, seed=seed)) * scales
-    levels = torch.linspace(0.002, 0.998, 400, dtype=torch.float64)
-    marginals = belief.quantile(levels) * scales
+    spans = (belief.quantile(_LEVELS) * scales).mT
+    intervals = (belief.quantile([0.05, 0.5, 0.95]) * scales).mT.tolist()
     for i in range(size):
         for j in range(size):
             ax = axes[i][j]
             if j > i:
                 ax.set_axis_off()
                 continue
-            span = marginals[:, j]
-            wide = float(span[0]) > 0.0 and float(span[-1]) > _WIDE * float(span[0])
+            wide = set_scale(ax, "x", float(spans[j, 0]), float(spans[j, -1]))
             if i == j:
-                ax.plot(*_density(span, levels, wide), color=MODEL)
-                low, middle, high = (belief.quantile([0.05, 0.5, 0.95])[:, j] * scales[j]).tolist()
+                low, middle, high = intervals[j]
+                ax.plot(*_density(spans[j], wide), color=MODEL)
                 ax.axvspan(low, high, color=MODEL, alpha=0.12, lw=0)
                 ax.set(yticks=[], ylim=(0.0, 1.1))
-                ax.set_title(
-                    f"{symbol(names[j])} = {middle:.3g} ({low:.3g} to {high:.3g})", fontsize=8
-                )
+                title = f"{symbol(names[j])} = {middle:.3g} ({low:.3g} to {high:.3g})"
+                ax.set_title(title, fontsize=8)
             else:
-                _pair(ax, draws[:, j], draws[:, i])
-                tall = float(marginals[0, i]) > 0.0 and float(marginals[-1, i]) > _WIDE * float(
-                    marginals[0, i]
-                )
-                ax.set(
-                    ylim=(float(marginals[0, i]), float(marginals[-1, i])),
-                    yscale="log" if tall else "linear",
-                )
-            ax.set(xlim=(float(span[0]), float(span[-1])), xscale="log" if wide else "linear")
+                _plot_pair(ax, draws[:, j], draws[:, i])
+                set_scale(ax, "y", float(spans[i, 0]), float(spans[i, -1]))
+                ax.set_ylim(float(spans[i, 0]), float(spans[i, -1]))
+            ax.set_xlim(float(spans[j, 0]), float(spans[j, -1]))
             if i == size - 1:
-                ax.set_xlabel(_label(_entry(belief, names[j])))
+                ax.set_xlabel(parameter_label(entries[j]))
             if j == 0 and i > 0:
-                ax.set_ylabel(_label(_entry(belief, names[i])))
+                ax.set_ylabel(parameter_label(entries[i]))
     return figure
 
 
-def _pair(ax: Axes, x: Tensor, y: Tensor) -> None:
+def _plot_pair(ax: Axes, x: Tensor, y: Tensor) -> None:
     """Draws of two parameters with smoothed contours that hold half and nine tenths of them."""
     ax.plot(x, y, ".", ms=1.5, color=MODEL, alpha=0.25)
     points = torch.stack((x, y))
@@ -295,22 +288,14 @@ def plot_probabilities(beliefs: Sequence[tuple[str, Belief]], *, ax: Axes | None
     ax = _axes(ax, (4.2, 2.8))
     keys = beliefs[0][1].keys
     width = 0.8 / len(keys)
+    places = np.arange(len(beliefs))
     for i, key in enumerate(keys):
         heights = [belief.probabilities[key] for _, belief in beliefs]
-        places = [j + (i - (len(keys) - 1) / 2) * width for j in range(len(beliefs))]
-        ax.bar(
-            places,
-            heights,
-            width,
-            color=CYCLE[i % len(CYCLE)],
-            label=beliefs[0][1][key].material.title,
-        )
-    ax.set(
-        xticks=range(len(beliefs)),
-        xticklabels=[plain(label) for label, _ in beliefs],
-        ylim=(0, 1.02),
-        ylabel="probability",
-    )
+        label = beliefs[0][1][key].material.title
+        at = places + (i - (len(keys) - 1) / 2) * width
+        ax.bar(at, heights, width, color=CYCLE[i % len(CYCLE)], label=label)
+    ax.set_xticks(places, [plain(label) for label, _ in beliefs])
+    ax.set(ylim=(0, 1.02), ylabel="probability")
     ax.legend(frameon=False, fontsize=8)
     return ax
 
@@ -365,28 +350,19 @@ def draw_information(
         ax: where to draw.
     """
     ax = _axes(ax, (5.6, 4.2))
-    weber = torch.tensor(values["We"])
-    rest = torch.tensor(values["R_inf*"])
-    filled = ax.contourf(weber, rest, torch.tensor(values["nats"]), levels=15, cmap="viridis")
+    weber, rest = floats(values["We"]), floats(values["R_inf*"])
+    filled = ax.contourf(weber, rest, floats(values["nats"]), levels=15, cmap="viridis")
     ax.figure.colorbar(filled, ax=ax, label="expected information gain (nats)")
-    places = [[row[name] for row in evaluated] for name in ("We", "R_inf*")]
-    ax.plot(
-        *places, "o", ms=3.5, color="white", mec="black", mew=0.4, label="evaluated", clip_on=False
-    )
-    at = (chosen["We"], chosen["R_inf*"])
-    ax.plot(*at, "*", ms=16, ls="none", color=TRUTH, mec="white", label="chosen", zorder=5)
-    for setter, axis in ((ax.set_xlim, weber), (ax.set_ylim, rest)):
-        margin = 0.05 * float(axis[-1] - axis[0])  # so that a star on the border is whole
-        setter(float(axis[0]) - margin, float(axis[-1]) + margin)
+    dots = {"ms": 3.5, "color": "white", "mec": "black", "mew": 0.4, "clip_on": False}
+    we, r = ([row[name] for row in evaluated] for name in ("We", "R_inf*"))
+    ax.plot(we, r, "o", label="evaluated", **dots)
+    star = {"ms": 16, "ls": "none", "color": TRUTH, "mec": "white", "zorder": 5}
+    ax.plot(chosen["We"], chosen["R_inf*"], "*", label="chosen", **star)
+    ax.margins(0.05)  # so that a star on the border is whole
+    ax.use_sticky_edges = False
     ax.set(xlabel=WEBER, ylabel=REST_RADIUS)
-    ax.legend(
-        frameon=False,
-        fontsize=8,
-        ncols=2,
-        loc="upper left",
-        bbox_to_anchor=(0.0, -0.16),
-        borderaxespad=0.0,
-    )
+    below = {"loc": "upper left", "bbox_to_anchor": (0.0, -0.16), "borderaxespad": 0.0}
+    ax.legend(frameon=False, fontsize=8, ncols=2, **below)
     if "Rmax_m" in chosen:
         factor = 1e6 * chosen["Rmax_m"] / chosen["We"]
         second = ax.secondary_xaxis("top", functions=_scaled(factor))
@@ -420,20 +396,14 @@ def plot_places(places: Mapping[str, Sequence[float]], *, ax: Axes | None = None
 def plot_reliability(result: Reliability, *, ax: Axes | None = None) -> Axes:
     """Share of cases that came true over the probability that was stated, with 95 % intervals."""
     ax = _axes(ax, (4.0, 3.6))
-    share = torch.tensor(result.share)
-    reach = torch.stack(
-        (share - torch.tensor(result.low), torch.tensor(result.high) - share)
-    ).clamp_min(0.0)
+    share = floats(result.share)
+    reach = np.clip((share - result.low, floats(result.high) - share), 0.0, None)
     ax.plot((0, 1), (0, 1), color=DATA, lw=1, alpha=0.4)
-    ax.errorbar(result.stated, result.share, yerr=reach, fmt="o", color=MODEL, ms=4, capsize=2)
-    for x, y, count in zip(result.stated, result.share, result.counts, strict=True):
+    ax.errorbar(result.stated, share, yerr=reach, fmt="o", color=MODEL, ms=4, capsize=2)
+    for x, y, count in zip(result.stated, share, result.counts, strict=True):
         ax.annotate(str(count), (x, y), xytext=(5, -9), textcoords="offset points", fontsize=7)
+    ax.set(xlabel="stated probability", ylabel="share that came true")
+    ax.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02))
     title = f"calibration error {result.error:.3f}, by chance {result.by_chance:.3f}"
-    ax.set(
-        xlabel="stated probability",
-        ylabel="share that came true",
-        xlim=(-0.02, 1.02),
-        ylim=(-0.02, 1.02),
-    )
     ax.set_title(title, fontsize=9)
     return ax

@@ -2,15 +2,16 @@
 over all.
 
 A result is written as soon as it is there, atomically, with a key of all that went into it: the
-    content of the file and of the
-JSON file beside it, and the options. A run that was cut off goes on with the shots whose key has no
-result.
+content of the file and of the JSON file beside it, and the options. A run that was cut off goes on
+with the shots whose key has no result.
 """
 
 import csv
 import hashlib
 import io
 import json
+import re
+from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
@@ -28,11 +29,13 @@ from typing import TYPE_CHECKING, Any
 
 from imr_torch.assimilate import FitOptions
 from imr_torch.characterization import characterize
+from imr_torch.characterization.saved import SavedCharacterization, to_dataframe, write_xlsx
+from imr_torch.document import header
 from imr_torch.errors import ImrError, InputDataError
 from imr_torch.files import read_json, write_atomically, write_json
 from imr_torch.material import PARAMETERS, Belief
 from imr_torch.observe import Layout, Statement, TraceSet, find_files, load_traces
-from imr_torch.saved import SavedCharacterization, to_dataframe
+from imr_torch.results import document_report
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
@@ -47,7 +50,17 @@ DONE = "done"
 NOT_CONVERGED = "not converged"
 FAILED = "failed"
 _WINDOW = 64  # shots handed to an executor at a time
-_FEATURES = ("status", "file", "curves", "frames", "We", "R_inf*", "model", "probability")
+_FEATURES = (
+    "status",
+    "explained",
+    "file",
+    "curves",
+    "frames",
+    "We",
+    "R_inf*",
+    "model",
+    "probability",
+)
 
 
 @dataclass(frozen=True)
@@ -70,7 +83,7 @@ class BatchOptions:
         seed: as for :func:`imr_torch.characterize`.
 
     >>> from imr_torch import PolytropicSimulator, wide_prior
-    >>> from imr_torch.batch import BatchOptions
+    >>> from imr_torch.characterization.batch import BatchOptions
     >>> BatchOptions(wide_prior(["nhkv"]), PolytropicSimulator()).collapses
     2
     """
@@ -89,23 +102,8 @@ class BatchOptions:
 
     def key(self) -> str:
         """Hash of everything that has a say in a result."""
-        parts = [
-            json.dumps(self.prior.to_dict(), sort_keys=True),
-            repr(self.simulator),
-            repr(self.layout),
-            repr(self.sort),
-            self.each,
-        ]
-        parts += [
-            self.collapses,
-            self.rest_radius,
-            self.estimate_noise,
-            repr(self.options),
-            self.seed,
-            version("imr-torch"),
-        ]
-        parts += [repr(self.medium)] if self.medium else []
-        return hashlib.sha256("\n".join(map(str, parts)).encode()).hexdigest()
+        parts = vars(self) | {"prior": self.prior.to_dict(), "version": version("imr-torch")}
+        return _hash(json.dumps(parts, sort_keys=True, default=repr))
 
 
 @dataclass(frozen=True)
@@ -132,12 +130,13 @@ class BatchSummary:
     """One row per shot.
 
     Args:
-        rows: ``shot``, ``status`` (done, not converged, failed), ``file``, ``curves``, ``frames``,
+        rows: ``shot``, ``status`` (done, not converged, failed), ``explained`` (whether the most
+            probable model explains the curves: yes, no, not tested), ``file``, ``curves``, ``frames``,
             ``We``, ``R_inf*``, ``model`` and its ``probability``, ``<parameter>_low``,
             ``<parameter>`` and ``<parameter>_high`` (5, 50, 95 % quantile of the most probable
             model, SI), ``rmse``, ``verdict``, ``cpu_seconds``, ``error``.
 
-    >>> from imr_torch.batch import BatchSummary
+    >>> from imr_torch.characterization.batch import BatchSummary
     >>> failed = {"shot": "b", "status": "failed", "error": "no bubble"}
     >>> summary = BatchSummary(({"shot": "a", "status": "done", "G": 5e3}, failed))
     >>> summary.count("failed"), summary.columns
@@ -167,22 +166,13 @@ class BatchSummary:
         """Shots of a status."""
         return sum(row["status"] == status for row in self.rows)
 
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready values, from which page and report are made."""
+        return {"shots": [dict(row) for row in self.rows]}
+
     def report(self) -> str:
         """How many shots have a result, and why others have none, as text."""
-        lines = [
-            f"{len(self.rows)} shot(s): "
-            + ", ".join(f"{self.count(s)} {s}" for s in (DONE, NOT_CONVERGED, FAILED))
-        ]
-        return "\n".join(
-            [
-                *lines,
-                *(
-                    f"  {row['shot']}: {row['error']}"
-                    for row in self.rows
-                    if row["status"] == FAILED
-                ),
-            ]
-        )
+        return document_report(header("batch") | self.to_dict())
 
     def to_csv(self) -> str:
         """The rows as CSV with a header; numbers keep every bit."""
@@ -211,7 +201,7 @@ class _Run:
         if document.get("error"):
             target.unlink(missing_ok=True)  # of an earlier state of the file
         else:
-            write_json(target, {"shot": shot.name, "file": shot.file, "key": shot.key, **document})
+            write_json(target, {**document, "shot": shot.name, "file": shot.file, "key": shot.key})
         self.rows[shot.name] = _row(shot, document)
 
 
@@ -243,7 +233,7 @@ def run_batch(
 
     >>> import tempfile
     >>> from imr_torch import PolytropicSimulator, wide_prior
-    >>> from imr_torch.batch import BatchOptions, run_batch
+    >>> from imr_torch.characterization.batch import BatchOptions, run_batch
     >>> options = BatchOptions(wide_prior(["nhkv"]), PolytropicSimulator())
     >>> with tempfile.TemporaryDirectory() as home:
     ...     (path := __import__("pathlib").Path(home) / "gel.csv").write_text("t,R")
@@ -267,14 +257,7 @@ def run_batch(
         elif earlier is not None and earlier.get("shot") == shot.name:
             run.rows[shot.name] = _row(shot, earlier)
         elif earlier is not None:  # under another name
-            run.keep(
-                shot,
-                {
-                    name: value
-                    for name, value in earlier.items()
-                    if name not in ("shot", "file", "key")
-                },
-            )
+            run.keep(shot, earlier)
         else:
             wanted.append(shot)
     if progress:
@@ -299,6 +282,7 @@ def run_batch(
         if summary.rows:
             text = summary.to_csv().encode()
             write_atomically(run.folder / "summary.csv", lambda stream: stream.write(text))
+            write_xlsx(summary.rows, summary.columns, run.folder / "summary.xlsx")
     return summary
 
 
@@ -318,11 +302,11 @@ def characterize_shot(traces: TraceSet | None, options: BatchOptions) -> dict[st
             medium=options.medium,
             seed=options.seed,
         )
-        frames = sum(len(experiment.times) for experiment in result.experiments)
-        document = {
-            "converged": result.assimilation.converged,
-            "frames_fitted": frames,
-            **result.to_dict(),
+        files = list({trace.source: None for trace in traces})
+        document = header("characterize", files=files, medium=result.medium) | {
+            "converged": result.converged,
+            "frames_fitted": sum(len(experiment.times) for experiment in result.experiments),
+            **result.to_document(),
         }
         json.dumps(document, allow_nan=False)  # what cannot be written is an error of this shot
         return document
@@ -400,7 +384,7 @@ def _spread(
 def _shots(files: Sequence[Path], options: BatchOptions) -> Iterator[Shot]:
     """The shots of all files, read one after the other."""
     of_options = options.key()
-    names = _names(files)
+    names = _unique_names([p.stem for p in files], [f"{p.parent.name}_{p.name}" for p in files])
     for path, name in zip(files, names, strict=True):
         try:
             traces = load_traces(path, layout=options.layout, sort=options.sort)
@@ -411,56 +395,35 @@ def _shots(files: Sequence[Path], options: BatchOptions) -> Iterator[Shot]:
         if not options.each or len(traces) == 1:
             yield Shot(name, str(path), traces, key)
             continue
-        for label in _unique(
-            [f"{name}_{_plain(trace.experiment_id)}" for trace in traces], traces.ids
+        for label, each in zip(
+            traces.ids, _unique_names([f"{name}_{x}" for x in traces.ids], traces.ids), strict=True
         ):
-            trace_id = traces.ids[label[0]]
-            yield Shot(label[1], str(path), traces.select([trace_id]), _hash(key, trace_id))
+            yield Shot(each, str(path), traces.select([label]), _hash(key, label))
 
 
 def _key(path: Path, of_options: str) -> str:
     """Hash of a file by name and content, of the JSON file beside it, and of the options."""
     beside = path.with_suffix(".json")
-    contents = [
-        path.read_bytes(),
-        beside.read_bytes() if beside.is_file() and beside != path else b"",
-    ]
-    return _hash(
-        of_options, path.name, *(hashlib.sha256(content).hexdigest() for content in contents)
-    )
+    told = beside.read_bytes() if beside.is_file() and beside != path else b""
+    return _hash(of_options, path.name, _hash(path.read_bytes()), _hash(told))
 
 
-def _hash(*parts: str) -> str:
-    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+def _hash(*parts: str | bytes) -> str:
+    whole = b"\n".join(part.encode() if isinstance(part, str) else part for part in parts)
+    return hashlib.sha256(whole).hexdigest()
 
 
-def _names(files: Sequence[Path]) -> list[str]:
-    """Names of results: the stems of the files, with their folder and ending where stems clash."""
-    return [
-        name
-        for _, name in _unique(
-            [_plain(p.stem) for p in files], [f"{p.parent.name}_{p.name}" for p in files]
-        )
-    ]
-
-
-def _unique(names: Sequence[str], longer: Sequence[str]) -> list[tuple[int, str]]:
-    """Places and names, those that clash made longer, and numbered if they still do."""
-    chosen = [
-        name if names.count(name) == 1 else _plain(long)
-        for name, long in zip(names, longer, strict=True)
-    ]
-    seen: dict[str, int] = {}
+def _unique_names(names: Sequence[str], longer: Sequence[str]) -> list[str]:
+    """Labels as parts of file names: those that clash made longer, and numbered if they still do."""
+    plain = [re.sub(r"[^\w-]", "_", name)[:100] or "shot" for name in names]
+    seen = Counter[str]()
     found = []
-    for i, name in enumerate(chosen):
-        seen[name.lower()] = seen.get(name.lower(), 0) + 1
-        found.append((i, name if seen[name.lower()] == 1 else f"{name}_{seen[name.lower()]}"))
+    for name, long in zip(plain, longer, strict=True):
+        chosen = name if plain.count(name) == 1 else re.sub(r"[^\w-]", "_", long)[:100]
+        seen[chosen.lower()] += 1
+        count = seen[chosen.lower()]
+        found.append(chosen if count == 1 else f"{chosen}_{count}")
     return found
-
-
-def _plain(label: str) -> str:
-    """A label as part of a file name."""
-    return "".join(c if c.isalnum() or c in "-_" else "_" for c in label)[:100] or "shot"
 
 
 def _results(folder: Path) -> dict[str, dict[str, Any]]:
@@ -494,6 +457,7 @@ def _row(shot: Shot, document: Mapping[str, Any]) -> dict[str, Any]:
         "probability": saved.probabilities[saved.best],
         "rmse": entry.get("rmse"),
         "verdict": saved.verdict(),
+        "explained": {True: "yes", False: "no", None: "not tested"}[saved.explained],
         "cpu_seconds": document.get("cpu_seconds"),
     }
     for name, (low, middle, high) in saved.intervals().items():

@@ -16,8 +16,8 @@ from torch import Tensor
 
 from imr_torch.assimilate import Assimilation
 from imr_torch.errors import InputDataError, UnsupportedError
-from imr_torch.files import read_json
-from imr_torch.material import Belief, material
+from imr_torch.files import read_json, write_atomically
+from imr_torch.material import PARAMETERS, Belief
 
 if TYPE_CHECKING:
     import pandas
@@ -69,7 +69,7 @@ class SavedCharacterization:
         source: where it comes from, for messages.
 
     >>> from imr_torch import wide_prior
-    >>> from imr_torch.saved import SavedCharacterization
+    >>> from imr_torch.characterization.saved import SavedCharacterization
     >>> belief = wide_prior(["nhkv"])
     >>> intervals = {"G": [1.0, 2.0, 3.0], "mu": [0.1, 0.2, 0.3]}
     >>> saved = SavedCharacterization.from_dict({"belief": belief.to_dict(), "models": {"nhkv": {"intervals": intervals}}})
@@ -115,13 +115,11 @@ class SavedCharacterization:
             prior = None if before is None else Belief.from_dict(before)
         except InputDataError as error:
             raise InputDataError(f"{source}: {error}") from None
-        missing = [
-            key for key in posterior.keys if not isinstance(document["models"].get(key), dict)
-        ]
-        if missing:
-            raise InputDataError(
-                f"{source}: 'models' lacks {missing[0]!r}, which 'belief' has; {_EXPECTED}."
-            )
+        for key in posterior.keys:
+            if not isinstance(document["models"].get(key), dict):
+                raise InputDataError(
+                    f"{source}: 'models' lacks {key!r}, which 'belief' has; {_EXPECTED}."
+                )
         return cls(document, posterior, prior, source)
 
     @property
@@ -133,6 +131,11 @@ class SavedCharacterization:
     def best(self) -> str:
         """Key of the most probable model."""
         return self.posterior.best.model
+
+    @property
+    def explained(self) -> bool | None:
+        """Whether the most probable model explains the curves; None where that was not tested."""
+        return (self.document.get("fit_test") or {}).get("explained")
 
     def intervals(self, model: str | None = None) -> dict[str, list[float]]:
         """Parameter -> [5 %, 50 %, 95 %] quantile of a model (the most probable when not given),
@@ -160,18 +163,11 @@ class SavedCharacterization:
             InputDataError: if the model is not part of the result, or its draws are incomplete.
         """
         part = self.posterior[model or self.best]
-        known = self.document.get("weighted_draws") or self.document.get(
-            "weighed_draws", {}
-        )  # the key of version 0.1.0
-        entry = known.get(part.model)
+        entry = self.document.get("weighted_draws", {}).get(part.model)
         if entry is None:
             values = part.physical(part.controls(_GAUSSIAN_DRAWS, seed=seed))
-            return WeightedDraws(
-                part.names,
-                values,
-                torch.full((len(values),), 1.0 / len(values), dtype=values.dtype),
-                False,
-            )
+            equal = torch.full((len(values),), 1.0 / len(values), dtype=values.dtype)
+            return WeightedDraws(part.names, values, equal, False)
         try:
             values = torch.tensor(
                 [entry["values"][name] for name in part.names], dtype=torch.float64
@@ -194,31 +190,54 @@ class SavedCharacterization:
 
     def rows(self) -> list[dict[str, Any]]:
         """One row per model and parameter: SI quantiles, probability and certificate of the model."""
-        found = []
-        for key in self.posterior.keys:
-            entry = self._model(key)
-            units = {p.name: p.unit for p in material(key).parameters}
-            for name, (low, middle, high) in self.intervals(key).items():
-                found.append(
-                    {
-                        "model": key,
-                        "probability": self.probabilities[key],
-                        "parameter": name,
-                        "unit": units[name],
-                        "low": low,
-                        "median": middle,
-                        "high": high,
-                        "converged": self.converged(key),
-                        "verdict": self.verdict(key),
-                        "rmse": entry.get("rmse"),
-                        "log_evidence": entry.get("log_evidence"),
-                    }
-                )
-        return found
+        return [
+            {
+                "model": key,
+                "probability": self.probabilities[key],
+                "parameter": name,
+                "unit": PARAMETERS[name].unit,
+                "low": low,
+                "median": middle,
+                "high": high,
+                "converged": self.converged(key),
+                "verdict": self.verdict(key),
+                "rmse": self._model(key).get("rmse"),
+                "log_evidence": self._model(key).get("log_evidence"),
+            }
+            for key in self.posterior.keys
+            for name, (low, middle, high) in self.intervals(key).items()
+        ]
 
     def to_dataframe(self) -> "pandas.DataFrame":
         """:meth:`rows` as a table; needs pandas."""
         return to_dataframe(self.rows())
+
+
+def write_xlsx(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], path: Path) -> bool:
+    """Write rows as a workbook, atomically; whether openpyxl is there to do it.
+
+    Args:
+        rows: column -> value.
+        columns: in order.
+        path: the file; replaced if it exists.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from imr_torch.characterization.saved import write_xlsx
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_xlsx([{"shot": "a", "G": 5000.0}], ("shot", "G"), Path(folder) / "summary.xlsx")
+    True
+    """
+    try:
+        from openpyxl import Workbook
+    except ImportError:
+        return False
+    book = Workbook(write_only=True)
+    sheet = book.create_sheet()
+    for cells in (columns, *([row.get(name) for name in columns] for row in rows)):
+        sheet.append(list(cells))
+    write_atomically(path, book.save)
+    return True
 
 
 def to_dataframe(rows: Sequence[Mapping[str, Any]]) -> "pandas.DataFrame":
@@ -227,7 +246,7 @@ def to_dataframe(rows: Sequence[Mapping[str, Any]]) -> "pandas.DataFrame":
     Raises:
         UnsupportedError: if pandas is not installed.
 
-    >>> from imr_torch.saved import to_dataframe
+    >>> from imr_torch.characterization.saved import to_dataframe
     >>> to_dataframe([{"shot": "a", "G": 5000.0}]).shape
     (1, 2)
     """
