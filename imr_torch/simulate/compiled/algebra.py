@@ -1,48 +1,47 @@
 """Small dense algebra for one bubble, eight neighbouring numbers of a row at a time; compiled.
 
-Also for eight bubbles, one number of each at a time: see :mod:`imr_torch.simulate.compiled.lanes`.
-
 Rows are padded with zeros to a multiple of eight: see :mod:`imr_torch.simulate.compiled.vectors`.
     Four pivots are taken at a
 time, so that a row is loaded and stored a quarter as often.
 """
 
-from imr_torch.simulate.compiled.vectors import STRIDE, load, spread, store, total
+from imr_torch.elementary import kernel
+from imr_torch.simulate.compiled.vectors import WIDTH, load, spread, store, total
 
 
-def dot(one, other, space, spare):
-    """Inner product of rows of all fields, of which ``other`` may be longer.
-
-    Padding adds nothing; that of eight bubbles, without padding, takes ``space`` and a ``spare``
-    row.
-    """
+@kernel
+def dot(one, other):
+    """Inner product of a row and the beginning of a longer one; padding adds nothing."""
     partial = spread(0.0)
-    for i in range(0, len(one), 8):
+    for i in range(0, len(one), WIDTH):
         partial = partial + load(one, i) * load(other, i)
     return total(partial)
 
 
+@kernel
 def apply(columns, first, values, out):
     """``out[i] = sum_j columns[j, i] values[j]`` with ``first`` in front of the values."""
-    for i in range(0, len(out), STRIDE):
+    for i in range(0, len(out), WIDTH):
         sums = spread(first) * load(columns[0], i)
         for j in range(1, len(columns)):
             sums = sums + spread(values[j - 1]) * load(columns[j], i)
         store(out, i, sums)
 
 
+@kernel
 def multiply(columns, vector, out):
     """``out = matrix vector`` with a matrix by columns, which may have others beside them.
 
     ``out`` has its padded length.
     """
-    for i in range(0, len(out), STRIDE):
+    for i in range(0, len(out), WIDTH):
         sums = spread(vector[0]) * load(columns[0], i)
         for j in range(1, len(columns)):
             sums = sums + spread(vector[j]) * load(columns[j], i)
         store(out, i, sums)
 
 
+@kernel
 def invert(a, keep):
     """Invert a matrix in place by Gauss-Jordan without pivoting, four pivots at a time; columns
     beside it become solutions.
@@ -66,6 +65,7 @@ def invert(a, keep):
         _take_pivot(a, k)
 
 
+@kernel
 def _take_pivots(a, k):
     """Multiply four rows with the inverse of their block at the pivots, and put that inverse in its
     place.
@@ -79,7 +79,7 @@ def _take_pivots(a, k):
     three = (r[k], r[k + 1], s[k], s[k + 1])
     four = (r[k + 2], r[k + 3], s[k + 2], s[k + 3])
     one, two, three, four = _inverse_four(one, two, three, four)
-    for j in range(0, a.shape[1], STRIDE):
+    for j in range(0, a.shape[1], WIDTH):
         x = load(p, j)
         y = load(q, j)
         z = load(r, j)
@@ -114,6 +114,7 @@ def _take_pivots(a, k):
     s[k], s[k + 1], s[k + 2], s[k + 3] = three[2], three[3], four[2], four[3]
 
 
+@kernel
 def _take_from(a, k, keep):
     """Eliminate four pivots from all other rows; ``keep`` is 0 at the pivots, else 1."""
     p = a[k]
@@ -128,29 +129,31 @@ def _take_from(a, k, keep):
         two = spread(row[k + 1])
         three = spread(row[k + 2])
         four = spread(row[k + 3])
-        for j in range(0, a.shape[1], STRIDE):
+        for j in range(0, a.shape[1], WIDTH):
             change = (one * load(p, j) + two * load(q, j)) + (
                 three * load(r, j) + four * load(s, j)
             )
             store(row, j, load(row, j) * load(keep, j) - change)
 
 
+@kernel
 def _take_pivot(a, k):
     """One step of Gauss-Jordan."""
     pivots = a[k]
     scale = 1.0 / a[k, k]
-    for j in range(0, a.shape[1], STRIDE):
+    for j in range(0, a.shape[1], WIDTH):
         store(pivots, j, spread(scale) * load(pivots, j))
     pivots[k] = scale
     for i in range(len(a)):
         if i != k:
             row = a[i]
             factor = a[i, k]
-            for j in range(0, a.shape[1], STRIDE):
+            for j in range(0, a.shape[1], WIDTH):
                 store(row, j, load(row, j) - spread(factor) * load(pivots, j))
             row[k] = -factor * scale
 
 
+@kernel
 def _inverse_four(one, two, three, four):
     """Inverse of a matrix of 2 x 2 blocks, in the order of rows, by its Schur complement."""
     first = _inverse_two(one)
@@ -168,12 +171,14 @@ def _inverse_four(one, two, three, four):
     )
 
 
+@kernel
 def _inverse_two(x):
     """Inverse of a 2 x 2 matrix."""
     scale = 1.0 / (x[0] * x[3] - x[1] * x[2])
     return x[3] * scale, -x[1] * scale, -x[2] * scale, x[0] * scale
 
 
+@kernel
 def _product(x, y):
     """Product of 2 x 2 matrices."""
     return (
@@ -184,6 +189,7 @@ def _product(x, y):
     )
 
 
+@kernel
 def _difference(x, y):
     """Difference of 2 x 2 matrices."""
     return x[0] - y[0], x[1] - y[1], x[2] - y[2], x[3] - y[3]
