@@ -123,8 +123,7 @@ class Work(NamedTuple):
             ``moved`` likewise.
         wall_rows: ``2 x 8``: derivatives of ``d ln P/dt`` and of the wall's balance in (R, U, ln P,
             q, tau_w) and in the slopes of ``tau``, ``C`` and ``theta`` at the wall.
-        drive: ``fields`` numbers to spare; ``small``: ``2 x max(n', (5+K)')``; ``keep``: as long as
-            the longest row of a block.
+        drive: ``fields`` numbers to spare; ``small``: ``2 x max(n', (5+K)')``.
     """
 
     state: np.ndarray
@@ -153,7 +152,6 @@ class Work(NamedTuple):
     wall_rows: np.ndarray
     drive: np.ndarray
     small: np.ndarray
-    keep: np.ndarray
 
 
 def work_for(nodes: int, outer_nodes: int, states: int, width: int) -> tuple[np.ndarray, ...]:
@@ -192,7 +190,6 @@ def work_for(nodes: int, outer_nodes: int, states: int, width: int) -> tuple[np.
         wall_rows=rows(2, 8),
         drive=rows(fields),
         small=rows(2, max(n, border)),
-        keep=rows(max(nodes + 2, outer_nodes + 1, border, 8)),
     )
     return tuple(work)
 
@@ -456,7 +453,6 @@ def factorise(shift, space, work):
     """
     factors = work.factors
     coupling = work.coupling
-    keep = work.keep
     heat = work.heat
     vapour = work.vapour
     gel = work.gel
@@ -469,7 +465,7 @@ def factorise(shift, space, work):
     shifted(factors[6:9], space.outer_first, space.outer_laplacian, shift, gel)
     for j in range(inner):
         vapour[j, inner] = space.inside[1 + j, 2 * n]
-    invert(vapour, keep)
+    invert(vapour)
     through = work.small[0]
     slope = work.small[1, :n]
     for j in range(inner):  # the slope of C at the wall hangs on tau through C_t
@@ -478,10 +474,10 @@ def factorise(shift, space, work):
     for j in range(inner):
         heat[j, inner] = space.inside[1 + j, 2 * n]
         heat[j, inner + 1] = slope[j] + vapour[j, inner] * coupling[0, j]
-    invert(heat, keep)
+    invert(heat)
     for j in range(outer):
         gel[j, outer] = space.outside[1 + j, 2 * m]
-    invert(gel, keep)
+    invert(gel)
     for k in range(2):
         row = work.wall_rows[k]
         line = work.functionals[k]
@@ -495,7 +491,7 @@ def factorise(shift, space, work):
     for j in range(outer):
         gel[j, outer] = 0.0
     _border(shift, space, work)
-    invert(work.border, keep)
+    invert(work.border)
 
 
 @kernel
