@@ -175,7 +175,6 @@ _OPTIONS: dict[str, Any] = {
     "error_model": "numpy",
     "nogil": True,
     "_nrt": False,
-    "fastmath": {"contract"},
 }
 
 

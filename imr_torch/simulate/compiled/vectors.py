@@ -20,6 +20,7 @@ from numba.extending import intrinsic, lower_builtin, models, register_model, ty
 WIDTH = 8
 _LINE = 64  # bytes in a line of the cache: a load across two lines takes twice as long
 _VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
+_instructions: Any = intrinsic  # takes the first argument away
 
 
 class Eight(types.Type):
@@ -69,7 +70,7 @@ def _shuffle(builder: Any, value: Any, numbers: Any) -> Any:
     return builder.shuffle_vector(value, value, places)
 
 
-@intrinsic
+@_instructions
 def load(typing: Any, row: Any, first: Any) -> Any:
     """``row[first : first + 8]``; bounds are not looked at."""
 
@@ -79,7 +80,7 @@ def load(typing: Any, row: Any, first: Any) -> Any:
     return _EIGHT(row, types.intp), lower
 
 
-@intrinsic
+@_instructions
 def store(typing: Any, row: Any, first: Any, value: Any) -> Any:
     """``row[first : first + 8] = value``; bounds are not looked at."""
 
@@ -90,7 +91,7 @@ def store(typing: Any, row: Any, first: Any, value: Any) -> Any:
     return types.void(row, types.intp, _EIGHT), lower
 
 
-@intrinsic
+@_instructions
 def spread(typing: Any, number: Any) -> Any:
     """Eight times the same number."""
 
@@ -102,7 +103,7 @@ def spread(typing: Any, number: Any) -> Any:
     return _EIGHT(types.float64), lower
 
 
-@intrinsic
+@_instructions
 def total(typing: Any, value: Any) -> Any:
     """The sum of eight numbers: of the two halves, then of the quarters, then of two numbers."""
 
