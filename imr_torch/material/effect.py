@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-from imr_torch.elementary import Law, has_compiled_form
+from imr_torch.elementary import Law, obstacle_of
 from imr_torch.errors import InputDataError
 from imr_torch.material.marginals import Marginal, TruncatedNormal
 from imr_torch.material.models import material
@@ -135,7 +135,7 @@ class Effect:
         :mod:`imr_torch.elementary`.
         """
         return all(
-            law is None or has_compiled_form(law)
+            law is None or obstacle_of(law) is None
             for law in (self.gas_loss, self.vapour, self.far_field)
         )
 

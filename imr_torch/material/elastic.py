@@ -11,10 +11,9 @@ which qKV is the first order.
 """
 
 import numpy as np
-import torch
 from torch import Tensor
 
-from imr_torch.elementary import Quadrature, Scalar, exp, expm1, log, real, where
+from imr_torch.elementary import Scalar, exp, expm1, log, real, where
 from imr_torch.material.stress import StressTerm
 
 
@@ -61,13 +60,13 @@ def linear_elastic(
     return -4.0 / 3.0 * G_lin * (1.0 - cubed), -4.0 * G_lin * cubed * velocity / radius, 0.0
 
 
-def _graded_rule(count: int) -> tuple[Tensor, Tensor]:
+def _graded_rule(count: int) -> tuple[tuple[float, float], ...]:
     """Nodes and weights on [0, 1], Gauss-Legendre in ``u`` of ``1 - (1 - u)^2``: dense at 1, where
     exponentials vary most.
     """
-    nodes, weights = (torch.as_tensor(x) for x in np.polynomial.legendre.leggauss(count))
+    nodes, weights = np.polynomial.legendre.leggauss(count)
     left = 0.5 * (1.0 - nodes)
-    return 1.0 - left * left, weights * left
+    return tuple(zip((1.0 - left * left).tolist(), (weights * left).tolist(), strict=True))
 
 
 _RULE = _graded_rule(32)
@@ -99,16 +98,20 @@ def _exponential_density(stretch: Scalar, alpha: Scalar) -> Scalar:
     return _density(stretch, expm1(where(real(exponent) > _STIFFEST, _STIFFEST, exponent)))
 
 
-def _second_order_node(node: Scalar, span: Scalar, alpha: Scalar) -> Scalar:
-    return _second_order_density(exp(node * span), alpha)
+def _second_order_mean(span: Scalar, alpha: Scalar) -> Scalar:
+    """Mean density between no stretch and one of ``exp(span)``."""
+    total = 0.0 * span
+    for node, weight in _RULE:
+        total = total + weight * _second_order_density(exp(node * span), alpha)
+    return total
 
 
-def _exponential_node(node: Scalar, span: Scalar, alpha: Scalar) -> Scalar:
-    return _exponential_density(exp(node * span), alpha)
-
-
-_SECOND_ORDER_MEAN = Quadrature(_second_order_node, _RULE)
-_EXPONENTIAL_MEAN = Quadrature(_exponential_node, _RULE)
+def _exponential_mean(span: Scalar, alpha: Scalar) -> Scalar:
+    """Mean density between no stretch and one of ``exp(span)``."""
+    total = 0.0 * span
+    for node, weight in _RULE:
+        total = total + weight * _exponential_density(exp(node * span), alpha)
+    return total
 
 
 def second_order_fung(
@@ -122,7 +125,7 @@ def second_order_fung(
     """
     stretch = radius / rest_radius
     span = log(stretch)
-    value = G * span * _SECOND_ORDER_MEAN(span, alpha_fung2)
+    value = G * span * _second_order_mean(span, alpha_fung2)
     return value, G * _second_order_density(stretch, alpha_fung2) * velocity / radius, 0.0
 
 
@@ -134,7 +137,7 @@ def exponential_fung(
     """
     stretch = radius / rest_radius
     span = log(stretch)
-    value = G * span * _EXPONENTIAL_MEAN(span, alpha_fung)
+    value = G * span * _exponential_mean(span, alpha_fung)
     return value, G * _exponential_density(stretch, alpha_fung) * velocity / radius, 0.0
 
 

@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Inexact
 from torch import Tensor
 
-from imr_torch.elementary import Law, has_compiled_form
+from imr_torch.elementary import Law, obstacle_of
 from imr_torch.errors import InputDataError
 
 SMOOTH = 0.02
@@ -113,7 +113,7 @@ class StressTerm:
     def compilable(self) -> bool:
         """Whether the whole term is written with :mod:`imr_torch.elementary`."""
         return all(
-            law is None or has_compiled_form(law) for law in (self.law, self.start, self.fastest)
+            law is None or obstacle_of(law) is None for law in (self.law, self.start, self.fastest)
         )
 
     def __call__(

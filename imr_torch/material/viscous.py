@@ -11,9 +11,8 @@ Johnsen (J. Fluid Mech. 766, 2015), section 2.3 for the integral.
 """
 
 import numpy as np
-import torch
 
-from imr_torch.elementary import Quadrature, Scalar, asinh, cosh, expm1, log, real, where
+from imr_torch.elementary import Scalar, asinh, cosh, expm1, log, real, where
 from imr_torch.material.stress import StressTerm
 
 
@@ -26,24 +25,25 @@ def newtonian(
     return value, -value * velocity / radius, factor
 
 
-def _unit_rule(count: int) -> tuple[torch.Tensor, torch.Tensor]:
+def _unit_rule(count: int) -> tuple[tuple[float, float], ...]:
     """Gauss-Legendre nodes and weights on [0, 1]."""
-    nodes, weights = (torch.as_tensor(x) for x in np.polynomial.legendre.leggauss(count))
-    return 0.5 * (1.0 + nodes), 0.5 * weights
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return tuple(zip((0.5 + 0.5 * nodes).tolist(), (0.5 * weights).tolist(), strict=True))
 
 
+_RULE = _unit_rule(16)
 _SHEAR = 2.0 * 3.0**0.5  # shear rate at the wall over |U|/R
 
 
-def _thinned(node: Scalar, span: Scalar, thinning: Scalar) -> Scalar:
-    """The integrand: viscosity lost at a shear rate of ``sinh(node * span)``; exactly 0 without
-    thinning.
+def _mean_lost(span: Scalar, thinning: Scalar) -> Scalar:
+    """Viscosity lost, over ``mu``, in the mean over shear rates of ``sinh(x)`` with ``x`` from 0 to
+    ``span``; exactly 0 without thinning.
     """
-    rate = cosh(node * span)
-    return -rate * expm1(-thinning * log(rate))
-
-
-_LOST = Quadrature(_thinned, _unit_rule(16))
+    total = 0.0 * span
+    for node, weight in _RULE:
+        rate = cosh(node * span)
+        total = total - weight * rate * expm1(-thinning * log(rate))
+    return total
 
 
 def carreau(
@@ -67,7 +67,7 @@ def carreau(
     span = asinh(reduced)
     still = real(reduced) == 0.0
     stretch = where(still, 1.0, span / where(still, 1.0, reduced))
-    lost = stretch * _LOST(span, thinning)  # of the mean viscosity over mu
+    lost = stretch * _mean_lost(span, thinning)  # of the mean viscosity over mu
     lost_at_wall = -expm1(-0.5 * thinning * log(1.0 + reduced * reduced))
     return (
         factor * strain * lost,

@@ -20,7 +20,7 @@ from imr_torch.simulate.driving import (
 )
 from imr_torch.simulate.engines import ENGINES, Engine
 from imr_torch.simulate.grids import Resolution
-from imr_torch.simulate.ode_method import METHOD, TransportField
+from imr_torch.simulate.ode_method import TransportField
 from imr_torch.simulate.parallel import ParallelSimulator, described, process_pool, with_inner
 from imr_torch.simulate.polytropic import PolytropicSimulator
 from imr_torch.simulate.radial import (
@@ -51,7 +51,6 @@ __all__ = [
     "DESIGN",
     "EARLIEST",
     "ENGINES",
-    "METHOD",
     "PRESETS",
     "RADIAL_EQUATIONS",
     "STEPPINGS",

@@ -1,11 +1,12 @@
 """Heat and vapour transport through ``torchdiffeq``: ``odeint(field, field.start(), ticks,
-method=METHOD, rtol=3e-4)``.
+method="euler")``.
 
 A step common to a batch would be dictated by the member that collapses, so every member keeps its
 own time and step, which are rows of the state; the time of ``odeint`` counts *ticks*, steps tried
-by every member together. What comes back is the whole state (temperatures and vapour too) of all
-members after each tick. Importing this module registers the method. It needs the exact Jacobian, so
-it takes a :class:`TransportField` and nothing else.
+by every member together. In a tick the state changes by one step of the Rosenbrock method
+(:mod:`~imr_torch.simulate.rosenbrock`), which is what the field gives; Euler's method with steps of
+1 adds it. What comes back is the whole state (temperatures and vapour too) of all members after
+each tick.
 
 A batch may hold *bundles*: a leader and followers that differ a little from it. All take the
     leader's steps, so that their
@@ -21,7 +22,6 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from imr_torch.errors import UnsupportedError
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.conditions import Conditions
 from imr_torch.simulate.controller import FIRST_STEP, REST, Controller
@@ -29,10 +29,10 @@ from imr_torch.simulate.grids import Resolution
 from imr_torch.simulate.rhs import Equations
 from imr_torch.simulate.rosenbrock import rosenbrock_step
 
-METHOD = "imr_rodas4p"
-"""Name of the method."""
 CONTROL = 3
-"""Rows of the state after those of :mod:`imr_torch.simulate.rhs`: each member's time, its next step, and its last error."""
+"""Rows after those of :mod:`imr_torch.simulate.rhs`: time, next step, and how the last step ended."""
+ACCEPTED, REJECTED, NOT_FINITE = range(3)
+"""How a step ended."""
 
 
 class TransportField:
@@ -51,9 +51,10 @@ class TransportField:
     (1, [1.0])
     """
 
-    def __init__(self, equations: Equations, width: int = 1) -> None:
+    def __init__(self, equations: Equations, width: int = 1, tolerance: float = 3e-4) -> None:
         self.equations = equations
         self.width = width
+        self.tolerance = tolerance
 
     @classmethod
     def of(
@@ -63,6 +64,7 @@ class TransportField:
         *,
         conditions: Conditions | None = None,
         resolution: Resolution | None = None,
+        tolerance: float = 3e-4,
     ) -> "TransportField":
         """The field of some gels and designs.
 
@@ -71,10 +73,11 @@ class TransportField:
             designs: (We, R_inf*).
             conditions: surroundings, contents and gel.
             resolution: grids inside and outside the bubble.
+            tolerance: relative error allowed in a step.
         """
         bubbles = Bubbles.of(parameters, designs.to(parameters), conditions or Conditions())
         inside, outside = (grid.to(parameters) for grid in (resolution or Resolution()).grids())
-        return cls(Equations(bubbles, inside, outside))
+        return cls(Equations(bubbles, inside, outside), tolerance=tolerance)
 
     def __len__(self) -> int:
         return len(self.equations.bubbles)
@@ -82,19 +85,12 @@ class TransportField:
     def __call__(
         self, tick: Float[Tensor, ""], state: Float[Tensor, "rows members"]
     ) -> Float[Tensor, "rows members"]:
-        """Not defined: a member moves by its own step in a tick.
-
-        Raises:
-            UnsupportedError: always; only ``METHOD`` integrates this field.
-        """
-        raise UnsupportedError(
-            f"A TransportField is integrated by method={METHOD!r} only; other methods of "
-            "torchdiffeq are not."
-        )
+        """The change of the state in one tick; members whose step fails stay where they are."""
+        return self._after_tick(state) - state
 
     def take(self, members: Int[Tensor, "kept"]) -> "TransportField":
         """The field of the members with these indices: whole bundles."""
-        return TransportField(self.equations.take(members), self.width)
+        return TransportField(self.equations.take(members), self.width, self.tolerance)
 
     def start(self) -> Float[Tensor, "rows members"]:
         """The state at maximum radius, ``(4 + 2n + m + K + CONTROL) x B``."""
@@ -103,10 +99,9 @@ class TransportField:
         control[1] = FIRST_STEP
         return torch.cat((state, control))
 
-    def tick(
-        self, state: Float[Tensor, "rows members"], controller: Controller
-    ) -> Float[Tensor, "rows members"]:
-        """The state after one more step of every member, which stays where it is if its step fails."""
+    def _after_tick(self, state: Tensor) -> Tensor:
+        """The state after one more step of every member."""
+        controller = Controller(self.tolerance)
         x, (time, step, before) = state[:-CONTROL], state[-CONTROL:]
         lead = slice(None, None, self.width)
         length = step if self.width == 1 else self._lengths(x, step)
@@ -116,12 +111,13 @@ class TransportField:
         )
         factor = controller.factor(error)
         factor = torch.where(
-            before[lead] <= 1.0, factor, factor.clamp_max(1.0)
+            before[lead] == ACCEPTED, factor, factor.clamp_max(1.0)
         )  # no growth after a failure
-        error = self._each(error)
-        factor = self._each(factor)
-        accepted = error <= 1.0
-        control = torch.stack((torch.where(accepted, time + length, time), step * factor, error))
+        ended = torch.where(error <= 1.0, ACCEPTED, REJECTED)
+        ended = self._each(torch.where(torch.isfinite(error), ended, NOT_FINITE))
+        accepted = ended == ACCEPTED
+        time = torch.where(accepted, time + length, time)
+        control = torch.stack((time, step * self._each(factor), ended.to(time)))
         return torch.cat((torch.where(accepted, trial.state, x), control))
 
     def _each(self, values: Tensor) -> Tensor:
@@ -135,63 +131,3 @@ class TransportField:
         radius, velocity, log_pressure = x[:3]
         pace = radius * torch.rsqrt(REST + torch.exp(log_pressure) + velocity * velocity)
         return step * (pace / self._each(pace[:: self.width]))
-
-
-class RosenbrockMethod:
-    """What ``torchdiffeq`` makes of ``method=METHOD``.
-
-    Args:
-        func: a :class:`TransportField`, as ``torchdiffeq`` wraps it.
-        y0: ``(4 + 2n + m + K + CONTROL) x B`` tensor, the state at the first tick.
-        rtol: relative error allowed in a step.
-        atol: not used; the scales of the state are known (see
-            :mod:`imr_torch.simulate.controller`).
-        **_: options of other methods.
-    """
-
-    def __init__(
-        self, func, y0: Float[Tensor, "rows members"], rtol: float, atol: float, **_: object
-    ) -> None:
-        field = getattr(func, "base_func", func)
-        if not isinstance(field, TransportField):
-            raise UnsupportedError(
-                f"method={METHOD!r} needs a TransportField and rising ticks, got "
-                f"{type(field).__name__}."
-            )
-        self._field = field
-        self._state = y0
-        self._controller = Controller(float(rtol))
-
-    @classmethod
-    def valid_callbacks(cls) -> set[str]:
-        """No callbacks are called."""
-        return set()
-
-    def integrate(self, t: Float[Tensor, "ticks"]) -> Float[Tensor, "ticks rows members"]:
-        """States after each of the ticks ``t`` (``n``, the first is where ``y0`` stands), ``n x
-        rows x B``.
-        """
-        with torch.no_grad():
-            states = [self._state]
-            for begin, end in zip(t[:-1].tolist(), t[1:].tolist(), strict=True):
-                state = states[-1]
-                for _ in range(round(end - begin)):
-                    state = self._field.tick(state, self._controller)
-                states.append(state)
-        return torch.stack(states)
-
-
-def _register() -> None:
-    """Make the method known to ``torchdiffeq``, which has no public way to do so."""
-    try:
-        from torchdiffeq._impl.odeint import SOLVERS
-    except ImportError as error:
-        raise UnsupportedError(
-            "This version of torchdiffeq keeps its table of methods elsewhere, so that no method "
-            "can be added to it; install "
-            "torchdiffeq 0.2.5 for the torchdiffeq engine, or use engine='compiled'."
-        ) from error
-    SOLVERS.setdefault(METHOD, RosenbrockMethod)
-
-
-_register()

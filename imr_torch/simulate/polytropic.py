@@ -75,21 +75,16 @@ class PolytropicSimulator:
     ) -> Solution:
         """Simulate a batch; see :class:`imr_torch.simulate.Simulator`.
 
-        Where an argument requires a gradient, tensors are integrated and gradients are those of the
-        solve itself. What is neutral throughout the batch is left out of it and has a gradient of
-        zero: for the slope at a neutral value use :func:`imr_torch.simulate.sensitivities`.
+        Gradients of the radius are those of :func:`imr_torch.simulate.sensitivities`.
 
         Raises:
             ShapeError: if shapes do not fit.
             InputDataError: if a design is impossible, or times are not increasing and finite.
         """
-        if in_transform(parameters, designs, times):
-            return differentiable(self, parameters, designs, times)
         inputs = (parameters, designs, times)
-        size = (
-            _BATCH if tracked(*inputs) else together(parameters, _BATCH, _BYTES)
-        )  # what autograd keeps takes more
-        return solve_batch(self._solve, size, inputs)
+        if in_transform(*inputs) or tracked(*inputs):
+            return differentiable(self, *inputs)
+        return solve_batch(self._solve, together(parameters, _BATCH, _BYTES), inputs)
 
     def bundle(
         self,
@@ -111,7 +106,7 @@ class PolytropicSimulator:
         """
         bubbles = Bubbles.of(parameters, designs, self.conditions, self.terms)
         stepping = self.stepping
-        if not tracked(parameters, designs, times) and compiles(self.engine, bubbles):
+        if compiles(self.engine, bubbles):
             from imr_torch.simulate.compiled.run import solve_polytropic
 
             return solve_polytropic(bubbles, self.terms, times, width, stepping, self.threads)

@@ -22,7 +22,7 @@ from imr_torch.simulate.conditions import Conditions
 from imr_torch.simulate.controller import FIRST_STEP, PATIENCE, UNDERFLOW
 from imr_torch.simulate.engines import Engine, check_engine, compiles
 from imr_torch.simulate.grids import Resolution
-from imr_torch.simulate.ode_method import CONTROL, METHOD, TransportField
+from imr_torch.simulate.ode_method import ACCEPTED, CONTROL, NOT_FINITE, TransportField
 from imr_torch.simulate.rhs import Equations
 from imr_torch.simulate.sensitivity import differentiable
 from imr_torch.simulate.simulator import (
@@ -167,10 +167,11 @@ class TransportSimulator:
                 bubbles, self.terms, times, width, settings.resolution, limits, self.threads
             )
         inside, outside = (grid.to(parameters) for grid in settings.resolution.grids())
-        return _march(TransportField(Equations(bubbles, inside, outside), width), times, settings)
+        field = TransportField(Equations(bubbles, inside, outside), width, settings.tolerance)
+        return _march(field, times, settings.max_steps)
 
 
-def _march(whole: TransportField, times: Tensor, settings: Accuracy) -> tuple[Tensor, ...]:
+def _march(whole: TransportField, times: Tensor, max_steps: int) -> tuple[Tensor, ...]:
     """Integrate until every bundle is done or given up.
 
     Radius, velocity, pressure, status, steps.
@@ -182,18 +183,18 @@ def _march(whole: TransportField, times: Tensor, settings: Accuracy) -> tuple[Te
     fresh = [torch.ones_like(times[None, :, 0], dtype=torch.bool)]
     status = torch.full_like(last, _RUNNING, dtype=torch.long)
     running = torch.arange(len(last), device=last.device)
-    for tried in range(0, settings.max_steps, _BLOCK):
+    for tried in range(0, max_steps, _BLOCK):
         members = (running[:, None] * width + torch.arange(width, device=last.device)).flatten()
         moving = whole if len(members) == len(whole) else whole.take(members)
-        count = min(_BLOCK, settings.max_steps - tried)
+        count = min(_BLOCK, max_steps - tried)
         ticks = torch.arange(count + 1, dtype=times.dtype, device=times.device)
-        path = odeint(moving, state[:, members], ticks, method=METHOD, rtol=settings.tolerance)
+        path = odeint(moving, state[:, members], ticks, method="euler")
         assert isinstance(path, Tensor)  # a tuple only for tuple states
         new = nodes[-1][:, -1:].expand(-1, count, -1).clone()
         new[:, :, members] = _nodes(moving, path[1:])
         nodes.append(new)
         accepted = fresh[0].new_zeros(count, len(whole))
-        accepted[:, members] = (path[1:, -1] <= 1.0) & torch.isfinite(path[1:]).all(1)
+        accepted[:, members] = (path[1:, -1] == ACCEPTED) & torch.isfinite(path[1:]).all(1)
         fresh.append(accepted)
         state[:, members] = path[-1]
         status[running] = _judge(path.unflatten(2, (-1, width)), last[running])
@@ -201,7 +202,7 @@ def _march(whole: TransportField, times: Tensor, settings: Accuracy) -> tuple[Te
         if not len(running):
             break
     status = torch.where(status == _RUNNING, int(Status.TOO_MANY_STEPS), status)
-    path, steps = _accepted(torch.cat(nodes, 1), torch.cat(fresh), last.repeat_interleave(width))
+    path, steps = _accepted(torch.cat(nodes, 1), torch.cat(fresh), times[:, -1])
     vapour = whole.equations.bubbles.numbers.constant_vapour
     radius, velocity = interpolate(path[0], path[1], path[2], path[3], times)
     pressure = torch.exp(_cubic(path[0], path[4], path[5], times)) + vapour[:, None]
@@ -233,12 +234,12 @@ def _judge(path: Tensor, last: Tensor) -> Tensor:
 
     ``path`` is ``n x rows x bundles x width``.
     """
-    time, step, error = path[-1, -CONTROL:]
+    time, step, ended = path[-1, -CONTROL:]
     leader = time[:, 0]
     verdict = torch.full_like(last, _RUNNING, dtype=torch.long)
     stuck = step[:, 0] < UNDERFLOW * (1.0 + leader)
     verdict[stuck] = int(Status.STEP_UNDERFLOW)
-    verdict[stuck & ~torch.isfinite(error[:, 0])] = int(Status.NON_FINITE)
+    verdict[stuck & (ended[:, 0] == NOT_FINITE)] = int(Status.NON_FINITE)
     away = (path[:, 0, :, 0] > RUNAWAY) & (path[:, -CONTROL, :, 0] < last)
     behind = (time < last[:, None]).any(1)  # a follower that failed is not
     verdict[~behind | (leader >= PATIENCE * last) & (leader >= last)] = int(Status.DONE)

@@ -10,7 +10,14 @@ import pytest
 import torch
 
 from imr_torch.material import PARAMETERS
-from imr_torch.simulate import ACCURACIES, Solution, Status, TransportSimulator
+from imr_torch.simulate import (
+    ACCURACIES,
+    ENGINES,
+    Engine,
+    Solution,
+    Status,
+    TransportSimulator,
+)
 from imr_torch.simulate.compiled import paths
 
 DESIGN = torch.tensor([400.0, 0.22], dtype=torch.float64)
@@ -99,6 +106,18 @@ def test_that_followers_that_need_more_steps_than_are_known_get_them() -> None:
             lambda: SIMULATOR.bundle(gels, DESIGN, times), lambda: SIMULATOR(gels[0], DESIGN, TIMES)
         )
     )
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_that_steps_are_those_to_the_own_last_time_whoever_followed(engine: Engine) -> None:
+    simulator = replace(SIMULATOR, engine=engine)
+    gels = _gels(2)
+    alone = int(simulator(gels[0], DESIGN, TIMES).steps)
+    paths.forget_all()
+    times = torch.stack((TIMES, 1.05 * TIMES, 1.1 * TIMES))  # the leader goes on for its followers
+    led = int(simulator.bundle(gels, DESIGN, times).steps[0])
+    again = int(simulator(gels[0], DESIGN, TIMES).steps)
+    assert (led, again) == (alone, alone)
 
 
 def test_that_a_leader_that_failed_is_not_kept() -> None:

@@ -15,14 +15,17 @@ from imr_torch.simulate import (
     ACCURACIES,
     DESIGN,
     Accuracy,
+    Conditions,
     PolytropicSimulator,
     Resolution,
     Simulator,
     Status,
     Stepping,
     TransportSimulator,
+    polytropic,
     sensitivities,
 )
+from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.engines import ENGINES
 from imr_torch.simulate.simulator import solve_bundles
 
@@ -88,12 +91,14 @@ def test_that_polytropic_ones_are_those_of_autograd() -> None:
     gel = PARAMETERS.pack({"G": 2770.0, "mu": 0.186, "alpha": 0.48})
     shot = gels(1)[1][0]
     times = TIMES[::4]
-    simulator = PolytropicSimulator()
     columns = torch.tensor(PARAMETERS.index(NAMES[:3]))
-    _, jacobian = sensitivities(simulator, gel, shot, times, names=NAMES)
+    _, jacobian = sensitivities(PolytropicSimulator(), gel, shot, times, names=NAMES)
 
     def radius(values: Tensor, design: Tensor) -> Tensor:
-        return simulator(gel.index_copy(0, columns, values), design, times).radius
+        """By the tensor solver, all of whose operators autograd follows."""
+        moved = gel.index_copy(0, columns, values)
+        bubbles = Bubbles.of(moved[None], design[None], Conditions())
+        return polytropic._march(bubbles, times[None], Stepping())[0][0]
 
     by_gel, by_design = torch.autograd.functional.jacobian(radius, (gel[columns], shot))  # pyright: ignore
     assert relative(jacobian, torch.cat((by_gel, by_design), 1)) < 1e-5
@@ -302,6 +307,21 @@ def test_that_a_leader_saved_by_a_finer_step_takes_its_followers_along() -> None
 
 
 # ---------------------------------------------------------------- autograd
+
+
+def test_that_a_gradient_at_a_neutral_value_is_the_forward_one() -> None:
+    """Of strain stiffening in a gel that has none."""
+    gel = PARAMETERS.pack({"G": 8310.0, "mu": 0.093})
+    shot = torch.tensor([400.0, 0.22], dtype=torch.float64)
+
+    def total(values: Tensor) -> Tensor:
+        return PolytropicSimulator()(values, shot, TIMES).radius.sum()
+
+    (backward,) = torch.autograd.grad(total(gel.requires_grad_()), gel)
+    forward = torch.func.jacfwd(total)(gel.detach())
+    alpha = PARAMETERS.index(["alpha"])
+    assert float(forward[alpha].abs()) > 0.1
+    torch.testing.assert_close(backward[alpha], forward[alpha], rtol=1e-9, atol=0.0)
 
 
 def test_that_gradients_are_the_sensitivities() -> None:

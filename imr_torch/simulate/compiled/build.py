@@ -1,15 +1,16 @@
 """From laws to compiled code: what is compiled, where it is kept, and when it is compiled anew.
 
 The laws of all registries (stress terms, effects, radial equations, gas laws, drivings) are put
-into one small generated module beside the entry points of the engine; Numba compiles it once and
-keeps the machine code next to it. The folder is named by a hash of the code of the engine and of
-every law, and of the versions of Python, Numba and NumPy; Numba itself tells processors apart. So
-code of another version is never used, a killed compilation leaves files that nobody reads, and a
-read-only installation works, since the folder is in the user's cache (``IMR_TORCH_CACHE`` names
-another).
+into one small generated module, ``laws``, each kind as one function that calls those that act. The
+modules of this folder whose functions are kernels are loaded beside it as a package of their own,
+so that a second registry gets kernels of its own. Numba compiles an entry point once and keeps the
+machine code next to the generated module. The folder is named by a hash of the code of the engine
+and of every law, and of the versions of Python, Numba and NumPy; Numba itself tells processors
+apart. So code of another version is never used, a killed compilation leaves files that nobody
+reads, and a read-only installation works, since the folder is in the user's cache
+(``IMR_TORCH_CACHE`` names another).
 """
 
-import builtins
 import functools
 import hashlib
 import importlib.util
@@ -22,7 +23,7 @@ import types
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import llvmlite
 import numba
@@ -32,44 +33,8 @@ from imr_torch import elementary
 from imr_torch.elementary import Law
 from imr_torch.files import write_atomically
 from imr_torch.material import PARAMETERS, Effect, StressTerm
-from imr_torch.simulate import contents
-from imr_torch.simulate.bubbles import Constants, Numbers
-from imr_torch.simulate.compiled import (
-    algebra,
-    lanes,
-    laws,
-    polytropic,
-    step,
-    transport,
-    vectors,
-    wall,
-)
-from imr_torch.simulate.compiled.lanes import STAND_INS, ForEight
-
-_FIELDS = tuple(
-    dict.fromkeys(
-        name
-        for kind in (
-            Constants,
-            Numbers,
-            *(x for x in vars(contents).values() if hasattr(x, "_fields")),
-        )
-        for name in kind._fields
-    )
-)
-
-_INLINE: dict[Any, Literal["never", "machine", "source"]] = {
-    transport.solve_bundle: "source",
-    wall.motion_slopes: "never",
-}
-"""How callers take in a function, where not as machine code: see :func:`imr_torch.elementary.kernel`.
-
-Calls of a long function cost little, and so do those of functions for eight bubbles; taking them in takes longer to compile.
-"""
-_TWICE = (
-    step.__name__,
-    algebra.__name__,
-)  # whose functions are compiled for one bubble and for eight
+from imr_torch.simulate.bubbles import Numbers
+from imr_torch.simulate.compiled import polytropic, transport, vectors
 
 
 @dataclass(frozen=True)
@@ -111,75 +76,30 @@ def switches(registry: Registry) -> tuple[list[int], list[int]]:
 
 @functools.cache
 def engine(registry: Registry) -> types.ModuleType:
-    """The compiled module of a registry, with ``solve_transport`` and ``solve_polytropic``."""
+    """The generated module of a registry, with ``solve_transport`` and ``solve_polytropic``."""
     folder = _folder(registry)
-    path = folder / "engine.py"
+    path = folder / "laws.py"
     text = source(registry)
     if not path.exists() or path.read_text() != text:
         write_atomically(path, lambda stream: stream.write(text.encode()))
-    spec = importlib.util.spec_from_file_location(f"imr_torch_engine_{folder.name}", path)
+    package = types.ModuleType(f"imr_torch_engine_{folder.name}")
+    package.__path__ = [str(Path(__file__).parent)]
+    sys.modules[package.__name__] = package
+    spec = importlib.util.spec_from_file_location(f"{package.__name__}.laws", path)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    vars(module).update({name: elementary.compiled(law) for name, law in _names(registry)})
-    sys.modules[spec.name] = (
-        module  # where Numba looks for the module of a function that it reads from its cache
-    )
+    vars(module).update(_names(registry))
+    vars(package)["laws"] = sys.modules[spec.name] = module
     spec.loader.exec_module(module)
-    bound: dict[Any, Any] = {}
-    for name, function in (
-        ("solve_transport", transport.solve_block),
-        ("solve_polytropic", polytropic.solve_block),
-    ):
-        code = function.__code__.replace(
-            co_filename=str(path), co_qualname=name
-        )  # beside which Numba keeps what it compiled
-        entry = types.FunctionType(code, _scope(function, module, bound), name)
-        vars(module)[name] = elementary.kernel(entry, cache=True)
     return module
-
-
-def _bound(function: Any, module: types.ModuleType, bound: dict[Any, Any]) -> Any:
-    """A function of the engine compiled with the laws of a module, and all that it calls."""
-    if function not in bound:
-        own = function.function if isinstance(function, ForEight) else function
-        scope = _scope(function, module, bound)
-        inline = _INLINE.get(function, "never" if own is not function else "machine")
-        bound[function] = elementary.kernel(
-            types.FunctionType(own.__code__, scope, own.__name__), inline=inline
-        )
-    return bound[function]
-
-
-def _scope(function: Any, module: types.ModuleType, bound: dict[Any, Any]) -> dict[str, Any]:
-    """The globals of a function of the engine: laws of a module in place of their declarations, and
-    all else compiled.
-    """
-    scope: dict[str, Any] = {"__builtins__": builtins, "__name__": __name__}
-    eightfold = isinstance(function, ForEight)
-    own = function.function if eightfold else function
-    for name in elementary.names_in(own)[0]:
-        value = own.__globals__.get(name)
-        if eightfold and name in STAND_INS:
-            value = STAND_INS[name]
-        elif eightfold and isinstance(value, types.FunctionType) and value.__module__ in _TWICE:
-            value = ForEight(value)
-        if value is laws:
-            value = module
-        elif isinstance(value, ForEight):
-            value = _bound(value, module, bound)
-        elif isinstance(value, types.FunctionType):
-            engine = value.__module__.startswith(laws.__name__.rpartition(".")[0])
-            value = _bound(value, module, bound) if engine else elementary.compiled(value, _FIELDS)
-        if value is not None:
-            scope[name] = value
-    return scope
 
 
 def _cached(module: types.ModuleType, entry: str) -> list[Path]:
     """The files in which an entry point of an engine is kept in compiled form."""
     assert module.__file__ is not None
-    return list((Path(module.__file__).parent / "__pycache__").glob(f"engine.{entry}-*.nb?"))
+    path = Path(module.__file__)
+    return list((path.parent / "__pycache__").glob(f"{path.stem}.{entry}-*.nb?"))
 
 
 def announced(module: types.ModuleType, entry: str, arguments: Sequence[Any]) -> Any:
@@ -233,7 +153,14 @@ def _names(registry: Registry) -> Iterator[tuple[str, Law]]:
 
 
 def source(registry: Registry) -> str:
-    """The text of the generated module."""
+    """The text of the generated module.
+
+    >>> from imr_torch.simulate import Conditions
+    >>> from imr_torch.simulate.compiled.build import source
+    >>> from imr_torch.simulate.compiled.run import registry_of
+    >>> "if on[0]:  # newtonian" in source(registry_of(Conditions(), None))
+    True
+    """
     parts = [
         _HEAD,
         _stress(registry.terms),
@@ -243,14 +170,29 @@ def source(registry: Registry) -> str:
         _choice("gas", registry.gases),
         _choice("driving", registry.drivings),
         _numbers(),
+        _entry("transport", transport.solve_block),
+        _entry("polytropic", polytropic.solve_block),
     ]
     return "\n\n\n".join(parts) + "\n"
 
 
 _HEAD = '''"""Generated by imr_torch from the laws of its registries; made anew whenever they change."""
 
+import functools
+
 from imr_torch.elementary import kernel
 from imr_torch.simulate.bubbles import Numbers'''
+
+
+def _entry(physics: str, block: Any) -> str:
+    """An entry point that is kept in compiled form."""
+    arguments = ", ".join(inspect.signature(block).parameters)
+    return f"""from .{physics} import solve_block as {physics}_block
+
+
+@functools.partial(kernel, cache=True)
+def solve_{physics}({arguments}):
+    {physics}_block({arguments})"""
 
 
 def _columns(names: Sequence[str]) -> str:
@@ -392,12 +334,7 @@ def _hash(registry: Registry) -> str:
     digest = hashlib.sha256()
     for version in (sys.version, numba.__version__, llvmlite.__version__, np.__version__):
         digest.update(version.encode())
-    for file in (
-        __file__,
-        elementary.__file__,
-        vectors.__file__,
-        lanes.__file__,
-    ):  # how functions are compiled
+    for file in (__file__, elementary.__file__, vectors.__file__):  # how functions are compiled
         digest.update(Path(file).read_bytes())
     for function in (transport.solve_block, polytropic.solve_block, *registry.laws()):
         for part in elementary.code_of(function):

@@ -4,10 +4,13 @@ taken; compiled.
 
 import numpy as np
 
+from imr_torch.elementary import kernel
+
 # numbers of a node; the last two are ln P and its rate
 TIME, RADIUS, VELOCITY, ACCELERATION, PRESSURE, PRESSURE_RATE = range(6)
 
 
+@kernel
 def fill(before, after, begin, times, radius, velocity):
     """Radius and velocity at all times up to a node, by quintic Hermite interpolation.
 
@@ -49,6 +52,7 @@ def fill(before, after, begin, times, radius, velocity):
     return begin
 
 
+@kernel
 def fill_pressure(before, after, begin, end, times, pressure):
     """Pressure at some times before a node, by cubic Hermite interpolation of its logarithm.
 
@@ -67,6 +71,7 @@ def fill_pressure(before, after, begin, end, times, pressure):
         pressure[j] = np.exp(p0 + s * q0 if s < 0.0 else p0 + s * (q0 + s * (bend + s * twist)))
 
 
+@kernel
 def record(node, nodes, begin, second, times, curves):
     """Make a node the last of two, and fill the output up to it unless it is the first.
 

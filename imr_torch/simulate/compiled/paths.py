@@ -28,7 +28,7 @@ class Path(NamedTuple):
     Args:
         steps: ``n x 2``, length and time scale of each step.
         curves: ``3 x n_t``, radius, velocity and pressure.
-        nodes: of its path, one more than steps.
+        nodes: of its path up to its last time.
     """
 
     steps: np.ndarray
@@ -95,14 +95,11 @@ class Leaders:
         for bundle, (key, path) in enumerate(zip(self._keys, self._paths, strict=True)):
             if path is not None:
                 curves[:, bundle], counts[bundle] = path.curves, path.nodes
-            elif done[bundle] and counts[bundle] - 1 <= self.steps.shape[1]:
-                own = (
-                    self.steps[bundle, : counts[bundle] - 1].copy(),
-                    curves[:, bundle].copy(),
-                    int(counts[bundle]),
-                )
+            elif done[bundle] and self.known[bundle]:
+                steps = self.steps[bundle, : self.known[bundle]].copy()
+                path = Path(steps, curves[:, bundle].copy(), int(counts[bundle]))
                 with _lock:
-                    _paths[key] = Path(*own)
+                    _paths[key] = path
                     while len(_paths) > _KEPT:
                         _paths.popitem(last=False)
 

@@ -6,16 +6,19 @@ of a stretched time (:mod:`imr_torch.simulate.clock`), tried again with half the
 fails. Functions here are compiled by :mod:`imr_torch.simulate.compiled.build`.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
+from imr_torch.elementary import kernel
 from imr_torch.simulate.clock import time_per_tick
-from imr_torch.simulate.compiled import laws
-from imr_torch.simulate.compiled.output import ACCELERATION, RADIUS, TIME, VELOCITY, fill
-from imr_torch.simulate.compiled.wall import gas_loss, member_of, motion, setup_of, vapour_factor
 from imr_torch.simulate.gas import compression_of
 from imr_torch.simulate.simulator import RUNAWAY, Status
+
+from . import laws
+from .output import ACCELERATION, RADIUS, TIME, VELOCITY, fill
+from .wall import gas_loss, member_of, motion, setup_of, vapour_factor
 
 _DONE = int(Status.DONE)
 _TOO_MANY = int(Status.TOO_MANY_STEPS)
@@ -41,6 +44,7 @@ def work_for(states: int) -> tuple[np.ndarray, ...]:
     return tuple(Work(np.zeros(size), np.zeros(size), np.zeros((4, size)), np.zeros((2, 6))))
 
 
+@kernel
 def contents(radius, velocity, left, member, setup):
     """Pressure inside, its rate, and the relative rate at which gas is lost."""
     b = member.b
@@ -63,6 +67,7 @@ def contents(radius, velocity, left, member, setup):
     return pressure, rate, lost
 
 
+@kernel
 def rates_at(state, fading, member, setup, out):
     """Derivatives of the state in stretched time; returns ``U'``."""
     radius = state[0]
@@ -88,6 +93,7 @@ def rates_at(state, fading, member, setup, out):
     return force
 
 
+@partial(kernel, inline="source")
 def march(numbers, theta, terms, effects, setup, h, share, max_steps, last, times, curves, work):
     """Integrate one bubble to its last time; returns status and steps taken.
 
@@ -167,6 +173,7 @@ def march(numbers, theta, terms, effects, setup, h, share, max_steps, last, time
         step += 1
 
 
+@partial(kernel, inline="source")
 def solve_block(
     which,
     width,
@@ -204,30 +211,11 @@ def solve_block(
     setup = setup_of(shared)
     work = Work(*arrays)
     for bundle in which:
-        lead = bundle * width
         chosen = 0
-        for attempt in range(len(attempts)):
-            chosen = attempt
-            status[bundle], steps[bundle] = march(
-                rows[lead],
-                theta[lead],
-                terms[bundle],
-                effects[bundle],
-                setup,
-                attempts[attempt, 0],
-                attempts[attempt, 1],
-                max_steps,
-                times[lead, -1],
-                times[lead],
-                curves[:, lead],
-                work,
-            )
-            if status[bundle] == _DONE or status[bundle] == _TOO_MANY:
-                break
-        for member in range(
-            lead + 1, lead + width
-        ):  # a follower may need a little longer than its leader
-            march(
+        member = bundle * width
+        while member < (bundle + 1) * width:
+            leads = member == bundle * width
+            outcome, taken = march(
                 rows[member],
                 theta[member],
                 terms[bundle],
@@ -235,9 +223,16 @@ def solve_block(
                 setup,
                 attempts[chosen, 0],
                 attempts[chosen, 1],
-                2 * max_steps,
+                max_steps if leads else 2 * max_steps,  # a follower may need a little longer
                 times[member, -1],
                 times[member],
                 curves[:, member],
                 work,
             )
+            if leads:
+                status[bundle] = outcome
+                steps[bundle] = taken
+                if outcome != _DONE and outcome != _TOO_MANY and chosen + 1 < len(attempts):
+                    chosen += 1
+                    continue
+            member += 1

@@ -17,11 +17,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from imr_torch.elementary import has_compiled_form
+from imr_torch.elementary import obstacle_of
 from imr_torch.material import LIBRARY, TERMS, StressTerm
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import memory_share
-from imr_torch.simulate.compiled import followers, polytropic, step
+from imr_torch.simulate.compiled import polytropic, step
 from imr_torch.simulate.compiled.build import Registry, announced, engine, switches
 from imr_torch.simulate.compiled.paths import EXHAUSTED, Leaders
 from imr_torch.simulate.compiled.vectors import as_rows
@@ -59,7 +59,7 @@ def obstacle(bubbles: Bubbles) -> str | None:
 @cache
 def _without_form(*kinds: Any) -> tuple[str, ...]:
     """Names of the laws of some classes that have no compiled form."""
-    return tuple(kind.law.__qualname__ for kind in kinds if not has_compiled_form(kind.law))
+    return tuple(kind.law.__qualname__ for kind in kinds if obstacle_of(kind.law) is not None)
 
 
 def registry_of(conditions: Conditions, terms: Sequence[StressTerm] | None) -> Registry:
@@ -104,12 +104,10 @@ def solve_transport(
         limits: tolerance, steps at most, and length of the first step.
         threads: that share the bubbles; all cores if None.
     """
-    spaces = _space(resolution, as_rows), _space(resolution, np.ascontiguousarray)
-    sizes = len(spaces[0][-3]), len(spaces[0][-1])
-
-    arrays = partial(_transport_arrays, *sizes)
+    space = _space(resolution)
+    arrays = partial(_transport_arrays, len(space[-3]), len(space[-1]))
     leaders = Leaders(len(times) // width, times.shape[1], limits[1])
-    settings = (spaces, *limits, leaders.steps, leaders.known)
+    settings = (space, *limits, leaders.steps, leaders.known)
     return _solve(
         "solve_transport",
         bubbles,
@@ -149,8 +147,7 @@ def _transport_arrays(
 
     The last argument is the thread whose arrays these are, which nothing else uses.
     """
-    sizes = nodes, outer_nodes, states, width
-    return step.work_for(*sizes), followers.arrays_for(*sizes)
+    return step.work_for(nodes, outer_nodes, states, width)
 
 
 @functools.lru_cache(maxsize=_KEPT)
@@ -308,28 +305,26 @@ if hasattr(os, "register_at_fork"):
 
 
 @functools.cache
-def _space(
-    resolution: Resolution, as_rows: Callable[[np.ndarray], np.ndarray]
-) -> tuple[np.ndarray, ...]:
-    """Grids as :class:`imr_torch.simulate.compiled.step.Space` has them, each in rows.
-
-    Read only.
-    """
+def _space(resolution: Resolution) -> tuple[np.ndarray, ...]:
+    """Grids as :class:`imr_torch.simulate.compiled.step.Space` has them; read only."""
     inside, outside = resolution.grids()
 
     def operators(grid: Any) -> np.ndarray:
         parts = (grid.first[1:], grid.laplacian, grid.first[:1])
-        return as_rows(np.concatenate([as_rows(part.T.numpy()) for part in parts], 1))
+        return np.concatenate([as_rows(part.T.numpy()) for part in parts], 1)
 
-    y = outside.nodes
-    return (
+    matrices = (
         operators(inside),
         operators(outside),
-        as_rows(inside.first[1:, 1:].T.numpy()),
-        as_rows(inside.laplacian[:, 1:].T.numpy()),
-        as_rows(inside.first[1:, 1:].numpy()),
-        as_rows(outside.first[1:, 1:].T.numpy()),
-        as_rows(outside.laplacian[:, 1:].T.numpy()),
+        inside.first[1:, 1:].T.numpy(),
+        inside.laplacian[:, 1:].T.numpy(),
+        inside.first[1:, 1:].numpy(),
+        outside.first[1:, 1:].T.numpy(),
+        outside.laplacian[:, 1:].T.numpy(),
+    )
+    y = outside.nodes
+    return (
+        *(as_rows(matrix) for matrix in matrices),
         inside.nodes.contiguous().numpy(),
         (y**-2 - y).numpy(),
         (y**-6).numpy(),

@@ -3,20 +3,16 @@ and stages; compiled.
 
 The same equations and method as the tensor engine (:mod:`~imr_torch.simulate.rhs`,
 :mod:`~imr_torch.simulate.linearise`, :mod:`~imr_torch.simulate.bordered`,
-:mod:`~imr_torch.simulate.rosenbrock`), in loops over the nodes of one bubble. Functions here are
-compiled by :mod:`imr_torch.simulate.compiled.build`, for one bubble and for eight
-(:mod:`imr_torch.simulate.compiled.lanes`): a number that differs between bubbles may be eight
-numbers, so none is tested.
+:mod:`~imr_torch.simulate.rosenbrock`), in loops over the nodes of one bubble.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from imr_torch.simulate.compiled import laws, vectors
-from imr_torch.simulate.compiled.algebra import apply, dot, invert, multiply
-from imr_torch.simulate.compiled.vectors import STRIDE, lanes, load, padded, spread, store
-from imr_torch.simulate.compiled.wall import gas_loss, motion, motion_slopes, vapour_factor
+from imr_torch.elementary import kernel
+from imr_torch.simulate.compiled.vectors import WIDTH, load, padded, rows, spread, store
 from imr_torch.simulate.contents import (
     Node,
     Wall,
@@ -36,6 +32,10 @@ from imr_torch.simulate.contents import (
 )
 from imr_torch.simulate.controller import REST
 from imr_torch.simulate.rosenbrock import RODAS4P
+
+from . import laws
+from .algebra import apply, dot, invert, multiply
+from .wall import gas_loss, motion, motion_slopes, vapour_factor
 
 HEAD = 8  # where the fields begin in a state: after R, U, ln P, tau_w and zeros
 _BORDER = 5
@@ -83,6 +83,7 @@ class Space(NamedTuple):
     shear: np.ndarray
 
 
+@kernel
 def parts_of(space):
     """Where ``C``, ``theta`` and the memory begin in a state; ``tau`` begins at ``HEAD``."""
     n = space.first.shape[1]
@@ -122,8 +123,7 @@ class Work(NamedTuple):
             ``moved`` likewise.
         wall_rows: ``2 x 8``: derivatives of ``d ln P/dt`` and of the wall's balance in (R, U, ln P,
             q, tau_w) and in the slopes of ``tau``, ``C`` and ``theta`` at the wall.
-        drive: ``fields`` numbers to spare; ``small``: ``2 x max(n', (5+K)')``; ``keep``: as long as
-            the longest row of a block.
+        drive: ``fields`` numbers to spare; ``small``: ``2 x max(n', (5+K)')``.
     """
 
     state: np.ndarray
@@ -152,23 +152,17 @@ class Work(NamedTuple):
     wall_rows: np.ndarray
     drive: np.ndarray
     small: np.ndarray
-    keep: np.ndarray
 
 
-def work_for(
-    nodes: int, outer_nodes: int, states: int, width: int, eightfold: bool = False
-) -> tuple[np.ndarray, ...]:
+def work_for(nodes: int, outer_nodes: int, states: int, width: int) -> tuple[np.ndarray, ...]:
     """The entries of :class:`Work` for grids of so many nodes, memory states and members of a
     bundle.
-
-    ``eightfold`` gives arrays for ``width`` groups of eight members; rows are not padded there.
     """
-    pad, rows = (int, lanes) if eightfold else (padded, vectors.rows)
-    n = pad(nodes)
-    m = pad(outer_nodes)
+    n = padded(nodes)
+    m = padded(outer_nodes)
     border = _BORDER + states
     fields = 2 * n + m
-    size = HEAD + fields + pad(states)
+    size = HEAD + fields + padded(states)
     work = Work(
         state=rows(width, size),
         fresh=rows(width, size),
@@ -196,7 +190,6 @@ def work_for(
         wall_rows=rows(2, 8),
         drive=rows(fields),
         small=rows(2, max(n, border)),
-        keep=rows(max(nodes + 2, outer_nodes + 1, border, 8)),
     )
     return tuple(work)
 
@@ -217,6 +210,7 @@ class Point(NamedTuple):
     loss: tuple
 
 
+@kernel
 def point_at(state, space, work, member, setup):
     """Temperatures, slopes and the pressure's rate at a state, into ``work``.
 
@@ -258,6 +252,7 @@ def point_at(state, space, work, member, setup):
     )
 
 
+@kernel
 def node_at(i, space, work):
     """What :func:`point_at` left of an inner node."""
     bends = space.first.shape[1]
@@ -276,6 +271,7 @@ def node_at(i, space, work):
     )
 
 
+@kernel
 def rates_at(point, acceleration, space, work, member, setup, out):
     """``f(x)`` without the rates of memory."""
     b = member.b
@@ -307,6 +303,7 @@ def rates_at(point, acceleration, space, work, member, setup, out):
         )
 
 
+@kernel
 def field_slopes(point, space, work, member, setup):
     """The derivatives of the fields' rates at each node, into ``work``: factors of the operators,
     and the border.
@@ -366,6 +363,7 @@ def field_slopes(point, space, work, member, setup):
         by_gel[3, i], by_gel[4, i] = 0.0, g.wall + through
 
 
+@kernel
 def shifted(factors, first, laplacian, shift, out):
     """``out = shift - J`` of one field by columns, from the factors of value, slope and Laplacian
     at each node.
@@ -377,12 +375,13 @@ def shifted(factors, first, laplacian, shift, out):
         column = out[j]
         slope = first[j]
         bend = laplacian[j]
-        for i in range(0, first.shape[1], STRIDE):
+        for i in range(0, first.shape[1], WIDTH):
             change = load(by_bend, i) * load(bend, i) + load(by_slope, i) * load(slope, i)
             store(column, i, spread(0.0) - change)
         column[j] += shift - by_value[j]
 
 
+@partial(kernel, inline="source")
 def linearise(state, time, space, work, member, setup):
     """``f(x)`` at a state (``work.rate``) and all its derivatives, into ``work``.
 
@@ -444,6 +443,7 @@ def linearise(state, time, space, work, member, setup):
     return log_rate
 
 
+@partial(kernel, inline="source")
 def factorise(shift, space, work):
     """Invert ``shift - J``: the blocks of the fields, what they add to the rows of the wall, and
     what is left beside them.
@@ -453,7 +453,6 @@ def factorise(shift, space, work):
     """
     factors = work.factors
     coupling = work.coupling
-    keep = work.keep
     heat = work.heat
     vapour = work.vapour
     gel = work.gel
@@ -466,7 +465,7 @@ def factorise(shift, space, work):
     shifted(factors[6:9], space.outer_first, space.outer_laplacian, shift, gel)
     for j in range(inner):
         vapour[j, inner] = space.inside[1 + j, 2 * n]
-    invert(vapour, keep)
+    invert(vapour)
     through = work.small[0]
     slope = work.small[1, :n]
     for j in range(inner):  # the slope of C at the wall hangs on tau through C_t
@@ -475,10 +474,10 @@ def factorise(shift, space, work):
     for j in range(inner):
         heat[j, inner] = space.inside[1 + j, 2 * n]
         heat[j, inner + 1] = slope[j] + vapour[j, inner] * coupling[0, j]
-    invert(heat, keep)
+    invert(heat)
     for j in range(outer):
         gel[j, outer] = space.outside[1 + j, 2 * m]
-    invert(gel, keep)
+    invert(gel)
     for k in range(2):
         row = work.wall_rows[k]
         line = work.functionals[k]
@@ -492,9 +491,10 @@ def factorise(shift, space, work):
     for j in range(outer):
         gel[j, outer] = 0.0
     _border(shift, space, work)
-    invert(work.border, keep)
+    invert(work.border)
 
 
+@kernel
 def _border(shift, space, work):
     """The system in (R, U, ln P, q, tau_w, memory) that is left when the fields are eliminated, by
     columns.
@@ -509,8 +509,7 @@ def _border(shift, space, work):
     for row in range(2):
         for k in range(_BORDER):
             columns[k, 3 + row] = (
-                -dot(work.functionals[row], work.edges[k], space, work.keep)
-                - work.wall_rows[row, k]
+                -dot(work.functionals[row], work.edges[k]) - work.wall_rows[row, k]
             )
     columns[3, 3] += 1.0
     for k in range(states):
@@ -524,6 +523,7 @@ def _border(shift, space, work):
         columns[_BORDER + k, _BORDER + k] += shift
 
 
+@kernel
 def solve(right, space, work, out):
     """``out = (shift - J)^-1 right`` in the layout of the state."""
     vapours, gels, memory = parts_of(space)
@@ -534,7 +534,7 @@ def solve(right, space, work, out):
     inputs = work.small[1]
     z = work.small[0, : work.border.shape[1]]
     for k in range(2):
-        inputs[3 + k] = dot(work.functionals[k], right[HEAD:], space, work.keep)
+        inputs[3 + k] = dot(work.functionals[k], right[HEAD:])
     inputs[0], inputs[1], inputs[2] = right[0], right[1], right[2]
     inputs[4] += right[3]
     for k in range(states):
@@ -543,7 +543,7 @@ def solve(right, space, work, out):
     out[0], out[1], out[2], out[3] = z[0], z[1], z[2], z[4]
     for k in range(states):
         out[memory + k] = z[_BORDER + k]
-    for i in range(0, len(drive), STRIDE):
+    for i in range(0, len(drive), WIDTH):
         change = spread(z[0]) * load(work.edges[0], i)
         for k in range(1, _BORDER):
             change = change + spread(z[k]) * load(work.edges[k], i)
@@ -552,22 +552,24 @@ def solve(right, space, work, out):
     slope = work.small[0, :n]
     multiply(work.heat, drive, warm)
     multiply(space.first, warm, slope)
-    for i in range(0, n, STRIDE):
+    for i in range(0, n, WIDTH):
         change = load(coupling[1], i) * load(slope, i) + load(coupling[0], i) * load(warm, i)
         store(drive, n + i, load(drive, n + i) + change)
     multiply(work.vapour, drive[n:], out[vapours:gels])
     multiply(work.gel, drive[2 * n :], out[gels:memory])
 
 
+@kernel
 def add_increments(weights, count, scale, increments, out):
     """``out += scale sum_k weights[k] increments[k]`` over the first increments."""
-    for i in range(0, len(out), STRIDE):
+    for i in range(0, len(out), WIDTH):
         sums = load(out, i)
         for k in range(count):
             sums = sums + spread(weights[k] * scale) * load(increments[k], i)
         store(out, i, sums)
 
 
+@partial(kernel, inline="source")
 def step(state, time, h, space, work, member, setup, out):
     """One step of Rodas4P from a state whose rates and factors are in ``work``; ``out`` receives
     the new state.
@@ -612,6 +614,7 @@ def step(state, time, h, space, work, member, setup, out):
         out[i] = argument[i] + increments[STAGES - 1, i]
 
 
+@kernel
 def start(space, member, setup, state):
     """The state at time zero: the wall at the far temperature, vapour in equilibrium with it."""
     b, n, (vapours, _, memory) = member.b, len(space.y), parts_of(space)
@@ -623,6 +626,7 @@ def start(space, member, setup, state):
     laws.start(b.rest_radius, member.terms, member.theta, state[memory:])
 
 
+@kernel
 def pace(state):
     """A bubble's own time scale (as in :mod:`imr_torch.simulate.clock`)."""
     return state[0] / np.sqrt(REST + np.exp(state[2]) + state[1] * state[1])

@@ -3,25 +3,21 @@ code.
 
 Step control and bundles as in the tensor engine (:mod:`~imr_torch.simulate.controller`,
 :mod:`~imr_torch.simulate.ode_method`), for one bubble at a time: no masks, no slots. A bundle is a
-loop over its members along the leader's steps (:mod:`imr_torch.simulate.compiled.step`), or over
-eights of them (:mod:`imr_torch.simulate.compiled.followers`). Functions here are compiled by
-:mod:`imr_torch.simulate.compiled.build`.
+loop over its members along the leader's steps (:mod:`imr_torch.simulate.compiled.step`).
 """
+
+from functools import partial
 
 import numpy as np
 
-from imr_torch.simulate.compiled import laws
-from imr_torch.simulate.compiled.followers import (
-    accept,
-    alone,
-    eightfold,
-    follow,
-    followers_of,
-    start_followers,
-)
-from imr_torch.simulate.compiled.output import record
+from imr_torch.elementary import kernel
 from imr_torch.simulate.compiled.paths import EXHAUSTED
-from imr_torch.simulate.compiled.step import (
+from imr_torch.simulate.controller import GROW, HEAT_WEIGHT, PATIENCE, SAFETY, SHRINK, UNDERFLOW
+from imr_torch.simulate.simulator import RUNAWAY, Status
+
+from . import laws
+from .output import record
+from .step import (
     GAMMA,
     HEAD,
     ORDER,
@@ -35,9 +31,7 @@ from imr_torch.simulate.compiled.step import (
     start,
     step,
 )
-from imr_torch.simulate.compiled.wall import member_of, setup_of
-from imr_torch.simulate.controller import GROW, HEAT_WEIGHT, PATIENCE, SAFETY, SHRINK, UNDERFLOW
-from imr_torch.simulate.simulator import RUNAWAY, Status
+from .wall import member_of, setup_of
 
 _DONE = int(Status.DONE)
 _TOO_MANY = int(Status.TOO_MANY_STEPS)
@@ -46,6 +40,7 @@ _RUNAWAY = int(Status.RUNAWAY)
 _UNDERFLOW = int(Status.STEP_UNDERFLOW)
 
 
+@kernel
 def scaled_error(before, after, error, space, tolerance):
     """As :meth:`imr_torch.simulate.controller.Controller.error`, of one bubble."""
     n, m, (vapours, gels, memory) = len(space.y), len(space.shear), parts_of(space)
@@ -75,6 +70,7 @@ def scaled_error(before, after, error, space, tolerance):
     return np.sqrt(np.sqrt(total)) / tolerance
 
 
+@partial(kernel, inline="source")
 def solve_bundle(
     numbers,
     theta,
@@ -90,7 +86,6 @@ def solve_bundle(
     times,
     curves,
     work,
-    followers,
 ):
     """Integrate a leader and its followers, which take its steps in proportion to their time
     scales.
@@ -114,19 +109,15 @@ def solve_bundle(
         curves: ``3 x w x n_t``, receives radius, velocity and pressure; NaN where a member did not
             get, and of a known leader.
         work: arrays to spare.
-        followers: see :class:`imr_torch.simulate.compiled.followers.Followers`.
 
     Returns:
-        The leader's status, and how many nodes its path has.
+        The leader's status, how many nodes its path has up to its own last time, and how many
+        steps of it are known now.
     """
-    width, single = (
-        len(numbers),
-        alone(len(numbers)),
-    )  # the members after these are taken eight at a time
+    width = len(numbers)
     state = work.state
     fresh = work.fresh
     clock = work.clock
-    nodes = work.nodes
     filled = work.counts[0]
     recorded = work.counts[1]
     last = 0.0
@@ -135,13 +126,12 @@ def solve_bundle(
     work.counts[:] = 0
     for k in range(width):
         last = max(last, times[k, -1])
-    for k in range(single):
         start(space, member_of(numbers[k], theta[k], terms, effects), setup, state[k])
-    start_followers(numbers, theta, terms, effects, setup, followers)
     h = first_step
     error = 0.0
     grow = True
     count = 1
+    own = 1
     tries = 0
     paced = pace(state[0])
     status = -1
@@ -166,13 +156,13 @@ def solve_bundle(
         elif tries >= max_steps:
             status = _TOO_MANY
         tries += 1
-        for k in range(min(known, 1), single):
+        for k in range(min(known, 1), width):
             member = member_of(numbers[k], theta[k], terms, effects)
             if recorded[k] < count:  # a state at which no step was tried yet
                 log_rate = linearise(state[k], clock[k], space, work, member, setup)
                 node = (clock[k], state[k, 0], state[k, 1], work.rate[1], state[k, 2], log_rate)
                 filled[k] = record(
-                    node, nodes[k], filled[k], recorded[k] > 0, times[k], curves[:, k]
+                    node, work.nodes[k], filled[k], recorded[k] > 0, times[k], curves[:, k]
                 )
                 recorded[k] = count
             if status != -1:
@@ -186,33 +176,18 @@ def solve_bundle(
                 )
                 if not error <= 1.0:
                     break
-        accepted = status == -1 and error <= 1.0
-        for which in range(len(followers.numbers) if accepted or status != -1 else 0):
-            members = eightfold(which, numbers, theta, terms, effects, followers)
-            follow(
-                which,
-                members,
-                status != -1,
-                h,
-                paced,
-                followers,
-                setup,
-                clock,
-                nodes,
-                work.counts,
-                times,
-                curves,
-            )
         if status != -1:
             break
+        accepted = error <= 1.0
         if accepted:
             if known == 0 and count <= len(path):
-                path[count - 1, 0], path[count - 1, 1] = h, paced
-            for k in range(single):
+                path[count - 1, 0] = h
+                path[count - 1, 1] = paced
+            own += clock[0] < times[0, -1]
+            for k in range(width):
                 clock[k] += h if k == 0 else h * (pace(state[k]) / paced)
                 for i in range(state.shape[1]):
                     state[k, i] = fresh[k, i]
-            accept(h, paced, clock, followers)
             count += 1
             if known > 0:
                 continue
@@ -226,9 +201,10 @@ def solve_bundle(
         beside = laws.numbers(numbers[k]).constant_vapour
         for j in range(times.shape[1]):
             curves[2, k, j] += beside
-    return status, count
+    return status, own, count - 1 if count - 1 <= len(path) else 0
 
 
+@partial(kernel, inline="source")
 def solve_block(
     which,
     width,
@@ -254,25 +230,23 @@ def solve_block(
         terms: a row a bundle: which stress terms act; ``effects`` likewise.
         effects: see ``terms``.
         shared: what :func:`imr_torch.simulate.compiled.wall.setup_of` takes.
-        settings: the entries of :class:`Space`, with rows padded and not; tolerance, steps at most,
-            and length of the first step; the steps of all leaders, and how many of each are known.
+        settings: the entries of :class:`Space`; tolerance, steps at most, and length of the first
+            step; the steps of all leaders, and how many of each are known, which is updated.
         times: ``B x n_t``.
         curves: ``3 x B x n_t``, receives radius, velocity and pressure.
-        status: of each bundle, receives its status; ``steps`` the nodes of its path.
+        status: of each bundle, receives its status; ``steps`` the nodes of its leader's path.
         steps: see ``status``.
-        arrays: of :func:`imr_torch.simulate.compiled.step.work_for` and
-            :func:`imr_torch.simulate.compiled.followers.arrays_for`, for the memory states that
+        arrays: of :func:`imr_torch.simulate.compiled.step.work_for`, for the memory states that
             these bundles have.
     """
-    (padded, plain), tolerance, max_steps, first_step, paths, known = settings
+    grids, tolerance, max_steps, first_step, paths, known = settings
     setup = setup_of(shared)
-    space = Space(*padded)
-    work = Work(*arrays[0])
-    followers = followers_of(plain, arrays[1])
+    space = Space(*grids)
+    work = Work(*arrays)
     for bundle in which:
         begin = bundle * width
         end = (bundle + 1) * width
-        status[bundle], steps[bundle] = solve_bundle(
+        status[bundle], steps[bundle], known[bundle] = solve_bundle(
             rows[begin:end],
             theta[begin:end],
             terms[bundle],
@@ -287,5 +261,4 @@ def solve_block(
             times[begin:end],
             curves[:, begin:end],
             work,
-            followers,
         )

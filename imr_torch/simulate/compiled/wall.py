@@ -6,12 +6,15 @@ are imaginary parts at a tiny imaginary step (Squire & Trapp, SIAM Rev. 40, 1998
 of the laws. Functions here are compiled by :mod:`imr_torch.simulate.compiled.build`.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
+from imr_torch.elementary import kernel
 from imr_torch.simulate.bubbles import Constants, Numbers
-from imr_torch.simulate.compiled import laws
+
+from . import laws
 
 _STEP = 1e-30
 
@@ -60,6 +63,7 @@ class Member(NamedTuple):
     traps: bool
 
 
+@kernel
 def setup_of(shared):
     """The :class:`Setup` from plain arrays: constants, numbers of the and what these take."""
     c, kinds, liquid, values, knots, cubics, scale = shared
@@ -69,6 +73,7 @@ def setup_of(shared):
     return Setup(constants, kinds[0], liquid, kinds[1], kinds[2], values, knots, cubics, scale)
 
 
+@kernel
 def member_of(numbers, theta, terms, effects):
     """One bubble from its rows of the batch's arrays."""
     loses = laws.loses(effects)
@@ -77,6 +82,7 @@ def member_of(numbers, theta, terms, effects):
     return Member(laws.numbers(numbers), theta, terms, effects, driven, loses, traps)
 
 
+@kernel
 def far_field(time, member, setup):
     """Far-field pressure and its first two time derivatives."""
     value = member.b.far
@@ -96,6 +102,7 @@ def far_field(time, member, setup):
     return value, rate, bend
 
 
+@kernel
 def balance(radius, velocity, pressure, rate, stress, far, far_rate, member, setup):
     """``U'`` from the contents' pressure and its rate, the gel's stress and the far field.
 
@@ -122,6 +129,7 @@ def balance(radius, velocity, pressure, rate, stress, far, far_rate, member, set
     return force * pace * pace
 
 
+@kernel
 def motion(time, radius, velocity, pressure, rate, memory, memory_rates, member, setup):
     """``U'``; writes the rates of memory."""
     far, far_rate, _ = far_field(time, member, setup)
@@ -131,6 +139,7 @@ def motion(time, radius, velocity, pressure, rate, memory, memory_rates, member,
     return balance(radius, velocity, pressure, rate, stress, far, far_rate, member, setup)
 
 
+@partial(kernel, inline="never")
 def motion_slopes(
     time,
     radius,
@@ -231,6 +240,7 @@ def motion_slopes(
     )
 
 
+@kernel
 def gas_loss(radius, velocity, member):
     """Relative rate at which gas is lost, and its derivatives in ``R`` and ``U``."""
     if not member.loses:
@@ -246,6 +256,7 @@ def gas_loss(radius, velocity, member):
     return by_radius.real, by_radius.imag / _STEP, by_velocity.imag / _STEP
 
 
+@kernel
 def vapour_factor(compression, member):
     """Factor on the saturation pressure and its logarithmic derivative in the compression."""
     if not member.traps:
