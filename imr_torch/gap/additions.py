@@ -33,7 +33,7 @@ from imr_torch.random import child
 _CANDIDATES = 6  # effects that are fitted in a later step
 _BEATEN = 2  # of these, at most, ones that were beaten in the step before
 _TRIED = 2  # of these, additions that are taken to their minimum until one converges
-_FIT = SearchOptions(starts=2, iterations=12, drop_behind=6.0, basin_rounds=0, polish=False)
+_FIT = SearchOptions(starts=2, iterations=12, drop_behind=6.0, basin_rounds=0)
 _FIT_GELS = replace(_FIT, iterations=30)
 _FINISH = SearchOptions(starts=2, iterations=15, basin_rounds=0)
 _CLEAR = 10.0  # standard deviations from nothing at which a part is kept: some 50 nats

@@ -40,7 +40,7 @@ _DAMPING, _EASED, _STIFFER = (
     10.0,
 )  # of the first step, over the Hessian; factors on it after a good and a bad step
 _OPTIONS = SearchOptions(
-    starts=2, iterations=20, gradient=0.3, basin_rounds=0, polish=False
+    starts=2, iterations=20, gradient=0.3, basin_rounds=0
 )  # .05 nats: below training noise
 
 
