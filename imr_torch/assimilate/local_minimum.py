@@ -51,8 +51,16 @@ class Descent:
 
     @cached_property
     def equations(self) -> NormalEquations:
-        """Gauss-Newton equations there."""
-        return self.near.equations
+        """Gauss-Newton equations there; those of the prior where no bubble could be simulated."""
+        if math.isfinite(self.cost):
+            return self.near.equations
+        flat = torch.full_like(self.near.prediction, 0.5)
+        return replace(self.near, prediction=flat).equations
+
+    @property
+    def failed_share(self) -> float:
+        """Share of the bubbles at the end and beside it that failed."""
+        return float((~self.near.prediction.isfinite()).any(-1).double().mean())
 
     @property
     def point(self) -> Point:

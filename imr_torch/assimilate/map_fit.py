@@ -157,7 +157,8 @@ def _fit(search: ModelSearch) -> ModelFit:
             end.gradient,
             agreement,
             end.iterations,
-            0.0,
+            end.failed_share,
             end.gradient < options.gradient and agreement < options.agreement,
         ),
+        near=end.near,
     )

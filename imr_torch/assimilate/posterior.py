@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from imr_torch.assimilate.forward import ForwardModel, Point
@@ -150,6 +150,35 @@ class Neighbourhood:
     point: Point
     moves: Float[Tensor, "*batch directions controls"]
     prediction: Float[Tensor, "*batch bundle experiments frames"]
+
+    def is_of(self, posterior: Posterior, point: Point) -> bool:
+        """Whether its bubbles are those of a posterior at a point, whatever the noise."""
+        batch = self.posterior.batch
+        other = posterior.batch
+        pairs = (
+            (self.point.gel, point.gel),
+            (self.point.nuisances, point.nuisances),
+            (batch.times, other.times),
+            (batch.mask, other.mask),
+            (batch.designs, other.designs),
+            (batch.nuisance_sds, other.nuisance_sds),
+        )
+        same = self.posterior.simulator is posterior.simulator
+        return same and all(torch.equal(*pair) for pair in pairs)
+
+    def joint_slopes(
+        self, frames: Bool[Tensor, "experiments frames"]
+    ) -> Float[Tensor, "kept coordinates"]:
+        """Sensitivities at some frames of one point to all coordinates, the gel's first."""
+        by_gel, by_nuisance = self.slopes
+        eye = torch.eye(len(by_nuisance), dtype=torch.float64)
+        apart = by_nuisance[:, :, None, :] * eye[:, None, :, None]  # E x T x E x w
+        return torch.cat((by_gel[frames], apart.flatten(2)[frames]), 1)
+
+    @property
+    def coordinates(self) -> Float[Tensor, "coordinates"]:
+        """Gel and nuisances of one point, as :meth:`joint_slopes` has them."""
+        return torch.cat((self.point.gel, self.point.nuisances.flatten()))
 
     @property
     def centre(self) -> Float[Tensor, "*batch experiments frames"]:
