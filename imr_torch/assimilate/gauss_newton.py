@@ -6,7 +6,7 @@ experiments meet only through the gel, so they are eliminated one experiment at 
 complement), and any number of experiments costs the same per piece.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 
 import torch
@@ -62,10 +62,6 @@ class NormalEquations:
     gel_hessian: Float[Tensor, "*batch controls controls"]
     nuisance_hessian: Float[Tensor, "*batch experiments nuisances nuisances"]
     cross: Float[Tensor, "*batch experiments nuisances controls"]
-
-    def __getitem__(self, rows: int | Tensor) -> "NormalEquations":
-        """Those of some of the points."""
-        return NormalEquations(*(getattr(self, block.name)[rows] for block in fields(self)))
 
     @cached_property
     def reduced(self) -> Reduced:

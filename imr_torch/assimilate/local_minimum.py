@@ -93,7 +93,6 @@ def descend(
     iterations: int,
     reach: float = math.inf,
     limit: float = math.inf,
-    radius: float = 1.0,
     report: Report | None = None,
 ) -> Descent:
     """Lower the cost from one point until its gradient is small.
@@ -106,7 +105,6 @@ def descend(
         iterations: most iterations.
         reach: distance from the start at which it ends, posterior standard deviations.
         limit: cost above which it ends, nats, after the decrease that the gradient allows.
-        radius: of the trust region at first, prior standard deviations.
         report: called after each iteration with the lowest point.
     """
     cost = _FrozenCost(posterior, point, leader)
@@ -141,7 +139,7 @@ def descend(
             options={
                 "gtol": 0.0,
                 "maxiter": iterations,
-                "initial_trust_radius": radius,
+                "initial_trust_radius": 1.0,
                 "max_trust_radius": 4.0,
             },
         )

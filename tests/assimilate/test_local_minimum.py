@@ -239,3 +239,10 @@ def test_that_a_search_begins_with_coarse_bubbles_and_ends_with_the_simulators_o
     assert end.gradient < search.options.gradient
     assert end.cost == pytest.approx(-float(posterior.log_joint(end.point)), abs=0.5)
     assert end.cost < first
+
+
+def test_that_a_fit_of_which_no_start_can_be_simulated_says_so() -> None:
+    fit = fitted(Circle(fails=True))
+    assert fit.cost == math.inf
+    assert not fit.certificate.converged
+    assert fit.certificate.failed_members == 1.0
