@@ -80,7 +80,7 @@ class ModelSearch:
         several = self.options.drop_behind is not None and len(starts) > 2
         self._descend(starts[0])
         for start in starts[1:]:
-            if several or not self._agrees():
+            if several or not (self._agrees() or self._is_behind(self.lowest)):
                 self._descend(self._lower_masked(start))
         if len(starts) > 1:
             self._agree_nearby()
@@ -136,6 +136,9 @@ class ModelSearch:
                 report=self.report,
             )
             left -= end.iterations
+            if self._is_behind(end):
+                self.minima.append(end)
+                return
             point = end.point
             leader = self._shared_leader(point)
         reach = _FAR
