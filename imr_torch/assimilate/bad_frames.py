@@ -18,7 +18,7 @@ from torch import Tensor
 
 from imr_torch.assimilate.fit import ModelFit
 from imr_torch.assimilate.masking import away_from_collapses
-from imr_torch.assimilate.posterior import Posterior
+from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.material import PARAMETERS, ModelBelief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
@@ -242,12 +242,12 @@ def find_bad_frames(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator)
             (),
             reason=f"there are {int(batch.mask.sum())} frames, and the test takes {_MOST} at most.",
         )
-    near = Posterior(fit.prior, batch, simulator).neighbourhood(fit.point)
+    near = fit.linearise(batch, simulator)
     if not bool(torch.isfinite(near.prediction).all()):
         return BadFrames(
             fit.model, (), reason=f"a bubble beside the fit of {fit.model} could not be simulated."
         )
-    whole = joint_gaussian(fit, batch, near.centre, near.slopes)
+    whole = joint_gaussian(near)
     bad, probability, size = _search(whole)
     if not bool(bad.any()):
         return BadFrames(fit.model, ())
@@ -282,23 +282,12 @@ def find_bad_frames(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator)
     return BadFrames(fit.model, tuple(frames), without)
 
 
-def joint_gaussian(
-    fit: ModelFit,
-    batch: ExperimentBatch,
-    centre: Float[Tensor, "experiments frames"],
-    slopes: tuple[
-        Float[Tensor, "experiments frames controls"], Float[Tensor, "experiments frames nuisances"]
-    ],
-) -> JointGaussian:
+def joint_gaussian(near: Neighbourhood) -> JointGaussian:
     """The joint Gaussian of all frames, linearised about a fit."""
-    by_gel, by_nuisance = slopes
-    count = len(batch.experiments)
+    batch = near.posterior.batch
+    centre = near.centre
     frames = batch.mask
-    own = (
-        torch.eye(count, dtype=torch.float64)[:, None, :, None] * by_nuisance[:, :, None]
-    )  # E x T x E x 3
-    columns = torch.cat((by_gel[frames], own.flatten(2)[frames]), 1)
-    point = torch.cat((fit.mean, fit.nuisances.flatten()))
+    columns = near.joint_slopes(frames)
     sd = batch.sd(centre)
     size = int(frames.sum())
     unit = torch.zeros(size, *frames.shape, dtype=torch.float64)
@@ -308,9 +297,9 @@ def joint_gaussian(
     hessian = torch.eye(columns.shape[1], dtype=torch.float64) + whitened.mT @ whitened
     explained = root.mT @ whitened
     precision = root.mT @ root - explained @ torch.linalg.solve(hessian, explained.mT)
-    observed = (batch.mean - centre)[frames] + columns @ point
+    observed = (batch.mean - centre)[frames] + columns @ near.coordinates
     extra = (_EXTRA * sd / batch.counts.sqrt())[frames].square()
-    return JointGaussian(precision, precision @ observed, extra, by_gel[frames])
+    return JointGaussian(precision, precision @ observed, extra, columns[:, : near.posterior.size])
 
 
 def _log_odds(error: Tensor, variance: Tensor, extra: Tensor, size: float) -> Tensor:

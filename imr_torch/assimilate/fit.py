@@ -15,8 +15,10 @@ from torch import Tensor
 
 from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.importance import ImportanceSample, weighted_quantiles
+from imr_torch.assimilate.posterior import Neighbourhood, Posterior
 from imr_torch.material import Belief, Cloud, ModelBelief
 from imr_torch.observe import ExperimentBatch
+from imr_torch.simulate import Simulator
 
 PROMISED = 2.0
 """Times the square of its gradient (in posterior standard deviations) that the cost of a start may still fall, nats: four times
@@ -120,6 +122,7 @@ class ModelFit:
         certificate: whether it converged.
         sample: draws weighted by the exact posterior; None before
             :func:`imr_torch.assimilate.weigh`.
+        near: the simulated optimum and the points beside it; None where they were not.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, reference_case
@@ -146,6 +149,22 @@ class ModelFit:
     prediction: Float[Tensor, "experiments frames"]
     certificate: Certificate
     sample: ImportanceSample | None = None
+    near: Neighbourhood | None = None
+
+    def linearise(self, batch: ExperimentBatch, simulator: Simulator) -> Neighbourhood:
+        """The optimum with its local sensitivities under the noise of a batch.
+
+        Those that the fit ended with where they are of the same bubbles; simulated anew where not.
+
+        Args:
+            batch: the data that were fitted, perhaps with another noise.
+            simulator: makes the bubbles.
+        """
+        posterior = Posterior(self.prior, batch, simulator)
+        near = self.near
+        if near is None or not near.is_of(posterior, self.point):
+            return posterior.neighbourhood(self.point)
+        return replace(near, posterior=posterior)
 
     def far_behind(self, best: float) -> bool:
         """Whether the cost is far above ``best`` (the lowest of all models), by more than further
@@ -183,6 +202,7 @@ class ModelFit:
             nuisance_chol=self.nuisance_chol[rows],
             prediction=self.prediction[rows, :width],
             sample=None,
+            near=None,
         )
         return part, replace(batch, experiments=batch.curves)
 

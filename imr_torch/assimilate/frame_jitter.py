@@ -22,7 +22,6 @@ from torch import Tensor
 
 from imr_torch.assimilate.bad_frames import joint_gaussian
 from imr_torch.assimilate.fit import ModelFit
-from imr_torch.assimilate.posterior import Posterior
 from imr_torch.material import PARAMETERS, ModelBelief
 from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.simulate import Simulator
@@ -154,8 +153,8 @@ def find_frame_jitter(fit: ModelFit, batch: ExperimentBatch, simulator: Simulato
     if frames > _MOST:
         reason = f"there are {frames} frames, and the test takes {_MOST} at most."
         return FrameJitter(fit.model, None, 0.0, interval, reason=reason)
-    near = Posterior(fit.prior, batch, simulator).neighbourhood(fit.point)
-    whole = joint_gaussian(fit, batch, near.centre, near.slopes)
+    near = fit.linearise(batch, simulator)
+    whole = joint_gaussian(near)
     square = float(whole.pull @ torch.linalg.solve(whole.precision, whole.pull))
     free = frames - whole.slopes.shape[1] - int((batch.nuisance_sds > 0.0).sum())
     sd = (0.0, _STEP * interval, 0.0)

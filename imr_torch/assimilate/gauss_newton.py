@@ -6,12 +6,11 @@ experiments meet only through the gel, so they are eliminated one experiment at 
 complement), and any number of experiments costs the same per piece.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 _ROUNDING = 1e-13  # of the largest eigenvalue of a matrix, below which rounding may take the others
@@ -64,22 +63,6 @@ class NormalEquations:
     nuisance_hessian: Float[Tensor, "*batch experiments nuisances nuisances"]
     cross: Float[Tensor, "*batch experiments nuisances controls"]
 
-    def __getitem__(self, rows: int | Tensor) -> "NormalEquations":
-        """Those of some of the points."""
-        return NormalEquations(*(getattr(self, block.name)[rows] for block in fields(self)))
-
-    def where(
-        self, condition: Bool[Tensor, "chains"], others: "NormalEquations"
-    ) -> "NormalEquations":
-        """These where the condition (``C`` booleans) holds, else the others."""
-        pairs = ((getattr(self, block.name), getattr(others, block.name)) for block in fields(self))
-        return NormalEquations(
-            *(
-                torch.where(condition.view(-1, *[1] * (one.ndim - 1)), one, two)
-                for one, two in pairs
-            )
-        )
-
     @cached_property
     def reduced(self) -> Reduced:
         """The undamped equations of the gel."""
@@ -118,6 +101,20 @@ class NormalEquations:
         """
         return inverse_chol(self.reduced.hessian)
 
+    def joint_gradient(self, columns: Int[Tensor, "columns"]) -> Float[Tensor, "coordinates"]:
+        """Gradient over all coordinates: the gel's, then some nuisances of each experiment."""
+        return torch.cat((self.gel_gradient, self.nuisance_gradient[:, columns].flatten()))
+
+    def joint_hessian(
+        self, columns: Int[Tensor, "columns"]
+    ) -> Float[Tensor, "coordinates coordinates"]:
+        """Hessian over all coordinates, the arrow as a full matrix."""
+        cross = self.cross[:, columns].flatten(0, 1)
+        own = torch.block_diag(*self.nuisance_hessian[:, columns][:, :, columns])
+        return torch.cat(
+            (torch.cat((self.gel_hessian, cross.mT), 1), torch.cat((cross, own), 1)), 0
+        )
+
     def step(
         self, damping: Float[Tensor, "*#batch"]
     ) -> tuple[Float[Tensor, "*#batch controls"], Float[Tensor, "*#batch experiments nuisances"]]:
@@ -130,13 +127,6 @@ class NormalEquations:
         return gel, damped.nuisance_step + (damped.nuisance_response @ gel[..., None, :, None])[
             ..., 0
         ]
-
-
-def stacked(parts: Sequence[NormalEquations]) -> NormalEquations:
-    """Equations of single points as those of ``C`` points."""
-    return NormalEquations(
-        *(torch.stack([getattr(p, b.name) for p in parts]) for b in fields(NormalEquations))
-    )
 
 
 def definite(

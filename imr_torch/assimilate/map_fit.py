@@ -1,14 +1,16 @@
-"""The most probable gel of each model: Gauss-Newton from several starts, with sensitivities by
+"""The most probable gel of each model: a trust region from several starts, with sensitivities by
 finite differences.
 
 The cost is the negative log of the joint posterior of gel and nuisances
-    (:mod:`imr_torch.assimilate.posterior`): all repeats
-and frames with their own noise, and the prior once. A step is taken only if it lowers the exact
-cost; see :mod:`imr_torch.assimilate.fit` for the certificate that each fit carries, and
+(:mod:`imr_torch.assimilate.posterior`): all repeats and frames with their own noise, and the prior
+once. See :mod:`imr_torch.assimilate.multistart` for the search,
+:mod:`imr_torch.assimilate.fit` for the certificate that each fit carries, and
 :func:`imr_torch.assimilate.weigh` for what is beyond the Gaussian about the optimum. Truncated
 priors need no special treatment: the coordinates are unbounded.
 """
 
+import itertools
+import math
 import warnings
 from collections.abc import Sequence
 
@@ -16,12 +18,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from imr_torch.assimilate.chains import Chains
-from imr_torch.assimilate.descent import iterate, predict_led
 from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit
-from imr_torch.assimilate.multistart import defer_starts, enter_deeper_basins, manage_starts
+from imr_torch.assimilate.forward import Point
+from imr_torch.assimilate.local_minimum import Descent
+from imr_torch.assimilate.multistart import ModelSearch
 from imr_torch.assimilate.options import SearchOptions
-from imr_torch.assimilate.polish import polish_slow
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.assimilate.starts import beside, best_prior_draws, given
 from imr_torch.errors import ConvergenceWarning
@@ -31,6 +32,8 @@ from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
+
+_FAR_BEHIND = 200.0  # nats between minima that no other basin is likely to make up for
 
 
 @one_torch_thread()
@@ -102,102 +105,60 @@ def assimilate(
         if options.mask_collapses is None
         else options.mask_collapses
     )
-    searches = [Chains.at(p, x, masking=masking) for p, x in zip(posteriors, points, strict=True)]
-    searches = _converged(defer_starts(searches, options), options, source, progress)
-    for _ in range(options.basin_rounds):
-        searches, moved = enter_deeper_basins(searches, options, source)
-        if not moved:
-            break
-        searches = _converged(searches, options, source, progress)
-    fits = tuple(_fit(chains, options) for chains in searches)
+    number = itertools.count(1)
+
+    def search(posterior: Posterior, point: Point) -> ModelSearch:
+        def report(end: Descent) -> None:
+            if progress:
+                progress(
+                    f"assimilation: iteration {next(number)}, {posterior.prior.model} "
+                    f"cost {end.cost:.2f} gradient {end.gradient:.1e}"
+                )
+
+        begun = [point[row] for row in range(len(point.gel))]
+        return ModelSearch(posterior, begun, options, masking, source, report)
+
+    searches = [search(*pair) for pair in zip(posteriors, points, strict=True)]
+    begun = [one.approach_first() for one in searches]
+    drop_behind = math.inf if options.drop_behind is None else options.drop_behind
+    lowest = options.known_cost
+    for _, one in sorted(zip(begun, searches, strict=True), key=lambda pair: pair[0]):
+        one.limit = lowest + drop_behind
+        one.find_lowest()
+        lowest = min(lowest, one.lowest.cost)
+    for one in searches:
+        one.limit = lowest + min(drop_behind, _FAR_BEHIND)
+        one.enter_deeper_basins()
+    fits = tuple(_fit(search) for search in searches)
     for fit in fits:
         if warn and not fit.certificate.converged:
             warnings.warn(f"{fit.model}: {fit.certificate}", ConvergenceWarning, stacklevel=3)
     return Assimilation(belief, batch, fits)
 
 
-def _converged(
-    searches: list[Chains],
-    options: SearchOptions,
-    source: torch.Generator,
-    progress: Progress | None,
-) -> list[Chains]:
-    """Iterated to convergence or the iteration limit.
-
-    Slow chains then get quasi-Newton steps and are iterated again.
-    """
-    searches = _iterated(searches, options, source, progress)
-    if options.polish:
-        searches, further = polish_slow(searches, options)
-        searches = _iterated(searches, further, source, progress) if further else searches
-    return searches
-
-
-def _iterated(
-    searches: list[Chains],
-    options: SearchOptions,
-    source: torch.Generator,
-    progress: Progress | None,
-) -> list[Chains]:
-    """Iterated until all chains are finished or the iteration limit is reached."""
-    for iteration in range(options.iterations):
-        if all(bool(chains.finished.all()) for chains in searches):
-            break
-        searches = manage_starts([iterate(chains, options) for chains in searches], options, source)
-        if progress:
-            progress(
-                f"assimilation: iteration {iteration + 1}, "
-                f"{', '.join(_report(chains) for chains in searches)}"
-            )
-    return searches
-
-
-def _report(chains: Chains) -> str:
-    """Cost and gradient of the best chain of a model."""
-    best = int(chains.cost.argmin())
-    model = chains.posterior.prior.model
-    gradient = float(chains.gradient[best])
-    return f"{model} cost {float(chains.cost[best]):.2f} gradient {gradient:.1e}"
-
-
-def _fit(chains: Chains, options: SearchOptions) -> ModelFit:
-    """The chain with the lowest cost, of equals the one that converged furthest, as the fit of its
-    model.
-    """
-    posterior = chains.posterior
-    same = torch.nonzero(chains.cost <= chains.cost.min() + options.agreement)[:, 0]
-    best = int(same[chains.gradient[same].argmin()])
-    costs = chains.cost.sort().values
-    equations = chains.equations[best]
-    agreement = (
-        float(costs[1] - costs[0])
-        if len(costs) > 1 and bool(torch.isfinite(costs[0]))
-        else torch.inf
-    )
-    gradient = float(chains.gradient[best])
-    if equations is None:  # no start could be simulated
-        response = torch.zeros(*posterior.still().shape, posterior.size, dtype=torch.float64)
-        nuisance_hessian = torch.eye(response.shape[1], dtype=torch.float64).expand(
-            len(response), -1, -1
-        )
-    else:
-        response = equations.reduced.nuisance_response
-        nuisance_hessian = equations.nuisance_hessian
-    rows = torch.tensor([best])
+def _fit(search: ModelSearch) -> ModelFit:
+    """The lowest minimum as the fit of its model; of equals the one that converged furthest."""
+    options = search.options
+    least = search.lowest.cost
+    same = [one for one in search.minima if one.cost <= least + options.agreement]
+    end = min(same, key=lambda one: one.gradient)
+    equations = end.equations
+    agreement = search.agreement
     return ModelFit(
-        prior=posterior.prior,
-        mean=chains.point.gel[best],
-        chol=chains.scale[best],
-        nuisances=chains.point.nuisances[best],
-        nuisance_response=response,
-        nuisance_chol=torch.linalg.cholesky(nuisance_hessian),
-        cost=float(chains.cost[best]),
-        prediction=predict_led(chains, rows, chains.point[rows][:, None])[0, 0],
+        prior=search.posterior.prior,
+        mean=end.point.gel,
+        chol=equations.posterior_chol,
+        nuisances=end.point.nuisances,
+        nuisance_response=equations.reduced.nuisance_response,
+        nuisance_chol=torch.linalg.cholesky(equations.nuisance_hessian),
+        cost=end.cost,
+        prediction=end.near.centre,
         certificate=Certificate(
-            gradient,
+            end.gradient,
             agreement,
-            int(chains.iterations[best]),
-            chains.failed / max(chains.simulated, 1),
-            gradient < options.gradient and agreement < options.agreement,
+            end.iterations,
+            end.failed_share,
+            end.gradient < options.gradient and agreement < options.agreement,
         ),
+        near=end.near,
     )

@@ -8,53 +8,21 @@ has none. Searches mask them at first, and use all frames near a minimum.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 
-from imr_torch.assimilate.posterior import Neighbourhood, Posterior
+from imr_torch.assimilate.posterior import Posterior
 from imr_torch.observe import collapse_time
 
 
-@dataclass(frozen=True)
-class Masked:
-    """A posterior at the frames that are not next to a collapse.
-
-    Args:
-        posterior: of these frames.
-        frames: which of all frames they are.
-        useful: whether any frame is left out.
-    """
-
-    posterior: Posterior
-    frames: Int[Tensor, "experiments kept"]
-    useful: bool
-
-    @classmethod
-    def of(cls, posterior: Posterior) -> "Masked":
-        """The posterior of all frames, without those next to collapses."""
-        batch = posterior.batch
-        kept = [away_from_collapses(e.times, e.mean) for e in batch.experiments]
-        fewer = replace(
-            batch, experiments=tuple(e.at(k) for e, k in zip(batch.experiments, kept, strict=True))
-        )
-        frames = torch.nn.utils.rnn.pad_sequence(
-            [torch.nonzero(k)[:, 0] for k in kept], batch_first=True
-        )
-        return cls(replace(posterior, batch=fewer), frames, not all(bool(k.all()) for k in kept))
-
-    def seen(
-        self, prediction: Float[Tensor, "*batch experiments frames"]
-    ) -> Float[Tensor, "*batch experiments kept"]:
-        """Predictions ``batch_shape x E x T`` of all frames at those that are kept."""
-        kept = prediction.gather(-1, self.frames.expand(*prediction.shape[:-1], -1))
-        return torch.where(self.posterior.batch.mask, kept, 0.0)
-
-    def neighbourhood(self, whole: Neighbourhood) -> Neighbourhood:
-        """Simulated neighbours of the posterior of all frames, reduced to the frames that are kept."""
-        return replace(whole, posterior=self.posterior, prediction=self.seen(whole.prediction))
+def without_collapses(posterior: Posterior) -> Posterior:
+    """The posterior of all frames but those next to collapses."""
+    batch = posterior.batch
+    kept = tuple(e.at(away_from_collapses(e.times, e.mean)) for e in batch.experiments)
+    return replace(posterior, batch=replace(batch, experiments=kept))
 
 
 def away_from_collapses(

@@ -1,180 +1,177 @@
-"""Multistart logic: which starts of a search begin, which are dropped, and which are restarted.
+"""Multistart search for the lowest minimum of one model: which starts are descended from, in which
+order, and when two agree.
 
-Two starts of a model must agree before its minimum is believed. Where several models are compared
-(``SearchOptions.drop_behind``) most have a far higher cost than the best long before that, and
-their chains are dropped. Each function takes the states of the searches, one a model, between two
-iterations, and returns new ones.
+A start from the prior is first lowered by coarse bubbles without the frames next to collapses,
+which make local minima (:mod:`imr_torch.assimilate.masking`), then by the simulator's own bubbles
+and all frames, and near a minimum by bubbles that take the solver steps of one point
+(:mod:`imr_torch.assimilate.local_minimum`). Starts follow each other until the cost of a second is
+that of the lowest. Where they disagree, others begin near the lowest point.
 """
 
-from collections.abc import Sequence
-from dataclasses import replace
+import math
+from dataclasses import dataclass, field, replace
 
 import torch
 
 from imr_torch.assimilate.basins import deeper_nuisances
-from imr_torch.assimilate.chains import Chains, lowest_cost
-from imr_torch.assimilate.descent import NEAR
-from imr_torch.assimilate.fit import NEARLY, PROMISED
+from imr_torch.assimilate.fit import PROMISED
 from imr_torch.assimilate.forward import Point
+from imr_torch.assimilate.local_minimum import Descent, Report, descend
+from imr_torch.assimilate.masking import without_collapses
 from imr_torch.assimilate.options import SearchOptions
+from imr_torch.assimilate.posterior import Posterior
 from imr_torch.assimilate.starts import around
 
-Searches = list[Chains]
-
-_AWAY = (
-    10.0,
-    3.0,
-)  # posterior standard deviations from the best point at which a first and a second restart begin
-# share of the largest decrease of the cost from which a model with several minima gets all its
-# starts
-_FAIR = 0.2
-_FAR_BEHIND = (
-    200.0  # nats between minima that no other basin of the nuisances is likely to make up for
-)
-_RESERVE = (
-    10.0  # times ``drop_behind`` by which a model may be behind and still begin its other starts
-)
+_NEAR = 1.0  # gradient, posterior standard deviations, from which on solver steps are those of one
+_OWN = 1.0  # posterior standard deviations from a leader within which a minimum is its own
+_SHARED = 3.0  # the same within which a start takes the leader of the lowest minimum
+_FAR = 1.5  # the same beyond which the first leader is left; twice as far each time
+_FARTHEST = 1e3  # the same of the last one
+_STEPS = 20  # iterations with one of them
+_AWAY = (10.0, 3.0)  # posterior standard deviations from the lowest point at which others begin
 
 
-def defer_starts(searches: Searches, options: SearchOptions) -> Searches:
-    """Where models are compared, only the best start of each begins.
+@dataclass
+class ModelSearch:
+    """The search for the lowest minimum of one model.
 
-    The others wait until it is near a minimum.
+    Args:
+        posterior: of the model.
+        starts: where descents begin, in that order.
+        options: how to search.
+        masking: whether frames next to collapses are left out at first.
+        source: of starts near the lowest point.
+        report: called with what an iteration led to.
+        minima: where descents ended.
+        limit: cost above which a descent ends and no further start follows, nats.
     """
-    if options.drop_behind is None:
-        return searches
-    return [chains.put(chains.ranked[1:], finished=True) for chains in searches]
 
+    posterior: Posterior
+    starts: list[Point]
+    options: SearchOptions
+    masking: bool
+    source: torch.Generator
+    report: Report | None = None
+    minima: list[Descent] = field(default_factory=list)
+    limit: float = math.inf
 
-def manage_starts(searches: Searches, options: SearchOptions, source: torch.Generator) -> Searches:
-    """After an iteration: drop chains that are far behind, end those that have converged, and begin
-    or restart others.
-    """
-    searches = [_settled(chains, options) for chains in _dropped(searches, options)]
-    for number in range(len(searches)):
-        searches[number] = _restarted(searches, number, options, source)
-    return searches
+    @property
+    def lowest(self) -> Descent:
+        """The lowest end of a descent."""
+        return min(self.minima, key=lambda end: end.cost)
 
+    @property
+    def agreement(self) -> float:
+        """Cost of the second lowest end minus that of the lowest, nats."""
+        costs = sorted(end.cost for end in self.minima)
+        return costs[1] - costs[0] if len(costs) > 1 and math.isfinite(costs[0]) else math.inf
 
-def enter_deeper_basins(
-    searches: Searches, options: SearchOptions, source: torch.Generator
-) -> tuple[Searches, bool]:
-    """Restart models whose nuisances have a deeper basin at the gel where they ended, and say
-    whether any has.
+    def approach_first(self) -> float:
+        """Lower the first start without the frames next to collapses; returns its cost."""
+        self.starts[0] = self._lower_masked(self.starts[0])
+        return -float(self.posterior.log_joint(self.starts[0]))
 
-    Two starts begin, at the best point and beside it. Models far behind are left out.
-    """
-    reach = _FAR_BEHIND if options.drop_behind is None else min(options.drop_behind, _FAR_BEHIND)
-    far = lowest_cost(searches) + reach
-    any_moved = False
-    result = []
-    for chains in searches:
-        best = chains.ranked[:1]
-        if not bool(chains.cost[best] < far):
-            result.append(chains)
-            continue
-        here = chains.point[best]
-        deeper = deeper_nuisances(chains.posterior, here)
-        if torch.equal(deeper, here.nuisances):
-            result.append(chains)
-            continue
-        any_moved = True
-        rows = chains.ranked[:2]
-        other = _beside(chains, Point(here.gel[0], deeper[0]), int(best), _AWAY[0], 1, source)
-        both = Point(torch.cat((here.gel, other.gel)), torch.cat((deeper, other.nuisances)))
-        chains = chains.restarted(rows, both[: len(rows)])
-        result.append(replace(chains, restarts=0))
-    return result, any_moved
+    def find_lowest(self) -> None:
+        """Descend from starts until two agree, and from points near the lowest where they do not.
 
+        Among models, of which one may be far behind in a poor minimum, from all if more than two.
+        """
+        starts = self.starts
+        several = self.options.drop_behind is not None and len(starts) > 2
+        self._descend(starts[0])
+        for start in starts[1:]:
+            if several or not (self._agrees() or self._is_behind(self.lowest)):
+                self._descend(self._lower_masked(start))
+        if len(starts) > 1:
+            self._agree_nearby()
 
-def _dropped(searches: Searches, options: SearchOptions) -> Searches:
-    """End chains whose cost stays more than ``drop_behind`` above the lowest of all models."""
-    if options.drop_behind is None:
-        return searches
-    limit = min(lowest_cost(searches), options.known_cost) + options.drop_behind
-    result = []
-    for chains in searches:
-        reached = chains.cost - PROMISED * chains.gradient.clamp_max(1e6).square()
-        behind = torch.nonzero((reached > limit) & ~chains.masking)[:, 0]
-        result.append(chains.put(behind, finished=True))
-    return result
+    def enter_deeper_basins(self) -> None:
+        """Descend again where the nuisances of an experiment have a deeper basin at the gel found."""
+        for _ in range(self.options.basin_rounds):
+            end = self.lowest
+            here = end.point.nuisances
+            if not end.cost < self.limit:
+                break
+            deeper = deeper_nuisances(self.posterior, Point(end.point.gel[None], here[None]))[0]
+            if torch.equal(deeper, here):
+                break
+            beside = self._move(end, _AWAY[0])
+            self._descend(Point(end.point.gel, deeper))
+            self._descend(Point(beside.gel, beside.nuisances + deeper - here))
+            self._agree_nearby()
 
+    def _agree_nearby(self) -> None:
+        """Descend from points near the lowest one while no two ends agree."""
+        for away in _AWAY:
+            if not self._agrees() and not self._is_behind(self.lowest):
+                self._descend(self._move(self.lowest, away))
 
-def _settled(chains: Chains, options: SearchOptions) -> Chains:
-    """End the other starts of a model once its best one has converged and a second has nearly, at
-    the same cost.
-    """
-    agree = (chains.cost < chains.cost.min() + options.agreement) & ~chains.masking
-    sure = agree & (chains.gradient < options.gradient) & chains.finished
-    near = agree & (chains.gradient < max(NEARLY, options.gradient))
-    if bool(sure.any()) and int(near.sum()) >= 2 and not _several(chains, options):
-        return chains.put(torch.arange(len(chains)), finished=True)
-    return chains
+    def _agrees(self) -> bool:
+        return self.agreement < self.options.agreement
 
+    def _is_behind(self, end: Descent) -> bool:
+        """Whether a cost, less what its gradient allows, is above the limit."""
+        return end.cost - PROMISED * min(end.gradient, 1e6) ** 2 > self.limit
 
-def _restarted(
-    searches: Sequence[Chains], number: int, options: SearchOptions, source: torch.Generator
-) -> Chains:
-    """Begin starts that were deferred.
+    def _lower_masked(self, point: Point) -> Point:
+        """A point lowered by coarse bubbles without the frames next to collapses."""
+        if not self.masking:
+            return point
+        masked = without_collapses(self.posterior.coarse)
+        most = self.options.iterations
+        return descend(masked, point, None, gradient=_NEAR, iterations=most).point
 
-    Where starts disagree, restart near the best point, then nearer.
-    """
-    chains = searches[number]
-    rows = chains.ranked
-    several = _several(chains, options)
-    apart = rows[chains.cost[rows] > chains.cost[rows[0]] + options.agreement]
-    fresh = apart[(chains.iterations[apart] == 0) & torch.isfinite(chains.cost[apart])]
-    # none disagrees, as of a single start, or two agree and no start waits that may find another
-    # minimum
-    if not len(apart) or (len(rows) - len(apart) >= 2 and not (len(fresh) and several)):
-        return chains
-    behind = chains.lowest - min(lowest_cost(searches), options.known_cost)
-    lags = _lags(behind, options, _RESERVE) and not (several and _promising(chains, searches))
-    if len(fresh) and bool((chains.finished | (chains.gradient < NEAR)).all()) and not lags:
-        return chains.put(fresh, finished=False)
-    if (
-        not bool(chains.finished.all())
-        or chains.restarts == len(_AWAY)
-        or _lags(behind, options, 1.0)
-    ):
-        return chains
-    best = int(rows[0])
-    point = _beside(chains, chains.point[best], best, _AWAY[chains.restarts], len(apart), source)
-    return replace(chains.restarted(apart, point), restarts=chains.restarts + 1)
+    def _descend(self, point: Point) -> None:
+        """Add the minimum below a point, by bubbles that take the solver steps of one."""
+        left = self.options.iterations
+        leader = self._shared_leader(point)
+        if leader is None:
+            end = descend(
+                self.posterior,
+                point,
+                None,
+                gradient=_NEAR,
+                iterations=min(left, _STEPS),
+                limit=self.limit,
+                report=self.report,
+            )
+            left -= end.iterations
+            if self._is_behind(end):
+                self.minima.append(end)
+                return
+            point = end.point
+            leader = self._shared_leader(point)
+        reach = _FAR
+        while True:
+            own = leader is None
+            leader = leader or point
+            end = descend(
+                self.posterior,
+                point,
+                leader,
+                gradient=self.options.gradient,
+                iterations=min(left, _STEPS),
+                reach=reach if own else math.inf,
+                limit=self.limit,
+                report=self.report,
+            )
+            left -= end.iterations
+            close = end.distance(leader) < (_OWN if own else _SHARED)
+            arrived = end.gradient < self.options.gradient and close
+            if arrived or left <= 0 or self._is_behind(end) or reach > _FARTHEST:
+                self.minima.append(replace(end, iterations=self.options.iterations - left))
+                return
+            point = end.point
+            leader = None
+            reach *= 2.0
 
+    def _shared_leader(self, point: Point) -> Point | None:
+        """The leader of the lowest minimum, for points that are close to it."""
+        close = bool(self.minima) and self.lowest.distance(point) < _SHARED
+        return self.lowest.leader if close else None
 
-def _lags(behind: float, options: SearchOptions, times: float) -> bool:
-    """Whether a model is behind the best one by more than so many times ``drop_behind``."""
-    return options.drop_behind is not None and behind > times * options.drop_behind
-
-
-def _several(chains: Chains, options: SearchOptions) -> bool:
-    """Whether a model among others has starts for several minima, so that agreement of two does not
-    exclude others.
-    """
-    return options.drop_behind is not None and len(chains) > 2
-
-
-def _promising(chains: Chains, searches: Sequence[Chains]) -> bool:
-    """Whether the best chain of a model lowered its cost by a fair share of what the best one of
-    all did.
-    """
-    gained = [float((c.begun - c.cost).nan_to_num(0.0).max()) for c in searches]
-    best = chains.ranked[0]
-    return float((chains.begun - chains.cost)[best].nan_to_num(0.0)) >= _FAIR * max(gained)
-
-
-def _beside(
-    chains: Chains, point: Point, row: int, away: float, count: int, source: torch.Generator
-) -> Point:
-    """``count`` points about one, so many posterior standard deviations of a chain away, whose
-    nuisances follow the gel.
-    """
-    moves = torch.stack([around(chains.scale[row], source, away) for _ in range(count)])
-    equations = chains.equations[row]
-    nuisances = point.nuisances.expand(count, -1, -1)
-    if equations is not None:
-        nuisances = (
-            nuisances + (equations.reduced.nuisance_response @ moves[:, None, :, None])[..., 0]
-        )
-    return Point(point.gel + moves, nuisances)
+    def _move(self, end: Descent, away: float) -> Point:
+        """A point so many posterior standard deviations away, whose nuisances follow the gel."""
+        move = around(end.equations.posterior_chol, self.source, away)
+        response = end.equations.reduced.nuisance_response
+        return Point(end.point.gel + move, end.point.nuisances + response @ move)

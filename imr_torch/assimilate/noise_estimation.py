@@ -18,7 +18,6 @@ from imr_torch.assimilate.frame_noise import FrameNoisePrior, infer_frame_noise
 from imr_torch.assimilate.map_fit import assimilate
 from imr_torch.assimilate.noise_posterior import NoiseNodes
 from imr_torch.assimilate.options import En4DVarOptions, FitOptions, SearchOptions
-from imr_torch.assimilate.posterior import Posterior
 from imr_torch.material import Belief
 from imr_torch.observe import CollapseTime, Experiment, ExperimentBatch
 from imr_torch.observe.collapse import scatter_of
@@ -145,7 +144,7 @@ def with_inferred_noise(
     best, curves = min(result.fits, key=lambda fit: fit.cost).of_curves(result.batch)
     if not determines_noise(best, curves):
         return batch
-    near = Posterior(best.prior, curves, simulator).neighbourhood(best.point)
+    near = best.linearise(curves, simulator)
     return infer_frame_noise(near, prior).for_fits(widen=widen).applied(batch)
 
 
@@ -173,9 +172,7 @@ def noise_nodes(result: Assimilation, simulator: Simulator) -> NoiseNodes | None
     if batch.noise_laws is None or bool(batch.collapse.any()):
         return None
     best = min(result.fits, key=lambda fit: fit.cost)
-    return NoiseNodes.of(
-        batch.noise_laws, Posterior(best.prior, batch, simulator).neighbourhood(best.point)
-    )
+    return NoiseNodes.of(batch.noise_laws, best.linearise(batch, simulator))
 
 
 def with_scatter(result: Assimilation) -> tuple[Experiment | CollapseTime, ...]:

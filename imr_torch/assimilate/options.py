@@ -16,14 +16,13 @@ class SearchOptions:
     Args:
         raw_samples: prior draws from which the starts are chosen.
         starts: independent searches per model; two or more, so that they can agree.
-        iterations: most Gauss-Newton iterations.
+        iterations: most iterations of a start.
         gradient: tolerance of the gradient, posterior standard deviations; 1e-3 leaves 5e-7 nats.
         agreement: tolerance of the cost difference between the two best starts, nats.
         drop_behind: a start is dropped, unconverged, once its cost, less what its gradient allows,
             is above the lowest cost of all models by more than this, nats; never when not given.
-            When given, only the best start of each model begins at first, and a second follows once
-            that is near a minimum and not too far behind; of more than two, all follow even from
-            farther behind.
+            When given, models are searched one after the other, the most promising one first, and
+            of more than two starts all are descended from.
         rival: cost of a fit that is known already, nats; with ``drop_behind`` starts are compared
             with it too. None when no fit is known.
         basin_rounds: times that models may be restarted in a deeper basin of their nuisances
@@ -32,9 +31,6 @@ class SearchOptions:
         mask_collapses: whether chains leave the frames next to collapses out until they are near a
             minimum (:mod:`imr_torch.assimilate.masking`); when not given, those that start from
             prior draws do.
-        polish: whether the best chains that have not converged after all iterations are taken to
-            their minimum by quasi-Newton steps, and iterated once more
-            (:mod:`imr_torch.assimilate.polish`).
 
     >>> from imr_torch.assimilate import SearchOptions
     >>> SearchOptions(starts=2).gradient
@@ -52,7 +48,6 @@ class SearchOptions:
     )  # of one fit: no setting that campaigns write down
     basin_rounds: int = 3
     mask_collapses: bool | None = None
-    polish: bool = True
 
     def __post_init__(self) -> None:
         if not 2 <= self.starts <= self.raw_samples:

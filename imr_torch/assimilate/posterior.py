@@ -7,12 +7,11 @@ of the model's misfit all ask this object. Coordinates and sensitivities are tho
 :mod:`imr_torch.assimilate.forward`.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from imr_torch.assimilate.forward import ForwardModel, Point
@@ -123,10 +122,6 @@ class Posterior(ForwardModel):
             (slope,) = torch.autograd.grad(-self.batch.log_likelihood(point).sum(), point)
         return slope
 
-    def linearise(self, point: Point) -> NormalEquations:
-        """Gauss-Newton normal equations at points."""
-        return self.neighbourhood(point).equations
-
 
 @dataclass(frozen=True)
 class Neighbourhood:
@@ -156,35 +151,41 @@ class Neighbourhood:
     moves: Float[Tensor, "*batch directions controls"]
     prediction: Float[Tensor, "*batch bundle experiments frames"]
 
-    @staticmethod
-    def stack(parts: "Sequence[Neighbourhood]") -> "Neighbourhood":
-        """Neighbourhoods of single points as those of ``C`` points."""
-        gel, nuisances, moves, prediction = (
-            torch.stack(x)
-            for x in zip(
-                *((n.point.gel, n.point.nuisances, n.moves, n.prediction) for n in parts),
-                strict=True,
-            )
+    def is_of(self, posterior: Posterior, point: Point) -> bool:
+        """Whether its bubbles are those of a posterior at a point, whatever the noise."""
+        batch = self.posterior.batch
+        other = posterior.batch
+        pairs = (
+            (self.point.gel, point.gel),
+            (self.point.nuisances, point.nuisances),
+            (batch.times, other.times),
+            (batch.mask, other.mask),
+            (batch.designs, other.designs),
+            (batch.nuisance_sds, other.nuisance_sds),
         )
-        return Neighbourhood(parts[0].posterior, Point(gel, nuisances), moves, prediction)
+        same = self.posterior.simulator is posterior.simulator
+        return same and all(torch.equal(*pair) for pair in pairs)
 
-    def __getitem__(self, row: int) -> "Neighbourhood":
-        return replace(
-            self, point=self.point[row], moves=self.moves[row], prediction=self.prediction[row]
-        )
+    def joint_slopes(
+        self, frames: Bool[Tensor, "experiments frames"]
+    ) -> Float[Tensor, "kept coordinates"]:
+        """Sensitivities at some frames of one point to all coordinates, the gel's first."""
+        by_gel, by_nuisance = self.slopes
+        eye = torch.eye(len(by_nuisance), dtype=torch.float64)
+        apart = by_nuisance[:, :, None, :] * eye[:, None, :, None]  # E x T x E x w
+        return torch.cat((by_gel[frames], apart.flatten(2)[frames]), 1)
 
-    def take(self, rows: Int[Tensor, "rows"]) -> "Neighbourhood":
-        """Those of some of ``C`` points."""
-        return replace(
-            self, point=self.point[rows], moves=self.moves[rows], prediction=self.prediction[rows]
-        )
+    @property
+    def coordinates(self) -> Float[Tensor, "coordinates"]:
+        """Gel and nuisances of one point, as :meth:`joint_slopes` has them."""
+        return torch.cat((self.point.gel, self.point.nuisances.flatten()))
 
     @property
     def centre(self) -> Float[Tensor, "*batch experiments frames"]:
         """``batch_shape x E x T`` tensor, the prediction at the points."""
         return self.prediction[..., 0, :, :]
 
-    @property
+    @cached_property
     def log_joint(self) -> Float[Tensor, "*batch"]:
         """``batch_shape`` tensor, at the points."""
         return self.posterior.log_joint(self.point, self.centre)
@@ -203,7 +204,7 @@ class Neighbourhood:
         """
         return self.posterior.slopes(self.moves, self.prediction)
 
-    @property
+    @cached_property
     def equations(self) -> NormalEquations:
         """Gauss-Newton normal equations at the points, with the exact gradient."""
         return self.posterior.equations(self.point, self.centre, *self.slopes)

@@ -41,7 +41,7 @@ _STEPS = (
     21.0,
 )  # posterior standard deviations from the most probable value
 _FARTHEST = 4.0  # prior standard deviations from the prior's median
-_OPTIONS = SearchOptions(starts=2, iterations=30, basin_rounds=0, polish=False)
+_OPTIONS = SearchOptions(starts=2, iterations=30, basin_rounds=0)
 
 
 @dataclass(frozen=True)

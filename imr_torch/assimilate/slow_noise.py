@@ -62,7 +62,8 @@ def smooth_deviations(
     phases = _phases(near)[used]
     noise = (batch.sd(near.centre).square() / batch.counts)[used]
     residual = (batch.mean - near.centre)[used]
-    columns, point = _columns(near, used)
+    columns = near.joint_slopes(used).nan_to_num()
+    point = near.coordinates
 
     def evidence(amount: float, duration: float, share: float) -> Tensor:
         same = (shot[:, None] == shot).to(noise)
@@ -109,14 +110,3 @@ def _phases(near: Neighbourhood) -> Tensor:
         return batch.times
     lengths = torch.tensor(ends, dtype=torch.float64)
     return batch.times * (lengths.mean() / lengths)[:, None]
-
-
-def _columns(near: Neighbourhood, used: Tensor) -> tuple[Tensor, Tensor]:
-    """Sensitivities at the frames used to gel and nuisances of each shot, ``n x k``, and these at
-    the point, ``k``.
-    """
-    by_gel, by_nuisance = (x.nan_to_num() for x in near.slopes)
-    own = torch.eye(len(by_nuisance), dtype=torch.float64)
-    apart = by_nuisance[:, :, None, :] * own[:, None, :, None]  # E x T x E x w
-    columns = torch.cat((by_gel[used], apart.flatten(2)[used]), 1)
-    return columns, torch.cat((near.point.gel, near.point.nuisances.flatten()))

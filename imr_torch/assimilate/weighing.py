@@ -203,8 +203,7 @@ def weigh(
         ahead = _ahead([state.fit for state in states], drop_behind)
         for state in waiting:
             if noise is not None and state.mixture is None:
-                posterior = Posterior(state.fit.prior, batch, simulator)
-                state.mixture = noise.mixture(posterior.neighbourhood(state.fit.point))
+                state.mixture = noise.mixture(state.fit.linearise(batch, simulator))
             state.proposals.append(_proposal(state, batch, simulator))
             some = samples if state.fit.model in ahead else max(25, samples // _FEWER)
             state.parts.append(

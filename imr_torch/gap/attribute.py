@@ -50,7 +50,7 @@ _WIDE = 45.0  # degrees from which on two effects are not called alike, however 
 _NEGLIGIBLE = 20.0  # nats behind the best at which another prior scale does not matter
 _BEHIND = 6.0  # nats behind the best from which on a fit is given up
 # the winner's is finished later
-_FIT = SearchOptions(starts=2, iterations=30, drop_behind=_BEHIND, basin_rounds=0, polish=False)
+_FIT = SearchOptions(starts=2, iterations=30, drop_behind=_BEHIND, basin_rounds=0)
 _FIT_GELS = replace(_FIT, iterations=60)
 
 

@@ -42,7 +42,7 @@ _DAMPING = 1e-3  # of the first step, over the Hessian
 _EASED = 0.1  # factor on it after a good step
 _STIFFER = 10.0  # and after a bad one
 # .05 nats: below training noise
-_OPTIONS = SearchOptions(starts=2, iterations=20, gradient=0.3, basin_rounds=0, polish=False)
+_OPTIONS = SearchOptions(starts=2, iterations=20, gradient=0.3, basin_rounds=0)
 
 
 @dataclass(frozen=True)

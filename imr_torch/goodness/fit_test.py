@@ -15,7 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import ModelFit, Posterior, infer_frame_noise
+from imr_torch.assimilate import ModelFit, infer_frame_noise
 from imr_torch.assimilate.noise_estimation import determines_noise
 from imr_torch.goodness.linear import Linearisation, curves, linearise, shifted
 from imr_torch.goodness.phases import phase_clock, phase_name
@@ -136,7 +136,7 @@ def check_fit(
             None,
             reason="too few frames for the noise to be inferred from them; shoot more curves.",
         )
-    near = Posterior(fit.prior, batch, simulator).neighbourhood(fit.point)
+    near = fit.linearise(batch, simulator)
     batch = infer_frame_noise(near).applied(batch)
     fit, line = _settled(fit, batch, simulator)
     test = gap_test(generic_blocks(fit, batch, simulator, line), line, seed=child(seed, "fit test"))

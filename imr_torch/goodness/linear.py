@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from imr_torch.assimilate import ModelFit, Point, Posterior
+from imr_torch.assimilate import ModelFit, Neighbourhood, Point, Posterior
 from imr_torch.material import PARAMETERS, ModelBelief
 from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.simulate import Simulator
@@ -131,7 +131,7 @@ def linearise(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> Li
     """Local sensitivities at a fit, by finite differences of bubbles that take the same solver
     steps.
     """
-    return linearise_at(fit.point, fit.prior, batch, simulator)
+    return whiten_rows(fit.linearise(batch, simulator))
 
 
 def linearise_at(
@@ -153,10 +153,14 @@ def linearise_at(
             bubbles.
     """
     posterior = Posterior(prior, batch, simulator)
-    near = posterior.neighbourhood(
-        point, None if moves_gel else torch.zeros(len(point.gel), 0, dtype=torch.float64)
-    )
-    columns = posterior.uncertain
+    directions = None if moves_gel else torch.zeros(len(point.gel), 0, dtype=torch.float64)
+    return whiten_rows(posterior.neighbourhood(point, directions))
+
+
+def whiten_rows(near: Neighbourhood) -> Linearisation:
+    """The residual and the sensitivities of a point as rows of unit variance."""
+    batch = near.posterior.batch
+    columns = near.posterior.uncertain
     experiments = len(batch.experiments)
     sd = batch.sd(near.centre)
     by_gel, by_nuisance = (
@@ -167,6 +171,6 @@ def linearise_at(
     )  # C x E x E x T
     data = torch.cat((by_gel.flatten(1).mT, own.flatten(0, 1).flatten(1).mT), 1)
     fitted = torch.cat((data, -torch.eye(data.shape[1], dtype=torch.float64)))
-    priors = torch.cat((point.gel, point.nuisances[:, columns].mT.flatten()))
+    priors = torch.cat((near.point.gel, near.point.nuisances[:, columns].mT.flatten()))
     residual = torch.cat((batch.whiten(batch.mean - near.centre, sd).flatten(), priors))
     return Linearisation(residual, fitted, near.centre, sd, batch)

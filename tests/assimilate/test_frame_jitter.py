@@ -57,7 +57,7 @@ def test_that_the_likelihood_is_that_of_the_joint_gaussian() -> None:
     batch = shot(0.1, 0)
     fit = fitted(batch)
     near = Posterior(fit.prior, batch, SIMULATOR).neighbourhood(fit.point)
-    whole = joint_gaussian(fit, batch, near.centre, near.slopes)
+    whole = joint_gaussian(near)
     by_time = 1.0 + torch.rand(len(whole.pull), generator=generator(3), dtype=torch.float64)
     covariance = torch.linalg.inv(whole.precision)
     seen = torch.linalg.solve(whole.precision, whole.pull)

@@ -282,8 +282,11 @@ def test_that_progress_is_told_once_per_iteration() -> None:
     )
     assert len(lines) >= 2
     assert all(
-        f"iteration {i + 1}," in line and "gen_qkv cost" in line for i, line in enumerate(lines)
+        line.startswith(f"assimilation: iteration {i + 1}, ") and " cost " in line
+        for i, line in enumerate(lines)
     )
+    for model in MODELS:
+        assert any(f", {model} cost" in line for line in lines)
 
 
 @dataclass(frozen=True)
@@ -364,30 +367,6 @@ def test_that_among_models_the_other_starts_of_a_model_with_several_minima_follo
     assert cost(rows) == pytest.approx(best, abs=1e-3)
 
 
-def test_that_among_models_a_second_start_does_not_wait_for_the_last_digits_of_the_first() -> None:
-    """A tolerance that rounding does not allow keeps the first start going;
-
-    the second has set out long before it rests.
-    """
-    belief = prior(("nhkv",))
-    batch = experiments(3)
-    lines: list[str] = []
-    options = SearchOptions(drop_behind=5.0, gradient=1e-30, iterations=6, polish=False)
-    starts = [tensor((0.3, 0.0), (1.5, 0.5))]
-    found = assimilate(
-        belief,
-        batch,
-        LinearSimulator(),
-        seed=1,
-        options=options,
-        starts=starts,
-        warn=False,
-        progress=lines.append,
-    )
-    assert len(lines) == 6
-    assert found.fits[0].certificate.agreement < 1e-6
-
-
 # ---------------------------------------------------------------- certificates, both ways
 
 
@@ -405,7 +384,12 @@ def test_that_a_fit_that_converged_says_so_and_does_not_warn() -> None:
 
 def test_that_a_fit_that_was_cut_short_warns_and_says_so() -> None:
     with pytest.warns(ConvergenceWarning, match=r"nhkv: NOT CONVERGED \(gradient") as caught:
-        result = fitted(prior(("nhkv",)), experiments(3), options=replace(OPTIONS, iterations=1))
+        result = fitted(
+            prior(("nhkv",)),
+            experiments(3),
+            WavySimulator(),
+            options=replace(OPTIONS, iterations=1),
+        )
     assert not result.converged
     assert caught[0].filename == __file__  # where assimilate was called
     assert result.fits[0].certificate.iterations == 1
@@ -417,7 +401,7 @@ def test_that_a_caller_who_reads_certificates_is_not_warned() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         result = assimilate(
-            prior(("nhkv",)), experiments(3), LinearSimulator(), seed=1, options=options, warn=False
+            prior(("nhkv",)), experiments(3), WavySimulator(), seed=1, options=options, warn=False
         )
     assert not result.converged
 

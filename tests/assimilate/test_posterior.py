@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import Neighbourhood, Point, Posterior
+from imr_torch.assimilate import Point, Posterior
 from imr_torch.observe import ExperimentBatch, Nuisance, predict
 from imr_torch.random import generator
 from imr_torch.simulate import PolytropicSimulator, TransportSimulator
@@ -72,7 +72,7 @@ def test_that_a_newton_step_from_anywhere_ends_at_the_exact_posterior_of_a_linea
     posterior = linear(experiments(3, nuisance=BOTH, noise=CORRELATED))
     truth = exact(posterior.prior, posterior.batch)
     point = points(posterior, 4)
-    equations = posterior.linearise(point)
+    equations = posterior.neighbourhood(point).equations
     gel, nuisances = equations.step(torch.zeros(4, dtype=torch.float64))
     torch.testing.assert_close(point.gel + gel, truth.mean.expand(4, -1), rtol=0.0, atol=1e-6)
     torch.testing.assert_close(
@@ -93,7 +93,7 @@ def test_that_the_gradient_is_that_of_the_log_joint(simulator) -> None:
     )
     posterior = replace(linear(batch), simulator=simulator)
     point = points(posterior, 1)[0]
-    equations = posterior.linearise(point)
+    equations = posterior.neighbourhood(point).equations
     source = generator(1)
     for _ in range(3):
         way = Point(
@@ -159,15 +159,6 @@ def test_that_a_neighbour_that_fails_after_some_frames_tells_nothing() -> None:
 def test_that_where_the_bubble_itself_fails_the_log_joint_is_minus_infinity() -> None:
     posterior = linear(experiments(2), fails=True)
     assert float(posterior.log_joint(Point(tensor(0.0, 0.0), posterior.still()))) == -torch.inf
-
-
-def test_that_neighbourhoods_stack_and_part_again() -> None:
-    posterior = linear(experiments(3, nuisance=BOTH))
-    whole = posterior.neighbourhood(points(posterior, 3))
-    again = Neighbourhood.stack([whole[i] for i in range(3)])
-    torch.testing.assert_close(again.log_joint, whole.log_joint, rtol=0.0, atol=0.0)
-    for name in ("gel_gradient", "gel_hessian", "nuisance_hessian", "cross"):
-        torch.testing.assert_close(getattr(again.equations, name), getattr(whole.equations, name))
 
 
 def test_that_certain_nuisances_are_not_simulated() -> None:

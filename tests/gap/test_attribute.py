@@ -35,9 +35,7 @@ def test_that_the_credible_set_is_the_smallest_that_reaches_its_level() -> None:
 def test_that_a_winner_whose_fit_was_cut_short_is_fitted_to_the_end(monkeypatch) -> None:
     batch = shoot({"gas_loss": 0.2})
     null = fit(batch)
-    monkeypatch.setattr(
-        "imr_torch.gap.attribute._FIT", SearchOptions(starts=2, iterations=2, polish=False)
-    )
+    monkeypatch.setattr("imr_torch.gap.attribute._FIT", SearchOptions(starts=2, iterations=2))
     found = attribute(
         Inquiry(BASE, (LIBRARY["gas_loss"], LIBRARY["surface_tension"]), batch, SIMULATOR),
         null,
@@ -53,9 +51,7 @@ def test_that_a_winner_whose_fit_was_cut_short_is_fitted_to_the_end(monkeypatch)
 def test_that_an_effect_which_sampling_puts_ahead_is_fitted_to_the_end(monkeypatch) -> None:
     batch = shoot({"gas_loss": 0.2})
     null = fit(batch)
-    monkeypatch.setattr(
-        "imr_torch.gap.attribute._FIT", SearchOptions(starts=2, iterations=2, polish=False)
-    )
+    monkeypatch.setattr("imr_torch.gap.attribute._FIT", SearchOptions(starts=2, iterations=2))
     ahead = CheckedEvidence(laplace=0.0, sampled=1e6, error=0.1, reliable=True)
     monkeypatch.setattr(
         "imr_torch.gap.attribute.check_evidence", lambda *_, **__: {"surface_tension": ahead}
@@ -81,9 +77,7 @@ def test_that_a_fit_that_does_not_converge_is_left_out_and_the_next_one_leads(mo
             found, certificate=loose if "gas_loss" in str(found.prior.names) else found.certificate
         )
 
-    monkeypatch.setattr(
-        "imr_torch.gap.attribute._FIT", SearchOptions(starts=2, iterations=2, polish=False)
-    )
+    monkeypatch.setattr("imr_torch.gap.attribute._FIT", SearchOptions(starts=2, iterations=2))
     monkeypatch.setattr("imr_torch.gap.attribute.finish", never)
     with_wall = (LIBRARY["gas_loss"], LIBRARY["wall"])
     fits = attribute(Inquiry(BASE, with_wall, batch, SIMULATOR), null, Hypothesis(BASE), seed=0)

@@ -158,7 +158,7 @@ def test_that_the_fit_of_a_curve_that_did_not_converge_is_continued(
 ) -> None:
     one = ExperimentBatch(gels.experiments[1:2], gels.noise)
     (right,) = fit_alone(null, one, SIMULATOR, seed=0)
-    short = SearchOptions(iterations=1, polish=False)
+    short = SearchOptions(iterations=1)
     monkeypatch.setattr(differing, "assimilate", partial(assimilate, options=short))
     (curve,) = fit_alone(null, one, SIMULATOR, seed=0)
     assert curve.certificate.converged

@@ -36,7 +36,7 @@ def _leaking() -> ExperimentBatch:
 def test_that_coarse_bubbles_lead_to_the_minimum_that_others_find(monkeypatch) -> None:
     batch = _leaking()
     null = fit(batch)  # by polytropic bubbles: only where the fits begin
-    options = SearchOptions(starts=2, drop_behind=6.0, basin_rounds=0, polish=False)
+    options = SearchOptions(starts=2, drop_behind=6.0, basin_rounds=0)
     led = fit_hypotheses(EFFECTS, null, batch, FULL, seed=0, options=options)
     monkeypatch.setattr(hypotheses, "_TOO_COARSE", -1.0)  # no coarse bubbles
     direct = fit_hypotheses(EFFECTS, null, batch, FULL, seed=0, options=options)
@@ -58,7 +58,7 @@ def test_that_what_coarse_bubbles_leave_behind_has_the_cost_of_the_simulator_and
     None
 ):
     batch = _leaking()
-    options = SearchOptions(starts=2, drop_behind=0.5, basin_rounds=0, polish=False)
+    options = SearchOptions(starts=2, drop_behind=0.5, basin_rounds=0)
     behind = fit_hypotheses(EFFECTS, fit(batch), batch, FULL, seed=0, options=options)[
         "surface_tension"
     ]
@@ -76,14 +76,12 @@ def test_that_effects_far_behind_a_fit_that_is_known_are_given_up() -> None:
     """
     batch = _leaking()
     null = fit(batch)
-    options = SearchOptions(
-        starts=2, drop_behind=6.0, rival=null.cost - 1e5, basin_rounds=0, polish=False
-    )
+    options = SearchOptions(starts=2, drop_behind=6.0, rival=null.cost - 1e5, basin_rounds=0)
     lines: list[str] = []
     found = fit_hypotheses(
         EFFECTS, null, batch, FULL, seed=0, options=options, progress=lines.append
     )
-    assert len(lines) == 1
+    assert len(lines) == 4  # where each effect begins, and one iteration
     assert len(found) == 2
     assert not any(own.certificate.converged for own in found.values())
 
@@ -92,7 +90,7 @@ def test_that_a_collapse_on_the_wrong_side_of_a_frame_ends_no_search() -> None:
     batch = shoot({"rinf_bias": -0.08}, DESIGNS)
     hypothesis = Hypothesis(BASE, (LIBRARY["rinf_bias"],))
     null = fit_null(BASE, batch, SIMULATOR, seed=0)
-    options = SearchOptions(starts=2, basin_rounds=0, polish=False)
+    options = SearchOptions(starts=2, basin_rounds=0)
     found = fit_hypotheses([hypothesis], null, batch, SIMULATOR, seed=0, options=options)[
         "rinf_bias"
     ]

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from imr_torch.assimilate import Assimilation, ModelFit, SearchOptions, map_fit
+from imr_torch.assimilate import Assimilation, ModelFit, SearchOptions
 from imr_torch.gap import hypotheses
 from imr_torch.simulate import PolytropicSimulator
 from tests.gap.synthetic import BASE, DESIGNS, fit, shoot
@@ -34,11 +34,11 @@ def _short(times: list[int]):
 def test_that_a_fit_without_time_to_arrive_is_taken_up_again(monkeypatch) -> None:
     batch = shoot({}, DESIGNS[:1], repeats=10, end=1.5)
     simulator = PolytropicSimulator()
-    monkeypatch.setattr(map_fit, "polish_slow", lambda searches, _: (searches, None))
-    monkeypatch.setattr(hypotheses, "assimilate", _short([2]))
+    monkeypatch.setattr(hypotheses, "assimilate", _short([1]))
     fit = hypotheses.fit_null(BASE, batch, simulator, seed=0)
     assert fit.certificate.converged
-    monkeypatch.setattr(hypotheses, "assimilate", _short([2, 1]))
+    monkeypatch.setattr(hypotheses, "assimilate", _short([1]))
+    monkeypatch.setattr(hypotheses, "finish", lambda fit, *_, **__: fit)
     assert not hypotheses.fit_null(BASE, batch, simulator, seed=0).certificate.converged
 
 

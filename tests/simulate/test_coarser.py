@@ -7,12 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import torch
 
-from imr_torch.assimilate import Point, Posterior
-from imr_torch.assimilate.chains import Chains
-from imr_torch.assimilate.descent import iterate
-from imr_torch.assimilate.options import SearchOptions
 from imr_torch.material import reference_case
-from imr_torch.observe import Experiment, ExperimentBatch
 from imr_torch.simulate import (
     ACCURACIES,
     ParallelSimulator,
@@ -54,23 +49,3 @@ def test_that_their_errors_are_of_the_order_of_a_thousandth():
     )
     assert 1e-4 < coarse < 1e-3
     assert default < 0.5 * coarse
-
-
-def test_that_a_descent_takes_its_slopes_from_them_and_its_costs_from_the_simulator():
-    gel = reference_case("soft-pa").prior.models[0]
-    fine = TransportSimulator()
-    truth = fine(gel.to_si(torch.zeros(len(gel.names), dtype=torch.float64)), DESIGN, TIMES).radius
-    batch = ExperimentBatch((Experiment("shot", (400.0, 0.2), TIMES, truth[None]),))
-    posterior = Posterior(gel, batch, fine)
-    away = Point(torch.full((1, 2), 0.5, dtype=torch.float64), posterior.still(1))
-    chains = iterate(Chains.at(posterior, away, masking=False), SearchOptions())
-    equations = chains.equations[0]
-    assert equations is not None
-    exact = posterior.linearise(away)
-    share = (equations.gel_gradient - exact.gel_gradient[0]).norm() / exact.gel_gradient.norm()
-    assert 0.0 < share < 0.05
-    assert chains.cost < -posterior.log_joint(away)
-    assert torch.equal(
-        chains.cost, -posterior.log_joint(chains.point)
-    )  # of the simulator itself, not of coarse bubbles
-    assert torch.equal(chains.seen, posterior.predict(chains.point))

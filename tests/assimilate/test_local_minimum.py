@@ -1,0 +1,248 @@
+"""Descents to a minimum: where Gauss-Newton crawls, under the solver steps of one point, and past
+places where bubbles fail.
+"""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from imr_torch.assimilate import Point, Posterior, SearchOptions, assimilate
+from imr_torch.assimilate.local_minimum import _FrozenCost, descend
+from imr_torch.assimilate.multistart import ModelSearch
+from imr_torch.material import PARAMETERS, reference_case
+from imr_torch.observe import (
+    Experiment,
+    ExperimentBatch,
+    Noise,
+    Nuisance,
+    SimulatedLaboratory,
+)
+from imr_torch.random import generator
+from imr_torch.simulate import PolytropicSimulator, Simulator, Solution, TransportSimulator
+from tests.linear import MEANS, SDS, LinearSimulator, experiments, prior, tensor
+
+NOISE = Noise(floor=0.002, slope=0.0, drift=0.0)
+TIMES = torch.linspace(0.0, 3.0, 24, dtype=torch.float64)
+TURN = 1.2
+NEARLY_CENTRAL = 0.02
+STARTS = tensor((0.5, 0.3), (-0.5, 2.2))
+LINEAR = Nuisance(time_zero=0.2, rest_radius=0.3)
+ALL = Nuisance(max_radius=0.01, time_zero=0.02, rest_radius=0.05)
+
+
+class Circle(LinearSimulator):
+    """The control of ``mu`` leads the curve along a circle; data near its centre bend the cost as much as they slope it.
+
+    With data at a share ``s`` of the circle's radius the curvature is ``s`` times Gauss and
+    Newton's, so each of their steps goes only that share of the way.
+    """
+
+    def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+        made = super().__call__(parameters, designs, times)
+        stiff, turn = (
+            (parameters[..., PARAMETERS.index([n])[0], None] - MEANS[n]) / SDS[n]
+            for n in ("G", "mu")
+        )
+        phase = 2.0 * math.pi * torch.arange(times.shape[-1]) / 12
+        radius = (
+            0.6 + 0.3 * times + 0.1 * torch.cos(phase - turn) + 0.02 * stiff * torch.cos(2 * phase)
+        )
+        return replace(made, radius=torch.where(made.radius.isfinite(), radius, torch.nan))
+
+    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+        return self(parameters, designs, times)
+
+
+class Rough(Circle):
+    """A solver whose steps, those of the leader, change every radius by as much as moves the minimum noticeably."""
+
+    def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+        return self._rough(super().__call__(parameters, designs, times), parameters)
+
+    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+        return self._rough(super().__call__(parameters, designs, times), parameters[..., :1, :])
+
+    def _rough(self, made: Solution, leader: Tensor) -> Solution:
+        stiff = (leader[..., PARAMETERS.index(["G"])[0], None] - MEANS["G"]) / SDS["G"]
+        steps = torch.sin(1e7 * stiff + torch.arange(made.radius.shape[-1]))
+        return replace(made, radius=made.radius + 5e-6 * steps)
+
+
+class FailsFarFromLeader(Circle):
+    """Bubbles fail by the solver steps of a leader whose turn is more than .3 from theirs, not by their own."""
+
+    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+        made = self(parameters, designs, times)
+        turn = parameters[..., PARAMETERS.index(["mu"])[0], None] / SDS["mu"]
+        near = (turn - turn[..., :1, :]).abs() < 0.3
+        return replace(made, radius=torch.where(near, made.radius, torch.nan))
+
+
+def nearly_central(nuisance: Nuisance | None = None) -> ExperimentBatch:
+    phase = 2.0 * math.pi * torch.arange(len(TIMES)) / 12
+    radius = 0.6 + 0.3 * TIMES + NEARLY_CENTRAL * 0.1 * torch.cos(phase - TURN)
+    return ExperimentBatch(
+        (Experiment("e", (300.0, 0.2), TIMES, radius[None], nuisance or Nuisance()),), NOISE
+    )
+
+
+def fitted(simulator: Simulator, nuisance: Nuisance | None = None):
+    return assimilate(
+        prior(("nhkv",)),
+        nearly_central(nuisance),
+        simulator,
+        seed=1,
+        options=SearchOptions(raw_samples=24),
+        starts=[STARTS],
+        warn=False,
+    ).fits[0]
+
+
+@pytest.mark.parametrize("nuisance", [None, Nuisance(time_zero=0.05)], ids=["certain", "uncertain"])
+def test_that_a_fit_arrives_where_gauss_newton_alone_would_not(
+    monkeypatch, nuisance: Nuisance | None
+) -> None:
+    arrived = fitted(Circle(), nuisance)
+    assert arrived.certificate.converged
+    assert float(arrived.mean[1]) == pytest.approx(TURN, abs=0.05)  # the prior pulls
+    monkeypatch.setattr(_FrozenCost, "_learn", lambda *_: None)
+    alone = fitted(Circle(), nuisance)
+    assert not alone.certificate.converged
+
+
+def test_that_a_fit_arrives_where_bubbles_fail_by_the_steps_of_a_leader_far_away() -> None:
+    found = fitted(FailsFarFromLeader())
+    assert found.certificate.converged
+    assert found.cost == pytest.approx(fitted(Circle()).cost, abs=1e-4)
+
+
+def test_that_a_minimum_is_one_under_the_solver_steps_of_the_leader_and_under_no_others() -> None:
+    posterior = Posterior(prior(("nhkv",)).models[0], nearly_central(), Rough())
+    start = Point(STARTS[0], posterior.still())
+    search = ModelSearch(posterior, [start], SearchOptions(), False, generator(0))
+    search.approach_first()
+    search.find_lowest()
+    end = search.lowest
+    assert end.gradient < search.options.gradient
+    assert end.leader is not None
+    same = posterior.neighbourhood(end.point, leader=end.leader).equations
+    beside = Point(end.leader.gel + 1e-3, end.leader.nuisances)
+    other = posterior.neighbourhood(end.point, leader=beside).equations
+    assert float(same.whitened_gradient) == pytest.approx(end.gradient)
+    assert float(other.whitened_gradient) > 3.0 * search.options.gradient
+
+
+def test_that_a_point_where_bubbles_fail_is_not_taken() -> None:
+    """The way to the minimum is barred at nearly half of it;
+
+    the point ends on this side, lower than it began.
+    """
+    barred = Circle(limit={"mu": MEANS["mu"] + 0.8 * SDS["mu"]})
+    posterior = Posterior(prior(("nhkv",)).models[0], nearly_central(), barred)
+    begun = Point(STARTS[0], posterior.still())
+    ended = descend(posterior, begun, begun, gradient=1e-3, iterations=30)
+    assert ended.cost < -float(posterior.log_joint(begun))
+    assert 0.5 < float(ended.point.gel[1]) < 0.8
+
+
+def test_that_a_start_that_cannot_be_simulated_has_an_infinite_cost_and_gradient() -> None:
+    posterior = Posterior(prior(("nhkv",)).models[0], nearly_central(), Circle(fails=True))
+    start = Point(STARTS[0], posterior.still())
+    ended = descend(posterior, start, None, gradient=1e-3, iterations=5)
+    assert (ended.cost, ended.gradient, ended.iterations) == (math.inf, math.inf, 0)
+
+
+def test_that_a_descent_ends_at_its_reach_and_above_its_limit() -> None:
+    posterior = Posterior(prior(("nhkv",)).models[0], nearly_central(), Circle())
+    start = Point(STARTS[0], posterior.still())
+
+    def steps(**ends: float) -> int:
+        return descend(posterior, start, start, gradient=1e-3, iterations=50, **ends).iterations
+
+    assert steps(reach=0.01) == steps(limit=-1e9) == 1 < steps()
+
+
+def _filmed() -> ExperimentBatch:
+    """Two designs, filmed in a gel that loses gas and relaxes, neither of which the models here have."""
+    gel = PARAMETERS.pack({"G": 8310.0, "mu": 0.093, "gas_loss": 0.5, "tau": 1e-5})
+    laboratory = SimulatedLaboratory(PolytropicSimulator(), gel, repeats=20)
+    shots = [laboratory.shoot(tensor(*d), seed=1) for d in ((400.0, 0.22), (900.0, 0.14))]
+    return ExperimentBatch(tuple(replace(shot, nuisance=ALL) for shot in shots))
+
+
+def _frozen(simulator: Simulator, batch: ExperimentBatch) -> _FrozenCost:
+    posterior = Posterior(prior(("nhkv",)).models[0], batch, simulator)
+    point = Point(0.1 * torch.ones(posterior.size, dtype=torch.float64), posterior.still())
+    return _FrozenCost(posterior, point, point)
+
+
+def _lower(cost: _FrozenCost) -> tuple[Tensor, Tensor, Tensor]:
+    """A step downhill, the gradient there, and what the old sensitivities make of it."""
+    before = cost.lowest
+    old = cost.x.copy()
+    step = -1e-5 * cost.slope(old)
+    assert cost(old + step) < before.cost
+    new = cost.lowest.near
+    by_old = cost.posterior.equations(new.point, new.centre, *before.near.slopes)
+    uncertain = cost.posterior.uncertain
+    rise = cost.slope(old + step) - by_old.joint_gradient(uncertain).numpy()
+    return torch.from_numpy(step), torch.from_numpy(rise), torch.from_numpy(cost.bend)
+
+
+def test_that_along_a_step_the_curvature_is_what_old_sensitivities_miss_of_the_gradient() -> None:
+    step, missed, bend = _lower(_frozen(PolytropicSimulator(), _filmed()))
+    assert float(missed.abs().max()) > 1.0
+    torch.testing.assert_close(bend @ step, missed)
+    torch.testing.assert_close(bend, bend.mT)
+
+
+def test_that_a_linear_model_has_no_curvature_beside_gauss_and_newtons() -> None:
+    cost = _frozen(LinearSimulator(), experiments(3, nuisance=LINEAR))
+    hessian = cost.curvature(cost.x)
+    bend = _lower(cost)[2]
+    assert float(bend.abs().max()) < 1e-5 * float(abs(hessian).max())
+
+
+def test_that_gradient_and_hessian_are_those_of_the_arrow() -> None:
+    cost = _frozen(PolytropicSimulator(), _filmed())
+    x = cost.x.copy()
+    here = cost(x)
+    slope = torch.from_numpy(cost.slope(x))
+    step = 1e-6 * slope / slope.norm()
+    assert cost(x - step.numpy()) - here == pytest.approx(-float(step @ slope), rel=1e-3)
+    equations = cost.posterior.neighbourhood(cost.place(x)).equations
+    hessian = equations.joint_hessian(cost.posterior.uncertain)
+    joint = torch.linalg.solve(hessian, -slope)
+    gel, nuisances = equations.step(tensor(0.0)[0])
+    torch.testing.assert_close(joint, torch.cat((gel, nuisances.flatten())))
+
+
+def test_that_a_search_begins_with_coarse_bubbles_and_ends_with_the_simulators_own() -> None:
+    gel = reference_case("soft-pa").prior.models[0]
+    fine = TransportSimulator()
+    times = torch.linspace(0.0, 2.5, 60, dtype=torch.float64)
+    truth = fine(gel.to_si(torch.zeros(2, dtype=torch.float64)), tensor(400.0, 0.2), times).radius
+    batch = ExperimentBatch((Experiment("shot", (400.0, 0.2), times, truth[None]),))
+    posterior = Posterior(gel, batch, fine)
+    starts = [Point(tensor(v, v), posterior.still()) for v in (0.5, -0.5)]
+    search = ModelSearch(posterior, starts, SearchOptions(), True, generator(0))
+    before = -float(posterior.log_joint(starts[0]))
+    first = search.approach_first()
+    coarse = posterior.coarse.neighbourhood(search.starts[0]).equations.whitened_gradient
+    assert first < before
+    assert float(coarse) < 30.0  # with the frames next to collapses
+    search.find_lowest()
+    end = search.lowest
+    assert end.gradient < search.options.gradient
+    assert end.cost == pytest.approx(-float(posterior.log_joint(end.point)), abs=0.5)
+    assert end.cost < first
+
+
+def test_that_a_fit_of_which_no_start_can_be_simulated_says_so() -> None:
+    fit = fitted(Circle(fails=True))
+    assert fit.cost == math.inf
+    assert not fit.certificate.converged
+    assert fit.certificate.failed_members == 1.0
