@@ -23,6 +23,8 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import torch
+
 from benchmarks.gap.sets import PHYSICS, TRUTHS, SyntheticSet, Task, make_set
 from benchmarks.gap.verdicts import families, is_in_class, is_named, summarise
 from benchmarks.records import Figure, Line, read_record, run_missing_jobs, write_figures
@@ -30,6 +32,7 @@ from imr_torch.errors import ConvergenceWarning
 from imr_torch.gap import GapReport, diagnose
 from imr_torch.gap.held_out import judge_designs
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses
+from imr_torch.gap.model_error import model_error
 from imr_torch.gap.shrinkage import beside_nuisances, shrinkage
 from imr_torch.material import LIBRARY
 from imr_torch.observe import ExperimentBatch
@@ -52,7 +55,8 @@ def diagnose_set(task: Task) -> Line:
     seed = child(task.seed, "diagnosis", task.key)
     report = diagnose(data.experiments, effects=data.offered, simulator=simulator, seed=seed)
     line = {"truth": data.truth, "values": data.values, "signal": data.signal}
-    return line | summarise(report) | measure_shrinkage(data, report, simulator, seed)
+    line |= summarise(report) | measure_shrinkage(data, report, simulator, seed)
+    return line | measure_parameters(data, report, seed)
 
 
 def diagnose_labelled_set(file: Path, effect: str) -> Line:
@@ -114,6 +118,51 @@ def measure_shrinkage(
     }
 
 
+def measure_parameters(data: SyntheticSet, report: GapReport, seed: int) -> Line:
+    """Intervals of the gel's parameters over their true values: if the model is right, and with what
+    it may lack.
+    """
+    if not report.null.certificate.usable:
+        return {}
+    wide = model_error(report, seed=child(seed, "model error")).intervals
+    levels = torch.tensor((0.05, 0.5, 0.95), dtype=torch.float64)
+    quantiles = report.selected_fit.posterior.quantile(levels)
+    names = report.selected_fit.prior.names
+    right = {name: quantiles[:, names.index(name)].tolist() for name in wide}
+    return {
+        what: {name: [x / data.values[name] for x in values] for name, values in found.items()}
+        for what, found in (("if right", right), ("with model error", wide))
+    }
+
+
+def _held(lines: Sequence[Line], what: str) -> list[bool]:
+    """Whether each interval holds its truth."""
+    found = [values for line in lines for values in line.get(what, {}).values()]
+    return [low <= 1.0 <= high for low, _, high in found]
+
+
+def score_parameters(lines: Sequence[Line]) -> list[Figure]:
+    """Coverage of 90 % intervals of the gel's parameters, by what is wrong with the model."""
+    kinds = {
+        "no effect": [x for x in lines if x["kind"] == "none"],
+        "an effect of the library": [x for x in lines if x["kind"] == "effect"],
+        "effect withheld": [x for x in lines if x["kind"] == "withheld"],
+    }
+    figures = []
+    for kind, chosen in kinds.items():
+        for what in ("if right", "with model error"):
+            must = (0.85, 0.97) if what == "with model error" else None
+            head = f"G and mu in their intervals, {what}: {kind}"
+            figures.append(Figure.of_share(head, _held(chosen, what), must))
+        widths = [
+            math.log(high / low)
+            for line in chosen
+            for low, _, high in line.get("with model error", {}).values()
+        ]
+        figures.append(Figure.of_quantile(f"log width with model error, {kind}", widths, 0.5))
+    return figures
+
+
 def score_causes(lines: Sequence[Line]) -> list[Figure]:
     """All figures of a run."""
     known = [line for line in lines if line["kind"] == "effect"]
@@ -163,6 +212,7 @@ def score_causes(lines: Sequence[Line]) -> list[Figure]:
         Figure.of_quantile(f"{closes}, 10th percentile", closed, 0.1, (0.8, 1.0)),
         Figure.of_quantile("held-out gap closed by random effects, 95th percentile", random, 0.95),
         Figure.of_share("true shrinkage inside its 90 % interval", covered, (0.82, 0.97)),
+        *score_parameters(lines),
         Figure.of_quantile("seconds of a diagnosis, median", seconds, 0.5, (0.0, 30.0)),
     ]
 
