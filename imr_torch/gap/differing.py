@@ -17,6 +17,8 @@ from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 
 _APART = 0.5  # prior standard deviations between the starts of a curve's own fit
+# all starts are descended from: two that begin close may agree on a minimum that is not the lowest
+_EVERY_START = SearchOptions(drop_behind=50.0)
 
 
 def fit_alone(
@@ -41,7 +43,14 @@ def fit_alone(
         one = replace(batch, experiments=(experiment,), between={})
         nuisances = [fit.nuisances[e : e + 1, : len(NUISANCES)]]
         alone = assimilate(
-            belief, one, simulator, seed=seed_here, starts=starts, nuisances=nuisances, warn=False
+            belief,
+            one,
+            simulator,
+            seed=seed_here,
+            options=_EVERY_START,
+            starts=starts,
+            nuisances=nuisances,
+            warn=False,
         ).fits[0]
         if not alone.certificate.converged:
             alone = finish(alone, one, simulator, seed=child(seed_here, "finish"))

@@ -77,7 +77,7 @@ def test_that_a_fit_that_does_not_converge_is_left_out_and_the_next_one_leads(mo
             found, certificate=loose if "gas_loss" in str(found.prior.names) else found.certificate
         )
 
-    monkeypatch.setattr("imr_torch.gap.attribute._FIT", SearchOptions(starts=2, iterations=2))
+    monkeypatch.setattr("imr_torch.gap.attribute._FIT", SearchOptions(starts=2, iterations=1))
     monkeypatch.setattr("imr_torch.gap.attribute.finish", never)
     with_wall = (LIBRARY["gas_loss"], LIBRARY["wall"])
     fits = attribute(Inquiry(BASE, with_wall, batch, SIMULATOR), null, Hypothesis(BASE), seed=0)

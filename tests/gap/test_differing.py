@@ -3,13 +3,12 @@ cause of the diagnosis.
 """
 
 import math
-from functools import partial
 
 import pytest
 import torch
 
 from imr_torch import PolytropicSimulator
-from imr_torch.assimilate import Point, Posterior, SearchOptions, assimilate
+from imr_torch.assimilate import Point, Posterior, SearchOptions
 from imr_torch.errors import InputDataError
 from imr_torch.gap import diagnose, differing, library
 from imr_torch.gap.differing import fit_alone, fit_differing, gels_of, start_apart
@@ -159,7 +158,7 @@ def test_that_the_fit_of_a_curve_that_did_not_converge_is_continued(
     one = ExperimentBatch(gels.experiments[1:2], gels.noise)
     (right,) = fit_alone(null, one, SIMULATOR, seed=0)
     short = SearchOptions(iterations=1)
-    monkeypatch.setattr(differing, "assimilate", partial(assimilate, options=short))
+    monkeypatch.setattr(differing, "_EVERY_START", short)
     (curve,) = fit_alone(null, one, SIMULATOR, seed=0)
     assert curve.certificate.converged
     assert curve.cost == pytest.approx(right.cost, abs=1e-3)
