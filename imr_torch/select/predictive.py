@@ -230,12 +230,9 @@ def _restricted(
     batch = assimilation.batch
     belief = Belief(tuple(prior.models[i] for i in models), prior.log_probabilities[list(models)])
     kept = replace(batch, experiments=tuple(batch.experiments[e] for e in experiments))
-    fits = (assimilation.fits[i] for i in models)
     rows = list(experiments)
-    begin = (
-        replace(f, nuisances=f.nuisances[rows], nuisance_response=f.nuisance_response[rows])
-        for f in fits
-    )
+    frames = kept.mask.shape[1]
+    begin = (assimilation.fits[i].of_experiments(rows, frames) for i in models)
     return Assimilation(belief, kept, tuple(begin))
 
 

@@ -47,7 +47,9 @@ def fitted(
 def assert_exact(fit: ModelFit, truth: Exact, *, atol: float = 3e-7) -> None:
     torch.testing.assert_close(fit.mean, truth.mean, rtol=0.0, atol=atol)
     torch.testing.assert_close(fit.chol @ fit.chol.mT, truth.covariance, rtol=1e-6, atol=atol)
-    torch.testing.assert_close(fit.nuisances, truth.nuisances, rtol=0.0, atol=atol)
+    # rounding of the differences leaves 2e-7 posterior standard deviations of gradient
+    error = (fit.nuisance_chol.mT @ (fit.nuisances - truth.nuisances)[..., None])[..., 0]
+    assert float(error.abs().max()) < 1e-5  # standard deviations; a certificate allows 1e-3
 
 
 BATCHES = {
