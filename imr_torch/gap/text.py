@@ -207,15 +207,11 @@ def parameter_sentences(document: Document) -> tuple[str, ...]:
     wide = document["parameters_with_model_error"]
     lines = []
     for name, (low, middle, high) in document["parameters"].items():
-        right = f"{shown(name, low)} to {shown(name, high)}"
-        if wide is None:
-            lines.append(f"{name} is {shown(name, middle)} (90 %: {right} if the model is right).")
-            continue
-        low, middle, high = wide[name]
-        lines.append(
-            f"{name} is {shown(name, middle)} (90 %: {right} if the model is right; "
-            f"{shown(name, low)} to {shown(name, high)} with what it may lack)."
-        )
+        right = f"{shown(name, low)} to {shown(name, high)} if the model is right"
+        if wide is not None:
+            least, _, most = wide[name]
+            right += f"; {shown(name, least)} to {shown(name, most)} with what it may lack"
+        lines.append(f"{name} is {shown(name, middle)} (90 %: {right}).")
     return tuple(lines)
 
 
