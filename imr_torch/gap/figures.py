@@ -335,7 +335,7 @@ def plot_shrinkage(found: Mapping[str, Any], *, ax: Axes | None = None) -> Axes:
         ax.axvline(at, color=DATA, lw=0.8)
     ax.set_yticks(places, [name for name, _ in rows], fontsize=8)
     ax.set(xlabel="part of the gap that is gone", ylim=(-0.5, len(rows) - 0.5))
-    ax.legend(frameon=False, fontsize=7, loc="upper left")
+    ax.legend(frameon=False, fontsize=7, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     return ax
 
 
@@ -361,5 +361,5 @@ def plot_intervals(document: Document, *, ax: Axes | None = None) -> Axes:
     ax.axvline(1.0, color=DATA, lw=0.8)
     ax.set_yticks(places, [PARAMETERS[name].label for name in right], fontsize=8)
     ax.set(xlabel="over the median of the fit", ylim=(-0.5, len(right) - 0.5))
-    ax.legend(frameon=False, fontsize=8)
+    ax.legend(frameon=False, fontsize=8, ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     return ax

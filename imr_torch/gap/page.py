@@ -10,7 +10,8 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 
 from imr_torch.gap.figures import gap_figures
-from imr_torch.gap.text import Document, hidden_rows, sections, title
+from imr_torch.gap.hypotheses import in_words
+from imr_torch.gap.text import Document, hidden_rows, sections
 from imr_torch.html import Block, Picture, Table, write
 from imr_torch.html import page as html_page
 from imr_torch.material import PARAMETERS
@@ -90,7 +91,7 @@ def _gel(document: Document) -> tuple[tuple[str, ...], ...]:
     """Model and parameters with their intervals, and the data."""
     model = document["model"]
     named = document["parameter_shift"] is not None
-    added = f" with {' and '.join(map(title, document['selected']))}" if named else ""
+    added = f" with {' and '.join(map(in_words, document['selected']))}" if named else ""
     rows = [("Model", f"{model['title']}{added}")]
     wide = document["parameters_with_model_error"]
     for name, values in document["parameters"].items():

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from imr_torch.gap.hidden import shown
-from imr_torch.gap.hypotheses import GEL_SCATTER
+from imr_torch.gap.hypotheses import GEL_SCATTER, in_words
 from imr_torch.gap.verdict import NONE, OTHER, SLOW_NOISE
 from imr_torch.goodness.score import ADEQUATE, LEVEL
 from imr_torch.labels import p_value
@@ -426,7 +426,7 @@ def _shrinkage(document: Document) -> tuple[str, ...]:
 def _shift(document: Document) -> tuple[str, ...]:
     lines = []
     if (shift := document["parameter_shift"]) is not None:
-        lines.append(f"With {' and '.join(map(title, document['selected']))}:")
+        lines.append(f"With {' and '.join(map(in_words, document['selected']))}:")
         for name, values in shift.items():
             (_, before, _), after = values["base"], values["with_cause"]
             lines.append(
