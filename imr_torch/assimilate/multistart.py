@@ -31,6 +31,10 @@ _STEPS = 20  # iterations with one of them
 _AWAY = (10.0, 3.0)  # posterior standard deviations from the lowest point at which others begin
 
 
+def _first(pair: tuple[float, Point]) -> float:
+    return pair[0]
+
+
 @dataclass
 class ModelSearch:
     """The search for the lowest minimum of one model.
@@ -74,10 +78,15 @@ class ModelSearch:
     def find_lowest(self) -> None:
         """Descend from starts until two agree, and from points near the lowest where they do not.
 
-        Among models, of which one may be far behind in a poor minimum, from all if more than two.
+        Among models, of which one may be far behind in a poor minimum, from all if more than two,
+        and of two from the lower one first: near a neutral value an effect may have no slope.
         """
         starts = self.starts
-        several = self.options.drop_behind is not None and len(starts) > 2
+        among = self.options.drop_behind is not None
+        several = among and len(starts) > 2
+        if among and len(starts) == 2 and not self.masking:
+            costs = [-float(self.posterior.log_joint(start)) for start in starts]
+            starts = [start for _, start in sorted(zip(costs, starts, strict=True), key=_first)]
         self._descend(starts[0])
         for start in starts[1:]:
             if several or not (self._agrees() or self._is_behind(self.lowest)):
