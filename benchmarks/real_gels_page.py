@@ -17,7 +17,10 @@ def write_page(rows: list[Line], path: Path) -> None:
         "## Controls",
         write_table(("control", "must", "found", "met"), checked),
         "## Sets",
-        write_table(MODELS, [_models(record[x, "characterize"]) for x in sets]),
+        write_table(
+            MODELS,
+            [_models(record[x, "characterize"]) for x in sets if (x, "characterize") in record],
+        ),
         write_table(DIAGNOSES, [_diagnosis(record[x, "diagnose"]) for x in sets]),
     ]
     cpu = sum(row["cpu"] for row in rows)
