@@ -114,11 +114,11 @@ def _viscosities(record: Record) -> Answer:
 
 
 def _named(record: Record, names: Iterable[str]) -> tuple[str, list[set[str]]]:
-    """Causes that each set names, over both halves: as text, and as sets."""
+    """Causes that each set names, over the halves in the record: as text, and as sets."""
     found = []
     words = []
     for name in names:
-        rows = [record[name, task] for task in ("diagnose", "other half")]
+        rows = [record[name, "diagnose"], record.get((name, "other half"), {})]
         sure = [row for row in rows if row.get("verdict") in ("effect", "class")]
         found.append({cause for row in sure for cause in row["cause"]})
         words.append(f"{name}: {', '.join(sorted(found[-1])) or 'none'}")
