@@ -26,7 +26,7 @@ def one_torch_thread() -> Iterator[None]:
     decorator of functions.
 
     Blocks may overlap in several Python threads: the last one to end restores what was before the
-        first.
+    first.
 
     >>> import torch
     >>> from imr_torch.threads import one_torch_thread

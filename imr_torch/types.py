@@ -6,9 +6,8 @@ one size throughout a call, ``*`` is any number of axes, ``#`` broadcasts, ``_``
 the bubbles of a batch. ``pytest --check-shapes`` checks them in every call.
 
 Shape words in docstrings follow BoTorch: ``batch_shape`` is any leading shape, ``q`` designs
-    considered together, ``p`` the
-length of the parameter vector, ``d`` the free parameters of one model, ``E`` experiments, ``T`` or
-``n_t`` frames.
+considered together, ``p`` the length of the parameter vector, ``d`` the free parameters of one
+model, ``E`` experiments, ``T`` or ``n_t`` frames.
 """
 
 from collections.abc import Callable

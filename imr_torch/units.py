@@ -1,9 +1,9 @@
 """Conversion between SI and dimensionless quantities; no other module converts.
 
 Dimensionless quantities follow Estrada et al. (J. Mech. Phys. Solids 112, 2018): length ``Rmax``,
-    pressure ``p_inf``,
-velocity ``U_c = sqrt(p_inf / rho)``, time ``Rmax / U_c``. The Weber number ``We = p_inf Rmax / (2
-gamma)`` therefore fixes ``Rmax``, so a design is the pair ``(We, R_inf* = R_inf / Rmax)``.
+pressure ``p_inf``, velocity ``U_c = sqrt(p_inf / rho)``, time ``Rmax / U_c``. The Weber number ``We
+= p_inf Rmax / (2 gamma)`` therefore fixes ``Rmax``, so a design is the pair ``(We, R_inf* = R_inf /
+Rmax)``.
 """
 
 from dataclasses import dataclass

@@ -2,12 +2,11 @@
 fit ended.
 
 A frame next to a collapse gives the cost a local minimum for either side of it: in time zero, with
-    Rmax and R_inf to match.
-Starts of a search differ in the gel and not in these, so all of them may agree on the wrong one. At
-a fixed gel experiments are independent, and each can be searched at little cost: one bubble, read
-at other times, shows the whole profile of the cost over time zero, and one each the change with
-Rmax and R_inf. From the lowest minima of that profile a few Gauss-Newton steps of all nuisances
-follow, and the lowest end counts.
+Rmax and R_inf to match. Starts of a search differ in the gel and not in these, so all of them may
+agree on the wrong one. At a fixed gel experiments are independent, and each can be searched at
+little cost: one bubble, read at other times, shows the whole profile of the cost over time zero,
+and one each the change with Rmax and R_inf. From the lowest minima of that profile a few
+Gauss-Newton steps of all nuisances follow, and the lowest end counts.
 """
 
 import torch

@@ -226,9 +226,8 @@ class ModelFit:
         """The belief after the data, in controls a Gaussian.
 
         ``TRUSTED``: the fitted one with its mean and covariance corrected by the weighted draws.
-            ``REPAIRED``: with the moments
-        of the weighted draws, and 64 of these for its shape. Else the fitted one; where the noise
-        is uncertain, integrated over it to first order.
+        ``REPAIRED``: with the moments of the weighted draws, and 64 of these for its shape. Else
+        the fitted one; where the noise is uncertain, integrated over it to first order.
         """
         if self.verdict is not Verdict.REPAIRED:
             mean = self.mean
@@ -269,10 +268,9 @@ class ModelFit:
         """Whether the fitted Gaussian has the moments of the posterior.
 
         ``TRUSTED``: importance weights are reliable and, with the noise that the fit was made with,
-            confirm its mean and
-        covariance. ``REPAIRED``: they are reliable and give other moments, which agree with those
-            that the proposal of the last
-        round was made for. ``REFUSED``: neither.
+        confirm its mean and covariance. ``REPAIRED``: they are reliable and give other moments,
+        which agree with those that the proposal of the last round was made for. ``REFUSED``:
+        neither.
         """
         sample = self.sample
         if sample is None:

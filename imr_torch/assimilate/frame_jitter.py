@@ -9,9 +9,8 @@ other noise integrated over its Jeffreys prior, is exact for that Gaussian; ``s`
 prior of a tenth of a frame interval.
 
 What else errs where the bubble is fast looks alike: a model that misses the collapse, an exposure
-    that blurs it. Those err
-smoothly along a curve and the same way in each, which jitter does not; a correlated noise law takes
-up most of that.
+that blurs it. Those err smoothly along a curve and the same way in each, which jitter does not; a
+correlated noise law takes up most of that.
 """
 
 import math

@@ -11,7 +11,7 @@ last are integrated out. Where the model is right the posterior of the law is th
 law is what the roughness of the curves says.
 
 Where designs were repeated, the repeats decide: their deviations from their mean hold the camera's
-    noise alone.
+noise alone.
 
 The law is ``scale * sqrt((slope |R*-1| + drift t*)^2 + floor^2)`` with free proportions. One curve
 whose noise is not that of the others gets a factor of its own. Gaussian processes by their state

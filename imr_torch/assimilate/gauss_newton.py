@@ -118,9 +118,8 @@ class NormalEquations:
     def step(
         self, damping: Float[Tensor, "*#batch"]
     ) -> tuple[Float[Tensor, "*#batch controls"], Float[Tensor, "*#batch experiments nuisances"]]:
-        """Levenberg-Marquardt steps of gel (``...
-
-        x d``) and nuisances (``... x E x w``) for a ``...`` damping.
+        """Levenberg-Marquardt steps of gel (``... x d``) and nuisances (``... x E x w``) for a
+        ``...`` damping.
         """
         damped = self._eliminate(damping)
         gel = -torch.linalg.solve(damped.hessian, damped.gradient[..., None])[..., 0]

@@ -1,11 +1,10 @@
 """Repeated fits of models for which a posterior draw has a lower cost than the fitted minimum.
 
 Starts that agree do not exclude another, lower minimum: where frames lie next to a collapse, the
-    nuisances of one experiment
-may have a second minimum that no start came near. Posterior draws, whose nuisances are fitted anew
-for each gel, may find it. The weights of draws only suggest it, since they depend on a few draws of
-the nuisances; decisive is the cost of the most probable draws, at their own most probable
-nuisances.
+nuisances of one experiment may have a second minimum that no start came near. Posterior draws,
+whose nuisances are fitted anew for each gel, may find it. The weights of draws only suggest it,
+since they depend on a few draws of the nuisances; decisive is the cost of the most probable draws,
+at their own most probable nuisances.
 """
 
 import math

@@ -2,9 +2,8 @@
 linearisation at any point.
 
 Prior, data and simulator are combined here and nowhere else: fits, importance sampling, Hamiltonian
-    Monte Carlo and the tests
-of the model's misfit all ask this object. Coordinates and sensitivities are those of
-:mod:`imr_torch.assimilate.forward`.
+Monte Carlo and the tests of the model's misfit all ask this object. Coordinates and sensitivities
+are those of :mod:`imr_torch.assimilate.forward`.
 """
 
 from dataclasses import dataclass, replace

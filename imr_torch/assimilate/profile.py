@@ -1,12 +1,11 @@
 """Profile likelihood: how well a parameter can be known at all, whatever the others are.
 
 A parameter is held at values on both sides of its most probable one, and everything else is fitted
-    again: the other parameters
-within their priors, and the nuisances. The profile is how many nats the best fit loses, without the
-prior of the parameter itself; a 95 % interval is where it loses less than 1.92 (half the 95 %
-quantile of chi-square with one degree of freedom; Raue et al., Bioinformatics 25, 2009). A profile
-that does not rise on one side says that the data do not bound the parameter there, which an
-interval of the posterior hides behind its prior.
+again: the other parameters within their priors, and the nuisances. The profile is how many nats the
+best fit loses, without the prior of the parameter itself; a 95 % interval is where it loses less
+than 1.92 (half the 95 % quantile of chi-square with one degree of freedom; Raue et al.,
+Bioinformatics 25, 2009). A profile that does not rise on one side says that the data do not bound
+the parameter there, which an interval of the posterior hides behind its prior.
 """
 
 import math

@@ -348,8 +348,7 @@ def _place(sample: ImportanceSample, below: Tensor, uniform: float) -> float:
     """Rank of the truth in a posterior, between 0 and 1, uniform if the inference is calibrated.
 
     The weight of the draws below the truth, with the truth counted as one more effective draw: the
-        fraction ``uniform`` of its
-    weight, a uniform random number, counts as below.
+    fraction ``uniform`` of its weight, a uniform random number, counts as below.
     """
     count = sample.effective_samples
     return (count * float(sample.weights @ below.double()) + uniform) / (count + 1.0)

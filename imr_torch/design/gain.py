@@ -2,10 +2,9 @@
 model) are combined.
 
 The error is kept draw by draw: the *influence* of a draw on an estimate is its share of the
-    deviation from the expected value,
-so the variance is the sum of squares of the influences, and the covariance of two estimates that
-used the same draws is the sum of products. :func:`separate_errors` takes from the errors of many
-designs the part that all of them share.
+deviation from the expected value, so the variance is the sum of squares of the influences, and the
+covariance of two estimates that used the same draws is the sum of products. :func:`separate_errors`
+takes from the errors of many designs the part that all of them share.
 """
 
 import math

@@ -2,11 +2,9 @@
 as Gaussian directions.
 
 Data are the mean curves of all repeats, within each datum's own window. Nuisances are marginalised
-in their linear
-approximation: ``y = f(v) + B w + e`` with ``w`` standard normal, by the Woodbury identity. What is
-    left out is the scatter
-of the repeats about their mean, which tells of the gel through the noise law alone (``2 slope^2``
-of the information, .1 %).
+in their linear approximation: ``y = f(v) + B w + e`` with ``w`` standard normal, by the Woodbury
+identity. What is left out is the scatter of the repeats about their mean, which tells of the gel
+through the noise law alone (``2 slope^2`` of the information, .1 %).
 
 Constants common to all gels and models are left out of log densities.
 """
@@ -61,9 +59,8 @@ def observe(seen: Response, plan: Plan, source: torch.Generator) -> Data:
 
 
 def _whiten(columns: Tensor, sd: Tensor, window: Tensor, plan: Plan) -> Tensor:
-    """Columns ``...
-
-    x q x T x c`` in units of independent noise of the mean curve, 0 outside the window.
+    """Columns ``... x q x T x c`` in units of independent noise of the mean curve, 0 outside the
+    window.
     """
     scaled = columns / sd[..., None] * plan.repeats**0.5
     if plan.decorrelation is not None:

@@ -58,8 +58,7 @@ class Plan:
         frames.
 
         It is lower triangular: what it makes of the first frames does not depend on later ones, so
-            a window can be cut
-        after it.
+        a window can be cut after it.
         """
         factor = self.noise.decorrelation(
             self.times[None], torch.ones(1, len(self.times), dtype=torch.bool)
@@ -67,9 +66,8 @@ class Plan:
         return None if factor is None else factor[0]
 
     def window(self, radius: Float[Tensor, "*batch frames"]) -> Bool[Tensor, "*batch frames"]:
-        """Frames of each curve (``...
-
-        x n_t``) up to the last collapse of the window: a boolean tensor of that shape.
+        """Frames of each curve (``... x n_t``) up to the last collapse of the window: a boolean
+        tensor of that shape.
         """
         if self.collapses is None:
             return torch.ones_like(radius, dtype=torch.bool)

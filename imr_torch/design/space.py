@@ -2,9 +2,9 @@
 of achieved designs.
 
 Nozzles, lenses and laser energies come in steps: either axis can be a list of settings, or the
-    whole space a list of
-designs. What is asked for is not what is achieved; ``scatter`` says by how much, and the search
-then looks for the design that is most informative on average over what is then achieved.
+whole space a list of designs. What is asked for is not what is achieved; ``scatter`` says by how
+much, and the search then looks for the design that is most informative on average over what is then
+achieved.
 """
 
 import math

@@ -49,7 +49,7 @@ def plan_of(batch: ExperimentBatch) -> Plan:
     """How the next shot will be observed: as these experiments were, in the median over them.
 
     Frames are spread evenly over the record. A known exposure is left out: predictions of planned
-        shots are instants.
+    shots are instants.
 
     >>> import torch
     >>> from imr_torch.gap.forecast import plan_of

@@ -1,12 +1,12 @@
 """The next design: the one that best tells the remaining causes apart.
 
 The causes left by a diagnosis are the models of one belief: each a fit with its posterior, weighted
-    by its probability, and an
-unknown effect that looks like the leader (:mod:`imr_torch.gap.forecast`). The information that an
-experiment is expected to give about *which* of them is true, ``I(cause; y)``, is the expected log
-Bayes factor of the truth over the mixture of all, averaged over posterior draws of each cause: at
-one nominal value the best design is that of one gel, which need not be this one. It never exceeds
-the entropy of the causes. What it means is said by the expected probability of the truth.
+by its probability, and an unknown effect that looks like the leader
+(:mod:`imr_torch.gap.forecast`). The information that an experiment is expected to give about
+*which* of them is true, ``I(cause; y)``, is the expected log Bayes factor of the truth over the
+mixture of all, averaged over posterior draws of each cause: at one nominal value the best design is
+that of one gel, which need not be this one. It never exceeds the entropy of the causes. What it
+means is said by the expected probability of the truth.
 """
 
 import math

@@ -1,15 +1,14 @@
 """How alike effects look in these data, and how often an unknown effect would pass for a known one.
 
 All of it is geometry at a fit: whitened changes of the curves with everything fitted (gel and
-    nuisances) projected out
-(:mod:`imr_torch.goodness.linear`). Two effects whose directions enclose an angle ``a`` differ by
-``s sin a`` standard deviations when one of them shows with ``s``. An unknown effect is represented
-by reference directions: every effect of the library in turn, left out with its family, and random
-stress laws. Its best likeness among the effects that are left explains ``s`` standard deviations
-and leaves ``s tan a``; the gap test is then run on what is left, with noise. How often it does not
-reject is the chance that an unknown effect looks like a known one; the whole distribution of its
-p-value, over the uniform one of the right effect, is the Bayes factor of an unknown effect given
-the p-value that was found.
+nuisances) projected out (:mod:`imr_torch.goodness.linear`). Two effects whose directions enclose an
+angle ``a`` differ by ``s sin a`` standard deviations when one of them shows with ``s``. An unknown
+effect is represented by reference directions: every effect of the library in turn, left out with
+its family, and random stress laws. Its best likeness among the effects that are left explains ``s``
+standard deviations and leaves ``s tan a``; the gap test is then run on what is left, with noise.
+How often it does not reject is the chance that an unknown effect looks like a known one; the whole
+distribution of its p-value, over the uniform one of the right effect, is the Bayes factor of an
+unknown effect given the p-value that was found.
 """
 
 import math

@@ -63,9 +63,8 @@ class Linearisation:
         return torch.nn.functional.pad(ratios, (0, len(self.residual) - ratios.shape[1]), value=1.0)
 
     def explained(self, shift: Float[Tensor, "*batch fitted"]) -> Float[Tensor, "*batch rows"]:
-        """What shifts ``...
-
-        x k`` of everything fitted change in the data, to first order: rows ``... x N``.
+        """What shifts ``... x k`` of everything fitted change in the data, to first order: rows
+        ``... x N``.
         """
         rows = shift @ self.fitted.mT
         rows[..., self.fitted.shape[0] - self.fitted.shape[1] :] = 0.0

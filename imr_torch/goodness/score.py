@@ -313,10 +313,9 @@ def _drawn_residuals(line: Linearisation, ratios: Tensor, source: torch.Generato
     """Residuals drawn under the fitted model, ``B x N``.
 
     Where the noise was inferred from the residuals themselves, drawn ones get the mean square of
-        those observed: under the
-    model that says nothing of their direction, so the test holds whatever the scale of the noise. A
-    mean square that is larger than the uncertainty of the scale allows is a misfit, and counts as
-    no larger than that.
+    those observed: under the model that says nothing of their direction, so the test holds whatever
+    the scale of the noise. A mean square that is larger than the uncertainty of the scale allows is
+    a misfit, and counts as no larger than that.
     """
     drawn = torch.randn(ratios.shape, generator=source, dtype=torch.float64)
     laws = line.batch.noise_laws

@@ -142,7 +142,7 @@ def stretched(
     s (1/R_inf - 1))``.
 
     The gas is not: it still rests at ``R_inf``. The set grows with the stretch ``1/R_inf`` at the
-        maximum radius.
+    maximum radius.
     """
     moved = rest_radius + permanent_set * (1.0 - rest_radius)
     value, rate = _elastic(radius, velocity, moved, G, alpha)

@@ -5,9 +5,8 @@ With the hoop stretch ``b`` of the material at a distance, ``S = -2 int_1^l (b^-
 b^2``.
 
 Sources: Gaudron, Warnez & Johnsen (J. Fluid Mech. 766, 2015) for the neo-Hookean integral; Yang et
-    al. (Soft Matter 16,
-2020) for the quadratic (qKV) law; Fung (Am. J. Physiol. 213, 1967) for the exponential law, of
-which qKV is the first order.
+al. (Soft Matter 16, 2020) for the quadratic (qKV) law; Fung (Am. J. Physiol. 213, 1967) for the
+exponential law, of which qKV is the first order.
 """
 
 import numpy as np

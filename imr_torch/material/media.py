@@ -2,9 +2,8 @@
 source.
 
 A named medium states what its source states, and no more. All are mostly water: at another
-    temperature than the source's their
-density, sound speed and surface tension follow those of water, by ratio. Vapour pressure is not a
-property here; it follows from the temperature in the simulator
+temperature than the source's their density, sound speed and surface tension follow those of water,
+by ratio. Vapour pressure is not a property here; it follows from the temperature in the simulator
 (:func:`imr_torch.simulate.conditions.saturation_pressure`). Viscosity is inferred.
 """
 

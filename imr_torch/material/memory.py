@@ -2,13 +2,12 @@
 Oldroyd-B.
 
 Each replaces the instantaneous stress of the terms beside it by one that relaxes: for a member with
-    a relaxation time, the
-law takes off what those terms add at once and adds its memory state instead. At a relaxation time
-of zero it does nothing, so a batch may mix gels with and without memory.
+a relaxation time, the law takes off what those terms add at once and adds its memory state instead.
+At a relaxation time of zero it does nothing, so a batch may mix gels with and without memory.
 
 Sources: Warnez & Johnsen (Phys. Fluids 27, 2015) for Maxwell, Zener and the upper-convected branch
-    round a bubble; Estrada
-et al. (J. Mech. Phys. Solids 112, 2018), section 2.2, for the standard linear and nonlinear solids.
+round a bubble; Estrada et al. (J. Mech. Phys. Solids 112, 2018), section 2.2, for the standard
+linear and nonlinear solids.
 """
 
 from imr_torch.elementary import Scalar, where

@@ -6,8 +6,7 @@ mu(gamma_wall x) dx``, so ``S`` depends on ``U/R`` alone and ``dS/d(U/R)`` is fo
 viscosity at the wall: nothing but ``S`` itself needs quadrature.
 
 Sources: Estrada et al. (J. Mech. Phys. Solids 112, 2018), eq. 10; Carreau (Trans. Soc. Rheol. 16,
-    1972); Gaudron, Warnez &
-Johnsen (J. Fluid Mech. 766, 2015), section 2.3 for the integral.
+1972); Gaudron, Warnez & Johnsen (J. Fluid Mech. 766, 2015), section 2.3 for the integral.
 """
 
 import numpy as np

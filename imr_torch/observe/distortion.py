@@ -81,10 +81,10 @@ class Distortion:
         filmed.
 
         Rmax and R_inf are read off the same film, so each holds the same error ``d`` as every
-            frame: the true ones are smaller
-        by ``d``, and ``R* = (R + d)/(Rmax + d)`` is 1 at the maximum whatever the error. A
-        threshold set too high or too low moves the edge so (0.5 to 2 pixels are 0.003 to 0.02 in
-        R*). An R_inf that is known otherwise does not hold ``d``, but loses it here.
+        frame: the true ones are smaller by ``d``, and ``R* = (R + d)/(Rmax + d)`` is 1 at the
+        maximum whatever the error. A threshold set too high or too low moves the edge so (0.5 to 2
+        pixels are 0.003 to 0.02 in R*). An R_inf that is known otherwise does not hold ``d``, but
+        loses it here.
 
         Args:
             designs: measured (We, R_inf*).

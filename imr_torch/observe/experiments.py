@@ -384,9 +384,8 @@ class ExperimentBatch:
         values: Float[Tensor, "*#batch experiments frames"],
         sd: Float[Tensor, "*#batch experiments frames"],
     ) -> Float[Tensor, "*#batch experiments frames"]:
-        """Scale differences ``...
-
-        x E x T`` so that the mean of the repeats has unit, independent noise.
+        """Scale differences ``... x E x T`` so that the mean of the repeats has unit, independent
+        noise.
         """
         scaled = torch.where(self.mask, values / sd, 0.0)
         if self.innovations is not None:
@@ -431,9 +430,8 @@ class ExperimentBatch:
         return square.sum(-1), normaliser.sum(-1)
 
     def _scattered(self, weight: Tensor, innovations: tuple[Tensor, Tensor] | None) -> Tensor:
-        """Whitened squares of the deviations of the repeats from their mean, for weights ``...
-
-        x E x T``.
+        """Whitened squares of the deviations of the repeats from their mean, for weights ``... x E
+        x T``.
         """
         squares, products = self._scatter
         if innovations is None:

@@ -1,8 +1,8 @@
 """Nuisance parameters of each experiment: errors of the measured Rmax, time zero and R_inf.
 
 Each is a standard normal control per experiment times its prior standard deviation, and neutral at
-    0: a fit of the gel
-marginalises over them, so that an error of Rmax is not mistaken for a change of modulus.
+0: a fit of the gel marginalises over them, so that an error of Rmax is not mistaken for a change of
+modulus.
 """
 
 from dataclasses import dataclass

@@ -165,9 +165,8 @@ class ShotLikelihood:
     def correction(
         self, controls: Float[Tensor, "*batch controls"]
     ) -> Float[Tensor, "*batch groups"]:
-        """The polynomial at ``...
-
-        x d`` controls, of all draws and without each group: ``... x (1 + GROUPS)``.
+        """The polynomial at ``... x d`` controls, of all draws and without each group: ``... x (1 +
+        GROUPS)``.
         """
         whitened = (controls - self.centre) @ self.unscale.mT
         return _monomials(whitened, self.exponents) @ self.coefficients.mT
@@ -238,8 +237,7 @@ def _robust(basis: Tensor, values: Tensor, weights: Tensor) -> tuple[Tensor, Ten
     """Huber's weights times those given, and leave-one-out residuals.
 
     The nuisances of a draw are integrated out by a few of their own draws, which now and then all
-        miss: such a likelihood is
-    far too low, and no other draw's.
+    miss: such a likelihood is far too low, and no other draw's.
     """
     robust = weights
     left = values

@@ -278,8 +278,7 @@ class Bubbles:
         """The sub-batch of the members with these indices.
 
         Terms that act in none of them are left out, which saves their cost. What has rows of the
-            state stays: memory, and
-        gas that is lost.
+        state stays: memory, and gas that is lost.
         """
         parameters = self.parameters[:, members]
         acting = PARAMETERS.acting(parameters)

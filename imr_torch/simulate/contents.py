@@ -4,10 +4,8 @@ derivatives by hand.
 Scalar functions that both engines use: on tensors of a batch (:mod:`~imr_torch.simulate.rhs`,
 :mod:`~imr_torch.simulate.linearise`) and compiled for numbers (:mod:`imr_torch.simulate.compiled`).
 ``tau`` is the Kirchhoff temperature, ``d tau = K*(T) dT``; ``C`` the mass fraction of vapour; ``q =
-dP/dt``; primes are ``d/dy`` with ``y = r/R``.
-Equations: Estrada et al. (J. Mech. Phys. Solids 112, 2018), eqs. 4-18 and appendix A. The
-    derivatives are tested against
-automatic differentiation.
+dP/dt``; primes are ``d/dy`` with ``y = r/R``. Equations: Estrada et al. (J. Mech. Phys. Solids 112,
+2018), eqs. 4-18 and appendix A. The derivatives are tested against automatic differentiation.
 """
 
 from typing import NamedTuple

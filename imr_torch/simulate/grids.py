@@ -6,8 +6,7 @@ resolves the thermal boundary layer with some sixteen nodes; outside, Chebyshev 
 xi)/(1 + xi)`` reaches to infinity. Central differences on nodes that are even in ``eta`` and ``xi``
 share the maps and nothing else; the published code's grid is the one that is even in ``y`` itself.
 References: Boyd, Chebyshev and Fourier Spectral Methods (2001), ch. 6, 8 and 17; Trefethen,
-    Spectral Methods in MATLAB
-(2000), ch. 6 and 11.
+Spectral Methods in MATLAB (2000), ch. 6 and 11.
 """
 
 import math

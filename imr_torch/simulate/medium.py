@@ -2,20 +2,19 @@
 far-field pressure, temperature.
 
 Each bubble of a batch may be in a medium of its own: parameters give the logarithm of its density
-    (and so on) over that of
-:class:`imr_torch.units.Surroundings`. Lengths, times and pressures stay those of the surroundings,
-by which the data were made dimensionless, so that a fit can infer the medium beside the gel. With
-``U_c = sqrt(p_inf/rho)`` and Rmax fixed, a density ``rho = rho_0/pace^2`` moves the bubble as the
-surroundings would at velocities ``U/pace`` and times ``t pace``: ``1/Re`` and ``1/c`` in the
-medium's own units are ``pace`` times those of the surroundings, ``1/Ca`` and ``1/We`` are the same.
+(and so on) over that of :class:`imr_torch.units.Surroundings`. Lengths, times and pressures stay
+those of the surroundings, by which the data were made dimensionless, so that a fit can infer the
+medium beside the gel. With ``U_c = sqrt(p_inf/rho)`` and Rmax fixed, a density ``rho =
+rho_0/pace^2`` moves the bubble as the surroundings would at velocities ``U/pace`` and times ``t
+pace``: ``1/Re`` and ``1/c`` in the medium's own units are ``pace`` times those of the surroundings,
+``1/Ca`` and ``1/We`` are the same.
 
 Density, sound speed, surface tension and pressure are exact: a bubble is that of other
-    surroundings, seen in the units of
-the present ones. A temperature moves the vapour pressure (Estrada et al., J. Mech. Phys. Solids
-112, 2018, eq. 18), the heat that the contents conduct and the heating by viscosity; what it does to
-the latent heat over ``R T`` and to the slope of the conductivity is left out, a twentieth of its
-effect on R* (tested). A temperature of the surroundings themselves is exact. None of them changes
-another one.
+surroundings, seen in the units of the present ones. A temperature moves the vapour pressure
+(Estrada et al., J. Mech. Phys. Solids 112, 2018, eq. 18), the heat that the contents conduct and
+the heating by viscosity; what it does to the latent heat over ``R T`` and to the slope of the
+conductivity is left out, a twentieth of its effect on R* (tested). A temperature of the
+surroundings themselves is exact. None of them changes another one.
 
 The effect ``surface_tension`` of the library changes the tension on the moving wall alone, and
 ``far_field_pressure`` the pressure during the collapse alone; here the contents, which were in

@@ -9,13 +9,13 @@ by every member together. In a tick the state changes by one step of the Rosenbr
 each tick.
 
 A batch may hold *bundles*: a leader and followers that differ a little from it. All take the
-    leader's steps, so that their
-discretisation errors differ as smoothly as the bubbles do, and differences between them are
-derivatives of the discrete solution (internal numerical differentiation: Bock, in Modelling of
-Chemical Reaction Systems, Springer 1981). A follower's step is the leader's in proportion to their
-time scales, or its collapse would move through the leader's fine steps and back, which changes the
-errors more than the bubble: sensitivities then err by 10 %, and not by .1 %. Steps controlled by
-each one's own error are no better, since in violent collapses they depend chaotically on it.
+leader's steps, so that their discretisation errors differ as smoothly as the bubbles do, and
+differences between them are derivatives of the discrete solution (internal numerical
+differentiation: Bock, in Modelling of Chemical Reaction Systems, Springer 1981). A follower's step
+is the leader's in proportion to their time scales, or its collapse would move through the leader's
+fine steps and back, which changes the errors more than the bubble: sensitivities then err by 10 %,
+and not by .1 %. Steps controlled by each one's own error are no better, since in violent collapses
+they depend chaotically on it.
 """
 
 import torch

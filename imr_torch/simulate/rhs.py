@@ -2,13 +2,12 @@
 :mod:`imr_torch.simulate.linearise`.
 
 State of a member, in this order: ``R``, ``U``, ``ln P`` (pressure of the contents; its logarithm is
-    what changes
-evenly), ``tau_w``, ``tau`` at ``n`` nodes inside, ``C`` at the same, ``theta = T_m - 1`` at ``m``
-nodes outside, and the ``K`` memory states of the gel. ``tau`` is the Kirchhoff temperature, ``d tau
-= K*(T) dT``; ``C`` the mass fraction of vapour. ``tau_w`` at the wall is algebraic: its row of the
-right-hand side is the wall's balance of heat, which must vanish. The laws are in
-:mod:`~imr_torch.simulate.contents` and :mod:`~imr_torch.simulate.wall`. Equations: Estrada et al.
-(J. Mech. Phys. Solids 112, 2018), eqs. 4-18 and appendix A.
+what changes evenly), ``tau_w``, ``tau`` at ``n`` nodes inside, ``C`` at the same, ``theta = T_m -
+1`` at ``m`` nodes outside, and the ``K`` memory states of the gel. ``tau`` is the Kirchhoff
+temperature, ``d tau = K*(T) dT``; ``C`` the mass fraction of vapour. ``tau_w`` at the wall is
+algebraic: its row of the right-hand side is the wall's balance of heat, which must vanish. The laws
+are in :mod:`~imr_torch.simulate.contents` and :mod:`~imr_torch.simulate.wall`. Equations: Estrada
+et al. (J. Mech. Phys. Solids 112, 2018), eqs. 4-18 and appendix A.
 """
 
 from dataclasses import dataclass

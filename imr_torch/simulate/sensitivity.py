@@ -4,10 +4,9 @@ in lock step.
 A perturbed copy that chose its own step sequence would differ from its original by the integration
 error of either. In a bundle (:meth:`imr_torch.simulate.Simulator.bundle`) both take the same
 decisions, so that their difference over a tiny increment is the derivative of the discrete
-solution: nothing is lost but rounding (internal numerical
-differentiation: Bock, in Modelling of Chemical Reaction Systems, Springer 1981). A bundle costs as
-    much as its members
-in one batch; see ``benchmarks/RESULTS.md``.
+solution: nothing is lost but rounding (internal numerical differentiation: Bock, in Modelling of
+Chemical Reaction Systems, Springer 1981). A bundle costs as much as its members in one batch; see
+``benchmarks/RESULTS.md``.
 """
 
 from collections.abc import Sequence

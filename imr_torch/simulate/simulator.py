@@ -158,9 +158,8 @@ class Simulator(Protocol):
         are smooth.
 
         The last batch dimension is that of a bundle. Its first member leads: what a solver decides
-            by the bubble
-        (whether to accept a step, say) it decides by the leader, whose solution is the same as
-        without followers. A simulator that decides nothing may simply call itself.
+        by the bubble (whether to accept a step, say) it decides by the leader, whose solution is
+        the same as without followers. A simulator that decides nothing may simply call itself.
 
         Args:
             parameters: or broadcastable to it; SI.
@@ -273,13 +272,10 @@ def check_times(times: Real[Tensor, "members frames"]) -> None:
     """Raise :class:`InputDataError` unless the rows of ``times`` (``B x n_t``) are finite,
     increasing and not early.
 
-    >>> import torch
-    >>> from imr_torch.simulate import check_times
-    >>> check_times(torch.tensor([[0.0, 0.2, 0.1]]))
-    Traceback (most recent call last):
-        ...
+    >>> import torch >>> from imr_torch.simulate import check_times >>>
+    check_times(torch.tensor([[0.0, 0.2, 0.1]])) Traceback (most recent call last): ...
     imr_torch.errors.InputDataError: times of batch member 0 do not increase; sort them and drop
-        repeated ones.
+    repeated ones.
     """
     if not bool(torch.isfinite(times).all()):
         raise InputDataError(
@@ -301,13 +297,10 @@ def check_times(times: Real[Tensor, "members frames"]) -> None:
 def check_designs(designs: Real[Tensor, "*batch 2"]) -> None:
     """Raise :class:`InputDataError` unless every design has ``We > 0`` and ``0 < R_inf* < 1``.
 
-    >>> import torch
-    >>> from imr_torch.simulate import check_designs
-    >>> check_designs(torch.tensor([[400.0, 1.22]]))
-    Traceback (most recent call last):
-        ...
+    >>> import torch >>> from imr_torch.simulate import check_designs >>>
+    check_designs(torch.tensor([[400.0, 1.22]])) Traceback (most recent call last): ...
     imr_torch.errors.InputDataError: Design (We, R_inf*) = (400, 1.22): expected We > 0 and 0 <
-        R_inf* < 1 ...
+    R_inf* < 1 ...
     """
     weber = designs[..., 0]
     rest = designs[..., 1]
@@ -370,7 +363,7 @@ def solve_batch(
     """What every simulator does round its solver: check, broadcast, solve in blocks, put together.
 
     Without a gradient to take, the solver runs in inference mode: its small operators then cost a
-        third less.
+    third less.
 
     Args:
         solve: ``B x p`` parameters, ``B x 2`` designs and ``B x n_t`` times to radius, velocity,

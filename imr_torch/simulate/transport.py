@@ -127,7 +127,7 @@ class TransportSimulator:
         """Simulate a batch; see :class:`imr_torch.simulate.Simulator`.
 
         Where an argument requires a gradient, radii carry it: see
-            :func:`imr_torch.simulate.sensitivity.differentiable`.
+        :func:`imr_torch.simulate.sensitivity.differentiable`.
 
         Raises:
             ShapeError: if shapes do not fit.

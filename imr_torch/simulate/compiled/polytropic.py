@@ -1,9 +1,9 @@
 """One bubble of polytropic gas, and a bundle of them, integrated by compiled code.
 
 The same method as the tensor engine (:mod:`imr_torch.simulate.polytropic`): the classical
-    Runge-Kutta method with fixed steps
-of a stretched time (:mod:`imr_torch.simulate.clock`), tried again with half the step where a leader
-fails. Functions here are compiled by :mod:`imr_torch.simulate.compiled.build`.
+Runge-Kutta method with fixed steps of a stretched time (:mod:`imr_torch.simulate.clock`), tried
+again with half the step where a leader fails. Functions here are compiled by
+:mod:`imr_torch.simulate.compiled.build`.
 """
 
 from functools import partial
