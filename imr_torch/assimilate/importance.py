@@ -41,7 +41,7 @@ def smooth(log_weights: Float[Tensor, "draws"]) -> tuple[Float[Tensor, "draws"],
 
     Returns:
         The smoothed weights, and ``k``: infinite where too few weights count for a tail to be
-            fitted.
+        fitted.
     """
     from arviz_stats.base.array import (
         array_stats,

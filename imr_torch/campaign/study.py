@@ -129,7 +129,7 @@ def run_campaigns(
 
     Returns:
         An outcome per seed, in their order. The campaigns are in their folders:
-            ``study.open(seed)``.
+        ``study.open(seed)``.
 
     Raises:
         InputDataError: if a folder holds the journal of another campaign.

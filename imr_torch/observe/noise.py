@@ -124,7 +124,7 @@ class Noise:
 
         Returns:
             Two ``E x T`` tensors: factors of each frame and of the one before it, which is
-                subtracted.
+            subtracted.
         """
         if self.correlation_time == 0.0:
             return None

@@ -51,11 +51,9 @@ def sensitivities(
 
     Returns:
         The solution, and a ``batch_shape x n_t x k`` tensor: dR* per unit (SI) of each entry. At
-            its upper bound an entry
-        is differentiated from below. NaN where the solve failed, and for time scales of the gel
-            that are 0: a gel that
-        forgets at once is a singular limit, and what a relaxation time does shows in finite steps
-        only.
+        its upper bound an entry is differentiated from below. NaN where the solve failed, and for
+        time scales of the gel that are 0: a gel that forgets at once is a singular limit, and what
+        a relaxation time does shows in finite steps only.
 
     Raises:
         ShapeError: if shapes do not fit.
