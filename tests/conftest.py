@@ -1,6 +1,5 @@
-"""Fixtures shared by all tests:
-
-one thread, float64 tensors made explicitly, and the reference data where they exist.
+"""Fixtures shared by all tests: one thread, float64 tensors made explicitly, and the reference data
+where they exist.
 """
 
 import gc

@@ -56,9 +56,8 @@ class Quadrature:
 def quadrature(
     fit: ModelFit, batch: ExperimentBatch, simulator: CurvedSimulator, *, points: int = 401
 ) -> Quadrature:
-    """Rectangle rule over +-6 prior standard deviations:
-
-    spectrally accurate for a density that vanishes at the edges.
+    """Rectangle rule over +-6 prior standard deviations: spectrally accurate for a density that
+    vanishes at the edges.
     """
     axis = torch.linspace(-6.0, 6.0, points, dtype=torch.float64)
     controls = torch.cartesian_prod(axis, axis)

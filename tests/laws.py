@@ -1,6 +1,5 @@
-"""A law of scalars beside itself compiled for numbers:
-
-the same values, and the same derivatives by complex step.
+"""A law of scalars beside itself compiled for numbers: the same values, and the same derivatives by
+complex step.
 """
 
 from collections.abc import Callable, Sequence

@@ -58,9 +58,8 @@ class LinearSimulator:
         return 0.1 * torch.cos((0.5 + 0.4 * j) * k + 0.003 * weber[..., None, None] + j) / units
 
     def _gel(self, parameters: Tensor, weber: Tensor, frames: int) -> Tensor:
-        """What the gel adds, ``n x frames``:
-
-        once a Weber number, and of parameters that are not zero.
+        """What the gel adds, ``n x frames``: once a Weber number, and of parameters that are not
+        zero.
         """
         which = parameters.detach().ne(0.0).any(0).nonzero()[:, 0]
         different, place = weber.detach().unique(return_inverse=True)
@@ -117,9 +116,8 @@ def prior(models: tuple[str, ...] = MODELS, *, correlated: bool = False) -> Beli
 def experiments(
     count: int = 3, *, nuisance: Nuisance | None = None, noise: Noise = NOISE, seed: int = 0
 ) -> ExperimentBatch:
-    """Experiments on one gel:
-
-    each with its own design, number and spacing of frames, and repeats; last frames unequal.
+    """Experiments on one gel: each with its own design, number and spacing of frames, and repeats;
+    last frames unequal.
     """
     source = torch.Generator().manual_seed(seed)
     truth = PARAMETERS.pack({n: tensor(MEANS[n] + 0.6 * SDS[n])[0] for n in ("G", "mu")})

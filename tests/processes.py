@@ -124,9 +124,8 @@ class Processes:
 
 
 def serve() -> dict | None:
-    """Fork for each line of the standard input and print the status;
-
-    in a process that was forked, return what it has to run.
+    """Fork for each line of the standard input and print the status; in a process that was forked,
+    return what it has to run.
     """
     while line := sys.stdin.readline():
         child = os.fork()

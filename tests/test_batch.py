@@ -1,6 +1,5 @@
-"""Many shots:
-
-every file has a result or a reason, runs resume, and pools that break cost only their shot.
+"""Many shots: every file has a result or a reason, runs resume, and pools that break cost only
+their shot.
 """
 
 import csv

@@ -1,6 +1,5 @@
-"""Tables of collapse times on the command line:
-
-result, figure and page; options about curves are refused beside them.
+"""Tables of collapse times on the command line: result, figure and page; options about curves are
+refused beside them.
 """
 
 import json

@@ -1,6 +1,5 @@
-"""``--medium`` on the command line:
-
-stated values reach the bubbles and the documents, and what cannot be is refused.
+"""``--medium`` on the command line: stated values reach the bubbles and the documents, and what
+cannot be is refused.
 """
 
 import json

@@ -1,6 +1,5 @@
-"""The command line before any work:
-
-help, version and mistakes answer without PyTorch; the demo; completion of commands.
+"""The command line before any work: help, version and mistakes answer without PyTorch; the demo;
+completion of commands.
 """
 
 import json

@@ -1,6 +1,5 @@
-"""Comparison of two gels:
-
-closed forms for Gaussians, weighted draws as they are, and silence where there is no basis.
+"""Comparison of two gels: closed forms for Gaussians, weighted draws as they are, and silence where
+there is no basis.
 """
 
 import json

@@ -51,9 +51,8 @@ def examples() -> list[doctest.DocTest]:
 
 
 def public_objects() -> dict[str, object]:
-    """Name -> class or function that a package exports, wherever it is defined;
-
-    type aliases and data are left out.
+    """Name -> class or function that a package exports, wherever it is defined; type aliases and
+    data are left out.
     """
     found = {}
     for package in map(importlib.import_module, PUBLIC):

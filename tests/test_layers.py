@@ -1,6 +1,5 @@
-"""The tree is the data flow:
-
-a stage imports itself, earlier stages and the base modules, and nothing else of the package.
+"""The tree is the data flow: a stage imports itself, earlier stages and the base modules, and
+nothing else of the package.
 """
 
 import ast

@@ -1,6 +1,5 @@
-"""Progress as a person meets it:
-
-one line with stage, step and time left; details only when asked for.
+"""Progress as a person meets it: one line with stage, step and time left; details only when asked
+for.
 """
 
 import io

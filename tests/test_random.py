@@ -18,10 +18,7 @@ def test_that_a_child_seed_depends_on_its_path_and_not_on_what_was_drawn():
 
 
 def test_that_a_child_seed_is_the_same_in_every_process_and_version():
-    """The first 63 bits of SHA-256 of the path:
-
-    not Python's ``hash``, which is salted per process.
-    """
+    """The first 63 bits of SHA-256 of the path: not Python's ``hash``, which is salted per process."""
     assert child(0) == 3456079177858693020
 
 

@@ -1,6 +1,5 @@
-"""The shapes in the annotations hold:
-
-a part of the tests runs once more, with every annotated tensor checked.
+"""The shapes in the annotations hold: a part of the tests runs once more, with every annotated
+tensor checked.
 """
 
 import os

@@ -1,6 +1,5 @@
-"""The job script of the documentation, as SLURM would run it:
-
-only ``srun`` is replaced, by one that starts two tasks here.
+"""The job script of the documentation, as SLURM would run it: only ``srun`` is replaced, by one
+that starts two tasks here.
 """
 
 import os

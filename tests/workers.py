@@ -1,6 +1,5 @@
-"""Simulators that misbehave in workers, and an executor with a habit;
-
-importable by worker processes.
+"""Simulators that misbehave in workers, and an executor with a habit; importable by worker
+processes.
 """
 
 import os
@@ -30,9 +29,8 @@ def closed_form(parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
 
 @dataclass(frozen=True)
 class Lethal:
-    """Kills the process that simulates a cursed bubble:
-
-    once, if ``flag`` names a file to remember that by, or always.
+    """Kills the process that simulates a cursed bubble: once, if ``flag`` names a file to remember
+    that by, or always.
     """
 
     flag: str | None = None
@@ -101,10 +99,7 @@ class Backwards(Executor):
 
 
 def fatal(traces, options) -> dict[str, str]:
-    """Characterises a shot of a batch:
-
-    kills its process for one of them, and is quick for others.
-    """
+    """Characterises a shot of a batch: kills its process for one of them, and is quick for others."""
     if traces.ids[0] == "gel_1":
         os.kill(os.getpid(), signal.SIGKILL)
     return {"error": f"{traces.ids[0]} was here"}

@@ -1,6 +1,5 @@
-"""Commands of the application:
-
-what they write is kept, how they end is known, and they can be stopped.
+"""Commands of the application: what they write is kept, how they end is known, and they can be
+stopped.
 """
 
 import io

@@ -1,6 +1,5 @@
-"""Bad frames:
-
-named where they are, rarely where there are none, under independent and under correlated noise.
+"""Bad frames: named where they are, rarely where there are none, under independent and under
+correlated noise.
 """
 
 from dataclasses import replace

@@ -1,6 +1,5 @@
-"""Basins of the nuisances:
-
-the deepest is found at a fixed gel, and a search ends there whichever it began in.
+"""Basins of the nuisances: the deepest is found at a fixed gel, and a search ends there whichever
+it began in.
 """
 
 from dataclasses import dataclass, field, replace

@@ -1,6 +1,5 @@
-"""Nuisances given the gel:
-
-exact where the simulator is linear in them, from any guess; and what that does for weighing.
+"""Nuisances given the gel: exact where the simulator is linear in them, from any guess; and what
+that does for weighing.
 """
 
 from dataclasses import replace

@@ -1,6 +1,5 @@
-"""Hybrid ensemble 4D-Var:
-
-exact for linear simulators, near the most probable gel of real ones, and past small local minima.
+"""Hybrid ensemble 4D-Var: exact for linear simulators, near the most probable gel of real ones, and
+past small local minima.
 """
 
 import pytest
@@ -75,9 +74,8 @@ def test_that_one_update_is_two_updates_in_turn() -> None:
 
 
 def test_that_a_tempered_likelihood_is_that_of_the_mean_curve_divided_by_its_frames() -> None:
-    """Of 12 frames and 3 repeats:
-
-    intervals are wider by the root of 36 where the data outweigh the prior.
+    """Of 12 frames and 3 repeats: intervals are wider by the root of 36 where the data outweigh the
+    prior.
     """
     batch = experiments(1)
     count, frames = batch.experiments[0].radius.shape
@@ -117,9 +115,8 @@ def test_that_the_same_seed_gives_the_same_bits() -> None:
 
 @pytest.mark.parametrize("number", range(10))
 def test_that_its_posterior_agrees_with_the_default_once_weighted(number: int) -> None:
-    """Ten gels of the soft-PA prior, designs and nuisances drawn:
-
-    means within a third of an sd, sds within a quarter.
+    """Ten gels of the soft-PA prior, designs and nuisances drawn: means within a third of an sd,
+    sds within a quarter.
     """
     part = reference_case("soft-pa").prior.models[0]
     belief = Belief((part,), tensor(0.0))

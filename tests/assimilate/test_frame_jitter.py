@@ -1,7 +1,5 @@
-"""Jitter of frame times:
-
-its likelihood is that of a Gaussian; it is found with its size, and not claimed where there is
-none.
+"""Jitter of frame times: its likelihood is that of a Gaussian; it is found with its size, and not
+claimed where there is none.
 """
 
 import math
@@ -88,9 +86,8 @@ def test_that_the_likelihood_is_that_of_the_joint_gaussian() -> None:
 
 
 def test_that_jitter_is_found_with_its_size() -> None:
-    """A tenth of a frame interval in twenty sets:
-
-    always found, and within its 90 % interval in at least fifteen.
+    """A tenth of a frame interval in twenty sets: always found, and within its 90 % interval in at
+    least fifteen.
     """
     inside = 0
     for seed in range(200, 220):

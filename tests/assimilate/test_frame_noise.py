@@ -1,6 +1,5 @@
-"""The noise of single frames:
-
-recovered beside a right model and beside a wrong one, and tests by it that keep their level.
+"""The noise of single frames: recovered beside a right model and beside a wrong one, and tests by
+it that keep their level.
 """
 
 import math
@@ -194,9 +193,8 @@ def test_that_spoilt_frames_are_left_out_and_no_others():
 
 
 def test_that_a_handful_of_frames_is_not_taken_for_quiet():
-    """Amounts read off a dozen frames may be a quarter of the truth;
-
-    a dozen loud ones are believed.
+    """Amounts read off a dozen frames may be a quarter of the truth; a dozen loud ones are
+    believed.
     """
     quiet = curves(Noise(scale=0.2), spacing=0.2)
     short = replace(quiet, experiments=tuple(e.until(0.9) for e in quiet.curves))

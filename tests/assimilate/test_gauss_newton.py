@@ -97,9 +97,8 @@ def test_that_determinants_multiply_to_that_of_the_dense_system() -> None:
 
 @pytest.mark.parametrize("seed", [0, 10, 20])
 def test_that_the_whitened_gradient_is_the_newton_decrement_of_the_dense_system(seed: int) -> None:
-    """``sqrt(g^T H^-1 g)`` over gel and nuisances:
-
-    the length of the undamped step in posterior standard deviations.
+    """``sqrt(g^T H^-1 g)`` over gel and nuisances: the length of the undamped step in posterior
+    standard deviations.
     """
     given = problem(seed=seed)
     hessian, gradient = dense(*given)
@@ -217,9 +216,8 @@ def test_that_nothing_is_seen_by_an_ensemble_of_which_all_failed_in_one_experime
 
 
 def test_that_opposite_pairs_leave_no_error_of_second_order() -> None:
-    """A quadratic response is even:
-
-    antithetic members see only its slope, one-sided members also its curvature.
+    """A quadratic response is even: antithetic members see only its slope, one-sided members also
+    its curvature.
     """
     half = 0.1 * random(6, SIZE, seed=3)
     matrix = random(5, SIZE, seed=1)

@@ -1,6 +1,5 @@
-"""Importance sampling against closed forms:
-
-densities, tails of known shape, moments and evidence of a Gaussian.
+"""Importance sampling against closed forms: densities, tails of known shape, moments and evidence
+of a Gaussian.
 """
 
 import math
@@ -58,9 +57,8 @@ def test_that_draws_have_the_moments_of_the_density() -> None:
 
 
 def test_that_kernels_through_weighted_points_follow_the_weighted_density() -> None:
-    """Uniform points weighted to a Gaussian:
-
-    half are narrow kernels on them, half is one wide kernel.
+    """Uniform points weighted to a Gaussian: half are narrow kernels on them, half is one wide
+    kernel.
     """
     points = 10.0 * torch.rand(4000, 2, generator=generator(2), dtype=torch.float64) - 5.0
     proposal = Kernels.through(points, -0.5 * (points - tensor(1.0, 0.0)).square().sum(1))
@@ -107,10 +105,7 @@ def test_that_smoothing_keeps_scale_order_and_all_but_the_tail() -> None:
 
 
 def test_that_smoothing_halves_the_error_of_a_heavy_tailed_mean() -> None:
-    """Weights with an infinite variance (k = .6) and the mean 1 + 1/(1 - .6):
-
-    fewer wild estimates.
-    """
+    """Weights with an infinite variance (k = .6) and the mean 1 + 1/(1 - .6): fewer wild estimates."""
     plain = []
     smoothed = []
     for seed in range(200):
@@ -198,9 +193,8 @@ def test_that_moments_and_evidence_of_a_gaussian_come_out_within_their_errors() 
 
 
 def test_that_moments_of_a_gaussian_are_left_as_they_are_by_the_draws() -> None:
-    """To what Pareto smoothing changes of the weights:
-
-    all other chance cancels, in 100 draws as in 1000.
+    """To what Pareto smoothing changes of the weights: all other chance cancels, in 100 draws as in
+    1000.
     """
     mean, chol = gaussian_sample(1.3, 0, 100).corrected(MEAN, CHOL)
     torch.testing.assert_close(mean, MEAN, rtol=0.0, atol=0.01)
@@ -208,9 +202,8 @@ def test_that_moments_of_a_gaussian_are_left_as_they_are_by_the_draws() -> None:
 
 
 def test_that_draws_correct_the_gaussian_about_the_mode_of_a_skewed_posterior() -> None:
-    """The logarithm of a gamma variable of shape 8:
-
-    mode ln 8, curvature 8, mean and variance by di- and trigamma functions.
+    """The logarithm of a gamma variable of shape 8: mode ln 8, curvature 8, mean and variance by
+    di- and trigamma functions.
     """
     shape = 8.0
     zero = torch.zeros(1, dtype=torch.float64)
@@ -258,9 +251,8 @@ def test_that_stated_errors_are_the_scatter_over_seeds() -> None:
 
 
 def test_that_a_proposal_far_too_narrow_is_found_out() -> None:
-    """In two dimensions a t of a tenth the width has weights of shape near 1;
-
-    the right width has a bounded one.
+    """In two dimensions a t of a tenth the width has weights of shape near 1; the right width has a
+    bounded one.
     """
     narrow = gaussian_sample(0.1, 1)
     right = gaussian_sample(1.0, 1)
@@ -280,9 +272,8 @@ def test_that_resampling_takes_each_draw_in_proportion_to_its_weight() -> None:
 
 @pytest.mark.parametrize(("variance", "size"), [(0.2, 1), (0.1, 1), (0.3, 3), (0.2, 3)])
 def test_that_the_error_of_an_evidence_whose_draws_are_not_reliable_covers_it(variance, size):
-    """Proposals narrower than the posterior:
-
-    log evidence 0, mostly missed from below, which the spread of weights hides.
+    """Proposals narrower than the posterior: log evidence 0, mostly missed from below, which the
+    spread of weights hides.
     """
     count = 256
     within = []

@@ -136,9 +136,8 @@ def test_that_a_minimum_is_one_under_the_solver_steps_of_the_leader_and_under_no
 
 
 def test_that_a_point_where_bubbles_fail_is_not_taken() -> None:
-    """The way to the minimum is barred at nearly half of it;
-
-    the point ends on this side, lower than it began.
+    """The way to the minimum is barred at nearly half of it; the point ends on this side, lower
+    than it began.
     """
     barred = Circle(limit={"mu": MEANS["mu"] + 0.8 * SDS["mu"]})
     posterior = Posterior(prior(("nhkv",)).models[0], nearly_central(), barred)

@@ -75,7 +75,6 @@ def test_that_a_draw_is_better_only_above_another_minimum_and_of_a_model_that_ma
 
 def test_that_a_fit_that_only_looks_too_high_is_not_made_again(right: Assimilation) -> None:
     """Too narrow a Gaussian of the nuisances makes all draws look more probable than the optimum;
-
     their costs are not lower.
     """
     fit = right.fits[0]
@@ -113,9 +112,8 @@ def test_that_a_minimum_that_is_not_lower_is_not_taken_and_the_fit_is_weighted_t
 def test_that_a_model_fitted_again_is_weighted_beside_others_whose_rounds_are_ahead(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """All rounds are made;
-
-    the third has several nuisances to a draw, of which one is kept in proportion to its weight.
+    """All rounds are made; the third has several nuisances to a draw, of which one is kept in
+    proportion to its weight.
     """
     monkeypatch.setattr("imr_torch.assimilate.weighing._State.refused", True)
     batch = experiments(3, nuisance=BOTH)

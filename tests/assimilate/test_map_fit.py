@@ -139,10 +139,7 @@ def test_that_it_does_not_matter_whether_the_prior_is_in_the_marginal_or_in_the_
 
 @pytest.mark.parametrize("factor", [1e-6, 1e3])
 def test_that_a_change_of_units_changes_only_the_units(factor: float) -> None:
-    """Prior and simulator rescaled together:
-
-    the same controls, and a posterior in the new units.
-    """
+    """Prior and simulator rescaled together: the same controls, and a posterior in the new units."""
     batch = experiments(3)
     other_units = LinearSimulator(units={name: factor * sd for name, sd in SDS.items()})
     rescaled = Belief.prior(
@@ -293,9 +290,8 @@ def test_that_progress_is_told_once_per_iteration() -> None:
 
 @dataclass(frozen=True)
 class JitterySimulator(LinearSimulator):
-    """Linear but for an integration error that jumps from gel to gel;
-
-    in a bundle it is the leader's, if ``lock_step``.
+    """Linear but for an integration error that jumps from gel to gel; in a bundle it is the
+    leader's, if ``lock_step``.
     """
 
     lock_step: bool = True
@@ -345,9 +341,8 @@ class WavySimulator(LinearSimulator):
 
 
 def test_that_among_models_the_other_starts_of_a_model_with_several_minima_follow() -> None:
-    """The first start arrives in a poor minimum, far behind another model;
-
-    the last, which looks worst, leads to a better one.
+    """The first start arrives in a poor minimum, far behind another model; the last, which looks
+    worst, leads to a better one.
     """
     belief = prior(("nhkv", "gen_qkv"))
     batch = experiments(3)
@@ -540,7 +535,6 @@ def test_that_a_stalled_fit_matters_only_if_it_could_still_be_in_the_running(
 
 class TearingSimulator(LinearSimulator):
     """Simulates any bubble alone, and none in a bundle whose leader's modulus lies above a limit:
-
     what rounding does to some.
     """
 

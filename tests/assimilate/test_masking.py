@@ -1,7 +1,5 @@
-"""False minima:
-
-a frame next to a collapse sees the same radius on either side of it, and chains must not stay on
-the wrong one.
+"""False minima: a frame next to a collapse sees the same radius on either side of it, and chains
+must not stay on the wrong one.
 """
 
 from dataclasses import dataclass, field

@@ -1,6 +1,5 @@
-"""Fits that estimate the noise:
-
-its scale is found whatever the repeats, and a model that misses the data pays for it.
+"""Fits that estimate the noise: its scale is found whatever the repeats, and a model that misses
+the data pays for it.
 """
 
 from dataclasses import replace

@@ -1,6 +1,5 @@
-"""The noise as part of the posterior:
-
-closed forms, sums over laws by dense algebra, coverage, and intervals beside misfits.
+"""The noise as part of the posterior: closed forms, sums over laws by dense algebra, coverage, and
+intervals beside misfits.
 """
 
 import math
@@ -220,9 +219,8 @@ def test_that_intervals_stay_as_they_are_where_frames_are_independent(repeats: i
 
 
 def test_that_repeats_tell_a_misfit_from_noise() -> None:
-    """Every repeat has the same deviation from the model:
-
-    no noise, so the law stays, and intervals widen.
+    """Every repeat has the same deviation from the model: no noise, so the law stays, and intervals
+    widen.
     """
     batch = independent(0, 6)
     bent = 0.3 * torch.sin(3.0 * batch.experiments[0].times)

@@ -21,10 +21,7 @@ def fitted(batch: ExperimentBatch, simulator) -> Assimilation:
 
 
 def test_that_draws_of_a_linear_model_have_the_exact_moments() -> None:
-    """Means to 4 errors;
-
-    energies mix over a few draws, so a variance counts a third of the draws.
-    """
+    """Means to 4 errors; energies mix over a few draws, so a variance counts a third of the draws."""
     pytest.importorskip("pyro", reason="needs the extra nuts")
     batch = experiments(2, nuisance=BOTH)
     fit = fitted(batch, LinearSimulator()).fits[0]

@@ -1,6 +1,5 @@
-"""The posterior of one model:
-
-its density, its slopes and its normal equations, against closed forms and other differences.
+"""The posterior of one model: its density, its slopes and its normal equations, against closed
+forms and other differences.
 """
 
 from dataclasses import replace

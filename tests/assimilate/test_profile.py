@@ -47,9 +47,8 @@ def test_that_a_side_that_the_data_leave_open_has_no_limit(fits: Assimilation) -
 
 
 def test_that_a_profile_under_a_correlated_prior_is_that_of_the_closed_form() -> None:
-    """A linear model:
-
-    over the other parameter the cost is least on a line, and the held one's own prior is taken out.
+    """A linear model: over the other parameter the cost is least on a line, and the held one's own
+    prior is taken out.
     """
     chol = tensor(1.0, 0.0, 0.95, (1.0 - 0.95**2) ** 0.5).reshape(2, 2) * 1.5
     part = replace(linear.prior(("nhkv",)).models[0], chol=chol)

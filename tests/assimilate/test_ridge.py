@@ -1,6 +1,5 @@
-"""Ridges: a bent posterior is covered to its ends, even where it folds back;
-
-failures end a side and no more.
+"""Ridges: a bent posterior is covered to its ends, even where it folds back; failures end a side
+and no more.
 """
 
 import pytest
@@ -75,9 +74,8 @@ def test_that_failing_bubbles_end_one_side() -> None:
 
 
 def test_that_a_repaired_belief_hands_on_a_cloud_with_the_width_that_it_has_locally() -> None:
-    """Across the ridge the moments are many times as wide as the belief is anywhere;
-
-    a straight one has no cloud.
+    """Across the ridge the moments are many times as wide as the belief is anywhere; a straight one
+    has no cloud.
     """
     batch = experiments(3)
     bent, straight = (

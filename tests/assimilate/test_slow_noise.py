@@ -1,6 +1,5 @@
-"""Smooth deviations:
-
-evidence against dense algebra, and shots told apart that differ from those that are alike.
+"""Smooth deviations: evidence against dense algebra, and shots told apart that differ from those
+that are alike.
 """
 
 from dataclasses import replace

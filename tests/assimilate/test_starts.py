@@ -1,6 +1,5 @@
-"""Starts about an earlier optimum:
-
-as far away as they say, with nuisances where they are most probable at their gels.
+"""Starts about an earlier optimum: as far away as they say, with nuisances where they are most
+probable at their gels.
 """
 
 import pytest

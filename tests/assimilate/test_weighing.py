@@ -204,9 +204,8 @@ def test_that_too_few_samples_or_rounds_are_refused(
 
 
 def test_that_the_noise_of_the_weights_alone_condemns_nothing() -> None:
-    """Over 30 seeds a Gaussian posterior is never repaired:
-
-    the divergence that Monte Carlo error makes is taken off.
+    """Over 30 seeds a Gaussian posterior is never repaired: the divergence that Monte Carlo error
+    makes is taken off.
     """
     batch = ExperimentBatch(experiments(1).experiments, NOISE)
     fit = fitted(batch, models=("gen_qkv",))
@@ -243,9 +242,8 @@ def test_that_a_draw_whose_clock_is_impossible_weighs_nothing_and_does_not_end_t
 
 
 def test_that_a_model_that_is_improbable_by_its_evidence_alone_gets_one_round() -> None:
-    """Both optima are alike;
-
-    what sets the models apart is the volume of a parameter that the data do not need.
+    """Both optima are alike; what sets the models apart is the volume of a parameter that the data
+    do not need.
     """
     both = assimilate(
         prior(("nhkv", "gen_qkv")), experiments(3), LinearSimulator(), seed=1, options=OPTIONS

@@ -1,6 +1,5 @@
-"""Bad inputs of every kind through the command line:
-
-one clear line that names what is wrong, before any fit.
+"""Bad inputs of every kind through the command line: one clear line that names what is wrong,
+before any fit.
 """
 
 from itertools import islice

@@ -1,6 +1,5 @@
-"""Calibration both ways:
-
-right inferences are found calibrated, the user's own among them, and wrong ones are found out.
+"""Calibration both ways: right inferences are found calibrated, the user's own among them, and
+wrong ones are found out.
 """
 
 from dataclasses import replace

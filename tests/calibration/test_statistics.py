@@ -1,6 +1,5 @@
-"""Statistics of replicates against closed forms, and both ways:
-
-silent on calibrated numbers, loud on others.
+"""Statistics of replicates against closed forms, and both ways: silent on calibrated numbers, loud
+on others.
 """
 
 import math

@@ -1,6 +1,5 @@
-"""A journal is append-only:
-
-what was cut off is repaired, what was changed is refused by line, and one process writes at a time.
+"""A journal is append-only: what was cut off is repaired, what was changed is refused by line, and
+one process writes at a time.
 """
 
 import json

@@ -95,9 +95,8 @@ def test_another_seed_gives_other_designs(policy):
 
 
 def test_random_designs_are_uniform_and_space_filling_ones_more_even():
-    """Counts in 16 cells of 64 designs:
-
-    their variance is that of a multinomial for random ones, and far less for Sobol's.
+    """Counts in 16 cells of 64 designs: their variance is that of a multinomial for random ones,
+    and far less for Sobol's.
     """
 
     def spread(policy) -> float:

@@ -1,6 +1,5 @@
-"""Campaigns about a population:
-
-what they learn of median and scatter, and that they resume as if nothing had happened.
+"""Campaigns about a population: what they learn of median and scatter, and that they resume as if
+nothing had happened.
 """
 
 import json
@@ -52,9 +51,8 @@ def campaign(folder: Path, **changes) -> Campaign:
 
 
 def shoot(design: torch.Tensor, number: int) -> Experiment:
-    """A shot of a gel of its own;
-
-    all labels are the same, as of a camera that names every film alike.
+    """A shot of a gel of its own; all labels are the same, as of a camera that names every film
+    alike.
     """
     factor = math.exp(
         SCATTER * float(torch.randn(1, generator=generator(child(7, number)), dtype=torch.float64))
@@ -91,9 +89,8 @@ def test_that_median_and_scatter_are_learnt(five: Path) -> None:
 
 
 def test_that_the_belief_is_wider_than_the_error_of_one_gel(five: Path) -> None:
-    """Five shots taken for one gel would give G to a percent;
-
-    that of the median is as the scatter allows.
+    """Five shots taken for one gel would give G to a percent; that of the median is as the scatter
+    allows.
     """
     found = campaign(five).belief.best
     relative = float(found.sds[0] / found.means[0])

@@ -103,9 +103,8 @@ def test_3_model_probability_does_not_grow_with_repeats_and_is_averaged_over_des
 
 
 def test_4_the_prior_is_used_again_with_every_design():
-    """Of data that say nothing the default learns nothing;
-
-    the published belief halves its variance each time.
+    """Of data that say nothing the default learns nothing; the published belief halves its variance
+    each time.
     """
     silent = replace(NOISE, scale=1e4)
     batch = ExperimentBatch(shot(1, silent).experiments * 3, silent)
@@ -147,9 +146,8 @@ def test_6_the_design_that_was_asked_for_is_not_the_one_that_was_achieved(tmp_pa
     )
 
     def deviation(experiment: Experiment, name: str) -> float:
-        """Of the posterior mean from the truth, in standard deviations;
-
-        the largest of all parameters.
+        """Of the posterior mean from the truth, in standard deviations; the largest of all
+        parameters.
         """
         run = Campaign(tmp_path / name, prior(("nhkv",)), SIMULATOR, settings=settings)
         part = run.tell(experiment).belief["nhkv"]

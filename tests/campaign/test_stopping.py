@@ -27,7 +27,6 @@ def standing(
     *, sd: float = 0.02, probability: float = 0.95, repeats: tuple[int, ...] = (10, 20), gain=None
 ) -> CampaignState:
     """G known within ``sd`` relative, mu within half of it, of a model of some probability;
-
     experiments of some repeats.
     """
     belief = Belief.prior(

@@ -1,6 +1,5 @@
-"""Many seeds:
-
-the same journals on any number of workers, one thread each, and a failure costs the others nothing.
+"""Many seeds: the same journals on any number of workers, one thread each, and a failure costs the
+others nothing.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -57,9 +56,8 @@ def test_any_number_of_workers_writes_the_same_journals_and_more_designs_continu
 
 
 def test_a_seed_that_fails_says_why_and_costs_the_others_nothing(tmp_path):
-    """A laboratory that cannot shoot gels at some designs:
-
-    the outcome is told, and what was learnt is in the journal.
+    """A laboratory that cannot shoot gels at some designs: the outcome is told, and what was learnt
+    is in the journal.
     """
     broken = study(tmp_path, policy=Random(), truth=Picky())
     outcomes = run_campaigns(range(8), broken, 2)

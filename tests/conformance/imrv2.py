@@ -113,9 +113,8 @@ def lagging_zener(
     tau: Scalar,
     retardation: Scalar,
 ) -> tuple[Scalar, ...]:
-    """``De Z' + Z = R^3 S_e - 4 (1 - s) R^2 U/Re``, ``S = Z/R^3 - 4 s U/(Re R)``;
-
-    wall inertia of the whole viscosity.
+    """``De Z' + Z = R^3 S_e - 4 (1 - s) R^2 U/Re``, ``S = Z/R^3 - 4 s U/(Re R)``; wall inertia of
+    the whole viscosity.
     """
     strain = velocity / radius
     elastic = (

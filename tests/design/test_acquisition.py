@@ -1,6 +1,5 @@
-"""The information gain as BoTorch's users know acquisitions:
-
-batches, joint gains, pending designs, optimisers, targets.
+"""The information gain as BoTorch's users know acquisitions: batches, joint gains, pending designs,
+optimisers, targets.
 """
 
 import math

@@ -1,6 +1,5 @@
-"""The information gain against closed forms:
-
-a linear camera of Gaussian parameters, where everything is known exactly.
+"""The information gain against closed forms: a linear camera of Gaussian parameters, where
+everything is known exactly.
 """
 
 import math
@@ -74,9 +73,8 @@ def gain(belief, designs, how, estimator, *, camera=None, seed=0):
 
 @pytest.mark.parametrize("draws", [6, 100])
 def test_that_a_belief_that_bends_gains_as_its_cloud_and_not_as_its_gaussian(draws):
-    """The draws of a narrow belief inside a Gaussian five times as wide:
-
-    the gain is that of the narrow one.
+    """The draws of a narrow belief inside a Gaussian five times as wide: the gain is that of the
+    narrow one.
     """
     part = correlated().models[0]
     how = plan(repeats=10)
@@ -151,10 +149,7 @@ def test_sampling_estimators_meet_the_closed_form_within_their_error_where_the_g
 
 
 def model_information(belief, how, count=40000):
-    """``I(y; m)`` by plain Monte Carlo with the exact Gaussian evidences;
-
-    its error is below .004.
-    """
+    """``I(y; m)`` by plain Monte Carlo with the exact Gaussian evidences; its error is below .004."""
     if len(belief.models) == 1:
         return 0.0
     noise = covariance(DESIGNS[:1], how)

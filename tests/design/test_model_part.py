@@ -30,9 +30,8 @@ def gain(design, estimator, seed):
 
 @functools.cache
 def brute(design):
-    """Nested Monte Carlo of the part about the model:
-
-    lower and upper bound in practice, and a standard error.
+    """Nested Monte Carlo of the part about the model: lower and upper bound in practice, and a
+    standard error.
     """
     low, high = (
         gain(design, kind(draws=200, inner=2500), 1)

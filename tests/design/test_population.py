@@ -1,6 +1,5 @@
-"""Information about median and scatter of a population:
-
-closed forms with a linear simulator, and nested Monte Carlo.
+"""Information about median and scatter of a population: closed forms with a linear simulator, and
+nested Monte Carlo.
 """
 
 import math
@@ -47,9 +46,8 @@ def gain(scatter: Tensor, designs: Tensor = DESIGNS[:1], **sizes: int):
 
 
 def closed_form(scatter: Tensor, designs: Tensor) -> float:
-    """``I(m; y)`` of shots with gels of their own, the scatter known:
-
-    by the covariance of all frames.
+    """``I(m; y)`` of shots with gels of their own, the scatter known: by the covariance of all
+    frames.
     """
     rows = [jacobian(design) for design in designs]
     own = torch.block_diag(

@@ -1,6 +1,5 @@
-"""The search for one or several designs:
-
-greedy over pending ones, common draws, and the errors it states.
+"""The search for one or several designs: greedy over pending ones, common draws, and the errors it
+states.
 """
 
 import pytest
@@ -146,9 +145,8 @@ def test_that_gains_whose_draws_cannot_be_matched_keep_their_whole_variance():
 
 
 def test_that_the_surrogate_states_the_error_of_a_difference_that_common_draws_leave():
-    """Of bubbles, at designs a search evaluates:
-
-    the stated noise against the scatter of differences over seeds.
+    """Of bubbles, at designs a search evaluates: the stated noise against the scatter of
+    differences over seeds.
     """
     belief = reference_case("soft-pa").prior
     how = plan(times=torch.linspace(0.0, 2.4, 31, dtype=torch.float64), noise=Noise(), repeats=1)

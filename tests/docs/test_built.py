@@ -1,6 +1,5 @@
-"""The built pages in a real browser:
-
-navigation, search, equations, narrow screens. Skipped where they are not built.
+"""The built pages in a real browser: navigation, search, equations, narrow screens. Skipped where
+they are not built.
 """
 
 import shutil

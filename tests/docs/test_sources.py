@@ -1,6 +1,5 @@
-"""The sources of the documentation:
-
-public names, registries and notebooks are all there; commands in it are real.
+"""The sources of the documentation: public names, registries and notebooks are all there; commands
+in it are real.
 """
 
 import importlib

@@ -1,6 +1,5 @@
-"""Single frames for ArviZ:
-
-their predictions and likelihoods given the others, and the plots of ArviZ on them.
+"""Single frames for ArviZ: their predictions and likelihoods given the others, and the plots of
+ArviZ on them.
 """
 
 import pytest

@@ -1,6 +1,5 @@
-"""The contract of sbi, checked without it:
-
-shapes, dtypes, a prior that agrees with itself, NaN for what failed.
+"""The contract of sbi, checked without it: shapes, dtypes, a prior that agrees with itself, NaN for
+what failed.
 """
 
 import pytest

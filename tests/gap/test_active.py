@@ -1,6 +1,5 @@
-"""Campaigns that look for the cause of a gap:
-
-what they shoot, when they end, and that they resume as if nothing had happened.
+"""Campaigns that look for the cause of a gap: what they shoot, when they end, and that they resume
+as if nothing had happened.
 """
 
 import json
@@ -79,9 +78,8 @@ def test_that_a_campaign_without_a_gap_names_no_cause(tmp_path: Path) -> None:
 
 
 def test_that_a_resumed_campaign_asks_for_the_same_design(tmp_path: Path) -> None:
-    """The journal keeps verdicts;
-
-    the design that follows from the fits is found again in a new process.
+    """The journal keeps verdicts; the design that follows from the fits is found again in a new
+    process.
     """
     whole = campaign(tmp_path / "whole", 0.99)
     cut = campaign(tmp_path / "cut", 0.99)

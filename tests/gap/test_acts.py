@@ -1,6 +1,5 @@
-"""Where an effect acts:
-
-shares by phase that sum to one, none before the effect begins, and the same whatever the repeats.
+"""Where an effect acts: shares by phase that sum to one, none before the effect begins, and the
+same whatever the repeats.
 """
 
 import pytest

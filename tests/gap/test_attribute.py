@@ -1,6 +1,5 @@
-"""Fits of all effects and what follows from them:
-
-the credible set, a winner that was cut short, an effect that is enough alone.
+"""Fits of all effects and what follows from them: the credible set, a winner that was cut short, an
+effect that is enough alone.
 """
 
 from concurrent.futures import ThreadPoolExecutor

@@ -1,6 +1,5 @@
-"""The command ``imr-torch diagnose``:
-
-results in words, JSON and HTML, and messages before any work.
+"""The command ``imr-torch diagnose``: results in words, JSON and HTML, and messages before any
+work.
 """
 
 import json

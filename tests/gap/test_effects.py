@@ -1,7 +1,4 @@
-"""The registry:
-
-one test through every effect of the library, and what a user's own effect must be.
-"""
+"""The registry: one test through every effect of the library, and what a user's own effect must be."""
 
 import pytest
 import torch

@@ -52,9 +52,8 @@ def ahead(
 def brute_force(
     known, causes: dict[str, float], design: Tensor, data: int = 150, gels: int = 3000
 ) -> tuple[float, float]:
-    """Mean probability of the truth and its error:
-
-    evidences are plain means of the likelihood over posterior draws.
+    """Mean probability of the truth and its error: evidences are plain means of the likelihood over
+    posterior draws.
     """
     fits, unknown = known
     source = generator(5)

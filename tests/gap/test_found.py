@@ -1,6 +1,5 @@
-"""Every effect of the library both ways:
-
-found in data that have it, and not claimed in data that do not.
+"""Every effect of the library both ways: found in data that have it, and not claimed in data that
+do not.
 """
 
 import pytest

@@ -1,6 +1,5 @@
-"""Fits that coarse bubbles lead:
-
-the same minimum as without them, and no certificate for what was left behind.
+"""Fits that coarse bubbles lead: the same minimum as without them, and no certificate for what was
+left behind.
 """
 
 import math
@@ -70,9 +69,8 @@ def test_that_what_coarse_bubbles_leave_behind_has_the_cost_of_the_simulator_and
 
 
 def test_that_effects_far_behind_a_fit_that_is_known_are_given_up() -> None:
-    """One iteration of one start each says that none can come near;
-
-    all keep their costs, and none a certificate.
+    """One iteration of one start each says that none can come near; all keep their costs, and none
+    a certificate.
     """
     batch = _leaking()
     null = fit(batch)

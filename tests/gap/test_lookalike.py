@@ -1,6 +1,5 @@
-"""How alike effects look:
-
-angles and what is left against closed forms, the chance of a look-alike against simulation.
+"""How alike effects look: angles and what is left against closed forms, the chance of a look-alike
+against simulation.
 """
 
 import math
@@ -74,9 +73,8 @@ def test_that_near_effects_are_masked_and_far_ones_are_not(
 
 
 def test_that_the_chance_is_the_power_of_the_test_of_what_is_left() -> None:
-    """One known effect leaves ``s tan a`` of the other;
-
-    the block of the third sees it, by the noncentral normal.
+    """One known effect leaves ``s tan a`` of the other; the block of the third sees it, by the
+    noncentral normal.
     """
     other = torch.zeros(1, SIZE, dtype=torch.float64)
     other[0, 1] = 1.0  # sees what the first leaves of the second

@@ -1,6 +1,5 @@
-"""What assumed values of the medium would change:
-
-against refits in that medium, and silent where nothing changes.
+"""What assumed values of the medium would change: against refits in that medium, and silent where
+nothing changes.
 """
 
 import pytest

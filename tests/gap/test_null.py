@@ -1,6 +1,5 @@
-"""The base model's fit:
-
-taken up again where it had no time to arrive, and certified only where starts agree.
+"""The base model's fit: taken up again where it had no time to arrive, and certified only where
+starts agree.
 """
 
 from dataclasses import replace

@@ -1,6 +1,5 @@
-"""What a refit leaves of an effect:
-
-as a real refit leaves it, and never more than the first order does.
+"""What a refit leaves of an effect: as a real refit leaves it, and never more than the first order
+does.
 """
 
 from dataclasses import replace

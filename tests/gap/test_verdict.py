@@ -1,6 +1,5 @@
-"""From evidence to probabilities, and from these to a verdict:
-
-when a cause is named, with others, with an unknown one, or not.
+"""From evidence to probabilities, and from these to a verdict: when a cause is named, with others,
+with an unknown one, or not.
 """
 
 import math
@@ -117,9 +116,8 @@ def test_that_two_known_effects_are_rarer_than_one_and_an_unknown_one_must_have_
 def test_that_the_set_is_that_of_least_expected_loss(
     posterior: dict[str, float], members: set[str], decided: bool
 ) -> None:
-    """Against all sets of the most probable causes:
-
-    a further member costs .1, a truth outside 1, no verdict .35.
+    """Against all sets of the most probable causes: a further member costs .1, a truth outside 1,
+    no verdict .35.
     """
     found = choose(posterior)
     assert (set(found.members), found.decided) == (members, decided)

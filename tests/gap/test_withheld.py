@@ -1,6 +1,5 @@
-"""The whole diagnosis of one effect:
-
-named where it is offered, "other" where it was withheld, with what came nearest.
+"""The whole diagnosis of one effect: named where it is offered, "other" where it was withheld, with
+what came nearest.
 """
 
 import re

@@ -1,6 +1,5 @@
-"""Phases in which the noise law says too much:
-
-they count as the residuals leave room for, and cancel no misfit elsewhere.
+"""Phases in which the noise law says too much: they count as the residuals leave room for, and
+cancel no misfit elsewhere.
 """
 
 import pytest

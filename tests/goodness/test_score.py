@@ -1,7 +1,5 @@
-"""The gap test both ways:
-
-silent at its level on residuals of the model, loud on those that lean, with the power that it
-states.
+"""The gap test both ways: silent at its level on residuals of the model, loud on those that lean,
+with the power that it states.
 """
 
 import math
@@ -100,9 +98,8 @@ def test_that_a_chi_square_alone_is_the_smallest_test(matched) -> None:
 
 
 def test_where_fits_of_an_effect_start(matched) -> None:
-    """Beside the neutral value, then at the size that the residual asks for;
-
-    an effect with a shape from all its starts.
+    """Beside the neutral value, then at the size that the residual asks for; an effect with a shape
+    from all its starts.
     """
     line, rows, _ = matched
     leaning = replace(line, residual=line.project(0.8 * rows["gas_loss"][1]))

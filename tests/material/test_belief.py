@@ -154,9 +154,8 @@ def test_that_a_scale_of_zero_is_impossible_under_a_log_normal() -> None:
 
 
 def test_that_the_density_at_a_bound_is_the_limit_from_inside() -> None:
-    """A truncated normal is not zero at its bound:
-
-    a gel with ``alpha = 0`` exactly is a gel that may exist.
+    """A truncated normal is not zero at its bound: a gel with ``alpha = 0`` exactly is a gel that
+    may exist.
     """
     part = prior()["gen_qkv"]
     values = part.physical(torch.zeros(3, dtype=torch.float64))

@@ -1,6 +1,5 @@
-"""The generic closure:
-
-each law's stress, its scale, and that nothing but the law's own state matters.
+"""The generic closure: each law's stress, its scale, and that nothing but the law's own state
+matters.
 """
 
 import pytest

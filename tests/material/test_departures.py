@@ -76,10 +76,7 @@ def test_that_damage_takes_its_share_of_the_elastic_stress(lost: float) -> None:
 
 
 def test_that_damage_grows_with_the_path_in_either_direction_and_ends_at_all() -> None:
-    """``D = 1 - exp(-k int |dR/R|)``:
-
-    at a speed far above the rounding, ``D' = k (1 - D) |U|/R``.
-    """
+    """``D = 1 - exp(-k int |dR/R|)``: at a speed far above the rounding, ``D' = k (1 - D) |U|/R``."""
     theta = tensors(GEL | {"damage": 0.3})
     for velocity, held, expected in (
         (-50.0, 0.0, 25.0),
@@ -97,9 +94,8 @@ def test_that_damage_grows_with_the_path_in_either_direction_and_ends_at_all() -
 def test_that_damage_heals_at_its_rate_where_nothing_moves_and_settles_where_something_does() -> (
     None
 ):
-    """``D' = -D/t_h`` at rest;
-
-    at a constant strain rate ``D`` stands still at ``k e/(k e + 1/t_h)``.
+    """``D' = -D/t_h`` at rest; at a constant strain rate ``D`` stands still at ``k e/(k e +
+    1/t_h)``.
     """
     theta = tensors(GEL | {"damage": 0.3, "healing": 2.0})
     for velocity, held, expected in ((0.0, 0.5, -1.0), (50.0, 25.0 / 27.0, 0.0), (50.0, 0.0, 25.0)):

@@ -79,9 +79,8 @@ def quantile(marginal: Marginal, z: float) -> float:
 
 
 def scale(case: Case) -> float:
-    """What rounding is relative to:
-
-    values next to a bound at zero are differences of numbers of this size.
+    """What rounding is relative to: values next to a bound at zero are differences of numbers of
+    this size.
     """
     marginal = case.marginal
     if isinstance(marginal, Quantile):
@@ -113,9 +112,8 @@ def test_that_a_control_is_the_quantile_of_scipys_law(case: Case) -> None:
 
 @ALL
 def test_that_the_map_is_undone_by_its_inverse(case: Case) -> None:
-    """Where the value itself resolves the control:
-
-    next to a bound at 8 sd the last bits of the value are the limit.
+    """Where the value itself resolves the control: next to a bound at 8 sd the last bits of the
+    value are the limit.
     """
     z = torch.linspace(-5.0, 5.0, 201, dtype=torch.float64)
     value = case.marginal.to_physical(z)
@@ -180,9 +178,8 @@ def test_that_a_map_increases_and_stays_inside_the_support(case: Case) -> None:
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 @pytest.mark.parametrize("z", [8.0, 15.0, 24.0, 26.0, 36.0, 60.0])
 def test_that_an_unbounded_tail_follows_the_exact_law_far_out(sign: float, z: float) -> None:
-    """``P(X > x) = Q(z)`` solved with 60 digits:
-
-    what remains of the other side's truncation is ``Q(x) = kept Q(z)``.
+    """``P(X > x) = Q(z)`` solved with 60 digits: what remains of the other side's truncation is
+    ``Q(x) = kept Q(z)``.
     """
     mpmath.mp.dps = 60
     marginal = (
@@ -221,9 +218,8 @@ def test_that_a_normal_that_is_not_truncated_is_the_identity_up_to_scale() -> No
 @pytest.mark.parametrize("distance", [4.0, 6.0, 6.9])
 @pytest.mark.parametrize("side", [-1, 1])
 def test_that_a_mean_far_outside_the_bounds_keeps_six_digits(distance: float, side: int) -> None:
-    """The mirror image of each other:
-
-    cut off from below at ``+distance`` and from above at ``-distance``.
+    """The mirror image of each other: cut off from below at ``+distance`` and from above at
+    ``-distance``.
     """
     marginal = (
         TruncatedNormal(0.0, 1.0, distance, INF)

@@ -1,6 +1,5 @@
-"""Water against tabulated values, and named media:
-
-what a source states, moved with temperature as water is.
+"""Water against tabulated values, and named media: what a source states, moved with temperature as
+water is.
 """
 
 import pytest

@@ -1,6 +1,5 @@
-"""What every registered model must do, whatever it stands for:
-
-calculus, neutral values, mixing, its entry in the registry.
+"""What every registered model must do, whatever it stands for: calculus, neutral values, mixing,
+its entry in the registry.
 """
 
 from collections.abc import Callable
@@ -50,9 +49,8 @@ def test_that_every_parameter_of_a_term_has_a_test_value_that_is_not_neutral() -
 
 @MODELS
 def test_that_rate_and_acceleration_make_the_time_derivative_of_the_stress(model: Material) -> None:
-    """Along ``R = .7 + .5 cos 3t``, against autograd through the stress integral;
-
-    memory leaves its state at its own rate.
+    """Along ``R = .7 + .5 cos 3t``, against autograd through the stress integral; memory leaves its
+    state at its own rate.
     """
     theta = tensors(values_of(model))
     rest = torch.tensor(REST, dtype=torch.float64)
@@ -89,9 +87,8 @@ def test_that_a_gel_at_rest_has_no_stress(model: Material) -> None:
 
 
 def relaxed(model: Material, radius: float) -> torch.Tensor:
-    """Memory of a gel that has long been held at a radius:
-
-    its start at ``R = 1`` for the same stretch.
+    """Memory of a gel that has long been held at a radius: its start at ``R = 1`` for the same
+    stretch.
     """
     held = torch.tensor([REST / radius], dtype=torch.float64)
     return memory_start(model.terms, held, tensors(values_of(model)))[:, 0]

@@ -30,9 +30,8 @@ HELD = torch.tensor([[0.4, -2.0], [1.1, 0.3]], dtype=torch.float64)
 
 
 def rows_of(term: StressTerm, theta=None, rest=POINT[2]):
-    """A function of radius, velocity and each memory state:
-
-    value, rate and acceleration, and the rates of memory.
+    """A function of radius, velocity and each memory state: value, rate and acceleration, and the
+    rates of memory.
     """
     theta = theta or {
         name: THETA[name] * float(value != 0.0) for name, value in values_for(term).items()
@@ -64,9 +63,8 @@ def test_slopes_of_every_term_match_automatic_differentiation(term):
 @EVERY
 @pytest.mark.parametrize(("radius", "velocity"), STATES)
 def test_so_they_do_at_rest_and_where_other_members_have_the_term(term, radius, velocity):
-    """Where laws change their form:
-
-    no velocity, no strain; and a member that is switched off beside one that is not.
+    """Where laws change their form: no velocity, no strain; and a member that is switched off
+    beside one that is not.
     """
     on = tensors(values_for(term))
     off = tensors(values_for(term) | {term.switch: 0.0})
@@ -166,10 +164,7 @@ def test_the_compiled_start_and_fastest_rate_of_every_term_are_its_own(term):
 
 @EVERY
 def test_a_wrong_sign_anywhere_in_a_compiled_law_would_be_noticed(term):
-    """In any result that is not zero, and in any slope:
-
-    the comparison above is not an empty one.
-    """
+    """In any result that is not zero, and in any slope: the comparison above is not an empty one."""
     law = compiled(term.law)
     moving = [0, 1, *range(3, 3 + term.states)]
     arguments = arguments_at(term, *STATES[1], values_for(term))

@@ -87,9 +87,8 @@ def stiffening(key: str, name: str, alpha: float, radius: float) -> float:
 
 @pytest.mark.parametrize("radius", [0.15, 0.6, 0.9])
 def test_that_the_three_stiffening_laws_part_by_one_order_of_alpha_each(radius: float) -> None:
-    """qKV is Fung to first order, second-order Fung to second:
-
-    differences are of the second and third power of alpha.
+    """qKV is Fung to first order, second-order Fung to second: differences are of the second and
+    third power of alpha.
     """
     alphas = np.array([1e-3, 2e-3, 4e-3])
     fung = np.array([stiffening("fungexp", "alpha_fung", a, radius) for a in alphas])

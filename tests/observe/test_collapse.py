@@ -1,6 +1,5 @@
-"""Collapse times as data:
-
-the time of the minimum, its likelihood, coverage of what is inferred, files, and their refusal.
+"""Collapse times as data: the time of the minimum, its likelihood, coverage of what is inferred,
+files, and their refusal.
 """
 
 import math
@@ -124,9 +123,8 @@ def test_that_an_almost_empty_cavity_collapses_in_rayleighs_time() -> None:
 
 
 def test_that_the_time_is_smooth_in_the_gel() -> None:
-    """Its slope over steps of 1e-6 and 1e-3 agrees:
-
-    a gradient of 1e-3 standard deviations can be reached.
+    """Its slope over steps of 1e-6 and 1e-3 agrees: a gradient of 1e-3 standard deviations can be
+    reached.
     """
     where = designs((240.0, 0.133))
     measured = torch.tensor([0.91]).double()
@@ -200,9 +198,8 @@ def test_that_serial_correlation_is_seen_and_not_claimed() -> None:
 
 
 def test_that_the_posterior_is_that_of_quadrature_and_the_scatter_is_found() -> None:
-    """Over a grid of gels, with linear nuisances;
-
-    the further error that was estimated is taken as given in both.
+    """Over a grid of gels, with linear nuisances; the further error that was estimated is taken as
+    given in both.
     """
     data = shots(8, seed=3, scatter=0.006)
     result = fitted(data, seed=0)

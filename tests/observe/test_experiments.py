@@ -73,9 +73,8 @@ def test_that_the_log_likelihood_is_the_normal_density_of_all_repeats_and_frames
 
 
 def test_that_the_constant_of_the_normal_density_has_all_its_digits() -> None:
-    """Data on the prediction with unit noise:
-
-    what is left is ``-n/2 log 2 pi``, and no float32 in it.
+    """Data on the prediction with unit noise: what is left is ``-n/2 log 2 pi``, and no float32 in
+    it.
     """
     shot = Experiment(
         "x",

@@ -1,6 +1,5 @@
-"""A known exposure:
-
-predictions are averaged over it, by the effect that a diagnosis would name, at its stated value.
+"""A known exposure: predictions are averaged over it, by the effect that a diagnosis would name, at
+its stated value.
 """
 
 import json

@@ -128,9 +128,8 @@ def test_that_a_settled_tail_gives_the_rest_radius_with_its_scatter() -> None:
 
 @pytest.fixture(scope="module")
 def bubbles_that_still_ring() -> dict[str, np.ndarray]:
-    """For each method:
-
-    columns ln(rest radius found / true) and the relative standard deviation stated.
+    """For each method: columns ln(rest radius found / true) and the relative standard deviation
+    stated.
     """
     rng = np.random.default_rng(8)
     count = 500
@@ -218,9 +217,8 @@ def test_that_a_record_without_growth_uses_the_given_maximum_else_the_first_fram
 def test_that_a_record_that_begins_at_its_maximum_gives_it_by_the_frames_after_it_without_bias() -> (
     None
 ):
-    """The largest of noisy frames about a flat maximum is late;
-
-    the fit is not, and its errors are as stated.
+    """The largest of noisy frames about a flat maximum is late; the fit is not, and its errors are
+    as stated.
     """
     late = []
     times = []
@@ -344,9 +342,8 @@ def test_that_the_rest_radius_agrees_with_the_published_one_where_settled(
 def test_that_shots_of_one_gel_have_one_stretch_however_long_they_were_recorded(
     shared: Path,
 ) -> None:
-    """Eleven shots of one size;
-
-    the mean radii of their last cycles, over Rmax, scatter by .21, as the published ones do.
+    """Eleven shots of one size; the mean radii of their last cycles, over Rmax, scatter by .21, as
+    the published ones do.
     """
     stretch = [
         found.rest_radius_m / found.max_radius_m

@@ -1,6 +1,5 @@
-"""Statements about the medium:
-
-how they are read, which of two counts, what is assumed, and what is refused.
+"""Statements about the medium: how they are read, which of two counts, what is assumed, and what is
+refused.
 """
 
 import json

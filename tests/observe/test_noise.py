@@ -145,9 +145,8 @@ def test_that_no_shift_displaces_nothing() -> None:
 def test_that_shifts_are_what_they_are_in_metres_and_seconds(
     shift: tuple[float, float, float],
 ) -> None:
-    """The laboratory measured Rmax, R_inf and a clock;
-
-    the bubble had ``Rmax (1+a)``, ``R_inf (1+c)`` and a start ``b`` early.
+    """The laboratory measured Rmax, R_inf and a clock; the bubble had ``Rmax (1+a)``, ``R_inf
+    (1+c)`` and a start ``b`` early.
     """
     top = 3e-4
     rest = 6e-5

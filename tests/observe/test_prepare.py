@@ -70,9 +70,8 @@ def test_that_a_record_without_rest_radius_takes_that_of_the_other_curves_widely
 def test_that_a_late_minimum_of_an_overdamped_bubble_is_no_collapse_and_that_of_wrong_units_is_refused() -> (
     None
 ):
-    """A bubble that creeps to rest, with one deep frame long after;
-
-    and a plain one whose times are ten times too long.
+    """A bubble that creeps to rest, with one deep frame long after; and a plain one whose times are
+    ten times too long.
     """
     time = np.linspace(0.0, 1.2e-4, 121)
     radius = REST + (TOP - REST) * np.exp(-time / 8e-6)

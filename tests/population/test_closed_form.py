@@ -22,9 +22,8 @@ def shots(count: int, size: int, *, seed: int = 0) -> GaussianShots:
 def dense(
     likelihoods: GaussianShots, scatter: Tensor, mean: Tensor, precision: Tensor
 ) -> tuple[float, Tensor]:
-    """Log evidence and posterior mean of the centre:
-
-    the modes of the shots are data with the covariance of all that is uncertain.
+    """Log evidence and posterior mean of the centre: the modes of the shots are data with the
+    covariance of all that is uncertain.
     """
     count, size = likelihoods.linear.shape
     within = torch.linalg.inv(likelihoods.precision)

@@ -318,9 +318,8 @@ def test_that_the_stated_error_of_the_evidence_is_its_spread_over_seeds() -> Non
 
 @pytest.fixture(scope="module")
 def polytropic() -> dict[str, Population]:
-    """Two populations of five shots of real physics:
-
-    of one gel, and of gels that differ in G alone.
+    """Two populations of five shots of real physics: of one gel, and of gels that differ in G
+    alone.
     """
     simulator = PolytropicSimulator()
     part = wide_prior(["nhkv"])["nhkv"]

@@ -1,6 +1,5 @@
-"""The noise of shots that are fitted each by itself:
-
-that of the camera, or of a misfit where the model misses the curves.
+"""The noise of shots that are fitted each by itself: that of the camera, or of a misfit where the
+model misses the curves.
 """
 
 from dataclasses import replace

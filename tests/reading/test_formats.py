@@ -1,6 +1,5 @@
-"""Files as laboratories write them:
-
-units from headers, wide tables, decimal commas, workbooks, folders, the JSON beside.
+"""Files as laboratories write them: units from headers, wide tables, decimal commas, workbooks,
+folders, the JSON beside.
 """
 
 import json

@@ -1,7 +1,4 @@
-"""MATLAB files in:
-
-units, frames, inserted peaks, and which maximum radius belongs to which curve.
-"""
+"""MATLAB files in: units, frames, inserted peaks, and which maximum radius belongs to which curve."""
 
 import math
 from pathlib import Path

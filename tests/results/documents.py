@@ -19,9 +19,8 @@ SIMULATOR = PolytropicSimulator()
 def traces(
     labels=LABELS[:2], *, noise: float = 0.002, frames: int = 110, **extra: float
 ) -> TraceSet:
-    """Curves of bubbles of several sizes:
-
-    three frames before the maximum, then to t* = 3.2, after the second collapse.
+    """Curves of bubbles of several sizes: three frames before the maximum, then to t* = 3.2, after
+    the second collapse.
     """
     found = []
     source = generator(3)

@@ -75,9 +75,8 @@ def test_that_fitted_frames_are_the_ones_of_the_experiment(result, document):
 
 
 def test_that_a_collapse_is_drawn_round(document):
-    """Frames are .03 apart;
-
-    the drawn curve changes by little between points, down to a lower minimum than any frame's.
+    """Frames are .03 apart; the drawn curve changes by little between points, down to a lower
+    minimum than any frame's.
     """
     for curve in document["curves"]:
         model = curve["models"]["nhkv"]

@@ -1,7 +1,4 @@
-"""The population in a result document:
-
-figure and part of the page, and the command that makes it.
-"""
+"""The population in a result document: figure and part of the page, and the command that makes it."""
 
 import json
 import re

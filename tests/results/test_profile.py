@@ -1,6 +1,5 @@
-"""Profile likelihoods in a result document:
-
-words, figure and part of the page, drawn from the JSON that the command writes.
+"""Profile likelihoods in a result document: words, figure and part of the page, drawn from the JSON
+that the command writes.
 """
 
 import copy

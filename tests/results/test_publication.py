@@ -1,6 +1,5 @@
-"""Figures at their printed size:
-
-widths, sizes of text, colours that colour-blind readers can tell apart.
+"""Figures at their printed size: widths, sizes of text, colours that colour-blind readers can tell
+apart.
 """
 
 from itertools import combinations

@@ -1,6 +1,5 @@
-"""What the tests of both simulators share:
-
-gels, times, and the equations of a polytropic bubble written a second time.
+"""What the tests of both simulators share: gels, times, and the equations of a polytropic bubble
+written a second time.
 """
 
 import math
@@ -51,9 +50,8 @@ def gel_of(model: str) -> Tensor:
 
 @dataclass(frozen=True)
 class Reference:
-    """Keller-Miksis in SI pressures, ``U'`` from ``d/dt`` of every pressure written out;
-
-    units of the dimensionless design.
+    """Keller-Miksis in SI pressures, ``U'`` from ``d/dt`` of every pressure written out; units of
+    the dimensionless design.
     """
 
     conditions: Conditions

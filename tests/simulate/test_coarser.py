@@ -1,6 +1,5 @@
-"""Coarser bubbles:
-
-of the same physics, close to the exact ones, and only where there are finer ones.
+"""Coarser bubbles: of the same physics, close to the exact ones, and only where there are finer
+ones.
 """
 
 from concurrent.futures import ThreadPoolExecutor

@@ -1,6 +1,5 @@
-"""What compiled code is known by:
-
-everything that the meaning of a law depends on, and nothing else.
+"""What compiled code is known by: everything that the meaning of a law depends on, and nothing
+else.
 """
 
 import torch

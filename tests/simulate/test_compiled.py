@@ -1,6 +1,5 @@
-"""The compiled engine against the tensor engine:
-
-every law of the registries, the same steps, the same answer.
+"""The compiled engine against the tensor engine: every law of the registries, the same steps, the
+same answer.
 """
 
 import functools

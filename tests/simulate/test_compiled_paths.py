@@ -1,6 +1,5 @@
-"""Bubbles whose steps are kept:
-
-bundles behind them are the same, bit for bit, as behind leaders that are integrated.
+"""Bubbles whose steps are kept: bundles behind them are the same, bit for bit, as behind leaders
+that are integrated.
 """
 
 from collections.abc import Callable

@@ -1,6 +1,5 @@
-"""Departures from the base physics:
-
-each nothing at its neutral value, something beyond it, and that what its name says.
+"""Departures from the base physics: each nothing at its neutral value, something beyond it, and
+that what its name says.
 """
 
 import math
@@ -138,9 +137,8 @@ def bases_and_neighbours(*, acting: bool) -> Tensor:
 
 @pytest.fixture(scope="module")
 def solutions() -> dict[str, list[Solution]]:
-    """Of either simulator:
-
-    a batch in which nothing acts in any member, and one in which everything does in some.
+    """Of either simulator: a batch in which nothing acts in any member, and one in which everything
+    does in some.
     """
     both = simulators()
     both |= {

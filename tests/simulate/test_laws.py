@@ -65,9 +65,8 @@ LAWS = [
 
 
 def amplitudes(effect: Effect) -> list[tuple[float, ...]]:
-    """Parameters of an effect where it acts:
-
-    its starts, and an amplitude halfway to its upper bound.
+    """Parameters of an effect where it acts: its starts, and an amplitude halfway to its upper
+    bound.
     """
     halfway = tuple(
         0.5 * (PARAMETERS[name].neutral + PARAMETERS[name].upper) for name in effect.names[:1]

@@ -1,6 +1,5 @@
-"""Closures and materials together:
-
-rest, small oscillations of gels with memory, limits of relaxation, energy.
+"""Closures and materials together: rest, small oscillations of gels with memory, limits of
+relaxation, energy.
 """
 
 import numpy as np
@@ -203,9 +202,8 @@ def test_that_full_retardation_is_no_memory() -> None:
 
 @pytest.mark.parametrize("vapour", ["absent", "constant"])
 def test_that_energy_is_kept_when_the_heat_that_leaves_is_counted(vapour: str) -> None:
-    """Of liquid, far field, surface, elastic gel and gas, ``p R^3/(3(k-1))``;
-
-    heat leaves at ``chi tau'(1) R``.
+    """Of liquid, far field, surface, elastic gel and gas, ``p R^3/(3(k-1))``; heat leaves at ``chi
+    tau'(1) R``.
     """
     conditions = Conditions(
         mixture=GasMixture(vapour=vapour), medium=Medium(warm=False), motion=RayleighPlesset()

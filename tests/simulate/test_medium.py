@@ -1,6 +1,5 @@
-"""A medium of each bubble's own:
-
-the bubble of other surroundings, seen in the units of the present ones.
+"""A medium of each bubble's own: the bubble of other surroundings, seen in the units of the present
+ones.
 """
 
 import math

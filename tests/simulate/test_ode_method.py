@@ -1,7 +1,4 @@
-"""The torchdiffeq engine:
-
-bubbles integrated through ``torchdiffeq.odeint``, whole states and all.
-"""
+"""The torchdiffeq engine: bubbles integrated through ``torchdiffeq.odeint``, whole states and all."""
 
 import torch
 from torchdiffeq import odeint

@@ -1,6 +1,5 @@
-"""Simulators spread over workers:
-
-the same numbers on any pool, and workers that die cost nothing but time.
+"""Simulators spread over workers: the same numbers on any pool, and workers that die cost nothing
+but time.
 """
 
 import os

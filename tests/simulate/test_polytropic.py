@@ -1,6 +1,5 @@
-"""The polytropic simulator's contract:
-
-batches, what comes out, failures as data, derivatives, bad input.
+"""The polytropic simulator's contract: batches, what comes out, failures as data, derivatives, bad
+input.
 """
 
 import math
@@ -265,9 +264,8 @@ def test_that_one_member_out_of_steps_does_not_stop_the_others(engine: Engine) -
 
 @BOTH
 def test_that_a_member_that_fails_at_a_coarse_step_is_saved_by_a_finer_one(engine: Engine) -> None:
-    """Without a gel and from twenty times its rest radius:
-
-    the longest step loses the wall, half of it does not.
+    """Without a gel and from twenty times its rest radius: the longest step loses the wall, half of
+    it does not.
     """
     parameters = torch.stack((gel(**GEL), gel()))
     designs = tensor([1000.0, 0.2], [1000.0, 0.05])

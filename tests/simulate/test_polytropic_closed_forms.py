@@ -1,7 +1,4 @@
-"""The polytropic simulator against closed forms:
-
-energy, Rayleigh's time, small oscillations, rest.
-"""
+"""The polytropic simulator against closed forms: energy, Rayleigh's time, small oscillations, rest."""
 
 import math
 
@@ -17,9 +14,8 @@ from tests.simulate.bubble import FINE, gel, gel_of, grid, tensor
 
 
 def empty_bubble(exponent: float) -> Conditions:
-    """No sound, no vapour;
-
-    with a huge Weber number no surface tension either: Rayleigh's bubble with a little gas.
+    """No sound, no vapour; with a huge Weber number no surface tension either: Rayleigh's bubble
+    with a little gas.
     """
     return Conditions(Surroundings(sound_speed=1e15), PolytropicGas(exponent, vapour=False))
 

@@ -49,9 +49,8 @@ def test_that_the_solution_is_scipys(
 
 
 def test_that_the_default_step_is_good_to_the_floor_of_the_noise() -> None:
-    """A tenth of a thousandth of Rmax, for both reference gels over designs:
-
-    twenty times below the noise floor of .002.
+    """A tenth of a thousandth of Rmax, for both reference gels over designs: twenty times below the
+    noise floor of .002.
     """
     for values in (GEL, {"G": 8310.0, "mu": 0.093}):
         designs = torch.cartesian_prod(tensor(100.0, 400.0, 1000.0), tensor(0.1, 0.2, 0.3))
@@ -163,9 +162,8 @@ def relative(curve: np.ndarray, reference: np.ndarray) -> float:
 
 
 def test_that_imrv2_curves_are_met_up_to_their_known_departure(imrv2) -> None:
-    """Their pressure rate counts the vapour as a gas;
-
-    each case records what the textbook term makes of its curve.
+    """Their pressure rate counts the vapour as a gas; each case records what the textbook term
+    makes of its curve.
     """
     _, cases, curves, ours = imrv2
     for case in cases:

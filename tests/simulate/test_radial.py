@@ -1,6 +1,5 @@
-"""Radial equations:
-
-their derivatives, their liquid, the limits in which one is another, and what they do with energy.
+"""Radial equations: their derivatives, their liquid, the limits in which one is another, and what
+they do with energy.
 """
 
 import math
@@ -146,9 +145,8 @@ def test_that_a_mirror_bubble_adds_its_pressure_at_the_wall(motion: RadialEquati
 
 @pytest.mark.parametrize("motion", TAIT, ids=["enthalpy", "gilmore"])
 def test_that_enthalpy_is_the_integral_of_the_specific_volume(motion: KellerMiksisEnthalpy) -> None:
-    """``h = int dp/rho`` with ``rho = ((p + B)/(1 + B))^(1/n)``;
-
-    its rate is ``w p'`` at either end.
+    """``h = int dp/rho`` with ``rho = ((p + B)/(1 + B))^(1/n)``; its rate is ``w p'`` at either
+    end.
     """
     wall = states()
     b = motion.stiffness
@@ -218,9 +216,8 @@ def test_that_all_equations_are_rayleigh_plesset_in_a_stiff_liquid(motion: Radia
 def test_that_the_enthalpy_forms_are_the_pressure_form_in_a_stiff_liquid(
     motion: KellerMiksisEnthalpy,
 ) -> None:
-    """At one sound speed:
-
-    what is left falls as ``1/B``. Gilmore's factor ``1 - M`` on the rate is its own.
+    """At one sound speed: what is left falls as ``1/B``. Gilmore's factor ``1 - M`` on the rate is
+    its own.
     """
     wall = states() | (
         {"velocity": torch.zeros(5, dtype=torch.float64)} if isinstance(motion, Gilmore) else {}
@@ -233,9 +230,8 @@ def test_that_the_enthalpy_forms_are_the_pressure_form_in_a_stiff_liquid(
 
 
 def test_that_compressible_bubbles_lose_energy_and_an_incompressible_one_does_not() -> None:
-    """Rebound of a bubble without a gel:
-
-    whole in Rayleigh-Plesset, ordered as the equations are known to be.
+    """Rebound of a bubble without a gel: whole in Rayleigh-Plesset, ordered as the equations are
+    known to be.
     """
     peaks = {}
     for key, motion in RADIAL_EQUATIONS.items():
@@ -252,9 +248,8 @@ def test_that_compressible_bubbles_lose_energy_and_an_incompressible_one_does_no
 
 @EQUATIONS
 def test_that_small_oscillations_radiate_alike(motion: RadialEquation) -> None:
-    """``(1 + b/c) R_e x'' + (b + R_e k/c) x' + k x = 0`` with ``1/c = 0`` in Rayleigh-Plesset:
-
-    all agree to first order.
+    """``(1 + b/c) R_e x'' + (b + R_e k/c) x' + k x = 0`` with ``1/c = 0`` in Rayleigh-Plesset: all
+    agree to first order.
     """
     s = Surroundings(sound_speed=120.0)
     rest = 1.0 - 1e-4

@@ -1,6 +1,5 @@
-"""Bubbles by SciPy:
-
-they agree with the toolkit's own solvers, and the finite-difference grid with the spectral one.
+"""Bubbles by SciPy: they agree with the toolkit's own solvers, and the finite-difference grid with
+the spectral one.
 """
 
 from dataclasses import replace

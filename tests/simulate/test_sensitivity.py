@@ -1,6 +1,5 @@
-"""Sensitivities of R*(t) against differences of separate solves, autograd, linearity;
-
-bundles and their failures.
+"""Sensitivities of R*(t) against differences of separate solves, autograd, linearity; bundles and
+their failures.
 """
 
 from dataclasses import replace
@@ -167,9 +166,8 @@ def test_that_a_block_holds_whole_bundles_and_no_more_members_than_it_may(
 
 
 def test_that_members_of_a_bundle_differ_smoothly_and_separate_solves_do_not() -> None:
-    """Jumps of the slope along a line of gels, as shares of the slope:
-
-    decisions that change show in separate solves.
+    """Jumps of the slope along a line of gels, as shares of the slope: decisions that change show
+    in separate solves.
     """
     parameters, designs = gels(1)
     line = parameters.repeat(81, 1)
@@ -185,9 +183,8 @@ def test_that_members_of_a_bundle_differ_smoothly_and_separate_solves_do_not() -
 
 
 def test_that_frames_before_the_maximum_are_as_smooth_as_the_others() -> None:
-    """The first step is tiny;
-
-    a polynomial through it would carry its rounding errors to the thirtyfold of it and more.
+    """The first step is tiny; a polynomial through it would carry its rounding errors to the
+    thirtyfold of it and more.
     """
     parameters, designs = gels(1)
     line = parameters.repeat(21, 1)
@@ -259,9 +256,8 @@ def test_that_followers_that_fail_or_fall_behind_leave_their_leader_alone(
 
 
 def test_that_a_follower_that_leaves_all_bounds_is_no_bubble_from_there_on() -> None:
-    """In the steps of its leader it may end at 1e154;
-
-    an interpolation towards that is no radius either.
+    """In the steps of its leader it may end at 1e154; an interpolation towards that is no radius
+    either.
     """
     curves = torch.ones(4, len(TIMES), dtype=torch.float64)
     curves[1, 20:22] = torch.tensor([-2.6e154, torch.nan])
@@ -281,9 +277,8 @@ def test_that_a_follower_that_leaves_all_bounds_is_no_bubble_from_there_on() -> 
 
 
 def test_that_a_leader_saved_by_a_finer_step_takes_its_followers_along() -> None:
-    """A bubble that fails at its first step:
-
-    a follower at another step than its leader would show as noise.
+    """A bubble that fails at its first step: a follower at another step than its leader would show
+    as noise.
     """
     parameters = PARAMETERS.neutral()
     designs = torch.tensor([1000.0, 0.05], dtype=torch.float64)

@@ -1,6 +1,5 @@
-"""Simulators inside ``torch.func``:
-
-vmap is a batch, forward and reverse derivatives are those of ``sensitivities``.
+"""Simulators inside ``torch.func``: vmap is a batch, forward and reverse derivatives are those of
+``sensitivities``.
 """
 
 from concurrent.futures import ThreadPoolExecutor

@@ -1,6 +1,5 @@
-"""The full-physics simulator:
-
-its contract, its physics in the limits that are known, its robustness.
+"""The full-physics simulator: its contract, its physics in the limits that are known, its
+robustness.
 """
 
 import math

@@ -101,9 +101,8 @@ def rough_state(equations, vapour=True):
 
 
 def dense_jacobian(equations, state, time):
-    """The Jacobian of one member by forward differentiation:
-
-    a batch of its copies, each moved along one axis.
+    """The Jacobian of one member by forward differentiation: a batch of its copies, each moved
+    along one axis.
     """
     count = len(state)
     copies = equations.take(torch.zeros(count, dtype=torch.long))
