@@ -169,11 +169,8 @@ def _select_again(
     Each step of the diagnosis is made again while what is held is what it was there; its candidates
     are the hypotheses whose fits to all designs suit the others best.
     """
-    base, base_fit = _base_of(report, report.selected.gels_differ)
-    plain = Hypothesis(report.base)
-    known = {plain.name: (plain, report.null), base.name: (base, base_fit)}
-    fits = _train(known, training, kept, simulator, seed)
-    held = plain
+    held = Hypothesis(report.base)
+    fits = _train({held.name: (held, report.null)}, training, kept, simulator, seed)
     for step in report.steps:
         if step.held.name != held.name:
             break
@@ -183,6 +180,9 @@ def _select_again(
         if laplace_evidence(fits[best]) < laplace_evidence(fits[held.name]) + EXPLAINS:
             break
         held = step.hypotheses[best]
+    base, near = _base_of(report, held.gels_differ or report.selected.gels_differ)
+    if base.name not in fits:
+        fits |= _train({base.name: (base, near)}, training, kept, simulator, seed)
     return held, fits[held.name], (base, fits[base.name])
 
 

@@ -32,7 +32,7 @@ class Hidden:
 
     Args:
         effect: its name.
-        size: of its amplitude, SI, that would be found with 90 %; None where even four times its
+        size: of its amplitude, either sign, SI, that would be found with 90 %; None where even four times its
             usual size would not.
         shift: parameter of the gel -> relative change by that size, unseen; by the usual size where
             there is none.
@@ -80,7 +80,7 @@ def hidden_effects(report: GapReport) -> tuple[Hidden, ...]:
 
 
 def _hidden(effect: Effect, left: Adequacy, fit: ModelFit, gel: Sequence[str]) -> Hidden:
-    """What would hide of one effect beside a fit: of its start that shows least."""
+    """What would hide of one effect beside a fit: of the start that shows in the middle of all."""
     beside = left.line.project(left.beside[effect.name]).norm(dim=1)
     rows = left.directions[effect.name]
     known = torch.nonzero(beside > 0.0)[:, 0]
@@ -98,7 +98,7 @@ def _hidden(effect: Effect, left: Adequacy, fit: ModelFit, gel: Sequence[str]) -
     names = [name for name in fit.prior.names if name in gel]
     return Hidden(
         effect.name,
-        times * effect.starts[place][0] if plausible else None,
+        times * abs(effect.starts[place][0]) if plausible else None,
         {name: relative[fit.prior.names.index(name)] for name in names},
     )
 

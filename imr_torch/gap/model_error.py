@@ -54,17 +54,17 @@ class ModelError:
 
     Args:
         intervals: parameter -> 5, 50, 95 % of the mixture, SI.
-        bound: parameter -> largest shift, in posterior standard deviations of the fit, by an error
-            of the size of the residual beyond noise.
+        bound: largest shift of any parameter, in posterior standard deviations of the base model's
+            fit, by an error of the size of the residual beyond noise.
         unknown: probability of the mixture that something unknown is missing.
 
     >>> from imr_torch.gap.model_error import ModelError
-    >>> ModelError({"G": (6.9e3, 8.3e3, 10.4e3)}, {"G": 4.0}, 0.8).intervals["G"][2]
+    >>> ModelError({"G": (6.9e3, 8.3e3, 10.4e3)}, 4.0, 0.8).intervals["G"][2]
     10400.0
     """
 
     intervals: dict[str, tuple[float, float, float]]
-    bound: dict[str, float]
+    bound: float
     unknown: float
 
 
@@ -109,7 +109,7 @@ def model_error(report: GapReport, *, seed: int = 0, draws: int = _DRAWS) -> Mod
     columns = zip(low.tolist(), middle.tolist(), high.tolist(), strict=True)
     unknown = sum(weight for weight, _, inside in parts if inside) / total
     excess = math.sqrt(max(float(_square(report.left.line)), 0.0))
-    return ModelError(dict(zip(names, columns, strict=True)), dict.fromkeys(names, excess), unknown)
+    return ModelError(dict(zip(names, columns, strict=True)), excess, unknown)
 
 
 @dataclass(frozen=True)

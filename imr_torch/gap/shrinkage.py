@@ -147,7 +147,7 @@ def shrinkage(
         later=_interval(later_base, later_effect, source)
         if left and later and float(torch.cat(later_base).sum()) > 0.0
         else None,
-        placebo=_placebo(report, judged, placebos, child(seed, "placebo")) if left else (),
+        placebo=_placebo(report, pairs, placebos, child(seed, "placebo")) if left else (),
         base_gap=base_gap / count,
         base_p=base_p,
         selected=tuple(pair.effect.hypothesis.parts for pair in judged),
@@ -157,39 +157,54 @@ def shrinkage(
 
 @dataclass(frozen=True)
 class _Compared:
-    """Squares of a design beyond noise by phase, without and with what was selected, in single-shot
-    variances: all frames, and those after the turn.
+    """A design judged: the projector beside the directions that are removed, the squares that noise
+    leaves in each frame, and squares beyond these by phase, without and with what was selected:
+    all frames, and those after the turn.
     """
 
+    pair: Judged
+    beside: Tensor
+    expected: Tensor
     base: Tensor
     effect: Tensor
     later: tuple[Tensor, Tensor] | None
-    base_square: float
-    freedom: float
-    frames: int
+
+    @property
+    def frames(self) -> int:
+        """How many frames the design has."""
+        return len(self.expected)
+
+    @property
+    def base_square(self) -> float:
+        """Squared residual of the base model beside the directions that are removed."""
+        return float((self.beside @ self.pair.base.residual).square().sum())
+
+    @property
+    def freedom(self) -> float:
+        """Degrees of freedom of that square."""
+        return float(self.beside.diagonal().sum())
+
+    def excess(self, residual: Tensor) -> Float[Tensor, "frames"]:
+        """Squares of a residual beyond noise, in single-shot variances."""
+        counts = self.pair.base.line.batch.counts[0]
+        return ((self.beside @ residual).square() - self.expected) / counts
 
 
 def _compared(pair: Judged) -> _Compared:
     phase = _phases(pair.base)
     beside = beside_nuisances(pair)
-    share = _noise_share(pair, phase)
-    expected = share * beside.square().sum(1)
+    held = (pair.base, pair.effect)
+    share = noise_shares([one.residual.square() for one in held], phase)
     counts = pair.base.line.batch.counts[0]
-    squares = [(beside @ own.residual).square() for own in (pair.base, pair.effect)]
-    base, effect = (_by_phase((square - expected) / counts, phase) for square in squares)
+    nothing = torch.zeros(0, dtype=torch.float64)
+    found = _Compared(pair, beside, share * beside.square().sum(1), nothing, nothing, None)
+    base, effect = (_by_phase(found.excess(one.residual), phase) for one in held)
     early = _clock(pair.base) <= TURN
     later = None
     if bool(early.any()) and not bool(early.all()):
-        both = [_later(own, early, share) / counts[~early] for own in (pair.base, pair.effect)]
+        both = [_later(one, early, share) / counts[~early] for one in held]
         later = (_by_phase(both[0], phase[~early]), _by_phase(both[1], phase[~early]))
-    return _Compared(
-        base,
-        effect,
-        later,
-        float(squares[0].sum()),
-        float(beside.diagonal().sum()),
-        len(phase),
-    )
+    return replace(found, base=base, effect=effect, later=later)
 
 
 def beside_nuisances(pair: Judged) -> Float[Tensor, "frames frames"]:
@@ -209,11 +224,6 @@ def _later(own: HeldOut, early: Tensor, share: Tensor) -> Tensor:
     after = own.by_nuisance[~early]
     expected = share[~early] + (after @ torch.linalg.inv(precision) * after).sum(1)
     return (centred[~early] - after @ fitted).square() - expected
-
-
-def _noise_share(pair: Judged, phase: Tensor) -> Tensor:
-    """How much of the noise law counts in each frame, by the residuals of both models."""
-    return noise_shares([own.residual.square() for own in (pair.base, pair.effect)], phase)
 
 
 def _phases(own: HeldOut) -> Tensor:
@@ -257,7 +267,7 @@ def _interval(
 
 
 def _placebo(
-    report: GapReport, judged: Sequence[Judged], count: int, seed: int
+    report: GapReport, compared: Sequence[_Compared], count: int, seed: int
 ) -> tuple[float, ...]:
     """``S`` of random libraries, sorted: the procedure where no candidate is the cause."""
     directions = report.left.directions
@@ -275,7 +285,8 @@ def _placebo(
         before = 0.0
         after = 0.0
         known = dict[int, tuple[list[int], Tensor, Tensor]]()
-        for pair in judged:
+        for one in compared:
+            pair = one.pair
             key = id(pair.training)
             if key not in known:
                 frames = int(pair.training.batch.mask.sum())
@@ -285,20 +296,11 @@ def _placebo(
                 chosen, shift = _select_rows(rows * scale, pair.training, rounds)
                 known[key] = chosen, shift, scale[:, 0]
             chosen, shift, scale_each = known[key]
-            expected, beside, counts = _expected(pair)
             change = _predicted_change(pair, chosen, shift, scale_each, weights, in_time)
-            own = [(beside @ r).square() for r in (pair.base.residual, pair.base.residual - change)]
-            before += float(((own[0] - expected) / counts).sum())
-            after += float(((own[1] - expected) / counts).sum())
+            before += float(one.base.sum())
+            after += float(one.excess(pair.base.residual - change).sum())
         shares.append(max(-_WIDEST, min(_WIDEST, 1.0 - after / before)))
     return tuple(sorted(shares))
-
-
-def _expected(pair: Judged) -> tuple[Tensor, Tensor, Tensor]:
-    """Squares that noise leaves in each frame, the projector, and repeats."""
-    beside = beside_nuisances(pair)
-    share = _noise_share(pair, _phases(pair.base))
-    return share * beside.square().sum(1), beside, pair.base.line.batch.counts[0]
 
 
 def _random_rows(

@@ -280,7 +280,7 @@ def hidden_rows(document: Document) -> list[tuple[str, ...]]:
         size = (
             "not seen at any usual size" if row["size"] is None else shown(parameter, row["size"])
         )
-        moves = ", ".join(f"{p} {100 * x:+.2g} %" for p, x in row["shift"].items())
+        moves = ", ".join(f"{p} by up to {100 * abs(x):.2g} %" for p, x in row["shift"].items())
         rows.append((title(name), size, moves))
     return rows
 
@@ -439,9 +439,8 @@ def _shift(document: Document) -> tuple[str, ...]:
             lines.append(f"{name} of each shot: {each}.")
     bound = document["parameter_bound_sd"]
     if bound and document["gap"]:
-        size = max(bound.values())
         lines.append(
-            f"By geometry alone, an error of the size of the residual ({size:.0f} sd) may move a "
+            f"By geometry alone, an error of the size of the residual ({bound:.0f} sd) may move a "
             "parameter of the base model by as many of its standard deviations."
         )
     return tuple(lines) or ("No cause is added, so the parameters do not change.",)
