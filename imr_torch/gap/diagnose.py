@@ -14,17 +14,15 @@ from imr_torch.assimilate.frame_noise import infer_frame_noise
 from imr_torch.assimilate.spikes import without_spikes
 from imr_torch.errors import InputDataError
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
-from imr_torch.gap.attribute import Attribution, Inquiry, attribute, reconsider
+from imr_torch.gap.attribute import Attribution, Inquiry
 from imr_torch.gap.differing import fit_alone
 from imr_torch.gap.hypotheses import (
-    EXPLAINS,
     Hypothesis,
     fit_null,
-    in_words,
-    laplace_evidence,
     may_differ,
 )
-from imr_torch.gap.verdict import MEMBER, NONE, OTHER, SLOW_NOISE, Choice, choose
+from imr_torch.gap.selection import Finding, select_causes
+from imr_torch.gap.verdict import Choice
 from imr_torch.goodness.score import GapTest
 from imr_torch.labels import p_value
 from imr_torch.material import LIBRARY, Effect, ModelBelief, library, wide_prior
@@ -34,11 +32,7 @@ from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator, fewer_
 from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
 
-_NO_GAP = 0.5  # probability of the base model alone from which on there is no gap
 _NOISE_ROUNDS = 2  # times that the noise is inferred and the base model fitted with it
-# probability of an unknown effect from which on the verdict is "other", once further effects were
-# tried
-_UNKNOWN = 0.5
 
 
 @dataclass(frozen=True)
@@ -48,8 +42,7 @@ class GapReport:
     Args:
         batch: the data, with their noise.
         null: the base model's fit.
-        gap: the gap test at that fit.
-        left: the test there, with local sensitivities and what each effect changes.
+        left: the gap test at that fit, with local sensitivities and what each effect changes.
         attribution: causes, if the test finds a gap: of the last part selected if all are enough
             together, else of the first.
         selected: all parts that were selected together, whether or not they are enough; the base
@@ -197,7 +190,7 @@ def diagnose(
         progress(f"gap test: {p_value(gap.p_value)}, leading block {gap.blocks[0].name}")
 
     alone = tuple[ModelFit, ...]()
-    nothing = _Finding("none", (), "No block of the gap test rejects the base model.", null)
+    nothing = Finding("none", (), "No block of the gap test rejects the base model.", null)
     if not null.certificate.usable:
         reason = f"The base model's fit did not converge: {null.certificate}."
         found = replace(nothing, verdict="undecided", reason=reason)
@@ -207,7 +200,7 @@ def diagnose(
         if may_differ(batch):
             alone = fit_alone(null, batch, simulator, seed=child(seed, "alone"))
         inquiry = Inquiry(base, effects, batch, simulator)
-        found = _select(inquiry, null, left, most, alone=alone, seed=seed, progress=progress)
+        found = select_causes(inquiry, null, left, most, alone=alone, seed=seed, progress=progress)
     return GapReport(
         batch=batch,
         null=null,
@@ -262,211 +255,3 @@ def _with_inferred_noise(
             base, batch, simulator, seed=child(seed, number), near=null, progress=progress
         )
     return null, batch
-
-
-@dataclass(frozen=True)
-class _Finding:
-    """A verdict, with the attribution that it is based on and what was selected."""
-
-    verdict: str
-    cause: tuple[str, ...]
-    reason: str
-    selected_fit: ModelFit
-    selected: Hypothesis | None = None
-    attribution: Attribution | None = None
-    adequacy_p: float | None = None
-    choice: Choice | None = None
-    steps: tuple[Attribution, ...] = ()
-
-
-def _select(
-    inquiry: Inquiry,
-    null: ModelFit,
-    left: Adequacy,
-    most: int,
-    *,
-    alone: Sequence[ModelFit],
-    seed: int,
-    progress: Progress | None,
-) -> _Finding:
-    """Forward selection of parts until an unknown effect is improbable, and the verdict that
-    follows.
-
-    Each round adds the part of largest evidence beside those held. A first part that the second
-    does not need is dropped. Where an unknown effect stays more probable than not, the verdict is
-    "other", or undecided where the last fit has not nearly converged.
-    """
-    held = Hypothesis(inquiry.base)
-    fit = null
-    before = left
-    masked = 1.0
-    steps: tuple[Attribution, ...] = ()
-    while len(held.parts) < most and inquiry.longer(held):
-        found = attribute(
-            inquiry,
-            fit,
-            held,
-            seed=child(seed, "attribute", len(held.parts)),
-            alone=alone,
-            before=before,
-            masked=masked,
-            progress=progress,
-        )
-        if held.parts and found.explained[found.winner.name] < EXPLAINS:
-            break
-        choice = choose(found.posterior)
-        steps = (*steps, found)
-        if not held.parts and found.posterior[NONE] >= _NO_GAP:
-            return replace(_not_confirmed(found, null, left.test), choice=choice, steps=steps)
-        if _is_slow_noise(found):
-            return replace(_slow_noise(found, steps[0], choice, held, fit), steps=steps)
-        held = found.winner
-        fit = found.winner_fit
-        if found.posterior[OTHER] <= _UNKNOWN:
-            named = _without_first(inquiry, left, steps, seed) or _name(found, choice)
-            return replace(named, steps=steps)
-        before = found.left
-        masked = masked * (1.0 - found.likeness.chance)
-    return replace(_unexplained(null, left, held, fit, steps), steps=steps)
-
-
-def _without_first(
-    inquiry: Inquiry, left: Adequacy, steps: Sequence[Attribution], seed: int
-) -> _Finding | None:
-    """The verdict on the last part alone, where that explains the data without those selected
-    before it.
-    """
-    last = steps[-1]
-    if len(last.winner.parts) < 2:
-        return None
-    alone = reconsider(
-        inquiry,
-        steps[0],
-        last.part(last.winner.name),
-        last.winner_fit,
-        before=left,
-        seed=child(seed, "reconsider"),
-    )
-    choice = choose(alone.posterior)
-    if alone is steps[0] or choice.leader == NONE or alone.posterior[OTHER] > _UNKNOWN:
-        return None
-    return _name(alone, choice)
-
-
-def _unexplained(
-    null: ModelFit,
-    left: Adequacy,
-    held: Hypothesis,
-    fit: ModelFit,
-    steps: Sequence[Attribution],
-) -> _Finding:
-    """The verdict where an unknown effect stays more probable than not."""
-    test = steps[-1].adequacy
-    nearest = " and ".join(map(in_words, held.parts))
-    explained = laplace_evidence(fit) - laplace_evidence(null)
-    finding = _Finding(
-        OTHER, (), "", fit, held, steps[0], test.p_value, choose(steps[-1].posterior)
-    )
-    # a nearly converged fit would not become adequate by converging further
-    if not fit.certificate.nearly_converged:
-        reason = (
-            f"No effect of the library was found to be enough, but the fit with {nearest} did not "
-            f"converge ({explained:.0f} nats better than the base; adequacy "
-            f"{p_value(test.p_value)}), which may be why."
-        )
-        return replace(finding, verdict="undecided", reason=reason)
-    if explained < EXPLAINS:
-        reason = f"No effect of the library explains any of it (adequacy {p_value(test.p_value)})."
-        return replace(finding, reason=reason, selected=None, selected_fit=null)
-    misfit = f"the misfit in R* goes from {left.test.bias_radius:.4f} to {test.bias_radius:.4f}"
-    reason = (
-        f"No effect of the library is enough; nearest comes {nearest} "
-        f"({explained:.0f} nats; {misfit}; adequacy {p_value(test.p_value)})."
-    )
-    return replace(finding, reason=reason)
-
-
-def _is_slow_noise(found: Attribution) -> bool:
-    """Whether slow noise, or an unknown effect that looks like it, is more probable than all else,
-    and no known effect is.
-    """
-    slow = found.posterior.get(SLOW_NOISE)
-    if slow is None or slow <= MEMBER or slow + found.posterior[OTHER] <= _UNKNOWN:
-        return False
-    return slow >= max(p for name, p in found.posterior.items() if name not in (OTHER, SLOW_NOISE))
-
-
-def _slow_noise(
-    found: Attribution, first: Attribution, choice: Choice, held: Hypothesis, fit: ModelFit
-) -> _Finding:
-    """The verdict where deviations look like noise that lasts several frames, of each curve its
-    own.
-    """
-    beside = f"Beside {' and '.join(map(in_words, held.parts))}, the" if held.parts else "The"
-    slow = found.posterior[SLOW_NOISE]
-    reason = (
-        f"{beside} curves differ from the model by slow noise of the camera (probability "
-        f"{slow:.2f}) or by an unknown effect that looks like it: repeat a shot. Noise will differ "
-        "from shot to shot, an effect will not."
-    )
-    return _Finding(OTHER, (), reason, fit, held, first, found.adequacy.p_value, choice)
-
-
-def _not_confirmed(found: Attribution, null: ModelFit, test: GapTest) -> _Finding:
-    """Verdict "none" although the test rejects: it does so by chance at its level, and then no
-    effect explains much.
-    """
-    reason = (
-        f"A test rejects the base model ({p_value(test.p_value)}), but no effect of the library "
-        "explains enough: the base model alone keeps a probability of "
-        f"{found.posterior[NONE]:.2f}."
-    )
-    return _Finding(NONE, (), reason, null, attribution=found)
-
-
-def _name(found: Attribution, choice: Choice) -> _Finding:
-    """The verdict on a known cause: the parts of the set of least expected loss, beside those that
-    every hypothesis holds.
-    """
-    before = found.held.parts
-    adequacy = found.adequacy.p_value
-    causes = (*before, *map(found.part, choice.causes))
-    finding = _Finding(
-        "undecided", causes, "", found.winner_fit, found.winner, found, adequacy, choice
-    )
-    if not found.winner_fit.certificate.usable:
-        return replace(finding, reason="No fit with an effect converged.")
-    if found.left_out:
-        ahead = ", ".join(in_words(found.part(name)) for name in found.left_out)
-        return replace(
-            finding,
-            reason=f"The fit with {ahead} did not converge and was left out; it may explain more.",
-        )
-    if NONE in choice.members:
-        without = (
-            f"{' and '.join(map(in_words, before))} alone" if before else "The base model alone"
-        )
-        reason = (
-            f"{without} keeps a probability of {choice.members[NONE]:.2f}: too much to name a "
-            "cause."
-        )
-        return replace(finding, reason=reason)
-    if SLOW_NOISE in choice.members:
-        slow = choice.members[SLOW_NOISE]
-        return replace(
-            finding,
-            reason=f"Slow noise of the camera looks alike (probability {slow:.2f}): repeat a shot.",
-        )
-    if not choice.decided:
-        return replace(
-            finding, reason="The probability is spread over too many effects to name a cause."
-        )
-    if len(choice.causes) == 1:
-        return replace(
-            finding,
-            verdict="effect",
-            reason=f"Adequate ({p_value(adequacy)}), and the others are improbable.",
-        )
-    return replace(
-        finding, verdict="class", reason="These effects explain the data about equally well."
-    )

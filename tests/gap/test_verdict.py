@@ -3,12 +3,12 @@ with an unknown one, or not.
 """
 
 import math
-import sys
 from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 
+from imr_torch.gap import selection
 from imr_torch.gap.attribute import Attribution, Inquiry
 from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.gap.verdict import PRIOR_NONE, PRIOR_SLOW, PRIOR_TWO, choose, probabilities
@@ -21,7 +21,6 @@ EFFECTS = library(
 FAMILIES = {effect.name: effect.family for effect in EFFECTS}
 EVEN = dict.fromkeys(["none", *FAMILIES], -3.0)
 NOTHING = Hypothesis(BASE)
-module = sys.modules["imr_torch.gap.diagnose"]  # its name in the package is that of the function
 
 
 def hypothesis(name: str) -> Hypothesis:
@@ -51,14 +50,14 @@ def attribution(
 
 
 def named(posterior: dict[str, float], winner: str, **about: float):
-    return module._name(attribution(posterior, winner, **about), choose(posterior))
+    return selection.name_causes(attribution(posterior, winner, **about), choose(posterior))
 
 
 def selected(p_gap: float):
     left = SimpleNamespace(test=SimpleNamespace(p_value=p_gap, bias_radius=0.02), starts={})
     batch = SimpleNamespace(experiments=(0,))
     inquiry = Inquiry(BASE, EFFECTS, batch, None)
-    return module._select(inquiry, None, left, 2, alone=(), seed=0, progress=None)
+    return selection.select_causes(inquiry, None, left, 2, alone=(), seed=0, progress=None)
 
 
 def test_that_even_evidence_gives_the_prior_over_families_back() -> None:
@@ -163,7 +162,7 @@ def test_that_the_evidence_takes_a_gap_back_that_no_effect_explains(
     monkeypatch, none: float, verdict: str
 ) -> None:
     found = attribution({"gas_loss": 0.96 - none, "none": none, "other": 0.04}, "gas_loss")
-    monkeypatch.setattr(module, "attribute", lambda *_, **__: found)
+    monkeypatch.setattr(selection, "attribute", lambda *_, **__: found)
     finding = selected(0.02)
     assert finding.verdict == verdict
     assert ("keeps a probability of 0.60" in finding.reason) == (verdict == "none")
@@ -178,9 +177,9 @@ def test_that_a_first_effect_is_dropped_where_the_second_is_enough_alone(
     both = attribution(probable, "gas_loss+wall", held=hypothesis("gas_loss"), nats=20.0)
     alone = attribution({"wall": 1.0 - other, "none": 0.0, "other": other}, "wall")
     monkeypatch.setattr(
-        module, "attribute", lambda _, fit, held, **__: both if held.parts else first
+        selection, "attribute", lambda _, fit, held, **__: both if held.parts else first
     )
-    monkeypatch.setattr(module, "reconsider", lambda *_, **__: alone)
+    monkeypatch.setattr(selection, "reconsider", lambda *_, **__: alone)
     finding = selected(0.0)
     assert (finding.verdict, finding.cause) == ("effect", cause)
     assert finding.steps == (first, both)
@@ -193,8 +192,8 @@ def test_that_other_says_what_came_nearest_only_if_that_explains_something(
     monkeypatch, nats: float, said: str
 ) -> None:
     found = attribution({"gas_loss": 0.0, "none": 0.0, "other": 1.0}, "gas_loss", p_adequate=1e-6)
-    monkeypatch.setattr(module, "attribute", lambda *_, **__: found)
-    monkeypatch.setattr(module, "laplace_evidence", lambda fit: 0.0 if fit is None else nats)
+    monkeypatch.setattr(selection, "attribute", lambda *_, **__: found)
+    monkeypatch.setattr(selection, "laplace_evidence", lambda fit: 0.0 if fit is None else nats)
     finding = selected(0.0)
     assert finding.verdict == "other"
     assert said in finding.reason
@@ -204,8 +203,8 @@ def test_that_other_needs_a_certificate_of_what_came_nearest(monkeypatch) -> Non
     found = attribution(
         {"gas_loss": 0.0, "none": 0.0, "other": 1.0}, "gas_loss", p_adequate=1e-6, converged=False
     )
-    monkeypatch.setattr(module, "attribute", lambda *_, **__: found)
-    monkeypatch.setattr(module, "laplace_evidence", lambda fit: 0.0 if fit is None else 40.0)
+    monkeypatch.setattr(selection, "attribute", lambda *_, **__: found)
+    monkeypatch.setattr(selection, "laplace_evidence", lambda fit: 0.0 if fit is None else 40.0)
     finding = selected(0.0)
     assert (finding.verdict, finding.cause) == ("undecided", ())
     assert "the fit with gas_loss did not converge" in finding.reason
@@ -237,7 +236,7 @@ def test_that_slow_noise_is_no_effect_and_is_said_with_what_would_decide(monkeyp
     found = attribution(
         {"gas_loss": 0.05, "none": 0.05, "other": 0.4, "slow_noise": 0.5}, "gas_loss"
     )
-    monkeypatch.setattr(module, "attribute", lambda *_, **__: found)
+    monkeypatch.setattr(selection, "attribute", lambda *_, **__: found)
     finding = selected(0.0)
     assert (finding.verdict, finding.cause) == ("other", ())
     assert "slow noise of the camera (probability 0.50)" in finding.reason
@@ -252,6 +251,6 @@ def test_that_a_cause_is_not_sure_where_a_fit_ahead_of_it_did_not_converge() -> 
     found = replace(
         found, left_out=("wall",), hypotheses=found.hypotheses | {"wall": hypothesis("wall")}
     )
-    finding = module._name(found, choose(found.posterior))
+    finding = selection.name_causes(found, choose(found.posterior))
     assert (finding.verdict, finding.cause) == ("undecided", ("gas_loss",))
     assert "The fit with wall did not converge and was left out" in finding.reason

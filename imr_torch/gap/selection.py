@@ -1,0 +1,231 @@
+"""Forward selection of what is missing, and the verdict that follows from it.
+
+Each round adds the part of largest evidence (an effect, or gels that differ between shots) beside
+those held, until an unknown effect is improbable; the verdict is the set of causes of least
+expected loss (:mod:`imr_torch.gap.verdict`), "other" where an unknown effect stays more probable
+than not, and undecided where a fit that it rests on has not converged.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from imr_torch.assimilate import ModelFit
+from imr_torch.gap.adequacy import Adequacy
+from imr_torch.gap.attribute import Attribution, Inquiry, attribute, reconsider
+from imr_torch.gap.hypotheses import EXPLAINS, Hypothesis, in_words, laplace_evidence
+from imr_torch.gap.verdict import MEMBER, NONE, OTHER, SLOW_NOISE, Choice, choose
+from imr_torch.goodness.score import GapTest
+from imr_torch.labels import p_value
+from imr_torch.random import child
+from imr_torch.types import Progress
+
+_NO_GAP = 0.5  # probability of the base model alone from which on there is no gap
+# probability of an unknown effect from which on the verdict is "other", once further effects were
+# tried
+_UNKNOWN = 0.5
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A verdict, with the attribution that it is based on and what was selected."""
+
+    verdict: str
+    cause: tuple[str, ...]
+    reason: str
+    selected_fit: ModelFit
+    selected: Hypothesis | None = None
+    attribution: Attribution | None = None
+    adequacy_p: float | None = None
+    choice: Choice | None = None
+    steps: tuple[Attribution, ...] = ()
+
+
+def select_causes(
+    inquiry: Inquiry,
+    null: ModelFit,
+    left: Adequacy,
+    most: int,
+    *,
+    alone: Sequence[ModelFit],
+    seed: int,
+    progress: Progress | None,
+) -> Finding:
+    """Forward selection of parts until an unknown effect is improbable, and the verdict that
+    follows.
+
+    Each round adds the part of largest evidence beside those held. A first part that the second
+    does not need is dropped. Where an unknown effect stays more probable than not, the verdict is
+    "other", or undecided where the last fit has not nearly converged.
+    """
+    held = Hypothesis(inquiry.base)
+    fit = null
+    before = left
+    masked = 1.0
+    steps: tuple[Attribution, ...] = ()
+    while len(held.parts) < most and inquiry.longer(held):
+        found = attribute(
+            inquiry,
+            fit,
+            held,
+            seed=child(seed, "attribute", len(held.parts)),
+            alone=alone,
+            before=before,
+            masked=masked,
+            progress=progress,
+        )
+        if held.parts and found.explained[found.winner.name] < EXPLAINS:
+            break
+        choice = choose(found.posterior)
+        steps = (*steps, found)
+        if not held.parts and found.posterior[NONE] >= _NO_GAP:
+            return replace(_conclude_none(found, null, left.test), choice=choice, steps=steps)
+        if _is_slow_noise(found):
+            return replace(_conclude_slow_noise(found, steps[0], choice, held, fit), steps=steps)
+        held = found.winner
+        fit = found.winner_fit
+        if found.posterior[OTHER] <= _UNKNOWN:
+            named = _without_first(inquiry, left, steps, seed) or name_causes(found, choice)
+            return replace(named, steps=steps)
+        before = found.left
+        masked = masked * (1.0 - found.likeness.chance)
+    return replace(_conclude_other(null, left, held, fit, steps), steps=steps)
+
+
+def _without_first(
+    inquiry: Inquiry, left: Adequacy, steps: Sequence[Attribution], seed: int
+) -> Finding | None:
+    """The verdict on the last part alone, where that explains the data without those selected
+    before it.
+    """
+    last = steps[-1]
+    if len(last.winner.parts) < 2:
+        return None
+    alone = reconsider(
+        inquiry,
+        steps[0],
+        last.part(last.winner.name),
+        last.winner_fit,
+        before=left,
+        seed=child(seed, "reconsider"),
+    )
+    choice = choose(alone.posterior)
+    if alone is steps[0] or choice.leader == NONE or alone.posterior[OTHER] > _UNKNOWN:
+        return None
+    return name_causes(alone, choice)
+
+
+def _conclude_other(
+    null: ModelFit,
+    left: Adequacy,
+    held: Hypothesis,
+    fit: ModelFit,
+    steps: Sequence[Attribution],
+) -> Finding:
+    """The verdict where an unknown effect stays more probable than not."""
+    test = steps[-1].adequacy
+    nearest = " and ".join(map(in_words, held.parts))
+    explained = laplace_evidence(fit) - laplace_evidence(null)
+    finding = Finding(OTHER, (), "", fit, held, steps[0], test.p_value, choose(steps[-1].posterior))
+    # a nearly converged fit would not become adequate by converging further
+    if not fit.certificate.nearly_converged:
+        reason = (
+            f"No effect of the library was found to be enough, but the fit with {nearest} did not "
+            f"converge ({explained:.0f} nats better than the base; adequacy "
+            f"{p_value(test.p_value)}), which may be why."
+        )
+        return replace(finding, verdict="undecided", reason=reason)
+    if explained < EXPLAINS:
+        reason = f"No effect of the library explains any of it (adequacy {p_value(test.p_value)})."
+        return replace(finding, reason=reason, selected=None, selected_fit=null)
+    misfit = f"the misfit in R* goes from {left.test.bias_radius:.4f} to {test.bias_radius:.4f}"
+    reason = (
+        f"No effect of the library is enough; nearest comes {nearest} "
+        f"({explained:.0f} nats; {misfit}; adequacy {p_value(test.p_value)})."
+    )
+    return replace(finding, reason=reason)
+
+
+def _is_slow_noise(found: Attribution) -> bool:
+    """Whether slow noise, or an unknown effect that looks like it, is more probable than all else,
+    and no known effect is.
+    """
+    slow = found.posterior.get(SLOW_NOISE)
+    if slow is None or slow <= MEMBER or slow + found.posterior[OTHER] <= _UNKNOWN:
+        return False
+    return slow >= max(p for name, p in found.posterior.items() if name not in (OTHER, SLOW_NOISE))
+
+
+def _conclude_slow_noise(
+    found: Attribution, first: Attribution, choice: Choice, held: Hypothesis, fit: ModelFit
+) -> Finding:
+    """The verdict where deviations look like noise that lasts several frames, of each curve its
+    own.
+    """
+    beside = f"Beside {' and '.join(map(in_words, held.parts))}, the" if held.parts else "The"
+    slow = found.posterior[SLOW_NOISE]
+    reason = (
+        f"{beside} curves differ from the model by slow noise of the camera (probability "
+        f"{slow:.2f}) or by an unknown effect that looks like it: repeat a shot. Noise will differ "
+        "from shot to shot, an effect will not."
+    )
+    return Finding(OTHER, (), reason, fit, held, first, found.adequacy.p_value, choice)
+
+
+def _conclude_none(found: Attribution, null: ModelFit, test: GapTest) -> Finding:
+    """Verdict "none" although the test rejects: it does so by chance at its level, and then no
+    effect explains much.
+    """
+    reason = (
+        f"A test rejects the base model ({p_value(test.p_value)}), but no effect of the library "
+        "explains enough: the base model alone keeps a probability of "
+        f"{found.posterior[NONE]:.2f}."
+    )
+    return Finding(NONE, (), reason, null, attribution=found)
+
+
+def name_causes(found: Attribution, choice: Choice) -> Finding:
+    """The verdict on a known cause: the parts of the set of least expected loss, beside those that
+    every hypothesis holds.
+    """
+    before = found.held.parts
+    adequacy = found.adequacy.p_value
+    causes = (*before, *map(found.part, choice.causes))
+    finding = Finding(
+        "undecided", causes, "", found.winner_fit, found.winner, found, adequacy, choice
+    )
+    if not found.winner_fit.certificate.usable:
+        return replace(finding, reason="No fit with an effect converged.")
+    if found.left_out:
+        ahead = ", ".join(in_words(found.part(name)) for name in found.left_out)
+        return replace(
+            finding,
+            reason=f"The fit with {ahead} did not converge and was left out; it may explain more.",
+        )
+    if NONE in choice.members:
+        without = (
+            f"{' and '.join(map(in_words, before))} alone" if before else "The base model alone"
+        )
+        reason = (
+            f"{without} keeps a probability of {choice.members[NONE]:.2f}: too much to name a "
+            "cause."
+        )
+        return replace(finding, reason=reason)
+    if SLOW_NOISE in choice.members:
+        slow = choice.members[SLOW_NOISE]
+        return replace(
+            finding,
+            reason=f"Slow noise of the camera looks alike (probability {slow:.2f}): repeat a shot.",
+        )
+    if not choice.decided:
+        return replace(
+            finding, reason="The probability is spread over too many effects to name a cause."
+        )
+    if len(choice.causes) == 1:
+        return replace(
+            finding,
+            verdict="effect",
+            reason=f"Adequate ({p_value(adequacy)}), and the others are improbable.",
+        )
+    return replace(
+        finding, verdict="class", reason="These effects explain the data about equally well."
+    )
