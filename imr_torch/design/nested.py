@@ -204,7 +204,8 @@ class NestedMonteCarlo(_Nested):
         draws: gels per constitutive model that data are made of.
         inner: draws of the belief per model, shared by all data.
 
-    >>> NestedMonteCarlo(inner=1) Traceback (most recent call last):
+    >>> NestedMonteCarlo(inner=1)
+    Traceback (most recent call last):
     imr_torch.errors.InputDataError: NestedMonteCarlo.inner is 1; at least 2 are needed for an error
     estimate.
     """

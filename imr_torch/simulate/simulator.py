@@ -272,10 +272,12 @@ def check_times(times: Real[Tensor, "members frames"]) -> None:
     """Raise :class:`InputDataError` unless the rows of ``times`` (``B x n_t``) are finite,
     increasing and not early.
 
-    >>> import torch >>> from imr_torch.simulate import check_times >>>
-    check_times(torch.tensor([[0.0, 0.2, 0.1]])) Traceback (most recent call last): ...
-    imr_torch.errors.InputDataError: times of batch member 0 do not increase; sort them and drop
-    repeated ones.
+    >>> import torch
+    >>> from imr_torch.simulate import check_times
+    >>> check_times(torch.tensor([[0.0, 0.2, 0.1]]))
+    Traceback (most recent call last):
+    ...
+    imr_torch.errors.InputDataError: times of batch member 0 do not increase; sort them and ...
     """
     if not bool(torch.isfinite(times).all()):
         raise InputDataError(
@@ -297,10 +299,12 @@ def check_times(times: Real[Tensor, "members frames"]) -> None:
 def check_designs(designs: Real[Tensor, "*batch 2"]) -> None:
     """Raise :class:`InputDataError` unless every design has ``We > 0`` and ``0 < R_inf* < 1``.
 
-    >>> import torch >>> from imr_torch.simulate import check_designs >>>
-    check_designs(torch.tensor([[400.0, 1.22]])) Traceback (most recent call last): ...
-    imr_torch.errors.InputDataError: Design (We, R_inf*) = (400, 1.22): expected We > 0 and 0 <
-    R_inf* < 1 ...
+    >>> import torch
+    >>> from imr_torch.simulate import check_designs
+    >>> check_designs(torch.tensor([[400.0, 1.22]]))
+    Traceback (most recent call last):
+    ...
+    imr_torch.errors.InputDataError: Design (We, R_inf*) = (400, 1.22): expected We > 0 and ...
     """
     weber = designs[..., 0]
     rest = designs[..., 1]
