@@ -25,7 +25,7 @@ demo: setup
 	$(BIN)/imr-torch demo --again
 
 test: setup
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 lint: setup
 	$(BIN)/ruff check .
