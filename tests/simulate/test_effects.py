@@ -50,6 +50,7 @@ BEYOND = {
     "condensation": 0.5,
     "gas_loss": 0.5,
     "energy_loss": 0.5,
+    "size_drag": 1e7,
     "sound_field": 0.2,
     "sound_frequency": 1.0,
     "sound_phase": 1.0,
