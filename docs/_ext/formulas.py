@@ -88,6 +88,7 @@ EFFECTS = {
     "far_field_pressure": r"p(\infty) \to p_\infty\,(1 + x)",
     "wall": r"w = \pm\frac{R_\mathrm{max}}{2d} \quad\text{at the distance } d",
     "energy_loss": r"\Delta S \propto -\zeta\,\dot R|\dot R|\,\frac{R_\infty^2}{R^2 + R_\infty^2}",
+    "size_drag": r"\Delta S = -k R \dot R",
     "residual_velocity": r"\dot R(0) = x\,U_c",
     "sound_field": r"p(\infty, t) = p_\infty\left(1 + a\sin(\omega t + \varphi)\right)",
     "pulse": r"p(\infty, t) = p_\infty\left(1 + a\,e^{-(t - t_p)^2/w^2}\right)",

@@ -177,6 +177,15 @@ register_effect(
 )
 register_effect(
     Effect(
+        "size_drag",
+        "a drag that grows with the bubble's size, as sound between walls makes it",
+        "liquid",
+        # 1e7 Pa s/m^2 is a layer of about a centimetre
+        {"size_drag": TruncatedNormal(0.0, 1e7, lower=0.0)},
+    )
+)
+register_effect(
+    Effect(
         "residual_velocity",
         "the wall still moves at time zero",
         "driving",

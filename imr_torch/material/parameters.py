@@ -19,7 +19,7 @@ from imr_torch.errors import InputDataError
 from imr_torch.material.marginals import LogNormal, Marginal, TruncatedNormal
 from imr_torch.units import Surroundings
 
-Dimension = Literal["pressure", "viscosity", "time", "rate", "length", "none"]
+Dimension = Literal["pressure", "viscosity", "time", "rate", "length", "drag", "none"]
 
 
 @dataclass(frozen=True)
@@ -317,6 +317,17 @@ _OF_THE_BUBBLE = (
     _number("far_field_pressure", "far-field pressure beyond p_inf, over p_inf", -0.5, 0.5),
     _number("wall", "strength of a mirror bubble, Rmax over twice the distance", -0.5, 0.5),
     _number("energy_loss", "loss to shape modes near collapse, in U|U|", 0.0, 20.0),
+    Parameter(
+        "size_drag",
+        "drag pressure over R U",
+        "Pa s/m^2",
+        "drag",
+        0.0,
+        1e10,
+        0.0,
+        display_scale=1e-6,
+        display_unit="MPa s/m^2",
+    ),
     _number("residual_velocity", "wall velocity at time zero over U_c", -1.0, 1.0),
     _number("sound_field", "amplitude of a residual sound field over p_inf", -1.0, 1.0),
     _number("sound_frequency", "log of its angular frequency, in U_c/Rmax", -4.0, 6.0),
@@ -385,7 +396,7 @@ def dimensionless(
     Returns:
         By name: moduli as ``1/Ca = G/p_inf``, viscosities as ``1/Re = mu U_c/(p_inf Rmax)``,
         times as ``De = tau U_c/Rmax`` (Estrada et al. 2018, section 2.3), rates and lengths over
-        ``U_c/Rmax`` and ``Rmax``.
+        ``U_c/Rmax`` and ``Rmax``, drags as ``k Rmax U_c/p_inf``.
 
     >>> import torch
     >>> from imr_torch.material import PARAMETERS, dimensionless
@@ -402,6 +413,7 @@ def dimensionless(
         "time": 1.0 / time,
         "rate": time,
         "length": 1.0 / max_radius,
+        "drag": max_radius**2 / (pressure * time),
         "none": 1.0,
     }
     return {

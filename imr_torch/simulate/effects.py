@@ -113,6 +113,25 @@ def shape_modes(
 register_term(StressTerm(shape_modes, switch="energy_loss"))
 
 
+def size_drag(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, size_drag: Scalar
+) -> tuple[Scalar, ...]:
+    """A drag pressure ``-k R U``, where viscosity gives ``-4 mu U/R``.
+
+    Sound that spreads between two walls at the distance ``h`` meets the resistance ``rho omega/4``
+    per length of a line source (Morse & Ingard, Theoretical Acoustics, 1968, section 7.3). For the
+    flux ``4 pi R^2 U/h`` that is ``pi rho omega R^2 U/h``, and since ``omega R`` of a bubble at its
+    own frequency is ``3.43 (p_inf/rho)^(1/2)`` whatever its size, ``k = 10.8 (rho p_inf)^(1/2)/h``.
+    The inertia of that liquid is an image (``wall``). Whatever else dissipates alike looks the
+    same.
+    """
+    value = -size_drag * radius * velocity
+    return value, value * velocity / radius, -size_drag * radius
+
+
+register_term(StressTerm(size_drag, switch="size_drag"))
+
+
 # --- driving ---
 
 

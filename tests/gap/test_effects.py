@@ -42,6 +42,7 @@ NAMES = [
     "density",
     "wall",
     "energy_loss",
+    "size_drag",
     "residual_velocity",
     "sound_field",
     "pulse",

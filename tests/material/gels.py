@@ -26,6 +26,7 @@ VALUES = {
     "graded_modulus": 1.5,
     "permanent_set": 0.1,
     "energy_loss": 0.4,
+    "size_drag": 0.3,
     "law_stretch": 0.05,
     "law_stretch_squared": 0.02,
     "law_compression": 0.05,

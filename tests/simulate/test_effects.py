@@ -50,6 +50,7 @@ BEYOND = {
     "condensation": 0.5,
     "gas_loss": 0.5,
     "energy_loss": 0.5,
+    "size_drag": 1e7,
     "sound_field": 0.2,
     "sound_frequency": 1.0,
     "sound_phase": 1.0,
@@ -306,6 +307,30 @@ def test_that_members_left_alone_drop_the_terms_of_others_but_keep_the_rows_of_t
     assert switches(batch.take(torch.tensor([0]))) == {"G", "mu", "damage"}
     assert switches(batch.take(torch.tensor([1, 2]))) == switches(batch)
     assert batch.take(torch.tensor([0])).states == batch.states == 1
+
+
+def test_that_a_drag_that_grows_with_size_damps_by_half_its_strength() -> None:
+    """About rest ``x'' + k Rmax U_c/p_inf x' + omega^2 x = 0``, so the damping is half of that."""
+    rest = 1.0 - 1e-4
+    weber = 500.0
+    drag = 1e7
+    stiffness = 3.0 * 1.4 * (1.0 + 1.0 / (weber * rest)) - 1.0 / (weber * rest)
+    conditions = Conditions(gas=PolytropicGas(1.4, "rest", vapour=False), motion=RayleighPlesset())
+    radius = PolytropicSimulator(conditions, FINE)(
+        gel(size_drag=drag), tensor(weber, rest), grid(6.0)
+    ).radius
+    around = conditions.surroundings
+    size = float(around.max_radius(tensor(weber)))
+    speed = math.sqrt(around.far_field_pressure / around.density)
+    damping = 0.5 * drag * size * speed / around.far_field_pressure
+    omega = math.sqrt(stiffness - damping**2)
+    swing = torch.cos(omega * grid(6.0)) + damping / omega * torch.sin(omega * grid(6.0))
+    torch.testing.assert_close(
+        (radius - rest) / (1.0 - rest),
+        torch.exp(-damping * grid(6.0)) * swing,
+        rtol=0.0,
+        atol=2e-3,
+    )
 
 
 @pytest.mark.parametrize("strength", [-0.2, 0.3])
