@@ -2,11 +2,10 @@
 remaining causes apart.
 
 :class:`CauseLearner` diagnoses the gap between one base model and all experiments so far, and
-:class:`TellCausesApart` shoots where the causes that are left would differ most, an unknown effect
-that looks like the leader among them. Before the first experiment, and where there is nothing to
-tell apart (no gap, or one cause alone), designs fill the space. Both are parts of
-:class:`imr_torch.campaign.Campaign`, whose journal keeps each verdict; the diagnosis itself is made
-again on resume.
+:class:`TellCausesApart` shoots where the causes that are left would differ most. Before the first
+experiment, and where there is nothing to tell apart (no gap, or one cause alone), designs fill the
+space. Both are parts of :class:`imr_torch.campaign.Campaign`, whose journal keeps each verdict; the
+diagnosis itself is made again on resume.
 """
 
 import hashlib
@@ -19,7 +18,6 @@ from imr_torch.campaign import Finding, Inference, Observations, Proposal, Situa
 from imr_torch.campaign.journal import curve_hash
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap.diagnose import GapReport, diagnose
-from imr_torch.gap.forecast import unknown_like
 from imr_torch.gap.identity_design import NextDesign, identity_design
 from imr_torch.material import Belief, ModelBelief, library
 from imr_torch.observe import ExperimentBatch
@@ -169,8 +167,19 @@ class TellCausesApart:
         report = self.learner.diagnose(
             situation.prior, situation.batch, situation.simulator, situation.seed, progress=progress
         )
+        cause = report.attribution
         try:
-            found = self._apart(report, situation, progress)
+            found = cause and identity_design(
+                cause.with_one_gel,
+                cause.posterior,
+                coarser(situation.simulator),
+                plan=replace(situation.plan, noise=report.batch.noise),
+                seed=child(situation.seed, "apart", situation.number),
+                space=situation.space,
+                grid=self.grid,
+                draws=self.draws,
+                progress=progress,
+            )
         except (ConvergenceError, InputDataError) as error:
             return replace(SpaceFilling().choose(situation), reason=f"Fills the space: {error}")
         if found is None:
@@ -187,28 +196,6 @@ class TellCausesApart:
 
         No search by a surrogate stands behind a design.
         """
-
-    def _apart(
-        self, report: GapReport, situation: Situation, progress: Progress | None
-    ) -> NextDesign | None:
-        """The design that tells the remaining causes apart; None where no cause was fitted."""
-        found = report.attribution
-        if found is None or found.winner.gels_differ:
-            return None
-        one_gel = {n: fit for n, fit in found.fits.items() if not found.hypotheses[n].gels_differ}
-        unknown = unknown_like(found.winner.name, found.winner_fit, found.left)
-        return identity_design(
-            one_gel,
-            found.posterior,
-            coarser(situation.simulator),
-            seed=child(situation.seed, "apart", situation.number),
-            plan=replace(situation.plan, noise=report.batch.noise),
-            space=situation.space,
-            grid=self.grid,
-            draws=self.draws,
-            unknown=unknown,
-            progress=progress,
-        )
 
 
 def finding(report: GapReport) -> Finding:

@@ -3,7 +3,7 @@ directions it was looked for.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from jaxtyping import Float
 from torch import Tensor
@@ -57,7 +57,6 @@ class Adequacy:
     def look_alikes(
         self,
         effect: Effect,
-        values: Sequence[float],
         size: float,
         fit: ModelFit,
         batch: ExperimentBatch,
@@ -67,21 +66,16 @@ class Adequacy:
         leave of it in sd.
 
         Args:
-            effect: the one that was found.
-            values: its fitted parameters.
+            effect: the one that was found, its fitted parameters its only start.
             size: standard deviations that it explains.
             fit: the fit at which this test was made.
             batch: the data.
             simulator: makes the bubbles.
         """
-        fitted = replace(effect, starts=(tuple(values),))
-        rows = effect_directions([fitted], fit, batch, simulator, self.line)
-        signal = refitted_directions([fitted], fit, batch, simulator, self.line, rows)[effect.name][
-            0
-        ]
-        left = self.line.project(signal)
+        rows = effect_directions([effect], fit, batch, simulator, self.line)
+        signal = refitted_directions([effect], fit, batch, simulator, self.line, rows)[effect.name]
         others = {name: own for name, own in self.beside.items() if name != effect.name}
-        return look_alikes(left * (size / left.norm().clamp_min(1e-300)), others, self.line)
+        return look_alikes(size, signal, others, self.line)
 
 
 def adequacy_test(

@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.differing import fit_alone
-from imr_torch.gap.forecast import plan_of, unknown_like
 from imr_torch.gap.hidden import Hidden, hidden_effects
-from imr_torch.gap.identity_design import NextDesign, identity_design
+from imr_torch.gap.identity_design import NextDesign, identity_design, plan_of
 from imr_torch.gap.locate import (
     ByExperiment,
     Onset,
@@ -147,23 +146,20 @@ def _next(
     sure and a shot can.
     """
     found = report.attribution
-    if found is None or report.verdict == OTHER or found.winner.gels_differ:
+    if found is None or report.verdict == OTHER:
         return None
     if found.posterior.get(found.winner.name, 0.0) > _SURE:
         return None
-    one_gel = {n: fit for n, fit in found.fits.items() if not found.hypotheses[n].gels_differ}
     try:
         return identity_design(
-            one_gel,
+            found.with_one_gel,
             found.posterior,
             simulator,
-            seed=child(seed, "next"),
             plan=plan_of(report.batch),
-            unknown=unknown_like(found.winner.name, found.winner_fit, found.left),
+            seed=child(seed, "next"),
             progress=progress,
         )
-    except InputDataError:
-        return None  # fewer than two causes have a fit
-    except ConvergenceError:
-        # bubbles that cannot be simulated elsewhere take nothing from what was found here
+    except (InputDataError, ConvergenceError):
+        # fewer than two causes, or bubbles that cannot be simulated elsewhere, take nothing from
+        # what was found here
         return None

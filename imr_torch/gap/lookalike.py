@@ -115,55 +115,29 @@ class _Coordinates:
     beyond: int
 
 
-def angles(
-    rows: Mapping[str, Float[Tensor, "_ rows"]], line: Linearisation
-) -> dict[str, dict[str, float]]:
-    """Smallest angle in degrees between the directions of every two effects, beside all that was
-    fitted.
-
-    Args:
-        rows: effect -> ``S x N``, whitened changes
-            (:attr:`imr_torch.gap.adequacy.Adequacy.beside`).
-        line: local sensitivities at the fit.
-    """
-    left = {name: _unit(own, line) for name, own in rows.items()}
-    names = [name for name, own in left.items() if len(own)]
-    return {
-        one: {
-            other: _degrees(float((left[one] @ left[other].mT).abs().max()))
-            for other in names
-            if other != one
-        }
-        for one in names
-    }
-
-
 def look_alikes(
-    signal: Float[Tensor, "rows"],
+    size: float,
+    signal: Float[Tensor, "1 rows"],
     rows: Mapping[str, Float[Tensor, "_ rows"]],
     line: Linearisation,
-    *,
-    farthest: float = LIKE,
 ) -> dict[str, tuple[float, float]]:
-    """Effects that would look like one that was fitted: name -> angle in degrees, and what they
-    leave of it in sd.
+    """Effects that would look like one that was fitted, nearest first: name -> angle in degrees, and
+    what they leave of it in sd, ``LIKE`` or less.
 
     Args:
-        signal: ``N`` tensor, whitened change of the curves by the fitted effect, at its fitted
-            size.
+        size: standard deviations that the fitted effect explains.
+        signal: ``1 x N`` tensor, whitened change of the curves by the fitted effect.
         rows: effect -> ``S x N``, whitened changes by the others.
         line: local sensitivities at the fit beside which the effect was found.
-        farthest: standard deviations that they may leave.
     """
-    own = line.project(signal)
-    size = float(own.norm())
+    own = _unit(signal, line)
     found = {}
     for name, other in rows.items():
         left = _unit(other, line)
-        if len(left) and size > 0.0:
-            cosine = min(1.0, float((left @ own).abs().max()) / size)
+        if len(left) and len(own):
+            cosine = min(1.0, float((left @ own.mT).abs().max()))
             missing = size * math.sqrt(1.0 - cosine**2)
-            if missing <= farthest:
+            if missing <= LIKE:
                 found[name] = (_degrees(cosine), missing)
     return dict(sorted(found.items(), key=lambda item: item[1][1]))
 

@@ -97,7 +97,7 @@ def test_that_a_resumed_campaign_asks_for_the_same_design(tmp_path: Path) -> Non
 
 def test_that_a_design_is_chosen_for_the_causes_that_are_left(tmp_path: Path) -> None:
     own = campaign(tmp_path, 0.99)
-    own.tell(shoot({"sound_speed": 0.85})(torch.tensor([400.0, 0.2]).double(), 1))
+    own.tell(shoot({"sound_speed": 0.3})(torch.tensor([400.0, 0.2]).double(), 1))
     finding = own.steps[-1].finding
     assert finding is not None
     assert finding.probabilities
