@@ -46,30 +46,29 @@ class Onset:
     repeats.
 
     Args:
-        time: dimensionless time of the last frame of the first prefix that rejects, median over
-            experiments; NaN if none does.
+        t: dimensionless time of the last frame of the first prefix that rejects, median over
+            experiments; None if none does.
         phase: one of :data:`imr_torch.goodness.phases.PHASES`, or ``"none"``.
         times: the end of each prefix, dimensionless, median over experiments.
         p_values: of each prefix, calibrated over all prefixes and tests.
         level: below which a prefix rejects.
     """
 
-    time: float
+    t: float | None
     phase: str
     times: tuple[float, ...]
     p_values: tuple[float, ...]
     level: float
 
     def __str__(self) -> str:
-        if self.phase == "none":
+        if self.t is None:
             return (
                 "No prefix of the records rejects the model (smallest "
                 f"{p_value(min(self.p_values))})."
             )
         return (
             f"The gap can first be detected in the {self.phase}: records up to t* = "
-            f"{self.time:.2f} already reject the model "
-            "(earlier ones would with more repeats)."
+            f"{self.t:.2f} already reject the model (earlier ones would with more repeats)."
         )
 
 
@@ -143,7 +142,7 @@ def onset(
     p_values = _calibrate(observed, calibration).tolist()
     first = next((i for i, p in enumerate(p_values) if p < level), None)
     if first is None:
-        return Onset(math.nan, "none", tuple(times), tuple(p_values), level)
+        return Onset(None, "none", tuple(times), tuple(p_values), level)
     return Onset(times[first], phase_name(ends[first]), tuple(times), tuple(p_values), level)
 
 
@@ -175,16 +174,14 @@ class ByExperiment:
     """Which experiments the gap lies in: each fitted by itself.
 
     Args:
-        labels: of the experiments.
-        p_values: of the gap test at each one's own fit, times their number.
+        p_values: experiment -> that of the gap test at its own fit, times their number.
         values: parameter -> its 5, 50, 95 % in each experiment by itself, SI.
         trends: drift of each parameter over each coordinate of the design.
         reading: one sentence on what the trends point to.
         converged: whether all of these fits did.
     """
 
-    labels: tuple[str, ...]
-    p_values: tuple[float, ...]
+    p_values: dict[str, float]
     values: dict[str, list[list[float]]]
     trends: tuple[Trend, ...]
     reading: str
@@ -206,17 +203,16 @@ def by_experiment(
     """
     batch = report.batch
     effects = tuple(LIBRARY[name] for name in report.left.directions if name in LIBRARY)
-    p_values = []
+    p_values = {}
     for e, (fit, experiment) in enumerate(zip(alone, batch.experiments, strict=True)):
         one = replace(batch, experiments=(experiment,), between={})
         test = adequacy_test(fit, effects, one, simulator, seed=child(seed, e)).test
-        p_values.append(min(1.0, len(alone) * test.p_value))
+        p_values[experiment.label] = min(1.0, len(alone) * test.p_value)
     levels = torch.tensor(_LEVELS, dtype=torch.float64)
     quantiles = torch.stack([fit.posterior.quantile(levels) for fit in alone])
     trends = drifts(alone, batch.designs)
     return ByExperiment(
-        tuple(e.label for e in batch.experiments),
-        tuple(p_values),
+        p_values,
         {name: quantiles[:, :, i].tolist() for i, name in enumerate(report.base.names)},
         trends,
         _read(trends, len(alone)),
@@ -296,15 +292,13 @@ class WhereItActs:
     Args:
         shares: phase -> [5 %, 50 %, 95 %] of its share of the squared signal; the shares of each
             draw sum to one.
-        draws: posterior draws behind it.
 
     >>> from imr_torch.gap.locate import WhereItActs
-    >>> print(WhereItActs({"start": (0.0, 0.02, 0.1), "first collapse": (0.7, 0.8, 0.9), "later": (0.1, 0.18, 0.3)}, 24))
+    >>> print(WhereItActs({"start": (0.0, 0.02, 0.1), "first collapse": (0.7, 0.8, 0.9), "later": (0.1, 0.18, 0.3)}))
     Its signal beside a refit of the gel comes from: first collapse .80 (.70 to .90), later .18 (.10 to .30).
     """
 
     shares: dict[str, tuple[float, float, float]]
-    draws: int
 
     def __str__(self) -> str:
         ranked = sorted(self.shares.items(), key=lambda item: -item[1][1])
@@ -370,10 +364,8 @@ def where_it_acts(
         reached[known], dim=1, prepend=torch.zeros(int(known.sum()), 1, dtype=torch.float64)
     ).clamp_min(0.0)
     shares = gained / gained.sum(1, keepdim=True)
-    low, middle, high = shares.quantile(torch.tensor(_LEVELS, dtype=torch.float64), dim=0).tolist()
-    return WhereItActs(
-        dict(zip(PHASES, zip(low, middle, high, strict=True), strict=True)), len(shares)
-    )
+    levels = shares.quantile(torch.tensor(_LEVELS, dtype=torch.float64), dim=0)
+    return WhereItActs(dict(zip(PHASES, map(tuple, levels.mT.tolist()), strict=True)))
 
 
 def _changes(

@@ -75,11 +75,6 @@ class Shrinkage:
     converged: bool
 
     @property
-    def placebo_median(self) -> float:
-        """Median over random libraries."""
-        return float(torch.tensor(self.placebo, dtype=torch.float64).quantile(0.5))
-
-    @property
     def placebo_high(self) -> float:
         """95th percentile over random libraries."""
         return round(float(torch.tensor(self.placebo, dtype=torch.float64).quantile(0.95)), 6)
