@@ -248,22 +248,32 @@ def missing_rows(left: Adequacy, *, inside: bool = True) -> Float[Tensor, "unkno
 
 def _camera_rows(line: Linearisation) -> list[Float[Tensor, "unknowns rows"]]:
     """Whitened smooth errors of the radius and of time: alike in all curves, and each curve's own."""
+    sizes = (_CAMERA, _CAMERA_TIME)
+    errors = smooth_errors(line, _KNOTS, float(_KNOTS[1] - _KNOTS[0]))
+    alike = [size * rows for size, rows in zip(sizes, errors, strict=True)]
+    if len(line.batch.experiments) == 1:
+        return [line.whiten(rows) for rows in alike]
+    each = torch.eye(len(line.batch.experiments), dtype=torch.float64)[:, None, :, None]
+    single = [(rows[None] * each).flatten(0, 1) for rows in alike]
+    return [line.whiten(rows) for rows in (*alike, *single)]
+
+
+def smooth_errors(
+    line: Linearisation, knots: Float[Tensor, "knots"], width: float
+) -> Float[Tensor, "2 knots experiments frames"]:
+    """Changes of the curves ``2 x K x E x T`` by unit errors of the radius and of time, each smooth
+    about a knot on the phase clock.
+    """
     batch = line.batch
     clock = phase_clock(batch.times, line.prediction, batch.mask)
-    width = float(_KNOTS[1] - _KNOTS[0])
-    bumps = (-0.5 * ((clock[None] - _KNOTS[:, None, None]) / width).square()).exp()
+    bumps = (-0.5 * ((clock - knots[:, None, None]) / width).square()).exp()
     slope = torch.stack(
         [
             torch.gradient(r, spacing=(t,))[0]
             for r, t in zip(line.prediction, batch.times, strict=True)
         ]
     )
-    alike = [_CAMERA * bumps, _CAMERA_TIME * bumps * slope]
-    if len(batch.experiments) == 1:
-        return [line.whiten(rows) for rows in alike]
-    each = torch.eye(len(batch.experiments), dtype=torch.float64)[:, None, :, None]
-    single = [(rows[None] * each).flatten(0, 1) for rows in alike]
-    return [line.whiten(rows) for rows in (*alike, *single)]
+    return torch.stack((bumps, bumps * slope))
 
 
 def _square(line: Linearisation) -> Tensor:
