@@ -26,7 +26,7 @@ from imr_torch.gap.identity_design import NextDesign
 from imr_torch.gap.shrinkage import Shrinkage
 from imr_torch.gap.text import headline, hidden_sentence, next_step
 from imr_torch.gap.verdict import VERDICT_ODDS
-from imr_torch.goodness.phases import PHASES, phase_clock, phase_name
+from imr_torch.goodness.phases import PHASES, phase_numbers
 from imr_torch.material import LIBRARY
 from imr_torch.observe import ExperimentBatch, noise_sentences
 from imr_torch.simulate import Simulator
@@ -227,13 +227,12 @@ def _phase_residual(fit: ModelFit, batch: ExperimentBatch) -> list[list[float | 
     """Root mean square residual of the mean curves by experiment and phase, over its noise; null
     where a phase has no frames.
     """
-    clock = phase_clock(batch.times, fit.prediction, batch.mask)
+    phase = phase_numbers(batch.times, fit.prediction, batch.mask)
     noise = batch.sd(fit.prediction) / batch.counts.sqrt()
     square = torch.where(batch.mask, ((batch.mean - fit.prediction) / noise).square(), 0.0)
-    names = [[phase_name(c) for c in row] for row in clock.tolist()]
     columns = []
-    for phase in PHASES:
-        inside = torch.tensor([[name == phase for name in row] for row in names]) & batch.mask
+    for number in range(len(PHASES)):
+        inside = (phase == number) & batch.mask
         columns.append((torch.where(inside, square, 0.0).sum(1) / inside.sum(1)).sqrt())
     return [drawn_numbers(row) for row in torch.stack(columns, 1)]
 

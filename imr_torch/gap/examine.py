@@ -106,14 +106,7 @@ def examine(
     judging = replace(report.batch, experiments=tuple(unseen)) if unseen else None
     return replace(
         parts,
-        onset=onset(
-            report.null,
-            report.left.line,
-            report.batch,
-            simulator,
-            seed=child(seed, "onset"),
-            directions=report.left.directions,
-        ),
+        onset=onset(report.left, seed=child(seed, "onset")),
         acts=_acts(report, simulator, seed),
         by_experiment=by_experiment(report, simulator, alone, seed=child(seed, "experiments")),
         shrinkage=shrinkage(
@@ -136,7 +129,7 @@ def _acts(report: GapReport, simulator: Simulator, seed: int) -> WhereItActs | N
     }
     if not named:
         return None
-    return where_it_acts(named, report.left.line, report.batch, simulator, seed=child(seed, "acts"))
+    return where_it_acts(named, report.left.line, simulator, seed=child(seed, "acts"))
 
 
 def _next(

@@ -21,14 +21,13 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
-from imr_torch.gap.adequacy import adequacy_test
+from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.goodness.linear import Linearisation, curves
-from imr_torch.goodness.phases import PHASES, phase_clock, phase_name
-from imr_torch.goodness.score import BOOTSTRAP, block, log_survival, pulse_changes, shape_rows
+from imr_torch.goodness.phases import PHASES, phase_clock, phase_name, phase_numbers
+from imr_torch.goodness.score import BOOTSTRAP, PULSES, SHAPE, block, log_survival
 from imr_torch.labels import p_value
 from imr_torch.material import LIBRARY, PARAMETERS, Effect
-from imr_torch.observe import ExperimentBatch
 from imr_torch.random import SeedLike, child, generator
 from imr_torch.simulate import Simulator
 
@@ -72,83 +71,46 @@ class Onset:
         )
 
 
-def generic_directions(
-    fit: ModelFit, line: Linearisation, batch: ExperimentBatch, simulator: Simulator
-) -> dict[str, Float[Tensor, "_ rows"]]:
-    """Directions that stand for no effect in particular: a pressure pulse at each of several times,
-    and output shapes.
-
-    Returns:
-        Name -> whitened rows ``k x N``. A pulse is a test of its own, so that an early prefix is
-        not asked about late ones.
-    """
-    changes = pulse_changes(batch)
-    pulses = line.whiten(
-        (curves(fit, batch, simulator, list(changes.values())) - line.prediction).nan_to_num()
-    )
-    rows = {
-        f"pulse at {moment:.2f}": row[None] for moment, row in zip(changes, pulses, strict=True)
-    }
-    return rows | {"shape": shape_rows(line)[:2]}
-
-
-def onset(
-    fit: ModelFit,
-    line: Linearisation,
-    batch: ExperimentBatch,
-    simulator: Simulator,
-    *,
-    seed: SeedLike,
-    directions: Mapping[str, Tensor] | None = None,
-    level: float = _LEVEL,
-) -> Onset:
+def onset(left: Adequacy, *, seed: SeedLike) -> Onset:
     """The prefix test: refit on the frames up to a moment and test, for a grid of moments.
 
     Moments are set on the phase clock of each experiment, so that curves whose collapses come at
-    different times are cut alike. Refits are linear about ``fit``; linearised anew where they lead,
-    16 of 16 sets kept their phase (3 designs of 100 curves, gaps of 10 to 209 sd).
+    different times are cut alike. Tested is what each effect changes, output shapes, and each pulse
+    by itself, so that an early prefix is not asked about late ones. Refits are linear about the
+    fit; linearised anew where they lead, 16 of 16 sets kept their phase (3 designs of 100 curves,
+    gaps of 10 to 209 sd).
 
     Args:
-        fit: the base model's fit.
-        line: local sensitivities at the fit.
-        batch: the data.
-        simulator: makes the bubbles.
+        left: the gap test at the base model's fit.
         seed: of the residuals drawn for the calibration.
-        directions: name -> whitened rows ``k x N`` to test
-            (:func:`imr_torch.goodness.score.effect_directions`) beside the generic ones.
-        level: chance of a false onset anywhere in the event.
     """
-    tests = generic_directions(fit, line, batch, simulator) | dict(directions or {})
+    line = left.line
+    batch = line.batch
+    pulses = {f"pulse {i}": row[None] for i, row in enumerate(left.generic[PULSES])}
+    tests = pulses | {"shape": left.generic[SHAPE][:2]} | left.directions
     clock = phase_clock(batch.times, line.prediction, batch.mask)
     drawn = torch.randn(
         BOOTSTRAP, line.residual.shape[0], generator=generator(seed), dtype=torch.float64
     )
-    ends = []
-    times = []
-    observed = []
-    calibration = []
+    ends: list[float] = []
+    times: list[float] = []
+    found = []
     before = 0
     for end in _GRID:
         frames = (clock <= end) & batch.mask
-        if int(frames.sum()) == before:
+        count = int(frames.sum())
+        if count == before:
             continue
-        before = int(frames.sum())
-        part = restrict(line, frames)
-        data, null = _log_p(part, frames, tests, drawn)
+        before = count
         ends.append(end)
-        times.append(_last_frame(batch.times, frames))
-        observed.append(data)
-        calibration.append(null)
-    p_values = _calibrate(observed, calibration).tolist()
-    first = next((i for i, p in enumerate(p_values) if p < level), None)
+        # the last frame, in the median over experiments
+        times.append(float(torch.where(frames, batch.times, 0.0).amax(1).median()))
+        found.append(_log_p(restrict(line, frames), frames, tests, drawn))
+    p_values = _calibrate(*zip(*found, strict=True)).tolist()
+    first = next((i for i, p in enumerate(p_values) if p < _LEVEL), None)
     if first is None:
-        return Onset(None, "none", tuple(times), tuple(p_values), level)
-    return Onset(times[first], phase_name(ends[first]), tuple(times), tuple(p_values), level)
-
-
-def _last_frame(times: Tensor, frames: Tensor) -> float:
-    """Median over experiments of the last frame's time."""
-    return float(torch.where(frames, times, 0.0).amax(1).median())
+        return Onset(None, "none", tuple(times), tuple(p_values), _LEVEL)
+    return Onset(times[first], phase_name(ends[first]), tuple(times), tuple(p_values), _LEVEL)
 
 
 @dataclass(frozen=True)
@@ -227,7 +189,6 @@ def drifts(alone: Sequence[ModelFit], designs: Float[Tensor, "experiments 2"]) -
     With fewer than four designs each coordinate is taken alone, so that one that goes with the
     other shows in both.
     """
-    size = len(alone[0].mean)
     coordinates = {"We": designs[:, 0].log(), "R_inf*": designs[:, 1]}
     scaled = {
         name: (x - x.mean()) / (x.max() - x.min())
@@ -236,23 +197,23 @@ def drifts(alone: Sequence[ModelFit], designs: Float[Tensor, "experiments 2"]) -
     }
     values = torch.cat([fit.mean for fit in alone])
     precision = torch.block_diag(*[torch.cholesky_inverse(fit.chol) for fit in alone])
-    unit = torch.eye(size, dtype=torch.float64)
-    level = unit.repeat(len(alone), 1)
-    groups = [list(scaled)] if len(alone) >= _BESIDE else [[name] for name in scaled]
+    parameters = alone[0].prior.names
+    unit = torch.eye(len(parameters), dtype=torch.float64)
     trends = []
-    for names in groups:
-        rows = [torch.cat([x * unit for x in scaled[name]]) for name in names]
-        design = torch.cat((level, *rows), 1)
+    for names in [list(scaled)] if len(alone) >= _BESIDE else [[name] for name in scaled]:
+        columns = [torch.ones_like(designs[:, 0]), *(scaled[name] for name in names)]
+        design = torch.kron(torch.stack(columns, 1), unit)
         if design.shape[1] > len(values) or not names:
             continue
         covariance = torch.linalg.pinv(design.mT @ precision @ design)
         slopes = covariance @ design.mT @ precision @ values
-        errors = covariance.diagonal().clamp_min(1e-300).sqrt()
-        for k, name in enumerate(names):
-            for i, parameter in enumerate(alone[0].prior.names):
-                place = (k + 1) * size + i
-                slope = float(slopes[place])
-                trends.append(Trend(parameter, name, slope, slope / float(errors[place])))
+        scores = slopes / covariance.diagonal().clamp_min(1e-300).sqrt()
+        places = [(parameter, name) for name in ("", *names) for parameter in parameters]
+        trends += [
+            Trend(*place, slope, score)
+            for place, slope, score in zip(places, slopes.tolist(), scores.tolist(), strict=True)
+            if place[1]
+        ]
     return tuple(trends)
 
 
@@ -317,7 +278,6 @@ def _share(value: float) -> str:
 def where_it_acts(
     causes: Mapping[str, tuple[ModelFit, Sequence[Effect], float]],
     line: Linearisation,
-    batch: ExperimentBatch,
     simulator: Simulator,
     *,
     seed: int,
@@ -329,28 +289,19 @@ def where_it_acts(
     Args:
         causes: name -> fit with the effects, those effects, and its probability.
         line: local sensitivities at the base model's fit.
-        batch: the data.
         simulator: makes the bubbles.
         seed: of the posterior draws.
         draws: over all causes, in proportion to their probabilities, one of each at least.
     """
     total = sum(share for _, _, share in causes.values())
-    rows = [
-        _changes(
-            fit,
-            effects,
-            line,
-            batch,
-            simulator,
-            max(1, round(draws * share / total)),
-            child(seed, "acts", name),
-        )
-        for name, (fit, effects, share) in causes.items()
-    ]
+    rows = []
+    for name, (fit, effects, share) in causes.items():
+        count = max(1, round(draws * share / total))
+        rows.append(_changes(fit, effects, line, simulator, count, child(seed, "acts", name)))
     signal = torch.cat(rows)
     signal = signal[torch.isfinite(signal).all(1)]
-    clock = phase_clock(batch.times, line.prediction, batch.mask)
-    phase = torch.tensor([[PHASES.index(phase_name(c)) for c in row] for row in clock.tolist()])
+    batch = line.batch
+    phase = phase_numbers(batch.times, line.prediction, batch.mask)
     squares = []
     for last in range(len(PHASES)):
         frames = (phase <= last) & batch.mask
@@ -372,12 +323,12 @@ def _changes(
     fit: ModelFit,
     effects: Sequence[Effect],
     line: Linearisation,
-    batch: ExperimentBatch,
     simulator: Simulator,
     draws: int,
     seed: int,
 ) -> Tensor:
     """What the effects change at posterior draws of their fit, whitened: ``draws x N``."""
+    batch = line.batch
     noise = (
         torch.randn(draws, len(fit.mean), generator=generator(seed), dtype=torch.float64)
         @ fit.chol.mT
@@ -455,13 +406,8 @@ def _calibrate(
         Bonferroni's bound.
     """
     smallest = torch.cat(list(drawn)).amin(0)
-    tests = sum(len(group) for group in observed)
-    values = []
-    for group in observed:
-        log = group.amin() if len(group) else torch.zeros((), dtype=torch.float64)
-        count = int((smallest <= log).sum())
-        bound = min(1.0, tests * float(log.exp()))
-        values.append(
-            (1 + count) / (1 + len(smallest)) if count else min(bound, 1.0 / (1 + len(smallest)))
-        )
-    return torch.tensor(values, dtype=torch.float64)
+    tests = sum(map(len, observed))
+    logs = torch.stack([log.amin() if len(log) else torch.zeros(()).double() for log in observed])
+    counts = (smallest <= logs[:, None]).sum(1)
+    bound = (tests * logs.exp()).clamp_max(1.0 / (1 + len(smallest)))
+    return torch.where(counts > 0, (1 + counts) / (1 + len(smallest)), bound)

@@ -24,7 +24,7 @@ def late() -> dict[int, WhereItActs]:
         with_pulse = fit(batch, Hypothesis(BASE, (LIBRARY["pulse"],)), **PULSE)
         line = linearise(fit(batch), batch, SIMULATOR)
         causes = {"pulse": (with_pulse, (LIBRARY["pulse"],), 0.9)}
-        acts = where_it_acts(causes, line, batch, SIMULATOR, seed=0)
+        acts = where_it_acts(causes, line, SIMULATOR, seed=0)
         assert acts is not None
         found[repeats] = acts
     return found

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from imr_torch.gap import diagnose, library, locate
+from imr_torch.gap.adequacy import adequacy_test
 from imr_torch.gap.differing import fit_alone
 from imr_torch.gap.locate import Trend, by_experiment, drifts, onset, restrict
 from imr_torch.goodness.linear import linearise
@@ -21,14 +22,14 @@ CASES = {
 
 @pytest.fixture(scope="module")
 def cases():
-    """Name -> batch, fit and its neighbourhood, made once each."""
+    """Name -> the gap test at the fit, made once each."""
     found = {}
 
     def get(name: str):
         if name not in found:
             batch = shoot(CASES[name][0])
             best = fit(batch)
-            found[name] = best, linearise(best, batch, SIMULATOR), batch, SIMULATOR
+            found[name] = adequacy_test(best, [], batch, SIMULATOR, seed=0)
         return found[name]
 
     return get
@@ -54,7 +55,7 @@ def test_that_the_phase_clock_runs_on_where_a_record_ends_before_any_collapse() 
 def test_that_the_onset_is_in_the_phase_in_which_the_effect_acts_and_silent_on_matched_data(
     cases, name: str
 ) -> None:
-    found = onset(*cases(name), seed=1)
+    found = onset(cases(name), seed=1)
     assert found.phase == CASES[name][1], str(found)
     assert (found.t is None) == (name == "matched")
     assert found.phase in str(found) or name == "matched"

@@ -59,7 +59,6 @@ def test_that_near_effects_are_masked_and_far_ones_are_not(
     rows = {e.name: direction(i * degrees) for i, e in enumerate(EFFECTS)}
     found = likeness(12.0, rows, {}, EFFECTS, line(), seed=0)
     assert low <= found.chance <= high
-    assert found.nearest["wall"][1] == pytest.approx(degrees)
 
 
 def test_that_the_chance_is_the_power_of_the_test_of_what_is_left() -> None:
@@ -88,14 +87,13 @@ def test_that_members_of_a_family_do_not_mask_each_other() -> None:
     rows = {e.name: direction(i) for i, e in enumerate(pair)} | {"wall": direction(80.0)}
     found = likeness(20.0, rows, {}, (*pair, LIBRARY["wall"]), line(), seed=0)
     assert found.chance < 0.02
-    assert found.nearest["trigger_offset"][0] == "wall"
 
 
 def test_that_the_bayes_factor_averages_to_one_under_a_known_effect() -> None:
     """A likelihood ratio has mean one under its denominator, the uniform p-value of the right effect."""
     source = torch.Generator().manual_seed(0)
     log_p = torch.randn(50, 40, generator=source, dtype=torch.float64).square().neg() * 3.0
-    found = Likeness(9.0, log_p, torch.full((50,), 0.02, dtype=torch.float64), {})
+    found = Likeness(9.0, log_p, torch.full((50,), 0.02, dtype=torch.float64))
     log = torch.linspace(-40.0, 0.0, 4001, dtype=torch.float64)
     density = (
         torch.tensor([found.bayes_factor(math.exp(x)) for x in log.tolist()], dtype=torch.float64)
