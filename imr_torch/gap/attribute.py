@@ -14,6 +14,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import accumulate
 
 import torch
 
@@ -122,14 +123,9 @@ class Attribution:
 
     def credible_set(self, level: float = 0.95) -> tuple[str, ...]:
         """The most probable entries of the posterior that together reach a level."""
-        names = []
-        total = 0.0
-        for name, probability in sorted(self.posterior.items(), key=lambda item: -item[1]):
-            names.append(name)
-            total += probability
-            if total >= level:
-                break
-        return tuple(names)
+        ranked = sorted(self.posterior, key=lambda name: -self.posterior[name])
+        totals = accumulate(self.posterior[name] for name in ranked)
+        return tuple(ranked[: 1 + sum(total < level for total in totals)])
 
     @property
     def explained(self) -> dict[str, float]:

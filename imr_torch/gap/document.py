@@ -24,7 +24,7 @@ from imr_torch.gap.examine import Parts
 from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.gap.identity_design import NextDesign
 from imr_torch.gap.shrinkage import Shrinkage
-from imr_torch.gap.text import headline, hidden_sentence, next_step
+from imr_torch.gap.text import acts_sentence, headline, hidden_sentence, next_step
 from imr_torch.gap.verdict import VERDICT_ODDS
 from imr_torch.goodness.phases import PHASES, phase_numbers
 from imr_torch.material import LIBRARY
@@ -187,17 +187,12 @@ def _cause_values(report: GapReport, named: ModelFit) -> dict[str, dict[str, lis
     """Named effect -> its parameters; members of a class that the leading fit does not hold have the
     values of their own fits.
     """
-    found = report.attribution
+    fits = [named, *(report.attribution.fits.values() if report.attribution else ())]
     values = {}
     for part in report.cause:
-        if part not in LIBRARY:
-            continue
-        names = LIBRARY[part].names
-        fits = (
-            [named, *(f for n, f in found.fits.items() if found.part(n) == part)] if found else []
-        )
+        names = LIBRARY[part].names if part in LIBRARY else ()
         holding = [fit for fit in fits if set(names) <= set(fit.prior.names)]
-        if holding:
+        if names and holding:
             values[part] = _intervals(holding[0], names)
     return values
 
@@ -208,7 +203,7 @@ def _where(parts: Parts) -> dict[str, Any]:
     acts = parts.acts
     return {
         "onset": when and vars(when) | {"sentence": str(when)},
-        "acts": acts and vars(acts) | {"sentence": str(acts)},
+        "acts": acts and {"shares": acts, "sentence": acts_sentence(acts)},
         "experiments": parts.by_experiment and asdict(parts.by_experiment),
     }
 

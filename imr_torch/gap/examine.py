@@ -13,7 +13,6 @@ from imr_torch.gap.identity_design import NextDesign, identity_design, plan_of
 from imr_torch.gap.locate import (
     ByExperiment,
     Onset,
-    WhereItActs,
     by_experiment,
     onset,
     where_it_acts,
@@ -36,7 +35,7 @@ class Parts:
 
     Args:
         onset: from when on the gap can be detected.
-        acts: where the named effects act.
+        acts: phase -> share of the signal of the named effects.
         by_experiment: which experiments it lies in.
         shrinkage: how far it shrinks on curves that no fit saw.
         next_design: what to shoot to tell the causes apart that are still possible.
@@ -49,7 +48,7 @@ class Parts:
     """
 
     onset: Onset | None = None
-    acts: WhereItActs | None = None
+    acts: dict[str, float] | None = None
     by_experiment: ByExperiment | None = None
     shrinkage: Shrinkage | None = None
     next_design: NextDesign | None = None
@@ -107,7 +106,7 @@ def examine(
     return replace(
         parts,
         onset=onset(report.left, seed=child(seed, "onset")),
-        acts=_acts(report, simulator, seed),
+        acts=_acts(report, simulator),
         by_experiment=by_experiment(report, simulator, alone, seed=child(seed, "experiments")),
         shrinkage=shrinkage(
             report, simulator, judging, seed=child(seed, "shrinkage"), progress=progress
@@ -116,20 +115,12 @@ def examine(
     )
 
 
-def _acts(report: GapReport, simulator: Simulator, seed: int) -> WhereItActs | None:
+def _acts(report: GapReport, simulator: Simulator) -> dict[str, float] | None:
     """Where the named effects act; None without a named effect."""
     found = report.attribution
-    choice = report.choice
-    if found is None or choice is None or report.verdict not in ("effect", "class"):
+    if found is None or report.verdict not in ("effect", "class") or found.winner.gels_differ:
         return None
-    named = {
-        name: (found.fits[name], found.hypotheses[name].effects, choice.members[name])
-        for name in choice.causes
-        if found.hypotheses[name].effects and not found.hypotheses[name].gels_differ
-    }
-    if not named:
-        return None
-    return where_it_acts(named, report.left.line, simulator, seed=child(seed, "acts"))
+    return where_it_acts(found.winner_fit, found.winner.effects, report.left.line, simulator)
 
 
 def _next(

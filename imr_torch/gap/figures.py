@@ -135,7 +135,7 @@ def _of_place(document: Document) -> Iterator[GapFigure]:
         yield GapFigure(
             PLACE,
             "acts",
-            "Share of the signal of the named effects by phase, with its 90 % interval.",
+            "Share of the signal of the named effects by phase.",
             f"Bar chart. {document['acts']['sentence']}",
             partial(plot_acts, document["acts"]["shares"]),
         )
@@ -180,7 +180,7 @@ def _bars(
     names: Sequence[str],
     lengths: Sequence[float],
     texts: Sequence[str],
-    colors: Sequence[str],
+    colors: str | Sequence[str] = AFTER,
 ) -> Axes:
     """Horizontal bars from top to bottom, each with its name and a text at its end."""
     ax = _axes(ax, (6.0, 1.0 + 0.27 * len(names)))
@@ -190,14 +190,11 @@ def _bars(
     return ax
 
 
-def _intervals(ax: Axes, places: Any, rows: Any, *, along: str = "x", **style: Any) -> None:
-    """Medians with their 5 and 95 % ends, one row each, along an axis."""
+def _intervals(ax: Axes, places: Any, rows: Any, **style: Any) -> None:
+    """Medians with their 5 and 95 % ends, one row each."""
     low, middle, high = np.array(rows, dtype=float).T
     error = (middle - low, high - middle)
-    if along == "x":
-        ax.errorbar(middle, places, xerr=error, fmt="o", capsize=3, **style)
-    else:
-        ax.errorbar(places, middle, yerr=error, fmt="none", **style)
+    ax.errorbar(middle, places, xerr=error, fmt="o", capsize=3, **style)
 
 
 def curve_figure(curve: Mapping[str, Any], selected: str) -> Figure:
@@ -286,14 +283,10 @@ def plot_onset(found: Mapping[str, Any], *, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def plot_acts(shares: Mapping[str, Sequence[float]], *, ax: Axes | None = None) -> Axes:
-    """Share of the signal of the named effects by phase, with its 90 % interval."""
-    ax = _axes(ax, (5.2, 2.6))
-    places = range(len(shares))
-    ax.bar(places, [middle for _, middle, _ in shares.values()], color=AFTER, width=0.6)
-    _intervals(ax, places, list(shares.values()), along="y", color=DATA)
-    ax.set_xticks(places, [phase.replace(" ", "\n") for phase in shares], fontsize=8)
-    ax.set(ylabel="share of the signal", ylim=(0.0, 1.0))
+def plot_acts(shares: Mapping[str, float], *, ax: Axes | None = None) -> Axes:
+    """Share of the signal of the named effects by phase."""
+    ax = _bars(ax, list(shares), list(shares.values()), [f"{x:.2f}" for x in shares.values()])
+    ax.set(xlabel="share of the signal", xlim=(0.0, 1.1))
     return ax
 
 

@@ -11,8 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from scipy.optimize import brentq
-from scipy.special import chdtri, chndtr
+from scipy.special import chdtri, chndtrinc
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.gap.adequacy import Adequacy
@@ -87,5 +86,4 @@ def _hidden(effect: Effect, left: Adequacy, fit: ModelFit, gel: Sequence[str]) -
 
 def _noncentrality(rank: int, level: float) -> float:
     """That with which a test of some rank and level finds a signal with ``FOUND``."""
-    threshold = float(chdtri(rank, level))
-    return float(brentq(lambda size: 1.0 - chndtr(threshold, rank, size) - FOUND, 1e-9, 1e4))  # type: ignore[arg-type]
+    return float(chndtrinc(chdtri(rank, level), rank, 1.0 - FOUND))

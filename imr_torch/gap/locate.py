@@ -34,8 +34,6 @@ from imr_torch.simulate import Simulator
 _GRID = (0.15, 0.3, 0.5, 0.75, 0.94, 1.06, 1.25, 1.5, 1.75, 1.94, 2.06, 2.25, 2.6, 3.2, math.inf)
 _LEVEL = 0.01  # of a false onset or trend; that there is a gap at all is not decided here
 _BESIDE = 4  # designs from which on the trends in We and R_inf* are told apart
-_DRAWS = 24  # posterior draws behind the shares of phases
-_SHOWN = 0.15  # upper end of a share from which on its phase is mentioned
 _LEVELS = (0.05, 0.5, 0.95)
 
 
@@ -246,98 +244,31 @@ def _read(trends: Sequence[Trend], experiments: int) -> str:
     return "No parameter of single experiments drifts over We or R_inf*."
 
 
-@dataclass(frozen=True)
-class WhereItActs:
-    """Share of the signal by phase.
-
-    Args:
-        shares: phase -> [5 %, 50 %, 95 %] of its share of the squared signal; the shares of each
-            draw sum to one.
-
-    >>> from imr_torch.gap.locate import WhereItActs
-    >>> print(WhereItActs({"start": (0.0, 0.02, 0.1), "first collapse": (0.7, 0.8, 0.9), "later": (0.1, 0.18, 0.3)}))
-    Its signal beside a refit of the gel comes from: first collapse .80 (.70 to .90), later .18 (.10 to .30).
-    """
-
-    shares: dict[str, tuple[float, float, float]]
-
-    def __str__(self) -> str:
-        ranked = sorted(self.shares.items(), key=lambda item: -item[1][1])
-        shown = [item for item in ranked if item[1][2] >= _SHOWN]
-        said = [
-            f"{phase} {_share(middle)} ({_share(low)} to {_share(high)})"
-            for phase, (low, middle, high) in shown
-        ]
-        return f"Its signal beside a refit of the gel comes from: {', '.join(said)}."
-
-
-def _share(value: float) -> str:
-    return f"{value:.2f}".removeprefix("0")
-
-
 def where_it_acts(
-    causes: Mapping[str, tuple[ModelFit, Sequence[Effect], float]],
-    line: Linearisation,
-    simulator: Simulator,
-    *,
-    seed: int,
-    draws: int = _DRAWS,
-) -> WhereItActs | None:
-    """Share of the signal of the named effects by phase, with its 90 % interval; None where no draw
-    can be simulated.
+    fit: ModelFit, effects: Sequence[Effect], line: Linearisation, simulator: Simulator
+) -> dict[str, float] | None:
+    """Phase -> share of the squared signal of effects at their fit, beside a refit of the gel to the
+    frames up to the end of the phase; None where it cannot be simulated without them.
 
     Args:
-        causes: name -> fit with the effects, those effects, and its probability.
+        fit: with the effects.
+        effects: what is switched off.
         line: local sensitivities at the base model's fit.
         simulator: makes the bubbles.
-        seed: of the posterior draws.
-        draws: over all causes, in proportion to their probabilities, one of each at least.
     """
-    total = sum(share for _, _, share in causes.values())
-    rows = []
-    for name, (fit, effects, share) in causes.items():
-        count = max(1, round(draws * share / total))
-        rows.append(_changes(fit, effects, line, simulator, count, child(seed, "acts", name)))
-    signal = torch.cat(rows)
-    signal = signal[torch.isfinite(signal).all(1)]
     batch = line.batch
+    off = {effect.names[0]: PARAMETERS[effect.names[0]].neutral for effect in effects}
+    with_them, without = curves(fit, batch, simulator, [{}, off])
+    signal = line.whiten(with_them - without)
     phase = phase_numbers(batch.times, line.prediction, batch.mask)
-    squares = []
+    reached = [0.0]
     for last in range(len(PHASES)):
         frames = (phase <= last) & batch.mask
-        part = restrict(line, frames)
-        squares.append(part.project(signal * _kept_rows(line, frames).to(signal)).square().sum(1))
-    reached = torch.stack(squares, 1)
-    known = reached[:, -1] > 0.0
-    if not bool(known.any()):
-        return None
-    gained = torch.diff(
-        reached[known], dim=1, prepend=torch.zeros(int(known.sum()), 1, dtype=torch.float64)
-    ).clamp_min(0.0)
-    shares = gained / gained.sum(1, keepdim=True)
-    levels = shares.quantile(torch.tensor(_LEVELS, dtype=torch.float64), dim=0)
-    return WhereItActs(dict(zip(PHASES, map(tuple, levels.mT.tolist()), strict=True)))
-
-
-def _changes(
-    fit: ModelFit,
-    effects: Sequence[Effect],
-    line: Linearisation,
-    simulator: Simulator,
-    draws: int,
-    seed: int,
-) -> Tensor:
-    """What the effects change at posterior draws of their fit, whitened: ``draws x N``."""
-    batch = line.batch
-    noise = (
-        torch.randn(draws, len(fit.mean), generator=generator(seed), dtype=torch.float64)
-        @ fit.chol.mT
-    )
-    free = int((batch.nuisance_sds > 0.0).any(0).sum()) * len(batch.experiments)
-    shift = torch.nn.functional.pad(noise, (0, free)).repeat(2, 1)
-    off = {effect.names[0]: PARAMETERS[effect.names[0]].neutral for effect in effects}
-    made = curves(fit, batch, simulator, [{}] * draws + [off] * draws, shift)
-    return line.whiten(made[:draws] - made[draws:])
+        rows = signal * _kept_rows(line, frames).to(signal)
+        reached.append(float(restrict(line, frames).project(rows).square().sum()))
+    gained = torch.tensor(reached).diff().clamp_min(0.0)
+    total = float(gained.sum())
+    return dict(zip(PHASES, (gained / total).tolist(), strict=True)) if total > 0.0 else None
 
 
 def restrict(line: Linearisation, frames: Bool[Tensor, "experiments frames"]) -> Linearisation:

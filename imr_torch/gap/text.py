@@ -27,6 +27,7 @@ CURVES = "The curves"
 """Headings of sections in which a figure or a table stands."""
 _MOST_SHOWN = 5
 _TESTS_SHOWN = 3
+_SHARE_SHOWN = 0.1
 _ENTRIES = {
     GEL_SCATTER: "the gel differs between shots",
     NONE: "nothing is missing",
@@ -343,6 +344,18 @@ def _where(document: Document) -> tuple[str, ...]:
         if not which["converged"]:
             lines.append("The fit of an experiment by itself did not converge.")
     return tuple(lines)
+
+
+def acts_sentence(shares: Mapping[str, float]) -> str:
+    """From which phases the signal of the named effects comes.
+
+    >>> from imr_torch.gap.text import acts_sentence
+    >>> acts_sentence({"start": 0.02, "first collapse": 0.8, "later": 0.18})
+    'Its signal beside a refit of the gel comes from: first collapse 0.80, later 0.18.'
+    """
+    ranked = sorted(shares.items(), key=lambda item: -item[1])
+    said = [f"{phase} {share:.2f}" for phase, share in ranked if share >= _SHARE_SHOWN]
+    return f"Its signal beside a refit of the gel comes from: {', '.join(said)}."
 
 
 def _causes(document: Document) -> tuple[str, ...]:
