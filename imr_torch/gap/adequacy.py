@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
-from imr_torch.gap.lookalike import Likeness, likeness, look_alikes
+from imr_torch.gap.lookalike import Likeness, likeness
 from imr_torch.gap.refitted import refitted_directions
 from imr_torch.goodness.linear import Linearisation, linearise
 from imr_torch.goodness.score import (
@@ -53,29 +53,6 @@ class Adequacy:
         standard deviations.
         """
         return likeness(size, self.beside, self.generic, self.effects, self.line, seed=seed)
-
-    def look_alikes(
-        self,
-        effect: Effect,
-        size: float,
-        fit: ModelFit,
-        batch: ExperimentBatch,
-        simulator: Simulator,
-    ) -> dict[str, tuple[float, float]]:
-        """Effects that would look like one that was found: name -> angle in degrees, and what they
-        leave of it in sd.
-
-        Args:
-            effect: the one that was found, its fitted parameters its only start.
-            size: standard deviations that it explains.
-            fit: the fit at which this test was made.
-            batch: the data.
-            simulator: makes the bubbles.
-        """
-        rows = effect_directions([effect], fit, batch, simulator, self.line)
-        signal = refitted_directions([effect], fit, batch, simulator, self.line, rows)[effect.name]
-        others = {name: own for name, own in self.beside.items() if name != effect.name}
-        return look_alikes(size, signal, others, self.line)
 
 
 def adequacy_test(

@@ -32,7 +32,7 @@ from imr_torch.gap.hypotheses import (
     may_differ,
     promised,
 )
-from imr_torch.gap.lookalike import LIKE, Likeness
+from imr_torch.gap.lookalike import Likeness
 from imr_torch.gap.verdict import ODDS, VERDICT_ODDS, probabilities
 from imr_torch.goodness.score import GapTest
 from imr_torch.material import Effect, ModelBelief
@@ -48,7 +48,6 @@ _MOST_LEFT_OUT = (
     3  # hypotheses whose fits do not converge, before the best of the others is taken as it is
 )
 _LESS = 0.7  # amplitude of a second start over that of the first, where the first is an estimate
-_WIDE = 45.0  # degrees from which on two effects are not called alike, however small
 _NEGLIGIBLE = 20.0  # nats behind the best at which another prior scale does not matter
 _BEHIND = 6.0  # nats behind the best from which on a fit is given up
 # the winner's is finished later
@@ -73,8 +72,6 @@ class Attribution:
         left: the gap test at the winner's fit with its directions, for a further effect.
         likeness: what an unknown effect of this size would look like.
         at_odds: prior odds of an unknown effect -> posterior.
-        alike: effects that look like the winner's at its fitted size -> angle in degrees, and what
-            they leave of it in sd, nearest first.
         checked: hypothesis -> its evidence by importance sampling, of those near the best.
         rescaled: factor on the prior scales of all amplitudes -> probability of the winner.
         left_out: hypotheses ahead of the winner whose fits did not converge, which therefore have
@@ -90,7 +87,6 @@ class Attribution:
     left: Adequacy
     likeness: Likeness
     at_odds: dict[float, dict[str, float]] = field(default_factory=dict)
-    alike: dict[str, tuple[float, float]] = field(default_factory=dict)
     checked: dict[str, CheckedEvidence] = field(default_factory=dict)
     rescaled: dict[float, float] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
@@ -370,7 +366,6 @@ class _Round:
             left,
             like,
             at_odds=at_odds,
-            alike=self._alike(winner, size),
             checked=checked,
             rescaled={scale: believe(self._rescaled(scale))[winner.name] for scale in SCALES},
             left_out=self.left_out,
@@ -469,29 +464,3 @@ class _Round:
             if added and self.evidence.get(name, -math.inf) > least:
                 changed[name] += rescaled_evidence(self.fits[name], added[0], scale)
         return changed
-
-    def _alike(self, winner: Hypothesis, size: float) -> dict[str, tuple[float, float]]:
-        """Effects that look like the winner's: by the angle between their directions, or because
-        they fit the data as well.
-        """
-        fit = self.fits[winner.name]
-        found = dict[str, tuple[float, float]]()
-        last = ""
-        if winner.gels_differ is self.held.gels_differ:
-            effect = winner.effects[-1]
-            last = effect.name
-            found = self.before.look_alikes(
-                replace(effect, starts=(fitted_values(fit, effect),)),
-                size,
-                self.null,
-                self.batch,
-                self.inquiry.simulator,
-            )
-        for part, other in self.longer.items():
-            if part == last or other.name not in self.fits or other.name == winner.name:
-                continue
-            behind = math.sqrt(max(2.0 * (self.fits[other.name].cost - fit.cost), 0.0))
-            if behind < min(LIKE, size, found.get(part, (0.0, math.inf))[1]):
-                found[part] = math.degrees(math.asin(behind / size)), behind
-        near = [(name, pair) for name, pair in found.items() if pair[0] < _WIDE]
-        return dict(sorted(near, key=lambda item: item[1][1]))

@@ -125,7 +125,6 @@ def _causes(found: Attribution | None) -> dict[str, Any]:
         "posterior_at_odds",
         "verdict_odds",
         "unknown",
-        "look_alikes",
         "evidence_checks",
         "prior_scales",
         "credible_set",
@@ -147,10 +146,6 @@ def _causes(found: Attribution | None) -> dict[str, Any]:
             "chance_look_alike": like.chance,
             "standard_error": like.error,
             "bayes_factor": like.bayes_factor(found.adequacy.p_value),
-        },
-        {
-            name: {"angle_deg": angle, "leaves_sd": left}
-            for name, (angle, left) in found.alike.items()
         },
         {name: vars(checked) for name, checked in found.checked.items()},
         {f"{scale:g}": p for scale, p in found.rescaled.items()},

@@ -24,8 +24,6 @@ from imr_torch.goodness.score import ADEQUATE, LEAST_LEFT, STATE_LAW, Block, blo
 from imr_torch.material import Effect
 from imr_torch.random import child, generator
 
-LIKE = 3.0
-"""Standard deviations that one effect must leave of another to be told from it: 4.5 nats on average, or odds of 1 to 90."""
 _LAWS = 28  # random combinations of the generic stress functions
 _OBVIOUS, _OBVIOUS_RANK = (
     12.0,
@@ -96,33 +94,6 @@ class Likeness:
         )
         strange = math.exp(math.log(_SHAPE) + (_SHAPE - 1.0) * log)
         return (1.0 - _STRANGE) * density + _STRANGE * strange
-
-
-def look_alikes(
-    size: float,
-    signal: Float[Tensor, "1 rows"],
-    rows: Mapping[str, Float[Tensor, "_ rows"]],
-    line: Linearisation,
-) -> dict[str, tuple[float, float]]:
-    """Effects that would look like one that was fitted, nearest first: name -> angle in degrees, and
-    what they leave of it in sd, ``LIKE`` or less.
-
-    Args:
-        size: standard deviations that the fitted effect explains.
-        signal: ``1 x N`` tensor, whitened change of the curves by the fitted effect.
-        rows: effect -> ``S x N``, whitened changes by the others.
-        line: local sensitivities at the fit beside which the effect was found.
-    """
-    own = _unit(signal, line)
-    found = {}
-    for name, other in rows.items():
-        left = _unit(other, line)
-        if len(left) and len(own):
-            cosine = min(1.0, float((left @ own.mT).abs().max()))
-            missing = size * math.sqrt(1.0 - cosine**2)
-            if missing <= LIKE:
-                found[name] = (_degrees(cosine), missing)
-    return dict(sorted(found.items(), key=lambda item: item[1][1]))
 
 
 def likeness(
@@ -273,7 +244,3 @@ def _unit(rows: Tensor, line: Linearisation) -> Tensor:
     left = line.project(rows)
     left = left[left.square().sum(1) > LEAST_LEFT * rows.square().sum(1).clamp_min(1e-300)]
     return left / left.norm(dim=1, keepdim=True)
-
-
-def _degrees(cosine: float) -> float:
-    return math.degrees(math.acos(min(1.0, cosine)))

@@ -383,12 +383,6 @@ def _causes(document: Document) -> tuple[str, ...]:
         f"known one at these designs is {unknown['chance_look_alike']:.2f} +- "
         f"{unknown['standard_error']:.2f}; it is in the probability of an unknown one.",
     ]
-    if document["look_alikes"]:
-        alike = [
-            f"{name} ({row['angle_deg']:.0f} degrees, leaves {row['leaves_sd']:.1f} sd)"
-            for name, row in document["look_alikes"].items()
-        ]
-        lines.append(f"What looks most like {leading} here: {', '.join(alike[:_MOST_SHOWN])}.")
     return (*lines, *_checks(document))
 
 

@@ -10,7 +10,7 @@ import torch
 
 from imr_torch.gap.evidence import check_evidence, rescaled_evidence
 from imr_torch.gap.hypotheses import Hypothesis, laplace_evidence
-from imr_torch.gap.lookalike import Likeness, likeness, look_alikes
+from imr_torch.gap.lookalike import Likeness, likeness
 from imr_torch.goodness.linear import Linearisation
 from imr_torch.material import LIBRARY, library
 from imr_torch.observe import Experiment, ExperimentBatch
@@ -38,18 +38,6 @@ def direction(degrees: float, *, absorbed: float = 0.0) -> torch.Tensor:
         absorbed,
     )
     return row
-
-
-def test_that_a_look_alike_leaves_the_sine_of_its_angle() -> None:
-    rows = {"near": direction(10.0), "far": direction(40.0)}
-    found = look_alikes(9.0, direction(0.0, absorbed=50.0), rows, line())
-    assert list(found) == ["near"]
-    assert found["near"] == pytest.approx((10.0, 9.0 * math.sin(math.radians(10.0))))
-
-
-def test_that_only_what_cannot_be_told_apart_is_a_look_alike() -> None:
-    rows = {"near": direction(10.0)}
-    assert not look_alikes(30.0, direction(0.0), rows, line())
 
 
 @pytest.mark.parametrize(("degrees", "low", "high"), [(2.0, 0.85, 1.0), (80.0, 0.0, 0.02)])
