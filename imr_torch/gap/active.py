@@ -128,23 +128,23 @@ class TellCausesApart:
 
     Args:
         learner: makes the diagnosis; that of the campaign.
-        grid: designs along We and R_inf* whose information is computed.
+        designs: how many have their information computed.
         draws: data made of each cause at each design.
 
     >>> from imr_torch.gap import CauseLearner, TellCausesApart
-    >>> TellCausesApart(CauseLearner(effects=("sound_speed", "gas_loss"))).grid
-    (4, 4)
+    >>> TellCausesApart(CauseLearner(effects=("sound_speed", "gas_loss"))).designs
+    16
     """
 
     learner: CauseLearner
-    grid: tuple[int, int] = (4, 4)
+    designs: int = 16
     draws: int = 16
 
     def __post_init__(self) -> None:
-        if min(self.grid) < 2 or self.draws < 2:
+        if min(self.designs, self.draws) < 2:
             raise InputDataError(
-                f"TellCausesApart has grid {self.grid} and draws {self.draws}; expected 2 or more "
-                "each way, and 2 draws."
+                f"TellCausesApart has {self.designs} designs and {self.draws} draws; expected 2 or "
+                "more of each."
             )
 
     def choose(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
@@ -176,7 +176,7 @@ class TellCausesApart:
                 plan=replace(situation.plan, noise=report.batch.noise),
                 seed=child(situation.seed, "apart", situation.number),
                 space=situation.space,
-                grid=self.grid,
+                designs=self.designs,
                 draws=self.draws,
                 progress=progress,
             )

@@ -93,21 +93,14 @@ def check_evidence(
     found = {}
     for name, fit in zip(near, weighted.fits, strict=True):
         assert fit.sample is not None
-        sampled = fit.sample.log_evidence - _offset(fit, batch)
         error = fit.sample.log_evidence_error
         found[name] = CheckedEvidence(
-            evidence[name], sampled, error, fit.sample.pareto_k < _HEAVY and error < _UNCERTAIN
+            evidence[name],
+            fit.sample.log_evidence,
+            error,
+            fit.sample.pareto_k < _HEAVY and error < _UNCERTAIN,
         )
     return found
-
-
-def _offset(fit: ModelFit, batch: ExperimentBatch) -> float:
-    """What the log likelihood of a fit holds beside its cost: constants of the data."""
-    likelihood = batch.log_likelihood(fit.prediction[None]).sum()
-    return (
-        float(likelihood - 0.5 * fit.mean.square().sum() - 0.5 * fit.nuisances.square().sum())
-        + fit.cost
-    )
 
 
 def rescaled_evidence(fit: ModelFit, effect: Effect, factor: float, *, seed: int = 0) -> float:

@@ -421,8 +421,7 @@ def laplace_evidence(fit: ModelFit) -> float:
 
     Priors are standard normal in the controls, so constants cancel.
     """
-    nuisances = fit.nuisance_chol.diagonal(dim1=-2, dim2=-1).log().sum()
-    return float(-fit.cost + fit.chol.diagonal().log().sum() - nuisances)
+    return float(-fit.cost + fit.chol.diagonal().log().sum()) - 0.5 * fit.nuisance_log_det
 
 
 def overdispersion(fit: ModelFit, batch: ExperimentBatch) -> float:

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
-from imr_torch.design import DesignSpace, ExpectedInformationGain, Laplace, Plan, SearchSettings
+from imr_torch.design import DesignSpace, ExpectedInformationGain, Laplace, Plan, search_design
 from imr_torch.design.response import Shot
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.material import LIBRARY, Belief
@@ -136,15 +136,15 @@ def identity_design(
     plan: Plan,
     seed: int,
     space: DesignSpace | None = None,
-    grid: tuple[int, int] = (4, 4),
+    designs: int = 16,
     draws: int = 16,
     progress: Progress | None = None,
 ) -> NextDesign:
     """The design that best tells the remaining causes apart.
 
-    Every design of a grid is evaluated with the same draws, a Gaussian process smooths the map, and
-    the maximum of its mean is evaluated once more with fresh draws, so the gain that is returned is
-    free of the winner's curse.
+    Designs that fill the space are evaluated with the same draws, a Gaussian process smooths the
+    map, and the maximum of its mean is evaluated once more with fresh draws, so the gain that is
+    returned is free of the winner's curse.
 
     Args:
         fits: hypothesis -> fit (:attr:`imr_torch.gap.attribute.Attribution.with_one_gel`), with
@@ -154,7 +154,7 @@ def identity_design(
         plan: how the next experiment will be observed.
         seed: of draws and surrogate.
         space: designs that can be shot.
-        grid: designs along We and R_inf*, 2 or more each way.
+        designs: how many are evaluated.
         draws: data made of each cause at each design; at the one returned four times as many.
         progress: called with one line per design.
 
@@ -163,35 +163,29 @@ def identity_design(
         ConvergenceError: if too few designs could be simulated for a map.
     """
     causes = remaining_causes(fits, posterior)
-    belief = _belief(causes, fits)
-    space = space or DesignSpace()
-    designs = _grid(space, grid)
-    gains = ExpectedInformationGain(
-        belief,
+    gain = ExpectedInformationGain(
+        _belief(causes, fits),
         simulator,
         _estimator(draws),
         target="model",
         plan=plan,
         space=space,
-        seed=child(seed, "grid"),
     )
-    found = []
-    for number, design in enumerate(designs, 1):
-        found.append(gains.estimate(design[None]))
-        if progress:
-            progress(
-                f"next design {number}/{len(designs)}: We {design[0]:.0f}, R_inf* {design[1]:.3f}: "
-                f"{found[-1].value:.3f} nats"
-            )
-    failed = sum(gain.failed for gain in found)
-    if len(designs) - failed < 2:
-        raise ConvergenceError(
-            f"Too many bubbles failed at {failed} of {len(designs)} designs; narrow the space."
-        )
-    settings = SearchSettings(child(seed, "surrogate"), initial=2)
-    best = settings.finish(space, designs, found, None).recommendation.design
+    found = search_design(
+        gain,
+        seed=child(seed, "search"),
+        evaluations=designs,
+        initial=designs,
+        progress=progress,
+    )
     return judge_design(
-        causes, fits, best, simulator, plan, draws=_FINAL * draws, seed=child(seed, "best")
+        causes,
+        fits,
+        found.recommendation.design,
+        simulator,
+        plan,
+        draws=_FINAL * draws,
+        seed=child(seed, "best"),
     )
 
 
@@ -248,13 +242,3 @@ def _belief(causes: Mapping[str, float], fits: Mapping[str, ModelFit]) -> Belief
 def _estimator(draws: int) -> Laplace:
     """All data of a cause are compared with every other cause."""
     return Laplace(draws=draws, rivals=draws, refinements=_REFINEMENTS)
-
-
-def _grid(space: DesignSpace, counts: tuple[int, int]) -> Tensor:
-    """``n x 2`` designs, evenly over the space, its edges included."""
-    lower, upper = space.bounds
-    axes = [
-        torch.linspace(float(a), float(b), n, dtype=torch.float64)
-        for a, b, n in zip(lower, upper, counts, strict=True)
-    ]
-    return torch.cartesian_prod(*axes)

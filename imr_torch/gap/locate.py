@@ -27,7 +27,7 @@ from imr_torch.goodness.linear import Linearisation, curves
 from imr_torch.goodness.phases import PHASES, phase_clock, phase_name, phase_numbers
 from imr_torch.goodness.score import BOOTSTRAP, PULSES, SHAPE, block, log_survival
 from imr_torch.labels import p_value
-from imr_torch.material import LIBRARY, PARAMETERS, Effect
+from imr_torch.material import PARAMETERS, Effect
 from imr_torch.random import SeedLike, child, generator
 from imr_torch.simulate import Simulator
 
@@ -162,11 +162,10 @@ def by_experiment(
         seed: of the tests.
     """
     batch = report.batch
-    effects = tuple(LIBRARY[name] for name in report.left.directions if name in LIBRARY)
     p_values = {}
     for e, (fit, experiment) in enumerate(zip(alone, batch.experiments, strict=True)):
         one = replace(batch, experiments=(experiment,), between={})
-        test = adequacy_test(fit, effects, one, simulator, seed=child(seed, e)).test
+        test = adequacy_test(fit, report.left.effects, one, simulator, seed=child(seed, e)).test
         p_values[experiment.label] = min(1.0, len(alone) * test.p_value)
     levels = torch.tensor(_LEVELS, dtype=torch.float64)
     quantiles = torch.stack([fit.posterior.quantile(levels) for fit in alone])

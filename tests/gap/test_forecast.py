@@ -91,7 +91,7 @@ def test_that_the_stated_probability_is_that_of_brute_force(fits, causes) -> Non
 
 def test_that_the_proposed_design_beats_a_poor_one(fits) -> None:
     """Both judged by brute force, which the search has not seen."""
-    found = identity_design(fits, EVEN, SIMULATOR, seed=0, plan=PLAN, grid=(2, 2), draws=8)
+    found = identity_design(fits, EVEN, SIMULATOR, seed=0, plan=PLAN, designs=4, draws=8)
     (best, error), (poor, other) = (
         brute_force(fits, EVEN, design) for design in (found.design, POOR)
     )

@@ -29,7 +29,7 @@ def fits() -> dict[str, ModelFit]:
 @pytest.fixture(scope="module")
 def found(fits) -> NextDesign:
     return identity_design(
-        fits, dict.fromkeys(fits, 0.5), SIMULATOR, seed=0, plan=PLAN, grid=(2, 2), draws=8
+        fits, dict.fromkeys(fits, 0.5), SIMULATOR, seed=0, plan=PLAN, designs=4, draws=8
     )
 
 
