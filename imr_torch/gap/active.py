@@ -17,7 +17,9 @@ import torch
 from imr_torch.campaign import Finding, Inference, Observations, Proposal, Situation, SpaceFilling
 from imr_torch.campaign.journal import curve_hash
 from imr_torch.errors import ConvergenceError, InputDataError
+from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport, diagnose
+from imr_torch.gap.hypotheses import even_belief
 from imr_torch.gap.identity_design import NextDesign, identity_design
 from imr_torch.material import Belief, ModelBelief, library
 from imr_torch.observe import ExperimentBatch
@@ -71,9 +73,10 @@ class CauseLearner:
         report = self.diagnose(
             observations.prior, observations.batch, simulator, observations.seed, progress=progress
         )
-        belief = Belief((_base_posterior(report),), torch.zeros(1, dtype=torch.float64))
         noise = report.batch.noise if self.estimate_noise else None
-        return Inference(belief, noise=noise, finding=finding(report))
+        return Inference(
+            even_belief((_base_posterior(report),)), noise=noise, finding=finding(report)
+        )
 
     def diagnose(
         self,
@@ -159,34 +162,43 @@ class TellCausesApart:
                 "TellCausesApart chooses one design at a time, since each depends on what the "
                 "last one showed; ask with q = 1."
             )
+        reason = "Fills the space: no cause has to be told from another."
         if situation.batch is None or situation.prior is None:
-            return replace(
-                SpaceFilling().choose(situation),
-                reason="The first shot: there is nothing to tell apart yet.",
-            )
-        report = self.learner.diagnose(
-            situation.prior, situation.batch, situation.simulator, situation.seed, progress=progress
-        )
-        cause = report.attribution
-        try:
-            found = cause and identity_design(
-                cause.with_one_gel,
-                cause.posterior,
-                coarser(situation.simulator),
-                plan=replace(situation.plan, noise=report.batch.noise),
-                seed=child(situation.seed, "apart", situation.number),
-                space=situation.space,
-                designs=self.designs,
-                draws=self.draws,
+            reason = "The first shot: there is nothing to tell apart yet."
+        else:
+            report = self.learner.diagnose(
+                situation.prior,
+                situation.batch,
+                situation.simulator,
+                situation.seed,
                 progress=progress,
             )
-        except (ConvergenceError, InputDataError) as error:
-            return replace(SpaceFilling().choose(situation), reason=f"Fills the space: {error}")
-        if found is None:
-            return replace(
-                SpaceFilling().choose(situation),
-                reason="Fills the space: no cause has to be told from another.",
-            )
+            if report.attribution is not None:
+                try:
+                    return self._apart(report, report.attribution, situation, progress)
+                except (ConvergenceError, InputDataError) as error:
+                    reason = f"Fills the space: {error}"
+        return replace(SpaceFilling().choose(situation), reason=reason)
+
+    def _apart(
+        self,
+        report: GapReport,
+        cause: Attribution,
+        situation: Situation,
+        progress: Progress | None,
+    ) -> Proposal:
+        """The design that tells the remaining causes apart."""
+        found = identity_design(
+            cause.with_one_gel,
+            cause.posterior,
+            coarser(situation.simulator),
+            plan=replace(situation.plan, noise=report.batch.noise),
+            seed=child(situation.seed, "apart", situation.number),
+            space=situation.space,
+            designs=self.designs,
+            draws=self.draws,
+            progress=progress,
+        )
         return Proposal(
             situation.number, found.design, found.gain, found.error, reason=_expectation(found)
         )
@@ -248,7 +260,7 @@ def _base_posterior(report: GapReport) -> ModelBelief:
 def _key(base: ModelBelief, names: list[str], batch: ExperimentBatch, *rest: object) -> str:
     """All that a diagnosis depends on, as one hash."""
     curves = [(curve_hash(e), e.design, e.nuisance) for e in batch.curves]
-    prior = Belief((base,), torch.zeros(1, dtype=torch.float64)).to_dict()
+    prior = even_belief((base,)).to_dict()
     return hashlib.sha256(
         json.dumps([prior, names, curves, rest], default=repr).encode()
     ).hexdigest()

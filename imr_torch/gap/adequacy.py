@@ -3,7 +3,7 @@ directions it was looked for.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from jaxtyping import Float
 from torch import Tensor
@@ -44,9 +44,9 @@ class Adequacy:
     starts: dict[str, tuple[tuple[float, ...], ...]]
     line: Linearisation
     directions: dict[str, Float[Tensor, "_ rows"]]
-    effects: tuple[Effect, ...] = ()
-    beside: dict[str, Float[Tensor, "_ rows"]] = field(default_factory=dict)
-    generic: dict[str, Float[Tensor, "_ rows"]] = field(default_factory=dict)
+    effects: tuple[Effect, ...]
+    beside: dict[str, Float[Tensor, "_ rows"]]
+    generic: dict[str, Float[Tensor, "_ rows"]]
 
     def likeness(self, size: float, *, seed: int) -> Likeness:
         """What an unknown effect would look like here, of which a known one explains ``size``

@@ -11,9 +11,8 @@ unknown effect of this size has been taken for the best known one (:mod:`imr_tor
 """
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from itertools import accumulate
 
 import torch
@@ -22,7 +21,7 @@ from imr_torch.assimilate import ModelFit, SearchOptions
 from imr_torch.assimilate.slow_noise import SmoothDeviations, smooth_deviations
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.differing import fit_differing
-from imr_torch.gap.evidence import CheckedEvidence, check_evidence, rescaled_evidence
+from imr_torch.gap.evidence import CheckedEvidence, check_evidence
 from imr_torch.gap.hypotheses import (
     GEL_SCATTER,
     Hypothesis,
@@ -41,14 +40,11 @@ from imr_torch.random import child
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
-SCALES = (0.5, 2.0)
-"""Factors on the prior scales of all amplitudes under which the leader's probability is computed again."""
 _SCALES_OF_NOISE = 9  # over which probabilities are averaged where the noise was inferred
 _MOST_LEFT_OUT = (
     3  # hypotheses whose fits do not converge, before the best of the others is taken as it is
 )
 _LESS = 0.7  # amplitude of a second start over that of the first, where the first is an estimate
-_NEGLIGIBLE = 20.0  # nats behind the best at which another prior scale does not matter
 _BEHIND = 6.0  # nats behind the best from which on a fit is given up
 # the winner's is finished later
 _FIT = SearchOptions(starts=2, iterations=30, drop_behind=_BEHIND, basin_rounds=0)
@@ -73,7 +69,6 @@ class Attribution:
         likeness: what an unknown effect of this size would look like.
         at_odds: prior odds of an unknown effect -> posterior.
         checked: hypothesis -> its evidence by importance sampling, of those near the best.
-        rescaled: factor on the prior scales of all amplitudes -> probability of the winner.
         left_out: hypotheses ahead of the winner whose fits did not converge, which therefore have
             no probability.
     """
@@ -88,7 +83,6 @@ class Attribution:
     likeness: Likeness
     at_odds: dict[float, dict[str, float]] = field(default_factory=dict)
     checked: dict[str, CheckedEvidence] = field(default_factory=dict)
-    rescaled: dict[float, float] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
 
     @property
@@ -276,7 +270,8 @@ def reconsider(
     alone = longer[part]
     if alone.gels_differ:
         return found
-    amplitude, *shape = fitted_values(beside, alone.effects[-1])
+    values = dict(zip(beside.prior.names, beside.prior.physical(beside.mean).tolist(), strict=True))
+    amplitude, *shape = (values[name] for name in alone.effects[-1].names)
     fit = fit_hypotheses(
         [alone],
         beside,
@@ -292,12 +287,6 @@ def reconsider(
     fits = found.fits | {alone.name: fit}
     logs = found.log_evidence | {alone.name: evidence}
     return _Round(inquiry, before, found.held, longer, 1.0, fits, logs).conclude(seed)
-
-
-def fitted_values(fit: ModelFit, effect: Effect) -> tuple[float, ...]:
-    """An effect's parameters at a fit that holds it, SI."""
-    values = dict(zip(fit.prior.names, fit.prior.physical(fit.mean).tolist(), strict=True))
-    return tuple(values[name] for name in effect.names)
 
 
 @dataclass
@@ -330,7 +319,7 @@ class _Round:
             if self.hypotheses[name].gels_differ is self.held.gels_differ
         ]
         checked = check_evidence(
-            {name: self.fits[name] for name in alike},
+            self.fits,
             {name: self.evidence[name] for name in alike},
             self.batch,
             inquiry.simulator,
@@ -350,12 +339,9 @@ class _Round:
         )
         size = math.sqrt(max(2.0 * (self.null.cost - fit.cost), 0.0))
         like = self.before.likeness(size, seed=seed)
-        believe = partial(
-            self._posterior,
-            bayes_factor=like.bayes_factor(left.test.p_value),
-            smooth=self._smooth_deviations(),
-        )
-        at_odds = {odds: believe(self.evidence, odds=odds) for odds in ODDS}
+        bayes_factor = like.bayes_factor(left.test.p_value)
+        smooth = self._smooth_deviations()
+        at_odds = {odds: self._posterior(odds, bayes_factor, smooth) for odds in ODDS}
         return Attribution(
             self.held,
             self.hypotheses,
@@ -367,7 +353,6 @@ class _Round:
             like,
             at_odds=at_odds,
             checked=checked,
-            rescaled={scale: believe(self._rescaled(scale))[winner.name] for scale in SCALES},
             left_out=self.left_out,
         )
 
@@ -415,12 +400,7 @@ class _Round:
         return smooth_deviations(self.null.linearise(self.batch, self.inquiry.simulator))
 
     def _posterior(
-        self,
-        evidence: Mapping[str, float],
-        *,
-        bayes_factor: float,
-        smooth: SmoothDeviations | None,
-        odds: float = VERDICT_ODDS,
+        self, odds: float, bayes_factor: float, smooth: SmoothDeviations | None
     ) -> dict[str, float]:
         """Probabilities of all causes, averaged over what is known of the scale of the noise."""
         kinds = {effect.name: effect.family for effect in self.inquiry.effects}
@@ -432,8 +412,8 @@ class _Round:
         for log_scale in log_scales:
             # nats that a larger noise gives back of each squared residual
             share = 0.5 * (1.0 - math.exp(-2.0 * log_scale))
-            scaled = {name: value + share * squares[name] for name, value in evidence.items()}
-            base = evidence[self.held.name] + share * min(squares.values())
+            scaled = {name: value + share * squares[name] for name, value in self.evidence.items()}
+            base = self.evidence[self.held.name] + share * min(squares.values())
             each.append(
                 probabilities(
                     scaled,
@@ -454,13 +434,3 @@ class _Round:
         residual = torch.where(batch.mask, batch.mean - fit.prediction, 0.0).nan_to_num()
         whitened = batch.whiten(residual, batch.sd(fit.prediction))
         return float(whitened.square().sum().nan_to_num(1e300))
-
-    def _rescaled(self, scale: float) -> dict[str, float]:
-        """Evidence with the prior scales of all amplitudes multiplied."""
-        least = max(self.evidence.values()) - _NEGLIGIBLE
-        changed = dict(self.evidence)
-        for name, hypothesis in self.hypotheses.items():
-            added = hypothesis.effects[len(self.held.effects) :]
-            if added and self.evidence.get(name, -math.inf) > least:
-                changed[name] += rescaled_evidence(self.fits[name], added[0], scale)
-        return changed

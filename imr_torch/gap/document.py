@@ -31,7 +31,7 @@ from imr_torch.material import LIBRARY
 from imr_torch.observe import ExperimentBatch, noise_sentences
 from imr_torch.simulate import Simulator
 
-_LEVELS = torch.tensor((0.05, 0.5, 0.95), dtype=torch.float64)
+_LEVELS = (0.05, 0.5, 0.95)
 
 
 def to_json(
@@ -126,7 +126,6 @@ def _causes(found: Attribution | None) -> dict[str, Any]:
         "verdict_odds",
         "unknown",
         "evidence_checks",
-        "prior_scales",
         "credible_set",
         "leading_adequacy_p",
     )
@@ -148,7 +147,6 @@ def _causes(found: Attribution | None) -> dict[str, Any]:
             "bayes_factor": like.bayes_factor(found.adequacy.p_value),
         },
         {name: vars(checked) for name, checked in found.checked.items()},
-        {f"{scale:g}": p for scale, p in found.rescaled.items()},
         list(found.credible_set()),
         found.adequacy.p_value,
     )

@@ -21,9 +21,14 @@ from imr_torch.assimilate.basins import deeper_nuisances
 from imr_torch.assimilate.conditional import conditional_nuisances
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
-from imr_torch.gap.hypotheses import EXPLAINS, GEL_SCATTER, Hypothesis, laplace_evidence
+from imr_torch.gap.hypotheses import (
+    EXPLAINS,
+    GEL_SCATTER,
+    Hypothesis,
+    even_belief,
+    laplace_evidence,
+)
 from imr_torch.goodness.linear import Linearisation, linearise, linearise_at
-from imr_torch.material import Belief
 from imr_torch.observe import NUISANCES, ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.select import default_folds
@@ -205,33 +210,21 @@ def _train(
 ) -> dict[str, ModelFit]:
     """Fits of hypotheses to the training designs, each from starts near its fit to all designs."""
     source = generator(seed)
-    fits = dict[str, ModelFit]()
-    for differ in (False, True):
-        kind = {name: pair for name, pair in known.items() if pair[0].gels_differ is differ}
-        if not kind:
-            continue
-        starts = []
-        for _, fit in kind.values():
-            others = _APART * torch.randn(
-                _OPTIONS.starts - 1, len(fit.mean), generator=source, dtype=torch.float64
-            )
-            starts.append(torch.cat((fit.mean[None], fit.mean + others)))
-        belief = Belief(
-            tuple(fit.prior for _, fit in kind.values()),
-            torch.zeros(len(kind), dtype=torch.float64),
+    fits = {}
+    for name, (hypothesis, fit) in known.items():
+        beside = _APART * torch.randn(
+            _OPTIONS.starts - 1, len(fit.mean), generator=source, dtype=torch.float64
         )
-        first = next(iter(kind.values()))[0]
-        found = assimilate(
-            belief,
-            first.seen(training),
+        fits[name] = assimilate(
+            even_belief((fit.prior,)),
+            hypothesis.seen(training),
             simulator,
             seed=seed,
             options=_OPTIONS,
-            starts=starts,
-            nuisances=[fit.nuisances[list(kept)] for _, fit in kind.values()],
+            starts=[torch.cat((fit.mean[None], fit.mean + beside))],
+            nuisances=[fit.nuisances[list(kept)]],
             warn=False,
-        )
-        fits |= dict(zip(kind, found.fits, strict=True))
+        ).fits[0]
     return fits
 
 

@@ -163,23 +163,14 @@ def fit_null(
     is taken up again; where converged starts disagree, more of them are made. A fit of the same
     curves with other noise is a start, where it is given.
     """
-    belief = _belief((base,))
     options = SearchOptions()
+    search = partial(
+        assimilate, even_belief((base,)), batch, simulator, warn=False, progress=progress
+    )
     if near is not None:
-        start = as_assimilation(near, batch)
-        moved = assimilate(
-            belief,
-            batch,
-            simulator,
-            seed=seed,
-            options=options,
-            near=start,
-            warn=False,
-            progress=progress,
-        )
-        if moved.fits[0].certificate.converged:
-            return moved.fits[0]
-    search = partial(assimilate, belief, batch, simulator, warn=False, progress=progress)
+        moved = search(seed=seed, options=options, near=as_assimilation(near, batch)).fits[0]
+        if moved.certificate.converged:
+            return moved
     fit = search(seed=seed, options=options).fits[0]
     if fit.certificate.gradient >= options.gradient:
         fit = finish(fit, batch, simulator, seed=child(seed, "finish"), progress=progress)
@@ -254,7 +245,7 @@ def fit_hypotheses(
     batch = hypotheses[0].seen(batch)
     search = partial(
         _descend,
-        _belief(h.belief for h in hypotheses),
+        even_belief(h.belief for h in hypotheses),
         batch,
         simulator,
         seed=seed,
@@ -324,7 +315,7 @@ def _descend(
         if not places:
             continue
         chosen = tuple(fits[i] for i in places)
-        kept = _belief(fit.prior for fit in chosen)
+        kept = even_belief(fit.prior for fit in chosen)
         if again:
             near_them = Assimilation(kept, batch, chosen)
             ended = search(kept, batch, simulator, options=own, near=near_them).fits
@@ -341,7 +332,7 @@ def _descend(
     return fits
 
 
-def _belief(models: Iterable[ModelBelief]) -> Belief:
+def even_belief(models: Iterable[ModelBelief]) -> Belief:
     """Models of equal probability."""
     kept = tuple(models)
     return Belief(kept, torch.zeros(len(kept), dtype=torch.float64))
@@ -408,7 +399,7 @@ def finish(
 
 def as_assimilation(fit: ModelFit, batch: ExperimentBatch) -> Assimilation:
     """One fit as an assimilation, for functions that take one."""
-    return Assimilation(_belief((fit.prior,)), batch, (fit,))
+    return Assimilation(even_belief((fit.prior,)), batch, (fit,))
 
 
 def promised(fit: ModelFit) -> float:

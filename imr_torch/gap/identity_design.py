@@ -111,12 +111,11 @@ def remaining_causes(
         InputDataError: if fewer than two causes are left.
     """
     ranked = sorted((name for name in posterior if name in fits), key=lambda name: -posterior[name])
-    chosen: dict[tuple[str, ...], str] = {}
+    chosen: dict[str, str] = {}
     for name in ranked:
         # two members of a family are the same to first order: no design of this kind separates them
-        family = tuple(
-            sorted(LIBRARY[part].family if part in LIBRARY else part for part in name.split("+"))
-        )
+        part = name.split("+")[-1]
+        family = LIBRARY[part].family if part in LIBRARY else part
         if posterior[name] >= _LEFT and len(chosen) < _MOST:
             chosen.setdefault(family, name)
     if len(chosen) < 2:
@@ -159,8 +158,9 @@ def identity_design(
         progress: called with one line per design.
 
     Raises:
-        InputDataError: if fewer than two causes are left.
-        ConvergenceError: if too few designs could be simulated for a map.
+        InputDataError: if fewer than two causes are left, or fewer than two designs could be
+            simulated.
+        ConvergenceError: if too many bubbles fail at the best design.
     """
     causes = remaining_causes(fits, posterior)
     gain = ExpectedInformationGain(

@@ -167,8 +167,7 @@ def by_experiment(
         one = replace(batch, experiments=(experiment,), between={})
         test = adequacy_test(fit, report.left.effects, one, simulator, seed=child(seed, e)).test
         p_values[experiment.label] = min(1.0, len(alone) * test.p_value)
-    levels = torch.tensor(_LEVELS, dtype=torch.float64)
-    quantiles = torch.stack([fit.posterior.quantile(levels) for fit in alone])
+    quantiles = torch.stack([fit.posterior.quantile(_LEVELS) for fit in alone])
     trends = drifts(alone, batch.designs)
     return ByExperiment(
         p_values,

@@ -398,29 +398,20 @@ def _probabilities(document: Document) -> list[str]:
 
 
 def _checks(document: Document) -> list[str]:
-    """How far the probabilities depend on the Gaussian approximation and on prior scales."""
-    lines = []
+    """How far the probabilities depend on the Gaussian approximation."""
     checked = document["evidence_checks"]
-    if checked:
-        said = [
-            f"{n} {c['sampled'] - c['laplace']:+.1f} +- {c['error']:.1f} nats"
-            for n, c in checked.items()
-        ]
-        unused = [name for name, c in checked.items() if not c["reliable"]]
-        used = (
-            f"not used, since the weights of {', '.join(unused)} are too uneven"
-            if unused
-            else "used"
-        )
-        lines.append(
-            f"Evidence by importance sampling less that of the Gaussian approximation ({used}): "
-            f"{', '.join(said)}."
-        )
-    scaled = [f"{p:.3f} with {scale} times" for scale, p in document["prior_scales"].items()]
-    leading = document["leading"]
-    now = document["posterior"].get(leading, 0.0)
-    lines.append(f"Probability of {leading}: {now:.3f}; {', '.join(scaled)} the prior scales.")
-    return lines
+    if not checked:
+        return []
+    said = [
+        f"{n} {c['sampled'] - c['laplace']:+.1f} +- {c['error']:.1f} nats"
+        for n, c in checked.items()
+    ]
+    unused = ", ".join(name for name, c in checked.items() if not c["reliable"])
+    used = f"not used, since the weights of {unused} are too uneven" if unused else "used"
+    return [
+        f"Evidence by importance sampling less that of the Gaussian approximation ({used}): "
+        f"{', '.join(said)}."
+    ]
 
 
 def _shrinkage(document: Document) -> tuple[str, ...]:

@@ -3,12 +3,11 @@ against simulation.
 """
 
 import math
-from types import SimpleNamespace
 
 import pytest
 import torch
 
-from imr_torch.gap.evidence import check_evidence, rescaled_evidence
+from imr_torch.gap.evidence import check_evidence
 from imr_torch.gap.hypotheses import Hypothesis, laplace_evidence
 from imr_torch.gap.lookalike import Likeness, likeness
 from imr_torch.goodness.linear import Linearisation
@@ -121,23 +120,3 @@ def test_that_only_rivals_are_sampled(gas) -> None:
     evidence = {name: laplace_evidence(own) for name, own in fits.items()}
     assert evidence["gas_loss"] > evidence["wall"] + 5.0
     assert check_evidence(fits, evidence, batch, SIMULATOR, seed=0) == {}
-
-
-@pytest.mark.parametrize("factor", [0.5, 2.0])
-def test_that_another_prior_scale_changes_the_evidence_by_the_ratio_of_densities(
-    gas, factor: float
-) -> None:
-    """For a sharp posterior: the half-normal densities at the fitted amplitude."""
-    _, fits = gas
-    effect = LIBRARY["gas_loss"]
-    own = fits["gas_loss"]
-    prior = effect.priors["gas_loss"]
-    place = own.prior.names.index("gas_loss")
-    value = float(prior.to_physical(own.mean[place]))
-    exact = 0.5 * (value / prior.sd) ** 2 * (1.0 - factor**-2) - math.log(factor)
-    assert rescaled_evidence(own, effect, factor) == pytest.approx(exact, abs=0.03)
-
-
-def test_that_a_prior_of_another_kind_is_not_rescaled() -> None:
-    effect = SimpleNamespace(names=("x",), priors={"x": object()})
-    assert rescaled_evidence(None, effect, 2.0) == 0.0  # type: ignore[arg-type]
