@@ -46,7 +46,7 @@ causes = ("damage", "strain_stiffening", "sound_speed") + (
 
 # %%
 learner = CauseLearner(causes)
-policy = TellCausesApart(learner, grid=(2, 2) if SMOKE else (4, 4), draws=4 if SMOKE else 16)
+policy = TellCausesApart(learner, designs=4 if SMOKE else 16, draws=4 if SMOKE else 16)
 settings = CampaignSettings(plan=plan, policy=policy, learner=learner, stop=CauseProbability(0.8))
 campaign = Campaign(HOME, wide_prior(["nhkv"]), simulator, settings=settings, seed=1)
 

@@ -68,12 +68,7 @@ class Laplace(InformationEstimator):
 
     def __call__(self, shot: Shot, generator: torch.Generator) -> InformationGain:
         """See :class:`~imr_torch.design.estimator.InformationEstimator`."""
-        drawn = draw(shot, cloud_controls(shot, self.draws, generator), generator)
-        own = [
-            infer(drawn.data[rows], part, shot.plan)
-            for rows, part in zip(drawn.rows, drawn.parts, strict=True)
-        ]
-        logs = [self._evidences(drawn, i, own, shot) for i in range(len(own))]
+        drawn, own, logs = self.compare(shot, generator)
         total = mixture(logs, shot)
         terms = []
         for i, (weight, rows) in enumerate(zip(model_weights(shot), drawn.rows, strict=True)):
@@ -83,6 +78,20 @@ class Laplace(InformationEstimator):
                 Terms(weight, gained, logs[i][compared] - total[compared], drawn.orders[i])
             )
         return summarise(terms)
+
+    def compare(
+        self, shot: Shot, generator: torch.Generator
+    ) -> tuple[Drawn, list[Linear], list[Tensor]]:
+        """Data of every model, their linearised posteriors under it, and for each model the log
+        evidence of all data, NaN for those that are not compared.
+        """
+        drawn = draw(shot, cloud_controls(shot, self.draws, generator), generator)
+        own = [
+            infer(drawn.data[rows], part, shot.plan)
+            for rows, part in zip(drawn.rows, drawn.parts, strict=True)
+        ]
+        evidences = [self._evidences(drawn, i, own, shot) for i in range(len(own))]
+        return drawn, own, evidences
 
     @property
     def _rivals(self) -> int:

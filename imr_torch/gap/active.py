@@ -2,11 +2,10 @@
 remaining causes apart.
 
 :class:`CauseLearner` diagnoses the gap between one base model and all experiments so far, and
-:class:`TellCausesApart` shoots where the causes that are left would differ most, an unknown effect
-that looks like the leader among them. Before the first experiment, and where there is nothing to
-tell apart (no gap, or one cause alone), designs fill the space. Both are parts of
-:class:`imr_torch.campaign.Campaign`, whose journal keeps each verdict; the diagnosis itself is made
-again on resume.
+:class:`TellCausesApart` shoots where the causes that are left would differ most. Before the first
+experiment, and where there is nothing to tell apart (no gap, or one cause alone), designs fill the
+space. Both are parts of :class:`imr_torch.campaign.Campaign`, whose journal keeps each verdict; the
+diagnosis itself is made again on resume.
 """
 
 import hashlib
@@ -18,8 +17,9 @@ import torch
 from imr_torch.campaign import Finding, Inference, Observations, Proposal, Situation, SpaceFilling
 from imr_torch.campaign.journal import curve_hash
 from imr_torch.errors import ConvergenceError, InputDataError
+from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport, diagnose
-from imr_torch.gap.forecast import unknown_like
+from imr_torch.gap.hypotheses import even_belief
 from imr_torch.gap.identity_design import NextDesign, identity_design
 from imr_torch.material import Belief, ModelBelief, library
 from imr_torch.observe import ExperimentBatch
@@ -73,9 +73,10 @@ class CauseLearner:
         report = self.diagnose(
             observations.prior, observations.batch, simulator, observations.seed, progress=progress
         )
-        belief = Belief((_base_posterior(report),), torch.zeros(1, dtype=torch.float64))
         noise = report.batch.noise if self.estimate_noise else None
-        return Inference(belief, noise=noise, finding=finding(report))
+        return Inference(
+            even_belief((_base_posterior(report),)), noise=noise, finding=finding(report)
+        )
 
     def diagnose(
         self,
@@ -130,23 +131,23 @@ class TellCausesApart:
 
     Args:
         learner: makes the diagnosis; that of the campaign.
-        grid: designs along We and R_inf* whose information is computed.
+        designs: how many have their information computed.
         draws: data made of each cause at each design.
 
     >>> from imr_torch.gap import CauseLearner, TellCausesApart
-    >>> TellCausesApart(CauseLearner(effects=("sound_speed", "gas_loss"))).grid
-    (4, 4)
+    >>> TellCausesApart(CauseLearner(effects=("sound_speed", "gas_loss"))).designs
+    16
     """
 
     learner: CauseLearner
-    grid: tuple[int, int] = (4, 4)
+    designs: int = 16
     draws: int = 16
 
     def __post_init__(self) -> None:
-        if min(self.grid) < 2 or self.draws < 2:
+        if min(self.designs, self.draws) < 2:
             raise InputDataError(
-                f"TellCausesApart has grid {self.grid} and draws {self.draws}; expected 2 or more "
-                "each way, and 2 draws."
+                f"TellCausesApart has {self.designs} designs and {self.draws} draws; expected 2 or "
+                "more of each."
             )
 
     def choose(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
@@ -161,23 +162,43 @@ class TellCausesApart:
                 "TellCausesApart chooses one design at a time, since each depends on what the "
                 "last one showed; ask with q = 1."
             )
+        reason = "Fills the space: no cause has to be told from another."
         if situation.batch is None or situation.prior is None:
-            return replace(
-                SpaceFilling().choose(situation),
-                reason="The first shot: there is nothing to tell apart yet.",
+            reason = "The first shot: there is nothing to tell apart yet."
+        else:
+            report = self.learner.diagnose(
+                situation.prior,
+                situation.batch,
+                situation.simulator,
+                situation.seed,
+                progress=progress,
             )
-        report = self.learner.diagnose(
-            situation.prior, situation.batch, situation.simulator, situation.seed, progress=progress
+            if report.attribution is not None:
+                try:
+                    return self._apart(report, report.attribution, situation, progress)
+                except (ConvergenceError, InputDataError) as error:
+                    reason = f"Fills the space: {error}"
+        return replace(SpaceFilling().choose(situation), reason=reason)
+
+    def _apart(
+        self,
+        report: GapReport,
+        cause: Attribution,
+        situation: Situation,
+        progress: Progress | None,
+    ) -> Proposal:
+        """The design that tells the remaining causes apart."""
+        found = identity_design(
+            cause.with_one_gel,
+            cause.posterior,
+            coarser(situation.simulator),
+            plan=replace(situation.plan, noise=report.batch.noise),
+            seed=child(situation.seed, "apart", situation.number),
+            space=situation.space,
+            designs=self.designs,
+            draws=self.draws,
+            progress=progress,
         )
-        try:
-            found = self._apart(report, situation, progress)
-        except (ConvergenceError, InputDataError) as error:
-            return replace(SpaceFilling().choose(situation), reason=f"Fills the space: {error}")
-        if found is None:
-            return replace(
-                SpaceFilling().choose(situation),
-                reason="Fills the space: no cause has to be told from another.",
-            )
         return Proposal(
             situation.number, found.design, found.gain, found.error, reason=_expectation(found)
         )
@@ -187,28 +208,6 @@ class TellCausesApart:
 
         No search by a surrogate stands behind a design.
         """
-
-    def _apart(
-        self, report: GapReport, situation: Situation, progress: Progress | None
-    ) -> NextDesign | None:
-        """The design that tells the remaining causes apart; None where no cause was fitted."""
-        found = report.attribution
-        if found is None or found.winner.gels_differ:
-            return None
-        one_gel = {n: fit for n, fit in found.fits.items() if not found.hypotheses[n].gels_differ}
-        unknown = unknown_like(found.winner.name, found.winner_fit, found.left)
-        return identity_design(
-            one_gel,
-            found.posterior,
-            coarser(situation.simulator),
-            seed=child(situation.seed, "apart", situation.number),
-            plan=replace(situation.plan, noise=report.batch.noise),
-            space=situation.space,
-            grid=self.grid,
-            draws=self.draws,
-            unknown=unknown,
-            progress=progress,
-        )
 
 
 def finding(report: GapReport) -> Finding:
@@ -261,7 +260,7 @@ def _base_posterior(report: GapReport) -> ModelBelief:
 def _key(base: ModelBelief, names: list[str], batch: ExperimentBatch, *rest: object) -> str:
     """All that a diagnosis depends on, as one hash."""
     curves = [(curve_hash(e), e.design, e.nuisance) for e in batch.curves]
-    prior = Belief((base,), torch.zeros(1, dtype=torch.float64)).to_dict()
+    prior = even_belief((base,)).to_dict()
     return hashlib.sha256(
         json.dumps([prior, names, curves, rest], default=repr).encode()
     ).hexdigest()

@@ -3,13 +3,13 @@ directions it was looked for.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
-from imr_torch.gap.lookalike import Likeness, likeness, look_alikes
+from imr_torch.gap.lookalike import Likeness, likeness
 from imr_torch.gap.refitted import refitted_directions
 from imr_torch.goodness.linear import Linearisation, linearise
 from imr_torch.goodness.score import (
@@ -44,44 +44,15 @@ class Adequacy:
     starts: dict[str, tuple[tuple[float, ...], ...]]
     line: Linearisation
     directions: dict[str, Float[Tensor, "_ rows"]]
-    effects: tuple[Effect, ...] = ()
-    beside: dict[str, Float[Tensor, "_ rows"]] = field(default_factory=dict)
-    generic: dict[str, Float[Tensor, "_ rows"]] = field(default_factory=dict)
+    effects: tuple[Effect, ...]
+    beside: dict[str, Float[Tensor, "_ rows"]]
+    generic: dict[str, Float[Tensor, "_ rows"]]
 
     def likeness(self, size: float, *, seed: int) -> Likeness:
         """What an unknown effect would look like here, of which a known one explains ``size``
         standard deviations.
         """
         return likeness(size, self.beside, self.generic, self.effects, self.line, seed=seed)
-
-    def look_alikes(
-        self,
-        effect: Effect,
-        values: Sequence[float],
-        size: float,
-        fit: ModelFit,
-        batch: ExperimentBatch,
-        simulator: Simulator,
-    ) -> dict[str, tuple[float, float]]:
-        """Effects that would look like one that was found: name -> angle in degrees, and what they
-        leave of it in sd.
-
-        Args:
-            effect: the one that was found.
-            values: its fitted parameters.
-            size: standard deviations that it explains.
-            fit: the fit at which this test was made.
-            batch: the data.
-            simulator: makes the bubbles.
-        """
-        fitted = replace(effect, starts=(tuple(values),))
-        rows = effect_directions([fitted], fit, batch, simulator, self.line)
-        signal = refitted_directions([fitted], fit, batch, simulator, self.line, rows)[effect.name][
-            0
-        ]
-        left = self.line.project(signal)
-        others = {name: own for name, own in self.beside.items() if name != effect.name}
-        return look_alikes(left * (size / left.norm().clamp_min(1e-300)), others, self.line)
 
 
 def adequacy_test(

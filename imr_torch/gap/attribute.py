@@ -11,16 +11,17 @@ unknown effect of this size has been taken for the best known one (:mod:`imr_tor
 """
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import accumulate
 
 import torch
 
-from imr_torch.assimilate import ModelFit, Posterior, SearchOptions
+from imr_torch.assimilate import ModelFit, SearchOptions
 from imr_torch.assimilate.slow_noise import SmoothDeviations, smooth_deviations
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.differing import fit_differing
-from imr_torch.gap.evidence import CheckedEvidence, check_evidence, rescaled_evidence
+from imr_torch.gap.evidence import CheckedEvidence, check_evidence
 from imr_torch.gap.hypotheses import (
     GEL_SCATTER,
     Hypothesis,
@@ -30,7 +31,7 @@ from imr_torch.gap.hypotheses import (
     may_differ,
     promised,
 )
-from imr_torch.gap.lookalike import LIKE, Likeness
+from imr_torch.gap.lookalike import Likeness
 from imr_torch.gap.verdict import ODDS, VERDICT_ODDS, probabilities
 from imr_torch.goodness.score import GapTest
 from imr_torch.material import Effect, ModelBelief
@@ -39,15 +40,11 @@ from imr_torch.random import child
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
-SCALES = (0.5, 2.0)
-"""Factors on the prior scales of all amplitudes under which the leader's probability is computed again."""
 _SCALES_OF_NOISE = 9  # over which probabilities are averaged where the noise was inferred
 _MOST_LEFT_OUT = (
     3  # hypotheses whose fits do not converge, before the best of the others is taken as it is
 )
 _LESS = 0.7  # amplitude of a second start over that of the first, where the first is an estimate
-_WIDE = 45.0  # degrees from which on two effects are not called alike, however small
-_NEGLIGIBLE = 20.0  # nats behind the best at which another prior scale does not matter
 _BEHIND = 6.0  # nats behind the best from which on a fit is given up
 # the winner's is finished later
 _FIT = SearchOptions(starts=2, iterations=30, drop_behind=_BEHIND, basin_rounds=0)
@@ -71,10 +68,7 @@ class Attribution:
         left: the gap test at the winner's fit with its directions, for a further effect.
         likeness: what an unknown effect of this size would look like.
         at_odds: prior odds of an unknown effect -> posterior.
-        alike: effects that look like the winner's at its fitted size -> angle in degrees, and what
-            they leave of it in sd, nearest first.
         checked: hypothesis -> its evidence by importance sampling, of those near the best.
-        rescaled: factor on the prior scales of all amplitudes -> probability of the winner.
         left_out: hypotheses ahead of the winner whose fits did not converge, which therefore have
             no probability.
     """
@@ -88,9 +82,7 @@ class Attribution:
     left: Adequacy
     likeness: Likeness
     at_odds: dict[float, dict[str, float]] = field(default_factory=dict)
-    alike: dict[str, tuple[float, float]] = field(default_factory=dict)
     checked: dict[str, CheckedEvidence] = field(default_factory=dict)
-    rescaled: dict[float, float] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
 
     @property
@@ -103,6 +95,13 @@ class Attribution:
         """The fit of the best hypothesis."""
         return self.fits[self.winner.name]
 
+    @property
+    def with_one_gel(self) -> dict[str, ModelFit]:
+        """Fits in which all shots have one gel; none where the winner's gels differ."""
+        if self.winner.gels_differ:
+            return {}
+        return {n: fit for n, fit in self.fits.items() if not self.hypotheses[n].gels_differ}
+
     def part(self, name: str) -> str:
         """What an entry of the posterior adds to ``held``; the entry itself where it is no
         hypothesis.
@@ -114,14 +113,9 @@ class Attribution:
 
     def credible_set(self, level: float = 0.95) -> tuple[str, ...]:
         """The most probable entries of the posterior that together reach a level."""
-        names = []
-        total = 0.0
-        for name, probability in sorted(self.posterior.items(), key=lambda item: -item[1]):
-            names.append(name)
-            total += probability
-            if total >= level:
-                break
-        return tuple(names)
+        ranked = sorted(self.posterior, key=lambda name: -self.posterior[name])
+        totals = accumulate(self.posterior[name] for name in ranked)
+        return tuple(ranked[: 1 + sum(total < level for total in totals)])
 
     @property
     def explained(self) -> dict[str, float]:
@@ -243,8 +237,7 @@ def attribute(
             options=replace(_FIT_GELS, rival=lowest),
         )
     evidence = {name: laplace_evidence(fit) for name, fit in fits.items()}
-    problem = _Problem(inquiry, null, before, held, longer, masked)
-    return _concluded(problem, fits, evidence, seed=seed, progress=progress)
+    return _Round(inquiry, before, held, longer, masked, fits, evidence).conclude(seed, progress)
 
 
 def reconsider(
@@ -277,294 +270,167 @@ def reconsider(
     alone = longer[part]
     if alone.gels_differ:
         return found
-    starts = {part: near_values(beside, alone.effects[-1])}
-    options = replace(_FIT, rival=found.winner_fit.cost)
+    values = dict(zip(beside.prior.names, beside.prior.physical(beside.mean).tolist(), strict=True))
+    amplitude, *shape = (values[name] for name in alone.effects[-1].names)
     fit = fit_hypotheses(
         [alone],
         beside,
         inquiry.batch,
         inquiry.simulator,
         seed=seed,
-        starts=starts,
-        options=options,
+        starts={part: [(amplitude, *shape), (_LESS * amplitude, *shape)]},
+        options=replace(_FIT, rival=found.winner_fit.cost),
     )[alone.name]
-    if laplace_evidence(fit) <= found.log_evidence[found.winner.name]:
+    evidence = laplace_evidence(fit)
+    if evidence <= found.log_evidence[found.winner.name]:
         return found
     fits = found.fits | {alone.name: fit}
-    evidence = found.log_evidence | {alone.name: laplace_evidence(fit)}
-    problem = _Problem(inquiry, fits[found.held.name], before, found.held, longer, 1.0)
-    return _concluded(problem, fits, evidence, seed=seed)
+    logs = found.log_evidence | {alone.name: evidence}
+    return _Round(inquiry, before, found.held, longer, 1.0, fits, logs).conclude(seed)
 
 
-def near_values(fit: ModelFit, effect: Effect) -> list[tuple[float, ...]]:
-    """An effect's values at a fit that holds it, and the same with a smaller amplitude."""
-    amplitude, *shape = fitted_values(fit, effect)
-    return [(amplitude, *shape), (_LESS * amplitude, *shape)]
-
-
-def fitted_values(fit: ModelFit, effect: Effect) -> tuple[float, ...]:
-    """An effect's parameters at a fit that holds it, SI."""
-    places = map(fit.prior.names.index, effect.names)
-    return tuple(float(fit.prior.marginals[i].to_physical(fit.mean[i])) for i in places)
-
-
-@dataclass(frozen=True)
-class _Problem:
-    """One round of attribution: an inquiry, the fit that leaves a gap, the test there, what is
-    held, and what is asked about: part -> hypothesis.
+@dataclass
+class _Round:
+    """One round of attribution: what is asked about (part -> hypothesis) beside what is held, the
+    test at the fit of that, and the fits and their evidence, which are brought up to date.
     """
 
     inquiry: Inquiry
-    null: ModelFit
     before: Adequacy
     held: Hypothesis
     longer: dict[str, Hypothesis]
     masked: float
+    fits: dict[str, ModelFit]
+    evidence: dict[str, float]
+    left_out: tuple[str, ...] = ()
 
-    @property
-    def batch(self) -> ExperimentBatch:
-        """The data as what is held has them."""
-        return self.held.seen(self.inquiry.batch)
+    def __post_init__(self) -> None:
+        self.hypotheses = {h.name: h for h in (self.held, *self.longer.values())}
+        self.null = self.fits[self.held.name]
+        self.batch = self.held.seen(self.inquiry.batch)
 
-    @property
-    def hypotheses(self) -> dict[str, Hypothesis]:
-        """Name -> hypothesis, ``held`` among them."""
-        return {h.name: h for h in (self.held, *self.longer.values())}
-
-    @property
-    def families(self) -> dict[str, str]:
-        """Name of a hypothesis -> family of the part that it adds."""
-        families = {effect.name: effect.family for effect in self.inquiry.effects}
-        return {h.name: families.get(part, part) for part, h in self.longer.items()}
-
-
-def _concluded(
-    problem: _Problem,
-    fits: dict[str, ModelFit],
-    evidence: dict[str, float],
-    *,
-    seed: int,
-    progress: Progress | None = None,
-) -> Attribution:
-    """Fits with what their evidence and the winner's adequacy say."""
-    inquiry = problem.inquiry
-    simulator = inquiry.simulator
-    winner, left_out = _converged_winner(problem, fits, evidence, seed=seed, progress=progress)
-    checked = _check(problem, fits, evidence, seed=child(seed, "evidence"))
-    if checked and all(found.reliable for found in checked.values()):
-        evidence |= {name: found.sampled for name, found in checked.items()}
-        winner, others = _converged_winner(
-            problem,
-            fits,
-            evidence,
-            sampled=checked,
-            seed=child(seed, "ahead"),
-            progress=progress,
+    def conclude(self, seed: int, progress: Progress | None = None) -> Attribution:
+        """What the evidence of the fits and the winner's adequacy say."""
+        inquiry = self.inquiry
+        self._find_winner((), seed, progress)
+        alike = [
+            name
+            for name in self.evidence
+            if self.hypotheses[name].gels_differ is self.held.gels_differ
+        ]
+        checked = check_evidence(
+            self.fits,
+            {name: self.evidence[name] for name in alike},
+            self.batch,
+            inquiry.simulator,
+            seed=child(seed, "evidence"),
         )
-        left_out += others
-    best = problem.hypotheses[winner]
-    left = adequacy_test(
-        fits[winner],
-        inquiry.effects,
-        best.seen(inquiry.batch),
-        simulator,
-        seed=child(seed, "adequacy"),
-    )
-    size = math.sqrt(max(2.0 * (problem.null.cost - fits[winner].cost), 0.0))
-    like = problem.before.likeness(size, seed=seed)
-    believed = _Believed(
-        problem, fits, like.bayes_factor(left.test.p_value), _smooth_deviations(problem)
-    )
-    at_odds = {odds: believed.posterior(evidence, odds) for odds in ODDS}
-    return Attribution(
-        problem.held,
-        problem.hypotheses,
-        fits,
-        evidence,
-        at_odds[VERDICT_ODDS],
-        best,
-        left,
-        like,
-        at_odds=at_odds,
-        alike=_alike(problem, fits, best, size),
-        checked=checked,
-        rescaled={scale: _rescaled(believed, evidence, scale)[winner] for scale in SCALES},
-        left_out=left_out,
-    )
+        if checked and all(found.reliable for found in checked.values()):
+            self.evidence |= {name: found.sampled for name, found in checked.items()}
+            self._find_winner(checked, child(seed, "ahead"), progress)
+        winner = self.hypotheses[self._leader()]
+        fit = self.fits[winner.name]
+        left = adequacy_test(
+            fit,
+            inquiry.effects,
+            winner.seen(inquiry.batch),
+            inquiry.simulator,
+            seed=child(seed, "adequacy"),
+        )
+        size = math.sqrt(max(2.0 * (self.null.cost - fit.cost), 0.0))
+        like = self.before.likeness(size, seed=seed)
+        bayes_factor = like.bayes_factor(left.test.p_value)
+        smooth = self._smooth_deviations()
+        at_odds = {odds: self._posterior(odds, bayes_factor, smooth) for odds in ODDS}
+        return Attribution(
+            self.held,
+            self.hypotheses,
+            self.fits,
+            self.evidence,
+            at_odds[VERDICT_ODDS],
+            winner,
+            left,
+            like,
+            at_odds=at_odds,
+            checked=checked,
+            left_out=self.left_out,
+        )
 
+    def _leader(self) -> str:
+        longer = [name for name in self.evidence if name != self.held.name]
+        return max(longer, key=lambda name: self.evidence[name])
 
-def _check(
-    problem: _Problem, fits: Mapping[str, ModelFit], evidence: Mapping[str, float], *, seed: int
-) -> dict[str, CheckedEvidence]:
-    """Evidence by importance sampling of the leading hypotheses, of those that have the same
-    nuisances as what is held.
-    """
-    alike = [
-        name
-        for name in evidence
-        if problem.hypotheses[name].gels_differ is problem.held.gels_differ
-    ]
-    return check_evidence(
-        {name: fits[name] for name in alike},
-        {name: evidence[name] for name in alike},
-        problem.batch,
-        problem.inquiry.simulator,
-        seed=seed,
-    )
+    def _find_winner(self, sampled: Collection[str], seed: int, progress: Progress | None) -> None:
+        """Continue the fit of the leader until the leader's has converged.
 
+        One that does not converge loses its evidence and is left out; evidence that was ``sampled``
+        is kept.
+        """
+        continued = set[str]()
+        while not self.fits[leader := self._leader()].certificate.converged:
+            if leader not in continued:
+                continued.add(leader)
+                self.fits[leader] = finish(
+                    self.fits[leader],
+                    self.hypotheses[leader].seen(self.inquiry.batch),
+                    self.inquiry.simulator,
+                    seed=child(seed, "finish"),
+                    progress=progress,
+                )
+                if leader not in sampled:
+                    self.evidence[leader] = laplace_evidence(self.fits[leader])
+            elif (
+                self.fits[leader].certificate.usable
+                or len(self.evidence) == 2
+                or len(self.left_out) >= _MOST_LEFT_OUT
+            ):
+                return
+            else:
+                self.left_out += (leader,)
+                del self.evidence[leader]
 
-def _smooth_deviations(problem: _Problem) -> SmoothDeviations | None:
-    """Evidence for smooth deviations of the curves beside what is held.
+    def _smooth_deviations(self) -> SmoothDeviations | None:
+        """Evidence for smooth deviations of the curves beside what is held.
 
-    None where the noise is known, slow noise included.
-    """
-    batch = problem.batch
-    if batch.noise_laws is None or not batch.noise_laws.of_residuals:
-        return None
-    null = problem.null
-    return smooth_deviations(
-        Posterior(null.prior, batch, problem.inquiry.simulator).neighbourhood(null.point)
-    )
+        None where the noise is known, slow noise included.
+        """
+        laws = self.batch.noise_laws
+        if laws is None or not laws.of_residuals:
+            return None
+        return smooth_deviations(self.null.linearise(self.batch, self.inquiry.simulator))
 
-
-@dataclass(frozen=True)
-class _Believed:
-    """What probabilities follow from beside the evidence: the problem, its fits, and how an unknown
-    effect would look.
-    """
-
-    problem: _Problem
-    fits: Mapping[str, ModelFit]
-    bayes_factor: float
-    smooth: SmoothDeviations | None
-
-    def posterior(
-        self, evidence: Mapping[str, float], odds: float = VERDICT_ODDS
+    def _posterior(
+        self, odds: float, bayes_factor: float, smooth: SmoothDeviations | None
     ) -> dict[str, float]:
         """Probabilities of all causes, averaged over what is known of the scale of the noise."""
-        laws = self.problem.inquiry.batch.noise_laws
+        kinds = {effect.name: effect.family for effect in self.inquiry.effects}
+        families = {h.name: kinds.get(part, part) for part, h in self.longer.items()}
+        laws = self.batch.noise_laws
         log_scales = [0.0] if laws is None else laws.log_scales(_SCALES_OF_NOISE).tolist()
         squares = {name: self._square(fit) for name, fit in self.fits.items()}
         each = []
         for log_scale in log_scales:
-            share = 0.5 * (
-                1.0 - math.exp(-2.0 * log_scale)
-            )  # nats that a larger noise gives back of each squared residual
-            scaled = {name: value + share * squares[name] for name, value in evidence.items()}
-            smallest = share * min(squares.values()) - share * squares[self.problem.held.name]
-            each.append(self._at(scaled, odds, smallest))
+            # nats that a larger noise gives back of each squared residual
+            share = 0.5 * (1.0 - math.exp(-2.0 * log_scale))
+            scaled = {name: value + share * squares[name] for name, value in self.evidence.items()}
+            base = self.evidence[self.held.name] + share * min(squares.values())
+            each.append(
+                probabilities(
+                    scaled,
+                    families,
+                    self.held.name,
+                    bayes_factor,
+                    odds=odds,
+                    beside=bool(self.held.parts),
+                    masked=self.masked,
+                    smooth=smooth and (base + smooth.own, base + smooth.common),
+                )
+            )
         return {name: sum(one[name] for one in each) / len(each) for name in each[0]}
-
-    def _at(self, evidence: Mapping[str, float], odds: float, of_scale: float) -> dict[str, float]:
-        held = self.problem.held
-        base = evidence[held.name] + of_scale
-        smooth = self.smooth
-        return probabilities(
-            evidence,
-            self.problem.families,
-            held.name,
-            self.bayes_factor,
-            odds=odds,
-            beside=bool(held.parts),
-            masked=self.problem.masked,
-            smooth=None if smooth is None else (base + smooth.own, base + smooth.common),
-        )
 
     def _square(self, fit: ModelFit) -> float:
         """Whitened squared residual of a fit."""
-        batch = self.problem.inquiry.batch
+        batch = self.inquiry.batch
         residual = torch.where(batch.mask, batch.mean - fit.prediction, 0.0).nan_to_num()
-        return float(
-            batch.whiten(residual, batch.sd(fit.prediction)).square().sum().nan_to_num(1e300)
-        )
-
-
-def _alike(
-    problem: _Problem, fits: Mapping[str, ModelFit], winner: Hypothesis, size: float
-) -> dict[str, tuple[float, float]]:
-    """Effects that look like the winner's: by the angle between their directions, or because they
-    fit the data as well.
-    """
-    fit = fits[winner.name]
-    found = dict[str, tuple[float, float]]()
-    last = problem.held.parts
-    if winner.gels_differ is problem.held.gels_differ:
-        effect = winner.effects[-1]
-        found = problem.before.look_alikes(
-            effect,
-            fitted_values(fit, effect),
-            size,
-            problem.null,
-            problem.batch,
-            problem.inquiry.simulator,
-        )
-        last = (effect.name,)
-    for part, other in problem.longer.items():
-        if part in last or other.name not in fits or other.name == winner.name:
-            continue
-        behind = math.sqrt(max(2.0 * (fits[other.name].cost - fit.cost), 0.0))
-        if behind < min(LIKE, size, found.get(part, (0.0, math.inf))[1]):
-            found[part] = math.degrees(math.asin(behind / size)), behind
-    near = [(name, pair) for name, pair in found.items() if pair[0] < _WIDE]
-    return dict(sorted(near, key=lambda item: item[1][1]))
-
-
-def _converged_winner(
-    problem: _Problem,
-    fits: dict[str, ModelFit],
-    evidence: dict[str, float],
-    *,
-    sampled: Collection[str] = (),
-    seed: int,
-    progress: Progress | None,
-) -> tuple[str, tuple[str, ...]]:
-    """The best hypothesis whose fit converges, and those before it whose fits do not, which lose
-    their evidence.
-
-    Fits are continued where they have not converged; ``fits`` and ``evidence`` are brought up to
-    date, but for evidence that was ``sampled``.
-    """
-    continued = set[str]()
-    left_out = list[str]()
-    while True:
-        winner = _winner(problem, evidence)
-        if fits[winner].certificate.converged:
-            break
-        if winner not in continued:
-            continued.add(winner)
-            fits[winner] = finish(
-                fits[winner],
-                problem.hypotheses[winner].seen(problem.inquiry.batch),
-                problem.inquiry.simulator,
-                seed=child(seed, "finish"),
-                progress=progress,
-            )
-            if winner not in sampled:
-                evidence[winner] = laplace_evidence(fits[winner])
-        elif (
-            fits[winner].certificate.usable or len(evidence) == 2 or len(left_out) == _MOST_LEFT_OUT
-        ):
-            break
-        else:
-            left_out.append(winner)
-            del evidence[winner]
-    return winner, tuple(left_out)
-
-
-def _winner(problem: _Problem, evidence: Mapping[str, float]) -> str:
-    return max(
-        (name for name in evidence if name != problem.held.name), key=lambda name: evidence[name]
-    )
-
-
-def _rescaled(believed: _Believed, evidence: Mapping[str, float], scale: float) -> dict[str, float]:
-    """The posterior with the prior scales of all amplitudes multiplied."""
-    problem = believed.problem
-    best = max(evidence.values())
-    changed = dict(evidence)
-    for name, hypothesis in problem.hypotheses.items():
-        near = evidence.get(name, -math.inf) > best - _NEGLIGIBLE
-        if near and len(hypothesis.effects) > len(problem.held.effects):
-            fit = believed.fits[name]
-            changed[name] += rescaled_evidence(fit, hypothesis.effects[-1], scale)
-    return believed.posterior(changed)
+        whitened = batch.whiten(residual, batch.sd(fit.prediction))
+        return float(whitened.square().sum().nan_to_num(1e300))

@@ -14,7 +14,7 @@ from imr_torch.assimilate.frame_noise import infer_frame_noise
 from imr_torch.assimilate.spikes import without_spikes
 from imr_torch.errors import InputDataError
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
-from imr_torch.gap.attribute import Attribution, Inquiry
+from imr_torch.gap.attribute import Inquiry
 from imr_torch.gap.differing import fit_alone
 from imr_torch.gap.hypotheses import (
     Hypothesis,
@@ -22,7 +22,6 @@ from imr_torch.gap.hypotheses import (
     may_differ,
 )
 from imr_torch.gap.selection import Finding, select_causes
-from imr_torch.gap.verdict import Choice
 from imr_torch.goodness.score import GapTest
 from imr_torch.labels import p_value
 from imr_torch.material import LIBRARY, Effect, ModelBelief, library, wide_prior
@@ -35,27 +34,16 @@ from imr_torch.types import Progress
 _NOISE_ROUNDS = 2  # times that the noise is inferred and the base model fitted with it
 
 
-@dataclass(frozen=True)
-class GapReport:
-    """Result of a diagnosis: the gap test, the causes and the verdict.
+@dataclass(frozen=True, kw_only=True)
+class GapReport(Finding):
+    """Result of a diagnosis: the gap test, the causes and the verdict
+    (:class:`imr_torch.gap.selection.Finding`).
 
     Args:
         batch: the data, with their noise.
         null: the base model's fit.
         left: the gap test at that fit, with local sensitivities and what each effect changes.
-        attribution: causes, if the test finds a gap: of the last part selected if all are enough
-            together, else of the first.
-        selected: all parts that were selected together, whether or not they are enough; the base
-            model alone where none was.
-        selected_fit: its fit.
-        adequacy_p: of all parts that were selected together; None where none was.
-        verdict: ``"none"``, ``"effect"``, ``"class"``, ``"other"`` or ``"undecided"``.
-        cause: names of the parts that the verdict names: effects, or ``"gel_scatter"``.
         seconds: wall time.
-        reason: one sentence on how the verdict came about.
-        choice: the causes of least expected loss with their probabilities; None where no effect was
-            fitted.
-        steps: attributions in the order of the selection, ``attribution`` among them.
         alone: the base model's fit of each experiment by itself, where gels may differ.
         spoilt: label of a curve -> frames that a single error of the camera has spoilt, which are
             left out.
@@ -75,16 +63,7 @@ class GapReport:
     batch: ExperimentBatch
     null: ModelFit
     left: Adequacy
-    attribution: Attribution | None
-    selected: Hypothesis
-    selected_fit: ModelFit
-    adequacy_p: float | None
-    verdict: str
-    cause: tuple[str, ...]
     seconds: float
-    reason: str = field(default="")
-    choice: Choice | None = None
-    steps: tuple[Attribution, ...] = ()
     alone: tuple[ModelFit, ...] = ()
     spoilt: Mapping[str, int] = field(default_factory=dict)
 
@@ -104,17 +83,6 @@ class GapReport:
         agrees.
         """
         return self.gap.found and self.null.certificate.usable and self.verdict != "none"
-
-    @property
-    def fits(self) -> dict[str, ModelFit]:
-        """Every hypothesis that was fitted, by name.
-
-        Those far behind the best of their step have not converged.
-        """
-        found = {"none": self.null}
-        for step in (*self.steps, *([self.attribution] if self.attribution else [])):
-            found |= step.fits
-        return found
 
     @property
     def converged(self) -> bool:
@@ -190,31 +158,22 @@ def diagnose(
         progress(f"gap test: {p_value(gap.p_value)}, leading block {gap.blocks[0].name}")
 
     alone = tuple[ModelFit, ...]()
-    nothing = Finding("none", (), "No block of the gap test rejects the base model.", null)
+    reason = "No block of the gap test rejects the base model."
+    found = Finding("none", (), reason, Hypothesis(base), null)
     if not null.certificate.usable:
         reason = f"The base model's fit did not converge: {null.certificate}."
-        found = replace(nothing, verdict="undecided", reason=reason)
-    elif not gap.found:
-        found = nothing
-    else:
+        found = replace(found, verdict="undecided", reason=reason)
+    elif gap.found:
         if may_differ(batch):
             alone = fit_alone(null, batch, simulator, seed=child(seed, "alone"))
         inquiry = Inquiry(base, effects, batch, simulator)
         found = select_causes(inquiry, null, left, most, alone=alone, seed=seed, progress=progress)
     return GapReport(
+        **vars(found),
         batch=batch,
         null=null,
         left=left,
-        attribution=found.attribution,
-        selected=found.selected or Hypothesis(base),
-        selected_fit=found.selected_fit,
-        adequacy_p=found.adequacy_p,
-        verdict=found.verdict,
-        cause=found.cause,
         seconds=time.perf_counter() - start,
-        reason=found.reason,
-        choice=found.choice,
-        steps=found.steps,
         alone=alone,
         spoilt=spoilt,
     )

@@ -6,12 +6,19 @@ curves, and a search that begins there ends in a local minimum. Each curve by it
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import torch
 
 from imr_torch.assimilate import ModelFit, SearchOptions, assimilate
-from imr_torch.gap.hypotheses import Hypothesis, finish, fit_hypotheses, lower, scatters
-from imr_torch.material import Belief
+from imr_torch.gap.hypotheses import (
+    Hypothesis,
+    even_belief,
+    finish,
+    fit_hypotheses,
+    lower,
+    scatters,
+)
 from imr_torch.observe import NUISANCES, ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
@@ -32,7 +39,6 @@ def fit_alone(
         simulator: makes the bubbles.
         seed: of the starts.
     """
-    belief = Belief((fit.prior,), torch.zeros(1, dtype=torch.float64))
     found = []
     for e, experiment in enumerate(batch.experiments):
         seed_here = child(seed, "alone", experiment.label)
@@ -43,7 +49,7 @@ def fit_alone(
         one = replace(batch, experiments=(experiment,), between={})
         nuisances = [fit.nuisances[e : e + 1, : len(NUISANCES)]]
         alone = assimilate(
-            belief,
+            even_belief((fit.prior,)),
             one,
             simulator,
             seed=seed_here,
@@ -80,14 +86,12 @@ def fit_differing(
         seed: of the searches.
         options: how to search.
     """
+    search = partial(
+        fit_hypotheses, [hypothesis], batch=batch, simulator=simulator, seed=seed, twice=0
+    )
     apart = start_apart(hypothesis, near, alone)
-    first = fit_hypotheses(
-        [hypothesis], apart, batch, simulator, seed=seed, options=options, twice=0
-    )[hypothesis.name]
-    options = replace(options, rival=first.cost)
-    second = fit_hypotheses(
-        [hypothesis], near, batch, simulator, seed=seed, options=options, twice=0
-    )[hypothesis.name]
+    first = search(apart, options=options)[hypothesis.name]
+    second = search(near, options=replace(options, rival=first.cost))[hypothesis.name]
     return lower(first, second, options)
 
 

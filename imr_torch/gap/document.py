@@ -5,6 +5,9 @@ says and shows the same again.
 """
 
 import math
+from collections.abc import Sequence
+from dataclasses import asdict
+from statistics import median
 from typing import Any
 
 import torch
@@ -21,14 +24,14 @@ from imr_torch.gap.examine import Parts
 from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.gap.identity_design import NextDesign
 from imr_torch.gap.shrinkage import Shrinkage
-from imr_torch.gap.text import headline, next_step
+from imr_torch.gap.text import acts_sentence, headline, hidden_sentence, next_step
 from imr_torch.gap.verdict import VERDICT_ODDS
-from imr_torch.goodness.phases import PHASES, phase_clock, phase_name
+from imr_torch.goodness.phases import PHASES, phase_numbers
 from imr_torch.material import LIBRARY
 from imr_torch.observe import ExperimentBatch, noise_sentences
 from imr_torch.simulate import Simulator
 
-_LEVELS = torch.tensor((0.05, 0.5, 0.95), dtype=torch.float64)
+_LEVELS = (0.05, 0.5, 0.95)
 
 
 def to_json(
@@ -69,7 +72,7 @@ def to_json(
         "selected": list(report.selected.parts),
         "adequacy_p": report.adequacy_p,
         **_values(report, parts),
-        "hidden": [vars(row) | {"sentence": row.sentence()} for row in parts.hidden],
+        "hidden": [vars(row) | {"sentence": hidden_sentence(vars(row))} for row in parts.hidden],
         **_where(parts),
         "shrinkage": parts.shrinkage and _shrinkage(parts.shrinkage, report),
         "next_design": parts.next_design and _design(parts.next_design),
@@ -122,9 +125,7 @@ def _causes(found: Attribution | None) -> dict[str, Any]:
         "posterior_at_odds",
         "verdict_odds",
         "unknown",
-        "look_alikes",
         "evidence_checks",
-        "prior_scales",
         "credible_set",
         "leading_adequacy_p",
     )
@@ -145,49 +146,31 @@ def _causes(found: Attribution | None) -> dict[str, Any]:
             "standard_error": like.error,
             "bayes_factor": like.bayes_factor(found.adequacy.p_value),
         },
-        {
-            name: {"angle_deg": angle, "leaves_sd": left}
-            for name, (angle, left) in found.alike.items()
-        },
         {name: vars(checked) for name, checked in found.checked.items()},
-        {f"{scale:g}": p for scale, p in found.rescaled.items()},
         list(found.credible_set()),
         found.adequacy.p_value,
     )
     return dict(zip(names, values, strict=True))
 
 
-def named_fit(report: GapReport) -> ModelFit | None:
-    """The fit with the leading cause, where the verdict names one."""
-    return report.selected_fit if report.verdict in ("effect", "class") else None
-
-
 def _values(report: GapReport, parts: Parts) -> dict[str, Any]:
     """The parameters of the gel and of the named cause, with 90 % intervals."""
-    named = named_fit(report)
+    named = report.selected_fit if report.verdict in ("effect", "class") else None
     error = parts.model_error
+    base = _intervals(report.null, report.base.names)
+    with_cause = named and _intervals(named, report.base.names)
     return {
-        "parameters": _intervals(named or report.null, report.base.names),
-        "parameters_with_model_error": error and {n: list(v) for n, v in error.intervals.items()},
+        "parameters": with_cause or base,
+        "parameters_with_model_error": error and error.intervals,
         "parameter_bound_sd": error and error.bound,
-        "parameter_shift": named
-        and {
-            name: {"base": before, "with_cause": after}
-            for (name, before), after in zip(
-                _intervals(report.null, report.base.names).items(),
-                _intervals(named, report.base.names).values(),
-                strict=True,
-            )
-        },
+        "parameter_shift": with_cause
+        and {n: {"base": base[n], "with_cause": with_cause[n]} for n in base},
         "cause_values": named and _cause_values(report, named),
-        "selected_values": _intervals(
-            report.selected_fit, [n for e in report.selected.effects for n in e.names]
-        ),
         "gels": gels_of(report.selected_fit, report.selected) or None,
     }
 
 
-def _intervals(fit: ModelFit, names: tuple[str, ...] | list[str]) -> dict[str, list[float]]:
+def _intervals(fit: ModelFit, names: Sequence[str]) -> dict[str, list[float]]:
     """Parameter -> 5, 50, 95 %, SI."""
     quantiles = fit.posterior.quantile(_LEVELS)
     return {name: quantiles[:, fit.prior.names.index(name)].tolist() for name in names}
@@ -197,61 +180,33 @@ def _cause_values(report: GapReport, named: ModelFit) -> dict[str, dict[str, lis
     """Named effect -> its parameters; members of a class that the leading fit does not hold have the
     values of their own fits.
     """
-    found = report.attribution
+    fits = [named, *(report.attribution.fits.values() if report.attribution else ())]
     values = {}
     for part in report.cause:
-        if part not in LIBRARY:
-            continue
-        names = LIBRARY[part].names
-        fits = (
-            [named, *(f for n, f in found.fits.items() if found.part(n) == part)] if found else []
-        )
+        names = LIBRARY[part].names if part in LIBRARY else ()
         holding = [fit for fit in fits if set(names) <= set(fit.prior.names)]
-        if holding:
-            values[part] = _intervals(holding[0], list(names))
+        if names and holding:
+            values[part] = _intervals(holding[0], names)
     return values
 
 
 def _where(parts: Parts) -> dict[str, Any]:
     """Location of the gap."""
     when = parts.onset
-    which = parts.by_experiment
+    acts = parts.acts
     return {
-        "onset": when
-        and {
-            "t": None if when.phase == "none" else when.time,
-            "phase": when.phase,
-            "times": list(when.times),
-            "p_values": list(when.p_values),
-            "level": when.level,
-            "sentence": str(when),
-        },
-        "acts": parts.acts
-        and {
-            "shares": {phase: list(values) for phase, values in parts.acts.shares.items()},
-            "sentence": str(parts.acts),
-        },
-        "experiments": which
-        and {
-            "p_values": dict(zip(which.labels, which.p_values, strict=True)),
-            "values": which.values,
-            "reading": which.reading,
-            "converged": which.converged,
-        },
+        "onset": when and vars(when) | {"sentence": str(when)},
+        "acts": acts and {"shares": acts, "sentence": acts_sentence(acts)},
+        "experiments": parts.by_experiment and asdict(parts.by_experiment),
     }
 
 
 def _shrinkage(found: Shrinkage, report: GapReport) -> dict[str, Any]:
-    return {
-        "share": found.share and list(found.share),
-        "later": found.later and list(found.later),
-        "placebo_median": found.placebo_median if found.placebo else None,
-        "placebo_95": found.placebo_high if found.placebo else None,
-        "placebos": len(found.placebo),
-        "base_gap": found.base_gap,
-        "base_p": found.base_p,
-        "selected": [list(parts) for parts in found.selected],
-        "converged": found.converged,
+    shares = found.placebo
+    return vars(found) | {
+        "placebo_median": median(shares) if shares else None,
+        "placebo_95": found.placebo_high if shares else None,
+        "placebos": len(shares),
         "word": found.word(report.adequacy_p or 0.0),
     }
 
@@ -260,13 +215,12 @@ def _phase_residual(fit: ModelFit, batch: ExperimentBatch) -> list[list[float | 
     """Root mean square residual of the mean curves by experiment and phase, over its noise; null
     where a phase has no frames.
     """
-    clock = phase_clock(batch.times, fit.prediction, batch.mask)
+    phase = phase_numbers(batch.times, fit.prediction, batch.mask)
     noise = batch.sd(fit.prediction) / batch.counts.sqrt()
     square = torch.where(batch.mask, ((batch.mean - fit.prediction) / noise).square(), 0.0)
-    names = [[phase_name(c) for c in row] for row in clock.tolist()]
     columns = []
-    for phase in PHASES:
-        inside = torch.tensor([[name == phase for name in row] for row in names]) & batch.mask
+    for number in range(len(PHASES)):
+        inside = (phase == number) & batch.mask
         columns.append((torch.where(inside, square, 0.0).sum(1) / inside.sum(1)).sqrt())
     return [drawn_numbers(row) for row in torch.stack(columns, 1)]
 

@@ -1,23 +1,17 @@
-"""How far the evidence of effects can be relied on: by importance sampling, and under other prior
-scales.
+"""Evidence of the leading effects by importance sampling.
 
 The evidence of every effect is that of the Gaussian approximation. Those of the leading effects,
 where they are near each other, are computed again by importance sampling
-(:mod:`imr_torch.assimilate.weighing`). A prior of another scale changes the evidence by the mean
-over the posterior of the ratio of the two prior densities.
+(:mod:`imr_torch.assimilate.weighing`).
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-
-import torch
-from torch import Tensor
+from dataclasses import dataclass
 
 from imr_torch.assimilate import Assimilation, ModelFit, weigh
 from imr_torch.errors import ConvergenceError
-from imr_torch.material import Belief, Effect, Marginal, TruncatedNormal
+from imr_torch.gap.hypotheses import even_belief
 from imr_torch.observe import ExperimentBatch
-from imr_torch.random import generator
 from imr_torch.simulate import Simulator
 
 NEAR = 5.0
@@ -29,7 +23,6 @@ _HEAVY, _UNCERTAIN = (
     0.7,
     0.5,
 )  # tail of the weights, and standard error in nats, from which on an evidence is not used
-_DRAWS = 512
 
 
 @dataclass(frozen=True)
@@ -78,10 +71,9 @@ def check_evidence(
     if len(near) < 2:
         return {}
     own = tuple(fits[name] for name in near)
-    belief = Belief(tuple(fit.prior for fit in own), torch.zeros(len(own), dtype=torch.float64))
     try:
         weighted = weigh(
-            Assimilation(belief, batch, own),
+            Assimilation(even_belief(fit.prior for fit in own), batch, own),
             simulator,
             seed=seed,
             samples=_SAMPLES,
@@ -93,46 +85,11 @@ def check_evidence(
     found = {}
     for name, fit in zip(near, weighted.fits, strict=True):
         assert fit.sample is not None
-        sampled = fit.sample.log_evidence - _offset(fit, batch)
         error = fit.sample.log_evidence_error
         found[name] = CheckedEvidence(
-            evidence[name], sampled, error, fit.sample.pareto_k < _HEAVY and error < _UNCERTAIN
+            evidence[name],
+            fit.sample.log_evidence,
+            error,
+            fit.sample.pareto_k < _HEAVY and error < _UNCERTAIN,
         )
     return found
-
-
-def _offset(fit: ModelFit, batch: ExperimentBatch) -> float:
-    """What the log likelihood of a fit holds beside its cost: constants of the data."""
-    likelihood = batch.log_likelihood(fit.prediction[None]).sum()
-    return (
-        float(likelihood - 0.5 * fit.mean.square().sum() - 0.5 * fit.nuisances.square().sum())
-        + fit.cost
-    )
-
-
-def rescaled_evidence(fit: ModelFit, effect: Effect, factor: float, *, seed: int = 0) -> float:
-    """Change of the evidence, nats, when the prior scale of an effect's amplitude is multiplied by
-    a factor.
-
-    Args:
-        fit: of a hypothesis with the effect.
-        effect: the effect; 0 is returned for an amplitude whose prior is no truncated normal.
-        factor: on the prior's standard deviation.
-        seed: of the posterior draws.
-    """
-    name = effect.names[0]
-    before = effect.priors[name]
-    if not isinstance(before, TruncatedNormal):
-        return 0.0
-    place = fit.prior.names.index(name)
-    noise = torch.randn(_DRAWS, len(fit.mean), generator=generator(seed), dtype=torch.float64)
-    amplitude = before.to_physical((fit.mean + noise @ fit.chol.mT)[:, place])
-    after = replace(before, sd=factor * before.sd)
-    ratio = _log_density(after, amplitude) - _log_density(before, amplitude)
-    return float(torch.logsumexp(ratio, 0) - torch.tensor(float(_DRAWS)).log())
-
-
-def _log_density(prior: Marginal, value: Tensor) -> Tensor:
-    """Log density of a physical value, but for a constant that is the same for every prior."""
-    z = prior.to_control(value)
-    return -0.5 * z.square() - prior.log_slope(z)

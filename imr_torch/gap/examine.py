@@ -8,13 +8,11 @@ from dataclasses import dataclass, replace
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.differing import fit_alone
-from imr_torch.gap.forecast import plan_of, unknown_like
 from imr_torch.gap.hidden import Hidden, hidden_effects
-from imr_torch.gap.identity_design import NextDesign, identity_design
+from imr_torch.gap.identity_design import NextDesign, identity_design, plan_of
 from imr_torch.gap.locate import (
     ByExperiment,
     Onset,
-    WhereItActs,
     by_experiment,
     onset,
     where_it_acts,
@@ -37,7 +35,7 @@ class Parts:
 
     Args:
         onset: from when on the gap can be detected.
-        acts: where the named effects act.
+        acts: phase -> share of the signal of the named effects.
         by_experiment: which experiments it lies in.
         shrinkage: how far it shrinks on curves that no fit saw.
         next_design: what to shoot to tell the causes apart that are still possible.
@@ -50,7 +48,7 @@ class Parts:
     """
 
     onset: Onset | None = None
-    acts: WhereItActs | None = None
+    acts: dict[str, float] | None = None
     by_experiment: ByExperiment | None = None
     shrinkage: Shrinkage | None = None
     next_design: NextDesign | None = None
@@ -107,15 +105,8 @@ def examine(
     judging = replace(report.batch, experiments=tuple(unseen)) if unseen else None
     return replace(
         parts,
-        onset=onset(
-            report.null,
-            report.left.line,
-            report.batch,
-            simulator,
-            seed=child(seed, "onset"),
-            directions=report.left.directions,
-        ),
-        acts=_acts(report, simulator, seed),
+        onset=onset(report.left, seed=child(seed, "onset")),
+        acts=_acts(report, simulator),
         by_experiment=by_experiment(report, simulator, alone, seed=child(seed, "experiments")),
         shrinkage=shrinkage(
             report, simulator, judging, seed=child(seed, "shrinkage"), progress=progress
@@ -124,20 +115,12 @@ def examine(
     )
 
 
-def _acts(report: GapReport, simulator: Simulator, seed: int) -> WhereItActs | None:
+def _acts(report: GapReport, simulator: Simulator) -> dict[str, float] | None:
     """Where the named effects act; None without a named effect."""
     found = report.attribution
-    choice = report.choice
-    if found is None or choice is None or report.verdict not in ("effect", "class"):
+    if found is None or report.verdict not in ("effect", "class") or found.winner.gels_differ:
         return None
-    named = {
-        name: (found.fits[name], found.hypotheses[name].effects, choice.members[name])
-        for name in choice.causes
-        if found.hypotheses[name].effects and not found.hypotheses[name].gels_differ
-    }
-    if not named:
-        return None
-    return where_it_acts(named, report.left.line, report.batch, simulator, seed=child(seed, "acts"))
+    return where_it_acts(found.winner_fit, found.winner.effects, report.left.line, simulator)
 
 
 def _next(
@@ -147,23 +130,20 @@ def _next(
     sure and a shot can.
     """
     found = report.attribution
-    if found is None or report.verdict == OTHER or found.winner.gels_differ:
+    if found is None or report.verdict == OTHER:
         return None
     if found.posterior.get(found.winner.name, 0.0) > _SURE:
         return None
-    one_gel = {n: fit for n, fit in found.fits.items() if not found.hypotheses[n].gels_differ}
     try:
         return identity_design(
-            one_gel,
+            found.with_one_gel,
             found.posterior,
             simulator,
-            seed=child(seed, "next"),
             plan=plan_of(report.batch),
-            unknown=unknown_like(found.winner.name, found.winner_fit, found.left),
+            seed=child(seed, "next"),
             progress=progress,
         )
-    except InputDataError:
-        return None  # fewer than two causes have a fit
-    except ConvergenceError:
-        # bubbles that cannot be simulated elsewhere take nothing from what was found here
+    except (InputDataError, ConvergenceError):
+        # fewer than two causes, or bubbles that cannot be simulated elsewhere, take nothing from
+        # what was found here
         return None

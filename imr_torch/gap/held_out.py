@@ -9,7 +9,7 @@ collapse makes several minima.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -17,11 +17,18 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit, Point, Posterior, SearchOptions, assimilate
+from imr_torch.assimilate.basins import deeper_nuisances
+from imr_torch.assimilate.conditional import conditional_nuisances
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
-from imr_torch.gap.hypotheses import EXPLAINS, GEL_SCATTER, Hypothesis, laplace_evidence
+from imr_torch.gap.hypotheses import (
+    EXPLAINS,
+    GEL_SCATTER,
+    Hypothesis,
+    even_belief,
+    laplace_evidence,
+)
 from imr_torch.goodness.linear import Linearisation, linearise, linearise_at
-from imr_torch.material import Belief
 from imr_torch.observe import NUISANCES, ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.select import default_folds
@@ -32,15 +39,7 @@ from imr_torch.types import Progress
 # one basin
 _APART = 0.03
 _CANDIDATES = 4  # hypotheses of a step that are fitted again without a design
-_STEPS = 40  # for the nuisances of a held-out design, at most; most take two to five
-_TIME_ZERO = NUISANCES.index("time_zero")
-_REACH = 3.0  # standard deviations of time zero that are scanned
-_MOST_STARTS = 30  # values of it at most, on either side
-_SETTLED = 0.01  # nats that another step is expected to gain, below which they are fitted
-_PROMISED = 4.0  # times what a step is expected to gain that further ones may
-_DAMPING = 1e-3  # of the first step, over the Hessian
-_EASED = 0.1  # factor on it after a good step
-_STIFFER = 10.0  # and after a bad one
+_STEPS = 4  # Gauss-Newton steps of the nuisances from the deepest basin that is found
 # .05 nats: below training noise
 _OPTIONS = SearchOptions(starts=2, iterations=20, gradient=0.3, basin_rounds=0)
 
@@ -116,36 +115,30 @@ def judge_designs(
     count = len(batch.experiments)
     if unseen is None and count < 2:
         return []
+    tasks = []  # a selection, the data that it was trained on and the designs that it is judged on
     if unseen is not None:
         base = _base_of(report, report.selected.gels_differ)
-        places = range(len(unseen.experiments))
-        trained = [(report.selected, report.selected_fit, base)] * len(places)
-        parts = [(_part(unseen, [i]), batch) for i in places]
-    else:
-        trained = []
-        parts = []
-        for number, out in enumerate(default_folds(count)):
-            training = _part(batch, [i for i in range(count) if i not in out])
-            seed_here = child(seed, "fold", number)
-            kept = [i for i in range(count) if i not in out]
-            found = _select_again(report, training, kept, simulator, seed_here)
-            trained += [found] * len(out)
-            parts += [(_part(batch, [i]), training) for i in out]
-            if progress:
-                labels = ", ".join(batch.experiments[i].label for i in out)
-                progress(f"without {labels}: {found[0].name}")
-    lines = dict[int, Linearisation]()
+        tasks.append(((report.selected, report.selected_fit, *base), batch, unseen))
+    for number, out in enumerate(default_folds(count) if unseen is None else ()):
+        kept = [i for i in range(count) if i not in out]
+        training = _part(batch, kept)
+        found = _select_again(report, training, kept, simulator, child(seed, "fold", number))
+        tasks.append((found, training, _part(batch, out)))
+        if progress:
+            labels = ", ".join(batch.experiments[i].label for i in out)
+            progress(f"without {labels}: {found[0].name}")
     judged = []
-    for (hypothesis, fit, (base, base_fit)), (part, training) in zip(trained, parts, strict=True):
-        if id(base_fit) not in lines:
-            lines[id(base_fit)] = linearise(base_fit, base.seen(training), simulator)
-        pair = Judged(
-            held_out(base_fit, base, part, simulator),
-            held_out(fit, hypothesis, part, simulator),
-            lines[id(base_fit)],
-        )
-        if pair.base.predicted and pair.effect.predicted:
-            judged.append(pair)
+    for (hypothesis, fit, base, base_fit), training, designs in tasks:
+        line = linearise(base_fit, base.seen(training), simulator)
+        for place in range(len(designs.experiments)):
+            design = _part(designs, [place])
+            pair = Judged(
+                held_out(base_fit, base, design, simulator),
+                held_out(fit, hypothesis, design, simulator),
+                line,
+            )
+            if pair.base.predicted and pair.effect.predicted:
+                judged.append(pair)
     return judged
 
 
@@ -163,7 +156,7 @@ def _select_again(
     kept: Sequence[int],
     simulator: Simulator,
     seed: int,
-) -> tuple[Hypothesis, ModelFit, tuple[Hypothesis, ModelFit]]:
+) -> tuple[Hypothesis, ModelFit, Hypothesis, ModelFit]:
     """What a selection holds without some designs, its fit, and the base model with its fit.
 
     Each step of the diagnosis is made again while what is held is what it was there; its candidates
@@ -183,7 +176,7 @@ def _select_again(
     base, near = _base_of(report, held.gels_differ or report.selected.gels_differ)
     if base.name not in fits:
         fits |= _train({base.name: (base, near)}, training, kept, simulator, seed)
-    return held, fits[held.name], (base, fits[base.name])
+    return held, fits[held.name], base, fits[base.name]
 
 
 def _likely(
@@ -217,33 +210,21 @@ def _train(
 ) -> dict[str, ModelFit]:
     """Fits of hypotheses to the training designs, each from starts near its fit to all designs."""
     source = generator(seed)
-    fits = dict[str, ModelFit]()
-    for differ in (False, True):
-        kind = {name: pair for name, pair in known.items() if pair[0].gels_differ is differ}
-        if not kind:
-            continue
-        starts = []
-        for _, fit in kind.values():
-            others = _APART * torch.randn(
-                _OPTIONS.starts - 1, len(fit.mean), generator=source, dtype=torch.float64
-            )
-            starts.append(torch.cat((fit.mean[None], fit.mean + others)))
-        belief = Belief(
-            tuple(fit.prior for _, fit in kind.values()),
-            torch.zeros(len(kind), dtype=torch.float64),
+    fits = {}
+    for name, (hypothesis, fit) in known.items():
+        beside = _APART * torch.randn(
+            _OPTIONS.starts - 1, len(fit.mean), generator=source, dtype=torch.float64
         )
-        first = next(iter(kind.values()))[0]
-        found = assimilate(
-            belief,
-            first.seen(training),
+        fits[name] = assimilate(
+            even_belief((fit.prior,)),
+            hypothesis.seen(training),
             simulator,
             seed=seed,
             options=_OPTIONS,
-            starts=starts,
-            nuisances=[fit.nuisances[list(kept)] for _, fit in kind.values()],
+            starts=[torch.cat((fit.mean[None], fit.mean + beside))],
+            nuisances=[fit.nuisances[list(kept)]],
             warn=False,
-        )
-        fits |= dict(zip(kind, found.fits, strict=True))
+        ).fits[0]
     return fits
 
 
@@ -260,96 +241,39 @@ def held_out(
         simulator: makes the bubbles.
     """
     batch = hypothesis.seen(design)
-    size = len(fit.mean)
-    columns = (batch.nuisance_sds > 0.0).any(0)
+    nuisances = _most_probable(Posterior(fit.prior, batch, simulator), fit)
+    line = linearise_at(Point(fit.mean, nuisances), fit.prior, batch, simulator)
     data = batch.mask.numel()
-    posterior = Posterior(fit.prior, batch, simulator)
-
-    def at(moved: Tensor, moves_gel: bool = False) -> tuple[Linearisation, Tensor]:
-        nuisances = torch.zeros_like(batch.nuisance_sds)
-        nuisances[0, columns] = moved
-        line = linearise_at(
-            Point(fit.mean, nuisances), fit.prior, batch, simulator, moves_gel=moves_gel
-        )
-        return line, line.fitted[:data, size:]
-
-    # the gel of any curve of the fit, where they have gels of their own
-    likely = fit.nuisances[:, len(NUISANCES) :]
-    places = torch.cat((torch.zeros_like(likely[:1]), likely)) if likely.numel() else likely[:1]
-    moved = torch.zeros(int(columns.sum()), dtype=torch.float64)
-    lowest = math.inf
-    begun = [_start(posterior, fit.mean, deviations) for deviations in places]
-    for start, _ in sorted(begun, key=lambda start: start[1]):
-        end, cost = _most_probable(at, start[columns], batch, lowest)
-        if cost < lowest:
-            moved = end
-            lowest = cost
-    line, by_nuisance = at(moved, moves_gel=True)
+    size = len(fit.mean)
     return HeldOut(
         hypothesis,
         line.residual[:data],
-        by_nuisance,
-        moved,
+        line.fitted[:data, size:],
+        nuisances[0, (batch.nuisance_sds > 0.0).any(0)],
         line.fitted[:data, :size],
         line,
         fit.certificate.converged,
     )
 
 
-def _start(posterior: Posterior, gel: Tensor, deviations: Tensor) -> tuple[Tensor, float]:
-    """Standardised nuisances from which to descend, and their cost: time zero is scanned, at given
-    deviations of the gel.
+def _most_probable(posterior: Posterior, fit: ModelFit) -> Float[Tensor, "1 nuisances"]:
+    """The most probable nuisances of a design at the gel of a fit.
 
-    A frame next to a collapse makes the cost of time zero have several minima.
+    A frame next to a collapse makes the cost of time zero have several minima, all of which are
+    tried; so is, where curves have gels of their own, the gel of any curve of the fit.
     """
-    batch = posterior.batch
-    sd = float(batch.nuisance_sds[0, _TIME_ZERO])
-    interval = float(batch.times[0].diff().abs().median())
-    count = 2 * min(math.ceil(2.0 * _REACH * sd / interval), _MOST_STARTS) + 1 if sd > 0.0 else 1
-    tried = posterior.still(count)
-    tried[:, 0, len(NUISANCES) :] = deviations
-    tried[:, 0, _TIME_ZERO] = (
-        torch.linspace(-_REACH, _REACH, count, dtype=torch.float64) if count > 1 else 0.0
-    )
-    cost = -posterior.log_joint(Point(gel.expand(count, -1), tried)).nan_to_num(nan=-math.inf)
-    best = int(cost.argmin())
-    return tried[best, 0], float(cost[best])
-
-
-_At = Callable[[Tensor], tuple[Linearisation, Tensor]]
-"""Standardised nuisances to local sensitivities, and those to the nuisances alone (``n_t x c``)."""
-
-
-def _most_probable(
-    at: _At, moved: Tensor, batch: ExperimentBatch, known: float
-) -> tuple[Tensor, float]:
-    """Standardised nuisances of the lowest cost near some, and that cost.
-
-    By damped Gauss-Newton steps that lower the cost, given up where they cannot lead below a cost
-    that is known.
-    """
-
-    def cost(moved: Tensor, line: Linearisation) -> float:
-        value = 0.5 * moved.square().sum() - batch.log_likelihood(line.prediction).sum()
-        return float(value.nan_to_num(nan=math.inf))
-
-    here = at(moved)
-    damping = _DAMPING
-    lowest = cost(moved, here[0])
-    for _ in range(_STEPS if len(moved) else 0):
-        line, slopes = here
-        gradient = slopes.mT @ line.residual[: len(slopes)] - moved
-        hessian = torch.eye(len(moved), dtype=torch.float64) + slopes.mT @ slopes
-        step = torch.linalg.solve(hessian + damping * hessian.diagonal().diag(), gradient)
-        promised = _PROMISED * 0.5 * float(gradient @ torch.linalg.solve(hessian, gradient))
-        if 0.5 * float(step @ gradient) < _SETTLED or lowest - promised > known:
-            break
-        there = at(moved + step)
-        value = cost(moved + step, there[0])
-        lower = value < lowest
-        damping *= _EASED if lower else _STIFFER
-        if lower:
-            moved = moved + step
-            here = there
-            lowest = value
-    return moved, lowest
+    own = fit.nuisances[:, len(NUISANCES) :]
+    moved = posterior.still(1 + len(own) if own.numel() else 1)
+    if own.numel():
+        moved[1:, 0, len(NUISANCES) :] = own
+    gels = fit.mean.expand(len(moved), -1)
+    moved = deeper_nuisances(posterior, Point(gels, moved))
+    width = moved.shape[-1]
+    chol = torch.eye(width, dtype=torch.float64).expand(len(moved), 1, width, width)
+    tried = [moved]
+    for _ in range(_STEPS if len(posterior.uncertain) else 0):
+        moved, chol = conditional_nuisances(posterior, Point(gels, moved), chol)
+        tried.append(moved)
+    every = torch.cat(tried)
+    cost = -posterior.log_joint(Point(fit.mean.expand(len(every), -1), every))
+    return every[int(cost.nan_to_num(nan=math.inf).argmin())]

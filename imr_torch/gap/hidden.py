@@ -11,15 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from scipy.optimize import brentq
-from scipy.special import chdtri, chndtr
+from scipy.special import chdtri, chndtrinc
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.gap.adequacy import Adequacy
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.verdict import OTHER
 from imr_torch.goodness.score import LEVEL
-from imr_torch.material import LIBRARY, PARAMETERS, Effect
+from imr_torch.material import Effect
 
 FOUND = 0.9
 """Chance with which the size that is said would have been found."""
@@ -38,31 +37,13 @@ class Hidden:
             there is none.
 
     >>> from imr_torch.gap.hidden import Hidden
-    >>> Hidden("clock", 0.01, {"G": 0.06}).sentence()
-    'clock: 0.01 would be found; less, unseen, moves G by up to 6 %.'
+    >>> Hidden("clock", 0.01, {"G": 0.06}).shift["G"]
+    0.06
     """
 
     effect: str
     size: float | None
     shift: dict[str, float]
-
-    def sentence(self) -> str:
-        """In words."""
-        moved = ", ".join(f"{name} by up to {100 * abs(x):.2g} %" for name, x in self.shift.items())
-        if self.size is None:
-            return f"{self.effect}: not seen here; its usual size moves {moved}."
-        size = shown(LIBRARY[self.effect].names[0], self.size)
-        return f"{self.effect}: {size} would be found; less, unseen, moves {moved}."
-
-
-def shown(parameter: str, value: float) -> str:
-    """A value in display units.
-
-    >>> from imr_torch.gap.hidden import shown
-    >>> shown("G", 8310.0)
-    '8.31 kPa'
-    """
-    return PARAMETERS[parameter].interval(value, value, value).split(" (")[0]
 
 
 def hidden_effects(report: GapReport) -> tuple[Hidden, ...]:
@@ -105,5 +86,4 @@ def _hidden(effect: Effect, left: Adequacy, fit: ModelFit, gel: Sequence[str]) -
 
 def _noncentrality(rank: int, level: float) -> float:
     """That with which a test of some rank and level finds a signal with ``FOUND``."""
-    threshold = float(chdtri(rank, level))
-    return float(brentq(lambda size: 1.0 - chndtr(threshold, rank, size) - FOUND, 1e-9, 1e4))  # type: ignore[arg-type]
+    return float(chndtrinc(chdtri(rank, level), rank, 1.0 - FOUND))

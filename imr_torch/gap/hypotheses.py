@@ -98,30 +98,26 @@ class Hypothesis:
         )
 
     def starts(
-        self, null: ModelFit, of_last: Sequence[Sequence[float]] | None = None
+        self, null: ModelFit, given: Mapping[str, Sequence[Sequence[float]]]
     ) -> Float[Tensor, "starts controls"]:
         """``S x d`` controls ``v``: those of a fit without the last effect, and that at each of
         some values.
 
         Args:
             null: the fit; what it holds of the other effects is kept.
-            of_last: values of the last effect's parameters; its own starts by default.
+            given: effect -> values of its parameters; its own starts where not given.
         """
         belief = self.belief
-        if set(belief.names) <= set(null.prior.names):
-            kept = null.mean[[null.prior.names.index(name) for name in belief.names]]
+        known = dict(zip(null.prior.names, null.mean, strict=True))
+        if set(belief.names) <= set(known):
+            kept = torch.stack([known[name] for name in belief.names])
             return torch.stack((kept, kept + _GEL_APART))
         last = self.effects[-1]
         rows = []
-        for start in of_last or last.starts:
-            values = dict(zip(last.names, start, strict=True))
-            row = torch.zeros(len(belief.names), dtype=torch.float64)
-            for i, (name, marginal) in enumerate(zip(belief.names, belief.marginals, strict=True)):
-                if name in values:
-                    row[i] = marginal.to_control(torch.tensor(values[name], dtype=torch.float64))
-                else:
-                    row[i] = null.mean[null.prior.names.index(name)]
-            rows.append(row)
+        for start in given.get(last.name, last.starts):
+            for (name, prior), value in zip(last.priors.items(), start, strict=True):
+                known[name] = prior.to_control(torch.tensor(value, dtype=torch.float64))
+            rows.append(torch.stack([known[name] for name in belief.names]))
         return torch.stack(rows)
 
 
@@ -167,23 +163,14 @@ def fit_null(
     is taken up again; where converged starts disagree, more of them are made. A fit of the same
     curves with other noise is a start, where it is given.
     """
-    belief = _belief((base,))
     options = SearchOptions()
+    search = partial(
+        assimilate, even_belief((base,)), batch, simulator, warn=False, progress=progress
+    )
     if near is not None:
-        start = as_assimilation(near, batch)
-        moved = assimilate(
-            belief,
-            batch,
-            simulator,
-            seed=seed,
-            options=options,
-            near=start,
-            warn=False,
-            progress=progress,
-        )
-        if moved.fits[0].certificate.converged:
-            return moved.fits[0]
-    search = partial(assimilate, belief, batch, simulator, warn=False, progress=progress)
+        moved = search(seed=seed, options=options, near=as_assimilation(near, batch)).fits[0]
+        if moved.certificate.converged:
+            return moved
     fit = search(seed=seed, options=options).fits[0]
     if fit.certificate.gradient >= options.gradient:
         fit = finish(fit, batch, simulator, seed=child(seed, "finish"), progress=progress)
@@ -229,7 +216,7 @@ def fit_hypotheses(
     twice: int = LEADING,
     progress: Progress | None = None,
 ) -> dict[str, ModelFit]:
-    """Fit hypotheses from the null fit: in one batch, and those with gels that differ in another.
+    """Fit hypotheses that have the same nuisances in one batch, from the null fit.
 
     Where the gap is large, the null fit's collapses lie on the wrong side of frames, each a local
     minimum. Hypotheses are then also fitted by searches that begin without the frames next to
@@ -252,48 +239,27 @@ def fit_hypotheses(
     Returns:
         Name of the hypothesis -> fit, whose certificate the caller must check.
     """
-    found = dict[str, ModelFit]()
+    if not hypotheses:
+        return {}
     options = options or SearchOptions()
-    for differ in (False, True):
-        kind = [h for h in hypotheses if h.gels_differ is differ]
-        if kind:
-            seen = kind[0].seen(batch)
-            fits = _fit_alike(
-                kind, null, seen, simulator, seed, starts or {}, options, twice, progress
-            )
-            found |= {h.name: fit for h, fit in zip(kind, fits, strict=True)}
-            known = min(options.known_cost, *(fit.cost for fit in fits))
-            options = replace(options, rival=known)
-    return found
-
-
-def _fit_alike(
-    hypotheses: Sequence[Hypothesis],
-    null: ModelFit,
-    batch: ExperimentBatch,
-    simulator: Simulator,
-    seed: int,
-    starts: Mapping[str, Sequence[Sequence[float]]],
-    options: SearchOptions,
-    twice: int,
-    progress: Progress | None,
-) -> list[ModelFit]:
-    """Fits of hypotheses that have the same nuisances, those of a batch."""
-    rows = [
-        h.starts(null, starts.get(h.effects[-1].name) if h.effects else None) for h in hypotheses
-    ]
-    belief = _belief(h.belief for h in hypotheses)
-    nuisances = [deviating(null, hypothesis) for hypothesis in hypotheses]
+    batch = hypotheses[0].seen(batch)
     search = partial(
-        _descend, belief, batch, simulator, seed=seed, starts=rows, nuisances=nuisances, twice=twice
+        _descend,
+        even_belief(h.belief for h in hypotheses),
+        batch,
+        simulator,
+        seed=seed,
+        starts=[h.starts(null, starts or {}) for h in hypotheses],
+        nuisances=[deviating(null, h) for h in hypotheses],
+        twice=twice,
+        progress=progress,
     )
-    search = partial(search, progress=progress)
     found = search(options=options)
     if overdispersion(null, batch) > _FAR:
         lowest = min(options.known_cost, *(fit.cost for fit in found))
         masked = search(options=replace(options, mask_collapses=True, rival=lowest))
         found = [lower(*pair, options) for pair in zip(found, masked, strict=True)]
-    return found
+    return {h.name: fit for h, fit in zip(hypotheses, found, strict=True)}
 
 
 def deviating(fit: ModelFit, hypothesis: Hypothesis) -> Tensor:
@@ -316,9 +282,9 @@ def _descend(
     seed: int,
     options: SearchOptions,
     starts: Sequence[Tensor],
-    nuisances: Sequence[Tensor] | None = None,
-    twice: int = LEADING,
-    progress: Progress | None = None,
+    nuisances: Sequence[Tensor],
+    twice: int,
+    progress: Progress | None,
 ) -> list[ModelFit]:
     """Fits by coarse bubbles, then, of those not far behind, by the simulator's own from where
     these ended.
@@ -329,67 +295,60 @@ def _descend(
     where it ended, and has not converged.
     """
     search = partial(assimilate, seed=seed, warn=False, progress=progress)
+    from_starts = partial(search, starts=starts, nuisances=nuisances)
     coarse = coarser(simulator)
     same = coarse is simulator
-    error = (
-        0.0
-        if same
-        else _coarse_error(Posterior(belief.models[0], batch, simulator), starts[0][:1], nuisances)
-    )
+    error = 0.0 if same else _coarse_error(belief, batch, simulator, starts[0][:1], nuisances[0])
     if same or error > _TOO_COARSE:
-        return list(
-            search(
-                belief, batch, simulator, options=options, starts=starts, nuisances=nuisances
-            ).fits
-        )
+        return list(from_starts(belief, batch, simulator, options=options).fits)
     reach = None if options.drop_behind is None else options.drop_behind + error
     rough = replace(options, drop_behind=reach, gradient=max(options.gradient, _ROUGHLY))
-    found = search(belief, batch, coarse, options=rough, starts=starts, nuisances=nuisances).fits
+    found = from_starts(belief, batch, coarse, options=rough).fits
     fits = [_seen_by(fit, batch, simulator) for fit in found]
-    limit = (
-        math.inf if reach is None else min(*(fit.cost for fit in fits), options.known_cost) + reach
+    limit = min(*(fit.cost for fit in fits), options.known_cost) + (
+        math.inf if reach is None else reach
     )
     near = [i for i, fit in enumerate(fits) if fit.cost - promised(fit) <= limit]
-    if not near:  # a fit that is known already is better than all
-        return fits
     near.sort(key=lambda i: fits[i].cost)
-    ahead = near[:twice]
-    others = near[twice:]
     own = replace(options, starts=2, mask_collapses=False)
-    if ahead:
-        kept = _belief(fits[i].prior for i in ahead)
-        start = Assimilation(kept, batch, tuple(fits[i] for i in ahead))
-        for i, fit in zip(
-            ahead, search(kept, batch, simulator, options=own, near=start).fits, strict=True
-        ):
-            fits[i] = _certified(
-                fit, max(fit.certificate.agreement, found[i].certificate.agreement), own
-            )
-        own = replace(own, rival=min(options.known_cost, *(fits[i].cost for i in ahead)))
-    if others:
-        gels = [fits[i].mean[None] for i in others]
-        moved = [fits[i].nuisances for i in others]
-        kept = _belief(fits[i].prior for i in others)
-        ended = search(kept, batch, simulator, options=own, starts=gels, nuisances=moved).fits
-        for i, fit in zip(others, ended, strict=True):
-            fits[i] = _certified(fit, found[i].certificate.agreement, own) if twice else fit
+    for places, again in ((near[:twice], True), (near[twice:], False)):
+        if not places:
+            continue
+        chosen = tuple(fits[i] for i in places)
+        kept = even_belief(fit.prior for fit in chosen)
+        if again:
+            near_them = Assimilation(kept, batch, chosen)
+            ended = search(kept, batch, simulator, options=own, near=near_them).fits
+        else:
+            gels = [fit.mean[None] for fit in chosen]
+            moved = [fit.nuisances for fit in chosen]
+            ended = search(kept, batch, simulator, options=own, starts=gels, nuisances=moved).fits
+        for i, fit in zip(places, ended, strict=True):
+            agreement = found[i].certificate.agreement
+            if again:
+                agreement = max(agreement, fit.certificate.agreement)
+            fits[i] = _certified(fit, agreement, own) if twice else fit
+        own = replace(own, rival=min(options.known_cost, *(fits[i].cost for i in places)))
     return fits
 
 
-def _belief(models: Iterable[ModelBelief]) -> Belief:
+def even_belief(models: Iterable[ModelBelief]) -> Belief:
     """Models of equal probability."""
     kept = tuple(models)
     return Belief(kept, torch.zeros(len(kept), dtype=torch.float64))
 
 
-def _coarse_error(posterior: Posterior, gel: Tensor, nuisances: Sequence[Tensor] | None) -> float:
-    """Error of the cost by coarse bubbles where a model fits the data, at one gel (``1 x d``),
-    nats.
+def _coarse_error(
+    belief: Belief, batch: ExperimentBatch, simulator: Simulator, gel: Tensor, nuisances: Tensor
+) -> float:
+    """Error of the cost by coarse bubbles where the first model fits the data, at one gel
+    (``1 x d``), nats.
     """
-    point = Point(gel, (posterior.still() if nuisances is None else nuisances[0])[None])
+    posterior = Posterior(belief.models[0], batch, simulator)
+    point = Point(gel, nuisances[None])
     fine = posterior.predict(point)[0]
     coarse = posterior.coarse.predict(point)[0]
-    change = posterior.batch.whiten(fine - coarse, posterior.batch.sd(fine))
+    change = batch.whiten(fine - coarse, batch.sd(fine))
     return 0.5 * float(change.square().sum().nan_to_num(math.inf))
 
 
@@ -440,7 +399,7 @@ def finish(
 
 def as_assimilation(fit: ModelFit, batch: ExperimentBatch) -> Assimilation:
     """One fit as an assimilation, for functions that take one."""
-    return Assimilation(_belief((fit.prior,)), batch, (fit,))
+    return Assimilation(even_belief((fit.prior,)), batch, (fit,))
 
 
 def promised(fit: ModelFit) -> float:
@@ -453,8 +412,7 @@ def laplace_evidence(fit: ModelFit) -> float:
 
     Priors are standard normal in the controls, so constants cancel.
     """
-    nuisances = fit.nuisance_chol.diagonal(dim1=-2, dim2=-1).log().sum()
-    return float(-fit.cost + fit.chol.diagonal().log().sum() - nuisances)
+    return float(-fit.cost + fit.chol.diagonal().log().sum()) - 0.5 * fit.nuisance_log_det
 
 
 def overdispersion(fit: ModelFit, batch: ExperimentBatch) -> float:

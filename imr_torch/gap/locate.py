@@ -21,22 +21,19 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
-from imr_torch.gap.adequacy import adequacy_test
+from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.goodness.linear import Linearisation, curves
-from imr_torch.goodness.phases import PHASES, phase_clock, phase_name
-from imr_torch.goodness.score import BOOTSTRAP, block, log_survival, pulse_changes, shape_rows
+from imr_torch.goodness.phases import PHASES, phase_clock, phase_name, phase_numbers
+from imr_torch.goodness.score import BOOTSTRAP, PULSES, SHAPE, block, log_survival
 from imr_torch.labels import p_value
-from imr_torch.material import LIBRARY, PARAMETERS, Effect
-from imr_torch.observe import ExperimentBatch
+from imr_torch.material import PARAMETERS, Effect
 from imr_torch.random import SeedLike, child, generator
 from imr_torch.simulate import Simulator
 
 _GRID = (0.15, 0.3, 0.5, 0.75, 0.94, 1.06, 1.25, 1.5, 1.75, 1.94, 2.06, 2.25, 2.6, 3.2, math.inf)
 _LEVEL = 0.01  # of a false onset or trend; that there is a gap at all is not decided here
 _BESIDE = 4  # designs from which on the trends in We and R_inf* are told apart
-_DRAWS = 24  # posterior draws behind the shares of phases
-_SHOWN = 0.15  # upper end of a share from which on its phase is mentioned
 _LEVELS = (0.05, 0.5, 0.95)
 
 
@@ -46,110 +43,72 @@ class Onset:
     repeats.
 
     Args:
-        time: dimensionless time of the last frame of the first prefix that rejects, median over
-            experiments; NaN if none does.
+        t: dimensionless time of the last frame of the first prefix that rejects, median over
+            experiments; None if none does.
         phase: one of :data:`imr_torch.goodness.phases.PHASES`, or ``"none"``.
         times: the end of each prefix, dimensionless, median over experiments.
         p_values: of each prefix, calibrated over all prefixes and tests.
         level: below which a prefix rejects.
     """
 
-    time: float
+    t: float | None
     phase: str
     times: tuple[float, ...]
     p_values: tuple[float, ...]
     level: float
 
     def __str__(self) -> str:
-        if self.phase == "none":
+        if self.t is None:
             return (
                 "No prefix of the records rejects the model (smallest "
                 f"{p_value(min(self.p_values))})."
             )
         return (
             f"The gap can first be detected in the {self.phase}: records up to t* = "
-            f"{self.time:.2f} already reject the model "
-            "(earlier ones would with more repeats)."
+            f"{self.t:.2f} already reject the model (earlier ones would with more repeats)."
         )
 
 
-def generic_directions(
-    fit: ModelFit, line: Linearisation, batch: ExperimentBatch, simulator: Simulator
-) -> dict[str, Float[Tensor, "_ rows"]]:
-    """Directions that stand for no effect in particular: a pressure pulse at each of several times,
-    and output shapes.
-
-    Returns:
-        Name -> whitened rows ``k x N``. A pulse is a test of its own, so that an early prefix is
-        not asked about late ones.
-    """
-    changes = pulse_changes(batch)
-    pulses = line.whiten(
-        (curves(fit, batch, simulator, list(changes.values())) - line.prediction).nan_to_num()
-    )
-    rows = {
-        f"pulse at {moment:.2f}": row[None] for moment, row in zip(changes, pulses, strict=True)
-    }
-    return rows | {"shape": shape_rows(line)[:2]}
-
-
-def onset(
-    fit: ModelFit,
-    line: Linearisation,
-    batch: ExperimentBatch,
-    simulator: Simulator,
-    *,
-    seed: SeedLike,
-    directions: Mapping[str, Tensor] | None = None,
-    level: float = _LEVEL,
-) -> Onset:
+def onset(left: Adequacy, *, seed: SeedLike) -> Onset:
     """The prefix test: refit on the frames up to a moment and test, for a grid of moments.
 
     Moments are set on the phase clock of each experiment, so that curves whose collapses come at
-    different times are cut alike. Refits are linear about ``fit``; linearised anew where they lead,
-    16 of 16 sets kept their phase (3 designs of 100 curves, gaps of 10 to 209 sd).
+    different times are cut alike. Tested is what each effect changes, output shapes, and each pulse
+    by itself, so that an early prefix is not asked about late ones. Refits are linear about the
+    fit; linearised anew where they lead, 16 of 16 sets kept their phase (3 designs of 100 curves,
+    gaps of 10 to 209 sd).
 
     Args:
-        fit: the base model's fit.
-        line: local sensitivities at the fit.
-        batch: the data.
-        simulator: makes the bubbles.
+        left: the gap test at the base model's fit.
         seed: of the residuals drawn for the calibration.
-        directions: name -> whitened rows ``k x N`` to test
-            (:func:`imr_torch.goodness.score.effect_directions`) beside the generic ones.
-        level: chance of a false onset anywhere in the event.
     """
-    tests = generic_directions(fit, line, batch, simulator) | dict(directions or {})
+    line = left.line
+    batch = line.batch
+    pulses = {f"pulse {i}": row[None] for i, row in enumerate(left.generic[PULSES])}
+    tests = pulses | {"shape": left.generic[SHAPE][:2]} | left.directions
     clock = phase_clock(batch.times, line.prediction, batch.mask)
     drawn = torch.randn(
         BOOTSTRAP, line.residual.shape[0], generator=generator(seed), dtype=torch.float64
     )
-    ends = []
-    times = []
-    observed = []
-    calibration = []
+    ends: list[float] = []
+    times: list[float] = []
+    found = []
     before = 0
     for end in _GRID:
         frames = (clock <= end) & batch.mask
-        if int(frames.sum()) == before:
+        count = int(frames.sum())
+        if count == before:
             continue
-        before = int(frames.sum())
-        part = restrict(line, frames)
-        data, null = _log_p(part, frames, tests, drawn)
+        before = count
         ends.append(end)
-        times.append(_last_frame(batch.times, frames))
-        observed.append(data)
-        calibration.append(null)
-    p_values = _calibrate(observed, calibration).tolist()
-    first = next((i for i, p in enumerate(p_values) if p < level), None)
+        # the last frame, in the median over experiments
+        times.append(float(torch.where(frames, batch.times, 0.0).amax(1).median()))
+        found.append(_log_p(restrict(line, frames), frames, tests, drawn))
+    p_values = _calibrate(*zip(*found, strict=True)).tolist()
+    first = next((i for i, p in enumerate(p_values) if p < _LEVEL), None)
     if first is None:
-        return Onset(math.nan, "none", tuple(times), tuple(p_values), level)
-    return Onset(times[first], phase_name(ends[first]), tuple(times), tuple(p_values), level)
-
-
-def _last_frame(times: Tensor, frames: Tensor) -> float:
-    """Median over experiments of the last frame's time."""
-    return float(torch.where(frames, times, 0.0).amax(1).median())
+        return Onset(None, "none", tuple(times), tuple(p_values), _LEVEL)
+    return Onset(times[first], phase_name(ends[first]), tuple(times), tuple(p_values), _LEVEL)
 
 
 @dataclass(frozen=True)
@@ -175,16 +134,14 @@ class ByExperiment:
     """Which experiments the gap lies in: each fitted by itself.
 
     Args:
-        labels: of the experiments.
-        p_values: of the gap test at each one's own fit, times their number.
+        p_values: experiment -> that of the gap test at its own fit, times their number.
         values: parameter -> its 5, 50, 95 % in each experiment by itself, SI.
         trends: drift of each parameter over each coordinate of the design.
         reading: one sentence on what the trends point to.
         converged: whether all of these fits did.
     """
 
-    labels: tuple[str, ...]
-    p_values: tuple[float, ...]
+    p_values: dict[str, float]
     values: dict[str, list[list[float]]]
     trends: tuple[Trend, ...]
     reading: str
@@ -205,18 +162,15 @@ def by_experiment(
         seed: of the tests.
     """
     batch = report.batch
-    effects = tuple(LIBRARY[name] for name in report.left.directions if name in LIBRARY)
-    p_values = []
+    p_values = {}
     for e, (fit, experiment) in enumerate(zip(alone, batch.experiments, strict=True)):
         one = replace(batch, experiments=(experiment,), between={})
-        test = adequacy_test(fit, effects, one, simulator, seed=child(seed, e)).test
-        p_values.append(min(1.0, len(alone) * test.p_value))
-    levels = torch.tensor(_LEVELS, dtype=torch.float64)
-    quantiles = torch.stack([fit.posterior.quantile(levels) for fit in alone])
+        test = adequacy_test(fit, report.left.effects, one, simulator, seed=child(seed, e)).test
+        p_values[experiment.label] = min(1.0, len(alone) * test.p_value)
+    quantiles = torch.stack([fit.posterior.quantile(_LEVELS) for fit in alone])
     trends = drifts(alone, batch.designs)
     return ByExperiment(
-        tuple(e.label for e in batch.experiments),
-        tuple(p_values),
+        p_values,
         {name: quantiles[:, :, i].tolist() for i, name in enumerate(report.base.names)},
         trends,
         _read(trends, len(alone)),
@@ -231,7 +185,6 @@ def drifts(alone: Sequence[ModelFit], designs: Float[Tensor, "experiments 2"]) -
     With fewer than four designs each coordinate is taken alone, so that one that goes with the
     other shows in both.
     """
-    size = len(alone[0].mean)
     coordinates = {"We": designs[:, 0].log(), "R_inf*": designs[:, 1]}
     scaled = {
         name: (x - x.mean()) / (x.max() - x.min())
@@ -240,23 +193,23 @@ def drifts(alone: Sequence[ModelFit], designs: Float[Tensor, "experiments 2"]) -
     }
     values = torch.cat([fit.mean for fit in alone])
     precision = torch.block_diag(*[torch.cholesky_inverse(fit.chol) for fit in alone])
-    unit = torch.eye(size, dtype=torch.float64)
-    level = unit.repeat(len(alone), 1)
-    groups = [list(scaled)] if len(alone) >= _BESIDE else [[name] for name in scaled]
+    parameters = alone[0].prior.names
+    unit = torch.eye(len(parameters), dtype=torch.float64)
     trends = []
-    for names in groups:
-        rows = [torch.cat([x * unit for x in scaled[name]]) for name in names]
-        design = torch.cat((level, *rows), 1)
+    for names in [list(scaled)] if len(alone) >= _BESIDE else [[name] for name in scaled]:
+        columns = [torch.ones_like(designs[:, 0]), *(scaled[name] for name in names)]
+        design = torch.kron(torch.stack(columns, 1), unit)
         if design.shape[1] > len(values) or not names:
             continue
         covariance = torch.linalg.pinv(design.mT @ precision @ design)
         slopes = covariance @ design.mT @ precision @ values
-        errors = covariance.diagonal().clamp_min(1e-300).sqrt()
-        for k, name in enumerate(names):
-            for i, parameter in enumerate(alone[0].prior.names):
-                place = (k + 1) * size + i
-                slope = float(slopes[place])
-                trends.append(Trend(parameter, name, slope, slope / float(errors[place])))
+        scores = slopes / covariance.diagonal().clamp_min(1e-300).sqrt()
+        places = [(parameter, name) for name in ("", *names) for parameter in parameters]
+        trends += [
+            Trend(*place, slope, score)
+            for place, slope, score in zip(places, slopes.tolist(), scores.tolist(), strict=True)
+            if place[1]
+        ]
     return tuple(trends)
 
 
@@ -289,112 +242,31 @@ def _read(trends: Sequence[Trend], experiments: int) -> str:
     return "No parameter of single experiments drifts over We or R_inf*."
 
 
-@dataclass(frozen=True)
-class WhereItActs:
-    """Share of the signal by phase.
-
-    Args:
-        shares: phase -> [5 %, 50 %, 95 %] of its share of the squared signal; the shares of each
-            draw sum to one.
-        draws: posterior draws behind it.
-
-    >>> from imr_torch.gap.locate import WhereItActs
-    >>> print(WhereItActs({"start": (0.0, 0.02, 0.1), "first collapse": (0.7, 0.8, 0.9), "later": (0.1, 0.18, 0.3)}, 24))
-    Its signal beside a refit of the gel comes from: first collapse .80 (.70 to .90), later .18 (.10 to .30).
-    """
-
-    shares: dict[str, tuple[float, float, float]]
-    draws: int
-
-    def __str__(self) -> str:
-        ranked = sorted(self.shares.items(), key=lambda item: -item[1][1])
-        shown = [item for item in ranked if item[1][2] >= _SHOWN]
-        said = [
-            f"{phase} {_share(middle)} ({_share(low)} to {_share(high)})"
-            for phase, (low, middle, high) in shown
-        ]
-        return f"Its signal beside a refit of the gel comes from: {', '.join(said)}."
-
-
-def _share(value: float) -> str:
-    return f"{value:.2f}".removeprefix("0")
-
-
 def where_it_acts(
-    causes: Mapping[str, tuple[ModelFit, Sequence[Effect], float]],
-    line: Linearisation,
-    batch: ExperimentBatch,
-    simulator: Simulator,
-    *,
-    seed: int,
-    draws: int = _DRAWS,
-) -> WhereItActs | None:
-    """Share of the signal of the named effects by phase, with its 90 % interval; None where no draw
-    can be simulated.
+    fit: ModelFit, effects: Sequence[Effect], line: Linearisation, simulator: Simulator
+) -> dict[str, float] | None:
+    """Phase -> share of the squared signal of effects at their fit, beside a refit of the gel to the
+    frames up to the end of the phase; None where it cannot be simulated without them.
 
     Args:
-        causes: name -> fit with the effects, those effects, and its probability.
+        fit: with the effects.
+        effects: what is switched off.
         line: local sensitivities at the base model's fit.
-        batch: the data.
         simulator: makes the bubbles.
-        seed: of the posterior draws.
-        draws: over all causes, in proportion to their probabilities, one of each at least.
     """
-    total = sum(share for _, _, share in causes.values())
-    rows = [
-        _changes(
-            fit,
-            effects,
-            line,
-            batch,
-            simulator,
-            max(1, round(draws * share / total)),
-            child(seed, "acts", name),
-        )
-        for name, (fit, effects, share) in causes.items()
-    ]
-    signal = torch.cat(rows)
-    signal = signal[torch.isfinite(signal).all(1)]
-    clock = phase_clock(batch.times, line.prediction, batch.mask)
-    phase = torch.tensor([[PHASES.index(phase_name(c)) for c in row] for row in clock.tolist()])
-    squares = []
+    batch = line.batch
+    off = {effect.names[0]: PARAMETERS[effect.names[0]].neutral for effect in effects}
+    with_them, without = curves(fit, batch, simulator, [{}, off])
+    signal = line.whiten(with_them - without)
+    phase = phase_numbers(batch.times, line.prediction, batch.mask)
+    reached = [0.0]
     for last in range(len(PHASES)):
         frames = (phase <= last) & batch.mask
-        part = restrict(line, frames)
-        squares.append(part.project(signal * _kept_rows(line, frames).to(signal)).square().sum(1))
-    reached = torch.stack(squares, 1)
-    known = reached[:, -1] > 0.0
-    if not bool(known.any()):
-        return None
-    gained = torch.diff(
-        reached[known], dim=1, prepend=torch.zeros(int(known.sum()), 1, dtype=torch.float64)
-    ).clamp_min(0.0)
-    shares = gained / gained.sum(1, keepdim=True)
-    low, middle, high = shares.quantile(torch.tensor(_LEVELS, dtype=torch.float64), dim=0).tolist()
-    return WhereItActs(
-        dict(zip(PHASES, zip(low, middle, high, strict=True), strict=True)), len(shares)
-    )
-
-
-def _changes(
-    fit: ModelFit,
-    effects: Sequence[Effect],
-    line: Linearisation,
-    batch: ExperimentBatch,
-    simulator: Simulator,
-    draws: int,
-    seed: int,
-) -> Tensor:
-    """What the effects change at posterior draws of their fit, whitened: ``draws x N``."""
-    noise = (
-        torch.randn(draws, len(fit.mean), generator=generator(seed), dtype=torch.float64)
-        @ fit.chol.mT
-    )
-    free = int((batch.nuisance_sds > 0.0).any(0).sum()) * len(batch.experiments)
-    shift = torch.nn.functional.pad(noise, (0, free)).repeat(2, 1)
-    off = {effect.names[0]: PARAMETERS[effect.names[0]].neutral for effect in effects}
-    made = curves(fit, batch, simulator, [{}] * draws + [off] * draws, shift)
-    return line.whiten(made[:draws] - made[draws:])
+        rows = signal * _kept_rows(line, frames).to(signal)
+        reached.append(float(restrict(line, frames).project(rows).square().sum()))
+    gained = torch.tensor(reached).diff().clamp_min(0.0)
+    total = float(gained.sum())
+    return dict(zip(PHASES, (gained / total).tolist(), strict=True)) if total > 0.0 else None
 
 
 def restrict(line: Linearisation, frames: Bool[Tensor, "experiments frames"]) -> Linearisation:
@@ -463,13 +335,8 @@ def _calibrate(
         Bonferroni's bound.
     """
     smallest = torch.cat(list(drawn)).amin(0)
-    tests = sum(len(group) for group in observed)
-    values = []
-    for group in observed:
-        log = group.amin() if len(group) else torch.zeros((), dtype=torch.float64)
-        count = int((smallest <= log).sum())
-        bound = min(1.0, tests * float(log.exp()))
-        values.append(
-            (1 + count) / (1 + len(smallest)) if count else min(bound, 1.0 / (1 + len(smallest)))
-        )
-    return torch.tensor(values, dtype=torch.float64)
+    tests = sum(map(len, observed))
+    logs = torch.stack([log.amin() if len(log) else torch.zeros(()).double() for log in observed])
+    counts = (smallest <= logs[:, None]).sum(1)
+    bound = (tests * logs.exp()).clamp_max(1.0 / (1 + len(smallest)))
+    return torch.where(counts > 0, (1 + counts) / (1 + len(smallest)), bound)

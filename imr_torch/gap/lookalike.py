@@ -20,12 +20,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.goodness.linear import Linearisation
-from imr_torch.goodness.score import ADEQUATE, LEAST_LEFT, STATE_LAW, block, log_survival
+from imr_torch.goodness.score import ADEQUATE, LEAST_LEFT, STATE_LAW, Block, block, log_survival
 from imr_torch.material import Effect
 from imr_torch.random import child, generator
 
-LIKE = 3.0
-"""Standard deviations that one effect must leave of another to be told from it: 4.5 nats on average, or odds of 1 to 90."""
 _LAWS = 28  # random combinations of the generic stress functions
 _OBVIOUS, _OBVIOUS_RANK = (
     12.0,
@@ -49,13 +47,11 @@ class Likeness:
         log_p: ``n x m`` tensor, log p-values of the gap test of reference directions with noise,
             beside their best likeness.
         weights: ``n`` tensor, of the directions, summing to one.
-        nearest: name of each direction -> the effect that it looks most like, with the angle
-            between them in degrees.
 
     >>> import torch
     >>> from imr_torch.gap.lookalike import Likeness
     >>> log_p = torch.tensor([[0.6, 0.3], [1e-9, 1e-8]], dtype=torch.float64).log()
-    >>> found = Likeness(9.0, log_p, torch.tensor([0.25, 0.75], dtype=torch.float64), {})
+    >>> found = Likeness(9.0, log_p, torch.tensor([0.25, 0.75], dtype=torch.float64))
     >>> found.chance, found.bayes_factor(0.5) < 1.0 < found.bayes_factor(1e-8)
     (0.25, True)
     """
@@ -63,20 +59,23 @@ class Likeness:
     size: float
     log_p: Float[Tensor, "directions noises"]
     weights: Float[Tensor, "directions"]
-    nearest: dict[str, tuple[str, float]]
+
+    @property
+    def _adequate(self) -> Float[Tensor, "directions"]:
+        return (self.log_p >= math.log(ADEQUATE)).double().mean(1)
 
     @property
     def chance(self) -> float:
         """Chance that an unknown effect of this size leaves an adequate fit, and so looks like a
         known one.
         """
-        return float(self.weights @ (self.log_p >= math.log(ADEQUATE)).double().mean(1))
+        return float(self.weights @ self._adequate)
 
     @property
     def error(self) -> float:
         """Standard error of ``chance``, from the scatter between reference directions."""
-        each = (self.log_p >= math.log(ADEQUATE)).double().mean(1)
-        return float((self.weights.square() @ (each - self.chance).square()).sqrt())
+        away = self._adequate - self.chance
+        return float((self.weights.square() @ away.square()).sqrt())
 
     def bayes_factor(self, p_value: float) -> float:
         """Density of a p-value of the gap test under an unknown effect over that under the right
@@ -95,77 +94,6 @@ class Likeness:
         )
         strange = math.exp(math.log(_SHAPE) + (_SHAPE - 1.0) * log)
         return (1.0 - _STRANGE) * density + _STRANGE * strange
-
-
-@dataclass(frozen=True)
-class _Coordinates:
-    """Unit directions in an orthonormal basis of all of them, in which distances are the same and
-    dimensions fewer.
-
-    Args:
-        line: a linearisation without fitted directions, in these coordinates.
-        library: effect -> ``S x D``, unit rows.
-        generic: block -> ``k x D`` rows.
-        beyond: dimensions of the residual outside the basis.
-    """
-
-    line: Linearisation
-    library: dict[str, Tensor]
-    generic: dict[str, Tensor]
-    beyond: int
-
-
-def angles(
-    rows: Mapping[str, Float[Tensor, "_ rows"]], line: Linearisation
-) -> dict[str, dict[str, float]]:
-    """Smallest angle in degrees between the directions of every two effects, beside all that was
-    fitted.
-
-    Args:
-        rows: effect -> ``S x N``, whitened changes
-            (:attr:`imr_torch.gap.adequacy.Adequacy.beside`).
-        line: local sensitivities at the fit.
-    """
-    left = {name: _unit(own, line) for name, own in rows.items()}
-    names = [name for name, own in left.items() if len(own)]
-    return {
-        one: {
-            other: _degrees(float((left[one] @ left[other].mT).abs().max()))
-            for other in names
-            if other != one
-        }
-        for one in names
-    }
-
-
-def look_alikes(
-    signal: Float[Tensor, "rows"],
-    rows: Mapping[str, Float[Tensor, "_ rows"]],
-    line: Linearisation,
-    *,
-    farthest: float = LIKE,
-) -> dict[str, tuple[float, float]]:
-    """Effects that would look like one that was fitted: name -> angle in degrees, and what they
-    leave of it in sd.
-
-    Args:
-        signal: ``N`` tensor, whitened change of the curves by the fitted effect, at its fitted
-            size.
-        rows: effect -> ``S x N``, whitened changes by the others.
-        line: local sensitivities at the fit beside which the effect was found.
-        farthest: standard deviations that they may leave.
-    """
-    own = line.project(signal)
-    size = float(own.norm())
-    found = {}
-    for name, other in rows.items():
-        left = _unit(other, line)
-        if len(left) and size > 0.0:
-            cosine = min(1.0, float((left @ own).abs().max()) / size)
-            missing = size * math.sqrt(1.0 - cosine**2)
-            if missing <= farthest:
-                found[name] = (_degrees(cosine), missing)
-    return dict(sorted(found.items(), key=lambda item: item[1][1]))
 
 
 def likeness(
@@ -189,64 +117,70 @@ def likeness(
         seed: of noise and random laws.
     """
     source = generator(child(seed, "likeness"))
-    where = _coordinates(rows, generic, line)
+    every = {name: _unit(own, line) for name, own in {**rows, **generic}.items()}
+    every = {name: own for name, own in every.items() if len(own)}
+    beyond, every = _in_own_span(every, line)
+    owners = [name for name, own in every.items() if name in rows for _ in own]
+    if not owners:
+        return Likeness(size, torch.full((1, 1), -math.inf), torch.ones(1, dtype=torch.float64))
+    known = torch.cat([own for name, own in every.items() if name in rows])
+    laws = every.get(STATE_LAW, known[:0])
+    mixed = (
+        torch.randn(_LAWS if len(laws) else 0, len(laws), generator=source, dtype=torch.float64)
+        @ laws
+    )
+    reference = torch.cat((known, mixed / mixed.norm(dim=1, keepdim=True)))
+    names = [*owners, *[STATE_LAW] * len(mixed)]
     families = {effect.name: effect.family for effect in effects}
-    known, owners = _stacked(where.library)
-    laws = _random_laws(where.generic.get(STATE_LAW, known[:0]), source)
-    reference = torch.cat((known, laws))
-    names = [*owners, *[STATE_LAW] * len(laws)]
-    if not len(known):
-        return Likeness(size, torch.full((1, 1), -math.inf), torch.ones(1, dtype=torch.float64), {})
-    closeness = (reference @ known.mT).abs()
     same = torch.tensor([[families.get(a) == families[b] for b in owners] for a in names])
-    cosine, nearest = closeness.masked_fill(same, -1.0).max(1)
+    cosine, nearest = (reference @ known.mT).abs().masked_fill(same, -1.0).max(1)
     usable = cosine > 0.0
     cosine = cosine.clamp(1e-6, 1.0)
     log_p = torch.full((len(reference), _NOISES), -math.inf, dtype=torch.float64)
-    null: Tensor | None = None
     missing = size * (cosine.square().reciprocal() - 1.0).clamp_min(0.0).sqrt()
     obvious = usable & (missing > _OBVIOUS)
     log_p[obvious] = log_survival(missing[obvious].square(), _OBVIOUS_RANK)[:, None]
+    null: Tensor | None = None
     for winner in nearest[usable & ~obvious].unique().tolist():
         own = torch.nonzero(usable & ~obvious & (nearest == winner))[:, 0]
-        tests = _Tests(where, known[winner], owners[winner], families)
+        empty = torch.zeros(len(known[0]), dtype=torch.float64)
+        here = replace(line, residual=empty, fitted=known[winner][:, None])
+        blocks = [block(n, own, here) for n, own in every.items() if n != owners[winner]]
+        tests = _Tests(here, [b for b in blocks if b.directions.shape[1]], families, beyond)
         if null is None:
-            null = (
-                tests.log_p(torch.zeros(1, 1, known.shape[1]), _CALIBRATION, source)
-                .amin(0)
-                .flatten()
-                .sort()
-                .values
-            )
+            noise = tests.log_p(torch.zeros(1, 1, len(empty)), _CALIBRATION, source)
+            null = noise.amin(0).flatten().sort().values
         left = (size / cosine[own])[:, None] * reference[own]
         logs = tests.log_p(left[:, None], _NOISES, source)
         for row, place in enumerate(own.tolist()):
-            log_p[place] = _calibrated(
-                tests.without(logs[:, row], families.get(names[place])), null
-            )
-    nearest_names = {
-        name: (owners[int(nearest[i])], _degrees(float(cosine[i])))
-        for i, name in enumerate(names)
-        if bool(usable[i])
-    }
-    return Likeness(size, log_p, _weights(names, where.generic), nearest_names)
+            smallest = tests.smallest(logs[:, row], families.get(names[place]))
+            log_p[place] = _calibrated(smallest, null)
+    # every effect counts as one, and so does every generic stress function
+    weights = [(len(laws) if n == STATE_LAW else 1.0) / names.count(n) for n in names]
+    total = torch.tensor(weights, dtype=torch.float64)
+    return Likeness(size, log_p, total / total.sum())
 
 
+@dataclass(frozen=True)
 class _Tests:
-    """The blocks of the gap test beside one more fitted direction."""
+    """The blocks of the gap test beside one more fitted direction.
 
-    def __init__(
-        self, where: _Coordinates, winner: Tensor, name: str, families: Mapping[str, str]
-    ) -> None:
-        self._line = replace(where.line, fitted=winner[:, None])
-        self._freedom = len(winner) - 1 + where.beyond
-        self._beyond = where.beyond
-        self._everything = where.line.batch.noise_laws is None
-        rows = {n: own for n, own in where.library.items() if n != name} | where.generic
-        blocks = [block(n, own, self._line) for n, own in rows.items()]
-        tested = [b for b in blocks if b.directions.shape[1]]
-        self._families = [families.get(b.name, "") for b in tested]
-        self._blocks = [b.directions for b in tested]
+    Args:
+        line: with that direction alone.
+        blocks: those with a direction left.
+        families: effect -> family.
+        beyond: dimensions of the residual beside those of the line.
+    """
+
+    line: Linearisation
+    blocks: list[Block]
+    families: Mapping[str, str]
+    beyond: int
+
+    @property
+    def _everything(self) -> bool:
+        """Whether chi-square of all residuals is a test too: where the noise is known."""
+        return self.line.batch.noise_laws is None
 
     def log_p(self, signals: Tensor, count: int, source: torch.Generator) -> Tensor:
         """Log p-values of each block and of chi-square, ``b x n x count``, of ``n x 1 x D`` signals
@@ -254,29 +188,24 @@ class _Tests:
         """
         size = signals.shape[-1]
         noise = torch.randn(
-            len(signals), count, size + self._beyond, generator=source, dtype=torch.float64
+            len(signals), count, size + self.beyond, generator=source, dtype=torch.float64
         )
-        rows = self._line.project(signals + noise[..., :size])
-        total = rows.square().sum(-1) + noise[..., size:].square().sum(-1)
-        squares = (
-            (rows @ torch.cat(self._blocks, 1))
-            .square()
-            .split([d.shape[1] for d in self._blocks], -1)
-        )
+        rows = self.line.project(signals + noise[..., :size])
         logs = [
-            log_survival(s.sum(-1), d.shape[1]) for s, d in zip(squares, self._blocks, strict=True)
+            log_survival((rows @ b.directions).square().sum(-1), b.directions.shape[1])
+            for b in self.blocks
         ]
-        return torch.stack(
-            [*logs, log_survival(total, self._freedom)] if self._everything else logs
-        )
+        if self._everything:
+            total = rows.square().sum(-1) + noise[..., size:].square().sum(-1)
+            logs.append(log_survival(total, size - 1 + self.beyond))
+        return torch.stack(logs)
 
-    def without(self, logs: Tensor, family: str | None) -> Tensor:
+    def smallest(self, logs: Tensor, family: str | None) -> Tensor:
         """Smallest log p-value over all tests but the blocks of a family, which would not be
         offered.
         """
-        families = [*self._families, ""] if self._everything else self._families
-        kept = [i for i, own in enumerate(families) if family is None or own != family]
-        return logs[kept].amin(0)
+        kept = [family is None or self.families.get(b.name) != family for b in self.blocks]
+        return logs[[*kept, True] if self._everything else kept].amin(0)
 
 
 def _calibrated(smallest: Tensor, null: Tensor) -> Tensor:
@@ -294,28 +223,17 @@ def _calibrated(smallest: Tensor, null: Tensor) -> Tensor:
     )
 
 
-def _coordinates(
-    rows: Mapping[str, Tensor], generic: Mapping[str, Tensor], line: Linearisation
-) -> _Coordinates:
-    """Everything that is needed, in the basis of its own span."""
-    library = {name: _unit(own, line) for name, own in rows.items()}
-    library = {name: own for name, own in library.items() if len(own)}
-    others = {name: _unit(own, line) for name, own in generic.items()}
-    others = {name: own for name, own in others.items() if len(own)}
-    every = torch.cat(
-        [*library.values(), *others.values(), line.residual.new_zeros(1, len(line.residual))]
-    )
-    _, size, right = torch.linalg.svd(every, full_matrices=False)
+def _in_own_span(
+    every: Mapping[str, Float[Tensor, "_ rows"]], line: Linearisation
+) -> tuple[int, dict[str, Float[Tensor, "_ span"]]]:
+    """Directions in an orthonormal basis of all of them, in which distances are the same, and how
+    many dimensions of the residual are outside.
+    """
+    stacked = torch.cat([*every.values(), line.residual.new_zeros(1, len(line.residual))])
+    _, size, right = torch.linalg.svd(stacked, full_matrices=False)
     basis = right[size > 1e-6 * size[0].clamp_min(1e-300)]
-    empty = line.residual.new_zeros(len(basis))
-    inside = replace(line, residual=empty, fitted=empty[:, None][:, :0])
-    beyond = int(line.batch.mask.sum()) - len(basis)
-    return _Coordinates(
-        inside,
-        {name: own @ basis.mT for name, own in library.items()},
-        {name: own @ basis.mT for name, own in others.items()},
-        max(beyond, 0),
-    )
+    beyond = max(int(line.batch.mask.sum()) - len(basis), 0)
+    return beyond, {name: own @ basis.mT for name, own in every.items()}
 
 
 def _unit(rows: Tensor, line: Linearisation) -> Tensor:
@@ -326,36 +244,3 @@ def _unit(rows: Tensor, line: Linearisation) -> Tensor:
     left = line.project(rows)
     left = left[left.square().sum(1) > LEAST_LEFT * rows.square().sum(1).clamp_min(1e-300)]
     return left / left.norm(dim=1, keepdim=True)
-
-
-def _stacked(library: Mapping[str, Tensor]) -> tuple[Tensor, list[str]]:
-    """All directions and the effect of each."""
-    owners = [name for name, own in library.items() for _ in own]
-    return (
-        torch.cat(list(library.values())) if library else torch.zeros(0, 1, dtype=torch.float64)
-    ), owners
-
-
-def _random_laws(laws: Tensor, source: torch.Generator) -> Tensor:
-    """Random combinations of the generic stress functions of :mod:`imr_torch.material.closure`."""
-    mixed = (
-        torch.randn(_LAWS if len(laws) else 0, len(laws), generator=source, dtype=torch.float64)
-        @ laws
-    )
-    return mixed / mixed.norm(dim=1, keepdim=True)
-
-
-def _weights(names: Sequence[str], generic: Mapping[str, Tensor]) -> Tensor:
-    """Weight of each reference direction: every effect counts as one, and so does every random
-    stress law.
-    """
-    own = [
-        len(generic[STATE_LAW]) / names.count(n) if n == STATE_LAW else 1.0 / names.count(n)
-        for n in names
-    ]
-    weights = torch.tensor(own, dtype=torch.float64)
-    return weights / weights.sum()
-
-
-def _degrees(cosine: float) -> float:
-    return math.degrees(math.acos(min(1.0, cosine)))

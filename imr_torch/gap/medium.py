@@ -116,15 +116,11 @@ def medium_sensitivities(
         return ()
     shifts = _shifts(fit, batch, simulator, linearise(fit, batch, simulator), names)
     sigmas = shifts / torch.linalg.norm(fit.chol, dim=1)
-    before = fit.prior.physical(fit.prior.unwhitened(torch.stack((fit.mean, fit.mean))))
-    moved = []
-    for row in shifts:
-        slope = fit.prior.physical(fit.prior.unwhitened(fit.mean + _STEP * row)) - before[0]
-        moved.append(slope / (_STEP * before[0].abs().clamp_min(1e-300)))
+    moved = torch.cat((fit.mean[None], fit.mean + _STEP * shifts))
+    before, *after = fit.prior.physical(fit.prior.unwhitened(moved))
+    changes = (torch.stack(after) - before) / (_STEP * before.abs().clamp_min(1e-300))
     found = []
-    for name, sigma, relative in zip(
-        names, sigmas.tolist(), torch.stack(moved).tolist(), strict=True
-    ):
+    for name, sigma, relative in zip(names, sigmas.tolist(), changes.tolist(), strict=True):
         own = fit.prior.names
         gel = [i for i, parameter in enumerate(own) if parameter not in OF_MEDIUM.values()]
         matters = [i for i in gel if abs(sigma[i]) > MATTERS and math.isfinite(sigma[i])]

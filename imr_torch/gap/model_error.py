@@ -27,12 +27,13 @@ from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.gap.adequacy import Adequacy
+from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.hypotheses import overdispersion
 from imr_torch.gap.verdict import NONE, OTHER, PRIOR_TWO, SLOW_NOISE
 from imr_torch.goodness.linear import Linearisation
 from imr_torch.goodness.phases import phase_clock
-from imr_torch.goodness.score import STATE_LAW
+from imr_torch.goodness.score import PULSES, STATE_LAW
 from imr_torch.random import child, generator
 
 _LEVELS = (0.05, 0.5, 0.95)
@@ -43,7 +44,6 @@ _CAMERA_TIME = 0.003  # of time, in t*
 # fifth of what is found has a wrong name
 _MISNAMED = 0.2
 _GENERIC = 30.0  # standard deviations that a stress law or pulse of usual size changes the data by
-_PULSES = "pulses common to all experiments"
 _KNOTS = torch.arange(0.0, 3.6, 0.3, dtype=torch.float64)  # of a smooth error on the phase clock
 _DRAWS = 4000
 
@@ -68,91 +68,85 @@ class ModelError:
     unknown: float
 
 
-def model_error(report: GapReport, *, seed: int = 0, draws: int = _DRAWS) -> ModelError:
+def model_error(report: GapReport, *, seed: int = 0) -> ModelError:
     """Intervals of the gel's parameters with model error.
 
     Args:
         report: a diagnosis; without a gap the unknown is what these data would not show.
         seed: of the draws.
-        draws: of the mixture.
     """
-    names = report.base.names
     source = generator(child(seed, "model error"))
-    parts = _components(report)
-    total = sum(weight for weight, *_ in parts)
+    shares = _shares(report)
+    total = sum(shares.values())
     frames = int(report.batch.mask.sum())
-    rows = []
-    for weight, places, inside in parts:
-        count = round(draws * weight / total)
+    found = _judged(report)
+    places = [(report.null, report.left, 1.0)]
+    places += [(step.winner_fit, step.left, PRIOR_TWO) for step in report.steps]
+    drawn = []
+    for name, weight in shares.items():
+        count = round(_DRAWS * weight / total)
         if not count:
             continue
-        if inside is None:
-            drawn = [(places[0].fit, _inflated(places[0].fit, report, count, source))]
-        else:
+        if name in (OTHER, SLOW_NOISE):
             budgets = [
                 error_budget(
-                    place.fit,
-                    place.left.line,
-                    missing_rows(place.left, inside=inside),
+                    fit,
+                    left.line,
+                    missing_rows(left, inside=name == OTHER),
                     size=size,
-                    prior=place.prior,
+                    prior=prior,
                 )
-                for place in places
+                for fit, left, prior in places
                 for size in _SIZES
             ]
-            drawn = _with_unknown(budgets, frames, count, source)
-        for fit, moved in drawn:
-            physical = fit.prior.physical(fit.prior.unwhitened(moved))
-            rows.append(physical[:, [fit.prior.names.index(name) for name in names]])
+            drawn += _with_unknown(budgets, frames, count, source)
+        elif found is not None:
+            fit = found.fits[found.held.name if name == NONE else name]
+            # the noise inflated to the misfit that is left
+            spread = math.sqrt(overdispersion(fit, report.batch))
+            noise = torch.randn(count, len(fit.mean), generator=source, dtype=torch.float64)
+            drawn.append((fit, fit.mean + spread * noise @ fit.chol.mT))
+    names = report.base.names
+    rows = []
+    for fit, moved in drawn:
+        physical = fit.prior.physical(fit.prior.unwhitened(moved))
+        rows.append(physical[:, [fit.prior.names.index(name) for name in names]])
     levels = torch.tensor(_LEVELS, dtype=torch.float64)
-    low, middle, high = torch.cat(rows).quantile(levels, dim=0).unbind(0)
-    columns = zip(low.tolist(), middle.tolist(), high.tolist(), strict=True)
-    unknown = sum(weight for weight, _, inside in parts if inside) / total
-    excess = math.sqrt(max(float(_square(report.left.line)), 0.0))
-    return ModelError(dict(zip(names, columns, strict=True)), excess, unknown)
+    columns = torch.cat(rows).quantile(levels, dim=0).mT.tolist()
+    line = report.left.line
+    square = float(line.residual[: line.batch.mask.numel()].square().sum())
+    return ModelError(
+        {
+            name: (low, middle, high)
+            for name, (low, middle, high) in zip(names, columns, strict=True)
+        },
+        math.sqrt(max(square - frames, 0.0)),
+        shares.get(OTHER, 0.0) / total,
+    )
 
 
-@dataclass(frozen=True)
-class _Place:
-    """A fit about which something unknown is added, the test there, and its prior."""
-
-    fit: ModelFit
-    left: Adequacy
-    prior: float
-
-
-def _components(report: GapReport) -> list[tuple[float, list[_Place], bool | None]]:
-    """What the data do not rule out: its probability, the fits about which it is, and whether
-    something unknown acts inside the equation of motion (True), or in the camera alone (False), or
-    nothing does (None).
-
-    An unknown effect acts in place of those that were selected, or, less probably, beside them.
-    """
-    null = _Place(report.null, report.left, 1.0)
+def _judged(report: GapReport) -> Attribution | None:
+    """The attribution whose causes the data do not rule out."""
     if not report.steps:
-        return [(1.0, [null], True)]
-    found = report.steps[-1] if report.verdict == OTHER else report.attribution or report.steps[-1]
-    places = [null] + [_Place(s.winner_fit, s.left, PRIOR_TWO) for s in report.steps]
+        return None
+    return report.steps[-1] if report.verdict == OTHER else report.attribution or report.steps[-1]
+
+
+def _shares(report: GapReport) -> dict[str, float]:
+    """What the data do not rule out -> its probability.
+
+    An unknown effect (in place of those that were selected, or, less probably, beside them) has at
+    least the share of those that are misnamed; without causes it has all.
+    """
+    found = _judged(report)
+    if found is None:
+        return {OTHER: 1.0}
     shares = dict(found.posterior)
     known = 1.0 - shares.get(OTHER, 0.0)
     if known > 0.0 and 1.0 - known < _MISNAMED:
         shares = {name: p * (1.0 - _MISNAMED) / known for name, p in shares.items()}
         shares[OTHER] = _MISNAMED
-    parts: list[tuple[float, list[_Place], bool | None]] = []
-    for name, weight in shares.items():
-        if name in (OTHER, SLOW_NOISE):
-            parts.append((weight, places, name == OTHER))
-        else:
-            fit = found.fits[found.held.name if name == NONE else name]
-            parts.append((weight, [_Place(fit, found.left, 1.0)], None))
-    return parts
-
-
-def _inflated(fit: ModelFit, report: GapReport, count: int, source: torch.Generator) -> Tensor:
-    """Controls drawn from a fit's posterior, its noise inflated to the misfit that it leaves."""
-    noise = torch.randn(count, len(fit.mean), generator=source, dtype=torch.float64)
-    spread = math.sqrt(overdispersion(fit, report.batch))
-    return fit.mean + spread * noise @ fit.chol.mT
+    return shares
 
 
 @dataclass(frozen=True)
@@ -238,7 +232,7 @@ def missing_rows(left: Adequacy, *, inside: bool = True) -> Float[Tensor, "unkno
     rows = _camera_rows(left.line)
     if inside:
         rows += [own / math.sqrt(len(own)) for own in left.directions.values() if len(own)]
-        for name in (STATE_LAW, _PULSES):
+        for name in (STATE_LAW, PULSES):
             own = left.generic.get(name)
             if own is not None and len(own):
                 length = own.norm(dim=1, keepdim=True).clamp_min(1e-300)
@@ -248,25 +242,29 @@ def missing_rows(left: Adequacy, *, inside: bool = True) -> Float[Tensor, "unkno
 
 def _camera_rows(line: Linearisation) -> list[Float[Tensor, "unknowns rows"]]:
     """Whitened smooth errors of the radius and of time: alike in all curves, and each curve's own."""
+    sizes = (_CAMERA, _CAMERA_TIME)
+    errors = smooth_errors(line, _KNOTS, float(_KNOTS[1] - _KNOTS[0]))
+    alike = [size * rows for size, rows in zip(sizes, errors, strict=True)]
+    if len(line.batch.experiments) == 1:
+        return [line.whiten(rows) for rows in alike]
+    each = torch.eye(len(line.batch.experiments), dtype=torch.float64)[:, None, :, None]
+    single = [(rows[None] * each).flatten(0, 1) for rows in alike]
+    return [line.whiten(rows) for rows in (*alike, *single)]
+
+
+def smooth_errors(
+    line: Linearisation, knots: Float[Tensor, "knots"], width: float
+) -> Float[Tensor, "2 knots experiments frames"]:
+    """Changes of the curves ``2 x K x E x T`` by unit errors of the radius and of time, each smooth
+    about a knot on the phase clock.
+    """
     batch = line.batch
     clock = phase_clock(batch.times, line.prediction, batch.mask)
-    width = float(_KNOTS[1] - _KNOTS[0])
-    bumps = (-0.5 * ((clock[None] - _KNOTS[:, None, None]) / width).square()).exp()
+    bumps = (-0.5 * ((clock - knots[:, None, None]) / width).square()).exp()
     slope = torch.stack(
         [
             torch.gradient(r, spacing=(t,))[0]
             for r, t in zip(line.prediction, batch.times, strict=True)
         ]
     )
-    alike = [_CAMERA * bumps, _CAMERA_TIME * bumps * slope]
-    if len(batch.experiments) == 1:
-        return [line.whiten(rows) for rows in alike]
-    each = torch.eye(len(batch.experiments), dtype=torch.float64)[:, None, :, None]
-    single = [(rows[None] * each).flatten(0, 1) for rows in alike]
-    return [line.whiten(rows) for rows in (*alike, *single)]
-
-
-def _square(line: Linearisation) -> Tensor:
-    """Squared residual beyond what noise leaves."""
-    frames = int(line.batch.mask.sum())
-    return line.residual[: line.batch.mask.numel()].square().sum() - frames
+    return torch.stack((bumps, bumps * slope))

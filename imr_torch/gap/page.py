@@ -5,19 +5,19 @@ Sections that have nothing to say are folded away. The words say all that the fi
 """
 
 from collections.abc import Sequence
+from itertools import chain
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 
 from imr_torch.gap.figures import gap_figures
 from imr_torch.gap.hypotheses import in_words
-from imr_torch.gap.text import Document, hidden_rows, sections
+from imr_torch.gap.text import CURVES, HIDDEN, VERDICT, Document, hidden_row, sections
 from imr_torch.html import Block, Picture, Table, write
 from imr_torch.html import page as html_page
 from imr_torch.material import PARAMETERS
 
 _CURVES = 6
-_HIDDEN = "What would these data not show?"
 _HIDDEN_HEAD = ("effect", "found with 90 % from", "a smaller one, unseen, may move")
 
 
@@ -53,22 +53,19 @@ def write_page(
     ...     "<title>Gel 7</title>" in write_page(document, Path(folder) / "gap.html", name="Gel 7").read_text()
     True
     """
-    drawn = [
-        (f.section, Picture(f.caption, f.alt, f.draw()))
-        for f in gap_figures(document, curves=_CURVES)
-    ]
     pictures: dict[str, list[Picture]] = {}
-    for section, picture in drawn:
-        pictures.setdefault(section, []).append(picture)
+    for figure in gap_figures(document, curves=_CURVES):
+        drawn = Picture(figure.caption, figure.alt, figure.draw())
+        pictures.setdefault(figure.section, []).append(drawn)
     verdict, *others = sections(document)
     blocks = [
-        Block("The gel", (Table(_gel(document)), *pictures.get(verdict.heading, ()))),
-        Block("The curves", tuple(pictures.get("The curves", ()))),
+        Block("The gel", (Table(_gel(document)), *pictures.get(VERDICT, ()))),
+        Block(CURVES, tuple(pictures.get(CURVES, ()))),
     ]
     for section in others:
         said: tuple[str | Table, ...] = section.sentences
-        if section.heading == _HIDDEN and document["hidden"]:
-            rows = tuple(hidden_rows(document))
+        if section.heading == HIDDEN and document["hidden"]:
+            rows = tuple(map(hidden_row, document["hidden"]))
             said = (section.sentences[0], Table(rows, head=_HIDDEN_HEAD))
         content = (*said, *pictures.get(section.heading, ()))
         blocks.append(Block(section.heading, content, folded=section.folded))
@@ -82,29 +79,17 @@ def write_page(
         next_step=document["next_step"],
         footer=footer,
     )
-    for _, picture in drawn:
+    for picture in chain(*pictures.values()):
         plt.close(picture.figure)
     return write(text, path)
 
 
 def _gel(document: Document) -> tuple[tuple[str, ...], ...]:
-    """Model and parameters with their intervals, and the data."""
+    """The model, what was known before, and the data."""
     model = document["model"]
     named = document["parameter_shift"] is not None
     added = f" with {' and '.join(map(in_words, document['selected']))}" if named else ""
     rows = [("Model", f"{model['title']}{added}")]
-    wide = document["parameters_with_model_error"]
-    for name, values in document["parameters"].items():
-        meaning = f"{name}, {PARAMETERS[name].meaning}"
-        rows.append((f"{meaning}, if the model is right", PARAMETERS[name].interval(*values)))
-        if wide:
-            lacking = PARAMETERS[name].interval(*wide[name])
-            rows.append((f"{meaning}, with what the model may lack", lacking))
-    for name, parameters in (document["cause_values"] or {}).items():
-        rows += [
-            (f"{name}, {PARAMETERS[p].meaning}", PARAMETERS[p].interval(*v))
-            for p, v in parameters.items()
-        ]
     if model["known"]:
         known = [f"{n} = {v:g} {PARAMETERS[n].unit}" for n, v in model["known"].items()]
         rows.append(("Known before", ", ".join(known)))

@@ -27,13 +27,28 @@ _UNKNOWN = 0.5
 
 @dataclass(frozen=True)
 class Finding:
-    """A verdict, with the attribution that it is based on and what was selected."""
+    """A verdict, with the attribution that it is based on and what was selected.
+
+    Args:
+        verdict: ``"none"``, ``"effect"``, ``"class"``, ``"other"`` or ``"undecided"``.
+        cause: names of the parts that the verdict names: effects, or ``"gel_scatter"``.
+        reason: one sentence on how the verdict came about.
+        selected: all parts that were selected together, whether or not they are enough; the base
+            model alone where none was.
+        selected_fit: its fit.
+        attribution: causes, if the test finds a gap: of the last part selected if all are enough
+            together, else of the first.
+        adequacy_p: of all parts that were selected together; None where none was.
+        choice: the causes of least expected loss with their probabilities; None where no effect was
+            fitted.
+        steps: attributions in the order of the selection, ``attribution`` among them.
+    """
 
     verdict: str
     cause: tuple[str, ...]
     reason: str
+    selected: Hypothesis
     selected_fit: ModelFit
-    selected: Hypothesis | None = None
     attribution: Attribution | None = None
     adequacy_p: float | None = None
     choice: Choice | None = None
@@ -125,7 +140,7 @@ def _conclude_other(
     test = steps[-1].adequacy
     nearest = " and ".join(map(in_words, held.parts))
     explained = laplace_evidence(fit) - laplace_evidence(null)
-    finding = Finding(OTHER, (), "", fit, held, steps[0], test.p_value, choose(steps[-1].posterior))
+    finding = Finding(OTHER, (), "", held, fit, steps[0], test.p_value, choose(steps[-1].posterior))
     # a nearly converged fit would not become adequate by converging further
     if not fit.certificate.nearly_converged:
         reason = (
@@ -136,7 +151,7 @@ def _conclude_other(
         return replace(finding, verdict="undecided", reason=reason)
     if explained < EXPLAINS:
         reason = f"No effect of the library explains any of it (adequacy {p_value(test.p_value)})."
-        return replace(finding, reason=reason, selected=None, selected_fit=null)
+        return replace(finding, reason=reason, selected=steps[0].held, selected_fit=null)
     misfit = f"the misfit in R* goes from {left.test.bias_radius:.4f} to {test.bias_radius:.4f}"
     reason = (
         f"No effect of the library is enough; nearest comes {nearest} "
@@ -168,7 +183,7 @@ def _conclude_slow_noise(
         f"{slow:.2f}) or by an unknown effect that looks like it: repeat a shot. Noise will differ "
         "from shot to shot, an effect will not."
     )
-    return Finding(OTHER, (), reason, fit, held, first, found.adequacy.p_value, choice)
+    return Finding(OTHER, (), reason, held, fit, first, found.adequacy.p_value, choice)
 
 
 def _conclude_none(found: Attribution, null: ModelFit, test: GapTest) -> Finding:
@@ -180,52 +195,42 @@ def _conclude_none(found: Attribution, null: ModelFit, test: GapTest) -> Finding
         "explains enough: the base model alone keeps a probability of "
         f"{found.posterior[NONE]:.2f}."
     )
-    return Finding(NONE, (), reason, null, attribution=found)
+    return Finding(NONE, (), reason, found.held, null, found)
 
 
 def name_causes(found: Attribution, choice: Choice) -> Finding:
     """The verdict on a known cause: the parts of the set of least expected loss, beside those that
     every hypothesis holds.
     """
-    before = found.held.parts
-    adequacy = found.adequacy.p_value
-    causes = (*before, *map(found.part, choice.causes))
-    finding = Finding(
-        "undecided", causes, "", found.winner_fit, found.winner, found, adequacy, choice
-    )
+    causes = (*found.held.parts, *map(found.part, choice.causes))
+    p = found.adequacy.p_value
+    verdict = "undecided"
+    reason = _reason_for_doubt(found, choice)
+    if not reason and len(choice.causes) == 1:
+        verdict = "effect"
+        reason = f"Adequate ({p_value(p)}), and the others are improbable."
+    elif not reason:
+        verdict = "class"
+        reason = "These effects explain the data about equally well."
+    return Finding(verdict, causes, reason, found.winner, found.winner_fit, found, p, choice)
+
+
+def _reason_for_doubt(found: Attribution, choice: Choice) -> str:
+    """Why no cause can be named; empty where one can."""
     if not found.winner_fit.certificate.usable:
-        return replace(finding, reason="No fit with an effect converged.")
+        return "No fit with an effect converged."
     if found.left_out:
         ahead = ", ".join(in_words(found.part(name)) for name in found.left_out)
-        return replace(
-            finding,
-            reason=f"The fit with {ahead} did not converge and was left out; it may explain more.",
-        )
+        return f"The fit with {ahead} did not converge and was left out; it may explain more."
     if NONE in choice.members:
-        without = (
-            f"{' and '.join(map(in_words, before))} alone" if before else "The base model alone"
-        )
-        reason = (
-            f"{without} keeps a probability of {choice.members[NONE]:.2f}: too much to name a "
+        held = " and ".join(map(in_words, found.held.parts)) or "The base model"
+        return (
+            f"{held} alone keeps a probability of {choice.members[NONE]:.2f}: too much to name a "
             "cause."
         )
-        return replace(finding, reason=reason)
     if SLOW_NOISE in choice.members:
         slow = choice.members[SLOW_NOISE]
-        return replace(
-            finding,
-            reason=f"Slow noise of the camera looks alike (probability {slow:.2f}): repeat a shot.",
-        )
+        return f"Slow noise of the camera looks alike (probability {slow:.2f}): repeat a shot."
     if not choice.decided:
-        return replace(
-            finding, reason="The probability is spread over too many effects to name a cause."
-        )
-    if len(choice.causes) == 1:
-        return replace(
-            finding,
-            verdict="effect",
-            reason=f"Adequate ({p_value(adequacy)}), and the others are improbable.",
-        )
-    return replace(
-        finding, verdict="class", reason="These effects explain the data about equally well."
-    )
+        return "The probability is spread over too many effects to name a cause."
+    return ""

@@ -28,6 +28,7 @@ from torch import Tensor
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.held_out import HeldOut, Judged, judge_designs
 from imr_torch.gap.hypotheses import EXPLAINS
+from imr_torch.gap.model_error import smooth_errors
 from imr_torch.goodness.linear import Linearisation
 from imr_torch.goodness.phases import PHASES, noise_shares, phase_clock, phase_numbers
 from imr_torch.goodness.score import ADEQUATE
@@ -73,11 +74,6 @@ class Shrinkage:
     base_p: float
     selected: tuple[tuple[str, ...], ...]
     converged: bool
-
-    @property
-    def placebo_median(self) -> float:
-        """Median over random libraries."""
-        return float(torch.tensor(self.placebo, dtype=torch.float64).quantile(0.5))
 
     @property
     def placebo_high(self) -> float:
@@ -131,22 +127,18 @@ def shrinkage(
         return None
     pairs = [_compared(pair) for pair in judged]
     source = generator(child(seed, "interval"))
-    base_gap = float(torch.cat([pair.base for pair in pairs]).sum())
-    count = sum(pair.frames for pair in pairs)
-    base_p = float(
-        chdtrc(sum(pair.freedom for pair in pairs), sum(pair.base_square for pair in pairs))
-    )
+    base = [pair.base for pair in pairs]
+    base_gap = float(torch.cat(base).sum())
+    count = sum(len(pair.phase) for pair in pairs)
+    freedom = float(sum(pair.beside.trace() for pair in pairs))
+    base_p = float(chdtrc(freedom, sum(pair.base_square for pair in pairs)))
     left = base_p < ADEQUATE and base_gap > 0.0
-    later = [pair.later for pair in pairs if pair.later is not None]
-    later_base = [base for base, _ in later]
-    later_effect = [effect for _, effect in later]
+    later = [squares for pair in pairs if (squares := pair.later) is not None]
+    later_base = [squares[0] for squares in later]
+    turned = left and later and float(torch.cat(later_base).sum()) > 0.0
     return Shrinkage(
-        share=_interval([p.base for p in pairs], [p.effect for p in pairs], source)
-        if left
-        else None,
-        later=_interval(later_base, later_effect, source)
-        if left and later and float(torch.cat(later_base).sum()) > 0.0
-        else None,
+        share=_interval(base, [pair.effect for pair in pairs], source) if left else None,
+        later=_interval(later_base, [x[1] for x in later], source) if turned else None,
         placebo=_placebo(report, pairs, placebos, child(seed, "placebo")) if left else (),
         base_gap=base_gap / count,
         base_p=base_p,
@@ -157,22 +149,15 @@ def shrinkage(
 
 @dataclass(frozen=True)
 class _Compared:
-    """A design judged: the projector beside the directions that are removed, the squares that noise
-    leaves in each frame, and squares beyond these by phase, without and with what was selected:
-    all frames, and those after the turn.
+    """A design judged: the projector beside the directions that are removed, and how much of the
+    law's variance counts in each frame, with its phase and its reading of the phase clock.
     """
 
     pair: Judged
     beside: Tensor
-    expected: Tensor
-    base: Tensor
-    effect: Tensor
-    later: tuple[Tensor, Tensor] | None
-
-    @property
-    def frames(self) -> int:
-        """How many frames the design has."""
-        return len(self.expected)
+    share: Tensor
+    phase: Tensor
+    clock: Tensor
 
     @property
     def base_square(self) -> float:
@@ -180,31 +165,52 @@ class _Compared:
         return float((self.beside @ self.pair.base.residual).square().sum())
 
     @property
-    def freedom(self) -> float:
-        """Degrees of freedom of that square."""
-        return float(self.beside.diagonal().sum())
+    def base(self) -> Float[Tensor, "phases"]:
+        """Squares beyond noise by phase, without what was selected."""
+        return self._by_phase(self.excess(self.pair.base.residual))
+
+    @property
+    def effect(self) -> Float[Tensor, "phases"]:
+        """The same with it."""
+        return self._by_phase(self.excess(self.pair.effect.residual))
+
+    @property
+    def later(self) -> tuple[Float[Tensor, "phases"], Float[Tensor, "phases"]] | None:
+        """Both over the frames after the turn, with what is the curve's own fitted before it."""
+        early = self.clock <= TURN
+        if not early.any() or early.all():
+            return None
+        base, effect = (self._later(one, early) for one in (self.pair.base, self.pair.effect))
+        return base, effect
 
     def excess(self, residual: Tensor) -> Float[Tensor, "frames"]:
         """Squares of a residual beyond noise, in single-shot variances."""
-        counts = self.pair.base.line.batch.counts[0]
-        return ((self.beside @ residual).square() - self.expected) / counts
+        expected = self.share * self.beside.square().sum(1)
+        return ((self.beside @ residual).square() - expected) / self._counts
+
+    def _later(self, own: HeldOut, early: Tensor) -> Tensor:
+        centred = own.residual + own.by_nuisance @ own.nuisances
+        before = own.by_nuisance[early]
+        precision = torch.eye(before.shape[1], dtype=torch.float64) + before.mT @ before
+        fitted = torch.linalg.solve(precision, before.mT @ centred[early])
+        spread = (own.by_nuisance @ torch.linalg.inv(precision) * own.by_nuisance).sum(1)
+        square = (centred - own.by_nuisance @ fitted).square() - self.share - spread
+        return self._by_phase(torch.where(early, 0.0, square / self._counts))
+
+    @property
+    def _counts(self) -> Tensor:
+        return self.pair.base.line.batch.counts[0]
+
+    def _by_phase(self, squares: Tensor) -> Tensor:
+        return torch.zeros(len(PHASES), dtype=torch.float64).index_add(0, self.phase, squares)
 
 
 def _compared(pair: Judged) -> _Compared:
-    phase = _phases(pair.base)
-    beside = beside_nuisances(pair)
-    held = (pair.base, pair.effect)
-    share = noise_shares([one.residual.square() for one in held], phase)
-    counts = pair.base.line.batch.counts[0]
-    nothing = torch.zeros(0, dtype=torch.float64)
-    found = _Compared(pair, beside, share * beside.square().sum(1), nothing, nothing, None)
-    base, effect = (_by_phase(found.excess(one.residual), phase) for one in held)
-    early = _clock(pair.base) <= TURN
-    later = None
-    if bool(early.any()) and not bool(early.all()):
-        both = [_later(one, early, share) / counts[~early] for one in held]
-        later = (_by_phase(both[0], phase[~early]), _by_phase(both[1], phase[~early]))
-    return replace(found, base=base, effect=effect, later=later)
+    batch = pair.base.line.batch
+    phase = phase_numbers(batch.times, batch.mean, batch.mask)[0]
+    share = noise_shares([own.residual.square() for own in (pair.base, pair.effect)], phase)
+    clock = phase_clock(batch.times, batch.mean, batch.mask)[0]
+    return _Compared(pair, beside_nuisances(pair), share, phase, clock)
 
 
 def beside_nuisances(pair: Judged) -> Float[Tensor, "frames frames"]:
@@ -213,31 +219,6 @@ def beside_nuisances(pair: Judged) -> Float[Tensor, "frames frames"]:
     basis, size, _ = torch.linalg.svd(directions, full_matrices=False)
     kept = basis[:, size > 1e-6 * size[:1]]
     return torch.eye(len(directions), dtype=torch.float64) - kept @ kept.mT
-
-
-def _later(own: HeldOut, early: Tensor, share: Tensor) -> Tensor:
-    """Squares beyond noise after the turn, with what is the curve's own fitted before it."""
-    centred = own.residual + own.by_nuisance @ own.nuisances
-    before = own.by_nuisance[early]
-    precision = torch.eye(before.shape[1], dtype=torch.float64) + before.mT @ before
-    fitted = torch.linalg.solve(precision, before.mT @ centred[early])
-    after = own.by_nuisance[~early]
-    expected = share[~early] + (after @ torch.linalg.inv(precision) * after).sum(1)
-    return (centred[~early] - after @ fitted).square() - expected
-
-
-def _phases(own: HeldOut) -> Tensor:
-    batch = own.line.batch
-    return phase_numbers(batch.times, batch.mean, batch.mask)[0]
-
-
-def _clock(own: HeldOut) -> Tensor:
-    batch = own.line.batch
-    return phase_clock(batch.times, batch.mean, batch.mask)[0]
-
-
-def _by_phase(squares: Tensor, phase: Tensor) -> Tensor:
-    return torch.zeros(len(PHASES), dtype=torch.float64).index_add(0, phase, squares)
 
 
 def _interval(
@@ -270,105 +251,74 @@ def _placebo(
     report: GapReport, compared: Sequence[_Compared], count: int, seed: int
 ) -> tuple[float, ...]:
     """``S`` of random libraries, sorted: the procedure where no candidate is the cause."""
-    directions = report.left.directions
-    first = report.steps[0]
-    offered = len(first.hypotheses) - 1
+    offered = len(report.steps[0].hypotheses) - 1
     rounds = len(report.selected.effects)
-    sizes = [rows.norm(dim=1).mean() for rows in directions.values() if len(rows)]
-    typical = float(torch.stack(sizes).median()) if sizes else 1.0
-    whole = int(report.batch.mask.sum())
+    sizes = [rows.norm(dim=1).mean() for rows in report.left.directions.values() if len(rows)]
+    of_frame = float(torch.stack(sizes).median() / report.batch.mask.sum().sqrt())
+    trainings = {id(one.pair.training): one.pair.training for one in compared}
+    before = float(sum(one.base.sum() for one in compared))
     shares = []
     for number in range(count):
         source = generator(child(seed, number))
         weights = torch.randn(offered, len(_KNOTS), generator=source, dtype=torch.float64)
-        in_time = torch.arange(offered) % 2 == 0
-        before = 0.0
+        fitted = {
+            key: _select_random(line, weights, rounds, of_frame) for key, line in trainings.items()
+        }
         after = 0.0
-        known = dict[int, tuple[list[int], Tensor, Tensor]]()
         for one in compared:
-            pair = one.pair
-            key = id(pair.training)
-            if key not in known:
-                frames = int(pair.training.batch.mask.sum())
-                size = typical * math.sqrt(frames / whole)
-                rows = _random_rows(pair.training, weights, in_time)
-                scale = size / rows.norm(dim=1, keepdim=True).clamp_min(1e-300)
-                chosen, shift = _select_rows(rows * scale, pair.training, rounds)
-                known[key] = chosen, shift, scale[:, 0]
-            chosen, shift, scale_each = known[key]
-            change = _predicted_change(pair, chosen, shift, scale_each, weights, in_time)
-            before += float(one.base.sum())
-            after += float(one.excess(pair.base.residual - change).sum())
+            gel, amplitudes = fitted[id(one.pair.training)]
+            own = one.pair.base
+            rows = _random_rows(own.line, weights)[:, : len(own.residual)]
+            change = own.by_gel @ gel[: own.by_gel.shape[1]] + amplitudes @ rows
+            after += float(one.excess(own.residual - change).sum())
         shares.append(max(-_WIDEST, min(_WIDEST, 1.0 - after / before)))
     return tuple(sorted(shares))
 
 
 def _random_rows(
-    line: Linearisation, weights: Float[Tensor, "effects knots"], in_time: Tensor
+    line: Linearisation, weights: Float[Tensor, "effects knots"]
 ) -> Float[Tensor, "effects rows"]:
-    """Whitened changes by random smooth functions of the phase: errors of the radius, or of time."""
-    batch: ExperimentBatch = line.batch
-    clock = phase_clock(batch.times, line.prediction, batch.mask)
-    bumps = (-0.5 * ((clock[..., None] - _KNOTS) / _SMOOTH).square()).exp()
-    smooth = torch.einsum("etk,nk->net", bumps, weights)
-    slope = torch.stack(
-        [
-            torch.gradient(r, spacing=(t,))[0]
-            for r, t in zip(line.prediction, batch.times, strict=True)
-        ]
-    )
-    return line.whiten(torch.where(in_time[:, None, None], smooth * slope, smooth))
-
-
-def _select_rows(
-    rows: Float[Tensor, "effects rows"], line: Linearisation, rounds: int
-) -> tuple[list[int], Float[Tensor, "fitted"]]:
-    """Random effects chosen one after the other by their evidence, and the shift of everything
-    fitted with them, their amplitudes last; amplitudes have a standard normal prior.
+    """Whitened changes by random smooth functions of the phase: errors of time, and of the radius,
+    in turn.
     """
+    errors = smooth_errors(line, _KNOTS, _SMOOTH)
+    kinds = errors[torch.arange(1, len(weights) + 1) % 2]
+    return line.whiten(torch.einsum("nk,nket->net", weights, kinds))
+
+
+def _select_random(
+    line: Linearisation, weights: Float[Tensor, "effects knots"], rounds: int, of_frame: float
+) -> tuple[Float[Tensor, "fitted"], Float[Tensor, "effects"]]:
+    """Random effects chosen one after the other by their evidence: the shift of everything fitted
+    beside them, and their amplitudes, 0 of those that were not chosen.
+
+    An amplitude has a normal prior, by which the effect changes the data by ``of_frame`` sd, times
+    the root of the number of frames.
+    """
+    offered = len(weights)
+    rows = _random_rows(line, weights)
+    size = of_frame * float(line.batch.mask.sum().sqrt())
+    scale = size / rows.norm(dim=1, keepdim=True).clamp_min(1e-300)
+    columns = torch.cat((rows * scale, -torch.eye(offered, dtype=torch.float64)), 1)
+    padded = torch.nn.functional.pad
+    here = replace(
+        line,
+        residual=padded(line.residual, (0, offered)),
+        fitted=padded(line.fitted, (0, 0, 0, offered)),
+    )
     chosen: list[int] = []
-    here = line
     for _ in range(rounds):
-        left = here.project(_padded(rows, here))
+        left = here.project(columns)
         square = left.square().sum(1)
-        gain = 0.5 * (left @ here.residual).square() / (1.0 + square) - 0.5 * torch.log1p(square)
+        gain = 0.5 * (left @ here.residual).square() / square - 0.5 * square.log()
         gain[chosen] = -math.inf
         best = int(gain.argmax())
         if float(gain[best]) < EXPLAINS:
             break
         chosen.append(best)
-        here = _with_row(here, _padded(rows[best : best + 1], here)[0])
-    return chosen, here.to_shift @ here.residual
-
-
-def _padded(rows: Tensor, line: Linearisation) -> Tensor:
-    return torch.nn.functional.pad(rows, (0, len(line.residual) - rows.shape[-1]))
-
-
-def _with_row(line: Linearisation, row: Tensor) -> Linearisation:
-    """A linearisation with one more fitted amplitude, its prior a row more."""
-    fitted = torch.cat((line.fitted, row[:, None]), 1)
-    prior = torch.zeros(1, fitted.shape[1], dtype=torch.float64)
-    prior[0, -1] = -1.0
-    residual = torch.cat((line.residual, torch.zeros(1, dtype=torch.float64)))
-    return replace(line, residual=residual, fitted=torch.cat((fitted, prior)))
-
-
-def _predicted_change(
-    pair: Judged,
-    chosen: Sequence[int],
-    shift: Tensor,
-    scale: Tensor,
-    weights: Tensor,
-    in_time: Tensor,
-) -> Tensor:
-    """What the random effects that were chosen change in the prediction of a held-out curve, with
-    the gel that is refitted beside them.
-    """
-    own = pair.base
-    data = len(own.residual)
-    change = own.by_gel @ shift[: own.by_gel.shape[1]]
-    if chosen:
-        rows = _random_rows(own.line, weights[chosen], in_time[chosen])[:, :data]
-        change = change + (shift[-len(chosen) :] * scale[chosen]) @ rows
-    return change
+        here = replace(here, fitted=torch.cat((here.fitted, columns[best][:, None]), 1))
+    shift = here.to_shift @ here.residual
+    before = line.fitted.shape[1]
+    amplitudes = torch.zeros(offered, dtype=torch.float64)
+    amplitudes[chosen] = shift[before:] * scale[chosen, 0]
+    return shift[:before], amplitudes

@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from imr_torch.gap.hidden import shown
 from imr_torch.gap.hypotheses import GEL_SCATTER, in_words
 from imr_torch.gap.verdict import NONE, OTHER, SLOW_NOISE
 from imr_torch.goodness.score import ADEQUATE, LEVEL
@@ -18,10 +17,17 @@ from imr_torch.material import LIBRARY, PARAMETERS
 Document = Mapping[str, Any]
 """A diagnosis as :func:`imr_torch.gap.to_json` makes it."""
 
+VERDICT = "Verdict"
+TESTED = "Is there a gap?"
+HIDDEN = "What would these data not show?"
+PLACE = "Where does it lie?"
+CAUSES = "Which effect causes it?"
 SHRINKS = "How far does it shrink on unseen curves?"
-"""Heading of the section on held-out curves."""
+CURVES = "The curves"
+"""Headings of sections in which a figure or a table stands."""
 _MOST_SHOWN = 5
 _TESTS_SHOWN = 3
+_SHARE_SHOWN = 0.1
 _ENTRIES = {
     GEL_SCATTER: "the gel differs between shots",
     NONE: "nothing is missing",
@@ -60,6 +66,16 @@ def title(name: str) -> str:
     return " and ".join(said)
 
 
+def shown(parameter: str, value: float) -> str:
+    """A value in display units.
+
+    >>> from imr_torch.gap.text import shown
+    >>> shown("G", 8310.0)
+    '8.31 kPa'
+    """
+    return PARAMETERS[parameter].interval(value, value, value).split(" (")[0]
+
+
 def describe(document: Document) -> str:
     """The diagnosis as text.
 
@@ -89,7 +105,7 @@ def sections(document: Document) -> list[Section]:
     no_cause = document["posterior"] is None
     return [
         Section(
-            "Verdict",
+            VERDICT,
             (
                 document["headline"],
                 *_cause_sentences(document),
@@ -97,10 +113,10 @@ def sections(document: Document) -> list[Section]:
                 *parameter_sentences(document),
             ),
         ),
-        Section("Is there a gap?", _gap(document)),
-        Section("What would these data not show?", _hidden(document)),
-        Section("Where does it lie?", _where(document), folded=not document["examined"]),
-        Section("Which effect causes it?", _causes(document), folded=no_cause),
+        Section(TESTED, _gap(document)),
+        Section(HIDDEN, _hidden(document)),
+        Section(PLACE, _where(document), folded=not document["examined"]),
+        Section(CAUSES, _causes(document), folded=no_cause),
         Section(SHRINKS, _shrinkage(document), folded=document["shrinkage"] is None),
         Section(
             "What does it do to the parameters?",
@@ -269,30 +285,43 @@ def _noise(document: Document) -> list[str]:
     return lines
 
 
-def hidden_rows(document: Document) -> list[tuple[str, ...]]:
-    """A row an effect: its title, the size that would have been found with 90 %, and what that size,
-    unseen, would move each parameter by.
+def hidden_row(row: Mapping[str, Any]) -> tuple[str, str, str]:
+    """Title of an effect, the size that would have been found with 90 %, and what that size (where
+    there is none, its usual size), unseen, would move each parameter by.
+
+    Args:
+        row: an entry of ``hidden``.
+
+    >>> from imr_torch.gap.text import hidden_row
+    >>> hidden_row({"effect": "permanent_set", "size": None, "shift": {"G": -0.061}})[1:]
+    ('none of a usual size', 'G by up to 6.1 %')
     """
-    rows = []
-    for row in document["hidden"]:
-        name = row["effect"]
-        parameter = LIBRARY[name].names[0] if name in LIBRARY else name
-        size = (
-            "not seen at any usual size" if row["size"] is None else shown(parameter, row["size"])
-        )
-        moves = ", ".join(f"{p} by up to {100 * abs(x):.2g} %" for p, x in row["shift"].items())
-        rows.append((title(name), size, moves))
-    return rows
+    name = row["effect"]
+    size = row["size"]
+    moves = ", ".join(f"{p} by up to {100 * abs(x):.2g} %" for p, x in row["shift"].items())
+    found = "none of a usual size" if size is None else shown(LIBRARY[name].names[0], size)
+    return title(name), found, moves or "nothing"
+
+
+def hidden_sentence(row: Mapping[str, Any]) -> str:
+    """What these data would not show of an effect, in words.
+
+    >>> from imr_torch.gap.text import hidden_sentence
+    >>> hidden_sentence({"effect": "clock", "size": 0.01, "shift": {"G": 0.06}})
+    'frame rate or pixel size is off (clock): 0.01 would be found; less, unseen, moves G by up to 6 %.'
+    """
+    name, found, moves = hidden_row(row)
+    size = "its usual size" if row["size"] is None else "less"
+    return f"{name}: {found} would be found; {size}, unseen, moves {moves}."
 
 
 def _hidden(document: Document) -> tuple[str, ...]:
     if not document["hidden"]:
         return ("Not computed, because the base model's fit did not converge.",)
-    most = [row["sentence"] for row in document["hidden"][:_MOST_SHOWN]]
     return (
         "Sizes that these data would have shown with 90 %, and what a smaller one, unseen, may do; "
         "the largest changes first.",
-        *most,
+        *map(hidden_sentence, document["hidden"][:_MOST_SHOWN]),
     )
 
 
@@ -315,6 +344,18 @@ def _where(document: Document) -> tuple[str, ...]:
         if not which["converged"]:
             lines.append("The fit of an experiment by itself did not converge.")
     return tuple(lines)
+
+
+def acts_sentence(shares: Mapping[str, float]) -> str:
+    """From which phases the signal of the named effects comes.
+
+    >>> from imr_torch.gap.text import acts_sentence
+    >>> acts_sentence({"start": 0.02, "first collapse": 0.8, "later": 0.18})
+    'Its signal beside a refit of the gel comes from: first collapse 0.80, later 0.18.'
+    """
+    ranked = sorted(shares.items(), key=lambda item: -item[1])
+    said = [f"{phase} {share:.2f}" for phase, share in ranked if share >= _SHARE_SHOWN]
+    return f"Its signal beside a refit of the gel comes from: {', '.join(said)}."
 
 
 def _causes(document: Document) -> tuple[str, ...]:
@@ -342,12 +383,6 @@ def _causes(document: Document) -> tuple[str, ...]:
         f"known one at these designs is {unknown['chance_look_alike']:.2f} +- "
         f"{unknown['standard_error']:.2f}; it is in the probability of an unknown one.",
     ]
-    if document["look_alikes"]:
-        alike = [
-            f"{name} ({row['angle_deg']:.0f} degrees, leaves {row['leaves_sd']:.1f} sd)"
-            for name, row in document["look_alikes"].items()
-        ]
-        lines.append(f"What looks most like {leading} here: {', '.join(alike[:_MOST_SHOWN])}.")
     return (*lines, *_checks(document))
 
 
@@ -363,29 +398,20 @@ def _probabilities(document: Document) -> list[str]:
 
 
 def _checks(document: Document) -> list[str]:
-    """How far the probabilities depend on the Gaussian approximation and on prior scales."""
-    lines = []
+    """How far the probabilities depend on the Gaussian approximation."""
     checked = document["evidence_checks"]
-    if checked:
-        said = [
-            f"{n} {c['sampled'] - c['laplace']:+.1f} +- {c['error']:.1f} nats"
-            for n, c in checked.items()
-        ]
-        unused = [name for name, c in checked.items() if not c["reliable"]]
-        used = (
-            f"not used, since the weights of {', '.join(unused)} are too uneven"
-            if unused
-            else "used"
-        )
-        lines.append(
-            f"Evidence by importance sampling less that of the Gaussian approximation ({used}): "
-            f"{', '.join(said)}."
-        )
-    scaled = [f"{p:.3f} with {scale} times" for scale, p in document["prior_scales"].items()]
-    leading = document["leading"]
-    now = document["posterior"].get(leading, 0.0)
-    lines.append(f"Probability of {leading}: {now:.3f}; {', '.join(scaled)} the prior scales.")
-    return lines
+    if not checked:
+        return []
+    said = [
+        f"{n} {c['sampled'] - c['laplace']:+.1f} +- {c['error']:.1f} nats"
+        for n, c in checked.items()
+    ]
+    unused = ", ".join(name for name, c in checked.items() if not c["reliable"])
+    used = f"not used, since the weights of {unused} are too uneven" if unused else "used"
+    return [
+        f"Evidence by importance sampling less that of the Gaussian approximation ({used}): "
+        f"{', '.join(said)}."
+    ]
 
 
 def _shrinkage(document: Document) -> tuple[str, ...]:

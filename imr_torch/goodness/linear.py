@@ -138,8 +138,6 @@ def linearise_at(
     prior: ModelBelief,
     batch: ExperimentBatch,
     simulator: Simulator,
-    *,
-    moves_gel: bool = True,
 ) -> Linearisation:
     """Local sensitivities at any point, as at a fit.
 
@@ -148,12 +146,8 @@ def linearise_at(
         prior: of the gel.
         batch: the data, with as many experiments as the point.
         simulator: makes the bubbles.
-        moves_gel: whether sensitivities to the gel are wanted; without, they are zero and cost no
-            bubbles.
     """
-    posterior = Posterior(prior, batch, simulator)
-    directions = None if moves_gel else torch.zeros(len(point.gel), 0, dtype=torch.float64)
-    return whiten_rows(posterior.neighbourhood(point, directions))
+    return whiten_rows(Posterior(prior, batch, simulator).neighbourhood(point))
 
 
 def whiten_rows(near: Neighbourhood) -> Linearisation:

@@ -53,7 +53,9 @@ _LAWS_DRAWN = 500  # noise laws over which the p-value of a block is averaged
 EVERYTHING = "everything (chi-square)"
 """Name of the test of all residuals together, which only noise that is known allows."""
 STATE_LAW = "generic stress law"
-"""Name of the block of the generic closure."""
+PULSES = "pulses common to all experiments"
+SHAPE = "shape of the output"
+"""Names of generic blocks: of the generic closure, of pressure pulses, of the output's shape."""
 # amplitude of a first start over the effect's own: so near the null fit that a descent ends below
 # that
 _SMALL = 0.05
@@ -206,9 +208,9 @@ def generic_rows(
     )
     found = {
         STATE_LAW: laws,
-        "pulses common to all experiments": pulses,
+        PULSES: pulses,
         "parameters early against late": gel * early,
-        "shape of the output": shape_rows(line),
+        SHAPE: shape_rows(line),
     }
     if experiments > 1:
         masks = (

@@ -25,7 +25,7 @@ PLAN = Plan(times=torch.linspace(0.0, 2.5, 51, dtype=torch.float64), repeats=3, 
 
 def settings(above: float = 0.8) -> CampaignSettings:
     learner = CauseLearner(OFFERED)
-    policy = TellCausesApart(learner, grid=(2, 2), draws=4)
+    policy = TellCausesApart(learner, designs=4, draws=4)
     return CampaignSettings(plan=PLAN, policy=policy, learner=learner, stop=CauseProbability(above))
 
 
@@ -97,7 +97,7 @@ def test_that_a_resumed_campaign_asks_for_the_same_design(tmp_path: Path) -> Non
 
 def test_that_a_design_is_chosen_for_the_causes_that_are_left(tmp_path: Path) -> None:
     own = campaign(tmp_path, 0.99)
-    own.tell(shoot({"sound_speed": 0.85})(torch.tensor([400.0, 0.2]).double(), 1))
+    own.tell(shoot({"sound_speed": 0.3})(torch.tensor([400.0, 0.2]).double(), 1))
     finding = own.steps[-1].finding
     assert finding is not None
     assert finding.probabilities
@@ -121,8 +121,8 @@ def test_that_several_models_or_designs_at_once_are_refused(tmp_path: Path) -> N
 def test_that_settings_are_checked() -> None:
     with pytest.raises(InputDataError, match="most is 0"):
         CauseLearner(most=0)
-    with pytest.raises(InputDataError, match="grid"):
-        replace(TellCausesApart(CauseLearner()), grid=(1, 4))
+    with pytest.raises(InputDataError, match="1 designs"):
+        replace(TellCausesApart(CauseLearner()), designs=1)
     with pytest.raises(InputDataError, match="nonsense"):
         CauseLearner(("nonsense",))
 

@@ -20,7 +20,7 @@ from matplotlib.image import imread
 from imr_torch.errors import ConvergenceError
 from imr_torch.gap import describe, diagnose, examine, library, to_json, write_page
 from imr_torch.gap.figures import gap_figures
-from imr_torch.gap.text import hidden_rows, sections, title
+from imr_torch.gap.text import hidden_row, sections, title
 from imr_torch.material import LIBRARY, PARAMETERS
 from imr_torch.observe import SimulatedLaboratory
 from imr_torch.results import draw_figures
@@ -130,7 +130,7 @@ def test_that_a_named_cause_closes_the_gap_and_one_shot_says_why_nothing_is_judg
 
 def test_that_what_these_data_would_not_show_stands_beside_every_verdict(documents) -> None:
     for document in documents.values():
-        rows = hidden_rows(document)
+        rows = list(map(hidden_row, document["hidden"]))
         assert len(rows) >= 1
         assert all(len(row) == 3 and row[0].endswith(")") for row in rows)
     assert {row["effect"] for row in documents["none"]["hidden"]} == set(OFFERED)

@@ -29,7 +29,7 @@ def fits() -> dict[str, ModelFit]:
 @pytest.fixture(scope="module")
 def found(fits) -> NextDesign:
     return identity_design(
-        fits, dict.fromkeys(fits, 0.5), SIMULATOR, seed=0, plan=PLAN, grid=(2, 2), draws=8
+        fits, dict.fromkeys(fits, 0.5), SIMULATOR, seed=0, plan=PLAN, designs=4, draws=8
     )
 
 
@@ -57,11 +57,10 @@ def separation(fits: dict[str, ModelFit], design: list[float]) -> float:
     return total
 
 
-def test_that_the_best_design_separates_the_causes_further_than_the_worst(
+def test_that_the_best_design_separates_the_causes_further_than_a_poor_one(
     fits, found: NextDesign
 ) -> None:
-    worst = found.grid[int(found.gains.argmin())].tolist()
-    assert separation(fits, found.design.tolist()) > 1.1 * separation(fits, worst)
+    assert separation(fits, found.design.tolist()) > 1.1 * separation(fits, [100.0, 0.3])
 
 
 def test_that_the_gain_lies_between_nothing_and_the_entropy_of_the_causes(
@@ -70,7 +69,6 @@ def test_that_the_gain_lies_between_nothing_and_the_entropy_of_the_causes(
     assert found.entropy == pytest.approx(math.log(2.0))
     assert 0.0 < found.gain < found.entropy + 3.0 * found.error
     assert found.error >= 0.0
-    assert found.gain > float(found.gains.min()) - 2.0 * float(found.errors.max())
     DesignSpace().check(found.design)
 
 
@@ -108,10 +106,7 @@ def test_that_causes_of_one_family_and_improbable_ones_are_not_compared(fits) ->
     assert list(causes) == ["residual_velocity", "damage", "none"]
     assert sum(causes.values()) == pytest.approx(1.0)
     assert causes["residual_velocity"] == pytest.approx(0.5)
+    with pytest.raises(InputDataError, match="or more are damage; two of"):
+        remaining_causes(every, {"damage": 0.98, "wall": 0.01, "other": 0.01})
     with pytest.raises(InputDataError, match="two of different families"):
         remaining_causes({"damage": one}, posterior)
-
-
-def test_that_a_grid_of_one_row_is_refused(fits) -> None:
-    with pytest.raises(InputDataError, match="at least 2 x 2"):
-        identity_design(fits, dict.fromkeys(fits, 0.5), SIMULATOR, seed=0, grid=(1, 4))

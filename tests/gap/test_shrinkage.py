@@ -11,7 +11,7 @@ from imr_torch import example_gel, load_traces
 from imr_torch.gap import diagnose, library
 from imr_torch.gap.held_out import HeldOut, Judged, held_out, judge_designs
 from imr_torch.gap.hypotheses import Hypothesis
-from imr_torch.gap.shrinkage import Shrinkage, _compared, _interval, _phases, shrinkage
+from imr_torch.gap.shrinkage import Shrinkage, _compared, _interval, shrinkage
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, prepare
 from imr_torch.simulate import TransportSimulator
 from tests.gap.synthetic import BASE, DESIGNS, SIMULATOR, fit, shoot
@@ -180,7 +180,7 @@ def test_that_a_quiet_phase_takes_nothing_from_the_gap() -> None:
     gaps = []
     for seed in range(12):
         judged = pair(0.0, 0, seed)
-        phase = _phases(judged.base)
+        phase = _compared(judged).phase
         noise = torch.randn(90, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
         residual = torch.where(phase < 2, noise + 1.0, 0.1 * noise)
         loud = replace(judged.base, residual=residual)
