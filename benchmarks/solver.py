@@ -32,12 +32,12 @@ from imr_torch.simulate import (
     STEPPINGS,
     Conditions,
     PolytropicSimulator,
-    ScipySimulator,
     Simulator,
     TransportSimulator,
 )
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.polytropic import head_of, rate_of
+from tests.simulate.scipy_reference import ScipySimulator
 
 TIMES = torch.linspace(0.0, 4.0, 81, dtype=torch.float64)
 

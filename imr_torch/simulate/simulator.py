@@ -6,6 +6,7 @@ another device or in another process can take its place. A bubble whose solve fa
 status says so and its numbers are NaN.
 """
 
+import re
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,9 +20,6 @@ from torch import Tensor
 from imr_torch.errors import InputDataError, PrecisionWarning, ShapeError
 from imr_torch.material import PARAMETERS, TERMS
 from imr_torch.simulate.conditions import Conditions
-
-NO_BLOCKS = 1 << 40
-"""Members in a block, for solvers that take a whole batch at once."""
 
 RUNAWAY = 3.0
 """R* that no free oscillation reaches."""
@@ -45,8 +43,7 @@ class Status(IntEnum):
     NON_FINITE = 2
     RUNAWAY = 3
     STEP_UNDERFLOW = 4
-    LOST_WORKER = 5
-    UNBOUNDED_ENERGY = 6
+    UNBOUNDED_ENERGY = 5
 
     @property
     def advice(self) -> str:
@@ -66,8 +63,6 @@ _ADVICE = {
         "No step was small enough to meet the tolerance; check parameters and design, or raise "
         "the tolerance."
     ),
-    Status.LOST_WORKER: "The worker that was to solve it kept failing; look at its memory and its log, or send "
-    "smaller chunks.",
     Status.UNBOUNDED_ENERGY: (
         "The strain energy has no lower bound at negative alpha, and the gel gave way at "
         "collapse; use alpha >= 0 or a milder "
@@ -318,6 +313,16 @@ def check_designs(designs: Real[Tensor, "*batch 2"]) -> None:
         )
 
 
+def described(simulator: Simulator) -> str:
+    """What a simulator computes, as text, without addresses in memory.
+
+    >>> from imr_torch.simulate import PolytropicSimulator, described
+    >>> described(PolytropicSimulator(threads=1)) == described(PolytropicSimulator(threads=2))
+    True
+    """
+    return re.sub(r" at 0x[0-9a-fA-F]+", "", f"{type(simulator).__name__} {simulator!r}")
+
+
 def tracked(*tensors: Tensor) -> bool:
     """Whether autograd follows what is computed from one of them."""
     return torch.is_grad_enabled() and any(x.requires_grad for x in tensors)
@@ -424,7 +429,7 @@ def _explain(status: Tensor, parameters: Tensor) -> Tensor:
     """Failures by the gel's parameters: where a term's energy has no lower bound, it may pull a
     collapse inwards.
     """
-    failed = (status != Status.DONE) & (status != Status.LOST_WORKER)
+    failed = status != Status.DONE
     if not bool(failed.any()):
         return status
     theta = dict(zip(PARAMETERS.names, parameters.unbind(1), strict=True))

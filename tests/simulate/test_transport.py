@@ -71,7 +71,7 @@ def test_a_member_does_not_depend_on_its_neighbours_or_on_the_blocks(engine, mon
     simulator = TransportSimulator(engine=engine)
     times = TIMES[:26]
     alone = torch.stack([simulator(parameters[i], designs[i], times).radius for i in (0, 4, 6)])
-    monkeypatch.setattr("imr_torch.simulate.transport._BATCH", 3)
+    monkeypatch.setattr(TransportSimulator, "members", 3)
     together = simulator(parameters, designs, times)
     assert float((together.radius[[0, 4, 6]] - alone).abs().max()) < 1e-9
     assert engine != "compiled" or torch.equal(together.radius[[0, 4, 6]], alone)

@@ -1,6 +1,6 @@
 """From laws to compiled code: what is compiled, where it is kept, and when it is compiled anew.
 
-The laws of all registries (stress terms, effects, radial equations, gas laws, drivings) are put
+The laws of all registries (stress terms, effects, radial equations, gas laws) are put
 into one small generated module, ``laws``, each kind as one function that calls those that act. The
 modules of this folder whose functions are kernels are loaded beside it as a package of their own,
 so that a second registry gets kernels of its own. Numba compiles an entry point once and keeps the
@@ -46,14 +46,12 @@ class Registry:
         effects: effects with laws that act at every step.
         radial: laws of radial equations.
         gases: laws of polytropic gas.
-        drivings: laws of drivings.
     """
 
     terms: tuple[StressTerm, ...]
     effects: tuple[Effect, ...]
     radial: tuple[Law, ...]
     gases: tuple[Law, ...]
-    drivings: tuple[Law, ...]
 
     def laws(self) -> Iterator[Law]:
         """Every law, in order."""
@@ -63,7 +61,7 @@ class Registry:
             yield from (
                 law for law in (effect.gas_loss, effect.vapour, effect.far_field) if law is not None
             )
-        yield from (*self.radial, *self.gases, *self.drivings)
+        yield from (*self.radial, *self.gases)
 
 
 @functools.cache
@@ -144,11 +142,7 @@ def _names(registry: Registry) -> Iterator[tuple[str, Law]]:
         yield from (
             (f"{kind}_{i}", law) for kind in kinds if (law := getattr(effect, kind)) is not None
         )
-    for kind, group in (
-        ("radial", registry.radial),
-        ("gas", registry.gases),
-        ("driving", registry.drivings),
-    ):
+    for kind, group in (("radial", registry.radial), ("gas", registry.gases)):
         yield from ((f"{kind}_{i}", law) for i, law in enumerate(group))
 
 
@@ -168,7 +162,6 @@ def source(registry: Registry) -> str:
         _effects(registry.effects),
         _choice("radial", registry.radial, 9),
         _choice("gas", registry.gases),
-        _choice("driving", registry.drivings),
         _numbers(),
         _entry("transport", transport.solve_block),
         _entry("polytropic", polytropic.solve_block),

@@ -6,7 +6,7 @@ on the number of threads, bit for bit.
 
 import functools
 import os
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache, partial
 from threading import get_ident
@@ -23,16 +23,15 @@ from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import memory_share
 from imr_torch.simulate.compiled import polytropic, step
 from imr_torch.simulate.compiled.build import Registry, announced, engine, switches
-from imr_torch.simulate.compiled.paths import EXHAUSTED, Leaders
 from imr_torch.simulate.compiled.vectors import as_rows
 from imr_torch.simulate.conditions import Conditions, Stepping
-from imr_torch.simulate.driving import DRIVING_LAWS, LawDriving
+from imr_torch.simulate.driving import TabulatedDriving
 from imr_torch.simulate.gas import polytropic as polytropic_law
 from imr_torch.simulate.grids import Resolution
 from imr_torch.simulate.radial import RADIAL_EQUATIONS
-from imr_torch.simulate.simulator import Status
 from imr_torch.threads import cores
 
+_NO_DRIVING = TabulatedDriving((0.0, 1.0, 2.0), (0.0, 0.0, 0.0))
 _CHUNK = 64  # bundles between two looks at the keyboard, at most
 _KEPT = 64  # sets of arrays that are kept for the next call
 _SHARES = 8  # chunks a thread, at least, so that none waits long for the last
@@ -45,10 +44,6 @@ def obstacle(bubbles: Bubbles) -> str | None:
     """
     conditions = bubbles.conditions
     kinds = [type(conditions.motion), type(conditions.gas)]
-    if conditions.driving is not None:
-        if not isinstance(conditions.driving, LawDriving):
-            return f"the driving {type(conditions.driving).__name__} is no LawDriving"
-        kinds.append(type(conditions.driving))
     missing = [
         *_without_form(*kinds),
         *(part.name for part in (*bubbles.terms, *bubbles.effects) if not part.compilable),
@@ -64,7 +59,6 @@ def _without_form(*kinds: Any) -> tuple[str, ...]:
 
 def registry_of(conditions: Conditions, terms: Sequence[StressTerm] | None) -> Registry:
     """All laws that are registered and have a compiled form, and those of a simulator beside them."""
-    driving = [type(conditions.driving).law] if isinstance(conditions.driving, LawDriving) else []
     return Registry(
         terms=tuple(term for term in _all(TERMS, terms or ()) if term.compilable),
         effects=tuple(
@@ -75,7 +69,6 @@ def registry_of(conditions: Conditions, terms: Sequence[StressTerm] | None) -> R
             [type(conditions.motion).law],
         ),
         gases=_all([polytropic_law], [type(conditions.gas).law]),
-        drivings=_all(DRIVING_LAWS, driving),
     )
 
 
@@ -106,20 +99,8 @@ def solve_transport(
     """
     space = _space(resolution)
     arrays = partial(_transport_arrays, len(space[-3]), len(space[-1]))
-    leaders = Leaders(len(times) // width, times.shape[1], limits[1])
-    settings = (space, *limits, leaders.steps, leaders.known)
-    return _solve(
-        "solve_transport",
-        bubbles,
-        terms,
-        times,
-        width,
-        settings,
-        arrays,
-        threads,
-        leaders,
-        (resolution, *limits),
-    )
+    settings = (space, *limits)
+    return _solve("solve_transport", bubbles, terms, times, width, settings, arrays, threads)
 
 
 def solve_polytropic(
@@ -165,8 +146,6 @@ def _solve(
     settings: tuple[Any, ...],
     arrays: Callable[[int, int, int], tuple[Any, ...]],
     threads: int | None,
-    leaders: Leaders | None = None,
-    same: Hashable = None,
 ) -> tuple[Tensor, ...]:
     """Integrate a batch, bundle after bundle.
 
@@ -180,8 +159,6 @@ def _solve(
         arrays: memory states, width of a bundle and number of a thread to the arrays that the entry
             point works in.
         threads: that share the bubbles; all cores if None.
-        leaders: of the bundles, some of which may be known; None where none is kept.
-        same: what leaders must have in common, beside their numbers and conditions, to be the same.
 
     Returns:
         Radius, velocity, pressure (``B x n_t`` each), status and steps (``B`` each; of the
@@ -203,32 +180,10 @@ def _solve(
     arguments = (width, rows, theta, on, acting, shared, settings, moments, curves, status, steps)
     states = on @ np.array([term.states for term in registry.terms])
 
-    def integrate(some: np.ndarray) -> None:
-        for number in np.unique(states[some]):
-            bundles = some[states[some] == number]
-            _share_out(
-                module,
-                entry,
-                bundles,
-                arguments,
-                partial(arrays, int(number), width),
-                threads or cores(),
-            )
-
-    if leaders is None or not leaders.kept:
-        integrate(np.arange(count))
-    else:
-        conditions = (module, same, b"".join(np.asarray(x).tobytes() for x in shared))
-        parts = (rows[::width], theta[::width], on, acting, moments[::width])
-        leaders.recall(
-            [(conditions, *(part[bundle].tobytes() for part in parts)) for bundle in range(count)]
-        )
-        integrate(np.arange(count))
-        short = np.flatnonzero(status == EXHAUSTED)
-        if len(short):
-            leaders.forget(short)
-            integrate(short)
-        leaders.keep(curves[:, ::width], status == int(Status.DONE), steps)
+    for number in np.unique(states):
+        bundles = np.flatnonzero(states == number)
+        own = partial(arrays, int(number), width)
+        _share_out(module, entry, bundles, arguments, own, threads or cores())
     every = (torch.from_numpy(x).repeat_interleave(width) for x in (status, steps))
     return *torch.from_numpy(curves).unbind(0), *every
 
@@ -247,22 +202,18 @@ def _acting(
 def _shared(bubbles: Bubbles, registry: Registry) -> tuple[Any, ...]:
     """What :func:`imr_torch.simulate.compiled.wall.setup_of` takes."""
     conditions = bubbles.conditions
-    driving = bubbles.conditions.driving
     kinds = [
         registry.radial.index(type(conditions.motion).law),
         registry.gases.index(type(conditions.gas).law),
-        registry.drivings.index(type(driving).law) if isinstance(driving, LawDriving) else -1,
+        conditions.driving is not None,
     ]
-    shape, values = (
-        (driving, driving.values) if isinstance(driving, LawDriving) else (LawDriving(), ())
-    )  # a table of zeros
+    knots, cubics = (conditions.driving or _NO_DRIVING).pieces
     return (
         np.array(bubbles.constants, dtype=np.float64),
         np.array(kinds),
         np.array([*conditions.motion.constants, 0.0]),
-        np.array([*values, 0.0]),
-        shape.knots.numpy(),
-        shape.cubics.numpy(),
+        knots.numpy(),
+        cubics.numpy(),
         1.0 / conditions.surroundings.far_field_pressure,
     )
 

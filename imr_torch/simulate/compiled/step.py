@@ -31,7 +31,8 @@ from imr_torch.simulate.contents import (
     warm_profile,
 )
 from imr_torch.simulate.controller import REST
-from imr_torch.simulate.rosenbrock import RODAS4P
+from imr_torch.simulate.rosenbrock import COUPLING, MOMENTS, TIME_INCREMENTS
+from imr_torch.simulate.rosenbrock import STAGES as ROWS
 
 from . import laws
 from .algebra import apply, dot, invert, multiply
@@ -39,9 +40,7 @@ from .wall import gas_loss, motion, motion_slopes, vapour_factor
 
 HEAD = 8  # where the fields begin in a state: after R, U, ln P, tau_w and zeros
 _BORDER = 5
-STAGES = len(RODAS4P.stages) + 1
-GAMMA = RODAS4P.gamma
-ORDER = RODAS4P.order
+STAGES = len(MOMENTS)
 
 
 def _lower(rows: tuple[tuple[float, ...], ...]) -> np.ndarray:
@@ -49,9 +48,10 @@ def _lower(rows: tuple[tuple[float, ...], ...]) -> np.ndarray:
     return np.array([[*row, *[0.0] * (STAGES - len(row))] for row in ((), *rows)])
 
 
-_ARGUMENT = _lower(RODAS4P.stages)
-_COUPLING = _lower(RODAS4P.coupling)
-_TIME_INCREMENTS, _MOMENTS = (np.array(x) for x in RODAS4P.ticks)
+_ARGUMENT = _lower(ROWS)
+_COUPLING = _lower(COUPLING)
+_TIME_INCREMENTS = np.array(TIME_INCREMENTS)
+_MOMENTS = np.array(MOMENTS)
 
 
 class Space(NamedTuple):
@@ -582,7 +582,7 @@ def step(state, time, h, space, work, member, setup, out):
     increments = work.increments
     argument = work.argument
     right = work.right
-    driven = member.driven or setup.drive >= 0
+    driven = member.driven or setup.driven
     for stage in range(STAGES):
         if stage == 0:
             for i in range(size):

@@ -13,6 +13,8 @@ import numpy as np
 
 from imr_torch.elementary import kernel
 from imr_torch.simulate.bubbles import Constants, Numbers
+from imr_torch.simulate.contents import radial_arguments
+from imr_torch.simulate.driving import spline
 
 from . import laws
 
@@ -26,16 +28,15 @@ class Setup(NamedTuple):
         c: constants of the contents.
         motion: number of the radial equation, and ``liquid``, its constants.
         gas: number of the gas law.
-        drive: number of the driving; -1 for none. ``values``, ``knots`` and ``cubics`` are its
-            numbers, ``scale`` is ``1/p_inf``.
+        driven: whether there is a driving; ``knots`` and ``cubics`` are its table, ``scale`` is
+            ``1/p_inf``.
     """
 
     c: Constants
     motion: int
     liquid: np.ndarray
     gas: int
-    drive: int
-    values: np.ndarray
+    driven: bool
     knots: np.ndarray
     cubics: np.ndarray
     scale: float
@@ -65,12 +66,12 @@ class Member(NamedTuple):
 
 @kernel
 def setup_of(shared):
-    """The :class:`Setup` from plain arrays: constants, numbers of the and what these take."""
-    c, kinds, liquid, values, knots, cubics, scale = shared
+    """The :class:`Setup` from plain arrays: constants, numbers of the laws, and what these take."""
+    c, kinds, liquid, knots, cubics, scale = shared
     constants = Constants(
         c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7] != 0.0, c[8] != 0.0, c[9] != 0.0
     )
-    return Setup(constants, kinds[0], liquid, kinds[1], kinds[2], values, knots, cubics, scale)
+    return Setup(constants, kinds[0], liquid, kinds[1], kinds[2] != 0, knots, cubics, scale)
 
 
 @kernel
@@ -88,9 +89,9 @@ def far_field(time, member, setup):
     value = member.b.far
     rate = 0.0
     bend = 0.0
-    if setup.drive >= 0:
+    if setup.driven:
         seconds = member.b.seconds
-        v, r, a = laws.driving(setup.drive, time * seconds, setup.values, setup.knots, setup.cubics)
+        v, r, a = spline(time * seconds, setup.knots, setup.cubics)
         value += v * setup.scale
         rate += r * seconds * setup.scale
         bend += a * seconds * seconds * setup.scale
@@ -108,25 +109,11 @@ def balance(radius, velocity, pressure, rate, stress, far, far_rate, member, set
 
     All real or all complex.
     """
-    value, stress_rate, inertia = stress
-    tension = member.b.tension / radius
-    pace = member.b.pace
-    if not setup.c.stress_acceleration:
-        inertia = 0.0 * inertia
-    force = laws.radial(
-        setup.motion,
-        radius,
-        velocity / pace,
-        pressure - tension + value,
-        (rate + tension * velocity / radius + stress_rate) / pace,
-        inertia * pace,
-        far,
-        far_rate / pace,
-        member.b.slowness * pace,
-        member.b.image,
-        setup.liquid,
+    b = member.b
+    arguments = radial_arguments(
+        radius, velocity, pressure, rate, stress, far, far_rate, b, setup.c
     )
-    return force * pace * pace
+    return laws.radial(setup.motion, *arguments, setup.liquid) * b.pace * b.pace
 
 
 @kernel
