@@ -82,7 +82,7 @@ def simulate(simulator: Simulator, count: int, device: str, seed: int = 0) -> to
 def milliseconds(simulator: Simulator, count: int, repeats: int, device: str = "cpu") -> float:
     """Median milliseconds a bubble in batches of ``count``.
 
-    New bubbles in each, since a simulator remembers its steps.
+    New bubbles in each.
     """
     batches = iter([draws(count, device, seed) for seed in range(100, 101 + repeats)])
     times = TIMES.to(device)

@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import torch
 from jaxtyping import Bool, Float, Int, Real
@@ -20,6 +20,11 @@ from torch import Tensor
 from imr_torch.errors import InputDataError, PrecisionWarning, ShapeError
 from imr_torch.material import PARAMETERS, TERMS
 from imr_torch.simulate.conditions import Conditions
+
+Arguments: TypeAlias = tuple[
+    Real[Tensor, "*#batch parameters"], Real[Tensor, "*#batch 2"], Real[Tensor, "*#batch frames"]
+]
+"""Parameters, designs and times, as a simulator is called with."""
 
 RUNAWAY = 3.0
 """R* that no free oscillation reaches."""
@@ -171,11 +176,7 @@ class Simulator(Protocol):
 def solve_bundles(
     solve: Callable[..., tuple[Tensor, ...]],
     size: int,
-    arguments: tuple[
-        Real[Tensor, "*#batch parameters"],
-        Real[Tensor, "*#batch 2"],
-        Real[Tensor, "*#batch frames"],
-    ],
+    arguments: Arguments,
 ) -> Solution:
     """As :func:`solve_batch` for bundles: the last batch dimension is theirs, and blocks hold whole
     bundles.
@@ -363,11 +364,7 @@ def in_transform(*tensors: Tensor) -> bool:
 def solve_batch(
     solve: Callable[[Tensor, Tensor, Tensor], tuple[Tensor, ...]],
     size: int,
-    arguments: tuple[
-        Real[Tensor, "*#batch parameters"],
-        Real[Tensor, "*#batch 2"],
-        Real[Tensor, "*#batch frames"],
-    ],
+    arguments: Arguments,
 ) -> Solution:
     """What every simulator does round its solver: check, broadcast, solve in blocks, put together.
 

@@ -17,7 +17,7 @@ from imr_torch.simulate.simulator import RUNAWAY, Status
 
 from . import laws
 from .output import ACCELERATION, RADIUS, TIME, VELOCITY, fill
-from .wall import gas_loss, member_of, motion, setup_of, vapour_factor
+from .wall import Setup, gas_loss, member_of, motion, vapour_factor
 
 _DONE = int(Status.DONE)
 _TOO_MANY = int(Status.TOO_MANY_STEPS)
@@ -39,8 +39,8 @@ class Work(NamedTuple):
     nodes: np.ndarray
 
 
-def work_for(states: int) -> tuple[np.ndarray, ...]:
-    """The entries of :class:`Work` for so many memory states."""
+def work_for(states: int, width: int) -> tuple[np.ndarray, ...]:
+    """The entries of :class:`Work` for so many memory states, in bundles of any width."""
     size = _HEAD + states + 1
     return tuple(Work(np.zeros(size), np.zeros(size), np.zeros((4, size)), np.zeros((2, 6))))
 
@@ -64,6 +64,7 @@ def contents(radius, velocity, left, member, setup):
         b.gas,
         b.exponent,
         b.vapour,
+        setup.liquid,
     )
     return pressure, rate, lost
 
@@ -194,7 +195,7 @@ def solve_block(
         theta: ``B x p``.
         terms: a row a bundle: which stress terms act; ``effects`` likewise.
         effects: see ``terms``.
-        shared: what :func:`imr_torch.simulate.compiled.wall.setup_of` takes.
+        shared: the entries of :class:`imr_torch.simulate.compiled.wall.Setup`.
         settings: for each attempt, the length of a step of stretched time and the weight of the
             gel's memory; and steps at most.
         times: ``B x n_t``.
@@ -204,7 +205,7 @@ def solve_block(
         arrays: of :func:`work_for`, for the memory states that these bundles have.
     """
     attempts, max_steps = settings
-    setup = setup_of(shared)
+    setup = Setup(*shared)
     work = Work(*arrays)
     for bundle in which:
         chosen = 0

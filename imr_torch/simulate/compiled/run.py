@@ -8,7 +8,7 @@ import functools
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache, partial
+from functools import cache
 from threading import get_ident
 from typing import Any
 
@@ -98,9 +98,9 @@ def solve_transport(
         threads: that share the bubbles; all cores if None.
     """
     space = _space(resolution)
-    arrays = partial(_transport_arrays, len(space[-3]), len(space[-1]))
+    work = (step.work_for, len(space[-3]), len(space[-1]))
     settings = (space, *limits)
-    return _solve("solve_transport", bubbles, terms, times, width, settings, arrays, threads)
+    return _solve("solve_transport", bubbles, terms, times, width, settings, work, threads)
 
 
 def solve_polytropic(
@@ -115,26 +115,17 @@ def solve_polytropic(
     steps = [stepping.step * 0.5**attempt for attempt in range(stepping.retries + 1)]
     attempts = np.array([(step, memory_share(step)) for step in steps])
     settings = (attempts, stepping.max_steps)
-    return _solve(
-        "solve_polytropic", bubbles, terms, times, width, settings, _polytropic_arrays, threads
-    )
+    work = (polytropic.work_for,)
+    return _solve("solve_polytropic", bubbles, terms, times, width, settings, work, threads)
 
 
 @functools.lru_cache(maxsize=_KEPT)
-def _transport_arrays(
-    nodes: int, outer_nodes: int, states: int, width: int, _: int
-) -> tuple[Any, ...]:
+def _arrays(work_for: Callable[..., tuple[Any, ...]], *sizes: int) -> tuple[Any, ...]:
     """What the entry point works in.
 
-    The last argument is the thread whose arrays these are, which nothing else uses.
+    The last number is the thread whose arrays these are, which nothing else uses.
     """
-    return step.work_for(nodes, outer_nodes, states, width)
-
-
-@functools.lru_cache(maxsize=_KEPT)
-def _polytropic_arrays(states: int, _width: int, _: int) -> tuple[np.ndarray, ...]:
-    """The same of polytropic gas."""
-    return polytropic.work_for(states)
+    return work_for(*sizes[:-1])
 
 
 def _solve(
@@ -144,7 +135,7 @@ def _solve(
     times: Tensor,
     width: int,
     settings: tuple[Any, ...],
-    arrays: Callable[[int, int, int], tuple[Any, ...]],
+    work: tuple[Any, ...],
     threads: int | None,
 ) -> tuple[Tensor, ...]:
     """Integrate a batch, bundle after bundle.
@@ -156,8 +147,8 @@ def _solve(
         times: ``B x n_t`` tensor.
         width: members of a bundle.
         settings: what the entry point takes of the simulator's.
-        arrays: memory states, width of a bundle and number of a thread to the arrays that the entry
-            point works in.
+        work: what makes the arrays that the entry point works in, and the sizes that it takes
+            before memory states and width of a bundle.
         threads: that share the bubbles; all cores if None.
 
     Returns:
@@ -182,8 +173,8 @@ def _solve(
 
     for number in np.unique(states):
         bundles = np.flatnonzero(states == number)
-        own = partial(arrays, int(number), width)
-        _share_out(module, entry, bundles, arguments, own, threads or cores())
+        sizes = (*work, int(number), width)
+        _share_out(module, entry, bundles, arguments, sizes, threads or cores())
     every = (torch.from_numpy(x).repeat_interleave(width) for x in (status, steps))
     return *torch.from_numpy(curves).unbind(0), *every
 
@@ -200,18 +191,15 @@ def _acting(
 
 
 def _shared(bubbles: Bubbles, registry: Registry) -> tuple[Any, ...]:
-    """What :func:`imr_torch.simulate.compiled.wall.setup_of` takes."""
+    """The entries of :class:`imr_torch.simulate.compiled.wall.Setup`."""
     conditions = bubbles.conditions
-    kinds = [
-        registry.radial.index(type(conditions.motion).law),
-        registry.gases.index(type(conditions.gas).law),
-        conditions.driving is not None,
-    ]
     knots, cubics = (conditions.driving or _NO_DRIVING).pieces
     return (
-        np.array(bubbles.constants, dtype=np.float64),
-        np.array(kinds),
+        bubbles.constants,
+        registry.radial.index(type(conditions.motion).law),
         np.array([*conditions.motion.constants, 0.0]),
+        registry.gases.index(type(conditions.gas).law),
+        conditions.driving is not None,
         knots.numpy(),
         cubics.numpy(),
         1.0 / conditions.surroundings.far_field_pressure,
@@ -223,14 +211,14 @@ def _share_out(
     entry: str,
     bundles: np.ndarray,
     arguments: tuple[Any, ...],
-    arrays: Callable[[int], tuple[Any, ...]],
+    work: tuple[Any, ...],
     threads: int,
 ) -> None:
     """Call an entry point for some bundles, in chunks, on some threads."""
     threads = min(threads, len(bundles))
     size = _CHUNK if threads == 1 else max(1, min(_CHUNK, len(bundles) // (_SHARES * threads)))
     chunks = [bundles[first : first + size] for first in range(0, len(bundles), size)]
-    own = arrays(get_ident())
+    own = _arrays(*work, get_ident())
     function = getattr(module, entry)
     if not function.overloads:  # is compiled before threads begin
         announced(module, entry, (chunks.pop(0), *arguments, own))
@@ -239,7 +227,7 @@ def _share_out(
             function(chunk, *arguments, own)
     else:
         for _ in _pool(threads).map(
-            lambda chunk: function(chunk, *arguments, arrays(get_ident())), chunks
+            lambda chunk: function(chunk, *arguments, _arrays(*work, get_ident())), chunks
         ):
             pass
 

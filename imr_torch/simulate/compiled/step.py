@@ -2,8 +2,13 @@
 and stages; compiled.
 
 The same equations and method as the tensor engine (:mod:`~imr_torch.simulate.rhs`,
-:mod:`~imr_torch.simulate.linearise`, :mod:`~imr_torch.simulate.bordered`,
-:mod:`~imr_torch.simulate.rosenbrock`), in loops over the nodes of one bubble.
+:mod:`~imr_torch.simulate.linearise`, :mod:`~imr_torch.simulate.rosenbrock`), in loops over the
+nodes of one bubble.
+
+Linear systems have three dense blocks, bordered by the numbers that couple them: temperature in the
+bubble (``tau``), vapour (``C``, driven by ``tau``) and temperature in the gel (``theta``) see each
+other only through (R, U, ln P, q, tau_w), with ``q = d ln P/dt`` as an extra unknown; memory of the
+gel sees ``R`` and ``U`` only and joins the border.
 """
 
 from functools import partial
@@ -582,7 +587,6 @@ def step(state, time, h, space, work, member, setup, out):
     increments = work.increments
     argument = work.argument
     right = work.right
-    driven = member.driven or setup.driven
     for stage in range(STAGES):
         if stage == 0:
             for i in range(size):
@@ -607,8 +611,7 @@ def step(state, time, h, space, work, member, setup, out):
             balance = right[3]
             add_increments(_COUPLING[stage], stage, 1.0 / h, increments, right)
             right[3] = balance  # tau_w is algebraic
-        if driven:
-            right[1] += work.slopes[4] * h * _TIME_INCREMENTS[stage]
+        right[1] += work.slopes[4] * h * _TIME_INCREMENTS[stage]
         solve(right, space, work, increments[stage])
     for i in range(size):
         out[i] = argument[i] + increments[STAGES - 1, i]

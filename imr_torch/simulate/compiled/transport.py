@@ -29,7 +29,7 @@ from .step import (
     start,
     step,
 )
-from .wall import member_of, setup_of
+from .wall import Setup, member_of
 
 _DONE = int(Status.DONE)
 _TOO_MANY = int(Status.TOO_MANY_STEPS)
@@ -96,7 +96,7 @@ def solve_block(
         theta: ``B x p``, dimensionless parameters.
         terms: a row a bundle: which stress terms act; ``effects`` likewise.
         effects: see ``terms``.
-        shared: what :func:`imr_torch.simulate.compiled.wall.setup_of` takes.
+        shared: the entries of :class:`imr_torch.simulate.compiled.wall.Setup`.
         settings: the entries of :class:`Space`; relative error of a step, attempted steps after
             which a bundle is given up, and length of the first step.
         times: ``B x n_t``.
@@ -109,7 +109,7 @@ def solve_block(
             these bundles have.
     """
     grids, tolerance, max_steps, first_step = settings
-    setup = setup_of(shared)
+    setup = Setup(*shared)
     space = Space(*grids)
     work = Work(*arrays)
     state = work.state

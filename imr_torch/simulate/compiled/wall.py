@@ -50,37 +50,23 @@ class Member(NamedTuple):
         theta: its dimensionless parameters.
         terms: which stress terms act.
         effects: which effects act.
-        driven: whether the far field changes.
-        loses: whether it loses gas.
-        traps: whether an effect changes the saturation pressure.
+        affected: whether any does.
     """
 
     b: Numbers
     theta: np.ndarray
     terms: np.ndarray
     effects: np.ndarray
-    driven: bool
-    loses: bool
-    traps: bool
-
-
-@kernel
-def setup_of(shared):
-    """The :class:`Setup` from plain arrays: constants, numbers of the laws, and what these take."""
-    c, kinds, liquid, knots, cubics, scale = shared
-    constants = Constants(
-        c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7] != 0.0, c[8] != 0.0, c[9] != 0.0
-    )
-    return Setup(constants, kinds[0], liquid, kinds[1], kinds[2] != 0, knots, cubics, scale)
+    affected: bool
 
 
 @kernel
 def member_of(numbers, theta, terms, effects):
     """One bubble from its rows of the batch's arrays."""
-    loses = laws.loses(effects)
-    traps = laws.traps(effects)
-    driven = laws.drives(effects)
-    return Member(laws.numbers(numbers), theta, terms, effects, driven, loses, traps)
+    affected = False
+    for acts in effects:
+        affected |= acts
+    return Member(laws.numbers(numbers), theta, terms, effects, affected)
 
 
 @kernel
@@ -95,7 +81,7 @@ def far_field(time, member, setup):
         value += v * setup.scale
         rate += r * seconds * setup.scale
         bend += a * seconds * seconds * setup.scale
-    if member.driven:
+    if member.affected:
         v, r, a = laws.far_field(time, member.effects, member.theta)
         value += v
         rate += r
@@ -230,7 +216,7 @@ def motion_slopes(
 @kernel
 def gas_loss(radius, velocity, member):
     """Relative rate at which gas is lost, and its derivatives in ``R`` and ``U``."""
-    if not member.loses:
+    if not member.affected:
         return 0.0, 0.0, 0.0
     rest = member.b.rest_radius
     imaginary = complex(0.0, _STEP)
@@ -246,7 +232,7 @@ def gas_loss(radius, velocity, member):
 @kernel
 def vapour_factor(compression, member):
     """Factor on the saturation pressure and its logarithmic derivative in the compression."""
-    if not member.traps:
+    if not member.affected:
         return 1.0, 0.0
     moved = laws.vapour(complex(compression, _STEP), member.effects, member.theta)
     return moved.real, moved.imag / _STEP * compression / moved.real
