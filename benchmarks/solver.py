@@ -32,12 +32,12 @@ from imr_torch.simulate import (
     STEPPINGS,
     Conditions,
     PolytropicSimulator,
-    ScipySimulator,
     Simulator,
     TransportSimulator,
 )
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.polytropic import head_of, rate_of
+from tests.simulate.scipy_reference import ScipySimulator
 
 TIMES = torch.linspace(0.0, 4.0, 81, dtype=torch.float64)
 
@@ -82,7 +82,7 @@ def simulate(simulator: Simulator, count: int, device: str, seed: int = 0) -> to
 def milliseconds(simulator: Simulator, count: int, repeats: int, device: str = "cpu") -> float:
     """Median milliseconds a bubble in batches of ``count``.
 
-    New bubbles in each, since a simulator remembers its steps.
+    New bubbles in each.
     """
     batches = iter([draws(count, device, seed) for seed in range(100, 101 + repeats)])
     times = TIMES.to(device)

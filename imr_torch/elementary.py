@@ -1,5 +1,5 @@
-"""Elementary functions of physical laws, and :func:`compiled`: one source of a law for tensors and
-for numbers.
+"""Elementary functions of physical laws, and :func:`kernel`: one source of a law for tensors and for
+numbers.
 
 A *law* (a stress, a radial equation, what an effect adds) is a plain function of scalars, written
 with arithmetic and the functions of this module. Called with tensors it works on whole batches.
@@ -18,8 +18,6 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 import torch
 from torch import Tensor
-
-from imr_torch.errors import UnsupportedError
 
 Scalar: TypeAlias = Any
 """What a law computes with: tensors of a common shape, or numbers, real or complex."""
@@ -66,10 +64,6 @@ def find(knots: Tensor, x: Scalar) -> Tensor:
         .sub(1)
         .clamp(0, len(knots) - 2)
     )
-
-
-class NoCompiledForm(UnsupportedError):
-    """A law uses what only tensors have."""
 
 
 _UNARY = {
@@ -121,28 +115,6 @@ def obstacle_of(law: Law) -> str | None:
     return None
 
 
-def compiled(law: Law) -> Any:
-    """The law compiled for numbers.
-
-    Args:
-        law: a function of this module's functions, arithmetic, other such functions, and constants.
-
-    Returns:
-        A Numba function of the same arguments.
-
-    Raises:
-        NoCompiledForm: if the law uses anything else; the message names it.
-
-    >>> from imr_torch.elementary import compiled, power
-    >>> compiled(power)(4.0, 0.5)
-    2.0
-    """
-    obstacle = obstacle_of(law)
-    if obstacle is not None:
-        raise NoCompiledForm(f"{obstacle}; see imr_torch.elementary.")
-    return kernel(law)
-
-
 def kernel(
     function: Law,
     *,
@@ -156,7 +128,8 @@ def kernel(
 
     Args:
         function: a plain function.
-        cache: whether the machine code is kept beside the function's file.
+        cache: whether it is an entry point: Python may call it, and its machine code is kept beside
+            its file. Others are called by compiled functions only.
         inline: whether callers take it in, as machine code (short calls would pass hundreds of
             array bounds) or as source (which saves compiling it by itself, where it is called
             once).
@@ -168,7 +141,8 @@ def kernel(
         _teach_law(law)
     whole = "always" if inline == "source" else "never"
     forced = inline == "machine"
-    return njit(cache=cache, inline=whole, forceinline=forced, **_OPTIONS)(function)
+    wrappers = {} if cache else _NO_WRAPPERS
+    return njit(cache=cache, inline=whole, forceinline=forced, **wrappers, **_OPTIONS)(function)
 
 
 _OPTIONS: dict[str, Any] = {
@@ -176,6 +150,9 @@ _OPTIONS: dict[str, Any] = {
     "nogil": True,
     "_nrt": False,
 }
+
+
+_NO_WRAPPERS: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
 @functools.cache
@@ -208,7 +185,7 @@ def _teach_law(law: Law) -> None:
 
     for called in _laws_called_by(law):
         _teach_law(called)
-    register_jitable(**_OPTIONS)(law)
+    register_jitable(**_NO_WRAPPERS, **_OPTIONS)(law)
 
 
 def _laws_called_by(function: Law) -> list[Law]:

@@ -4,14 +4,21 @@ complex step.
 
 from collections.abc import Callable, Sequence
 
+import numba
 import numpy as np
 import torch
 from torch import Tensor
 
-from imr_torch.elementary import compiled
+from imr_torch.elementary import kernel
 from imr_torch.material import derivatives
 
 STEP = 1e-30
+
+
+def compiled(law: Callable) -> Callable:
+    """The law for numbers, called by a function that Python may call."""
+    called = kernel(law)
+    return numba.njit(lambda *arguments: called(*arguments))
 
 
 def on_tensors(law: Callable, arguments: Sequence, moving: Sequence[int]) -> Callable[..., Tensor]:

@@ -12,12 +12,11 @@ from imr_torch import example_gel
 from imr_torch.campaign import Journal
 from imr_torch.cli import COMMANDS, main, parser
 from imr_torch.cli.campaign_settings import settings_of
-from imr_torch.cli.common import simulator_of
 from imr_torch.cli.design import plan_of
 from imr_torch.material import PARAMETERS, wide_prior
 from imr_torch.observe import Nuisance
 from imr_torch.results import draw_figures
-from imr_torch.simulate import ParallelSimulator, PolytropicSimulator, TransportSimulator
+from imr_torch.simulate import PolytropicSimulator
 from tests.journals import cut
 
 EXAMPLE = example_gel()
@@ -491,11 +490,11 @@ def test_that_a_refused_tell_leaves_no_journal_that_refuses_the_corrected_comman
     )
 
 
-def test_that_a_campaign_on_workers_is_resumed_on_any_number_of_them(tmp_path):
+def test_that_a_campaign_is_resumed_on_any_number_of_threads(tmp_path):
     out = tmp_path / "gel"
-    assert main(real(out, "--workers", 2)) == 0
+    assert main(real(out, "--threads", 2)) == 0
     before = (out / "journal.jsonl").read_bytes()
-    for more in ([], ["--workers", 2], ["--workers", 3], ["--threads", 1]):
+    for more in ([], ["--threads", 1]):
         assert main(real(out, "--resume", *more)) == 0
         assert (out / "journal.jsonl").read_bytes() == before
 
@@ -550,14 +549,6 @@ def test_that_the_noise_of_told_files_is_estimated_and_that_of_a_simulated_camer
     assert learner.noise_rounds == rounds
 
 
-def test_workers_share_the_bubbles_of_a_design():
-    simulator = simulator_of(parser().parse_args(["design", "--workers", "3"]))
-    assert isinstance(simulator, ParallelSimulator)
-    assert isinstance(simulator.simulator, TransportSimulator)
-    alone = simulator_of(parser().parse_args(["design"]))
-    assert isinstance(alone, TransportSimulator)
-
-
 CURVE = "".join(f"a,{i}e-6,{(300 - 9 * i if i < 30 else 10 + i) * 1e-6}\n" for i in range(40))
 
 
@@ -609,7 +600,6 @@ CURVE = "".join(f"a,{i}e-6,{(300 - 9 * i if i < 30 else 10 + i) * 1e-6}\n" for i
             ["design", "--case", "soft-pa", "--we-range", "900:100"],
             r"weber is \(900.0, 100.0\); expected 0 < lower < upper",
         ),
-        (["design", "--case", "soft-pa", "--workers", "0"], "--workers is 0; expected at least 1"),
         (
             ["design", "--case", "soft-pa", "--belief", "x.json"],
             "--belief and --case both name a prior",

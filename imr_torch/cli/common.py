@@ -7,7 +7,6 @@ import math
 import shlex
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +26,9 @@ from imr_torch.reading import load_driving
 from imr_torch.results import document_page, draw_figures, header
 from imr_torch.simulate import (
     ACCURACIES,
-    ParallelSimulator,
     PolytropicSimulator,
     Simulator,
     TransportSimulator,
-    process_pool,
 )
 from imr_torch.types import Progress
 
@@ -40,8 +37,6 @@ SIMULATORS: dict[str, AnySimulator] = {
     "polytropic": PolytropicSimulator(),
     "transport": TransportSimulator(accuracy=ACCURACIES["search"]),
 }
-_CHUNK = 128  # a design's information gain takes some four hundred bubbles
-
 
 METHODS: dict[str, FitOptions] = {
     "map": SearchOptions(),
@@ -85,20 +80,9 @@ def with_engine(simulator: AnySimulator, args: argparse.Namespace) -> AnySimulat
     return replace(simulator, conditions=driven)
 
 
-def simulator_of(args: argparse.Namespace, *, chunk: int = _CHUNK) -> Simulator:
-    """The simulator that ``--physics`` names, on as many processes as ``--workers`` says.
-
-    ``chunk`` bubbles to one at most.
-    """
-    simulator = with_engine(SIMULATORS[args.physics], args)
-    workers = getattr(args, "workers", 1)
-    if workers < 1:
-        raise InputDataError(f"--workers is {workers}; expected at least 1.")
-    return (
-        simulator
-        if workers == 1
-        else ParallelSimulator(simulator, partial(process_pool, workers), chunk=chunk)
-    )
+def simulator_of(args: argparse.Namespace) -> AnySimulator:
+    """The simulator that ``--physics`` names, with what other options say about it."""
+    return with_engine(SIMULATORS[args.physics], args)
 
 
 def prior_of(args: argparse.Namespace) -> Belief:

@@ -40,15 +40,13 @@ from imr_torch.results import draw_figures
 from imr_torch.results.page import footer, provenance_rows
 from imr_torch.simulate import Simulator
 
-_CHUNK = 360  # half of what 25 effects and three experiments take
-
 
 def run(args: argparse.Namespace) -> None:
     """Check everything that was asked for, diagnose, report."""
     started = time.perf_counter()
     if args.most < 1:
         raise InputDataError(f"--most is {args.most}; expected at least 1 effect to add.")
-    simulator = simulator_of(args, chunk=_CHUNK)
+    simulator = simulator_of(args)
     effects = _effects(args)
     base = wide_prior((args.base,), known=parse_values(args.known, "--known")).models[0]
     experiments, medium = _experiments(args, simulator)

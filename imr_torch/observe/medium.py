@@ -20,7 +20,7 @@ from imr_torch.material import Belief, Marginal, ModelBelief, TruncatedNormal
 from imr_torch.material.belief import beside
 from imr_torch.material.media import named_medium
 from imr_torch.reading.statement import PROPERTIES, Statement
-from imr_torch.simulate import Simulator, with_inner
+from imr_torch.simulate import Simulator
 from imr_torch.simulate.conditions import saturation_pressure
 from imr_torch.simulate.medium import OF_MEDIUM
 from imr_torch.units import Surroundings
@@ -67,15 +67,10 @@ class GelMedium:
 
     def applied(self, simulator: Simulator) -> Simulator:
         """The simulator with this medium."""
-
-        def change(one: Any) -> Any:
-            return replace(one, conditions=replace(one.conditions, surroundings=self.surroundings))
-
-        return (
-            simulator
-            if simulator.conditions.surroundings == self.surroundings
-            else with_inner(simulator, change)
-        )
+        if simulator.conditions.surroundings == self.surroundings:
+            return simulator
+        one: Any = simulator
+        return replace(one, conditions=replace(one.conditions, surroundings=self.surroundings))
 
     def believed(self, prior: Belief) -> Belief:
         """The belief with the uncertain values of this medium as parameters of every model that has

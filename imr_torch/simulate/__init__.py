@@ -11,17 +11,11 @@ from imr_torch.simulate.conditions import (
     Stepping,
     preset,
 )
-from imr_torch.simulate.driving import (
-    Driving,
-    GaussianPulse,
-    LawDriving,
-    SineDriving,
-    TabulatedDriving,
-)
+from imr_torch.simulate.driving import TabulatedDriving
 from imr_torch.simulate.engines import ENGINES, Engine
 from imr_torch.simulate.grids import Resolution
 from imr_torch.simulate.ode_method import TransportField
-from imr_torch.simulate.parallel import ParallelSimulator, described, process_pool, with_inner
+from imr_torch.simulate.parallel import process_pool
 from imr_torch.simulate.polytropic import PolytropicSimulator
 from imr_torch.simulate.radial import (
     RADIAL_EQUATIONS,
@@ -31,7 +25,6 @@ from imr_torch.simulate.radial import (
     RadialEquation,
     RayleighPlesset,
 )
-from imr_torch.simulate.scipy_reference import ScipySimulator
 from imr_torch.simulate.sensitivity import DESIGN, sensitivities
 from imr_torch.simulate.simulator import (
     EARLIEST,
@@ -41,6 +34,7 @@ from imr_torch.simulate.simulator import (
     broadcast_batch,
     check_designs,
     check_times,
+    described,
     solve_batch,
     solve_bundles,
 )
@@ -56,24 +50,18 @@ __all__ = [
     "STEPPINGS",
     "Accuracy",
     "Conditions",
-    "Driving",
     "Engine",
     "GasMixture",
-    "GaussianPulse",
     "Gilmore",
     "KellerMiksis",
     "KellerMiksisEnthalpy",
-    "LawDriving",
     "Medium",
-    "ParallelSimulator",
     "PolytropicGas",
     "PolytropicSimulator",
     "RadialEquation",
     "RayleighPlesset",
     "Resolution",
-    "ScipySimulator",
     "Simulator",
-    "SineDriving",
     "Solution",
     "Status",
     "Stepping",
@@ -91,5 +79,4 @@ __all__ = [
     "sensitivities",
     "solve_batch",
     "solve_bundles",
-    "with_inner",
 ]

@@ -9,7 +9,7 @@ system for the fixed-step Runge-Kutta method of ``torchdiffeq`` (Sundman, Acta M
 """
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from imr_torch.elementary import Scalar, sqrt, where
@@ -68,6 +68,80 @@ def memory_share(step: float) -> float:
     return max(_MEMORY, step / _STABLE)
 
 
+def hermite_quintic(
+    share: Scalar,
+    step: Scalar,
+    radius: tuple[Scalar, Scalar],
+    velocity: tuple[Scalar, Scalar],
+    acceleration: tuple[Scalar, Scalar],
+) -> tuple[Scalar, Scalar]:
+    """Radius and velocity within a step, by quintic Hermite interpolation; a law of scalars.
+
+    Args:
+        share: of the step that has passed; before the step (negative) a parabola goes on, since a
+            polynomial fitted to a tiny first step would blow up the rounding errors there.
+        step: its length.
+        radius: at its beginning and end; ``velocity`` and ``acceleration`` likewise.
+        velocity: see ``radius``.
+        acceleration: see ``radius``.
+    """
+    r0 = radius[0]
+    u0 = velocity[0] * step
+    u1 = velocity[1] * step
+    a0 = acceleration[0] * step * step
+    a1 = acceleration[1] * step * step
+    d = radius[1] - r0 - u0 - 0.5 * a0
+    e = u1 - u0 - a0
+    f = a1 - a0
+    early = share < 0.0
+    c3 = where(early, 0.0, 10.0 * d - 4.0 * e + 0.5 * f)
+    c4 = where(early, 0.0, -15.0 * d + 7.0 * e - f)
+    c5 = where(early, 0.0, 6.0 * d - 3.0 * e + 0.5 * f)
+    value = r0 + share * (u0 + share * (0.5 * a0 + share * (c3 + share * (c4 + share * c5))))
+    slope = u0 + share * (a0 + share * (3.0 * c3 + share * (4.0 * c4 + share * 5.0 * c5)))
+    return value, slope / step
+
+
+def hermite_cubic(
+    share: Scalar, step: Scalar, values: tuple[Scalar, Scalar], rates: tuple[Scalar, Scalar]
+) -> Scalar:
+    """A number within a step, by cubic Hermite interpolation, linear before it; arguments as of
+    :func:`hermite_quintic`.
+    """
+    rise = values[1] - values[0]
+    r0 = rates[0] * step
+    r1 = rates[1] * step
+    early = share < 0.0
+    bend = where(early, 0.0, 3.0 * rise - 2.0 * r0 - r1)
+    twist = where(early, 0.0, r0 + r1 - 2.0 * rise)
+    return values[0] + share * (r0 + share * (bend + share * twist))
+
+
+def bracket(
+    nodes: Float[Tensor, "members steps"], times: Float[Tensor, "members frames"]
+) -> tuple[Int[Tensor, "members frames"], Float[Tensor, "members frames"], Tensor]:
+    """The step that holds each time.
+
+    Args:
+        nodes: time of each step, non-decreasing.
+        times: of the output; those before the first node count to the first step.
+
+    Returns:
+        Number of the node at its end, its length, and the share of it that has passed.
+    """
+    end = torch.searchsorted(nodes.detach(), times.contiguous()).clamp(1, nodes.shape[1] - 1)
+    before = nodes.gather(1, end - 1)
+    step = (nodes.gather(1, end) - before).clamp_min(torch.finfo(times.dtype).tiny)
+    return end, step, (times - before) / step
+
+
+def ends_of(
+    values: Float[Tensor, "members steps"], end: Int[Tensor, "members frames"]
+) -> tuple[Float[Tensor, "members frames"], Float[Tensor, "members frames"]]:
+    """Values at the nodes before and after each time; ``end`` as :func:`bracket` gives it."""
+    return values.gather(1, end - 1), values.gather(1, end)
+
+
 def interpolate(
     nodes: Float[Tensor, "members steps"],
     radius: Float[Tensor, "members steps"],
@@ -75,40 +149,15 @@ def interpolate(
     acceleration: Float[Tensor, "members steps"],
     times: Float[Tensor, "members frames"],
 ) -> tuple[Float[Tensor, "members frames"], Float[Tensor, "members frames"]]:
-    """Radius and velocity at given times by quintic Hermite interpolation between steps.
+    """Radius and velocity at given times, each ``B x n_t``; the error is of sixth order in the step.
 
     Args:
         nodes: time of each step, non-decreasing.
         radius: ``B x n`` tensor at the nodes.
         velocity: ``B x n`` tensor.
         acceleration: ``B x n`` tensor.
-        times: before the first node a parabola goes on (a polynomial fitted to a tiny first step
-            would blow up the rounding errors there).
-
-    Returns:
-        Radius and velocity, each ``B x n_t``. The error is of sixth order in the step.
+        times: see :func:`bracket`.
     """
-    right = torch.searchsorted(nodes.detach(), times.contiguous()).clamp(1, nodes.shape[1] - 1)
-    left = right - 1
-
-    def ends(values: Tensor) -> tuple[Tensor, Tensor]:
-        return values.gather(1, left), values.gather(1, right)
-
-    t0, t1 = ends(nodes)
-    h = (t1 - t0).clamp_min(torch.finfo(times.dtype).tiny)
-    s = (times - t0) / h
-    (r0, r1), (u0, u1), (a0, a1) = ends(radius), ends(velocity), ends(acceleration)
-    u0 = u0 * h
-    u1 = u1 * h
-    a0 = a0 * h * h
-    a1 = a1 * h * h
-    d = r1 - r0 - u0 - 0.5 * a0
-    e = u1 - u0 - a0
-    f = a1 - a0
-    c3 = 10.0 * d - 4.0 * e + 0.5 * f
-    c4 = -15.0 * d + 7.0 * e - f
-    c5 = 6.0 * d - 3.0 * e + 0.5 * f
-    c3, c4, c5 = (torch.where(s < 0.0, 0.0, c) for c in (c3, c4, c5))
-    value = r0 + s * (u0 + s * (0.5 * a0 + s * (c3 + s * (c4 + s * c5))))
-    slope = u0 + s * (a0 + s * (3.0 * c3 + s * (4.0 * c4 + s * 5.0 * c5)))
-    return value, slope / h
+    end, step, share = bracket(nodes, times)
+    knots = (ends_of(values, end) for values in (radius, velocity, acceleration))
+    return hermite_quintic(share, step, *knots)

@@ -7,7 +7,6 @@ end with the simulator they were given.
 
 from dataclasses import replace
 
-from imr_torch.simulate.parallel import with_inner
 from imr_torch.simulate.polytropic import PolytropicSimulator
 from imr_torch.simulate.simulator import Simulator
 from imr_torch.simulate.transport import ACCURACIES, TransportSimulator
@@ -26,10 +25,6 @@ def coarser(simulator: Simulator) -> Simulator:
     >>> coarser(TransportSimulator()).accuracy.tolerance
     0.001
     """
-    return with_inner(simulator, _coarse)
-
-
-def _coarse(simulator: Simulator) -> Simulator:
     coarse = ACCURACIES["coarse"]
     if (
         not isinstance(simulator, TransportSimulator)
@@ -50,10 +45,6 @@ def fewer_steps(simulator: Simulator) -> Simulator:
     >>> fewer_steps(PolytropicSimulator()).stepping.max_steps
     600
     """
-    return with_inner(simulator, _limited)
-
-
-def _limited(simulator: Simulator) -> Simulator:
     if not isinstance(simulator, PolytropicSimulator):
         return simulator
     stepping = simulator.stepping

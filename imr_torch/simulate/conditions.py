@@ -9,7 +9,7 @@ from typing import ClassVar, Literal
 
 from imr_torch.elementary import Law
 from imr_torch.errors import InputDataError
-from imr_torch.simulate.driving import Driving
+from imr_torch.simulate.driving import TabulatedDriving
 from imr_torch.simulate.gas import polytropic
 from imr_torch.simulate.radial import KellerMiksis, RadialEquation
 from imr_torch.units import Surroundings
@@ -227,7 +227,7 @@ class Conditions:
     mixture: GasMixture = field(default_factory=GasMixture)
     medium: Medium = field(default_factory=Medium)
     motion: RadialEquation = field(default_factory=KellerMiksis)
-    driving: Driving | None = None
+    driving: TabulatedDriving | None = None
     initial_velocity: float = 0.0
     stress_acceleration: bool = True
 

@@ -14,6 +14,48 @@ from imr_torch.elementary import Scalar, exp, sqrt
 from imr_torch.simulate.bubbles import Constants, Numbers
 
 
+def radial_arguments(
+    radius: Scalar,
+    velocity: Scalar,
+    pressure: Scalar,
+    rate: Scalar,
+    stress: tuple[Scalar, Scalar, Scalar],
+    far: Scalar,
+    far_rate: Scalar,
+    b: Numbers,
+    c: Constants,
+) -> tuple[Scalar, ...]:
+    """What a radial equation (:mod:`imr_torch.simulate.radial`) takes, in units of the medium's own
+    ``U_c``, in which it is that of any density.
+
+    Args:
+        radius: ``R``.
+        velocity: ``U``.
+        pressure: of all contents.
+        rate: its time derivative.
+        stress: of the gel, the part of its rate without ``U'``, and the factor of ``U'`` in it.
+        far: far-field pressure.
+        far_rate: its time derivative.
+        b: numbers of the bubble.
+        c: constants of the batch.
+    """
+    value, stress_rate, inertia = stress
+    tension = b.tension / radius
+    if not c.stress_acceleration:
+        inertia = 0.0 * inertia
+    return (
+        radius,
+        velocity / b.pace,
+        pressure - tension + value,
+        (rate + tension * velocity / radius + stress_rate) / b.pace,
+        inertia * b.pace,
+        far,
+        far_rate / b.pace,
+        b.slowness * b.pace,
+        b.image,
+    )
+
+
 class Wall(NamedTuple):
     """What holds at the wall.
 

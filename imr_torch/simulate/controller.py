@@ -7,13 +7,12 @@ used: as large, within a tenth or two, but smooth, and so are then the steps as 
 bubble, which makes derivatives of the discrete solution three times as accurate.
 """
 
-from dataclasses import dataclass
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from imr_torch.simulate.rhs import Equations
+from imr_torch.simulate.rhs import HEAD, Equations
+from imr_torch.simulate.rosenbrock import ORDER
 
 SAFETY, SHRINK, GROW = 0.8, 0.1, 3.0  # steps change by SAFETY err^(-1/4), within SHRINK and GROW
 HEAT_WEIGHT = 0.3  # of temperatures beside R, U, ln P and vapour
@@ -25,62 +24,50 @@ PATIENCE = (
 )
 
 
-@dataclass(frozen=True)
-class Controller:
-    """Step sizes from error estimates.
+def scaled_error(
+    before: Float[Tensor, "state members"],
+    after: Float[Tensor, "state members"],
+    error: Float[Tensor, "state members"],
+    equations: Equations,
+    tolerance: float,
+) -> Float[Tensor, "members"]:
+    """Scaled error of a step, a ``B`` tensor: at most 1 if the step may be accepted, infinite or
+    NaN if it failed.
 
     Args:
+        before: the state before the step.
+        after: the state after it.
+        error: its estimated error.
+        equations: the system, which knows the layout of the state.
         tolerance: relative error allowed in a step.
-        order: the inverse of the exponent.
     """
-
-    tolerance: float
-    order: int = 4
-
-    def error(
-        self,
-        before: Float[Tensor, "state members"],
-        after: Float[Tensor, "state members"],
-        error: Float[Tensor, "state members"],
-        equations: Equations,
-    ) -> Float[Tensor, "members"]:
-        """Scaled error of a step, a ``B`` tensor: at most 1 if the step may be accepted, infinite
-        or NaN if it failed.
-
-        Args:
-            before: the state before the step.
-            after: the state after it.
-            error: its estimated error.
-            equations: the system, which knows the layout of the state.
-        """
-        radius = after[0]
-        inside = equations.n
-        pressure = 1.0 + torch.exp(after[2])
-        speed = after[1].abs() + 0.1 * torch.sqrt(pressure)
-        heat, vapour, gel, memory = error[4:].split((inside, inside, equations.m, equations.memory))
-        hottest = 0.1 + torch.maximum(
-            before[4 : 4 + inside].abs().amax(0), after[4 : 4 + inside].abs().amax(0)
+    radius = after[0]
+    inner = slice(HEAD, HEAD + equations.n)
+    pressure = 1.0 + torch.exp(after[2])
+    speed = after[1].abs() + 0.1 * torch.sqrt(pressure)
+    sizes = (equations.n, equations.n, equations.m, equations.memory)
+    heat, vapour, gel, memory = error[HEAD:].split(sizes)
+    hottest = 0.1 + torch.maximum(before[inner].abs().amax(0), after[inner].abs().amax(0))
+    warmest = 0.01 + after[3].abs()
+    scaled = torch.stack(
+        (
+            error[0].abs() / radius,
+            error[1].abs() / speed,
+            error[2].abs(),
+            HEAT_WEIGHT * _rms(heat) / hottest,
+            _rms(vapour),
+            HEAT_WEIGHT * _rms(gel) / warmest,
+            *(memory.abs() / (after[len(after) - len(memory) :].abs() + 0.1 * pressure)),
         )
-        warmest = 0.01 + after[3].abs()
-        scaled = torch.stack(
-            (
-                error[0].abs() / radius,
-                error[1].abs() / speed,
-                error[2].abs(),
-                HEAT_WEIGHT * _rms(heat) / hottest,
-                _rms(vapour),
-                HEAT_WEIGHT * _rms(gel) / warmest,
-                *(memory.abs() / (after[len(after) - len(memory) :].abs() + 0.1 * pressure)),
-            )
-        )
-        return torch.where(
-            radius > 0.0, scaled.square().square().sum(0).sqrt().sqrt() / self.tolerance, torch.inf
-        )
+    )
+    norm = scaled.square().square().sum(0).sqrt().sqrt()
+    return torch.where(radius > 0.0, norm / tolerance, torch.inf)
 
-    def factor(self, error: Float[Tensor, "members"]) -> Float[Tensor, "members"]:
-        """What to multiply the step by."""
-        factor = SAFETY * error ** (-1.0 / self.order)
-        return torch.where(torch.isfinite(error), factor.clamp(SHRINK, GROW), SHRINK)
+
+def step_factor(error: Float[Tensor, "members"]) -> Float[Tensor, "members"]:
+    """What to multiply the step by after a scaled error."""
+    factor = SAFETY * error ** (-1.0 / ORDER)
+    return torch.where(torch.isfinite(error), factor.clamp(SHRINK, GROW), SHRINK)
 
 
 def _rms(values: Tensor) -> Tensor:

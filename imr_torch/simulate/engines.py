@@ -11,12 +11,24 @@ and gives the same answer.
 import functools
 import importlib.util
 import warnings
-from dataclasses import is_dataclass, replace
-from typing import Literal
+from typing import ClassVar, Literal
+
+import torch
+from jaxtyping import Real
+from torch import Tensor
 
 from imr_torch.errors import EngineWarning, InputDataError
 from imr_torch.simulate.bubbles import Bubbles
-from imr_torch.simulate.simulator import Simulator
+from imr_torch.simulate.conditions import Conditions
+from imr_torch.simulate.sensitivity import differentiable
+from imr_torch.simulate.simulator import (
+    Solution,
+    in_transform,
+    solve_batch,
+    solve_bundles,
+    together,
+    tracked,
+)
 
 Engine = Literal["compiled", "torchdiffeq"]
 """What integrates the bubbles."""
@@ -24,27 +36,68 @@ ENGINES = ("compiled", "torchdiffeq")
 """The names of the engines."""
 
 
-def check_engine(simulator: str, engine: str, threads: int | None) -> None:
-    """Raise :class:`InputDataError` unless ``engine`` is one of ``ENGINES`` and ``threads`` a
-    number of threads.
+class EngineSimulator:
+    """What both simulators share: a batch or bundles, checked, cut into blocks and integrated.
+
+    Attributes:
+        members: integrated together on a processor.
+        member_bytes: memory of a member while tensors of it are integrated.
     """
-    if engine not in ENGINES:
-        raise InputDataError(
-            f"{simulator}.engine is {engine!r}; expected one of {', '.join(ENGINES)}."
-        )
-    if threads is not None and threads < 1:
-        raise InputDataError(
-            f"{simulator}.threads is {threads}; expected at least 1, or None for all cores."
-        )
 
+    conditions: Conditions
+    engine: Engine
+    threads: int | None
+    members: ClassVar[int]
+    member_bytes: ClassVar[int]
 
-def on_one_thread(simulator: Simulator) -> Simulator:
-    """The simulator, using one thread: for workers that share the cores of a machine."""
-    return (
-        replace(simulator, threads=1)
-        if is_dataclass(simulator) and hasattr(simulator, "threads")
-        else simulator
-    )
+    def __post_init__(self) -> None:
+        name = type(self).__name__
+        if self.engine not in ENGINES:
+            raise InputDataError(
+                f"{name}.engine is {self.engine!r}; expected one of {', '.join(ENGINES)}."
+            )
+        if self.threads is not None and self.threads < 1:
+            raise InputDataError(
+                f"{name}.threads is {self.threads}; expected at least 1, or None for all cores."
+            )
+
+    def __call__(
+        self,
+        parameters: Real[Tensor, "*#batch parameters"],
+        designs: Real[Tensor, "*#batch 2"],
+        times: Real[Tensor, "*#batch frames"],
+    ) -> Solution:
+        """Simulate a batch; see :class:`imr_torch.simulate.Simulator`.
+
+        Where an argument requires a gradient, radii carry it: see
+        :func:`imr_torch.simulate.sensitivity.differentiable`.
+
+        Raises:
+            ShapeError: if shapes do not fit.
+            InputDataError: if a design is impossible, or times are not increasing and finite.
+        """
+        inputs = (parameters, designs, times)
+        if in_transform(*inputs) or tracked(*inputs):
+            return differentiable(self, *inputs)
+        size = together(parameters, self.members, self.member_bytes)
+        return solve_batch(self._solve, size, inputs)
+
+    def bundle(
+        self,
+        parameters: Real[Tensor, "*#batch parameters"],
+        designs: Real[Tensor, "*#batch 2"],
+        times: Real[Tensor, "*#batch frames"],
+    ) -> Solution:
+        """Simulate bundles in lock step; see :meth:`imr_torch.simulate.Simulator.bundle`."""
+        size = together(parameters, self.members, self.member_bytes)
+        with torch.no_grad():
+            return solve_bundles(self._solve, size, (parameters, designs, times))
+
+    def _solve(
+        self, parameters: Tensor, designs: Tensor, times: Tensor, width: int = 1
+    ) -> tuple[Tensor, ...]:
+        """One block of members, bundle after bundle: radius, velocity, pressure, status, steps."""
+        raise NotImplementedError
 
 
 def compiles(engine: Engine, bubbles: Bubbles) -> bool:

@@ -1,11 +1,8 @@
-"""Grids for the fields inside and outside the bubble: spectral ones, and second-order ones to
-compare with.
+"""Spectral grids for the fields inside and outside the bubble.
 
 Inside, even Chebyshev collocation on the mapped coordinate ``y = r/R = tanh(beta eta)/tanh(beta)``
 resolves the thermal boundary layer with some sixteen nodes; outside, Chebyshev on ``y = 1 + L (1 -
-xi)/(1 + xi)`` reaches to infinity. Central differences on nodes that are even in ``eta`` and ``xi``
-share the maps and nothing else; the published code's grid is the one that is even in ``y`` itself.
-References: Boyd, Chebyshev and Fourier Spectral Methods (2001), ch. 6, 8 and 17; Trefethen,
+xi)/(1 + xi)`` reaches to infinity. References: Boyd, Chebyshev and Fourier Spectral Methods (2001), ch. 6, 8 and 17; Trefethen,
 Spectral Methods in MATLAB (2000), ch. 6 and 11.
 """
 
@@ -52,10 +49,6 @@ class Resolution:
         stretch: ``beta``, how much the inner nodes crowd at the wall.
         reach: ``L``, the distance from the wall, in radii, within which half of the outer nodes
             lie.
-        kind: ``"spectral"``; ``"finite_difference"``: of second order with the same crowding at the
-            wall, where nodes count the wall, the centre and infinity; ``"authors"``: the uniform
-            second-order grid of the published code (the same count; ``stretch`` is ignored and
-            ``reach`` is its 2).
 
     >>> from imr_torch.simulate import Accuracy, Resolution, TransportSimulator
     >>> fine = TransportSimulator(accuracy=Accuracy(1e-5, Resolution(inside=24, outside=24)))
@@ -67,14 +60,8 @@ class Resolution:
     outside: int = 18
     stretch: float = 2.0
     reach: float = 0.02
-    kind: str = "spectral"
 
     def __post_init__(self) -> None:
-        if self.kind not in ("spectral", "finite_difference", "authors"):
-            raise InputDataError(
-                f"Resolution.kind is {self.kind!r}; expected 'spectral', 'finite_difference' or "
-                "'authors'."
-            )
         if not (4 <= self.inside <= 512 and 4 <= self.outside <= 512):
             raise InputDataError(
                 f"Resolution has {self.inside} and {self.outside} nodes; expected 4 to 512 on "
@@ -88,12 +75,6 @@ class Resolution:
 
     def grids(self) -> tuple[Grid, Grid]:
         """The grids of the bubble and of the gel, float64."""
-        if self.kind == "authors":
-            return uniform_inside(self.inside), difference_outside(self.outside, self.reach)
-        if self.kind == "finite_difference":
-            return difference_inside(self.inside, self.stretch), difference_outside(
-                self.outside, self.reach
-            )
         return chebyshev_inside(self.inside, self.stretch), chebyshev_outside(
             self.outside, self.reach
         )
@@ -124,37 +105,6 @@ def chebyshev_outside(m: int, reach: float) -> Grid:
     return _outer(xi, slope, slope @ slope, reach)
 
 
-def difference_inside(nodes: int, stretch: float) -> Grid:
-    """Second-order differences on ``nodes`` points from centre to wall, even in ``eta``.
-
-    Args:
-        nodes: points, wall and centre included.
-        stretch: ``beta`` of ``y = tanh(beta eta)/tanh(beta)``.
-    """
-    eta, first, second = _even_differences(nodes)
-    return _with_centre(*_crowd(eta, first, second, stretch))
-
-
-def uniform_inside(nodes: int) -> Grid:
-    """The published code's inner grid: ``nodes`` uniform points from centre to wall, second-order
-    differences.
-    """
-    return _with_centre(*_even_differences(nodes))
-
-
-def difference_outside(nodes: int, reach: float) -> Grid:
-    """Second-order differences on ``nodes`` points even in ``xi`` from wall to infinity, where the
-    field vanishes.
-
-    Args:
-        nodes: points, wall and infinity included; the published code has these with ``reach = 2``.
-        reach: ``L`` of ``y = 1 + L (1 - xi)/(1 + xi)``.
-    """
-    xi = torch.linspace(1.0, -1.0, nodes, dtype=torch.float64)
-    first, second = _central(nodes, xi[0] - xi[1])
-    return _outer(xi, first, second, reach)
-
-
 def _crowd(
     eta: Tensor, slope: Tensor, curvature: Tensor, stretch: float
 ) -> tuple[Tensor, Tensor, Tensor]:
@@ -169,24 +119,6 @@ def _crowd(
         slope / stretched[:, None],
         curvature / stretched[:, None] ** 2 - (bend / stretched**3)[:, None] * slope,
     )
-
-
-def _even_differences(nodes: int) -> tuple[Tensor, Tensor, Tensor]:
-    """``nodes`` points from wall to centre, and second-order derivatives of a field that is even
-    there.
-    """
-    y = torch.linspace(1.0, 0.0, nodes, dtype=torch.float64)
-    step = y[0] - y[1]
-    first, second = _central(nodes, step)
-    first[-1] = 0.0
-    second[-1, -1], second[-1, -2] = -2.0 / step**2, 2.0 / step**2
-    return y, first, second
-
-
-def _with_centre(y: Tensor, first: Tensor, second: Tensor) -> Grid:
-    """A grid whose last node is the centre, where ``(2/y) d/dy`` is twice the second derivative."""
-    laplacian = torch.cat(((second + 2.0 / y[:, None] * first)[:-1], 3.0 * second[-1:]))
-    return Grid(y[1:].clone(), first.contiguous(), laplacian[1:].contiguous())
 
 
 def _outer(xi: Tensor, slope: Tensor, curvature: Tensor, reach: float) -> Grid:
@@ -207,21 +139,6 @@ def _outer(xi: Tensor, slope: Tensor, curvature: Tensor, reach: float) -> Grid:
 def _grid(y: Tensor, first: Tensor, second: Tensor) -> Grid:
     laplacian = second + 2.0 / y[:, None] * first
     return Grid(y[1:].clone(), first.contiguous(), laplacian[1:].contiguous())
-
-
-def _central(nodes: int, step: Tensor) -> tuple[Tensor, Tensor]:
-    """First and second central differences on nodes in falling order.
-
-    One-sided and second-order at the wall.
-    """
-    first = torch.zeros(nodes, nodes, dtype=torch.float64)
-    second = torch.zeros_like(first)
-    inner = torch.arange(1, nodes - 1)
-    first[inner, inner - 1], first[inner, inner + 1] = 0.5 / step, -0.5 / step
-    second[inner, inner - 1] = second[inner, inner + 1] = 1.0 / step**2
-    second[inner, inner] = -2.0 / step**2
-    first[0, :3] = torch.tensor([1.5, -2.0, 0.5], dtype=torch.float64) / step
-    return first, second
 
 
 def _chebyshev(count: int) -> tuple[Tensor, Tensor]:

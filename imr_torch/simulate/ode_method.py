@@ -24,7 +24,7 @@ from torch import Tensor
 
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.conditions import Conditions
-from imr_torch.simulate.controller import FIRST_STEP, REST, Controller
+from imr_torch.simulate.controller import FIRST_STEP, REST, scaled_error, step_factor
 from imr_torch.simulate.grids import Resolution
 from imr_torch.simulate.rhs import Equations
 from imr_torch.simulate.rosenbrock import rosenbrock_step
@@ -101,15 +101,14 @@ class TransportField:
 
     def _after_tick(self, state: Tensor) -> Tensor:
         """The state after one more step of every member."""
-        controller = Controller(self.tolerance)
         x, (time, step, before) = state[:-CONTROL], state[-CONTROL:]
         lead = slice(None, None, self.width)
         length = step if self.width == 1 else self._lengths(x, step)
-        trial = rosenbrock_step(self.equations, x, length, time)
-        error = controller.error(
-            x[:, lead], trial.state[:, lead], trial.error[:, lead], self.equations
+        after, change = rosenbrock_step(self.equations, x, length, time)
+        error = scaled_error(
+            x[:, lead], after[:, lead], change[:, lead], self.equations, self.tolerance
         )
-        factor = controller.factor(error)
+        factor = step_factor(error)
         factor = torch.where(
             before[lead] == ACCEPTED, factor, factor.clamp_max(1.0)
         )  # no growth after a failure
@@ -118,7 +117,7 @@ class TransportField:
         accepted = ended == ACCEPTED
         time = torch.where(accepted, time + length, time)
         control = torch.stack((time, step * self._each(factor), ended.to(time)))
-        return torch.cat((torch.where(accepted, trial.state, x), control))
+        return torch.cat((torch.where(accepted, after, x), control))
 
     def _each(self, values: Tensor) -> Tensor:
         """What holds for leaders, for each of their bundle."""

@@ -8,36 +8,24 @@ after each block. Members that fail are tried again with half the step before th
 from dataclasses import dataclass, field, replace
 
 import torch
-from jaxtyping import Float, Real
+from jaxtyping import Float
 from torch import Tensor
 from torchdiffeq import odeint
 
 from imr_torch.material import StressTerm
 from imr_torch.simulate.bubbles import Bubbles
-from imr_torch.simulate.clock import interpolate, memory_share, time_per_tick
+from imr_torch.simulate.clock import bracket, ends_of, interpolate, memory_share, time_per_tick
 from imr_torch.simulate.conditions import Conditions, Stepping
-from imr_torch.simulate.engines import Engine, check_engine, compiles
+from imr_torch.simulate.engines import Engine, EngineSimulator, compiles
 from imr_torch.simulate.gas import compression_of
-from imr_torch.simulate.sensitivity import differentiable
-from imr_torch.simulate.simulator import (
-    RUNAWAY,
-    Solution,
-    Status,
-    in_transform,
-    solve_batch,
-    solve_bundles,
-    together,
-    tracked,
-)
+from imr_torch.simulate.simulator import RUNAWAY, Status
 from imr_torch.simulate.wall import Head, gas_loss, motion, vapour_factor
 
 _BLOCK = 32  # steps between two checks of which members are done
-_BATCH = 2000  # members solved together on a processor: larger batches leave its cache
-_BYTES = 75_000  # of a member while it is integrated
 
 
 @dataclass(frozen=True)
-class PolytropicSimulator:
+class PolytropicSimulator(EngineSimulator):
     """A :class:`~imr_torch.simulate.Simulator` with polytropic gas and constant vapour pressure.
 
     Args:
@@ -64,38 +52,8 @@ class PolytropicSimulator:
     engine: Engine = field(default="compiled", repr=False, compare=False)
     threads: int | None = field(default=None, repr=False, compare=False)
 
-    def __post_init__(self) -> None:
-        check_engine(type(self).__name__, self.engine, self.threads)
-
-    def __call__(
-        self,
-        parameters: Real[Tensor, "*#batch parameters"],
-        designs: Real[Tensor, "*#batch 2"],
-        times: Real[Tensor, "*#batch frames"],
-    ) -> Solution:
-        """Simulate a batch; see :class:`imr_torch.simulate.Simulator`.
-
-        Gradients of the radius are those of :func:`imr_torch.simulate.sensitivities`.
-
-        Raises:
-            ShapeError: if shapes do not fit.
-            InputDataError: if a design is impossible, or times are not increasing and finite.
-        """
-        inputs = (parameters, designs, times)
-        if in_transform(*inputs) or tracked(*inputs):
-            return differentiable(self, *inputs)
-        return solve_batch(self._solve, together(parameters, _BATCH, _BYTES), inputs)
-
-    def bundle(
-        self,
-        parameters: Real[Tensor, "*#batch parameters"],
-        designs: Real[Tensor, "*#batch 2"],
-        times: Real[Tensor, "*#batch frames"],
-    ) -> Solution:
-        """Simulate bundles in lock step; see :meth:`imr_torch.simulate.Simulator.bundle`."""
-        return solve_bundles(
-            self._solve, together(parameters, _BATCH, _BYTES), (parameters, designs, times)
-        )
+    members = 2000  # larger batches leave the cache of a processor
+    member_bytes = 75_000
 
     def _solve(
         self, parameters: Tensor, designs: Tensor, times: Tensor, width: int = 1
@@ -249,23 +207,15 @@ def _read(
     state = torch.where(good, history.movedim(1, 0), 0.0)
     state = torch.cat((torch.where(good, radius, 1.0)[None], state[1:2], nodes[None], state[3:]))
     force = motion(bubbles, head_of(bubbles, state))[0]
-    at, speed = interpolate(nodes.T.contiguous(), state[0].T, state[1].T, force.T, times)
+    nodes = nodes.T.contiguous()
+    at, speed = interpolate(nodes, state[0].T, state[1].T, force.T, times)
     known = (status == Status.DONE)[:, None] | (times < reached[:, None])
     nan = torch.full_like(times, torch.nan)
-    rest = [_linear(nodes.T.contiguous(), row.T, times).T for row in state[3:].unbind(0)]
+    end, _, share = bracket(nodes, times)
+    rest = [torch.lerp(*ends_of(row.T, end), share).T for row in state[3:].unbind(0)]
     pressure = head_of(bubbles, torch.stack((at.T, speed.T, times.T, *rest))).pressure.T
     return (
         torch.where(known, at, nan),
         torch.where(known, speed, nan),
         torch.where(known, pressure, nan),
     )
-
-
-def _linear(nodes: Tensor, values: Tensor, times: Tensor) -> Tensor:
-    """Values at times by linear interpolation between nodes: ``B x n``, ``B x n`` and ``B x n_t``
-    to ``B x n_t``.
-    """
-    right = torch.searchsorted(nodes.detach(), times.contiguous()).clamp(1, nodes.shape[1] - 1)
-    t0, t1, v0, v1 = (x.gather(1, i) for x in (nodes, values) for i in (right - 1, right))
-    share = (times - t0) / (t1 - t0).clamp_min(torch.finfo(times.dtype).tiny)
-    return v0 + share * (v1 - v0)

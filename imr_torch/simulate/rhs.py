@@ -169,18 +169,11 @@ class Equations:
             outer_laplacian,
         )
 
-    def rate(
-        self,
-        f: Fields,
-        known: tuple[Float[Tensor, "members"], Float[Tensor, "states members"]] | None = None,
-    ) -> Float[Tensor, "state members"]:
-        """``f(x)`` at a state, ``(4+2n+m+K) x B``.
-
-        ``known`` are ``U'`` and the rates of memory, if known already.
-        """
+    def rate(self, f: Fields) -> Float[Tensor, "state members"]:
+        """``f(x)`` at a state, ``(4+2n+m+K) x B``."""
         b = self.bubbles.numbers
         c = self.bubbles.constants
-        acceleration, memory_rate = known or motion(self.bubbles, f.head)
+        acceleration, memory_rate = motion(self.bubbles, f.head)
         balance = wall_balance(f.wall, f.heat, f.vapour, f.outer_slope[0], b, c)
         head = torch.stack((f.velocity, acceleration, f.rate / f.pressure, balance))
         warmer, wetter = node_rates(f.node, f.radius, f.velocity, f.pressure, f.rate, b, c)

@@ -6,11 +6,12 @@ another device or in another process can take its place. A bubble whose solve fa
 status says so and its numbers are NaN.
 """
 
+import re
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import torch
 from jaxtyping import Bool, Float, Int, Real
@@ -20,8 +21,10 @@ from imr_torch.errors import InputDataError, PrecisionWarning, ShapeError
 from imr_torch.material import PARAMETERS, TERMS
 from imr_torch.simulate.conditions import Conditions
 
-NO_BLOCKS = 1 << 40
-"""Members in a block, for solvers that take a whole batch at once."""
+Arguments: TypeAlias = tuple[
+    Real[Tensor, "*#batch parameters"], Real[Tensor, "*#batch 2"], Real[Tensor, "*#batch frames"]
+]
+"""Parameters, designs and times, as a simulator is called with."""
 
 RUNAWAY = 3.0
 """R* that no free oscillation reaches."""
@@ -45,8 +48,7 @@ class Status(IntEnum):
     NON_FINITE = 2
     RUNAWAY = 3
     STEP_UNDERFLOW = 4
-    LOST_WORKER = 5
-    UNBOUNDED_ENERGY = 6
+    UNBOUNDED_ENERGY = 5
 
     @property
     def advice(self) -> str:
@@ -66,8 +68,6 @@ _ADVICE = {
         "No step was small enough to meet the tolerance; check parameters and design, or raise "
         "the tolerance."
     ),
-    Status.LOST_WORKER: "The worker that was to solve it kept failing; look at its memory and its log, or send "
-    "smaller chunks.",
     Status.UNBOUNDED_ENERGY: (
         "The strain energy has no lower bound at negative alpha, and the gel gave way at "
         "collapse; use alpha >= 0 or a milder "
@@ -176,11 +176,7 @@ class Simulator(Protocol):
 def solve_bundles(
     solve: Callable[..., tuple[Tensor, ...]],
     size: int,
-    arguments: tuple[
-        Real[Tensor, "*#batch parameters"],
-        Real[Tensor, "*#batch 2"],
-        Real[Tensor, "*#batch frames"],
-    ],
+    arguments: Arguments,
 ) -> Solution:
     """As :func:`solve_batch` for bundles: the last batch dimension is theirs, and blocks hold whole
     bundles.
@@ -318,6 +314,16 @@ def check_designs(designs: Real[Tensor, "*batch 2"]) -> None:
         )
 
 
+def described(simulator: Simulator) -> str:
+    """What a simulator computes, as text, without addresses in memory.
+
+    >>> from imr_torch.simulate import PolytropicSimulator, described
+    >>> described(PolytropicSimulator(threads=1)) == described(PolytropicSimulator(threads=2))
+    True
+    """
+    return re.sub(r" at 0x[0-9a-fA-F]+", "", f"{type(simulator).__name__} {simulator!r}")
+
+
 def tracked(*tensors: Tensor) -> bool:
     """Whether autograd follows what is computed from one of them."""
     return torch.is_grad_enabled() and any(x.requires_grad for x in tensors)
@@ -358,11 +364,7 @@ def in_transform(*tensors: Tensor) -> bool:
 def solve_batch(
     solve: Callable[[Tensor, Tensor, Tensor], tuple[Tensor, ...]],
     size: int,
-    arguments: tuple[
-        Real[Tensor, "*#batch parameters"],
-        Real[Tensor, "*#batch 2"],
-        Real[Tensor, "*#batch frames"],
-    ],
+    arguments: Arguments,
 ) -> Solution:
     """What every simulator does round its solver: check, broadcast, solve in blocks, put together.
 
@@ -424,7 +426,7 @@ def _explain(status: Tensor, parameters: Tensor) -> Tensor:
     """Failures by the gel's parameters: where a term's energy has no lower bound, it may pull a
     collapse inwards.
     """
-    failed = (status != Status.DONE) & (status != Status.LOST_WORKER)
+    failed = status != Status.DONE
     if not bool(failed.any()):
         return status
     theta = dict(zip(PARAMETERS.names, parameters.unbind(1), strict=True))

@@ -10,36 +10,21 @@ that are done leave.
 from dataclasses import dataclass, field
 
 import torch
-from jaxtyping import Real
 from torch import Tensor
 from torchdiffeq import odeint
 
 from imr_torch.errors import InputDataError
 from imr_torch.material import StressTerm
 from imr_torch.simulate.bubbles import Bubbles
-from imr_torch.simulate.clock import interpolate
+from imr_torch.simulate.clock import bracket, ends_of, hermite_cubic, interpolate
 from imr_torch.simulate.conditions import Conditions
 from imr_torch.simulate.controller import FIRST_STEP, PATIENCE, UNDERFLOW
-from imr_torch.simulate.engines import Engine, check_engine, compiles
+from imr_torch.simulate.engines import Engine, EngineSimulator, compiles
 from imr_torch.simulate.grids import Resolution
 from imr_torch.simulate.ode_method import ACCEPTED, CONTROL, NOT_FINITE, TransportField
 from imr_torch.simulate.rhs import Equations
-from imr_torch.simulate.sensitivity import differentiable
-from imr_torch.simulate.simulator import (
-    RUNAWAY,
-    Solution,
-    Status,
-    in_transform,
-    solve_batch,
-    solve_bundles,
-    together,
-    tracked,
-)
+from imr_torch.simulate.simulator import RUNAWAY, Status
 
-_BATCH = (
-    1000  # members integrated together on a processor; those that are done early are not replaced
-)
-_BYTES = 150_000  # of a member while it is integrated
 _BLOCK = 32  # steps between two checks of which members are done
 _RUNNING = -1
 
@@ -88,7 +73,7 @@ what :func:`imr_torch.simulate.coarser` gives."""
 
 
 @dataclass(frozen=True)
-class TransportSimulator:
+class TransportSimulator(EngineSimulator):
     """A :class:`~imr_torch.simulate.Simulator` with heat and vapour transport.
 
     Args:
@@ -115,43 +100,8 @@ class TransportSimulator:
     engine: Engine = field(default="compiled", repr=False, compare=False)
     threads: int | None = field(default=None, repr=False, compare=False)
 
-    def __post_init__(self) -> None:
-        check_engine(type(self).__name__, self.engine, self.threads)
-
-    def __call__(
-        self,
-        parameters: Real[Tensor, "*#batch parameters"],
-        designs: Real[Tensor, "*#batch 2"],
-        times: Real[Tensor, "*#batch frames"],
-    ) -> Solution:
-        """Simulate a batch; see :class:`imr_torch.simulate.Simulator`.
-
-        Where an argument requires a gradient, radii carry it: see
-        :func:`imr_torch.simulate.sensitivity.differentiable`.
-
-        Raises:
-            ShapeError: if shapes do not fit.
-            InputDataError: if a design is impossible, or times are not increasing and finite.
-        """
-        inputs = (parameters, designs, times)
-        if in_transform(*inputs) or tracked(*inputs):
-            return differentiable(self, parameters, designs, times)
-        with torch.no_grad():
-            return solve_batch(
-                self._solve, together(parameters, _BATCH, _BYTES), (parameters, designs, times)
-            )
-
-    def bundle(
-        self,
-        parameters: Real[Tensor, "*#batch parameters"],
-        designs: Real[Tensor, "*#batch 2"],
-        times: Real[Tensor, "*#batch frames"],
-    ) -> Solution:
-        """Simulate bundles in lock step; see :meth:`imr_torch.simulate.Simulator.bundle`."""
-        with torch.no_grad():
-            return solve_bundles(
-                self._solve, together(parameters, _BATCH, _BYTES), (parameters, designs, times)
-            )
+    members = 1000  # those that are done early are not replaced
+    member_bytes = 250_000
 
     def _solve(
         self, parameters: Tensor, designs: Tensor, times: Tensor, width: int = 1
@@ -205,7 +155,9 @@ def _march(whole: TransportField, times: Tensor, max_steps: int) -> tuple[Tensor
     path, steps = _accepted(torch.cat(nodes, 1), torch.cat(fresh), times[:, -1])
     vapour = whole.equations.bubbles.numbers.constant_vapour
     radius, velocity = interpolate(path[0], path[1], path[2], path[3], times)
-    pressure = torch.exp(_cubic(path[0], path[4], path[5], times)) + vapour[:, None]
+    end, step, share = bracket(path[0], times)
+    logarithm = hermite_cubic(share, step, ends_of(path[4], end), ends_of(path[5], end))
+    pressure = torch.exp(logarithm) + vapour[:, None]
     known = times <= path[0, :, -1:]
     curves = (torch.where(known, values, torch.nan) for values in (radius, velocity, pressure))
     return *curves, status.repeat_interleave(width), steps[::width].repeat_interleave(width)
@@ -259,23 +211,3 @@ def _accepted(nodes: Tensor, fresh: Tensor, last: Tensor) -> tuple[Tensor, Tenso
     kept = kept.gather(1, position.expand(len(nodes), -1, -1))[:, : max(2, int(count.max()) + 1)]
     steps = (fresh & (nodes[0] < last)).sum(0) + (nodes[0, -1] >= last).long()
     return kept.movedim(1, 2).contiguous(), steps
-
-
-def _cubic(nodes: Tensor, values: Tensor, rates: Tensor, times: Tensor) -> Tensor:
-    """Cubic Hermite interpolation, linear before the first node.
-
-    See :func:`imr_torch.simulate.clock.interpolate`.
-    """
-    right = torch.searchsorted(nodes, times.contiguous()).clamp(1, nodes.shape[1] - 1)
-    t0, t1, v0, v1, r0, r1 = (
-        x.gather(1, i) for x in (nodes, values, rates) for i in (right - 1, right)
-    )
-    h = (t1 - t0).clamp_min(torch.finfo(times.dtype).tiny)
-    s = (times - t0) / h
-    rise = v1 - v0
-    r0 = r0 * h
-    r1 = r1 * h
-    bend, twist = (
-        torch.where(s < 0.0, 0.0, c) for c in (3.0 * rise - 2.0 * r0 - r1, r0 + r1 - 2.0 * rise)
-    )
-    return v0 + s * (r0 + s * (bend + s * twist))

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from imr_torch.material import derivatives, gel_response
 from imr_torch.simulate.bubbles import Bubbles
+from imr_torch.simulate.contents import radial_arguments
 
 
 @dataclass(frozen=True)
@@ -38,29 +39,6 @@ class Head:
     memory: Inexact[Tensor, "states *#members"]
 
 
-@dataclass(frozen=True)
-class HeadSlopes:
-    """Partial derivatives of ``U'`` and of ``d memory/dt``.
-
-    Args:
-        radius: of ``U'`` in ``R``, a ``B`` tensor; ``velocity``, ``pressure``, ``pressure_rate``
-            and ``time`` likewise.
-        memory: of ``U'`` in each memory state, ``K x B``.
-        memory_radius: of ``d memory/dt`` in ``R``, ``K x B``; ``memory_velocity`` in ``U``.
-        memory_memory: of ``d memory/dt`` (rows) in memory (columns), ``K x K x B``.
-    """
-
-    radius: Inexact[Tensor, "*#members"]
-    velocity: Inexact[Tensor, "*#members"]
-    pressure: Inexact[Tensor, "*#members"]
-    pressure_rate: Inexact[Tensor, "*#members"]
-    time: Inexact[Tensor, "*#members"]
-    memory: Inexact[Tensor, "states *#members"]
-    memory_radius: Inexact[Tensor, "states *#members"]
-    memory_velocity: Inexact[Tensor, "states *#members"]
-    memory_memory: Inexact[Tensor, "states states *#members"]
-
-
 def motion(
     bubbles: Bubbles, head: Head
 ) -> tuple[Inexact[Tensor, "*#members"], Inexact[Tensor, "states *#members"]]:
@@ -71,10 +49,11 @@ def motion(
 
 def motion_slopes(
     bubbles: Bubbles, head: Head
-) -> tuple[Inexact[Tensor, "*#members"], Inexact[Tensor, "states *#members"], HeadSlopes]:
-    """``U'``, ``d memory/dt`` and all derivatives."""
+) -> Inexact[Tensor, "entries accelerations *#members"]:
+    """Derivatives of ``U'`` and of ``d memory/dt`` (together ``1 + K``) in ``R``, ``U``, ``P``,
+    ``dP/dt``, time, and each memory state: ``(5 + K) x (1 + K) x B``.
+    """
     far, far_rate, far_bend = far_field(bubbles, head.time)
-    acceleration, memory_rate = _motion(bubbles, head, far, far_rate)
 
     def rows(
         radius: Tensor,
@@ -100,24 +79,7 @@ def motion_slopes(
         torch.zeros_like(head.radius),
         *head.memory,
     )
-    slopes = derivatives(rows, point, analytic=bubbles.analytic)
-    by_radius, by_velocity, by_pressure, by_rate, by_time = slopes[:5]
-    by_memory = slopes[5:]  # K x (1 + K) x B
-    return (
-        acceleration,
-        memory_rate,
-        HeadSlopes(
-            radius=by_radius[0],
-            velocity=by_velocity[0],
-            pressure=by_pressure[0],
-            pressure_rate=by_rate[0],
-            time=by_time[0],
-            memory=by_memory[:, 0],
-            memory_radius=by_radius[1:],
-            memory_velocity=by_velocity[1:],
-            memory_memory=by_memory[:, 1:].transpose(0, 1),
-        ),
-    )
+    return derivatives(rows, point, analytic=bubbles.analytic)
 
 
 def _motion(bubbles: Bubbles, head: Head, far: Tensor, far_rate: Tensor) -> tuple[Tensor, Tensor]:
@@ -127,27 +89,11 @@ def _motion(bubbles: Bubbles, head: Head, far: Tensor, far_rate: Tensor) -> tupl
     stress, memory_rate = gel_response(
         bubbles.terms, radius, velocity, numbers.rest_radius, bubbles.theta, head.memory
     )
-    tension = numbers.tension / radius
-    inertia = (
-        stress.acceleration
-        if bubbles.constants.stress_acceleration
-        else torch.zeros_like(stress.acceleration)
-    )
-    pace = (
-        numbers.pace
-    )  # in units of the medium's own U_c, the radial equation is that of any density
-    acceleration = bubbles.conditions.motion.acceleration(
-        radius,
-        velocity / pace,
-        head.pressure - tension + stress.value,
-        (head.pressure_rate + tension * velocity / radius + stress.rate) / pace,
-        inertia * pace,
-        far,
-        far_rate / pace,
-        numbers.slowness * pace,
-        numbers.image,
-    )
-    return acceleration * pace * pace, memory_rate
+    parts = (stress.value, stress.rate, stress.acceleration)
+    state = (radius, velocity, head.pressure, head.pressure_rate)
+    arguments = radial_arguments(*state, parts, far, far_rate, numbers, bubbles.constants)
+    acceleration = bubbles.conditions.motion.acceleration(*arguments)
+    return acceleration * numbers.pace * numbers.pace, memory_rate
 
 
 def gas_loss(

@@ -1,7 +1,6 @@
 """What may enter a journal, how it is taken out again, and what is learnt when a campaign was cut off in between."""
 
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import pytest
 import torch
@@ -25,7 +24,7 @@ from imr_torch.design import DesignSpace, Plan
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, Nuisance, SimulatedLaboratory
-from imr_torch.simulate import Conditions, ParallelSimulator, PolytropicSimulator, process_pool
+from imr_torch.simulate import Conditions, PolytropicSimulator
 from tests.journals import cut, rewritten
 from tests.linear import NOISE, LinearSimulator, prior, tensor
 from tests.stubs import StubLearner
@@ -302,21 +301,13 @@ class Addressed(LinearSimulator):
     law: object = field(default_factory=object)
 
 
-def test_that_a_campaign_is_resumed_on_any_number_of_workers_and_threads(tmp_path):
+def test_that_a_campaign_is_resumed_on_any_number_of_threads(tmp_path):
     alone = PolytropicSimulator(threads=1)
     campaign(tmp_path / "a", simulator=alone).ask()
     before = (tmp_path / "a" / "journal.jsonl").read_bytes()
-    others = [ParallelSimulator(alone, partial(process_pool, n), chunk=64 * n) for n in (2, 3)]
-    for simulator in (
-        *others,
-        PolytropicSimulator(threads=2),
-        ParallelSimulator(others[0], partial(process_pool, 2)),
-    ):
-        run = campaign(tmp_path / "a", simulator=simulator)
-        run.ask()
-        assert run.journal.path.read_bytes() == before
-    campaign(tmp_path / "b", simulator=others[0]).ask()
-    assert (tmp_path / "b" / "journal.jsonl").read_bytes() == before
+    run = campaign(tmp_path / "a", simulator=PolytropicSimulator(threads=2))
+    run.ask()
+    assert run.journal.path.read_bytes() == before
     assert b" at 0x" not in before
     with pytest.raises(InputDataError, match="simulator differ"):
         campaign(tmp_path / "a", simulator=LinearSimulator())

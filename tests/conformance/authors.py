@@ -10,8 +10,9 @@ from torch import Tensor
 
 from imr_torch.errors import UnsupportedError
 from imr_torch.material import MATERIALS, PARAMETERS
-from imr_torch.simulate import ACCURACIES, Accuracy, Resolution, TransportSimulator, preset
+from imr_torch.simulate import ACCURACIES, Accuracy, TransportSimulator, preset
 from tests import float64
+from tests.simulate.difference_grids import AuthorsResolution
 
 GRIDS: dict[str, Accuracy] = {
     "converged": ACCURACIES["reference"],
@@ -19,7 +20,7 @@ GRIDS: dict[str, Accuracy] = {
     "authors_240": replace(
         ACCURACIES["reference"],
         tolerance=1e-5,
-        resolution=Resolution(240, 240, 2.0, 2.0, "authors"),
+        resolution=AuthorsResolution(240, 240, 2.0, 2.0),
     ),
 }
 MODELS: dict[str, tuple[str, dict[str, str]]] = {

@@ -2,7 +2,6 @@
 effect that is enough alone.
 """
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import pytest
@@ -14,7 +13,6 @@ from imr_torch.gap.evidence import CheckedEvidence
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, laplace_evidence
 from imr_torch.material import LIBRARY
 from imr_torch.simulate import (
-    ParallelSimulator,
     PolytropicSimulator,
     TransportSimulator,
     fewer_steps,
@@ -104,12 +102,8 @@ def test_that_an_effect_found_beside_a_wrong_one_is_taken_alone_if_it_explains_m
     assert reconsider(inquiry, again, "wall", both, before=before, seed=0) is again
 
 
-def test_that_few_steps_of_polytropic_bubbles_are_taken_by_workers_too() -> None:
+def test_that_few_steps_are_those_of_polytropic_bubbles() -> None:
     plain = fewer_steps(PolytropicSimulator())
     assert plain.stepping.max_steps < PolytropicSimulator().stepping.max_steps
-    with ThreadPoolExecutor(1) as pool:
-        spread = ParallelSimulator(PolytropicSimulator(), pool)
-        assert fewer_steps(spread).simulator == plain
-        assert spread.simulator == PolytropicSimulator()
     full = TransportSimulator()
     assert fewer_steps(full) is full

@@ -5,7 +5,6 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from imr_torch.elementary import compiled
 from imr_torch.material import (
     PARAMETERS,
     TERMS,
@@ -16,7 +15,7 @@ from imr_torch.material import (
     memory_states,
     stress_integral,
 )
-from tests.laws import assert_alike, on_numbers
+from tests.laws import assert_alike, compiled, on_numbers
 from tests.material.gels import REST, STATES, memory_of, tensors, values_for
 
 THETA = {name: torch.tensor([0.3, 0.7], dtype=torch.float64) for name in PARAMETERS.names}

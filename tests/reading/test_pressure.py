@@ -12,7 +12,8 @@ from imr_torch.cli.common import simulator_of
 from imr_torch.errors import InputDataError
 from imr_torch.material import PARAMETERS
 from imr_torch.reading import load_driving
-from imr_torch.simulate import Conditions, PolytropicSimulator, SineDriving, TabulatedDriving
+from imr_torch.simulate import Conditions, PolytropicSimulator, TabulatedDriving
+from tests.simulate.bubble import sine
 
 
 def written(path: Path, text: str) -> Path:
@@ -53,7 +54,7 @@ def test_that_what_is_no_pressure_is_refused(tmp_path: Path, text: str, message:
 
 
 def test_that_a_sampled_sound_field_moves_a_bubble_as_its_formula_does(tmp_path: Path) -> None:
-    field = SineDriving(amplitude=2e4, frequency=30e3)
+    field = sine(amplitude=2e4, frequency=30e3)
     times = [1e-7 * i for i in range(-20, 2000)]
     rows = [f"{1e6 * t:.9g},{20.0 * math.sin(2.0 * math.pi * 30e3 * t):.9g}" for t in times]
     path = written(tmp_path / "p.csv", "\n".join(["t (us),p (kPa)", *rows]))

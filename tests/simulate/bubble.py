@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from torch import Tensor
 
 from imr_torch.material import MATERIALS, PARAMETERS
-from imr_torch.simulate import Conditions, Stepping
+from imr_torch.simulate import Conditions, Stepping, TabulatedDriving
 
 FINE = Stepping(0.03, max_steps=100_000)
 GEL = {"G": 2770.0, "mu": 0.186, "alpha": 0.48}
@@ -46,6 +46,16 @@ def gel(**values: float) -> Tensor:
 
 def gel_of(model: str) -> Tensor:
     return gel(**{name: SI[name] for name in MATERIALS[model].names})
+
+
+def sampled(pressure: Callable[[np.ndarray], np.ndarray], last: float = 5e-4) -> TabulatedDriving:
+    """A pressure (Pa) as a function of time (s), sampled so finely that it is its own spline."""
+    times = np.linspace(-2e-5, last, 8001)
+    return TabulatedDriving(tuple(times.tolist()), tuple(pressure(times).tolist()))
+
+
+def sine(amplitude: float, frequency: float, phase: float = 0.0) -> TabulatedDriving:
+    return sampled(lambda t: amplitude * np.sin(2.0 * math.pi * frequency * t + phase))
 
 
 @dataclass(frozen=True)

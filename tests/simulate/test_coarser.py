@@ -2,14 +2,11 @@
 ones.
 """
 
-from concurrent.futures import ThreadPoolExecutor
-
 import torch
 
 from imr_torch.material import reference_case
 from imr_torch.simulate import (
     ACCURACIES,
-    ParallelSimulator,
     PolytropicSimulator,
     TransportSimulator,
     coarser,
@@ -25,14 +22,6 @@ def test_that_only_finer_bubbles_of_the_full_physics_are_made_coarse():
     assert coarser(fine) == coarse
     for simulator in (coarse, PolytropicSimulator()):
         assert coarser(simulator) is simulator
-    with ThreadPoolExecutor(1) as executor:
-        spread = ParallelSimulator(fine, executor)
-        cheap = ParallelSimulator(PolytropicSimulator(), executor)
-        alike = coarser(spread)
-        assert isinstance(alike, ParallelSimulator)
-        assert alike.simulator == coarse
-        assert spread.simulator == fine
-        assert coarser(cheap) is cheap
 
 
 def test_that_their_errors_are_of_the_order_of_a_thousandth():

@@ -1,9 +1,22 @@
 """The dense algebra of the compiled engine against NumPy."""
 
+from typing import Any
+
+import numba
 import numpy as np
 import pytest
 
 from imr_torch.simulate.compiled import algebra, vectors
+
+
+def callable_from_python(kernel: Any) -> Any:
+    return numba.njit(lambda *arguments: kernel(*arguments))
+
+
+invert = callable_from_python(algebra.invert)
+multiply = callable_from_python(algebra.multiply)
+apply = callable_from_python(algebra.apply)
+dot = callable_from_python(algebra.dot)
 
 
 @pytest.mark.parametrize("size", [1, 4, 7, 16])
@@ -13,7 +26,7 @@ def test_that_inverses_and_the_solutions_beside_them_are_those_of_numpy(size: in
     width = vectors.padded(size)
     block = vectors.rows(size, width + 2)
     block[:, :size], block[:, width : width + 2] = matrix, right
-    algebra.invert(block)
+    invert(block)
     assert np.allclose(block[:, :size], np.linalg.inv(matrix), rtol=0.0, atol=1e-14)
     assert np.allclose(
         block[:, width : width + 2], np.linalg.solve(matrix, right), rtol=0.0, atol=1e-14
@@ -24,9 +37,9 @@ def test_that_products_are_those_of_numpy() -> None:
     columns = np.random.default_rng(0).normal(size=(5, 16))
     vector = np.arange(5.0)
     out = vectors.rows(16)
-    algebra.multiply(columns, vector, out)
+    multiply(columns, vector, out)
     assert np.allclose(out, vector @ columns, rtol=0.0, atol=1e-14)
-    algebra.apply(columns, 3.0, vector[1:], out)
+    apply(columns, 3.0, vector[1:], out)
     assert np.allclose(out, 3.0 * columns[0] + vector[1:] @ columns[1:], rtol=0.0, atol=1e-14)
-    product = algebra.dot(columns[0], columns[1])
+    product = dot(columns[0], columns[1])
     assert product == pytest.approx(columns[0] @ columns[1], rel=1e-14)

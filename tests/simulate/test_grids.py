@@ -5,6 +5,7 @@ import torch
 
 from imr_torch.errors import InputDataError
 from imr_torch.simulate import Resolution
+from tests.simulate.difference_grids import AuthorsResolution, DifferenceResolution
 
 SPECTRAL = Resolution(24, 30, reach=0.3)
 
@@ -42,9 +43,9 @@ def test_spectral_errors_fall_faster_than_any_power():
     assert all(f < c / 100.0 for c, f in zip(coarse, fine, strict=True))
 
 
-@pytest.mark.parametrize(("kind", "reach"), [("authors", 2.0), ("finite_difference", 0.3)])
+@pytest.mark.parametrize(("kind", "reach"), [(AuthorsResolution, 2.0), (DifferenceResolution, 0.3)])
 def test_differences_are_of_second_order(kind, reach):
-    coarse, fine = (errors(Resolution(n, n, reach=reach, kind=kind)) for n in (61, 121))
+    coarse, fine = (errors(kind(n, n, reach=reach)) for n in (61, 121))
     ratios = [c / f for c, f in zip(coarse, fine, strict=True)]
     assert all(3.3 < ratio < 4.7 for ratio in ratios), ratios
 
@@ -59,7 +60,6 @@ def test_a_constant_has_no_slope_inside():
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        ({"kind": "finite"}, "expected 'spectral', 'finite_difference' or 'authors'"),
         ({"inside": 3}, "expected 4 to 512"),
         ({"reach": 0.0}, "reach > 0"),
         ({"stretch": 9.0}, "0 < stretch <= 6"),

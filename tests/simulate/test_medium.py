@@ -19,12 +19,11 @@ from imr_torch.simulate import (
     PolytropicSimulator,
     RadialEquation,
     Resolution,
-    SineDriving,
     TransportSimulator,
 )
 from imr_torch.simulate.medium import OF_MEDIUM
 from imr_torch.units import Surroundings
-from tests.simulate.bubble import FINE, gel, grid, tensor
+from tests.simulate.bubble import FINE, gel, grid, sine, tensor
 
 ASSUMED = Surroundings()
 DESIGN = tensor(300.0, 0.22)
@@ -86,9 +85,7 @@ def test_that_density_is_exact_in_every_radial_equation_and_under_driving(
     motion: RadialEquation,
 ) -> None:
     """A driving is in Pa and seconds, so it must reach a bubble that moves at another pace at the same moments."""
-    before, ours, there = radii(
-        "polytropic", "density", motion=motion, driving=SineDriving(2e4, 3e4, 0.3)
-    )
+    before, ours, there = radii("polytropic", "density", motion=motion, driving=sine(2e4, 3e4, 0.3))
     assert float((ours - there).abs().max()) < 2e-6
     assert float((ours - before).abs().max()) > 0.05
 

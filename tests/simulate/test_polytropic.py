@@ -90,7 +90,7 @@ def test_that_a_batch_wider_than_a_block_is_its_members(
 ) -> None:
     parameters, designs, times = mixed_batch()
     whole = PolytropicSimulator(engine=engine)(parameters, designs, times)
-    monkeypatch.setattr("imr_torch.simulate.polytropic._BATCH", 2)
+    monkeypatch.setattr(PolytropicSimulator, "members", 2)
     split = PolytropicSimulator(engine=engine)(parameters, designs, times)
     assert_same(whole, split, rtol=1e-10, atol=1e-12)
 

@@ -2,12 +2,9 @@
 the spectral one.
 """
 
-from dataclasses import replace
-
 import pytest
 import torch
 
-from imr_torch.errors import InputDataError, ShapeError, UnsupportedError
 from imr_torch.material import PARAMETERS
 from imr_torch.simulate import (
     Accuracy,
@@ -16,12 +13,13 @@ from imr_torch.simulate import (
     Medium,
     PolytropicSimulator,
     Resolution,
-    ScipySimulator,
-    SineDriving,
     Status,
     Stepping,
     TransportSimulator,
 )
+from tests.simulate.bubble import sine
+from tests.simulate.difference_grids import AuthorsResolution, DifferenceResolution
+from tests.simulate.scipy_reference import ScipySimulator
 
 TIMES = torch.linspace(0.0, 1.2, 31, dtype=torch.float64)
 GELS = {
@@ -68,7 +66,7 @@ def test_transport_agrees_with_the_toolkits_solver(name, conditions, method, rto
 
 @pytest.mark.parametrize("name", GELS)
 def test_polytropic_agrees_to_eight_digits(name):
-    conditions = Conditions(driving=SineDriving(2e4, 2e4)) if name == "qKV" else Conditions()
+    conditions = Conditions(driving=sine(2e4, 2e4)) if name == "qKV" else Conditions()
     ours = PolytropicSimulator(conditions, Stepping(0.015, max_steps=10**5))(
         gel(name), DESIGN, TIMES
     )
@@ -88,17 +86,17 @@ def test_the_finite_difference_grid_is_of_second_order_in_a_bubble():
         return TransportSimulator(accuracy=Accuracy(1e-5, resolution))(gel(), DESIGN, TIMES).radius
 
     converged = radius(Resolution(20, 24))
-    grids = [Resolution(n, n, kind="finite_difference") for n in (16, 32, 64)]
+    grids = [DifferenceResolution(n, n) for n in (16, 32, 64)]
     coarse, middle, fine = (float((radius(grid) - converged).abs().max()) for grid in grids)
     assert 3.4 < coarse / middle < 4.6
     assert 3.4 < middle / fine < 4.6
     assert fine < 6e-4
-    crowded = float((radius(replace(grids[1], kind="authors", reach=2.0)) - converged).abs().max())
+    crowded = float((radius(AuthorsResolution(32, 32, reach=2.0)) - converged).abs().max())
     assert crowded > 5.0 * middle  # what crowding the nodes at the wall is for
 
 
 def test_scipy_on_finite_differences_shares_neither_time_nor_space_with_the_default():
-    grid = Resolution(24, 24, kind="finite_difference")
+    grid = DifferenceResolution(24, 24)
     times = TIMES[:28]
     other = ScipySimulator(resolution=grid, rtol=1e-5, atol=1e-7)(gel(), DESIGN, times)
     assert (
@@ -127,32 +125,3 @@ def test_a_bubble_that_scipy_cannot_do_has_a_status_and_the_rest_goes_on(method)
         assert solution.status.tolist() == [Status.DONE, Status.NON_FINITE]
         assert torch.isfinite(solution.radius[0]).all()
         assert torch.isnan(solution.radius[1, -1])
-
-
-@pytest.mark.parametrize(
-    ("make", "error", "text"),
-    [
-        (
-            lambda: ScipySimulator(physics="adiabatic"),
-            InputDataError,
-            "expected 'transport' or 'polytropic'",
-        ),
-        (
-            lambda: ScipySimulator(method="Euler"),
-            InputDataError,
-            "expected 'Radau', 'BDF' or 'LSODA'",
-        ),
-        (lambda: ScipySimulator(rtol=0.0), InputDataError, "rtol 0.0"),
-        (lambda: ScipySimulator()(gel(), DESIGN, TIMES - 0.1), InputDataError, "from t\\* = 0 on"),
-        (lambda: ScipySimulator()(gel(), DESIGN[:1], TIMES), ShapeError, "batch_shape x 2"),
-        (
-            lambda: ScipySimulator()(gel().requires_grad_(True), DESIGN, TIMES),
-            UnsupportedError,
-            "no gradients",
-        ),
-        (lambda: ScipySimulator().bundle(gel(), DESIGN, TIMES), UnsupportedError, "lock step"),
-    ],
-)
-def test_what_it_does_not_do_is_said(make, error, text):
-    with pytest.raises(error, match=text):
-        make()

@@ -134,7 +134,7 @@ def test_that_they_do_not_depend_on_neighbours_blocks_or_the_other_columns(
     parameters, designs = gels(4)
     simulator = replace(FAST, engine=engine)
     with monkeypatch.context() as patch:
-        patch.setattr("imr_torch.simulate.transport._BATCH", 9)
+        patch.setattr(TransportSimulator, "members", 9)
         _, together = sensitivities(
             simulator, parameters, designs, TIMES, names=("G", "mu", "rest_radius")
         )

@@ -2,9 +2,6 @@
 ``sensitivities``.
 """
 
-from concurrent.futures import ThreadPoolExecutor
-from functools import partial
-
 import pytest
 import torch
 from torch.func import grad, hessian, jacfwd, jacrev, jvp, vjp, vmap
@@ -12,7 +9,6 @@ from torch.func import grad, hessian, jacfwd, jacrev, jvp, vjp, vmap
 from imr_torch.errors import UnsupportedError
 from imr_torch.material import PARAMETERS
 from imr_torch.simulate import (
-    ParallelSimulator,
     PolytropicSimulator,
     Simulator,
     TransportSimulator,
@@ -28,7 +24,6 @@ SIMULATORS = {
     "polytropic": PolytropicSimulator(),
     "tensors": PolytropicSimulator(engine="torchdiffeq"),
     "transport": TransportSimulator(),
-    "parallel": ParallelSimulator(PolytropicSimulator(), partial(ThreadPoolExecutor, 2)),
 }
 EACH = pytest.mark.parametrize("simulator", SIMULATORS.values(), ids=SIMULATORS)
 

@@ -48,7 +48,6 @@ from imr_torch.cli.options.shared import (
     add_physics_argument,
     add_prior_arguments,
     add_reading_arguments,
-    add_workers_argument,
 )
 
 NAME = "campaign"
@@ -138,5 +137,4 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_space_arguments(parser)
     add_medium_argument(parser)
     add_physics_argument(parser)
-    add_workers_argument(parser)
     add_prior_arguments(parser)

@@ -14,7 +14,6 @@ from imr_torch.cli.options.shared import (
     add_output_arguments,
     add_physics_argument,
     add_prior_arguments,
-    add_workers_argument,
 )
 
 NAME = "design"
@@ -54,7 +53,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_output_arguments(parser)
     add_medium_argument(parser)
     add_physics_argument(parser)
-    add_workers_argument(parser)
     add_prior_arguments(parser)
 
 

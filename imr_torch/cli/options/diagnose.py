@@ -20,7 +20,6 @@ from imr_torch.cli.options.shared import (
     add_output_arguments,
     add_physics_argument,
     add_reading_arguments,
-    add_workers_argument,
 )
 
 NAME = "diagnose"
@@ -81,4 +80,3 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_medium_argument(parser)
     add_driving_argument(parser)
     add_physics_argument(parser)
-    add_workers_argument(parser)

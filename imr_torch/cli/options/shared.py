@@ -126,13 +126,3 @@ def add_engine_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="processor threads of the compiled engine (default: all cores)",
     )
-
-
-def add_workers_argument(parser: argparse.ArgumentParser) -> None:
-    """The option that spreads large batches over processes.
-
-    The batches of one model's fit are too small to gain by it.
-    """
-    parser.add_argument(
-        "--workers", type=int, default=1, help="processes that share large batches (default 1)"
-    )

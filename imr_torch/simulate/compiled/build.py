@@ -1,6 +1,6 @@
 """From laws to compiled code: what is compiled, where it is kept, and when it is compiled anew.
 
-The laws of all registries (stress terms, effects, radial equations, gas laws, drivings) are put
+The laws of all registries (stress terms, effects, radial equations, gas laws) are put
 into one small generated module, ``laws``, each kind as one function that calls those that act. The
 modules of this folder whose functions are kernels are loaded beside it as a package of their own,
 so that a second registry gets kernels of its own. Numba compiles an entry point once and keeps the
@@ -46,24 +46,25 @@ class Registry:
         effects: effects with laws that act at every step.
         radial: laws of radial equations.
         gases: laws of polytropic gas.
-        drivings: laws of drivings.
     """
 
     terms: tuple[StressTerm, ...]
     effects: tuple[Effect, ...]
     radial: tuple[Law, ...]
     gases: tuple[Law, ...]
-    drivings: tuple[Law, ...]
 
-    def laws(self) -> Iterator[Law]:
-        """Every law, in order."""
-        for term in self.terms:
-            yield from (law for law in (term.law, term.start, term.fastest) if law is not None)
-        for effect in self.effects:
-            yield from (
-                law for law in (effect.gas_loss, effect.vapour, effect.far_field) if law is not None
-            )
-        yield from (*self.radial, *self.gases, *self.drivings)
+    def named_laws(self) -> Iterator[tuple[str, Law]]:
+        """Every law with its name in the generated module."""
+        groups: dict[str, Sequence[Law | None]] = {
+            "law": [term.law for term in self.terms],
+            "start": [term.start for term in self.terms],
+            "fastest": [term.fastest for term in self.terms],
+            **{kind: [getattr(effect, kind) for effect in self.effects] for kind in _EFFECTS},
+            "radial": self.radial,
+            "gas": self.gases,
+        }
+        for kind, group in groups.items():
+            yield from ((f"{kind}_{i}", law) for i, law in enumerate(group) if law is not None)
 
 
 @functools.cache
@@ -89,7 +90,7 @@ def engine(registry: Registry) -> types.ModuleType:
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    vars(module).update(_names(registry))
+    vars(module).update(registry.named_laws())
     vars(package)["laws"] = sys.modules[spec.name] = module
     spec.loader.exec_module(module)
     return module
@@ -131,27 +132,6 @@ def announced(module: types.ModuleType, entry: str, arguments: Sequence[Any]) ->
     return result
 
 
-def _names(registry: Registry) -> Iterator[tuple[str, Law]]:
-    """The name of each law in the generated module."""
-    for i, term in enumerate(registry.terms):
-        yield from (
-            (f"{kind}_{i}", law)
-            for kind in ("law", "start", "fastest")
-            if (law := getattr(term, kind)) is not None
-        )
-    for i, effect in enumerate(registry.effects):
-        kinds = ("gas_loss", "vapour", "far_field")
-        yield from (
-            (f"{kind}_{i}", law) for kind in kinds if (law := getattr(effect, kind)) is not None
-        )
-    for kind, group in (
-        ("radial", registry.radial),
-        ("gas", registry.gases),
-        ("driving", registry.drivings),
-    ):
-        yield from ((f"{kind}_{i}", law) for i, law in enumerate(group))
-
-
 def source(registry: Registry) -> str:
     """The text of the generated module.
 
@@ -166,9 +146,8 @@ def source(registry: Registry) -> str:
         _stress(registry.terms),
         _memory(registry.terms),
         _effects(registry.effects),
-        _choice("radial", registry.radial, 9),
+        _choice("radial", registry.radial),
         _choice("gas", registry.gases),
-        _choice("driving", registry.drivings),
         _numbers(),
         _entry("transport", transport.solve_block),
         _entry("polytropic", polytropic.solve_block),
@@ -225,14 +204,12 @@ def _stress(terms: Sequence[StressTerm]) -> str:
 
 
 def _memory(terms: Sequence[StressTerm]) -> str:
-    """How many memory states act, where they start, and how fast they fade."""
-    count = ["@kernel", "def states(on):", "    k = 0"]
+    """Where memory states start, and how fast they fade."""
     begin = ["@kernel", "def start(rest_radius, on, theta, memory):", "    k = 0"]
     fade = ["@kernel", "def fastest(on, theta):", "    rate = 0.0"]
     for i, term in enumerate(terms):
         if not term.states:
             continue
-        count += [f"    k += {term.states} * int(on[{i}])"]
         begin += [f"    if on[{i}]:"]
         if term.start is None:
             begin += [f"        memory[k + {j}] = 0.0" for j in range(term.states)]
@@ -244,27 +221,25 @@ def _memory(terms: Sequence[StressTerm]) -> str:
         if term.fastest is not None:
             arguments = _columns(term.names)[2:]
             fade += [f"    if on[{i}]:", f"        rate = max(rate, fastest_{i}({arguments}))"]
-    return "\n\n\n".join(
-        "\n".join(x) for x in ([*count, "    return k"], begin, [*fade, "    return rate"])
-    )
+    return "\n\n\n".join("\n".join(x) for x in (begin, [*fade, "    return rate"]))
+
+
+_EFFECTS = {
+    "gas_loss": ("radius, velocity, rest_radius", "0.0 * radius", "+"),
+    "vapour": ("compression", "1.0 + 0.0 * compression", "*"),
+    "far_field": ("time", "(0.0, 0.0, 0.0)", "+"),
+}
+"""Kind of law -> its arguments beside parameters, its value where none acts, and how several add up."""
 
 
 def _effects(effects: Sequence[Effect]) -> str:
-    """The laws of effects, each kind put together; and whether any of a kind acts."""
-    kinds: dict[str, tuple[str, str, str, str]] = {
-        "gas_loss": ("loses", "radius, velocity, rest_radius", "0.0 * radius", "+"),
-        "vapour": ("traps", "compression", "1.0 + 0.0 * compression", "*"),
-        "far_field": ("drives", "time", "(0.0, 0.0, 0.0)", "+"),
-    }
+    """The laws of effects, each kind put together."""
     functions = []
-    for kind, (asks, arguments, nothing, operator) in kinds.items():
-        chosen = [
-            (i, effect) for i, effect in enumerate(effects) if getattr(effect, kind) is not None
-        ]
-        any_on = " or ".join(f"on[{i}]" for i, _ in chosen) or "False"
-        functions.append(f"@kernel\ndef {asks}(on):\n    return bool({any_on})")
+    for kind, (arguments, nothing, operator) in _EFFECTS.items():
         lines = ["@kernel", f"def {kind}({arguments}, on, theta):", f"    total = {nothing}"]
-        for i, effect in chosen:
+        for i, effect in enumerate(effects):
+            if getattr(effect, kind) is None:
+                continue
             call = f"{kind}_{i}({arguments}{_columns(effect.names)})"
             lines += [f"    if on[{i}]:  # {effect.name}"]
             if kind == "far_field":
@@ -278,22 +253,21 @@ def _effects(effects: Sequence[Effect]) -> str:
     return "\n\n\n".join(functions)
 
 
-def _choice(kind: str, laws: Sequence[Law], shared: int = 0) -> str:
+def _choice(kind: str, laws: Sequence[Law]) -> str:
     """One function that calls the law of a number.
 
-    Its arguments after the first ``shared`` come out of one array.
+    Arguments that the shortest law lacks come out of one array.
     """
     signatures = [tuple(inspect.signature(law).parameters) for law in laws]
-    common = signatures[0][:shared] if shared else signatures[0]
+    common = min(signatures, key=len)
     arguments = ", ".join(common)
-    calls = [
-        f"{kind}_{i}({arguments}{_entries(len(own) - len(common))})"
-        for i, own in enumerate(signatures)
-    ]
-    lines = ["@kernel", f"def {kind}(kind, {arguments}{', constants' if shared else ''}):"]
-    for i, (law, call) in enumerate(zip(laws[:-1], calls[:-1], strict=True)):
+    lines = ["@kernel", f"def {kind}(kind, {arguments}, constants):"]
+    for i, (law, own) in enumerate(zip(laws, signatures, strict=True)):
+        call = f"{kind}_{i}({arguments}{_entries(len(own) - len(common))})"
         lines += [f"    if kind == {i}:  # {law.__qualname__}", f"        return {call}"]
-    return "\n".join([*lines, f"    return {calls[-1]}"])
+    lines[-2] = "    # " + laws[-1].__qualname__
+    lines[-1] = lines[-1][4:]
+    return "\n".join(lines)
 
 
 def _entries(count: int) -> str:
@@ -336,7 +310,11 @@ def _hash(registry: Registry) -> str:
         digest.update(version.encode())
     for file in (__file__, elementary.__file__, vectors.__file__):  # how functions are compiled
         digest.update(Path(file).read_bytes())
-    for function in (transport.solve_block, polytropic.solve_block, *registry.laws()):
+    for function in (
+        transport.solve_block,
+        polytropic.solve_block,
+        *dict(registry.named_laws()).values(),
+    ):
         for part in elementary.code_of(function):
             digest.update(part)
     digest.update(source(registry).encode())

@@ -5,6 +5,7 @@ taken; compiled.
 import numpy as np
 
 from imr_torch.elementary import kernel
+from imr_torch.simulate.clock import hermite_cubic, hermite_quintic
 
 # numbers of a node; the last two are ln P and its rate
 TIME, RADIUS, VELOCITY, ACCELERATION, PRESSURE, PRESSURE_RATE = range(6)
@@ -12,10 +13,7 @@ TIME, RADIUS, VELOCITY, ACCELERATION, PRESSURE, PRESSURE_RATE = range(6)
 
 @kernel
 def fill(before, after, begin, times, radius, velocity):
-    """Radius and velocity at all times up to a node, by quintic Hermite interpolation.
-
-    As :func:`imr_torch.simulate.clock.interpolate`: before ``t* = 0`` the polynomial ends after its
-    second power.
+    """Radius and velocity at all times up to a node.
 
     Args:
         before: the node before, six numbers in the order of the rows above.
@@ -28,26 +26,14 @@ def fill(before, after, begin, times, radius, velocity):
     Returns:
         Number of the first time after the node.
     """
-    t0 = before[TIME]
-    h = max(after[TIME] - t0, 1e-300)
-    r0 = before[RADIUS]
-    u0 = before[VELOCITY] * h
-    a0 = before[ACCELERATION] * h * h
-    u1 = after[VELOCITY] * h
-    a1 = after[ACCELERATION] * h * h
-    d = after[RADIUS] - r0 - u0 - 0.5 * a0
-    e = u1 - u0 - a0
-    f = a1 - a0
-    c3 = 10.0 * d - 4.0 * e + 0.5 * f
-    c4 = -15.0 * d + 7.0 * e - f
-    c5 = 6.0 * d - 3.0 * e + 0.5 * f
+    start = before[TIME]
+    step = max(after[TIME] - start, 1e-300)
+    at = (before[RADIUS], after[RADIUS])
+    speed = (before[VELOCITY], after[VELOCITY])
+    force = (before[ACCELERATION], after[ACCELERATION])
     while begin < len(times) and times[begin] <= after[TIME]:
-        s = (times[begin] - t0) / h
-        if s < 0.0:
-            radius[begin], velocity[begin] = r0 + s * (u0 + s * 0.5 * a0), (u0 + s * a0) / h
-        else:
-            radius[begin] = r0 + s * (u0 + s * (0.5 * a0 + s * (c3 + s * (c4 + s * c5))))
-            velocity[begin] = (u0 + s * (a0 + s * (3.0 * c3 + s * (4.0 * c4 + s * 5.0 * c5)))) / h
+        share = (times[begin] - start) / step
+        radius[begin], velocity[begin] = hermite_quintic(share, step, at, speed, force)
         begin += 1
     return begin
 
@@ -58,17 +44,12 @@ def fill_pressure(before, after, begin, end, times, pressure):
 
     Arguments as :func:`fill`.
     """
-    t0 = before[TIME]
-    h = max(after[TIME] - t0, 1e-300)
-    p0 = before[PRESSURE]
-    q0 = before[PRESSURE_RATE] * h
-    q1 = after[PRESSURE_RATE] * h
-    rise = after[PRESSURE] - p0
-    bend = 3.0 * rise - 2.0 * q0 - q1
-    twist = q0 + q1 - 2.0 * rise
+    start = before[TIME]
+    step = max(after[TIME] - start, 1e-300)
+    logarithm = (before[PRESSURE], after[PRESSURE])
+    rate = (before[PRESSURE_RATE], after[PRESSURE_RATE])
     for j in range(begin, end):
-        s = (times[j] - t0) / h
-        pressure[j] = np.exp(p0 + s * q0 if s < 0.0 else p0 + s * (q0 + s * (bend + s * twist)))
+        pressure[j] = np.exp(hermite_cubic((times[j] - start) / step, step, logarithm, rate))
 
 
 @kernel

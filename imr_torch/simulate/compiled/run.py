@@ -6,9 +6,9 @@ on the number of threads, bit for bit.
 
 import functools
 import os
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache, partial
+from functools import cache
 from threading import get_ident
 from typing import Any
 
@@ -23,16 +23,15 @@ from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import memory_share
 from imr_torch.simulate.compiled import polytropic, step
 from imr_torch.simulate.compiled.build import Registry, announced, engine, switches
-from imr_torch.simulate.compiled.paths import EXHAUSTED, Leaders
 from imr_torch.simulate.compiled.vectors import as_rows
 from imr_torch.simulate.conditions import Conditions, Stepping
-from imr_torch.simulate.driving import DRIVING_LAWS, LawDriving
+from imr_torch.simulate.driving import TabulatedDriving
 from imr_torch.simulate.gas import polytropic as polytropic_law
 from imr_torch.simulate.grids import Resolution
 from imr_torch.simulate.radial import RADIAL_EQUATIONS
-from imr_torch.simulate.simulator import Status
 from imr_torch.threads import cores
 
+_NO_DRIVING = TabulatedDriving((0.0, 1.0, 2.0), (0.0, 0.0, 0.0))
 _CHUNK = 64  # bundles between two looks at the keyboard, at most
 _KEPT = 64  # sets of arrays that are kept for the next call
 _SHARES = 8  # chunks a thread, at least, so that none waits long for the last
@@ -45,10 +44,6 @@ def obstacle(bubbles: Bubbles) -> str | None:
     """
     conditions = bubbles.conditions
     kinds = [type(conditions.motion), type(conditions.gas)]
-    if conditions.driving is not None:
-        if not isinstance(conditions.driving, LawDriving):
-            return f"the driving {type(conditions.driving).__name__} is no LawDriving"
-        kinds.append(type(conditions.driving))
     missing = [
         *_without_form(*kinds),
         *(part.name for part in (*bubbles.terms, *bubbles.effects) if not part.compilable),
@@ -64,7 +59,6 @@ def _without_form(*kinds: Any) -> tuple[str, ...]:
 
 def registry_of(conditions: Conditions, terms: Sequence[StressTerm] | None) -> Registry:
     """All laws that are registered and have a compiled form, and those of a simulator beside them."""
-    driving = [type(conditions.driving).law] if isinstance(conditions.driving, LawDriving) else []
     return Registry(
         terms=tuple(term for term in _all(TERMS, terms or ()) if term.compilable),
         effects=tuple(
@@ -75,7 +69,6 @@ def registry_of(conditions: Conditions, terms: Sequence[StressTerm] | None) -> R
             [type(conditions.motion).law],
         ),
         gases=_all([polytropic_law], [type(conditions.gas).law]),
-        drivings=_all(DRIVING_LAWS, driving),
     )
 
 
@@ -105,21 +98,9 @@ def solve_transport(
         threads: that share the bubbles; all cores if None.
     """
     space = _space(resolution)
-    arrays = partial(_transport_arrays, len(space[-3]), len(space[-1]))
-    leaders = Leaders(len(times) // width, times.shape[1], limits[1])
-    settings = (space, *limits, leaders.steps, leaders.known)
-    return _solve(
-        "solve_transport",
-        bubbles,
-        terms,
-        times,
-        width,
-        settings,
-        arrays,
-        threads,
-        leaders,
-        (resolution, *limits),
-    )
+    work = (step.work_for, len(space[-3]), len(space[-1]))
+    settings = (space, *limits)
+    return _solve("solve_transport", bubbles, terms, times, width, settings, work, threads)
 
 
 def solve_polytropic(
@@ -134,26 +115,17 @@ def solve_polytropic(
     steps = [stepping.step * 0.5**attempt for attempt in range(stepping.retries + 1)]
     attempts = np.array([(step, memory_share(step)) for step in steps])
     settings = (attempts, stepping.max_steps)
-    return _solve(
-        "solve_polytropic", bubbles, terms, times, width, settings, _polytropic_arrays, threads
-    )
+    work = (polytropic.work_for,)
+    return _solve("solve_polytropic", bubbles, terms, times, width, settings, work, threads)
 
 
 @functools.lru_cache(maxsize=_KEPT)
-def _transport_arrays(
-    nodes: int, outer_nodes: int, states: int, width: int, _: int
-) -> tuple[Any, ...]:
+def _arrays(work_for: Callable[..., tuple[Any, ...]], *sizes: int) -> tuple[Any, ...]:
     """What the entry point works in.
 
-    The last argument is the thread whose arrays these are, which nothing else uses.
+    The last number is the thread whose arrays these are, which nothing else uses.
     """
-    return step.work_for(nodes, outer_nodes, states, width)
-
-
-@functools.lru_cache(maxsize=_KEPT)
-def _polytropic_arrays(states: int, _width: int, _: int) -> tuple[np.ndarray, ...]:
-    """The same of polytropic gas."""
-    return polytropic.work_for(states)
+    return work_for(*sizes[:-1])
 
 
 def _solve(
@@ -163,10 +135,8 @@ def _solve(
     times: Tensor,
     width: int,
     settings: tuple[Any, ...],
-    arrays: Callable[[int, int, int], tuple[Any, ...]],
+    work: tuple[Any, ...],
     threads: int | None,
-    leaders: Leaders | None = None,
-    same: Hashable = None,
 ) -> tuple[Tensor, ...]:
     """Integrate a batch, bundle after bundle.
 
@@ -177,11 +147,9 @@ def _solve(
         times: ``B x n_t`` tensor.
         width: members of a bundle.
         settings: what the entry point takes of the simulator's.
-        arrays: memory states, width of a bundle and number of a thread to the arrays that the entry
-            point works in.
+        work: what makes the arrays that the entry point works in, and the sizes that it takes
+            before memory states and width of a bundle.
         threads: that share the bubbles; all cores if None.
-        leaders: of the bundles, some of which may be known; None where none is kept.
-        same: what leaders must have in common, beside their numbers and conditions, to be the same.
 
     Returns:
         Radius, velocity, pressure (``B x n_t`` each), status and steps (``B`` each; of the
@@ -203,32 +171,10 @@ def _solve(
     arguments = (width, rows, theta, on, acting, shared, settings, moments, curves, status, steps)
     states = on @ np.array([term.states for term in registry.terms])
 
-    def integrate(some: np.ndarray) -> None:
-        for number in np.unique(states[some]):
-            bundles = some[states[some] == number]
-            _share_out(
-                module,
-                entry,
-                bundles,
-                arguments,
-                partial(arrays, int(number), width),
-                threads or cores(),
-            )
-
-    if leaders is None or not leaders.kept:
-        integrate(np.arange(count))
-    else:
-        conditions = (module, same, b"".join(np.asarray(x).tobytes() for x in shared))
-        parts = (rows[::width], theta[::width], on, acting, moments[::width])
-        leaders.recall(
-            [(conditions, *(part[bundle].tobytes() for part in parts)) for bundle in range(count)]
-        )
-        integrate(np.arange(count))
-        short = np.flatnonzero(status == EXHAUSTED)
-        if len(short):
-            leaders.forget(short)
-            integrate(short)
-        leaders.keep(curves[:, ::width], status == int(Status.DONE), steps)
+    for number in np.unique(states):
+        bundles = np.flatnonzero(states == number)
+        sizes = (*work, int(number), width)
+        _share_out(module, entry, bundles, arguments, sizes, threads or cores())
     every = (torch.from_numpy(x).repeat_interleave(width) for x in (status, steps))
     return *torch.from_numpy(curves).unbind(0), *every
 
@@ -245,24 +191,17 @@ def _acting(
 
 
 def _shared(bubbles: Bubbles, registry: Registry) -> tuple[Any, ...]:
-    """What :func:`imr_torch.simulate.compiled.wall.setup_of` takes."""
+    """The entries of :class:`imr_torch.simulate.compiled.wall.Setup`."""
     conditions = bubbles.conditions
-    driving = bubbles.conditions.driving
-    kinds = [
-        registry.radial.index(type(conditions.motion).law),
-        registry.gases.index(type(conditions.gas).law),
-        registry.drivings.index(type(driving).law) if isinstance(driving, LawDriving) else -1,
-    ]
-    shape, values = (
-        (driving, driving.values) if isinstance(driving, LawDriving) else (LawDriving(), ())
-    )  # a table of zeros
+    knots, cubics = (conditions.driving or _NO_DRIVING).pieces
     return (
-        np.array(bubbles.constants, dtype=np.float64),
-        np.array(kinds),
+        bubbles.constants,
+        registry.radial.index(type(conditions.motion).law),
         np.array([*conditions.motion.constants, 0.0]),
-        np.array([*values, 0.0]),
-        shape.knots.numpy(),
-        shape.cubics.numpy(),
+        registry.gases.index(type(conditions.gas).law),
+        conditions.driving is not None,
+        knots.numpy(),
+        cubics.numpy(),
         1.0 / conditions.surroundings.far_field_pressure,
     )
 
@@ -272,14 +211,14 @@ def _share_out(
     entry: str,
     bundles: np.ndarray,
     arguments: tuple[Any, ...],
-    arrays: Callable[[int], tuple[Any, ...]],
+    work: tuple[Any, ...],
     threads: int,
 ) -> None:
     """Call an entry point for some bundles, in chunks, on some threads."""
     threads = min(threads, len(bundles))
     size = _CHUNK if threads == 1 else max(1, min(_CHUNK, len(bundles) // (_SHARES * threads)))
     chunks = [bundles[first : first + size] for first in range(0, len(bundles), size)]
-    own = arrays(get_ident())
+    own = _arrays(*work, get_ident())
     function = getattr(module, entry)
     if not function.overloads:  # is compiled before threads begin
         announced(module, entry, (chunks.pop(0), *arguments, own))
@@ -288,7 +227,7 @@ def _share_out(
             function(chunk, *arguments, own)
     else:
         for _ in _pool(threads).map(
-            lambda chunk: function(chunk, *arguments, arrays(get_ident())), chunks
+            lambda chunk: function(chunk, *arguments, _arrays(*work, get_ident())), chunks
         ):
             pass
 

@@ -2,8 +2,13 @@
 and stages; compiled.
 
 The same equations and method as the tensor engine (:mod:`~imr_torch.simulate.rhs`,
-:mod:`~imr_torch.simulate.linearise`, :mod:`~imr_torch.simulate.bordered`,
-:mod:`~imr_torch.simulate.rosenbrock`), in loops over the nodes of one bubble.
+:mod:`~imr_torch.simulate.linearise`, :mod:`~imr_torch.simulate.rosenbrock`), in loops over the
+nodes of one bubble.
+
+Linear systems have three dense blocks, bordered by the numbers that couple them: temperature in the
+bubble (``tau``), vapour (``C``, driven by ``tau``) and temperature in the gel (``theta``) see each
+other only through (R, U, ln P, q, tau_w), with ``q = d ln P/dt`` as an extra unknown; memory of the
+gel sees ``R`` and ``U`` only and joins the border.
 """
 
 from functools import partial
@@ -31,7 +36,8 @@ from imr_torch.simulate.contents import (
     warm_profile,
 )
 from imr_torch.simulate.controller import REST
-from imr_torch.simulate.rosenbrock import RODAS4P
+from imr_torch.simulate.rosenbrock import COUPLING, MOMENTS, TIME_INCREMENTS
+from imr_torch.simulate.rosenbrock import STAGES as ROWS
 
 from . import laws
 from .algebra import apply, dot, invert, multiply
@@ -39,9 +45,7 @@ from .wall import gas_loss, motion, motion_slopes, vapour_factor
 
 HEAD = 8  # where the fields begin in a state: after R, U, ln P, tau_w and zeros
 _BORDER = 5
-STAGES = len(RODAS4P.stages) + 1
-GAMMA = RODAS4P.gamma
-ORDER = RODAS4P.order
+STAGES = len(MOMENTS)
 
 
 def _lower(rows: tuple[tuple[float, ...], ...]) -> np.ndarray:
@@ -49,9 +53,10 @@ def _lower(rows: tuple[tuple[float, ...], ...]) -> np.ndarray:
     return np.array([[*row, *[0.0] * (STAGES - len(row))] for row in ((), *rows)])
 
 
-_ARGUMENT = _lower(RODAS4P.stages)
-_COUPLING = _lower(RODAS4P.coupling)
-_TIME_INCREMENTS, _MOMENTS = (np.array(x) for x in RODAS4P.ticks)
+_ARGUMENT = _lower(ROWS)
+_COUPLING = _lower(COUPLING)
+_TIME_INCREMENTS = np.array(TIME_INCREMENTS)
+_MOMENTS = np.array(MOMENTS)
 
 
 class Space(NamedTuple):
@@ -582,7 +587,6 @@ def step(state, time, h, space, work, member, setup, out):
     increments = work.increments
     argument = work.argument
     right = work.right
-    driven = member.driven or setup.drive >= 0
     for stage in range(STAGES):
         if stage == 0:
             for i in range(size):
@@ -607,8 +611,7 @@ def step(state, time, h, space, work, member, setup, out):
             balance = right[3]
             add_increments(_COUPLING[stage], stage, 1.0 / h, increments, right)
             right[3] = balance  # tau_w is algebraic
-        if driven:
-            right[1] += work.slopes[4] * h * _TIME_INCREMENTS[stage]
+        right[1] += work.slopes[4] * h * _TIME_INCREMENTS[stage]
         solve(right, space, work, increments[stage])
     for i in range(size):
         out[i] = argument[i] + increments[STAGES - 1, i]

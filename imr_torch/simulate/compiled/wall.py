@@ -13,6 +13,8 @@ import numpy as np
 
 from imr_torch.elementary import kernel
 from imr_torch.simulate.bubbles import Constants, Numbers
+from imr_torch.simulate.contents import radial_arguments
+from imr_torch.simulate.driving import spline
 
 from . import laws
 
@@ -26,16 +28,15 @@ class Setup(NamedTuple):
         c: constants of the contents.
         motion: number of the radial equation, and ``liquid``, its constants.
         gas: number of the gas law.
-        drive: number of the driving; -1 for none. ``values``, ``knots`` and ``cubics`` are its
-            numbers, ``scale`` is ``1/p_inf``.
+        driven: whether there is a driving; ``knots`` and ``cubics`` are its table, ``scale`` is
+            ``1/p_inf``.
     """
 
     c: Constants
     motion: int
     liquid: np.ndarray
     gas: int
-    drive: int
-    values: np.ndarray
+    driven: bool
     knots: np.ndarray
     cubics: np.ndarray
     scale: float
@@ -49,37 +50,23 @@ class Member(NamedTuple):
         theta: its dimensionless parameters.
         terms: which stress terms act.
         effects: which effects act.
-        driven: whether the far field changes.
-        loses: whether it loses gas.
-        traps: whether an effect changes the saturation pressure.
+        affected: whether any does.
     """
 
     b: Numbers
     theta: np.ndarray
     terms: np.ndarray
     effects: np.ndarray
-    driven: bool
-    loses: bool
-    traps: bool
-
-
-@kernel
-def setup_of(shared):
-    """The :class:`Setup` from plain arrays: constants, numbers of the and what these take."""
-    c, kinds, liquid, values, knots, cubics, scale = shared
-    constants = Constants(
-        c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7] != 0.0, c[8] != 0.0, c[9] != 0.0
-    )
-    return Setup(constants, kinds[0], liquid, kinds[1], kinds[2], values, knots, cubics, scale)
+    affected: bool
 
 
 @kernel
 def member_of(numbers, theta, terms, effects):
     """One bubble from its rows of the batch's arrays."""
-    loses = laws.loses(effects)
-    traps = laws.traps(effects)
-    driven = laws.drives(effects)
-    return Member(laws.numbers(numbers), theta, terms, effects, driven, loses, traps)
+    affected = False
+    for acts in effects:
+        affected |= acts
+    return Member(laws.numbers(numbers), theta, terms, effects, affected)
 
 
 @kernel
@@ -88,13 +75,13 @@ def far_field(time, member, setup):
     value = member.b.far
     rate = 0.0
     bend = 0.0
-    if setup.drive >= 0:
+    if setup.driven:
         seconds = member.b.seconds
-        v, r, a = laws.driving(setup.drive, time * seconds, setup.values, setup.knots, setup.cubics)
+        v, r, a = spline(time * seconds, setup.knots, setup.cubics)
         value += v * setup.scale
         rate += r * seconds * setup.scale
         bend += a * seconds * seconds * setup.scale
-    if member.driven:
+    if member.affected:
         v, r, a = laws.far_field(time, member.effects, member.theta)
         value += v
         rate += r
@@ -108,25 +95,11 @@ def balance(radius, velocity, pressure, rate, stress, far, far_rate, member, set
 
     All real or all complex.
     """
-    value, stress_rate, inertia = stress
-    tension = member.b.tension / radius
-    pace = member.b.pace
-    if not setup.c.stress_acceleration:
-        inertia = 0.0 * inertia
-    force = laws.radial(
-        setup.motion,
-        radius,
-        velocity / pace,
-        pressure - tension + value,
-        (rate + tension * velocity / radius + stress_rate) / pace,
-        inertia * pace,
-        far,
-        far_rate / pace,
-        member.b.slowness * pace,
-        member.b.image,
-        setup.liquid,
+    b = member.b
+    arguments = radial_arguments(
+        radius, velocity, pressure, rate, stress, far, far_rate, b, setup.c
     )
-    return force * pace * pace
+    return laws.radial(setup.motion, *arguments, setup.liquid) * b.pace * b.pace
 
 
 @kernel
@@ -243,7 +216,7 @@ def motion_slopes(
 @kernel
 def gas_loss(radius, velocity, member):
     """Relative rate at which gas is lost, and its derivatives in ``R`` and ``U``."""
-    if not member.loses:
+    if not member.affected:
         return 0.0, 0.0, 0.0
     rest = member.b.rest_radius
     imaginary = complex(0.0, _STEP)
@@ -259,7 +232,7 @@ def gas_loss(radius, velocity, member):
 @kernel
 def vapour_factor(compression, member):
     """Factor on the saturation pressure and its logarithmic derivative in the compression."""
-    if not member.traps:
+    if not member.affected:
         return 1.0, 0.0
     moved = laws.vapour(complex(compression, _STEP), member.effects, member.theta)
     return moved.real, moved.imag / _STEP * compression / moved.real

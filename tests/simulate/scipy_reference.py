@@ -5,29 +5,27 @@ For verification. What differs from :class:`~imr_torch.simulate.TransportSimulat
 :class:`~imr_torch.simulate.PolytropicSimulator` is everything about time: method, step control,
 Jacobian (SciPy's finite differences) and output; and the temperature of the wall, which is solved
 for inside the right-hand side, so that SciPy sees plain ordinary differential equations. With
-``Resolution(kind="finite_difference")`` space is cut another way too. A bubble with transport costs
-seconds; see ``benchmarks/RESULTS.md``.
+:class:`tests.simulate.difference_grids.DifferenceResolution` space is cut another way too. A bubble
+with transport costs seconds.
 """
 
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 import torch
-from jaxtyping import Real
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from torch import Tensor
 
-from imr_torch.errors import InputDataError, UnsupportedError
 from imr_torch.material import StressTerm
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.conditions import Conditions
 from imr_torch.simulate.grids import Resolution
 from imr_torch.simulate.polytropic import head_of, rate_of, start_of
 from imr_torch.simulate.rhs import Equations
-from imr_torch.simulate.simulator import NO_BLOCKS, Solution, Status, solve_batch, tracked
+from imr_torch.simulate.simulator import Solution, Status, solve_batch
 
 Array = NDArray[np.float64]
 
@@ -35,25 +33,6 @@ _WALL = 3  # row of tau_w in the state with transport
 _ITERATIONS = 50
 _INCREMENT = 1e-7  # for the slope of the wall's balance, whose error only slows Newton's method
 _SETTLED = 1e-13
-
-
-class _System(Protocol):
-    """One bubble as SciPy takes it.
-
-    ``k`` states side by side, as its finite differences ask for.
-    """
-
-    def start(self) -> Array:
-        """The state at time zero, ``n``."""
-        ...
-
-    def rate(self, time: float, states: Array) -> Array:
-        """Time derivatives of ``n x k`` states."""
-        ...
-
-    def pressure(self, states: Array) -> Array:
-        """Pressure of the contents in ``n x k`` states."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -69,14 +48,6 @@ class ScipySimulator:
         rtol: relative error of a step.
         atol: absolute error of a step; everything in the state is of order one.
         terms: stress terms to choose from; all registered ones by default.
-
-    >>> import torch
-    >>> from imr_torch.material import PARAMETERS
-    >>> from imr_torch.simulate import ScipySimulator
-    >>> gel, design = PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), torch.tensor([400.0, 0.22])
-    >>> bubble = ScipySimulator(physics="polytropic")(gel, design, torch.tensor([0.0, 0.5]))
-    >>> [round(x, 3) for x in bubble.radius.tolist()]
-    [1.0, 0.846]
     """
 
     conditions: Conditions = field(default_factory=Conditions)
@@ -87,60 +58,14 @@ class ScipySimulator:
     atol: float = 1e-8
     terms: tuple[StressTerm, ...] | None = None
 
-    def __post_init__(self) -> None:
-        if self.physics not in ("transport", "polytropic"):
-            raise InputDataError(
-                f"ScipySimulator.physics is {self.physics!r}; expected 'transport' or 'polytropic'."
-            )
-        if self.method not in ("Radau", "BDF", "LSODA"):
-            raise InputDataError(
-                f"ScipySimulator.method is {self.method!r}; expected 'Radau', 'BDF' or 'LSODA'."
-            )
-        if not (1e-13 <= self.rtol <= 0.1 and 0.0 < self.atol <= 0.1):
-            raise InputDataError(
-                f"ScipySimulator has rtol {self.rtol} and atol {self.atol}; expected 1e-13 to "
-                "0.1, and above 0 to 0.1."
-            )
-
     def __call__(
         self,
-        parameters: Real[Tensor, "*#batch parameters"],
-        designs: Real[Tensor, "*#batch 2"],
-        times: Real[Tensor, "*#batch frames"],
+        parameters: Tensor,
+        designs: Tensor,
+        times: Tensor,
     ) -> Solution:
-        """Simulate a batch, bubble after bubble; see :class:`imr_torch.simulate.Simulator`.
-
-        Raises:
-            ShapeError: if shapes do not fit.
-            InputDataError: if a design is impossible, or times are not increasing, finite and from
-                0 on.
-            UnsupportedError: if an argument requires a gradient.
-        """
-        if tracked(parameters, designs, times):
-            raise UnsupportedError(
-                "SciPy carries no gradients; detach the arguments, or use TransportSimulator."
-            )
-        if bool((times < 0.0).any()):
-            raise InputDataError(
-                f"times start at {float(times.min()):g}; SciPy integrates from t* = 0 on."
-            )
-        return solve_batch(self._solve, NO_BLOCKS, (parameters, designs, times))
-
-    def bundle(
-        self,
-        parameters: Real[Tensor, "*#batch parameters"],
-        designs: Real[Tensor, "*#batch 2"],
-        times: Real[Tensor, "*#batch frames"],
-    ) -> Solution:
-        """Not supported: every bubble has steps of its own.
-
-        Raises:
-            UnsupportedError: always.
-        """
-        raise UnsupportedError(
-            "SciPy does not advance bubbles in lock step; use TransportSimulator or "
-            "PolytropicSimulator."
-        )
+        """Simulate a batch, bubble after bubble, from ``t* = 0`` on."""
+        return solve_batch(self._solve, 10**6, (parameters, designs, times))
 
     def _solve(self, parameters: Tensor, designs: Tensor, times: Tensor) -> tuple[Tensor, ...]:
         """Radius, velocity, pressure, status and steps of flat arguments."""
@@ -162,13 +87,13 @@ class ScipySimulator:
             torch.tensor(steps, device=device),
         )
 
-    def _system(self, parameters: Tensor, designs: Tensor) -> _System:
+    def _system(self, parameters: Tensor, designs: Tensor) -> "_Polytropic | _Transport":
         bubbles = Bubbles.of(parameters, designs, self.conditions, self.terms)
         if self.physics == "polytropic":
             return _Polytropic(bubbles)
         return _Transport(Equations(bubbles, *self.resolution.grids()))
 
-    def _one(self, system: _System, times: Array) -> tuple[Array, Status, int]:
+    def _one(self, system: "_Polytropic | _Transport", times: Array) -> tuple[Array, Status, int]:
         """Radius, velocity and pressure (``3 x n_t``) of one bubble, its status and the steps
         taken.
         """
