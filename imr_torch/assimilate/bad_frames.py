@@ -287,7 +287,7 @@ def joint_gaussian(near: Neighbourhood) -> JointGaussian:
     batch = near.posterior.batch
     centre = near.centre
     frames = batch.mask
-    columns = near.joint_slopes(frames)
+    columns = near.jacobian[:, frames].mT
     sd = batch.sd(centre)
     size = int(frames.sum())
     unit = torch.zeros(size, *frames.shape, dtype=torch.float64)

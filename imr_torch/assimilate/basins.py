@@ -77,9 +77,7 @@ def _lowest_places(posterior: Posterior, point: Point) -> Tensor:
     still = moved.clone()
     still[..., _TIME_ZERO] = 0.0  # where its prior does not pull: it is to stay
     gels = point.gel[:, None].expand(-1, _PLACES, -1)
-    equations = Neighbourhood(
-        posterior, Point(gels, still), gels.unsqueeze(-2)[..., :0, :], prediction
-    ).equations
+    equations = Neighbourhood(posterior, Point(gels, still), prediction).equations
     gradient = equations.nuisance_gradient
     root = torch.linalg.cholesky(equations.nuisance_hessian)
     step = -torch.cholesky_solve(gradient[..., None], root)[..., 0]

@@ -36,7 +36,7 @@ def conditional_nuisances(
     Returns:
         Nuisances ``n x E x w`` and Cholesky factors ``n x E x w x w``.
     """
-    near = posterior.neighbourhood(point, torch.zeros(posterior.size, 0, dtype=torch.float64))
+    near = posterior.neighbourhood(point, moves_gel=False)
     known = torch.isfinite(near.prediction).all(-1).all(1)
     equations = replace(
         near, prediction=torch.where(known[:, None, :, None], near.prediction, 0.5)

@@ -31,9 +31,13 @@ from itertools import product
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate.gauss_newton import NormalEquations
 from imr_torch.assimilate.matern import MATERN, matern_whitened
-from imr_torch.assimilate.noise_law import LocalNoise, best_scales, equation_blocks
+from imr_torch.assimilate.noise_law import (
+    LocalNoise,
+    best_scales,
+    concatenated,
+    equations_of_columns,
+)
 from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.assimilate.repeats import law_of_repeats
 from imr_torch.assimilate.spikes import bends
@@ -295,20 +299,20 @@ class _Curves:
             torch.where(self.rows, x.movedim(-1, 0) * root, 0.0).nan_to_num() for x in near.slopes
         ]
         columns = torch.cat((self.residual[None], *slopes))
-        parts = []
+        squares = []
+        normalisers = []
+        equations = []
         for some, own_level in zip(values.split(_AT_ONCE), level.split(_AT_ONCE), strict=True):
             seen, log_det = self.whitened(some, factors, own_level, columns)
-            parts.append(
-                (
-                    seen[:, 0].square().sum((1, 2)),
-                    log_det.sum(1),
-                    *equation_blocks(seen, len(slopes[0])),
-                )
-            )
-        square, normaliser, *blocks = (torch.cat(x) for x in zip(*parts, strict=True))
-        point = (near.point.gel, near.point.nuisances)
+            squares.append(seen[:, 0].square().sum((1, 2)))
+            normalisers.append(log_det.sum(1))
+            equations.append(equations_of_columns(seen, len(slopes[0])))
         return LocalNoise(
-            square, normaliser, float(self.rows.sum()), NormalEquations(*blocks), point
+            torch.cat(squares),
+            torch.cat(normalisers),
+            float(self.rows.sum()),
+            concatenated(equations),
+            near.point,
         )
 
 

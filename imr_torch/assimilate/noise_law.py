@@ -7,12 +7,13 @@ of the residuals). The scale of each law is found separately.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate.gauss_newton import NormalEquations
+from imr_torch.assimilate.forward import Point
+from imr_torch.assimilate.gauss_newton import NormalEquations, normal_equations
 from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.observe import Noise
 
@@ -32,21 +33,21 @@ class LocalNoise:
         normaliser: ``J`` tensor.
         size: observations.
         equations: normal equations at scale 1, ``J``, without the prior of gel and nuisances.
-        point: whitened gel ``d`` and nuisances ``E x w``.
+        point: one point.
     """
 
     square: Tensor
     normaliser: Tensor
     size: float
     equations: NormalEquations
-    point: tuple[Tensor, Tensor]
+    point: Point
 
     @classmethod
     def of(cls, near: Neighbourhood, laws: Sequence[Noise]) -> "LocalNoise":
         """At one point that was simulated, under laws whose scales are taken as 1."""
         squares = []
         normalisers = []
-        blocks = []
+        equations = []
         by_gel, by_nuisance = (x.movedim(-1, 0) for x in near.slopes)
         for law in laws:
             batch = replace(
@@ -57,49 +58,34 @@ class LocalNoise:
             columns = torch.cat(((batch.mean - near.centre)[None], by_gel, by_nuisance))
             squares.append(square.sum())
             normalisers.append(normaliser.sum())
-            blocks.append(equation_blocks(batch.whiten(columns, sd)[None], len(by_gel)))
-        equations = NormalEquations(*(torch.cat(parts) for parts in zip(*blocks, strict=True)))
-        size = float(near.posterior.batch.sizes.sum())
+            equations.append(equations_of_columns(batch.whiten(columns, sd)[None], len(by_gel)))
         return cls(
             torch.stack(squares),
             torch.stack(normalisers),
-            size,
-            equations,
-            (near.point.gel, near.point.nuisances),
+            float(near.posterior.batch.sizes.sum()),
+            concatenated(equations),
+            near.point,
         )
 
     def posterior(self, log_scales: Tensor) -> NormalEquations:
         """Equations of the posterior, ``J x S``, for ``J x S`` logarithms of the scale."""
-        gel, nuisances = self.point
-        precision = torch.exp(-2.0 * log_scales)  # J x S
-
-        def scaled(x: Tensor) -> Tensor:
-            return precision.reshape(*precision.shape, *[1] * (x.ndim - 1)) * x[:, None]
-
-        one = self.equations
-        eye_of_gel, eye_of_nuisances = (
-            torch.eye(x.shape[-1], dtype=torch.float64) for x in (gel, nuisances)
-        )
-        return NormalEquations(
-            gel + scaled(one.gel_gradient),
-            nuisances + scaled(one.nuisance_gradient),
-            eye_of_gel + scaled(one.gel_hessian),
-            eye_of_nuisances + scaled(one.nuisance_hessian),
-            scaled(one.cross),
-        )
+        precision = torch.exp(-2.0 * log_scales)
+        blocks = [getattr(self.equations, block.name)[:, None] for block in fields(NormalEquations)]
+        scaled = (precision.reshape(*precision.shape, *[1] * (x.ndim - 2)) * x for x in blocks)
+        return NormalEquations(*scaled).with_prior(self.point.gel, self.point.nuisances)
 
     def marginal(self, log_scales: Tensor) -> Tensor:
         """Log marginal likelihood, gel and nuisances integrated out: ``J x S`` for ``J x S``
         logarithms of the scale.
         """
-        (gel, nuisances), equations = self.point, self.posterior(log_scales)
+        equations = self.posterior(log_scales)
         precision = torch.exp(-2.0 * log_scales)
         likelihood = (
             -0.5 * self.square[:, None] * precision
             - self.normaliser[:, None]
             - self.size * log_scales
         )
-        prior = 0.5 * (gel.square().sum() + nuisances.square().sum())
+        prior = 0.5 * (self.point.gel.square().sum() + self.point.nuisances.square().sum())
         determinant = (
             torch.linalg.slogdet(equations.reduced.hessian).logabsdet
             + equations.reduced.nuisance_log_det
@@ -107,28 +93,26 @@ class LocalNoise:
         return likelihood - prior + 0.5 * equations.whitened_gradient.square() - 0.5 * determinant
 
 
-def equation_blocks(whitened: Tensor, gel: int) -> tuple[Tensor, ...]:
-    """Blocks of Gauss-Newton equations, without the prior, from whitened columns.
+def equations_of_columns(whitened: Tensor, gel: int) -> NormalEquations:
+    """Gauss-Newton equations, without the prior, from whitened columns.
 
     Args:
         whitened: ``J x C x E x T`` tensor: residual, slopes over the gel, slopes over the
             nuisances.
         gel: how many of the columns are those of the gel.
-
-    Returns:
-        Tensors as :class:`NormalEquations` has them, with ``J`` rows each.
     """
     nuisances = whitened.shape[1] - 1 - gel
     residual, by_gel, by_nuisance = (
         x.movedim(1, -1) for x in whitened.split((1, gel, nuisances), 1)
     )
-    return (
-        -(by_gel.mT @ residual)[..., 0].sum(1),
-        -(by_nuisance.mT @ residual)[..., 0],
-        (by_gel.mT @ by_gel).sum(1),
-        by_nuisance.mT @ by_nuisance,
-        by_nuisance.mT @ by_gel,
-    )
+    gradients = -(by_gel.mT @ residual)[..., 0].sum(1), -(by_nuisance.mT @ residual)[..., 0]
+    return normal_equations(gradients, (by_gel, by_nuisance))
+
+
+def concatenated(parts: Sequence[NormalEquations]) -> NormalEquations:
+    """The equations of several sets of laws together."""
+    names = [block.name for block in fields(NormalEquations)]
+    return NormalEquations(*(torch.cat([getattr(one, name) for one in parts]) for name in names))
 
 
 def best_scales(fits: Sequence[LocalNoise]) -> tuple[Tensor, Tensor]:

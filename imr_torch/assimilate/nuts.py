@@ -10,7 +10,6 @@ sampling on single cases and is no part of a fit. Needs the extra ``imr-torch[nu
 simulator that autograd can follow.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -127,7 +126,9 @@ def nuts(
     with torch.random.fork_rng(devices=[]):  # Pyro draws from the global generator
         torch.manual_seed(child(seed, "nuts", "moves"))
         kernel = NUTS(
-            potential_fn=coordinates.potential, adapt_mass_matrix=False, max_tree_depth=_DEEPEST
+            potential_fn=lambda point: coordinates.cost(point["u"]).sum(),
+            adapt_mass_matrix=False,
+            max_tree_depth=_DEEPEST,
         )
         run = MCMC(
             kernel, draws, warmup_steps=warmup, initial_params={"u": start}, disable_progbar=True
@@ -146,40 +147,29 @@ class _Coordinates:
     """The posterior in coordinates ``u`` in which the Gaussian of its fit is a standard normal."""
 
     def __init__(self, fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> None:
-        self.fit = fit
         self.posterior = Posterior(fit.prior, batch, simulator)
-        self.uncertain = batch.nuisance_sds > 0.0  # E x 3; the others stay at rest
-        self.size = len(fit.mean) + int(self.uncertain.sum())
+        self.mean = self.posterior.flat(fit.point)
+        self.chol = fit.joint_chol(self.posterior.uncertain)
 
     def place(self, u: Tensor) -> Point:
         """Points at ``... x size`` coordinates."""
-        d = len(self.fit.mean)
-        gel = self.fit.mean + u[..., :d] @ self.fit.chol.mT
-        noise = torch.zeros(*u.shape[:-1], *self.uncertain.shape, dtype=u.dtype)
-        noise[..., self.uncertain] = u[..., d:]
-        nuisances = self.fit.nuisances_at(gel) + self.fit.nuisance_noise(noise)
-        return Point(gel, torch.where(self.uncertain, nuisances, 0.0))
+        return self.posterior.place(self.mean + u @ self.chol.mT)
 
     def cost(self, u: Tensor) -> Tensor:
         """Negative log of likelihood x prior: ``...`` tensor."""
         return -self.posterior.log_joint(self.place(u))
 
-    @property
-    def potential(self) -> Callable[[dict[str, Tensor]], Tensor]:
-        """What Pyro asks for: the joint cost of all chains at ``{"u": C x size}``; infinite where a
-        solve fails.
-        """
-        return lambda point: self.cost(point["u"]).sum()
-
     def start(self, chains: int, seed: int) -> Tensor:
         """The first draws of the Gaussian that can be simulated: ``chains x size``."""
-        noise = torch.randn(2 * chains, self.size, generator=generator(seed), dtype=torch.float64)
+        noise = torch.randn(
+            2 * chains, len(self.mean), generator=generator(seed), dtype=torch.float64
+        )
         with torch.no_grad():
             usable = torch.isfinite(self.cost(noise))
         start = noise[usable][:chains]
         if len(start) < chains:
             raise ConvergenceError(
-                f"{self.fit.model}: {len(start)} of {len(noise)} draws of the fit could be "
+                f"{self.posterior.prior.model}: {len(start)} of {len(noise)} draws of the fit could be "
                 f"simulated; {chains} are needed."
             )
         if not self.posterior.predict(self.place(start.clone().requires_grad_())).requires_grad:

@@ -148,15 +148,15 @@ def trace_ridge(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> 
     above = _Side(fit, axis)
     while fronts := [side for side in (below, above) if not side.ended]:
         for side in fronts:
-            point = _fitted(posterior, fit.chol, *side.ahead())
+            point = _fitted(posterior, *side.ahead())
             side.add(point, min(p.cost for p in (*below.points, *above.points)))
     return _kernels([*reversed(below.points), *above.points[1:]], fit)
 
 
-def _fitted(posterior: Posterior, scale: Tensor, point: _Fitted, along: Tensor) -> _Fitted:
+def _fitted(posterior: Posterior, point: _Fitted, along: Tensor) -> _Fitted:
     """A point fitted across the ridge, as far as a few steps go."""
     for _ in range(_PASSES):
-        point = _stepped(point, along, posterior.neighbourhood(point.point, scale))
+        point = _stepped(point, along, posterior.neighbourhood(point.point))
         if not _NEAR < point.promised < math.inf:
             break
     return point

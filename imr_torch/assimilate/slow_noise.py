@@ -62,7 +62,7 @@ def smooth_deviations(
     phases = _phases(near)[used]
     noise = (batch.sd(near.centre).square() / batch.counts)[used]
     residual = (batch.mean - near.centre)[used]
-    columns = near.joint_slopes(used).nan_to_num()
+    columns = near.jacobian[:, used].mT
     point = near.coordinates
 
     def evidence(amount: float, duration: float, share: float) -> Tensor:

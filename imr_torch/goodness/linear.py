@@ -90,9 +90,8 @@ def shifted(
     """
     free = (batch.nuisance_sds > 0.0).any(0)
     size = len(fit.mean)
-    experiments = len(batch.experiments)
-    nuisances = fit.nuisances.expand(len(shift), -1, -1).clone()
-    nuisances[:, :, free] += shift[:, size:].reshape(len(shift), int(free.sum()), experiments).mT
+    nuisances = fit.nuisances.repeat(len(shift), 1, 1)
+    nuisances[..., free] += shift[:, size:].reshape(len(shift), len(fit.nuisances), -1)
     return fit.mean + shift[:, :size], nuisances
 
 
@@ -152,24 +151,15 @@ def linearise_at(
             bubbles.
     """
     posterior = Posterior(prior, batch, simulator)
-    directions = None if moves_gel else torch.zeros(len(point.gel), 0, dtype=torch.float64)
-    return whiten_rows(posterior.neighbourhood(point, directions))
+    return whiten_rows(posterior.neighbourhood(point, moves_gel=moves_gel))
 
 
 def whiten_rows(near: Neighbourhood) -> Linearisation:
     """The residual and the sensitivities of a point as rows of unit variance."""
     batch = near.posterior.batch
-    columns = near.posterior.uncertain
-    experiments = len(batch.experiments)
     sd = batch.sd(near.centre)
-    by_gel, by_nuisance = (
-        batch.whiten(x.movedim(-1, 0), sd).nan_to_num() for x in near.slopes
-    )  # ... x E x T each
-    own = (
-        torch.eye(experiments, dtype=torch.float64)[:, :, None] * by_nuisance[columns][:, None]
-    )  # C x E x E x T
-    data = torch.cat((by_gel.flatten(1).mT, own.flatten(0, 1).flatten(1).mT), 1)
+    data = batch.whiten(near.jacobian, sd).nan_to_num().flatten(1).mT
     fitted = torch.cat((data, -torch.eye(data.shape[1], dtype=torch.float64)))
-    priors = torch.cat((near.point.gel, near.point.nuisances[:, columns].mT.flatten()))
-    residual = torch.cat((batch.whiten(batch.mean - near.centre, sd).flatten(), priors))
+    observed = batch.whiten(batch.mean - near.centre, sd).flatten()
+    residual = torch.cat((observed, near.coordinates))
     return Linearisation(residual, fitted, near.centre, sd, batch)
