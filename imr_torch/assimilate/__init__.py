@@ -17,14 +17,19 @@ from imr_torch.assimilate.noise_estimation import (
     noise_nodes,
 )
 from imr_torch.assimilate.noise_posterior import NoiseNodes
-from imr_torch.assimilate.options import En4DVarOptions, FitOptions, SearchOptions
+from imr_torch.assimilate.options import (
+    En4DVarOptions,
+    FitOptions,
+    PublishedOptions,
+    SearchOptions,
+)
 from imr_torch.assimilate.posterior import Neighbourhood, Posterior
 from imr_torch.assimilate.profile import Profile, profile
 from imr_torch.assimilate.published import (
     PublishedFit,
-    PublishedOptions,
     as_one_curve,
     assimilate_published,
+    published_probabilities,
 )
 from imr_torch.assimilate.weighing import weigh
 
@@ -63,5 +68,6 @@ __all__ = [
     "noise_nodes",
     "normal_equations",
     "profile",
+    "published_probabilities",
     "weigh",
 ]

@@ -168,6 +168,9 @@ def _fit(
     """All cycles of one model."""
     source = generator(seed)
     costs = [math.inf, math.inf]
+    length = math.inf
+    failed = 0.0
+    equations: NormalEquations | None = None
     begun = state
     for cycle in range(options.cycles):
         begun, state = state, state.relaxed(begun, options.relaxation)
@@ -184,6 +187,7 @@ def _fit(
                     f"iteration {iteration + 1}, step {length:.1e} sd"
                 )
         costs.append(-float(posterior.log_joint(posterior.place(state.mean))))
+    assert equations is not None
     agreement = abs(costs[-1] - costs[-2])
     point = posterior.place(state.mean)
     return ModelFit(

@@ -227,17 +227,13 @@ class ModelFit:
 
         ``TRUSTED``: the fitted one with its mean and covariance corrected by the weighted draws.
         ``REPAIRED``: with the moments of the weighted draws, and 64 of these for its shape. Else
-        the fitted one; where the noise is uncertain, integrated over it to first order.
+        the fitted one.
         """
         if self.verdict is not Verdict.REPAIRED:
             mean = self.mean
             chol = self.chol
-            noise = None if self.sample is None else self.sample.noise
             if self.sample is not None and self.verdict is Verdict.TRUSTED:
                 mean, chol = self.sample.corrected(mean, chol)
-            elif noise is not None:
-                mean = noise.about.mean
-                chol = noise.about.chol
             return self._believed(mean, chol @ chol.mT)
         sample = self.sample
         assert sample is not None

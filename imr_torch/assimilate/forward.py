@@ -45,13 +45,6 @@ class Point:
     ) -> "Point":
         return Point(self.gel[rows], self.nuisances[rows])
 
-    def put(self, rows: Int[Tensor, "rows"], other: "Point") -> "Point":
-        """These points with others in the place of some rows."""
-        return Point(
-            self.gel.index_put((rows,), other.gel),
-            self.nuisances.index_put((rows,), other.nuisances),
-        )
-
 
 @dataclass(frozen=True)
 class ForwardModel:

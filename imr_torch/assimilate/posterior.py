@@ -18,6 +18,8 @@ from imr_torch.assimilate.gauss_newton import NormalEquations, normal_equations
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import coarser
 
+_LONGEST = 4.0  # prior standard deviations of nuisances in one step
+
 
 @dataclass(frozen=True)
 class Posterior(ForwardModel):
@@ -103,6 +105,35 @@ class Posterior(ForwardModel):
         )
         likelihood = normal_equations(gradients, (whitened_gel, whitened_nuisance))
         return likelihood.with_prior(point.gel, point.nuisances)
+
+    def fit_nuisances(
+        self, point: Point, chol: Float[Tensor, "draws experiments nuisances nuisances"]
+    ) -> tuple[
+        Float[Tensor, "draws experiments nuisances"],
+        Float[Tensor, "draws experiments nuisances nuisances"],
+    ]:
+        """Most probable nuisances of each gel and their precision, by one Gauss-Newton step each.
+
+        Far from a fit, or where many repeats make the data so exact that the cost is not quadratic
+        in the nuisances within their uncertainty, the fit's linearisation is not good enough to
+        draw from. The result is a function of the gel alone, so importance weights stay exact.
+
+        Args:
+            point: ``n`` gels, with nuisances to start from.
+            chol: lower Cholesky factors of their Hessian, kept where a bubble fails.
+
+        Returns:
+            Nuisances ``n x E x w`` and Cholesky factors ``n x E x w x w``.
+        """
+        near = self.neighbourhood(point, moves_gel=False)
+        known = torch.isfinite(near.prediction).all(-1).all(1)
+        prediction = torch.where(known[:, None, :, None], near.prediction, 0.5)
+        equations = replace(near, prediction=prediction).equations
+        root = torch.linalg.cholesky(equations.nuisance_hessian)
+        step = equations.reduced.nuisance_step
+        step = step * (_LONGEST / step.norm(dim=-1, keepdim=True).clamp_min(1e-300)).clamp_max(1.0)
+        moved = torch.where(known[..., None], point.nuisances + step, point.nuisances)
+        return moved, torch.where(known[..., None, None], root, chol)
 
     def likelihood_slope(
         self, prediction: Float[Tensor, "*batch experiments frames"]

@@ -20,7 +20,7 @@ from imr_torch.assimilate import ModelFit, Point, Posterior, SearchOptions, assi
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.hypotheses import EXPLAINS, GEL_SCATTER, Hypothesis, laplace_evidence
-from imr_torch.goodness.linear import Linearisation, linearise, linearise_at
+from imr_torch.goodness.linear import Linearisation, linearise, whiten_rows
 from imr_torch.material import Belief
 from imr_torch.observe import NUISANCES, ExperimentBatch
 from imr_torch.random import child, generator
@@ -268,9 +268,7 @@ def held_out(
     def at(moved: Tensor, moves_gel: bool = False) -> tuple[Linearisation, Tensor]:
         nuisances = torch.zeros_like(batch.nuisance_sds)
         nuisances[0, columns] = moved
-        line = linearise_at(
-            Point(fit.mean, nuisances), fit.prior, batch, simulator, moves_gel=moves_gel
-        )
+        line = whiten_rows(posterior.neighbourhood(Point(fit.mean, nuisances), moves_gel=moves_gel))
         return line, line.fitted[:data, size:]
 
     # the gel of any curve of the fit, where they have gels of their own

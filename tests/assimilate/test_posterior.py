@@ -8,10 +8,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import Point, Posterior
+from imr_torch.assimilate import Point, Posterior, SearchOptions, assimilate
 from imr_torch.observe import ExperimentBatch, Nuisance, predict
 from imr_torch.random import generator
 from imr_torch.simulate import PolytropicSimulator, TransportSimulator
+from tests.curved import CurvedSimulator, quadrature
 from tests.linear import (
     CORRELATED,
     MEANS,
@@ -179,3 +180,34 @@ def test_that_certain_nuisances_are_not_simulated() -> None:
 
 def assert_zero(values: Tensor) -> None:
     assert float(values.abs().max()) == 0.0
+
+
+def test_that_the_log_joint_can_be_sampled_by_hamiltonian_monte_carlo() -> None:
+    """As docs/howto/other_tools.md does it: a banana, of which the Gaussian about the fit is a fifth
+    of a standard deviation off.
+    """
+    infer = pytest.importorskip("pyro.infer", reason="needs the extra nuts")
+    simulator = CurvedSimulator(1.5)
+    batch = experiments(1)
+    options = SearchOptions(raw_samples=24)
+    fit = assimilate(prior(("nhkv",)), batch, simulator, seed=1, options=options).fits[0]
+    posterior = Posterior(fit.prior, batch, simulator)
+    middle = posterior.flat(fit.point)
+    chol = fit.joint_chol(posterior.uncertain)
+
+    def cost(point: dict[str, Tensor]) -> Tensor:
+        return -posterior.log_joint(posterior.place(middle + point["u"] @ chol.mT)).sum()
+
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        start = 0.5 * torch.randn(32, len(middle), dtype=torch.float64)
+        kernel = infer.NUTS(potential_fn=cost, adapt_mass_matrix=False, max_tree_depth=4)
+        run = infer.MCMC(
+            kernel, 60, warmup_steps=30, initial_params={"u": start}, disable_progbar=True
+        )
+        run.run()
+    gels = posterior.place(middle + run.get_samples()["u"] @ chol.mT).gel.flatten(0, 1)
+    truth = quadrature(fit, batch, simulator)
+    sds = truth.covariance.diagonal().sqrt()
+    assert float(((gels.mean(0) - truth.mean) / sds).abs().max()) < 0.15
+    assert float(((fit.mean - truth.mean) / sds).abs().max()) > 0.2
