@@ -1,4 +1,4 @@
-"""A simulator with a curved response, whose posterior over two parameters is a banana (with one peak), and its moments by quadrature."""
+"""A simulator with a curved response, whose posterior over two parameters is a banana (with one peak), and its moments by quadrature; errors of moments of draws."""
 
 import math
 from dataclasses import dataclass, field
@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import ModelFit
+from imr_torch.assimilate import ImportanceSample, ModelFit
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.simulate import Conditions, Solution
@@ -70,3 +70,15 @@ def quadrature(
     return Quadrature(
         mean, covariance, float(torch.logsumexp(logs, dim=0)) + cell, controls, weights
     )
+
+
+def mean_error(sample: ImportanceSample) -> Tensor:
+    """``d`` tensor, Monte Carlo standard error of the mean (Owen 2013, section 9.2)."""
+    return (sample.weights.square() @ (sample.controls - sample.mean).square()).sqrt()
+
+
+def sd_error(sample: ImportanceSample) -> Tensor:
+    """``d`` tensor, Monte Carlo standard error of the roots of the diagonal of the covariance."""
+    variance = sample.covariance.diagonal()
+    excess = (sample.controls - sample.mean).square() - variance
+    return (sample.weights.square() @ excess.square()).sqrt() / (2.0 * variance.sqrt())

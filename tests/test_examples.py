@@ -28,7 +28,6 @@ OTHERS = ("characterization", "export", "units", "files", "random", "labels", "h
 PUBLIC = ("imr_torch", *(f"imr_torch.{name}" for name in (*STAGES, *OTHERS)))
 NEEDS = {
     "imr_torch.export.arviz": ("xarray", "arviz_base", "h5netcdf"),
-    "imr_torch.assimilate.nuts": ("pyro",),
 }
 OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 

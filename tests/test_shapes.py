@@ -46,7 +46,6 @@ SLOW = (
     "noise_estimation",
     "bad_frames",
     "profile",
-    "nuts",
     "silent_on",
     "as_often_as",
     "stepwise",

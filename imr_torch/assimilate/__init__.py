@@ -8,11 +8,7 @@ from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit, Verdic
 from imr_torch.assimilate.forward import ForwardModel, Point
 from imr_torch.assimilate.frame_jitter import FrameJitter, find_frame_jitter
 from imr_torch.assimilate.frame_noise import FrameNoise, FrameNoisePrior, infer_frame_noise
-from imr_torch.assimilate.gauss_newton import (
-    NormalEquations,
-    ensemble_sensitivity,
-    normal_equations,
-)
+from imr_torch.assimilate.gauss_newton import NormalEquations, normal_equations
 from imr_torch.assimilate.importance import ImportanceSample
 from imr_torch.assimilate.map_fit import assimilate
 from imr_torch.assimilate.noise_estimation import (
@@ -21,14 +17,19 @@ from imr_torch.assimilate.noise_estimation import (
     noise_nodes,
 )
 from imr_torch.assimilate.noise_posterior import NoiseNodes
-from imr_torch.assimilate.options import En4DVarOptions, FitOptions, SearchOptions
+from imr_torch.assimilate.options import (
+    En4DVarOptions,
+    FitOptions,
+    PublishedOptions,
+    SearchOptions,
+)
 from imr_torch.assimilate.posterior import Neighbourhood, Posterior
 from imr_torch.assimilate.profile import Profile, profile
 from imr_torch.assimilate.published import (
     PublishedFit,
-    PublishedOptions,
     as_one_curve,
     assimilate_published,
+    published_probabilities,
 )
 from imr_torch.assimilate.weighing import weigh
 
@@ -61,12 +62,12 @@ __all__ = [
     "assimilate_en4dvar",
     "assimilate_estimating_noise",
     "assimilate_published",
-    "ensemble_sensitivity",
     "find_bad_frames",
     "find_frame_jitter",
     "infer_frame_noise",
     "noise_nodes",
     "normal_equations",
     "profile",
+    "published_probabilities",
     "weigh",
 ]

@@ -10,7 +10,7 @@ probabilities are given the other frames that are named.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float
@@ -37,6 +37,17 @@ _RUN = 3  # bad frames side by side that are a misfit
 _LEVELS = (0.05, 0.5, 0.95)
 _ROUNDS = 10
 _LEAST = 0.5  # smallest noise, over that of the fit, that residuals of the good frames may show
+
+
+def intervals(belief: ModelBelief) -> dict[str, list[float]]:
+    """Name of each parameter -> its 5, 50 and 95 % quantiles, SI."""
+    return dict(zip(belief.names, belief.quantile(_LEVELS).T.tolist(), strict=True))
+
+
+def interval_words(belief: ModelBelief) -> str:
+    """The same in words and display units."""
+    rows = intervals(belief).items()
+    return "; ".join(f"{name} {PARAMETERS[name].interval(*values)}" for name, values in rows)
 
 
 @dataclass(frozen=True)
@@ -124,20 +135,15 @@ class BadFrames:
         lines = [f"{len(self.frames)} frame(s) look bad:", *(f"  {frame}" for frame in self.frames)]
         if self.without is None:
             return lines
-        rows = zip(self.without.names, self.without.quantile(_LEVELS).T.tolist(), strict=True)
-        values = [f"{name} {PARAMETERS[name].interval(*quantiles)}" for name, quantiles in rows]
-        return [*lines, f"  without those that stand alone, to first order: {'; '.join(values)}"]
+        intervals = interval_words(self.without)
+        return [*lines, f"  without those that stand alone, to first order: {intervals}"]
 
     def to_dict(self) -> dict[str, object]:
         """JSON-ready values."""
-        intervals = None
-        if self.without is not None:
-            values = self.without.quantile(_LEVELS).T.tolist()
-            intervals = dict(zip(self.without.names, values, strict=True))
         return {
             "model": self.model,
             "frames": [vars(frame) for frame in self.frames],
-            "intervals_without": intervals,
+            "intervals_without": None if self.without is None else intervals(self.without),
             "reason": self.reason,
             "prior_probability": PRIOR,
         }
@@ -159,26 +165,18 @@ class JointGaussian:
     extra: Float[Tensor, "kept"]
     slopes: Float[Tensor, "kept controls"]
 
-    def with_bad(
-        self,
-        bad: Bool[Tensor, "kept"],
-        factor: float = 1.0,
-        *,
-        extra: Float[Tensor, "kept"] | None = None,
+    def with_errors(
+        self, bad: Bool[Tensor, "kept"], variance: Float[Tensor, "kept"]
     ) -> "JointGaussian":
-        """With the extra error (variances ``N``.
-
-        That of a bad frame by default), times a factor, of some frames (booleans).
-        """
+        """With further independent errors of some frames."""
         at = torch.nonzero(bad)[:, 0]
         columns = self.precision[:, at]
-        inner = (
-            torch.diag(1.0 / (factor * (self.extra if extra is None else extra)[at])) + columns[at]
-        )
+        inner = torch.diag(1.0 / variance[at]) + columns[at]
         solved = torch.linalg.solve(inner, torch.cat((columns.mT, self.pull[at, None]), 1))
-        pull = self.pull - columns @ solved[:, -1]
-        return JointGaussian(
-            self.precision - columns @ solved[:, :-1], pull, self.extra, self.slopes
+        return replace(
+            self,
+            precision=self.precision - columns @ solved[:, :-1],
+            pull=self.pull - columns @ solved[:, -1],
         )
 
     @property
@@ -236,26 +234,23 @@ def find_bad_frames(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator)
     >>> [(bad.experiment, bad.frame) for bad in find_bad_frames(fit, batch, simulator).frames]
     [('shot 1', 7)]
     """
-    if int(batch.mask.sum()) > _MOST:
-        return BadFrames(
-            fit.model,
-            (),
-            reason=f"there are {int(batch.mask.sum())} frames, and the test takes {_MOST} at most.",
-        )
+
+    def untested(reason: str) -> BadFrames:
+        return BadFrames(fit.model, (), reason=reason)
+
+    count = int(batch.mask.sum())
+    if count > _MOST:
+        return untested(f"there are {count} frames, and the test takes {_MOST} at most.")
     near = fit.linearise(batch, simulator)
     if not bool(torch.isfinite(near.prediction).all()):
-        return BadFrames(
-            fit.model, (), reason=f"a bubble beside the fit of {fit.model} could not be simulated."
-        )
+        return untested(f"a bubble beside the fit of {fit.model} could not be simulated.")
     whole = joint_gaussian(near)
     bad, probability, size = _search(whole)
     if not bool(bad.any()):
         return BadFrames(fit.model, ())
     if float(bad.double().mean()) > _LARGEST:
-        return BadFrames(
-            fit.model,
-            (),
-            reason="too many frames are off for single ones to be told from a misfit of the model.",
+        return untested(
+            "too many frames are off for single ones to be told from a misfit of the model."
         )
     others = _each_without_itself(whole, bad)
     where = torch.nonzero(batch.mask)
@@ -278,7 +273,11 @@ def find_bad_frames(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator)
         )
     alone = torch.zeros_like(bad)
     alone[bad] = torch.tensor([frame.single for frame in frames])
-    without = whole.moved(fit, whole.with_bad(alone, _DELETED)) if bool(alone.any()) else None
+    without = (
+        whole.moved(fit, whole.with_errors(alone, _DELETED * whole.extra))
+        if bool(alone.any())
+        else None
+    )
     return BadFrames(fit.model, tuple(frames), without)
 
 
@@ -287,7 +286,7 @@ def joint_gaussian(near: Neighbourhood) -> JointGaussian:
     batch = near.posterior.batch
     centre = near.centre
     frames = batch.mask
-    columns = near.joint_slopes(frames)
+    columns = near.jacobian[:, frames].mT
     sd = batch.sd(centre)
     size = int(frames.sum())
     unit = torch.zeros(size, *frames.shape, dtype=torch.float64)
@@ -311,16 +310,11 @@ def _log_odds(error: Tensor, variance: Tensor, extra: Tensor, size: float) -> Te
 
 
 def _each_without_itself(whole: JointGaussian, bad: Tensor) -> tuple[Tensor, Tensor]:
-    """Deletion residuals and variances given the other bad frames, also of those that are bad."""
-    error, variance = whole.with_bad(bad).deletion
-    error = error.clone()
-    variance = variance.clone()
-    for n in torch.nonzero(bad)[:, 0].tolist():
-        rest = bad.clone()
-        rest[n] = False
-        own = whole.with_bad(rest).deletion
-        error[n], variance[n] = own[0][n], own[1][n]
-    return error, variance
+    """Deletion residuals given the other bad frames, and their variances where the frame itself is
+    good: its own extra error is no part of what the others predict, and adds to the variance alone.
+    """
+    error, variance = whole.with_errors(bad, whole.extra).deletion
+    return error, variance - torch.where(bad, whole.extra, 0.0)
 
 
 def _search(whole: JointGaussian) -> tuple[Tensor, Tensor, float]:
@@ -354,9 +348,5 @@ def _in_run(bad: Tensor, frame: int) -> bool:
     """Whether a frame is one of ``_RUN`` or more bad ones side by side, of the ``T`` frames of a
     curve.
     """
-    first = last = frame
-    while first > 0 and bool(bad[first - 1]):
-        first -= 1
-    while last + 1 < len(bad) and bool(bad[last + 1]):
-        last += 1
-    return last - first + 1 >= _RUN
+    windows = torch.nn.functional.pad(bad, (_RUN - 1, _RUN - 1)).unfold(0, _RUN, 1).all(1)
+    return bool(windows[frame : frame + _RUN].any())

@@ -13,7 +13,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from imr_torch.assimilate.conditional import conditional_nuisances
 from imr_torch.assimilate.fit import ONE_MINIMUM
 from imr_torch.assimilate.forward import STEP, Point
 from imr_torch.assimilate.posterior import Neighbourhood, Posterior
@@ -21,7 +20,8 @@ from imr_torch.observe import NUISANCES, predict
 from imr_torch.simulate import EARLIEST
 
 _TIME_ZERO = NUISANCES.index("time_zero")
-_REACH, _PLACES = 3.0, 61  # prior standard deviations on either side, and places in all: .1 apart
+_REACH = 3.0  # prior standard deviations on either side
+_PLACES = 61  # in all: .1 apart
 _BASINS = 4
 _STEPS = 4
 _MARGIN = 1e-6  # from the earliest time of a bubble, against rounding
@@ -51,7 +51,7 @@ def deeper_nuisances(
     width = flat.shape[-1]
     unit = torch.eye(width, dtype=torch.float64).expand(*flat.shape[:2], width, width)
     for _ in range(_STEPS):
-        flat = conditional_nuisances(posterior, Point(gels, flat), unit)[0]
+        flat = posterior.fit_nuisances(Point(gels, flat), unit)[0]
     before = _cost(posterior, point)  # M x E
     cost, place = _cost(posterior, Point(gels, flat)).unflatten(0, places.shape[:2]).min(1)
     found = flat.unflatten(0, places.shape[:2]).gather(
@@ -77,16 +77,12 @@ def _lowest_places(posterior: Posterior, point: Point) -> Tensor:
     still = moved.clone()
     still[..., _TIME_ZERO] = 0.0  # where its prior does not pull: it is to stay
     gels = point.gel[:, None].expand(-1, _PLACES, -1)
-    equations = Neighbourhood(
-        posterior, Point(gels, still), gels.unsqueeze(-2)[..., :0, :], prediction
-    ).equations
-    gradient = equations.nuisance_gradient
-    root = torch.linalg.cholesky(equations.nuisance_hessian)
-    step = -torch.cholesky_solve(gradient[..., None], root)[..., 0]
+    equations = Neighbourhood(posterior, Point(gels, still), prediction).equations
+    step = equations.reduced.nuisance_step
     cost = (
         0.5 * moved.square().sum(-1)
         - batch.log_likelihood(prediction[:, :, 0])
-        + 0.5 * (gradient * step).sum(-1)
+        + 0.5 * (equations.nuisance_gradient * step).sum(-1)
     )
     chosen = _minima(torch.where(known, cost, torch.inf))
     return (moved + step).gather(1, chosen[..., None].expand(-1, -1, -1, step.shape[-1]))

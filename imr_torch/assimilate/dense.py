@@ -2,13 +2,17 @@
 frames.
 """
 
+import numpy as np
 import torch
 from jaxtyping import Float
+from numpy.typing import NDArray
 from torch import Tensor
 
 from imr_torch.assimilate.fit import ModelFit
 from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.simulate import Simulator
+
+Vector = NDArray[np.float64]
 
 _UNIFORM = 200  # points of a drawn curve that lie evenly in time
 _ALONG = (200, 200)  # those added evenly along the curve found so far, which a collapse needs
@@ -32,24 +36,16 @@ def dense_curve(
     shifts = fit.nuisances * batch.nuisance_sds
     for added in _ALONG:
         curve = predict(simulator, parameters, batch, shifts, times=times)
-        times = torch.cat((times, _along(times, curve, added)), 1).sort(1).values
-        times = times + 1e-9 * torch.arange(
-            times.shape[1], dtype=torch.float64
-        )  # strictly increasing
+        more = [_along(t, r, added) for t, r in zip(times.numpy(), curve.numpy(), strict=True)]
+        times = torch.cat((times, torch.from_numpy(np.stack(more))), 1).sort(1).values
+        times = times + 1e-9 * torch.arange(times.shape[1])  # strictly increasing
     return times, predict(simulator, parameters, batch, shifts, times=times)
 
 
-def _along(times: Tensor, curve: Tensor, count: int) -> Tensor:
+def _along(times: Vector, curve: Vector, count: int) -> Vector:
     """Times of points evenly along the polygon of a curve, in a frame as wide as the record and as
     high as Rmax.
     """
-    length = torch.hypot(
-        times.diff(dim=1) / (times[:, -1:] - times[:, :1]), curve.diff(dim=1).nan_to_num()
-    ).cumsum(1)
-    length = torch.nn.functional.pad(length, (1, 0))
-    wanted = length[:, -1:] * torch.linspace(0.0, 1.0, count + 2, dtype=torch.float64)[1:-1]
-    right = torch.searchsorted(length, wanted.contiguous()).clamp(1, times.shape[1] - 1)
-    low = length.gather(1, right - 1)
-    high = length.gather(1, right)
-    weight = ((wanted - low) / (high - low).clamp_min(1e-300)).clamp(0.0, 1.0)
-    return times.gather(1, right - 1) * (1.0 - weight) + times.gather(1, right) * weight
+    steps = np.hypot(np.diff(times) / np.ptp(times), np.nan_to_num(np.diff(curve)))
+    length = np.concatenate(([0.0], steps.cumsum()))
+    return np.interp(np.linspace(0.0, length[-1], count + 2)[1:-1], length, times)

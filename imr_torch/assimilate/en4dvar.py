@@ -18,14 +18,14 @@ passes small local minima. Unlike the published method, each step is shortened t
 which the exact cost is lowest.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit
-from imr_torch.assimilate.forward import Point
-from imr_torch.assimilate.gauss_newton import NormalEquations
+from imr_torch.assimilate.gauss_newton import NormalEquations, inverse_chol
 from imr_torch.assimilate.options import En4DVarOptions
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.assimilate.published import as_one_curve
@@ -40,10 +40,8 @@ from imr_torch.types import Progress
 _ENOUGH = 0.5  # share of an ensemble that must be simulated
 _LONGEST = 2.0  # prior standard deviations of the gel in one step
 _LENGTHS = (1.0, 0.5, 0.2, 0.05, 0.0)  # shares of a step at which the exact cost is compared
-_STILL, _SAME = (
-    0.1,
-    0.1,
-)  # posterior standard deviations of the last step, and nats between cycles, of a fit that has converged
+_STILL = 0.1  # posterior standard deviations of the last step of a fit that has converged
+_SAME = 0.1  # nats between its cycles
 
 
 @one_torch_thread()
@@ -93,7 +91,14 @@ def assimilate_en4dvar(
     fits = []
     for part in belief.models:
         posterior = Posterior(part, used, simulator)
-        state = _State.of_prior(posterior) if near is None else _State.of_fit(near[part.model])
+        if near is None:
+            size = posterior.size + len(posterior.uncertain) * len(used.experiments)
+            state = _State.unwidened(
+                torch.zeros(size, dtype=torch.float64), torch.eye(size, dtype=torch.float64)
+            )
+        else:
+            fit = near[part.model]
+            state = _State.unwidened(posterior.flat(fit.point), fit.joint_chol(posterior.uncertain))
         fits.append(_fit(posterior, state, options, child(seed, "en4dvar", part.model), progress))
     return Assimilation(belief, used, tuple(fits))
 
@@ -121,75 +126,36 @@ def tempered(batch: ExperimentBatch) -> ExperimentBatch:
 
 @dataclass(frozen=True)
 class _State:
-    """Mean of an ensemble, and the covariance that its next deviations are drawn for.
+    """Mean of an ensemble in the coordinates of :meth:`Posterior.flat`, and what its next deviations
+    are drawn for.
 
     Args:
-        point: the mean.
-        chol: ``d x d`` tensor, of the gel.
-        response: ``E x 3 x d`` tensor, how nuisances move with the gel.
-        nuisance_chol: ``E x 3 x 3`` tensor, Cholesky factors of the covariance of nuisances at a
-            fixed gel.
-        widening: factor of the deviations of each coordinate, ``d`` and ``E x 3``; none if not
-            given.
+        mean: ``n`` tensor.
+        chol: ``n x n`` tensor, Cholesky factor of the covariance.
+        widening: ``n`` tensor, factor of the deviations of each coordinate.
     """
 
-    point: Point
+    mean: Tensor
     chol: Tensor
-    response: Tensor
-    nuisance_chol: Tensor
-    widening: Point | None = None
+    widening: Tensor
 
     @classmethod
-    def of_prior(cls, posterior: Posterior) -> "_State":
-        """The prior."""
-        still = posterior.still()
-        eye = torch.eye(posterior.size, dtype=torch.float64)
-        own = torch.diag_embed((posterior.batch.nuisance_sds > 0.0).double())
-        return cls(
-            Point(torch.zeros(posterior.size, dtype=torch.float64), still),
-            eye,
-            still[..., None] * eye[0],
-            own,
-        )
+    def unwidened(cls, mean: Tensor, chol: Tensor) -> "_State":
+        return cls(mean, chol, torch.ones_like(mean))
 
-    @classmethod
-    def of_fit(cls, fit: ModelFit) -> "_State":
-        """The Gaussian of an earlier fit."""
-        return cls(fit.point, fit.chol, fit.nuisance_response, _inverse_root(fit.nuisance_chol))
-
-    def members(self, options: En4DVarOptions, source: torch.Generator) -> Point:
-        """Deviations of an ensemble from its mean, in opposite pairs."""
-        half = options.members // 2
-        white = torch.randn(half, self.chol.shape[0], generator=source, dtype=torch.float64)
-        noise = torch.randn(
-            half, *self.point.nuisances.shape, generator=source, dtype=torch.float64
-        )
-        gel = white @ self.chol.mT
-        nuisances = (self.response @ gel[:, None, :, None])[..., 0] + (
-            self.nuisance_chol @ noise[..., None]
-        )[..., 0]
-        if self.widening is not None:
-            gel = gel * self.widening.gel
-            nuisances = nuisances * self.widening.nuisances
-        return Point(torch.cat((gel, -gel)), torch.cat((nuisances, -nuisances)))
-
-    def spread(self) -> Point:
-        """Standard deviation of each coordinate, before widening."""
-        along = (self.response @ self.chol).square().sum(-1) + self.nuisance_chol.square().sum(-1)
-        return Point(self.chol.square().sum(-1).sqrt(), along.sqrt())
+    def deviations(self, options: En4DVarOptions, source: torch.Generator) -> Tensor:
+        """Deviations of an ensemble from its mean, in opposite pairs: ``members x n``."""
+        shape = (options.members // 2, len(self.mean))
+        white = torch.randn(*shape, generator=source, dtype=torch.float64)
+        half = white @ self.chol.mT * self.widening
+        return torch.cat((half, -half))
 
     def relaxed(self, before: "_State", share: float) -> "_State":
-        """With the spread of each coordinate relaxed to that of an earlier state by a share (RTPS)."""
-        here = self.spread()
-        there = before.spread()
-        gel = 1.0 + share * (there.gel / here.gel - 1.0)
-        nuisances = 1.0 + share * (there.nuisances / here.nuisances.clamp_min(1e-300) - 1.0)
-        return replace(self, widening=Point(gel, nuisances))
-
-
-def _inverse_root(precision_chol: Tensor) -> Tensor:
-    """Cholesky factors of the inverses of ``L L^T``."""
-    return torch.linalg.cholesky(torch.cholesky_inverse(precision_chol))
+        """With the spread of each coordinate relaxed to that of an earlier state by a share (RTPS),
+        both before their own widening.
+        """
+        ratio = before.chol.norm(dim=1) / self.chol.norm(dim=1)
+        return replace(self, widening=1.0 + share * (ratio - 1.0))
 
 
 def _fit(
@@ -201,106 +167,85 @@ def _fit(
 ) -> ModelFit:
     """All cycles of one model."""
     source = generator(seed)
-    model = posterior.prior.model
-    costs = []
-    step = torch.inf
+    costs = [math.inf, math.inf]
+    length = math.inf
     failed = 0.0
     equations: NormalEquations | None = None
     begun = state
     for cycle in range(options.cycles):
         begun, state = state, state.relaxed(begun, options.relaxation)
         for iteration in range(options.iterations):
-            equations, failed = _ensemble_equations(
-                posterior, state, state.members(options, source)
-            )
-            gel, nuisances = equations.step(torch.zeros((), dtype=torch.float64))
-            step = float(
-                torch.linalg.solve_triangular(
-                    equations.posterior_chol, gel[:, None], upper=False
-                ).norm()
-            )
-            point = _best_of(posterior, state.point, Point(gel, nuisances))
-            root = torch.linalg.cholesky(equations.nuisance_hessian)
-            own = _inverse_root(root) * (posterior.batch.nuisance_sds > 0.0)[..., None]
-            state = _State(
-                point, equations.posterior_chol, equations.reduced.nuisance_response, own
-            )
+            deviations = state.deviations(options, source)
+            equations, failed = _ensemble_equations(posterior, state.mean, deviations)
+            chol = inverse_chol(equations.joint_hessian(posterior.uncertain))
+            step = -chol.mT @ equations.joint_gradient(posterior.uncertain)
+            length = float(step[: posterior.size].norm())
+            state = _State.unwidened(_best_of(posterior, state.mean, chol @ step), chol)
             if progress:
                 progress(
-                    f"ensemble 4D-Var: {model}, cycle {cycle + 1}, iteration {iteration + 1}, "
-                    f"step {step:.1e} sd"
+                    f"ensemble 4D-Var: {posterior.prior.model}, cycle {cycle + 1}, "
+                    f"iteration {iteration + 1}, step {length:.1e} sd"
                 )
-        costs.append(-float(posterior.log_joint(state.point)))
+        costs.append(-float(posterior.log_joint(posterior.place(state.mean))))
     assert equations is not None
-    agreement = abs(costs[-1] - costs[-2]) if len(costs) > 1 else torch.inf
+    agreement = abs(costs[-1] - costs[-2])
+    point = posterior.place(state.mean)
     return ModelFit(
         prior=posterior.prior,
-        mean=state.point.gel,
-        chol=state.chol,
-        nuisances=state.point.nuisances,
-        nuisance_response=state.response,
+        mean=point.gel,
+        chol=equations.posterior_chol,
+        nuisances=point.nuisances,
+        nuisance_response=equations.reduced.nuisance_response,
         nuisance_chol=torch.linalg.cholesky(equations.nuisance_hessian),
         cost=costs[-1],
-        prediction=posterior.predict(state.point),
+        prediction=posterior.predict(point),
         certificate=Certificate(
-            step,
+            length,
             agreement,
             options.iterations * options.cycles,
             failed,
-            step < _STILL and agreement < _SAME,
+            length < _STILL and agreement < _SAME,
             compared="cycles",
         ),
     )
 
 
-def _best_of(posterior: Posterior, point: Point, step: Point) -> Point:
+def _best_of(posterior: Posterior, mean: Tensor, step: Tensor) -> Tensor:
     """Where the exact cost is lowest along a step, the point itself included."""
-    longest = min(1.0, _LONGEST / max(float(step.gel.norm()), 1e-300))
-    lengths = longest * torch.tensor(_LENGTHS, dtype=torch.float64)
-    tried = Point(
-        point.gel + lengths[:, None] * step.gel,
-        point.nuisances + lengths[:, None, None] * step.nuisances,
-    )
-    return tried[int(posterior.log_joint(tried).argmax())]
+    longest = min(1.0, _LONGEST / max(float(step[: posterior.size].norm()), 1e-300))
+    tried = mean + longest * torch.tensor(_LENGTHS, dtype=torch.float64)[:, None] * step
+    return tried[int(posterior.log_joint(posterior.place(tried)).argmax())]
 
 
 def _ensemble_equations(
-    posterior: Posterior, state: _State, deviations: Point
+    posterior: Posterior, mean: Tensor, deviations: Tensor
 ) -> tuple[NormalEquations, float]:
     """Normal equations at the mean of an ensemble with slopes by regression, and the share of
     members that failed.
     """
-    members = Point(state.point.gel + deviations.gel, state.point.nuisances + deviations.nuisances)
-    everyone = Point(
-        torch.cat((state.point.gel[None], members.gel)),
-        torch.cat((state.point.nuisances[None], members.nuisances)),
-    )
-    prediction = posterior.predict(everyone)
+    point = posterior.place(mean)
+    prediction = posterior.predict(posterior.place(torch.cat((mean[None], mean + deviations))))
     good = torch.isfinite(prediction[1:]).flatten(1).all(1)
-    if float(good.double().mean()) < _ENOUGH or not bool(torch.isfinite(prediction[0]).all()):
+    share = float(good.double().mean())
+    if share < _ENOUGH or not bool(torch.isfinite(prediction[0]).all()):
         raise ConvergenceError(
             f"{posterior.prior.model}: {int(good.sum())} of {len(good)} members could be "
             "simulated about the ensemble's mean; "
             "check units and bounds of the prior and the designs."
         )
-    slopes = _regress(posterior, deviations, prediction[1:] - prediction[0], good)
-    return posterior.equations(state.point, prediction[0], *slopes), 1.0 - float(
-        good.double().mean()
-    )
+    responses = (prediction[1:] - prediction[0])[good]
+    slopes = _regress(posterior, deviations[good], responses)
+    return posterior.equations(point, prediction[0], *slopes), 1.0 - share
 
 
-def _regress(
-    posterior: Posterior, deviations: Point, responses: Tensor, good: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Slopes over gel (``E x T x d``) and nuisances (``E x T x 3``) of each experiment, by least
+def _regress(posterior: Posterior, deviations: Tensor, responses: Tensor) -> tuple[Tensor, Tensor]:
+    """Slopes over gel (``E x T x d``) and nuisances (``E x T x w``) of each experiment, by least
     squares over its members.
     """
-    own = deviations.nuisances[good].movedim(0, 1)  # E x N x 3
-    gel = deviations.gel[good].expand(len(own), -1, -1)
-    columns = torch.cat((gel, own[..., posterior.uncertain]), -1)
-    solution = torch.linalg.lstsq(
-        columns, responses[good].movedim(0, 1), driver="gelsd"
-    ).solution.mT  # E x T x (d + S)
-    by_nuisance = torch.zeros(*solution.shape[:2], 3, dtype=torch.float64)
+    gel = deviations[:, : posterior.size]
+    own = deviations[:, posterior.size :].unflatten(1, (responses.shape[1], -1)).movedim(0, 1)
+    columns = torch.cat((gel.expand(len(own), -1, -1), own), -1)
+    solution = torch.linalg.lstsq(columns, responses.movedim(0, 1), driver="gelsd").solution.mT
+    by_nuisance = posterior.still()[:, None].repeat(1, solution.shape[1], 1)
     by_nuisance[..., posterior.uncertain] = solution[..., posterior.size :]
     return solution[..., : posterior.size], by_nuisance

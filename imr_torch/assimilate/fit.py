@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from imr_torch.assimilate.forward import Point
@@ -227,17 +227,13 @@ class ModelFit:
 
         ``TRUSTED``: the fitted one with its mean and covariance corrected by the weighted draws.
         ``REPAIRED``: with the moments of the weighted draws, and 64 of these for its shape. Else
-        the fitted one; where the noise is uncertain, integrated over it to first order.
+        the fitted one.
         """
         if self.verdict is not Verdict.REPAIRED:
             mean = self.mean
             chol = self.chol
-            noise = None if self.sample is None else self.sample.noise
             if self.sample is not None and self.verdict is Verdict.TRUSTED:
                 mean, chol = self.sample.corrected(mean, chol)
-            elif noise is not None:
-                mean = noise.about.mean
-                chol = noise.about.chol
             return self._believed(mean, chol @ chol.mT)
         sample = self.sample
         assert sample is not None
@@ -308,13 +304,17 @@ class ModelFit:
         deviation = controls - self.mean
         return self.nuisances + (self.nuisance_response @ deviation[..., None, :, None])[..., 0]
 
-    def nuisance_noise(
-        self, noise: Float[Tensor, "*batch experiments nuisances"]
-    ) -> Float[Tensor, "*batch experiments nuisances"]:
-        """Standard normal numbers ``... x E x w`` as deviations of the nuisances given the gel."""
-        return torch.linalg.solve_triangular(self.nuisance_chol.mT, noise[..., None], upper=True)[
-            ..., 0
-        ]
+    def joint_chol(
+        self, columns: Int[Tensor, "columns"]
+    ) -> Float[Tensor, "coordinates coordinates"]:
+        """Cholesky factor of the covariance of the gel and some nuisances of each experiment, in the
+        order of :meth:`imr_torch.assimilate.ForwardModel.flat`.
+        """
+        hessian = self.nuisance_chol[:, columns][:, :, columns]
+        own = torch.block_diag(*torch.linalg.cholesky(torch.cholesky_inverse(hessian)))
+        along = self.nuisance_response[:, columns].flatten(0, 1) @ self.chol
+        above = along.new_zeros(len(self.chol), len(along))
+        return torch.cat((torch.cat((self.chol, above), 1), torch.cat((along, own), 1)))
 
     def parameters(
         self, controls: Float[Tensor, "*batch controls"]

@@ -14,13 +14,12 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from imr_torch.assimilate.gauss_newton import ensemble_sensitivity
 from imr_torch.material import ModelBelief
 from imr_torch.observe import ExperimentBatch, Film, predict
 from imr_torch.simulate import Simulator
 
 STEP = 1e-6
-"""Length of the differences: of the gel in units of ``scale``, of nuisances in prior standard deviations."""
+"""Length of the differences, prior standard deviations of gel and nuisances."""
 
 
 @dataclass(frozen=True)
@@ -46,13 +45,6 @@ class Point:
     ) -> "Point":
         return Point(self.gel[rows], self.nuisances[rows])
 
-    def put(self, rows: Int[Tensor, "rows"], other: "Point") -> "Point":
-        """These points with others in the place of some rows."""
-        return Point(
-            self.gel.index_put((rows,), other.gel),
-            self.nuisances.index_put((rows,), other.nuisances),
-        )
-
 
 @dataclass(frozen=True)
 class ForwardModel:
@@ -72,7 +64,7 @@ class ForwardModel:
     >>> point = Point(torch.zeros(4, 2, dtype=torch.float64), forward.still(4))  # four times the prior median
     >>> tuple(forward.predict(point).shape)
     (4, 1, 3)
-    >>> by_gel, by_nuisance = forward.slopes(*forward.bundle(point))
+    >>> by_gel, by_nuisance = forward.slopes(forward.bundle(point))
     >>> tuple(by_gel.shape), tuple(by_nuisance.shape)
     ((4, 1, 3, 2), (4, 1, 3, 3))
     """
@@ -91,14 +83,16 @@ class ForwardModel:
         """Columns of nuisances that are uncertain in any experiment."""
         return torch.nonzero((self.batch.nuisance_sds > 0.0).any(0))[:, 0]
 
-    @cached_property
-    def _nuisance_steps(self) -> Tensor:
-        """``S x 1 x w`` tensor: the step of each uncertain nuisance, the same in all experiments."""
-        steps = torch.zeros(
-            len(self.uncertain), 1, self.batch.nuisance_sds.shape[1], dtype=torch.float64
-        )
-        steps[torch.arange(len(self.uncertain)), 0, self.uncertain] = STEP
-        return steps
+    def flat(self, point: Point) -> Float[Tensor, "*batch coordinates"]:
+        """The gel's coordinates, then the uncertain nuisances of each experiment."""
+        return torch.cat((point.gel, point.nuisances[..., self.uncertain].flatten(-2)), -1)
+
+    def place(self, coordinates: Float[Tensor, "*batch coordinates"]) -> Point:
+        """The points at coordinates of :meth:`flat`; other nuisances are at their prior means."""
+        nuisances = self.still(*coordinates.shape[:-1])
+        values = coordinates[..., self.size :].unflatten(-1, (nuisances.shape[-2], -1))
+        nuisances[..., self.uncertain] = values
+        return Point(coordinates[..., : self.size], nuisances)
 
     def still(self, *batch_shape: int) -> Float[Tensor, "*batch experiments nuisances"]:
         """Nuisances at their prior means, ``batch_shape x E x w``."""
@@ -125,76 +119,57 @@ class ForwardModel:
         return torch.where(self.batch.mask, prediction, 0.0)
 
     def bundle(
-        self,
-        point: Point,
-        scale: Float[Tensor, "*#batch controls directions"] | None = None,
-        *,
-        leader: Point | None = None,
-    ) -> tuple[
-        Float[Tensor, "*batch directions controls"],
-        Float[Tensor, "*batch bundle experiments frames"],
-    ]:
+        self, point: Point, *, moves_gel: bool = True, leader: Point | None = None
+    ) -> Float[Tensor, "*batch bundle experiments frames"]:
         """Simulate points and the points beside them for finite differences, a bundle each.
 
         Args:
             point: ``batch_shape`` points.
-            scale: ``batch_shape x d x N`` tensor whose columns are the directions in which the gel
-                is moved; one each along every coordinate when not given, none for ``N = 0``.
+            moves_gel: whether the gel is moved along each of its coordinates.
             leader: ``batch_shape`` points whose solver steps all others take; the points themselves
                 when not given.
 
         Returns:
-            By what the gel was moved, and the predictions of the point, of gels moved, of each
-            uncertain nuisance moved.
+            The predictions of the point, of gels moved, of each uncertain nuisance moved.
         """
-        gel = point.gel.unsqueeze(-2)
-        nuisances = point.nuisances.unsqueeze(-3)
-        directions = torch.eye(self.size, dtype=torch.float64) if scale is None else scale.mT
-        moves = (STEP * directions).expand(*gel.shape[:-2], *directions.shape[-2:])
-        shifts = self._nuisance_steps
-        gels = [gel, gel + moves, gel.expand(*gel.shape[:-2], len(shifts), -1)]
-        moved = [
-            nuisances,
-            nuisances.expand(*gel.shape[:-2], moves.shape[-2], -1, -1),
-            nuisances + shifts,
-        ]
-        if leader is not None:
-            gels.insert(0, leader.gel.unsqueeze(-2))
-            moved.insert(0, leader.nuisances.unsqueeze(-3))
-        prediction = self.predict(Point(torch.cat(gels, -2), torch.cat(moved, -3)), bundled=True)
-        return moves, prediction if leader is None else prediction[..., 1:, :, :]
+        width = point.nuisances.shape[-1]
+        moves = STEP * torch.eye(self.size, dtype=torch.float64)[: self.size * moves_gel]
+        shifts = STEP * torch.eye(width, dtype=torch.float64)[self.uncertain]
+        steps = Point(
+            torch.nn.functional.pad(moves, (0, 0, 1, len(shifts))),
+            torch.nn.functional.pad(shifts, (0, 0, 1 + len(moves), 0)).unsqueeze(-2),
+        )
+        points = Point(
+            point.gel.unsqueeze(-2) + steps.gel, point.nuisances.unsqueeze(-3) + steps.nuisances
+        )
+        if leader is None:
+            return self.predict(points, bundled=True)
+        led = Point(
+            torch.cat((leader.gel.unsqueeze(-2), points.gel), -2),
+            torch.cat((leader.nuisances.unsqueeze(-3), points.nuisances), -3),
+        )
+        return self.predict(led, bundled=True)[..., 1:, :, :]
 
     def slopes(
-        self,
-        moves: Float[Tensor, "*batch directions controls"],
-        prediction: Float[Tensor, "*batch bundle experiments frames"],
+        self, prediction: Float[Tensor, "*batch bundle experiments frames"]
     ) -> tuple[
         Float[Tensor, "*batch experiments frames controls"],
         Float[Tensor, "*batch experiments frames nuisances"],
     ]:
         """Sensitivities to the gel (``batch_shape x E x T x d``) and to the nuisances
-        (``batch_shape x E x T x w``).
+        (``batch_shape x E x T x w``); zero where they were not moved.
 
         Neighbours that failed, be it after some frames, give a slope of zero.
 
         Args:
-            moves: as of :meth:`bundle`.
             prediction: as of :meth:`bundle`.
         """
-        count = moves.shape[-2]
-        centre = prediction[..., :1, :, :]
-        moved = prediction[..., 1 : 1 + count, :, :]
-        shifted = prediction[..., 1 + count :, :, :]
-        if count:
-            by_gel = ensemble_sensitivity(
-                moves.unsqueeze(-3), (moved - centre).transpose(-3, -2)
-            )  # of ... x E x N x T
-        else:
-            by_gel = prediction.new_zeros(*prediction[..., 0, :, :].shape, moves.shape[-1])
-        by_nuisance = prediction.new_zeros(
-            *prediction[..., 0, :, :].shape, self.batch.nuisance_sds.shape[1]
-        )
-        slopes = (shifted - centre) / STEP
+        slopes = (prediction[..., 1:, :, :] - prediction[..., :1, :, :]) / STEP
         good = torch.isfinite(slopes).all(-1, keepdim=True)
-        by_nuisance[..., self.uncertain] = torch.where(good, slopes, 0.0).movedim(-3, -1)
+        slopes = torch.where(good, slopes, 0.0).movedim(-3, -1)
+        moved = slopes.shape[-1] - len(self.uncertain)
+        by_gel = slopes.new_zeros(*slopes.shape[:-1], self.size)
+        by_gel[..., :moved] = slopes[..., :moved]
+        by_nuisance = slopes.new_zeros(*slopes.shape[:-1], self.batch.nuisance_sds.shape[1])
+        by_nuisance[..., self.uncertain] = slopes[..., moved:]
         return by_gel, by_nuisance

@@ -19,9 +19,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate.bad_frames import joint_gaussian
+from imr_torch.assimilate.bad_frames import interval_words, intervals, joint_gaussian
 from imr_torch.assimilate.fit import ModelFit
-from imr_torch.material import PARAMETERS, ModelBelief
+from imr_torch.material import ModelBelief
 from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.simulate import Simulator
 
@@ -31,7 +31,7 @@ FOUND = 3.0
 """Nats of evidence over no jitter from which on it is reported as found."""
 
 _MOST = 2000  # frames in all; the time grows with their cube
-_SPAN = (1e-4, 1.0)  # of the grid, in frame intervals
+_SPAN = (-4.0, 0.0)  # of the grid, powers of ten of a frame interval
 _GRID = 241
 _STEP = 0.02  # frame intervals, of the first differences that give dR*/dt*
 _ROUNDS = 2  # the second with differences as wide as the jitter that the first found
@@ -91,32 +91,17 @@ frames in which the bubble is fast.
         )
         if self.with_jitter is None:
             return said
-        rows = zip(
-            self.with_jitter.names, self.with_jitter.quantile(_LEVELS).T.tolist(), strict=True
-        )
-        return (
-            f"{said} With it, to first order: "
-            f"{'; '.join(f'{n} {PARAMETERS[n].interval(*q)}' for n, q in rows)}"
-        )
+        return f"{said} With it, to first order: {interval_words(self.with_jitter)}"
 
     def to_dict(self) -> dict[str, object]:
         """JSON-ready values."""
-        intervals = None
-        if self.with_jitter is not None:
-            intervals = dict(
-                zip(
-                    self.with_jitter.names,
-                    self.with_jitter.quantile(_LEVELS).T.tolist(),
-                    strict=True,
-                )
-            )
         return {
             "model": self.model,
             "sd": None if self.sd is None else list(self.sd),
             "evidence": self.evidence,
             "frame_interval": self.frame_interval,
             "found": self.found,
-            "intervals_with": intervals,
+            "intervals_with": None if self.with_jitter is None else intervals(self.with_jitter),
             "reason": self.reason,
             "sentence": str(self),
         }
@@ -149,9 +134,12 @@ def find_frame_jitter(fit: ModelFit, batch: ExperimentBatch, simulator: Simulato
     """
     interval = float(torch.cat([e.times.diff() for e in batch.experiments]).median())
     frames = int(batch.mask.sum())
-    if frames > _MOST:
-        reason = f"there are {frames} frames, and the test takes {_MOST} at most."
+
+    def untested(reason: str) -> FrameJitter:
         return FrameJitter(fit.model, None, 0.0, interval, reason=reason)
+
+    if frames > _MOST:
+        return untested(f"there are {frames} frames, and the test takes {_MOST} at most.")
     near = fit.linearise(batch, simulator)
     whole = joint_gaussian(near)
     square = float(whole.pull @ torch.linalg.solve(whole.precision, whole.pull))
@@ -161,27 +149,22 @@ def find_frame_jitter(fit: ModelFit, batch: ExperimentBatch, simulator: Simulato
     by_time = whole.pull
     for _ in range(_ROUNDS):
         if not 0.0 < sd[1] < interval:  # frames would change places
-            reason = (
+            return untested(
                 "the likeliest jitter is above a frame interval, which is no jitter: the model "
                 "misses the curves."
             )
-            return FrameJitter(fit.model, None, 0.0, interval, reason=reason)
         by_time = (
             _change(fit, batch, near.centre, simulator, sd[1]) / (sd[1] * batch.counts.sqrt())
         )[batch.mask]
         if not bool(torch.isfinite(near.prediction).all() & torch.isfinite(by_time).all()):
-            reason = f"a bubble beside the fit of {fit.model} could not be simulated."
-            return FrameJitter(fit.model, None, 0.0, interval, reason=reason)
-        jitter = _Jitter(
-            by_time[:, None] * whole.precision * by_time, by_time * whole.pull, square, free
-        )
-        sd, evidence = jitter.posterior(interval)
+            return untested(f"a bubble beside the fit of {fit.model} could not be simulated.")
+        inner = by_time[:, None] * whole.precision * by_time
+        sd, evidence = _posterior(inner, by_time * whole.pull, square, free, interval)
     result = FrameJitter(fit.model, sd, evidence, interval)
     if not result.found:
         return result
-    changed = whole.with_bad(
-        torch.ones(frames, dtype=torch.bool), 1.0, extra=(sd[1] * by_time).square().clamp_min(1e-20)
-    )
+    jittered = (sd[1] * by_time).square().clamp_min(1e-20)
+    changed = whole.with_errors(torch.ones(frames, dtype=torch.bool), jittered)
     return FrameJitter(fit.model, sd, evidence, interval, whole.moved(fit, changed))
 
 
@@ -200,9 +183,13 @@ def _change(
     return ((moved - centre).square().sum(0) / 6.0).sqrt()
 
 
-@dataclass(frozen=True)
-class _Jitter:
-    """The likelihood of jitter in closed form, by eigenvalues.
+def _posterior(
+    inner: Tensor, pull: Tensor, square: float, free: int, interval: float
+) -> tuple[tuple[float, float, float], float]:
+    """Quantiles of the jitter, t*, and its log evidence over none, in closed form by eigenvalues.
+
+    The grid is of jitter in proportion to the other noise, whose likeliest size beside it gives
+    that of the jitter.
 
     Args:
         inner: ``N x N`` tensor, the precision of the frames scaled by what jitter of one t* adds to
@@ -210,45 +197,24 @@ class _Jitter:
         pull: ``N`` tensor, precision times residual, scaled likewise.
         square: squared residual without jitter, in standard deviations.
         free: degrees of freedom.
+        interval: between frames, t*.
     """
-
-    inner: Tensor
-    pull: Tensor
-    square: float
-    free: int
-
-    def posterior(self, interval: float) -> tuple[tuple[float, float, float], float]:
-        """Quantiles of the jitter, t*, and its log evidence over none.
-
-        The grid is of jitter in proportion to the other noise, whose likeliest size beside it gives
-        that of the jitter.
-        """
-        eigenvalues, vectors = torch.linalg.eigh(self.inner)
-        eigenvalues = eigenvalues.clamp_min(0.0)
-        pulled = (vectors.mT @ self.pull).square()
-        ratio = interval * torch.logspace(
-            math.log10(_SPAN[0]), math.log10(_SPAN[1]), _GRID, dtype=torch.float64
-        )
-        grown = 1.0 + ratio[:, None].square() * eigenvalues
-        square = self.square - (ratio[:, None].square() * pulled / grown).sum(1)
-        log_likelihood = -0.5 * grown.log().sum(1) - 0.5 * self.free * (square / self.square).log()
-        sd = ratio * (square / self.free).sqrt()
-        z = sd / (SCALE * interval)
-        weight = (
-            2.0
-            / (SCALE * interval * math.sqrt(2.0 * math.pi))
-            * torch.exp(-0.5 * z.square())
-            * _cells(sd)
-        )
-        joint = log_likelihood + weight.clamp_min(1e-300).log()
-        shares = torch.softmax(joint, 0).cumsum(0)
-        low, middle, high = (
-            float(sd[int((shares < level).sum().clamp_max(_GRID - 1))]) for level in _LEVELS
-        )
-        return (low, middle, high), float(torch.logsumexp(joint, 0))
-
-
-def _cells(values: Tensor) -> Tensor:
-    """Widths of the cells about increasing values, the first one from zero."""
-    edges = torch.cat((values.new_zeros(1), 0.5 * (values[1:] + values[:-1]), values[-1:]))
-    return edges.diff().clamp_min(0.0)
+    eigenvalues, vectors = torch.linalg.eigh(inner)
+    eigenvalues = eigenvalues.clamp_min(0.0)
+    pulled = (vectors.mT @ pull).square()
+    ratio = interval * torch.logspace(*_SPAN, _GRID, dtype=torch.float64)
+    grown = 1.0 + ratio[:, None].square() * eigenvalues
+    left = square - (ratio[:, None].square() * pulled / grown).sum(1)
+    sd = ratio * (left / free).sqrt()
+    edges = torch.cat((sd.new_zeros(1), 0.5 * (sd[1:] + sd[:-1]), sd[-1:]))
+    prior = torch.distributions.HalfNormal(torch.tensor(SCALE * interval, dtype=torch.float64))
+    joint = (
+        -0.5 * grown.log().sum(1)
+        - 0.5 * free * (left / square).log()
+        + prior.log_prob(sd)
+        + edges.diff().clamp_min(1e-300).log()
+    )
+    shares = torch.softmax(joint, 0).cumsum(0)
+    at = torch.searchsorted(shares, torch.tensor(_LEVELS, dtype=torch.float64))
+    low, middle, high = sd[at.clamp_max(_GRID - 1)].tolist()
+    return (low, middle, high), float(torch.logsumexp(joint, 0))

@@ -26,18 +26,23 @@ model misses them. What residuals have in common makes their intervals too narro
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import product
 
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate.gauss_newton import NormalEquations
 from imr_torch.assimilate.matern import MATERN, matern_whitened
-from imr_torch.assimilate.noise_law import LocalNoise, best_scales, equation_blocks
+from imr_torch.assimilate.noise_law import (
+    LocalNoise,
+    best_scales,
+    concatenated,
+    equations_of_columns,
+    interval_factor,
+    law_of_repeats,
+)
 from imr_torch.assimilate.posterior import Neighbourhood
-from imr_torch.assimilate.repeats import law_of_repeats
 from imr_torch.assimilate.spikes import bends
-from imr_torch.assimilate.widening import interval_factor
 from imr_torch.observe import CollapseTime, Experiment, ExperimentBatch, Noise, NoiseLaws
 
 _FRAMES = 400  # of a longer record every second, third, ... frame is used
@@ -295,52 +300,61 @@ class _Curves:
             torch.where(self.rows, x.movedim(-1, 0) * root, 0.0).nan_to_num() for x in near.slopes
         ]
         columns = torch.cat((self.residual[None], *slopes))
-        parts = []
+        squares = []
+        normalisers = []
+        equations = []
         for some, own_level in zip(values.split(_AT_ONCE), level.split(_AT_ONCE), strict=True):
             seen, log_det = self.whitened(some, factors, own_level, columns)
-            parts.append(
-                (
-                    seen[:, 0].square().sum((1, 2)),
-                    log_det.sum(1),
-                    *equation_blocks(seen, len(slopes[0])),
-                )
-            )
-        square, normaliser, *blocks = (torch.cat(x) for x in zip(*parts, strict=True))
-        point = (near.point.gel, near.point.nuisances)
+            squares.append(seen[:, 0].square().sum((1, 2)))
+            normalisers.append(log_det.sum(1))
+            equations.append(equations_of_columns(seen, len(slopes[0])))
         return LocalNoise(
-            square, normaliser, float(self.rows.sum()), NormalEquations(*blocks), point
+            torch.cat(squares),
+            torch.cat(normalisers),
+            float(self.rows.sum()),
+            concatenated(equations),
+            near.point,
         )
 
 
 @dataclass(frozen=True)
 class _Grid:
-    """All combinations of laws and deviations: ``J`` rows of ``values``.
+    """All combinations of ``L`` laws and ``D`` deviations, ``J = L D`` in all, law by law.
 
     Args:
         curves: of each fit.
         prior: of the law.
-        values: ``J x 6`` tensor: slope, drift, floor, amount and duration of the smooth deviation,
-            bend; at scale 1.
+        laws: ``L x 3`` tensor: slope, drift, floor; at scale 1.
+        deviations: ``D x 3`` tensor: amount and duration of the smooth deviation, bend; the first
+            is none.
         log_prior: ``J`` tensor.
     """
 
     curves: tuple[_Curves, ...]
     prior: FrameNoisePrior
-    values: Tensor
+    laws: Tensor
+    deviations: Tensor
     log_prior: Tensor
 
     @classmethod
     def of(cls, fits: Sequence[Neighbourhood], prior: FrameNoisePrior) -> "_Grid":
         """The grid about fitted points."""
-        rows = []
-        logs = []
-        for (balance, weight), floor, (*deviation, share) in product(
-            prior.balances, prior.floors, _deviations(fits, prior)
-        ):
-            rows.append((*_balanced(prior.law, balance), floor, *deviation))
-            logs.append(math.log(weight * share / len(prior.floors)))
-        values, log_prior = (torch.tensor(x, dtype=torch.float64) for x in (rows, logs))
-        return cls(_Curves.of(fits), prior, values, log_prior)
+        laws = [
+            (*_balanced(prior.law, balance), floor, weight)
+            for (balance, weight), floor in product(prior.balances, prior.floors)
+        ]
+        of_laws, of_deviations = (
+            torch.tensor(rows, dtype=torch.float64) for rows in (laws, _deviations(fits, prior))
+        )
+        shares = of_laws[:, 3:] * of_deviations[:, 3] / len(prior.floors)
+        curves = _Curves.of(fits)
+        return cls(curves, prior, of_laws[:, :3], of_deviations[:, :3], shares.log().flatten())
+
+    @cached_property
+    def values(self) -> Tensor:
+        """``J x 6`` tensor of laws and deviations."""
+        laws = self.laws.repeat_interleave(len(self.deviations), 0)
+        return torch.cat((laws, self.deviations.repeat(len(self.laws), 1)), 1)
 
     def level(self, factors: Tensor) -> Tensor:
         """``J`` tensor, mean variance of the noise over the frames that are used."""
@@ -378,18 +392,16 @@ class _Grid:
         level = self.level(factors)[best : best + 1]
         squares = []
         frames = []
-        fitted = []
+        counts = []
         for c in self.curves:
             seen, _ = c.whitened(values, factors, level, c.residual[None])
             by_gel, by_nuisance = c.near.slopes
+            used = c.rows.sum(1)
+            fitted = by_gel.shape[-1] / len(by_gel) + by_nuisance.shape[-1]
             squares.append(seen[0, 0].square().sum(-1))
-            frames.append(c.rows.sum(1))
-            fitted.append(
-                torch.full_like(squares[-1], by_gel.shape[-1] / len(by_gel) + by_nuisance.shape[-1])
-            )
-        square = torch.cat(squares)
-        used = torch.cat(frames)
-        count = (used - torch.cat(fitted)).clamp_min(1.0)
+            frames.append(used)
+            counts.append((used - fitted).clamp_min(1.0))
+        square, used, count = (torch.cat(parts) for parts in (squares, frames, counts))
         others = square.sum() - square, count.sum() - count
         log_factor = 0.5 * (square / count / (others[0] / others[1])).log()
         variance = 0.5 / count + 0.5 / others[1]
@@ -405,66 +417,49 @@ class _Grid:
         return first, float(log_factor[first]), math.sqrt(float(variance[first]))
 
     def log_sd(self, law: Noise) -> Tensor:
-        """Logarithms of a law at all frames that are used."""
+        """Mean logarithm of a law over all frames that are used."""
         return torch.cat(
             [law.sd(c.near.centre, c.near.posterior.batch.times)[c.rows].log() for c in self.curves]
-        )
+        ).mean()
 
     def concluded(self, found: _Found, factors: Tensor, factor_sds: Tensor) -> FrameNoise:
         """What is known of the noise of frames, of that of independent residuals, and what the rest
         does to intervals.
         """
-        law, laws = self.summed(found, torch.isfinite(found.log_weights))
-        independent = self.summed(found, (self.values[:, 3] == 0.0) & (self.values[:, 5] == 0.0))
+        law, laws = self.summed(found, slice(None))
+        independent = self.summed(found, slice(1))
         widened = interval_factor([c.near for c in self.curves], independent[0])
         return FrameNoise(
             law, laws, tuple(factors.tolist()), tuple(factor_sds.tolist()), independent, widened
         )
 
-    def summed(self, found: _Found, rows: Tensor) -> tuple[Noise, NoiseLaws]:
-        """Laws alike in all but their deviations together, of some of the combinations, and the
-        central one.
-        """
-        laws = []
-        weights = []
-        sds = []
-        keys, group = self.values[:, :3].unique(dim=0, return_inverse=True)
-        for number, (slope, drift, floor) in enumerate(keys.tolist()):
-            own = (group == number) & rows & torch.isfinite(found.log_weights)
-            if not bool(own.any()):
-                continue
-            total = float(found.log_weights[own].logsumexp(0))
-            share = torch.softmax(found.log_weights[own], 0)
-            centre = float(share @ found.log_scales[own])
-            spread = float(
-                share @ (found.sds[own].square() + (found.log_scales[own] - centre).square())
+    def summed(self, found: _Found, deviations: slice) -> tuple[Noise, NoiseLaws]:
+        """The central law, and all laws, each with some of the deviations summed over."""
+        log_weights, log_scales, sds = (
+            x.reshape(len(self.laws), -1)[:, deviations]
+            for x in (found.log_weights, found.log_scales, found.sds)
+        )
+        totals = log_weights.logsumexp(1)
+        kept = totals > totals.max() + math.log(_KEPT)
+        within = torch.softmax(log_weights[kept], 1)
+        centres = (within * log_scales[kept]).sum(1)
+        apart = log_scales[kept] - centres[:, None]
+        spreads = (within * (sds[kept].square() + apart.square())).sum(1)
+        laws = [
+            replace(self.prior.law, scale=math.exp(centre), slope=slope, drift=drift, floor=floor)
+            for centre, (slope, drift, floor) in zip(
+                centres.tolist(), self.laws[kept].tolist(), strict=True
             )
-            laws.append(
-                replace(
-                    self.prior.law, scale=math.exp(centre), slope=slope, drift=drift, floor=floor
-                )
-            )
-            weights.append(total)
-            sds.append(math.sqrt(spread))
-        shares = torch.softmax(torch.tensor(weights, dtype=torch.float64), 0)
-        kept = torch.nonzero(shares > _KEPT * shares.max())[:, 0].tolist()
-        chosen = tuple(laws[i] for i in kept)
-        share = shares[kept] / shares[kept].sum()
-        known = NoiseLaws(chosen, share, torch.tensor(sds, dtype=torch.float64)[kept])
-        logs = torch.stack([self.log_sd(law) for law in chosen])
-        best = int(share.argmax())
-        centre = (share @ logs).mean()
-        raised = 0.0
+        ]
+        shares = torch.softmax(totals[kept], 0)
+        logs = torch.stack([self.log_sd(law) for law in laws])
+        middle = float(shares @ logs)
         if sum(int(c.rows.sum()) for c in self.curves) < self.prior.few:
-            raised = max(0.0, float(self.log_sd(self.prior.law).mean() - centre))
-            known = replace(
-                known,
-                laws=tuple(replace(law, scale=law.scale * math.exp(raised)) for law in chosen),
-            )
-        return replace(
-            chosen[best],
-            scale=chosen[best].scale * math.exp(float(centre - logs[best].mean()) + raised),
-        ), known
+            raised = math.exp(max(0.0, float(self.log_sd(self.prior.law)) - middle))
+            laws = [replace(law, scale=law.scale * raised) for law in laws]
+        best = int(shares.argmax())
+        central = replace(laws[best], scale=laws[best].scale * math.exp(middle - float(logs[best])))
+        return central, NoiseLaws(tuple(laws), shares, spreads.sqrt())
 
 
 def _of_all_residuals(
@@ -495,14 +490,12 @@ def _deviations(
         for amount, lag in product(prior.amounts, prior.durations)
     ]
     third = (1.0 - prior.none) / 3.0
-    found = [(0.0, 1.0, 0.0, prior.none)]
-    found += [(amount, lag, 0.0, third / len(smooth)) for amount, lag in smooth]
-    found += [(0.0, 1.0, bend, third / len(prior.bends)) for bend in prior.bends]
-    both = third / (len(smooth) * len(prior.bends))
-    return [
-        *found,
-        *((amount, lag, bend, both) for (amount, lag), bend in product(smooth, prior.bends)),
-    ]
+    found = []
+    for (amount, lag), bend in product([(0.0, 1.0), *smooth], [0.0, *prior.bends]):
+        alike = (len(smooth) if amount else 1) * (len(prior.bends) if bend else 1)
+        share = third / alike if amount or bend else prior.none
+        found.append((amount, lag, bend, share))
+    return found
 
 
 def _balanced(law: Noise, balance: float) -> tuple[float, float]:

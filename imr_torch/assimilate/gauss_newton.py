@@ -37,12 +37,13 @@ class Reduced:
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """Linearisation of the joint cost at one point, as the blocks of the arrow.
+    """Linearisation of a cost at one point, as the blocks of the arrow: of a likelihood, or of the
+    joint cost with the prior (:meth:`with_prior`), which alone can be solved.
 
     Args:
-        gel_gradient: prior included.
-        nuisance_gradient: prior included.
-        gel_hessian: Gauss-Newton Hessian, prior included.
+        gel_gradient: ``... x d`` tensor.
+        nuisance_gradient: ``... x E x w`` tensor.
+        gel_hessian: Gauss-Newton Hessian.
         nuisance_hessian: ``... x E x w x w`` tensor.
         cross: ``... x E x w x d`` tensor.
 
@@ -51,8 +52,8 @@ class NormalEquations:
     >>> gel, nuisances = torch.tensor([2.0], dtype=torch.float64), torch.zeros(1, 3, dtype=torch.float64)
     >>> slope = torch.ones(1, 1, 1, dtype=torch.float64)  # one frame of one experiment
     >>> still = torch.zeros(1, 1, 3, dtype=torch.float64), torch.zeros(1, 3, dtype=torch.float64)
-    >>> equations = normal_equations(gel, nuisances, (torch.tensor([1.0]).double(), still[1]), (slope, still[0]))
-    >>> step, _ = equations.step(torch.tensor(0.0, dtype=torch.float64))
+    >>> likelihood = normal_equations((torch.tensor([1.0]).double(), still[1]), (slope, still[0]))
+    >>> step, _ = likelihood.with_prior(gel, nuisances).step
     >>> round(float(step), 3)  # gradient 2 + 1 over Hessian 1 + 1
     -1.5
     """
@@ -65,22 +66,20 @@ class NormalEquations:
 
     @cached_property
     def reduced(self) -> Reduced:
-        """The undamped equations of the gel."""
-        return self._eliminate(
-            torch.zeros(self.gel_gradient.shape[:-1], dtype=self.gel_gradient.dtype)
-        )
-
-    def _eliminate(self, damping: Tensor) -> Reduced:
-        gel = _damped(self.gel_hessian, damping)
-        chol = torch.linalg.cholesky(_damped(self.nuisance_hessian, damping[..., None]))
+        """The equations of the gel alone."""
+        chol = torch.linalg.cholesky(self.nuisance_hessian)
         response = -torch.cholesky_solve(self.cross, chol)
         step = -torch.cholesky_solve(self.nuisance_gradient[..., None], chol)[..., 0]
-        gradient = self.gel_gradient + (response.mT @ self.nuisance_gradient[..., None])[
-            ..., 0
-        ].sum(-2)
-        hessian = gel + (self.cross.mT @ response).sum(-3)
+        from_nuisances = (response.mT @ self.nuisance_gradient[..., None])[..., 0].sum(-2)
+        hessian = self.gel_hessian + (self.cross.mT @ response).sum(-3)
         log_det = 2.0 * chol.diagonal(dim1=-2, dim2=-1).log().sum((-2, -1))
-        return Reduced(gradient, definite(0.5 * (hessian + hessian.mT)), step, response, log_det)
+        return Reduced(
+            self.gel_gradient + from_nuisances,
+            definite(0.5 * (hessian + hessian.mT)),
+            step,
+            response,
+            log_det,
+        )
 
     @property
     def whitened_gradient(self) -> Float[Tensor, "*batch"]:
@@ -115,17 +114,31 @@ class NormalEquations:
             (torch.cat((self.gel_hessian, cross.mT), 1), torch.cat((cross, own), 1)), 0
         )
 
+    @property
     def step(
-        self, damping: Float[Tensor, "*#batch"]
-    ) -> tuple[Float[Tensor, "*#batch controls"], Float[Tensor, "*#batch experiments nuisances"]]:
-        """Levenberg-Marquardt steps of gel (``... x d``) and nuisances (``... x E x w``) for a
-        ``...`` damping.
-        """
-        damped = self._eliminate(damping)
-        gel = -torch.linalg.solve(damped.hessian, damped.gradient[..., None])[..., 0]
-        return gel, damped.nuisance_step + (damped.nuisance_response @ gel[..., None, :, None])[
-            ..., 0
-        ]
+        self,
+    ) -> tuple[Float[Tensor, "*batch controls"], Float[Tensor, "*batch experiments nuisances"]]:
+        """Gauss-Newton steps of gel and nuisances."""
+        one = self.reduced
+        gel = -torch.linalg.solve(one.hessian, one.gradient[..., None])[..., 0]
+        return gel, one.nuisance_step + (one.nuisance_response @ gel[..., None, :, None])[..., 0]
+
+    def with_prior(
+        self,
+        gel: Float[Tensor, "*#batch controls"],
+        nuisances: Float[Tensor, "*#batch experiments nuisances"],
+    ) -> "NormalEquations":
+        """The equations of a likelihood with the standard normal prior of both, at a point."""
+        eye_of_gel, eye_of_nuisances = (
+            torch.eye(x.shape[-1], dtype=x.dtype, device=x.device) for x in (gel, nuisances)
+        )
+        return NormalEquations(
+            gel + self.gel_gradient,
+            nuisances + self.nuisance_gradient,
+            eye_of_gel + self.gel_hessian,
+            definite(eye_of_nuisances + self.nuisance_hessian),
+            self.cross,
+        )
 
 
 def definite(
@@ -180,14 +193,7 @@ def inverse_chol(
     return torch.linalg.solve_triangular(chol, eye, upper=False).mT.flip((-2, -1)).tril()
 
 
-def _damped(hessian: Tensor, damping: Tensor) -> Tensor:
-    """``H + damping diag(H)`` (Marquardt 1963)."""
-    return hessian + damping[..., None, None] * torch.diag_embed(hessian.diagonal(dim1=-2, dim2=-1))
-
-
 def normal_equations(
-    gel: Float[Tensor, "*#batch controls"],
-    nuisances: Float[Tensor, "*#batch experiments nuisances"],
     gradients: tuple[
         Float[Tensor, "*#batch controls"], Float[Tensor, "*#batch experiments nuisances"]
     ],
@@ -196,67 +202,27 @@ def normal_equations(
         Float[Tensor, "*#batch experiments frames nuisances"],
     ],
 ) -> NormalEquations:
-    """Assemble the arrow.
+    """Assemble the arrow of a likelihood, without the prior.
 
     Args:
-        gel: controls ``v``.
-        nuisances: controls ``w``.
         gradients: of the negative log likelihood over ``v`` (``... x d``) and ``w`` (``... x E x
             w``).
         sensitivities: of the whitened predictions over ``v`` (``... x E x T x d``) and ``w`` (``...
             x E x T x w``).
-
-    Returns:
-        The normal equations.
 
     >>> import torch
     >>> from imr_torch.assimilate import normal_equations
     >>> gel, nuisances = torch.tensor([2.0], dtype=torch.float64), torch.zeros(1, 3, dtype=torch.float64)
     >>> gradients = torch.tensor([1.0], dtype=torch.float64), torch.zeros(1, 3, dtype=torch.float64)
     >>> sensitivities = torch.ones(1, 1, 1, dtype=torch.float64), torch.zeros(1, 1, 3, dtype=torch.float64)
-    >>> equations = normal_equations(gel, nuisances, gradients, sensitivities)
-    >>> equations.gel_gradient.tolist(), equations.gel_hessian.tolist()  # prior included
+    >>> equations = normal_equations(gradients, sensitivities).with_prior(gel, nuisances)
+    >>> equations.gel_gradient.tolist(), equations.gel_hessian.tolist()
     ([3.0], [[2.0]])
     """
     by_gel, by_nuisance = sensitivities
-    gel_prior = torch.eye(gel.shape[-1], dtype=gel.dtype, device=gel.device)
-    nuisance_prior = torch.eye(nuisances.shape[-1], dtype=gel.dtype, device=gel.device)
     return NormalEquations(
-        gel_gradient=gel + gradients[0],
-        nuisance_gradient=nuisances + gradients[1],
-        gel_hessian=gel_prior + (by_gel.mT @ by_gel).sum(-3),
-        nuisance_hessian=definite(nuisance_prior + by_nuisance.mT @ by_nuisance),
+        *gradients,
+        gel_hessian=(by_gel.mT @ by_gel).sum(-3),
+        nuisance_hessian=by_nuisance.mT @ by_nuisance,
         cross=by_nuisance.mT @ by_gel,
     )
-
-
-def ensemble_sensitivity(
-    anomalies: Float[Tensor, "*#batch members controls"],
-    responses: Float[Tensor, "*#batch members outputs"],
-) -> Float[Tensor, "*#batch outputs controls"]:
-    """Sensitivity of predictions to controls by regression over an ensemble.
-
-    Exact for a linear model and any ensemble of more members than controls (the bundle form of the
-    iterative ensemble Kalman smoother: Bocquet & Sakov, Nonlin. Processes Geophys. 20, 2013,
-    section 2).
-
-    Args:
-        anomalies: members' controls minus the centre.
-        responses: members' predictions minus the centre's; a member with NaN does not count.
-
-    Returns:
-        ``... x m x d`` tensor; zero where no member counts.
-
-    >>> import torch
-    >>> from imr_torch.assimilate import ensemble_sensitivity
-    >>> anomalies = torch.tensor([[1.0], [-1.0], [2.0], [-2.0]], dtype=torch.float64)  # of four members
-    >>> ensemble_sensitivity(anomalies, anomalies * torch.tensor([3.0, -0.5])).round(decimals=6).tolist()
-    [[3.0], [-0.5]]
-    """
-    good = torch.isfinite(responses).all(-1, keepdim=True)
-    controls = torch.where(good, anomalies, 0.0)
-    values = torch.where(good, responses, 0.0)
-    gram = controls.mT @ controls
-    ridge = 1e-13 * gram.diagonal(dim1=-2, dim2=-1).mean(-1).clamp_min(1e-100)[..., None, None]
-    gram = gram + ridge * torch.eye(gram.shape[-1], dtype=gram.dtype, device=gram.device)
-    return torch.linalg.solve(gram, controls.mT @ values).mT

@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from imr_torch.assimilate.noise_posterior import NoiseMixture, NoiseNodes
+from imr_torch.assimilate.noise_posterior import NoiseNodes
 from imr_torch.observe import Noise
 
 _ENOUGH = (
@@ -91,11 +91,7 @@ def weighted_quantiles(
     """
     order = values.argsort()
     below = weights[order].cumsum(0) - 0.5 * weights[order]
-    right = torch.searchsorted(below, levels).clamp(1, len(values) - 1)
-    low = below[right - 1]
-    high = below[right]
-    share = ((levels - low) / (high - low).clamp_min(1e-300)).clamp(0.0, 1.0)
-    return torch.lerp(values[order][right - 1], values[order][right], share)
+    return torch.from_numpy(np.interp(levels.numpy(), below.numpy(), values[order].numpy()))
 
 
 @dataclass(frozen=True)
@@ -104,14 +100,12 @@ class NoiseSample:
 
     Args:
         nodes: ``M`` laws with their weights.
-        about: the posterior over all laws, to first order.
         by_experiment: log likelihood of each experiment under each law, its nuisances integrated
             out.
         drawn: one law of each draw, from its conditional posterior.
     """
 
     nodes: NoiseNodes
-    about: NoiseMixture
     by_experiment: Float[Tensor, "draws laws experiments"]
     drawn: Int[Tensor, "draws"]
 
@@ -187,11 +181,6 @@ class ImportanceSample:
     def log_target(self) -> Float[Tensor, "draws"]:
         """``n`` tensor, log of likelihood x prior of each draw, all else integrated out."""
         return self.log_likelihood + self.log_prior
-
-    @property
-    def log_target_as_fitted(self) -> Float[Tensor, "draws"]:
-        """``n`` tensor, the same with the noise that the fit was made with."""
-        return self.by_experiment.sum(1) + self.log_prior
 
     def without(self, experiments: Sequence[int]) -> Float[Tensor, "draws"]:
         """Log density of some experiments given gel and all the others.
@@ -347,32 +336,14 @@ class ImportanceSample:
         deviation = self.controls - self.mean
         return (self.weights[:, None] * deviation).mT @ deviation
 
-    @property
-    def mean_error(self) -> Float[Tensor, "controls"]:
-        """``d`` tensor, Monte Carlo standard error of ``mean`` (Owen 2013, section 9.2)."""
-        return (self.weights.square() @ (self.controls - self.mean).square()).sqrt()
-
-    @property
-    def sd_error(self) -> Float[Tensor, "controls"]:
-        """``d`` tensor, Monte Carlo standard error of the square roots of the diagonal of
-        ``covariance``.
+    def spaced(self, count: int, start: float = 0.5) -> Int[Tensor, "count"]:
+        """Indices of ``count`` draws of equal weight, each within one of its expected number, the
+        same whenever asked for (systematic resampling).
         """
-        variance = self.covariance.diagonal()
-        excess = (self.controls - self.mean).square() - variance
-        return (self.weights.square() @ excess.square()).sqrt() / (2.0 * variance.sqrt())
-
-    def spaced(self, count: int) -> Int[Tensor, "count"]:
-        """Indices of ``count`` draws of equal weight, the same whenever asked for (systematic
-        resampling).
-        """
-        positions = (torch.arange(count, dtype=torch.float64) + 0.5) / count
+        positions = (torch.arange(count, dtype=torch.float64) + start) / count
         return torch.searchsorted(self.weights.cumsum(0), positions).clamp_max(len(self) - 1)
 
     def resample(self, count: int, source: torch.Generator) -> Int[Tensor, "count"]:
-        """Indices of ``count`` draws of equal weight, each within one of its expected number
-        (systematic resampling).
-        """
-        start = torch.rand((), generator=source, dtype=torch.float64)
-        positions = (torch.arange(count, dtype=torch.float64) + start) / count
-        chosen = torch.searchsorted(self.weights.cumsum(0), positions).clamp_max(len(self) - 1)
-        return chosen[torch.randperm(count, generator=source)]
+        """The same from a random start and in random order."""
+        start = float(torch.rand((), generator=source, dtype=torch.float64))
+        return self.spaced(count, start)[torch.randperm(count, generator=source)]

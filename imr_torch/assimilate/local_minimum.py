@@ -151,36 +151,22 @@ class _FrozenCost:
 
     Args:
         posterior: whose cost.
-        point: nuisances that are not uncertain stay as they are here.
+        point: where it is asked for first.
         leader: whose solver steps the bubbles take.
     """
 
     def __init__(self, posterior: Posterior, point: Point, leader: Point | None) -> None:
         self.posterior = posterior
-        self.point = point
         self.leader = leader
         self.failures = 0
-        self.x = self.place_flat(point)
+        self.x = posterior.flat(point).numpy()
         self.last = self.lowest = self._simulated(self.x)
         self.bend = np.zeros((len(self.x), len(self.x)))
 
-    def place_flat(self, point: Point) -> Vector:
-        """Coordinates of a point."""
-        return torch.cat(
-            (point.gel, point.nuisances[:, self.posterior.uncertain].flatten())
-        ).numpy()
-
-    def place(self, x: Vector) -> Point:
-        """The point at coordinates."""
-        values = torch.from_numpy(x.copy())
-        nuisances = self.point.nuisances.clone()
-        nuisances[:, self.posterior.uncertain] = values[self.posterior.size :].reshape(
-            len(nuisances), -1
-        )
-        return Point(values[: self.posterior.size], nuisances)
-
     def _simulated(self, x: Vector) -> Descent:
-        near = self.posterior.neighbourhood(self.place(x), leader=self.leader)
+        near = self.posterior.neighbourhood(
+            self.posterior.place(torch.tensor(x)), leader=self.leader
+        )
         return Descent(near, self.leader)
 
     def _at(self, x: Vector) -> Descent:
@@ -211,14 +197,10 @@ class _FrozenCost:
 
     def _learn(self, old: Neighbourhood, new: Neighbourhood) -> None:
         """Update the curvature that Gauss-Newton leaves out by a step (symmetric rank one)."""
-        slope = self.posterior.likelihood_slope(new.centre)[..., None]
-        by_gel, by_nuisance = (
-            ((now - was).mT @ slope)[..., 0]
-            for was, now in zip(old.slopes, new.slopes, strict=True)
-        )
-        change = Point(by_gel.sum(0), by_nuisance)
-        step = self.place_flat(new.point) - self.place_flat(old.point)
-        missed = self.place_flat(change) - self.bend @ step
+        slope = self.posterior.likelihood_slope(new.centre)
+        change = ((new.jacobian - old.jacobian) * slope).sum((1, 2)).numpy()
+        step = (new.coordinates - old.coordinates).numpy()
+        missed = change - self.bend @ step
         along = missed @ step
         if abs(along) > 1e-8 * np.linalg.norm(missed) * np.linalg.norm(step):
             self.bend = self.bend + np.outer(missed, missed) / along

@@ -31,10 +31,6 @@ _STEPS = 20  # iterations with one of them
 _AWAY = (10.0, 3.0)  # posterior standard deviations from the lowest point at which others begin
 
 
-def _first(pair: tuple[float, Point]) -> float:
-    return pair[0]
-
-
 @dataclass
 class ModelSearch:
     """The search for the lowest minimum of one model.
@@ -73,7 +69,7 @@ class ModelSearch:
     def approach_first(self) -> float:
         """Lower the first start without the frames next to collapses; returns its cost."""
         self.starts[0] = self._lower_masked(self.starts[0])
-        return -float(self.posterior.log_joint(self.starts[0]))
+        return self._cost(self.starts[0])
 
     def find_lowest(self) -> None:
         """Descend from starts until two agree, and from points near the lowest where they do not.
@@ -85,8 +81,7 @@ class ModelSearch:
         among = self.options.drop_behind is not None
         several = among and len(starts) > 2
         if among and len(starts) == 2 and not self.masking:
-            costs = [-float(self.posterior.log_joint(start)) for start in starts]
-            starts = [start for _, start in sorted(zip(costs, starts, strict=True), key=_first)]
+            starts = sorted(starts, key=self._cost)
         self._descend(starts[0])
         for start in starts[1:]:
             if several or not (self._agrees() or self._is_behind(self.lowest)):
@@ -108,6 +103,9 @@ class ModelSearch:
             self._descend(Point(end.point.gel, deeper))
             self._descend(Point(beside.gel, beside.nuisances + deeper - here))
             self._agree_nearby()
+
+    def _cost(self, point: Point) -> float:
+        return -float(self.posterior.log_joint(point))
 
     def _agree_nearby(self) -> None:
         """Descend from points near the lowest one while no two ends agree."""
@@ -133,17 +131,23 @@ class ModelSearch:
     def _descend(self, point: Point) -> None:
         """Add the minimum below a point, by bubbles that take the solver steps of one."""
         left = self.options.iterations
-        leader = self._shared_leader(point)
-        if leader is None:
-            end = descend(
+        tolerance = self.options.gradient
+
+        def lower(leader: Point | None, gradient: float, reach: float = math.inf) -> Descent:
+            return descend(
                 self.posterior,
                 point,
-                None,
-                gradient=_NEAR,
+                leader,
+                gradient=gradient,
                 iterations=min(left, _STEPS),
+                reach=reach,
                 limit=self.limit,
                 report=self.report,
             )
+
+        leader = self._shared_leader(point)
+        if leader is None:
+            end = lower(None, _NEAR)
             left -= end.iterations
             if self._is_behind(end):
                 self.minima.append(end)
@@ -154,19 +158,10 @@ class ModelSearch:
         while True:
             own = leader is None
             leader = leader or point
-            end = descend(
-                self.posterior,
-                point,
-                leader,
-                gradient=self.options.gradient,
-                iterations=min(left, _STEPS),
-                reach=reach if own else math.inf,
-                limit=self.limit,
-                report=self.report,
-            )
+            end = lower(leader, tolerance, reach if own else math.inf)
             left -= end.iterations
             close = end.distance(leader) < (_OWN if own else _SHARED)
-            arrived = end.gradient < self.options.gradient and close
+            arrived = end.gradient < tolerance and close
             if arrived or left <= 0 or self._is_behind(end) or reach > _FARTHEST:
                 self.minima.append(replace(end, iterations=self.options.iterations - left))
                 return

@@ -30,10 +30,8 @@ from imr_torch.types import Progress
 NOISE_ROUNDS = 2
 """How often the noise of measured curves is estimated: from fits with the given law, and from fits with the first estimate."""
 
-_GRADIENT, _AGREEMENT = (
-    0.3,
-    1.0,
-)  # tolerances (posterior standard deviations, nats) of all fits but the last
+_GRADIENT = 0.3  # posterior standard deviations, tolerance of all fits but the last
+_AGREEMENT = 1.0  # nats, the same
 
 
 @one_torch_thread()
@@ -88,16 +86,14 @@ def assimilate_estimating_noise(
             return assimilate_en4dvar(
                 belief, batch, simulator, seed=own, options=options, near=near, progress=progress
             )
-        how = options if last else _coarse(options)
-        warned = warn and last
         return assimilate(
             belief,
             batch,
             simulator,
             seed=own,
-            options=how,
+            options=options if last else _coarse(options),
             near=near,
-            warn=warned,
+            warn=warn and last,
             progress=progress,
         )
 
@@ -185,9 +181,7 @@ def with_scatter(result: Assimilation) -> tuple[Experiment | CollapseTime, ...]:
     """
     best = min(result.fits, key=lambda fit: fit.cost)
     batch = result.batch
-    rows = [
-        e for e, experiment in enumerate(batch.experiments) if isinstance(experiment, CollapseTime)
-    ]
+    rows = batch.collapse
     shots = [e for e in batch.experiments if isinstance(e, CollapseTime)]
     if not shots:
         return batch.experiments

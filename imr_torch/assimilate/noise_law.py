@@ -4,23 +4,43 @@ Under each law the posterior of gel and nuisances is nearly Gaussian about the f
 likelihood follows from the local sensitivities of the bubbles, which are the same for all laws
 (residual maximum likelihood, Patterson & Thompson, Biometrika 58, 1971: what was fitted took part
 of the residuals). The scale of each law is found separately.
+
+A misfit drifts over the event. Taken for correlated noise, such a drift costs nothing, and the fit
+may pass beside the curves as a whole; with independent frames it passes through them, but states
+intervals as if each frame told something new. The variance of an estimate by weights ``W`` that
+take frames as independent, under residuals of covariance ``S``, is ``H^-1 (J^T W S W J) H^-1``
+(White, Econometrica 50, 1982). ``S`` is that of the most probable law with correlated frames.
+
+The scatter of repeats about their mean holds the camera's noise alone, whatever the model misses.
 """
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from itertools import product
 
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate.gauss_newton import NormalEquations
+from imr_torch.assimilate.forward import Point
+from imr_torch.assimilate.gauss_newton import NormalEquations, normal_equations
 from imr_torch.assimilate.posterior import Neighbourhood
-from imr_torch.observe import Noise
+from imr_torch.observe import ExperimentBatch, Noise, NoiseLaws
+from imr_torch.observe.noise import TIE
 
-_SEARCH = (
-    0.5,
-    0.15,
-    0.05,
-)  # half-widths of the parabolas through which the most probable scale is found, in its logarithm
+# half-widths of the parabolas through which the most probable scale is found, in its logarithm
+_SEARCH = (0.5, 0.15, 0.05)
+
+
+CORRELATION_TIMES = tuple(0.01 * 2.0 ** (k / 4.0) for k in range(34))
+"""Correlation times that are tried, t*."""
+
+INDEPENDENT = 0.25
+"""Prior probability that frames are independent; all correlation times together have the rest."""
+
+# times the floor of the law that is begun with
+_FLOORS = tuple(2.0 ** (k / 4.0) for k in range(27))
+_TIMES = (0.0, *CORRELATION_TIMES)
 
 
 @dataclass(frozen=True)
@@ -32,21 +52,21 @@ class LocalNoise:
         normaliser: ``J`` tensor.
         size: observations.
         equations: normal equations at scale 1, ``J``, without the prior of gel and nuisances.
-        point: whitened gel ``d`` and nuisances ``E x w``.
+        point: one point.
     """
 
     square: Tensor
     normaliser: Tensor
     size: float
     equations: NormalEquations
-    point: tuple[Tensor, Tensor]
+    point: Point
 
     @classmethod
     def of(cls, near: Neighbourhood, laws: Sequence[Noise]) -> "LocalNoise":
         """At one point that was simulated, under laws whose scales are taken as 1."""
         squares = []
         normalisers = []
-        blocks = []
+        equations = []
         by_gel, by_nuisance = (x.movedim(-1, 0) for x in near.slopes)
         for law in laws:
             batch = replace(
@@ -57,49 +77,34 @@ class LocalNoise:
             columns = torch.cat(((batch.mean - near.centre)[None], by_gel, by_nuisance))
             squares.append(square.sum())
             normalisers.append(normaliser.sum())
-            blocks.append(equation_blocks(batch.whiten(columns, sd)[None], len(by_gel)))
-        equations = NormalEquations(*(torch.cat(parts) for parts in zip(*blocks, strict=True)))
-        size = float(near.posterior.batch.sizes.sum())
+            equations.append(equations_of_columns(batch.whiten(columns, sd)[None], len(by_gel)))
         return cls(
             torch.stack(squares),
             torch.stack(normalisers),
-            size,
-            equations,
-            (near.point.gel, near.point.nuisances),
+            float(near.posterior.batch.sizes.sum()),
+            concatenated(equations),
+            near.point,
         )
 
     def posterior(self, log_scales: Tensor) -> NormalEquations:
         """Equations of the posterior, ``J x S``, for ``J x S`` logarithms of the scale."""
-        gel, nuisances = self.point
-        precision = torch.exp(-2.0 * log_scales)  # J x S
-
-        def scaled(x: Tensor) -> Tensor:
-            return precision.reshape(*precision.shape, *[1] * (x.ndim - 1)) * x[:, None]
-
-        one = self.equations
-        eye_of_gel, eye_of_nuisances = (
-            torch.eye(x.shape[-1], dtype=torch.float64) for x in (gel, nuisances)
-        )
-        return NormalEquations(
-            gel + scaled(one.gel_gradient),
-            nuisances + scaled(one.nuisance_gradient),
-            eye_of_gel + scaled(one.gel_hessian),
-            eye_of_nuisances + scaled(one.nuisance_hessian),
-            scaled(one.cross),
-        )
+        precision = torch.exp(-2.0 * log_scales)
+        blocks = [getattr(self.equations, block.name)[:, None] for block in fields(NormalEquations)]
+        scaled = (precision.reshape(*precision.shape, *[1] * (x.ndim - 2)) * x for x in blocks)
+        return NormalEquations(*scaled).with_prior(self.point.gel, self.point.nuisances)
 
     def marginal(self, log_scales: Tensor) -> Tensor:
         """Log marginal likelihood, gel and nuisances integrated out: ``J x S`` for ``J x S``
         logarithms of the scale.
         """
-        (gel, nuisances), equations = self.point, self.posterior(log_scales)
+        equations = self.posterior(log_scales)
         precision = torch.exp(-2.0 * log_scales)
         likelihood = (
             -0.5 * self.square[:, None] * precision
             - self.normaliser[:, None]
             - self.size * log_scales
         )
-        prior = 0.5 * (gel.square().sum() + nuisances.square().sum())
+        prior = 0.5 * (self.point.gel.square().sum() + self.point.nuisances.square().sum())
         determinant = (
             torch.linalg.slogdet(equations.reduced.hessian).logabsdet
             + equations.reduced.nuisance_log_det
@@ -107,28 +112,26 @@ class LocalNoise:
         return likelihood - prior + 0.5 * equations.whitened_gradient.square() - 0.5 * determinant
 
 
-def equation_blocks(whitened: Tensor, gel: int) -> tuple[Tensor, ...]:
-    """Blocks of Gauss-Newton equations, without the prior, from whitened columns.
+def equations_of_columns(whitened: Tensor, gel: int) -> NormalEquations:
+    """Gauss-Newton equations, without the prior, from whitened columns.
 
     Args:
         whitened: ``J x C x E x T`` tensor: residual, slopes over the gel, slopes over the
             nuisances.
         gel: how many of the columns are those of the gel.
-
-    Returns:
-        Tensors as :class:`NormalEquations` has them, with ``J`` rows each.
     """
     nuisances = whitened.shape[1] - 1 - gel
     residual, by_gel, by_nuisance = (
         x.movedim(1, -1) for x in whitened.split((1, gel, nuisances), 1)
     )
-    return (
-        -(by_gel.mT @ residual)[..., 0].sum(1),
-        -(by_nuisance.mT @ residual)[..., 0],
-        (by_gel.mT @ by_gel).sum(1),
-        by_nuisance.mT @ by_nuisance,
-        by_nuisance.mT @ by_gel,
-    )
+    gradients = -(by_gel.mT @ residual)[..., 0].sum(1), -(by_nuisance.mT @ residual)[..., 0]
+    return normal_equations(gradients, (by_gel, by_nuisance))
+
+
+def concatenated(parts: Sequence[NormalEquations]) -> NormalEquations:
+    """The equations of several sets of laws together."""
+    names = [block.name for block in fields(NormalEquations)]
+    return NormalEquations(*(torch.cat([getattr(one, name) for one in parts]) for name in names))
 
 
 def best_scales(fits: Sequence[LocalNoise]) -> tuple[Tensor, Tensor]:
@@ -149,3 +152,94 @@ def best_scales(fits: Sequence[LocalNoise]) -> tuple[Tensor, Tensor]:
         centre = centre + (slope / bend).clamp(-1.0, 1.0)
         width = bend.rsqrt()
     return centre, width
+
+
+def interval_factor(fits: Sequence[Neighbourhood], law: Noise) -> float:
+    """The factor on intervals of the gel; where fits have gels of their own, one for all.
+
+    Args:
+        fits: each fitted point with its local sensitivities.
+        law: by which they weigh frames, of independent ones.
+    """
+    laws = [replace(law, correlation_time=time) for time in (0.0, *CORRELATION_TIMES)]
+    local = [LocalNoise.of(near, laws) for near in fits]
+    log_scales, _ = best_scales(local)
+    value = torch.stack([one.marginal(log_scales[:, None])[:, 0] for one in local]).sum(0)
+    value[0] += math.log(INDEPENDENT)
+    value[1:] += math.log((1.0 - INDEPENDENT) / len(CORRELATION_TIMES))
+    best = int(value.argmax())
+    if best == 0:
+        return 1.0
+    drifting = replace(laws[best], scale=math.exp(float(log_scales[best])))
+    parts = [_variances(near, law, drifting) for near in fits]
+    added, told = (sum(part) for part in zip(*parts, strict=True))
+    return max(1.0, math.sqrt(added / max(told, 1e-300)))
+
+
+def _variances(near: Neighbourhood, law: Noise, drifting: Noise) -> tuple[float, float]:
+    """Summed variances of the gel's whitened coordinates by residuals of the drifting law, and by
+    those of the other.
+    """
+    batch = near.posterior.batch
+    factors = batch.noise_factors / batch.counts.sqrt()
+    sd, true_sd = (noise.sd(near.centre, batch.times) * factors for noise in (law, drifting))
+    by_gel, by_nuisance = (
+        torch.where(batch.mask, 1.0 / sd, 0.0)[..., None] * x for x in near.slopes
+    )
+    nuisance = torch.eye(by_nuisance.shape[-1], dtype=torch.float64) + by_nuisance.mT @ by_nuisance
+    own = by_gel - by_nuisance @ torch.linalg.solve(nuisance, by_nuisance.mT @ by_gel)
+    gaps = (batch.times[:, :, None] - batch.times[:, None, :]).abs()
+    moved = (true_sd / sd)[..., None] * own
+    scatter = (moved.mT @ torch.exp(-gaps / drifting.correlation_time) @ moved).sum(0)
+    told = (own.mT @ own).sum(0)
+    inverse = torch.linalg.inv(torch.eye(len(told), dtype=torch.float64) + told)
+    return float((inverse @ scatter).trace()), float((inverse @ told).trace())
+
+
+def law_of_repeats(batches: Sequence[ExperimentBatch], law: Noise) -> tuple[Noise, NoiseLaws]:
+    """The most probable law of the deviations of repeats from their mean, independent or correlated
+    between frames.
+
+    Args:
+        batches: curves of two repeats or more each.
+        law: proportion of ``slope`` to ``drift``, and the smallest floor.
+
+    >>> import torch
+    >>> from imr_torch.assimilate.noise_law import law_of_repeats
+    >>> from imr_torch.observe import Experiment, ExperimentBatch, Noise
+    >>> times = torch.linspace(0.1, 2.5, 60, dtype=torch.float64)
+    >>> source = torch.Generator().manual_seed(0)
+    >>> seen = Noise(scale=2.0).draw(0.5 + 0.5 * torch.cos(times), times, 10, generator=source)
+    >>> law, _ = law_of_repeats([ExperimentBatch((Experiment("a", (400.0, 0.2), times, seen),))], Noise())
+    >>> round(law.scale, 1), law.correlation_time
+    (2.0, 0.0)
+    """
+    curves = [e for batch in batches for e in batch.curves]
+    repeats = sum(float((e.counts - 1).sum()) for e in curves)
+    gaps = any(e.has_gaps for e in curves)
+    sizes = sum(float(batch.sizes.sum()) for batch in batches)
+    best = -math.inf
+    found = law
+    for time in (0.0,) if gaps else _TIMES:
+        share = INDEPENDENT if time == 0.0 else (1.0 - INDEPENDENT) / (len(_TIMES) - 1)
+        laws = [
+            replace(law, scale=1.0, floor=ratio * law.floor, correlation_time=time, widened=1.0)
+            for ratio in _FLOORS
+        ]
+        square, normaliser = torch.zeros(2, len(laws), dtype=torch.float64)
+        for batch, (row, one) in product(batches, enumerate(laws)):
+            sd = one.sd(batch.mean, batch.times) * batch.noise_factors
+            parts = batch.terms(
+                batch.mean,
+                torch.where(batch.mask, sd, 1.0),
+                one.innovations(batch.times, batch.mask),
+            )
+            square[row] += parts[0].sum()
+            normaliser[row] += parts[1].sum()
+        value = -0.5 * repeats * square.log() - repeats / sizes * normaliser + math.log(share)
+        row = int(torch.nonzero(value >= value.max() - TIE)[0])
+        if float(value[row]) > best:
+            best = float(value[row])
+            found = replace(laws[row], scale=math.sqrt(float(square[row]) / repeats))
+    one = torch.ones(1, dtype=torch.float64)
+    return found, NoiseLaws((found,), one, one / math.sqrt(2.0 * repeats), of_residuals=False)

@@ -1,5 +1,4 @@
-"""The noise law as part of the posterior: laws over which a posterior is integrated, and its
-moments over them.
+"""The noise law as part of the posterior: laws over which a posterior is integrated.
 
 What is known of the law (:class:`imr_torch.observe.NoiseLaws`) was inferred about the best fit,
 beside any smooth misfit, which no likelihood of independent frames could do. So the laws are given
@@ -15,8 +14,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from imr_torch.assimilate.forward import Point
-from imr_torch.assimilate.gauss_newton import NormalEquations
 from imr_torch.assimilate.noise_law import LocalNoise
 from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.observe import ExperimentBatch, Noise, NoiseLaws
@@ -24,70 +21,6 @@ from imr_torch.observe import ExperimentBatch, Noise, NoiseLaws
 _SHARE = 1e-3  # probability over the largest from which on a law counts
 _STEP = 1.0  # between scales, in posterior standard deviations of their logarithm
 _REACH = 3  # scales on either side of the central one
-# posterior standard deviations by which the linearised optimum under another law may lie off the
-# fit
-_LONGEST = 2.0
-
-
-@dataclass(frozen=True)
-class NoiseMixture:
-    """Moments of gel and nuisances over noise laws of given weights, to first order.
-
-    Args:
-        mean: of the whitened gel.
-        chol: Cholesky factor of its covariance.
-        nuisances: means at that gel.
-        nuisance_response: how they move with the gel.
-        nuisance_chol: lower Cholesky factors of the precision of the nuisances given the gel.
-    """
-
-    mean: Float[Tensor, "controls"]
-    chol: Float[Tensor, "controls controls"]
-    nuisances: Float[Tensor, "experiments 3"]
-    nuisance_response: Float[Tensor, "experiments 3 controls"]
-    nuisance_chol: Float[Tensor, "experiments 3 3"]
-
-    @classmethod
-    def of(
-        cls, equations: NormalEquations, log_weights: Float[Tensor, "*laws"], point: Point
-    ) -> "NoiseMixture":
-        """From the equations of each law.
-
-        No law moves the gel by more than two of its own standard deviations.
-        """
-        weights = torch.softmax(log_weights.flatten(), 0)
-        reduced = equations.reduced
-        hessian = reduced.hessian.flatten(0, 1)
-        step = -torch.linalg.solve(hessian, reduced.gradient.flatten(0, 1)[..., None])[..., 0]
-        length = (step[:, None] @ hessian @ step[..., None])[:, 0].clamp_min(1e-300).sqrt()
-        step = step * (_LONGEST / length).clamp_max(1.0)
-        shift, covariance = _moments(weights, step, torch.linalg.inv(hessian))
-        response = torch.einsum("m,meij->eij", weights, reduced.nuisance_response.flatten(0, 1))
-        moved, spread = _moments(
-            weights,
-            reduced.nuisance_step.flatten(0, 1),
-            torch.linalg.inv(equations.nuisance_hessian.flatten(0, 1)),
-        )
-        nuisances = point.nuisances + moved + (response @ shift[:, None])[..., 0]
-        precision = torch.linalg.inv(spread)
-        return cls(
-            point.gel + shift,
-            torch.linalg.cholesky(covariance),
-            nuisances,
-            response,
-            torch.linalg.cholesky(0.5 * (precision + precision.mT)),
-        )
-
-
-def _moments(weights: Tensor, means: Tensor, covariances: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean and covariance of a mixture: ``M`` weights, ``M x ... x d`` means, ``M x ... x d x d``
-    covariances.
-    """
-    mean = torch.einsum("m,m...->...", weights, means)
-    apart = means - mean
-    return mean, torch.einsum(
-        "m,m...->...", weights, covariances + apart[..., :, None] * apart[..., None, :]
-    )
 
 
 @dataclass(frozen=True)
@@ -137,20 +70,17 @@ class NoiseNodes:
     def __len__(self) -> int:
         return self.log_factors.numel()
 
+    @property
+    def scales(self) -> int:
+        """How many scales each law has."""
+        return self.log_factors.shape[1]
+
     def law(self, node: int) -> Noise:
         """One of the laws, numbered law by law."""
-        law, number = divmod(node, self.log_factors.shape[1])
+        law, number = divmod(node, self.scales)
         return replace(
             self.laws[law],
             scale=self.laws[law].scale * math.exp(float(self.log_factors[law, number])),
-        )
-
-    def mixture(self, near: Neighbourhood) -> NoiseMixture:
-        """Moments over all nodes about the fit of some model."""
-        local = LocalNoise.of(near, self.laws)
-        log_scales = _log_scales(self.laws, self.log_factors)
-        return NoiseMixture.of(
-            local.posterior(log_scales), local.marginal(log_scales) + self.log_prior, near.point
         )
 
     def log_likelihood(

@@ -74,15 +74,48 @@ class SearchOptions:
 
 
 @dataclass(frozen=True)
-class En4DVarOptions:
-    """Settings of hybrid ensemble 4D-Var; sizes as in arXiv 2409.00011 by default.
+class PublishedOptions:
+    """Sizes of ensemble 4D-Var; the defaults are those of arXiv 2409.00011.
 
     Args:
-        members: of the ensemble of each model, in opposite pairs.
+        members: of the ensemble of each model, an even number.
         iterations: Gauss-Newton iterations of each cycle.
         cycles: the first and its restarts.
         relaxation: share by which spread is relaxed to that at the start of a cycle, between
             cycles.
+
+    >>> from imr_torch.assimilate import PublishedOptions
+    >>> PublishedOptions(members=24).iterations
+    5
+    """
+
+    members: int = 48
+    iterations: int = 5
+    cycles: int = 3
+    relaxation: float = 0.7
+
+    def __post_init__(self) -> None:
+        name = type(self).__name__
+        if self.members < 8 or self.members % 2:
+            raise InputDataError(
+                f"{name}.members is {self.members}; expected an even number of at least 8."
+            )
+        if self.iterations < 1 or self.cycles < 1:
+            raise InputDataError(
+                f"{name} has iterations {self.iterations} and cycles {self.cycles}; "
+                "expected at least 1 of each."
+            )
+        if not 0.0 <= self.relaxation <= 1.0:
+            raise InputDataError(
+                f"{name}.relaxation is {self.relaxation}; expected a share in [0, 1]."
+            )
+
+
+@dataclass(frozen=True)
+class En4DVarOptions(PublishedOptions):
+    """Settings of hybrid ensemble 4D-Var: its sizes, as of :class:`PublishedOptions`.
+
+    Args:
         tempered: whether the likelihood is the published one: repeats count as one curve, their
             mean, with the noise of one, and its misfit is divided by the number of frames.
             Intervals are then far too wide.
@@ -92,26 +125,7 @@ class En4DVarOptions:
     3
     """
 
-    members: int = 48
-    iterations: int = 5
-    cycles: int = 3
-    relaxation: float = 0.7
     tempered: bool = False
-
-    def __post_init__(self) -> None:
-        if self.members < 8 or self.members % 2:
-            raise InputDataError(
-                f"En4DVarOptions.members is {self.members}; expected an even number of at least 8."
-            )
-        if self.iterations < 1 or self.cycles < 1:
-            raise InputDataError(
-                f"En4DVarOptions has iterations {self.iterations} and cycles {self.cycles}; "
-                "expected at least 1 of each."
-            )
-        if not 0.0 <= self.relaxation <= 1.0:
-            raise InputDataError(
-                f"En4DVarOptions.relaxation is {self.relaxation}; expected a share in [0, 1]."
-            )
 
 
 FitOptions = SearchOptions | En4DVarOptions

@@ -10,13 +10,15 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate.forward import ForwardModel, Point
 from imr_torch.assimilate.gauss_newton import NormalEquations, normal_equations
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import coarser
+
+_LONGEST = 4.0  # prior standard deviations of nuisances in one step
 
 
 @dataclass(frozen=True)
@@ -71,22 +73,13 @@ class Posterior(ForwardModel):
         )
 
     def neighbourhood(
-        self,
-        point: Point,
-        scale: Float[Tensor, "*#batch controls directions"] | None = None,
-        *,
-        leader: Point | None = None,
+        self, point: Point, *, moves_gel: bool = True, leader: Point | None = None
     ) -> "Neighbourhood":
-        """Simulate points and the points beside them for finite differences, a bundle each.
-
-        Args:
-            point: ``batch_shape`` points.
-            scale: ``batch_shape x d x N`` tensor whose columns are the directions in which the gel
-                is moved; one each along every coordinate when not given, none for ``N = 0``.
-            leader: ``batch_shape`` points whose solver steps all others take; the points themselves
-                when not given.
+        """Simulate points and the points beside them for finite differences; arguments as of
+        :meth:`bundle`.
         """
-        return Neighbourhood(self, point, *self.bundle(point, scale, leader=leader))
+        prediction = self.bundle(point, moves_gel=moves_gel, leader=leader)
+        return Neighbourhood(self, point, prediction)
 
     def equations(
         self,
@@ -106,11 +99,41 @@ class Posterior(ForwardModel):
         slope = self.likelihood_slope(prediction)[..., None]
         gradients = (by_gel.mT @ slope)[..., 0].sum(-2), (by_nuisance.mT @ slope)[..., 0]
         sd = self.batch.sd(prediction)
-        whitened = [
+        whitened_gel, whitened_nuisance = (
             self.batch.whiten(x.movedim(-1, 0), sd[None]).movedim(0, -1)
             for x in (by_gel, by_nuisance)
-        ]
-        return normal_equations(point.gel, point.nuisances, gradients, (whitened[0], whitened[1]))
+        )
+        likelihood = normal_equations(gradients, (whitened_gel, whitened_nuisance))
+        return likelihood.with_prior(point.gel, point.nuisances)
+
+    def fit_nuisances(
+        self, point: Point, chol: Float[Tensor, "draws experiments nuisances nuisances"]
+    ) -> tuple[
+        Float[Tensor, "draws experiments nuisances"],
+        Float[Tensor, "draws experiments nuisances nuisances"],
+    ]:
+        """Most probable nuisances of each gel and their precision, by one Gauss-Newton step each.
+
+        Far from a fit, or where many repeats make the data so exact that the cost is not quadratic
+        in the nuisances within their uncertainty, the fit's linearisation is not good enough to
+        draw from. The result is a function of the gel alone, so importance weights stay exact.
+
+        Args:
+            point: ``n`` gels, with nuisances to start from.
+            chol: lower Cholesky factors of their Hessian, kept where a bubble fails.
+
+        Returns:
+            Nuisances ``n x E x w`` and Cholesky factors ``n x E x w x w``.
+        """
+        near = self.neighbourhood(point, moves_gel=False)
+        known = torch.isfinite(near.prediction).all(-1).all(1)
+        prediction = torch.where(known[:, None, :, None], near.prediction, 0.5)
+        equations = replace(near, prediction=prediction).equations
+        root = torch.linalg.cholesky(equations.nuisance_hessian)
+        step = equations.reduced.nuisance_step
+        step = step * (_LONGEST / step.norm(dim=-1, keepdim=True).clamp_min(1e-300)).clamp_max(1.0)
+        moved = torch.where(known[..., None], point.nuisances + step, point.nuisances)
+        return moved, torch.where(known[..., None, None], root, chol)
 
     def likelihood_slope(
         self, prediction: Float[Tensor, "*batch experiments frames"]
@@ -130,7 +153,6 @@ class Neighbourhood:
     Args:
         posterior: whose.
         point: ``batch_shape`` points.
-        moves: by which the gel was moved.
         prediction: of the point, of gels moved, of each uncertain nuisance moved.
 
     >>> import torch
@@ -147,7 +169,6 @@ class Neighbourhood:
 
     posterior: Posterior
     point: Point
-    moves: Float[Tensor, "*batch directions controls"]
     prediction: Float[Tensor, "*batch bundle experiments frames"]
 
     def is_of(self, posterior: Posterior, point: Point) -> bool:
@@ -165,19 +186,20 @@ class Neighbourhood:
         same = self.posterior.simulator is posterior.simulator
         return same and all(torch.equal(*pair) for pair in pairs)
 
-    def joint_slopes(
-        self, frames: Bool[Tensor, "experiments frames"]
-    ) -> Float[Tensor, "kept coordinates"]:
-        """Sensitivities at some frames of one point to all coordinates, the gel's first."""
+    @cached_property
+    def jacobian(self) -> Float[Tensor, "coordinates experiments frames"]:
+        """Sensitivities of one point to all coordinates, in the order of
+        :meth:`ForwardModel.flat`.
+        """
         by_gel, by_nuisance = self.slopes
-        eye = torch.eye(len(by_nuisance), dtype=torch.float64)
-        apart = by_nuisance[:, :, None, :] * eye[:, None, :, None]  # E x T x E x w
-        return torch.cat((by_gel[frames], apart.flatten(2)[frames]), 1)
+        own = by_nuisance[..., self.posterior.uncertain].movedim(-1, 0)  # S x E x T
+        apart = own * torch.eye(own.shape[1], dtype=torch.float64)[:, None, :, None]
+        return torch.cat((by_gel.movedim(-1, 0), apart.flatten(0, 1)))
 
     @property
-    def coordinates(self) -> Float[Tensor, "coordinates"]:
-        """Gel and nuisances of one point, as :meth:`joint_slopes` has them."""
-        return torch.cat((self.point.gel, self.point.nuisances.flatten()))
+    def coordinates(self) -> Float[Tensor, "*batch coordinates"]:
+        """Gel and uncertain nuisances, as :attr:`jacobian` has them."""
+        return self.posterior.flat(self.point)
 
     @property
     def centre(self) -> Float[Tensor, "*batch experiments frames"]:
@@ -201,7 +223,7 @@ class Neighbourhood:
 
         Neighbours that failed give a slope of zero.
         """
-        return self.posterior.slopes(self.moves, self.prediction)
+        return self.posterior.slopes(self.prediction)
 
     @cached_property
     def equations(self) -> NormalEquations:

@@ -9,10 +9,11 @@ the parameter there, which an interval of the posterior hides behind its prior.
 """
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
+from torch import Tensor
 
 from imr_torch.assimilate.fit import ModelFit
 from imr_torch.assimilate.map_fit import assimilate
@@ -140,90 +141,72 @@ def _profile(
     progress: Progress | None,
 ) -> Profile:
     """The profile of one parameter, followed to both sides until it has fallen by enough."""
-    name = fit.prior.names[i]
-    control = float(fit.prior.unwhitened(fit.mean)[i])
-    posterior = fit.posterior
-    centre = float(fit.prior.mean[i])
-    sd = float(posterior.chol[i].norm())
-    width = float(fit.prior.chol[i].norm())
-    found = {
-        control: (fit.cost - 0.5 * ((control - centre) / width) ** 2, fit.certificate.converged)
-    }
+    prior = fit.prior
+    name = prior.names[i]
+    rest = [j for j in range(len(prior.names)) if j != i]
+    control = float(prior.unwhitened(fit.mean)[i])
+    centre = float(prior.mean[i])
+    sd, width = (float(part.chol[i].norm()) for part in (fit.posterior, prior))
+    covariance = fit.posterior.chol @ fit.posterior.chol.mT
+    ridge = covariance[rest, i] / covariance[i, i]
+    own_prior = 0.5 * ((control - centre) / width) ** 2
+    found = {control: (fit.cost - own_prior, fit.certificate.converged)}
     for side in (-1.0, 1.0):
-        last = fit
-        at = control
+        others = prior.unwhitened(fit.mean)[rest] + side * _STEPS[0] * sd * ridge
+        nuisances = fit.nuisances
         for step in _STEPS:
-            own = control + side * step * sd
-            if abs(own - centre) > _FARTHEST * width:
+            held = control + side * step * sd
+            if abs(held - centre) > _FARTHEST * width:
                 break
-            last = _held(
-                last,
-                fit,
-                i,
-                at,
-                own,
+            last = _fit_others(
+                _without(prior, i, held),
+                others,
+                nuisances,
                 batch,
                 simulator,
                 child(seed, "profile", name, str(side), str(step)),
             )
             if not math.isfinite(last.cost):  # no bubble could be made there
                 break
-            at, found[own] = own, (last.cost, last.certificate.converged)
+            others = last.prior.unwhitened(last.mean)
+            nuisances = last.nuisances
+            found[held] = (last.cost, last.certificate.converged)
             lowest = min(cost for cost, _ in found.values())
             if progress:
                 progress(f"profile of {name}: {side * step:+.1f} sd, {last.cost - lowest:.2f} nats")
             if last.cost - lowest > _ENOUGH:
                 break
-    places = sorted(found)
-    values = [
-        float(fit.prior.marginals[i].to_physical(torch.tensor(c, dtype=torch.float64)))
-        for c in places
-    ]
-    lowest = min(cost for cost, _ in found.values())
-    fall = [found[c][0] - lowest for c in places]
-    return Profile(
-        name, tuple(values), tuple(fall), tuple(found[c][1] for c in places), _limits(values, fall)
-    )
+    places = torch.tensor(sorted(found), dtype=torch.float64)
+    costs, converged = zip(*(found[place] for place in places.tolist()), strict=True)
+    values = prior.marginals[i].to_physical(places).tolist()
+    fall = [cost - min(costs) for cost in costs]
+    best = fall.index(0.0)
+    low = _crossing(values[: best + 1][::-1], fall[: best + 1][::-1])
+    high = _crossing(values[best:], fall[best:])
+    return Profile(name, tuple(values), tuple(fall), converged, (low, high))
 
 
-def _held(
-    last: ModelFit,
-    fit: ModelFit,
-    i: int,
-    before: float,
-    value: float,
+def _fit_others(
+    part: ModelBelief,
+    controls: Tensor,
+    nuisances: Tensor,
     batch: ExperimentBatch,
     simulator: Simulator,
     seed: int,
 ) -> ModelFit:
-    """The fit with one parameter held at a control.
-
-    It starts where the fit at the control before it ended.
-    """
-    part = _without(fit.prior, i, value)
-    rest = [j for j in range(len(fit.prior.names)) if j != i]
-    controls = last.prior.unwhitened(last.mean)
-    if last is fit:  # along the ridge of the posterior
-        posterior = fit.posterior
-        covariance = posterior.chol @ posterior.chol.mT
-        controls = controls[rest] + covariance[rest, i] / covariance[i, i] * (value - before)
-    start = torch.linalg.solve_triangular(part.chol, (controls - part.mean)[:, None], upper=False)[
-        :, 0
-    ]
-    belief = Belief((part,), torch.zeros(1, dtype=torch.float64))
-    starts = [torch.stack((start, start + 0.01))]
-    nuisances = [last.nuisances]
-    found = assimilate(
-        belief,
+    """The fit of the parameters that are not held, from their controls and from beside these."""
+    away = (controls - part.mean)[:, None]
+    start = torch.linalg.solve_triangular(part.chol, away, upper=False)[:, 0]
+    return assimilate(
+        Belief((part,), torch.zeros(1, dtype=torch.float64)),
         batch,
         simulator,
         seed=seed,
         options=_OPTIONS,
-        starts=starts,
-        nuisances=nuisances,
+        starts=[torch.stack((start, start + 0.01))],
+        nuisances=[nuisances],
         warn=False,
-    )
-    return found.fits[0]
+    ).fits[0]
 
 
 def _without(prior: ModelBelief, i: int, control: float) -> ModelBelief:
@@ -231,38 +214,24 @@ def _without(prior: ModelBelief, i: int, control: float) -> ModelBelief:
     rest = [j for j in range(len(prior.names)) if j != i]
     whole = prior.chol @ prior.chol.mT
     slope = whole[rest, i] / whole[i, i]
-    mean = prior.mean[rest] + slope * (control - prior.mean[i])
     covariance = whole[rest][:, rest] - torch.outer(slope, whole[i, rest])
-    value = float(prior.marginals[i].to_physical(torch.tensor(control, dtype=torch.float64)))
-    known: Mapping[str, float] = {**prior.known, prior.names[i]: value}
-    marginals = tuple(prior.marginals[j] for j in rest)
+    value = prior.marginals[i].to_physical(torch.tensor(control, dtype=torch.float64))
     return replace(
         prior,
-        marginals=marginals,
-        mean=mean,
+        marginals=tuple(prior.marginals[j] for j in rest),
+        mean=prior.mean[rest] + slope * (control - prior.mean[i]),
         chol=torch.linalg.cholesky(covariance),
-        known=known,
+        known={**prior.known, prior.names[i]: float(value)},
         cloud=None,
     )
-
-
-def _limits(values: list[float], fall: list[float]) -> tuple[float | None, float | None]:
-    """Where the profile has fallen by ``FALL`` on either side of its best value, linearly between
-    values.
-    """
-    best = fall.index(0.0)
-    low = _crossing(values[: best + 1][::-1], fall[: best + 1][::-1])
-    return low, _crossing(values[best:], fall[best:])
 
 
 def _crossing(values: list[float], fall: list[float]) -> float | None:
     """The first value, from the best one outwards, at which the root of the fall crosses that of
     ``FALL``.
     """
-    roots = torch.tensor(fall, dtype=torch.float64).sqrt()
-    beyond = torch.nonzero(roots > FALL**0.5)[:, 0]
-    if not len(beyond):
+    beyond = next((k for k, nats in enumerate(fall) if nats > FALL), None)
+    if beyond is None:
         return None
-    k = int(beyond[0])
-    share = float((FALL**0.5 - roots[k - 1]) / (roots[k] - roots[k - 1]))
-    return values[k - 1] + share * (values[k] - values[k - 1])
+    around = slice(beyond - 1, beyond + 1)
+    return float(np.interp(FALL**0.5, np.sqrt(fall[around]), values[around]))

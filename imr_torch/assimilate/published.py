@@ -8,16 +8,20 @@ of the start (RTPS: Whitaker & Hamill, Mon. Weather Rev. 140, 2012).
 
 Against the data's own likelihood, which :func:`imr_torch.assimilate.assimilate` uses: all repeats
 count as one curve, their mean, with the noise of one; its misfit is divided by the number of
-frames; and every restart uses the data again.
+frames; and every restart uses the data again. The published probability of a model is the
+likelihood of a typical repeat averaged over its ensemble.
 """
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from imr_torch.errors import ConvergenceError, InputDataError
+from imr_torch.assimilate.options import PublishedOptions
+from imr_torch.errors import ConvergenceError
 from imr_torch.material import Belief, ModelBelief
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, predict
 from imr_torch.random import child
@@ -25,40 +29,6 @@ from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
 _ENOUGH = 0.5  # share of an ensemble that must be simulated
-
-
-@dataclass(frozen=True)
-class PublishedOptions:
-    """Options of the published assimilation; the defaults are those of arXiv 2409.00011.
-
-    Args:
-        members: of the ensemble of each model.
-        iterations: Gauss-Newton iterations of each cycle.
-        cycles: the first and its restarts.
-        relaxation: share by which spread is relaxed to that at the start of a cycle, between
-            cycles.
-
-    >>> from imr_torch.assimilate import PublishedOptions
-    >>> PublishedOptions(members=24).iterations
-    5
-    """
-
-    members: int = 48
-    iterations: int = 5
-    cycles: int = 3
-    relaxation: float = 0.7
-
-    def __post_init__(self) -> None:
-        if self.members < 8 or self.iterations < 1 or self.cycles < 1:
-            raise InputDataError(
-                f"PublishedOptions has members {self.members}, iterations {self.iterations} and "
-                f"cycles {self.cycles}; "
-                "expected at least 8, 1 and 1."
-            )
-        if not 0.0 <= self.relaxation <= 1.0:
-            raise InputDataError(
-                f"PublishedOptions.relaxation is {self.relaxation}; expected a share in [0, 1]."
-            )
 
 
 @dataclass(frozen=True)
@@ -122,7 +92,7 @@ def assimilate_published(
         belief: prior; not changed. Its truncation is exact, as ensembles are of unbounded controls.
         experiment: one design, cut to the window that is to be assimilated.
         noise: of one curve; its correlation is left out, as published.
-        simulator: makes the bubbles of all models in one call an iteration.
+        simulator: makes the bubbles.
         seed: of the ensembles.
         options: sizes.
         progress: called with one line per iteration.
@@ -148,106 +118,127 @@ def assimilate_published(
     """
     options = options or PublishedOptions()
     batch = ExperimentBatch((as_one_curve(experiment),), noise)
-    precision = 1.0 / (batch.sd(batch.mean)[0].square() * len(experiment.times))
-    members = [
-        part.controls(options.members, seed=child(seed, "ensemble", part.model))
+    precision = 1.0 / (batch.sd(batch.mean).square() * len(experiment.times))
+    return tuple(
+        _fit(part, batch, precision[0], simulator, options, seed, progress)
         for part in belief.models
-    ]
-    history: list[list[Tensor]] = [[] for _ in members]
-    predictions: list[Tensor] = []
+    )
+
+
+def _fit(
+    part: ModelBelief,
+    batch: ExperimentBatch,
+    precision: Tensor,
+    simulator: Simulator,
+    options: PublishedOptions,
+    seed: int,
+    progress: Progress | None,
+) -> PublishedFit:
+    """All cycles of one model; ``precision`` is the weight of each squared residual."""
+    members = part.controls(options.members, seed=child(seed, "ensemble", part.model))
+    history = []
+    curves = members
     for cycle in range(options.cycles):
-        states = [_Cycle.begin(z) for z in members]
+        first = centre = members.mean(0)
+        start = members - first
+        transform = torch.eye(len(members), dtype=members.dtype)
         for iteration in range(options.iterations):
-            for past, state in zip(history, states, strict=True):
-                past.append(state.members)
-            predictions = _predict(belief, [state.members for state in states], batch, simulator)
-            states = [
-                state.step(y, batch.mean[0], precision)
-                for state, y in zip(states, predictions, strict=True)
-            ]
+            history.append(centre + transform @ start)
+            curves = _predict(part, history[-1], batch, simulator)
+            step, transform = _step(
+                curves, transform, start, first - centre, batch.mean[0], precision
+            )
+            centre = centre + step
             if progress:
-                progress(f"published assimilation: cycle {cycle + 1}, iteration {iteration + 1}")
-        last = cycle == options.cycles - 1
-        members = [state.members if last else state.relaxed(options.relaxation) for state in states]
-    ends = [torch.stack((*past, z)) for past, z in zip(history, members, strict=True)]
-    return tuple(PublishedFit(*fit) for fit in zip(belief.models, ends, predictions, strict=True))
+                progress(
+                    f"published assimilation: {part.model}, cycle {cycle + 1}, "
+                    f"iteration {iteration + 1}"
+                )
+        deviation = transform @ start
+        if cycle < options.cycles - 1:
+            ratio = start.std(0) / deviation.std(0)
+            deviation = deviation * (1.0 + options.relaxation * (ratio - 1.0))
+        members = centre + deviation
+    return PublishedFit(part, torch.stack((*history, members)), curves)
+
+
+def published_probabilities(
+    fits: Sequence[PublishedFit], experiment: Experiment, noise: Noise
+) -> Float[Tensor, "models"]:
+    """Probability of each model from one experiment alone, without its prior probability.
+
+    The log likelihood of each member is *averaged* over repeats, the likelihood then over the
+    members of the posterior, so a hundred repeats say no more than one; and a wide prior is not
+    penalised, since the members have been fitted to the data. Evidence is in
+    :mod:`imr_torch.select.evidence`.
+
+    Args:
+        fits: of all models to this experiment.
+        experiment: cut to the window that was assimilated.
+        noise: of one curve; its correlation is left out, as published.
+
+    Returns:
+        ``M`` tensor.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, reference_case
+    >>> from imr_torch.assimilate import PublishedOptions, assimilate_published, published_probabilities
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import Noise, SimulatedLaboratory
+    >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
+    >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
+    >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=1)
+    >>> options = PublishedOptions(members=16, cycles=1)
+    >>> fits = assimilate_published(case.prior, shot, Noise(), simulator, seed=0, options=options)
+    >>> round(float(published_probabilities(fits, shot, Noise()).sum()), 6)
+    1.0
+    """
+    batch = ExperimentBatch((as_one_curve(experiment),), noise)
+    sd = batch.sd(batch.mean)[0]
+    logs = []
+    for fit in fits:
+        good = fit.prediction[torch.isfinite(fit.prediction).all(1)]
+        misfit = (
+            ((batch.mean[0] - good) / sd).square().sum(1)
+        )  # the scatter of the repeats about their mean is common to all
+        logs.append(torch.logsumexp(-0.5 * misfit, 0) - math.log(len(good)))
+    return torch.softmax(torch.stack(logs), 0)
 
 
 def _predict(
-    belief: Belief, members: list[Tensor], batch: ExperimentBatch, simulator: Simulator
-) -> list[Tensor]:
-    """Curves ``N x T`` of the ensembles of all models."""
-    parameters = torch.cat(
-        [part.parameters(z) for part, z in zip(belief.models, members, strict=True)]
-    )
-    curves = predict(simulator, parameters, batch)[:, 0].split([len(z) for z in members])
-    for part, seen in zip(belief.models, curves, strict=True):
-        good = int(torch.isfinite(seen).all(1).sum())
-        if good < _ENOUGH * len(seen):
-            raise ConvergenceError(
-                f"{part.model}: {good} of {len(seen)} members could be simulated; check the prior "
-                "and the design."
-            )
-    return list(curves)
+    part: ModelBelief, members: Tensor, batch: ExperimentBatch, simulator: Simulator
+) -> Tensor:
+    """Curves ``N x T`` of an ensemble."""
+    curves = predict(simulator, part.parameters(members), batch)[:, 0]
+    good = int(torch.isfinite(curves).all(1).sum())
+    if good < _ENOUGH * len(curves):
+        raise ConvergenceError(
+            f"{part.model}: {good} of {len(curves)} members could be simulated; check the prior "
+            "and the design."
+        )
+    return curves
 
 
-@dataclass(frozen=True)
-class _Cycle:
-    """An ensemble ``centre + transform start``, with the rows of ``start`` the deviations that the
-    cycle began with.
+def _step(
+    curves: Tensor, transform: Tensor, start: Tensor, back: Tensor, data: Tensor, precision: Tensor
+) -> tuple[Tensor, Tensor]:
+    """One Gauss-Newton step of the mean of an ensemble, ``d``, and the transform of its deviations
+    at its linearisation, ``N x N``.
 
     Args:
-        first: ``d`` tensor, mean at the beginning.
-        start: ``N x d`` tensor.
-        centre: ``d`` tensor.
-        transform: ``N x N`` symmetric tensor.
+        curves: ``N x T`` tensor, what the members show; those that failed count as the mean.
+        transform: ``N x N`` symmetric tensor that makes the deviations from those at the start.
+        start: ``N x d`` tensor, deviations at the start of the cycle.
+        back: ``d`` tensor, from the mean to that at the start of the cycle.
+        data: ``T`` tensor.
+        precision: ``T`` tensor, weight of each squared residual.
     """
-
-    first: Tensor
-    start: Tensor
-    centre: Tensor
-    transform: Tensor
-
-    @classmethod
-    def begin(cls, members: Tensor) -> "_Cycle":
-        mean = members.mean(0)
-        return cls(mean, members - mean, mean, torch.eye(len(members), dtype=members.dtype))
-
-    @property
-    def members(self) -> Tensor:
-        """``N x d`` tensor."""
-        return self.centre + self.transform @ self.start
-
-    def step(self, curves: Tensor, data: Tensor, precision: Tensor) -> "_Cycle":
-        """One Gauss-Newton step and the transform at its linearisation.
-
-        Args:
-            curves: ``N x T`` tensor, what the members show; those that failed count as the mean.
-            data: ``T`` tensor.
-            precision: ``T`` tensor, weight of each squared residual.
-        """
-        good = torch.isfinite(curves).all(1, keepdim=True)
-        mean = torch.where(good, curves, 0.0).sum(0) / good.sum()
-        deviation = torch.linalg.solve(self.transform, torch.where(good, curves - mean, 0.0))
-        scale = len(curves) - 1
-        hessian = (
-            torch.eye(len(curves), dtype=curves.dtype)
-            + (deviation * precision) @ deviation.mT / scale
-        )
-        slope = (deviation * precision) @ (data - mean) / scale
-        back = torch.linalg.pinv(self.start.mT) @ (
-            self.first - self.centre
-        )  # weights that lead back to the prior's mean
-        values, vectors = torch.linalg.eigh(hessian)
-        inverse = (vectors / values) @ vectors.mT
-        centre = self.centre + self.start.mT @ (inverse @ (slope + back))
-        return _Cycle(self.first, self.start, centre, (vectors / values.sqrt()) @ vectors.mT)
-
-    def relaxed(self, share: float) -> Tensor:
-        """The members with their spread relaxed to that of the beginning, parameter by parameter:
-        ``N x d``.
-        """
-        deviation = self.transform @ self.start
-        before = self.start.std(0)
-        after = deviation.std(0)
-        return self.centre + deviation * (1.0 + share * (before - after) / after)
+    good = torch.isfinite(curves).all(1, keepdim=True)
+    mean = torch.where(good, curves, 0.0).sum(0) / good.sum()
+    deviation = torch.linalg.solve(transform, torch.where(good, curves - mean, 0.0))
+    weighted = deviation * precision / (len(curves) - 1)
+    hessian = torch.eye(len(curves), dtype=curves.dtype) + weighted @ deviation.mT
+    values, vectors = torch.linalg.eigh(hessian)
+    slope = weighted @ (data - mean) + torch.linalg.pinv(start.mT) @ back
+    step = start.mT @ ((vectors / values) @ (vectors.mT @ slope))
+    return step, (vectors / values.sqrt()) @ vectors.mT

@@ -16,14 +16,13 @@ import math
 from dataclasses import dataclass, replace
 
 import torch
+from scipy.interpolate import krogh_interpolate
 from torch import Tensor
 
 from imr_torch.assimilate.fit import ModelFit
 from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.posterior import Neighbourhood, Posterior
 from imr_torch.assimilate.proposals import Kernels
-from imr_torch.observe import ExperimentBatch
-from imr_torch.simulate import Simulator
 
 _DEEP = 8.0  # nats by which the profile falls at the ends
 _ATTEMPTS = 24  # most points that are tried on either side of the optimum
@@ -87,8 +86,13 @@ class _Side:
         gels = torch.stack([p.gel for p in near])
         nuisances = torch.stack([p.nuisances for p in near])
         places = torch.cat((gels.new_zeros(1), gels.diff(dim=0).norm(dim=1).cumsum(0)))
-        weights = _lagrange(places, places[-1] + self._length)
-        guess = Point(weights @ gels, torch.tensordot(weights, nuisances, 1))
+        there = float(places[-1]) + self._length
+        guess = Point(
+            *(
+                torch.as_tensor(krogh_interpolate(places.numpy(), values.numpy(), there))
+                for values in (gels, nuisances)
+            )
+        )
         return replace(last, point=guess), torch.nn.functional.normalize(
             guess.gel - last.point.gel, dim=0
         )
@@ -121,42 +125,31 @@ class _Side:
         return 0.5 * float(off @ point.hessian @ off)
 
 
-def _lagrange(places: Tensor, at: Tensor) -> Tensor:
-    """Weights of values at ``places`` by which their interpolating polynomial is evaluated."""
-    weights = torch.ones_like(places)
-    for i in range(len(places)):
-        others = torch.cat((places[:i], places[i + 1 :]))
-        weights[i] = ((at - others) / (places[i] - others)).prod()
-    return weights
-
-
-def trace_ridge(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> Kernels:
+def trace_ridge(fit: ModelFit, posterior: Posterior) -> Kernels:
     """Follow the ridge of a fit to both sides.
 
     Args:
         fit: a fit with its Gaussian approximation; not changed.
-        batch: the data.
-        simulator: makes the bubbles, a small bundle for each step.
+        posterior: of its model, with a small bundle of bubbles for each step.
 
     Returns:
         A proposal.
     """
-    posterior = Posterior(fit.prior, batch, simulator)
     values, vectors = torch.linalg.eigh(fit.chol @ fit.chol.mT)
     axis = values[-1].sqrt() * vectors[:, -1]
     below = _Side(fit, -axis)
     above = _Side(fit, axis)
     while fronts := [side for side in (below, above) if not side.ended]:
         for side in fronts:
-            point = _fitted(posterior, fit.chol, *side.ahead())
+            point = _fitted(posterior, *side.ahead())
             side.add(point, min(p.cost for p in (*below.points, *above.points)))
     return _kernels([*reversed(below.points), *above.points[1:]], fit)
 
 
-def _fitted(posterior: Posterior, scale: Tensor, point: _Fitted, along: Tensor) -> _Fitted:
+def _fitted(posterior: Posterior, point: _Fitted, along: Tensor) -> _Fitted:
     """A point fitted across the ridge, as far as a few steps go."""
     for _ in range(_PASSES):
-        point = _stepped(point, along, posterior.neighbourhood(point.point, scale))
+        point = _stepped(point, along, posterior.neighbourhood(point.point))
         if not _NEAR < point.promised < math.inf:
             break
     return point

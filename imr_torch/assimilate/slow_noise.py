@@ -14,6 +14,7 @@ from itertools import product
 
 import torch
 from torch import Tensor
+from torch.distributions import MultivariateNormal
 
 from imr_torch.assimilate.matern import MATERN
 from imr_torch.assimilate.posterior import Neighbourhood
@@ -61,28 +62,17 @@ def smooth_deviations(
     times = batch.times[used]
     phases = _phases(near)[used]
     noise = (batch.sd(near.centre).square() / batch.counts)[used]
-    residual = (batch.mean - near.centre)[used]
-    columns = near.joint_slopes(used).nan_to_num()
-    point = near.coordinates
+    columns = near.jacobian[:, used].mT
+    observed = (batch.mean - near.centre)[used] + columns @ near.coordinates
+    explained = columns @ columns.mT + torch.diag(noise)  # by gel and nuisances, and single frames
+    same = (shot[:, None] == shot).to(noise)
 
     def evidence(amount: float, duration: float, share: float) -> Tensor:
-        same = (shot[:, None] == shot).to(noise)
         own, common = (_matern((x[:, None] - x).abs() / duration) for x in (times, phases))
-        covariance = amount**2 * ((1.0 - share) * same * own + share * common) + torch.diag(noise)
-        chol = torch.linalg.cholesky(covariance)
-        seen = torch.linalg.solve_triangular(
-            chol, torch.cat((residual[:, None], columns), 1), upper=False
-        )
-        data = seen[:, 0]
-        moved = seen[:, 1:]
-        hessian = torch.linalg.cholesky(
-            torch.eye(len(point), dtype=torch.float64) + moved.mT @ moved
-        )
-        step = torch.linalg.solve_triangular(
-            hessian, (moved.mT @ data - point)[:, None], upper=False
-        )
-        log_dets = chol.diagonal().log().sum() + hessian.diagonal().log().sum()
-        return 0.5 * (step.square().sum() - data.square().sum()) - log_dets
+        smooth = amount**2 * ((1.0 - share) * same * own + share * common)
+        mean = torch.zeros_like(observed)
+        law = MultivariateNormal(mean, explained + smooth, validate_args=False)
+        return law.log_prob(observed)
 
     none = evidence(0.0, 1.0, 0.0)
 

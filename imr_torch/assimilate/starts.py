@@ -67,8 +67,10 @@ def beside(
     noise[0] = 0.0
     point = Point(fit.mean + noise, fit.nuisances_at(fit.mean + noise))
     failed = torch.isinf(posterior.log_joint(point))
-    own = Point(fit.mean.expand_as(point.gel), fit.nuisances.expand_as(point.nuisances))
-    return point.put(torch.nonzero(failed)[:, 0], own[failed])
+    return Point(
+        torch.where(failed[:, None], fit.mean, point.gel),
+        torch.where(failed[:, None, None], fit.nuisances, point.nuisances),
+    )
 
 
 def around(

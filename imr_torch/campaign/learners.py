@@ -20,6 +20,7 @@ from imr_torch.assimilate import (
     SearchOptions,
     assimilate_estimating_noise,
     assimilate_published,
+    published_probabilities,
     weigh,
 )
 from imr_torch.errors import InputDataError
@@ -27,7 +28,7 @@ from imr_torch.files import without_nonfinite
 from imr_torch.material import Belief, ModelBelief
 from imr_torch.observe import ExperimentBatch, Noise
 from imr_torch.random import child
-from imr_torch.select import Evidence, evidences, published_probabilities, update
+from imr_torch.select import Evidence, evidences, update
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 

@@ -130,9 +130,8 @@ def respond(
         gel: whether the sensitivity to the gel is wanted.
     """
     forward = shot.forward(part)
-    directions = None if gel else controls.new_zeros(controls.shape[-1], 0)
-    moves, seen = forward.bundle(Point(controls, forward.still(len(controls))), directions)
-    by_gel, by_nuisance = forward.slopes(moves, seen)
+    seen = forward.bundle(Point(controls, forward.still(len(controls))), moves_gel=gel)
+    by_gel, by_nuisance = forward.slopes(seen)
     good = torch.isfinite(seen).flatten(1).all(1)[:, None, None]  # of the gel and of all beside it
     slopes = by_gel if gel else by_gel[..., :0]
     return Response(

@@ -28,7 +28,7 @@ from imr_torch.gap.hypotheses import (
     even_belief,
     laplace_evidence,
 )
-from imr_torch.goodness.linear import Linearisation, linearise, linearise_at
+from imr_torch.goodness.linear import Linearisation, linearise, whiten_rows
 from imr_torch.observe import NUISANCES, ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.select import default_folds
@@ -241,8 +241,9 @@ def held_out(
         simulator: makes the bubbles.
     """
     batch = hypothesis.seen(design)
-    nuisances = _most_probable(Posterior(fit.prior, batch, simulator), fit)
-    line = linearise_at(Point(fit.mean, nuisances), fit.prior, batch, simulator)
+    posterior = Posterior(fit.prior, batch, simulator)
+    nuisances = _most_probable(posterior, fit)
+    line = whiten_rows(posterior.neighbourhood(Point(fit.mean, nuisances)))
     data = batch.mask.numel()
     size = len(fit.mean)
     return HeldOut(

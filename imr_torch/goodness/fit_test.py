@@ -15,9 +15,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import ModelFit, infer_frame_noise
+from imr_torch.assimilate import ModelFit, Posterior, infer_frame_noise
 from imr_torch.assimilate.noise_estimation import determines_noise
-from imr_torch.goodness.linear import Linearisation, curves, linearise, shifted
+from imr_torch.goodness.linear import Linearisation, linearise, whiten_rows
 from imr_torch.goodness.phases import phase_clock, phase_name
 from imr_torch.goodness.score import LEVEL, gap_test, generic_blocks
 from imr_torch.labels import p_value
@@ -169,17 +169,19 @@ def _settled(
     and is not small.
     """
     line = linearise(fit, batch, simulator)
-    step = line.to_shift @ line.residual
     if float((line.basis.mT @ line.residual).norm()) < _LARGE:
         return fit, line
+    posterior = Posterior(fit.prior, batch, simulator)
+    step = line.to_shift @ line.residual
     for factor in (1.0, 0.3):
-        mean, nuisances = shifted(fit, batch, factor * step[None])
-        prediction = curves(fit, batch, simulator, [{}], factor * step[None])
-        if not bool(torch.isfinite(prediction[0][batch.mask]).all()):
+        near = posterior.neighbourhood(posterior.place(posterior.flat(fit.point) + factor * step))
+        if not bool(torch.isfinite(near.centre).all()):
             continue
-        moved = replace(fit, mean=mean[0], nuisances=nuisances[0], prediction=prediction[0])
-        own = linearise(moved, batch, simulator)
+        own = whiten_rows(near)
         if float(own.residual.square().sum()) < float(line.residual.square().sum()):
+            moved = replace(
+                fit, mean=near.point.gel, nuisances=near.point.nuisances, prediction=near.centre
+            )
             return moved, own
     return fit, line
 

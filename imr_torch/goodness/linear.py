@@ -14,8 +14,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from imr_torch.assimilate import ModelFit, Neighbourhood, Point, Posterior
-from imr_torch.material import PARAMETERS, ModelBelief
+from imr_torch.assimilate import ModelFit, Neighbourhood, Posterior
+from imr_torch.material import PARAMETERS
 from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.simulate import Simulator
 
@@ -59,41 +59,32 @@ class Linearisation:
         1 for priors and 0 in the padding.
         """
         ratios = self.batch.log_noise_ratios(self.prediction, count, generator=generator).exp()
-        ratios = torch.where(self.batch.mask, ratios, 0.0).flatten(1)
-        return torch.nn.functional.pad(ratios, (0, len(self.residual) - ratios.shape[1]), value=1.0)
+        return self.padded(torch.where(self.batch.mask, ratios, 0.0).flatten(1), 1.0)
+
+    def padded(
+        self, rows: Float[Tensor, "*batch data"], value: float = 0.0
+    ) -> Float[Tensor, "*batch rows"]:
+        """Rows of data with those of the priors, which have one value."""
+        missing = len(self.residual) - rows.shape[-1]
+        return torch.nn.functional.pad(rows, (0, missing), value=value)
 
     def explained(self, shift: Float[Tensor, "*batch fitted"]) -> Float[Tensor, "*batch rows"]:
         """What shifts ``... x k`` of everything fitted change in the data, to first order: rows
         ``... x N``.
         """
         rows = shift @ self.fitted.mT
-        rows[..., self.fitted.shape[0] - self.fitted.shape[1] :] = 0.0
-        return rows
+        return self.padded(rows[..., : self.batch.mask.numel()])
 
     def whiten(
         self, curves: Float[Tensor, "*batch experiments frames"]
     ) -> Float[Tensor, "*batch rows"]:
         """Curves ``... x E x T`` in R* as rows ``... x N``, with zeros for the priors."""
-        rows = self.batch.whiten(torch.where(self.batch.mask, curves, 0.0), self.sd).flatten(-2)
-        return torch.nn.functional.pad(rows, (0, self.residual.shape[0] - rows.shape[-1]))
+        seen = torch.where(self.batch.mask, curves, 0.0)
+        return self.padded(self.batch.whiten(seen, self.sd).flatten(-2))
 
     def project(self, rows: Float[Tensor, "*batch rows"]) -> Float[Tensor, "*batch rows"]:
         """What is left of rows ``... x N`` beside the fitted directions."""
         return rows - (rows @ self.basis) @ self.basis.mT
-
-
-def shifted(
-    fit: ModelFit, batch: ExperimentBatch, shift: Float[Tensor, "moved fitted"]
-) -> tuple[Float[Tensor, "moved controls"], Float[Tensor, "moved experiments nuisances"]]:
-    """Controls ``K x d`` and nuisances ``K x E x 3`` of a fit after shifts ``K x k``, in the order
-    of the fitted directions.
-    """
-    free = (batch.nuisance_sds > 0.0).any(0)
-    size = len(fit.mean)
-    experiments = len(batch.experiments)
-    nuisances = fit.nuisances.expand(len(shift), -1, -1).clone()
-    nuisances[:, :, free] += shift[:, size:].reshape(len(shift), int(free.sum()), experiments).mT
-    return fit.mean + shift[:, :size], nuisances
 
 
 def curves(
@@ -115,15 +106,14 @@ def curves(
     """
     if not changes:
         return torch.empty(0, *batch.times.shape, dtype=torch.float64)
-    mean = fit.mean.expand(len(changes), -1)
-    nuisances = fit.nuisances.expand(len(changes), -1, -1)
-    if shift is not None:
-        mean, nuisances = shifted(fit, batch, shift)
-    parameters = fit.parameters(mean).clone()
+    posterior = Posterior(fit.prior, batch, simulator)
+    flat = posterior.flat(fit.point).expand(len(changes), -1)
+    point = posterior.place(flat if shift is None else flat + shift)
+    parameters = posterior.to_si(point.gel).clone()
     for row, change in zip(parameters, changes, strict=True):
         for name, value in change.items():
             row[PARAMETERS.index([name])[0]] = value
-    return predict(simulator, parameters, batch, nuisances * batch.nuisance_sds)
+    return predict(simulator, parameters, batch, point.nuisances * batch.nuisance_sds)
 
 
 def linearise(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> Linearisation:
@@ -133,37 +123,12 @@ def linearise(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> Li
     return whiten_rows(fit.linearise(batch, simulator))
 
 
-def linearise_at(
-    point: Point,
-    prior: ModelBelief,
-    batch: ExperimentBatch,
-    simulator: Simulator,
-) -> Linearisation:
-    """Local sensitivities at any point, as at a fit.
-
-    Args:
-        point: gel and nuisances, whitened.
-        prior: of the gel.
-        batch: the data, with as many experiments as the point.
-        simulator: makes the bubbles.
-    """
-    return whiten_rows(Posterior(prior, batch, simulator).neighbourhood(point))
-
-
 def whiten_rows(near: Neighbourhood) -> Linearisation:
     """The residual and the sensitivities of a point as rows of unit variance."""
     batch = near.posterior.batch
-    columns = near.posterior.uncertain
-    experiments = len(batch.experiments)
     sd = batch.sd(near.centre)
-    by_gel, by_nuisance = (
-        batch.whiten(x.movedim(-1, 0), sd).nan_to_num() for x in near.slopes
-    )  # ... x E x T each
-    own = (
-        torch.eye(experiments, dtype=torch.float64)[:, :, None] * by_nuisance[columns][:, None]
-    )  # C x E x E x T
-    data = torch.cat((by_gel.flatten(1).mT, own.flatten(0, 1).flatten(1).mT), 1)
+    data = batch.whiten(near.jacobian, sd).nan_to_num().flatten(1).mT
     fitted = torch.cat((data, -torch.eye(data.shape[1], dtype=torch.float64)))
-    priors = torch.cat((near.point.gel, near.point.nuisances[:, columns].mT.flatten()))
-    residual = torch.cat((batch.whiten(batch.mean - near.centre, sd).flatten(), priors))
+    observed = batch.whiten(batch.mean - near.centre, sd).flatten()
+    residual = torch.cat((observed, near.coordinates))
     return Linearisation(residual, fitted, near.centre, sd, batch)

@@ -201,11 +201,9 @@ def generic_rows(
     rows = line.whiten((curves(fit, batch, simulator, changes) - line.prediction).nan_to_num())
     pulses = rows[: -len(_LAWS)]
     laws = rows[-len(_LAWS) :]
-    data = line.fitted.shape[0] - line.fitted.shape[1]
-    gel = torch.nn.functional.pad(line.fitted[:data, : len(fit.mean)].mT, (0, line.fitted.shape[1]))
-    early = torch.nn.functional.pad(
-        (times < 0.5 * last).flatten().to(gel), (0, line.fitted.shape[1])
-    )
+    data = times.numel()
+    gel = line.padded(line.fitted[:data, : len(fit.mean)].mT)
+    early = line.padded((times < 0.5 * last).flatten().to(gel))
     found = {
         STATE_LAW: laws,
         PULSES: pulses,
@@ -213,12 +211,8 @@ def generic_rows(
         SHAPE: shape_rows(line),
     }
     if experiments > 1:
-        masks = (
-            torch.eye(experiments, dtype=torch.float64)[:, :, None]
-            .expand(-1, -1, times.shape[1])
-            .flatten(1)
-        )
-        masks = torch.nn.functional.pad(masks, (0, line.fitted.shape[1]))
+        one = torch.eye(experiments, dtype=torch.float64)
+        masks = line.padded(one.repeat_interleave(times.shape[1], 1))
         found["parameters between designs"] = (masks[:, None] * gel).flatten(0, 1)
         found["pulses in single experiments"] = (masks[:, None] * pulses).flatten(0, 1)
     return found
@@ -261,43 +255,43 @@ def gap_test(blocks: Sequence[Block], line: Linearisation, *, seed: int) -> GapT
         seed: of the residuals drawn under the fitted model.
     """
     tested = [b for b in blocks if b.directions.shape[1]]
-    names = [b.name for b in tested]
-    sizes = [b.size for b in tested]
     source = generator(seed)
     ratios = line.noise_ratios(BOOTSTRAP, generator=source)
     rows = torch.cat((line.residual[None], _drawn_residuals(line, ratios, source)))
-    ranks = [b.directions.shape[1] for b in tested]
-    statistics = [(rows @ b.directions).square().sum(1) for b in tested]
-    scales = [(ratios[:_LAWS_DRAWN].square() @ b.directions.square()).mean(1) for b in tested]
+    few = ratios[:_LAWS_DRAWN].square()
+    entries = [
+        (
+            b.name,
+            b.size,
+            b.directions.shape[1],
+            (rows @ b.directions).square().sum(1),
+            (few @ b.directions.square()).mean(1),
+        )
+        for b in tested
+    ]
     # noise that was inferred from these residuals cannot judge their sum of squares
     if line.batch.noise_laws is None or not tested:
-        names = [*names, EVERYTHING]
-        sizes = [*sizes, math.nan]
-        ranks.append(
-            int(line.batch.mask.sum())
-        )  # as many as frames, since every fitted direction has a prior
-        statistics.append(rows.square().sum(1))
-        scales.append(torch.ones(1, dtype=torch.float64))
-    logs = torch.stack([log_survival(s, k) for s, k in zip(statistics, ranks, strict=True)])
+        # as many degrees of freedom as frames, since every fitted direction has a prior
+        frames = int(line.batch.mask.sum())
+        one = torch.ones(1, dtype=torch.float64)
+        entries.append((EVERYTHING, math.nan, frames, rows.square().sum(1), one))
+    logs = torch.stack([log_survival(square, rank) for _, _, rank, square, _ in entries])
     smallest = logs.amin(0)
-    count = int((smallest[1:] <= smallest[0]).sum())
-    over_noise = [
-        _mean_log_survival(s[0], k, c) for s, k, c in zip(statistics, ranks, scales, strict=True)
-    ]
-    bonferroni = min(1.0, len(ranks) * math.exp(min(over_noise)))
-    # p-values that the bootstrap cannot resolve: Bonferroni's bound
-    p_value = (1 + count) / (1 + BOOTSTRAP) if count else min(bonferroni, 1.0 / (1 + BOOTSTRAP))
     threshold = float(smallest[1:].quantile(LEVEL).exp())
     results = [
         BlockResult(
             name,
-            float(s[0]),
-            k,
-            math.exp(log),
-            _power(size, k, threshold),
+            float(square[0]),
+            rank,
+            math.exp(_mean_log_survival(square[0], rank, scales)),
+            _power(size, rank, threshold),
         )
-        for name, size, s, k, log in zip(names, sizes, statistics, ranks, over_noise, strict=True)
+        for name, size, rank, square, scales in entries
     ]
+    count = int((smallest[1:] <= smallest[0]).sum())
+    bonferroni = min(1.0, len(results) * min(result.p_value for result in results))
+    # p-values that the bootstrap cannot resolve: Bonferroni's bound
+    p_value = (1 + count) / (1 + BOOTSTRAP) if count else min(bonferroni, 1.0 / (1 + BOOTSTRAP))
     return GapTest(p_value, tuple(sorted(results, key=lambda r: r.p_value)), *_bias(line))
 
 

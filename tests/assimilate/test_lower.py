@@ -16,7 +16,7 @@ from imr_torch.assimilate import (
     weigh,
 )
 from imr_torch.assimilate.lower import lower_point
-from imr_torch.observe import ExperimentBatch, Nuisance
+from imr_torch.observe import Nuisance
 from tests.linear import LinearSimulator, exact, experiments, prior
 
 BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
@@ -65,12 +65,12 @@ def test_that_a_draw_is_better_only_above_another_minimum_and_of_a_model_that_ma
     batch = right.batch
     simulator = LinearSimulator()
     sound = weigh(right, simulator, seed=0, refit=False).fits[0]
-    assert lower_point(sound, sound.cost, batch, simulator) is None
+    assert lower_point(sound, sound.cost, Posterior(sound.prior, batch, simulator)) is None
     wrong = weigh(ended_too_high(right, 4.0), simulator, seed=0, refit=False).fits[0]
-    point = lower_point(wrong, wrong.cost, batch, simulator)
+    point = lower_point(wrong, wrong.cost, Posterior(wrong.prior, batch, simulator))
     assert point is not None
     assert -float(Posterior(wrong.prior, batch, simulator).log_joint(point)) < wrong.cost - 0.1
-    assert lower_point(wrong, wrong.cost - 200.0, batch, simulator) is None
+    assert lower_point(wrong, wrong.cost - 200.0, Posterior(wrong.prior, batch, simulator)) is None
 
 
 def test_that_a_fit_that_only_looks_too_high_is_not_made_again(right: Assimilation) -> None:
@@ -92,9 +92,7 @@ def test_that_a_minimum_that_is_not_lower_is_not_taken_and_the_fit_is_weighted_t
     """However often the draws promise one."""
     promised = []
 
-    def promise(
-        fit: ModelFit, best: float, batch: ExperimentBatch, simulator: LinearSimulator
-    ) -> Point:
+    def promise(fit: ModelFit, best: float, posterior: Posterior) -> Point:
         promised.append(best)
         return fit.point
 

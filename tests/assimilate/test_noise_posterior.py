@@ -22,6 +22,7 @@ from imr_torch.assimilate.noise_law import LocalNoise
 from imr_torch.errors import InputDataError
 from imr_torch.observe import CollapseTime, Experiment, ExperimentBatch, Noise, NoiseLaws, Nuisance
 from imr_torch.select import cross_validate
+from tests.curved import mean_error, sd_error
 from tests.drifting import Slow, drifting
 from tests.linear import CORRELATED, NOISE, LinearSimulator, exact, experiments, prior, tensor
 
@@ -105,11 +106,11 @@ def test_that_evidence_and_moments_over_the_noise_are_those_of_brute_force_sums(
     assert sample.log_evidence == pytest.approx(
         float(expected["evidence"]), abs=4.0 * sample.log_evidence_error + 0.01
     )
-    assert bool(((sample.mean - expected["mean"]).abs() < 4.0 * sample.mean_error + 1e-3).all())
+    assert bool(((sample.mean - expected["mean"]).abs() < 4.0 * mean_error(sample) + 1e-3).all())
     sds = expected["covariance"].diagonal().sqrt()
     assert bool(
         (
-            (sample.covariance.diagonal().sqrt() - sds).abs() < 4.0 * sample.sd_error + 0.01 * sds
+            (sample.covariance.diagonal().sqrt() - sds).abs() < 4.0 * sd_error(sample) + 0.01 * sds
         ).all()
     )
     whole = (PART.chol @ torch.linalg.cholesky(expected["covariance"])).norm(dim=1)
@@ -140,7 +141,7 @@ def film(seed: int, frames: int = 14) -> tuple[ExperimentBatch, torch.Tensor]:
 def test_that_intervals_over_the_noise_cover_where_plugged_in_ones_are_narrower() -> None:
     inside: dict[str, list[bool]] = {"plugged": [], "integrated": []}
     wider = []
-    for seed in range(60):
+    for seed in range(30):
         batch, gel = film(1000 + seed)
         fits = assimilate_estimating_noise(
             PRIOR, batch, SIMULATOR, rounds=2, seed=seed, options=OPTIONS, warn=False
@@ -153,7 +154,7 @@ def test_that_intervals_over_the_noise_cover_where_plugged_in_ones_are_narrower(
             sds.append(sd)
         wider.append(sds[1] / sds[0])
     share = {kind: sum(found) / len(found) for kind, found in inside.items()}
-    assert 0.82 <= share["integrated"] <= 0.98  # 120 intervals: .9 +- .027 by chance
+    assert 0.8 <= share["integrated"] <= 0.98  # 60 intervals: .9 +- .04 by chance
     assert share["plugged"] <= share["integrated"]
     assert float(torch.stack(wider).median()) > 1.01
 
@@ -174,7 +175,7 @@ def test_that_intervals_beside_residuals_that_drift_hold_and_those_of_independen
     None
 ):
     inside: dict[str, list[bool]] = {"independent": [], "widened": []}
-    for seed in range(40):
+    for seed in range(20):
         batch, gel = drifting(seed)
         fits = assimilate_estimating_noise(
             PRIOR, batch, Slow(), rounds=2, seed=seed, options=OPTIONS, warn=False

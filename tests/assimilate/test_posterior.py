@@ -8,10 +8,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import Point, Posterior
+from imr_torch.assimilate import Point, Posterior, SearchOptions, assimilate
 from imr_torch.observe import ExperimentBatch, Nuisance, predict
 from imr_torch.random import generator
 from imr_torch.simulate import PolytropicSimulator, TransportSimulator
+from tests.curved import CurvedSimulator, quadrature
 from tests.linear import (
     CORRELATED,
     MEANS,
@@ -72,7 +73,7 @@ def test_that_a_newton_step_from_anywhere_ends_at_the_exact_posterior_of_a_linea
     truth = exact(posterior.prior, posterior.batch)
     point = points(posterior, 4)
     equations = posterior.neighbourhood(point).equations
-    gel, nuisances = equations.step(torch.zeros(4, dtype=torch.float64))
+    gel, nuisances = equations.step
     torch.testing.assert_close(point.gel + gel, truth.mean.expand(4, -1), rtol=0.0, atol=1e-6)
     torch.testing.assert_close(
         point.nuisances + nuisances, truth.nuisances.expand(4, -1, -1), rtol=0.0, atol=1e-6
@@ -113,18 +114,28 @@ def test_that_the_gradient_is_that_of_the_log_joint(simulator) -> None:
         assert float(cost[1] - cost[2]) / 2e-4 == pytest.approx(float(expected), rel=1e-3, abs=1e-3)
 
 
-def test_that_slopes_are_the_same_in_any_scale_and_behind_any_leader() -> None:
+def test_that_slopes_are_the_same_behind_any_leader() -> None:
     posterior = linear(experiments(3, nuisance=BOTH))
     point = points(posterior, 2)
-    other = points(posterior, 3)[1:]
-    plain = posterior.neighbourhood(point)
-    turned = torch.tensor([[0.2, 0.5], [-0.1, 0.4]], dtype=torch.float64).expand(2, 2, 2)
-    for near in (
-        posterior.neighbourhood(point, turned),
-        posterior.neighbourhood(point, leader=other),
-    ):
-        for one, two in zip(plain.slopes, near.slopes, strict=True):
-            torch.testing.assert_close(one, two, rtol=1e-6, atol=1e-8)
+    near = posterior.neighbourhood(point, leader=points(posterior, 3)[1:])
+    for one, two in zip(posterior.neighbourhood(point).slopes, near.slopes, strict=True):
+        torch.testing.assert_close(one, two, rtol=1e-6, atol=1e-8)
+
+
+@pytest.mark.parametrize("nuisance", [None, BOTH])
+def test_that_flat_coordinates_lead_back_and_the_jacobian_is_of_them(nuisance) -> None:
+    """The columns of one experiment's nuisances are zero in all others."""
+    posterior = linear(experiments(3, nuisance=nuisance))
+    point = points(posterior, 1)[0]
+    flat = posterior.flat(point)
+    assert len(flat) == 2 + (6 if nuisance else 0)
+    torch.testing.assert_close(posterior.flat(posterior.place(flat)), flat, rtol=0.0, atol=0.0)
+    step = 0.1 * torch.arange(1.0, len(flat) + 1.0, dtype=torch.float64)
+    moved = posterior.predict(posterior.place(flat + step)) - posterior.predict(
+        posterior.place(flat)
+    )
+    jacobian = posterior.neighbourhood(posterior.place(flat)).jacobian
+    torch.testing.assert_close(torch.tensordot(step, jacobian, 1), moved, rtol=1e-5, atol=1e-6)
 
 
 def test_that_a_neighbour_that_fails_tells_nothing_and_the_others_do() -> None:
@@ -169,3 +180,34 @@ def test_that_certain_nuisances_are_not_simulated() -> None:
 
 def assert_zero(values: Tensor) -> None:
     assert float(values.abs().max()) == 0.0
+
+
+def test_that_the_log_joint_can_be_sampled_by_hamiltonian_monte_carlo() -> None:
+    """As docs/howto/other_tools.md does it: a banana, of which the Gaussian about the fit is a fifth
+    of a standard deviation off.
+    """
+    infer = pytest.importorskip("pyro.infer", reason="needs the extra nuts")
+    simulator = CurvedSimulator(1.5)
+    batch = experiments(1)
+    options = SearchOptions(raw_samples=24)
+    fit = assimilate(prior(("nhkv",)), batch, simulator, seed=1, options=options).fits[0]
+    posterior = Posterior(fit.prior, batch, simulator)
+    middle = posterior.flat(fit.point)
+    chol = fit.joint_chol(posterior.uncertain)
+
+    def cost(point: dict[str, Tensor]) -> Tensor:
+        return -posterior.log_joint(posterior.place(middle + point["u"] @ chol.mT)).sum()
+
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        start = 0.5 * torch.randn(32, len(middle), dtype=torch.float64)
+        kernel = infer.NUTS(potential_fn=cost, adapt_mass_matrix=False, max_tree_depth=4)
+        run = infer.MCMC(
+            kernel, 60, warmup_steps=30, initial_params={"u": start}, disable_progbar=True
+        )
+        run.run()
+    gels = posterior.place(middle + run.get_samples()["u"] @ chol.mT).gel.flatten(0, 1)
+    truth = quadrature(fit, batch, simulator)
+    sds = truth.covariance.diagonal().sqrt()
+    assert float(((gels.mean(0) - truth.mean) / sds).abs().max()) < 0.15
+    assert float(((fit.mean - truth.mean) / sds).abs().max()) > 0.2

@@ -5,16 +5,16 @@ and no more.
 import pytest
 import torch
 
-from imr_torch.assimilate import SearchOptions, Verdict, assimilate, weigh
+from imr_torch.assimilate import Posterior, SearchOptions, Verdict, assimilate, weigh
 from imr_torch.assimilate.ridge import trace_ridge
 from imr_torch.observe import Nuisance
-from tests.curved import CurvedSimulator, quadrature
+from tests.curved import CurvedSimulator, mean_error, quadrature, sd_error
 from tests.linear import LinearSimulator, experiments, prior
 
 OPTIONS = SearchOptions(raw_samples=24)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("bend", [0.5, 1.5])
 def test_that_a_bent_posterior_is_covered_to_its_ends(bend: float, seed: int) -> None:
     """G all but mute, so that its posterior is as wide as its prior, and mu bends along it, by up to ten times its width."""
@@ -31,8 +31,8 @@ def test_that_a_bent_posterior_is_covered_to_its_ends(bend: float, seed: int) ->
     assert sample.rounds <= 3
     assert sample.effective_samples > 100.0
     sds, found = (c.diagonal().sqrt() for c in (truth.covariance, sample.covariance))
-    assert bool(((sample.mean - truth.mean).abs() < 4.0 * sample.mean_error).all())
-    assert bool(((found - sds).abs() < 4.0 * sample.sd_error).all())
+    assert bool(((sample.mean - truth.mean).abs() < 4.0 * mean_error(sample)).all())
+    assert bool(((found - sds).abs() < 4.0 * sd_error(sample)).all())
     assert sample.log_evidence == pytest.approx(
         truth.log_evidence, abs=4.0 * sample.log_evidence_error
     )
@@ -43,7 +43,7 @@ def test_that_the_proposal_for_a_gaussian_is_made_for_that_gaussian() -> None:
         prior(("newtonian", "gen_qkv")), experiments(2), LinearSimulator(), seed=1, options=OPTIONS
     ).fits
     for fit in fits:
-        proposal = trace_ridge(fit, experiments(2), LinearSimulator())
+        proposal = trace_ridge(fit, Posterior(fit.prior, experiments(2), LinearSimulator()))
         torch.testing.assert_close(proposal.mean, fit.mean, atol=1e-2, rtol=0.0)
         torch.testing.assert_close(
             proposal.chol @ proposal.chol.mT, fit.chol @ fit.chol.mT, rtol=0.02, atol=0.02
@@ -56,7 +56,7 @@ def test_that_nuisances_go_along_the_ridge() -> None:
     simulator = CurvedSimulator(0.7, mute=0.1)
     batch = experiments(2, nuisance=nuisance)
     fits = assimilate(prior(("nhkv",)), batch, simulator, seed=1, options=OPTIONS)
-    proposal = trace_ridge(fits.fits[0], batch, simulator)
+    proposal = trace_ridge(fits.fits[0], Posterior(fits.fits[0].prior, batch, simulator))
     assert float(proposal.weights[0]) < 2e-3
     assert float(proposal.weights[-2]) < 2e-3
     assert weigh(fits, simulator, seed=0).fits[0].sample.reliable
@@ -65,11 +65,13 @@ def test_that_nuisances_go_along_the_ridge() -> None:
 def test_that_failing_bubbles_end_one_side() -> None:
     batch = experiments(2)
     (fit,) = assimilate(prior(("nhkv",)), batch, LinearSimulator(), seed=1, options=OPTIONS).fits
-    whole = trace_ridge(fit, batch, LinearSimulator())
+    whole = trace_ridge(fit, Posterior(fit.prior, batch, LinearSimulator()))
     top = float(fit.parameters(fit.mean)[0])
-    one_sided = trace_ridge(fit, batch, LinearSimulator(limit={"G": 1.001 * top}))
+    one_sided = trace_ridge(
+        fit, Posterior(fit.prior, batch, LinearSimulator(limit={"G": 1.001 * top}))
+    )
     assert 3 < len(one_sided.centres) < len(whole.centres)
-    none = trace_ridge(fit, batch, LinearSimulator(fails=True))
+    none = trace_ridge(fit, Posterior(fit.prior, batch, LinearSimulator(fails=True)))
     torch.testing.assert_close(none.centres, fit.mean[None])
 
 

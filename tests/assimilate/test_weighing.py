@@ -5,10 +5,18 @@ from dataclasses import replace
 import pytest
 import torch
 
-from imr_torch.assimilate import Assimilation, SearchOptions, Verdict, assimilate, weigh, weighing
+from imr_torch.assimilate import (
+    Assimilation,
+    Posterior,
+    SearchOptions,
+    Verdict,
+    assimilate,
+    weigh,
+    weighing,
+)
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.observe import ExperimentBatch, Nuisance
-from tests.curved import CurvedSimulator, quadrature
+from tests.curved import CurvedSimulator, mean_error, quadrature, sd_error
 from tests.linear import NOISE, LinearSimulator, exact, experiments, prior, tensor
 
 OPTIONS = SearchOptions(raw_samples=24)
@@ -69,9 +77,9 @@ def test_that_a_wrong_gaussian_is_repaired_to_the_exact_posterior(
     assert right.verdict is Verdict.REPAIRED
     assert "repaired" in right.trust
     assert sample.rounds > 1 or width > 1.0
-    assert bool(((sample.mean - truth.mean).abs() < 4.0 * sample.mean_error).all())
+    assert bool(((sample.mean - truth.mean).abs() < 4.0 * mean_error(sample)).all())
     sds = truth.covariance.diagonal().sqrt()
-    assert bool(((sample.covariance.diagonal().sqrt() - sds).abs() < 4.0 * sample.sd_error).all())
+    assert bool(((sample.covariance.diagonal().sqrt() - sds).abs() < 4.0 * sd_error(sample)).all())
     assert sample.log_evidence == pytest.approx(
         truth.log_evidence, abs=5.0 * sample.log_evidence_error
     )
@@ -101,7 +109,7 @@ def test_that_nuisances_are_integrated_out_even_where_their_gaussian_is_wrong(
     wrong = changed(simple, nuisance_chol=simple.fits[0].nuisance_chol / width)
     truth = exact(simple.prior.models[0], simple.batch)
     sample = weigh(wrong, LinearSimulator(), seed=0, samples=2048, rounds=1).fits[0].sample
-    assert bool(((sample.mean - truth.mean).abs() < 4.0 * sample.mean_error).all())
+    assert bool(((sample.mean - truth.mean).abs() < 4.0 * mean_error(sample)).all())
     assert sample.log_evidence == pytest.approx(
         truth.log_evidence, abs=4.0 * sample.log_evidence_error
     )
@@ -114,8 +122,7 @@ def test_that_kept_nuisances_are_draws_of_their_posterior(simple: Assimilation) 
     truth = exact(simple.prior.models[0], simple.batch)
     mean = (sample.weights[:, None, None] * sample.nuisances).sum(0)
     torch.testing.assert_close(mean, truth.nuisances, rtol=0.0, atol=0.1)
-    still = sample.nuisances[:, :, 0]  # Rmax is known here: its control stays a draw of its prior
-    assert float(still.std()) == pytest.approx(1.0, abs=0.05)
+    assert float(sample.nuisances[:, :, 0].abs().max()) == 0.0  # Rmax is known here
 
 
 @pytest.mark.parametrize("bend", [0.0, 0.5, 1.5])
@@ -126,9 +133,9 @@ def test_that_moments_of_a_curved_posterior_equal_quadrature(bend: float) -> Non
     truth = quadrature(fit, batch, simulator)
     sample = fit.sample
     assert fit.verdict is (Verdict.REPAIRED if bend else Verdict.TRUSTED)
-    assert bool(((sample.mean - truth.mean).abs() < 4.0 * sample.mean_error).all())
+    assert bool(((sample.mean - truth.mean).abs() < 4.0 * mean_error(sample)).all())
     sds = truth.covariance.diagonal().sqrt()
-    assert bool(((sample.covariance.diagonal().sqrt() - sds).abs() < 4.0 * sample.sd_error).all())
+    assert bool(((sample.covariance.diagonal().sqrt() - sds).abs() < 4.0 * sd_error(sample)).all())
     assert sample.log_evidence == pytest.approx(
         truth.log_evidence, abs=4.0 * sample.log_evidence_error
     )
@@ -296,8 +303,9 @@ def test_that_a_third_round_has_more_nuisances_where_the_second_lost_most_of_its
     )
     state = weighing._State(
         replace(fit, sample=sample),
+        Posterior(fit.prior, simple.batch, LinearSimulator()),
         proposals=[weighing.Kernels.about(fit.mean, fit.chol)],
         parts=[None, None],
     )
-    drawn = weighing._draw(state, simple.batch, 256, 0, LinearSimulator())
+    drawn = weighing._draw(state, 256, 0)
     assert drawn.nuisances.shape == (256, kept, 3, 3)

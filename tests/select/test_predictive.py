@@ -3,13 +3,12 @@
 import math
 
 import pytest
-import torch
 
 from imr_torch.assimilate import Assimilation, SearchOptions, assimilate, weigh
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch, Nuisance
-from imr_torch.select import cross_validate, default_folds, predictive_density, sum_over_folds
+from imr_torch.select import cross_validate, default_folds, sum_over_folds
 from tests.linear import NOISE, LinearSimulator, exact, experiments, prior, tensor
 
 OPTIONS = SearchOptions(raw_samples=24)
@@ -105,22 +104,6 @@ def test_that_the_error_of_a_score_is_its_scatter_over_seeds() -> None:
     errors = tensor(*[r.error for r in runs])
     assert not any(r.refitted for r in runs)
     assert float(values.std()) == pytest.approx(float(errors.square().mean().sqrt()), rel=0.3)
-
-
-@pytest.mark.parametrize("odds", [(0.5, 0.5), (0.9, 0.1)])
-def test_that_the_predictive_density_of_a_belief_is_that_of_its_mixture_of_models(
-    odds: tuple[float, float],
-) -> None:
-    belief = Belief(prior(("nhkv", "gen_qkv"), correlated=True).models, tensor(*odds).log())
-    batch = experiments(2, nuisance=BOTH)
-    value, error = predictive_density(
-        belief, batch, LinearSimulator(), seed=0, samples=1024, options=OPTIONS
-    )
-    logs = tensor(*[exact(part, batch).log_evidence for part in belief.models])
-    assert value == pytest.approx(
-        float(torch.logsumexp(belief.log_probabilities + logs, dim=0)), abs=4.0 * error
-    )
-    assert error < 0.02
 
 
 @pytest.mark.parametrize("fold", [[], [0, 1, 2], [3], [-1]])
