@@ -8,9 +8,9 @@ takes from the errors of many designs the part that all of them share.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Float, Int
@@ -35,8 +35,6 @@ class InformationGain:
         bias: how far finite inner sums raise the value, to first order; None for other methods. It
             grows with the curvature of posteriors that the samples did not see, so compare two
             sizes of ``inner``.
-        effective: inner draws that effectively carry an evidence (Kish 1965), mean over data; near
-            1 the value is a bound.
         model_variance: Monte Carlo variance of the gain about the model alone.
         parameters_variance: Monte Carlo variance of the gain about the parameters alone.
         influence: influence of each draw on ``(parameters, model)``, nats; empty if the estimator
@@ -53,7 +51,6 @@ class InformationGain:
     counted: int
     drawn: int
     bias: float | None = None
-    effective: float | None = None
     model_variance: float = 0.0
     parameters_variance: float = 0.0
     influence: tuple[tuple[float, float], ...] = field(default=(), repr=False)
@@ -67,6 +64,12 @@ class InformationGain:
     def value(self) -> float:
         """The whole gain; NaN when the evaluation failed."""
         return math.nan if self.failed else self.parameters + self.model
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> "InformationGain":
+        """Inverse of ``dataclasses.asdict``, after JSON."""
+        influence = tuple((a, b) for a, b in values["influence"])
+        return cls(**{**values, "influence": influence})
 
     def only(self, target: Target) -> "InformationGain":
         """The gain about the parameters alone, about the model alone, or unchanged (``"both"``)."""
@@ -148,7 +151,6 @@ def summarise(
     *,
     shared: Float[Tensor, "samples 2"] | None = None,
     bias: float | None = None,
-    effective: float | None = None,
 ) -> InformationGain:
     """The gain of independent strata, one per model.
 
@@ -156,7 +158,6 @@ def summarise(
         terms: one per model.
         shared: influence of samples that all data share.
         bias: of the whole.
-        effective: inner draws that carry an evidence.
     """
     means = torch.tensor([t.mean() for t in terms], dtype=torch.float64)
     weights = torch.tensor([t.weight for t in terms], dtype=torch.float64)
@@ -165,7 +166,7 @@ def summarise(
     counted = sum(len(t.parameters) for t in terms)
     drawn = sum(len(t.order) for t in terms)
     return with_influence(
-        InformationGain(parameters, model, 0.0, counted, drawn, bias, effective), torch.cat(parts)
+        InformationGain(parameters, model, 0.0, counted, drawn, bias), torch.cat(parts)
     )
 
 

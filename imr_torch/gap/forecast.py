@@ -40,7 +40,7 @@ from imr_torch.observe import ExperimentBatch, Nuisance, predict
 from imr_torch.random import generator
 from imr_torch.simulate import Simulator
 
-_REFINEMENTS, _CLOSE, _BEHIND = 3, 0.5, 30.0  # as in the estimator of the gain about the model
+_REFINEMENTS, _BEHIND = 3, 30.0  # as in the estimator of the gain about the model
 _LAWS = {name for step in law_steps() for name in step}
 _LARGEST = 30.0  # sd that a generic stress law changes the data by, at most; it has no typical size
 
@@ -307,19 +307,10 @@ def _nearest(data: Data, own: Tensor, drawn: Drawn, cause: int, shot: Shot) -> R
     gels = drawn.parts[cause]
     rows = drawn.rows[cause]
     others = drawn.outside(cause)
-    start, _ = best_starts(data[others], gels, shot)
+    start = best_starts(data[others], gels, shot)
     part = shot.belief.models[0]
     floor = own[others] - _BEHIND
-    found = refine(
-        data[others],
-        gels[start],
-        shot,
-        part,
-        _REFINEMENTS,
-        close=_CLOSE,
-        both_lengths=False,
-        floor=floor,
-    )
+    found = refine(data[others], gels[start], shot, part, _REFINEMENTS, floor=floor)
     every = gels[torch.zeros(len(data), dtype=torch.long)]
     return every.replaced(torch.arange(rows.start, rows.stop), gels).replaced(others, found)
 
