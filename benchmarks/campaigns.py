@@ -19,12 +19,13 @@ import torch
 from torch import Tensor
 
 from benchmarks.records import Figure, Line, run_missing_jobs, write_figures
-from imr_torch.campaign import CampaignSettings, Optimal, Study
+from imr_torch.campaign import Campaign, CampaignSettings, Optimal
 from imr_torch.design import Laplace, Plan
 from imr_torch.design.likelihood import Data, infer
 from imr_torch.design.response import Shot, respond
 from imr_torch.material import CASES, PARAMETERS, Belief, ReferenceCase, reference_case
-from imr_torch.observe import SimulatedLaboratory
+from imr_torch.observe import Experiment, SimulatedLaboratory
+from imr_torch.random import child
 from imr_torch.simulate import Accuracy, TransportSimulator
 
 PLAN = Plan(repeats=100)
@@ -38,11 +39,15 @@ def run_campaign(case: ReferenceCase, seed: int, designs: int) -> Line:
     laboratory = SimulatedLaboratory(SIMULATOR, gel, noise=PLAN.noise, repeats=PLAN.repeats)
     settings = CampaignSettings(plan=PLAN, policy=SEARCH)
     seconds = []
+
+    def shoot(design: Tensor, number: int) -> Experiment:
+        return laboratory.shoot(design, seed=child(seed, "shoot", number))
+
     with TemporaryDirectory() as folder:
-        study = Study(Path(folder), case.prior, SIMULATOR, laboratory, settings)
+        campaign = Campaign(folder, case.prior, SIMULATOR, settings=settings, seed=seed)
         for count in range(1, designs + 1):
             started = time.process_time()
-            campaign = study.run(seed, count)
+            campaign.run(shoot, count)
             seconds.append(time.process_time() - started)
     shot = torch.tensor([e.design for e in campaign.experiments], dtype=torch.float64)
     parts = [step.belief[case.truth_model] for step in campaign.steps]

@@ -182,12 +182,6 @@ class TellCausesApart:
             situation.number, found.design, found.gain, found.error, reason=_expectation(found)
         )
 
-    def rebuild(self, record: object, space: object, seed: int) -> None:
-        """See :class:`imr_torch.campaign.DesignPolicy`.
-
-        No search by a surrogate stands behind a design.
-        """
-
     def _apart(
         self, report: GapReport, situation: Situation, progress: Progress | None
     ) -> NextDesign | None:

@@ -7,14 +7,13 @@ integrated out exactly (Lindley & Smith, JRSS B 34, 1972). No inverse of ``A`` o
 a shot may leave a direction open, and a scatter may be zero.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from imr_torch.assimilate import ModelFit
 from imr_torch.material import ModelBelief
 
 
@@ -41,39 +40,22 @@ class GaussianShots:
     constant: Float[Tensor, "experiments"]
 
     @classmethod
-    def of_fits(cls, fits: Sequence[ModelFit], evidence: Sequence[float]) -> "GaussianShots":
-        """The Gaussians of fits, one a shot, their prior divided out.
-
-        Args:
-            fits: of one model and prior.
-            evidence: log evidence of each shot under that prior, nats.
-        """
-        prior = fits[0].prior
-        precisions = []
-        linears = []
-        for fit in fits:
-            covariance = prior.chol @ fit.chol @ fit.chol.mT @ prior.chol.mT
-            precision, linear = without_prior(prior.unwhitened(fit.mean), covariance, prior)
-            precisions.append(precision)
-            linears.append(linear)
-        shots = cls(
-            torch.stack(precisions),
-            torch.stack(linears),
-            torch.zeros(len(fits), dtype=torch.float64),
-        )
-        still = torch.zeros(1, len(prior.mean), dtype=torch.float64)
-        inverse = torch.cholesky_inverse(prior.chol)
-        alone = [
-            shots[e : e + 1].given(still, prior.mean, inverse).evidence for e in range(len(fits))
-        ]
+    def none(cls, size: int) -> "GaussianShots":
+        """No shot yet, of gels with ``size`` controls."""
         return cls(
-            shots.precision,
-            shots.linear,
-            torch.tensor(evidence, dtype=torch.float64) - torch.cat(alone),
+            torch.zeros(0, size, size, dtype=torch.float64),
+            torch.zeros(0, size, dtype=torch.float64),
+            torch.zeros(0, dtype=torch.float64),
         )
 
-    def __getitem__(self, rows: slice) -> "GaussianShots":
-        return GaussianShots(self.precision[rows], self.linear[rows], self.constant[rows])
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready, without loss."""
+        return {name: values.tolist() for name, values in vars(self).items()}
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> "GaussianShots":
+        """Inverse of :meth:`to_dict`."""
+        return cls(**{k: torch.tensor(v, dtype=torch.float64) for k, v in values.items()})
 
     def given(
         self,

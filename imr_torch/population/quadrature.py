@@ -5,9 +5,7 @@ The cells of the grid are those that :mod:`imr_torch.population.sampling` propos
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
 
 import torch
 from jaxtyping import Float
@@ -105,28 +103,3 @@ def half_normal(
         - scale.log()
         - 0.5 * (values / scale).square()
     ).sum(1)
-
-
-def any_scatter(
-    shots: GaussianShots, prior: ModelBelief, scale: Float[Tensor, "controls"]
-) -> float:
-    """Log evidence that some of the scatters are not zero: the mean over all sets of parameters
-    that may vary, nats.
-
-    Args:
-        shots: the shots.
-        prior: of the population's centre.
-        scale: of the prior of each scatter; 0 where it does not vary.
-    """
-    varying = torch.nonzero(scale)[:, 0].tolist()
-    logs = []
-    for which in _sets(varying):
-        some = torch.zeros_like(scale)
-        some[list(which)] = scale[list(which)]
-        logs.append(cells(shots, prior, some).log_evidence)
-    return float(torch.logsumexp(torch.tensor(logs, dtype=torch.float64), 0)) - math.log(len(logs))
-
-
-def _sets(columns: Sequence[int]) -> list[tuple[int, ...]]:
-    """All sets of at least one column."""
-    return [which for size in range(1, len(columns) + 1) for which in combinations(columns, size)]
