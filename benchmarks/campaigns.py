@@ -72,14 +72,15 @@ def bound_errors(case: ReferenceCase, designs: Tensor) -> Tensor:
     part = case.prior[case.truth_model]
     true = torch.tensor([case.truth[name] for name in part.names], dtype=torch.float64)
     belief = Belief((part,), torch.zeros(1, dtype=torch.float64))
-    with torch.no_grad():
-        seen = respond(Shot(belief, designs, SIMULATOR, PLAN), part, part.to_controls(true)[None])
-    each = (seen.of_design(number) for number in range(len(designs)))
-    chols = torch.stack(
-        [infer(Data(one.radius, PLAN.window(one.radius)), one, PLAN).chol[0] for one in each]
-    )
-    prior = torch.eye(chols.shape[-1], dtype=torch.float64)
-    known = prior + (chols @ chols.mT - prior).cumsum(0)
+    gel = part.to_controls(true)[None]
+    chols = []
+    for design in designs.split(1):
+        with torch.no_grad():
+            seen = respond(Shot(belief, design, SIMULATOR, PLAN), part, gel)
+        chols.append(infer(Data(seen.radius, PLAN.window(seen.radius)), seen, PLAN).chol[0])
+    known = torch.stack(chols)
+    prior = torch.eye(len(part.names), dtype=torch.float64)
+    known = prior + (known @ known.mT - prior).cumsum(0)
     return torch.linalg.inv(known).diagonal(dim1=-2, dim2=-1).sqrt()
 
 

@@ -13,6 +13,7 @@ pickles) and the line holds their SHA-256.
 import hashlib
 import json
 import os
+import socket
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -20,8 +21,8 @@ from typing import Any
 
 import numpy as np
 import torch
+from filelock import FileLock, Timeout
 
-from imr_torch.campaign.lock import FolderLock
 from imr_torch.errors import InputDataError
 from imr_torch.files import remove_temporaries, write_atomically
 from imr_torch.observe import Experiment, Nuisance
@@ -61,6 +62,56 @@ def curve_hash(experiment: Experiment) -> str:
     for values in (experiment.times, experiment.radius):
         digest.update(values.detach().cpu().contiguous().numpy().astype("<f8").tobytes())
     return digest.hexdigest()
+
+
+class FolderLock:
+    """The lock of a folder; it may be taken again by the thread that holds it.
+
+    Args:
+        folder: made when the lock is first taken.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._owner = folder / ".journal.owner"
+        self._lock: FileLock | None = None
+
+    @contextmanager
+    def held(self) -> Iterator[bool]:
+        """Hold the lock; yields whether it was taken here, and not before.
+
+        Raises:
+            InputDataError: if another process, or another object of this one, holds it.
+        """
+        if self._lock is None:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            self._lock = FileLock(self.folder / ".journal.lock", timeout=0)
+        outermost = not self._lock.is_locked
+        try:
+            self._lock.acquire()
+        except Timeout:
+            raise InputDataError(
+                f"{self.folder} is in use by {self._holder()}; wait until it has ended, or give "
+                "another folder."
+            ) from None
+        try:
+            if outermost:
+                with suppress(OSError):  # the name of the owner only serves the message
+                    self._owner.write_text(f"process {os.getpid()} on {socket.gethostname()}")
+            yield outermost
+        finally:
+            if outermost:
+                with suppress(OSError):
+                    self._owner.unlink()
+            self._lock.release()
+
+    def _holder(self) -> str:
+        """What is known of the process that holds the lock."""
+        try:
+            name = self._owner.read_text().strip()
+        except (OSError, ValueError):
+            name = ""
+        return f"another campaign ({name})" if name else "another process"
 
 
 class Journal:

@@ -35,8 +35,6 @@ class InformationGain:
         bias: how far finite inner sums raise the value, to first order; None for other methods. It
             grows with the curvature of posteriors that the samples did not see, so compare two
             sizes of ``inner``.
-        model_variance: Monte Carlo variance of the gain about the model alone.
-        parameters_variance: Monte Carlo variance of the gain about the parameters alone.
         influence: influence of each draw on ``(parameters, model)``, nats; empty if the estimator
             does not say.
 
@@ -51,8 +49,6 @@ class InformationGain:
     counted: int
     drawn: int
     bias: float | None = None
-    model_variance: float = 0.0
-    parameters_variance: float = 0.0
     influence: tuple[tuple[float, float], ...] = field(default=(), repr=False)
 
     @property
@@ -64,6 +60,16 @@ class InformationGain:
     def value(self) -> float:
         """The whole gain; NaN when the evaluation failed."""
         return math.nan if self.failed else self.parameters + self.model
+
+    @property
+    def parameters_variance(self) -> float:
+        """Monte Carlo variance of the gain about the parameters alone, by the influences."""
+        return sum(parameters**2 for parameters, _ in self.influence)
+
+    @property
+    def model_variance(self) -> float:
+        """Monte Carlo variance of the gain about the model alone, by the influences."""
+        return sum(model**2 for _, model in self.influence)
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> "InformationGain":
@@ -77,21 +83,10 @@ class InformationGain:
             return self
         if target == "model":
             influence = tuple((0.0, model) for _, model in self.influence)
-            return replace(
-                self,
-                parameters=0.0,
-                variance=self.model_variance,
-                parameters_variance=0.0,
-                influence=influence,
-            )
+            variance = self.model_variance
+            return replace(self, parameters=0.0, variance=variance, influence=influence)
         influence = tuple((parameters, 0.0) for parameters, _ in self.influence)
-        return replace(
-            self,
-            model=0.0,
-            variance=self.parameters_variance,
-            model_variance=0.0,
-            influence=influence,
-        )
+        return replace(self, model=0.0, variance=self.parameters_variance, influence=influence)
 
 
 @dataclass(frozen=True)
@@ -171,14 +166,11 @@ def summarise(
 
 
 def with_influence(gain: InformationGain, influence: Float[Tensor, "draws 2"]) -> InformationGain:
-    """The gain with the influence of each draw (``n x 2``) and the variances that follow from it."""
-    of_parameters, of_model = influence.square().sum(0).tolist()
+    """The gain with the influence of each draw (``n x 2``) and the variance that follows from it."""
     known = bool(torch.isfinite(influence).all())
     return replace(
         gain,
         variance=float(influence.sum(1).square().sum()),
-        parameters_variance=of_parameters,
-        model_variance=of_model,
         influence=tuple((a, b) for a, b in influence.tolist()) if known else (),
     )
 

@@ -85,10 +85,8 @@ class GaussianShots:
             - chol.diagonal(dim1=-2, dim2=-1).log().sum(-1)
             + 0.5 * (b * moved).sum(-1)
         )
-        linear = b - (A @ moved[..., None])[..., 0]
-        by_shot = A - A @ covariance @ A
-        total = precision + by_shot.sum(1)
-        slope = precision @ mean + linear.sum(1)
+        total = precision + (A - A @ covariance @ A).sum(1)
+        slope = precision @ mean + (b - (A @ moved[..., None])[..., 0]).sum(1)
         total_chol = torch.linalg.cholesky(total)
         centre = torch.cholesky_solve(slope[..., None], total_chol)[..., 0]
         evidence = (
@@ -98,9 +96,7 @@ class GaussianShots:
             + 0.5 * torch.logdet(precision)
             - 0.5 * mean @ precision @ mean
         )
-        return GivenScatter(
-            self, evidence, centre, total_chol, covariance, factor, constant, linear, by_shot
-        )
+        return GivenScatter(self, evidence, centre, total_chol, covariance, factor)
 
 
 @dataclass(frozen=True)
@@ -114,10 +110,6 @@ class GivenScatter:
         chol: Cholesky factor of their posterior precision.
         covariance: of each shot's controls given the population's.
         factor: a square root of it.
-        constant: with ``linear`` and ``by_shot`` the likelihood of each shot as a function of the
-            centre.
-        linear: ``n x E x d`` tensor.
-        by_shot: ``n x E x d x d`` tensor.
     """
 
     shots: GaussianShots
@@ -126,14 +118,6 @@ class GivenScatter:
     chol: Float[Tensor, "draws controls controls"]
     covariance: Float[Tensor, "draws experiments controls controls"]
     factor: Float[Tensor, "draws experiments controls controls"]
-    constant: Float[Tensor, "draws experiments"]
-    linear: Float[Tensor, "draws experiments controls"]
-    by_shot: Float[Tensor, "draws experiments controls controls"]
-
-    def log_likelihood(self, centre: Float[Tensor, "draws controls"]) -> Float[Tensor, "draws"]:
-        """Log density of all data given the population's controls (``n x d``), nats: ``n`` tensor."""
-        square = (centre[:, None] * (self.by_shot @ centre[:, None, :, None])[..., 0]).sum(-1)
-        return (self.constant + (self.linear * centre[:, None]).sum(-1) - 0.5 * square).sum(1)
 
     def shot_means(
         self, centre: Float[Tensor, "draws controls"]

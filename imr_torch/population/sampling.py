@@ -195,12 +195,10 @@ def _given(
         given.centre
         + torch.linalg.solve_triangular(given.chol.mT, noise[..., None], upper=True)[..., 0]
     )
-    log_proposal = student_log_prob(noise.square().sum(1), size, _FREEDOM) + given.chol.diagonal(
-        dim1=-2, dim2=-1
-    ).log().sum(-1)
-    log_weights = (
-        given.log_likelihood(centre) + problem.prior.log_prob_controls(centre) - log_proposal
-    )
+    square = noise.square().sum(1)
+    # evidence times the Gaussian posterior of the centre, over the proposal of it
+    log_normal = -0.5 * (square + size * math.log(2.0 * math.pi))
+    log_weights = given.evidence + log_normal - student_log_prob(square, size, _FREEDOM)
     means = given.shot_means(centre)
     shots = []
     missed = []
