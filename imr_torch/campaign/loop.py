@@ -414,9 +414,9 @@ class Campaign:
                 belief=inference.belief.to_dict(),
                 evidence=without_nonfinite([asdict(e) for e in inference.evidence])[0],
                 noise=vars(inference.noise) if inference.noise else None,
-                **({"finding": asdict(inference.finding)} if inference.finding else {}),
-                **({"population": inference.population} if inference.population else {}),
-                **({"shots": inference.shots.to_dict()} if inference.shots else {}),
+                finding=asdict(inference.finding) if inference.finding else None,
+                population=inference.population,
+                shots=inference.shots.to_dict() if inference.shots else None,
                 **inference.record,
             )
         self.steps[-1] = replace(self.steps[-1], assimilation=inference.assimilation)

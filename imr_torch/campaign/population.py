@@ -101,6 +101,7 @@ class PopulationLearner:
             ShotLikelihood.of(fit.batch.experiments[0].label, fit.fits[0]) for fit in fits
         )
         problem = Problem(shots, part, self.scales(part))
+        noise = fits[0].batch.noise
         population = None
         if len(fits) > 1:
             found = infer_population(fits, scale=self.scale, seed=own)
@@ -113,7 +114,7 @@ class PopulationLearner:
         median = part.with_gaussian(mean, torch.linalg.cholesky(away.mT @ away))
         return Inference(
             Belief((median,), torch.zeros(1, dtype=torch.float64)),
-            noise=fits[0].batch.noise if self.noise_rounds else None,
+            noise=noise if self.noise_rounds else None,
             population=population,
             shots=problem.gaussian,
         )

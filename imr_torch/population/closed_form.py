@@ -143,6 +143,11 @@ def without_prior(
         prior: what is divided out.
     """
     before = torch.cholesky_inverse(prior.chol)
-    values, vectors = torch.linalg.eigh(torch.linalg.inv(covariance) - before)
-    precision = (vectors * values.clamp_min(0.0)) @ vectors.mT
+    precision = positive_part(torch.linalg.inv(covariance) - before)
     return precision, precision @ mean + before @ (mean - prior.mean)
+
+
+def positive_part(matrix: Float[Tensor, "controls controls"]) -> Float[Tensor, "controls controls"]:
+    """A symmetric matrix with its negative eigenvalues replaced by zero."""
+    values, vectors = torch.linalg.eigh(matrix)
+    return (vectors * values.clamp_min(0.0)) @ vectors.mT

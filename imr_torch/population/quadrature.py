@@ -4,12 +4,12 @@ draw, to first order.
 The cells of the grid are those that :mod:`imr_torch.population.sampling` proposes scatters from.
 """
 
-import math
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.distributions import HalfNormal
 
 from imr_torch.material import ModelBelief
 from imr_torch.population.closed_form import GaussianShots
@@ -85,21 +85,9 @@ def cells(shots: GaussianShots, prior: ModelBelief, scale: Float[Tensor, "contro
         low = width = torch.zeros(1, 0, dtype=torch.float64)
     middle = torch.zeros(len(low), size, dtype=torch.float64)
     middle[:, varying] = low + 0.5 * width
-    log_prior = half_normal(middle[:, varying], scale[varying]) + width.log().sum(1)
+    log_prior = HalfNormal(scale[varying]).log_prob(middle[:, varying]).sum(1) + width.log().sum(1)
     precision = torch.cholesky_inverse(prior.chol)
     evidence = torch.cat(
         [shots.given(rows, prior.mean, precision).evidence for rows in middle.split(_CHUNK)]
     )
     return Cells(low, width, middle, log_prior, evidence)
-
-
-def half_normal(
-    values: Float[Tensor, "cells varying"], scale: Float[Tensor, "varying"]
-) -> Float[Tensor, "cells"]:
-    """Log density of independent half-normal values ``n x k`` with scales ``k``: ``n`` tensor."""
-    return (
-        math.log(2.0)
-        - 0.5 * math.log(2.0 * math.pi)
-        - scale.log()
-        - 0.5 * (values / scale).square()
-    ).sum(1)
