@@ -19,12 +19,13 @@ import torch
 from torch import Tensor
 
 from benchmarks.records import Figure, Line, run_missing_jobs, write_figures
-from imr_torch.campaign import CampaignSettings, Optimal, Study
+from imr_torch.campaign import Campaign, CampaignSettings, Optimal
 from imr_torch.design import Laplace, Plan
 from imr_torch.design.likelihood import Data, infer
 from imr_torch.design.response import Shot, respond
 from imr_torch.material import CASES, PARAMETERS, Belief, ReferenceCase, reference_case
-from imr_torch.observe import SimulatedLaboratory
+from imr_torch.observe import Experiment, SimulatedLaboratory
+from imr_torch.random import child
 from imr_torch.simulate import Accuracy, TransportSimulator
 
 PLAN = Plan(repeats=100)
@@ -38,11 +39,15 @@ def run_campaign(case: ReferenceCase, seed: int, designs: int) -> Line:
     laboratory = SimulatedLaboratory(SIMULATOR, gel, noise=PLAN.noise, repeats=PLAN.repeats)
     settings = CampaignSettings(plan=PLAN, policy=SEARCH)
     seconds = []
+
+    def shoot(design: Tensor, number: int) -> Experiment:
+        return laboratory.shoot(design, seed=child(seed, "shoot", number))
+
     with TemporaryDirectory() as folder:
-        study = Study(Path(folder), case.prior, SIMULATOR, laboratory, settings)
+        campaign = Campaign(folder, case.prior, SIMULATOR, settings=settings, seed=seed)
         for count in range(1, designs + 1):
             started = time.process_time()
-            campaign = study.run(seed, count)
+            campaign.run(shoot, count)
             seconds.append(time.process_time() - started)
     shot = torch.tensor([e.design for e in campaign.experiments], dtype=torch.float64)
     parts = [step.belief[case.truth_model] for step in campaign.steps]
@@ -67,14 +72,15 @@ def bound_errors(case: ReferenceCase, designs: Tensor) -> Tensor:
     part = case.prior[case.truth_model]
     true = torch.tensor([case.truth[name] for name in part.names], dtype=torch.float64)
     belief = Belief((part,), torch.zeros(1, dtype=torch.float64))
-    with torch.no_grad():
-        seen = respond(Shot(belief, designs, SIMULATOR, PLAN), part, part.to_controls(true)[None])
-    each = (seen.of_design(number) for number in range(len(designs)))
-    chols = torch.stack(
-        [infer(Data(one.radius, PLAN.window(one.radius)), one, PLAN).chol[0] for one in each]
-    )
-    prior = torch.eye(chols.shape[-1], dtype=torch.float64)
-    known = prior + (chols @ chols.mT - prior).cumsum(0)
+    gel = part.to_controls(true)[None]
+    chols = []
+    for design in designs.split(1):
+        with torch.no_grad():
+            seen = respond(Shot(belief, design, SIMULATOR, PLAN), part, gel)
+        chols.append(infer(Data(seen.radius, PLAN.window(seen.radius)), seen, PLAN).chol[0])
+    known = torch.stack(chols)
+    prior = torch.eye(len(part.names), dtype=torch.float64)
+    known = prior + (known @ known.mT - prior).cumsum(0)
     return torch.linalg.inv(known).diagonal(dim1=-2, dim2=-1).sqrt()
 
 

@@ -157,7 +157,7 @@ def time_estimates(repeats: int) -> Line:
     ):
         acquisition = ExpectedInformationGain(PRIOR, simulator, estimator, plan=PLANS[repeats])
         estimates = [
-            _seconds_of(partial(acquisition.estimate_each, point[None], seed=1))
+            _seconds_of(partial(acquisition.estimate, point[None], seed=1))
             for point in space_designs(8)
         ]
         searches = [_seconds_of(partial(search_design, acquisition, seed=s)) for s in range(3)]

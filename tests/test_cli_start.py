@@ -19,7 +19,7 @@ from imr_torch.cli.common import METHODS, SIMULATORS
 from imr_torch.cli.design import ESTIMATORS
 from imr_torch.cli.figures import FORMATS
 from imr_torch.cli.options import COMMANDS, names
-from imr_torch.design import STRATEGIES, Target
+from imr_torch.design import Strategy, Target
 from imr_torch.gap import diagnose
 from imr_torch.material import CASES, MATERIALS
 from imr_torch.material.media import NAMED
@@ -72,7 +72,7 @@ def test_that_the_version_is_that_of_the_package(capsys):
         (names.EFFORTS, EFFORTS),
         (names.FRAMES, FRAMES),
         (names.TARGETS, get_args(Target)),
-        (names.STRATEGIES, STRATEGIES),
+        (names.STRATEGIES, get_args(Strategy)),
         (names.ESTIMATORS, ESTIMATORS),
         (names.FORMATS, FORMATS),
         (

@@ -9,7 +9,6 @@ from imr_torch.calibration.statistics import (
     Uniformity,
     coverage,
     envelope,
-    rank_correlation,
     reliability,
     uniformity,
 )
@@ -24,7 +23,6 @@ __all__ = [
     "calibrate",
     "coverage",
     "envelope",
-    "rank_correlation",
     "reliability",
     "uniformity",
 ]

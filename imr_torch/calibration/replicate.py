@@ -2,29 +2,24 @@
 ranks the truth.
 
 If prior, likelihood and computation agree, the place of the truth among draws of its posterior is
-uniform, whatever the data (Talts et al., arXiv 1804.06788, 2018; with the log likelihood as a
-further quantity: Modrak et al., Bayesian Anal. 20, 2025), and a model that is given probability P
-is the true one in a share P of all cases. From an arrangement follows a :class:`Replicate` for each
+uniform, whatever the data (Talts et al., arXiv 1804.06788, 2018), and a model that is given
+probability P is the true one in a share P of all cases. From an arrangement follows a :class:`Replicate` for each
 gel, which :mod:`imr_torch.calibration.statistics` judges. The inference is the toolkit's own or any
 function from data to draws (Hamiltonian Monte Carlo, a neural posterior).
 """
 
-import math
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate import (
-    Assimilation,
     FitOptions,
     ImportanceSample,
-    ModelFit,
-    Point,
-    Posterior,
     SearchOptions,
     assimilate_estimating_noise,
     noise_nodes,
@@ -60,8 +55,7 @@ class Arrangement:
         learn: what the inference is given of the experiments; the data with their own noise when
             not given. Lets a wrong inference be tested, or one with less information.
         noise_rounds: how often the inference estimates the noise from its residuals.
-        integrate_noise: whether the noise, where it is estimated, is integrated out, as in a
-            characterisation.
+            It is then integrated out, as in a characterisation.
 
     >>> from imr_torch import wide_prior
     >>> from imr_torch.calibration import Arrangement
@@ -77,7 +71,6 @@ class Arrangement:
     options: FitOptions = field(default_factory=SearchOptions)
     learn: Learn | None = None
     noise_rounds: int = 0
-    integrate_noise: bool = True
 
 
 @dataclass(frozen=True)
@@ -92,14 +85,8 @@ class Replicate:
         weighted: the same of the weighted draws, the truth counted as one more of them.
         reported: the same of the posterior that users are given, which is the Gaussian or, where
             weighing repaired it, another.
-        log_likelihood: the same of the log likelihood; None where nuisances are uncertain.
-        z: (truth - mean)/sd of the Gaussian, in controls.
         probabilities: of all models after the data.
-        information: what was learnt, nats: divergence of the posterior over models and gels from
-            the prior.
         verdict: on the Gaussian answer of the true model.
-        pareto_k: of its weights.
-        effective_samples: of them.
         converged: whether every model's fit converged.
         redrawn: gels before this one that could not be simulated.
         failure: why there is no inference, and nothing of the above; None if there is.
@@ -115,13 +102,8 @@ class Replicate:
     gaussian: dict[str, float] = field(default_factory=dict)
     weighted: dict[str, float] = field(default_factory=dict)
     reported: dict[str, float] = field(default_factory=dict)
-    log_likelihood: float | None = None
-    z: dict[str, float] = field(default_factory=dict)
     probabilities: dict[str, float] = field(default_factory=dict)
-    information: float | None = None
     verdict: str = ""
-    pareto_k: float | None = None
-    effective_samples: float = 0.0
     converged: bool = False
     redrawn: int = 0
     failure: str | None = None
@@ -239,58 +221,36 @@ def _inferred(
             options=arrangement.options,
             warn=False,
         )
-        uncertain = arrangement.noise_rounds > 0 and arrangement.integrate_noise
-        noise = noise_nodes(fitted, simulator) if uncertain else None
+        noise = noise_nodes(fitted, simulator) if arrangement.noise_rounds > 0 else None
         result = weigh(
             fitted, simulator, seed=child(seed, "weigh"), samples=arrangement.samples, noise=noise
         )
     except ConvergenceError as error:
         return Replicate(0, truth.model, failure=str(error))
     fit = result[truth.model]
-    sample = _sample(fit)
-    names = fit.prior.names
     reported = fit.posterior
     uniforms = torch.rand(
-        len(truth.gel) + 1, generator=generator(child(seed, "lots")), dtype=torch.float64
-    ).tolist()
-    z = (truth.gel - fit.mean) / torch.linalg.norm(fit.chol, dim=1)
-    z_reported = (fit.prior.unwhitened(truth.gel) - reported.mean) / torch.linalg.norm(
-        reported.chol, dim=1
+        len(truth.gel), generator=generator(child(seed, "lots")), dtype=torch.float64
     )
-    above = truth.gel - sample.controls
+    z = (truth.gel - fit.mean) / torch.linalg.norm(fit.chol, dim=1)
+    away = fit.prior.unwhitened(truth.gel) - reported.mean
+    z_reported = away / torch.linalg.norm(reported.chol, dim=1)
+    assert fit.sample is not None
+    places = _places(fit.sample, truth.gel, uniforms)
+
+    def named(values: Tensor) -> dict[str, float]:
+        return dict(zip(fit.prior.names, values.tolist(), strict=True))
+
     return Replicate(
         number=0,
         model=truth.model,
-        gaussian=dict(zip(names, torch.special.ndtr(z).tolist(), strict=True)),
-        weighted={
-            name: _place(sample, above[:, i] > 0.0, uniforms[i]) for i, name in enumerate(names)
-        },
-        reported=dict(zip(names, torch.special.ndtr(z_reported).tolist(), strict=True)),
-        log_likelihood=_likelihood_place(fit, result, truth, simulator, uniforms[-1]),
-        z=dict(zip(names, z.tolist(), strict=True)),
+        gaussian=named(torch.special.ndtr(z)),
+        weighted=named(places),
+        reported=named(torch.special.ndtr(z_reported)),
         probabilities=update(result, evidences(result)).probabilities,
-        information=information(result),
         verdict=fit.verdict.value,
-        pareto_k=sample.pareto_k if math.isfinite(sample.pareto_k) else None,
-        effective_samples=sample.effective_samples,
         converged=result.converged,
     )
-
-
-def _likelihood_place(
-    fit: ModelFit, result: Assimilation, truth: _Truth, simulator: Simulator, uniform: float
-) -> float | None:
-    """Share of the draws whose log likelihood is below the truth's.
-
-    None where nuisances are uncertain.
-    """
-    posterior = Posterior(fit.prior, result.batch, simulator)
-    if len(posterior.uncertain):
-        return None
-    prediction = posterior.predict(Point(truth.gel, posterior.still()))
-    own = float(result.batch.log_likelihood(prediction).sum())
-    sample = _sample(fit)
-    return _place(sample, sample.by_experiment.sum(1) < own, uniform)
 
 
 def _draw(arrangement: Arrangement, seed: int, simulator: Simulator) -> _Truth:
@@ -339,39 +299,14 @@ def _shots(arrangement: Arrangement, seed: int) -> Iterator[tuple[Tensor, int]]:
         )
 
 
-def _sample(fit: ModelFit) -> ImportanceSample:
-    assert fit.sample is not None
-    return fit.sample
-
-
-def _place(sample: ImportanceSample, below: Tensor, uniform: float) -> float:
+def _places(
+    sample: ImportanceSample, gel: Float[Tensor, "controls"], uniforms: Float[Tensor, "controls"]
+) -> Float[Tensor, "controls"]:
     """Rank of the truth in a posterior, between 0 and 1, uniform if the inference is calibrated.
 
     The weight of the draws below the truth, with the truth counted as one more effective draw: the
-    fraction ``uniform`` of its weight, a uniform random number, counts as below.
+    fraction ``uniforms`` of its weight, a uniform random number, counts as below.
     """
     count = sample.effective_samples
-    return (count * float(sample.weights @ below.double()) + uniform) / (count + 1.0)
-
-
-def information(result: Assimilation) -> float:
-    """Information gained, nats: the Kullback-Leibler divergence of the posterior over models and
-    gels from the prior.
-
-    Its mean over data is the expected information gain of the experiment (Lindley, Ann. Math. Stat.
-    27, 1956).
-
-    Args:
-        result: weighted fits.
-    """
-    prior = result.prior.log_probabilities
-    after = torch.log_softmax(
-        prior + torch.tensor([e.value for e in evidences(result)], dtype=torch.float64), dim=0
-    )
-    gains = []
-    for fit in result.fits:
-        sample = _sample(fit)
-        seen = torch.where(sample.weights > 0.0, sample.log_likelihood, 0.0)
-        gains.append(sample.weights @ seen - sample.log_evidence)
-    terms = after.exp() * (after - prior + torch.stack(gains))
-    return float(torch.where(after.exp() > 0.0, terms, 0.0).sum())
+    below = sample.weights @ (sample.controls < gel).double()
+    return (count * below + uniforms) / (count + 1.0)

@@ -1,5 +1,5 @@
 """Statistics of calibration: tests of uniformity, coverage of intervals, reliability of
-probabilities, rank correlation.
+probabilities.
 
 Each takes numbers that are uniform if an inference is calibrated, or probabilities and outcomes,
 and returns a statistic with its uncertainty, so that "calibrated" and "not" are both statements
@@ -11,12 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy  # whose parts are imported when they are used; `stats` takes long
-import torch
-from jaxtyping import Real
-from torch import Tensor
 
 from imr_torch.errors import InputDataError, ShapeError
-from imr_torch.random import generator
 
 _EDGE = 1e-12  # where the Gaussian tail is below float64 precision
 _FEWEST = 5  # expected in a bin for the chi-square approximation to hold
@@ -260,52 +256,3 @@ def reliability(
         float(np.mean(chance)),
         tail,
     )
-
-
-def rank_correlation(
-    expected: Real[Tensor, "designs"],
-    realised: Real[Tensor, "designs repeats"],
-    *,
-    resamples: int = 1000,
-    seed: int = 0,
-) -> tuple[float, float]:
-    """Spearman correlation over designs of an expectation with the mean of what came, and its
-    standard error.
-
-    The error is that of a bootstrap over repeats, which are the same gels at all designs and so are
-    drawn together.
-
-    Args:
-        expected: one value a design.
-        realised: repeats of each design.
-        resamples: of the bootstrap.
-        seed: of them.
-
-    Raises:
-        ShapeError: if shapes do not fit.
-
-    >>> import torch
-    >>> from imr_torch.calibration import rank_correlation
-    >>> expected = torch.tensor([1.0, 2.0, 3.0], dtype=torch.float64)  # information gain of three designs
-    >>> realised = torch.tensor([[0.9, 1.1], [2.1, 1.9], [3.2, 2.8]], dtype=torch.float64)
-    >>> rank_correlation(expected, realised, resamples=20)
-    (1.0, 0.0)
-    """
-    if (
-        expected.ndim != 1
-        or realised.ndim != 2
-        or len(realised) != len(expected)
-        or len(expected) < 3
-    ):
-        raise ShapeError(
-            f"rank_correlation: shapes {tuple(expected.shape)} and {tuple(realised.shape)}; "
-            "expected n and n x r with n >= 3."
-        )
-    repeats = realised.shape[1]
-    rows = torch.randint(repeats, (resamples, repeats), generator=generator(seed))
-    values = [_spearman(expected, realised[:, row]) for row in rows]
-    return _spearman(expected, realised), float(np.std(values, ddof=1))
-
-
-def _spearman(expected: Tensor, realised: Tensor) -> float:
-    return float(scipy.stats.spearmanr(expected.numpy(), realised.mean(1).numpy()).statistic)  # type: ignore[attr-defined]

@@ -36,7 +36,6 @@ from imr_torch.campaign.stopping import (
     StoppingRule,
     stopping_rule,
 )
-from imr_torch.campaign.study import Outcome, Study, run_campaigns
 
 __all__ = [
     "PAPER_OPTIMAL",
@@ -60,7 +59,6 @@ __all__ = [
     "ModelProbability",
     "Observations",
     "Optimal",
-    "Outcome",
     "PaperLearner",
     "PopulationLearner",
     "Proposal",
@@ -70,7 +68,5 @@ __all__ = [
     "SpaceFilling",
     "Step",
     "StoppingRule",
-    "Study",
-    "run_campaigns",
     "stopping_rule",
 ]

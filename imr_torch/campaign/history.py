@@ -3,15 +3,21 @@ beliefs.
 """
 
 import math
+from collections import defaultdict
 from dataclasses import dataclass, field
 from typing import Any
 
+import torch
+from torch import Tensor
+
 from imr_torch.assimilate import Assimilation
-from imr_torch.campaign.journal import Journal, differing
+from imr_torch.campaign.journal import REMEDY, Journal, differing
 from imr_torch.campaign.learners import Finding
+from imr_torch.campaign.policies import Proposal
 from imr_torch.errors import ImrError, InputDataError
 from imr_torch.material import Belief
 from imr_torch.observe import Experiment, Noise
+from imr_torch.population import GaussianShots
 from imr_torch.select import Evidence
 
 
@@ -28,6 +34,7 @@ class Step:
         noise: of one curve, if the learner estimates it.
         finding: of the diagnosis, if the learner makes one.
         population: JSON-ready, if the learner infers one and there are two shots or more.
+        shots: likelihood of each shot's gel, if the learner infers a population.
 
     >>> from imr_torch import wide_prior
     >>> from imr_torch.campaign import Step
@@ -43,6 +50,24 @@ class Step:
     noise: Noise | None = None
     finding: Finding | None = None
     population: dict[str, Any] | None = None
+    shots: GaussianShots | None = None
+
+
+@dataclass
+class Ask:
+    """A design that was asked for.
+
+    Args:
+        event: what the journal keeps of it.
+        proposal: the design and its gain.
+        failures: shots of it that failed.
+        stale: whether an experiment was forgotten since.
+    """
+
+    event: dict[str, Any]
+    proposal: Proposal
+    failures: int = 0
+    stale: bool = False
 
 
 @dataclass
@@ -53,28 +78,78 @@ class History:
         told: experiments that count, by number.
         withdrawn: experiments that were forgotten, in that order.
         steps: the beliefs that still stand.
+        count: experiments that were told, forgotten ones included.
+        asked: what was asked for last, by step.
+        moved: designs asked for in a step whose shots failed twice.
     """
 
     told: dict[int, Experiment] = field(default_factory=dict)
     withdrawn: list[Experiment] = field(default_factory=list)
     steps: list[Step] = field(default_factory=list)
+    count: int = 0
+    asked: dict[int, Ask] = field(default_factory=dict)
+    moved: defaultdict[int, list[Tensor]] = field(default_factory=lambda: defaultdict(list))
+
+    def standing(self, number: int) -> Ask | None:
+        """What was asked for last in a step.
+
+        None if it was to be answered under a belief that was withdrawn since, or its design failed
+        twice.
+        """
+        ask = self.asked.get(number)
+        if ask is None or ask.failures > 1 or (ask.stale and number > self.count):
+            return None
+        return ask
 
     def follow(self, event: dict[str, Any], journal: Journal) -> None:
-        """Take one event of the journal in."""
-        if event["event"] == "observed":
-            for record in event["experiments"]:
-                self.told[record["number"]] = journal.restore(record)
-        elif event["event"] == "learnt":
-            evidence = tuple(Evidence(**_infinite(entry)) for entry in event["evidence"])
-            noise = Noise(**event["noise"]) if event.get("noise") else None
-            finding = Finding.from_dict(event["finding"]) if event.get("finding") else None
-            belief = Belief.from_dict(event["belief"])
-            self.steps.append(
-                Step(event["step"], belief, evidence, None, noise, finding, event.get("population"))
-            )
-        elif event["event"] == "forget":
-            self.withdrawn.append(self.told.pop(event["experiment"]))
-            self.steps = [step for step in self.steps if step.number < event["experiment"]]
+        """Take one event of the journal in.
+
+        Raises:
+            InputDataError: if it lacks something, or is of no kind that a campaign writes.
+        """
+        match event:
+            case {"event": "start"} | {"event": "stop", "step": int(), "reason": str()}:
+                pass
+            case {
+                "event": "ask",
+                "step": int(step),
+                "design": [float() as weber, float() as rest],
+                "gain": (float() | int() | None) as gain,
+                "gain_sd": (float() | int() | None) as sd,
+                "reason": str(reason),
+                "evaluations": list(),
+            }:
+                design = torch.tensor([weber, rest], dtype=torch.float64)
+                self.asked[step] = Ask(event, Proposal(step, design, gain, sd, reason=reason))
+            case {"event": "failed", "step": int(step), "label": str(), "reason": str()}:
+                if ask := self.asked.get(step):
+                    ask.failures += 1
+                    if ask.failures == 2:
+                        self.moved[step].append(ask.proposal.design)
+            case {"event": "observed", "experiments": list(records)}:
+                for record in records:
+                    self.told[int(record["number"])] = journal.restore(record)
+                    self.count += 1
+            case {"event": "learnt", "step": int(step), "belief": dict(), "evidence": list(rows)}:
+                evidence = tuple(Evidence(**_infinite(entry)) for entry in rows)
+                noise = Noise(**event["noise"]) if event.get("noise") else None
+                finding = Finding.from_dict(event["finding"]) if event.get("finding") else None
+                shots = GaussianShots.from_dict(event["shots"]) if event.get("shots") else None
+                belief = Belief.from_dict(event["belief"])
+                population = event.get("population")
+                self.steps.append(
+                    Step(step, belief, evidence, None, noise, finding, population, shots)
+                )
+            case {"event": "forget", "experiment": int(number)}:
+                self.withdrawn.append(self.told.pop(number))
+                self.steps = [step for step in self.steps if step.number < number]
+                for ask in self.asked.values():
+                    ask.stale = True
+            case _:
+                raise InputDataError(
+                    f"event {event['event']!r} lacks a field that a campaign writes, or holds one "
+                    f"of another kind, or is none of a campaign. {REMEDY}"
+                )
 
 
 def replayed(journal: Journal) -> History:

@@ -13,6 +13,7 @@ pickles) and the line holds their SHA-256.
 import hashlib
 import json
 import os
+import socket
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -20,40 +21,13 @@ from typing import Any
 
 import numpy as np
 import torch
+from filelock import FileLock, Timeout
 
-from imr_torch.campaign.lock import FolderLock
 from imr_torch.errors import InputDataError
 from imr_torch.files import remove_temporaries, write_atomically
 from imr_torch.observe import Experiment, Nuisance
 
-_REMEDY = "Restore it from a copy, or tell its curves to a campaign in a new folder."
-_NUMBER = (int, float)
-_OPTIONAL = (int, float, type(None))
-_FIELDS: dict[str, dict[str, type | tuple[type, ...]]] = {
-    "start": {"prior": dict, "simulator": str, "settings": dict, "seed": int, "note": dict},
-    "ask": {
-        "step": int,
-        "design": list,
-        "gain": _OPTIONAL,
-        "gain_sd": _OPTIONAL,
-        "reason": str,
-        "evaluations": list,
-    },
-    "observed": {"step": int, "experiments": list},
-    "learnt": {"step": int, "experiments": list, "belief": dict, "evidence": list},
-    "forget": {"experiment": int},
-    "failed": {"step": int, "label": str, "reason": str},
-    "stop": {"step": int, "reason": str},
-}
-_RECORD: dict[str, type | tuple[type, ...]] = {
-    "number": int,
-    "label": str,
-    "design": list,
-    "nuisance": dict,
-    "curve": str,
-    "file": str,
-    "sha256": str,
-}
+REMEDY = "Restore it from a copy, or tell its curves to a campaign in a new folder."
 
 
 def differing(known: Any, wanted: Any, name: str = "") -> list[str]:
@@ -90,6 +64,56 @@ def curve_hash(experiment: Experiment) -> str:
     return digest.hexdigest()
 
 
+class FolderLock:
+    """The lock of a folder; it may be taken again by the thread that holds it.
+
+    Args:
+        folder: made when the lock is first taken.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._owner = folder / ".journal.owner"
+        self._lock: FileLock | None = None
+
+    @contextmanager
+    def held(self) -> Iterator[bool]:
+        """Hold the lock; yields whether it was taken here, and not before.
+
+        Raises:
+            InputDataError: if another process, or another object of this one, holds it.
+        """
+        if self._lock is None:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            self._lock = FileLock(self.folder / ".journal.lock", timeout=0)
+        outermost = not self._lock.is_locked
+        try:
+            self._lock.acquire()
+        except Timeout:
+            raise InputDataError(
+                f"{self.folder} is in use by {self._holder()}; wait until it has ended, or give "
+                "another folder."
+            ) from None
+        try:
+            if outermost:
+                with suppress(OSError):  # the name of the owner only serves the message
+                    self._owner.write_text(f"process {os.getpid()} on {socket.gethostname()}")
+            yield outermost
+        finally:
+            if outermost:
+                with suppress(OSError):
+                    self._owner.unlink()
+            self._lock.release()
+
+    def _holder(self) -> str:
+        """What is known of the process that holds the lock."""
+        try:
+            name = self._owner.read_text().strip()
+        except (OSError, ValueError):
+            name = ""
+        return f"another campaign ({name})" if name else "another process"
+
+
 class Journal:
     """The events of one campaign in a folder.
 
@@ -116,35 +140,35 @@ class Journal:
         self.events: list[dict[str, Any]] = []
         self._head = self.folder / "journal.head"
         self._checks: list[str] = []
-        self._size, self._tail = 0, b""  # bytes of the lines that end, and what follows them
-        self._tail_counts = False  # whether that is an event that lacks no more than its line's end
+        self._known = b""  # all that the file holds
+        self._kept = 0  # bytes that it should hold
         self._headed = 0  # lines that the head knows of
         self._lock = FolderLock(self.folder)
         self._read()
 
     def _read(self) -> None:
         count, check = self._read_head()  # before the journal: a writer writes it after its line
-        *lines, tail = (self.path.read_bytes() if self.path.exists() else b"").split(b"\n")
+        self._known = self.path.read_bytes() if self.path.exists() else b""
+        *lines, tail = self._known.split(b"\n")
         for line in lines:
             self._accept(line)
-            self._size += len(line) + 1
+        self._kept = len(self._known) - len(tail)
         if tail:
             with suppress(InputDataError):  # an append that was cut off
                 self._accept(tail)
-                self._tail_counts = True
-        self._tail = tail
+                self._kept = len(self._known) + 1  # nothing but the end of the line is missing
         self._headed = count
         if count > len(self.events):
             raise InputDataError(
                 f"{self.path} has {len(self.events)} whole lines and {self._head.name} says that "
                 f"{count} were written: lines "
-                f"at its end were removed or damaged. {_REMEDY} To accept the loss, delete "
+                f"at its end were removed or damaged. {REMEDY} To accept the loss, delete "
                 f"{self._head.name}."
             )
         if count and self._checks[count - 1] != check:
             raise InputDataError(
                 f"{self.path}, line {count}: not the line that {self._head.name} says was "
-                f"written. {_REMEDY} "
+                f"written. {REMEDY} "
                 f"To accept the journal as it is, delete {self._head.name}."
             )
 
@@ -173,39 +197,30 @@ class Journal:
         try:
             entry = json.loads(line)
         except (ValueError, RecursionError) as error:
-            raise InputDataError(f"{place}: not a journal entry ({error}). {_REMEDY}") from None
+            raise InputDataError(f"{place}: not a journal entry ({error}). {REMEDY}") from None
         if not isinstance(entry, dict) or not isinstance(entry.get("event"), str):
             text = line.decode(errors="replace")[:40]
             raise InputDataError(
                 f"{place}: not a journal entry (expected an object with an 'event', got "
-                f"{text!r}). {_REMEDY}"
+                f"{text!r}). {REMEDY}"
             )
         check = entry.pop("check", None)
         if check is None:
             raise InputDataError(
                 f"{place}: has no checksum ('check'); an earlier version of imr_torch wrote it, "
-                f"or it was changed. {_REMEDY}"
+                f"or it was changed. {REMEDY}"
             )
         if check in self._checks:
             raise InputDataError(
-                f"{place}: a copy of line {self._checks.index(check) + 1}. {_REMEDY}"
+                f"{place}: a copy of line {self._checks.index(check) + 1}. {REMEDY}"
             )
         expected = _encoded(entry, self._checks[-1] if self._checks else "")
         if expected is None or expected[0] != line:
             raise InputDataError(
                 f"{place}: its checksum does not fit; this line was edited or moved, or lines "
                 "before it were removed or moved. "
-                f"{_REMEDY}"
+                f"{REMEDY}"
             )
-        _check_fields(entry, _FIELDS.get(entry["event"], {}), f"{place}: event {entry['event']!r}")
-        if entry["event"] == "observed":
-            for record in entry["experiments"]:
-                _check_fields(record, _RECORD, f"{place}: an experiment of event 'observed'")
-                _check_numbers(record["design"], "design", 2, float, place)
-        elif entry["event"] == "ask":
-            _check_numbers(entry["design"], "design", 2, float, place)
-        elif entry["event"] == "learnt":
-            _check_numbers(entry["experiments"], "experiments", None, int, place)
         self.events.append(entry)
         self._checks.append(check)
 
@@ -227,29 +242,24 @@ class Journal:
             yield
 
     def _check_unchanged(self) -> None:
-        with suppress(FileNotFoundError), self.path.open("rb") as stream:
-            size = stream.seek(0, os.SEEK_END)
-            stream.seek(min(self._size, size))
-            if size == self._size + len(self._tail) and stream.read() == self._tail:
-                return
+        if not self.path.exists():
+            if self._known:
+                raise InputDataError(f"{self.path} was removed since it was opened here. {REMEDY}")
+        elif self.path.read_bytes() != self._known:
             raise InputDataError(
                 f"{self.path} was written to since it was opened here; open the campaign again."
             )
-        if self._size:
-            raise InputDataError(f"{self.path} was removed since it was opened here. {_REMEDY}")
 
     def _repair(self) -> None:
         """Complete or cut off the last line, write the head if it lags, and remove files that an
         interrupted write left.
         """
         remove_temporaries(self.folder, "journal.head", "experiment_*.npz")
-        if self._tail_counts:
+        if self._kept > len(self._known):
             self._write(b"\n")
-            self._size += len(self._tail)
-        elif self._tail:
-            os.truncate(self.path, self._size)
-        self._tail = b""
-        self._tail_counts = False
+        elif self._kept < len(self._known):
+            os.truncate(self.path, self._kept)
+            self._known = self._known[: self._kept]
         if self._headed < len(self._checks):
             self._write_head()
 
@@ -282,11 +292,10 @@ class Journal:
             self.events.append(json.loads(json.dumps(entry)))
             self._checks.append(check)
             self._write_head()
-        return entry
+        return self.events[-1]
 
     def _write(self, data: bytes) -> None:
         """Add bytes to the file and flush them to disk, all of them or none."""
-        before = self._size + len(self._tail)
         try:
             with self.path.open("ab", buffering=0) as stream:
                 view = memoryview(data)
@@ -294,10 +303,9 @@ class Journal:
                     view = view[stream.write(view) :]
                 os.fsync(stream.fileno())
         except BaseException as error:
-            with suppress(
-                OSError
-            ):  # if this fails too, the incomplete line is cut off when the journal is opened again
-                os.truncate(self.path, before)
+            # if this fails too, the incomplete line is cut off when the journal is opened again
+            with suppress(OSError):
+                os.truncate(self.path, len(self._known))
             if isinstance(error, OSError):
                 message = (
                     f"{error.strerror}; the last event was not recorded, those before it were. "
@@ -305,7 +313,8 @@ class Journal:
                 )
                 raise OSError(error.errno, message, str(self.path)) from error
             raise
-        self._size += len(data)
+        self._known += data
+        self._kept = len(self._known)
 
     def find(self, event: str, step: int | None = None) -> dict[str, Any] | None:
         """The last event of a kind (and step), or None."""
@@ -371,27 +380,3 @@ def _encoded(entry: dict[str, Any], previous: str) -> tuple[bytes, str] | None:
         return None
     check = hashlib.sha256((previous + body).encode()).hexdigest()
     return f'{body[:-1]}, "check": "{check}"}}'.encode(), check
-
-
-def _check_fields(entry: Any, fields: dict[str, type | tuple[type, ...]], place: str) -> None:
-    """Raise unless an entry has all fields, each of its kind."""
-    if not isinstance(entry, dict):
-        raise InputDataError(f"{place} is {entry!r}; expected an object. {_REMEDY}")
-    for name, kind in fields.items():
-        if name not in entry:
-            raise InputDataError(f"{place} has no {name!r}. {_REMEDY}")
-        if not isinstance(entry[name], kind) or isinstance(entry[name], bool):
-            kinds = kind if isinstance(kind, tuple) else (kind,)
-            expected = " or ".join("nothing" if k is type(None) else k.__name__ for k in kinds)
-            raise InputDataError(
-                f"{place}: {name} is {entry[name]!r}; expected {expected}. {_REMEDY}"
-            )
-
-
-def _check_numbers(values: list[Any], name: str, count: int | None, kind: type, place: str) -> None:
-    """Raise unless a list holds numbers alone, ``count`` of them if given."""
-    kinds = (int, float) if kind is float else (kind,)
-    right = all(isinstance(x, kinds) and not isinstance(x, bool) for x in values)
-    if not right or count not in (None, len(values)):
-        number = "numbers" if count is None else f"{count} numbers"
-        raise InputDataError(f"{place}: {name} is {values!r}; expected {number}. {_REMEDY}")

@@ -11,7 +11,7 @@ an experiment is forgotten.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, replace
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from imr_torch.campaign.learners import Observations
 from imr_torch.campaign.policies import Proposal, Situation
 from imr_torch.campaign.settings import CampaignSettings, through_json
 from imr_torch.campaign.stopping import CampaignState
-from imr_torch.design import DesignSearch, Plan
+from imr_torch.design import DesignSearch, InformationGain, Plan, SearchSettings
 from imr_torch.errors import ImrError, InputDataError
 from imr_torch.files import without_nonfinite
 from imr_torch.material import Belief
@@ -88,11 +88,7 @@ class Campaign:
         self.settings = settings or CampaignSettings()
         self.journal = Journal(folder)
         self._identity = self._identify(note or {})
-        history = replayed(self.journal)
-        self.steps = history.steps
-        self._withdrawn = history.withdrawn
-        self.numbers = list(history.told)
-        self.experiments = list(history.told.values())
+        self._history = replayed(self.journal)
 
     def _identify(self, note: dict[str, Any]) -> dict[str, Any]:
         """What the journal begins with, checked against the journal if there is one."""
@@ -112,20 +108,27 @@ class Campaign:
         """Write an event, after the start of the journal if there is none yet."""
         if not self.journal.events:
             self.journal.append("start", **self._identity)
-        self.journal.append(event, **values)
+        self._history.follow(self.journal.append(event, **values), self.journal)
 
-    def _drop_steps(self, number: int) -> None:
-        """Drop the steps that learnt from an experiment."""
-        self.steps = [step for step in self.steps if step.number < number]
+    @property
+    def steps(self) -> list[Step]:
+        """The state after each inference that still stands."""
+        return self._history.steps
+
+    @property
+    def numbers(self) -> list[int]:
+        """Numbers of the experiments that count."""
+        return list(self._history.told)
+
+    @property
+    def experiments(self) -> list[Experiment]:
+        """Experiments that count, by number."""
+        return list(self._history.told.values())
 
     @property
     def told(self) -> int:
-        """Number of experiments that were told so far, those that were forgotten included."""
-        return sum(
-            len(event["experiments"])
-            for event in self.journal.events
-            if event["event"] == "observed"
-        )
+        """Experiments that were told, forgotten ones included."""
+        return self._history.count
 
     @property
     def belief(self) -> Belief:
@@ -167,7 +170,7 @@ class Campaign:
         """
         seen = {curve_hash(experiment) for experiment in self.experiments}
         lost = []
-        for experiment in self._withdrawn:
+        for experiment in self._history.withdrawn:
             if (curve := curve_hash(experiment)) not in seen:
                 seen.add(curve)
                 lost.append(experiment)
@@ -222,47 +225,16 @@ class Campaign:
         """The shots that failed: ``step``, ``label`` and ``reason``."""
         return [event for event in self.journal.events if event["event"] == "failed"]
 
-    def _asked(self, number: int) -> dict[str, Any] | None:
-        """The journal's last ``ask`` of a step.
-
-        None if it was to be answered under a belief that was withdrawn since, or its design failed
-        twice.
-        """
-        failed = 0
-        for event in reversed(self.journal.events):
-            if event["event"] == "forget" and number > self.told:
-                return None
-            if event.get("step") == number:
-                failed += event["event"] == "failed"
-                if event["event"] == "ask":
-                    return None if failed > 1 else event
-        return None
-
-    def _failed_designs(self, number: int) -> list[list[float]]:
-        """Designs that were asked for in a step and failed twice."""
-        found = []
-        failed = 0
-        for event in reversed(self.journal.events):
-            if event.get("step") == number:
-                failed += event["event"] == "failed"
-                if event["event"] == "ask":
-                    found += [event["design"]] if failed > 1 else []
-                    failed = 0
-        return found
-
     def _propose(self, number: int, pending: Tensor | None, progress: Progress | None) -> Proposal:
         """The proposal of one step, from the journal if it was made before."""
-        known = self._asked(number)
+        known = self._history.standing(number)
         if known is not None:
-            design = torch.tensor(known["design"], dtype=torch.float64)
-            return Proposal(
-                number, design, known["gain"], known["gain_sd"], reason=known.get("reason", "")
-            )
+            return known.proposal
         settings = self.settings
         batch = self._batch(self.experiments) if self.experiments else None
-        if given_up := self._failed_designs(number):
-            moved = torch.tensor(given_up, dtype=torch.float64)
-            pending = moved if pending is None else torch.cat((pending, moved))
+        if moved := self._history.moved[number]:
+            failed = torch.stack(moved)
+            pending = failed if pending is None else torch.cat((pending, failed))
         situation = Situation(
             number,
             self.belief,
@@ -273,6 +245,7 @@ class Campaign:
             pending,
             self.prior,
             batch,
+            self.steps[-1].shots if self.steps else None,
         )
         found = settings.policy.choose(situation, progress=progress)
         search = found.search
@@ -286,6 +259,7 @@ class Campaign:
             gain=found.gain,
             gain_sd=found.gain_sd,
             reason=found.reason,
+            search=asdict(search.settings) if search else None,
             pending=without_nonfinite(before)[0],
             evaluations=without_nonfinite(evaluations)[0],
         )
@@ -296,12 +270,16 @@ class Campaign:
 
         None where there was none.
         """
-        known = self._asked(number)
-        return (
-            None
-            if known is None
-            else self.settings.policy.rebuild(known, self.settings.space, self.seed)
-        )
+        known = self._history.standing(number)
+        if known is None or not known.event["search"]:
+            return None
+        record = known.event
+        rows = [dict(row) for row in record["evaluations"]]
+        designs = torch.tensor([row.pop("design") for row in rows], dtype=torch.float64)
+        gains = [InformationGain.from_dict(row) for row in rows]
+        pending = InformationGain.from_dict(record["pending"]) if record["pending"] else None
+        settings = SearchSettings(**record["search"])
+        return settings.finish(self.settings.space, designs, gains, pending)
 
     @one_torch_thread()
     def tell(self, *experiments: Experiment, progress: Progress | None = None) -> Step:
@@ -326,8 +304,8 @@ class Campaign:
             raise InputDataError("tell needs at least one experiment.")
         with self.journal.held():
             known = {
-                curve_hash(e): (number, e.label)
-                for number, e in zip(self.numbers, self.experiments, strict=True)
+                curve_hash(experiment): (number, experiment.label)
+                for number, experiment in self._history.told.items()
             }
             check_new(experiments, known, self.outstanding, self.journal.path)
             self._catch_up(progress)
@@ -346,8 +324,6 @@ class Campaign:
                 for number, experiment in zip(numbers, experiments, strict=True)
             ]
             self._record("observed", step=numbers[-1], experiments=records)
-            self.numbers.extend(numbers)
-            self.experiments.extend(experiments)
             return self.learn(progress=progress)
 
     def forget(self, number: int, *, progress: Progress | None = None) -> Step | None:
@@ -386,21 +362,13 @@ class Campaign:
         """
         with self.journal.held():
             if number not in self.numbers:
-                held = (
-                    ", ".join(
-                        f"{n} ({e.label!r})"
-                        for n, e in zip(self.numbers, self.experiments, strict=True)
-                    )
-                    or "none"
-                )
+                told = self._history.told.items()
+                held = ", ".join(f"{n} ({e.label!r})" for n, e in told) or "none"
                 raise InputDataError(
                     f"There is no experiment {number} to forget in {self.journal.path}; it counts "
                     f"{held}."
                 )
             self._record("forget", experiment=number)
-            self._withdrawn.append(self.experiments.pop(self.numbers.index(number)))
-            self.numbers.remove(number)
-            self._drop_steps(number)
             self._catch_up(progress)
         return self.steps[-1] if self.steps else None
 
@@ -446,12 +414,12 @@ class Campaign:
                 belief=inference.belief.to_dict(),
                 evidence=without_nonfinite([asdict(e) for e in inference.evidence])[0],
                 noise=vars(inference.noise) if inference.noise else None,
-                **({"finding": asdict(inference.finding)} if inference.finding else {}),
-                **({"population": inference.population} if inference.population else {}),
+                finding=asdict(inference.finding) if inference.finding else None,
+                population=inference.population,
+                shots=inference.shots.to_dict() if inference.shots else None,
                 **inference.record,
             )
-        kept = {f.name: getattr(inference, f.name) for f in fields(Step) if f.name != "number"}
-        self.steps.append(Step(fresh[-1], **kept))
+        self.steps[-1] = replace(self.steps[-1], assimilation=inference.assimilation)
         return self.steps[-1]
 
     def _batch(self, experiments: Sequence[Experiment]) -> ExperimentBatch:

@@ -6,8 +6,8 @@ A policy sees what is believed, what can be shot and which experiment it is, and
 same one. Baselines cost nothing and estimate no gain.
 """
 
-from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from dataclasses import dataclass, field
+from typing import Protocol
 
 import torch
 from botorch.utils.sampling import draw_sobol_samples
@@ -16,23 +16,20 @@ from torch import Tensor
 
 from imr_torch.design import (
     PAPER_PLAN,
-    STRATEGIES,
     DesignSearch,
     DesignSpace,
     ExpectedInformationGain,
     InformationEstimator,
-    InformationGain,
     Laplace,
     Plan,
     PublishedEstimator,
-    Recommendation,
-    SearchSettings,
     Strategy,
     search_design,
 )
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch
+from imr_torch.population import GaussianShots
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator, check_designs, coarser
 from imr_torch.types import Progress
@@ -53,6 +50,7 @@ class Situation:
             will be shot with this one.
         prior: belief before the first experiment; None where it is not kept.
         batch: all experiments so far, cut to the window that is assimilated; None before the first.
+        shots: likelihood of each shot's gel, where the learner infers a population.
 
     >>> from imr_torch import PolytropicSimulator, reference_case
     >>> from imr_torch.campaign import Situation
@@ -72,6 +70,7 @@ class Situation:
     pending: Float[Tensor, "pending 2"] | None = None
     prior: Belief | None = None
     batch: ExperimentBatch | None = None
+    shots: GaussianShots | None = None
 
 
 @dataclass(frozen=True)
@@ -111,34 +110,12 @@ class DesignPolicy(Protocol):
     ... class Largest:
     ...     def choose(self, situation, *, progress=None):
     ...         return Proposal(situation.number, situation.space.bounds[1])
-    ...
-    ...     def rebuild(self, record, space, seed):
-    ...         return None
     >>> policy: DesignPolicy = Largest()
     """
 
     def choose(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
         """The next design, a function of the situation alone."""
         ...
-
-    def rebuild(self, record: dict[str, Any], space: DesignSpace, seed: int) -> DesignSearch | None:
-        """The search behind a journal's ``ask`` (see :meth:`imr_torch.campaign.Campaign.search`);
-        None if there was none.
-
-        Args:
-            record: the journal's entry.
-            space: of the campaign.
-            seed: of the campaign.
-        """
-        ...
-
-
-class _WithoutSearch:
-    """A policy that estimates no gain."""
-
-    def rebuild(self, record: dict[str, Any], space: DesignSpace, seed: int) -> DesignSearch | None:
-        """See :class:`DesignPolicy`."""
-        return None
 
 
 @dataclass(frozen=True)
@@ -171,7 +148,7 @@ class Optimal:
     initial: int = 10
     batch: int = 5
     common: bool = True
-    strategy: Strategy = field(default_factory=Strategy)
+    strategy: Strategy = "qLogNEI"
     plan: Plan | None = None
     coarse: bool = True
 
@@ -207,39 +184,13 @@ class Optimal:
         best = search.recommendation
         return Proposal(situation.number, best.design, best.mean, best.sd, search)
 
-    def rebuild(self, record: dict[str, Any], space: DesignSpace, seed: int) -> DesignSearch | None:
-        """See :class:`DesignPolicy`."""
-        rows = [dict(row) for row in record["evaluations"]]
-        if not rows:
-            return None
-        designs = torch.tensor([row.pop("design") for row in rows], dtype=torch.float64)
-        gains = tuple(_gain(row) for row in rows)
-        pending = _gain(record["pending"]) if record.get("pending") else None
-        settings = SearchSettings(
-            child(seed, "design", record["step"]), self.initial, self.strategy, common=self.common
-        )
-        optimizer, _ = settings.optimizer(space, designs, gains, pending)
-        best = Recommendation(
-            torch.tensor(record["design"], dtype=torch.float64), record["gain"], record["gain_sd"]
-        )
-        return DesignSearch(best, designs, gains, optimizer, pending)
-
-
-def _gain(row: dict[str, Any]) -> InformationGain:
-    """The gain of a journal's entry."""
-    influence = tuple((a, b) for a, b in row["influence"])
-    return replace(
-        InformationGain(**{key: value for key, value in row.items() if key != "influence"}),
-        influence=influence,
-    )
-
 
 PAPER_OPTIMAL = Optimal(
     PublishedEstimator(500),
     25,
     batch=1,
     common=False,
-    strategy=STRATEGIES["paper"],
+    strategy="paper",
     plan=PAPER_PLAN,
     coarse=False,
 )
@@ -247,7 +198,7 @@ PAPER_OPTIMAL = Optimal(
 
 
 @dataclass(frozen=True)
-class Random(_WithoutSearch):
+class Random:
     """Designs drawn uniformly from the space, each for itself.
 
     >>> from imr_torch import PolytropicSimulator, reference_case
@@ -264,16 +215,13 @@ class Random(_WithoutSearch):
         """See :class:`DesignPolicy`."""
         space = situation.space
         source = generator(child(situation.seed, "random design", situation.number))
-        if space.choices is not None:
-            row = torch.randint(len(space.choices), (1,), generator=source)
-            return Proposal(situation.number, space.choices[row[0]])
         low, high = space.bounds
         drawn = low + (high - low) * torch.rand(1, 2, generator=source, dtype=torch.float64)
-        return Proposal(situation.number, space.settle(drawn)[0])
+        return Proposal(situation.number, drawn[0])
 
 
 @dataclass(frozen=True)
-class SpaceFilling(_WithoutSearch):
+class SpaceFilling:
     """Designs of a scrambled Sobol sequence, which leaves no region out and repeats none.
 
     >>> from imr_torch import PolytropicSimulator, reference_case
@@ -289,14 +237,12 @@ class SpaceFilling(_WithoutSearch):
     def choose(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
         """See :class:`DesignPolicy`."""
         seed = child(situation.seed, "space-filling") % 2**31
-        points = draw_sobol_samples(situation.space.bounds, n=situation.number, q=1, seed=seed)[
-            :, 0
-        ]
-        return Proposal(situation.number, situation.space.settle(points)[-1])
+        points = draw_sobol_samples(situation.space.bounds, n=situation.number, q=1, seed=seed)
+        return Proposal(situation.number, points[-1, 0])
 
 
 @dataclass(frozen=True)
-class Fixed(_WithoutSearch):
+class Fixed:
     """A list of designs made before, in order.
 
     Args:

@@ -7,30 +7,25 @@ scatter between shots.
 an experiment are taken to be of the same gel.
 """
 
-import hashlib
-import json
 import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from imr_torch.campaign.journal import curve_hash
 from imr_torch.campaign.learners import Inference, Observations
 from imr_torch.campaign.policies import Optimal, Proposal, Situation
-from imr_torch.design import DesignSearch, DesignSpace, PopulationInformation
+from imr_torch.design import PopulationInformation
 from imr_torch.errors import InputDataError
 from imr_torch.files import without_nonfinite
 from imr_torch.material import Belief, ModelBelief
-from imr_torch.observe import Experiment, ExperimentBatch, Noise
+from imr_torch.observe import Experiment, ExperimentBatch
 from imr_torch.population import (
     SCALE,
     GaussianShots,
-    Population,
     ShotLikelihood,
     coordinate_units,
     fit_shots,
@@ -39,13 +34,11 @@ from imr_torch.population import (
 from imr_torch.population.quadrature import cells
 from imr_torch.population.sampling import Problem, sample_population
 from imr_torch.random import child, generator
-from imr_torch.simulate import Simulator, described
+from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
 _SCATTERS = 64  # scatters that a gain is averaged over
 _DRAWS = 4000  # of the population after the first shot
-_MADE: dict[str, "_Learnt"] = {}
-"""The last inference of this process, by all that it depends on: the next design asks for what was learnt just before."""
 
 
 @dataclass(frozen=True)
@@ -91,73 +84,40 @@ class PopulationLearner:
         Raises:
             InputDataError: if the prior holds several models.
         """
-        found = self.infer(
-            observations.prior, observations.batch, simulator, observations.seed, progress=progress
+        part = _only(observations.prior)
+        batch = observations.batch
+        own = child(observations.seed, "population", len(batch.experiments))
+        fits = fit_shots(
+            part,
+            _named_apart(batch.curves),
+            simulator,
+            noise=batch.noise,
+            rounds=self.noise_rounds,
+            samples=self.samples,
+            seed=own,
+            progress=progress,
         )
-        belief = Belief((found.median,), torch.zeros(1, dtype=torch.float64))
-        population = found.population and without_nonfinite(found.population.to_dict())[0]
+        shots = tuple(
+            ShotLikelihood.of(fit.batch.experiments[0].label, fit.fits[0]) for fit in fits
+        )
+        problem = Problem(shots, part, self.scales(part))
+        noise = fits[0].batch.noise
+        population = None
+        if len(fits) > 1:
+            found = infer_population(fits, scale=self.scale, seed=own)
+            drawn = found.found
+            population = without_nonfinite(found.to_dict())[0]
+        else:
+            drawn = sample_population(problem, _DRAWS, generator(child(own, "first shot")))
+        mean = drawn.weights @ drawn.centre
+        away = drawn.weights.sqrt()[:, None] * (drawn.centre - mean)
+        median = part.with_gaussian(mean, torch.linalg.cholesky(away.mT @ away))
         return Inference(
-            belief, noise=found.noise if self.noise_rounds else None, population=population
+            Belief((median,), torch.zeros(1, dtype=torch.float64)),
+            noise=noise if self.noise_rounds else None,
+            population=population,
+            shots=problem.gaussian,
         )
-
-    def infer(
-        self,
-        prior: Belief,
-        batch: ExperimentBatch,
-        simulator: Simulator,
-        seed: int,
-        *,
-        progress: Progress | None = None,
-    ) -> "_Learnt":
-        """The population after all shots; not inferred again if it is the last that this process
-        inferred.
-
-        Args:
-            prior: of the one model.
-            batch: all shots.
-            simulator: makes the bubbles.
-            seed: of the campaign.
-            progress: called with one line per shot.
-
-        Raises:
-            InputDataError: if the prior holds several models.
-        """
-        part = _only(prior)
-        key = _key(prior, batch, repr(self), described(simulator), seed)
-        if key not in _MADE:
-            own = child(seed, "population", len(batch.experiments))
-            fits = fit_shots(
-                part,
-                _named_apart(batch.curves),
-                simulator,
-                noise=batch.noise,
-                rounds=self.noise_rounds,
-                samples=self.samples,
-                seed=own,
-                progress=progress,
-            )
-            noise = fits[0].batch.noise
-            shots = tuple(
-                ShotLikelihood.of(fit.batch.experiments[0].label, fit.fits[0]) for fit in fits
-            )
-            population = (
-                infer_population(fits, scale=self.scale, seed=own) if len(fits) > 1 else None
-            )
-            drawn = (
-                sample_population(
-                    Problem(shots, part, self.scales(part)),
-                    _DRAWS,
-                    generator(child(own, "first shot")),
-                )
-                if population is None
-                else population.found
-            )
-            mean = drawn.weights @ drawn.centre
-            away = drawn.weights.sqrt()[:, None] * (drawn.centre - mean)
-            median = part.with_gaussian(mean, torch.linalg.cholesky(away.mT @ away))
-            _MADE.clear()
-            _MADE[key] = _Learnt(shots, population, median, noise)
-        return _MADE[key]
 
     def scales(self, prior: ModelBelief) -> Float[Tensor, "controls"]:
         """``d`` tensor, scale of the prior of each control's scatter.
@@ -166,23 +126,6 @@ class PopulationLearner:
         """
         varying = torch.tensor([name in prior.of_gel for name in prior.names])
         return torch.where(varying, self.scale / coordinate_units(prior), 0.0)
-
-
-@dataclass(frozen=True)
-class _Learnt:
-    """What is known of a population.
-
-    Args:
-        shots: their likelihoods.
-        population: None after the first shot, which shows no scatter.
-        median: belief about the population's median.
-        noise: of the fits.
-    """
-
-    shots: tuple[ShotLikelihood, ...]
-    population: Population | None
-    median: ModelBelief
-    noise: Noise
 
 
 @dataclass(frozen=True)
@@ -209,15 +152,12 @@ class LearnPopulation:
             InputDataError: if the prior holds several models.
         """
         prior = _only(situation.prior or situation.belief)
-        shots: tuple[ShotLikelihood, ...] = ()
-        if situation.batch is not None and situation.prior is not None:
-            shots = self.learner.infer(
-                situation.prior,
-                situation.batch,
-                situation.simulator,
-                situation.seed,
-                progress=progress,
-            ).shots
+        if situation.shots is None and situation.batch is not None:
+            raise InputDataError(
+                "LearnPopulation needs the likelihood of each shot, which the learner of this "
+                "campaign does not give; take PopulationLearner."
+            )
+        shots = situation.shots or GaussianShots.none(len(prior.names))
         estimator = information_about(shots, prior, self.learner.scales(prior))
         found = replace(self.search, estimator=estimator).choose(situation, progress=progress)
         reason = (
@@ -226,13 +166,9 @@ class LearnPopulation:
         )
         return replace(found, reason=reason)
 
-    def rebuild(self, record: dict[str, Any], space: DesignSpace, seed: int) -> DesignSearch | None:
-        """See :class:`imr_torch.campaign.DesignPolicy`."""
-        return self.search.rebuild(record, space, seed)
-
 
 def information_about(
-    shots: tuple[ShotLikelihood, ...], prior: ModelBelief, scales: Float[Tensor, "controls"]
+    shots: GaussianShots, prior: ModelBelief, scales: Float[Tensor, "controls"]
 ) -> PopulationInformation:
     """The information about a population after some shots, by the Gaussian parts of their
     likelihoods.
@@ -242,29 +178,15 @@ def information_about(
         prior: of the population's median.
         scales: ``d`` tensor, of the half-normal prior of each control's scatter.
     """
-    gaussian = _gaussian(shots, len(prior.names))
     precision = torch.cholesky_inverse(prior.chol)
-    grid = cells(gaussian, prior, scales)
+    grid = cells(shots, prior, scales)
     levels = (torch.arange(_SCATTERS, dtype=torch.float64) + 0.5) / _SCATTERS
     scatter = grid.middle[
         torch.searchsorted(grid.weights.cumsum(0), levels).clamp_max(len(grid.middle) - 1)
     ]
-    given = gaussian.given(scatter, prior.mean, precision)
+    given = shots.given(scatter, prior.mean, precision)
     return PopulationInformation(
         scatter, given.centre, torch.linalg.cholesky(torch.cholesky_inverse(given.chol))
-    )
-
-
-def _gaussian(shots: tuple[ShotLikelihood, ...], size: int) -> GaussianShots:
-    """The quadratic parts of the likelihoods; those of no shot before the first."""
-    return GaussianShots(
-        torch.stack([shot.precision for shot in shots])
-        if shots
-        else torch.zeros(0, size, size, dtype=torch.float64),
-        torch.stack([shot.linear for shot in shots])
-        if shots
-        else torch.zeros(0, size, dtype=torch.float64),
-        torch.tensor([shot.constant for shot in shots], dtype=torch.float64),
     )
 
 
@@ -289,11 +211,3 @@ def _only(prior: Belief) -> ModelBelief:
             f"({', '.join(prior.keys)}); name one."
         )
     return prior.models[0]
-
-
-def _key(prior: Belief, batch: ExperimentBatch, *rest: object) -> str:
-    """All that an inference depends on, as one hash."""
-    curves = [(curve_hash(e), e.label, e.design, e.nuisance) for e in batch.curves]
-    return hashlib.sha256(
-        json.dumps([prior.to_dict(), curves, vars(batch.noise), rest], default=repr).encode()
-    ).hexdigest()

@@ -123,7 +123,25 @@ class RelativeSd:
 
 
 @dataclass(frozen=True)
-class ModelProbability:
+class _Above:
+    """A rule about a probability.
+
+    Args:
+        above: probability from which on it stops.
+    """
+
+    above: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.above < 1.0:
+            raise InputDataError(
+                f"{type(self).__name__}.above is {self.above}; expected a probability between 0 "
+                "and 1."
+            )
+
+
+@dataclass(frozen=True)
+class ModelProbability(_Above):
     """Stop when one model is probable enough.
 
     Args:
@@ -135,14 +153,6 @@ class ModelProbability:
     'nhkv has a probability above 0.95'
     """
 
-    above: float
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.above < 1.0:
-            raise InputDataError(
-                f"ModelProbability.above is {self.above}; expected a probability between 0 and 1."
-            )
-
     def reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
         best = state.belief.best.model
@@ -151,7 +161,7 @@ class ModelProbability:
 
 
 @dataclass(frozen=True)
-class CauseProbability:
+class CauseProbability(_Above):
     """Stop when one cause of the gap is probable enough: an effect, an unknown one, or that nothing
     is missing.
 
@@ -164,14 +174,6 @@ class CauseProbability:
     >>> CauseProbability(above=0.9).reason(CampaignState(wide_prior(["nhkv"]), experiments=(), finding=found))
     'the cause wall has a probability above 0.9'
     """
-
-    above: float
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.above < 1.0:
-            raise InputDataError(
-                f"CauseProbability.above is {self.above}; expected a probability between 0 and 1."
-            )
 
     def reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""

@@ -18,8 +18,6 @@ from imr_torch.cli.common import (
 )
 from imr_torch.cli.progress import DESIGN
 from imr_torch.design import (
-    STRATEGIES,
-    AdaptiveContrastive,
     DesignSearch,
     DesignSpace,
     ExpectedInformationGain,
@@ -47,7 +45,6 @@ _MEASURED = Nuisance(
 ESTIMATORS: dict[str, Callable[[int], InformationEstimator]] = {
     "laplace": Laplace,
     "importance": ImportanceSampling,
-    "adaptive": AdaptiveContrastive,
     "nested": NestedMonteCarlo,
     "contrastive": PriorContrastive,
     "paper": PublishedEstimator,
@@ -115,7 +112,7 @@ def run(args: argparse.Namespace) -> None:
         evaluations=args.evaluations,
         initial=min(Optimal.initial, args.evaluations),
         batch=Optimal.batch,
-        strategy=STRATEGIES[args.strategy],
+        strategy=args.strategy,
         progress=progress_of(args, DESIGN),
     )
     steps = (*search.earlier, search)

@@ -2,23 +2,15 @@
 designs.
 """
 
-from imr_torch.design.acquisition import ExpectedInformationGain
-from imr_torch.design.closed_form import linear_gaussian_gain
-from imr_torch.design.eig import (
-    Bracket,
-    expected_information_gain,
-    gains_of_each,
-    information_bracket,
-)
+from imr_torch.design.acquisition import ExpectedInformationGain, expected_information_gain
 from imr_torch.design.estimator import InformationEstimator
 from imr_torch.design.gain import ErrorParts, InformationGain, Target, separate_errors
-from imr_torch.design.importance import AdaptiveContrastive, ImportanceSampling
+from imr_torch.design.importance import ImportanceSampling
 from imr_torch.design.laplace import Laplace
-from imr_torch.design.nested import NestedMonteCarlo, PriorContrastive
-from imr_torch.design.optimizer import STRATEGIES, Cost, DesignOptimizer, Recommendation, Strategy
+from imr_torch.design.nested import NestedMonteCarlo, PriorContrastive, PublishedEstimator
+from imr_torch.design.optimizer import DesignOptimizer, Recommendation, Strategy
 from imr_torch.design.plan import PAPER_PLAN, Plan
 from imr_torch.design.population import PopulationInformation
-from imr_torch.design.published import PublishedEstimator
 from imr_torch.design.response import Shot
 from imr_torch.design.search import DesignSearch, SearchSettings, search_design
 from imr_torch.design.space import DESIGN_NAMES, DesignSpace
@@ -26,10 +18,6 @@ from imr_torch.design.space import DESIGN_NAMES, DesignSpace
 __all__ = [
     "DESIGN_NAMES",
     "PAPER_PLAN",
-    "STRATEGIES",
-    "AdaptiveContrastive",
-    "Bracket",
-    "Cost",
     "DesignOptimizer",
     "DesignSearch",
     "DesignSpace",
@@ -50,9 +38,6 @@ __all__ = [
     "Strategy",
     "Target",
     "expected_information_gain",
-    "gains_of_each",
-    "information_bracket",
-    "linear_gaussian_gain",
     "search_design",
     "separate_errors",
 ]

@@ -1,4 +1,14 @@
-"""The expected information gain as a BoTorch acquisition function over designs."""
+"""Expected information gain of a design, how many nats an experiment is expected to tell about
+parameters and model, and the same as a BoTorch acquisition function over designs.
+
+Nested Monte Carlo with one sample set is bounded by ``log N`` and saturates where experiments are
+most informative, which is where a search for designs looks. The estimators that do not saturate,
+and bounds from either side, are objects (:mod:`~imr_torch.design.estimator`). In all of them
+
+    I(y; theta, m) = I(y; theta | m) + I(y; m),
+
+and several designs at once are stacked, so their gain is the joint one.
+"""
 
 from copy import copy
 from typing import get_args
@@ -9,15 +19,59 @@ from botorch.utils.transforms import t_batch_mode_transform
 from jaxtyping import Float, Real
 from torch import Tensor
 
-from imr_torch.design.eig import expected_information_gain
 from imr_torch.design.estimator import InformationEstimator
 from imr_torch.design.gain import InformationGain, Target
 from imr_torch.design.laplace import Laplace
 from imr_torch.design.plan import Plan
+from imr_torch.design.response import Shot
 from imr_torch.design.space import DesignSpace
 from imr_torch.errors import InputDataError, ShapeError, UnsupportedError
 from imr_torch.material import Belief
+from imr_torch.random import SeedLike, generator
 from imr_torch.simulate import Simulator
+
+
+def expected_information_gain(
+    belief: Belief,
+    designs: Real[Tensor, "designs 2"],
+    simulator: Simulator,
+    plan: Plan,
+    *,
+    estimator: InformationEstimator | None = None,
+    seed: SeedLike,
+) -> InformationGain:
+    """Gain of shooting ``q`` designs with one belief.
+
+    Args:
+        belief: what is thought of the gel now; models less probable than 1e-4 are left out.
+        designs: (We, R_inf*).
+        simulator: makes the bubbles.
+        plan: how they will be observed.
+        estimator: how the gain is estimated; ``Laplace()`` if None.
+        seed: of draws and noise.
+
+    Returns:
+        The estimate with its Monte Carlo variance and how many draws counted.
+
+    Raises:
+        ShapeError: if ``designs`` is not ``q x 2``.
+
+    >>> from imr_torch.material import reference_case
+    >>> from imr_torch.simulate import PolytropicSimulator
+    >>> prior, design = reference_case("soft-pa").prior, torch.tensor([[400.0, 0.2]], dtype=torch.float64)
+    >>> gains = [
+    ...     expected_information_gain(prior, design, PolytropicSimulator(), Plan(repeats=n), estimator=Laplace(8), seed=0)
+    ...     for n in (1, 10)
+    ... ]
+    >>> gains[0].value < gains[1].value  # ten curves tell more than one
+    True
+    """
+    if designs.ndim != 2 or designs.shape[0] < 1 or designs.shape[1] != 2:
+        raise ShapeError(
+            f"designs has shape {tuple(designs.shape)}; expected q x 2 with (We, R_inf*)."
+        )
+    with torch.no_grad():
+        return (estimator or Laplace())(Shot(belief, designs, simulator, plan), generator(seed))
 
 
 class ExpectedInformationGain(AcquisitionFunction):
@@ -120,17 +174,6 @@ class ExpectedInformationGain(AcquisitionFunction):
         None if none is pending.
         """
         return None if self.X_pending is None else self._joint(self.X_pending[:0], seed)
-
-    def estimate_each(
-        self, designs: Real[Tensor, "designs 2"], *, seed: int | None = None
-    ) -> list[InformationGain]:
-        """The gains of ``n x 2`` designs, each with the pending ones and not with the others, from
-        common draws.
-
-        Raises:
-            InputDataError: for a design outside the space.
-        """
-        return [self.estimate(design, seed=seed) for design in designs.split(1)]
 
     def _joint(self, designs: Tensor, seed: int | None) -> InformationGain:
         if self.X_pending is not None:

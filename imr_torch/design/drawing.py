@@ -1,9 +1,10 @@
-"""Gels drawn from a belief, and one simulated datum of each: what the estimators with linearised
-posteriors start from.
+"""Gels drawn from a belief, and one simulated datum of each: what all estimators of the gain about
+one gel start from.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import torch
 from jaxtyping import Float, Int
@@ -14,21 +15,33 @@ from imr_torch.design.response import Response, Shot, respond
 
 
 @dataclass(frozen=True)
-class Drawn:
-    """Gels of all models that could be simulated, and one datum of each.
+class Gels:
+    """Gels of all models, drawn and simulated.
 
     Args:
-        parts: gels of each model.
+        parts: gels of each model that could be simulated.
         controls: ``draws x d`` tensor per model: all that were drawn, those that could be simulated
             first.
         orders: ``draws`` tensor per model: the numbers of the draws in that order.
-        data: of all gels, model after model.
-        rows: which data are of each model.
     """
 
     parts: tuple[Response, ...]
     controls: tuple[Float[Tensor, "draws _"], ...]
     orders: tuple[Int[Tensor, "draws"], ...]
+
+
+@dataclass(frozen=True)
+class Drawn(Gels):
+    """Gels of all models, and one datum of each that could be simulated.
+
+    Args:
+        parts: see :class:`Gels`.
+        controls: see :class:`Gels`.
+        orders: see :class:`Gels`.
+        data: of all gels, model after model.
+        rows: which data are of each model.
+    """
+
     data: Data
     rows: tuple[slice, ...]
 
@@ -39,12 +52,12 @@ class Drawn:
 
 
 def normal_controls(
-    shot: Shot, draws: int, source: torch.Generator
+    shot: Shot, counts: Sequence[int], source: torch.Generator
 ) -> list[Float[Tensor, "draws _"]]:
-    """Draws of the Gaussian of each model, ``draws x d``."""
+    """Draws of the Gaussian of each model, as many as ``counts`` says: ``draws x d``."""
     return [
-        torch.randn(draws, len(part.names), generator=source, dtype=torch.float64)
-        for part in shot.belief.models
+        torch.randn(count, len(part.names), generator=source, dtype=torch.float64)
+        for part, count in zip(shot.belief.models, counts, strict=True)
     ]
 
 
@@ -54,7 +67,7 @@ def cloud_controls(
     """Draws of each model, ``draws x d``: from its stored posterior draws (``cloud``), or its
     Gaussian if it has none.
     """
-    drawn = normal_controls(shot, draws, source)
+    drawn = normal_controls(shot, [draws] * len(shot.belief.models), source)
     for i, part in enumerate(shot.belief.models):
         if part.cloud is not None:
             rows = torch.randperm(len(part.cloud.controls), generator=source)
@@ -64,28 +77,42 @@ def cloud_controls(
     return drawn
 
 
-def draw(shot: Shot, controls: Sequence[Float[Tensor, "_ _"]], source: torch.Generator) -> Drawn:
-    """Simulate the gels of each model at controls, and a datum of each that could be simulated."""
-    responses = [
-        respond(shot, part, v) for part, v in zip(shot.belief.models, controls, strict=True)
+def simulate_gels(
+    shot: Shot, controls: Sequence[Float[Tensor, "_ _"]], *, gel: bool = True
+) -> Gels:
+    """Simulate the gels of each model at controls.
+
+    Args:
+        shot: designs and how they are observed.
+        controls: ``draws x d`` tensor per model.
+        gel: whether sensitivities to the gel are needed.
+    """
+    seen = [
+        respond(shot, part, v, gel=gel)
+        for part, v in zip(shot.belief.models, controls, strict=True)
     ]
-    parts = []
-    ordered = []
-    orders = []
-    data = []
-    rows = []
-    first = 0
-    for every in responses:
-        orders.append(
-            torch.cat((torch.nonzero(every.good)[:, 0], torch.nonzero(~every.good)[:, 0]))
-        )
-        ordered.append(every.controls[orders[-1]])
-        parts.append(every[every.good])
-        data.append(observe(parts[-1], shot.plan, source))
-        rows.append(slice(first, first + len(parts[-1])))
-        first += len(parts[-1])
+    orders = [torch.argsort(~every.good, stable=True) for every in seen]
+    return Gels(
+        tuple(every[every.good] for every in seen),
+        tuple(every.controls[order] for every, order in zip(seen, orders, strict=True)),
+        tuple(orders),
+    )
+
+
+def draw(
+    shot: Shot,
+    controls: Sequence[Float[Tensor, "_ _"]],
+    source: torch.Generator,
+    *,
+    gel: bool = True,
+) -> Drawn:
+    """Simulate the gels of each model at controls, and a datum of each that could be simulated."""
+    gels = simulate_gels(shot, controls, gel=gel)
+    data = [observe(part, shot.plan, source) for part in gels.parts]
     together = Data(torch.cat([d.radius for d in data]), torch.cat([d.window for d in data]))
-    return Drawn(tuple(parts), tuple(ordered), tuple(orders), together, tuple(rows))
+    ends = torch.tensor([0, *map(len, data)]).cumsum(0).tolist()
+    rows = tuple(slice(first, end) for first, end in pairwise(ends))
+    return Drawn(gels.parts, gels.controls, gels.orders, together, rows)
 
 
 def model_weights(shot: Shot) -> list[float]:

@@ -8,9 +8,9 @@ takes from the errors of many designs the part that all of them share.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Float, Int
@@ -35,10 +35,6 @@ class InformationGain:
         bias: how far finite inner sums raise the value, to first order; None for other methods. It
             grows with the curvature of posteriors that the samples did not see, so compare two
             sizes of ``inner``.
-        effective: inner draws that effectively carry an evidence (Kish 1965), mean over data; near
-            1 the value is a bound.
-        model_variance: Monte Carlo variance of the gain about the model alone.
-        parameters_variance: Monte Carlo variance of the gain about the parameters alone.
         influence: influence of each draw on ``(parameters, model)``, nats; empty if the estimator
             does not say.
 
@@ -53,9 +49,6 @@ class InformationGain:
     counted: int
     drawn: int
     bias: float | None = None
-    effective: float | None = None
-    model_variance: float = 0.0
-    parameters_variance: float = 0.0
     influence: tuple[tuple[float, float], ...] = field(default=(), repr=False)
 
     @property
@@ -68,27 +61,32 @@ class InformationGain:
         """The whole gain; NaN when the evaluation failed."""
         return math.nan if self.failed else self.parameters + self.model
 
+    @property
+    def parameters_variance(self) -> float:
+        """Monte Carlo variance of the gain about the parameters alone, by the influences."""
+        return sum(parameters**2 for parameters, _ in self.influence)
+
+    @property
+    def model_variance(self) -> float:
+        """Monte Carlo variance of the gain about the model alone, by the influences."""
+        return sum(model**2 for _, model in self.influence)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> "InformationGain":
+        """Inverse of ``dataclasses.asdict``, after JSON."""
+        influence = tuple((a, b) for a, b in values["influence"])
+        return cls(**{**values, "influence": influence})
+
     def only(self, target: Target) -> "InformationGain":
         """The gain about the parameters alone, about the model alone, or unchanged (``"both"``)."""
         if target == "both":
             return self
         if target == "model":
             influence = tuple((0.0, model) for _, model in self.influence)
-            return replace(
-                self,
-                parameters=0.0,
-                variance=self.model_variance,
-                parameters_variance=0.0,
-                influence=influence,
-            )
+            variance = self.model_variance
+            return replace(self, parameters=0.0, variance=variance, influence=influence)
         influence = tuple((parameters, 0.0) for parameters, _ in self.influence)
-        return replace(
-            self,
-            model=0.0,
-            variance=self.parameters_variance,
-            model_variance=0.0,
-            influence=influence,
-        )
+        return replace(self, model=0.0, variance=self.parameters_variance, influence=influence)
 
 
 @dataclass(frozen=True)
@@ -148,7 +146,6 @@ def summarise(
     *,
     shared: Float[Tensor, "samples 2"] | None = None,
     bias: float | None = None,
-    effective: float | None = None,
 ) -> InformationGain:
     """The gain of independent strata, one per model.
 
@@ -156,7 +153,6 @@ def summarise(
         terms: one per model.
         shared: influence of samples that all data share.
         bias: of the whole.
-        effective: inner draws that carry an evidence.
     """
     means = torch.tensor([t.mean() for t in terms], dtype=torch.float64)
     weights = torch.tensor([t.weight for t in terms], dtype=torch.float64)
@@ -165,19 +161,16 @@ def summarise(
     counted = sum(len(t.parameters) for t in terms)
     drawn = sum(len(t.order) for t in terms)
     return with_influence(
-        InformationGain(parameters, model, 0.0, counted, drawn, bias, effective), torch.cat(parts)
+        InformationGain(parameters, model, 0.0, counted, drawn, bias), torch.cat(parts)
     )
 
 
 def with_influence(gain: InformationGain, influence: Float[Tensor, "draws 2"]) -> InformationGain:
-    """The gain with the influence of each draw (``n x 2``) and the variances that follow from it."""
-    of_parameters, of_model = influence.square().sum(0).tolist()
+    """The gain with the influence of each draw (``n x 2``) and the variance that follows from it."""
     known = bool(torch.isfinite(influence).all())
     return replace(
         gain,
         variance=float(influence.sum(1).square().sum()),
-        parameters_variance=of_parameters,
-        model_variance=of_model,
         influence=tuple((a, b) for a, b in influence.tolist()) if known else (),
     )
 

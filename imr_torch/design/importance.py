@@ -2,15 +2,14 @@
 
 Nested Monte Carlo, ``mean_n log p(y_n | v_n) - log p(y_n)``, with inner samples from Gaussians
 linearised at the optimum of each datum (Beck et al., CMAME 334, 2018): a finite number of them
-leaves the value too high on average, for any proposal. Adaptive contrastive estimation (Foster et
-al., AISTATS 2020) counts the datum's own gel among the inner samples and finds its proposals
-without it, which leaves the value too low.
+leaves the value too high on average, for any proposal.
 """
 
 import math
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.design.drawing import Drawn, draw, mixture, model_weights, normal_controls
@@ -27,184 +26,7 @@ _BEHIND = 25.0  # nats below the datum's own model at which an evidence need not
 
 
 @dataclass(frozen=True)
-class _Sampled(InformationEstimator):
-    """What :class:`ImportanceSampling` and :class:`AdaptiveContrastive` have in common.
-
-    Args:
-        draws: gels per constitutive model that data are made of.
-        inner: draws behind each evidence, per datum and model.
-        refinements: Gauss-Newton steps that place the proposal where no datum's own gel can be the
-            start.
-        defence: share of each datum's inner samples from a wider proposal; 0 makes linear-Gaussian
-            models exact.
-    """
-
-    draws: int = 64
-    inner: int = 32
-    refinements: int = 5
-    defence: float = 0.25
-
-    def __post_init__(self) -> None:
-        check_at_least(self, 2, "draws", "inner")
-        check_at_least(self, 0, "refinements")
-        if not 0.0 <= self.defence <= 0.5:
-            raise InputDataError(
-                f"{type(self).__name__}.defence is {self.defence}; expected a share in [0, 0.5]."
-            )
-
-    def _estimate(
-        self, shot: Shot, source: torch.Generator, *, contrastive: bool
-    ) -> InformationGain:
-        drawn = draw(shot, normal_controls(shot, self.draws, source), source)
-        own = [
-            infer(drawn.data[rows], part, shot.plan)
-            for rows, part in zip(drawn.rows, drawn.parts, strict=True)
-        ]
-        rival = torch.cat([linear.log_evidence for linear in own])
-        found = [
-            self._evidence(drawn, i, rival, shot, source, contrastive) for i in range(len(own))
-        ]
-        total = mixture([f.log for f in found], shot)
-        terms = []
-        bias = 0.0
-        effective = 0.0
-        for i, (weight, rows) in enumerate(zip(model_weights(shot), drawn.rows, strict=True)):
-            log = found[i].log[rows]
-            parameters = (
-                own[i].log_likelihood - log - _noise_control(drawn.parts[i].controls, own[i])
-            )
-            terms.append(
-                Terms(
-                    weight,
-                    parameters,
-                    log - total[rows],
-                    drawn.orders[i],
-                    _gel_control(drawn.controls[i], own[i]),
-                )
-            )
-            if len(log):
-                shares = [
-                    w * (f.log - total).exp()[rows]
-                    for w, f in zip(model_weights(shot), found, strict=True)
-                ]
-                spread = torch.stack(
-                    [
-                        share.square() * f.variance[rows]
-                        for share, f in zip(shares, found, strict=True)
-                    ]
-                ).sum(0)
-                bias += 0.5 * weight * float(spread.mean())
-                effective += weight * float(
-                    (self.inner / (1.0 + self.inner * found[i].variance[rows])).mean()
-                )
-        return summarise(terms, bias=None if contrastive else bias, effective=effective)
-
-    def _evidence(
-        self,
-        drawn: Drawn,
-        model: int,
-        rival: Tensor,
-        shot: Shot,
-        source: torch.Generator,
-        contrastive: bool,
-    ) -> "_Evidence":
-        """Log evidence of all data under one model by importance sampling from Gauss-Newton
-        posteriors.
-
-        Args:
-            drawn: gels and data.
-            model: which model.
-            rival: log evidence of each datum under its own model, linearised.
-            shot: designs and how they are observed.
-            source: of the samples.
-            contrastive: whether the datum's own gel counts among its samples.
-        """
-        count = len(drawn.data)
-        gels = drawn.parts[model]
-        part = shot.belief.models[model]
-        result = _Evidence(
-            torch.full((count,), -math.inf, dtype=torch.float64),
-            torch.zeros(count, dtype=torch.float64),
-        )
-        if len(gels) < 2:
-            return result
-        rows = torch.cat((torch.arange(count)[drawn.rows[model]], drawn.outside(model)))
-        data = drawn.data[rows]
-        own = len(gels)
-        start = torch.arange(own)
-        if contrastive:
-            start = best_starts(data[:own], gels, shot, not_own=True)[0]
-        if len(data) > own:
-            start = torch.cat((start, best_starts(data[own:], gels, shot)[0]))
-        at = refine(data, gels[start], shot, part, self.refinements)
-        result.log[rows] = infer(data, at, shot.plan).log_evidence
-        close = result.log[rows] > rival[rows] - _BEHIND
-        close[:own] = True
-        truth = gels.controls if contrastive else None
-        log, variance = self._sample(data[close], at[close], truth, shot, part, source)
-        result.log[rows[close]], result.variance[rows[close]] = log, variance
-        return result
-
-    def _sample(
-        self,
-        data: Data,
-        at: Response,
-        truth: Tensor | None,
-        shot: Shot,
-        part: ModelBelief,
-        source: torch.Generator,
-    ) -> tuple[Tensor, Tensor]:
-        """Log mean of importance weights for each datum, and its relative variance.
-
-        The proposal is a mixture, sampled in fixed proportion and weighted by its whole density
-        (Owen & Zhou, J. Am. Stat. Assoc. 95, 2000): the Gauss-Newton posterior; a wider one, which
-        bounds the weights of a curved posterior; and, where the datum's own gel counts among the
-        samples, the belief, so that a proposal in the wrong place costs some nats at most.
-
-        Args:
-            data: ``n`` data.
-            at: where each proposal is linearised; nuisances are taken from there.
-            truth: controls of the gels of the first data, which count as a sample of theirs.
-            shot: designs and how they are observed.
-            part: the model.
-            source: of the samples.
-        """
-        linear = infer(data, at, shot.plan)
-        d = at.controls.shape[1]
-        inner = self.inner
-        wide = round(self.defence * inner)
-        belief = 0 if truth is None else wide
-        z = torch.randn(len(data), inner, d, generator=source, dtype=torch.float64)
-        scale = torch.ones(inner, 1, dtype=torch.float64)
-        scale[inner - wide :] = _WIDER
-        v = (
-            linear.mean[:, None]
-            + torch.linalg.solve_triangular(linear.chol.mT, (scale * z).mT, upper=True).mT
-        )
-        v[:, inner - wide - belief : inner - wide] = z[:, inner - wide - belief : inner - wide]
-        if truth is not None:
-            v[: len(truth), 0] = truth
-        away = ((v - linear.mean[:, None]) @ linear.chol).square().sum(-1)
-        densities = torch.stack(
-            (
-                linear.information[:, None] - 0.5 * away,
-                linear.information[:, None] - 0.5 * away / _WIDER**2 - d * math.log(_WIDER),
-                -0.5 * v.square().sum(-1),
-            )
-        )
-        shares = torch.tensor([inner - wide - belief, wide, belief], dtype=torch.float64) / inner
-        log = _log_joint(data, v, at, shot, part) - torch.logsumexp(
-            densities + shares.log()[:, None, None], 0
-        )
-        good = torch.isfinite(log)
-        count = good.sum(1).clamp_min(1)
-        mean = torch.logsumexp(log, 1) - count.log()
-        relative = torch.where(good, (log - mean[:, None]).exp(), 1.0)
-        return mean, (relative - 1.0).square().sum(1) / (count - 1).clamp_min(1) / count
-
-
-@dataclass(frozen=True)
-class ImportanceSampling(_Sampled):
+class ImportanceSampling(InformationEstimator):
     """Every evidence by importance sampling: says how much a design tells, above the truth by its
     ``bias`` on average.
 
@@ -220,40 +42,118 @@ class ImportanceSampling(_Sampled):
     ImportanceSampling(draws=32, inner=64, refinements=5, defence=0.25)
     """
 
-    def __call__(self, shot: Shot, generator: torch.Generator) -> InformationGain:
-        """See :class:`~imr_torch.design.estimator.InformationEstimator`."""
-        return self._estimate(shot, generator, contrastive=False)
+    draws: int = 64
+    inner: int = 32
+    refinements: int = 5
+    defence: float = 0.25
 
-
-@dataclass(frozen=True)
-class AdaptiveContrastive(_Sampled):
-    """The same with the datum's own gel among its inner samples: below the truth on average, and at
-    most ``log(inner)``.
-
-    Args:
-        draws: gels per constitutive model that data are made of.
-        inner: draws behind each evidence, per datum and model.
-        refinements: Gauss-Newton steps that place the proposal.
-        defence: share of each datum's inner samples from a wider proposal, and as many from the
-            belief.
-
-    >>> AdaptiveContrastive(draws=32, inner=64).inner
-    64
-    """
+    def __post_init__(self) -> None:
+        check_at_least(self, 2, "draws", "inner")
+        check_at_least(self, 0, "refinements")
+        if not 0.0 <= self.defence <= 0.5:
+            raise InputDataError(
+                f"{type(self).__name__}.defence is {self.defence}; expected a share in [0, 0.5]."
+            )
 
     def __call__(self, shot: Shot, generator: torch.Generator) -> InformationGain:
         """See :class:`~imr_torch.design.estimator.InformationEstimator`."""
-        return self._estimate(shot, generator, contrastive=True)
+        weights = model_weights(shot)
+        controls = normal_controls(shot, [self.draws] * len(weights), generator)
+        drawn = draw(shot, controls, generator)
+        own = [
+            infer(drawn.data[rows], part, shot.plan)
+            for rows, part in zip(drawn.rows, drawn.parts, strict=True)
+        ]
+        rival = torch.cat([linear.log_evidence for linear in own])
+        found = [self._evidence(drawn, i, rival, shot, generator) for i in range(len(own))]
+        logs = torch.stack([log for log, _ in found])
+        variances = torch.stack([variance for _, variance in found])
+        total = mixture(list(logs), shot)
+        shares = torch.tensor(weights, dtype=torch.float64)[:, None] * (logs - total).exp()
+        spread = (shares.square() * variances).sum(0)
+        terms = []
+        bias = 0.0
+        for i, (weight, rows) in enumerate(zip(weights, drawn.rows, strict=True)):
+            log = logs[i, rows]
+            about = own[i].log_likelihood - log - _noise_control(drawn.parts[i].controls, own[i])
+            which = log - total[rows]
+            control = _gel_control(drawn.controls[i], own[i])
+            terms.append(Terms(weight, about, which, drawn.orders[i], control))
+            if len(log):
+                bias += 0.5 * weight * float(spread[rows].mean())
+        return summarise(terms, bias=bias)
 
+    def _evidence(
+        self, drawn: Drawn, model: int, rival: Tensor, shot: Shot, source: torch.Generator
+    ) -> tuple[Float[Tensor, "data"], Float[Tensor, "data"]]:
+        """Log evidence of all data under one model by importance sampling from Gauss-Newton
+        posteriors, and the relative variance of its Monte Carlo mean.
 
-@dataclass(frozen=True)
-class _Evidence:
-    """Log evidence of every datum under one model, and the relative variance of its Monte Carlo
-    mean; both ``n``.
-    """
+        Args:
+            drawn: gels and data.
+            model: which model.
+            rival: log evidence of each datum under its own model, linearised.
+            shot: designs and how they are observed.
+            source: of the samples.
+        """
+        count = len(drawn.data)
+        gels = drawn.parts[model]
+        part = shot.belief.models[model]
+        log = torch.full((count,), -math.inf, dtype=torch.float64)
+        variance = torch.zeros(count, dtype=torch.float64)
+        own = len(gels)
+        if own < 2:
+            return log, variance
+        others = drawn.outside(model)
+        rows = torch.cat((torch.arange(count)[drawn.rows[model]], others))
+        data = drawn.data[rows]
+        start = torch.cat((torch.arange(own), best_starts(drawn.data[others], gels, shot)))
+        at = refine(data, gels[start], shot, part, self.refinements)
+        log[rows] = infer(data, at, shot.plan).log_evidence
+        close = log[rows] > rival[rows] - _BEHIND
+        close[:own] = True
+        kept = rows[close]
+        log[kept], variance[kept] = self._sample(data[close], at[close], shot, part, source)
+        return log, variance
 
-    log: Tensor
-    variance: Tensor
+    def _sample(
+        self, data: Data, at: Response, shot: Shot, part: ModelBelief, source: torch.Generator
+    ) -> tuple[Float[Tensor, "data"], Float[Tensor, "data"]]:
+        """Log mean of importance weights for each datum, and its relative variance.
+
+        The proposal is a mixture, sampled in fixed proportion and weighted by its whole density
+        (Owen & Zhou, J. Am. Stat. Assoc. 95, 2000): the Gauss-Newton posterior, and a wider one,
+        which bounds the weights of a curved posterior.
+
+        Args:
+            data: ``n`` data.
+            at: where each proposal is linearised; nuisances are taken from there.
+            shot: designs and how they are observed.
+            part: the model.
+            source: of the samples.
+        """
+        linear = infer(data, at, shot.plan)
+        d = at.controls.shape[1]
+        wide = round(self.defence * self.inner)
+        z = torch.randn(len(data), self.inner, d, generator=source, dtype=torch.float64)
+        z[:, self.inner - wide :] *= _WIDER
+        away = torch.linalg.solve_triangular(linear.chol.mT, z.mT, upper=True).mT
+        v = linear.mean[:, None] + away
+        square = z.square().sum(-1)
+        widths = torch.tensor([1.0, _WIDER], dtype=torch.float64)[:, None, None]
+        shares = torch.tensor([self.inner - wide, wide], dtype=torch.float64) / self.inner
+        densities = (
+            shares.log()[:, None, None]
+            + linear.information[:, None]
+            - 0.5 * square / widths.square()
+            - d * widths.log()
+        )
+        log = _log_joint(data, v, at, shot, part) - torch.logsumexp(densities, 0)
+        good = torch.isfinite(log)
+        count = good.sum(1).clamp_min(1)
+        mean = torch.logsumexp(log, 1) - count.log()
+        relative = torch.where(good, (log - mean[:, None]).exp(), 1.0)
+        return mean, (relative - 1.0).square().sum(1) / (count - 1).clamp_min(1) / count
 
 
 def _noise_control(controls: Tensor, linear: Linear) -> Tensor:

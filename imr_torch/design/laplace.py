@@ -28,9 +28,6 @@ from imr_torch.design.refine import best_starts, refine
 from imr_torch.design.response import Response, Shot
 from imr_torch.material import ModelBelief
 
-_CLOSE = (
-    0.5  # posterior standard deviations: the evidence linearised there is as good as at the optimum
-)
 _BEHIND = 30.0  # nats by which a rival may be behind after the first step and still be refined
 _FEWEST = 6  # data of each model whose rivals are refined, if the number is left to the estimator
 
@@ -128,19 +125,8 @@ class Laplace(InformationEstimator):
             part: the model.
         """
         data, gels, shot = _windowed(data, gels, shot)
-        start, log = best_starts(data, gels, shot)
-        if self.refinements == 0:
-            return log
-        at = refine(
-            data,
-            gels[start],
-            shot,
-            part,
-            self.refinements,
-            close=_CLOSE,
-            both_lengths=False,
-            floor=own - _BEHIND,
-        )
+        start = best_starts(data, gels, shot)
+        at = refine(data, gels[start], shot, part, self.refinements, floor=own - _BEHIND)
         return infer(data, at, shot.plan).log_evidence
 
 

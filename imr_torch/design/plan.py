@@ -6,7 +6,7 @@ collapse of the window do not count. :data:`PAPER_PLAN` is the observation that 
 for designs assumes.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import torch
@@ -77,19 +77,6 @@ class Plan:
         ]
         last = torch.tensor(ends, dtype=self.times.dtype).reshape(*radius.shape[:-1], 1)
         return self.times <= last
-
-    def tempered(self) -> "Plan":
-        """The same as an assimilation sees it that divides the misfit by the number of frames
-        (arXiv 2409.00011, app. B).
-
-        The published method weighs the mean of all repeats as one curve and divides by ``n_t``, so
-        noise of one curve times ``sqrt(n_t)``.
-        """
-        return replace(
-            self,
-            repeats=1,
-            noise=replace(self.noise, scale=self.noise.scale * len(self.times) ** 0.5),
-        )
 
 
 PAPER_PLAN = Plan(

@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.distributions import MultivariateNormal
 
 from imr_torch.design.estimator import InformationEstimator, check_at_least
 from imr_torch.design.gain import InformationGain, Terms, summarise
@@ -74,11 +75,9 @@ class PopulationInformation(InformationEstimator):
                 same quantity.
         """
         roots, order = self._roots(shot, generator)
-        values = (
-            torch.stack([self._of(root) for root in roots])
-            if len(roots)
-            else torch.zeros(0, self.data).double()
-        )
+        values = torch.zeros(len(roots), self.data, dtype=torch.float64)
+        for row, root in enumerate(roots):
+            values[row] = self._of(root)
         gels = Terms(1.0, values.mean(1), torch.zeros(len(values), dtype=torch.float64), order)
         by_datum = values.mean(0) if len(values) else torch.zeros(self.data, dtype=torch.float64)
         shared = (by_datum - by_datum.mean()) / (self.data * (self.data - 1)) ** 0.5
@@ -120,15 +119,11 @@ class PopulationInformation(InformationEstimator):
             normal[good] = chol @ chol.mT - torch.eye(chol.shape[-1], dtype=torch.float64)
             normals.append(normal)
         good = torch.isfinite(torch.stack(normals, 1)).flatten(1).all(1)
-        order = torch.cat((torch.nonzero(good)[:, 0], torch.nonzero(~good)[:, 0]))
+        order = torch.argsort(~good, stable=True)
         eigen, vectors = torch.linalg.eigh(torch.stack(normals, 1)[good])
-        inverse = torch.linalg.solve_triangular(
-            part.chol, torch.eye(len(part.chol), dtype=torch.float64), upper=False
-        )
-        roots = (
-            vectors * eigen.clamp_min(0.0).sqrt()[..., None, :] @ vectors.mT
-        )  # of all roots the one that is continuous
-        return roots @ inverse, order
+        # of all roots the one that is continuous
+        roots = vectors * eigen.clamp_min(0.0).sqrt()[..., None, :] @ vectors.mT
+        return roots @ torch.linalg.inv(part.chol), order
 
     def _of(self, roots: Float[Tensor, "designs controls controls"]) -> Float[Tensor, "data"]:
         """Gain from each of the data of shots with given Fisher information, one at each of ``q``
@@ -145,13 +140,12 @@ class PopulationInformation(InformationEstimator):
         )
         stacked = roots.flatten(0, 1)  # qd x d
         own = self._covariances(roots)
-        known = _log_normal(
-            (seen - medians @ stacked.mT)[:, None], torch.linalg.cholesky(own)[rows]
-        )[:, 0]
         spread = stacked @ self.spread
-        apart = seen - (self.centre @ stacked.mT)[:, None]  # hyper x n x qd
-        whole = _log_normal(apart, torch.linalg.cholesky(own + spread @ spread.mT))
-        return known - torch.logsumexp(whole, 0) + math.log(len(whole))
+        zero = torch.zeros(q * d, dtype=torch.float64)
+        known = MultivariateNormal(zero, own[rows]).log_prob(seen - medians @ stacked.mT)
+        whole = MultivariateNormal(zero, own + spread @ spread.mT)
+        apart = seen[:, None] - self.centre @ stacked.mT  # n x hyper x qd
+        return known - torch.logsumexp(whole.log_prob(apart), 1) + math.log(len(self.scatter))
 
     def _covariances(self, roots: Tensor) -> Float[Tensor, "hyper size size"]:
         """Of the data about the median's, given each scatter: scatter of each shot, and its noise."""
@@ -160,11 +154,3 @@ class PopulationInformation(InformationEstimator):
         blocks = torch.zeros(hyper, q, d, q, d, dtype=torch.float64)
         blocks[:, range(q), :, range(q)] = (moved @ moved.mT).movedim(1, 0)
         return blocks.reshape(hyper, q * d, q * d) + torch.eye(q * d, dtype=torch.float64)
-
-
-def _log_normal(
-    values: Float[Tensor, "hyper data size"], chol: Float[Tensor, "hyper size size"]
-) -> Float[Tensor, "hyper data"]:
-    """Log density of values about zero, constants left out."""
-    white = torch.linalg.solve_triangular(chol, values.mT, upper=False)
-    return -0.5 * white.square().sum(-2) - chol.diagonal(dim1=-2, dim2=-1).log().sum(-1)[:, None]

@@ -90,13 +90,6 @@ class Response:
             self.controls[rows], self.radius[rows], self.by_gel[rows], self.by_nuisance[rows]
         )
 
-    def of_design(self, number: int) -> "Response":
-        """What is seen of the same gels in one of the ``q`` designs alone."""
-        one = slice(number, number + 1)
-        return Response(
-            self.controls, self.radius[:, one], self.by_gel[:, one], self.by_nuisance[:, one]
-        )
-
     @property
     def good(self) -> Bool[Tensor, "draws"]:
         """Gels all of whose bubbles could be simulated."""

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from imr_torch.design.acquisition import ExpectedInformationGain
 from imr_torch.design.gain import InformationGain, separate_errors
-from imr_torch.design.optimizer import Cost, DesignOptimizer, Recommendation, Strategy
+from imr_torch.design.optimizer import DesignOptimizer, Recommendation, Strategy
 from imr_torch.design.space import DesignSpace
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.random import child
@@ -38,6 +38,7 @@ class DesignSearch:
         designs: all evaluated designs.
         gains: their information gains, in the same order, each joint with the pending designs.
         optimizer: the optimizer, whose surrogate can be drawn.
+        settings: how the surrogate was made.
         pending: joint gain of the designs that were pending; None if there were none.
         earlier: the searches for the designs before, of a search for several.
 
@@ -54,6 +55,7 @@ class DesignSearch:
     designs: Float[Tensor, "evaluated 2"]
     gains: tuple[InformationGain, ...]
     optimizer: DesignOptimizer
+    settings: "SearchSettings"
     pending: InformationGain | None = None
     earlier: tuple["DesignSearch", ...] = ()
 
@@ -84,8 +86,7 @@ def search_design(
     evaluations: int = 25,
     initial: int = 10,
     batch: int = 1,
-    strategy: Strategy | None = None,
-    cost: Cost | None = None,
+    strategy: Strategy = "qLogNEI",
     common: bool = True,
     progress: Progress | None = None,
 ) -> DesignSearch:
@@ -102,7 +103,6 @@ def search_design(
         initial: of which space-filling.
         batch: designs asked for together after those; the surrogate is then asked less often.
         strategy: how designs are chosen.
-        cost: of an experiment; 1 when not given.
         common: whether all evaluations share their draws and noise, which cancels from differences
             between designs. The surrogate is then told the error of differences alone, and the
             recommendation's ``sd`` has the common error added.
@@ -133,28 +133,17 @@ def search_design(
             raise InputDataError(f"{name} is {value}; expected at least 1.")
     steps: list[DesignSearch] = []
     for number in range(q):
-        pending = _together(acquisition.X_pending, steps)
-        run = _Search(
-            acquisition.with_pending(pending),
-            SearchSettings(
-                seed if number == 0 else child(seed, "further design", number),
-                initial,
-                strategy,
-                cost,
-                common,
-            ),
-            draws=seed,
-            progress=progress,
+        waiting = [] if acquisition.X_pending is None else [acquisition.X_pending]
+        waiting += [step.recommendation.design[None] for step in steps]
+        settings = SearchSettings(
+            seed if number == 0 else child(seed, "further design", number),
+            initial,
+            strategy,
+            common,
         )
-        steps.append(run.complete(evaluations, batch))
+        beside = acquisition.with_pending(torch.cat(waiting) if waiting else None)
+        steps.append(_search_one(beside, settings, seed, evaluations, batch, progress))
     return replace(steps[-1], earlier=tuple(steps[:-1]))
-
-
-def _together(pending: Tensor | None, steps: Sequence[DesignSearch]) -> Tensor | None:
-    """Designs that are pending for the next step of a search."""
-    found = [] if pending is None else [pending]
-    found += [step.recommendation.design[None] for step in steps]
-    return torch.cat(found) if found else None
 
 
 @dataclass(frozen=True)
@@ -165,7 +154,6 @@ class SearchSettings:
         seed: of the optimizer.
         initial: space-filling designs.
         strategy: how designs are chosen.
-        cost: of an experiment.
         common: whether all evaluations share their draws.
 
     >>> designs = torch.tensor([[200.0, 0.2], [500.0, 0.2], [800.0, 0.2]], dtype=torch.float64)
@@ -177,8 +165,7 @@ class SearchSettings:
 
     seed: int
     initial: int
-    strategy: Strategy | None = None
-    cost: Cost | None = None
+    strategy: Strategy = "qLogNEI"
     common: bool = True
 
     def optimizer(
@@ -194,24 +181,23 @@ class SearchSettings:
         Evaluations too many of whose bubbles failed are left out.
         """
         optimizer = DesignOptimizer(
-            space, seed=self.seed, initial=self.initial, strategy=self.strategy, cost=self.cost
+            space, seed=self.seed, initial=self.initial, strategy=self.strategy
         )
         counted = [i for i, gain in enumerate(gains) if math.isfinite(gain.value)]
         if not counted:
             return optimizer, 0.0
         kept = [gains[i] for i in counted]
-        errors = separate_errors(kept) if self.common else None
-        own = (
-            errors.own
-            if errors
-            else torch.tensor([gain.variance for gain in kept], dtype=torch.float64)
-        )
+        own = torch.tensor([gain.variance for gain in kept], dtype=torch.float64)
+        common = 0.0
+        if self.common:
+            errors = separate_errors(kept)
+            own = errors.own
+            common = errors.common
         base = pending.value if pending else 0.0
         values = torch.tensor([gain.value - base for gain in kept], dtype=torch.float64)
-        optimizer.tell(
-            designs[counted], values[:, None], own.clamp_min(_SMALLEST_VARIANCE)[:, None]
-        )
-        return optimizer, errors.common if errors else 0.0
+        own = own.clamp_min(_SMALLEST_VARIANCE)
+        optimizer.tell(designs[counted], values[:, None], own[:, None])
+        return optimizer, common
 
     def finish(
         self,
@@ -226,71 +212,52 @@ class SearchSettings:
         """
         optimizer, common = self.optimizer(space, designs, gains, pending)
         best = optimizer.recommend()
-        if self.cost is not None:
-            common /= float(self.cost(best.design[None])) ** 2
         best = replace(best, sd=math.sqrt(best.sd**2 + common))
-        return DesignSearch(best, designs, tuple(gains), optimizer, pending)
+        return DesignSearch(best, designs, tuple(gains), optimizer, self, pending)
 
 
-class _Search:
-    """One design's search in progress.
+def _search_one(
+    acquisition: ExpectedInformationGain,
+    settings: SearchSettings,
+    seed: int,
+    evaluations: int,
+    batch: int,
+    progress: Progress | None,
+) -> DesignSearch:
+    """The search for one design.
 
     Args:
         acquisition: the gain, with all that is pending.
         settings: of the surrogate.
-        draws: seed of the draws.
+        seed: of the draws.
+        evaluations: designs to evaluate.
+        batch: of which together, after the first.
         progress: called with one line per evaluation.
     """
-
-    def __init__(
-        self,
-        acquisition: ExpectedInformationGain,
-        settings: SearchSettings,
-        *,
-        draws: int,
-        progress: Progress | None,
-    ) -> None:
-        self.acquisition = acquisition
-        self.settings = settings
-        self.draws = draws
-        self.progress = progress
-        self.designs = torch.empty(0, 2, dtype=torch.float64)
-        self.gains = list[InformationGain]()
-        self.pending = acquisition.estimate_pending(seed=child(draws, "eig", 0))
-        if self.pending is not None and self.pending.failed:
-            raise ConvergenceError(
-                f"{self.pending.counted} of {self.pending.drawn} draws could be simulated at the "
-                "pending designs "
-                f"{[] if acquisition.X_pending is None else acquisition.X_pending.tolist()}; "
-                "choose others."
-            )
-
-    def complete(self, evaluations: int, batch: int) -> DesignSearch:
-        """Evaluate designs until there are enough, ``batch`` at a time after the first."""
-        space = self.acquisition.space
-        while len(self.gains) < evaluations:
-            optimizer, _ = self.settings.optimizer(space, self.designs, self.gains, self.pending)
-            failed = (
-                self.designs[[gain.failed for gain in self.gains]] if self.gains else self.designs
-            )
-            most = batch if space.choices is None else min(batch, len(space.choices) - len(failed))
-            asked = optimizer.ask(
-                min(most, evaluations - len(self.gains)) if self.gains else optimizer.initial,
-                pending=failed,
-            )
-            for design in asked:
-                self._evaluate(design, evaluations)
-        return self.settings.finish(space, self.designs, self.gains, self.pending)
-
-    def _evaluate(self, design: Tensor, evaluations: int) -> None:
-        """The gain of one design, from draws common to a whole search or of this evaluation's own."""
-        number = 0 if self.settings.common else len(self.gains)
-        gain = self.acquisition.estimate(design[None], seed=child(self.draws, "eig", number))
-        self.designs = torch.cat((self.designs, design[None]))
-        self.gains.append(gain)
-        if self.progress:
-            self.progress(
-                f"design {len(self.gains)}/{evaluations}: We {float(design[0]):6.1f}  R_inf* "
-                f"{float(design[1]):.3f}  "
-                f"EIG {gain.value:.3f} +- {gain.variance**0.5:.3f} nats"
-            )
+    space = acquisition.space
+    pending = acquisition.estimate_pending(seed=child(seed, "eig", 0))
+    if pending is not None and pending.failed:
+        raise ConvergenceError(
+            f"{pending.counted} of {pending.drawn} draws could be simulated at the pending designs "
+            f"{[] if acquisition.X_pending is None else acquisition.X_pending.tolist()}; "
+            "choose others."
+        )
+    designs = torch.empty(0, 2, dtype=torch.float64)
+    gains: list[InformationGain] = []
+    while len(gains) < evaluations:
+        optimizer, _ = settings.optimizer(space, designs, gains, pending)
+        failed = designs[[row for row, gain in enumerate(gains) if gain.failed]]
+        count = min(batch, evaluations - len(gains)) if gains else settings.initial
+        for design in optimizer.ask(count, pending=failed):
+            # draws are common to a whole search, or of this evaluation's own
+            number = 0 if settings.common else len(gains)
+            gain = acquisition.estimate(design[None], seed=child(seed, "eig", number))
+            designs = torch.cat((designs, design[None]))
+            gains.append(gain)
+            if progress:
+                progress(
+                    f"design {len(gains)}/{evaluations}: We {float(design[0]):6.1f}  R_inf* "
+                    f"{float(design[1]):.3f}  "
+                    f"EIG {gain.value:.3f} +- {gain.variance**0.5:.3f} nats"
+                )
+    return settings.finish(space, designs, gains, pending)

@@ -203,12 +203,6 @@ class TellCausesApart:
             situation.number, found.design, found.gain, found.error, reason=_expectation(found)
         )
 
-    def rebuild(self, record: object, space: object, seed: int) -> None:
-        """See :class:`imr_torch.campaign.DesignPolicy`.
-
-        No search by a surrogate stands behind a design.
-        """
-
 
 def finding(report: GapReport) -> Finding:
     """What the journal of a campaign keeps of a diagnosis."""

@@ -7,14 +7,13 @@ integrated out exactly (Lindley & Smith, JRSS B 34, 1972). No inverse of ``A`` o
 a shot may leave a direction open, and a scatter may be zero.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from imr_torch.assimilate import ModelFit
 from imr_torch.material import ModelBelief
 
 
@@ -41,39 +40,22 @@ class GaussianShots:
     constant: Float[Tensor, "experiments"]
 
     @classmethod
-    def of_fits(cls, fits: Sequence[ModelFit], evidence: Sequence[float]) -> "GaussianShots":
-        """The Gaussians of fits, one a shot, their prior divided out.
-
-        Args:
-            fits: of one model and prior.
-            evidence: log evidence of each shot under that prior, nats.
-        """
-        prior = fits[0].prior
-        precisions = []
-        linears = []
-        for fit in fits:
-            covariance = prior.chol @ fit.chol @ fit.chol.mT @ prior.chol.mT
-            precision, linear = without_prior(prior.unwhitened(fit.mean), covariance, prior)
-            precisions.append(precision)
-            linears.append(linear)
-        shots = cls(
-            torch.stack(precisions),
-            torch.stack(linears),
-            torch.zeros(len(fits), dtype=torch.float64),
-        )
-        still = torch.zeros(1, len(prior.mean), dtype=torch.float64)
-        inverse = torch.cholesky_inverse(prior.chol)
-        alone = [
-            shots[e : e + 1].given(still, prior.mean, inverse).evidence for e in range(len(fits))
-        ]
+    def none(cls, size: int) -> "GaussianShots":
+        """No shot yet, of gels with ``size`` controls."""
         return cls(
-            shots.precision,
-            shots.linear,
-            torch.tensor(evidence, dtype=torch.float64) - torch.cat(alone),
+            torch.zeros(0, size, size, dtype=torch.float64),
+            torch.zeros(0, size, dtype=torch.float64),
+            torch.zeros(0, dtype=torch.float64),
         )
 
-    def __getitem__(self, rows: slice) -> "GaussianShots":
-        return GaussianShots(self.precision[rows], self.linear[rows], self.constant[rows])
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready, without loss."""
+        return {name: values.tolist() for name, values in vars(self).items()}
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> "GaussianShots":
+        """Inverse of :meth:`to_dict`."""
+        return cls(**{k: torch.tensor(v, dtype=torch.float64) for k, v in values.items()})
 
     def given(
         self,
@@ -103,10 +85,8 @@ class GaussianShots:
             - chol.diagonal(dim1=-2, dim2=-1).log().sum(-1)
             + 0.5 * (b * moved).sum(-1)
         )
-        linear = b - (A @ moved[..., None])[..., 0]
-        by_shot = A - A @ covariance @ A
-        total = precision + by_shot.sum(1)
-        slope = precision @ mean + linear.sum(1)
+        total = precision + (A - A @ covariance @ A).sum(1)
+        slope = precision @ mean + (b - (A @ moved[..., None])[..., 0]).sum(1)
         total_chol = torch.linalg.cholesky(total)
         centre = torch.cholesky_solve(slope[..., None], total_chol)[..., 0]
         evidence = (
@@ -116,9 +96,7 @@ class GaussianShots:
             + 0.5 * torch.logdet(precision)
             - 0.5 * mean @ precision @ mean
         )
-        return GivenScatter(
-            self, evidence, centre, total_chol, covariance, factor, constant, linear, by_shot
-        )
+        return GivenScatter(self, evidence, centre, total_chol, covariance, factor)
 
 
 @dataclass(frozen=True)
@@ -132,10 +110,6 @@ class GivenScatter:
         chol: Cholesky factor of their posterior precision.
         covariance: of each shot's controls given the population's.
         factor: a square root of it.
-        constant: with ``linear`` and ``by_shot`` the likelihood of each shot as a function of the
-            centre.
-        linear: ``n x E x d`` tensor.
-        by_shot: ``n x E x d x d`` tensor.
     """
 
     shots: GaussianShots
@@ -144,14 +118,6 @@ class GivenScatter:
     chol: Float[Tensor, "draws controls controls"]
     covariance: Float[Tensor, "draws experiments controls controls"]
     factor: Float[Tensor, "draws experiments controls controls"]
-    constant: Float[Tensor, "draws experiments"]
-    linear: Float[Tensor, "draws experiments controls"]
-    by_shot: Float[Tensor, "draws experiments controls controls"]
-
-    def log_likelihood(self, centre: Float[Tensor, "draws controls"]) -> Float[Tensor, "draws"]:
-        """Log density of all data given the population's controls (``n x d``), nats: ``n`` tensor."""
-        square = (centre[:, None] * (self.by_shot @ centre[:, None, :, None])[..., 0]).sum(-1)
-        return (self.constant + (self.linear * centre[:, None]).sum(-1) - 0.5 * square).sum(1)
 
     def shot_means(
         self, centre: Float[Tensor, "draws controls"]
@@ -177,6 +143,11 @@ def without_prior(
         prior: what is divided out.
     """
     before = torch.cholesky_inverse(prior.chol)
-    values, vectors = torch.linalg.eigh(torch.linalg.inv(covariance) - before)
-    precision = (vectors * values.clamp_min(0.0)) @ vectors.mT
+    precision = positive_part(torch.linalg.inv(covariance) - before)
     return precision, precision @ mean + before @ (mean - prior.mean)
+
+
+def positive_part(matrix: Float[Tensor, "controls controls"]) -> Float[Tensor, "controls controls"]:
+    """A symmetric matrix with its negative eigenvalues replaced by zero."""
+    values, vectors = torch.linalg.eigh(matrix)
+    return (vectors * values.clamp_min(0.0)) @ vectors.mT

@@ -10,7 +10,7 @@ here.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations
 
 import scipy  # whose parts are imported when they are used; `stats` takes long
@@ -97,12 +97,9 @@ def infer_population(
             problem(columns, width), draws, generator(child(seed, "population"))
         )
         intervals = {names[i]: scatter_interval(other, i, units) for i in columns}
-        checks.append(
-            ScaleCheck(
-                width, _any(_evidences(problem, columns, width, draws // 2, seed)), intervals
-            )
-        )
-    by_parameter = {names[i]: _of_parameter(evidence, i) for i in columns}
+        sets = _evidences(problem, columns, width, draws // 2, seed)
+        checks.append(ScaleCheck(width, _bayes_factor(sets, columns), intervals))
+    by_parameter = {names[i]: _bayes_factor(evidence, [i]) for i in columns}
     return Population(
         prior=prior,
         shots=shots,
@@ -113,7 +110,7 @@ def infer_population(
         scale=scale,
         found=found,
         log_evidence=float(found.log_evidences[0]),
-        any_scatter=_any(evidence),
+        any_scatter=_bayes_factor(evidence, columns),
         by_parameter=by_parameter,
         checks=tuple(checks),
         trends=_trends(shots, fits, names),
@@ -180,34 +177,15 @@ def _checked(
     return prior
 
 
-class _Evidences(dict[tuple[int, ...], WeightedPopulation]):
-    """Draws for each set of columns that vary, the empty one among them."""
-
-    def contrast(self, above: list[tuple[int, ...]], below: list[tuple[int, ...]]) -> BayesFactor:
-        """Log of the mean evidence of some sets over that of others."""
-        logs = [torch.stack([self[s].log_evidences for s in some]) for some in (above, below)]
-        means = [torch.logsumexp(x, 0) - math.log(len(x)) for x in logs]
-        difference = means[0] - means[1]
-        own = 0.0
-        for x, some in zip(logs, (above, below), strict=True):
-            share = torch.softmax(x[:, 0], 0).tolist()
-            own += sum((p * self[s].evidence_error) ** 2 for p, s in zip(share, some, strict=True))
-        reliable = all(self[s].reliable for s in (*above, *below))
-        return BayesFactor(
-            float(difference[0]),
-            math.hypot(math.sqrt(own), jackknife_error(difference[1:])),
-            reliable,
-        )
-
-
 def _evidences(
     problem: Callable[[Sequence[int], float], Problem],
     columns: Sequence[int],
     scale: float,
     draws: int,
     seed: int,
-) -> _Evidences:
-    found = _Evidences()
+) -> dict[tuple[int, ...], WeightedPopulation]:
+    """Draws for every set of parameters that may vary."""
+    found = {}
     for size in range(len(columns) + 1):
         for which in combinations(columns, size):
             source = generator(child(seed, "evidence", *which))
@@ -215,15 +193,24 @@ def _evidences(
     return found
 
 
-def _any(evidence: _Evidences) -> BayesFactor:
-    """Scatter of any parameter against none: all sets that vary are equally probable before."""
-    return evidence.contrast([s for s in evidence if s], [()])
-
-
-def _of_parameter(evidence: _Evidences, column: int) -> BayesFactor:
-    """Scatter of one parameter against none of it, whatever else varies."""
-    return evidence.contrast(
-        [s for s in evidence if column in s], [s for s in evidence if column not in s]
+def _bayes_factor(
+    evidence: Mapping[tuple[int, ...], WeightedPopulation], columns: Sequence[int]
+) -> BayesFactor:
+    """Mean evidence of the sets in which one of some parameters varies, over that of the others."""
+    means = []
+    own = 0.0
+    for varies in (True, False):
+        some = [found for s, found in evidence.items() if varies is bool(set(s) & set(columns))]
+        logs = torch.stack([found.log_evidences for found in some])
+        means.append(torch.logsumexp(logs, 0) - math.log(len(some)))
+        shares = torch.softmax(logs[:, 0], 0).tolist()
+        errors = [found.evidence_error for found in some]
+        own += sum((p * error) ** 2 for p, error in zip(shares, errors, strict=True))
+    difference = means[0] - means[1]
+    return BayesFactor(
+        float(difference[0]),
+        math.hypot(math.sqrt(own), jackknife_error(difference[1:])),
+        all(found.reliable for found in evidence.values()),
     )
 
 

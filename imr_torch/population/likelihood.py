@@ -50,7 +50,6 @@ class ShotLikelihood:
             from the mean absolute value; noise of the nuisances in part.
         mean: mean of ``z`` under the shot's own posterior.
         sd: its standard deviation.
-        draws: that were used.
         effective_samples: of them, under the shot's own posterior.
         reliable: whether draws and fit of the shot are reliable.
 
@@ -81,7 +80,6 @@ class ShotLikelihood:
     misses: float
     mean: Float[Tensor, "controls"]
     sd: Float[Tensor, "controls"]
-    draws: int
     effective_samples: float
     reliable: bool
 
@@ -131,7 +129,6 @@ class ShotLikelihood:
             misses=misses,
             mean=fit.prior.unwhitened(sample.mean),
             sd=torch.linalg.norm(fit.prior.chol @ torch.linalg.cholesky(sample.covariance), dim=1),
-            draws=len(controls),
             effective_samples=sample.effective_samples,
             reliable=fit.certificate.converged
             and fit.verdict in (Verdict.TRUSTED, Verdict.REPAIRED),

@@ -4,14 +4,12 @@ draw, to first order.
 The cells of the grid are those that :mod:`imr_torch.population.sampling` proposes scatters from.
 """
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.distributions import HalfNormal
 
 from imr_torch.material import ModelBelief
 from imr_torch.population.closed_form import GaussianShots
@@ -87,46 +85,9 @@ def cells(shots: GaussianShots, prior: ModelBelief, scale: Float[Tensor, "contro
         low = width = torch.zeros(1, 0, dtype=torch.float64)
     middle = torch.zeros(len(low), size, dtype=torch.float64)
     middle[:, varying] = low + 0.5 * width
-    log_prior = half_normal(middle[:, varying], scale[varying]) + width.log().sum(1)
+    log_prior = HalfNormal(scale[varying]).log_prob(middle[:, varying]).sum(1) + width.log().sum(1)
     precision = torch.cholesky_inverse(prior.chol)
     evidence = torch.cat(
         [shots.given(rows, prior.mean, precision).evidence for rows in middle.split(_CHUNK)]
     )
     return Cells(low, width, middle, log_prior, evidence)
-
-
-def half_normal(
-    values: Float[Tensor, "cells varying"], scale: Float[Tensor, "varying"]
-) -> Float[Tensor, "cells"]:
-    """Log density of independent half-normal values ``n x k`` with scales ``k``: ``n`` tensor."""
-    return (
-        math.log(2.0)
-        - 0.5 * math.log(2.0 * math.pi)
-        - scale.log()
-        - 0.5 * (values / scale).square()
-    ).sum(1)
-
-
-def any_scatter(
-    shots: GaussianShots, prior: ModelBelief, scale: Float[Tensor, "controls"]
-) -> float:
-    """Log evidence that some of the scatters are not zero: the mean over all sets of parameters
-    that may vary, nats.
-
-    Args:
-        shots: the shots.
-        prior: of the population's centre.
-        scale: of the prior of each scatter; 0 where it does not vary.
-    """
-    varying = torch.nonzero(scale)[:, 0].tolist()
-    logs = []
-    for which in _sets(varying):
-        some = torch.zeros_like(scale)
-        some[list(which)] = scale[list(which)]
-        logs.append(cells(shots, prior, some).log_evidence)
-    return float(torch.logsumexp(torch.tensor(logs, dtype=torch.float64), 0)) - math.log(len(logs))
-
-
-def _sets(columns: Sequence[int]) -> list[tuple[int, ...]]:
-    """All sets of at least one column."""
-    return [which for size in range(1, len(columns) + 1) for which in combinations(columns, size)]

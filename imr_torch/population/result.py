@@ -20,7 +20,7 @@ from imr_torch.population.likelihood import ShotLikelihood
 from imr_torch.population.sampling import WeightedPopulation
 from imr_torch.random import child, generator
 
-LEVELS = (0.05, 0.5, 0.95)
+_LEVELS = torch.tensor([0.05, 0.5, 0.95], dtype=torch.float64)
 DECISIVE = math.log(10.0)
 """Log Bayes factor, nats, from which shots are said to differ, or to be of one gel: odds of 10 to 1."""
 
@@ -29,7 +29,6 @@ _DECISIVE_ROUGHLY = (
 )
 LARGEST_SHOWN = 30.0
 """Nats; a larger log Bayes factor rests on the far tails of the shots' likelihoods."""
-_LEVELS = torch.tensor(LEVELS, dtype=torch.float64)
 _MISSED = (
     1.5  # times as wide as frames alone say, from which on shots are said to be missed by the model
 )
@@ -188,11 +187,8 @@ class Population:
         """
         column = self.prior.names.index(name)
         shot = self.shots[self.labels.index(label)]
-        controls = shot.mean[column] + shot.sd[column] * torch.special.ndtri(
-            torch.tensor(LEVELS, dtype=torch.float64)
-        )
-        low, middle, high = self.prior.marginals[column].to_physical(controls).tolist()
-        return low, middle, high
+        controls = shot.mean[column] + shot.sd[column] * torch.special.ndtri(_LEVELS)
+        return _interval(self.prior.marginals[column].to_physical(controls))
 
     def next_shot(self, name: str) -> Interval:
         """5, 50, 95 % quantile of a parameter of a shot still to be made, SI."""
@@ -215,15 +211,8 @@ class Population:
 
     def _physical(self, controls: Tensor, name: str) -> Interval:
         column = self.prior.names.index(name)
-        low, middle, high = weighted_quantiles(
-            controls[:, column], self.found.weights, _LEVELS
-        ).tolist()
-        values = (
-            self.prior.marginals[column]
-            .to_physical(torch.tensor([low, middle, high], dtype=torch.float64))
-            .tolist()
-        )
-        return values[0], values[1], values[2]
+        levels = weighted_quantiles(controls[:, column], self.found.weights, _LEVELS)
+        return _interval(self.prior.marginals[column].to_physical(levels))
 
     @property
     def cautions(self) -> tuple[str, ...]:
@@ -363,7 +352,10 @@ def scatter_interval(
     found: WeightedPopulation, column: int, units: Float[Tensor, "controls"]
 ) -> Interval:
     """5, 50, 95 % quantile of one scatter."""
-    low, middle, high = weighted_quantiles(
-        found.scatter[:, column] * units[column], found.weights, _LEVELS
-    ).tolist()
+    values = found.scatter[:, column] * units[column]
+    return _interval(weighted_quantiles(values, found.weights, _LEVELS))
+
+
+def _interval(values: Float[Tensor, "3"]) -> Interval:
+    low, middle, high = values.tolist()
     return low, middle, high

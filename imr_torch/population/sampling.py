@@ -15,13 +15,14 @@ from functools import cached_property
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.distributions import HalfNormal
 
 from imr_torch.assimilate.importance import kish, largest_shape, smooth
 from imr_torch.assimilate.proposals import student_draws, student_log_prob
 from imr_torch.material import ModelBelief
-from imr_torch.population.closed_form import GaussianShots
+from imr_torch.population.closed_form import GaussianShots, positive_part
 from imr_torch.population.likelihood import ShotLikelihood, quadratic_form
-from imr_torch.population.quadrature import cells, half_normal
+from imr_torch.population.quadrature import cells
 
 _DEFENSIVE = 0.1  # share of the proposal that is the prior of the scatters
 _FREEDOM = 7  # degrees of freedom of what proposes the centre
@@ -179,7 +180,8 @@ def _scatters(
     values = grid.low[cell] + within * grid.width[cell]
     scatter[:, varying] = values
     log_proposal = chance[cell].log() - grid.width[cell].log().sum(1)
-    return scatter, half_normal(values, problem.scale[varying]) - log_proposal
+    log_prior = HalfNormal(problem.scale[varying]).log_prob(values).sum(1)
+    return scatter, log_prior - log_proposal
 
 
 def _given(
@@ -195,12 +197,10 @@ def _given(
         given.centre
         + torch.linalg.solve_triangular(given.chol.mT, noise[..., None], upper=True)[..., 0]
     )
-    log_proposal = student_log_prob(noise.square().sum(1), size, _FREEDOM) + given.chol.diagonal(
-        dim1=-2, dim2=-1
-    ).log().sum(-1)
-    log_weights = (
-        given.log_likelihood(centre) + problem.prior.log_prob_controls(centre) - log_proposal
-    )
+    square = noise.square().sum(1)
+    # evidence times the Gaussian posterior of the centre, over the proposal of it
+    log_normal = -0.5 * (square + size * math.log(2.0 * math.pi))
+    log_weights = given.evidence + log_normal - student_log_prob(square, size, _FREEDOM)
     means = given.shot_means(centre)
     shots = []
     missed = []
@@ -246,8 +246,7 @@ def _fitted_again(problem: Problem, found: WeightedPopulation) -> GaussianShots:
         ).solution[:, 0]
         curve = torch.zeros(size, size, dtype=torch.float64)
         curve[rows, columns] = -solved[1 + size :]
-        eigen, vectors = torch.linalg.eigh(curve + curve.mT)
-        A = (vectors * eigen.clamp_min(0.0)) @ vectors.mT / (unit[:, None] * unit)
+        A = positive_part(curve + curve.mT) / (unit[:, None] * unit)
         slope = solved[1 : 1 + size] / unit
         b = slope + A @ mean
         parts.append((A, b, solved[0] - slope @ mean - 0.5 * mean @ A @ mean))

@@ -7,17 +7,16 @@ from dataclasses import replace
 import pytest
 import torch
 
-from imr_torch.assimilate import En4DVarOptions, SearchOptions, assimilate, weigh
+from imr_torch.assimilate import En4DVarOptions, SearchOptions
 from imr_torch.assimilate.en4dvar import tempered
 from imr_torch.calibration import Arrangement, calibrate, coverage, reliability, uniformity
-from imr_torch.calibration.replicate import information
-from imr_torch.design import Plan, linear_gaussian_gain
+from imr_torch.design import Plan
 from imr_torch.errors import ConvergenceError, ShapeError
 from imr_torch.material import Belief, reference_case
 from imr_torch.observe import ExperimentBatch, Nuisance
 from imr_torch.random import generator
 from imr_torch.simulate import PolytropicSimulator
-from tests.linear import NOISE, LinearSimulator, exact, experiments, prior, tensor
+from tests.linear import NOISE, LinearSimulator, exact, prior
 
 PLAN = Plan(
     times=torch.linspace(0.0, 2.0, 13, dtype=torch.float64), repeats=16, noise=NOISE, collapses=None
@@ -49,7 +48,6 @@ def test_that_the_default_is_calibrated(default, kind):
         assert uniformity(places).p > 0.01
         assert coverage(places, 0.9).fits
     assert uniformity(pooled(default, kind, "alpha")).p > 0.01
-    assert uniformity([r.log_likelihood for r in default]).p > 0.01
 
 
 def test_that_model_probabilities_are_reliable(default):
@@ -145,43 +143,8 @@ def test_that_ensemble_4dvar_is_calibrated_and_its_tempered_form_is_not():
 def test_that_nuisances_are_drawn_and_marginalised():
     plan = replace(PLAN, nuisance=Nuisance(time_zero=0.1, rest_radius=0.2))
     found = run(24, plan=plan)
-    assert all(r.log_likelihood is None for r in found)
     for name in ("G", "mu"):
         assert uniformity(pooled(found, "weighted", name)).p > 0.01
-
-
-def test_that_the_information_is_the_closed_form_s():
-    part = prior(("nhkv",))
-    batch = experiments(2)
-    result = weigh(
-        assimilate(part, batch, LinearSimulator(), seed=0, options=OPTIONS),
-        LinearSimulator(),
-        seed=0,
-        samples=4000,
-    )
-    truth = exact(part.models[0], batch)
-    covariance = truth.covariance
-    value = 0.5 * (
-        covariance.trace() + truth.mean.square().sum() - len(truth.mean) - torch.logdet(covariance)
-    )
-    assert information(result) == pytest.approx(float(value), abs=0.05)
-
-
-def test_that_information_comes_as_expected():
-    one = replace(LINEAR, prior=prior(("nhkv",)))
-    found = torch.tensor([r.information for r in run(40, arrangement=one)], dtype=torch.float64)
-    part = one.prior.models[0]
-    start = part.parameters(part.mean)
-    design = tensor(*one.designs[0])
-    simulator = LinearSimulator()
-    moved = [part.parameters(part.mean + step) for step in torch.eye(2, dtype=torch.float64)]
-    rows = [
-        simulator(gel, design, PLAN.times).radius - simulator(start, design, PLAN.times).radius
-        for gel in moved
-    ]
-    noise = NOISE.floor**2 / PLAN.repeats * torch.eye(len(PLAN.times), dtype=torch.float64)
-    expected = float(linear_gaussian_gain(torch.stack(rows, 1), noise))
-    assert float(found.mean()) == pytest.approx(expected, abs=4.0 * float(found.std()) / 40**0.5)
 
 
 def test_that_a_replicate_depends_on_its_number_alone():
@@ -215,8 +178,6 @@ def test_that_bubbles_serve():
         places = (
             *replicate.gaussian.values(),
             *replicate.weighted.values(),
-            replicate.log_likelihood,
         )
         assert all(0.0 <= place <= 1.0 for place in places)
-        assert replicate.information > 4.0
         assert replicate.probabilities == {"nhkv": 1.0}

@@ -8,7 +8,7 @@ import pytest
 import torch
 from scipy import stats
 
-from imr_torch.calibration import coverage, envelope, rank_correlation, reliability, uniformity
+from imr_torch.calibration import coverage, envelope, reliability, uniformity
 from imr_torch.errors import InputDataError, ShapeError
 
 
@@ -102,17 +102,6 @@ def test_that_right_probabilities_err_as_chance_does_and_sharpened_ones_more():
     assert wrong.error_low > wrong.by_chance
 
 
-def test_that_ranks_agree_or_not_with_an_error_of_the_repeats():
-    expected = torch.linspace(0.0, 1.0, 12, dtype=torch.float64)
-    noise = torch.randn(12, 40, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    exact, zero = rank_correlation(expected, expected[:, None].expand(-1, 5))
-    assert (exact, zero) == (pytest.approx(1.0), pytest.approx(0.0))
-    rho, error = rank_correlation(expected, expected[:, None] + noise)
-    assert rho > 0.7
-    assert 0.01 < error < 0.2
-    assert rank_correlation(expected, -expected[:, None] + 0.01 * noise)[0] == pytest.approx(-1.0)
-
-
 @pytest.mark.parametrize(
     ("call", "error", "words"),
     [
@@ -133,7 +122,6 @@ def test_that_ranks_agree_or_not_with_an_error_of_the_repeats():
         ),
         (lambda: coverage([], 0.9), InputDataError, "coverage: expected at least one number"),
         (lambda: reliability([0.5, 0.5], [True]), ShapeError, "2 probabilities and 1 outcomes"),
-        (lambda: rank_correlation(torch.zeros(2), torch.zeros(2, 4)), ShapeError, "n >= 3"),
     ],
 )
 def test_that_bad_input_is_named(call, error, words):

@@ -12,7 +12,7 @@ import pytest
 from benchmarks.interruptions import Disk, forked
 from imr_torch.campaign import Journal
 from imr_torch.errors import InputDataError
-from tests.journals import cut, rewritten
+from tests.journals import cut
 
 COUNT = 5
 needs_fork = pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are forked")
@@ -112,49 +112,6 @@ def test_a_journal_in_place_of_another_is_refused(folder, tmp_path):
         (folder / "journal.head").write_text(text)
         with pytest.raises(InputDataError, match=r"journal.head: cannot be read .*or delete it"):
             Journal(folder)
-
-
-START = {"event": "start", "prior": {}, "simulator": "", "settings": {}, "seed": 0, "note": {}}
-RECORD = {
-    "number": 1,
-    "label": "",
-    "design": [],
-    "nuisance": {},
-    "curve": "",
-    "file": "",
-    "sha256": "",
-}
-
-
-@pytest.mark.parametrize(
-    ("event", "message"),
-    [
-        ({"event": "ask", "step": 1}, "line 2: event 'ask' has no 'design'"),
-        (
-            {"event": "stop", "step": "1", "reason": ""},
-            "line 2: event 'stop': step is '1'; expected int",
-        ),
-        ({"event": "stop", "step": True, "reason": ""}, "step is True; expected int"),
-        ({"event": "forget"}, "event 'forget' has no 'experiment'"),
-        (
-            {"event": "observed", "step": 1, "experiments": [5]},
-            "an experiment of event 'observed' is 5; expected an object",
-        ),
-        (
-            {"event": "observed", "step": 1, "experiments": [RECORD | {"file": None}]},
-            "file is None; expected str",
-        ),
-        (
-            {"event": "learnt", "step": 1, "experiments": [1], "belief": None, "evidence": []},
-            "belief is None; expected dict",
-        ),
-    ],
-    ids=str,
-)
-def test_an_event_that_lacks_what_it_needs_is_refused(tmp_path, event, message):
-    rewritten(tmp_path, [START, event])
-    with pytest.raises(InputDataError, match=message):
-        Journal(tmp_path)
 
 
 def test_that_a_line_cut_at_any_byte_is_left_out_and_then_repaired(folder, tmp_path):

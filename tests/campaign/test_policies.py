@@ -20,7 +20,7 @@ from imr_torch.campaign import (
     Situation,
     SpaceFilling,
 )
-from imr_torch.design import PAPER_PLAN, STRATEGIES, DesignSpace, Laplace, Plan, PublishedEstimator
+from imr_torch.design import PAPER_PLAN, DesignSpace, Laplace, Plan, PublishedEstimator
 from imr_torch.errors import InputDataError
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import SimulatedLaboratory
@@ -109,16 +109,6 @@ def test_random_designs_are_uniform_and_space_filling_ones_more_even():
     assert spread(SpaceFilling()) == 0.0
 
 
-def test_settings_of_the_laboratory_are_kept():
-    settings = DesignSpace(
-        weber=(200.0, 900.0), rest_radius=(0.15, 0.25), weber_settings=(250.0, 800.0)
-    )
-    listed = DesignSpace(designs=((300.0, 0.2), (500.0, 0.16), (700.0, 0.24)))
-    for policy in (Random(), SpaceFilling()):
-        assert {float(choose(policy, n, space=settings)[0]) for n in range(1, 9)} == {250.0, 800.0}
-        assert len({tuple(choose(policy, n, space=listed).tolist()) for n in range(1, 13)}) == 3
-
-
 def test_a_list_is_shot_in_order_and_its_end_is_an_error():
     assert choose(LISTED, 2).tolist() == [500.0, 0.16]
     with pytest.raises(InputDataError, match="holds 3 designs and number 4 was asked for"):
@@ -161,7 +151,7 @@ def test_the_papers_search_is_the_published_one():
             10,
             1,
             False,
-            STRATEGIES["paper"],
+            "paper",
             PAPER_OPTIMAL.plan,
             False,
         )

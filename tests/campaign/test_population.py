@@ -26,6 +26,7 @@ from imr_torch.design import Plan
 from imr_torch.errors import InputDataError
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, SimulatedLaboratory, Statement, gel_medium
+from imr_torch.population import GaussianShots
 from imr_torch.random import child, generator
 from tests.journals import cut
 
@@ -46,7 +47,6 @@ def settings(**changes) -> CampaignSettings:
 
 
 def campaign(folder: Path, **changes) -> Campaign:
-    population._MADE.clear()  # as in a process of its own
     return Campaign(folder, PRIOR, SIMULATOR, settings=settings(**changes), seed=1)
 
 
@@ -235,7 +235,9 @@ def test_that_options_that_do_not_suit_are_refused(
 def test_that_what_is_inferred_of_the_medium_is_not_asked_for_scatter() -> None:
     part = gel_medium(Statement.from_text("density=1060:20")).believed_of(PRIOR.models[0])
     with_density, without = (
-        population.information_about((), prior, LEARNER.scales(prior))
+        population.information_about(
+            GaussianShots.none(len(prior.names)), prior, LEARNER.scales(prior)
+        )
         for prior in (part, PRIOR.models[0])
     )
     assert part.names[-1] == "density"

@@ -16,9 +16,6 @@ from imr_torch.campaign import (
     Journal,
     PaperLearner,
     Random,
-    SpaceFilling,
-    Study,
-    run_campaigns,
 )
 from imr_torch.design import DesignSpace, Plan
 from imr_torch.errors import ConvergenceError, InputDataError
@@ -337,21 +334,6 @@ def test_that_two_campaigns_on_one_folder_do_not_write_over_each_other(tmp_path)
     assert not (tmp_path / "experiment_002.npz").exists()
 
 
-def test_that_a_study_says_which_of_its_folders_is_in_use(tmp_path):
-    study = Study(
-        tmp_path,
-        prior(("nhkv",)),
-        LinearSimulator(),
-        LABORATORY,
-        CampaignSettings(plan=PLAN, policy=SpaceFilling()),
-    )
-    study = replace(study, settings=replace(study.settings, learner=StubLearner()))
-    with study.open(1).journal.held():
-        outcomes = run_campaigns([0, 1], study, 1)
-    assert [o.designs for o in outcomes] == [1, 0]
-    assert "seed_0001 is in use by another campaign" in outcomes[1].error
-
-
 @pytest.mark.parametrize(
     ("place", "change", "message"),
     [
@@ -365,6 +347,24 @@ def test_that_a_study_says_which_of_its_folders_is_in_use(tmp_path):
             2,
             {"evidence": [5]},
             r"line 3: event 'learnt' cannot be read \(AttributeError.*Restore the journal",
+        ),
+        *(
+            (place, change, r"line \d: event '\w+' (lacks a field|cannot be read).*Restore")
+            for place, change in (
+                (1, {"experiments": None}),
+                (1, {"experiments": [5]}),
+                (1, {"experiments": [{"number": 1}]}),
+                (2, {"step": "1"}),
+                (2, {"belief": None}),
+                (2, {"shots": [1.0]}),
+                (3, {"design": [400.0]}),
+                (3, {"design": ["400", 0.2]}),
+                (3, {"gain": "large"}),
+                (3, {"event": "failed"}),
+                (3, {"event": "stop", "reason": None}),
+                (3, {"event": "forget", "experiment": "1"}),
+                (3, {"event": "note"}),
+            )
         ),
         (
             3,

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from imr_torch.design import Plan, linear_gaussian_gain
+from imr_torch.design import Plan
 from imr_torch.material import PARAMETERS, Belief, ModelBelief, TruncatedNormal
 from imr_torch.observe import Noise
 from imr_torch.simulate import Conditions, Solution, Status, broadcast_batch
@@ -55,6 +55,16 @@ class LinearCamera:
 
     def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
         return self(parameters, designs, times)
+
+
+def linear_gaussian_gain(sensitivity: Tensor, noise: Tensor) -> Tensor:
+    """Mutual information of ``theta ~ N(0, 1)`` and ``y = A theta + e`` with ``e ~ N(0, noise)``, nats.
+
+    ``1/2 log det(noise + A A^T) - 1/2 log det(noise)`` (Lindley, Ann. Math. Stat. 27, 1956;
+    Chaloner & Verdinelli, Statist. Sci. 10, 1995, section 2).
+    """
+    both = torch.linalg.slogdet(noise + sensitivity @ sensitivity.mT).logabsdet
+    return 0.5 * (both - torch.linalg.slogdet(noise).logabsdet)
 
 
 def normal(sd: float, mean: float = 0.0) -> TruncatedNormal:

@@ -11,7 +11,6 @@ from botorch.optim import optimize_acqf, optimize_acqf_mixed
 from botorch.utils.sampling import manual_seed
 
 from imr_torch.design import (
-    AdaptiveContrastive,
     ExpectedInformationGain,
     ImportanceSampling,
     InformationEstimator,
@@ -34,7 +33,6 @@ EVERY = [
     Laplace(draws=6, rivals=6),
     Laplace(draws=6, rivals=6, refinements=0),
     ImportanceSampling(draws=6, inner=4),
-    AdaptiveContrastive(draws=6, inner=4),
     NestedMonteCarlo(draws=6, inner=4),
     PriorContrastive(draws=6, inner=4),
     PublishedEstimator(10),

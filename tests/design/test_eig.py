@@ -10,7 +10,6 @@ import torch
 from torch.distributions import MultivariateNormal
 
 from imr_torch.design import (
-    AdaptiveContrastive,
     ExpectedInformationGain,
     ImportanceSampling,
     Laplace,
@@ -18,8 +17,6 @@ from imr_torch.design import (
     PriorContrastive,
     PublishedEstimator,
     expected_information_gain,
-    gains_of_each,
-    information_bracket,
 )
 from imr_torch.errors import InputDataError, ShapeError
 from imr_torch.material import Belief, reference_case
@@ -46,7 +43,6 @@ BOTH = Nuisance(time_zero=0.1, rest_radius=0.3)
 EVERY = (
     Laplace,
     ImportanceSampling,
-    AdaptiveContrastive,
     NestedMonteCarlo,
     PriorContrastive,
     PublishedEstimator,
@@ -90,8 +86,6 @@ def test_that_a_belief_that_bends_gains_as_its_cloud_and_not_as_its_gaussian(dra
     found = gain(bent, DESIGNS[:1], how, estimator)
     assert found.value == pytest.approx(exact(narrow, DESIGNS[:1], how), rel=1e-7)
     assert gain(fat, DESIGNS[:1], how, estimator).value > found.value + 2.0
-    each = gains_of_each(bent, DESIGNS, LinearCamera(), how, estimator=estimator, seed=0)
-    assert each[0].value == pytest.approx(found.value, rel=1e-9)
 
 
 @pytest.mark.parametrize("estimator", EXACT, ids=name)
@@ -129,7 +123,6 @@ def test_unsaturated_estimators_are_not_bounded_by_the_number_of_draws(estimator
     "estimator",
     [
         ImportanceSampling(draws=200, inner=20),
-        AdaptiveContrastive(draws=200, inner=200),
         NestedMonteCarlo(draws=600, inner=1200),
         PriorContrastive(draws=600, inner=1200),
         PublishedEstimator(draws=900),
@@ -184,9 +177,8 @@ def test_the_papers_estimator_is_capped_at_the_log_of_its_draws_where_the_gain_i
     precise = plan(repeats=10**4)
     for draws in (50, 400):
         found = gain(ONE, DESIGNS[:1], precise, PublishedEstimator(draws=draws))
-        assert found.value <= math.log(draws)
+        assert found.value <= math.log(draws) + 1e-9
         assert found.value == pytest.approx(math.log(draws), abs=0.05)
-        assert found.effective < 1.05
     assert exact(ONE, DESIGNS[:1], precise) > math.log(400) + 5.0
 
 
@@ -196,26 +188,18 @@ def test_the_papers_estimator_does_not_underflow_for_long_records():
 
 
 @pytest.mark.parametrize("repeats", [1, 10**4])
-@pytest.mark.parametrize("proposal", ["posterior", "prior"])
-def test_the_bracket_brackets(proposal, repeats):
+def test_that_the_gain_is_between_nested_monte_carlo_and_prior_contrastive(repeats):
     how = plan(repeats=repeats)
-    kinds = {
-        "posterior": (AdaptiveContrastive, ImportanceSampling),
-        "prior": (PriorContrastive, NestedMonteCarlo),
-    }[proposal]
-    lower, upper = (kind(draws=40, inner=16 if proposal == "posterior" else 200) for kind in kinds)
-    found = [
-        information_bracket(ONE, DESIGNS[:1], LinearCamera(), how, lower=lower, upper=upper, seed=s)
-        for s in range(12)
-    ]
     truth = exact(ONE, DESIGNS[:1], how)
-    for name, sign in (("lower", 1.0), ("upper", -1.0)):
-        values = torch.tensor([getattr(b, name).value for b in found], dtype=torch.float64)
+    found = {}
+    for kind, sign in ((PriorContrastive, 1.0), (NestedMonteCarlo, -1.0)):
+        gains = [gain(ONE, DESIGNS[:1], how, kind(draws=40, inner=200), seed=s) for s in range(12)]
+        values = torch.tensor([g.value for g in gains], dtype=torch.float64)
         assert float(sign * (values.mean() - truth)) < 3.0 * float(values.std()) / 12**0.5
-    if proposal == "posterior":
-        assert all(abs(b.upper.value - b.lower.value) < 0.1 for b in found)
-    elif repeats > 1:
-        assert all(b.lower.value <= math.log(200) + 1e-9 < b.upper.value for b in found)
+        found[kind] = values
+    if repeats > 1:
+        assert float(found[PriorContrastive].max()) <= math.log(200) + 1e-9
+        assert float(found[NestedMonteCarlo].min()) > math.log(200)
 
 
 @pytest.mark.parametrize(
@@ -223,7 +207,6 @@ def test_the_bracket_brackets(proposal, repeats):
     [
         (Laplace(draws=16), SIGMA),
         (ImportanceSampling(draws=16, inner=8), SIGMA),
-        (AdaptiveContrastive(draws=16, inner=16), SIGMA),
         (NestedMonteCarlo(draws=400, inner=40), 0.5),
         (PriorContrastive(draws=400, inner=40), 0.5),
         (PublishedEstimator(draws=40), 0.5),
@@ -309,21 +292,6 @@ def test_the_gain_does_not_depend_on_the_units_of_the_parameters(kind):
     assert second.variance == pytest.approx(first.variance, rel=1e-4, abs=1e-12)
 
 
-@pytest.mark.parametrize("kind", [Laplace, ImportanceSampling, PublishedEstimator])
-@pytest.mark.parametrize("limit", [math.inf, 0.2], ids=["all succeed", "some fail"])
-def test_gains_of_several_designs_each_alone_are_those_of_one_after_the_other(kind, limit):
-    how = plan(nuisance=BOTH)
-    camera = LinearCamera(limit=limit)
-    estimator = kind(draws=12)
-    found = gains_of_each(TWO, DESIGNS, camera, how, estimator=estimator, seed=4)
-    assert len(found) == 2
-    for each, design in zip(found, DESIGNS, strict=True):
-        alone = gain(TWO, design[None], how, estimator, camera=camera, seed=4)
-        assert each.value == pytest.approx(alone.value, rel=1e-12)
-        assert (each.counted, each.drawn) == (alone.counted, alone.drawn)
-        assert (each.counted < each.drawn) == (limit < math.inf)
-
-
 def test_a_model_of_negligible_probability_costs_nothing():
     sure = Belief(TWO.models, torch.tensor([-30.0, 0.0], dtype=torch.float64))
     found = gain(sure, DESIGNS[:1], plan(), Laplace(draws=6))
@@ -401,8 +369,8 @@ def test_the_estimate_is_a_function_of_its_seed(kind):
         (lambda: Laplace(refinements=-1), "Laplace.refinements is -1; expected 0 or more"),
         (lambda: ImportanceSampling(inner=1), "ImportanceSampling.inner is 1; at least 2"),
         (
-            lambda: AdaptiveContrastive(defence=0.9),
-            r"AdaptiveContrastive.defence is 0.9; expected a share in \[0, 0.5\]",
+            lambda: ImportanceSampling(defence=0.9),
+            r"ImportanceSampling.defence is 0.9; expected a share in \[0, 0.5\]",
         ),
         (lambda: NestedMonteCarlo(inner=0), "NestedMonteCarlo.inner is 0; at least 2"),
         (lambda: PriorContrastive(draws=0), "PriorContrastive.draws is 0; at least 2"),

@@ -13,13 +13,11 @@ MODULES = [
 ]
 SHOWN = {
     "acquisition",
-    "eig",
     "estimator",
     "gain",
     "importance",
     "laplace",
     "nested",
-    "published",
     "search",
 }
 

@@ -1,12 +1,10 @@
-import math
-
 import pytest
 import torch
 
 from imr_torch.design import PAPER_PLAN, Plan
 from imr_torch.errors import InputDataError
 from imr_torch.material import reference_case
-from imr_torch.observe import Experiment, Noise, collapse_time
+from imr_torch.observe import Experiment, collapse_time
 from imr_torch.simulate import PolytropicSimulator
 
 
@@ -35,13 +33,6 @@ def test_the_papers_plan_is_its_noise_ramp_over_61_frames():
     assert float(PAPER_PLAN.times[-1]) == 3.0
     assert torch.allclose(sd, expected, atol=1e-6)
     assert PAPER_PLAN.repeats == 1
-
-
-def test_tempering_divides_the_misfit_by_the_number_of_frames():
-    plan = Plan(repeats=100, noise=Noise(scale=2.0))
-    soft = plan.tempered()
-    assert soft.repeats == 1
-    assert soft.noise.scale == pytest.approx(2.0 * math.sqrt(81))
 
 
 @pytest.mark.parametrize(

@@ -47,7 +47,7 @@ EFFORTS = ("normal", "thorough")
 FRAMES = ("all", "robust")
 TARGETS = ("parameters", "model", "both")
 STRATEGIES = ("qLogNEI", "qEI", "paper")
-ESTIMATORS = ("laplace", "importance", "adaptive", "nested", "contrastive", "paper")
+ESTIMATORS = ("laplace", "importance", "nested", "contrastive", "paper")
 FORMATS = ("png", "pdf", "svg")
 COLUMNS = ("one", "two")
 
