@@ -12,17 +12,12 @@ from imr_torch.material.cases import CASES, ReferenceCase, reference_case, wide_
 from imr_torch.material.effect import LIBRARY, Effect, library, register_effect
 from imr_torch.material.integral import (
     TERMS,
-    active_terms,
     derivatives,
     gel_response,
-    memory_rate,
-    memory_start,
-    memory_states,
     register_term,
-    stress_integral,
 )
 from imr_torch.material.marginals import LogNormal, Marginal, Quantile, TruncatedNormal
-from imr_torch.material.models import MATERIALS, Material, material, materials, register
+from imr_torch.material.models import MATERIALS, Material, material, register
 from imr_torch.material.parameters import PARAMETERS, Parameter, dimensionless
 from imr_torch.material.stress import Stress, StressTerm
 
@@ -49,20 +44,14 @@ __all__ = [
     "Stress",
     "StressTerm",
     "TruncatedNormal",
-    "active_terms",
     "derivatives",
     "dimensionless",
     "gel_response",
     "library",
     "material",
-    "materials",
-    "memory_rate",
-    "memory_start",
-    "memory_states",
     "reference_case",
     "register",
     "register_effect",
     "register_term",
-    "stress_integral",
     "wide_prior",
 ]

@@ -4,11 +4,7 @@ through every model.
 To add a model, subclass :class:`Material` in one file, name its terms, and register an instance.
 """
 
-from collections.abc import Mapping, Sequence
 from functools import cached_property
-
-from jaxtyping import Inexact
-from torch import Tensor
 
 from imr_torch.errors import InputDataError
 from imr_torch.material.elastic import (
@@ -18,10 +14,10 @@ from imr_torch.material.elastic import (
     SECOND_ORDER_FUNG,
     STIFFENING,
 )
-from imr_torch.material.integral import TERMS, stress_integral
+from imr_torch.material.integral import TERMS
 from imr_torch.material.memory import MAXWELL, OLDROYD_B, STANDARD_LINEAR, STANDARD_NONLINEAR
 from imr_torch.material.parameters import PARAMETERS, Parameter
-from imr_torch.material.stress import Stress, StressTerm
+from imr_torch.material.stress import StressTerm
 from imr_torch.material.viscous import CARREAU, NEWTONIAN
 
 
@@ -63,21 +59,6 @@ class Material:
     def parameters(self) -> tuple[Parameter, ...]:
         """Units, bounds and neutral values of ``names``."""
         return tuple(PARAMETERS[name] for name in self.names)
-
-    def stress(
-        self,
-        radius: Inexact[Tensor, "*#batch"],
-        velocity: Inexact[Tensor, "*#batch"],
-        rest_radius: Inexact[Tensor, "*#batch"],
-        theta: Mapping[str, Inexact[Tensor, "*#batch"]],
-        memory: Inexact[Tensor, "states *#batch"] | None = None,
-    ) -> Stress:
-        """The model's stress integral; all arguments dimensionless, see
-        :class:`~imr_torch.material.stress.Stress`.
-
-        ``memory`` is the ``states x batch_shape`` tensor of a model with memory.
-        """
-        return stress_integral(self.terms, radius, velocity, rest_radius, theta, memory)
 
     def __repr__(self) -> str:
         return f"<{self.title}: {', '.join(self.names)}>"
@@ -289,16 +270,6 @@ def material(key: str) -> Material:
             f"Model {key!r} names {double[0]!r} twice, or {base!r} has it already."
         )
     return Extended(MATERIALS[base], tuple(extra))
-
-
-def materials(keys: Sequence[str]) -> tuple[Material, ...]:
-    """The models of several keys, in that order.
-
-    >>> from imr_torch.material import materials
-    >>> [model.title for model in materials(["nhkv", "gen_qkv"])]
-    ['NHKV', 'Gen. qKV']
-    """
-    return tuple(material(key) for key in keys)
 
 
 for _model in (
