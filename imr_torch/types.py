@@ -12,5 +12,20 @@ model, ``E`` experiments, ``T`` or ``n_t`` frames.
 
 from collections.abc import Callable
 
+from jaxtyping import Float, Inexact
+from torch import Tensor
+
 Progress = Callable[[str], None]
 """Called with one line of text per step of long work."""
+
+Members = Inexact[Tensor, "*#batch"]
+"""A number of each member of a batch."""
+
+States = Inexact[Tensor, "states *#batch"]
+"""The memory states of each member of a batch."""
+
+Values = Float[Tensor, "*batch"]
+"""Numbers of any shape, on which a function acts elementwise."""
+
+Frames = Float[Tensor, "*#batch experiments frames"]
+"""A number of each frame of each experiment, of each member of a batch."""

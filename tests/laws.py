@@ -3,6 +3,7 @@ complex step.
 """
 
 from collections.abc import Callable, Sequence
+from functools import cache
 
 import numba
 import numpy as np

@@ -6,10 +6,10 @@ off; terms that are switched off in the whole batch are left out. Memory states 
 stacked into one ``K x B`` tensor in the order of the terms.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import torch
-from jaxtyping import Float, Inexact
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
@@ -32,6 +32,7 @@ from imr_torch.material.memory import MAXWELL, OLDROYD_B, STANDARD_LINEAR, STAND
 from imr_torch.material.parameters import PARAMETERS
 from imr_torch.material.stress import Stress, StressTerm
 from imr_torch.material.viscous import CARREAU, NEWTONIAN
+from imr_torch.types import Members, States
 
 TERMS: list[StressTerm] = [
     NEWTONIAN,
@@ -52,7 +53,7 @@ TERMS: list[StressTerm] = [
     PERMANENT_SET,
     *CLOSURE,
 ]
-"""Every term a batch may need. Terms that are neutral in the whole batch cost nothing: see :func:`active_terms`."""
+"""Every term a batch may need. Simulators leave out those that are neutral in the whole batch."""
 
 
 def register_term(term: StressTerm) -> StressTerm:
@@ -78,62 +79,14 @@ def register_term(term: StressTerm) -> StressTerm:
     return term
 
 
-def active_terms(
-    theta: Mapping[str, Inexact[Tensor, "*#batch"]], terms: Sequence[StressTerm] | None = None
-) -> tuple[StressTerm, ...]:
-    """Of ``terms`` (all by default), those that do something for at least one member of the batch
-    ``theta``.
-
-    >>> import torch
-    >>> from imr_torch.material import PARAMETERS, active_terms, dimensionless
-    >>> from imr_torch.units import Surroundings
-    >>> gel = PARAMETERS.pack({"G": 5e3, "mu": 0.1})
-    >>> theta = dimensionless(gel, torch.tensor(200e-6), Surroundings())
-    >>> [term.name for term in active_terms(theta)]
-    ['newtonian', 'neo_hookean']
-    """
-    return tuple(
-        term
-        for term in (TERMS if terms is None else terms)
-        if bool((theta[term.switch] != 0.0).any())
-    )
-
-
-def memory_states(terms: Sequence[StressTerm]) -> int:
-    """How many memory states the terms carry together.
-
-    >>> from imr_torch.material import material, memory_states
-    >>> memory_states(material("nhkv").terms), memory_states(material("zener").terms)
-    (0, 1)
-    """
-    return sum(term.states for term in terms)
-
-
-def memory_start(
-    terms: Sequence[StressTerm],
-    rest_radius: Inexact[Tensor, "*batch"],
-    theta: Mapping[str, Inexact[Tensor, "*#batch"]],
-) -> Inexact[Tensor, "states *batch"]:
-    """Memory states at time zero, ``K x B``; ``rest_radius`` is a ``B`` tensor.
-
-    >>> import torch
-    >>> from imr_torch.material import material, memory_start
-    >>> rest, mu, tau, none = torch.tensor([[0.2], [0.1], [0.5], [0.0]], dtype=torch.float64)
-    >>> memory_start(material("maxwell").terms, rest, {"mu": mu, "tau": tau, "retardation": none}).tolist()
-    [[0.0]]
-    """
-    parts = [term.memory_start(rest_radius, theta) for term in terms if term.states]
-    return torch.cat(parts) if parts else rest_radius.new_zeros(0, *rest_radius.shape)
-
-
 def gel_response(
     terms: Sequence[StressTerm],
-    radius: Inexact[Tensor, "*#batch"],
-    velocity: Inexact[Tensor, "*#batch"],
-    rest_radius: Inexact[Tensor, "*#batch"],
-    theta: Mapping[str, Inexact[Tensor, "*#batch"]],
-    memory: Inexact[Tensor, "states *#batch"] | None = None,
-) -> tuple[Stress, Inexact[Tensor, "states *#batch"]]:
+    radius: Members,
+    velocity: Members,
+    rest_radius: Members,
+    theta: Mapping[str, Members],
+    memory: States | None = None,
+) -> tuple[Stress, States]:
     """Sum of ``terms``, and ``d memory/dt`` (``K x B``).
 
     All arguments dimensionless, ``B`` tensors but ``memory``, ``K x B``; see
@@ -149,55 +102,16 @@ def gel_response(
     zero = torch.zeros_like(radius)
     total = Stress(zero, zero, zero)
     rates = []
-    for term, states in _with_memory(terms, memory):
+    start = 0
+    for term in terms:
+        states = None if memory is None else memory[start : start + term.states]
+        start += term.states
         value, rate, acceleration, *changes = term.evaluate(
             radius, velocity, rest_radius, theta, states
         )
         total = total + Stress(value, rate, acceleration)
         rates += changes
     return total, torch.stack(rates) if rates else zero.new_zeros(0, *zero.shape)
-
-
-def stress_integral(
-    terms: Sequence[StressTerm],
-    radius: Inexact[Tensor, "*#batch"],
-    velocity: Inexact[Tensor, "*#batch"],
-    rest_radius: Inexact[Tensor, "*#batch"],
-    theta: Mapping[str, Inexact[Tensor, "*#batch"]],
-    memory: Inexact[Tensor, "states *#batch"] | None = None,
-) -> Stress:
-    """Sum of ``terms``; arguments as in :func:`gel_response`.
-
-    >>> import torch
-    >>> from imr_torch.material import material, stress_integral
-    >>> one, still, rest, G, mu = torch.tensor([[1.0], [0.0], [0.2], [0.05], [0.1]], dtype=torch.float64)
-    >>> stress = stress_integral(material("nhkv").terms, one, still, rest, {"G": G, "mu": mu})
-    >>> round(float(stress.value), 4)
-    -0.105
-    """
-    return gel_response(terms, radius, velocity, rest_radius, theta, memory)[0]
-
-
-def memory_rate(
-    terms: Sequence[StressTerm],
-    radius: Inexact[Tensor, "*#batch"],
-    velocity: Inexact[Tensor, "*#batch"],
-    rest_radius: Inexact[Tensor, "*#batch"],
-    theta: Mapping[str, Inexact[Tensor, "*#batch"]],
-    memory: Inexact[Tensor, "states *#batch"],
-) -> Inexact[Tensor, "states *#batch"]:
-    """``d memory/dt``, ``K x B``; arguments as in :func:`gel_response`.
-
-    >>> import torch
-    >>> from imr_torch.material import material, memory_rate
-    >>> one, still, mu, tau, memory = torch.tensor([[1.0], [0.0], [0.1], [0.5], [0.2]], dtype=torch.float64)
-    >>> theta = {"mu": mu, "tau": tau, "retardation": still}
-    >>> rate = memory_rate(material("maxwell").terms, one, still, one, theta, memory[None])
-    >>> round(float(rate), 2)  # -Z/De, the wall at rest
-    -0.4
-    """
-    remembering = [term for term in terms if term.states]
-    return gel_response(remembering, radius, velocity, rest_radius, theta, memory)[1]
 
 
 def derivatives(
@@ -236,16 +150,3 @@ def derivatives(
         tuple(torch.full_like(x, float(i == j)) for j, x in enumerate(point)) for i in range(count)
     ]
     return torch.stack([torch.func.jvp(function, point, direction)[1] for direction in directions])
-
-
-def _with_memory(
-    terms: Sequence[StressTerm], memory: Tensor | None
-) -> Iterator[tuple[StressTerm, Tensor | None]]:
-    """Each term with its own ``states x B`` rows of ``memory``; None where it has none."""
-    start = 0
-    for term in terms:
-        if term.states:
-            yield term, None if memory is None else memory[start : start + term.states]
-            start += term.states
-        else:
-            yield term, None

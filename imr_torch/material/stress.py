@@ -13,15 +13,28 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
+import numpy as np
 import torch
 from jaxtyping import Inexact
 from torch import Tensor
 
 from imr_torch.elementary import Law, obstacle_of
 from imr_torch.errors import InputDataError
+from imr_torch.types import Members, States
 
 SMOOTH = 0.02
 """Velocity, over ``U_c``, below which laws round off ``|U|`` and its sign."""
+
+
+def unit_rule(count: int) -> tuple[tuple[float, float], ...]:
+    """Gauss-Legendre nodes and weights on [0, 1].
+
+    >>> from imr_torch.material.stress import unit_rule
+    >>> round(sum(weight * node**2 for node, weight in unit_rule(2)), 6)
+    0.333333
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return tuple(zip((0.5 + 0.5 * nodes).tolist(), (0.5 * weights).tolist(), strict=True))
 
 
 @dataclass(frozen=True)
@@ -118,11 +131,11 @@ class StressTerm:
 
     def __call__(
         self,
-        radius: Inexact[Tensor, "*#batch"],
-        velocity: Inexact[Tensor, "*#batch"],
-        rest_radius: Inexact[Tensor, "*#batch"],
-        theta: Mapping[str, Inexact[Tensor, "*#batch"]],
-        memory: Inexact[Tensor, "states *#batch"] | None = None,
+        radius: Members,
+        velocity: Members,
+        rest_radius: Members,
+        theta: Mapping[str, Members],
+        memory: States | None = None,
     ) -> Stress:
         """Evaluate the term; ``memory`` is ``states x batch_shape``, all else broadcasts to
         ``batch_shape``.
@@ -132,41 +145,28 @@ class StressTerm:
         """
         return Stress(*self.evaluate(radius, velocity, rest_radius, theta, memory)[:3])
 
-    def memory_rate(
-        self,
-        radius: Inexact[Tensor, "*#batch"],
-        velocity: Inexact[Tensor, "*#batch"],
-        rest_radius: Inexact[Tensor, "*#batch"],
-        theta: Mapping[str, Inexact[Tensor, "*#batch"]],
-        memory: Inexact[Tensor, "states *#batch"],
-    ) -> Inexact[Tensor, "states *#batch"]:
-        """Time derivative of ``memory``, ``states x batch_shape``."""
-        return torch.stack(self.evaluate(radius, velocity, rest_radius, theta, memory)[3:])
-
     def memory_start(
         self,
-        rest_radius: Inexact[Tensor, "*#batch"],
-        theta: Mapping[str, Inexact[Tensor, "*#batch"]],
-    ) -> Inexact[Tensor, "states *#batch"]:
+        rest_radius: Members,
+        theta: Mapping[str, Members],
+    ) -> States:
         """Memory at time zero, ``states x batch_shape``."""
         if self.start is None:
             return rest_radius.new_zeros(self.states, *rest_radius.shape)
         return torch.stack(self.start(rest_radius, *self._read(theta)))
 
-    def relaxation_rate(
-        self, theta: Mapping[str, Inexact[Tensor, "*#batch"]]
-    ) -> Inexact[Tensor, "*#batch"] | None:
+    def relaxation_rate(self, theta: Mapping[str, Members]) -> Members | None:
         """Rate of the fastest state, ``batch_shape``; None if it follows the bubble's motion."""
         return None if self.fastest is None else self.fastest(*self._read(theta))
 
     def evaluate(
         self,
-        radius: Inexact[Tensor, "*#batch"],
-        velocity: Inexact[Tensor, "*#batch"],
-        rest_radius: Inexact[Tensor, "*#batch"],
-        theta: Mapping[str, Inexact[Tensor, "*#batch"]],
-        memory: Inexact[Tensor, "states *#batch"] | None,
-    ) -> tuple[Inexact[Tensor, "*#batch"], ...]:
+        radius: Members,
+        velocity: Members,
+        rest_radius: Members,
+        theta: Mapping[str, Members],
+        memory: States | None,
+    ) -> tuple[Members, ...]:
         """Value, rate and acceleration of the stress, and the rates of the memory, all of the
         broadcast shape.
         """

@@ -6,7 +6,7 @@ of them to a common number of frames, so that any number of experiments is one t
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import ClassVar
@@ -14,6 +14,7 @@ from typing import ClassVar
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
 
 from imr_torch.errors import InputDataError, ShapeError
 from imr_torch.material import PARAMETERS
@@ -24,10 +25,14 @@ from imr_torch.observe.noise_laws import NoiseLaws
 from imr_torch.observe.nuisance import NUISANCES, Nuisance, displaced, impossible
 from imr_torch.observe.scatter import Scatter, with_own
 from imr_torch.simulate import EARLIEST, Simulator, check_designs
+from imr_torch.types import Frames
 
 _EARLIEST_FILMED = -0.4  # an exposure reaches on from its frame, and so does a clock that is wrong
 
 _LONGEST_EXPOSURE = PARAMETERS["exposure_blur"].upper
+
+ExperimentFrames = Float[Tensor, "experiments frames"]
+"""A number of each frame of each experiment."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,43 +83,33 @@ class Experiment:
                 f"Experiment {self.label!r}: expected radius n_repeats x n_t and times n_t, "
                 f"got {tuple(self.radius.shape)} and {tuple(self.times.shape)}."
             )
-        if self.radius.shape[0] < 1:
-            raise InputDataError(
-                f"Experiment {self.label!r} has no repeat; give at least one row of radius."
-            )
-        if self.times.shape[0] < 2:
-            raise InputDataError(
-                f"Experiment {self.label!r} has {self.times.shape[0]} frames; at least 2 are "
-                "needed."
-            )
-        check_designs(torch.tensor([self.design], dtype=torch.float64))
-        if bool(torch.isinf(self.radius).any()):
-            repeat, frame = torch.nonzero(torch.isinf(self.radius))[0].tolist()
+        infinite = torch.isinf(self.radius).nonzero().tolist()
+        if infinite:
+            repeat, frame = infinite[0]
             raise InputDataError(
                 f"Experiment {self.label!r}: radius of repeat {repeat}, frame {frame} is "
-                f"{self.radius[repeat, frame]}; "
-                "mark a missing frame by NaN."
+                f"{self.radius[repeat, frame]}; mark a missing frame by NaN."
             )
-        if not bool((self.counts > 0).all()):
-            frame = int(torch.nonzero(self.counts == 0)[0])
-            raise InputDataError(
-                f"Experiment {self.label!r}: radius of frame {frame} is NaN in every repeat; "
-                "leave it out of times and radius."
-            )
-        if not 0.0 <= self.exposure <= _LONGEST_EXPOSURE:
-            raise InputDataError(
-                f"Experiment {self.label!r}: exposure is {self.exposure:g} of Rmax/U_c; expected "
-                f"0 to {_LONGEST_EXPOSURE:g}."
-            )
-        if not 0.0 < self.noise_factor < math.inf:
-            raise InputDataError(
-                f"Experiment {self.label!r}: noise_factor is {self.noise_factor:g}; expected a "
-                "factor above 0."
-            )
-        if bool((self.times[1:] <= self.times[:-1]).any()) or not bool(
-            torch.isfinite(self.times).all()
+        lost = (self.counts == 0).nonzero()[:, 0].tolist()
+        rises = bool((self.times.diff() > 0.0).all() and torch.isfinite(self.times).all())
+        for wrong, text in (
+            (self.repeats < 1, "has no repeat; give at least one row of radius"),
+            (len(self.times) < 2, f"has {len(self.times)} frames; at least 2 are needed"),
+            (lost, f"has frames {lost} that are NaN in every repeat; leave them out"),
+            (not rises, "has times that are not finite or do not increase"),
+            (
+                not 0.0 <= self.exposure <= _LONGEST_EXPOSURE,
+                f"has an exposure of {self.exposure:g} Rmax/U_c; expected 0 to "
+                f"{_LONGEST_EXPOSURE:g}",
+            ),
+            (
+                not 0.0 < self.noise_factor < math.inf,
+                f"has the noise_factor {self.noise_factor:g}; expected a factor above 0",
+            ),
         ):
-            raise InputDataError(f"Experiment {self.label!r}: times must be finite and increase.")
+            if wrong:
+                raise InputDataError(f"Experiment {self.label!r} {text}.")
+        check_designs(torch.tensor([self.design], dtype=torch.float64))
 
     @property
     def repeats(self) -> int:
@@ -170,7 +165,7 @@ class Film:
     """
 
     designs: Float[Tensor, "experiments 2"]
-    times: Float[Tensor, "experiments frames"]
+    times: ExperimentFrames
     nuisance_sds: Float[Tensor, "experiments 3"] = None  # type: ignore[assignment]  # zeros
 
     def __post_init__(self) -> None:
@@ -229,17 +224,9 @@ class ExperimentBatch:
         if gaps and self.noise.correlation_time > 0.0:
             raise InputDataError(
                 f"Experiment {gaps[0]!r}: a repeat lacks frames that another has, and "
-                "Noise.correlation_time is "
-                f"{self.noise.correlation_time:g}; leave these frames out of all repeats, or take "
-                "0."
+                f"Noise.correlation_time is {self.noise.correlation_time:g}; leave these frames "
+                "out of all repeats, or take 0."
             )
-
-    def _padded(self, rows: Sequence[Tensor], fill: float) -> Tensor:
-        width = max(row.shape[0] for row in rows)
-        padded = [
-            torch.nn.functional.pad(row, (0, width - row.shape[0]), value=fill) for row in rows
-        ]
-        return torch.stack(padded)
 
     @cached_property
     def curves(self) -> "tuple[Experiment, ...]":
@@ -287,7 +274,7 @@ class ExperimentBatch:
 
     def log_noise_ratios(
         self,
-        prediction: Float[Tensor, "experiments frames"],
+        prediction: ExperimentFrames,
         count: int,
         *,
         generator: torch.Generator,
@@ -307,7 +294,7 @@ class ExperimentBatch:
         )
         return torch.where(self.mask, logs + own[..., None], 0.0)
 
-    def noise_interval(self, prediction: Float[Tensor, "experiments frames"]) -> list[float]:
+    def noise_interval(self, prediction: ExperimentFrames) -> list[float]:
         """5, 50 and 95 % quantiles of the noise of the median single frame at a prediction, R*."""
         frames = self.of_frames
         level = frames.sd(prediction)[self.mask].median()
@@ -318,31 +305,31 @@ class ExperimentBatch:
     @cached_property
     def mask(self) -> Bool[Tensor, "experiments frames"]:
         """Frames that exist."""
-        return self._padded(
-            [torch.ones_like(e.times, dtype=torch.bool) for e in self.experiments], False
-        )
+        kept = [torch.ones_like(e.times, dtype=torch.bool) for e in self.experiments]
+        return pad_sequence(kept, batch_first=True)
 
     @cached_property
-    def times(self) -> Float[Tensor, "experiments frames"]:
+    def times(self) -> ExperimentFrames:
         """``E x T`` tensor, dimensionless; padding continues each row, so that rows increase."""
-        times = self._padded([e.times for e in self.experiments], 0.0)
+        times = pad_sequence([e.times for e in self.experiments], batch_first=True)
         tail = 1e-3 * torch.cumsum((~self.mask).to(times), dim=1)
         return torch.where(self.mask, times, times.amax(1, keepdim=True) + tail)
 
     @cached_property
-    def mean(self) -> Float[Tensor, "experiments frames"]:
+    def mean(self) -> ExperimentFrames:
         """Mean over repeats; 0 in the padding."""
-        return self._padded([e.mean for e in self.experiments], 0.0)
+        return pad_sequence([e.mean for e in self.experiments], batch_first=True)
 
     @cached_property
-    def counts(self) -> Float[Tensor, "experiments frames"]:
+    def counts(self) -> ExperimentFrames:
         """Repeats behind each frame of the mean; 1 in the padding."""
-        return self._padded([e.counts.to(torch.float64) for e in self.experiments], 1.0)
+        counts = [e.counts.to(torch.float64) for e in self.experiments]
+        return pad_sequence(counts, batch_first=True, padding_value=1.0)
 
     @cached_property
     def innovations(
         self,
-    ) -> tuple[Float[Tensor, "experiments frames"], Float[Tensor, "experiments frames"]] | None:
+    ) -> tuple[ExperimentFrames, ExperimentFrames] | None:
         """:meth:`Noise.innovations` of these frames."""
         return self.noise.innovations(self.times, self.mask)
 
@@ -351,12 +338,10 @@ class ExperimentBatch:
         """Deviations of the repeats from their mean, squared, and times those of the frame before:
         two ``E x T`` tensors.
         """
-        width = self.times.shape[1]
         deviations = [(e.radius - e.mean).nan_to_num() for e in self.experiments]
-        padded = [torch.nn.functional.pad(x, (0, width - x.shape[1])) for x in deviations]
-        return torch.stack([x.square().sum(0) for x in padded]), torch.stack(
-            [(x * previous(x)).sum(0) for x in padded]
-        )
+        squares = [x.square().sum(0) for x in deviations]
+        products = [(x * previous(x)).sum(0) for x in deviations]
+        return pad_sequence(squares, batch_first=True), pad_sequence(products, batch_first=True)
 
     @cached_property
     def nuisance_sds(self) -> Float[Tensor, "experiments nuisances"]:
@@ -372,18 +357,16 @@ class ExperimentBatch:
         self, prediction: Float[Tensor, "*batch experiments frames"]
     ) -> Float[Tensor, "*batch experiments frames"]:
         """Noise of one repeat at a prediction ``... x E x T``; 1 in the padding."""
-        sd = torch.where(self.mask, self.noise.sd(prediction, self.times) * self.noise_factors, 1.0)
-        return (
-            torch.where(self.collapse[:, None] & self.mask, self._own_sd, sd)
-            if bool(self.collapse.any())
-            else sd
+        sd = torch.where(
+            self.collapse[:, None], self._own_sd, self.noise.sd(prediction, self.times)
         )
+        return torch.where(self.mask, sd * self.noise_factors, 1.0)
 
     def whiten(
         self,
-        values: Float[Tensor, "*#batch experiments frames"],
-        sd: Float[Tensor, "*#batch experiments frames"],
-    ) -> Float[Tensor, "*#batch experiments frames"]:
+        values: Frames,
+        sd: Frames,
+    ) -> Frames:
         """Scale differences ``... x E x T`` so that the mean of the repeats has unit, independent
         noise.
         """
@@ -395,12 +378,9 @@ class ExperimentBatch:
 
     def terms(
         self,
-        prediction: Float[Tensor, "*#batch experiments frames"],
-        sd: Float[Tensor, "*#batch experiments frames"],
-        innovations: tuple[
-            Float[Tensor, "*#batch experiments frames"], Float[Tensor, "*#batch experiments frames"]
-        ]
-        | None,
+        prediction: Frames,
+        sd: Frames,
+        innovations: tuple[Frames, Frames] | None,
     ) -> tuple[Float[Tensor, "*#batch experiments"], Float[Tensor, "*#batch experiments"]]:
         """Squared misfit and normaliser of each experiment under any noise: two ``... x E``
         tensors, the second in nats.
@@ -461,9 +441,9 @@ def predict(
     film: Film | ExperimentBatch,
     shifts: Float[Tensor, "*#batch experiments nuisances"] | None = None,
     *,
-    times: Float[Tensor, "experiments frames"] | None = None,
+    times: ExperimentFrames | None = None,
     bundled: bool = False,
-) -> Float[Tensor, "*#batch experiments frames"]:
+) -> Frames:
     """What the camera would see of each gel in each experiment.
 
     Args:

@@ -8,19 +8,16 @@ import torch
 
 from imr_torch.errors import InputDataError
 from imr_torch.observe.experiments import Experiment
-from imr_torch.observe.nuisance import Nuisance
+from imr_torch.observe.nuisance import FLOOR, Nuisance
 from imr_torch.observe.plausibility import check_experiment
 from imr_torch.reading.npz import read_arrays
 from imr_torch.units import Surroundings
-
-NUISANCE = Nuisance(max_radius=0.003, time_zero=0.004, rest_radius=0.01)
-"""How well a careful laboratory knows Rmax, time zero and R_inf of each experiment."""
 
 _SHAPES = {"time_s": 2, "radius_m": 3, "we": 1, "rinf_star": 1}
 
 
 def load_set(
-    path: str | Path, *, nuisance: Nuisance = NUISANCE, surroundings: Surroundings | None = None
+    path: str | Path, *, nuisance: Nuisance = FLOOR, surroundings: Surroundings | None = None
 ) -> list[Experiment]:
     """Experiments of a set, one a design.
 
@@ -56,9 +53,8 @@ def load_set(
     for name, dimensions in _SHAPES.items():
         if arrays[name].ndim != dimensions or arrays[name].shape[0] != arrays["we"].shape[0]:
             raise InputDataError(
-                f"{path}: {name} has shape {arrays[name].shape}; expected {dimensions} "
-                "dimensions, the first of "
-                f"{arrays['we'].shape[0]} designs."
+                f"{path}: {name} has shape {arrays[name].shape}; expected {dimensions} dimensions, "
+                f"the first of {arrays['we'].shape[0]} designs."
             )
     if arrays["radius_m"].shape[2] != arrays["time_s"].shape[1]:
         raise InputDataError(
@@ -111,14 +107,12 @@ def _check_units(
     wrong = radius[(radius < radii[0]) | (radius > radii[1])]
     if len(wrong):
         raise InputDataError(
-            f"{where}: radius_m holds {float(wrong[0]) * size:g}; expected metres, from about 0 "
-            "to not far above Rmax, "
-            f"{size:.3g} m by its we. Mark missing frames by NaN."
+            f"{where}: radius_m holds {float(wrong[0]) * size:g}; expected metres, from about 0 to "
+            f"not far above Rmax, {size:.3g} m by its we. Mark missing frames by NaN."
         )
     shortest, longest = durations
     if not shortest <= last <= longest:
         raise InputDataError(
             f"{where}: time_s ends at {last * unit:g}; expected seconds from the maximum radius "
-            f"on, {shortest * unit:.2g} to "
-            f"{longest * unit:.2g} of them."
+            f"on, {shortest * unit:.2g} to {longest * unit:.2g} of them."
         )

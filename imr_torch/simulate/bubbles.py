@@ -26,8 +26,6 @@ from imr_torch.material import (
     Effect,
     StressTerm,
     dimensionless,
-    memory_start,
-    memory_states,
 )
 from imr_torch.simulate.conditions import SATURATION_PREFACTOR, SATURATION_TEMPERATURE, Conditions
 from imr_torch.simulate.medium import MEDIUM
@@ -294,7 +292,7 @@ class Bubbles:
     @cached_property
     def states(self) -> int:
         """Memory states of the gel a member."""
-        return memory_states(self.terms)
+        return sum(term.states for term in self.terms)
 
     @cached_property
     def analytic(self) -> bool:
@@ -307,7 +305,9 @@ class Bubbles:
 
     def memory_start(self) -> Float[Tensor, "states members"]:
         """Memory states at time zero, ``K x B``."""
-        return memory_start(self.terms, self.numbers.rest_radius, self.theta)
+        rest = self.numbers.rest_radius
+        parts = [term.memory_start(rest, self.theta) for term in self.terms]
+        return torch.cat((rest.new_zeros(0, *rest.shape), *parts))
 
     def fastest_relaxation(self) -> Float[Tensor, "members"]:
         """Rate of each member's fastest memory, a ``B`` tensor; 0 for those without."""

@@ -1,9 +1,12 @@
 """One non-neutral value of every parameter that a stress term reads, and models evaluated at plain numbers."""
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
-from imr_torch.material import PARAMETERS, Material, Stress, StressTerm, memory_states
+import imr_torch.simulate  # noqa: F401 - which registers a term of its own
+from imr_torch.material import PARAMETERS, Material, Stress, StressTerm, gel_response
 
 VALUES = {
     "G": 0.08,
@@ -64,9 +67,24 @@ def has_memory(model: Material) -> bool:
     return any(term.states for term in model.terms)
 
 
+def stress_of(model: Material, *state) -> Stress:
+    """Stress of a model at radius, velocity, rest radius, parameters and memory."""
+    return gel_response(model.terms, *state)[0]
+
+
+def memory_rate(terms: Sequence[StressTerm], *state) -> Tensor:
+    """``d memory/dt`` of terms, ``K x B``."""
+    return gel_response(terms, *state)[1]
+
+
+def memory_start(model: Material, rest: Tensor, theta: dict[str, Tensor]) -> Tensor:
+    """Memory states of a model at time zero, ``K x B``."""
+    return torch.cat([term.memory_start(rest, theta) for term in model.terms])
+
+
 def memory_of(terms: tuple[StressTerm, ...] | list[StressTerm], *shape: int) -> Tensor:
     """Memory states that are not at rest, different for each row."""
-    rows = torch.linspace(-0.03, 0.05, memory_states(terms), dtype=torch.float64)
+    rows = torch.linspace(-0.03, 0.05, sum(term.states for term in terms), dtype=torch.float64)
     return rows.reshape(-1, *[1] * len(shape)).expand(-1, *shape)
 
 
@@ -81,6 +99,6 @@ def evaluate(
     radius, velocity = (torch.as_tensor(x, dtype=torch.float64) for x in (radius, velocity))
     if memory is None:
         memory = memory_of(model.terms, *radius.shape)
-    return model.stress(
-        radius, velocity, torch.tensor(REST, dtype=torch.float64), tensors(values), memory
+    return stress_of(
+        model, radius, velocity, torch.tensor(REST, dtype=torch.float64), tensors(values), memory
     )

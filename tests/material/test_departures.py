@@ -15,7 +15,7 @@ from imr_torch.material.departures import (
     VISCOUS_DAMAGE,
     YIELD_STRESS,
 )
-from tests.material.gels import REST, evaluate, tensors
+from tests.material.gels import REST, evaluate, memory_rate, stress_of, tensors
 
 GEL = {"G": 0.08, "alpha": 0.7}
 RADII = pytest.mark.parametrize("radius", [0.06, 0.15, 0.229, 0.3, 0.9, 1.4])
@@ -26,7 +26,7 @@ def scalars(*values: float) -> list[Tensor]:
 
 
 def elastic(radius: float, velocity: float, rest: float = REST) -> Stress:
-    return material("qkv").stress(*scalars(radius, velocity, rest), tensors(GEL))
+    return stress_of(material("qkv"), *scalars(radius, velocity, rest), tensors(GEL))
 
 
 @RADII
@@ -85,8 +85,11 @@ def test_that_damage_grows_with_the_path_in_either_direction_and_ends_at_all() -
         (50.0, 1.0, 0.0),
         (0.0, 0.2, 0.0),
     ):
-        rate = DAMAGE.memory_rate(
-            *scalars(0.6, velocity, REST), theta, torch.tensor([held], dtype=torch.float64)
+        rate = memory_rate(
+            [DAMAGE],
+            *scalars(0.6, velocity, REST),
+            theta,
+            torch.tensor([held], dtype=torch.float64),
         )
         assert float(rate) == pytest.approx(expected, rel=1e-3, abs=1e-12)
 
@@ -99,8 +102,11 @@ def test_that_damage_heals_at_its_rate_where_nothing_moves_and_settles_where_som
     """
     theta = tensors(GEL | {"damage": 0.3, "healing": 2.0})
     for velocity, held, expected in ((0.0, 0.5, -1.0), (50.0, 25.0 / 27.0, 0.0), (50.0, 0.0, 25.0)):
-        rate = DAMAGE.memory_rate(
-            *scalars(0.6, velocity, REST), theta, torch.tensor([held], dtype=torch.float64)
+        rate = memory_rate(
+            [DAMAGE],
+            *scalars(0.6, velocity, REST),
+            theta,
+            torch.tensor([held], dtype=torch.float64),
         )
         assert float(rate) == pytest.approx(expected, rel=1e-3, abs=1e-3)
     assert float(DAMAGE.relaxation_rate(theta)) == 2.0
@@ -112,10 +118,10 @@ def test_that_viscous_damage_takes_its_share_of_the_newtonian_stress_and_grows_w
 ) -> None:
     point = scalars(0.6, -50.0, REST)
     held = torch.tensor([lost], dtype=torch.float64)
-    whole = material("newtonian").stress(*point, tensors({"mu": 0.05}))
+    whole = stress_of(material("newtonian"), *point, tensors({"mu": 0.05}))
     theta = tensors({"mu": 0.05, "viscous_damage": 0.3})
     part = VISCOUS_DAMAGE(*point, theta, held)
-    growth = float(VISCOUS_DAMAGE.memory_rate(*point, theta, held))
+    growth = float(memory_rate([VISCOUS_DAMAGE], *point, theta, held))
     assert growth == pytest.approx(0.3 * (1.0 - lost) * 50.0 / 0.6, rel=1e-3, abs=1e-12)
     assert float(part.value) == pytest.approx(-lost * float(whole.value), rel=1e-13)
     assert float(part.acceleration) == pytest.approx(-lost * float(whole.acceleration), rel=1e-13)

@@ -12,9 +12,17 @@ import pytest
 import torch
 from scipy.integrate import solve_ivp
 
-from imr_torch.material import MATERIALS, Material, material, memory_rate, memory_start
+from imr_torch.material import MATERIALS, Material, material
 from imr_torch.material.memory import _nonlinear_solid
-from tests.material.gels import REST, has_memory, tensors, values_of
+from tests.material.gels import (
+    REST,
+    has_memory,
+    memory_rate,
+    memory_start,
+    stress_of,
+    tensors,
+    values_of,
+)
 
 NODES, WEIGHTS = (np.asarray(x) for x in np.polynomial.legendre.leggauss(60))
 X, W = 0.5 * (1.0 + NODES), 0.5 * WEIGHTS  # (R/r)^3 in (0, 1]
@@ -45,7 +53,7 @@ def toolkit(model: Material, values: dict[str, float], motion) -> float:
         radius, velocity, _ = (torch.tensor(x, dtype=torch.float64) for x in motion(t))
         return radius, velocity, rest, theta, torch.as_tensor(memory)
 
-    start = memory_start(model.terms, rest[None], theta)[:, 0].numpy()
+    start = memory_start(model, rest[None], theta)[:, 0].numpy()
     solution = solve_ivp(
         lambda t, m: memory_rate(model.terms, *at(t, m)).numpy(),
         (0.0, LAST),
@@ -54,7 +62,7 @@ def toolkit(model: Material, values: dict[str, float], motion) -> float:
         rtol=1e-11,
         atol=1e-13,
     )
-    return float(model.stress(*at(LAST, solution.y[:, -1])).value)
+    return float(stress_of(model, *at(LAST, solution.y[:, -1])).value)
 
 
 def shells(rate, count: int, rtol: float = 1e-10) -> np.ndarray:
@@ -138,7 +146,7 @@ def test_that_a_standard_solid_obeys_its_published_equation(key: str, law) -> No
     relaxation = values["tau_" + key]
     for radius, velocity, held in ((0.9, -0.7, 0.1), (0.11, 5.0, -0.4), (0.4, 0.0, 0.02)):
         point = [torch.tensor(x, dtype=torch.float64) for x in (radius, velocity, REST)]
-        stress = model.stress(*point, theta, torch.tensor([held], dtype=torch.float64))
+        stress = stress_of(model, *point, theta, torch.tensor([held], dtype=torch.float64))
         elastic, stiffness = law(radius / REST, values)
         strain = velocity / radius
         left = relaxation * (float(stress.rate) + stiffness * strain) + float(stress.value)
@@ -164,7 +172,7 @@ def test_that_memory_forgets_a_step_at_its_relaxation_time(key: str) -> None:
     (name,) = (n for n in values if n.startswith("tau"))
     radius, still = (torch.tensor(x, dtype=torch.float64) for x in (0.5, 0.0))
     rest = torch.tensor(REST, dtype=torch.float64)
-    relaxed = memory_start(model.terms, (rest / radius)[None], theta)[:, 0]
+    relaxed = memory_start(model, (rest / radius)[None], theta)[:, 0]
     rates = memory_rate(model.terms, radius, still, rest, theta, relaxed + 0.1)
     torch.testing.assert_close(
         rates, torch.full_like(rates, -0.1 / values[name]), rtol=1e-12, atol=1e-14

@@ -11,9 +11,6 @@ from imr_torch.material import (
     StressTerm,
     derivatives,
     gel_response,
-    memory_rate,
-    memory_states,
-    stress_integral,
 )
 from tests.laws import assert_alike, compiled, on_numbers
 from tests.material.gels import REST, STATES, memory_of, tensors, values_for
@@ -103,11 +100,11 @@ def test_slopes_in_memory_match_finite_differences_with_several_terms_at_once():
         return gel_response(TERMS, *POINT, THETA, torch.stack(moved))[1]
 
     slopes = derivatives(rates, tuple(memory), analytic=True)
-    assert len(slopes) == len(memory) == memory_states(TERMS)
+    assert len(slopes) == len(memory) == sum(term.states for term in TERMS)
     for j, part in enumerate(slopes):
         change = torch.zeros_like(memory)
         change[j] = 1e-6
-        ends = [memory_rate(TERMS, *POINT, THETA, memory + sign * change) for sign in (1, -1)]
+        ends = [rates(*(memory + sign * change)) for sign in (1, -1)]
         assert_close(part, (ends[0] - ends[1]) / 2e-6, rtol=1e-7, atol=1e-7)
 
 
@@ -126,7 +123,7 @@ def test_a_term_that_only_tensors_can_evaluate_is_differentiated_automatically()
     term = StressTerm(tanh_drag, switch="mu")
     assert not term.compilable
     by_radius, by_velocity = derivatives(rows_of(term), point_of(term), analytic=False)
-    stress = stress_integral((term,), *POINT, THETA)
+    stress = term(*POINT, THETA)
     assert_close(by_radius[0] * POINT[1], stress.rate, rtol=1e-12, atol=1e-13)
     assert_close(by_velocity[0], stress.acceleration, rtol=1e-12, atol=1e-13)
 
