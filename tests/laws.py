@@ -16,6 +16,7 @@ from imr_torch.material import derivatives
 STEP = 1e-30
 
 
+@cache
 def compiled(law: Callable) -> Callable:
     """The law for numbers, called by a function that Python may call."""
     called = kernel(law)

@@ -18,7 +18,6 @@ from torch import Tensor
 
 from imr_torch.assimilate import ModelFit, Point, Posterior, SearchOptions, assimilate
 from imr_torch.assimilate.basins import deeper_nuisances
-from imr_torch.assimilate.conditional import conditional_nuisances
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.hypotheses import (
@@ -273,7 +272,7 @@ def _most_probable(posterior: Posterior, fit: ModelFit) -> Float[Tensor, "1 nuis
     chol = torch.eye(width, dtype=torch.float64).expand(len(moved), 1, width, width)
     tried = [moved]
     for _ in range(_STEPS if len(posterior.uncertain) else 0):
-        moved, chol = conditional_nuisances(posterior, Point(gels, moved), chol)
+        moved, chol = posterior.fit_nuisances(Point(gels, moved), chol)
         tried.append(moved)
     every = torch.cat(tried)
     cost = -posterior.log_joint(Point(fit.mean.expand(len(every), -1), every))

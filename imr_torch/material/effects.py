@@ -146,9 +146,7 @@ for _effect in (
         "liquid",
         # 1e7 Pa s/m^2 is a layer of about a centimetre
         {"size_drag": TruncatedNormal(0.0, 1e7, lower=0.0)},
-    )
-)
-register_effect(
+    ),
     Effect(
         "residual_velocity",
         "the wall still moves at time zero",

@@ -20,7 +20,7 @@ from torch import Tensor
 from imr_torch.calibration import Reliability, envelope
 from imr_torch.design import DesignSearch
 from imr_torch.labels import R_STAR, REST_RADIUS, T_STAR, WEBER, plain, symbol, with_unit
-from imr_torch.material import Belief, ModelBelief, Parameter
+from imr_torch.material import PARAMETERS, Belief, ModelBelief, Parameter
 from imr_torch.observe import Experiment
 from imr_torch.simulate import Solution
 from imr_torch.units import Surroundings
@@ -152,10 +152,6 @@ def parameter_label(entry: Parameter) -> str:
     return with_unit(symbol(entry.name), entry.display_unit or entry.unit)
 
 
-def _entry(belief: ModelBelief, name: str) -> Parameter:
-    return belief.material.parameters[belief.material.names.index(name)]
-
-
 def plot_parameter(
     beliefs: Sequence[tuple[str, ModelBelief]],
     name: str,
@@ -169,7 +165,7 @@ def plot_parameter(
     is a line there too is drawn again in an inset.
     """
     ax = _axes(ax, (4.2, 3.0))
-    entry = _entry(beliefs[0][1], name)
+    entry = PARAMETERS[name]
     rows = [
         belief.quantile(_LEVELS)[:, belief.names.index(name)] * entry.display_scale
         for _, belief in beliefs
@@ -228,7 +224,7 @@ def draw_parameters(belief: ModelBelief, *, seed: int = 0) -> Figure:
         layout="constrained",
         squeeze=False,
     )
-    entries = [_entry(belief, name) for name in names]
+    entries = [PARAMETERS[name] for name in names]
     scales = torch.tensor([entry.display_scale for entry in entries], dtype=torch.float64)
     draws = belief.physical(belief.controls(_DRAWS, seed=seed)) * scales
     spans = (belief.quantile(_LEVELS) * scales).mT

@@ -14,7 +14,7 @@ from enum import Enum
 import torch
 
 from imr_torch.assimilate import Profile
-from imr_torch.material import ModelBelief, Parameter
+from imr_torch.material import PARAMETERS, ModelBelief, Parameter
 
 _END = 2.5  # prior standard deviations: the ends of what was thought possible
 _FLAT = "not determined: the profile likelihood is flat, and the interval is that of the prior"
@@ -117,7 +117,6 @@ def identifiability(
     }
     found = []
     profiled = {own.name: own.limits for own in profiles}
-    parameters = {p.name: p for p in prior.material.parameters}
     for i, name in enumerate(prior.names):
         if name in profiled:
             ends = profiled[name]
@@ -126,5 +125,5 @@ def identifiability(
             ends = quantiles[i]
             bound = kinds[bool(low[i]), bool(high[i])]
         limit = {Bound.BELOW: ends[0], Bound.ABOVE: ends[1]}.get(bound)
-        found.append(Identifiability(parameters[name], bound, limit, name in profiled))
+        found.append(Identifiability(PARAMETERS[name], bound, limit, name in profiled))
     return tuple(found)
