@@ -126,11 +126,17 @@ class History:
                     ask.failures += 1
                     if ask.failures == 2:
                         self.moved[step].append(ask.proposal.design)
-            case {"event": "observed", "experiments": list(records)}:
+            case {"event": "observed", "step": int(), "experiments": list(records)}:
                 for record in records:
                     self.told[int(record["number"])] = journal.restore(record)
                     self.count += 1
-            case {"event": "learnt", "step": int(step), "belief": dict(), "evidence": list(rows)}:
+            case {
+                "event": "learnt",
+                "step": int(step),
+                "experiments": list(numbers),
+                "belief": dict(),
+                "evidence": list(rows),
+            } if all(isinstance(number, int) for number in numbers):
                 evidence = tuple(Evidence(**_infinite(entry)) for entry in rows)
                 noise = Noise(**event["noise"]) if event.get("noise") else None
                 finding = Finding.from_dict(event["finding"]) if event.get("finding") else None

@@ -65,7 +65,11 @@ def curve_hash(experiment: Experiment) -> str:
 
 
 class FolderLock:
-    """The lock of a folder; it may be taken again by the thread that holds it.
+    """The lock of a folder; it may be taken again by the thread that holds it, and ends with the
+    process.
+
+    The file ``.journal.lock`` stays in the folder and means nothing by itself. ``.journal.owner``
+    beside it names the process that holds the lock, for the message that another process gets.
 
     Args:
         folder: made when the lock is first taken.
