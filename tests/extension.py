@@ -100,16 +100,14 @@ def mooney(
 SECOND = register_term(StressTerm(mooney, switch="G_second"))
 
 
-class MooneyRivlin(Material):
-    """Two springs beside a dashpot."""
-
-    key = "two_springs"
-    title = "Mooney-Rivlin KV"
-    reference = "Mooney, J. Appl. Phys. 11 (1940)"
-    terms = (NEWTONIAN, NEO_HOOKEAN, SECOND)
-
-
-register(MooneyRivlin())
+register(  # two springs beside a dashpot
+    Material(
+        "two_springs",
+        "Mooney-Rivlin KV",
+        "Mooney, J. Appl. Phys. 11 (1940)",
+        (NEWTONIAN, NEO_HOOKEAN, SECOND),
+    )
+)
 
 # ---------------------------------------------------------------- an effect: a far-field pressure
 # that fades, with its own shape

@@ -28,7 +28,9 @@ from imr_torch.simulate import ENGINES
 
 HEAVY = ("torch", "numpy", "botorch", "matplotlib", "numba", "scipy")
 BUILT_IN = [
-    name for name, kind in MATERIALS.items() if type(kind).__module__.startswith("imr_torch.")
+    key
+    for key, model in MATERIALS.items()
+    if all(term.law.__module__.startswith("imr_torch.") for term in model.terms)
 ]
 
 

@@ -95,15 +95,9 @@ MOONEY = register_term(StressTerm(mooney, switch="G_mooney"))
 
 
 # %%
-class MooneyRivlin(Material):
-    """Mooney and Rivlin's solid beside a Newtonian dashpot."""
-
-    key, title = "mooney", "Mooney-Rivlin KV"
-    reference = "Mooney, J. Appl. Phys. 11 (1940)"
-    terms = (NEWTONIAN, NEO_HOOKEAN, MOONEY)
-
-
-print(register(MooneyRivlin()))
+reference = "Mooney, J. Appl. Phys. 11 (1940)"
+springs = (NEWTONIAN, NEO_HOOKEAN, MOONEY)
+print(register(Material("mooney", "Mooney-Rivlin KV", reference, springs)))
 
 # %% [markdown]
 # ## Check it
@@ -180,16 +174,8 @@ def fastest(G_fast: Scalar, tau_fast: Scalar) -> Scalar:
 
 FADING_SPRING = register_term(StressTerm(fading_spring, switch="G_fast", states=1, fastest=fastest))
 
-
-class FadingSolid(Material):
-    """NHKV with a second spring that fades."""
-
-    key, title = "fading", "Fading NHKV"
-    reference = "this tutorial (2025)"
-    terms = (NEWTONIAN, NEO_HOOKEAN, FADING_SPRING)
-
-
-register(FadingSolid())
+fading = (NEWTONIAN, NEO_HOOKEAN, FADING_SPRING)
+register(Material("fading", "Fading NHKV", "this tutorial (2025)", fading))
 
 # %% [markdown]
 # ## Simulate

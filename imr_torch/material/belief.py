@@ -10,7 +10,7 @@ conditioning on data keeps the form.
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
@@ -19,6 +19,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
+from torch.distributions import MultivariateNormal
 
 from imr_torch.errors import InputDataError
 from imr_torch.files import write_json
@@ -28,6 +29,9 @@ from imr_torch.material.parameters import PARAMETERS
 from imr_torch.random import SeedLike, generator
 
 _QUADRATURE = 64
+
+Controls = Float[Tensor, "*batch controls"]
+"""The free parameters of one model, as controls or in SI units."""
 
 
 @dataclass(frozen=True)
@@ -59,29 +63,15 @@ class Cloud:
     marginals: Float[Tensor, "scores controls"]
 
     def __post_init__(self) -> None:
-        if self.controls.ndim != 2 or self.precisions.shape != (
-            *self.controls.shape,
-            self.controls.shape[-1],
-        ):
+        count, size = self.controls.shape[0], self.controls.shape[-1]
+        expected = [(count, size), (count, size, size), (len(self.SCORES), size)]
+        shapes = [tuple(x.shape) for x in vars(self).values()]
+        finite = all(bool(x.isfinite().all()) for x in vars(self).values())
+        if shapes != expected or not count or not finite:
             raise InputDataError(
-                f"Cloud: controls have shape {tuple(self.controls.shape)} and precisions "
-                f"{tuple(self.precisions.shape)}; "
-                "expected n x d and n x d x d."
-            )
-        if self.marginals.shape != (len(self.SCORES), self.controls.shape[1]) or not bool(
-            self.marginals.isfinite().all()
-        ):
-            raise InputDataError(
-                f"Cloud: marginals have shape {tuple(self.marginals.shape)}; expected "
-                f"{len(self.SCORES)} x "
-                f"{self.controls.shape[1]} finite numbers; infer the belief again."
-            )
-        if not len(self.controls) or not bool(
-            torch.isfinite(self.controls).all() and torch.isfinite(self.precisions).all()
-        ):
-            raise InputDataError(
-                "Cloud: controls and precisions must be finite, of at least one draw; infer the "
-                "belief again."
+                f"Cloud: controls, precisions and marginals have shapes {shapes}; expected finite "
+                f"n x d, n x d x d and {len(self.SCORES)} x d numbers, of at least one draw; infer "
+                "the belief again."
             )
 
 
@@ -140,12 +130,9 @@ class ModelBelief:
                 f"Model {self.model!r}: expected mean of shape ({d},) and chol of ({d}, {d}), "
                 f"got {tuple(self.mean.shape)} and {tuple(self.chol.shape)}."
             )
+        positive = bool((self.chol.diagonal() > 0.0).all())
         triangular = torch.equal(self.chol, self.chol.tril())
-        if not (
-            bool(torch.isfinite(self.mean).all())
-            and triangular
-            and bool((self.chol.diagonal() > 0.0).all())
-        ):
+        if not (bool(torch.isfinite(self.mean).all()) and triangular and positive):
             raise InputDataError(
                 f"Model {self.model!r}: mean must be finite and the diagonal of chol positive, "
                 "with chol lower triangular."
@@ -176,23 +163,17 @@ class ModelBelief:
         )
         return self.unwhitened(noise.to(self.mean.device))
 
-    def physical(
-        self, controls: Float[Tensor, "*batch controls"]
-    ) -> Float[Tensor, "*batch controls"]:
+    def physical(self, controls: Controls) -> Controls:
         """Free parameters in SI at controls."""
         columns = [m.to_physical(controls[..., i]) for i, m in enumerate(self.marginals)]
         return torch.stack(columns, dim=-1)
 
-    def to_controls(
-        self, values: Float[Tensor, "*batch controls"]
-    ) -> Float[Tensor, "*batch controls"]:
+    def to_controls(self, values: Controls) -> Controls:
         """Inverse of :meth:`physical`."""
         columns = [m.to_control(values[..., i]) for i, m in enumerate(self.marginals)]
         return torch.stack(columns, dim=-1)
 
-    def parameters(
-        self, controls: Float[Tensor, "*batch controls"]
-    ) -> Float[Tensor, "*batch parameters"]:
+    def parameters(self, controls: Controls) -> Float[Tensor, "*batch parameters"]:
         """Shared parameter vectors at controls, SI; what is not of the model is neutral."""
         values = self.physical(controls)
         packed = PARAMETERS.neutral(*values.shape[:-1], dtype=values.dtype).to(values.device)
@@ -202,30 +183,19 @@ class ModelBelief:
             -1, torch.tensor(PARAMETERS.index(self.names), device=values.device), values
         )
 
-    def unwhitened(
-        self, whitened: Float[Tensor, "*batch controls"]
-    ) -> Float[Tensor, "*batch controls"]:
+    def unwhitened(self, whitened: Controls) -> Controls:
         """Controls at coordinates in which this belief is a standard normal."""
         return self.mean + whitened @ self.chol.mT
 
-    def to_si(
-        self, whitened: Float[Tensor, "*batch controls"]
-    ) -> Float[Tensor, "*batch parameters"]:
+    def to_si(self, whitened: Controls) -> Float[Tensor, "*batch parameters"]:
         """Shared parameter vectors at coordinates in which this belief is a standard normal, SI."""
         return self.parameters(self.unwhitened(whitened))
 
-    def log_prob_controls(
-        self, controls: Float[Tensor, "*batch controls"]
-    ) -> Float[Tensor, "*batch"]:
+    def log_prob_controls(self, controls: Controls) -> Float[Tensor, "*batch"]:
         """Log density of the Gaussian at controls."""
-        d = len(self.names)
-        whitened = torch.linalg.solve_triangular(
-            self.chol, (controls - self.mean)[..., None], upper=False
-        )[..., 0]
-        constant = -0.5 * d * math.log(2.0 * math.pi) - torch.log(self.chol.diagonal()).sum()
-        return constant - 0.5 * whitened.square().sum(-1)
+        return self._gaussian.log_prob(controls)
 
-    def log_prob(self, values: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch"]:
+    def log_prob(self, values: Controls) -> Float[Tensor, "*batch"]:
         """Log density of free parameters in SI: ``... x d`` to ``...`` (per product of their
         units); ``-inf`` outside.
         """
@@ -253,27 +223,25 @@ class ModelBelief:
         )
         if self.cloud is None:
             return self.physical(self.mean + torch.linalg.norm(self.chol, dim=-1) * scores[:, None])
-        known = torch.tensor(Cloud.SCORES, dtype=self.mean.dtype, device=self.mean.device)
-        right = torch.searchsorted(known, scores).clamp(1, len(known) - 1)
-        share = ((scores - known[right - 1]) / (known[right] - known[right - 1])).clamp(0.0, 1.0)[
-            :, None
+        columns = [
+            np.interp(scores.cpu(), Cloud.SCORES, column.cpu())
+            for column in self.cloud.marginals.mT
         ]
-        return self.physical(
-            torch.lerp(self.cloud.marginals[right - 1], self.cloud.marginals[right], share)
-        )
+        return self.physical(torch.as_tensor(np.stack(columns, -1)).to(self.mean))
+
+    @cached_property
+    def _gaussian(self) -> MultivariateNormal:
+        return MultivariateNormal(self.mean, scale_tril=self.chol, validate_args=False)
 
     @cached_property
     def _nodes(self) -> tuple[Tensor, Tensor]:
         """Gauss-Hermite nodes (``n x d`` controls of each marginal) and weights (``n``)."""
-        nodes, weights = np.polynomial.hermite_e.hermegauss(_QUADRATURE)
+        nodes, weights = (
+            torch.as_tensor(x).to(self.mean)
+            for x in np.polynomial.hermite_e.hermegauss(_QUADRATURE)
+        )
         sd = torch.linalg.norm(self.chol, dim=-1)
-        z = (
-            self.mean
-            + sd * torch.as_tensor(nodes, dtype=self.mean.dtype, device=self.mean.device)[:, None]
-        )
-        return z, torch.as_tensor(
-            weights / weights.sum(), dtype=self.mean.dtype, device=self.mean.device
-        )
+        return self.mean + sd * nodes[:, None], weights / weights.sum()
 
     @property
     def means(self) -> Float[Tensor, "controls"]:
@@ -290,10 +258,10 @@ class ModelBelief:
 
     def entropy(self) -> Float[Tensor, ""]:
         """Differential entropy of the parameters in nats (with SI units), a 0-d tensor."""
-        d = len(self.names)
-        gaussian = 0.5 * d * (1.0 + math.log(2.0 * math.pi)) + torch.log(self.chol.diagonal()).sum()
         z, weights = self._nodes
-        return gaussian + sum(weights @ m.log_slope(z[:, i]) for i, m in enumerate(self.marginals))
+        return self._gaussian.entropy() + sum(
+            weights @ m.log_slope(z[:, i]) for i, m in enumerate(self.marginals)
+        )
 
     def with_gaussian(
         self, mean: Float[Tensor, "controls"], chol: Float[Tensor, "controls controls"]
@@ -353,16 +321,14 @@ def _part_from_dict(entry: Mapping[str, Any]) -> ModelBelief:
     cloud = entry.get("cloud")
     if cloud is None:
         return part
-    names = ("controls", "precisions", "marginals")
-    controls, precisions, quantiles = (
-        torch.tensor(cloud[name], dtype=torch.float64) for name in names
-    )
-    if controls.ndim == 2 and controls.shape[1] != len(mean):
+    names = (one.name for one in fields(Cloud))
+    draws = Cloud(*(torch.tensor(cloud[name], dtype=torch.float64) for name in names))
+    if draws.controls.shape[1] != len(mean):
         raise InputDataError(
-            f"Saved cloud of {entry['model']!r} has {controls.shape[1]} parameters; expected "
-            f"{len(mean)}."
+            f"Saved cloud of {entry['model']!r} has {draws.controls.shape[1]} parameters; "
+            f"expected {len(mean)}."
         )
-    return part.with_cloud(Cloud(controls, precisions, quantiles))
+    return part.with_cloud(draws)
 
 
 def _part_to_dict(part: ModelBelief) -> dict[str, Any]:
@@ -421,16 +387,14 @@ class Belief:
         keys = [m.model for m in self.models]
         if not keys or len(set(keys)) != len(keys):
             raise InputDataError(f"A belief needs at least one model and each once, got {keys}.")
-        if self.log_probabilities.shape != (len(keys),) or bool(
-            torch.isnan(self.log_probabilities).any()
-        ):
+        logs = self.log_probabilities
+        if logs.shape != (len(keys),) or not bool((logs < math.inf).all()):
             raise InputDataError(
                 f"log_probabilities must be {len(keys)} numbers, one for each of {keys}; got "
-                f"{self.log_probabilities.tolist()}."
+                f"{logs.tolist()}."
             )
-        object.__setattr__(
-            self, "log_probabilities", torch.log_softmax(self.log_probabilities, dim=0)
-        )
+        if not abs(float(logs.logsumexp(0))) < 1e-14:  # so that loading keeps every bit
+            object.__setattr__(self, "log_probabilities", torch.log_softmax(logs, dim=0))
 
     @classmethod
     def prior(
@@ -453,38 +417,26 @@ class Belief:
             InputDataError: for an unknown model or parameter, a missing marginal, or probabilities
                 that do not fit.
         """
+        given = known or {}
         parts = []
         for key, marginals in models.items():
             kind = material(key)
-            free = tuple(
-                name for name in kind.free if name in marginals or name not in (known or {})
-            )
+            free = tuple(name for name in kind.free if name in marginals or name not in given)
             if set(marginals) != set(free):
                 raise InputDataError(
                     f"Model {key!r} needs a prior of each of {free}; got {tuple(marginals)}."
                 )
-            missing = [name for name in kind.known if name not in (known or {})]
+            missing = [name for name in kind.known if name not in given]
             if missing:
                 raise InputDataError(
                     f"Model {key!r} takes {missing} as known; give its value in SI units in "
                     "`known`."
                 )
-            d = len(free)
-            fixed = {
-                name: float(value)
-                for name, value in (known or {}).items()
-                if name in kind.names and name not in free
-            }
+            of_model = set(kind.names) - set(free)
+            fixed = {name: float(value) for name, value in given.items() if name in of_model}
             ordered = tuple(marginals[name] for name in free)
-            parts.append(
-                ModelBelief(
-                    key,
-                    ordered,
-                    torch.zeros(d, dtype=torch.float64),
-                    torch.eye(d, dtype=torch.float64),
-                    fixed,
-                )
-            )
+            chol = torch.eye(len(free), dtype=torch.float64)
+            parts.append(ModelBelief(key, ordered, torch.zeros_like(chol[0]), chol, fixed))
         weights = probabilities or dict.fromkeys(models, 1.0)
         if (
             set(weights) != set(models)
@@ -495,10 +447,8 @@ class Belief:
                 f"probabilities must be non-negative, one for each of {list(models)}; got "
                 f"{dict(weights)}."
             )
-        return cls(
-            tuple(parts),
-            torch.log(torch.tensor([weights[key] for key in models], dtype=torch.float64)),
-        )
+        shares = torch.tensor([weights[key] for key in models], dtype=torch.float64)
+        return cls(tuple(parts), shares.log())
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -579,23 +529,13 @@ class Belief:
         try:
             parts = tuple(_part_from_dict(entry) for entry in document["models"])
             logs = [-math.inf if v is None else float(v) for v in document["log_probabilities"]]
-            log_probabilities = torch.tensor(logs, dtype=torch.float64)
-            if bool(torch.isposinf(log_probabilities).any()):
-                raise InputDataError(
-                    "A log probability of the saved belief is infinite; expected 0 at most, or "
-                    "null for none."
-                )
-            belief = cls(parts, log_probabilities)
+            return cls(parts, torch.tensor(logs, dtype=torch.float64))
+        except InputDataError:
+            raise
         except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
-            if isinstance(error, InputDataError):
-                raise
             raise InputDataError(
                 f"The document is not a whole belief ({type(error).__name__}: {error})."
             ) from None
-        object.__setattr__(
-            belief, "log_probabilities", log_probabilities
-        )  # normalising twice would change the last bit
-        return belief
 
     def save(self, path: str | Path) -> None:
         """Write the belief as JSON, atomically."""
@@ -610,11 +550,5 @@ class Belief:
             document = json.loads(Path(path).read_text(encoding="utf-8"))
             document = document.get("belief", document) if isinstance(document, dict) else document
             return cls.from_dict(document)
-        except (
-            OSError,
-            UnicodeDecodeError,
-            json.JSONDecodeError,
-            RecursionError,
-            InputDataError,
-        ) as error:
+        except (OSError, ValueError, RecursionError) as error:
             raise InputDataError(f"{path}: not a saved belief ({error}).") from None

@@ -12,25 +12,21 @@ parameter is not neutral. The physics of the bubble and of the liquid around it 
 from imr_torch.material.effect import Effect, register_effect
 from imr_torch.material.marginals import LogNormal, TruncatedNormal
 
-register_effect(
+for _effect in (
     Effect(
         "strain_stiffening",
         "stress rises faster than the neo-Hookean with stretch",
         "material",
         {"alpha": TruncatedNormal(0.0, 0.5, lower=0.0)},
         needs="G",
-    )
-)
-register_effect(
+    ),
     Effect(
         "stress_relaxation",
         "viscous stress relaxes within microseconds",
         "material",
         {"tau": TruncatedNormal(0.0, 2e-6, lower=0.0)},
         needs="mu",
-    )
-)
-register_effect(
+    ),
     Effect(
         "shear_thinning",
         "viscosity falls with the shear rate",
@@ -41,9 +37,7 @@ register_effect(
         },
         ((0.15, 1e-5), (0.4, 1e-5)),
         needs="mu",
-    )
-)
-register_effect(
+    ),
     Effect(
         "damage",
         "the gel softens with accumulated strain",
@@ -51,9 +45,7 @@ register_effect(
         {"damage": TruncatedNormal(0.0, 0.1, lower=0.0)},
         group="damage",
         needs="G",
-    )
-)
-register_effect(
+    ),
     Effect(
         "healing_damage",
         "the gel softens with accumulated strain and heals within the event",
@@ -64,9 +56,7 @@ register_effect(
         ((0.1, 3e4), (0.4, 3e4)),
         group="damage",
         needs="G",
-    )
-)
-register_effect(
+    ),
     Effect(
         "viscous_damage",
         "viscosity falls with accumulated strain",
@@ -75,116 +65,88 @@ register_effect(
             "viscous_damage": TruncatedNormal(0.0, 0.1, lower=0.0)
         },  # a third is lost by the first rebound, at a strain of 4
         needs="mu",
-    )
-)
-register_effect(
+    ),
     Effect(
         "yield_stress",
         "the gel flows only above a stress",
         "material",
         {"yield_stress": TruncatedNormal(0.0, 3e3, lower=0.0)},
-    )
-)
-register_effect(
+    ),
     Effect(
         "graded_modulus",
         "the modulus near the bubble differs",
         "material",
         {"graded_modulus": TruncatedNormal(0.0, 0.5, lower=-1.0)},
         needs="G",
-    )
-)
-register_effect(
+    ),
     Effect(
         "permanent_set",
         "growth has stretched the gel for good",
         "material",
         {"permanent_set": TruncatedNormal(0.0, 0.02)},
         needs="G",
-    )
-)
-register_effect(
+    ),
     Effect(
         "heat_exchange",
         "more or less heat crosses the bubble's wall",
         "gas",
         {"heat_exchange": TruncatedNormal(0.0, 1.0)},
-    )
-)
-register_effect(
+    ),
     Effect(
         "vapour_pressure",
         "vapour pressure off its saturation value",
         "gas",
         {"vapour_pressure": TruncatedNormal(0.0, 0.05, lower=-0.03)},
-    )
-)
-register_effect(
+    ),
     Effect(
         "condensation",
         "vapour is trapped by the collapse",
         "gas",
         {"condensation": TruncatedNormal(0.0, 0.2, lower=0.0)},
-    )
-)
-register_effect(
+    ),
     Effect(
         "gas_loss",
         "gas is lost at collapse",
         "gas",
         {"gas_loss": TruncatedNormal(0.0, 0.2, lower=0.0)},
-    )
-)
-register_effect(
+    ),
     Effect(
         "sound_speed",
         "the speed of sound differs",
         "liquid",
         {"sound_speed": TruncatedNormal(0.0, 0.7)},
-    )
-)
-register_effect(
+    ),
     Effect(
         "surface_tension",
         "surface tension differs",
         "liquid",
         {"surface_tension": TruncatedNormal(0.0, 0.5)},
-    )
-)
-register_effect(
+    ),
     Effect(
         "far_field_pressure",
         "far-field pressure is not p_inf",
         "liquid",
         {"far_field_pressure": TruncatedNormal(0.0, 0.015)},
-    )
-)
-register_effect(
+    ),
     Effect(
         "wall",
         "a wall or another bubble is near",
         "liquid",
         {"wall": TruncatedNormal(0.0, 0.1)},
-    )
-)
-register_effect(
+    ),
     Effect(
         "energy_loss",
         "energy goes into non-spherical modes at collapse",
         "liquid",
         {"energy_loss": TruncatedNormal(0.0, 0.7, lower=0.0)},
-    )
-)
-register_effect(
+    ),
     Effect(
         "residual_velocity",
         "the wall still moves at time zero",
         "driving",
         {"residual_velocity": TruncatedNormal(0.0, 0.05)},
         group="start",
-    )
-)
-register_effect(
+    ),
     Effect(
         "sound_field",
         "a sound field rings on",
@@ -196,9 +158,7 @@ register_effect(
         },
         tuple((0.03, w, p) for w in (0.7, 1.4, 2.1) for p in (0.0, 1.57, 3.14, 4.71)),
         group="sound",
-    )
-)
-register_effect(
+    ),
     Effect(
         "pulse",
         "a reflected pulse arrives",
@@ -210,18 +170,14 @@ register_effect(
         },
         tuple((a, t, -1.5) for a in (0.03, -0.03) for t in (0.5, 1.5, 2.5)),
         group="sound",
-    )
-)
-register_effect(
+    ),
     Effect(
         "excess_gas",
         "the gas at the maximum radius is not that of R_inf",
         "gas",
         {"excess_gas": TruncatedNormal(0.0, 0.2)},  # 7 % of R_inf, as tails of repeats differ
         group="rest radius",
-    )
-)
-register_effect(
+    ),
     Effect(
         "hot_contents",
         "the contents are hot (or cold) at the maximum radius",
@@ -229,77 +185,59 @@ register_effect(
         {
             "hot_contents": TruncatedNormal(0.0, 0.15, lower=-0.3, upper=0.6)
         },  # 45 K: growth lasts several times of conduction
-    )
-)
-register_effect(
+    ),
     Effect(
         "rinf_drift",
         "gas comes or goes over the event: the tail drifts",
         "gas",
         {"rinf_drift": TruncatedNormal(0.0, 500.0)},  # 1 % in Rmax/U_c of a bubble of 200 um
-    )
-)
-register_effect(
+    ),
     Effect(
         "density",
         "the medium's density differs",
         "liquid",
         {"density": TruncatedNormal(0.0, 0.05)},
         group="time_scale",
-    )
-)
-register_effect(
+    ),
     Effect(
         "missed_maximum",
         "the true maximum was missed",
         "measurement",
         {"missed_maximum": TruncatedNormal(0.0, 0.015)},
-    )
-)
-register_effect(
+    ),
     Effect(
         "trigger_offset",
         "the clock starts early or late",
         "measurement",
         {"trigger_offset": TruncatedNormal(0.0, 0.025)},
         group="start",
-    )
-)
-register_effect(
+    ),
     Effect(
         "rinf_bias",
         "the rest radius is misread",
         "geometry",
         {"rinf_bias": TruncatedNormal(0.0, 0.05)},
         group="rest radius",
-    )
-)
-register_effect(
+    ),
     Effect(
         "clock",
         "frame rate or pixel size is off",
         "measurement",
         {"clock": TruncatedNormal(0.0, 0.025)},
         group="time_scale",
-    )
-)
-register_effect(
+    ),
     Effect(
         "exposure_blur",
         "frames average over their exposure",
         "measurement",
         {"exposure_blur": TruncatedNormal(0.0, 0.05, lower=0.0)},
-    )
-)
-register_effect(
+    ),
     Effect(
         "refraction",
         "the gel refracts: R is magnified as it grows",
         "measurement",
         {"refraction": TruncatedNormal(0.0, 0.01)},
-    )
-)
-register_effect(
+    ),
     Effect(
         "edge_error",
         "the bubble's edge is misplaced by the same distance in every frame",
@@ -307,5 +245,6 @@ register_effect(
         {
             "edge_error": TruncatedNormal(0.0, 2e-6)
         },  # about a pixel: published films have 1.5 to 2.8 um a pixel
-    )
-)
+    ),
+):
+    register_effect(_effect)

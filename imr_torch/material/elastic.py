@@ -9,11 +9,10 @@ al. (Soft Matter 16, 2020) for the quadratic (qKV) law; Fung (Am. J. Physiol. 21
 exponential law, of which qKV is the first order.
 """
 
-import numpy as np
 from torch import Tensor
 
 from imr_torch.elementary import Scalar, exp, expm1, log, real, where
-from imr_torch.material.stress import StressTerm
+from imr_torch.material.stress import StressTerm, unit_rule
 
 
 def neo_hookean(
@@ -59,16 +58,9 @@ def linear_elastic(
     return -4.0 / 3.0 * G_lin * (1.0 - cubed), -4.0 * G_lin * cubed * velocity / radius, 0.0
 
 
-def _graded_rule(count: int) -> tuple[tuple[float, float], ...]:
-    """Nodes and weights on [0, 1], Gauss-Legendre in ``u`` of ``1 - (1 - u)^2``: dense at 1, where
-    exponentials vary most.
-    """
-    nodes, weights = np.polynomial.legendre.leggauss(count)
-    left = 0.5 * (1.0 - nodes)
-    return tuple(zip((1.0 - left * left).tolist(), (weights * left).tolist(), strict=True))
-
-
-_RULE = _graded_rule(32)
+# nodes and weights of Gauss-Legendre in ``u`` of ``1 - (1 - u)^2``: dense at 1, where exponentials
+# vary most
+_RULE = tuple((1.0 - (1.0 - u) ** 2, 2.0 * w * (1.0 - u)) for u, w in unit_rule(32))
 _STIFFEST = 300.0  # exponent beyond which no bubble could tell a stiffer gel
 
 

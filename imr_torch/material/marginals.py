@@ -14,11 +14,11 @@ from typing import Any, Protocol
 
 import scipy  # whose parts are imported when they are used; `stats` takes long
 import torch
-from jaxtyping import Float
 from torch import Tensor
 from torch.special import ndtri
 
 from imr_torch.errors import InputDataError
+from imr_torch.types import Values
 
 _TINY = 1e-300
 _SURE = (
@@ -47,20 +47,20 @@ class Marginal(Protocol):
         """Largest value with a density, SI."""
         ...
 
-    def to_physical(self, z: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+    def to_physical(self, z: Values) -> Values:
         """Parameter in SI units at the control ``z``."""
         ...
 
-    def to_control(self, value: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+    def to_control(self, value: Values) -> Values:
         """Control ``z`` at a parameter value inside the support."""
         ...
 
-    def log_slope(self, z: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+    def log_slope(self, z: Values) -> Values:
         """``log |d theta / d z|``."""
         ...
 
 
-def ndtr(x: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+def ndtr(x: Values) -> Values:
     """Normal distribution function with full relative precision in the tail (``torch.special.ndtr``
     is 0 below -8.3).
     """
@@ -114,26 +114,26 @@ class TruncatedNormal:
             raise InputDataError(
                 f"TruncatedNormal: lower bound {self.lower} is not below upper bound {self.upper}."
             )
-        if self._tails()[0] + self._tails()[1] > 1.0 - 1e-12:
+        if self._parts[2] < 1e-12:
             raise InputDataError(
                 f"TruncatedNormal(mean={self.mean}, sd={self.sd}) has no mass between "
                 f"{self.lower} and {self.upper}; "
                 "move the mean towards the bounds or widen sd."
             )
 
-    def _tails(self) -> tuple[float, float]:
-        """Mass cut off below and above."""
+    @cached_property
+    def _parts(self) -> tuple[float, float, float]:
+        """Mass cut off below and above, and what is kept."""
         below = 0.5 * math.erfc(-(self.lower - self.mean) / self.sd / math.sqrt(2.0))
         above = 0.5 * math.erfc((self.upper - self.mean) / self.sd / math.sqrt(2.0))
-        return below, above
+        return below, above, 1.0 - below - above
 
     def _standard(self, z: Tensor) -> Tensor:
         """The standardised value.
 
         Each half is computed from its own tail, so neither loses digits.
         """
-        below, above = self._tails()
-        kept = 1.0 - below - above
+        below, above, kept = self._parts
         from_below = ndtri(below + kept * ndtr(z.clamp(-_FAR, 0.0)))
         from_above = -ndtri(above + kept * ndtr(-z.clamp(0.0, _FAR)))
         value = torch.where(z < 0.0, from_below, from_above)
@@ -141,30 +141,28 @@ class TruncatedNormal:
         unbounded = (z > _FAR) & (above == 0.0) | (z < -_FAR) & (below == 0.0)
         return torch.where(unbounded, far, value)
 
-    def to_physical(self, z: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+    def to_physical(self, z: Values) -> Values:
         """See :class:`Marginal`."""
         value = self.mean + self.sd * self._standard(z)
         return value.clamp(self.lower, self.upper)
 
-    def to_control(self, value: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+    def to_control(self, value: Values) -> Values:
         """See :class:`Marginal`."""
-        below, above = self._tails()
-        kept = 1.0 - below - above
+        below, above, kept = self._parts
         x = (value - self.mean) / self.sd
-        cumulative = ((ndtr(x) - below) / kept).clamp(
-            _TINY, 1.0
-        )  # a value at its bound has a finite density
+        # a value at its bound has a finite density
+        cumulative = ((ndtr(x) - below) / kept).clamp(_TINY, 1.0)
         survival = ((ndtr(-x) - above) / kept).clamp(_TINY, 1.0)
         z = torch.where(cumulative < 0.5, ndtri(cumulative), -ndtri(survival))
         far = torch.sign(x) * _far_tail(x.abs().clamp_min(_FAR), -math.log(kept))
         unbounded = (x > _FAR) & (above == 0.0) | (x < -_FAR) & (below == 0.0)
         return torch.where(unbounded, far, z)
 
-    def log_slope(self, z: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+    def log_slope(self, z: Values) -> Values:
         """See :class:`Marginal`."""
-        below, above = self._tails()
-        kept = math.log(self.sd) + math.log1p(-below - above)
-        return kept + _normal_log_pdf(z) - _normal_log_pdf(self._standard(z))
+        below, above, _ = self._parts
+        scale = math.log(self.sd) + math.log1p(-below - above)
+        return scale + _normal_log_pdf(z) - _normal_log_pdf(self._standard(z))
 
 
 @dataclass(frozen=True)
@@ -206,15 +204,15 @@ class LogNormal:
         """See :class:`Marginal`."""
         return math.inf
 
-    def to_physical(self, z: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+    def to_physical(self, z: Values) -> Values:
         """See :class:`Marginal`."""
         return self.median * torch.exp(math.log(self.factor) * z)
 
-    def to_control(self, value: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+    def to_control(self, value: Values) -> Values:
         """See :class:`Marginal`."""
         return torch.log(value / self.median) / math.log(self.factor)
 
-    def log_slope(self, z: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+    def log_slope(self, z: Values) -> Values:
         """See :class:`Marginal`."""
         return math.log(self.median * math.log(self.factor)) + math.log(self.factor) * z
 
@@ -273,7 +271,7 @@ class Quantile:
         """See :class:`Marginal`."""
         return float(self._law.support()[1])
 
-    def to_physical(self, z: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+    def to_physical(self, z: Values) -> Values:
         """See :class:`Marginal`."""
         z = z.clamp(-_SURE, _SURE)
         slope = (
@@ -281,7 +279,7 @@ class Quantile:
         )  # a value that rounds to a bound
         return self._at(z.detach()) + slope * (z - z.detach())
 
-    def to_control(self, value: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+    def to_control(self, value: Values) -> Values:
         """See :class:`Marginal`."""
         at = value.detach().cpu().numpy()
         below, above = (
@@ -289,7 +287,7 @@ class Quantile:
         )
         return torch.where(below < 0.5, ndtri(below), -ndtri(above))
 
-    def log_slope(self, z: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+    def log_slope(self, z: Values) -> Values:
         """See :class:`Marginal`."""
         z = z.clamp(-_SURE, _SURE)
         return _normal_log_pdf(z) - self._tensor(self._law.logpdf(self._at(z).cpu().numpy()), z)

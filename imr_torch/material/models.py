@@ -1,10 +1,12 @@
 """Constitutive models: named sets of stress terms, in one registry that drives the same tests
 through every model.
 
-To add a model, subclass :class:`Material` in one file, name its terms, and register an instance.
+To add a model, name its terms in a :class:`Material` and register it.
 """
 
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 
 from imr_torch.errors import InputDataError
 from imr_torch.material.elastic import (
@@ -21,16 +23,19 @@ from imr_torch.material.stress import StressTerm
 from imr_torch.material.viscous import CARREAU, NEWTONIAN
 
 
+@dataclass(frozen=True)
 class Material:
     """A constitutive model.
 
-    Attributes:
+    Args:
         key: name in the registry and on the command line.
         title: name in tables and figures.
         reference: where the model is defined.
         terms: the stress terms that add up to its stress integral.
         known: parameters that must be measured independently (quasi-statically) and are not
             inferred.
+        extra: further parameters that are inferred with it, of effects or of errors of the
+            measurement; those of the gel have their terms among ``terms``.
 
     >>> from imr_torch.material import MATERIALS
     >>> model = MATERIALS["nhkv"]
@@ -43,11 +48,13 @@ class Material:
     reference: str
     terms: tuple[StressTerm, ...]
     known: tuple[str, ...] = ()
+    extra: tuple[str, ...] = ()
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """All parameters that the model reads, in the order of the parameter vector."""
-        used = {name for term in self.terms for name in term.names}
+        own = [term.names for term in self.terms if term.switch not in self.extra]
+        used = {*chain(*own), *self.extra}
         return tuple(name for name in PARAMETERS.names if name in used)
 
     @cached_property
@@ -64,135 +71,6 @@ class Material:
         return f"<{self.title}: {', '.join(self.names)}>"
 
 
-class Newtonian(Material):
-    """A viscous liquid without elasticity."""
-
-    key = "newtonian"
-    title = "Newtonian"
-    reference = "Estrada et al., J. Mech. Phys. Solids 112 (2018)"
-    terms = (NEWTONIAN,)
-
-
-class NeoHookean(Material):
-    """An elastic solid without viscosity."""
-
-    key = "nhe"
-    title = "NHE"
-    reference = "Gaudron, Warnez & Johnsen, J. Fluid Mech. 766 (2015)"
-    terms = (NEO_HOOKEAN,)
-
-
-class NeoHookeanKelvinVoigt(Material):
-    """A neo-Hookean spring beside a Newtonian dashpot: the model most gels are first tried with."""
-
-    key = "nhkv"
-    title = "NHKV"
-    reference = "Estrada et al., J. Mech. Phys. Solids 112 (2018)"
-    terms = (NEWTONIAN, NEO_HOOKEAN)
-
-
-class QuadraticKelvinVoigt(Material):
-    """NHKV with quadratic strain stiffening; its modulus is the known quasi-static one."""
-
-    key = "qkv"
-    title = "qKV"
-    reference = "Yang, Cramer, Bremer, Buyukozturk, Estrada & Franck, Soft Matter 16 (2020)"
-    terms = (NEWTONIAN, NEO_HOOKEAN, STIFFENING)
-    known = ("G",)
-
-
-class GeneralizedQuadraticKelvinVoigt(Material):
-    """qKV whose modulus is uncertain and inferred with the rest."""
-
-    key = "gen_qkv"
-    title = "Gen. qKV"
-    reference = "Chu, Estrada & Bryngelson, arXiv 2409.00011 (2024)"
-    terms = QuadraticKelvinVoigt.terms
-
-
-class LinearKelvinVoigt(Material):
-    """Kelvin-Voigt at small strain, as first used for bubbles in gels."""
-
-    key = "linkv"
-    title = "Linear KV"
-    reference = "Yang & Church, J. Acoust. Soc. Am. 118 (2005)"
-    terms = (NEWTONIAN, LINEAR_ELASTIC)
-
-
-class SecondOrderFungKelvinVoigt(Material):
-    """Exponential stiffening to second order in the strain invariant, beside a dashpot."""
-
-    key = "fung2"
-    title = "2nd-order Fung"
-    reference = "Yang, Cramer, Bremer, Buyukozturk, Estrada & Franck, Soft Matter 16 (2020)"
-    terms = (NEWTONIAN, NEO_HOOKEAN, SECOND_ORDER_FUNG)
-
-
-class ExponentialFungKelvinVoigt(Material):
-    """Exponential stiffening beside a dashpot."""
-
-    key = "fungexp"
-    title = "Fung"
-    reference = "Fung, Am. J. Physiol. 213 (1967)"
-    terms = (NEWTONIAN, NEO_HOOKEAN, EXPONENTIAL_FUNG)
-
-
-class Maxwell(Material):
-    """A viscoelastic liquid with one relaxation time (with retardation: Jeffreys)."""
-
-    key = "maxwell"
-    title = "Maxwell"
-    reference = "Allen & Roy, J. Acoust. Soc. Am. 107 (2000)"
-    terms = (NEWTONIAN, MAXWELL)
-
-
-class Zener(Material):
-    """A neo-Hookean spring beside a Maxwell branch with retardation."""
-
-    key = "zener"
-    title = "Zener"
-    reference = "Warnez & Johnsen, Phys. Fluids 27 (2015)"
-    terms = (NEWTONIAN, NEO_HOOKEAN, MAXWELL)
-
-
-class StandardLinear(Material):
-    """The standard linear solid of the published code."""
-
-    key = "sls"
-    title = "SLS"
-    reference = "Estrada et al., J. Mech. Phys. Solids 112 (2018)"
-    terms = (NEWTONIAN, LINEAR_ELASTIC, STANDARD_LINEAR)
-
-
-class StandardNonlinear(Material):
-    """The standard nonlinear solid of the published code."""
-
-    key = "sns"
-    title = "SNS"
-    reference = "Estrada et al., J. Mech. Phys. Solids 112 (2018)"
-    terms = (NEWTONIAN, NEO_HOOKEAN, STANDARD_NONLINEAR)
-
-
-class UpperConvectedMaxwell(Material):
-    """A viscoelastic liquid whose stress is carried and stretched with it (with retardation:
-    Oldroyd-B).
-    """
-
-    key = "ucm"
-    title = "Upper-convected Maxwell"
-    reference = "Warnez & Johnsen, Phys. Fluids 27 (2015)"
-    terms = (NEWTONIAN, OLDROYD_B)
-
-
-class CarreauKelvinVoigt(Material):
-    """NHKV whose viscosity falls with the shear rate."""
-
-    key = "carreau"
-    title = "Carreau KV"
-    reference = "Carreau, Trans. Soc. Rheol. 16 (1972)"
-    terms = (NEWTONIAN, NEO_HOOKEAN, CARREAU)
-
-
 MATERIALS: dict[str, Material] = {}
 """Key -> constitutive model."""
 
@@ -201,10 +79,7 @@ def register(material: Material) -> Material:
     """Add a model to the registry; its key must be new.
 
     >>> from imr_torch.material import MATERIALS, Material, register
-    >>> class Elastic(Material):
-    ...     key, title, reference = "elastic", "Elastic", "this page"
-    ...     terms = MATERIALS["nhe"].terms
-    >>> register(Elastic()).free
+    >>> register(Material("elastic", "Elastic", "this page", MATERIALS["nhe"].terms)).free
     ('G',)
     >>> _ = MATERIALS.pop("elastic")  # undo it here
     """
@@ -215,31 +90,6 @@ def register(material: Material) -> Material:
         )
     MATERIALS[material.key] = material
     return material
-
-
-class Extended(Material):
-    """A registered model with further parameters freed: effects, errors of the measurement, terms
-    of other models.
-
-    Args:
-        base: the registered model.
-        extra: names of parameters that the base leaves neutral.
-    """
-
-    def __init__(self, base: Material, extra: tuple[str, ...]) -> None:
-        self.base = base
-        self.extra = extra
-        self.key = "+".join((base.key, *extra))
-        self.title = " + ".join((base.title, *extra))
-        self.reference = base.reference
-        self.known = base.known
-        self.terms = (*base.terms, *(term for term in TERMS if term.switch in extra))
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """See :class:`Material`."""
-        used = {*self.base.names, *self.extra}
-        return tuple(name for name in PARAMETERS.names if name in used)
 
 
 def material(key: str) -> Material:
@@ -269,23 +119,98 @@ def material(key: str) -> Material:
         raise InputDataError(
             f"Model {key!r} names {double[0]!r} twice, or {base!r} has it already."
         )
-    return Extended(MATERIALS[base], tuple(extra))
+    model = MATERIALS[base]
+    title = " + ".join((model.title, *extra))
+    terms = (*model.terms, *(term for term in TERMS if term.switch in extra))
+    return replace(model, key=key, title=title, terms=terms, extra=tuple(extra))
 
 
 for _model in (
-    Newtonian(),
-    NeoHookean(),
-    NeoHookeanKelvinVoigt(),
-    QuadraticKelvinVoigt(),
-    GeneralizedQuadraticKelvinVoigt(),
-    LinearKelvinVoigt(),
-    SecondOrderFungKelvinVoigt(),
-    ExponentialFungKelvinVoigt(),
-    Maxwell(),
-    Zener(),
-    StandardLinear(),
-    StandardNonlinear(),
-    UpperConvectedMaxwell(),
-    CarreauKelvinVoigt(),
+    # A viscous liquid without elasticity.
+    Material(
+        "newtonian", "Newtonian", "Estrada et al., J. Mech. Phys. Solids 112 (2018)", (NEWTONIAN,)
+    ),
+    # An elastic solid without viscosity.
+    Material("nhe", "NHE", "Gaudron, Warnez & Johnsen, J. Fluid Mech. 766 (2015)", (NEO_HOOKEAN,)),
+    # A neo-Hookean spring beside a Newtonian dashpot: the model most gels are first tried with.
+    Material(
+        "nhkv", "NHKV", "Estrada et al., J. Mech. Phys. Solids 112 (2018)", (NEWTONIAN, NEO_HOOKEAN)
+    ),
+    # NHKV with quadratic strain stiffening; its modulus is the known quasi-static one.
+    Material(
+        "qkv",
+        "qKV",
+        "Yang, Cramer, Bremer, Buyukozturk, Estrada & Franck, Soft Matter 16 (2020)",
+        (NEWTONIAN, NEO_HOOKEAN, STIFFENING),
+        known=("G",),
+    ),
+    # qKV whose modulus is uncertain and inferred with the rest.
+    Material(
+        "gen_qkv",
+        "Gen. qKV",
+        "Chu, Estrada & Bryngelson, arXiv 2409.00011 (2024)",
+        (NEWTONIAN, NEO_HOOKEAN, STIFFENING),
+    ),
+    # Kelvin-Voigt at small strain, as first used for bubbles in gels.
+    Material(
+        "linkv",
+        "Linear KV",
+        "Yang & Church, J. Acoust. Soc. Am. 118 (2005)",
+        (NEWTONIAN, LINEAR_ELASTIC),
+    ),
+    # Exponential stiffening to second order in the strain invariant, beside a dashpot.
+    Material(
+        "fung2",
+        "2nd-order Fung",
+        "Yang, Cramer, Bremer, Buyukozturk, Estrada & Franck, Soft Matter 16 (2020)",
+        (NEWTONIAN, NEO_HOOKEAN, SECOND_ORDER_FUNG),
+    ),
+    # Exponential stiffening beside a dashpot.
+    Material(
+        "fungexp",
+        "Fung",
+        "Fung, Am. J. Physiol. 213 (1967)",
+        (NEWTONIAN, NEO_HOOKEAN, EXPONENTIAL_FUNG),
+    ),
+    # A viscoelastic liquid with one relaxation time (with retardation: Jeffreys).
+    Material(
+        "maxwell", "Maxwell", "Allen & Roy, J. Acoust. Soc. Am. 107 (2000)", (NEWTONIAN, MAXWELL)
+    ),
+    # A neo-Hookean spring beside a Maxwell branch with retardation.
+    Material(
+        "zener",
+        "Zener",
+        "Warnez & Johnsen, Phys. Fluids 27 (2015)",
+        (NEWTONIAN, NEO_HOOKEAN, MAXWELL),
+    ),
+    # The standard linear solid of the published code.
+    Material(
+        "sls",
+        "SLS",
+        "Estrada et al., J. Mech. Phys. Solids 112 (2018)",
+        (NEWTONIAN, LINEAR_ELASTIC, STANDARD_LINEAR),
+    ),
+    # The standard nonlinear solid of the published code.
+    Material(
+        "sns",
+        "SNS",
+        "Estrada et al., J. Mech. Phys. Solids 112 (2018)",
+        (NEWTONIAN, NEO_HOOKEAN, STANDARD_NONLINEAR),
+    ),
+    # A viscoelastic liquid whose stress is carried and stretched with it (with retardation:
+    # Oldroyd-B).
+    Material(
+        "ucm",
+        "Upper-convected Maxwell",
+        "Warnez & Johnsen, Phys. Fluids 27 (2015)",
+        (NEWTONIAN, OLDROYD_B),
+    ),
+    # NHKV whose viscosity falls with the shear rate.
+    Material(
+        "carreau",
+        "Carreau KV",
+        "Carreau, Trans. Soc. Rheol. 16 (1972)",
+        (NEWTONIAN, NEO_HOOKEAN, CARREAU),
+    ),
 ):
     register(_model)

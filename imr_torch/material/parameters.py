@@ -173,23 +173,18 @@ class ParameterVector:
                 parameter's bounds.
         """
         columns = {
-            self[name].name: value
-            if isinstance(value, Tensor)
-            else torch.tensor(value, dtype=torch.float64)
+            name: torch.as_tensor(value, dtype=None if isinstance(value, Tensor) else torch.float64)
             for name, value in values.items()
         }
-        floating = [c for c in columns.values() if c.is_floating_point() and c.ndim > 0]
-        dtype = floating[0].dtype if floating else torch.float64
-        shape = torch.broadcast_shapes(*[c.shape for c in columns.values()]) if columns else ()
-        packed = self.neutral(*shape, dtype=dtype)
-        if floating:
-            packed = packed.to(floating[0].device)
         for name, column in columns.items():
             self.check(name, column)
-            packed = packed.index_copy(
-                -1, torch.tensor(self.index([name])), column.to(packed).expand(shape)[..., None]
-            )
-        return packed
+        like = [x for x in values.values() if isinstance(x, Tensor) and x.is_floating_point()]
+        like = next((x for x in like if x.ndim), torch.zeros((), dtype=torch.float64))
+        shape = torch.broadcast_shapes(*(column.shape for column in columns.values()))
+        rows = [
+            columns.get(p.name, like.new_tensor(p.neutral)).to(like).expand(shape) for p in self
+        ]
+        return torch.stack(rows, -1)
 
     def check(self, name: str, value: Real[Tensor, "*batch"]) -> None:
         """Raise :class:`InputDataError` where a value is not finite or outside the bounds of
@@ -198,11 +193,11 @@ class ParameterVector:
         entry = self[name]
         bad = ~((value >= entry.lower) & (value <= entry.upper))
         if bool(bad.any()):
-            worst = float(value[bad].reshape(-1)[0]) if value.ndim else float(value)
+            worst = float(value[bad].flatten()[0])
             raise InputDataError(
                 f"Parameter {name!r} is {worst:g} {entry.unit}; expected a value in "
-                f"[{entry.lower:g}, {entry.upper:g}] "
-                f"{entry.unit} ({entry.meaning}). Parameters are given in SI units."
+                f"[{entry.lower:g}, {entry.upper:g}] {entry.unit} ({entry.meaning}). Parameters "
+                "are given in SI units."
             )
 
 

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
+import numpy as np
 import torch
 from jaxtyping import Inexact
 from torch import Tensor
@@ -23,6 +24,17 @@ from imr_torch.types import Members, States
 
 SMOOTH = 0.02
 """Velocity, over ``U_c``, below which laws round off ``|U|`` and its sign."""
+
+
+def unit_rule(count: int) -> tuple[tuple[float, float], ...]:
+    """Gauss-Legendre nodes and weights on [0, 1].
+
+    >>> from imr_torch.material.stress import unit_rule
+    >>> round(sum(weight * node**2 for node, weight in unit_rule(2)), 6)
+    0.333333
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return tuple(zip((0.5 + 0.5 * nodes).tolist(), (0.5 * weights).tolist(), strict=True))
 
 
 @dataclass(frozen=True)

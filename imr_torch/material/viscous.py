@@ -9,10 +9,8 @@ Sources: Estrada et al. (J. Mech. Phys. Solids 112, 2018), eq. 10; Carreau (Tran
 1972); Gaudron, Warnez & Johnsen (J. Fluid Mech. 766, 2015), section 2.3 for the integral.
 """
 
-import numpy as np
-
 from imr_torch.elementary import Scalar, asinh, cosh, expm1, log, real, where
-from imr_torch.material.stress import StressTerm
+from imr_torch.material.stress import StressTerm, unit_rule
 
 
 def newtonian(
@@ -24,13 +22,7 @@ def newtonian(
     return value, -value * velocity / radius, factor
 
 
-def _unit_rule(count: int) -> tuple[tuple[float, float], ...]:
-    """Gauss-Legendre nodes and weights on [0, 1]."""
-    nodes, weights = np.polynomial.legendre.leggauss(count)
-    return tuple(zip((0.5 + 0.5 * nodes).tolist(), (0.5 * weights).tolist(), strict=True))
-
-
-_RULE = _unit_rule(16)
+_RULE = unit_rule(16)
 _SHEAR = 2.0 * 3.0**0.5  # shear rate at the wall over |U|/R
 
 
