@@ -63,14 +63,15 @@ class Cloud:
     marginals: Float[Tensor, "scores controls"]
 
     def __post_init__(self) -> None:
-        count, size = self.controls.shape[0], self.controls.shape[-1]
+        count, size = self.controls.shape if self.controls.ndim == 2 else (0, 0)
         expected = [(count, size), (count, size, size), (len(self.SCORES), size)]
         shapes = [tuple(x.shape) for x in vars(self).values()]
         finite = all(bool(x.isfinite().all()) for x in vars(self).values())
         if shapes != expected or not count or not finite:
             raise InputDataError(
-                f"Cloud: controls, precisions and marginals have shapes {shapes}; expected finite "
-                f"n x d, n x d x d and {len(self.SCORES)} x d numbers, of at least one draw; infer "
+                f"Cloud: controls, precisions and marginals have shapes {shapes}; expected n x d "
+                f"and n x d x d and {len(self.SCORES)} x d numbers, of at least one draw; all must "
+                "be finite: infer "
                 "the belief again."
             )
 
@@ -435,8 +436,8 @@ class Belief:
             of_model = set(kind.names) - set(free)
             fixed = {name: float(value) for name, value in given.items() if name in of_model}
             ordered = tuple(marginals[name] for name in free)
-            chol = torch.eye(len(free), dtype=torch.float64)
-            parts.append(ModelBelief(key, ordered, torch.zeros_like(chol[0]), chol, fixed))
+            mean = torch.zeros(len(free), dtype=torch.float64)
+            parts.append(ModelBelief(key, ordered, mean, torch.diag(mean + 1.0), fixed))
         weights = probabilities or dict.fromkeys(models, 1.0)
         if (
             set(weights) != set(models)
