@@ -71,8 +71,7 @@ class Cloud:
             raise InputDataError(
                 f"Cloud: controls, precisions and marginals have shapes {shapes}; expected n x d "
                 f"and n x d x d and {len(self.SCORES)} x d numbers, of at least one draw; all must "
-                "be finite: infer "
-                "the belief again."
+                "be finite: infer the belief again."
             )
 
 
@@ -111,8 +110,7 @@ class ModelBelief:
         if not set(kind.known) <= set(self.known) <= set(kind.names):
             raise InputDataError(
                 f"Model {self.model!r} needs known {list(kind.known) or 'nothing'} and may have "
-                f"others of {list(kind.names)}; "
-                f"got {list(self.known) or 'nothing'}."
+                f"others of {list(kind.names)}; got {list(self.known) or 'nothing'}."
             )
         for name, value in self.known.items():
             PARAMETERS.check(name, torch.tensor(value))

@@ -145,7 +145,6 @@ def _default(model: str, name: str) -> Marginal:
     if prior is None:
         raise InputDataError(
             f"Parameter {name!r} of model {model!r} has no default prior; register it with one "
-            "(Parameter(..., prior=...)) or "
-            "give the priors yourself (Belief.prior)."
+            "(Parameter(..., prior=...)) or give the priors yourself (Belief.prior)."
         )
     return prior

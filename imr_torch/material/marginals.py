@@ -107,8 +107,7 @@ class TruncatedNormal:
         if not (math.isfinite(self.mean) and 0.0 < self.sd < math.inf):
             raise InputDataError(
                 f"TruncatedNormal(mean={self.mean}, sd={self.sd}): the spread sd must be positive "
-                "and finite. "
-                "A parameter that is known exactly belongs in `known`, not in a prior."
+                "and finite. A parameter that is known exactly belongs in `known`, not in a prior."
             )
         if not self.lower < self.upper:
             raise InputDataError(
@@ -116,9 +115,8 @@ class TruncatedNormal:
             )
         if self._parts[2] < 1e-12:
             raise InputDataError(
-                f"TruncatedNormal(mean={self.mean}, sd={self.sd}) has no mass between "
-                f"{self.lower} and {self.upper}; "
-                "move the mean towards the bounds or widen sd."
+                f"TruncatedNormal(mean={self.mean}, sd={self.sd}) has no mass between {self.lower} "
+                f"and {self.upper}; move the mean towards the bounds or widen sd."
             )
 
     @cached_property

@@ -113,9 +113,8 @@ def _water(salt: float = 0.0) -> dict[str, float]:
 
 _PEG = (
     "aqueous PEG at 298 K: 20 % as measured for PEG 3000 (1029.7 kg/m^3; J. Korean Chem. Soc. 63, "
-    "2019, suppl.), higher shares "
-    "from specific volumes between that and the pure melt's; 1 % sd, since none is of PEG 8000 "
-    "itself"
+    "2019, suppl.), higher shares from specific volumes between that and the pure melt's; 1 % sd, "
+    "since none is of PEG 8000 itself"
 )
 _IMR_PRIME = (
     "density in the scripts of the measurements (github.com/vsnchz248/IMR_PRIME); nothing else is "
@@ -172,7 +171,6 @@ def named_medium(name: str) -> NamedMedium:
     if name not in NAMED:
         raise InputDataError(
             f"Unknown medium {name!r}; known are {', '.join(NAMED)}. State another one by its "
-            "values, for example "
-            "density=1125:11,sound_speed=1560."
+            "values, for example density=1125:11,sound_speed=1560."
         )
     return NAMED[name]

@@ -96,8 +96,7 @@ class CollapseShot:
             if not low <= value <= high:
                 raise InputDataError(
                     f"{self.source}: experiment '{self.experiment_id}': {name} is {value:g}; "
-                    "expected "
-                    f"{low:g} to {high:g}, in SI units."
+                    f"expected {low:g} to {high:g}, in SI units."
                 )
         for name, value, of in (
             ("collapse_time_sd_s", self.collapse_time_sd_s, self.collapse_time_s),
@@ -175,8 +174,7 @@ class CollapseTime:
         ):
             raise InputDataError(
                 f"CollapseTime {self.label!r} has time {self.time:g}, sd {self.sd:g} and scatter "
-                f"{self.scatter:g}; expected "
-                "finite numbers, time and sd above 0."
+                f"{self.scatter:g}; expected finite numbers, time and sd above 0."
             )
         if self.nuisance.time_zero:
             raise InputDataError(

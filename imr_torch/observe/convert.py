@@ -87,10 +87,9 @@ def _rest(
     if landmarks.rest_radius_m is None or landmarks.rest_radius_sd_m is None:
         raise InputDataError(
             f"{trace.source}: experiment '{trace.experiment_id}' has no rebound and no given "
-            "R_inf, so the rest radius cannot "
-            "be measured from it. Give it: rest_radius=(value, sd) of R_inf/Rmax (on the command "
-            "line --rest-radius 0.2:0.1), "
-            "or Rinf_m in the JSON beside the file, or leave the experiment out."
+            "R_inf, so the rest radius cannot be measured from it. Give it: rest_radius=(value, "
+            "sd) of R_inf/Rmax (on the command line --rest-radius 0.2:0.1), or Rinf_m in the JSON "
+            "beside the file, or leave the experiment out."
         )
     top = landmarks.max_radius_m
     return (

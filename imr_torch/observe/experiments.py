@@ -92,8 +92,7 @@ class Experiment:
             repeat, frame = torch.nonzero(torch.isinf(self.radius))[0].tolist()
             raise InputDataError(
                 f"Experiment {self.label!r}: radius of repeat {repeat}, frame {frame} is "
-                f"{self.radius[repeat, frame]}; "
-                "mark a missing frame by NaN."
+                f"{self.radius[repeat, frame]}; mark a missing frame by NaN."
             )
         if not bool((self.counts > 0).all()):
             frame = int(torch.nonzero(self.counts == 0)[0])
@@ -229,9 +228,8 @@ class ExperimentBatch:
         if gaps and self.noise.correlation_time > 0.0:
             raise InputDataError(
                 f"Experiment {gaps[0]!r}: a repeat lacks frames that another has, and "
-                "Noise.correlation_time is "
-                f"{self.noise.correlation_time:g}; leave these frames out of all repeats, or take "
-                "0."
+                f"Noise.correlation_time is {self.noise.correlation_time:g}; leave these frames "
+                "out of all repeats, or take 0."
             )
 
     def _padded(self, rows: Sequence[Tensor], fill: float) -> Tensor:

@@ -117,8 +117,7 @@ def check_experiment(
     if at > max(LIMITS.latest_maximum, LIMITS.frames_to_maximum * float(times.diff()[:1].sum())):
         raise InputDataError(
             f"{where}: the largest frame is at t* = {at:.2f}; expected time zero at the maximum "
-            "radius, within "
-            f"{LIMITS.latest_maximum}.{advice}"
+            f"radius, within {LIMITS.latest_maximum}.{advice}"
         )
     found = [
         (LIMITS.weber, experiment.design[0], "We is {:.4g}"),
@@ -161,9 +160,8 @@ def _check_rise(where: str, radius: Tensor, largest: int) -> None:
     if largest == len(radius) - 1:
         raise InputDataError(
             f"{where}: the largest radius, {1e6 * float(radius[largest]):.4g} um, is that of the "
-            "last frame, so the record "
-            "holds no collapse. Check the units of the times, and that radius and time are not "
-            "exchanged."
+            "last frame, so the record holds no collapse. Check the units of the times, and that "
+            "radius and time are not exchanged."
         )
     if float(radius.amax() - radius.amin()) < LIMITS.least_change * float(radius[largest]):
         raise InputDataError(
@@ -188,16 +186,14 @@ def _check_stated(
         if sd is not None and sd > largest:
             raise InputDataError(
                 f"{where}: {name} is {1e6 * sd:.4g} um, and Rmax {1e6 * top:.4g} um; expected a "
-                "standard deviation in metres, "
-                f"{1e6 * largest:.4g} um at most."
+                f"standard deviation in metres, {1e6 * largest:.4g} um at most."
             )
     apart = float(trace.time_s.diff().median())
     if given.exposure_s is not None and given.exposure_s > LIMITS.longest_exposure * apart:
         raise InputDataError(
             f"{where}: exposure_s is {1e6 * given.exposure_s:.4g} us, and frames are "
-            f"{1e6 * apart:.4g} us apart; expected the "
-            "exposure of one frame in seconds, no longer than that. Leave it out if it is not "
-            "known."
+            f"{1e6 * apart:.4g} us apart; expected the exposure of one frame in seconds, no longer "
+            "than that. Leave it out if it is not known."
         )
     overridden = given.override is not None and given.override.time_of_max_s is not None
     stated = None if overridden else given.time_of_max_s
@@ -205,9 +201,8 @@ def _check_stated(
     if stated is not None and abs(stated - landmarks.time_of_max_s) > LIMITS.latest_maximum * scale:
         raise InputDataError(
             f"{where}: t_Rmax_s is {1e6 * stated:.4g} us, and the maximum radius of the frames is "
-            "at "
-            f"{1e6 * landmarks.time_of_max_s:.4g} us. Give it in seconds on the time axis of the "
-            "file, or leave it out."
+            f"at {1e6 * landmarks.time_of_max_s:.4g} us. Give it in seconds on the time axis of "
+            "the file, or leave it out."
         )
 
 
@@ -250,10 +245,8 @@ def check_maximum(
     if dense and max(float(radius[k - 1]), float(radius[k + 1])) < LandmarkOptions.neighbour * top:
         raise InputDataError(
             f"{where}: frame {k} (counted from 0, {1e6 * float(time[k]):.4g} us) has the largest "
-            f"radius, {1e6 * top:.4g} um, "
-            f"between frames of {1e6 * float(radius[k - 1]):.4g} and "
-            f"{1e6 * float(radius[k + 1]):.4g} um. No bubble does that: "
-            "set the frame to NaN."
+            f"radius, {1e6 * top:.4g} um, between frames of {1e6 * float(radius[k - 1]):.4g} and "
+            f"{1e6 * float(radius[k + 1]):.4g} um. No bubble does that: set the frame to NaN."
         )
     if stated is None:
         return ()
@@ -261,8 +254,7 @@ def check_maximum(
     ratio = stated / seen
     text = (
         f"{where}: the stated maximum radius is {1e6 * stated:.4g} um, and the largest of the "
-        f"frames {1e6 * seen:.4g} um. "
-        "Check Rmax_m (metres, a radius) and the units of the radii."
+        f"frames {1e6 * seen:.4g} um. Check Rmax_m (metres, a radius) and the units of the radii."
     )
     low, high = LIMITS.stated_over_seen.possible
     if not low <= ratio <= high:

@@ -71,8 +71,7 @@ class Prepared:
             used += f" ({before} before the maximum, {after} after the window)"
             lines.append(
                 f"  {name}: Rmax {1e6 * marks.max_radius_m:.4g} um ({marks.max_method}), "
-                f"R_inf/Rmax {rest:.3f} ({found}), "
-                f"We {weber:.0f}, {collapse}{blur}{used * frames}"
+                f"R_inf/Rmax {rest:.3f} ({found}), We {weber:.0f}, {collapse}{blur}{used * frames}"
             )
         lines.insert(
             0, f"Curves as they are fitted (an empty cavity collapses at t* = {RAYLEIGH_TIME}):"
@@ -115,8 +114,7 @@ def prepare(
     ):
         raise InputDataError(
             f"rest_radius is {rest_radius[0]:g}:{rest_radius[1]:g}; expected R_inf/Rmax between 0 "
-            "and 1 and a standard "
-            "deviation >= 0, for example 0.2:0.1."
+            "and 1 and a standard deviation >= 0, for example 0.2:0.1."
         )
     landmarks = {trace.experiment_id: find_landmarks(trace) for trace in traces}
     cautions = [] if rest_radius else _borrow_rest_radii(landmarks)
@@ -181,9 +179,8 @@ def _borrow_rest_radii(landmarks: dict[str, Landmarks], *, least_sd: float = 0.4
         landmarks[name] = replace(landmarks[name], **found)
     names = ", ".join(f"'{name}'" for name in lacking)
     return [
-        f"The record of {names} holds no rebound and no R_inf is stated, so R_inf/Rmax is taken "
-        "to be about that of the other "
-        f"curves, {value:.2f} +- {sd:.2f}. State it if it is known."
+        f"The record of {names} holds no rebound and no R_inf is stated, so R_inf/Rmax is taken to "
+        f"be about that of the other curves, {value:.2f} +- {sd:.2f}. State it if it is known."
     ]
 
 
@@ -238,8 +235,7 @@ def _find_outvoting_curve(experiments: Sequence[Experiment]) -> tuple[str, ...]:
     largest = experiments[counts.index(max(counts))]
     return (
         f"experiment '{largest.label}' has {max(counts)} of the {sum(counts)} frames that are "
-        "fitted and decides the result; "
-        "state the end of its window if it should not.",
+        "fitted and decides the result; state the end of its window if it should not.",
     )
 
 

@@ -56,9 +56,8 @@ def load_set(
     for name, dimensions in _SHAPES.items():
         if arrays[name].ndim != dimensions or arrays[name].shape[0] != arrays["we"].shape[0]:
             raise InputDataError(
-                f"{path}: {name} has shape {arrays[name].shape}; expected {dimensions} "
-                "dimensions, the first of "
-                f"{arrays['we'].shape[0]} designs."
+                f"{path}: {name} has shape {arrays[name].shape}; expected {dimensions} dimensions, "
+                f"the first of {arrays['we'].shape[0]} designs."
             )
     if arrays["radius_m"].shape[2] != arrays["time_s"].shape[1]:
         raise InputDataError(
@@ -111,14 +110,12 @@ def _check_units(
     wrong = radius[(radius < radii[0]) | (radius > radii[1])]
     if len(wrong):
         raise InputDataError(
-            f"{where}: radius_m holds {float(wrong[0]) * size:g}; expected metres, from about 0 "
-            "to not far above Rmax, "
-            f"{size:.3g} m by its we. Mark missing frames by NaN."
+            f"{where}: radius_m holds {float(wrong[0]) * size:g}; expected metres, from about 0 to "
+            f"not far above Rmax, {size:.3g} m by its we. Mark missing frames by NaN."
         )
     shortest, longest = durations
     if not shortest <= last <= longest:
         raise InputDataError(
             f"{where}: time_s ends at {last * unit:g}; expected seconds from the maximum radius "
-            f"on, {shortest * unit:.2g} to "
-            f"{longest * unit:.2g} of them."
+            f"on, {shortest * unit:.2g} to {longest * unit:.2g} of them."
         )

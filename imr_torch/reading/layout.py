@@ -114,8 +114,7 @@ class Layout:
         if self.time is None and self.frame_interval is None:
             raise InputDataError(
                 "The layout names no time and no frame_interval; write time=<name>, or "
-                "frame_interval=<seconds between "
-                "frames>, into --layout."
+                "frame_interval=<seconds between frames>, into --layout."
             )
         if self.time_unit == "frames" and self.frame_interval is None:
             raise InputDataError(

@@ -178,8 +178,7 @@ class RadiusTrace:
         if self.time_s.shape != self.radius_m.shape:
             raise InputDataError(
                 f"{self._at('radius_m')} has {len(self.radius_m)} samples and time_s has "
-                f"{len(self.time_s)}; "
-                "give one time for every radius."
+                f"{len(self.time_s)}; give one time for every radius."
             )
         if len(self.time_s) < 2:
             raise InputDataError(
