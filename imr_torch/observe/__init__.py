@@ -4,7 +4,7 @@ from imr_torch.observe.collapse import CollapseShot, CollapseTime, load_collapse
 from imr_torch.observe.convert import to_experiment
 from imr_torch.observe.experiments import Experiment, ExperimentBatch, Film, predict
 from imr_torch.observe.laboratory import SimulatedLaboratory
-from imr_torch.observe.landmarks import LandmarkOptions, Landmarks, find_landmarks
+from imr_torch.observe.landmarks import Landmarks, find_landmarks
 from imr_torch.observe.medium import GelMedium, gel_medium
 from imr_torch.observe.noise import Noise
 from imr_torch.observe.noise_laws import NoiseLaws, noise_sentences
@@ -44,7 +44,6 @@ __all__ = [
     "Film",
     "GelMedium",
     "Given",
-    "LandmarkOptions",
     "Landmarks",
     "Layout",
     "LeftOut",

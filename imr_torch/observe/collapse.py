@@ -12,9 +12,7 @@ time. Rheometry from collapse times alone: Zhu et al., Soft Matter (2025), doi 1
 where the collapse time is a formula; here the bubble is simulated.
 """
 
-import csv
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -22,17 +20,21 @@ from typing import ClassVar
 
 import torch
 from jaxtyping import Bool, Float, Int
+from scipy.optimize import root_scalar
 from scipy.special import ndtri, stdtrit
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
 from imr_torch.observe.distortion import Distortion
-from imr_torch.observe.nuisance import SMALLEST, Nuisance, displaced
+from imr_torch.observe.nuisance import FLOOR, SMALLEST, Nuisance, displaced
+from imr_torch.reading.content import Content
 from imr_torch.reading.matlab import read_matlab
 from imr_torch.reading.readers import SHOT_ARRAY, SHOT_COLUMNS, is_shot_file
 from imr_torch.reading.sidecar import Sidecar
 from imr_torch.reading.statement import Statement
+from imr_torch.reading.table import read_text
 from imr_torch.simulate import Simulator, check_designs
+from imr_torch.types import Frames
 from imr_torch.units import Surroundings
 
 RESOLUTION_S = 20e-9
@@ -43,7 +45,6 @@ _ERRORS = {
     "rmax_sd_m": "max_radius_sd_m",
     "stretch_sd": "stretch_sd",
 }
-_FLOOR = Nuisance(max_radius=0.003, rest_radius=0.01)  # as of curves: pixel size and edge detection
 _GRID = torch.cat(
     [
         torch.linspace(a, b, n + 1, dtype=torch.float64)[:-1]
@@ -115,12 +116,8 @@ class CollapseShot:
         top = self.max_radius_m
         scale = surroundings.time_scale(self.max_radius_m)
         nuisance = Nuisance(
-            max_radius=_FLOOR.max_radius
-            if self.max_radius_sd_m is None
-            else self.max_radius_sd_m / top,
-            rest_radius=_FLOOR.rest_radius
-            if self.stretch_sd is None
-            else self.stretch_sd / self.stretch,
+            max_radius=(self.max_radius_sd_m or FLOOR.max_radius * top) / top,
+            rest_radius=(self.stretch_sd or FLOOR.rest_radius * self.stretch) / self.stretch,
         )
         design = (surroundings.weber(top), 1.0 / self.stretch)
         time = self.collapse_time_s / scale
@@ -260,12 +257,10 @@ def simulate_bubbles(
     simulator: Simulator,
     parameters: Float[Tensor, "*#batch parameters"],
     designs: Float[Tensor, "*#batch experiments 2"],
-    times: Float[Tensor, "*#batch experiments frames"],
+    times: Frames,
     *,
     bundled: bool = False,
-) -> tuple[
-    Float[Tensor, "*#batch experiments frames"], Float[Tensor, "*#batch experiments frames"]
-]:
+) -> tuple[Frames, Frames]:
     """Radius and velocity of each gel in each experiment, dimensionless.
 
     Args:
@@ -368,11 +363,7 @@ def load_collapse_times(*paths: str | Path) -> tuple[CollapseShot, ...]:
         if path.suffix.lower() == ".mat":
             shots += _shots_of_array(path, stated)
             continue
-        with path.open(encoding="utf-8-sig", newline="") as stream:
-            table = csv.DictReader(stream, skipinitialspace=True)
-            _check_columns(path, table.fieldnames or ())
-            for line, row in enumerate(table, start=2):
-                shots.append(_shot(row, f"{path}, line {line}", str(path), stated))
+        shots += _shots_of_table(read_text(path)[0], stated)
     names = [shot.experiment_id for shot in shots]
     double = next((name for name in names if names.count(name) > 1), None)
     if not shots or double is not None:
@@ -397,39 +388,32 @@ def _shots_of_array(path: Path, stated: Statement | None) -> list[CollapseShot]:
     ]
 
 
-def _check_columns(path: Path, names: Sequence[str]) -> None:
-    """Raise for a column that would not be read, such as a misspelt error, or that is there twice."""
-    known = (*SHOT_COLUMNS, *_ERRORS)
-    for name in names:
-        if name.strip() not in known:
+def _shots_of_table(table: Content, stated: Statement | None) -> list[CollapseShot]:
+    """The shots of a table of text."""
+    for name in table.values:
+        if name not in (*SHOT_COLUMNS, *_ERRORS):  # such as a misspelt error
             raise InputDataError(
-                f"{path}: column {name!r} is none of a table of collapse times; expected "
-                f"{', '.join(SHOT_COLUMNS)} and perhaps "
-                f"{', '.join(_ERRORS)}. Rename it, or leave it out."
+                f"{table.path}: column {name!r} is none of a table of collapse times; expected "
+                f"{', '.join(SHOT_COLUMNS)} and perhaps {', '.join(_ERRORS)}. Rename it, or leave "
+                "it out."
             )
-        if list(names).count(name) > 1:
-            raise InputDataError(f"{path}: column {name!r} is there twice; leave one out.")
-
-
-def _shot(row: dict[str, str], where: str, source: str, stated: Statement | None) -> CollapseShot:
-    def number(column: str) -> float:
-        try:
-            return float(row[column])
-        except (TypeError, ValueError):
+    numbers = {
+        name: table.vectors(name)[0].tolist() for name in {*table.values} - {"experiment_id"}
+    }
+    shots = []
+    for i, name in enumerate(table.texts["experiment_id"]):
+        if not name:
             raise InputDataError(
-                f"{where}: {column} is {row[column]!r}; expected a number in SI units."
-            ) from None
-
-    if not (row["experiment_id"] or "").strip():
-        raise InputDataError(f"{where}: experiment_id is empty; give each shot a name.")
-    errors = {name: number(column) for column, name in _ERRORS.items() if row.get(column)}
-    return CollapseShot(
-        row["experiment_id"],
-        *(number(column) for column in SHOT_COLUMNS[1:]),
-        **errors,
-        source=source,
-        stated=stated,
-    )
+                f"{table.path}: experiment_id of shot {i + 1} is empty; give each shot a name."
+            )
+        errors = {
+            field: numbers[column][i]
+            for column, field in _ERRORS.items()
+            if any(table.texts.get(column, ())[i : i + 1])
+        }
+        values = (numbers[column][i] for column in SHOT_COLUMNS[1:])
+        shots.append(CollapseShot(name, *values, **errors, source=str(table.path), stated=stated))
+    return shots
 
 
 def serial_correlation(values: Float[Tensor, "shots"], order: Float[Tensor, "shots"]) -> float:
@@ -469,13 +453,9 @@ def scatter_of(
     free = len(missed) - fitted
     if free < 1.0 or float((missed.square() / variance).sum()) <= free:
         return 0.0
-    low = 0.0
     high = float(missed.square().max().sqrt()) * math.sqrt(len(missed))
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (
-            (middle, high)
-            if float((missed.square() / (variance + middle**2)).sum()) > free
-            else (low, middle)
-        )
-    return high * float(stdtrit(free, 0.95) / ndtri(0.95))
+    found = root_scalar(
+        lambda scatter: float((missed.square() / (variance + scatter**2)).sum()) - free,
+        bracket=(0.0, high),
+    )
+    return found.root * float(stdtrit(free, 0.95) / ndtri(0.95))

@@ -10,11 +10,9 @@ import math
 from imr_torch.errors import InputDataError
 from imr_torch.observe.experiments import Experiment
 from imr_torch.observe.landmarks import Landmarks
-from imr_torch.observe.nuisance import Nuisance
+from imr_torch.observe.nuisance import FLOOR, Nuisance
 from imr_torch.reading.traces import RadiusTrace
 from imr_torch.units import Surroundings
-
-FLOOR = Nuisance(max_radius=0.003, time_zero=0.004, rest_radius=0.01)
 
 
 def to_experiment(

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from imr_torch.material import PARAMETERS
 from imr_torch.simulate import EARLIEST
+from imr_torch.types import Frames
 
 _GEOMETRY = (
     "missed_maximum",
@@ -100,8 +101,8 @@ class Distortion:
     def placed(
         self,
         designs: Float[Tensor, "*#batch experiments 2"],
-        times: Float[Tensor, "*#batch experiments frames"],
-    ) -> tuple[Float[Tensor, "*#batch experiments 2"], Float[Tensor, "*#batch experiments frames"]]:
+        times: Frames,
+    ) -> tuple[Float[Tensor, "*#batch experiments 2"], Frames]:
         """True designs (``... x E x 2``) and times (``... x E x T``) of a clock that is wrong."""
         rate = torch.exp(self.clock)[..., None]
         slower = torch.cat((1.0 / rate, torch.ones_like(rate)), -1)
@@ -109,9 +110,9 @@ class Distortion:
 
     def filmed(
         self,
-        times: Float[Tensor, "*#batch experiments frames"],
+        times: Frames,
         simulate: Callable[[Tensor], Tensor],
-    ) -> Float[Tensor, "*#batch experiments frames"]:
+    ) -> Frames:
         """Radii as filmed: averaged over the exposure, seen through a lens.
 
         Args:

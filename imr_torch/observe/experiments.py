@@ -6,7 +6,7 @@ of them to a common number of frames, so that any number of experiments is one t
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import ClassVar
@@ -14,6 +14,7 @@ from typing import ClassVar
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
 
 from imr_torch.errors import InputDataError, ShapeError
 from imr_torch.material import PARAMETERS
@@ -24,6 +25,7 @@ from imr_torch.observe.noise_laws import NoiseLaws
 from imr_torch.observe.nuisance import NUISANCES, Nuisance, displaced, impossible
 from imr_torch.observe.scatter import Scatter, with_own
 from imr_torch.simulate import EARLIEST, Simulator, check_designs
+from imr_torch.types import Frames
 
 _EARLIEST_FILMED = -0.4  # an exposure reaches on from its frame, and so does a clock that is wrong
 
@@ -232,13 +234,6 @@ class ExperimentBatch:
                 "out of all repeats, or take 0."
             )
 
-    def _padded(self, rows: Sequence[Tensor], fill: float) -> Tensor:
-        width = max(row.shape[0] for row in rows)
-        padded = [
-            torch.nn.functional.pad(row, (0, width - row.shape[0]), value=fill) for row in rows
-        ]
-        return torch.stack(padded)
-
     @cached_property
     def curves(self) -> "tuple[Experiment, ...]":
         """The experiments that are curves."""
@@ -316,26 +311,26 @@ class ExperimentBatch:
     @cached_property
     def mask(self) -> Bool[Tensor, "experiments frames"]:
         """Frames that exist."""
-        return self._padded(
-            [torch.ones_like(e.times, dtype=torch.bool) for e in self.experiments], False
-        )
+        kept = [torch.ones_like(e.times, dtype=torch.bool) for e in self.experiments]
+        return pad_sequence(kept, batch_first=True)
 
     @cached_property
     def times(self) -> Float[Tensor, "experiments frames"]:
         """``E x T`` tensor, dimensionless; padding continues each row, so that rows increase."""
-        times = self._padded([e.times for e in self.experiments], 0.0)
+        times = pad_sequence([e.times for e in self.experiments], batch_first=True)
         tail = 1e-3 * torch.cumsum((~self.mask).to(times), dim=1)
         return torch.where(self.mask, times, times.amax(1, keepdim=True) + tail)
 
     @cached_property
     def mean(self) -> Float[Tensor, "experiments frames"]:
         """Mean over repeats; 0 in the padding."""
-        return self._padded([e.mean for e in self.experiments], 0.0)
+        return pad_sequence([e.mean for e in self.experiments], batch_first=True)
 
     @cached_property
     def counts(self) -> Float[Tensor, "experiments frames"]:
         """Repeats behind each frame of the mean; 1 in the padding."""
-        return self._padded([e.counts.to(torch.float64) for e in self.experiments], 1.0)
+        counts = [e.counts.to(torch.float64) for e in self.experiments]
+        return pad_sequence(counts, batch_first=True, padding_value=1.0)
 
     @cached_property
     def innovations(
@@ -349,12 +344,10 @@ class ExperimentBatch:
         """Deviations of the repeats from their mean, squared, and times those of the frame before:
         two ``E x T`` tensors.
         """
-        width = self.times.shape[1]
         deviations = [(e.radius - e.mean).nan_to_num() for e in self.experiments]
-        padded = [torch.nn.functional.pad(x, (0, width - x.shape[1])) for x in deviations]
-        return torch.stack([x.square().sum(0) for x in padded]), torch.stack(
-            [(x * previous(x)).sum(0) for x in padded]
-        )
+        squares = [x.square().sum(0) for x in deviations]
+        products = [(x * previous(x)).sum(0) for x in deviations]
+        return pad_sequence(squares, batch_first=True), pad_sequence(products, batch_first=True)
 
     @cached_property
     def nuisance_sds(self) -> Float[Tensor, "experiments nuisances"]:
@@ -370,18 +363,16 @@ class ExperimentBatch:
         self, prediction: Float[Tensor, "*batch experiments frames"]
     ) -> Float[Tensor, "*batch experiments frames"]:
         """Noise of one repeat at a prediction ``... x E x T``; 1 in the padding."""
-        sd = torch.where(self.mask, self.noise.sd(prediction, self.times) * self.noise_factors, 1.0)
-        return (
-            torch.where(self.collapse[:, None] & self.mask, self._own_sd, sd)
-            if bool(self.collapse.any())
-            else sd
+        sd = torch.where(
+            self.collapse[:, None], self._own_sd, self.noise.sd(prediction, self.times)
         )
+        return torch.where(self.mask, sd * self.noise_factors, 1.0)
 
     def whiten(
         self,
-        values: Float[Tensor, "*#batch experiments frames"],
-        sd: Float[Tensor, "*#batch experiments frames"],
-    ) -> Float[Tensor, "*#batch experiments frames"]:
+        values: Frames,
+        sd: Frames,
+    ) -> Frames:
         """Scale differences ``... x E x T`` so that the mean of the repeats has unit, independent
         noise.
         """
@@ -393,12 +384,9 @@ class ExperimentBatch:
 
     def terms(
         self,
-        prediction: Float[Tensor, "*#batch experiments frames"],
-        sd: Float[Tensor, "*#batch experiments frames"],
-        innovations: tuple[
-            Float[Tensor, "*#batch experiments frames"], Float[Tensor, "*#batch experiments frames"]
-        ]
-        | None,
+        prediction: Frames,
+        sd: Frames,
+        innovations: tuple[Frames, Frames] | None,
     ) -> tuple[Float[Tensor, "*#batch experiments"], Float[Tensor, "*#batch experiments"]]:
         """Squared misfit and normaliser of each experiment under any noise: two ``... x E``
         tensors, the second in nats.
@@ -461,7 +449,7 @@ def predict(
     *,
     times: Float[Tensor, "experiments frames"] | None = None,
     bundled: bool = False,
-) -> Float[Tensor, "*#batch experiments frames"]:
+) -> Frames:
     """What the camera would see of each gel in each experiment.
 
     Args:

@@ -13,13 +13,12 @@ from itertools import pairwise
 import numpy as np
 from scipy.optimize import curve_fit
 
-from imr_torch.errors import InputDataError
 from imr_torch.observe.window import turning_points
 from imr_torch.reading.traces import Given, RadiusTrace
 
 
 @dataclass(frozen=True)
-class LandmarkOptions:
+class LandmarkRules:
     """How landmarks are found; every default was chosen on simulated and measured curves.
 
     Args:
@@ -54,8 +53,8 @@ class LandmarkOptions:
         partial_floor: the same from less than a cycle.
         stated_floor: the same of a stated rest radius.
 
-    >>> from imr_torch.observe.landmarks import LandmarkOptions
-    >>> LandmarkOptions(tail=0.2).settled_below
+    >>> from imr_torch.observe.landmarks import RULES
+    >>> RULES.settled_below
     0.03
     """
 
@@ -83,13 +82,9 @@ class LandmarkOptions:
     partial_floor: float = 0.30
     stated_floor: float = 0.01
 
-    def __post_init__(self) -> None:
-        for name in ("tail", "settled_below"):
-            value = getattr(self, name)
-            if not 0.0 < value < 1.0:
-                raise InputDataError(
-                    f"LandmarkOptions.{name} is {value}; expected a number between 0 and 1."
-                )
+
+RULES = LandmarkRules()
+"""The rules of :func:`find_landmarks`."""
 
 
 @dataclass(frozen=True)
@@ -138,12 +133,11 @@ class Landmarks:
     frame_noise_m: float
 
 
-def find_landmarks(trace: RadiusTrace, options: LandmarkOptions | None = None) -> Landmarks:
+def find_landmarks(trace: RadiusTrace) -> Landmarks:
     """Find the landmarks of a curve.
 
     Args:
         trace: the curve.
-        options: how they are found.
 
     Returns:
         The landmarks, with a method for the maximum and the rest radius.
@@ -156,7 +150,7 @@ def find_landmarks(trace: RadiusTrace, options: LandmarkOptions | None = None) -
     >>> round(1e6 * landmarks.max_radius_m, 1), landmarks.max_method  # um
     (210.0, 'peak fit')
     """
-    curve = _Curve.of(trace, options or LandmarkOptions())
+    curve = _Curve.of(trace)
     peak, method = _peak(curve)
     minima, maxima = _extremes(curve)
     rest, sd, settled, rest_method = _rest(curve, minima, maxima)
@@ -187,18 +181,17 @@ class _Curve:
     noise: float
     k: int
     top: float
-    options: LandmarkOptions
 
     @classmethod
-    def of(cls, trace: RadiusTrace, options: LandmarkOptions) -> "_Curve":
+    def of(cls, trace: RadiusTrace) -> "_Curve":
         radius = trace.radius_m.numpy()
         k = int(radius.argmax())
         top = float(radius[k])
-        noise = options.few_frames_noise * top
+        noise = RULES.few_frames_noise * top
         if len(radius) >= 12:
-            low, high = options.noise_range
+            low, high = RULES.noise_range
             noise = float(np.clip(roughness(radius), low * top, high * top))
-        return cls(trace.time_s.numpy(), radius, trace.given, noise, k, top, options)
+        return cls(trace.time_s.numpy(), radius, trace.given, noise, k, top)
 
     @property
     def spacing(self) -> float:
@@ -268,9 +261,9 @@ def _fit_extreme(curve: _Curve, window: slice, degree: int, sign: int) -> _Extre
     vertex = max(vertices, key=lambda r: sign * float(np.polyval(coefficients, r)))
     residual = radius - basis @ coefficients
     freedom = len(x) - degree - 1
-    weight = curve.options.prior_weight
+    weight = RULES.prior_weight
     variance = (float(residual @ residual) + weight * curve.noise**2) / (freedom + weight)
-    if len(x) >= curve.options.quartic_from:
+    if len(x) >= RULES.quartic_from:
         lag = float(residual[1:] @ residual[:-1]) / max(float(residual @ residual), 1e-300)
         variance *= (1.0 + max(lag, 0.0)) / (1.0 - max(lag, 0.0))
     covariance = variance * np.linalg.pinv(basis.T @ basis)
@@ -303,14 +296,13 @@ def _found_peak(curve: _Curve) -> tuple[_Extreme, str]:
     """Maximum radius: a fit where frames stand on both sides of it, else what the laboratory says,
     else a frame.
     """
-    options = curve.options
     radius = curve.radius
     k = curve.k
     top = curve.top
     interior = 0 < k < len(radius) - 1
     found = _fit_peak(curve) if interior else None
-    near = interior and min(radius[k - 1], radius[k + 1]) >= options.neighbour * top
-    if found is not None and near and found.value <= (1.0 + options.largest_excess) * top:
+    near = interior and min(radius[k - 1], radius[k + 1]) >= RULES.neighbour * top
+    if found is not None and near and found.value <= (1.0 + RULES.largest_excess) * top:
         return found, "peak fit"
     at = float(curve.time[k])
     stated = curve.given.max_radius_m
@@ -324,8 +316,8 @@ def _found_peak(curve: _Curve) -> tuple[_Extreme, str]:
     if from_start is not None:
         return from_start, "one-sided fit"
     drop = top - float(radius[k - 1 if k == len(radius) - 1 else k + 1])
-    missed = found.value - top if found is not None else min(drop, options.ringing_floor * top)
-    sd = max(curve.noise, options.edge_sd * top, missed)
+    missed = found.value - top if found is not None else min(drop, RULES.ringing_floor * top)
+    sd = max(curve.noise, RULES.edge_sd * top, missed)
     return _Extreme(at, top, curve.spacing, sd), "edge"
 
 
@@ -338,14 +330,13 @@ def _fit_start(curve: _Curve) -> _Extreme | None:
     ``s`` from the maximum (Rayleigh, Phil. Mag. 34, 1917, expanded), which is even and has three
     parameters. What another window changes is added to the standard deviations.
     """
-    options = curve.options
     top = curve.top
     spacing = curve.spacing
     fits = []
-    for level in options.start_windows:
+    for level in RULES.start_windows:
         below = np.flatnonzero(curve.radius < level * top)
         stop = int(below[0]) if len(below) else 0
-        if stop <= curve.k or stop < options.start_frames:
+        if stop <= curve.k or stop < RULES.start_frames:
             return None
         x = (curve.time[:stop] - curve.time[0]) / spacing
         y = curve.radius[:stop] / top
@@ -358,7 +349,7 @@ def _fit_start(curve: _Curve) -> _Extreme | None:
         fits.append((best, np.sqrt(covariance.diagonal())))
     (found, sd), (other, _) = fits
     latest = (curve.time[curve.k] - curve.time[0]) / spacing + 1.0
-    if not -options.start_reach <= found[2] <= latest or sd[2] > options.start_reach:
+    if not -RULES.start_reach <= found[2] <= latest or sd[2] > RULES.start_reach:
         return None
     value_sd = math.hypot(sd[0], other[0] - found[0])
     time_sd = math.hypot(sd[2], other[2] - found[2])
@@ -384,10 +375,8 @@ def _fit_peak(curve: _Curve) -> _Extreme | None:
     """
     radius = curve.radius
     k = curve.k
-    wide, narrow = (
-        _window(radius, k, radius >= level * curve.top) for level in curve.options.peak_windows
-    )
-    enough = wide.stop - wide.start >= curve.options.quartic_from
+    wide, narrow = (_window(radius, k, radius >= level * curve.top) for level in RULES.peak_windows)
+    enough = wide.stop - wide.start >= RULES.quartic_from
     many = enough and min(k - wide.start, wide.stop - 1 - k) >= 3
     found = _fit_extreme(curve, wide, 4 if many else 2, +1)
     ends = max(radius[wide.start], radius[wide.stop - 1])
@@ -399,7 +388,7 @@ def _fit_peak(curve: _Curve) -> _Extreme | None:
     other = _fit_extreme(curve, narrow, 2, +1) if narrow.stop - narrow.start >= 5 else None
     if other is None:
         return found
-    exposure = curve.options.exposure * float(np.diff(curve.time[wide]).max())
+    exposure = RULES.exposure * float(np.diff(curve.time[wide]).max())
     return replace(
         found,
         value_sd=math.hypot(found.value_sd, other.value - found.value),
@@ -435,28 +424,26 @@ def _extremes(curve: _Curve) -> tuple[list[_Extreme], list[_Extreme]]:
 def _reversals(curve: _Curve) -> np.ndarray:
     """By how much the curve must turn at each frame to turn by more than its noise can."""
     radius = curve.radius
-    options = curve.options
-    count = options.local_frames
+    count = RULES.local_frames
     starts = (np.arange(len(radius)) - count // 2).clip(0, max(len(radius) - count, 0))
     local = np.full(len(radius), curve.noise)
     if len(radius) >= count:
         local = np.array([roughness(radius[start : start + count]) for start in starts])
-    return np.maximum(options.reversal * curve.noise, options.local_reversal * local)
+    return np.maximum(RULES.reversal * curve.noise, RULES.local_reversal * local)
 
 
 def _rest(
     curve: _Curve, minima: list[_Extreme], maxima: list[_Extreme]
 ) -> tuple[float | None, float | None, bool, str]:
     """Rest radius, its sd, whether settled, and the method."""
-    options = curve.options
     given = curve.given
     time = curve.time
     radius = curve.radius
     if given.override is not None and given.override.rest_radius_m is not None:
         stated = given.override.rest_radius_m
-        sd = given.override.rest_radius_sd_m or options.stated_floor * stated
+        sd = given.override.rest_radius_sd_m or RULES.stated_floor * stated
         return stated, sd, True, "as stated"
-    count = max(5, math.ceil(options.tail * len(radius)))
+    count = max(5, math.ceil(RULES.tail * len(radius)))
     tail = radius[-count:]
     mean = float(tail.mean())
     scatter = float(tail.std(ddof=1)) if count <= len(radius) else math.inf
@@ -466,16 +453,16 @@ def _rest(
     quiet = float(time[-1]) - min(float(time[-count:][0]), turns[-1])
     came_to_rest = came_down and (len(turns) == 1 or quiet >= float(np.median(np.diff(turns))))
     drift = 0.5 * abs(float(tail[: count // 2].mean() - tail[count // 2 :].mean()))
-    if came_to_rest and scatter < options.settled_below * mean:
+    if came_to_rest and scatter < RULES.settled_below * mean:
         return mean, math.hypot(scatter, drift), True, "settled tail"
     stated = given.rest_radius_m
     stated_sd = given.rest_radius_sd_m or 0.0
     if stated is not None and given.rest_settled is not False:  # better than what ringing shows
         sure = given.rest_settled or stated_sd
-        floor = options.stated_floor if sure else options.ringing_floor
+        floor = RULES.stated_floor if sure else RULES.ringing_floor
         return stated, max(stated_sd, floor * stated), True, "as given"
-    if came_to_rest and scatter < options.noisy_tail * roughness(tail):  # noise may hide ringing
-        sd = math.hypot(scatter, drift, options.ringing_floor * mean)
+    if came_to_rest and scatter < RULES.noisy_tail * roughness(tail):  # noise may hide ringing
+        sd = math.hypot(scatter, drift, RULES.ringing_floor * mean)
         return mean, sd, True, "settled tail"
     if maxima or (minima and time[-1] - minima[0].time > minima[0].time - turns[0]):
         first, last, method = _last_cycles(curve, minima, maxima)
@@ -483,10 +470,10 @@ def _rest(
         if inside.sum() >= 3:
             rest, relative_sd = _rest_while_ringing(curve, inside)
             whole = method == "last cycles"
-            floor = options.ringing_floor if whole else options.partial_floor
+            floor = RULES.ringing_floor if whole else RULES.partial_floor
             return rest, rest * math.hypot(floor, relative_sd), False, method
     if stated is not None:
-        return stated, max(stated_sd, options.ringing_floor * stated), False, "as given"
+        return stated, max(stated_sd, RULES.ringing_floor * stated), False, "as given"
     return None, None, False, "not in record"
 
 
@@ -500,13 +487,13 @@ def _rest_while_ringing(curve: _Curve, inside: np.ndarray) -> tuple[float, float
     """
     time = curve.time[inside]
     radius = curve.radius[inside]
-    power = curve.options.ringing_power
+    power = RULES.ringing_power
     mean = float(np.trapezoid(radius, time) / (time[-1] - time[0]))
     low = float(radius.min())
     high = float(radius.max())
     excess = -power * math.log(low * high / mean**2)
     by_noise = power * roughness(radius) * math.hypot(1.0 / low, 1.0 / high)
-    added = min(abs(excess), curve.options.ringing_sd)
+    added = min(abs(excess), RULES.ringing_sd)
     return mean * math.exp(-excess), math.hypot(added, by_noise)
 
 

@@ -100,17 +100,14 @@ class Noise:
         independent frames.
 
         Args:
-            times: dimensionless.
-            mask: frames that count; the others are left independent.
+            times: dimensionless, increasing.
+            mask: frames that count, in each row the first ones; the others are left independent.
         """
-        if self.correlation_time == 0.0:
+        found = self.innovations(times, mask)
+        if found is None:
             return None
-        gap = (times[:, :, None] - times[:, None, :]).abs()
-        both = mask[:, :, None] & mask[:, None, :]
-        correlation = torch.where(both, torch.exp(-gap / self.correlation_time), 0.0)
-        eye = torch.eye(times.shape[1], dtype=times.dtype, device=times.device)
-        correlation = torch.where(eye.bool(), eye, correlation)
-        return torch.linalg.solve_triangular(torch.linalg.cholesky(correlation), eye, upper=False)
+        own, before = found
+        return torch.diag_embed(own) - torch.diag_embed(before[:, 1:], -1)
 
     def innovations(
         self, times: Float[Tensor, "experiments frames"], mask: Bool[Tensor, "experiments frames"]

@@ -52,6 +52,10 @@ class Nuisance:
         )
 
 
+FLOOR = Nuisance(max_radius=0.003, time_zero=0.004, rest_radius=0.01)
+"""What no fit of frames sees of Rmax, time zero and R_inf: pixel size and edge detection."""
+
+
 def displaced(
     designs: Float[Tensor, "*#batch 2"],
     times: Float[Tensor, "*#batch frames"],

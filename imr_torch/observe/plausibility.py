@@ -15,7 +15,7 @@ from torch import Tensor
 
 from imr_torch.errors import InputDataError
 from imr_torch.observe.experiments import Experiment
-from imr_torch.observe.landmarks import LandmarkOptions, Landmarks, roughness
+from imr_torch.observe.landmarks import RULES, Landmarks, roughness
 from imr_torch.observe.window import collapse_time
 from imr_torch.reading.traces import RadiusTrace
 from imr_torch.units import Surroundings
@@ -242,7 +242,7 @@ def check_maximum(
     dense = 0 < k < len(radius) - 1 and float(
         time[k + 1] - time[k]
     ) < LIMITS.dense * surroundings.time_scale(top)
-    if dense and max(float(radius[k - 1]), float(radius[k + 1])) < LandmarkOptions.neighbour * top:
+    if dense and max(float(radius[k - 1]), float(radius[k + 1])) < RULES.neighbour * top:
         raise InputDataError(
             f"{where}: frame {k} (counted from 0, {1e6 * float(time[k]):.4g} us) has the largest "
             f"radius, {1e6 * top:.4g} um, between frames of {1e6 * float(radius[k - 1]):.4g} and "

@@ -8,19 +8,16 @@ import torch
 
 from imr_torch.errors import InputDataError
 from imr_torch.observe.experiments import Experiment
-from imr_torch.observe.nuisance import Nuisance
+from imr_torch.observe.nuisance import FLOOR, Nuisance
 from imr_torch.observe.plausibility import check_experiment
 from imr_torch.reading.npz import read_arrays
 from imr_torch.units import Surroundings
-
-NUISANCE = Nuisance(max_radius=0.003, time_zero=0.004, rest_radius=0.01)
-"""How well a careful laboratory knows Rmax, time zero and R_inf of each experiment."""
 
 _SHAPES = {"time_s": 2, "radius_m": 3, "we": 1, "rinf_star": 1}
 
 
 def load_set(
-    path: str | Path, *, nuisance: Nuisance = NUISANCE, surroundings: Surroundings | None = None
+    path: str | Path, *, nuisance: Nuisance = FLOOR, surroundings: Surroundings | None = None
 ) -> list[Experiment]:
     """Experiments of a set, one a design.
 

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from imr_torch.errors import InputDataError
 from imr_torch.material import PARAMETERS
-from imr_torch.observe.landmarks import LandmarkOptions, Landmarks, find_landmarks
+from imr_torch.observe.landmarks import Landmarks, find_landmarks
 from imr_torch.reading.load import load_traces
 from imr_torch.reading.traces import Given, RadiusTrace
 from imr_torch.simulate import PolytropicSimulator, Status, TransportSimulator
@@ -262,23 +261,6 @@ def test_that_a_neighbour_far_below_the_largest_frame_is_no_bracket() -> None:
     time = np.array([-3.0, -1.5, 0.0, 2.5, 5.0]) * 1e-6
     found = find_landmarks(trace(time, np.array([40.0, 80.0, 82.0, 55.0, 20.0]) * 1e-6))
     assert (found.max_method, found.max_radius_m) == ("edge", pytest.approx(82e-6))
-
-
-@pytest.mark.parametrize("setting", ["tail", "settled_below"])
-def test_that_settings_outside_zero_and_one_are_errors(setting: str) -> None:
-    with pytest.raises(
-        InputDataError, match=f"{setting} is 1.5; expected a number between 0 and 1"
-    ):
-        LandmarkOptions(**{setting: 1.5})
-
-
-def test_that_options_are_used() -> None:
-    time = frames()
-    record = trace(time, ringing(time))
-    usual = find_landmarks(record)
-    strict = find_landmarks(record, LandmarkOptions(reversal=1000.0))
-    assert len(usual.collapse_times_s) > 0
-    assert strict.collapse_times_s == ()
 
 
 def both(shared: Path, name: str) -> list[tuple[Landmarks, dict]]:

@@ -78,7 +78,10 @@ def test_that_decorrelation_makes_the_correlation_the_identity(tau: float) -> No
 
 
 def test_that_independent_frames_need_no_decorrelation() -> None:
-    assert Noise().decorrelation(frames()[None], torch.ones(1, 12, dtype=torch.bool)) is None
+    times = frames()[None]
+    mask = torch.ones(1, 12, dtype=torch.bool)
+    assert Noise().decorrelation(times, mask) is None
+    assert Noise().innovations(times, mask) is None
 
 
 @ALL
@@ -188,18 +191,3 @@ def test_that_an_impossible_nuisance_is_named(name: str, value: float) -> None:
         match=rf"Nuisance.{name} is {value}; expected a standard deviation in \[0, 1\)",
     ):
         Nuisance(**{name: value})
-
-
-@pytest.mark.parametrize("tau", [0.02, 0.3])
-def test_that_innovations_are_the_decorrelation(tau: float) -> None:
-    times = torch.stack([frames(), 1.5 * frames()])
-    mask = torch.ones(2, 12, dtype=torch.bool)
-    mask[1, 8:] = False
-    noise = Noise(correlation_time=tau)
-    pair = noise.innovations(times, mask)
-    factors = noise.decorrelation(times, mask)
-    assert pair is not None
-    assert factors is not None
-    matrix = torch.diag_embed(pair[0]) - torch.diag_embed(pair[1][:, 1:], offset=-1)
-    torch.testing.assert_close(matrix, factors, rtol=1e-9, atol=1e-9)
-    assert Noise().innovations(times, mask) is None
