@@ -119,15 +119,12 @@ class ModelBelief:
             raise InputDataError(
                 f"Model {self.model!r}: {list(self.known)} are known, and nothing is left to infer."
             )
-        if len(self.marginals) != d:
+        shapes = (len(self.marginals), tuple(self.mean.shape), tuple(self.chol.shape))
+        if shapes != (d, (d,), (d, d)):
             raise InputDataError(
-                f"Model {self.model!r} has free parameters {self.names}; got "
-                f"{len(self.marginals)} marginals."
-            )
-        if self.mean.shape != (d,) or self.chol.shape != (d, d):
-            raise InputDataError(
-                f"Model {self.model!r}: expected mean of shape ({d},) and chol of ({d}, {d}), "
-                f"got {tuple(self.mean.shape)} and {tuple(self.chol.shape)}."
+                f"Model {self.model!r} has free parameters {self.names}; expected mean of shape "
+                f"({d},) and chol of ({d}, {d}), got {len(self.marginals)} marginals, "
+                f"{shapes[1]} and {shapes[2]}."
             )
         positive = bool((self.chol.diagonal() > 0.0).all())
         triangular = torch.equal(self.chol, self.chol.tril())

@@ -398,7 +398,7 @@ def _shots_of_table(table: Content, stated: Statement | None) -> list[CollapseSh
                 "it out."
             )
     numbers = {
-        name: table.vectors(name)[0].tolist() for name in {*table.values} - {"experiment_id"}
+        name: table.vectors(name)[0].tolist() for name in table.values if name != "experiment_id"
     }
     shots = []
     for i, name in enumerate(table.texts["experiment_id"]):

@@ -31,6 +31,9 @@ _EARLIEST_FILMED = -0.4  # an exposure reaches on from its frame, and so does a 
 
 _LONGEST_EXPOSURE = PARAMETERS["exposure_blur"].upper
 
+ExperimentFrames = Float[Tensor, "experiments frames"]
+"""A number of each frame of each experiment."""
+
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
@@ -171,7 +174,7 @@ class Film:
     """
 
     designs: Float[Tensor, "experiments 2"]
-    times: Float[Tensor, "experiments frames"]
+    times: ExperimentFrames
     nuisance_sds: Float[Tensor, "experiments 3"] = None  # type: ignore[assignment]  # zeros
 
     def __post_init__(self) -> None:
@@ -280,7 +283,7 @@ class ExperimentBatch:
 
     def log_noise_ratios(
         self,
-        prediction: Float[Tensor, "experiments frames"],
+        prediction: ExperimentFrames,
         count: int,
         *,
         generator: torch.Generator,
@@ -300,7 +303,7 @@ class ExperimentBatch:
         )
         return torch.where(self.mask, logs + own[..., None], 0.0)
 
-    def noise_interval(self, prediction: Float[Tensor, "experiments frames"]) -> list[float]:
+    def noise_interval(self, prediction: ExperimentFrames) -> list[float]:
         """5, 50 and 95 % quantiles of the noise of the median single frame at a prediction, R*."""
         frames = self.of_frames
         level = frames.sd(prediction)[self.mask].median()
@@ -315,19 +318,19 @@ class ExperimentBatch:
         return pad_sequence(kept, batch_first=True)
 
     @cached_property
-    def times(self) -> Float[Tensor, "experiments frames"]:
+    def times(self) -> ExperimentFrames:
         """``E x T`` tensor, dimensionless; padding continues each row, so that rows increase."""
         times = pad_sequence([e.times for e in self.experiments], batch_first=True)
         tail = 1e-3 * torch.cumsum((~self.mask).to(times), dim=1)
         return torch.where(self.mask, times, times.amax(1, keepdim=True) + tail)
 
     @cached_property
-    def mean(self) -> Float[Tensor, "experiments frames"]:
+    def mean(self) -> ExperimentFrames:
         """Mean over repeats; 0 in the padding."""
         return pad_sequence([e.mean for e in self.experiments], batch_first=True)
 
     @cached_property
-    def counts(self) -> Float[Tensor, "experiments frames"]:
+    def counts(self) -> ExperimentFrames:
         """Repeats behind each frame of the mean; 1 in the padding."""
         counts = [e.counts.to(torch.float64) for e in self.experiments]
         return pad_sequence(counts, batch_first=True, padding_value=1.0)
@@ -335,7 +338,7 @@ class ExperimentBatch:
     @cached_property
     def innovations(
         self,
-    ) -> tuple[Float[Tensor, "experiments frames"], Float[Tensor, "experiments frames"]] | None:
+    ) -> tuple[ExperimentFrames, ExperimentFrames] | None:
         """:meth:`Noise.innovations` of these frames."""
         return self.noise.innovations(self.times, self.mask)
 
@@ -447,7 +450,7 @@ def predict(
     film: Film | ExperimentBatch,
     shifts: Float[Tensor, "*#batch experiments nuisances"] | None = None,
     *,
-    times: Float[Tensor, "experiments frames"] | None = None,
+    times: ExperimentFrames | None = None,
     bundled: bool = False,
 ) -> Frames:
     """What the camera would see of each gel in each experiment.

@@ -93,8 +93,9 @@ class GelMedium:
         )
 
     def value(self, name: str) -> str:
-        """A field's value with its unit, as text."""
-        return f"{getattr(self.surroundings, name):.4g} {PROPERTIES[_NAME_OF[name]].unit}"
+        """A field's value with its standard deviation and unit, as text."""
+        sd = f" +- {self.sds[name]:.2g}" if name in self.sds else ""
+        return f"{getattr(self.surroundings, name):.4g}{sd} {PROPERTIES[_NAME_OF[name]].unit}"
 
     def learnt(
         self, posterior: ModelBelief, *, contradicts: float = 2.5, least: float = 0.1
@@ -141,10 +142,7 @@ class GelMedium:
     def report(self) -> str:
         """All values with who stated them, sources of named media, and what was stated twice."""
         stated = [
-            f"{label(name)} {getattr(self.surroundings, name):.4g}"
-            + (f" +- {self.sds[name]:.2g}" if name in self.sds else "")
-            + f" {PROPERTIES[_NAME_OF[name]].unit} ({source})"
-            for name, source in self.sources.items()
+            f"{label(name)} {self.value(name)} ({source})" for name, source in self.sources.items()
         ]
         assumed = ", ".join(
             f"{label(name)} {self.value(name)}" for name in _FIELDS if name in self.assumed

@@ -15,7 +15,7 @@ import torch
 
 from imr_torch.errors import InputDataError
 from imr_torch.reading.content import Content
-from imr_torch.reading.layout import KNOWN_LAYOUTS, LENGTHS, TIMES, Layout
+from imr_torch.reading.layout import KNOWN_LAYOUTS, LENGTHS, TIME_PER_LENGTH, TIMES, Layout
 from imr_torch.reading.names import Said, headings_of, infer_layout, unit_of
 from imr_torch.reading.traces import (
     MIN_SAMPLES,
@@ -37,7 +37,8 @@ class RawCurve:
     Args:
         file: the file, for messages.
         experiment_id: name of the experiment.
-        time: ``n`` array of times (in s once converted), or None where the file has no times.
+        time: ``n`` array of times (in s once converted); numbers of frames where the file has no
+            times.
         radius: ``n`` array of radii (in m once converted).
         rows: ``n`` array of row numbers counted from 1.
         asphericity: ``n`` array, or None: see :class:`imr_torch.reading.RadiusTrace`.
@@ -46,7 +47,7 @@ class RawCurve:
 
     file: str
     experiment_id: str
-    time: np.ndarray | None
+    time: np.ndarray
     radius: np.ndarray
     rows: np.ndarray
     asphericity: np.ndarray | None = None
@@ -56,12 +57,6 @@ class RawCurve:
     def where(self) -> str:
         """File and experiment, for messages."""
         return f"{self.file}: experiment '{self.experiment_id}'"
-
-    @property
-    def times(self) -> np.ndarray:
-        """The times, once they are known."""
-        assert self.time is not None
-        return self.time
 
     def take(self, index: np.ndarray) -> "RawCurve":
         """The curve at some of its rows, in the order of an index."""
@@ -262,6 +257,7 @@ def _split(content: Content, layout: Layout) -> tuple[list[RawCurve], list[LeftO
             asphericity = np.divide(radius, axis, out=np.full(len(axis), np.nan), where=seen) - 1.0
             radius = np.where(seen, np.cbrt(radius * radius * axis), np.nan)
         rows = np.arange(1, len(radius) + 1) if content.rows is None else content.rows
+        time = np.arange(len(radius)) if time is None else time
         whole = RawCurve(file, "", time, radius, rows, asphericity)
         numbered = f"{content.path.stem}_{i + 1:02d}"
         for group, chosen in groups.items():
@@ -342,12 +338,11 @@ def _to_si(
         )
     radius = curve.radius * _metres(layout.radius_unit, pixel_size, max_radius)
     given = curve.given if max_radius is None else replace(curve.given, max_radius_m=max_radius)
-    if curve.time is None or layout.time_unit == "frames":
+    if layout.time is None or layout.time_unit == "frames":
         assert interval is not None
-        frames = np.arange(len(radius)) if curve.time is None else curve.time
-        return replace(curve, time=frames * interval, radius=radius, given=given)
+        return replace(curve, time=curve.time * interval, radius=radius, given=given)
     scale = TIMES.get(layout.time_unit)
-    time = curve.time * ((max_radius or 1.0) * layout.time_per_length if scale is None else scale)
+    time = curve.time * ((max_radius or 1.0) * TIME_PER_LENGTH if scale is None else scale)
     if interval is not None and len(time) > 1:
         step = float(np.nanmedian(np.diff(time)))
         if not abs(step / interval - 1.0) <= tolerance:
@@ -365,7 +360,7 @@ def _without_peak(curve: RawCurve, layout: Layout) -> tuple[RawCurve, list[LeftO
     if layout.inserted_peak == "first_row":
         chosen[:1] = True
     elif layout.inserted_peak == "time_zero":
-        chosen = curve.times == 0.0
+        chosen = curve.time == 0.0
     if not chosen.any():
         return curve, []
     peak = float(curve.radius[chosen][0])
@@ -376,7 +371,7 @@ def _without_peak(curve: RawCurve, layout: Layout) -> tuple[RawCurve, list[LeftO
             f"peak (max_radius {stated} m) that inserted_peak='{layout.inserted_peak}' announces; "
             "write inserted_peak=none into --layout if the row is a camera frame."
         )
-    at = float(curve.times[chosen][0])
+    at = float(curve.time[chosen][0])
     given = replace(curve.given, max_radius_m=stated or peak, time_of_max_s=at)
     reason = "fitted peak inserted by the source, not a camera frame"
     return replace(curve, given=given).without(~chosen, reason)
@@ -407,7 +402,7 @@ def _to_trace(
         reason = "radius negative or smaller than a camera sees (lost frames)"
         curve, left_out = curve.without(~impossible, reason)
     _check_rows(curve)
-    empty = np.isnan(curve.radius) | (curve.radius == 0.0) | np.isnan(curve.times)
+    empty = np.isnan(curve.radius) | (curve.radius == 0.0) | np.isnan(curve.time)
     seen = np.flatnonzero(~empty)
     first, last = (seen[0], seen[-1]) if len(seen) else (len(empty), len(empty))
     index = np.arange(len(empty))
@@ -420,9 +415,9 @@ def _to_trace(
         left_out += record
     curve = curve.take(seen)
     if sort:
-        order = np.argsort(curve.times, kind="stable")
+        order = np.argsort(curve.time, kind="stable")
         curve = curve.take(order)
-        fresh = np.diff(curve.times, prepend=-np.inf) > 0.0
+        fresh = np.diff(curve.time, prepend=-np.inf) > 0.0
         curve, record = curve.without(fresh, "its time is that of another row")
         left_out += record
     if len(curve.radius) < MIN_SAMPLES:
@@ -432,7 +427,7 @@ def _to_trace(
         short = LeftOut(curve.file, curve.experiment_id, row_ranges(curve.rows), reason)
         return None, [*left_out, short]
     _check_order(curve)
-    time = torch.from_numpy(curve.times.copy())
+    time = torch.from_numpy(curve.time.copy())
     radii = torch.from_numpy(curve.radius.copy())
     shape = None if curve.asphericity is None else torch.from_numpy(curve.asphericity.copy())
     trace = RadiusTrace(curve.experiment_id, time, radii, curve.file, curve.given, shape)
@@ -440,7 +435,7 @@ def _to_trace(
 
 
 def _check_rows(curve: RawCurve) -> None:
-    for name, values in (("time", curve.times), ("radius", curve.radius)):
+    for name, values in (("time", curve.time), ("radius", curve.radius)):
         if np.isinf(values).any():
             i = int(np.flatnonzero(np.isinf(values))[0])
             raise InputDataError(
@@ -457,7 +452,7 @@ def _check_rows(curve: RawCurve) -> None:
 
 
 def _check_order(curve: RawCurve) -> None:
-    time = curve.times
+    time = curve.time
     step = np.diff(time)
     if (step <= 0).any():
         i = int(np.flatnonzero(step <= 0)[0]) + 1
@@ -493,27 +488,11 @@ def _max_radii(
     """
     if not isinstance(layout.max_radius, str) or content.is_table:
         return [content.number("max_radius", layout.max_radius)] * len(raw), []
-    file = content.path
     found = content.entries(layout.max_radius)
-    named = layout.max_radius_entries
-    if named is not None:
-        if len(named) != len(raw) or max(named) > len(found):
-            raise InputDataError(
-                f"{file}: max_radius_entries={named} for {len(raw)} curves and {len(found)} "
-                f"entries of '{layout.max_radius}'; give one entry number (from 1 to "
-                f"{len(found)}) for each curve."
-            )
-        return [float(found[i - 1]) for i in named], []
-    if len(found) in (1, len(raw)):
+    if layout.max_radius_entries is None and len(found) in (1, len(raw)):
         return np.broadcast_to(found, len(raw)).tolist(), []
-    if len(found) < len(raw):
-        raise InputDataError(
-            f"{file}: variable '{layout.max_radius}' has {len(found)} entries for {len(raw)} "
-            "curves; one entry for each curve is needed: add the missing ones, or give max_radius "
-            "as a number."
-        )
-    choice, note = _choose_entries(content, layout, found, raw, interval)
-    return [float(found[i]) for i in choice], [note]
+    choice, notes = _choose_entries(content, layout, found, raw, interval)
+    return found[list(choice)].tolist(), notes
 
 
 def _choose_entries(
@@ -526,15 +505,15 @@ def _choose_entries(
     tolerance: float = 0.01,
     common_tolerance: float = 0.002,
     most: int = 20_000,
-) -> tuple[tuple[int, ...], str]:
-    """The one order-preserving choice of entries under which all curves have the same frame
+) -> tuple[Sequence[int], list[str]]:
+    """The entries that are named, or the one order-preserving choice of entries under which all curves have the same frame
     spacing.
 
     Args:
         content: the file.
         layout: what its names mean.
         found: entries of the maximum radius.
-        raw: the curves, fewer than the entries.
+        raw: the curves.
         interval: time between frames in s, if known.
         tolerance: relative, of spacings from a known interval.
         common_tolerance: relative, between the spacings of curves.
@@ -546,14 +525,27 @@ def _choose_entries(
     )
     numbers = "+".join(str(i + 1) for i in range(len(raw)))
     by_hand = f"max_radius_entries={numbers} in --layout (entry numbers from 1, one for each curve)"
+    named = layout.max_radius_entries
+    if named is not None:
+        if len(named) != len(raw) or max(named) > len(found):
+            raise InputDataError(
+                f"{counts}, and max_radius_entries={named}; give one entry number (from 1 to "
+                f"{len(found)}) for each curve."
+            )
+        return [i - 1 for i in named], []
+    if len(found) < len(raw):
+        raise InputDataError(
+            f"{counts}; one entry for each curve is needed: add the missing ones, or give "
+            "max_radius as a number."
+        )
     if layout.time_unit != "dimensionless":
         raise InputDataError(f"{counts}; say which belong to them with {by_hand}.")
     if math.comb(len(found), len(raw)) > most:
         raise InputDataError(
             f"{counts}, too many choices to try; say which belong to them with {by_hand}."
         )
-    steps = np.array([float(np.nanmedian(np.diff(curve.times))) for curve in raw])
-    seconds = found * LENGTHS[layout.max_radius_unit] * layout.time_per_length
+    steps = np.array([float(np.nanmedian(np.diff(curve.time))) for curve in raw])
+    seconds = found * LENGTHS[layout.max_radius_unit] * TIME_PER_LENGTH
     implied = steps[:, None] * seconds
 
     def agrees(spacings: np.ndarray) -> bool:
@@ -569,11 +561,11 @@ def _choose_entries(
         how = "no other choice makes them equal"
         if interval:
             how = "they match the frame interval given"
-        return chosen, (
+        return chosen, [
             f"{counts}: entries {', '.join(str(i + 1) for i in chosen)} are used, in order; the "
             f"frame spacings they imply are {listed} s, and {how}. Name them with "
             "max_radius_entries to override this."
-        )
+        ]
     table = "; ".join(
         f"curve {k + 1}: " + ", ".join(f"{x:.4g}" for x in row) for k, row in enumerate(implied)
     )

@@ -16,6 +16,8 @@ LENGTHS = {"m": 1.0, "um": 1e-6, "mm": 1e-3}
 TIMES = {"s": 1.0, "us": 1e-6, "ms": 1e-3, "ns": 1e-9}
 RADIUS_UNITS = (*LENGTHS, "px", "dimensionless")
 TIME_UNITS = (*TIMES, "frames", "dimensionless")
+TIME_PER_LENGTH = math.sqrt(998.0 / 101325.0)
+"""``sqrt(rho / p_inf)`` of water at 1 atm in s/m: dimensionless time times ``Rmax`` times this is seconds."""
 
 
 @dataclass(frozen=True)
@@ -42,8 +44,6 @@ class Layout:
         max_radius_entries: which entries of ``max_radius`` belong to the curves, counted from 1.
         rest_radius: variable with the equilibrium radius (one, or one for each curve).
         rest_radius_unit: one of the radius units.
-        density: kg/m^3, used by the source to make time dimensionless.
-        far_field_pressure: Pa, used by the source to make time dimensionless.
         inserted_peak: where the source inserted a fitted peak that is no camera frame: None,
             "first_row", "time_zero".
         absent: ``"negative"`` where every negative radius marks a frame without a bubble; -1 and what
@@ -75,8 +75,6 @@ class Layout:
     max_radius_entries: tuple[int, ...] | None = None
     rest_radius: str | None = None
     rest_radius_unit: str = "m"
-    density: float = 998.0
-    far_field_pressure: float = 101325.0
     inserted_peak: str | None = None
     absent: str | None = None
     separator: float | None = None
@@ -95,7 +93,7 @@ class Layout:
                 raise InputDataError(
                     f"Layout.{name} is '{getattr(self, name)}'; choose one of: {listed}."
                 )
-        for name in ("frame_interval", "pixel_size", "max_radius", "density", "far_field_pressure"):
+        for name in ("frame_interval", "pixel_size", "max_radius"):
             value = getattr(self, name)
             if isinstance(value, (int, float)) and not 0.0 < value < math.inf:
                 raise InputDataError(
@@ -108,37 +106,22 @@ class Layout:
                 f"Layout.max_radius_entries is {self.max_radius_entries}; entries are counted "
                 "from 1."
             )
-        self._check_scales()
-
-    def _check_scales(self) -> None:
         if self.time is None and self.frame_interval is None:
             raise InputDataError(
                 "The layout names no time and no frame_interval; write time=<name>, or "
                 "frame_interval=<seconds between frames>, into --layout."
             )
-        if self.time_unit == "frames" and self.frame_interval is None:
-            raise InputDataError(
-                "Layout.time_unit is 'frames'; write frame_interval=<seconds between frames> into "
-                "--layout."
-            )
-        if "px" in (self.radius_unit, self.rest_radius_unit) and self.pixel_size is None:
-            raise InputDataError(
-                "Layout.radius_unit is 'px'; write pixel_size=<metres per pixel>, or the variable "
-                "that holds it, into --layout."
-            )
-        if (
-            "dimensionless" in (self.radius_unit, self.time_unit, self.rest_radius_unit)
-            and self.max_radius is None
+        units = (self.radius_unit, self.time_unit, self.rest_radius_unit)
+        for unit, setting, meaning in (
+            ("frames", "frame_interval", "seconds between frames"),
+            ("px", "pixel_size", "metres per pixel"),
+            ("dimensionless", "max_radius", "metres"),
         ):
-            raise InputDataError(
-                "The layout has a 'dimensionless' unit; write max_radius=<metres>, or the "
-                "variable of it, into --layout."
-            )
-
-    @property
-    def time_per_length(self) -> float:
-        """``sqrt(rho / p_inf)`` in s/m: dimensionless time times ``Rmax`` times this is seconds."""
-        return math.sqrt(self.density / self.far_field_pressure)
+            if unit in units and getattr(self, setting) is None:
+                raise InputDataError(
+                    f"The layout has the unit '{unit}' and no {setting}; write "
+                    f"{setting}=<{meaning}>, or the variable that holds it, into --layout."
+                )
 
     def names(self) -> tuple[str, ...]:
         """The variables or columns that the layout asks for."""
@@ -191,17 +174,13 @@ def _setting(name: str, value: str) -> Any:
     try:
         if name == "max_radius_entries":
             return tuple(int(x) for x in value.split("+"))
-        if name in ("density", "far_field_pressure", "separator"):
+        if name in ("separator", "frame_interval", "pixel_size", "max_radius"):
             return float(value)
     except ValueError:
-        raise InputDataError(
-            f"--layout: {name} is '{value}'; expected a number (entries as 1+2+4)."
-        ) from None
-    if name in ("frame_interval", "pixel_size", "max_radius"):
-        try:
-            return float(value)
-        except ValueError:
-            return value
+        if name in ("separator", "max_radius_entries"):
+            raise InputDataError(
+                f"--layout: {name} is '{value}'; expected a number (entries as 1+2+4)."
+            ) from None
     return value
 
 

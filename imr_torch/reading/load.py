@@ -118,8 +118,6 @@ def _load_file(path: Path, layout: Layout | None, sort: bool) -> TraceSet:
         traces = TraceSet.join([curves_of(x, layout, beside.said, sort=sort) for x in contents])
     elif layout is None:
         traces = reader.read(path)
-    elif reader.read_with is not None:
-        traces = reader.read_with(path, layout)
     else:
         raise InputDataError(
             f"{path}: is read as {reader.name!r}, which takes no layout; leave the layout out."

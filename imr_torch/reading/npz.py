@@ -4,7 +4,7 @@ into memory.
 
 import math
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
@@ -44,12 +44,12 @@ def read_npz(path: Path) -> list[Content]:
     return [Content(path, values)]
 
 
-def read_arrays(path: str | Path, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
+def read_arrays(path: str | Path, names: Collection[str]) -> dict[str, np.ndarray]:
     """Arrays of an ``.npz`` file as float64.
 
     Args:
         path: the file.
-        names: arrays that it must hold; all that it holds when not given.
+        names: arrays that it must hold.
 
     Raises:
         InputDataError: if the file is missing or no ``.npz``, lacks an array, or declares arrays
@@ -76,17 +76,15 @@ def read_arrays(path: str | Path, names: Iterable[str] | None = None) -> dict[st
                 for name in archive.namelist()
                 if name.endswith(".npy")
             }
-            wanted = list(held) if names is None else list(names)
-            missing = [name for name in wanted if name not in held]
-            if missing or not wanted:
-                lacks = f"no array {missing[0]!r}" if missing else "no array"
+            missing = [name for name in names if name not in held]
+            if missing:
                 raise InputDataError(
-                    f"{path}: {lacks}; expected {', '.join(wanted) or 'some'}, got "
+                    f"{path}: no array {missing[0]!r}; expected {', '.join(names)}, got "
                     f"{', '.join(held) or 'none'}."
                 )
-            _check_sizes(path, archive, {name: held[name] for name in wanted})
+            _check_sizes(path, archive, {name: held[name] for name in names})
             arrays = {}
-            for name in wanted:
+            for name in names:
                 with archive.open(held[name]) as stream:
                     array = np.lib.format.read_array(stream, allow_pickle=False)
                     arrays[name] = np.asarray(array, dtype=np.float64)

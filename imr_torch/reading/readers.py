@@ -13,7 +13,6 @@ import scipy  # whose parts are imported when they are used
 
 from imr_torch.errors import InputDataError
 from imr_torch.reading.content import Content
-from imr_torch.reading.layout import Layout
 from imr_torch.reading.matlab import is_matlab, read_matlab
 from imr_torch.reading.npz import is_npz, read_npz
 from imr_torch.reading.table import is_workbook, read_text, read_workbook
@@ -31,7 +30,6 @@ class Reader:
         read: the curves of a file, in SI units, with what was left out and why. It raises
             :class:`imr_torch.errors.InputDataError` with file, place, value and remedy where it
             cannot.
-        read_with: the same by a layout of the user's; None for a format that takes none.
 
     >>> import torch
     >>> from imr_torch.reading import RadiusTrace, Reader, TraceSet
@@ -45,7 +43,6 @@ class Reader:
     name: str
     recognises: Callable[[Path, bytes], bool]
     read: Callable[[Path], TraceSet]
-    read_with: Callable[[Path, Layout], TraceSet] | None = None
 
 
 READERS: dict[str, Reader] = {}

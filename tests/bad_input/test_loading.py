@@ -303,16 +303,16 @@ LAYOUTS = {
     "radius=R,radius_unit=um,time=t,time_unit=h": r"Layout\.time_unit is 'h'; choose one of: s, us, ms, ns, frames, .*",
     "radius=R,radius_unit=um,time=t,inserted_peak=last": r"Layout\.inserted_peak is 'last'; choose one of: None, .*",
     "radius=R,radius_unit=um": r"The layout names no time and no frame_interval; write time=<name>, or .*",
-    "radius=R,radius_unit=um,time=t,time_unit=frames": r"Layout\.time_unit is 'frames'; write frame_interval=.*",
-    "radius=R,radius_unit=px,time=t": r"Layout\.radius_unit is 'px'; write pixel_size=<metres per pixel>, or .*",
-    "radius=R,radius_unit=dimensionless,time=t": r"The layout has a 'dimensionless' unit; write max_radius=<metres>, .*",
+    "radius=R,radius_unit=um,time=t,time_unit=frames": r"The layout has the unit 'frames' and no frame_interval; write frame_interval=.*",
+    "radius=R,radius_unit=px,time=t": r"The layout has the unit 'px' and no pixel_size; write pixel_size=<metres per pixel>, or .*",
+    "radius=R,radius_unit=dimensionless,time=t": r"The layout has the unit 'dimensionless' and no max_radius; write max_radius=<metres>, .*",
     "radius=R,radius_unit=um,frame_interval=-1e-6": r"Layout\.frame_interval is -1e-06; expected a positive number .*",
     "radius=R,radius_unit=um,time=t,max_radius_entries=0+1": r"Layout\.max_radius_entries is \(0, 1\); .*from 1\.",
     "radius=R,radius_unit=um,colour=red": r"--layout: cannot use 'colour=red'; write name=value once, .*radius.*",
     "radius=R,radius=Q,radius_unit=um": r"--layout: cannot use 'radius=Q'; write name=value once, .*",
     "radius=R,radius_unit": r"--layout: cannot use 'radius_unit'; write name=value once, .*",
     "time=t,radius_unit=um": r"--layout 'time=t,radius_unit=um' has no radius; write radius=<name>,.*",
-    "radius=R,radius_unit=um,density=water": r"--layout: density is 'water'; expected a number .*",
+    "radius=R,radius_unit=um,separator=water": r"--layout: separator is 'water'; expected a number .*",
 }
 
 

@@ -395,7 +395,7 @@ def test_that_a_zip_bomb_is_not_unpacked(tmp_path: Path) -> None:
         InputDataError,
         match=r"array 'time_s' of shape \(2,\) takes the file to 2\.05 GiB, more than 2 GiB",
     ):
-        read_arrays(tmp_path / "bad.npz")
+        read_arrays(tmp_path / "bad.npz", ["time_s"])
     assert time.perf_counter() - started < 1.0
 
 

@@ -143,7 +143,7 @@ def test_that_named_entries_override_and_are_counted_from_one(tmp_path: Path) ->
     traces = load_traces(path, layout=Layout(**{**settings, "max_radius_entries": (2,)}))
     assert traces[0].given.max_radius_m == pytest.approx(1.5e-4)
     with pytest.raises(
-        InputDataError, match=r"max_radius_entries=\(3,\) for 1 curves and 2 entries"
+        InputDataError, match=r"2 entries for 1 curves, and max_radius_entries=\(3,\)"
     ):
         load_traces(path, layout=Layout(**{**settings, "max_radius_entries": (3,)}))
 
