@@ -3,6 +3,7 @@ complex step.
 """
 
 from collections.abc import Callable, Sequence
+from functools import cache
 
 import numpy as np
 import torch
@@ -12,6 +13,8 @@ from imr_torch.elementary import compiled
 from imr_torch.material import derivatives
 
 STEP = 1e-30
+
+compiled_once = cache(compiled)
 
 
 def on_tensors(law: Callable, arguments: Sequence, moving: Sequence[int]) -> Callable[..., Tensor]:
@@ -60,7 +63,7 @@ def assert_alike(
 
     ``numbers`` stands for another compiled law. Returns the values.
     """
-    numbers = numbers or compiled(law)
+    numbers = numbers or compiled_once(law)
     point = tuple(torch.tensor(arguments[i], dtype=torch.float64) for i in moving)
     rows = on_tensors(law, arguments, moving)
     value = rows(*point)

@@ -5,7 +5,6 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from imr_torch.elementary import compiled
 from imr_torch.material import (
     PARAMETERS,
     TERMS,
@@ -13,7 +12,7 @@ from imr_torch.material import (
     derivatives,
     gel_response,
 )
-from tests.laws import assert_alike, on_numbers
+from tests.laws import assert_alike, compiled_once, on_numbers
 from tests.material.gels import REST, STATES, memory_of, tensors, values_for
 
 THETA = {name: torch.tensor([0.3, 0.7], dtype=torch.float64) for name in PARAMETERS.names}
@@ -162,7 +161,7 @@ def test_the_compiled_start_and_fastest_rate_of_every_term_are_its_own(term):
 @EVERY
 def test_a_wrong_sign_anywhere_in_a_compiled_law_would_be_noticed(term):
     """In any result that is not zero, and in any slope: the comparison above is not an empty one."""
-    law = compiled(term.law)
+    law = compiled_once(term.law)
     moving = [0, 1, *range(3, 3 + term.states)]
     arguments = arguments_at(term, *STATES[1], values_for(term))
     values = assert_alike(term.law, arguments, moving)

@@ -380,7 +380,8 @@ def test_that_an_unusable_npz_file_is_named_before_memory_is_taken(
         load_traces(tmp_path / "bad.npz")
 
 
-def test_that_a_zip_bomb_is_not_unpacked(tmp_path: Path) -> None:
+def test_that_a_zip_bomb_is_not_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("imr_torch.reading.npz.LARGEST", 20 << 20)
     with (
         zipfile.ZipFile(
             tmp_path / "bad.npz", "w", zipfile.ZIP_DEFLATED, compresslevel=1
@@ -388,15 +389,14 @@ def test_that_a_zip_bomb_is_not_unpacked(tmp_path: Path) -> None:
         archive.open("time_s.npy", "w", force_zip64=True) as stream,
     ):
         stream.write(header((2,)))
-        for _ in range(2100):
+        for _ in range(21):
             stream.write(bytes(1 << 20))
-    started = time.perf_counter()
+    monkeypatch.setattr(np.lib.format, "read_array", None)
     with pytest.raises(
         InputDataError,
-        match=r"array 'time_s' of shape \(2,\) takes the file to 2\.05 GiB, more than 2 GiB",
+        match=r"array 'time_s' of shape \(2,\) takes the file to 0\.0205 GiB, more than 0\.0195 GiB",
     ):
         read_arrays(tmp_path / "bad.npz", ["time_s"])
-    assert time.perf_counter() - started < 1.0
 
 
 def test_that_a_matlab_file_of_huge_arrays_is_not_read(tmp_path: Path) -> None:
@@ -458,4 +458,4 @@ def test_that_loading_takes_time_in_proportion_to_the_curves(tmp_path: Path) -> 
             best = min(best, time.process_time() - started)
         return best
 
-    assert seconds(3000) < 20.0 * seconds(300)  # 10 if linear, 100 if quadratic
+    assert seconds(1200) < 20.0 * seconds(120)  # 10 if linear, 100 if quadratic
