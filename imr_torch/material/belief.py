@@ -122,9 +122,9 @@ class ModelBelief:
         shapes = (len(self.marginals), tuple(self.mean.shape), tuple(self.chol.shape))
         if shapes != (d, (d,), (d, d)):
             raise InputDataError(
-                f"Model {self.model!r} has free parameters {self.names}; expected mean of shape "
-                f"({d},) and chol of ({d}, {d}), got {len(self.marginals)} marginals, "
-                f"{shapes[1]} and {shapes[2]}."
+                f"Model {self.model!r} has free parameters {self.names}; got {shapes[0]} marginals; "
+                f"expected mean of shape ({d},) and chol of ({d}, {d}), got {shapes[1]} and "
+                f"{shapes[2]}."
             )
         positive = bool((self.chol.diagonal() > 0.0).all())
         triangular = torch.equal(self.chol, self.chol.tril())
@@ -481,15 +481,6 @@ class Belief:
             drawn = part.parameters(part.controls(count, seed=source))
             parameters[chosen] = drawn[chosen].to(parameters)
         return Draws(index, parameters)
-
-    def log_prob(self, draws: Draws) -> Float[Tensor, "draws"]:
-        """Joint log density of model and parameters of each draw (``n``)."""
-        result = torch.empty(draws.parameters.shape[0], dtype=draws.parameters.dtype)
-        for i, part in enumerate(self.models):
-            chosen = draws.model_index == i
-            values = draws.parameters[chosen][:, PARAMETERS.index(part.names)]
-            result[chosen] = self.log_probabilities[i] + part.log_prob(values)
-        return result
 
     def entropy(self) -> Float[Tensor, ""]:
         """Entropy of model and parameters together, in nats: ``H(model) + E[H(parameters |

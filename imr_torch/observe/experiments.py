@@ -83,42 +83,33 @@ class Experiment:
                 f"Experiment {self.label!r}: expected radius n_repeats x n_t and times n_t, "
                 f"got {tuple(self.radius.shape)} and {tuple(self.times.shape)}."
             )
-        if self.radius.shape[0] < 1:
-            raise InputDataError(
-                f"Experiment {self.label!r} has no repeat; give at least one row of radius."
-            )
-        if self.times.shape[0] < 2:
-            raise InputDataError(
-                f"Experiment {self.label!r} has {self.times.shape[0]} frames; at least 2 are "
-                "needed."
-            )
-        check_designs(torch.tensor([self.design], dtype=torch.float64))
-        if bool(torch.isinf(self.radius).any()):
-            repeat, frame = torch.nonzero(torch.isinf(self.radius))[0].tolist()
+        infinite = torch.isinf(self.radius).nonzero().tolist()
+        if infinite:
+            repeat, frame = infinite[0]
             raise InputDataError(
                 f"Experiment {self.label!r}: radius of repeat {repeat}, frame {frame} is "
                 f"{self.radius[repeat, frame]}; mark a missing frame by NaN."
             )
-        if not bool((self.counts > 0).all()):
-            frame = int(torch.nonzero(self.counts == 0)[0])
-            raise InputDataError(
-                f"Experiment {self.label!r}: radius of frame {frame} is NaN in every repeat; "
-                "leave it out of times and radius."
-            )
-        if not 0.0 <= self.exposure <= _LONGEST_EXPOSURE:
-            raise InputDataError(
-                f"Experiment {self.label!r}: exposure is {self.exposure:g} of Rmax/U_c; expected "
-                f"0 to {_LONGEST_EXPOSURE:g}."
-            )
-        if not 0.0 < self.noise_factor < math.inf:
-            raise InputDataError(
-                f"Experiment {self.label!r}: noise_factor is {self.noise_factor:g}; expected a "
-                "factor above 0."
-            )
-        if bool((self.times[1:] <= self.times[:-1]).any()) or not bool(
-            torch.isfinite(self.times).all()
+        lost = (self.counts == 0).nonzero()[:, 0].tolist()
+        rises = bool((self.times.diff() > 0.0).all() and torch.isfinite(self.times).all())
+        for wrong, text in (
+            (self.repeats < 1, "has no repeat; give at least one row of radius"),
+            (len(self.times) < 2, f"has {len(self.times)} frames; at least 2 are needed"),
+            (lost, f"has frames {lost} that are NaN in every repeat; leave them out"),
+            (not rises, "has times that are not finite or do not increase"),
+            (
+                not 0.0 <= self.exposure <= _LONGEST_EXPOSURE,
+                f"has an exposure of {self.exposure:g} Rmax/U_c; expected 0 to "
+                f"{_LONGEST_EXPOSURE:g}",
+            ),
+            (
+                not 0.0 < self.noise_factor < math.inf,
+                f"has the noise_factor {self.noise_factor:g}; expected a factor above 0",
+            ),
         ):
-            raise InputDataError(f"Experiment {self.label!r}: times must be finite and increase.")
+            if wrong:
+                raise InputDataError(f"Experiment {self.label!r} {text}.")
+        check_designs(torch.tensor([self.design], dtype=torch.float64))
 
     @property
     def repeats(self) -> int:

@@ -1,9 +1,7 @@
-"""Arrays of numbers from ``.npz`` files, whose declared sizes are checked before anything is read
-into memory.
+"""Arrays of numbers from ``.npz`` files, whose sizes are checked before anything is read into
+memory.
 """
 
-import math
-import zipfile
 from collections.abc import Collection
 from pathlib import Path
 
@@ -11,11 +9,6 @@ import numpy as np
 
 from imr_torch.errors import InputDataError
 from imr_torch.reading.content import LARGEST, Content
-
-_HEADERS = {
-    (1, 0): np.lib.format.read_array_header_1_0,
-    (2, 0): np.lib.format.read_array_header_2_0,
-}
 
 
 def is_npz(path: Path, head: bytes) -> bool:
@@ -53,7 +46,7 @@ def read_arrays(path: str | Path, names: Collection[str]) -> dict[str, np.ndarra
 
     Raises:
         InputDataError: if the file is missing or no ``.npz``, lacks an array, or declares arrays
-            that are no numbers, or larger than ``LARGEST`` together.
+            that are no numbers, or take more than ``LARGEST`` together.
 
     >>> import tempfile
     >>> from pathlib import Path
@@ -69,26 +62,27 @@ def read_arrays(path: str | Path, names: Collection[str]) -> dict[str, np.ndarra
         raise InputDataError(
             f"{path}: no such file; check the name and the folder ({path.parent.resolve()})."
         )
+    arrays = {}
     try:
-        with zipfile.ZipFile(path) as archive:
-            held = {
-                name.removesuffix(".npy"): name
-                for name in archive.namelist()
-                if name.endswith(".npy")
-            }
-            missing = [name for name in names if name not in held]
+        with np.load(path, allow_pickle=False) as archive:
+            missing = [name for name in names if name not in archive.files]
             if missing:
                 raise InputDataError(
                     f"{path}: no array {missing[0]!r}; expected {', '.join(names)}, got "
-                    f"{', '.join(held) or 'none'}."
+                    f"{', '.join(archive.files) or 'none'}."
                 )
-            _check_sizes(path, archive, {name: held[name] for name in names})
-            arrays = {}
+            size = sum(archive.zip.getinfo(f"{name}.npy").file_size for name in names)
+            if size > LARGEST:
+                raise InputDataError(
+                    f"{path}: its arrays take {size / 2**30:.3g} GiB, more than "
+                    f"{LARGEST / 2**30:.3g} GiB; it is damaged, or must be divided into several "
+                    "files."
+                )
             for name in names:
-                with archive.open(held[name]) as stream:
-                    array = np.lib.format.read_array(stream, allow_pickle=False)
-                    arrays[name] = np.asarray(array, dtype=np.float64)
-            return arrays
+                array = archive[name]
+                if array.dtype.kind not in "fiub":
+                    raise ValueError(f"array {name!r} holds {array.dtype}, not real numbers")
+                arrays[name] = array.astype(np.float64)
     except InputDataError:
         raise
     except Exception as error:  # zipfile and NumPy each raise their own kinds on damaged files
@@ -96,27 +90,4 @@ def read_arrays(path: str | Path, names: Collection[str]) -> dict[str, np.ndarra
             f"{path}: cannot be read as .npz arrays of numbers ({error}); write it with "
             "numpy.savez."
         ) from error
-
-
-def _check_sizes(path: Path, archive: zipfile.ZipFile, members: dict[str, str]) -> None:
-    """Refuse arrays by what their headers declare, and by what their members unpack to."""
-    total = 0
-    for name, member in members.items():
-        with archive.open(member) as stream:
-            version = np.lib.format.read_magic(stream)
-            if version not in _HEADERS:
-                raise InputDataError(
-                    f"{path}: array {name!r} is of .npy version {version}; write it with "
-                    "numpy.savez."
-                )
-            shape, _, dtype = _HEADERS[version](stream)
-        if dtype.kind not in "fiub":
-            raise ValueError(f"array {name!r} holds {dtype}, not real numbers")
-        declared = math.prod(shape) * max(dtype.itemsize, 8)
-        total += max(declared, archive.getinfo(member).file_size)
-        if total > LARGEST:
-            raise InputDataError(
-                f"{path}: array {name!r} of shape {shape} takes the file to {total / 2**30:.3g} "
-                f"GiB, more than {LARGEST / 2**30:.3g} GiB; it is damaged, or must be divided into "
-                "several files."
-            )
+    return arrays

@@ -168,7 +168,11 @@ def test_that_the_density_at_a_bound_is_the_limit_from_inside() -> None:
 @pytest.mark.parametrize("belief", [prior(), updated()], ids=["prior", "updated"])
 def test_that_entropy_is_the_mean_of_minus_log_prob(belief: Belief) -> None:
     draws = belief.sample(20000, seed=1)
-    surprise = -belief.log_prob(draws)
+    surprise = torch.empty(len(draws.parameters), dtype=torch.float64)
+    for i, part in enumerate(belief.models):
+        chosen = draws.model_index == i
+        values = draws.parameters[chosen][:, PARAMETERS.index(part.names)]
+        surprise[chosen] = -belief.log_probabilities[i] - part.log_prob(values)
     error = float(surprise.std()) / len(surprise) ** 0.5
     assert float(belief.entropy()) == pytest.approx(float(surprise.mean()), abs=4.5 * error)
 

@@ -125,5 +125,5 @@ def test_that_an_exposure_survives_windows_and_journals(tmp_path):
     assert experiment.until(1.0).exposure == 0.04
     journal = Journal(tmp_path)
     assert journal.restore(journal.store(experiment, "experiment_001")).exposure == 0.04
-    with pytest.raises(InputDataError, match=r"exposure is 0\.7 of Rmax/U_c"):
+    with pytest.raises(InputDataError, match=r"has an exposure of 0\.7 Rmax/U_c"):
         film(0.7)

@@ -348,11 +348,11 @@ ARCHIVES = {
     ),
     "a header of 73 TiB": (
         header((10**13,)),
-        r"bad\.npz: array 'time_s' of shape \(10000000000000,\) takes .*7\.45e\+04 GiB, .*",
+        r"bad\.npz: cannot be read as \.npz arrays of numbers \(.*\); write it with numpy\.savez\.",
     ),
     "objects": (
         header((2,), "|O") + bytes(16),
-        r"bad\.npz: cannot be read as \.npz arrays of numbers \(array 'time_s' holds object, not real numbers\); .*",
+        r"bad\.npz: cannot be read as \.npz arrays of numbers \(Object arrays cannot be loaded .*\); .*",
     ),
     "a header that is code": (
         header((2,)).replace(b"False", b"print"),
@@ -394,7 +394,7 @@ def test_that_a_zip_bomb_is_not_unpacked(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(np.lib.format, "read_array", None)
     with pytest.raises(
         InputDataError,
-        match=r"array 'time_s' of shape \(2,\) takes the file to 0\.0205 GiB, more than 0\.0195 GiB",
+        match=r"its arrays take 0\.0205 GiB, more than 0\.0195 GiB",
     ):
         read_arrays(tmp_path / "bad.npz", ["time_s"])
 
