@@ -1,12 +1,6 @@
-"""The gel: parameters, constitutive models, effects, and what is believed of them.
+"""The gel: parameters, constitutive models, effects, and what is believed of them."""
 
-Every module of this folder is imported, so that a new file with a model or an effect registers it
-by being there.
-"""
-
-import importlib
-import pkgutil
-
+import imr_torch.material.effects  # noqa: F401 - which registers those of the package
 from imr_torch.material.belief import Belief, Cloud, Draws, ModelBelief
 from imr_torch.material.cases import CASES, ReferenceCase, reference_case, wide_prior
 from imr_torch.material.effect import LIBRARY, Effect, library, register_effect
@@ -20,9 +14,6 @@ from imr_torch.material.marginals import LogNormal, Marginal, Quantile, Truncate
 from imr_torch.material.models import MATERIALS, Material, material, register
 from imr_torch.material.parameters import PARAMETERS, Parameter, dimensionless
 from imr_torch.material.stress import Stress, StressTerm
-
-for _found in pkgutil.iter_modules(__path__):
-    importlib.import_module(f"{__name__}.{_found.name}")
 
 __all__ = [
     "CASES",

@@ -52,9 +52,8 @@ def to_experiment(
     value, sd, remedy = _rest(trace, landmarks, rest_radius)
     if not 0.0 < value < 1.0:
         raise InputDataError(
-            f"{trace.source}: experiment '{trace.experiment_id}': R_inf/Rmax is {value:.3f} "
-            f"(R_inf {1e6 * value * top:.1f} um, "
-            f"Rmax {1e6 * top:.1f} um); expected a rest radius below the maximum radius. {remedy}"
+            f"{trace.where}: R_inf/Rmax is {value:.3f} (R_inf {1e6 * value * top:.1f} um, Rmax "
+            f"{1e6 * top:.1f} um); expected a rest radius below the maximum radius. {remedy}"
         )
     scale = surroundings.time_scale(top)
     times = (trace.time_s - landmarks.time_of_max_s) / scale
@@ -84,7 +83,7 @@ def _rest(
         return *assumed, "Give another assumed rest radius."
     if landmarks.rest_radius_m is None or landmarks.rest_radius_sd_m is None:
         raise InputDataError(
-            f"{trace.source}: experiment '{trace.experiment_id}' has no rebound and no given "
+            f"{trace.where} has no rebound and no given "
             "R_inf, so the rest radius cannot be measured from it. Give it: rest_radius=(value, "
             "sd) of R_inf/Rmax (on the command line --rest-radius 0.2:0.1), or Rinf_m in the JSON "
             "beside the file, or leave the experiment out."

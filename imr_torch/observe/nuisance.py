@@ -47,9 +47,7 @@ class Nuisance:
 
     def sds(self) -> Float[Tensor, "3"]:
         """The three standard deviations in the order of ``NUISANCES``."""
-        return torch.tensor(
-            [self.max_radius, self.time_zero, self.rest_radius], dtype=torch.float64
-        )
+        return torch.tensor(list(vars(self).values()), dtype=torch.float64)
 
 
 FLOOR = Nuisance(max_radius=0.003, time_zero=0.004, rest_radius=0.01)

@@ -231,7 +231,7 @@ def check_maximum(
     >>> check_maximum(trace, find_landmarks(trace), Surroundings())
     ()
     """
-    where = f"{trace.source}: experiment '{trace.experiment_id}'"
+    where = trace.where
     time = trace.time_s
     radius = trace.radius_m
     k = int(radius.argmax())

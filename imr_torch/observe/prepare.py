@@ -123,13 +123,12 @@ def prepare(
     firsts = {}
     outer = surroundings or Surroundings()
     for trace in traces:
-        where = _where(trace)
         name = trace.experiment_id
         marks = landmarks[name]
         cautions += check_maximum(trace, marks, outer)
         whole = to_experiment(trace, marks, outer, rest_radius=rest_radius)
         first = _first_collapse(whole, marks, outer)
-        cautions += check_experiment(whole, where, first=first)
+        cautions += check_experiment(whole, trace.where, first=first)
         window = _cut_window(trace, whole, marks, outer, collapses)
         experiments.append(window)
         frames[name] = (
@@ -259,11 +258,7 @@ def _cut_window(
         remedy = "State a later window_end_s, on the time axis of the file, or leave it out."
     if (count := int((whole.times <= end).sum())) < MIN_SAMPLES:
         raise InputDataError(
-            f"{_where(trace)} has {count} frames between its maximum and {last}; at least "
+            f"{trace.where} has {count} frames between its maximum and {last}; at least "
             f"{MIN_SAMPLES} are needed. {remedy}"
         )
     return whole.until(end)
-
-
-def _where(trace: RadiusTrace) -> str:
-    return f"{trace.source}: experiment '{trace.experiment_id}'"

@@ -190,9 +190,14 @@ class RadiusTrace:
     def __len__(self) -> int:
         return len(self.time_s)
 
+    @property
+    def where(self) -> str:
+        """File and experiment, for messages."""
+        return f"{self.source}: experiment '{self.experiment_id}'"
+
     def _at(self, field: str, sample: int | None = None) -> str:
         row = "" if sample is None else f", sample {sample} (counted from 0)"
-        return f"{self.source}: experiment '{self.experiment_id}', {field}{row}"
+        return f"{self.where}, {field}{row}"
 
     def _refuse(self, wrong: Tensor, field: str, text: str) -> None:
         """Refuse the first sample of a field that is wrong, with its value and the one before."""
