@@ -18,7 +18,7 @@ from imr_torch.material.elastic import (
 )
 from imr_torch.material.integral import TERMS
 from imr_torch.material.memory import MAXWELL, OLDROYD_B, STANDARD_LINEAR, STANDARD_NONLINEAR
-from imr_torch.material.parameters import PARAMETERS
+from imr_torch.material.parameters import PARAMETERS, Parameter
 from imr_torch.material.stress import StressTerm
 from imr_torch.material.viscous import CARREAU, NEWTONIAN
 
@@ -61,6 +61,11 @@ class Material:
     def free(self) -> tuple[str, ...]:
         """The parameters that are inferred: ``names`` without ``known``."""
         return tuple(name for name in self.names if name not in self.known)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Units, bounds and neutral values of ``names``."""
+        return tuple(PARAMETERS[name] for name in self.names)
 
     def __repr__(self) -> str:
         return f"<{self.title}: {', '.join(self.names)}>"

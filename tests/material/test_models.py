@@ -207,6 +207,7 @@ def test_that_names_are_those_that_stress_and_memory_depend_on(model: Material) 
         assert (response(VALUES | {name: 1.3 * value}) != before) == (name in model.names), name
     assert model.free == tuple(name for name in model.names if name not in model.known)
     assert set(model.known) <= set(model.names)
+    assert [p.name for p in model.parameters] == list(model.names)
     assert has_memory(model) == (len(before) > 3)
 
 
