@@ -29,3 +29,6 @@ Values = Float[Tensor, "*batch"]
 
 Frames = Float[Tensor, "*#batch experiments frames"]
 """A number of each frame of each experiment, of each member of a batch."""
+
+ExperimentFrames = Float[Tensor, "experiments frames"]
+"""A number of each frame of each experiment."""

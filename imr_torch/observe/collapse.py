@@ -390,6 +390,11 @@ def _shots_of_array(path: Path, stated: Statement | None) -> list[CollapseShot]:
 
 def _shots_of_table(table: Content, stated: Statement | None) -> list[CollapseShot]:
     """The shots of a table of text."""
+    if table.units:
+        raise InputDataError(
+            f"{table.path}: the row below the header ({', '.join(table.units.values())}) is no "
+            "shot; leave it out: values are in SI units."
+        )
     for name in table.values:
         if name not in (*SHOT_COLUMNS, *_ERRORS):  # such as a misspelt error
             raise InputDataError(

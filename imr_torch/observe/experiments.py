@@ -25,7 +25,7 @@ from imr_torch.observe.noise_laws import NoiseLaws
 from imr_torch.observe.nuisance import NUISANCES, Nuisance, displaced, impossible
 from imr_torch.observe.scatter import Scatter, with_own
 from imr_torch.simulate import EARLIEST, Simulator, check_designs
-from imr_torch.types import Frames
+from imr_torch.types import ExperimentFrames, Frames
 
 _EARLIEST_FILMED = -0.4  # an exposure reaches on from its frame, and so does a clock that is wrong
 

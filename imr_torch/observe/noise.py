@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
+from imr_torch.types import ExperimentFrames
 
 FEWEST_RESIDUALS = 10
 """Degrees of freedom that residuals must have for the noise to be estimated from them."""
@@ -94,7 +95,7 @@ class Noise:
         return self.scale * torch.sqrt(law.square() + self.floor**2)
 
     def decorrelation(
-        self, times: Float[Tensor, "experiments frames"], mask: Bool[Tensor, "experiments frames"]
+        self, times: ExperimentFrames, mask: Bool[Tensor, "experiments frames"]
     ) -> Float[Tensor, "experiments frames frames"] | None:
         """Inverse Cholesky factors of the correlation matrices: ``E x T x T``, or None for
         independent frames.
@@ -110,8 +111,8 @@ class Noise:
         return torch.diag_embed(own) - torch.diag_embed(before[:, 1:], -1)
 
     def innovations(
-        self, times: Float[Tensor, "experiments frames"], mask: Bool[Tensor, "experiments frames"]
-    ) -> tuple[Float[Tensor, "experiments frames"], Float[Tensor, "experiments frames"]] | None:
+        self, times: ExperimentFrames, mask: Bool[Tensor, "experiments frames"]
+    ) -> tuple[ExperimentFrames, ExperimentFrames] | None:
         """The same factors by their two diagonals, or None for independent frames: an exponential
         correlation is Markov.
 

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.observe.noise import WIDE, Noise
+from imr_torch.types import ExperimentFrames
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,8 @@ class NoiseLaws:
     def log_ratios(
         self,
         law: Noise,
-        radius: Float[Tensor, "experiments frames"],
-        times: Float[Tensor, "experiments frames"],
+        radius: ExperimentFrames,
+        times: ExperimentFrames,
         count: int,
         *,
         generator: torch.Generator,

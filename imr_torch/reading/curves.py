@@ -427,9 +427,9 @@ def _to_trace(
         short = LeftOut(curve.file, curve.experiment_id, row_ranges(curve.rows), reason)
         return None, [*left_out, short]
     _check_order(curve)
-    time = torch.from_numpy(curve.time.copy())
-    radii = torch.from_numpy(curve.radius.copy())
-    shape = None if curve.asphericity is None else torch.from_numpy(curve.asphericity.copy())
+    time = torch.from_numpy(curve.time)
+    radii = torch.from_numpy(curve.radius)
+    shape = None if curve.asphericity is None else torch.from_numpy(curve.asphericity)
     trace = RadiusTrace(curve.experiment_id, time, radii, curve.file, curve.given, shape)
     return trace, left_out
 

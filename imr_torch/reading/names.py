@@ -322,15 +322,9 @@ def _check_scales(
 
 
 def _time(headings: Sequence[Heading]) -> Heading | None:
-    return next(
-        (
-            h
-            for wanted in ("time", "unit", "frames")
-            for h in headings
-            if h.role == wanted or (wanted == "unit" and h.unit in TIMES and h.role is None)
-        ),
-        None,
-    )
+    named = {h.role: h for h in reversed(headings)}
+    by_unit = [h for h in headings if h.role is None and h.unit in TIMES]
+    return named.get("time") or next(iter(by_unit), named.get("frames"))
 
 
 def _radii(headings: Sequence[Heading]) -> list[Heading]:
