@@ -31,9 +31,6 @@ _EARLIEST_FILMED = -0.4  # an exposure reaches on from its frame, and so does a 
 
 _LONGEST_EXPOSURE = PARAMETERS["exposure_blur"].upper
 
-ExperimentFrames = Float[Tensor, "experiments frames"]
-"""A number of each frame of each experiment."""
-
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
