@@ -20,7 +20,7 @@ from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport, diagnose
 from imr_torch.gap.hypotheses import even_belief
-from imr_torch.gap.identity_design import NextDesign, identity_design
+from imr_torch.gap.identity_design import identity_design
 from imr_torch.material import Belief, ModelBelief, library
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
@@ -100,11 +100,22 @@ class CauseLearner:
         Raises:
             InputDataError: if the prior holds several models.
         """
-        base = _only(prior)
+        if len(prior.models) != 1:
+            raise InputDataError(
+                "A campaign for the cause of a gap has one base model, and its prior holds "
+                f"{len(prior.models)} ({', '.join(prior.keys)}); name one."
+            )
+        (base,) = prior.models
         offered = library(self.effects or None, base=base.model)
-        how = (self.estimate_noise, vars(batch.noise))
         key = _key(
-            base, [e.name for e in offered], batch, how, described(simulator), seed, self.most
+            base,
+            [effect.name for effect in offered],
+            batch,
+            self.estimate_noise,
+            vars(batch.noise),
+            described(simulator),
+            seed,
+            self.most,
         )
         if key not in _MADE:
             own = child(seed, "diagnose", len(batch.experiments))
@@ -199,44 +210,24 @@ class TellCausesApart:
             draws=self.draws,
             progress=progress,
         )
-        return Proposal(
-            situation.number, found.design, found.gain, found.error, reason=_expectation(found)
+        reason = (
+            f"Tells apart {', '.join(found.causes)}: the mean probability of the true one is "
+            f"expected to go from {found.now:.2f} to {found.after:.2f} +- {found.after_error:.2f}."
         )
+        return Proposal(situation.number, found.design, found.gain, found.error, reason=reason)
 
 
 def finding(report: GapReport) -> Finding:
     """What the journal of a campaign keeps of a diagnosis."""
     found = report.attribution
-    probabilities = {} if found is None else {name: float(p) for name, p in found.posterior.items()}
     return Finding(
         report.verdict,
         report.cause,
-        probabilities,
+        dict(found.posterior) if found else {},
         report.reason,
         report.converged,
-        float(report.gap.p_value),
+        report.gap.p_value,
     )
-
-
-def _expectation(found: NextDesign) -> str:
-    """What a shot is expected to tell, in one sentence."""
-    names = ", ".join(found.causes)
-    return (
-        f"Tells apart {names}: the mean probability of the true one is expected to go from "
-        f"{found.now:.2f} to "
-        f"{found.after:.2f} +- {found.after_error:.2f}."
-    )
-
-
-def _only(prior: Belief) -> ModelBelief:
-    """The only model of a prior."""
-    if len(prior.models) != 1:
-        raise InputDataError(
-            "A campaign for the cause of a gap has one base model, and its prior holds "
-            f"{len(prior.models)} "
-            f"({', '.join(prior.keys)}); name one."
-        )
-    return prior.models[0]
 
 
 def _base_posterior(report: GapReport) -> ModelBelief:

@@ -184,9 +184,9 @@ def attribute(
     null: ModelFit,
     held: Hypothesis,
     *,
+    before: Adequacy,
     seed: int,
     alone: Sequence[ModelFit] = (),
-    before: Adequacy | None = None,
     masked: float = 1.0,
     progress: Progress | None = None,
 ) -> Attribution:
@@ -196,10 +196,10 @@ def attribute(
         inquiry: base model, effects and data.
         null: the fit of ``held``, which leaves a gap, from which the others start.
         held: what every hypothesis has.
+        before: the gap test at ``null``.
         seed: of the fits and of the adequacy test.
         alone: the base model's fit of each experiment by itself, from which gels that differ start;
             without them they are not among the causes.
-        before: the gap test at ``null``, made here where it is not given.
         masked: beside a selected part, the chance that this alone did not explain an unknown
             effect.
         progress: called with one line per step.
@@ -207,10 +207,6 @@ def attribute(
     longer = inquiry.longer(held)
     if not alone:
         longer.pop(GEL_SCATTER, None)
-    batch = held.seen(inquiry.batch)
-    before = before or adequacy_test(
-        null, inquiry.effects, batch, inquiry.simulator, seed=child(seed, "before")
-    )
     if progress:
         progress(f"attribution: {len(longer)} hypotheses")
     alike = [h for h in longer.values() if h.gels_differ is held.gels_differ]
@@ -313,14 +309,14 @@ class _Round:
         """What the evidence of the fits and the winner's adequacy say."""
         inquiry = self.inquiry
         self._find_winner((), seed, progress)
-        alike = [
-            name
-            for name in self.evidence
+        alike = {
+            name: value
+            for name, value in self.evidence.items()
             if self.hypotheses[name].gels_differ is self.held.gels_differ
-        ]
+        }
         checked = check_evidence(
             self.fits,
-            {name: self.evidence[name] for name in alike},
+            alike,
             self.batch,
             inquiry.simulator,
             seed=child(seed, "evidence"),

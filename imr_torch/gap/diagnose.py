@@ -87,10 +87,10 @@ class GapReport(Finding):
     @property
     def converged(self) -> bool:
         """Whether the fits that the verdict is based on have converged."""
-        sound = self.null.certificate.usable
+        based_on = [self.null]
         if self.attribution is not None:
-            sound &= self.attribution.winner_fit.certificate.usable
-        return sound
+            based_on.append(self.attribution.winner_fit)
+        return all(fit.certificate.usable for fit in based_on)
 
 
 @one_torch_thread()

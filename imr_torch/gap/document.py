@@ -105,13 +105,13 @@ def _test(report: GapReport) -> dict[str, Any]:
 
 
 def odds_text(odds: float) -> str:
-    """Prior odds in words: ``"1:9"``, ``"1:1"``.
+    """Prior odds of 1 or less in words: ``"1:9"``, ``"1:1"``.
 
     >>> from imr_torch.gap.document import odds_text
     >>> odds_text(1.0 / 9.0)
     '1:9'
     """
-    return f"1:{1.0 / odds:g}" if odds <= 1.0 else f"{odds:g}:1"
+    return f"1:{1.0 / odds:g}"
 
 
 def _causes(found: Attribution | None) -> dict[str, Any]:

@@ -63,11 +63,8 @@ def check_evidence(
         Hypothesis -> evidence of all within ``NEAR`` nats of the best (four at most); empty where
         the best is alone, or where no draw of one of them could be simulated.
     """
-    best = max(evidence.values())
-    near = sorted(
-        (name for name in evidence if evidence[name] > best - NEAR),
-        key=lambda name: -evidence[name],
-    )[:_MOST]
+    ranked = sorted(evidence, key=lambda name: -evidence[name])[:_MOST]
+    near = [name for name in ranked if evidence[name] > evidence[ranked[0]] - NEAR]
     if len(near) < 2:
         return {}
     own = tuple(fits[name] for name in near)

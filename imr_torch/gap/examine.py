@@ -35,7 +35,7 @@ class Parts:
 
     Args:
         onset: from when on the gap can be detected.
-        acts: phase -> share of the signal of the named effects.
+        acts: phase -> 5, 50, 95 % of its share of the signal of the named effects.
         by_experiment: which experiments it lies in.
         shrinkage: how far it shrinks on curves that no fit saw.
         next_design: what to shoot to tell the causes apart that are still possible.
@@ -48,7 +48,7 @@ class Parts:
     """
 
     onset: Onset | None = None
-    acts: dict[str, float] | None = None
+    acts: dict[str, list[float]] | None = None
     by_experiment: ByExperiment | None = None
     shrinkage: Shrinkage | None = None
     next_design: NextDesign | None = None
@@ -106,7 +106,7 @@ def examine(
     return replace(
         parts,
         onset=onset(report.left, seed=child(seed, "onset")),
-        acts=_acts(report, simulator),
+        acts=_acts(report, simulator, child(seed, "acts")),
         by_experiment=by_experiment(report, simulator, alone, seed=child(seed, "experiments")),
         shrinkage=shrinkage(
             report, simulator, judging, seed=child(seed, "shrinkage"), progress=progress
@@ -115,12 +115,14 @@ def examine(
     )
 
 
-def _acts(report: GapReport, simulator: Simulator) -> dict[str, float] | None:
+def _acts(report: GapReport, simulator: Simulator, seed: int) -> dict[str, list[float]] | None:
     """Where the named effects act; None without a named effect."""
     found = report.attribution
     if found is None or report.verdict not in ("effect", "class") or found.winner.gels_differ:
         return None
-    return where_it_acts(found.winner_fit, found.winner.effects, report.left.line, simulator)
+    return where_it_acts(
+        found.winner_fit, found.winner.effects, report.left.line, simulator, seed=seed
+    )
 
 
 def _next(
@@ -130,9 +132,11 @@ def _next(
     sure and a shot can.
     """
     found = report.attribution
-    if found is None or report.verdict == OTHER:
-        return None
-    if found.posterior.get(found.winner.name, 0.0) > _SURE:
+    if (
+        found is None
+        or report.verdict == OTHER
+        or found.posterior.get(found.winner.name, 0.0) > _SURE
+    ):
         return None
     try:
         return identity_design(

@@ -135,7 +135,7 @@ def _of_place(document: Document) -> Iterator[GapFigure]:
         yield GapFigure(
             PLACE,
             "acts",
-            "Share of the signal of the named effects by phase.",
+            "Share of the signal of the named effects by phase, with its 90 % interval.",
             f"Bar chart. {document['acts']['sentence']}",
             partial(plot_acts, document["acts"]["shares"]),
         )
@@ -283,10 +283,11 @@ def plot_onset(found: Mapping[str, Any], *, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def plot_acts(shares: Mapping[str, float], *, ax: Axes | None = None) -> Axes:
-    """Share of the signal of the named effects by phase."""
-    ax = _bars(ax, list(shares), list(shares.values()), [f"{x:.2f}" for x in shares.values()])
-    ax.set(xlabel="share of the signal", xlim=(0.0, 1.1))
+def plot_acts(shares: Mapping[str, Sequence[float]], *, ax: Axes | None = None) -> Axes:
+    """Share of the signal of the named effects by phase, with its 90 % interval."""
+    texts = [f"{middle:.2f} ({low:.2f} to {high:.2f})" for low, middle, high in shares.values()]
+    ax = _bars(ax, list(shares), [middle for _, middle, _ in shares.values()], texts)
+    ax.set(xlabel="share of the signal", xlim=(0.0, 1.5), xticks=[0.0, 0.5, 1.0])
     return ax
 
 

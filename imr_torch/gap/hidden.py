@@ -16,7 +16,6 @@ from scipy.special import chdtri, chndtrinc
 from imr_torch.assimilate import ModelFit
 from imr_torch.gap.adequacy import Adequacy
 from imr_torch.gap.diagnose import GapReport
-from imr_torch.gap.verdict import OTHER
 from imr_torch.goodness.score import LEVEL
 from imr_torch.material import Effect
 
@@ -52,10 +51,9 @@ def hidden_effects(report: GapReport) -> tuple[Hidden, ...]:
     Args:
         report: a diagnosis.
     """
-    found = report.attribution
-    named = found is not None and report.verdict not in (OTHER, "none", "undecided")
-    left = found.left if named and found is not None else report.left
-    fit = found.winner_fit if named and found is not None else report.null
+    found = report.attribution if report.verdict in ("effect", "class") else None
+    left = found.left if found else report.left
+    fit = found.winner_fit if found else report.null
     rows = [_hidden(effect, left, fit, report.base.of_gel) for effect in left.effects]
     return tuple(sorted(rows, key=lambda row: -max(map(abs, row.shift.values()), default=0.0)))
 

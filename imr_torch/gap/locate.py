@@ -34,6 +34,7 @@ from imr_torch.simulate import Simulator
 _GRID = (0.15, 0.3, 0.5, 0.75, 0.94, 1.06, 1.25, 1.5, 1.75, 1.94, 2.06, 2.25, 2.6, 3.2, math.inf)
 _LEVEL = 0.01  # of a false onset or trend; that there is a gap at all is not decided here
 _BESIDE = 4  # designs from which on the trends in We and R_inf* are told apart
+_DRAWS = 24  # posterior draws behind the shares of phases
 _LEVELS = (0.05, 0.5, 0.95)
 
 
@@ -118,14 +119,12 @@ class Trend:
     Args:
         parameter: its name.
         over: ``"We"`` or ``"R_inf*"``.
-        slope: change of the parameter's control (prior standard deviations) over the range of the
-            coordinate that was shot.
-        z: slope over its standard deviation.
+        z: change of the parameter's control over the range of the coordinate that was shot, over its
+            standard deviation.
     """
 
     parameter: str
     over: str
-    slope: float
     z: float
 
 
@@ -206,8 +205,8 @@ def drifts(alone: Sequence[ModelFit], designs: Float[Tensor, "experiments 2"]) -
         scores = slopes / covariance.diagonal().clamp_min(1e-300).sqrt()
         places = [(parameter, name) for name in ("", *names) for parameter in parameters]
         trends += [
-            Trend(*place, slope, score)
-            for place, slope, score in zip(places, slopes.tolist(), scores.tolist(), strict=True)
+            Trend(*place, score)
+            for place, score in zip(places, scores.tolist(), strict=True)
             if place[1]
         ]
     return tuple(trends)
@@ -243,30 +242,43 @@ def _read(trends: Sequence[Trend], experiments: int) -> str:
 
 
 def where_it_acts(
-    fit: ModelFit, effects: Sequence[Effect], line: Linearisation, simulator: Simulator
-) -> dict[str, float] | None:
-    """Phase -> share of the squared signal of effects at their fit, beside a refit of the gel to the
-    frames up to the end of the phase; None where it cannot be simulated without them.
+    fit: ModelFit,
+    effects: Sequence[Effect],
+    line: Linearisation,
+    simulator: Simulator,
+    *,
+    seed: int,
+) -> dict[str, list[float]] | None:
+    """Phase -> 5, 50, 95 % of its share of the squared signal of effects, beside a refit of the gel
+    to the frames up to the end of the phase; None where no posterior draw can be simulated.
 
     Args:
         fit: with the effects.
         effects: what is switched off.
         line: local sensitivities at the base model's fit.
         simulator: makes the bubbles.
+        seed: of the draws.
     """
     batch = line.batch
+    noise = torch.randn(_DRAWS, len(fit.mean), generator=generator(seed), dtype=torch.float64)
+    nuisances = int((batch.nuisance_sds > 0.0).any(0).sum()) * len(batch.experiments)
+    shift = torch.nn.functional.pad(noise @ fit.chol.mT, (0, nuisances)).repeat(2, 1)
     off = {effect.names[0]: PARAMETERS[effect.names[0]].neutral for effect in effects}
-    with_them, without = curves(fit, batch, simulator, [{}, off])
-    signal = line.whiten(with_them - without)
+    made = curves(fit, batch, simulator, [{}] * _DRAWS + [off] * _DRAWS, shift)
+    signal = line.whiten(made[:_DRAWS] - made[_DRAWS:])
     phase = phase_numbers(batch.times, line.prediction, batch.mask)
-    reached = [0.0]
+    reached = [torch.zeros(_DRAWS, dtype=torch.float64)]
     for last in range(len(PHASES)):
         frames = (phase <= last) & batch.mask
         rows = signal * _kept_rows(line, frames).to(signal)
-        reached.append(float(restrict(line, frames).project(rows).square().sum()))
-    gained = torch.tensor(reached).diff().clamp_min(0.0)
-    total = float(gained.sum())
-    return dict(zip(PHASES, (gained / total).tolist(), strict=True)) if total > 0.0 else None
+        reached.append(restrict(line, frames).project(rows).square().sum(1))
+    gained = torch.stack(reached, 1).diff(dim=1).clamp_min(0.0)
+    shares = gained / gained.sum(1, keepdim=True)
+    shares = shares[torch.isfinite(shares).all(1)]
+    if not len(shares):
+        return None
+    levels = shares.quantile(torch.tensor(_LEVELS, dtype=torch.float64), dim=0)
+    return dict(zip(PHASES, levels.mT.tolist(), strict=True))
 
 
 def restrict(line: Linearisation, frames: Bool[Tensor, "experiments frames"]) -> Linearisation:

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
-from imr_torch.goodness.linear import Linearisation, linearise
+from imr_torch.goodness.linear import linearise
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import ExperimentBatch, GelMedium, predict
 from imr_torch.observe.medium import label
@@ -114,7 +114,7 @@ def medium_sensitivities(
     ]
     if not names:
         return ()
-    shifts = _shifts(fit, batch, simulator, linearise(fit, batch, simulator), names)
+    shifts = _shifts(fit, batch, simulator, names)
     sigmas = shifts / torch.linalg.norm(fit.chol, dim=1)
     moved = torch.cat((fit.mean[None], fit.mean + _STEP * shifts))
     before, *after = fit.prior.physical(fit.prior.unwhitened(moved))
@@ -141,7 +141,6 @@ def _shifts(
     fit: ModelFit,
     batch: ExperimentBatch,
     simulator: Simulator,
-    line: Linearisation,
     names: list[str],
 ) -> Tensor:
     """Shifts ``K x d`` of the gel's controls under the deviations of some fields, to first order."""
@@ -150,5 +149,6 @@ def _shifts(
         row[PARAMETERS.index([OF_MEDIUM[name]])[0]] += _STEP * math.log(DEVIATIONS[name])
     nuisances = (fit.nuisances * batch.nuisance_sds).expand(len(parameters), -1, -1)
     leader, *moved = predict(simulator, parameters, batch, nuisances, bundled=True)
+    line = linearise(fit, batch, simulator)
     changes = line.whiten((torch.stack(moved) - leader).nan_to_num() / _STEP)
     return -(changes @ line.to_shift.mT)[:, : len(fit.mean)]

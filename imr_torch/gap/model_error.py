@@ -56,16 +56,14 @@ class ModelError:
         intervals: parameter -> 5, 50, 95 % of the mixture, SI.
         bound: largest shift of any parameter, in posterior standard deviations of the base model's
             fit, by an error of the size of the residual beyond noise.
-        unknown: probability of the mixture that something unknown is missing.
 
     >>> from imr_torch.gap.model_error import ModelError
-    >>> ModelError({"G": (6.9e3, 8.3e3, 10.4e3)}, 4.0, 0.8).intervals["G"][2]
+    >>> ModelError({"G": (6.9e3, 8.3e3, 10.4e3)}, 4.0).intervals["G"][2]
     10400.0
     """
 
     intervals: dict[str, tuple[float, float, float]]
     bound: float
-    unknown: float
 
 
 def model_error(report: GapReport, *, seed: int = 0) -> ModelError:
@@ -121,7 +119,6 @@ def model_error(report: GapReport, *, seed: int = 0) -> ModelError:
             for name, (low, middle, high) in zip(names, columns, strict=True)
         },
         math.sqrt(max(square - frames, 0.0)),
-        shares.get(OTHER, 0.0) / total,
     )
 
 

@@ -131,7 +131,8 @@ def shrinkage(
     base_gap = float(torch.cat(base).sum())
     count = sum(len(pair.phase) for pair in pairs)
     freedom = float(sum(pair.beside.trace() for pair in pairs))
-    base_p = float(chdtrc(freedom, sum(pair.base_square for pair in pairs)))
+    squares = [(pair.beside @ pair.pair.base.residual).square().sum() for pair in pairs]
+    base_p = float(chdtrc(freedom, float(sum(squares))))
     left = base_p < ADEQUATE and base_gap > 0.0
     later = [squares for pair in pairs if (squares := pair.later) is not None]
     later_base = [squares[0] for squares in later]
@@ -158,11 +159,6 @@ class _Compared:
     share: Tensor
     phase: Tensor
     clock: Tensor
-
-    @property
-    def base_square(self) -> float:
-        """Squared residual of the base model beside the directions that are removed."""
-        return float((self.beside @ self.pair.base.residual).square().sum())
 
     @property
     def base(self) -> Float[Tensor, "phases"]:

@@ -1,7 +1,7 @@
 """A diagnosis in words, from its document alone: the verdict, then the questions in order.
 
 The text is a list of sections, each a heading with sentences; the printed text and the page show the
-same list. What was not tested or cannot be concluded is a section of its own, with the reasons.
+same list. Where something was not tested, its section says why.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,7 +27,7 @@ CURVES = "The curves"
 """Headings of sections in which a figure or a table stands."""
 _MOST_SHOWN = 5
 _TESTS_SHOWN = 3
-_SHARE_SHOWN = 0.1
+_SHARE_SHOWN = 0.15
 _ENTRIES = {
     GEL_SCATTER: "the gel differs between shots",
     NONE: "nothing is missing",
@@ -124,7 +124,6 @@ def sections(document: Document) -> list[Section]:
             folded=document["parameter_shift"] is None and document["gels"] is None,
         ),
         Section("What to measure next?", _next(document), folded=document["next_design"] is None),
-        Section("Not tested, and why", _not_tested(document), folded=True),
         Section("Have the fits converged?", _certificates(document), folded=document["converged"]),
     ]
 
@@ -346,15 +345,19 @@ def _where(document: Document) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def acts_sentence(shares: Mapping[str, float]) -> str:
+def acts_sentence(shares: Mapping[str, Sequence[float]]) -> str:
     """From which phases the signal of the named effects comes.
 
     >>> from imr_torch.gap.text import acts_sentence
-    >>> acts_sentence({"start": 0.02, "first collapse": 0.8, "later": 0.18})
-    'Its signal beside a refit of the gel comes from: first collapse 0.80, later 0.18.'
+    >>> acts_sentence({"start": (0.0, 0.02, 0.1), "first collapse": (0.7, 0.8, 0.9)})
+    'Its signal beside a refit of the gel comes from: first collapse 0.80 (0.70 to 0.90).'
     """
-    ranked = sorted(shares.items(), key=lambda item: -item[1])
-    said = [f"{phase} {share:.2f}" for phase, share in ranked if share >= _SHARE_SHOWN]
+    ranked = sorted(shares.items(), key=lambda item: -item[1][1])
+    said = [
+        f"{phase} {middle:.2f} ({low:.2f} to {high:.2f})"
+        for phase, (low, middle, high) in ranked
+        if high >= _SHARE_SHOWN
+    ]
     return f"Its signal beside a refit of the gel comes from: {', '.join(said)}."
 
 
@@ -492,20 +495,6 @@ def _next(document: Document) -> tuple[str, ...]:
         f"{plan['repeats']}, frames: {plan['frames']} to t* = {plan['end_t']:.2f}, the same noise; "
         f"errors: {errors}.",
     )
-
-
-def _not_tested(document: Document) -> tuple[str, ...]:
-    lines = {
-        "other": "What kind of effect it is: guesses at a family of an unknown effect are right in "
-        "a third of cases.",
-        "class": "Which of the class it is: the data explain all of them about equally well.",
-        "undecided": "Which effect it is, if any: see the reason of the verdict.",
-        "none": "That the model is right: effects that these data would not show may be there.",
-    }
-    said = [lines[document["verdict"]]] if document["verdict"] in lines else []
-    if document["posterior"] is not None:
-        said.append("Effects that were not offered: only their sum has a probability.")
-    return tuple(said) or ("Nothing was left out.",)
 
 
 def _certificates(document: Document) -> tuple[str, ...]:

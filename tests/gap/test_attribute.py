@@ -19,6 +19,8 @@ from imr_torch.simulate import (
 )
 from tests.gap.synthetic import BASE, SIMULATOR, fit, shoot
 
+EFFECTS = (LIBRARY["gas_loss"], LIBRARY["surface_tension"])
+
 
 def test_that_the_credible_set_is_the_smallest_that_reaches_its_level() -> None:
     posterior = {"a": 0.6, "b": 0.3, "none": 0.06, "other": 0.04}
@@ -34,9 +36,10 @@ def test_that_a_winner_whose_fit_was_cut_short_is_fitted_to_the_end(monkeypatch)
     null = fit(batch)
     monkeypatch.setattr("imr_torch.gap.attribute._FIT", SearchOptions(starts=2, iterations=2))
     found = attribute(
-        Inquiry(BASE, (LIBRARY["gas_loss"], LIBRARY["surface_tension"]), batch, SIMULATOR),
+        Inquiry(BASE, EFFECTS, batch, SIMULATOR),
         null,
         Hypothesis(BASE),
+        before=adequacy_test(null, EFFECTS, batch, SIMULATOR, seed=1),
         seed=0,
     )
     assert found.winner.name == "gas_loss"
@@ -54,9 +57,10 @@ def test_that_an_effect_which_sampling_puts_ahead_is_fitted_to_the_end(monkeypat
         "imr_torch.gap.attribute.check_evidence", lambda *_, **__: {"surface_tension": ahead}
     )
     found = attribute(
-        Inquiry(BASE, (LIBRARY["gas_loss"], LIBRARY["surface_tension"]), batch, SIMULATOR),
+        Inquiry(BASE, EFFECTS, batch, SIMULATOR),
         null,
         Hypothesis(BASE),
+        before=adequacy_test(null, EFFECTS, batch, SIMULATOR, seed=1),
         seed=0,
     )
     assert found.winner.name == "surface_tension"
@@ -77,7 +81,9 @@ def test_that_a_fit_that_does_not_converge_is_left_out_and_the_next_one_leads(mo
     monkeypatch.setattr("imr_torch.gap.attribute._FIT", SearchOptions(starts=2, iterations=1))
     monkeypatch.setattr("imr_torch.gap.attribute.finish", never)
     with_wall = (LIBRARY["gas_loss"], LIBRARY["wall"])
-    fits = attribute(Inquiry(BASE, with_wall, batch, SIMULATOR), null, Hypothesis(BASE), seed=0)
+    before = adequacy_test(null, with_wall, batch, SIMULATOR, seed=1)
+    inquiry = Inquiry(BASE, with_wall, batch, SIMULATOR)
+    fits = attribute(inquiry, null, Hypothesis(BASE), before=before, seed=0)
     assert fits.left_out == ("gas_loss",)
     assert fits.winner.name == "wall"
     assert "gas_loss" not in fits.posterior
@@ -89,7 +95,13 @@ def test_that_an_effect_found_beside_a_wrong_one_is_taken_alone_if_it_explains_m
     null = fit(batch)
     wrong = LIBRARY["wall"]
     right = LIBRARY["gas_loss"]
-    first = attribute(Inquiry(BASE, (wrong,), batch, SIMULATOR), null, Hypothesis(BASE), seed=0)
+    first = attribute(
+        Inquiry(BASE, (wrong,), batch, SIMULATOR),
+        null,
+        Hypothesis(BASE),
+        before=adequacy_test(null, [wrong], batch, SIMULATOR, seed=1),
+        seed=0,
+    )
     inquiry = Inquiry(BASE, (wrong, right), batch, SIMULATOR)
     both = fit_hypotheses(
         [Hypothesis(BASE, (wrong, right))], first.fits["wall"], batch, SIMULATOR, seed=0
