@@ -6,16 +6,13 @@ mailed and kept. All text in a page is escaped; figures are embedded as images w
 texts. The page is readable on a screen 400 pixels wide.
 """
 
-import base64
-import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
-from matplotlib.figure import Figure
 
 from imr_torch.files import write_atomically
 from imr_torch.labels import shown_unit
@@ -52,31 +49,8 @@ def render(template: str, **values: Any) -> str:
     return _environment().get_template(template).render(**values)
 
 
-@dataclass(frozen=True)
-class Picture:
-    """A figure of a page.
-
-    Args:
-        caption: what it shows, for everybody.
-        alt: the same for who cannot see it, with what is to be seen.
-        figure: the drawing.
-
-    >>> from matplotlib.figure import Figure
-    >>> from imr_torch.html import Picture
-    >>> Picture("Measured radius.", "Line chart of R(t).", Figure()).source[:22]
-    'data:image/png;base64,'
-    """
-
-    caption: str
-    alt: str
-    figure: Figure
-
-    @property
-    def source(self) -> str:
-        """The drawing as a data URI."""
-        stream = io.BytesIO()
-        self.figure.savefig(stream, format="png", dpi=140, metadata={"Software": None})
-        return f"data:image/png;base64,{base64.b64encode(stream.getvalue()).decode()}"
+Picture = Mapping[str, str]
+"""A figure of a page: ``caption``, ``alt`` and ``source``, a data URI."""
 
 
 @dataclass(frozen=True)

@@ -78,8 +78,7 @@ def test_simulate_writes_the_curve_and_a_figure(rendered, tmp_path, capsys):
     assert "NHKV, Rmax 331.6 um" in capsys.readouterr().out
 
 
-def test_characterize_finds_the_gel_that_ships_with_the_project(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("imr_torch.cli.figures.WRITTEN", ("png", "pdf"))
+def test_characterize_finds_the_gel_that_ships_with_the_project(tmp_path, capsys):
     out = tmp_path / "result"
     arguments = [
         "characterize",

@@ -17,7 +17,6 @@ from imr_torch.characterization import EFFORTS, FRAMES
 from imr_torch.cli import demo, main, parser
 from imr_torch.cli.common import METHODS, SIMULATORS
 from imr_torch.cli.design import ESTIMATORS
-from imr_torch.cli.figures import FORMATS
 from imr_torch.cli.options import COMMANDS, names
 from imr_torch.design import STRATEGIES, Target
 from imr_torch.gap import diagnose
@@ -74,7 +73,6 @@ def test_that_the_version_is_that_of_the_package(capsys):
         (names.TARGETS, get_args(Target)),
         (names.STRATEGIES, STRATEGIES),
         (names.ESTIMATORS, ESTIMATORS),
-        (names.FORMATS, FORMATS),
         (
             (names.SCATTER_SCALE, names.EVALUATIONS, names.EFFECTS_ADDED),
             (SCALE, Optimal.evaluations, signature(diagnose).parameters["most"].default),

@@ -5,6 +5,7 @@ results go.
 import argparse
 import math
 import shlex
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -20,11 +21,10 @@ from imr_torch.cli.options.names import DEFAULT_MODELS
 from imr_torch.cli.progress import Stage, Terminal
 from imr_torch.errors import InputDataError
 from imr_torch.files import read_json, without_nonfinite, write_json
-from imr_torch.html import write
 from imr_torch.material import PARAMETERS, Belief, reference_case, wide_prior
 from imr_torch.observe import CollapseShot, GelMedium, Layout, Statement, TraceSet
 from imr_torch.reading import load_driving
-from imr_torch.results import document_page, draw_figures, header
+from imr_torch.results import draw_figures, header, write_page
 from imr_torch.simulate import (
     ACCURACIES,
     ParallelSimulator,
@@ -282,6 +282,7 @@ def show_result(
     """
     folder = folder or (Path(args.out) if args.out else None)
     if folder:
-        save_figures(draw_figures(document), folder)
+        for failure in save_figures(draw_figures(document), folder):
+            print(f"imr-torch: {failure}", file=sys.stderr)
     if getattr(args, "html", None):
-        print(f"wrote {write(document_page(document, report=report), args.html)}")
+        write_page(document, args.html, report=report)

@@ -7,8 +7,6 @@ Sections that have nothing to say are folded away. The words say all that the fi
 from collections.abc import Sequence
 from pathlib import Path
 
-import matplotlib.pyplot as plt
-
 from imr_torch.gap.figures import gap_figures
 from imr_torch.gap.hypotheses import in_words
 from imr_torch.gap.text import Document, hidden_rows, sections
@@ -53,13 +51,9 @@ def write_page(
     ...     "<title>Gel 7</title>" in write_page(document, Path(folder) / "gap.html", name="Gel 7").read_text()
     True
     """
-    drawn = [
-        (f.section, Picture(f.caption, f.alt, f.draw()))
-        for f in gap_figures(document, curves=_CURVES)
-    ]
     pictures: dict[str, list[Picture]] = {}
-    for section, picture in drawn:
-        pictures.setdefault(section, []).append(picture)
+    for figure in gap_figures(document, curves=_CURVES):
+        pictures.setdefault(figure.section, []).append(figure.picture())
     verdict, *others = sections(document)
     blocks = [
         Block("The gel", (Table(_gel(document)), *pictures.get(verdict.heading, ()))),
@@ -82,8 +76,6 @@ def write_page(
         next_step=document["next_step"],
         footer=footer,
     )
-    for _, picture in drawn:
-        plt.close(picture.figure)
     return write(text, path)
 
 
