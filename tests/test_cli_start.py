@@ -111,7 +111,9 @@ def test_that_the_demo_passes_options_on_resumes_and_keeps_other_files(
     monkeypatch.setattr("imr_torch.cli.main", lambda command: ran.append(command) or 0)
     out = tmp_path / "first look"
     kept = tmp_path / "first look" / "notes.txt"
-    args = parser().parse_args(["demo", "--out", str(out), "--threads", "1", "--quiet"])
+    words = ["demo", "--out", str(out), "--threads", "1", "--quiet"]
+    args = parser().parse_args(words)
+    args.argv = words
     demo.run(args)
     assert [command[0] for command in ran] == ["characterize", "campaign"]
     assert all(command[-5:] == ["--seed", "0", "--threads", "1", "--quiet"] for command in ran)

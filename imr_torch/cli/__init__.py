@@ -18,7 +18,7 @@ from pathlib import Path
 
 from imr_torch.cli.completion import PrintCompletion
 from imr_torch.cli.options import COMMANDS
-from imr_torch.cli.options.shared import add_engine_arguments
+from imr_torch.cli.options.shared import InRange, add_engine_arguments
 from imr_torch.cli.progress import Terminal
 from imr_torch.errors import ConvergenceError, ConvergenceWarning, ImrError, InputDataError
 from imr_torch.files import check_target
@@ -52,7 +52,10 @@ def parser() -> argparse.ArgumentParser:
         if "seed" not in left_out:
             sub.add_argument(
                 "--seed",
-                type=_seed,
+                action=InRange,
+                low=0,
+                high=2**63 - 1,
+                type=int,
                 default=0,
                 help="seed of everything random, from 0 on (default 0)",
             )
@@ -79,15 +82,15 @@ def main(argv: Sequence[str] | None = None, *, live: bool | None = None) -> int:
     Returns:
         The exit status.
     """
-    args = parser().parse_args(argv)
-    args.argv = list(sys.argv[1:] if argv is None else argv)
-    args.terminal = Terminal(args.command, quiet=args.quiet, verbose=args.verbose, live=live)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(
                 errors="backslashreplace"
             )  # names of experiments on a terminal that lacks their letters
     try:
+        args = parser().parse_args(argv)
+        args.argv = list(sys.argv[1:] if argv is None else argv)
+        args.terminal = Terminal(args.command, quiet=args.quiet, verbose=args.verbose, live=live)
         _check_targets(args)
         with args.terminal, warnings.catch_warnings():
             warnings.simplefilter(
@@ -170,14 +173,3 @@ def _check_kept(args: argparse.Namespace, option: str, target: Path) -> None:
                 raise InputDataError(
                     f"--{option} is {str(target)!r}, which is read as well; give another name."
                 )
-
-
-def _seed(text: str) -> int:
-    """A seed: an integer that random generators take."""
-    try:
-        value = int(text)
-    except ValueError:
-        value = -1
-    if not 0 <= value < 2**63:
-        raise argparse.ArgumentTypeError(f"{text!r} is no integer from 0 to 2^63 - 1")
-    return value

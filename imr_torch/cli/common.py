@@ -18,7 +18,7 @@ from imr_torch.assimilate import En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.characterization import medium_of
 from imr_torch.cli.figures import save_figures
 from imr_torch.cli.options.names import DEFAULT_MODELS
-from imr_torch.cli.progress import Stage, Terminal
+from imr_torch.cli.progress import Stage
 from imr_torch.errors import InputDataError
 from imr_torch.files import read_json, without_nonfinite, write_json
 from imr_torch.material import PARAMETERS, Belief, reference_case, wide_prior
@@ -76,8 +76,6 @@ def with_medium(
 
 def with_engine(simulator: AnySimulator, args: argparse.Namespace) -> AnySimulator:
     """A simulator with the engine, threads and driving that the options name."""
-    if args.threads is not None and args.threads < 1:
-        raise InputDataError(f"--threads is {args.threads}; expected at least 1.")
     simulator = replace(simulator, engine=args.engine, threads=args.threads)
     if not getattr(args, "driving", None):
         return simulator
@@ -92,13 +90,9 @@ def simulator_of(args: argparse.Namespace, *, chunk: int = _CHUNK) -> Simulator:
     """
     simulator = with_engine(SIMULATORS[args.physics], args)
     workers = getattr(args, "workers", 1)
-    if workers < 1:
-        raise InputDataError(f"--workers is {workers}; expected at least 1.")
-    return (
-        simulator
-        if workers == 1
-        else ParallelSimulator(simulator, partial(process_pool, workers), chunk=chunk)
-    )
+    if workers == 1:
+        return simulator
+    return ParallelSimulator(simulator, partial(process_pool, workers), chunk=chunk)
 
 
 def prior_of(args: argparse.Namespace) -> Belief:
@@ -177,14 +171,6 @@ def parse_pair(text: str | None, option: str) -> tuple[float, float] | None:
     return first, second
 
 
-def check_counts(args: argparse.Namespace, *options: str) -> None:
-    """Refuse options that count something and are below 1."""
-    for option in options:
-        value = getattr(args, option)
-        if value is not None and value < 1:
-            raise InputDataError(f"--{option} is {value}; expected at least 1.")
-
-
 def rest_radius_of(args: argparse.Namespace) -> tuple[float, float] | None:
     """``--rest-radius`` as R_inf/Rmax and its standard deviation."""
     pair = parse_pair(args.rest_radius, "--rest-radius")
@@ -208,23 +194,19 @@ def progress_of(
     """Where a command reports its steps, or None with ``--quiet``.
 
     Args:
-        args: the options; ``terminal`` is made where the command line was not run through
-            :func:`imr_torch.cli.main`.
+        args: the options.
         stages: the stages to come.
         label: what they are of.
     """
     if args.quiet:
         return None
-    terminal = getattr(args, "terminal", None) or Terminal(
-        args.command, verbose=getattr(args, "verbose", False), live=False
-    )
-    terminal.plan(stages, label)
-    return terminal
+    args.terminal.plan(stages, label)
+    return args.terminal
 
 
 def command_line(args: argparse.Namespace) -> str:
     """The command line as it was typed."""
-    return shlex.join(["imr-torch", *getattr(args, "argv", (args.command,))])
+    return shlex.join(["imr-torch", *args.argv])
 
 
 def header_of(args: argparse.Namespace) -> dict[str, Any]:
@@ -269,7 +251,6 @@ def show_result(
     args: argparse.Namespace,
     document: dict[str, Any],
     *,
-    folder: Path | None = None,
     report: str = "",
 ) -> None:
     """Draw the figures of a result into ``--out`` and its page into ``--html``, where given.
@@ -277,12 +258,10 @@ def show_result(
     Args:
         args: the options.
         document: with its header, as :func:`write_result` returns it.
-        folder: of the figures, where it is not ``--out``.
         report: what the page holds as text; the report of the document when not given.
     """
-    folder = folder or (Path(args.out) if args.out else None)
-    if folder:
-        for failure in save_figures(draw_figures(document), folder):
+    if args.out:
+        for failure in save_figures(draw_figures(document), Path(args.out)):
             print(f"imr-torch: {failure}", file=sys.stderr)
     if getattr(args, "html", None):
         write_page(document, args.html, report=report)

@@ -43,8 +43,6 @@ _CHUNK = 360  # half of what 25 effects and three experiments take
 def run(args: argparse.Namespace) -> None:
     """Check everything that was asked for, diagnose, report."""
     started = time.perf_counter()
-    if args.most < 1:
-        raise InputDataError(f"--most is {args.most}; expected at least 1 effect to add.")
     simulator = simulator_of(args, chunk=_CHUNK)
     effects = _effects(args)
     base = wide_prior((args.base,), known=parse_values(args.known, "--known")).models[0]

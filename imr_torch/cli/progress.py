@@ -159,7 +159,8 @@ class Terminal:
             parts.append(f"stage {self.at + 1} of {len(self.stages)}")
         parts.append(_clock(elapsed))
         if done >= _EARLY:
-            parts.append(f"about {_clock(elapsed * (1.0 - done) / done)} left")
+            left = _clock(elapsed * (1.0 - done) / done)
+            parts.append(f"{100 * done:.0f} %, about {left} left")
         stage = self.stages[self.at].name if self.stages else ""
         doing = ", ".join(filter(None, (stage, self.step)))
         return ", ".join(parts) + (f": {doing}" if doing else "")

@@ -6,12 +6,12 @@ Sections that have nothing to say are folded away. The words say all that the fi
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from imr_torch.gap.figures import gap_figures
 from imr_torch.gap.hypotheses import in_words
 from imr_torch.gap.text import Document, hidden_rows, sections
-from imr_torch.html import Block, Picture, Table, write
-from imr_torch.html import page as html_page
+from imr_torch.html import render, write
 from imr_torch.material import PARAMETERS
 
 _CURVES = 6
@@ -51,27 +51,27 @@ def write_page(
     ...     "<title>Gel 7</title>" in write_page(document, Path(folder) / "gap.html", name="Gel 7").read_text()
     True
     """
-    pictures: dict[str, list[Picture]] = {}
+    pictures: dict[str, list[dict[str, str]]] = {}
     for figure in gap_figures(document, curves=_CURVES):
         pictures.setdefault(figure.section, []).append(figure.picture())
     verdict, *others = sections(document)
-    blocks = [
-        Block("The gel", (Table(_gel(document)), *pictures.get(verdict.heading, ()))),
-        Block("The curves", tuple(pictures.get("The curves", ()))),
+    blocks: list[tuple[str, Sequence[Any], bool]] = [
+        ("The gel", (((), _gel(document)), *pictures.get(verdict.heading, ())), False),
+        ("The curves", pictures.get("The curves", ()), False),
     ]
     for section in others:
-        said: tuple[str | Table, ...] = section.sentences
+        said: tuple[Any, ...] = section.sentences
         if section.heading == _HIDDEN and document["hidden"]:
-            rows = tuple(hidden_rows(document))
-            said = (section.sentences[0], Table(rows, head=_HIDDEN_HEAD))
+            said = (section.sentences[0], (_HIDDEN_HEAD, list(hidden_rows(document))))
         content = (*said, *pictures.get(section.heading, ()))
-        blocks.append(Block(section.heading, content, folded=section.folded))
+        blocks.append((section.heading, content, section.folded))
     if facts:
-        blocks.append(Block("Files, medium and software", (Table(tuple(facts)),), folded=True))
-    text = html_page(
-        name,
-        verdict.sentences,
-        blocks,
+        blocks.append(("Files, medium and software", [((), facts)], True))
+    text = render(
+        "blocks.html",
+        title=name,
+        verdict=verdict.sentences,
+        blocks=blocks,
         warning=document["verdict"] != "none",
         next_step=document["next_step"],
         footer=footer,

@@ -189,7 +189,7 @@ def _campaign_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
             "was chosen.",
             f"Map over We and R_inf/Rmax; chosen is We {search['design']['We']:.0f}, "
             f"{search['design']['R_inf*']:.3f}.",
-            lambda s=search: draw_information(s["map"], s["evaluations"], s["design"]),
+            lambda search=search: draw_information(search),
         )
     for curve in document["curves"]:
         yield NamedFigure(
@@ -208,7 +208,7 @@ def _design_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
             "information" if number == 1 else f"information_{number}",
             "Expected information gain over designs; dots: evaluated, star: chosen.",
             f"Map; the star is at We {design['We']:.0f}, R_inf* {design['R_inf*']:.3f}.",
-            lambda step=step: draw_information(step["map"], step["evaluations"], step["design"]),
+            lambda step=step: draw_information(step),
         )
 
 

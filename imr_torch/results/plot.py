@@ -23,7 +23,6 @@ from imr_torch.drawing import (
     CYCLE,
     DATA,
     MODEL,
-    PALE,
     SECOND,
     TRUTH,
     add_axis,
@@ -47,26 +46,11 @@ from imr_torch.observe import Experiment
 from imr_torch.simulate import Solution
 from imr_torch.units import Surroundings
 
-__all__ = [
-    "MODEL",
-    "PALE",
-    "TRUTH",
-    "draw_information",
-    "draw_parameters",
-    "information_map",
-    "plot_experiment",
-    "plot_information",
-    "plot_parameter",
-    "plot_places",
-    "plot_probabilities",
-    "plot_reliability",
-    "plot_solution",
-]
-
 _CURVES_SHOWN = 12
 _LINE = 0.06  # part of an axis below which a density is a line, and is drawn again in an inset
 _DRAWS = 1500  # of a joint plot
 _GRID = 60
+_SMOOTH = 1.5  # times the width of Scott's rule, so that contours of draws are no coast lines
 _LEVELS = torch.linspace(0.002, 0.998, 400, dtype=torch.float64)  # of a density
 
 
@@ -245,7 +229,7 @@ def _plot_pair(ax: Axes, x: Tensor, y: Tensor) -> None:
     """Draws of two parameters with smoothed contours that hold half and nine tenths of them."""
     ax.plot(x, y, ".", ms=1.5, color=MODEL, alpha=0.25)
     points = torch.stack((x, y)).numpy()
-    density = gaussian_kde(points)
+    density = gaussian_kde(points, bw_method=_SMOOTH * len(x) ** (-1.0 / 6.0))
     levels = np.quantile(density(points), (0.1, 0.5))
     grid = np.meshgrid(*np.linspace(points.min(1), points.max(1), _GRID).T)
     height = density(np.reshape(grid, (2, -1))).reshape(_GRID, _GRID)
@@ -269,10 +253,33 @@ def plot_probabilities(beliefs: Sequence[tuple[str, Belief]], *, ax: Axes | None
     return ax
 
 
-def information_map(search: DesignSearch) -> dict[str, Any]:
-    """The surrogate's expected information gain over the design space, JSON-ready: We, R_inf*, and
-    rows of nats over We.
+def search_document(search: DesignSearch, surroundings: Surroundings) -> dict[str, Any]:
+    """A search for a design, JSON-ready: the chosen design, the evaluated ones with their gains, and
+    the map of the surrogate's expected information gain (We, R_inf*, and rows of nats over We).
+
+    Args:
+        search: a finished search.
+        surroundings: the liquid side, which fixes Rmax of a Weber number.
     """
+    rows = []
+    for (weber, rest), gain in zip(search.designs.tolist(), search.gains, strict=True):
+        row = {"We": weber, "R_inf*": rest, "counted": gain.counted, "drawn": gain.drawn}
+        if gain.value == gain.value:
+            row |= {"eig": gain.value, "sd": gain.variance**0.5}
+            row |= {"parameters": gain.parameters, "model": gain.model}
+        rows.append(row)
+    chosen = design_document(search.recommendation.design, surroundings)
+    return {"design": chosen, "evaluations": rows, "map": _information_map(search)}
+
+
+def design_document(design: Float[Tensor, "2"], surroundings: Surroundings) -> dict[str, float]:
+    """A design (We, R_inf*), JSON-ready: dimensionless, and as sizes in m."""
+    weber, rest = design.tolist()
+    size = float(surroundings.max_radius(weber))
+    return {"We": weber, "R_inf*": rest, "Rmax_m": size, "R_inf_m": rest * size}
+
+
+def _information_map(search: DesignSearch) -> dict[str, Any]:
     low, high = search.optimizer.space.bounds
     weber, rest = (
         torch.linspace(float(low[i]), float(high[i]), _GRID, dtype=torch.float64) for i in (0, 1)
@@ -296,34 +303,24 @@ def plot_information(
         surroundings: the liquid side, which fixes Rmax of a Weber number; the default one when not
             given.
     """
-    evaluated = [{"We": float(we), "R_inf*": float(rest)} for we, rest in search.designs]
-    weber, rest = search.recommendation.design.tolist()
-    per_weber = float((surroundings or Surroundings()).max_radius(1.0))
-    chosen = {"We": weber, "R_inf*": rest, "Rmax_m": per_weber * weber}
-    return draw_information(information_map(search), evaluated, chosen, ax=ax)
+    return draw_information(search_document(search, surroundings or Surroundings()), ax=ax)
 
 
-def draw_information(
-    values: Mapping[str, Any],
-    evaluated: Sequence[Mapping[str, float]],
-    chosen: Mapping[str, float],
-    *,
-    ax: Axes | None = None,
-) -> Axes:
+def draw_information(found: Mapping[str, Any], *, ax: Axes | None = None) -> Axes:
     """The same from the numbers of a result document.
 
     Args:
-        values: the map, from :func:`information_map`.
-        evaluated: designs that were evaluated, with ``We`` and ``R_inf*``.
-        chosen: the chosen design, with ``Rmax_m`` if Rmax is to be a second axis.
+        found: from :func:`search_document`.
         ax: where to draw.
     """
+    values = found["map"]
+    chosen = found["design"]
     ax = axes_or_new(ax, (5.6, 4.2))
     weber, rest = floats(values["We"]), floats(values["R_inf*"])
     filled = ax.contourf(weber, rest, floats(values["nats"]), levels=15, cmap="viridis")
     ax.figure.colorbar(filled, ax=ax, label="expected information gain (nats)")
     dots = {"ms": 3.5, "color": "white", "mec": "black", "mew": 0.4, "clip_on": False}
-    we, r = ([row[name] for row in evaluated] for name in ("We", "R_inf*"))
+    we, r = ([row[name] for row in found["evaluations"]] for name in ("We", "R_inf*"))
     ax.plot(we, r, "o", label="evaluated", **dots)
     star = {"ms": 16, "ls": "none", "color": TRUTH, "mec": "white", "zorder": 5}
     ax.plot(chosen["We"], chosen["R_inf*"], "*", label="chosen", **star)
@@ -332,8 +329,7 @@ def draw_information(
     ax.set(xlabel=WEBER, ylabel=REST_RADIUS)
     below = {"loc": "upper left", "bbox_to_anchor": (0.0, -0.16), "borderaxespad": 0.0}
     ax.legend(frameon=False, fontsize=8, ncols=2, **below)
-    if "Rmax_m" in chosen:
-        add_axis(ax, "top", 1e6 * chosen["Rmax_m"] / chosen["We"], r"$R_\mathrm{max}$ (µm)")
+    add_axis(ax, "top", 1e6 * chosen["Rmax_m"] / chosen["We"], r"$R_\mathrm{max}$ (µm)")
     return ax
 
 

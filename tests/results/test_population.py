@@ -74,7 +74,6 @@ def test_that_the_page_states_median_scatter_and_evidence() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--population", "--each"], "--population takes the curves as shots of one gel"),
         (["--scatter-scale", "0.3"], "--scatter-scale is about --population"),
     ],
 )

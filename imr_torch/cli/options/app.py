@@ -12,6 +12,8 @@ is printed, and loads nothing from elsewhere. It needs the extra `app`: pip inst
 
 import argparse
 
+from imr_torch.cli.options.shared import InRange
+
 NAME = "app"
 SUMMARY = "the same in the browser, on this machine"
 WITHOUT = ("seed", "engine", "json")
@@ -27,7 +29,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder of files and results (default %(default)s)",
     )
     parser.add_argument(
-        "--port", type=int, default=0, metavar="N", help="where to listen (default: a free port)"
+        "--port",
+        action=InRange,
+        low=0,
+        high=65535,
+        type=int,
+        default=0,
+        metavar="N",
+        help="where to listen (default: a free port)",
     )
     parser.add_argument(
         "--no-browser", action="store_true", help="print the address and open no browser"

@@ -18,6 +18,7 @@ import argparse
 
 from imr_torch.cli.options.names import METHODS
 from imr_torch.cli.options.shared import (
+    InRange,
     add_medium_argument,
     add_physics_argument,
     add_prior_arguments,
@@ -47,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_window_arguments(parser)
     parser.add_argument("--method", choices=METHODS, default="map", help="as for characterize")
     parser.add_argument(
-        "--workers", type=int, metavar="N", help="processes (default: one per core)"
+        "--workers", action=InRange, type=int, metavar="N", help="processes (default: one per core)"
     )
     parser.add_argument(
         "--cluster",

@@ -44,6 +44,7 @@ import argparse
 
 from imr_torch.cli.options.design import add_space_arguments
 from imr_torch.cli.options.shared import (
+    InRange,
     add_medium_argument,
     add_physics_argument,
     add_prior_arguments,
@@ -83,7 +84,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "of parameters, as G=.2",
     )
     parser.add_argument(
-        "--designs", type=int, default=2, help="experiments of a simulated campaign (default 2)"
+        "--designs",
+        action=InRange,
+        type=int,
+        default=2,
+        help="experiments of a simulated campaign (default 2)",
     )
     parser.add_argument(
         "--policy",
@@ -116,6 +121,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--q",
+        action=InRange,
         type=int,
         default=1,
         help="designs to choose together, shoot and learn from at once (default 1)",

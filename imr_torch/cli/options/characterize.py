@@ -18,8 +18,8 @@ collapse_time_sd_s, 20 ns if not given, rmax_sd_m, stretch_sd), alone or beside 
 gel. --medium states density, sound speed, surface tension, temperature and ambient pressure of the
 gel (--medium water,temperature=310,density=1125:11: with a standard deviation it is inferred beside
 the gel); the report says what was assumed and whether that matters. All curves are taken to be of
-one gel and are fitted together; --each fits every curve by itself, which shows whether they agree,
-and --population says how much the gel differs between them, by evidence. The report says whether
+one gel and are fitted together; imr-torch batch --each fits every curve by itself, which shows
+whether they agree, and --population says how much the gel differs between them, by evidence. The report says whether
 the model explains the curves, which rows were left out, which frames were fitted, and why.
 """
 
@@ -51,9 +51,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_reading_arguments(parser)
     parser.add_argument("--experiments", metavar="ID,...", help="fit only these experiments")
     parser.add_argument("--exclude", metavar="ID,...", help="leave these experiments out")
-    parser.add_argument(
-        "--each", action="store_true", help="fit every curve by itself instead of all together"
-    )
     parser.add_argument(
         "--population",
         action="store_true",

@@ -10,6 +10,7 @@ import argparse
 
 from imr_torch.cli.options.names import ESTIMATORS, EVALUATIONS, STRATEGIES, TARGETS
 from imr_torch.cli.options.shared import (
+    InRange,
     add_medium_argument,
     add_output_arguments,
     add_physics_argument,
@@ -26,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_space_arguments(parser)
     parser.add_argument(
         "--q",
+        action=InRange,
         type=int,
         default=1,
         help="designs to prepare together, each chosen beside those before it (default 1)",
@@ -49,7 +51,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of the information gain (default laplace)",
     )
     parser.add_argument(
-        "--draws", type=int, default=16, help="draws per model of each estimate (default 16)"
+        "--draws",
+        action=InRange,
+        type=int,
+        default=16,
+        help="draws per model of each estimate (default 16)",
     )
     add_output_arguments(parser)
     add_medium_argument(parser)
@@ -74,11 +80,13 @@ def add_space_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--repeats",
+        action=InRange,
         type=int,
         help="curves per design (default 100 with --case, as in the literature, else 10)",
     )
     parser.add_argument(
         "--evaluations",
+        action=InRange,
         type=int,
         default=EVALUATIONS,
         help="designs evaluated in each search (default %(default)s)",

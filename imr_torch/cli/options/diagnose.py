@@ -15,6 +15,7 @@ import argparse
 
 from imr_torch.cli.options.names import EFFECTS_ADDED, MODELS
 from imr_torch.cli.options.shared import (
+    InRange,
     add_driving_argument,
     add_medium_argument,
     add_output_arguments,
@@ -63,7 +64,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--experiments", metavar="ID,...", help="use only these experiments")
     add_reading_arguments(parser)
     parser.add_argument(
-        "--collapses", type=int, help="collapses in the window of a curve (default 2)"
+        "--collapses",
+        action=InRange,
+        type=int,
+        help="collapses in the window of a curve (default 2)",
     )
     parser.add_argument(
         "--noise",
@@ -72,6 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--most",
+        action=InRange,
         type=int,
         default=EFFECTS_ADDED,
         metavar="N",

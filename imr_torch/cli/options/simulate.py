@@ -11,6 +11,7 @@ import argparse
 
 from imr_torch.cli.options.names import MODELS
 from imr_torch.cli.options.shared import (
+    InRange,
     add_driving_argument,
     add_medium_argument,
     add_output_arguments,
@@ -31,14 +32,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--set", default="", metavar="NAME=VALUE,...", help="parameters of the model in SI units"
     )
     parser.add_argument(
-        "--we", type=float, default=300.0, help="Weber number (default 300: Rmax 332 um)"
+        "--we",
+        action=InRange,
+        low=1e-3,
+        high=1e5,
+        type=float,
+        default=300.0,
+        help="Weber number (default 300: Rmax 332 um)",
     )
     parser.add_argument("--rinf", type=float, default=0.2, help="R_inf/Rmax (default 0.2)")
     parser.add_argument(
-        "--until", type=float, default=4.0, help="last time, in Rmax/U_c (default 4)"
+        "--until",
+        action=InRange,
+        low=1e-3,
+        high=1e3,
+        type=float,
+        default=4.0,
+        help="last time, in Rmax/U_c (default 4)",
     )
     parser.add_argument(
-        "--frames", type=int, default=161, help="number of output times (default 161)"
+        "--frames",
+        action=InRange,
+        low=2,
+        high=10**6,
+        type=int,
+        default=161,
+        help="number of output times (default 161)",
     )
     parser.add_argument(
         "--accuracy",
