@@ -44,17 +44,16 @@ class NamedFigure:
     """A figure to be drawn.
 
     Args:
-            name: of its file, without an extension.
-            caption: what it shows.
-            alt: the same for who cannot see it, with what is to be seen.
-            plot: draws it, or its axes; may fail.
-            section: heading of the section of a page that it stands in, where the page has several.
+        name: of its file, without an extension.
+        caption: what it shows.
+        alt: the same for who cannot see it, with what is to be seen.
+        plot: draws it, or its axes; may fail.
+        section: heading of the section of a page that it stands in, where the page has several.
 
-        >>> from matplotlib.figure import Figure
-    from matplotlib.ticker import LogLocator
-        >>> from imr_torch.results import NamedFigure
-        >>> NamedFigure("curve_a", "Radius.", "Line chart.", Figure).picture()["source"][:22]
-        'data:image/png;base64,'
+    >>> from matplotlib.figure import Figure
+    >>> from imr_torch.results import NamedFigure
+    >>> NamedFigure("curve_a", "Radius.", "Line chart.", Figure).picture()["source"][:22]
+    'data:image/png;base64,'
     """
 
     name: str

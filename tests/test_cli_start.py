@@ -84,8 +84,8 @@ def test_that_names_written_out_for_help_are_those_of_the_registries(written, me
 
 
 def test_that_every_subcommand_has_options_and_a_run():
-    for options in COMMANDS:
-        assert callable(__import__(f"imr_torch.cli.{options.NAME}", fromlist=["run"]).run)
+    for name in COMMANDS:
+        assert callable(__import__(f"imr_torch.cli.{name}", fromlist=["run"]).run)
 
 
 def test_that_public_names_of_the_package_are_what_their_modules_define():

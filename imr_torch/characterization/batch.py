@@ -157,11 +157,6 @@ class BatchSummary:
         last = ("rmse", "verdict", "cpu_seconds", "error")
         return tuple(name for name in (*known, *last) if name in found)
 
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """Parameters that some shot has."""
-        return tuple(name for name in PARAMETERS.names if name in self.columns)
-
     def count(self, status: str) -> int:
         """Shots of a status."""
         return sum(row["status"] == status for row in self.rows)
@@ -192,7 +187,6 @@ class _Run:
     """A run in progress: where results go, and what is known so far."""
 
     folder: Path
-    options: BatchOptions
     rows: dict[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def keep(self, shot: Shot, document: Mapping[str, Any]) -> None:
@@ -245,7 +239,7 @@ def run_batch(
     if window < 1:
         raise InputDataError(f"run_batch: window is {window}; expected at least 1.")
     files = find_files(*paths)
-    run = _Run(Path(folder), options)
+    run = _Run(Path(folder))
     old = _results(run.folder / SHOTS)
     order = []
     wanted = []

@@ -1,7 +1,7 @@
 """The command ``imr-torch``: results as text, JSON and figures.
 
-Each subcommand has two modules of its name: help and options in :mod:`imr_torch.cli.options`, which
-are light, and what it runs in :mod:`imr_torch.cli`, imported when it is asked for.
+Help and options of the subcommands are in :mod:`imr_torch.cli.options`, which is light; what each
+runs is in the module of its name in :mod:`imr_torch.cli`, imported when it is asked for.
 
 Exit status: 0 done, 2 input that cannot be used (the message says what to do), 1 a computation that
 did not converge or a file that could not be written, 130 interrupted by the user.
@@ -14,10 +14,11 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
+from inspect import cleandoc
 from pathlib import Path
 
-from imr_torch.cli.completion import PrintCompletion
-from imr_torch.cli.options import COMMANDS
+from imr_torch.cli.completion import SHELLS, PrintCompletion
+from imr_torch.cli.options import COMMANDS, WITHOUT
 from imr_torch.cli.options.shared import InRange, add_engine_arguments
 from imr_torch.cli.progress import Terminal
 from imr_torch.errors import ConvergenceError, ConvergenceWarning, ImrError, InputDataError
@@ -37,18 +38,19 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument(
         "--print-completion",
         action=PrintCompletion,
+        choices=SHELLS,
         help="print the script that completes this command in a shell",
     )
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for module in COMMANDS:
+    for name, (summary, add_options) in COMMANDS.items():
         sub = commands.add_parser(
-            module.NAME,
-            help=module.SUMMARY,
-            description=module.__doc__,
+            name,
+            help=summary,
+            description=cleandoc(add_options.__doc__ or ""),
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
-        module.add_arguments(sub)
-        left_out = getattr(module, "WITHOUT", ())
+        add_options(sub)
+        left_out = WITHOUT.get(name, ())
         if "seed" not in left_out:
             sub.add_argument(
                 "--seed",

@@ -1,4 +1,4 @@
-"""Runs ``imr-torch app``; its help and options are in :mod:`imr_torch.cli.options.app`."""
+"""Runs ``imr-torch app``."""
 
 import argparse
 from functools import partial

@@ -1,4 +1,4 @@
-"""Runs ``imr-torch batch``; its help and options are in :mod:`imr_torch.cli.options.batch`."""
+"""Runs ``imr-torch batch``."""
 
 import argparse
 from collections.abc import Callable, Iterator

@@ -1,7 +1,4 @@
-"""Runs ``imr-torch campaign``.
-
-Its help and options are in :mod:`imr_torch.cli.options.campaign`.
-"""
+"""Runs ``imr-torch campaign``."""
 
 import argparse
 import math

@@ -1,7 +1,4 @@
-"""Runs ``imr-torch characterize``.
-
-Its help and options are in :mod:`imr_torch.cli.options.characterize`.
-"""
+"""Runs ``imr-torch characterize``."""
 
 import argparse
 import shlex

@@ -188,25 +188,17 @@ def layout_of(args: argparse.Namespace) -> Layout | None:
     return None if args.layout is None else Layout.from_text(args.layout)
 
 
-def progress_of(
-    args: argparse.Namespace, stages: Sequence[Stage] = (), label: str = ""
-) -> Progress | None:
+def progress_of(args: argparse.Namespace, stages: Sequence[Stage] = ()) -> Progress | None:
     """Where a command reports its steps, or None with ``--quiet``.
 
     Args:
         args: the options.
         stages: the stages to come.
-        label: what they are of.
     """
     if args.quiet:
         return None
-    args.terminal.plan(stages, label)
+    args.terminal.plan(stages)
     return args.terminal
-
-
-def command_line(args: argparse.Namespace) -> str:
-    """The command line as it was typed."""
-    return shlex.join(["imr-torch", *args.argv])
 
 
 def header_of(args: argparse.Namespace) -> dict[str, Any]:
@@ -223,7 +215,8 @@ def header_of(args: argparse.Namespace) -> dict[str, Any]:
     medium = getattr(args, "gel_medium", None) or (
         SIMULATORS[physics].conditions.surroundings if physics else None
     )
-    return header(args.command, files=files, medium=medium, command=command_line(args)) | {
+    command = shlex.join(["imr-torch", *args.argv])
+    return header(args.command, files=files, medium=medium, command=command) | {
         "physics": physics,
         "seed": getattr(args, "seed", None),
     }

@@ -1,4 +1,4 @@
-"""Runs ``imr-torch demo``; its help and options are in :mod:`imr_torch.cli.options.demo`."""
+"""Runs ``imr-torch demo``."""
 
 import argparse
 import shlex

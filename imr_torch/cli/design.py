@@ -1,4 +1,4 @@
-"""Runs ``imr-torch design``; its help and options are in :mod:`imr_torch.cli.options.design`."""
+"""Runs ``imr-torch design``."""
 
 import argparse
 from collections.abc import Callable

@@ -1,7 +1,4 @@
-"""Runs ``imr-torch diagnose``.
-
-Its help and options are in :mod:`imr_torch.cli.options.diagnose`.
-"""
+"""Runs ``imr-torch diagnose``."""
 
 import argparse
 import time

@@ -1,4 +1,4 @@
-"""Runs ``imr-torch plot``; its help and options are in :mod:`imr_torch.cli.options.plot`."""
+"""Runs ``imr-torch plot``."""
 
 import argparse
 from dataclasses import replace

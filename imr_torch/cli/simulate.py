@@ -1,7 +1,4 @@
-"""Runs ``imr-torch simulate``.
-
-Its help and options are in :mod:`imr_torch.cli.options.simulate`.
-"""
+"""Runs ``imr-torch simulate``."""
 
 import argparse
 

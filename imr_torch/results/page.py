@@ -3,7 +3,6 @@ and the figures that are drawn from it.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -30,14 +29,6 @@ TITLES = {
     "compare": "Two gels compared",
 }
 """Results that have a report and a page, and the title of the page."""
-
-
-@dataclass(frozen=True)
-class DrawnFigures:
-    """Figures as pictures of a page, and a sentence for each that could not be drawn."""
-
-    pictures: list[Mapping[str, str]] = field(default_factory=list)
-    failed: list[str] = field(default_factory=list)
 
 
 def document_report(document: Mapping[str, Any]) -> str:
@@ -95,6 +86,14 @@ def write_page(document: Mapping[str, Any], path: str | Path, *, report: str = "
         document: as for :func:`document_page`, or of ``diagnose``.
         path: of the file.
         report: as for :func:`document_page`.
+
+    >>> import tempfile
+    >>> from imr_torch.results import header, write_page
+    >>> design = {"We": 400.0, "R_inf*": 0.2, "Rmax_m": 5.7e-4}
+    >>> document = header("design") | {"design": design, "eig": 3.2, "eig_sd": 0.1, "evaluations": [], "map": None}
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_page(document, f"{folder}/design.html")
+    wrote ...design.html
     """
     if "verdict" in document and "examined" in document:
         moved = document.get("medium_sensitivities", ())
@@ -147,17 +146,19 @@ def _names(document: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _drawn(figures: Iterable[NamedFigure]) -> DrawnFigures:
-    drawn = DrawnFigures()
+def _drawn(figures: Iterable[NamedFigure]) -> dict[str, list[Any]]:
+    """Figures as pictures of a page, and a sentence for each that could not be drawn."""
+    pictures = []
+    failed = []
     for item in figures:
         try:
-            drawn.pictures.append(item.picture())
+            pictures.append(item.picture())
         except Exception as error:  # a figure that fails costs the page nothing else
-            drawn.failed.append(
+            failed.append(
                 f"The figure {item.name} could not be drawn ({in_one_line(error)}); its numbers are "
                 "in the JSON."
             )
-    return drawn
+    return {"pictures": pictures, "failed": failed}
 
 
 def provenance_rows(document: Mapping[str, Any]) -> list[tuple[str, str]]:
