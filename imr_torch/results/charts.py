@@ -135,14 +135,13 @@ def _plot_autocorrelation(
 ) -> None:
     """Autocorrelation over lags in frames, pooled over curves, with what the noise law assumes."""
     count = min(_LAGS, max(len(row[0]) for row in rows) - 2)
-    total = np.zeros(count + 1)
-    pairs = np.zeros(count + 1)
-    for _, _, z in rows:
-        for sums, values in ((total, np.nan_to_num(z)), (pairs, np.isfinite(z).astype(float))):
-            lagged = np.correlate(values, values, "full")[len(z) - 1 :][: count + 1]
-            sums[: len(lagged)] += lagged
-    pairs = np.maximum(pairs, 1.0)
-    values = total / pairs / max(total[0] / pairs[0], 1e-300)
+    values = np.zeros(count + 1)
+    pairs = np.ones(count + 1)
+    for lag in range(count + 1):
+        products = np.concatenate([z[lag:] * z[: max(len(z) - lag, 0)] for _, _, z in rows])
+        pairs[lag] = max(np.isfinite(products).sum(), 1)
+        values[lag] = np.nansum(products) / pairs[lag]
+    values /= max(values[0], 1e-300)
     lags = np.arange(1, count + 1)
     width = 1.96 / np.sqrt(pairs[1:])
     ax.axhline(0.0, color=DATA, lw=0.6)
