@@ -50,6 +50,7 @@ DONE = "done"
 NOT_CONVERGED = "not converged"
 FAILED = "failed"
 _WINDOW = 64  # shots handed to an executor at a time
+_OF_READING = ("layout", "sort", "each")  # options that say how files are read, not how fitted
 _FEATURES = (
     "status",
     "explained",
@@ -285,17 +286,8 @@ def characterize_shot(traces: TraceSet | None, options: BatchOptions) -> dict[st
     """The result of one shot as a document, or ``{"error": ...}``: what a worker does."""
     try:
         assert traces is not None
-        result = characterize(
-            traces,
-            prior=options.prior,
-            simulator=options.simulator,
-            estimate_noise=options.estimate_noise,
-            collapses=options.collapses,
-            rest_radius=options.rest_radius,
-            options=options.options,
-            medium=options.medium,
-            seed=options.seed,
-        )
+        of_fit = {name: value for name, value in vars(options).items() if name not in _OF_READING}
+        result = characterize(traces, **of_fit)
         files = list({trace.source: None for trace in traces})
         document = header("characterize", files=files, medium=result.medium) | {
             "converged": result.converged,
