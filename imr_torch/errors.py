@@ -40,3 +40,13 @@ class PrecisionWarning(ImrWarning):
 
 class EngineWarning(ImrWarning):
     """The engine asked for could not be used; another one gave the same result, more slowly."""
+
+
+def in_one_line(error: BaseException) -> str:
+    r"""The kind and the text of any error, for a message.
+
+    >>> from imr_torch.errors import in_one_line
+    >>> in_one_line(ValueError("no such\nglyph"))
+    'ValueError: no such glyph'
+    """
+    return " ".join(f"{type(error).__name__}: {error}".split())

@@ -90,16 +90,6 @@ def symbol(name: str) -> str:
     return _SYMBOLS.get(name, name)
 
 
-def with_unit(text: str, unit: str) -> str:
-    """``text (unit)``, with the sign for micro; ``text`` alone for a number without a unit.
-
-    >>> from imr_torch.labels import with_unit
-    >>> with_unit("tau", "us"), with_unit("alpha", "1")
-    ('tau (µs)', 'alpha')
-    """
-    return text if unit in ("", "1") else f"{text} ({'µs' if unit == 'us' else unit})"
-
-
 def shown_unit(parameter: Any) -> str:
     """The unit in which a parameter is shown; empty for a number without one.
 
@@ -113,6 +103,21 @@ def shown_unit(parameter: Any) -> str:
     """
     unit = str(parameter.display_unit or parameter.unit)
     return {"1": "", "us": "µs", "um": "µm"}.get(unit, unit)
+
+
+def parameter_label(parameter: Any) -> str:
+    r"""Symbol and unit of a parameter, for an axis.
+
+    Args:
+        parameter: as for :func:`shown_unit`.
+
+    >>> from imr_torch.labels import parameter_label
+    >>> from imr_torch.material import PARAMETERS
+    >>> parameter_label(PARAMETERS["G"]), parameter_label(PARAMETERS["alpha"])
+    ('$G$ (kPa)', '$\\alpha$')
+    """
+    unit = shown_unit(parameter)
+    return f"{symbol(parameter.name)} ({unit})" if unit else symbol(parameter.name)
 
 
 def p_value(value: float) -> str:

@@ -64,7 +64,7 @@ def test_that_a_table_gives_result_figure_and_page(tmp_path, capsys) -> None:
     )
 
 
-@pytest.mark.parametrize("option", ["--each", "--scores", "--population"])
+@pytest.mark.parametrize("option", ["--scores", "--population"])
 def test_that_options_about_curves_are_refused(option: str, capsys) -> None:
     assert main(["characterize", str(TABLE), *QUICK, option]) == 2
     assert f"{option} is about curves, and {TABLE} holds collapse times" in capsys.readouterr().err

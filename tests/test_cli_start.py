@@ -17,7 +17,6 @@ from imr_torch.characterization import EFFORTS, FRAMES
 from imr_torch.cli import demo, main, parser
 from imr_torch.cli.common import METHODS, SIMULATORS
 from imr_torch.cli.design import ESTIMATORS
-from imr_torch.cli.figures import FORMATS
 from imr_torch.cli.options import COMMANDS, names
 from imr_torch.design import Strategy, Target
 from imr_torch.gap import diagnose
@@ -76,7 +75,6 @@ def test_that_the_version_is_that_of_the_package(capsys):
         (names.TARGETS, get_args(Target)),
         (names.STRATEGIES, get_args(Strategy)),
         (names.ESTIMATORS, ESTIMATORS),
-        (names.FORMATS, FORMATS),
         (
             (names.SCATTER_SCALE, names.EVALUATIONS, names.EFFECTS_ADDED),
             (SCALE, Optimal.evaluations, signature(diagnose).parameters["most"].default),
@@ -88,8 +86,8 @@ def test_that_names_written_out_for_help_are_those_of_the_registries(written, me
 
 
 def test_that_every_subcommand_has_options_and_a_run():
-    for options in COMMANDS:
-        assert callable(__import__(f"imr_torch.cli.{options.NAME}", fromlist=["run"]).run)
+    for name in COMMANDS:
+        assert callable(__import__(f"imr_torch.cli.{name}", fromlist=["run"]).run)
 
 
 def test_that_public_names_of_the_package_are_what_their_modules_define():
@@ -115,7 +113,9 @@ def test_that_the_demo_passes_options_on_resumes_and_keeps_other_files(
     monkeypatch.setattr("imr_torch.cli.main", lambda command: ran.append(command) or 0)
     out = tmp_path / "first look"
     kept = tmp_path / "first look" / "notes.txt"
-    args = parser().parse_args(["demo", "--out", str(out), "--threads", "1", "--quiet"])
+    words = ["demo", "--out", str(out), "--threads", "1", "--quiet"]
+    args = parser().parse_args(words)
+    args.argv = words
     demo.run(args)
     assert [command[0] for command in ran] == ["characterize", "campaign"]
     assert all(command[-5:] == ["--seed", "0", "--threads", "1", "--quiet"] for command in ran)

@@ -163,10 +163,6 @@ DOCUMENTS = {
     ),
     "another document": ('{"a": 1}', r"a\.json: holds no 'models' and 'belief'; expected a result"),
     "a list": ("[1]", r"a\.json: holds no 'models' and 'belief'"),
-    "many results": (
-        '{"each": {}}',
-        r"a\.json: holds the results of several curves \(--each\); run imr-torch batch --each",
-    ),
     "a broken belief": (
         '{"models": {}, "belief": {}}',
         r"a\.json: Expected a document of the format 'imr_torch belief 1'",

@@ -30,7 +30,18 @@ STAGES = (
     "gap",
     "export",
 )
-BASE = ("errors", "units", "random", "files", "types", "threads", "elementary", "labels", "html")
+BASE = (
+    "errors",
+    "units",
+    "random",
+    "files",
+    "types",
+    "threads",
+    "elementary",
+    "labels",
+    "html",
+    "drawing",
+)
 ROOMS = (
     "document",
     "example",

@@ -86,7 +86,8 @@ def test_that_a_star_on_the_border_is_inside_the_axes(place):
         "nats": (axis[:, None] + axis).tolist(),
     }
     chosen = {"We": place[0], "R_inf*": place[1], "Rmax_m": 1e-6 * place[0]}
-    ax = draw_information(values, [{"We": 300.0, "R_inf*": 0.2}], chosen)
+    evaluated = [{"We": 300.0, "R_inf*": 0.2}]
+    ax = draw_information({"map": values, "evaluations": evaluated, "design": chosen})
     ax.figure.canvas.draw()
     x, y = ax.transAxes.inverted().transform(ax.transData.transform(place))
     assert 0.03 < x < 0.97

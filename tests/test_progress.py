@@ -40,12 +40,12 @@ def test_that_stage_step_and_time_left_are_said():
     made("assimilation: iteration 2, nhkv cost 1")
     assert (
         made.line()
-        == "characterize, stage 2 of 4, 0:20, about 1:24 left: fit with the estimated noise (round 1 of 2), iteration 2"
+        == "characterize, stage 2 of 4, 0:20, 19 %, about 1:24 left: fit with the estimated noise (round 1 of 2), iteration 2"
     )
     made("noise 0.06 x the published law")
     made("fit test: does the model explain the curves?")
     assert "stage 4 of 4, " in made.line()
-    assert max(map(len, stream.getvalue().splitlines())) <= 110
+    assert max(map(len, stream.getvalue().splitlines())) <= 116
     assert "cost" not in stream.getvalue()
 
 
@@ -53,7 +53,10 @@ def test_that_counted_steps_give_the_time_left():
     made, _, clock = terminal(DESIGN)
     clock.now = 10.0
     made("design 5/25: We  300.0  R_inf* 0.200  EIG 1.0 +- 0.1 nats")
-    assert made.line() == "characterize, 0:10, about 0:40 left: search of designs, design 5 of 25"
+    assert (
+        made.line()
+        == "characterize, 0:10, 20 %, about 0:40 left: search of designs, design 5 of 25"
+    )
 
 
 def test_that_a_stage_that_is_skipped_is_passed_over():

@@ -138,7 +138,7 @@ def installed(wheel: Path, home: Path) -> list[str]:
     for way in ((command,), (python, "-m", "imr_torch")):
         if (said := ran(*way, "--version", cwd=home).strip()) != expected:
             wrong.append(f"{way} --version says {said!r} in place of {expected!r}")
-    script = "from imr_torch.cli.options import COMMANDS; print(*[c.NAME for c in COMMANDS])"
+    script = "from imr_torch.cli.options import COMMANDS; print(*COMMANDS)"
     for name in ran(python, "-c", script, cwd=home).split():
         ran(command, name, "--help", cwd=home)
     ran(command, "demo", "--short", "--quiet", cwd=home)

@@ -13,8 +13,8 @@ import matplotlib.pyplot as plt
 from imr_torch import characterize, example_gel, load_traces, wide_prior
 from imr_torch.assimilate import SearchOptions
 from imr_torch.characterization import intervals
+from imr_torch.drawing import MODEL, TRUTH
 from imr_torch.observe import Statement, gel_medium
-from imr_torch.results.plot import MODEL, TRUTH
 
 SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
 options = SearchOptions(raw_samples=32, starts=2) if SMOKE else None

@@ -14,11 +14,11 @@ import matplotlib.pyplot as plt
 import torch
 
 from imr_torch import PolytropicSimulator, wide_prior
+from imr_torch.drawing import MODEL, PALE, TRUTH
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import SimulatedLaboratory
 from imr_torch.population import fit_shots, infer_population
 from imr_torch.random import generator
-from imr_torch.results.plot import MODEL, PALE, TRUTH
 
 SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
 

@@ -26,10 +26,10 @@ from imr_torch.campaign import (
     PopulationLearner,
 )
 from imr_torch.design import Plan
+from imr_torch.drawing import MODEL, PALE, TRUTH
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Noise, SimulatedLaboratory
 from imr_torch.random import child, generator
-from imr_torch.results.plot import MODEL, PALE, TRUTH
 
 SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
 HOME = tempfile.mkdtemp()

@@ -34,6 +34,7 @@ PACKAGES = {
     "characterization.saved": "Results read from their files",
     "example": "The example gel",
     "results.plot": "Figures",
+    "drawing": "What figures have in common",
     "units": "SI and dimensionless",
     "elementary": "Functions that laws are written with",
     "files": "Files",

@@ -1,4 +1,4 @@
-"""What the forms of the application say, as the arguments of the commands."""
+"""The forms of the application, and what they say as the arguments of the commands."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -29,32 +29,24 @@ DEFAULTS: dict[str, Any] = {
 }
 """Option -> what the command takes where it is not given."""
 
-_READING = ("layout", "experiments", "medium")
-_FITTING = ("known", "rest_radius", "collapses", "physics")
-OPTIONS: dict[str, tuple[str, ...]] = {
+FORMS: dict[str, tuple[tuple[str, ...], ...]] = {
     "characterize": (
-        *_READING,
-        "models",
-        *_FITTING,
-        "frames",
-        "population",
-        "profile",
-        "scores",
+        ("experiments",),
+        ("models", "physics", "collapses", "frames"),
+        ("population", "profile", "scores"),
+        ("known", "rest_radius"),
     ),
-    "diagnose": (*_READING, "base", *_FITTING, "most"),
+    "diagnose": (
+        ("experiments",),
+        ("base", "physics", "collapses", "most"),
+        ("known", "rest_radius"),
+    ),
     "design": (
-        "belief",
-        "models",
-        "q",
-        "medium",
-        "physics",
-        "we_range",
-        "rinf_range",
-        "target",
-        "evaluations",
+        ("belief", "models", "target", "physics"),
+        ("we_range", "rinf_range", "q", "evaluations"),
     ),
 }
-"""Command -> the options that its form has."""
+"""Command -> the rows of its form."""
 
 
 def command_arguments(
@@ -66,19 +58,23 @@ def command_arguments(
         command: ``characterize``, ``diagnose`` or ``design``.
         values: option -> its value; what is not named is as in :data:`DEFAULTS`.
         folder: where results go.
-        files: what is read.
+        files: what is read; how, ``layout`` says.
 
     >>> from imr_torch.app.commands import command_arguments
     >>> command_arguments("characterize", {"frames": "robust", "profile": True}, "results/001", files=["files/gel.csv"])[:5]
     ['characterize', 'files/gel.csv', '--frames', 'robust', '--profile']
     """
     words = [command, *files]
-    for name in OPTIONS[command]:
-        value = values.get(name)
+    options = [name for row in FORMS[command] for name in row]
+    for name in ("layout", "medium", *options) if files else (*options, "medium"):
         default = DEFAULTS[name]
-        if value in (None, default) or (name == "models" and values.get("belief")):
+        value = values.get(name)
+        value = (value.strip() if isinstance(value, str) else value) or default
+        if value == default or (name == "models" and values.get("belief")):
             continue
         words.append(f"--{name.replace('_', '-')}")
-        if value is not True:
-            words.append(",".join(value) if isinstance(default, list) else f"{value}")
+        if isinstance(value, list):
+            words.append(",".join(value))
+        elif value is not True:
+            words.append(f"{value:g}" if isinstance(value, float) else f"{value}")
     return [*words, "--out", folder, "--html", f"{folder}/page.html"]

@@ -22,10 +22,10 @@ from os import environ
 from pathlib import Path
 
 from imr_torch.errors import InputDataError
-from imr_torch.files import read_json, write_atomically, write_json
+from imr_torch.files import read_json, write_json
 
 _COMMAND = "import sys; from imr_torch.cli import main; sys.exit(main(sys.argv[1:], live=True))"
-_TIME = re.compile(r"((?:\d+:)?\d+:\d\d), about ((?:\d+:)?\d+:\d\d) left")
+_PART = re.compile(r"(\d+) %")
 _PATIENCE = 10.0  # seconds that a stopped command has to end by itself
 _ANSWERED = (0, 2, 130)  # exit statuses of a command that ends by itself, or answers a stop
 _STATUS = {
@@ -105,25 +105,19 @@ class Run:
     def __init__(self, result: Result, home: Path) -> None:
         self.result = result
         self.line = "starting"
-        self._messages: list[str] = []
         self._stopping = False
-        self._process = subprocess.Popen(
-            [sys.executable, "-c", _COMMAND, *result.arguments],
-            cwd=home,
-            env=environ | {"PYTHONIOENCODING": "utf-8", "PYTHONUNBUFFERED": "1", "COLUMNS": "160"},
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
-        )
-        self._output: list[bytes] = []
-        self._readers = [
-            threading.Thread(target=read, daemon=True)
-            for read in (self._read_output, self._read_messages)
-        ]
-        for reader in self._readers:
-            reader.start()
-        self._end = threading.Thread(target=self._finish, daemon=True)
+        with open(result.folder / "output.txt", "wb") as output:
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", _COMMAND, *result.arguments],
+                cwd=home,
+                env=environ
+                | {"PYTHONIOENCODING": "utf-8", "PYTHONUNBUFFERED": "1", "COLUMNS": "160"},
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.PIPE,
+                creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
+            )
+        self._end = threading.Thread(target=self._follow, daemon=True)
         self._end.start()
 
     @property
@@ -134,11 +128,8 @@ class Run:
     @property
     def part(self) -> float | None:
         """Part of the work that is done, roughly; None as long as it is not known."""
-        times = _TIME.search(self.line)
-        if times is None:
-            return None
-        elapsed, left = map(_seconds, times.groups())
-        return elapsed / max(elapsed + left, 1.0)
+        found = _PART.search(self.line)
+        return int(found[1]) / 100 if found else None
 
     def stop(self) -> None:
         """Stop it; what was written stays."""
@@ -157,38 +148,26 @@ class Run:
         except subprocess.TimeoutExpired:
             self._process.kill()
 
-    def _read_output(self) -> None:
-        assert self._process.stdout is not None
-        self._output += list(self._process.stdout)
-
-    def _read_messages(self) -> None:
-        """Standard error: a line that ends with a carriage return is progress, any other a message."""
+    def _follow(self) -> None:
+        """Read standard error to its end, where a line that ends with a carriage return is progress
+        and any other a message, and keep the messages and how the command ended.
+        """
         assert self._process.stderr is not None
-        reader = io.TextIOWrapper(
+        stream = io.TextIOWrapper(
             self._process.stderr, encoding="utf-8", errors="replace", newline=""
         )
-        for line in reader:
-            if not (text := line.strip()):
-                continue
+        messages = []
+        for line in stream:
+            text = line.strip()
             if line.endswith("\r"):
-                self.line = text
-            else:
-                self._messages.append(text)
-
-    def _finish(self) -> None:
+                self.line = text or self.line
+            elif text:
+                messages.append(text)
         status = self._process.wait()
-        for reader in self._readers:
-            reader.join()
         if self._stopping and status not in _ANSWERED:
             status = 130  # before Python could answer, or killed since it did not
-            self._messages.clear()
-        for name, content in (
-            ("output.txt", b"".join(self._output)),
-            ("messages.txt", "\n".join(self._messages).encode()),
-        ):
-            write_atomically(
-                self.result.folder / name, lambda stream, content=content: stream.write(content)
-            )
+            messages.clear()
+        (self.result.folder / "messages.txt").write_text("\n".join(messages), encoding="utf-8")
         _write_record(self.result, status)
 
 
@@ -256,12 +235,6 @@ class Runs:
             if result.name == name:
                 return result
         raise InputDataError(f"There is no result {name!r}.")
-
-
-def _seconds(clock: str) -> float:
-    return float(
-        sum(60**power * int(part) for power, part in enumerate(reversed(clock.split(":"))))
-    )
 
 
 def _write_record(result: Result, status: int | None) -> None:

@@ -6,9 +6,9 @@ from typing import Any
 
 from nicegui import events, ui
 
+from imr_torch.app.problems import problems_notified, problems_shown
 from imr_torch.app.workspace import CurveView, Workspace
 from imr_torch.cli.options.names import COLLAPSES
-from imr_torch.errors import ImrError
 from imr_torch.reading.sidecar import OVERRIDES
 
 _FITTED = "#0072b2"
@@ -47,14 +47,15 @@ class CurvesView:
     @ui.refreshable_method
     def show(self) -> None:
         """Draw it."""
-        try:
+        with problems_shown():
             names = list(self.workspace.traces().ids)
-        except ImrError as error:
-            ui.label(str(error)).classes("problem")
-            return
-        if not names:
-            ui.label("There are no curves yet; add files first.").classes("quiet")
-            return
+            if names:
+                self._curve(names)
+            else:
+                ui.label("There are no curves yet; add files first.").classes("quiet")
+
+    def _curve(self, names: list[str]) -> None:
+        """One of the curves."""
         self.name = self.name if self.name in names else names[0]
         with ui.row().classes("items-center"):
             ui.select(names, value=self.name, label="Curve", on_change=self._choose).style(
@@ -126,10 +127,8 @@ class CurvesView:
         self._state(view, values)
 
     def _state(self, view: CurveView, values: dict[str, float]) -> None:
-        try:
+        with problems_notified():
             self.workspace.state(view, values)
-        except ImrError as error:
-            ui.notify(str(error), type="negative", multi_line=True)
         self.show.refresh()
 
 

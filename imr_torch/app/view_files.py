@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 from nicegui import events, ui
 
+from imr_torch.app.problems import problems_notified, problems_shown
 from imr_torch.app.workspace import ENDINGS, LARGEST_FILE, FileState, Workspace
-from imr_torch.errors import ImrError
 
 _HELP = (
     "Tables with the columns experiment_id, time_s, radius_m, or with units in the header; MATLAB "
@@ -52,17 +52,13 @@ class FilesView:
         for file in files:
             self._row(file)
         self._layout()
-        try:
+        with problems_shown():
             traces = self.workspace.traces()
-        except ImrError as error:
-            ui.label(str(error)).classes("problem")
-            return
-        if len(traces):
-            with ui.expansion(f"What was read: {len(traces)} curve(s)", icon="list").classes(
-                "w-full"
-            ):
-                ui.label(traces.report()).style("white-space: pre-wrap").classes("text-body2")
-            ui.button("Look at the curves", on_click=lambda: self.go("Curves")).props("no-caps")
+            if len(traces):
+                read = f"What was read: {len(traces)} curve(s)"
+                with ui.expansion(read, icon="list").classes("w-full"):
+                    ui.label(traces.report()).style("white-space: pre-wrap").classes("text-body2")
+                ui.button("Look at the curves", on_click=lambda: self.go("Curves")).props("no-caps")
 
     def _row(self, file: FileState) -> None:
         with ui.row().classes("w-full items-center no-wrap"):
@@ -94,10 +90,8 @@ class FilesView:
             ).props("outline no-caps")
 
     async def _take(self, event: events.UploadEventArguments) -> None:
-        try:
+        with problems_notified():
             ui.notify(self.workspace.add(event.file.name, await event.file.read()))
-        except ImrError as error:
-            ui.notify(str(error), type="negative", timeout=0, close_button="Close", multi_line=True)
 
     def _example(self) -> None:
         ui.notify(self.workspace.add_example())
@@ -108,9 +102,6 @@ class FilesView:
         self.show.refresh()
 
     def _set_layout(self, text: str) -> None:
-        try:
+        with problems_notified():
             self.workspace.set_layout(text)
-        except ImrError as error:
-            ui.notify(str(error), type="negative", multi_line=True)
-            return
-        self.show.refresh()
+            self.show.refresh()

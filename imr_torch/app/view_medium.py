@@ -4,9 +4,9 @@ files and statements.
 
 from nicegui import ui
 
+from imr_torch.app.problems import problems_notified, problems_shown
 from imr_torch.app.workspace import Workspace
 from imr_torch.cli.options.names import MEDIA
-from imr_torch.errors import ImrError
 from imr_torch.observe import Statement
 from imr_torch.observe.medium import PROPERTIES
 
@@ -50,19 +50,14 @@ class MediumView:
                 name.value, {key: (a.value, b.value) for key, (a, b) in fields.items()}
             ),
         ).props("no-caps")
-        try:
+        with problems_shown():
             ui.label(self.workspace.medium().report()).style("white-space: pre-wrap")
-        except ImrError as error:
-            ui.label(str(error)).classes("problem")
 
     def _set(self, name: str, values: dict[str, tuple[float | None, float | None]]) -> None:
-        try:
+        with problems_notified():
             self.workspace.set_medium(medium_text(name, values))
             ui.notify("Stated; it counts in every command that is run from now on.")
-        except ImrError as error:
-            ui.notify(str(error), type="negative", multi_line=True)
-            return
-        self.show.refresh()
+            self.show.refresh()
 
 
 def medium_text(name: str, values: dict[str, tuple[float | None, float | None]]) -> str:

@@ -7,32 +7,15 @@ from typing import Any
 
 from nicegui import ui
 
-from imr_torch.app.commands import DEFAULTS, command_arguments
+from imr_torch.app.commands import DEFAULTS, FORMS, command_arguments
+from imr_torch.app.problems import problems_notified, problems_shown
 from imr_torch.app.runs import Run, Runs, command_line
 from imr_torch.app.workspace import Workspace
 from imr_torch.cli.options.names import MODELS, PHYSICS, TARGETS
-from imr_torch.errors import ImrError
 
 _KINDS = {"characterize": "Characterise", "diagnose": "Diagnose", "design": "Next design"}
-_FORMS: dict[str, tuple[tuple[str, ...], ...]] = {
-    "characterize": (
-        ("experiments",),
-        ("models", "physics", "collapses", "frames"),
-        ("population", "profile", "scores"),
-        ("known", "rest_radius"),
-    ),
-    "diagnose": (
-        ("experiments",),
-        ("base", "physics", "collapses", "most"),
-        ("known", "rest_radius"),
-    ),
-    "design": (
-        ("belief", "models", "target", "physics"),
-        ("we_range", "rinf_range", "q", "evaluations"),
-    ),
-}
-"""Command -> the rows of its form."""
 _LABELS = {
+    "experiments": "Curves (none chosen: all)",
     "models": "Candidate models",
     "physics": "Bubble physics",
     "collapses": "Collapses in the window",
@@ -74,7 +57,9 @@ class RunView:
         self.runs = runs
         self.go = go
         self.kind = "characterize"
-        self.values = DEFAULTS | {"belief": None}  # the latest result, until another is chosen
+        self.values: dict[str, Any] = DEFAULTS | {
+            "belief": None
+        }  # the latest result, until another is chosen
         self.shown: Run | None = runs.current if runs.busy else None
         self._seen_ended = False
 
@@ -84,8 +69,8 @@ class RunView:
         ui.toggle(_KINDS, value=self.kind, on_change=lambda event: self._choose(event.value)).props(
             "no-caps"
         )
-        for row in _FORMS[self.kind]:
-            with ui.row().classes("w-full"):
+        for row in FORMS[self.kind]:
+            with ui.row().classes("w-full"), problems_shown():
                 for key in row:
                     self._field(key)
         ui.label("The command, which does the same on a command line in this folder:").classes(
@@ -98,42 +83,30 @@ class RunView:
 
     def _field(self, key: str) -> None:
         """The element of the form that sets an option."""
-        if key == "experiments":
-            self._curves()
-            return
-        if key == "belief":
-            _CHOICES["belief"] = self._earlier()
         if key == "models" and self.kind == "design" and self.values["belief"]:
             return  # with an earlier result, there are no models to choose
-        value = self.values[key]
-        options: dict[str, Any] = {"value": value, "on_change": lambda e: self._set(key, e.value)}
-        if isinstance(value, bool):
-            ui.checkbox(_LABELS[key], **options)
-        elif key in _CHOICES:
-            many = isinstance(value, list)
-            ui.select(_CHOICES[key], label=_LABELS[key], multiple=many, **options).props(
-                "use-chips" * many
-            ).style("min-width: min(14rem, 100%)")
-        elif isinstance(value, int):
-            ui.number(_LABELS[key], precision=0, **options).style("width: 11rem")
+        default = DEFAULTS[key]
+        label = _LABELS[key]
+        choices = _CHOICES.get(key)
+        if key == "belief":
+            choices = self._earlier()
+        if key == "experiments":
+            choices = list(self.workspace.traces().ids)
+            self.values[key] = [name for name in self.values[key] if name in choices]
+        if isinstance(default, bool):
+            field = ui.checkbox(label)
+        elif choices is not None:
+            many = isinstance(default, list)
+            value = self.values[key]
+            field = ui.select(choices, label=label, value=value, multiple=many)
+            field.props("use-chips" * many).style("min-width: min(14rem, 100%)")
+        elif isinstance(default, int):
+            field = ui.number(label, precision=0).style("width: 11rem")
         else:
-            ui.input(_LABELS[key], **options).style("width: min(20rem, 100%)")
-
-    def _curves(self) -> None:
-        try:
-            names = list(self.workspace.traces().ids)
-        except ImrError as error:
-            ui.label(str(error)).classes("problem")
-            return
-        kept = [name for name in self.values["experiments"] or () if name in names]
-        self.values["experiments"] = kept
-        ui.select(
-            names,
-            value=kept,
-            multiple=True,
-            label=f"Curves (none chosen: all {len(names)})",
-            on_change=lambda event: self._set("experiments", event.value),
-        ).props("use-chips clearable").classes("w-full")
+            field = ui.input(label).style("width: min(20rem, 100%)")
+        field.bind_value(self.values, key)
+        # an earlier result shows or hides the models
+        field.on_value_change((self.show if key == "belief" else self._line).refresh)
 
     def _earlier(self) -> dict[str, str]:
         """The results that a design can build on; the latest is chosen first."""
@@ -148,12 +121,9 @@ class RunView:
 
     @ui.refreshable_method
     def _line(self) -> None:
-        try:
+        with problems_shown():
             text = command_line(self._arguments(self.runs.next_folder(self.kind)))
-        except ImrError as error:
-            ui.label(str(error)).classes("problem")
-            return
-        ui.label(text).classes("command")
+            ui.label(text).classes("command")
 
     @ui.refreshable_method
     def _progress(self) -> None:
@@ -191,25 +161,14 @@ class RunView:
         self.show.refresh()
 
     def _start(self) -> None:
-        try:
+        with problems_notified():
             self.shown = self.runs.start(self._arguments, self.kind)
-        except ImrError as error:
-            ui.notify(str(error), type="negative", multi_line=True)
-            return
-        self._seen_ended = False
-        self._progress.refresh()
-        self._line.refresh()
+            self._seen_ended = False
+            self._progress.refresh()
+            self._line.refresh()
 
     def _arguments(self, folder: str) -> list[str]:
         """The arguments of the chosen command as the form says them."""
         values = self.values | self.workspace.settings
         files = [] if self.kind == "design" else self.workspace.usable()
         return command_arguments(self.kind, values, folder, files=files)
-
-    def _set(self, key: str, value: Any) -> None:
-        if isinstance(DEFAULTS[key], int) and not isinstance(DEFAULTS[key], bool):
-            value = int(value or DEFAULTS[key])
-        self.values[key] = value.strip() if isinstance(value, str) else value
-        if key == "belief":  # which shows or hides the models
-            self.show.refresh()
-        self._line.refresh()

@@ -1,9 +1,13 @@
 """Quantiles of a posterior: of each parameter, and of the radius that a frame would show."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import torch
 from torch import Tensor
 
 from imr_torch.assimilate import Assimilation
+from imr_torch.files import drawn_numbers
 from imr_torch.material import Belief, ModelBelief
 from imr_torch.observe import predict
 from imr_torch.simulate import Simulator
@@ -85,3 +89,18 @@ def predictive_band(
         rows.append(torch.nanquantile(seen.flatten(0, 1), levels, dim=0))
     low, middle, high = torch.stack(rows, 1)
     return low, middle, high
+
+
+def band_document(model: str, times: Tensor, band: Sequence[Tensor], e: int) -> dict[str, Any]:
+    """The predictive band of one experiment, JSON-ready.
+
+    Args:
+        model: whose prediction.
+        times: ``E x T`` tensor, dimensionless.
+        band: three ``E x T`` tensors, from :func:`predictive_band`.
+        e: which experiment.
+    """
+    rows = zip(("t_star", "low", "median", "high"), (times, *band), strict=True)
+    return {"model": model, "levels": LEVELS} | {
+        name: drawn_numbers(values[e]) for name, values in rows
+    }

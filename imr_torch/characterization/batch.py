@@ -31,7 +31,7 @@ from imr_torch.assimilate import FitOptions
 from imr_torch.characterization import characterize
 from imr_torch.characterization.saved import SavedCharacterization, to_dataframe, write_xlsx
 from imr_torch.document import header
-from imr_torch.errors import ImrError, InputDataError
+from imr_torch.errors import ImrError, InputDataError, in_one_line
 from imr_torch.files import read_json, write_atomically, write_json
 from imr_torch.material import PARAMETERS, Belief
 from imr_torch.observe import Layout, Statement, TraceSet, find_files, load_traces
@@ -50,6 +50,7 @@ DONE = "done"
 NOT_CONVERGED = "not converged"
 FAILED = "failed"
 _WINDOW = 64  # shots handed to an executor at a time
+_OF_READING = ("layout", "sort", "each")  # options that say how files are read, not how fitted
 _FEATURES = (
     "status",
     "explained",
@@ -157,11 +158,6 @@ class BatchSummary:
         last = ("rmse", "verdict", "cpu_seconds", "error")
         return tuple(name for name in (*known, *last) if name in found)
 
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """Parameters that some shot has."""
-        return tuple(name for name in PARAMETERS.names if name in self.columns)
-
     def count(self, status: str) -> int:
         """Shots of a status."""
         return sum(row["status"] == status for row in self.rows)
@@ -192,7 +188,6 @@ class _Run:
     """A run in progress: where results go, and what is known so far."""
 
     folder: Path
-    options: BatchOptions
     rows: dict[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def keep(self, shot: Shot, document: Mapping[str, Any]) -> None:
@@ -245,7 +240,7 @@ def run_batch(
     if window < 1:
         raise InputDataError(f"run_batch: window is {window}; expected at least 1.")
     files = find_files(*paths)
-    run = _Run(Path(folder), options)
+    run = _Run(Path(folder))
     old = _results(run.folder / SHOTS)
     order = []
     wanted = []
@@ -291,17 +286,8 @@ def characterize_shot(traces: TraceSet | None, options: BatchOptions) -> dict[st
     """The result of one shot as a document, or ``{"error": ...}``: what a worker does."""
     try:
         assert traces is not None
-        result = characterize(
-            traces,
-            prior=options.prior,
-            simulator=options.simulator,
-            estimate_noise=options.estimate_noise,
-            collapses=options.collapses,
-            rest_radius=options.rest_radius,
-            options=options.options,
-            medium=options.medium,
-            seed=options.seed,
-        )
+        of_fit = {name: value for name, value in vars(options).items() if name not in _OF_READING}
+        result = characterize(traces, **of_fit)
         files = list({trace.source: None for trace in traces})
         document = header("characterize", files=files, medium=result.medium) | {
             "converged": result.converged,
@@ -313,7 +299,10 @@ def characterize_shot(traces: TraceSet | None, options: BatchOptions) -> dict[st
     except ImrError as error:
         return {"error": str(error)}
     except Exception as error:  # whatever a shot does, the others go on
-        return {"error": f"{type(error).__name__}: {error}"}
+        return {"error": in_one_line(error)}
+
+
+Results = Generator[tuple[Shot, dict[str, Any]], None, list[Shot]]
 
 
 def _spread(
@@ -324,61 +313,56 @@ def _spread(
 ) -> Generator[tuple[Shot, dict[str, Any]], None, None]:
     """Results as they come from an executor.
 
-    When it breaks, unfinished shots are tried again one by one.
+    Shots that a pool had in hand when it broke are tried again, each in a pool of its own.
     """
     waiting = list(reversed(shots))
-    suspects = []
-    pool = executor if isinstance(executor, Executor) else executor()
-    running: dict[Future[dict[str, Any]], tuple[Shot, bool]] = {}
+    if isinstance(executor, Executor):
+        for shot in (yield from _until_broken(executor, waiting, options, window)):
+            yield shot, {"error": "the executor no longer works; start the run again"}
+        return
+    while waiting:
+        in_hand = yield from _in_new_pool(executor, waiting, options, window)
+        for shot in in_hand:
+            if (yield from _in_new_pool(executor, [shot], options, window)):
+                yield shot, {"error": "the worker that had it ended; give it more memory"}
+
+
+def _in_new_pool(
+    make: Callable[[], Executor], waiting: list[Shot], options: BatchOptions, window: int
+) -> Results:
+    """:func:`_until_broken` in a pool that is made for it."""
+    pool = make()
     try:
-        while waiting or suspects or running:
-            alone = bool(suspects) or any(one for _, one in running.values())
-            while (suspects and not running) or (waiting and not alone and len(running) < window):
-                shot = suspects.pop() if alone else waiting.pop()
-                try:
-                    running[pool.submit(characterize_shot, shot.traces, options)] = (shot, alone)
-                except BrokenExecutor as error:  # it broke since the last look
-                    if isinstance(executor, Executor):
-                        yield (
-                            shot,
-                            {
-                                "error": "the executor no longer works "
-                                f"({error}); start the run again"
-                            },
-                        )
-                        continue
-                    (suspects if alone else waiting).append(shot)
-                    pool = executor() if not running else pool
-                    break
-            ended, _ = wait(running, return_when=FIRST_COMPLETED)
-            broken = False
-            for future in ended:
-                shot, tried_alone = running.pop(future)
-                error = CancelledError() if future.cancelled() else future.exception()
-                if error is None:
-                    yield shot, future.result()
-                elif (
-                    isinstance(error, BrokenExecutor)
-                    and not tried_alone
-                    and not isinstance(executor, Executor)
-                ):
-                    suspects.append(shot)
-                    broken = True
-                else:
-                    broken = broken or isinstance(error, BrokenExecutor)
-                    why = f"{type(error).__name__}: {error}"
-                    yield (
-                        shot,
-                        {"error": f"the worker that had it ended ({why}); give it more memory"},
-                    )
-            if broken and not isinstance(executor, Executor):
-                suspects += [shot for shot, _ in running.values()]
-                running.clear()
-                pool.shutdown(wait=False, cancel_futures=True)
-                pool = executor()
+        return (yield from _until_broken(pool, waiting, options, window))
     finally:
-        if not isinstance(executor, Executor):
-            pool.shutdown(wait=False, cancel_futures=True)
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _until_broken(
+    pool: Executor, waiting: list[Shot], options: BatchOptions, window: int
+) -> Results:
+    """Results as they come from a pool, from the end of a list; returns what the pool had in hand
+    when it broke.
+    """
+    running: dict[Future[dict[str, Any]], Shot] = {}
+    in_hand: list[Shot] = []
+    while running or (waiting and not in_hand):
+        while waiting and not in_hand and len(running) < window:
+            shot = waiting.pop()
+            try:
+                running[pool.submit(characterize_shot, shot.traces, options)] = shot
+            except BrokenExecutor:
+                in_hand.append(shot)
+        for future in wait(running, return_when=FIRST_COMPLETED).done:
+            shot = running.pop(future)
+            try:
+                yield shot, future.result()
+            except BrokenExecutor:
+                in_hand.append(shot)
+            except (Exception, CancelledError) as error:
+                why = in_one_line(error)
+                yield shot, {"error": f"the worker that had it ended ({why}); give it more memory"}
+    return in_hand
 
 
 def _shots(files: Sequence[Path], options: BatchOptions) -> Iterator[Shot]:

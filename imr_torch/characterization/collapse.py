@@ -3,6 +3,7 @@ residuals.
 """
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import torch
 
@@ -17,7 +18,7 @@ _PATTERN = 2.6  # standard deviations; one such set in 200 by chance
 
 def collapse_rows(
     fit: ModelFit, batch: ExperimentBatch, surroundings: Surroundings
-) -> list[dict[str, object]]:
+) -> list[dict[str, Any]]:
     """Each shot of which the collapse time alone is known: measured and, by a fit, predicted, over
     t*.
     """
@@ -37,7 +38,7 @@ def collapse_rows(
     ]
 
 
-def patterns(shots: Sequence[Mapping[str, object]]) -> list[str]:
+def patterns(shots: Sequence[Mapping[str, Any]]) -> list[str]:
     """Where residuals of collapse times follow the size or the stretch of a bubble: they are no
     independent errors.
 
@@ -47,11 +48,9 @@ def patterns(shots: Sequence[Mapping[str, object]]) -> list[str]:
     said = []
     if len(shots) < _FEWEST_SHOTS:
         return []
-    left = torch.tensor(
-        [float(str(x["t_star"])) - float(str(x["predicted"])) for x in shots], dtype=torch.float64
-    )
+    left = torch.tensor([x["t_star"] - x["predicted"] for x in shots], dtype=torch.float64)
     for key, words in (("Rmax_m", "maximum radius"), ("R_inf*", "stretch")):
-        order = torch.tensor([float(str(x[key])) for x in shots], dtype=torch.float64)
+        order = torch.tensor([x[key] for x in shots], dtype=torch.float64)
         found = serial_correlation(left, order)
         if found > _PATTERN:
             said.append(

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
+from torch.distributions import MultivariateNormal
 
 from imr_torch.characterization.saved import SavedCharacterization, WeightedDraws, to_dataframe
 from imr_torch.document import header
@@ -294,18 +295,19 @@ def _gaussian_factor(a: ModelBelief, b: ModelBelief, prior: ModelBelief) -> floa
 
     None where it does not exist.
     """
-    eye = torch.eye(len(prior.mean), dtype=prior.mean.dtype)
-    forms = []
-    for part in (a, b, prior):
-        precision = torch.cholesky_solve(eye, part.chol)
-        linear = precision @ part.mean
-        constant = -0.5 * part.mean @ linear - part.chol.diagonal().log().sum()
-        forms.append((precision, linear, constant))
-    precision = forms[0][0] + forms[1][0] - forms[2][0]
-    linear = forms[0][1] + forms[1][1] - forms[2][1]
+    of_a, of_b, of_prior = (
+        MultivariateNormal(part.mean, scale_tril=part.chol) for part in (a, b, prior)
+    )
+    precision = of_a.precision_matrix + of_b.precision_matrix - of_prior.precision_matrix
     root, failed = torch.linalg.cholesky_ex(precision)
     if int(failed):
         return None
+    linear = (
+        of_a.precision_matrix @ a.mean
+        + of_b.precision_matrix @ b.mean
+        - of_prior.precision_matrix @ prior.mean
+    )
     mean = torch.cholesky_solve(linear[:, None], root)[:, 0]
-    constant = forms[0][2] + forms[1][2] - forms[2][2]  # the factors of 2 pi cancel
-    return float(constant + 0.5 * linear @ mean - root.diagonal().log().sum())
+    product = MultivariateNormal(mean, precision_matrix=precision)
+    logs = [normal.log_prob(mean) for normal in (of_a, of_b, of_prior, product)]
+    return float(logs[0] + logs[1] - logs[2] - logs[3])

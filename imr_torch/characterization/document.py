@@ -10,7 +10,7 @@ from torch import Tensor
 
 from imr_torch.assimilate import Assimilation, ModelFit
 from imr_torch.assimilate.dense import dense_curve
-from imr_torch.characterization.bands import LEVELS, predictive_band
+from imr_torch.characterization.bands import band_document, predictive_band
 from imr_torch.files import drawn_numbers
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch, Prepared, TraceSet
@@ -79,15 +79,7 @@ def curves_document(
                     else {"asphericity": drawn_numbers(trace.asphericity)}
                 ),
                 "models": {fit.model: _model(fit, batch, e, drawn[fit.model]) for fit in fits},
-                "band": {
-                    "model": best,
-                    "levels": LEVELS,
-                    "t_star": drawn_numbers(drawn[best][0][e]),
-                }
-                | {
-                    name: drawn_numbers(values[e])
-                    for name, values in zip(("low", "median", "high"), band, strict=True)
-                },
+                "band": band_document(best, drawn[best][0], band, e),
             }
         )
     return curves

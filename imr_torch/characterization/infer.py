@@ -312,10 +312,6 @@ class _Method:
         evidence = evidences(weighted)
         return _Found(weighted, evidence, update(weighted, evidence))
 
-    def tested(self, fit: ModelFit, batch: ExperimentBatch, seed: int) -> FitTest:
-        """Whether a fit explains the curves."""
-        return check_fit(*fit.of_curves(batch), self.simulator, seed=seed)
-
     def bad_frames(self, found: _Found) -> BadFrames:
         """Single frames that look bad under the most probable model."""
         return find_bad_frames(*found.best.of_curves(found.assimilation.batch), self.simulator)
@@ -354,7 +350,7 @@ def _fit_test(method: _Method, found: _Found, seed: int) -> FitTest:
     """Whether the most probable model explains the curves."""
     if method.progress:
         method.progress("fit test: does the model explain the curves?")
-    return method.tested(found.best, found.assimilation.batch, seed)
+    return check_fit(*found.best.of_curves(found.assimilation.batch), method.simulator, seed=seed)
 
 
 def _population(

@@ -29,7 +29,7 @@ from imr_torch.files import without_nonfinite, write_json
 from imr_torch.gap import MediumSensitivity
 from imr_torch.goodness import FitTest
 from imr_torch.material import Belief
-from imr_torch.observe import Experiment, GelMedium, Landmarks, Noise, Prepared, TraceSet
+from imr_torch.observe import Experiment, GelMedium, Noise, Prepared, TraceSet
 from imr_torch.observe.frames import FrameUse
 from imr_torch.population import Population
 from imr_torch.select import (
@@ -126,11 +126,6 @@ class Characterization:
         Without shots of collapse times.
         """
         return self.prepared.experiments
-
-    @property
-    def landmarks(self) -> dict[str, Landmarks]:
-        """Landmarks of each trace, by experiment id."""
-        return self.prepared.landmarks
 
     @property
     def noise(self) -> Noise:

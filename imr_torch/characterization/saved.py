@@ -98,11 +98,6 @@ class SavedCharacterization:
         Raises:
             InputDataError: if the document is of another kind.
         """
-        if isinstance(document, dict) and "each" in document:
-            raise InputDataError(
-                f"{source}: holds the results of several curves (--each); run imr-torch batch "
-                "--each instead."
-            )
         if (
             not isinstance(document, dict)
             or not isinstance(document.get("models"), dict)

@@ -1,7 +1,7 @@
 """The command ``imr-torch``: results as text, JSON and figures.
 
-Each subcommand has two modules of its name: help and options in :mod:`imr_torch.cli.options`, which
-are light, and what it runs in :mod:`imr_torch.cli`, imported when it is asked for.
+Help and options of the subcommands are in :mod:`imr_torch.cli.options`, which is light; what each
+runs is in the module of its name in :mod:`imr_torch.cli`, imported when it is asked for.
 
 Exit status: 0 done, 2 input that cannot be used (the message says what to do), 1 a computation that
 did not converge or a file that could not be written, 130 interrupted by the user.
@@ -14,11 +14,12 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
+from inspect import cleandoc
 from pathlib import Path
 
-from imr_torch.cli.completion import PrintCompletion
-from imr_torch.cli.options import COMMANDS
-from imr_torch.cli.options.shared import add_engine_arguments
+from imr_torch.cli.completion import SHELLS, PrintCompletion
+from imr_torch.cli.options import COMMANDS, WITHOUT
+from imr_torch.cli.options.shared import InRange, add_engine_arguments
 from imr_torch.cli.progress import Terminal
 from imr_torch.errors import ConvergenceError, ConvergenceWarning, ImrError, InputDataError
 from imr_torch.files import check_target
@@ -37,22 +38,26 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument(
         "--print-completion",
         action=PrintCompletion,
+        choices=SHELLS,
         help="print the script that completes this command in a shell",
     )
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for module in COMMANDS:
+    for name, (summary, add_options) in COMMANDS.items():
         sub = commands.add_parser(
-            module.NAME,
-            help=module.SUMMARY,
-            description=module.__doc__,
+            name,
+            help=summary,
+            description=cleandoc(add_options.__doc__ or ""),
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
-        module.add_arguments(sub)
-        left_out = getattr(module, "WITHOUT", ())
+        add_options(sub)
+        left_out = WITHOUT.get(name, ())
         if "seed" not in left_out:
             sub.add_argument(
                 "--seed",
-                type=_seed,
+                action=InRange,
+                low=0,
+                high=2**63 - 1,
+                type=int,
                 default=0,
                 help="seed of everything random, from 0 on (default 0)",
             )
@@ -79,15 +84,15 @@ def main(argv: Sequence[str] | None = None, *, live: bool | None = None) -> int:
     Returns:
         The exit status.
     """
-    args = parser().parse_args(argv)
-    args.argv = list(sys.argv[1:] if argv is None else argv)
-    args.terminal = Terminal(args.command, quiet=args.quiet, verbose=args.verbose, live=live)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(
                 errors="backslashreplace"
             )  # names of experiments on a terminal that lacks their letters
     try:
+        args = parser().parse_args(argv)
+        args.argv = list(sys.argv[1:] if argv is None else argv)
+        args.terminal = Terminal(args.command, quiet=args.quiet, verbose=args.verbose, live=live)
         _check_targets(args)
         with args.terminal, warnings.catch_warnings():
             warnings.simplefilter(
@@ -170,14 +175,3 @@ def _check_kept(args: argparse.Namespace, option: str, target: Path) -> None:
                 raise InputDataError(
                     f"--{option} is {str(target)!r}, which is read as well; give another name."
                 )
-
-
-def _seed(text: str) -> int:
-    """A seed: an integer that random generators take."""
-    try:
-        value = int(text)
-    except ValueError:
-        value = -1
-    if not 0 <= value < 2**63:
-        raise argparse.ArgumentTypeError(f"{text!r} is no integer from 0 to 2^63 - 1")
-    return value

@@ -1,4 +1,4 @@
-"""Runs ``imr-torch app``; its help and options are in :mod:`imr_torch.cli.options.app`."""
+"""Runs ``imr-torch app``."""
 
 import argparse
 from functools import partial
@@ -13,8 +13,6 @@ def run(args: argparse.Namespace) -> None:
     Raises:
         InputDataError: if the extra is not installed, or folder or port cannot be used.
     """
-    if not 0 <= args.port < 65536:
-        raise InputDataError(f"--port is {args.port}; expected 1 to 65535, or 0 for a free one.")
     try:
         from imr_torch.app.server import serve
     except ModuleNotFoundError as error:

@@ -1,7 +1,6 @@
-"""Runs ``imr-torch batch``; its help and options are in :mod:`imr_torch.cli.options.batch`."""
+"""Runs ``imr-torch batch``."""
 
 import argparse
-import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
@@ -13,7 +12,6 @@ from imr_torch.characterization.batch import FAILED, NOT_CONVERGED, BatchOptions
 from imr_torch.cli.common import (
     METHODS,
     SIMULATORS,
-    check_counts,
     layout_of,
     prior_of,
     progress_of,
@@ -27,6 +25,7 @@ from imr_torch.errors import ConvergenceError, InputDataError, UnsupportedError
 from imr_torch.observe import find_files
 from imr_torch.results import document_report
 from imr_torch.simulate import process_pool
+from imr_torch.threads import cores
 
 _ANSWER_WITHIN = 15  # seconds in which a scheduler answers
 _PER_CLUSTER = 512  # shots handed to a cluster at a time
@@ -39,9 +38,8 @@ def run(args: argparse.Namespace) -> None:
     _check(args)
     files = find_files(*args.files)
     folder = Path(args.out)
-    workers = (
-        min(args.workers or _cores(), len(files)) if not args.each else args.workers or _cores()
-    )
+    workers = args.workers or cores()
+    workers = workers if args.each else min(workers, len(files))
     apart = args.cluster is not None or workers > 1
     simulator = with_engine(SIMULATORS[args.physics], args)
     options = BatchOptions(
@@ -86,7 +84,6 @@ def run(args: argparse.Namespace) -> None:
 
 
 def _check(args: argparse.Namespace) -> None:
-    check_counts(args, "workers", "collapses")
     if args.workers is not None and args.cluster is not None:
         raise InputDataError(
             "--workers and --cluster both say who does the work; give one of them."
@@ -97,10 +94,6 @@ def _check(args: argparse.Namespace) -> None:
             f"--out is {args.out!r}, the folder of the curves; name another one, or the summary "
             "would be read as one."
         )
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @contextmanager

@@ -1,7 +1,4 @@
-"""Runs ``imr-torch campaign``.
-
-Its help and options are in :mod:`imr_torch.cli.options.campaign`.
-"""
+"""Runs ``imr-torch campaign``."""
 
 import argparse
 import math
@@ -16,7 +13,6 @@ from imr_torch.campaign.admission import check_whole
 from imr_torch.characterization import medium_of
 from imr_torch.cli.campaign_settings import check_goal, hidden, one_model, scatter, settings_of
 from imr_torch.cli.common import (
-    check_counts,
     layout_of,
     prior_of,
     progress_of,
@@ -55,7 +51,6 @@ def run(args: argparse.Namespace) -> None:
         raise InputDataError(
             "--tell gives real experiments and --case simulates them; give one of the two."
         )
-    check_counts(args, "designs", "q", "evaluations", "repeats")
     check_goal(args)
     for option in ("layout", "rest_radius"):
         if getattr(args, option) is not None and not args.tell:

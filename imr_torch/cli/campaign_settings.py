@@ -29,7 +29,6 @@ from imr_torch.material import PARAMETERS, Belief, ReferenceCase, library, refer
 
 _LARGEST = 2.0  # scatter of a logarithm
 _CAUSE_SURE = "cause=0.9"  # when a campaign for a cause ends, if nothing else is asked for
-_FITS = {"exact": "map", "en4dvar": "en4dvar"}
 _BASELINES: dict[str, Callable[[], DesignPolicy]] = {
     "random": Random,
     "space-filling": SpaceFilling,
@@ -41,9 +40,8 @@ def settings_of(args: argparse.Namespace) -> CampaignSettings:
     base = CampaignSettings.paper() if args.method == "paper" else CampaignSettings()
     if args.method != "paper":
         rounds = 0 if args.case else NOISE_ROUNDS  # nobody knows the noise of a camera before
-        base = replace(
-            base, learner=ExactLearner(options=METHODS[_FITS[args.method]], noise_rounds=rounds)
-        )
+        options = METHODS["map" if args.method == "exact" else args.method]
+        base = replace(base, learner=ExactLearner(options=options, noise_rounds=rounds))
     policy = _optimal(args) if args.policy == "optimal" else _baseline(args.policy)
     space = space_of(args)
     plan = plan_of(args)

@@ -1,20 +1,14 @@
-"""Runs ``imr-torch characterize``.
-
-Its help and options are in :mod:`imr_torch.cli.options.characterize`.
-"""
+"""Runs ``imr-torch characterize``."""
 
 import argparse
 import shlex
-import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from imr_torch.assimilate import NOISE_ROUNDS
 from imr_torch.characterization import characterize
 from imr_torch.cli.common import (
     METHODS,
-    header_of,
     layout_of,
     names_of,
     prior_of,
@@ -28,10 +22,9 @@ from imr_torch.cli.common import (
 )
 from imr_torch.cli.options.names import COLLAPSES
 from imr_torch.cli.progress import characterize_stages
-from imr_torch.errors import ConvergenceError, ImrError, InputDataError
+from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.export import write_mat
 from imr_torch.files import write_atomically
-from imr_torch.labels import file_name
 from imr_torch.material import ModelBelief
 from imr_torch.observe import (
     CollapseShot,
@@ -48,34 +41,64 @@ from imr_torch.results import document_report
 
 def run(args: argparse.Namespace) -> None:
     """Load, infer, report."""
-    for option, what in (
-        ("scores", "predicts curves from others"),
-        ("population", "takes the curves as shots of one gel"),
-        ("html", "shows one gel"),
-        ("mat", "holds one gel"),
-    ):
-        if args.each and getattr(args, option):
-            raise InputDataError(
-                f"--{option} {what}, and --each fits every one alone; leave one of them out."
-            )
     if args.scatter_scale is not None and not args.population:
         raise InputDataError("--scatter-scale is about --population; add that, or leave it out.")
     statement_of(args)  # checked before any work
     traces, shots = _load(args)
-    if len(traces):
-        print(traces.report())
+    read = [traces.report()] if len(traces) else []
     if shots:
-        print(
-            f"{len(shots)} shot(s) of which the collapse time alone is known, from "
-            f"{', '.join({s.source: 0 for s in shots})}."
+        names = ", ".join({shot.source: 0 for shot in shots})
+        read.append(
+            f"{len(shots)} shot(s) of which the collapse time alone is known, from {names}."
         )
-    if args.each:
-        _each(traces, args)
-        return
-    document, report, converged = _characterize(traces, args, shots=shots)
-    document = write_result(args, document)  # before any figure, so that nothing is lost
-    _show(document, report, args, Path(args.out) if args.out else None)
-    if not converged:
+    print("\n".join(read))
+    rest_radius = rest_radius_of(args)
+    simulator, prior, medium = with_medium(args, simulator_of(args), prior_of(args), traces, shots)
+    prepared = prepare(
+        traces, simulator.conditions.surroundings, collapses=args.collapses, rest_radius=rest_radius
+    )
+    if len(traces):
+        read.append(prepared.report(frames=False))
+        print(read[-1])
+    stages = characterize_stages(
+        NOISE_ROUNDS if args.noise == "estimated" else 0,
+        scores=args.scores,
+        population=args.population,
+        profile=args.profile,
+    )
+    result = characterize(
+        traces,
+        prior=prior,
+        simulator=simulator,
+        estimate_noise=args.noise == "estimated",
+        collapses=args.collapses,
+        rest_radius=rest_radius,
+        options=METHODS[args.method],
+        scores=args.scores,
+        effort=args.effort,
+        medium=medium,
+        shots=shots,
+        frames=args.frames,
+        population=args.population,
+        scatter_scale=SCALE if args.scatter_scale is None else args.scatter_scale,
+        profile=args.profile,
+        seed=args.seed,
+        progress=progress_of(args, stages),
+    )
+    command = diagnose_command(args, result.posterior.best)
+    # before any figure, so that nothing is lost
+    document = write_result(args, result.to_document(command, seed=args.seed))
+    said = document_report(document)
+    print("\n" + said)
+    report = "\n\n".join((*read, said)) + "\n"
+    if args.out:
+        target = Path(args.out) / "report.txt"
+        write_atomically(target, lambda stream: stream.write(report.encode()))
+    show_result(args, document, report=report)
+    if args.mat:
+        write_mat(document, args.mat)
+        print(f"wrote {args.mat}")
+    if not result.converged:
         raise ConvergenceError(
             "a fit has not converged (see its certificate above), so its numbers are not to be "
             "used."
@@ -90,7 +113,7 @@ def _load(args: argparse.Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]
     tables = [path for path in files if is_shot_file(path)]
     curves = [path for path in files if path not in tables]
     shots = load_collapse_times(*tables) if tables else ()
-    for option in ("each", "scores", "population") if shots else ():
+    for option in ("scores", "population") if shots else ():
         if getattr(args, option):
             raise InputDataError(
                 f"--{option} is about curves, and {tables[0]} holds collapse times; leave one of "
@@ -138,117 +161,23 @@ def _check_no_curves(args: argparse.Namespace, tables: Sequence[Path]) -> None:
             )
 
 
-def _each(traces: TraceSet, args: argparse.Namespace) -> None:
-    """Fit every curve by itself.
-
-    One that cannot be fitted is reported, and the others are kept, also on an interruption.
-    """
-    results: dict[str, Any] = {}
-    wrong: dict[str, ImrError] = {}
-    try:
-        for number, trace in enumerate(traces, start=1):
-            name = trace.experiment_id
-            print(f"\n--- {name}")
-            try:
-                results[name], report, converged = _characterize(
-                    traces.select([name]), args, f"curve {number} of {len(traces)}"
-                )
-            except ImrError as error:
-                print(f"imr-torch: {error}", file=sys.stderr)
-                wrong[name] = error
-                results[name] = {"error": str(error)}
-                continue
-            if not converged:
-                wrong[name] = ConvergenceError("a fit has not converged.")
-            folder = Path(args.out) / file_name(name) if args.out else None
-            _show(results[name], report, args, folder)
-    finally:
-        write_result(args, {"each": results})
-    if wrong:
-        refused = any(isinstance(error, InputDataError) for error in wrong.values())
-        raise (InputDataError if refused else ConvergenceError)(
-            f"{len(wrong)} of {len(traces)} curves have no result to be used: {', '.join(wrong)}; "
-            "the others are written."
-        )
-
-
-def _characterize(
-    traces: TraceSet,
-    args: argparse.Namespace,
-    label: str = "",
-    shots: tuple[CollapseShot, ...] = (),
-) -> tuple[dict[str, Any], str, bool]:
-    """Fit some curves together and print the result: its document, the report, and whether all fits
-    have converged.
-    """
-    rest_radius = rest_radius_of(args)
-    stages = characterize_stages(
-        NOISE_ROUNDS if args.noise == "estimated" else 0,
-        scores=args.scores,
-        population=args.population,
-        profile=args.profile,
-    )
-    simulator, prior, medium = with_medium(args, simulator_of(args), prior_of(args), traces, shots)
-    prepared = prepare(
-        traces, simulator.conditions.surroundings, collapses=args.collapses, rest_radius=rest_radius
-    )
-    if len(traces):
-        print(prepared.report(frames=False))
-    result = characterize(
-        traces,
-        prior=prior,
-        simulator=simulator,
-        estimate_noise=args.noise == "estimated",
-        collapses=args.collapses,
-        rest_radius=rest_radius,
-        options=METHODS[args.method],
-        scores=args.scores,
-        effort=args.effort,
-        medium=medium,
-        shots=shots,
-        frames=args.frames,
-        population=args.population,
-        scatter_scale=SCALE if args.scatter_scale is None else args.scatter_scale,
-        profile=args.profile,
-        seed=args.seed,
-        progress=progress_of(args, stages, label),
-    )
-    command = diagnose_command(args, result.posterior.best)
-    document = header_of(args) | result.to_document(command, seed=args.seed)
-    said = document_report(document)
-    print("\n" + said)
-    read = (traces.report(), prepared.report(frames=False)) if len(traces) else ()
-    report = "\n\n".join((*read, said)) + "\n"
-    return document, report, result.converged
-
-
-def _show(
-    document: dict[str, Any], report: str, args: argparse.Namespace, folder: Path | None
-) -> None:
-    """Write the report, the figures, the page and the MATLAB file of a result."""
-    if folder:
-        write_atomically(folder / "report.txt", lambda stream: stream.write(report.encode()))
-    show_result(args, document, folder=folder, report=report)
-    if args.mat:
-        write_mat(document, args.mat)
-        print(f"wrote {args.mat}")
-
-
 def diagnose_command(args: argparse.Namespace, best: ModelBelief) -> str:
     """The command that looks for what the most probable model lacks, on the same curves."""
     parts = ["imr-torch", "diagnose", *args.files, "--base", best.material.key.split("+")[0]]
     if best.known:
         parts += ["--known", ",".join(f"{name}={value:g}" for name, value in best.known.items())]
-    for option, value in (
-        ("--layout", args.layout),
-        ("--experiments", args.experiments),
-        ("--rest-radius", args.rest_radius),
-        ("--collapses", str(args.collapses) if args.collapses != COLLAPSES else None),
-        ("--medium", args.medium),
-        ("--driving", args.driving),
-        ("--physics", args.physics if args.physics != "transport" else None),
+    usual = {"collapses": COLLAPSES, "physics": "transport"}
+    for name in (
+        "layout",
+        "experiments",
+        "rest_radius",
+        "collapses",
+        "medium",
+        "driving",
+        "physics",
     ):
-        if value:
-            parts += [option, value]
+        value = getattr(args, name)
+        if value and value != usual.get(name):
+            parts += [f"--{name.replace('_', '-')}", f"{value}"]
     parts += ["--sort"] if args.sort else []
     return shlex.join([*parts, "--html", "diagnosis.html"])

@@ -5,6 +5,7 @@ results go.
 import argparse
 import math
 import shlex
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,14 +17,13 @@ from imr_torch.assimilate import En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.characterization import medium_of
 from imr_torch.cli.figures import save_figures
 from imr_torch.cli.options.names import DEFAULT_MODELS
-from imr_torch.cli.progress import Stage, Terminal
+from imr_torch.cli.progress import Stage
 from imr_torch.errors import InputDataError
 from imr_torch.files import read_json, without_nonfinite, write_json
-from imr_torch.html import write
 from imr_torch.material import PARAMETERS, Belief, reference_case, wide_prior
 from imr_torch.observe import CollapseShot, GelMedium, Layout, Statement, TraceSet
 from imr_torch.reading import load_driving
-from imr_torch.results import document_page, draw_figures, header
+from imr_torch.results import draw_figures, header, write_page
 from imr_torch.simulate import (
     ACCURACIES,
     PolytropicSimulator,
@@ -71,8 +71,6 @@ def with_medium(
 
 def with_engine(simulator: AnySimulator, args: argparse.Namespace) -> AnySimulator:
     """A simulator with the engine, threads and driving that the options name."""
-    if args.threads is not None and args.threads < 1:
-        raise InputDataError(f"--threads is {args.threads}; expected at least 1.")
     simulator = replace(simulator, engine=args.engine, threads=args.threads)
     if not getattr(args, "driving", None):
         return simulator
@@ -161,14 +159,6 @@ def parse_pair(text: str | None, option: str) -> tuple[float, float] | None:
     return first, second
 
 
-def check_counts(args: argparse.Namespace, *options: str) -> None:
-    """Refuse options that count something and are below 1."""
-    for option in options:
-        value = getattr(args, option)
-        if value is not None and value < 1:
-            raise InputDataError(f"--{option} is {value}; expected at least 1.")
-
-
 def rest_radius_of(args: argparse.Namespace) -> tuple[float, float] | None:
     """``--rest-radius`` as R_inf/Rmax and its standard deviation."""
     pair = parse_pair(args.rest_radius, "--rest-radius")
@@ -186,29 +176,17 @@ def layout_of(args: argparse.Namespace) -> Layout | None:
     return None if args.layout is None else Layout.from_text(args.layout)
 
 
-def progress_of(
-    args: argparse.Namespace, stages: Sequence[Stage] = (), label: str = ""
-) -> Progress | None:
+def progress_of(args: argparse.Namespace, stages: Sequence[Stage] = ()) -> Progress | None:
     """Where a command reports its steps, or None with ``--quiet``.
 
     Args:
-        args: the options; ``terminal`` is made where the command line was not run through
-            :func:`imr_torch.cli.main`.
+        args: the options.
         stages: the stages to come.
-        label: what they are of.
     """
     if args.quiet:
         return None
-    terminal = getattr(args, "terminal", None) or Terminal(
-        args.command, verbose=getattr(args, "verbose", False), live=False
-    )
-    terminal.plan(stages, label)
-    return terminal
-
-
-def command_line(args: argparse.Namespace) -> str:
-    """The command line as it was typed."""
-    return shlex.join(["imr-torch", *getattr(args, "argv", (args.command,))])
+    args.terminal.plan(stages)
+    return args.terminal
 
 
 def header_of(args: argparse.Namespace) -> dict[str, Any]:
@@ -225,7 +203,8 @@ def header_of(args: argparse.Namespace) -> dict[str, Any]:
     medium = getattr(args, "gel_medium", None) or (
         SIMULATORS[physics].conditions.surroundings if physics else None
     )
-    return header(args.command, files=files, medium=medium, command=command_line(args)) | {
+    command = shlex.join(["imr-torch", *args.argv])
+    return header(args.command, files=files, medium=medium, command=command) | {
         "physics": physics,
         "seed": getattr(args, "seed", None),
     }
@@ -253,7 +232,6 @@ def show_result(
     args: argparse.Namespace,
     document: dict[str, Any],
     *,
-    folder: Path | None = None,
     report: str = "",
 ) -> None:
     """Draw the figures of a result into ``--out`` and its page into ``--html``, where given.
@@ -261,11 +239,10 @@ def show_result(
     Args:
         args: the options.
         document: with its header, as :func:`write_result` returns it.
-        folder: of the figures, where it is not ``--out``.
         report: what the page holds as text; the report of the document when not given.
     """
-    folder = folder or (Path(args.out) if args.out else None)
-    if folder:
-        save_figures(draw_figures(document), folder)
+    if args.out:
+        for failure in save_figures(draw_figures(document), Path(args.out)):
+            print(f"imr-torch: {failure}", file=sys.stderr)
     if getattr(args, "html", None):
-        print(f"wrote {write(document_page(document, report=report), args.html)}")
+        write_page(document, args.html, report=report)

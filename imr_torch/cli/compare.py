@@ -1,4 +1,4 @@
-"""Runs ``imr-torch compare``; its help and options are in :mod:`imr_torch.cli.options.compare`."""
+"""Runs ``imr-torch compare``."""
 
 import argparse
 

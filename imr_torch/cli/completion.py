@@ -13,9 +13,6 @@ _FILES = ("FILE", "FOLDER", "A.json", "B.json", "RESULT.json")
 class PrintCompletion(argparse.Action):
     """Prints the script, made by shtab from the parser, and ends."""
 
-    def __init__(self, option_strings: list[str], dest: str, **options: Any) -> None:
-        super().__init__(option_strings, argparse.SUPPRESS, choices=SHELLS, **options)
-
     def __call__(
         self,
         parser: argparse.ArgumentParser,

@@ -1,4 +1,4 @@
-"""Runs ``imr-torch demo``; its help and options are in :mod:`imr_torch.cli.options.demo`."""
+"""Runs ``imr-torch demo``."""
 
 import argparse
 import shlex
@@ -22,8 +22,6 @@ def run(args: argparse.Namespace) -> None:
     from imr_torch.cli.common import write_result
 
     folder = Path(args.out)
-    if args.threads is not None and args.threads < 1:
-        raise InputDataError(f"--threads is {args.threads}; expected at least 1.")
     _check_folder(folder, again=args.again)
     for source in (example_gel(), example_gel().with_suffix(".json")):
         write_atomically(

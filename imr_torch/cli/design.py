@@ -1,13 +1,11 @@
-"""Runs ``imr-torch design``; its help and options are in :mod:`imr_torch.cli.options.design`."""
+"""Runs ``imr-torch design``."""
 
 import argparse
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable
 
 from imr_torch.campaign import Optimal
 from imr_torch.cli.common import (
     belief_cautions,
-    check_counts,
     parse_pair,
     prior_of,
     progress_of,
@@ -18,7 +16,6 @@ from imr_torch.cli.common import (
 )
 from imr_torch.cli.progress import DESIGN
 from imr_torch.design import (
-    DesignSearch,
     DesignSpace,
     ExpectedInformationGain,
     ImportanceSampling,
@@ -33,9 +30,8 @@ from imr_torch.design import (
 from imr_torch.errors import InputDataError
 from imr_torch.observe import Nuisance
 from imr_torch.results import document_report
-from imr_torch.results.plot import information_map
+from imr_torch.results.plot import search_document
 from imr_torch.simulate import coarser
-from imr_torch.units import Surroundings
 
 _PUBLISHED_REPEATS = 100
 _REPEATS = 10
@@ -74,25 +70,8 @@ def plan_of(args: argparse.Namespace) -> Plan:
     return Plan(repeats=_REPEATS if args.repeats is None else args.repeats, nuisance=_MEASURED)
 
 
-def search_to_dict(search: DesignSearch) -> list[dict[str, float]]:
-    """JSON-ready rows of all evaluated designs."""
-    rows = []
-    for design, gain in zip(search.designs.tolist(), search.gains, strict=True):
-        row = {"We": design[0], "R_inf*": design[1], "counted": gain.counted, "drawn": gain.drawn}
-        if gain.value == gain.value:
-            row |= {
-                "eig": gain.value,
-                "sd": gain.variance**0.5,
-                "parameters": gain.parameters,
-                "model": gain.model,
-            }
-        rows.append(row)
-    return rows
-
-
 def run(args: argparse.Namespace) -> None:
     """Search and report."""
-    check_counts(args, "q", "evaluations", "draws")
     simulator = simulator_of(args)
     space = space_of(args)
     simulator, prior, medium = with_medium(args, simulator, prior_of(args))
@@ -115,31 +94,13 @@ def run(args: argparse.Namespace) -> None:
         strategy=args.strategy,
         progress=progress_of(args, DESIGN),
     )
-    steps = (*search.earlier, search)
-    document = search_document(steps, simulator.conditions.surroundings)
-    document["cautions"] = belief_cautions(args)
+    first, *further = (
+        search_document(step, simulator.conditions.surroundings)
+        | {"eig": step.recommendation.mean, "eig_sd": step.recommendation.sd}
+        for step in (*search.earlier, search)
+    )
+    together = {"joint_eig": search.joint, "further": further} if further else {}
+    document = first | together | {"cautions": belief_cautions(args)}
     document = write_result(args, document)  # before any figure, so that nothing is lost
     print(document_report(document))
     show_result(args, document)
-
-
-def search_document(
-    steps: Sequence[DesignSearch], surroundings: Surroundings | None = None
-) -> dict[str, Any]:
-    """JSON-ready result of the searches for one or more designs, with the map of each."""
-    medium = surroundings or Surroundings()
-    rows = [
-        {
-            "design": {
-                "We": float(step.recommendation.design[0]),
-                "R_inf*": float(step.recommendation.design[1]),
-                "Rmax_m": float(medium.max_radius(step.recommendation.design[0])),
-            },
-            "eig": step.recommendation.mean,
-            "eig_sd": step.recommendation.sd,
-            "evaluations": search_to_dict(step),
-            "map": information_map(step),
-        }
-        for step in steps
-    ]
-    return rows[0] | ({"joint_eig": steps[-1].joint, "further": rows[1:]} if len(rows) > 1 else {})

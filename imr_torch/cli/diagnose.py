@@ -1,7 +1,4 @@
-"""Runs ``imr-torch diagnose``.
-
-Its help and options are in :mod:`imr_torch.cli.options.diagnose`.
-"""
+"""Runs ``imr-torch diagnose``."""
 
 import argparse
 import time
@@ -16,11 +13,11 @@ from imr_torch.cli.common import (
     parse_values,
     progress_of,
     rest_radius_of,
+    show_result,
     simulator_of,
     statement_of,
     write_result,
 )
-from imr_torch.cli.figures import save_figures
 from imr_torch.cli.progress import DIAGNOSE
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap import (
@@ -32,20 +29,15 @@ from imr_torch.gap import (
     load_set,
     medium_sensitivities,
     to_json,
-    write_page,
 )
 from imr_torch.material import MATERIALS, wide_prior
 from imr_torch.observe import Experiment, GelMedium, TraceSet, load_traces, prepare
-from imr_torch.results import draw_figures
-from imr_torch.results.page import footer, provenance_rows
 from imr_torch.simulate import Simulator
 
 
 def run(args: argparse.Namespace) -> None:
     """Check everything that was asked for, diagnose, report."""
     started = time.perf_counter()
-    if args.most < 1:
-        raise InputDataError(f"--most is {args.most}; expected at least 1 effect to add.")
     simulator = simulator_of(args)
     effects = _effects(args)
     base = wide_prior((args.base,), known=parse_values(args.known, "--known")).models[0]
@@ -90,13 +82,7 @@ def run(args: argparse.Namespace) -> None:
     of_medium = medium_document(medium, assumed, report.null.posterior)
     args.gel_medium = medium
     document = write_result(args, document | of_medium | {"seconds": time.perf_counter() - started})
-    if args.out:
-        save_figures(draw_figures(document), Path(args.out))
-    if args.html:
-        moved = [("Were the medium another", found.sentence()) for found in assumed]
-        facts = (*provenance_rows(document), *moved)
-        page = write_page(document, args.html, facts=facts, footer=footer(document))
-        print(f"wrote {page}")
+    show_result(args, document)
     if not report.converged:
         raise ConvergenceError("a fit that the verdict rests on has not converged (see above).")
 

@@ -121,14 +121,13 @@ class Terminal:
         self.plan(())
         self._begun = False
 
-    def plan(self, stages: Sequence[Stage], label: str = "") -> None:
-        """Name the stages to come, from the first; ``label`` says of what (for example a curve)."""
+    def plan(self, stages: Sequence[Stage]) -> None:
+        """Name the stages to come, from the first."""
         with self._lock:
             self.stages = tuple(stages)
             self.at = 0
             self.step = ""
             self.part = 0.0
-            self.label = label
             self.started = self.said = self.clock()
             self._said_stage = -1
             self._begun = True
@@ -154,12 +153,13 @@ class Terminal:
         """The state in one line, what matters most first, since a narrow terminal cuts the end off."""
         elapsed = self.clock() - self.started
         done = self._done()
-        parts = [f"{self.command} {self.label}".strip()]
+        parts = [self.command]
         if len(self.stages) > 1:
             parts.append(f"stage {self.at + 1} of {len(self.stages)}")
         parts.append(_clock(elapsed))
         if done >= _EARLY:
-            parts.append(f"about {_clock(elapsed * (1.0 - done) / done)} left")
+            left = _clock(elapsed * (1.0 - done) / done)
+            parts.append(f"{100 * done:.0f} %, about {left} left")
         stage = self.stages[self.at].name if self.stages else ""
         doing = ", ".join(filter(None, (stage, self.step)))
         return ", ".join(parts) + (f": {doing}" if doing else "")

@@ -1,7 +1,4 @@
-"""Runs ``imr-torch simulate``.
-
-Its help and options are in :mod:`imr_torch.cli.options.simulate`.
-"""
+"""Runs ``imr-torch simulate``."""
 
 import argparse
 
@@ -9,7 +6,6 @@ import torch
 
 from imr_torch.characterization import medium_of
 from imr_torch.cli.common import (
-    AnySimulator,
     parse_values,
     show_result,
     statement_of,
@@ -21,20 +17,6 @@ from imr_torch.material import PARAMETERS, material
 from imr_torch.observe import TraceSet
 from imr_torch.simulate import ACCURACIES, STEPPINGS, PolytropicSimulator, TransportSimulator
 
-SIMULATORS: dict[tuple[str, str], AnySimulator] = {
-    **{
-        ("polytropic", name): PolytropicSimulator(stepping=stepping)
-        for name, stepping in STEPPINGS.items()
-    },
-    **{
-        ("transport", name): TransportSimulator(accuracy=accuracy)
-        for name, accuracy in ACCURACIES.items()
-    },
-}
-_LARGEST_WEBER = 1e5  # a bubble of 11 cm
-_MOST_FRAMES = 1_000_000
-_LATEST = 1000.0
-
 
 def run(args: argparse.Namespace) -> None:
     """Simulate and write."""
@@ -45,18 +27,11 @@ def run(args: argparse.Namespace) -> None:
             f"--set: model {kind.key!r} has the parameters {', '.join(kind.names)}; got "
             f"{', '.join(values)}."
         )
-    if not 2 <= args.frames <= _MOST_FRAMES:
-        raise InputDataError(f"--frames is {args.frames}; expected 2 to {_MOST_FRAMES}.")
-    if not 0.0 < args.until < _LATEST:
-        raise InputDataError(
-            f"--until is {args.until}; expected a time in Rmax/U_c above 0 and below {_LATEST:g}."
-        )
-    if not 0.0 < args.we <= _LARGEST_WEBER:
-        raise InputDataError(
-            f"--we is {args.we}; expected We = p_inf Rmax/(2 gamma) above 0, at most "
-            f"{_LARGEST_WEBER:g}."
-        )
-    bubbles = with_engine(SIMULATORS[args.physics, args.accuracy], args)
+    if args.physics == "polytropic":
+        bubbles = PolytropicSimulator(stepping=STEPPINGS[args.accuracy])
+    else:
+        bubbles = TransportSimulator(accuracy=ACCURACIES[args.accuracy])
+    bubbles = with_engine(bubbles, args)
     statement = statement_of(args)
     uncertain = (
         [name for name, (_, sd) in statement.values.items() if sd is not None] if statement else []

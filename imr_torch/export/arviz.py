@@ -17,7 +17,6 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate import Assimilation, ModelFit
-from imr_torch.campaign import Campaign
 from imr_torch.errors import InputDataError, UnsupportedError
 from imr_torch.export.frames import frame_predictions
 from imr_torch.files import write_atomically
@@ -34,19 +33,19 @@ Variables = dict[str, "Variable"]
 
 
 def to_arviz(
-    source: Assimilation | Belief | Campaign,
+    source: Assimilation | Belief,
     *,
     seed: int,
     draws: int = 1000,
     simulator: Simulator | None = None,
 ) -> "DataTree":
-    """The tree of an assimilation, a belief or a campaign.
+    """The tree of an assimilation or a belief.
 
     Args:
         source: an assimilation gives, per model, ``posterior``, ``sample_stats``,
             ``log_likelihood``, ``observed_data`` and ``constant_data``; a belief gives
-            ``posterior`` alone; a campaign gives the groups of its last step (those of its belief
-            if it was read back from its journal), and a branch ``campaign`` with every step.
+            ``posterior`` alone. Of a campaign they are ``campaign.steps[-1].assimilation`` and
+            ``campaign.belief``.
         seed: of the draws.
         draws: draws per model.
         simulator: the one that the posterior was made with, for the branch ``frames`` of each
@@ -102,14 +101,9 @@ def write_netcdf(tree: "DataTree", path: str | Path) -> None:
 
 
 def _groups(
-    source: Assimilation | Belief | Campaign, seed: int, draws: int, simulator: Simulator | None
+    source: Assimilation | Belief, seed: int, draws: int, simulator: Simulator | None
 ) -> dict[str, Variables]:
     """Path of each group and its variables."""
-    if isinstance(source, Campaign):
-        last = source.steps[-1] if source.steps else None
-        inner = source.belief if last is None or last.assimilation is None else last.assimilation
-        groups = _groups(inner, seed, draws, simulator)
-        return groups if last is None else groups | {"campaign": _history(source)}
     if isinstance(source, Belief):
         branches = {
             f"{part.model}/posterior": _parameters(
@@ -120,7 +114,7 @@ def _groups(
         return branches | {"models": _probabilities(source)}
     if not isinstance(source, Assimilation):
         raise InputDataError(
-            f"to_arviz takes an Assimilation, a Belief or a Campaign; got {type(source).__name__}."
+            f"to_arviz takes an Assimilation or a Belief; got {type(source).__name__}."
         )
     return {
         f"{fit.model}/{group}": variables
@@ -270,31 +264,4 @@ def _probabilities(belief: Belief) -> Variables:
     return {
         "model": _variable("model", list(belief.keys)),
         "log_probability": _variable("model", belief.log_probabilities, "nat"),
-    }
-
-
-def _history(campaign: Campaign) -> Variables:
-    """Design, probabilities and evidences of every step."""
-    steps = campaign.steps
-    numbers = [step.number for step in steps]
-    told = dict(zip(campaign.numbers, campaign.experiments, strict=True))
-    designs = [told[number].design for number in numbers]
-    logs = torch.stack([step.belief.log_probabilities for step in steps])
-    known = all(step.evidence for step in steps)  # the published way to learn has none
-    values, errors = (
-        [[getattr(e, name) for e in step.evidence] for step in steps] for name in ("value", "error")
-    )
-    evidence = {
-        "log_evidence": _variable(
-            "step model", values, "nat", long_name="of all experiments so far"
-        ),
-        "log_evidence_error": _variable("step model", errors, "nat"),
-    }
-    return (evidence if known else {}) | {
-        "step": _variable("step", numbers),
-        "model": _variable("model", list(campaign.prior.keys)),
-        "weber": _variable("step", [weber for weber, _ in designs], "1", long_name="Weber number"),
-        "rest_radius": _variable("step", [rest for _, rest in designs], "R_inf/Rmax"),
-        "log_probability": _variable("step model", logs, "nat"),
-        "entropy": _variable("step", [float(step.belief.entropy()) for step in steps], "nat"),
     }

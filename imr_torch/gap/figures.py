@@ -4,65 +4,40 @@ Colours are told apart by colour-blind readers, and what matters is also written
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from imr_torch.drawing import (
+    DATA,
+    MODEL,
+    PALE,
+    SECOND,
+    TRUTH,
+    NamedFigure,
+    axes_or_new,
+    curve_panels,
+    draw_intervals,
+    floats,
+)
 from imr_torch.gap.hypotheses import in_words
 from imr_torch.gap.text import CAUSES, CURVES, PLACE, SHRINKS, TESTED, VERDICT, Document
 from imr_torch.goodness.score import LEVEL
-from imr_torch.labels import R_STAR, T_STAR, file_name, plain
+from imr_torch.labels import file_name, plain
 from imr_torch.material import PARAMETERS
 
-DATA = "#222222"
-BASE = "#E69F00"
-AFTER = "#0072B2"
-LIGHT = "#A6CCE2"
-ALARM = "#D55E00"
-PALE = "#AAAAAA"
+LIGHT = "#A6CCE2"  # bars of fits that did not converge
 _SMALLEST = 300.0  # -log10 p beyond which p-values are zero in float64
 _LINEAR = 10.0  # -log10 p up to which axes are linear; logarithmic beyond
 _BARS = 12
 _ALL = 0.99  # probability of an unknown effect from which on others cannot be seen
 
 
-@dataclass(frozen=True)
-class GapFigure:
-    """A figure of a diagnosis.
-
-    Args:
-        section: heading of the section that it stands in.
-        name: for a file.
-        caption: what it shows.
-        alt: the same for who cannot see it.
-        plot: draws it or its axes.
-
-    >>> from imr_torch.gap.figures import GapFigure
-    >>> GapFigure("The curves", "curve_1", "Measured.", "Line chart.", lambda: None).name
-    'curve_1'
-    """
-
-    section: str
-    name: str
-    caption: str
-    alt: str
-    plot: Callable[[], Figure | Axes]
-
-    def draw(self) -> Figure:
-        """The figure, drawn."""
-        drawn = self.plot()
-        figure = drawn.figure if isinstance(drawn, Axes) else drawn
-        assert isinstance(figure, Figure)
-        return figure
-
-
-def gap_figures(document: Document, *, curves: int | None = None) -> Iterator[GapFigure]:
+def gap_figures(document: Document, *, curves: int | None = None) -> Iterator[NamedFigure]:
     """Every figure that a document allows, in the order of the page.
 
     Args:
@@ -72,98 +47,94 @@ def gap_figures(document: Document, *, curves: int | None = None) -> Iterator[Ga
     selected = " and ".join(map(in_words, document["selected"]))
     for curve in document["curves"][:curves]:
         beside = "" if curve["selected"] is None else f" and that with {selected}"
-        yield GapFigure(
-            CURVES,
+        yield NamedFigure(
             f"curve_{file_name(curve['id'])}",
             f"{curve['id']}: measured, the base model{beside}; below, residuals over noise (grey: "
             "up to 2).",
             f"Line chart of radius over time of {curve['id']}, with residuals.",
             partial(curve_figure, curve, selected),
+            section=CURVES,
         )
-    yield GapFigure(
-        TESTED,
+    yield NamedFigure(
         "tests",
         "Tests of the base model's residual: longer bars are smaller p; beyond the dashed line one "
         "test shows a gap.",
         f"Bar chart of {len(document['tests'])} tests; the longest bar is "
         f"{document['tests'][0]['name']}.",
         partial(plot_tests, document["tests"]),
+        section=TESTED,
     )
     if document["examined"]:
         yield from _of_place(document)
     if document["posterior"]:
         yield _of_causes(document)
     if document["shrinkage"] and document["shrinkage"]["share"]:
-        yield GapFigure(
-            SHRINKS,
+        yield NamedFigure(
             "shrinkage",
             "Part of the gap on unseen curves that goes with what was selected (dot, 90 % "
             "interval), and up to where 95 % of random libraries close it (grey).",
             "Intervals on a line from 0 to 1; the sentences above give the numbers.",
             partial(plot_shrinkage, document["shrinkage"]),
+            section=SHRINKS,
         )
     if document["parameters_with_model_error"]:
-        yield GapFigure(
-            VERDICT,
+        yield NamedFigure(
             "parameters",
             "Parameters of the gel: 90 % intervals if the model is right, and with what it may "
             "lack, relative to the median.",
             "Two intervals a parameter; the sentences above give the numbers.",
             partial(plot_intervals, document),
+            section=VERDICT,
         )
 
 
-def _of_place(document: Document) -> Iterator[GapFigure]:
+def _of_place(document: Document) -> Iterator[NamedFigure]:
     """Where the gap lies."""
-    yield GapFigure(
-        PLACE,
+    yield NamedFigure(
         "phases",
         "Residual of the base model by experiment and phase; 1 is noise alone. Where a residual "
         "sits is not where its cause acts, because the fit spreads it.",
         f"Map of residuals over {len(document['curves'])} experiments and five phases.",
         partial(plot_phase_residual, document),
+        section=PLACE,
     )
-    yield GapFigure(
-        PLACE,
+    yield NamedFigure(
         "onset",
         "Refits to the frames up to each moment: the first that rejects the model is the first "
         "detection.",
         f"Line chart. {document['onset']['sentence']}",
         partial(plot_onset, document["onset"]),
+        section=PLACE,
     )
     if document["acts"]:
-        yield GapFigure(
-            PLACE,
+        yield NamedFigure(
             "acts",
             "Share of the signal of the named effects by phase, with its 90 % interval.",
             f"Bar chart. {document['acts']['sentence']}",
             partial(plot_acts, document["acts"]["shares"]),
+            section=PLACE,
         )
 
 
-def _of_causes(document: Document) -> GapFigure:
+def _of_causes(document: Document) -> NamedFigure:
     """Probability of each cause; where none is known to be likely, what each explains by itself."""
     posterior = document["posterior"]
     if posterior.get("other", 0.0) > _ALL:
-        return GapFigure(
-            CAUSES,
+        return NamedFigure(
             "causes",
             "What one part more explains; none is enough. Light: its fit did not converge.",
             "Bar chart of log evidence gained.",
             partial(plot_explained, document["explained_nats"], document["unconverged"]),
+            section=CAUSES,
         )
     top = max(posterior, key=posterior.__getitem__)
-    return GapFigure(
-        CAUSES,
+    return NamedFigure(
         "causes",
         "Probability of each cause.",
         f"Bar chart of probabilities; the largest is that of {top}.",
         partial(plot_causes, posterior),
+        section=CAUSES,
     )
-
-
-def _axes(ax: Axes | None, size: tuple[float, float] = (5.2, 3.4)) -> Axes:
-    return ax if ax is not None else plt.subplots(figsize=size, layout="constrained")[1]
 
 
 def _strength(p_value: float) -> float:
@@ -171,30 +142,19 @@ def _strength(p_value: float) -> float:
     return -math.log10(max(p_value, 10.0**-_SMALLEST))
 
 
-def _floats(values: Sequence[float | None]) -> np.ndarray:
-    return np.asarray(values, dtype=float)
-
-
 def _bars(
     ax: Axes | None,
     names: Sequence[str],
     lengths: Sequence[float],
     texts: Sequence[str],
-    colors: str | Sequence[str] = AFTER,
+    colors: str | Sequence[str] = MODEL,
 ) -> Axes:
     """Horizontal bars from top to bottom, each with its name and a text at its end."""
-    ax = _axes(ax, (6.0, 1.0 + 0.27 * len(names)))
+    ax = axes_or_new(ax, (6.0, 1.0 + 0.27 * len(names)))
     places = range(len(names) - 1, -1, -1)
     ax.bar_label(ax.barh(places, lengths, color=colors, height=0.7), texts, padding=2, fontsize=8)
     ax.set_yticks(places, [plain(name) for name in names], fontsize=8)
     return ax
-
-
-def _intervals(ax: Axes, places: Any, rows: Any, **style: Any) -> None:
-    """Medians with their 5 and 95 % ends, one row each."""
-    low, middle, high = np.array(rows, dtype=float).T
-    error = (middle - low, high - middle)
-    ax.errorbar(middle, places, xerr=error, fmt="o", capsize=3, **style)
 
 
 def curve_figure(curve: Mapping[str, Any], selected: str) -> Figure:
@@ -205,25 +165,20 @@ def curve_figure(curve: Mapping[str, Any], selected: str) -> Figure:
         curve: an entry of ``curves``.
         selected: what was selected, in words.
     """
-    figure, (ax, below) = plt.subplots(
-        2, 1, figsize=(5.2, 4.4), height_ratios=[2, 1], sharex=True, layout="constrained"
-    )
-    t, r, sd = (_floats(curve[name]) for name in ("t_star", "R_star", "sd"))
+    figure, ax, below = curve_panels(curve["id"])
+    t, r, sd = (floats(curve[name]) for name in ("t_star", "R_star", "sd"))
     ax.plot(t, r, ".", ms=4, color=DATA, label="measured")
-    below.axhspan(-2.0, 2.0, color="#E2E2E2", lw=0)
-    shown = (("base", "base model", BASE, "--"), ("selected", f"with {selected}", AFTER, "-"))
+    shown = (("base", "base model", SECOND, "--"), ("selected", f"with {selected}", MODEL, "-"))
     for name, label, color, style in shown:
         if curve[name] is None:
             continue
         at_frames = {"t_star": curve["t_star"], "R_star": curve[name]}
         drawn = curve["drawn"].get(name, at_frames)
-        times, radius = (_floats(drawn[key]) for key in ("t_star", "R_star"))
-        ax.plot(times, radius, color=color, ls=style, lw=1.3, label=plain(label))
-        below.plot(t, (r - _floats(curve[name])) / sd, color=color, ls=style, lw=1.2)
-    ax.set(ylabel=R_STAR, ylim=(0.0, None))
-    ax.set_title(plain(curve["id"]), fontsize=10)
+        times = floats(drawn["t_star"])
+        ax.plot(times, floats(drawn["R_star"]), color=color, ls=style, lw=1.3, label=plain(label))
+        below.plot(t, (r - floats(curve[name])) / sd, color=color, ls=style, lw=1.2)
+    ax.set(ylim=(0.0, None))
     ax.legend(frameon=False, fontsize=8)
-    below.set(xlabel=T_STAR, ylabel="residual / noise")
     return figure
 
 
@@ -232,8 +187,8 @@ def plot_phase_residual(document: Document, *, ax: Axes | None = None) -> Axes:
     alone.
     """
     phases = document["phase_residual"]["phases"]
-    values = _floats(document["phase_residual"]["rows"])
-    ax = _axes(ax, (5.8, 1.4 + 0.36 * len(values)))
+    values = floats(document["phase_residual"]["rows"])
+    ax = axes_or_new(ax, (5.8, 1.4 + 0.36 * len(values)))
     top = max(3.0, float(np.nan_to_num(values).max()))
     image = ax.imshow(values, cmap="Blues", vmin=0.0, vmax=top, aspect="auto")
     for (i, j), value in np.ndenumerate(values):
@@ -253,7 +208,7 @@ def plot_tests(tests: Sequence[Mapping[str, Any]], *, ax: Axes | None = None) ->
     strength = [_strength(row["p_value"]) for row in shown]
     limit = -math.log10(LEVEL / len(tests))
     texts = [f"{'> ' if s == _SMALLEST else ''}{s:.3g}" for s in strength]
-    colors = [ALARM if s > limit else PALE for s in strength]
+    colors = [TRUTH if s > limit else PALE for s in strength]
     ax = _bars(ax, [row["name"] for row in shown], strength, texts, colors)
     ax.axvline(limit, color=DATA, ls="--", lw=1)
     ax.set(xlabel="$-\\log_{10} p$  (dashed: 4 % over all)")
@@ -267,15 +222,15 @@ def plot_onset(found: Mapping[str, Any], *, ax: Axes | None = None) -> Axes:
 
     The first below the level is the first detection.
     """
-    ax = _axes(ax)
+    ax = axes_or_new(ax)
     strength = [_strength(p) for p in found["p_values"]]
     level = found["level"]
-    ax.plot(found["times"], strength, "o-", color=AFTER, ms=4)
+    ax.plot(found["times"], strength, "o-", color=MODEL, ms=4)
     label = f"{100 * level:g} % over the whole event"
     ax.axhline(-math.log10(level), color=DATA, ls="--", lw=1, label=label)
     if found["t"] is not None:
         label = f"first detected: {found['phase']}, t* = {found['t']:.2f}"
-        ax.axvline(found["t"], color=ALARM, lw=1.5, label=label)
+        ax.axvline(found["t"], color=TRUTH, lw=1.5, label=label)
     ax.set_yscale("symlog", linthresh=_LINEAR)
     ax.set(xlabel="frames up to $t^*$", ylabel="$-\\log_{10} p$")
     ax.set(ylim=(0.0, 2.0 * max(*strength, _LINEAR)))
@@ -295,7 +250,7 @@ def plot_causes(posterior: Mapping[str, float], *, ax: Axes | None = None) -> Ax
     """Probability of each cause, the most probable first; none and other stand out."""
     names = sorted(posterior, key=lambda name: -posterior[name])[:_BARS]
     shown = [posterior[name] for name in names]
-    colors = [{"none": PALE, "other": ALARM}.get(name, AFTER) for name in names]
+    colors = [{"none": PALE, "other": TRUTH}.get(name, MODEL) for name in names]
     ax = _bars(ax, names, shown, [f"{p:.3f}" for p in shown], colors)
     ax.set(xlabel="probability", xlim=(0.0, 1.3), xticks=[0.0, 0.25, 0.5, 0.75, 1.0])
     return ax
@@ -311,7 +266,7 @@ def plot_explained(
     names = sorted(explained, key=lambda name: -explained[name])[:_BARS]
     lengths = [max(explained[name], 0.0) for name in names]
     texts = [f"{explained[n]:.0f}{' or more' if n in unconverged else ''}" for n in names]
-    ax = _bars(ax, names, lengths, texts, [LIGHT if n in unconverged else AFTER for n in names])
+    ax = _bars(ax, names, lengths, texts, [LIGHT if n in unconverged else MODEL for n in names])
     ax.set(xlabel="log evidence gained (nats)", xlim=(0.0, 1.3 * max(1.0, *lengths)))
     return ax
 
@@ -320,11 +275,11 @@ def plot_shrinkage(found: Mapping[str, Any], *, ax: Axes | None = None) -> Axes:
     """Part of the gap on unseen curves that is gone, beside what random effects close."""
     rows = {"all frames": found["share"], "after the first\nrebound": found["later"]}
     rows = {name: share for name, share in rows.items() if share is not None}
-    ax = _axes(ax, (5.2, 1.2 + 0.45 * len(rows)))
+    ax = axes_or_new(ax, (5.2, 1.2 + 0.45 * len(rows)))
     high = max(found["placebo_95"], 0.0)
     ax.axvspan(0.0, high, color="#DDDDDD", lw=0, label="95 % of random libraries")
     places = range(len(rows) - 1, -1, -1)
-    _intervals(ax, places, list(rows.values()), color=AFTER)
+    draw_intervals(ax, places, list(rows.values()), color=MODEL, capsize=3)
     for at in (0.0, 1.0):
         ax.axvline(at, color=DATA, lw=0.8)
     ax.set_yticks(places, list(rows), fontsize=8)
@@ -338,15 +293,15 @@ def plot_intervals(document: Document, *, ax: Axes | None = None) -> Axes:
     relative to the median.
     """
     right = document["parameters"]
-    ax = _axes(ax, (5.2, 1.1 + 0.5 * len(right)))
+    ax = axes_or_new(ax, (5.2, 1.1 + 0.5 * len(right)))
     places = np.arange(len(right) - 1, -1, -1)
     rows = (
-        (right, BASE, 0.12, "if the model is right"),
-        (document["parameters_with_model_error"], AFTER, -0.12, "with what it may lack"),
+        (right, SECOND, 0.12, "if the model is right"),
+        (document["parameters_with_model_error"], MODEL, -0.12, "with what it may lack"),
     )
     for values, color, offset, label in rows:
         scaled = [np.array(values[name]) / right[name][1] for name in right]
-        _intervals(ax, places + offset, scaled, color=color, label=label)
+        draw_intervals(ax, places + offset, scaled, color=color, capsize=3, label=label)
     ax.axvline(1.0, color=DATA, lw=0.8)
     ax.set_yticks(places, [PARAMETERS[name].label for name in right], fontsize=8)
     ax.set(xlabel="over the median of the fit", ylim=(-0.5, len(right) - 0.5))

@@ -5,16 +5,13 @@ Sections that have nothing to say are folded away. The words say all that the fi
 """
 
 from collections.abc import Sequence
-from itertools import chain
 from pathlib import Path
-
-import matplotlib.pyplot as plt
+from typing import Any
 
 from imr_torch.gap.figures import gap_figures
 from imr_torch.gap.hypotheses import in_words
 from imr_torch.gap.text import CURVES, HIDDEN, VERDICT, Document, hidden_row, sections
-from imr_torch.html import Block, Picture, Table, write
-from imr_torch.html import page as html_page
+from imr_torch.html import render, write
 from imr_torch.material import PARAMETERS
 
 _CURVES = 6
@@ -53,34 +50,32 @@ def write_page(
     ...     "<title>Gel 7</title>" in write_page(document, Path(folder) / "gap.html", name="Gel 7").read_text()
     True
     """
-    pictures: dict[str, list[Picture]] = {}
+    pictures: dict[str, list[dict[str, str]]] = {}
     for figure in gap_figures(document, curves=_CURVES):
-        drawn = Picture(figure.caption, figure.alt, figure.draw())
-        pictures.setdefault(figure.section, []).append(drawn)
+        pictures.setdefault(figure.section, []).append(figure.picture())
     verdict, *others = sections(document)
-    blocks = [
-        Block("The gel", (Table(_gel(document)), *pictures.get(VERDICT, ()))),
-        Block(CURVES, tuple(pictures.get(CURVES, ()))),
+    blocks: list[tuple[str, Sequence[Any], bool]] = [
+        ("The gel", (((), _gel(document)), *pictures.get(VERDICT, ())), False),
+        (CURVES, pictures.get(CURVES, ()), False),
     ]
     for section in others:
-        said: tuple[str | Table, ...] = section.sentences
+        said: tuple[Any, ...] = section.sentences
         if section.heading == HIDDEN and document["hidden"]:
-            rows = tuple(map(hidden_row, document["hidden"]))
-            said = (section.sentences[0], Table(rows, head=_HIDDEN_HEAD))
+            rows = [hidden_row(row) for row in document["hidden"]]
+            said = (section.sentences[0], (_HIDDEN_HEAD, rows))
         content = (*said, *pictures.get(section.heading, ()))
-        blocks.append(Block(section.heading, content, folded=section.folded))
+        blocks.append((section.heading, content, section.folded))
     if facts:
-        blocks.append(Block("Files, medium and software", (Table(tuple(facts)),), folded=True))
-    text = html_page(
-        name,
-        verdict.sentences,
-        blocks,
+        blocks.append(("Files, medium and software", [((), facts)], True))
+    text = render(
+        "blocks.html",
+        title=name,
+        verdict=verdict.sentences,
+        blocks=blocks,
         warning=document["verdict"] != "none",
         next_step=document["next_step"],
         footer=footer,
     )
-    for picture in chain(*pictures.values()):
-        plt.close(picture.figure)
     return write(text, path)
 
 

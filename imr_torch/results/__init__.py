@@ -3,10 +3,10 @@ document alone.
 """
 
 from imr_torch.document import SCHEMA_VERSION, check_document, header, read_document
+from imr_torch.drawing import NamedFigure
 from imr_torch.results.campaign import campaign_document
 from imr_torch.results.figures import draw_figures
-from imr_torch.results.named import NamedFigure
-from imr_torch.results.page import document_page, document_report
+from imr_torch.results.page import document_page, document_report, write_page
 from imr_torch.results.publication import WIDTHS, for_publication
 
 __all__ = [
@@ -21,4 +21,5 @@ __all__ = [
     "for_publication",
     "header",
     "read_document",
+    "write_page",
 ]

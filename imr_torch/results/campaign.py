@@ -9,11 +9,11 @@ from typing import Any
 import torch
 
 from imr_torch.campaign import Campaign, PopulationLearner, Proposal
-from imr_torch.characterization.bands import LEVELS, intervals, predictive_band
+from imr_torch.characterization.bands import band_document, intervals, predictive_band
 from imr_torch.files import drawn_numbers
 from imr_torch.goodness import check_fit
 from imr_torch.material import Belief
-from imr_torch.results.plot import information_map
+from imr_torch.results.plot import design_document, search_document
 
 _REPEATS = 12  # curves of one experiment that are drawn
 _POINTS = 400  # of a predictive band
@@ -107,40 +107,26 @@ def _without_cloud(belief: Belief) -> dict[str, Any]:
     }
 
 
-def _design(campaign: Campaign, weber: float, rest: float) -> dict[str, float]:
-    size = campaign.simulator.conditions.surroundings.max_radius(weber)
-    return {"We": weber, "R_inf*": rest, "Rmax_m": float(size), "R_inf_m": rest * float(size)}
-
-
 def _proposal(campaign: Campaign, proposal: Proposal) -> dict[str, Any]:
-    weber, rest = proposal.design.tolist()
+    surroundings = campaign.simulator.conditions.surroundings
     return {
         "step": proposal.step,
         "gain": proposal.gain,
         "gain_sd": proposal.gain_sd,
         "reason": proposal.reason,
         "stop": campaign.reason_to_stop(proposal),
-    } | _design(campaign, weber, rest)
+    } | design_document(proposal.design, surroundings)
 
 
 def _searches(campaign: Campaign) -> list[dict[str, Any]]:
     """Map, evaluated designs and chosen design of each step that was searched for."""
-    found = []
-    for number in range(1, campaign.told + 2):
-        search = campaign.search(number)
-        if search is not None:
-            weber, rest = search.recommendation.design.tolist()
-            evaluated = [{"We": float(we), "R_inf*": float(r)} for we, r in search.designs]
-            chosen = _design(campaign, weber, rest)
-            found.append(
-                {
-                    "step": number,
-                    "map": information_map(search),
-                    "evaluations": evaluated,
-                    "design": chosen,
-                }
-            )
-    return found
+    surroundings = campaign.simulator.conditions.surroundings
+    searches = ((number, campaign.search(number)) for number in range(1, campaign.told + 2))
+    return [
+        {"step": number} | search_document(search, surroundings)
+        for number, search in searches
+        if search is not None
+    ]
 
 
 def _curves(campaign: Campaign) -> list[dict[str, Any]]:
@@ -172,11 +158,7 @@ def _curves(campaign: Campaign) -> list[dict[str, Any]]:
                 "t_star": experiment.times.tolist(),
                 "R_star": [drawn_numbers(row) for row in experiment.radius[:_REPEATS]],
                 "repeats": experiment.repeats,
-                "band": {"model": best, "levels": LEVELS, "t_star": drawn_numbers(drawn[e])}
-                | {
-                    name: drawn_numbers(values[e])
-                    for name, values in zip(("low", "median", "high"), band, strict=True)
-                },
+                "band": band_document(best, drawn, band, e),
             }
         )
     return found

@@ -3,21 +3,22 @@ and the figures that are drawn from it.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from jinja2 import UndefinedError
 
+from imr_torch import gap
 from imr_torch.assimilate import BadFrame
-from imr_torch.errors import InputDataError
-from imr_torch.html import render
+from imr_torch.drawing import NamedFigure
+from imr_torch.errors import InputDataError, in_one_line
+from imr_torch.html import render, write
 from imr_torch.labels import model_probability
 from imr_torch.material import PARAMETERS, material
 from imr_torch.observe import Noise, noise_sentences
 from imr_torch.population import BayesFactor
 from imr_torch.results.figures import draw_figures
-from imr_torch.results.named import NamedFigure
-from imr_torch.results.shots import parameters_of, usable
+from imr_torch.results.intervals import parameters_of, usable
 from imr_torch.select import Bound
 
 TITLES = {
@@ -28,14 +29,6 @@ TITLES = {
     "compare": "Two gels compared",
 }
 """Results that have a report and a page, and the title of the page."""
-
-
-@dataclass(frozen=True)
-class DrawnFigures:
-    """Figures as pictures of a page, and a sentence for each that could not be drawn."""
-
-    pictures: list[Mapping[str, str]] = field(default_factory=list)
-    failed: list[str] = field(default_factory=list)
 
 
 def document_report(document: Mapping[str, Any]) -> str:
@@ -86,12 +79,40 @@ def document_page(document: Mapping[str, Any], *, title: str = "", report: str =
     )
 
 
+def write_page(document: Mapping[str, Any], path: str | Path, *, report: str = "") -> None:
+    """Write a result as a page of HTML, atomically, and say so.
+
+    Args:
+        document: as for :func:`document_page`, or of ``diagnose``.
+        path: of the file.
+        report: as for :func:`document_page`.
+
+    >>> import tempfile
+    >>> from imr_torch.results import header, write_page
+    >>> design = {"We": 400.0, "R_inf*": 0.2, "Rmax_m": 5.7e-4}
+    >>> document = header("design") | {"design": design, "eig": 3.2, "eig_sd": 0.1, "evaluations": [], "map": None}
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_page(document, f"{folder}/design.html")
+    wrote ...design.html
+    """
+    if "verdict" in document and "examined" in document:
+        moved = document.get("medium_sensitivities", ())
+        facts = [("Were the medium another", found["sentence"]) for found in moved]
+        facts = [*provenance_rows(document), *facts]
+        gap.write_page(document, path, facts=facts, footer=footer(document))
+    else:
+        write(document_page(document, report=report), path)
+    print(f"wrote {path}")
+
+
 def _filled(template: str, **names: Any) -> str:
     """A template filled in; what the document lacks is named."""
     try:
         return render(template, **names)
-    except UndefinedError as error:
-        raise InputDataError(f"The result is not whole ({error}); make it anew.") from None
+    except (UndefinedError, KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputDataError(
+            f"the result is not whole ({in_one_line(error)}); make it anew."
+        ) from None
 
 
 def _kind(document: Mapping[str, Any]) -> str:
@@ -125,17 +146,19 @@ def _names(document: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _drawn(figures: Iterable[NamedFigure]) -> DrawnFigures:
-    drawn = DrawnFigures()
+def _drawn(figures: Iterable[NamedFigure]) -> dict[str, list[Any]]:
+    """Figures as pictures of a page, and a sentence for each that could not be drawn."""
+    pictures = []
+    failed = []
     for item in figures:
         try:
-            drawn.pictures.append(item.picture())
+            pictures.append(item.picture())
         except Exception as error:  # a figure that fails costs the page nothing else
-            drawn.failed.append(
-                f"The figure {item.name} could not be drawn ({type(error).__name__}: {error}); its "
-                "numbers are in the JSON."
+            failed.append(
+                f"The figure {item.name} could not be drawn ({in_one_line(error)}); its numbers are "
+                "in the JSON."
             )
-    return drawn
+    return {"pictures": pictures, "failed": failed}
 
 
 def provenance_rows(document: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -5,8 +5,7 @@ Every ``plot_*`` draws into ``ax`` (a new figure when None) and returns the axes
 or saved here.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -15,75 +14,51 @@ import torch
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from scipy.stats import gaussian_kde
 from torch import Tensor
 
 from imr_torch.calibration import Reliability, envelope
 from imr_torch.design import DesignSearch
-from imr_torch.labels import R_STAR, REST_RADIUS, T_STAR, WEBER, plain, symbol, with_unit
-from imr_torch.material import PARAMETERS, Belief, ModelBelief, Parameter
+from imr_torch.drawing import (
+    CYCLE,
+    DATA,
+    MODEL,
+    SECOND,
+    TRUTH,
+    add_axis,
+    add_lengths,
+    axes_or_new,
+    draw_intervals,
+    floats,
+    set_scale,
+)
+from imr_torch.labels import (
+    R_STAR,
+    REST_RADIUS,
+    T_STAR,
+    WEBER,
+    parameter_label,
+    plain,
+    symbol,
+)
+from imr_torch.material import PARAMETERS, Belief, ModelBelief
 from imr_torch.observe import Experiment
 from imr_torch.simulate import Solution
 from imr_torch.units import Surroundings
 
-DATA = "#222222"
-MODEL = "#0072B2"
-SECOND = "#E69F00"
-TRUTH = "#D55E00"
-PALE = "#B8B8B8"  # frames that were not fitted
-CYCLE = (MODEL, TRUTH, "#009E73", SECOND, "#CC79A7", "#56B4E9", DATA)
-"""Several curves in one panel, safe for colour-blind readers (Okabe and Ito 2008)."""
-
-NOISE_BAND: dict[str, Any] = {"color": "#E2E2E2", "lw": 0}
-"""Style of the band that noise alone stays in."""
-
 _CURVES_SHOWN = 12
-_WIDE = 30.0  # ratio of the largest to the smallest value from which on an axis is logarithmic
 _LINE = 0.06  # part of an axis below which a density is a line, and is drawn again in an inset
 _DRAWS = 1500  # of a joint plot
 _GRID = 60
+_SMOOTH = 1.5  # times the width of Scott's rule, so that contours of draws are no coast lines
 _LEVELS = torch.linspace(0.002, 0.998, 400, dtype=torch.float64)  # of a density
-
-floats = partial(np.asarray, dtype=float)
-"""Numbers of a document as an array; None is NaN."""
-
-
-def _axes(ax: Axes | None, size: tuple[float, float] = (5.2, 3.4)) -> Axes:
-    return ax or plt.subplots(figsize=size, layout="constrained")[1]
-
-
-def curve_panels(title: str) -> tuple[Figure, Axes, Axes]:
-    """A figure with a panel for radius over time and, below, one for residuals over their noise."""
-    figure, (ax, below) = plt.subplots(
-        2, 1, figsize=(5.8, 4.8), height_ratios=[3, 1], sharex=True, layout="constrained"
-    )
-    ax.set_ylabel(R_STAR)
-    below.axhspan(-2.0, 2.0, **NOISE_BAND)
-    below.set(xlabel=T_STAR, ylabel="residual\n/ noise")
-    figure.suptitle(plain(title), fontsize=10)
-    return figure, ax, below
-
-
-def fill_band(ax: Axes, band: Mapping[str, Any]) -> None:
-    """Draw a 90 % predictive band: ``t_star``, ``low`` and ``high``, and ``median`` if it is to be
-    drawn.
-    """
-    times, low, high = (floats(band[name]) for name in ("t_star", "low", "high"))
-    ax.fill_between(times, low, high, color=MODEL, alpha=0.22, lw=0, label="90 % predictive")
-
-
-def set_scale(ax: Axes, axis: str, low: float, high: float, *, ratio: float = _WIDE) -> bool:
-    """Make an axis logarithmic where its values span more than a ratio; whether it is."""
-    logarithmic = low > 0.0 and high > ratio * low
-    if logarithmic:
-        ax.set(**{f"{axis}scale": "log"})
-    return logarithmic
 
 
 def plot_solution(
     solution: Solution, *, ax: Axes | None = None, labels: Sequence[str] | None = None
 ) -> Axes:
     """Radius over time of each bubble of a flat batch (``B x n_t``)."""
-    ax = _axes(ax)
+    ax = axes_or_new(ax)
     ax.set_prop_cycle(color=CYCLE)
     for i, (times, radius) in enumerate(zip(solution.times, solution.radius, strict=True)):
         ax.plot(times, radius, lw=1.5, label=plain(labels[i]) if labels else None)
@@ -93,21 +68,29 @@ def plot_solution(
     return ax
 
 
-def with_lengths(ax: Axes, max_radius_m: float, time_scale_s: float) -> None:
-    """Add us above and um at the right of axes in t* and R*.
+def draw_curves(ax: Axes, times: Any, curves: Any, band: Mapping[str, Any] | None = None) -> None:
+    """Draw repeated curves of one experiment and, if given, the predictive band.
 
     Args:
         ax: the axes.
-        max_radius_m: Rmax, m.
-        time_scale_s: Rmax/U_c, s.
+        times: of the frames, dimensionless.
+        curves: a row of R/Rmax a curve.
+        band: ``t_star``, ``low``, ``median`` and ``high``.
     """
-    ax.secondary_xaxis("top", functions=_scaled(1e6 * time_scale_s)).set_xlabel("$t$ (µs)")
-    ax.secondary_yaxis("right", functions=_scaled(1e6 * max_radius_m)).set_ylabel("$R$ (µm)")
+    alpha = 0.5 if len(curves) == 1 else 0.15
+    ax.plot(times, floats(curves[:_CURVES_SHOWN]).T, ".", ms=3, color=DATA, alpha=alpha)
+    if band is not None:
+        fill_band(ax, band)
+        at, median = floats(band["t_star"]), floats(band["median"])
+        ax.plot(at, median, color=MODEL, lw=1.5, label="median")
+        ax.legend(frameon=False, fontsize=8)
+    ax.set(xlabel=T_STAR, ylabel=R_STAR, ylim=(0.0, None))
 
 
-def _scaled(factor: float) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
-    """From an axis to a second one in other units, and back."""
-    return lambda x: x * factor, lambda x: x / factor
+def fill_band(ax: Axes, band: Mapping[str, Any]) -> None:
+    """Draw a 90 % predictive band: ``t_star``, ``low`` and ``high``."""
+    times, low, high = (floats(band[name]) for name in ("t_star", "low", "high"))
+    ax.fill_between(times, low, high, color=MODEL, alpha=0.22, lw=0, label="90 % predictive")
 
 
 def plot_experiment(
@@ -129,27 +112,18 @@ def plot_experiment(
         times: ``n_t`` tensor at which the band is given, dimensionless; the frames when not given.
         surroundings: the liquid side; with it, us and um are second axes.
     """
-    ax = _axes(ax)
-    alpha = 0.5 if experiment.repeats == 1 else 0.15
-    curves = experiment.radius[:_CURVES_SHOWN].mT
-    ax.plot(experiment.times, curves, ".", ms=3, color=DATA, alpha=alpha)
+    ax = axes_or_new(ax)
+    shown = None
     if band is not None:
         at = experiment.times if times is None else times
-        low, middle, high = (x[: len(at)] for x in band)
-        fill_band(ax, {"t_star": at, "low": low, "high": high})
-        ax.plot(at, middle, color=MODEL, lw=1.5, label="median")
-        ax.legend(frameon=False, fontsize=8)
-    ax.set(xlabel=T_STAR, ylabel=R_STAR, ylim=(0.0, None))
+        low, median, high = (x[: len(at)] for x in band)
+        shown = {"t_star": at, "low": low, "median": median, "high": high}
+    draw_curves(ax, experiment.times, experiment.radius, shown)
     if surroundings is not None:
         size = float(surroundings.max_radius(experiment.design[0]))
-        with_lengths(ax, size, float(surroundings.time_scale(size)))
+        add_lengths(ax, size, float(surroundings.time_scale(size)))
     ax.set_title(plain(experiment.label), fontsize=9)
     return ax
-
-
-def parameter_label(entry: Parameter) -> str:
-    """Symbol and unit of a parameter, for an axis."""
-    return with_unit(symbol(entry.name), entry.display_unit or entry.unit)
 
 
 def plot_parameter(
@@ -164,7 +138,7 @@ def plot_parameter(
     The axis is logarithmic where the widest belief spans more than a factor of 30; a density that
     is a line there too is drawn again in an inset.
     """
-    ax = _axes(ax, (4.2, 3.0))
+    ax = axes_or_new(ax, (4.2, 3.0))
     entry = PARAMETERS[name]
     rows = [
         belief.quantile(_LEVELS)[:, belief.names.index(name)] * entry.display_scale
@@ -187,7 +161,7 @@ def plot_parameter(
         inset = ax.inset_axes((0.08 if on_the_right else 0.62, 0.36, 0.32, 0.36))
         inset.plot(*_density(last, False), color=colors[len(rows) - 1])
         inset.set(yticks=[], ylim=(0.0, 1.1), xlim=(float(last[0]), float(last[-1])))
-        inset.set_xticks(last[[20, 379]].tolist(), [f"{x:.3g}" for x in last[[20, 379]].tolist()])
+        inset.locator_params(axis="x", nbins=2)
         inset.tick_params(labelsize=7)
         panels.append(inset)
     if truth is not None:
@@ -224,64 +198,47 @@ def draw_parameters(belief: ModelBelief, *, seed: int = 0) -> Figure:
         layout="constrained",
         squeeze=False,
     )
-    entries = [PARAMETERS[name] for name in names]
-    scales = torch.tensor([entry.display_scale for entry in entries], dtype=torch.float64)
+    labels = [parameter_label(PARAMETERS[name]) for name in names]
+    scales = torch.tensor([PARAMETERS[name].display_scale for name in names], dtype=torch.float64)
     draws = belief.physical(belief.controls(_DRAWS, seed=seed)) * scales
     spans = (belief.quantile(_LEVELS) * scales).mT
     intervals = (belief.quantile([0.05, 0.5, 0.95]) * scales).mT.tolist()
-    for i in range(size):
-        for j in range(size):
-            ax = axes[i][j]
-            if j > i:
-                ax.set_axis_off()
-                continue
-            wide = set_scale(ax, "x", float(spans[j, 0]), float(spans[j, -1]))
-            if i == j:
-                low, middle, high = intervals[j]
-                ax.plot(*_density(spans[j], wide), color=MODEL)
-                ax.axvspan(low, high, color=MODEL, alpha=0.12, lw=0)
-                ax.set(yticks=[], ylim=(0.0, 1.1))
-                title = f"{symbol(names[j])} = {middle:.3g} ({low:.3g} to {high:.3g})"
-                ax.set_title(title, fontsize=8)
-            else:
-                _plot_pair(ax, draws[:, j], draws[:, i])
-                set_scale(ax, "y", float(spans[i, 0]), float(spans[i, -1]))
-                ax.set_ylim(float(spans[i, 0]), float(spans[i, -1]))
-            ax.set_xlim(float(spans[j, 0]), float(spans[j, -1]))
-            if i == size - 1:
-                ax.set_xlabel(parameter_label(entries[j]))
-            if j == 0 and i > 0:
-                ax.set_ylabel(parameter_label(entries[i]))
+    for (i, j), ax in np.ndenumerate(axes):
+        if j > i:
+            ax.set_axis_off()
+            continue
+        first, last = spans[j, [0, -1]].tolist()
+        wide = set_scale(ax, "x", first, last)
+        if i == j:
+            low, middle, high = intervals[j]
+            ax.plot(*_density(spans[j], wide), color=MODEL)
+            ax.axvspan(low, high, color=MODEL, alpha=0.12, lw=0)
+            ax.set(yticks=[], ylim=(0.0, 1.1))
+            title = f"{symbol(names[j])} = {middle:.3g} ({low:.3g} to {high:.3g})"
+            ax.set_title(title, fontsize=8)
+        else:
+            _plot_pair(ax, draws[:, j], draws[:, i])
+            bottom, top = spans[i, [0, -1]].tolist()
+            set_scale(ax, "y", bottom, top)
+            ax.set(ylim=(bottom, top), ylabel=labels[i] if j == 0 else "")
+        ax.set(xlim=(first, last), xlabel=labels[j] if i == size - 1 else "")
     return figure
 
 
 def _plot_pair(ax: Axes, x: Tensor, y: Tensor) -> None:
     """Draws of two parameters with smoothed contours that hold half and nine tenths of them."""
     ax.plot(x, y, ".", ms=1.5, color=MODEL, alpha=0.25)
-    points = torch.stack((x, y))
-    centre = points.mean(1, keepdim=True)
-    spread = points.std(1, keepdim=True).clamp_min(1e-300)
-    z = (points - centre) / spread
-    grid = torch.linspace(-3.5, 3.5, _GRID, dtype=torch.float64)
-    width = 1.5 * len(x) ** (-1.0 / 6.0)
-    kx, ky = (torch.exp(-0.5 * ((grid[:, None] - row) / width).square()) for row in z)
-    density = ky @ kx.mT
-    ordered = density.flatten().sort(descending=True).values
-    held = ordered.cumsum(0) / ordered.sum()
-    levels = [float(ordered[int((held < share).sum())]) for share in (0.9, 0.5)]
-    ax.contour(
-        grid * spread[0] + centre[0],
-        grid * spread[1] + centre[1],
-        density,
-        levels=levels,
-        colors=[DATA],
-        linewidths=0.9,
-    )
+    points = torch.stack((x, y)).numpy()
+    density = gaussian_kde(points, bw_method=_SMOOTH * len(x) ** (-1.0 / 6.0))
+    levels = np.quantile(density(points), (0.1, 0.5))
+    grid = np.meshgrid(*np.linspace(points.min(1), points.max(1), _GRID).T)
+    height = density(np.reshape(grid, (2, -1))).reshape(_GRID, _GRID)
+    ax.contour(*grid, height, levels=levels, colors=[DATA], linewidths=0.9)
 
 
 def plot_probabilities(beliefs: Sequence[tuple[str, Belief]], *, ax: Axes | None = None) -> Axes:
     """Model probabilities as grouped bars, one group per belief."""
-    ax = _axes(ax, (4.2, 2.8))
+    ax = axes_or_new(ax, (4.2, 2.8))
     keys = beliefs[0][1].keys
     width = 0.8 / len(keys)
     places = np.arange(len(beliefs))
@@ -296,10 +253,33 @@ def plot_probabilities(beliefs: Sequence[tuple[str, Belief]], *, ax: Axes | None
     return ax
 
 
-def information_map(search: DesignSearch) -> dict[str, Any]:
-    """The surrogate's expected information gain over the design space, JSON-ready: We, R_inf*, and
-    rows of nats over We.
+def search_document(search: DesignSearch, surroundings: Surroundings) -> dict[str, Any]:
+    """A search for a design, JSON-ready: the chosen design, the evaluated ones with their gains, and
+    the map of the surrogate's expected information gain (We, R_inf*, and rows of nats over We).
+
+    Args:
+        search: a finished search.
+        surroundings: the liquid side, which fixes Rmax of a Weber number.
     """
+    rows = []
+    for (weber, rest), gain in zip(search.designs.tolist(), search.gains, strict=True):
+        row = {"We": weber, "R_inf*": rest, "counted": gain.counted, "drawn": gain.drawn}
+        if gain.value == gain.value:
+            row |= {"eig": gain.value, "sd": gain.variance**0.5}
+            row |= {"parameters": gain.parameters, "model": gain.model}
+        rows.append(row)
+    chosen = design_document(search.recommendation.design, surroundings)
+    return {"design": chosen, "evaluations": rows, "map": _information_map(search)}
+
+
+def design_document(design: Float[Tensor, "2"], surroundings: Surroundings) -> dict[str, float]:
+    """A design (We, R_inf*), JSON-ready: dimensionless, and as sizes in m."""
+    weber, rest = design.tolist()
+    size = float(surroundings.max_radius(weber))
+    return {"We": weber, "R_inf*": rest, "Rmax_m": size, "R_inf_m": rest * size}
+
+
+def _information_map(search: DesignSearch) -> dict[str, Any]:
     low, high = search.optimizer.space.bounds
     weber, rest = (
         torch.linspace(float(low[i]), float(high[i]), _GRID, dtype=torch.float64) for i in (0, 1)
@@ -323,34 +303,24 @@ def plot_information(
         surroundings: the liquid side, which fixes Rmax of a Weber number; the default one when not
             given.
     """
-    evaluated = [{"We": float(we), "R_inf*": float(rest)} for we, rest in search.designs]
-    weber, rest = search.recommendation.design.tolist()
-    per_weber = float((surroundings or Surroundings()).max_radius(1.0))
-    chosen = {"We": weber, "R_inf*": rest, "Rmax_m": per_weber * weber}
-    return draw_information(information_map(search), evaluated, chosen, ax=ax)
+    return draw_information(search_document(search, surroundings or Surroundings()), ax=ax)
 
 
-def draw_information(
-    values: Mapping[str, Any],
-    evaluated: Sequence[Mapping[str, float]],
-    chosen: Mapping[str, float],
-    *,
-    ax: Axes | None = None,
-) -> Axes:
+def draw_information(found: Mapping[str, Any], *, ax: Axes | None = None) -> Axes:
     """The same from the numbers of a result document.
 
     Args:
-        values: the map, from :func:`information_map`.
-        evaluated: designs that were evaluated, with ``We`` and ``R_inf*``.
-        chosen: the chosen design, with ``Rmax_m`` if Rmax is to be a second axis.
+        found: from :func:`search_document`.
         ax: where to draw.
     """
-    ax = _axes(ax, (5.6, 4.2))
+    values = found["map"]
+    chosen = found["design"]
+    ax = axes_or_new(ax, (5.6, 4.2))
     weber, rest = floats(values["We"]), floats(values["R_inf*"])
     filled = ax.contourf(weber, rest, floats(values["nats"]), levels=15, cmap="viridis")
     ax.figure.colorbar(filled, ax=ax, label="expected information gain (nats)")
     dots = {"ms": 3.5, "color": "white", "mec": "black", "mew": 0.4, "clip_on": False}
-    we, r = ([row[name] for row in evaluated] for name in ("We", "R_inf*"))
+    we, r = ([row[name] for row in found["evaluations"]] for name in ("We", "R_inf*"))
     ax.plot(we, r, "o", label="evaluated", **dots)
     star = {"ms": 16, "ls": "none", "color": TRUTH, "mec": "white", "zorder": 5}
     ax.plot(chosen["We"], chosen["R_inf*"], "*", label="chosen", **star)
@@ -359,10 +329,7 @@ def draw_information(
     ax.set(xlabel=WEBER, ylabel=REST_RADIUS)
     below = {"loc": "upper left", "bbox_to_anchor": (0.0, -0.16), "borderaxespad": 0.0}
     ax.legend(frameon=False, fontsize=8, ncols=2, **below)
-    if "Rmax_m" in chosen:
-        factor = 1e6 * chosen["Rmax_m"] / chosen["We"]
-        second = ax.secondary_xaxis("top", functions=_scaled(factor))
-        second.set_xlabel(r"$R_\mathrm{max}$ (µm)")
+    add_axis(ax, "top", 1e6 * chosen["Rmax_m"] / chosen["We"], r"$R_\mathrm{max}$ (µm)")
     return ax
 
 
@@ -371,7 +338,7 @@ def plot_places(places: Mapping[str, Sequence[float]], *, ax: Axes | None = None
 
     In the band 95 % of the time.
     """
-    ax = _axes(ax)
+    ax = axes_or_new(ax)
     ax.set_prop_cycle(color=CYCLE)
     for name, values in places.items():
         at = torch.as_tensor(sorted(values), dtype=torch.float64)
@@ -391,12 +358,11 @@ def plot_places(places: Mapping[str, Sequence[float]], *, ax: Axes | None = None
 
 def plot_reliability(result: Reliability, *, ax: Axes | None = None) -> Axes:
     """Share of cases that came true over the probability that was stated, with 95 % intervals."""
-    ax = _axes(ax, (4.0, 3.6))
-    share = floats(result.share)
-    reach = np.clip((share - result.low, floats(result.high) - share), 0.0, None)
+    ax = axes_or_new(ax, (4.0, 3.6))
     ax.plot((0, 1), (0, 1), color=DATA, lw=1, alpha=0.4)
-    ax.errorbar(result.stated, share, yerr=reach, fmt="o", color=MODEL, ms=4, capsize=2)
-    for x, y, count in zip(result.stated, share, result.counts, strict=True):
+    intervals = np.transpose((result.low, result.share, result.high))
+    draw_intervals(ax, result.stated, intervals, upright=True, color=MODEL, ms=4, capsize=2)
+    for x, y, count in zip(result.stated, result.share, result.counts, strict=True):
         ax.annotate(str(count), (x, y), xytext=(5, -9), textcoords="offset points", fontsize=7)
     ax.set(xlabel="stated probability", ylabel="share that came true")
     ax.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02))

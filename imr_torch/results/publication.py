@@ -2,7 +2,7 @@
 thin lines.
 
 A figure that is made small by the typesetting has text that cannot be read. Here it is drawn again
-at its printed width, so that points are points. Colours are those of :mod:`imr_torch.results.plot` (Okabe
+at its printed width, so that points are points. Colours are those of :mod:`imr_torch.drawing` (Okabe
 and Ito 2008), which colour-blind readers can tell apart.
 """
 

@@ -168,6 +168,7 @@ def test_that_the_medium_is_stated_and_a_wrong_one_refused(app: App) -> None:
 
 def run(app: App, seconds: float = 240.0) -> None:
     app.page.get_by_role("button", name="Run", exact=True).click()
+    app.page.get_by_role("button", name="Stop").wait_for(timeout=20000)  # not the last run's end
     app.page.get_by_role("button", name="See the result").wait_for(timeout=1000 * seconds)
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from imr_torch.app.commands import DEFAULTS, OPTIONS, command_arguments
+from imr_torch.app.commands import DEFAULTS, FORMS, command_arguments
 from imr_torch.app.runs import Run, Runs
 from imr_torch.app.workspace import Workspace
 from imr_torch.cli import parser
@@ -173,11 +173,11 @@ def test_that_a_form_makes_arguments_that_the_command_takes(command: str, values
         assert read[name] == (",".join(value) if isinstance(value, list) else value)
 
 
-@pytest.mark.parametrize("command", OPTIONS)
+@pytest.mark.parametrize("command", FORMS)
 def test_that_options_left_out_are_those_that_say_what_the_command_does_anyhow(
     command: str,
 ) -> None:
     files = [] if command == "design" else ["files/a.csv"]
     read = vars(parser().parse_args(command_arguments(command, {}, "results/001", files=files)))
-    for name in set(OPTIONS[command]) - {"models", "collapses"}:
+    for name in {name for row in FORMS[command] for name in row} - {"models", "collapses"}:
         assert (read[name] or "") == (DEFAULTS[name] or "")

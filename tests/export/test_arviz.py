@@ -6,15 +6,11 @@ import numpy as np
 import pytest
 
 from imr_torch.assimilate import SearchOptions, assimilate, weigh
-from imr_torch.campaign import Campaign, CampaignSettings, ExactLearner
-from imr_torch.design import Plan
 from imr_torch.errors import InputDataError
 from imr_torch.export import to_arviz, write_netcdf
-from imr_torch.material import PARAMETERS, reference_case
-from imr_torch.observe import Nuisance, SimulatedLaboratory
+from imr_torch.material import reference_case
+from imr_torch.observe import Nuisance
 from imr_torch.select import cross_validate
-from imr_torch.simulate import PolytropicSimulator, Stepping
-from tests import float64
 from tests.linear import LinearSimulator, exact, experiments, prior, tensor
 
 pytest.importorskip("arviz_base", reason="needs the extra arviz")
@@ -142,34 +138,6 @@ def test_that_a_belief_gives_its_draws_and_probabilities():
     assert np.exp(tree["models"]["log_probability"].values).tolist() == pytest.approx([0.5, 0.5])
 
 
-def test_that_a_campaign_gives_every_step_and_the_posterior_of_the_last(tmp_path):
-    case = reference_case("soft-pa")
-    simulator = PolytropicSimulator(stepping=Stepping(0.25))
-    times = float64.linspace(0.0, 1.0, 9)
-    settings = CampaignSettings(
-        plan=Plan(times=times, repeats=20), learner=ExactLearner(64, SearchOptions(raw_samples=24))
-    )
-    campaign = Campaign(tmp_path, case.prior, simulator, settings=settings)
-    laboratory = SimulatedLaboratory(
-        simulator, PARAMETERS.pack(dict(case.truth)), repeats=20, times=times
-    )
-    campaign.tell(laboratory.shoot(tensor(300.0, 0.2), seed=0))
-    tree = to_arviz(campaign, seed=0, draws=50)
-    history = tree["campaign"]
-    assert history["weber"].values.tolist() == [300.0]
-    assert history["model"].values.tolist() == list(case.prior.keys)
-    assert (
-        history["log_probability"].values[0].tolist() == campaign.belief.log_probabilities.tolist()
-    )
-    assert history["entropy"].values.tolist() == [float(campaign.belief.entropy())]
-    assert "log_likelihood" in tree["nhkv"].children
-    again = to_arviz(Campaign(tmp_path, case.prior, simulator, settings=settings), seed=0, draws=50)
-    assert set(again["nhkv"].children) == {"posterior"}
-    assert (
-        again["campaign"]["log_evidence"].values.tolist() == history["log_evidence"].values.tolist()
-    )
-
-
 def test_that_a_file_holds_the_tree_and_is_replaced_whole(weighted, tmp_path, monkeypatch):
     import xarray
 
@@ -208,7 +176,7 @@ def test_that_draws_depend_on_the_seed_alone(weighted):
 @pytest.mark.parametrize(
     ("source", "draws", "message"),
     [
-        ("belief", 10, "takes an Assimilation, a Belief or a Campaign; got str"),
+        ("belief", 10, "takes an Assimilation or a Belief; got str"),
         (prior(), 0, "draws is 0; at least 1"),
     ],
 )

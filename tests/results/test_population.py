@@ -13,7 +13,7 @@ from imr_torch.html import _environment
 from imr_torch.material import PARAMETERS
 from imr_torch.population import BayesFactor
 from imr_torch.results import draw_figures
-from imr_torch.results.population import population_figure
+from imr_torch.results.intervals import population_figure
 from tests.results.documents import SIMULATOR, traces
 
 BAYES = {"value": 4.0, "error": 0.1, "reliable": True}
@@ -43,12 +43,9 @@ def population(**changes) -> dict:
 def test_that_every_shot_is_drawn_twice_beside_the_median() -> None:
     figure = population_figure(population())
     (ax,) = figure.axes
-    widths = [
-        tuple(line.get_xdata())
-        for line in ax.lines
-        if len(line.get_xdata()) == 2 and line.get_linewidth() > 1.5
-    ]
-    assert widths == [(3.0, 7.0), (4.0, 6.0)] * 2  # kPa: alone, given all
+    bars = [bar for found in ax.containers for bar in found[2]]
+    ends = [segment[:, 0].tolist() for bar in bars for segment in bar.get_segments()]
+    assert ends == [[3.0, 7.0]] * 2 + [[4.0, 6.0]] * 2  # kPa: alone, given all
     assert [text.get_text() for text in ax.get_yticklabels()] == [r"\$x_{bad\$", "b"]
     assert ax.get_title() == "scatter 0.20 (0.10 to 0.40)"
     figure.canvas.draw()
@@ -77,7 +74,6 @@ def test_that_the_page_states_median_scatter_and_evidence() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--population", "--each"], "--population takes the curves as shots of one gel"),
         (["--scatter-scale", "0.3"], "--scatter-scale is about --population"),
     ],
 )

@@ -10,9 +10,9 @@ import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.text import Text
 
+from imr_torch.drawing import CYCLE
 from imr_torch.errors import InputDataError
 from imr_torch.results import WIDTHS, for_publication
-from imr_torch.results.plot import CYCLE
 
 # Vienot, Brettel and Mollon 1999: linear RGB as seen without the cones of long and of medium
 # wavelengths

@@ -1,6 +1,8 @@
 """Options that several subcommands have."""
 
 import argparse
+import math
+from typing import Any
 
 from imr_torch.cli.options.names import (
     CASES,
@@ -11,6 +13,31 @@ from imr_torch.cli.options.names import (
     MODELS,
     PHYSICS,
 )
+from imr_torch.errors import InputDataError
+
+
+class InRange(argparse.Action):
+    """Takes a number and refuses one outside of a range, at least 1 if not said otherwise."""
+
+    def __init__(self, *args: Any, low: float = 1, high: float = math.inf, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.low = low
+        self.high = high
+
+    def __call__(
+        self, parser: object, namespace: argparse.Namespace, value: Any, option: Any = None
+    ) -> None:
+        """Keep the number.
+
+        Raises:
+            InputDataError: if it is outside of the range.
+        """
+        if not self.low <= value <= self.high:
+            limits = (
+                f"{self.low} to {self.high}" if self.high < math.inf else f"at least {self.low}"
+            )
+            raise InputDataError(f"{option} is {value}; expected {limits}.")
+        setattr(namespace, self.dest, value)
 
 
 def add_prior_arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,6 +92,7 @@ def add_window_arguments(parser: argparse.ArgumentParser) -> None:
     """Options for which part of a curve is fitted, and with what noise."""
     parser.add_argument(
         "--collapses",
+        action=InRange,
         type=int,
         default=COLLAPSES,
         help="collapses in the fitted window (default %(default)s)",
@@ -122,6 +150,7 @@ def add_engine_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--threads",
+        action=InRange,
         type=int,
         metavar="N",
         help="processor threads of the compiled engine (default: all cores)",

@@ -1,0 +1,215 @@
+"""Charts of intervals, drawn from a result document: parameters over shots, of a population, of two
+gels, and profile likelihoods.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+import torch
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from imr_torch.assimilate.profile import FALL
+from imr_torch.drawing import (
+    DATA,
+    MODEL,
+    PALE,
+    SECOND,
+    TRUTH,
+    axes_or_new,
+    draw_intervals,
+    floats,
+    set_scale,
+)
+from imr_torch.labels import parameter_label, plain, symbol
+from imr_torch.material import PARAMETERS, Belief, ModelBelief
+
+_NAMED = 40  # shots whose names stand beside a plot in full size
+_NARROW = 5.0  # ratio of the ends of an axis of ratios or shots from which on it is logarithmic
+_TOP = 4.2  # nats of a profile that are drawn
+_COLUMNS = 2
+_REACH = 3.0  # standard deviations of the posterior that are drawn
+
+
+def usable(row: Mapping[str, Any]) -> bool:
+    """Whether the intervals of a shot may be quoted: its fit converged, its intervals are reliable,
+    and the model explains its curves or that was not tested.
+    """
+    return (
+        row["status"] == "done"
+        and row.get("verdict") != "refused"
+        and row.get("explained", "yes") != "no"
+    )
+
+
+def parameters_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Parameters that some shot has."""
+    return [name for name in PARAMETERS.names if any(row.get(name) is not None for row in rows)]
+
+
+def plot_shots(rows: Sequence[Mapping[str, Any]], name: str, *, ax: Axes | None = None) -> Axes:
+    """A parameter with its 90 % interval over the shots that have it; those that are not to be
+    quoted are orange.
+
+    >>> from imr_torch.results.intervals import plot_shots
+    >>> row = {"shot": "a", "status": "done", "G_low": 4e3, "G": 5e3, "G_high": 6e3}
+    >>> plot_shots([row], "G").get_ylabel()
+    '$G$ (kPa)'
+    """
+    scale = PARAMETERS[name].display_scale
+    rows = [row for row in rows if row.get(name) is not None]
+    ax = axes_or_new(ax, (min(4.0 + 0.22 * len(rows), 12.0), 3.4))
+    values = scale * floats([[row[f"{name}_low"], row[name], row[f"{name}_high"]] for row in rows])
+    good = np.array([usable(row) for row in rows])
+    places = np.arange(len(rows))
+    for color, chosen in ((MODEL, good), (TRUTH, ~good)):
+        style = {"ms": 4, "capsize": 2, "color": color}
+        draw_intervals(ax, places[chosen], values[chosen], upright=True, **style)
+    quoted = values[good, 1]
+    if len(quoted) > 1:
+        ax.axhline(np.median(quoted), color=DATA, lw=1, ls="--")
+    if len(quoted):
+        set_scale(ax, "y", quoted.min(), quoted.max(), ratio=_NARROW)
+    if len(rows) <= _NAMED:
+        names = [plain(row["shot"]) for row in rows]
+        ax.set_xticks(places, names, rotation=60, ha="right", fontsize=7)
+    ax.set(xlabel="shot", ylabel=parameter_label(PARAMETERS[name]))
+    return ax
+
+
+def plot_ratios(document: Mapping[str, Any]) -> Axes:
+    """Ratio of every parameter of two gels with its 90 % interval.
+
+    Args:
+        document: of ``compare``.
+    """
+    rows = document["parameters"]
+    values = floats([[row[f"ratio_{end}"] for end in ("low", "median", "high")] for row in rows])
+    ax = axes_or_new(None, (5.2, 1.2 + 0.4 * len(rows)))
+    places = range(len(rows))
+    draw_intervals(ax, places, values, capsize=3, color=MODEL)
+    ax.axvline(1.0, color=DATA, lw=0.8, ls="--")
+    ax.set_yticks(places, [symbol(row["parameter"]) for row in rows])
+    set_scale(ax, "x", values.min(), values.max(), ratio=_NARROW)
+    ax.set(xlabel="a / b", ylim=(len(rows) - 0.5, -0.5))
+    return ax
+
+
+def population_figure(found: Mapping[str, Any]) -> Figure:
+    """Every shot alone and given all, a panel a parameter, beside the population's median and the
+    shots to come.
+
+    Args:
+        found: ``population`` of a result document.
+    """
+    names = list(found["parameters"])
+    shots = found["shots"]
+    size = (0.9 + 2.9 * len(names), 1.6 + 0.24 * len(shots))
+    figure, axes = plt.subplots(
+        1, len(names), figsize=size, sharey=True, layout="constrained", squeeze=False
+    )
+    for name, ax in zip(names, axes[0], strict=True):
+        entry = found["parameters"][name]
+        scale = PARAMETERS[name].display_scale
+        low, middle, high = scale * floats(entry["median"])
+        to_come = scale * floats(entry["next_shot"])[[0, 2]]
+        ax.axvspan(low, high, color=MODEL, alpha=0.15, lw=0)
+        ax.axvline(middle, color=MODEL, lw=1.2, label="median of the population")
+        for end in to_come:
+            ax.axvline(end, color=MODEL, ls=":", lw=1.0)
+        ends = [low, high, *to_come]
+        for key, line, dot, shift, width in (
+            ("alone", PALE, PALE, 0.14, 3.5),
+            ("given_all", MODEL, DATA, -0.14, 1.8),
+        ):
+            values = scale * floats([shot[key][name] for shot in shots])
+            style = {"color": dot, "ecolor": line, "elinewidth": width, "ms": 3.5}
+            draw_intervals(ax, np.arange(len(shots)) + shift, values, **style)
+            ends += [values.min(), values.max()]
+        set_scale(ax, "x", min(ends), max(ends), ratio=_NARROW)
+        ax.set_xlabel(parameter_label(PARAMETERS[name]))
+        if "scatter" in entry:
+            title = "scatter {1:.2f} ({0:.2f} to {2:.2f})".format(*entry["scatter"])
+            ax.set_title(title, fontsize=9)
+    labels = [plain(shot["id"], 24) for shot in shots]
+    axes[0, 0].set_yticks(range(len(shots)), labels, fontsize=8 if len(shots) <= _NAMED else 5)
+    axes[0, 0].set_ylim(len(shots) - 0.5, -0.5)
+    return figure
+
+
+def profile_figure(document: Mapping[str, Any], key: str) -> Figure:
+    """The profile likelihoods of the parameters of one model, a panel a parameter.
+
+    Args:
+        document: of ``characterize``.
+        key: the model.
+    """
+    found = document["profiles"][key]
+    prior, posterior = (Belief.from_dict(document[name])[key] for name in ("prior", "belief"))
+    columns = min(_COLUMNS, len(found))
+    rows = -(-len(found) // columns)
+    size = (0.6 + 2.7 * columns, 0.9 + 2.3 * rows)
+    figure, axes = plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False)
+    for ax in axes.flat[len(found) :]:
+        ax.set_axis_off()
+    for ax, (name, entry) in zip(axes.flat, found.items(), strict=False):
+        _plot_profile(ax, name, entry, prior, posterior)
+    for ax in axes[:, 0]:
+        ax.set_ylabel("nats lost")
+    figure.legend(
+        *axes.flat[0].get_legend_handles_labels(),
+        loc="outside lower center",
+        ncols=2 * columns,
+        frameon=False,
+        fontsize=8,
+    )
+    return figure
+
+
+def _plot_profile(
+    ax: Axes, name: str, entry: Mapping[str, Any], prior: ModelBelief, posterior: ModelBelief
+) -> None:
+    """The profile of one parameter, with the line of 95 % and what posterior and prior would lose."""
+    scale = PARAMETERS[name].display_scale
+    values = scale * floats(entry["values"])
+    lost = floats(entry["nats_lost"])
+    z = torch.linspace(-_REACH, _REACH, 121, dtype=torch.float64)
+    believed, learnt = (
+        scale * part.quantile(torch.special.ndtr(z))[:, part.names.index(name)].numpy()
+        for part in (prior, posterior)
+    )
+    low = min(values.min(), learnt.min())
+    high = max(values.max(), learnt.max())
+    wide = set_scale(ax, "x", low, high)
+    ax.axhline(FALL, color=DATA, ls="--", lw=1.0, label="95 %")
+    for at, color, label in ((believed, PALE, "prior"), (learnt, SECOND, "posterior")):
+        ax.plot(at, 0.5 * z.square(), color=color, lw=1.2, label=label)
+    ax.plot(*_between(values, lost, wide), color=MODEL, lw=1.4, label="profile", zorder=3)
+    for x, y, converged in zip(values, lost, entry["converged"], strict=True):
+        ax.plot(
+            x,
+            y,
+            "o",
+            ms=3 if converged else 4.5,
+            mfc=MODEL if converged else "white",
+            mec=MODEL,
+            zorder=4,
+        )
+    lower, upper = entry["limits_95"]
+    for limit in (lower, upper):
+        if limit is not None:
+            ax.vlines(scale * limit, 0.0, FALL, color=MODEL, lw=0.9, ls=":")
+    ax.set(xlim=(low, high), ylim=(0.0, _TOP), xlabel=parameter_label(PARAMETERS[name]))
+    ax.set_title("bounded " + entry["bounded"], fontsize=9)
+
+
+def _between(values: np.ndarray, lost: np.ndarray, wide: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Points of a smooth line: the root of the nats lost, signed by the side, is nearly straight
+    between fits.
+    """
+    at = np.log(values) if wide else values
+    roots = np.sqrt(lost) * np.where(np.arange(len(lost)) < lost.argmin(), -1.0, 1.0)
+    dense = np.linspace(at[0], at[-1], 201)
+    return (np.exp(dense) if wide else dense), np.interp(dense, at, roots) ** 2
