@@ -90,7 +90,7 @@ def _leaders(status: Tensor, width: int) -> Tensor:
     return status[::width].repeat_interleave(width)
 
 
-def _march(bubbles: Bubbles, times: Tensor, stepping: Stepping, width: int) -> Sequence[Tensor]:
+def _march(bubbles: Bubbles, times: Tensor, stepping: Stepping, width: int = 1) -> Sequence[Tensor]:
     """Integrate until every member is past its last time.
 
     Radius, velocity, pressure, status, steps.
