@@ -16,8 +16,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-import imr_torch.simulate.effects
-import imr_torch.simulate.gas_effects  # noqa: F401 - both attach their physics
+import imr_torch.simulate.effects  # noqa: F401 - attaches their physics
 from imr_torch.elementary import Scalar
 from imr_torch.material import (
     LIBRARY,
@@ -323,8 +322,3 @@ class Bubbles:
     def acting(self, law: str) -> list[Effect]:
         """The effects that have a law of this name (see :class:`imr_torch.material.Effect`)."""
         return [effect for effect in self.effects if getattr(effect, law) is not None]
-
-    @cached_property
-    def driven(self) -> bool:
-        """Whether the far-field pressure changes for any member."""
-        return self.conditions.driving is not None or bool(self.acting("far_field"))

@@ -9,7 +9,6 @@ and gives the same answer.
 """
 
 import functools
-import importlib.util
 import warnings
 from typing import ClassVar, Literal
 
@@ -118,8 +117,6 @@ def compiles(engine: Engine, bubbles: Bubbles) -> bool:
 
 def _obstacle(bubbles: Bubbles) -> str | None:
     parameters = bubbles.parameters
-    if not _has_numba():
-        return "Numba is not installed (pip install numba)"
     if parameters.device.type != "cpu":
         return f"the compiled engine does not run on {parameters.device}"
     if str(parameters.dtype) != "torch.float64":
@@ -127,11 +124,6 @@ def _obstacle(bubbles: Bubbles) -> str | None:
     from imr_torch.simulate.compiled.run import obstacle
 
     return obstacle(bubbles)
-
-
-@functools.cache
-def _has_numba() -> bool:
-    return importlib.util.find_spec("numba") is not None
 
 
 @functools.cache

@@ -28,78 +28,85 @@ def linearise(
     equations: Equations, f: Fields
 ) -> tuple[Float[Tensor, "state state members"], Float[Tensor, "members"]]:
     """The Jacobian at a state (rates by rows), and the derivative of ``U'`` in time."""
-    b = equations.bubbles.numbers
-    c = equations.bubbles.constants
-    inside = equations.inside
-    outside = equations.outside
-    wall = f.wall
-    heat = slice(HEAD, HEAD + equations.n)
-    vapour = slice(heat.stop, heat.stop + equations.n)
-    gel = slice(vapour.stop, vapour.stop + equations.m)
-    memory = slice(gel.stop, equations.rows)
     jacobian = f.radius.new_zeros(equations.rows, equations.rows, len(f.radius))
     by_rate = torch.zeros_like(jacobian[0])
     rate_row = torch.zeros_like(jacobian[0])
-
-    jacobian[0, 1] = 1.0
-    by_rate[2] = 1.0 / f.pressure
+    memory = slice(equations.gel.stop, equations.rows)
     moving = [1, *range(memory.start, memory.stop)]
     slopes = motion_slopes(equations.bubbles, f.head)
+    jacobian[0, 1] = 1.0
     jacobian[moving, :3] = slopes[:3].transpose(0, 1)
-    by_rate[moving] = slopes[3]
     jacobian[moving, memory] = slopes[5:].transpose(0, 1)
-
-    loss = gas_loss_slopes(equations.bubbles, f.radius, f.velocity)
-    corner = float(inside.first[0, 0])
-    outer_corner = float(outside.first[0, 0])
-    at_wall = (f.pressure, wall, f.vapour, corner)
-    balances = (
-        (
-            rate_row,
-            pressure_rate_slopes(
-                f.radius, f.velocity, *at_wall[:2], f.heat, *at_wall[2:], loss, b, c
-            ),
-        ),
-        (jacobian[_WALL], wall_balance_slopes(*at_wall, outer_corner, b, c)),
-    )
-    for row, s in balances:
-        row[0], row[1], row[2], row[_WALL] = s.radius, s.velocity, s.pressure, s.wall
-        row[heat] = s.heat * inside.first[0, 1:, None]
-        row[vapour] = s.vapour * inside.first[0, 1:, None]
-        row[gel] = s.outer * outside.first[0, 1:, None]
-
-    s = node_slopes(f.node, f.radius, f.velocity, f.pressure, f.rate, b, c)
-    by_field = _apply_operators(inside, s.heat_first, s.heat_second)
-    jacobian[heat, _WALL : heat.stop] = by_field
-    jacobian[heat, heat].diagonal().add_(s.heat_self.T)
-    jacobian[heat, 0], jacobian[heat, 1], jacobian[heat, 2] = (
-        s.heat_radius,
-        s.heat_velocity,
-        s.heat_pressure,
-    )
-    by_rate[heat] = s.heat_rate
-
-    by_field = _apply_operators(inside, s.vapour_first, s.vapour_second)
-    jacobian[vapour, vapour] = by_field[:, 1:]
-    jacobian[vapour, vapour].diagonal().add_(s.vapour_self.T)
-    jacobian[vapour, _WALL : heat.stop] = s.coupling_slope[:, None] * inside.first[1:, :, None]
-    jacobian[vapour, heat].diagonal().add_(s.coupling.T)
-    jacobian[vapour, _WALL] += by_field[:, 0] * wall.vapour_heat
-    jacobian[vapour, 0], jacobian[vapour, 1] = s.vapour_radius, s.vapour_velocity
-    jacobian[vapour, 2] = s.vapour_pressure + by_field[:, 0] * wall.vapour_pressure
-    by_rate[vapour] = s.vapour_rate
-
-    outer = (f.outer_slope[1:], f.outer_laplacian, f.radius, f.velocity, wall, b, c)
-    g = gel_slopes(equations.stretching, equations.shear, *outer)
-    by_field = _apply_operators(outside, g.first, g.second)
-    jacobian[gel, gel] = by_field[:, 1:]
-    jacobian[gel, _WALL] = g.wall + by_field[:, 0] / wall.conductivity
-    jacobian[gel, 0], jacobian[gel, 1], jacobian[gel, 2] = g.radius, g.velocity, g.pressure
-
+    by_rate[moving] = slopes[3]
+    by_rate[2] = 1.0 / f.pressure
+    _fill_balances(equations, f, rate_row, jacobian[_WALL])
+    _fill_inside(equations, f, jacobian, by_rate)
+    _fill_gel(equations, f, jacobian)
     jacobian.addcmul_(by_rate[:, None], rate_row[None])
     jacobian[:, 2] *= f.pressure
     jacobian[2, 2] -= f.rate / f.pressure
     return jacobian, slopes[4, 0]
+
+
+def _fill_balances(equations: Equations, f: Fields, rate_row: Tensor, wall_row: Tensor) -> None:
+    """Derivatives of ``q`` and of the wall's balance of heat in the state."""
+    b = equations.bubbles.numbers
+    c = equations.bubbles.constants
+    by_inner = equations.inside.first[0, :, None]
+    by_outer = equations.outside.first[0, :, None]
+    corner = float(by_inner[0])
+    loss = gas_loss_slopes(equations.bubbles, f.radius, f.velocity)
+    q = pressure_rate_slopes(
+        f.radius, f.velocity, f.pressure, f.wall, f.heat, f.vapour, corner, loss, b, c
+    )
+    w = wall_balance_slopes(f.pressure, f.wall, f.vapour, corner, float(by_outer[0]), b, c)
+    for row, s in ((rate_row, q), (wall_row, w)):
+        row[:HEAD] = torch.stack((s.radius, s.velocity, s.pressure, s.wall))
+        row[equations.heat] = s.heat * by_inner[1:]
+        row[equations.vapour] = s.vapour * by_inner[1:]
+        row[equations.gel] = s.outer * by_outer[1:]
+
+
+def _fill_inside(equations: Equations, f: Fields, jacobian: Tensor, by_rate: Tensor) -> None:
+    """Derivatives of the rates of ``tau`` and ``C`` in the state, and in ``q``."""
+    b = equations.bubbles.numbers
+    c = equations.bubbles.constants
+    grid = equations.inside
+    heat = equations.heat
+    vapour = equations.vapour
+    with_wall = slice(_WALL, heat.stop)
+    s = node_slopes(f.node, f.radius, f.velocity, f.pressure, f.rate, b, c)
+    jacobian[heat, with_wall] = _apply_operators(grid, s.heat_first, s.heat_second)
+    jacobian[heat, heat].diagonal().add_(s.heat_self.T)
+    jacobian[heat, 0] = s.heat_radius
+    jacobian[heat, 1] = s.heat_velocity
+    jacobian[heat, 2] = s.heat_pressure
+    by_rate[heat] = s.heat_rate
+    by_field = _apply_operators(grid, s.vapour_first, s.vapour_second)
+    jacobian[vapour, vapour] = by_field[:, 1:]
+    jacobian[vapour, vapour].diagonal().add_(s.vapour_self.T)
+    jacobian[vapour, with_wall] = s.coupling_slope[:, None] * grid.first[1:, :, None]
+    jacobian[vapour, heat].diagonal().add_(s.coupling.T)
+    jacobian[vapour, _WALL] += by_field[:, 0] * f.wall.vapour_heat
+    jacobian[vapour, 0] = s.vapour_radius
+    jacobian[vapour, 1] = s.vapour_velocity
+    jacobian[vapour, 2] = s.vapour_pressure + by_field[:, 0] * f.wall.vapour_pressure
+    by_rate[vapour] = s.vapour_rate
+
+
+def _fill_gel(equations: Equations, f: Fields, jacobian: Tensor) -> None:
+    """Derivatives of the rates of ``theta`` in the state."""
+    b = equations.bubbles.numbers
+    c = equations.bubbles.constants
+    gel = equations.gel
+    at_nodes = (equations.stretching, equations.shear, f.outer_slope[1:], f.outer_laplacian)
+    s = gel_slopes(*at_nodes, f.radius, f.velocity, f.wall, b, c)
+    by_field = _apply_operators(equations.outside, s.first, s.second)
+    jacobian[gel, gel] = by_field[:, 1:]
+    jacobian[gel, _WALL] = s.wall + by_field[:, 0] / f.wall.conductivity
+    jacobian[gel, 0] = s.radius
+    jacobian[gel, 1] = s.velocity
+    jacobian[gel, 2] = s.pressure
 
 
 def _apply_operators(grid: Grid, first: Tensor, second: Tensor) -> Tensor:

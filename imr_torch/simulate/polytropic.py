@@ -5,6 +5,7 @@ The batch is integrated by ``torchdiffeq`` (fixed-step RK4) under the time trans
 after each block. Members that fail are tried again with half the step before they are given up.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import torch
@@ -68,33 +69,20 @@ class PolytropicSimulator(EngineSimulator):
             from imr_torch.simulate.compiled.run import solve_polytropic
 
             return solve_polytropic(bubbles, self.terms, times, width, stepping, self.threads)
-        results = _march(bubbles, times, stepping)
-        late = (results[3] == Status.TOO_MANY_STEPS) & (_leaders(results[3], width) == Status.DONE)
-        if bool(late.any()):  # followers that needed a little longer than their leader
-            results = _again(
-                results, bubbles, times, replace(stepping, max_steps=2 * stepping.max_steps), late
-            )
+        results = _march(bubbles, times, stepping, width)
         for _ in range(stepping.retries):
             status = _leaders(results[3], width)
-            failed = (status != Status.DONE) & (status != Status.TOO_MANY_STEPS)
-            if not bool(failed.any()):
+            failed = torch.nonzero((status != Status.DONE) & (status != Status.TOO_MANY_STEPS))[
+                :, 0
+            ]
+            if not len(failed):
                 break
             stepping = replace(stepping, step=0.5 * stepping.step)
-            results = _again(results, bubbles, times, stepping, failed)
+            again = _march(bubbles.take(failed), times[failed], stepping, width)
+            results = [
+                old.index_copy(0, failed, new) for old, new in zip(results, again, strict=True)
+            ]
         return *results[:3], _leaders(results[3], width), results[4]
-
-
-def _again(
-    results: tuple[Tensor, ...],
-    bubbles: Bubbles,
-    times: Tensor,
-    stepping: Stepping,
-    members: Tensor,
-) -> tuple[Tensor, ...]:
-    """The results of a batch, with some members (boolean, ``B``) integrated anew."""
-    chosen = torch.nonzero(members)[:, 0]
-    again = _march(bubbles.take(chosen), times[chosen], stepping)
-    return tuple(old.index_copy(0, chosen, new) for old, new in zip(results, again, strict=True))
 
 
 def _leaders(status: Tensor, width: int) -> Tensor:
@@ -102,7 +90,7 @@ def _leaders(status: Tensor, width: int) -> Tensor:
     return status[::width].repeat_interleave(width)
 
 
-def _march(bubbles: Bubbles, times: Tensor, stepping: Stepping) -> tuple[Tensor, ...]:
+def _march(bubbles: Bubbles, times: Tensor, stepping: Stepping, width: int = 1) -> Sequence[Tensor]:
     """Integrate until every member is past its last time.
 
     Radius, velocity, pressure, status, steps.
@@ -113,9 +101,11 @@ def _march(bubbles: Bubbles, times: Tensor, stepping: Stepping) -> tuple[Tensor,
     history = [state[None]]
     status = torch.full((count,), int(Status.TOO_MANY_STEPS), device=times.device)
     steps = torch.zeros_like(status)
+    limits = torch.full_like(steps, 2 * stepping.max_steps)  # a follower may need a little longer
+    limits[::width] = stepping.max_steps
     active = torch.arange(count, device=times.device)
     ticks = stepping.step * torch.arange(_BLOCK + 1, dtype=times.dtype, device=times.device)
-    for _ in range(0, stepping.max_steps, _BLOCK):
+    while len(active):
         moving = bubbles if active.numel() == count else bubbles.take(active)
         path = odeint(_field(moving, stepping.step), state[:, active], ticks, method="rk4")
         assert isinstance(path, Tensor)  # a tuple only for tuple states
@@ -123,9 +113,7 @@ def _march(bubbles: Bubbles, times: Tensor, stepping: Stepping) -> tuple[Tensor,
         state = history[-1][-1]
         steps[active] += _BLOCK
         status[active] = _judge(path, last[active])
-        active = torch.nonzero(status == Status.TOO_MANY_STEPS)[:, 0]
-        if active.numel() == 0:
-            break
+        active = torch.nonzero((status == Status.TOO_MANY_STEPS) & (steps < limits))[:, 0]
     return *_read(bubbles, torch.cat(history), times, status), status, steps
 
 

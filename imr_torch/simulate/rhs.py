@@ -81,7 +81,10 @@ class Equations:
         self.n = len(inside)
         self.m = len(outside)
         self.memory = bubbles.states
-        self.rows = HEAD + 2 * self.n + self.m + self.memory
+        self.heat = slice(HEAD, HEAD + self.n)
+        self.vapour = slice(self.heat.stop, self.heat.stop + self.n)
+        self.gel = slice(self.vapour.stop, self.vapour.stop + self.m)
+        self.rows = self.gel.stop + self.memory
         self._parts = (
             HEAD - 1,
             1 + self.n,
@@ -112,9 +115,9 @@ class Equations:
         vapour = wall_of(
             pressure, one, one, torch.zeros_like(one), numbers, self.bubbles.constants
         ).vapour
-        state[HEAD : HEAD + self.n] = warm_profile(self.y, numbers.warmth, self.bubbles.constants)
-        state[HEAD + self.n : HEAD + 2 * self.n] = vapour
-        state[HEAD + 2 * self.n + self.m :] = self.bubbles.memory_start()
+        state[self.heat] = warm_profile(self.y, numbers.warmth, self.bubbles.constants)
+        state[self.vapour] = vapour
+        state[self.gel.stop :] = self.bubbles.memory_start()
         return state
 
     def fields(

@@ -78,7 +78,6 @@ def rosenbrock_step(
     Returns:
         The state after the step, and an estimate of its error.
     """
-    driven = equations.bubbles.driven
     moment = torch.zeros_like(step) if time is None else time
     fields = equations.fields(state, moment)
     jacobian, velocity_time = linearise(equations, fields)
@@ -98,7 +97,6 @@ def rosenbrock_step(
             argument = state + offset
             right = equations.rate(equations.fields(argument, moment + moved * step))
             right.addcmul_(coupling, inverse_step)
-        if driven:
-            right[1] += velocity_time * step * TIME_INCREMENTS[i]
+        right[1] += velocity_time * step * TIME_INCREMENTS[i]
         increments[i] = torch.linalg.lu_solve(factors, pivots, right.T[:, :, None])[:, :, 0].T
     return argument + increments[-1], increments[-1]

@@ -350,6 +350,7 @@ def test_that_a_law_without_a_compiled_form_is_no_obstacle_where_it_does_not_act
         assert bool(PolytropicSimulator()(gel(mu=0.1), DESIGNS, TIMES).ok.all())
 
 
+@pytest.mark.filterwarnings("ignore::imr_torch.errors.PrecisionWarning")
 def test_that_float32_runs_on_tensors_and_says_why() -> None:
     engines._say.cache_clear()
     times = TIMES[:20]

@@ -228,7 +228,9 @@ def test_that_bad_options_are_named(call: Callable[[], object], message: str) ->
 
 def test_that_gradients_pass_through_a_tabulated_drive() -> None:
     """The solver's time depends on the gel, so the pressure must be differentiable in time."""
-    simulator = PolytropicSimulator(Conditions(driving=SINE))
+    moments = torch.linspace(0.0, 3e-4, 61, dtype=torch.float64)
+    table = TabulatedDriving(tuple(moments.tolist()), tuple(SINE(moments)[0].tolist()))
+    simulator = PolytropicSimulator(Conditions(driving=table))
     parameters = gel(G=5e3, mu=0.05).requires_grad_()
     designs = tensor(300.0, 0.3)
     times = grid(1.0, 8)

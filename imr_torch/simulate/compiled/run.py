@@ -8,7 +8,6 @@ import functools
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
 from threading import get_ident
 from typing import Any
 
@@ -43,18 +42,12 @@ def obstacle(bubbles: Bubbles) -> str | None:
     None if nothing does. Laws that do not act are no obstacle.
     """
     conditions = bubbles.conditions
-    kinds = [type(conditions.motion), type(conditions.gas)]
+    laws = [type(conditions.motion).law, type(conditions.gas).law]
     missing = [
-        *_without_form(*kinds),
+        *(law.__qualname__ for law in laws if obstacle_of(law) is not None),
         *(part.name for part in (*bubbles.terms, *bubbles.effects) if not part.compilable),
     ]
     return f"{missing[0]} has no compiled form" if missing else None
-
-
-@cache
-def _without_form(*kinds: Any) -> tuple[str, ...]:
-    """Names of the laws of some classes that have no compiled form."""
-    return tuple(kind.law.__qualname__ for kind in kinds if obstacle_of(kind.law) is not None)
 
 
 def registry_of(conditions: Conditions, terms: Sequence[StressTerm] | None) -> Registry:
