@@ -13,10 +13,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from imr_torch.gap.text import SHRINKS, Document
+from imr_torch.gap.text import RECORD, SHRINKS, Document
 from imr_torch.goodness.score import LEVEL
 from imr_torch.labels import R_STAR, T_STAR, file_name, plain
 from imr_torch.material import PARAMETERS
+from imr_torch.record import figures as record_figures
 
 DATA = "#222222"
 BASE = "#E69F00"
@@ -60,6 +61,14 @@ def gap_figures(document: Document, *, curves: int | None = None) -> Iterator[Ga
         document: of a diagnosis (:func:`imr_torch.gap.to_json`).
         curves: that are drawn, at most; all by default.
     """
+    if document.get("record"):
+        yield GapFigure(
+            RECORD,
+            "record",
+            record_figures.CAPTION,
+            record_figures.ALT,
+            lambda: record_figures.record_figure(document["record"]),
+        )
     for curve in document["curves"][:curves]:
         beside = "" if curve["selected"] is None else f" and that with {_selected(document)}"
         yield GapFigure(

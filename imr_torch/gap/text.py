@@ -18,6 +18,8 @@ from imr_torch.material import LIBRARY, PARAMETERS
 Document = Mapping[str, Any]
 """A diagnosis as :func:`imr_torch.gap.to_json` makes it."""
 
+RECORD = "The record before any gel"
+"""Heading of the section on what curves show without a model."""
 SHRINKS = "How far does it shrink on unseen curves?"
 """Heading of the section on held-out curves."""
 _MOST_SHOWN = 5
@@ -87,6 +89,8 @@ def describe(document: Document) -> str:
 def sections(document: Document) -> list[Section]:
     """The diagnosis as sections, in the order of the questions."""
     no_cause = document["posterior"] is None
+    record = document.get("record")
+    before = [Section(RECORD, tuple(record["sentences"]), folded=True)] if record else []
     return [
         Section(
             "Verdict",
@@ -97,6 +101,7 @@ def sections(document: Document) -> list[Section]:
                 *parameter_sentences(document),
             ),
         ),
+        *before,
         Section("Is there a gap?", _gap(document)),
         Section("What would these data not show?", _hidden(document)),
         Section("Where does it lie?", _where(document), folded=not document["examined"]),

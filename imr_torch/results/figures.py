@@ -18,6 +18,7 @@ from imr_torch.errors import InputDataError
 from imr_torch.gap.figures import gap_figures
 from imr_torch.labels import R_STAR, T_STAR, file_name
 from imr_torch.material import Belief, material
+from imr_torch.record import figures as record_figures
 from imr_torch.results.campaign_figures import campaign_figures
 from imr_torch.results.compared import compared_figures
 from imr_torch.results.named import NamedFigure
@@ -74,6 +75,13 @@ def draw_figures(document: Mapping[str, Any]) -> list[NamedFigure]:
 
 def _characterization_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
     check_characterization(document)
+    if document.get("record"):
+        yield NamedFigure(
+            "record",
+            record_figures.CAPTION,
+            record_figures.ALT,
+            lambda: record_figures.record_figure(document["record"]),
+        )
     for curve in document["curves"]:
         frames = curve["frames"]
         yield NamedFigure(
