@@ -104,7 +104,8 @@ def smooth_cycle(
     """
     t = frames.t
     more = beyond * float(np.diff(t).max())
-    dense = np.linspace(t[0] - more * (frames.still == 0.0), t[-1] + more, 401)
+    begin = min(t[0], 0.0) if frames.still else t[0] - more
+    dense = np.linspace(begin, t[-1] + more, 401)
     volume = np.polynomial.Polynomial.fit(t, frames.y**2.5, 4, w=frames.y**-1.5)(dense)
     y = np.maximum(volume, 0.01) ** 0.4
     curve = SmoothCurve(dense, y, np.gradient(y, dense), y, y, y)

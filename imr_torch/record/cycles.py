@@ -63,7 +63,6 @@ class Cycle:
     Args:
         number: 1 is the cycle of the largest radius.
         max_radius_m: R_k, m.
-        time_of_max_s: s, on the time axis of the trace.
         frames: that were used.
         levels: radii over R_k at which pressures are given, increasing.
         growth: wall pressure over p_inf less 1 at the levels, in growth; NaN where not recorded.
@@ -97,7 +96,6 @@ class Cycle:
 
     number: int
     max_radius_m: float
-    time_of_max_s: float
     frames: int
     levels: np.ndarray
     growth: np.ndarray
@@ -164,16 +162,16 @@ def _describe_cycle(
     floor = max(options.lowest, options.above_rest * rest)
     t = (trace.time_s.numpy() - time) / unit
     y = trace.radius_m.numpy() / top
-    outside = np.flatnonzero((y <= floor) | (y > 1.03))
-    middle = np.searchsorted(outside, np.abs(t).argmin())
-    first = outside[middle - 1] + 1 if middle > 0 else 0
-    last = outside[middle] if middle < len(outside) else len(t)
-    t = t[first:last]
-    y = y[first:last]
+    kept = (y > floor) & (y < 1.03)
+    runs = np.cumsum(np.diff(kept, prepend=False))
+    kept &= runs == runs[np.abs(t).argmin()]
     few = options.least_frames // 2  # of one branch
+    grew = int((kept & (t < 0.0)).sum()) >= few
+    kept &= grew | (t >= 0.0)
+    t = t[kept]
+    y = y[kept]
     if len(t) < options.least_frames or (t > 0.0).sum() < few or floor > 0.9:
         return None
-    grew = bool((t < 0.0).sum() >= few)
     known_still = marks.frame_noise_m / top / max(marks.time_of_max_sd_s / unit, 1e-3)
     frames = Frames(t, y, 0.0 if grew else known_still)
     far = surroundings.far_field_pressure
@@ -190,10 +188,9 @@ def _describe_cycle(
     return Cycle(
         number=number,
         max_radius_m=top * float(curve.y.max()),
-        time_of_max_s=time + unit * float(curve.t[curve.y.argmax()]),
         frames=len(t),
         levels=levels,
-        growth=growth[0] if grew else np.full_like(levels, np.nan),
+        growth=growth[0],
         growth_sd=growth[1],
         collapse=collapse[0],
         collapse_sd=collapse[1],
@@ -201,14 +198,13 @@ def _describe_cycle(
         viscosity_sd=float(medium_sd[0]),
         modulus=float(medium[1]),
         modulus_sd=float(medium_sd[1]),
-        **_chord_and_skewness(curve, contents, grew),
+        **_chord_and_skewness(curve, contents),
     )
 
 
 def _branch(curve: SmoothCurve, side: int) -> slice:
-    """Growth (-1) or collapse (1), from the smallest radius to the maximum or back."""
-    top = int(curve.y.argmax())
-    return slice(top, None, side) if top or side > 0 else slice(0, 1)
+    """Growth (-1) or collapse (1), from the maximum to the smallest radius."""
+    return slice(int(curve.y.argmax()), None, side)
 
 
 def _pressures(curve: SmoothCurve, side: int, levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -227,7 +223,7 @@ def _crossing(curve: SmoothCurve, level: float, side: int) -> tuple[float, float
     return at, float(np.interp(at, curve.t, curve.y_sd) / abs(np.interp(at, curve.t, curve.u)))
 
 
-def _chord_and_skewness(curve: SmoothCurve, contents: Contents, grew: bool) -> dict[str, float]:
+def _chord_and_skewness(curve: SmoothCurve, contents: Contents) -> dict[str, float]:
     """Of :class:`Cycle`, with their errors."""
     top = int(curve.y.argmax())
     ends = np.array([[_crossing(curve, level, side) for side in (-1, 1)] for level in (0.5, 0.95)])
@@ -235,7 +231,7 @@ def _chord_and_skewness(curve: SmoothCurve, contents: Contents, grew: bool) -> d
     sds = ends[..., 1]
     skewness = (times[0].mean() - times[1].mean()) / (RAYLEIGH_TIME * curve.y[top])
     skewness_sd = 0.5 * np.sqrt((sds**2).sum()) / RAYLEIGH_TIME
-    if not grew or np.isnan(times[0, 0]):
+    if np.isnan(times[0, 0]):
         times[0, 0] = 2.0 * curve.t[top] - times[0, 1]
         sds[0, 0] = sds[0, 1]
     lossless = 2.0 * contents.lossless_half_chord(0.5) * curve.y[top]
@@ -245,6 +241,6 @@ def _chord_and_skewness(curve: SmoothCurve, contents: Contents, grew: bool) -> d
         "chord_sd": float(
             np.hypot(np.sqrt((sds[0] ** 2).sum()) / lossless, curve.y_sd[top] * chord)
         ),
-        "skewness": float(skewness) if grew else np.nan,
-        "skewness_sd": float(skewness_sd) if grew else np.nan,
+        "skewness": float(skewness),
+        "skewness_sd": float(skewness_sd),
     }
