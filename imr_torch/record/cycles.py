@@ -87,7 +87,7 @@ class Cycle:
     >>> import torch
     >>> from imr_torch.record import describe_record
     >>> from imr_torch.observe import RadiusTrace, TraceSet
-    >>> time = np.linspace(-17e-6, 17e-6, 69)
+    >>> time = np.linspace(-24e-6, 24e-6, 97)
     >>> trace = RadiusTrace("shot 1", torch.tensor(time), torch.tensor(2e-4 * np.cos(6e4 * time) ** 0.4), "example")
     >>> cycle = describe_record(TraceSet((trace,))).shots[0].cycles[0]
     >>> bool(np.nanmax(abs(cycle.split)) < 0.05), abs(cycle.skewness) < 0.01  # a curve that is even in time

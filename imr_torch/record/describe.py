@@ -151,11 +151,11 @@ def describe_record(
     >>> import torch
     >>> from imr_torch.observe import RadiusTrace, TraceSet
     >>> from imr_torch.record import describe_record
-    >>> time = np.linspace(-17e-6, 17e-6, 69)
+    >>> time = np.linspace(-24e-6, 24e-6, 97)
     >>> trace = RadiusTrace("shot 1", torch.tensor(time), torch.tensor(2e-4 * np.cos(6e4 * time) ** 0.4), "example")
     >>> record = describe_record(TraceSet((trace,)))
     >>> record.shots[0].cycles[0].frames, record.sentences()[-1]
-    (59, 'Two shots cannot outvote each other, so of fewer than three none stands out.')
+    (95, 'Two shots cannot outvote each other, so of fewer than three none stands out.')
     """
     options = options or RecordOptions()
     outer = surroundings or Surroundings()
@@ -171,7 +171,12 @@ def describe_record(
 def record_document(
     traces: Iterable[RadiusTrace], surroundings: Surroundings | None = None
 ) -> dict[str, Any] | None:
-    """:func:`describe_record` for a result document; None without traces."""
+    """:func:`describe_record` for a result document; None without traces.
+
+    >>> from imr_torch.record import record_document
+    >>> record_document(()) is None
+    True
+    """
     record = describe_record(traces, surroundings)
     return record.to_dict() if record.shots else None
 
