@@ -95,11 +95,16 @@ class Record:
             )
         cycles = [cycle for shot in self.shots for cycle in shot.cycles]
         for number in sorted({cycle.number for cycle in cycles}):
-            own = [(c.max_radius_m, c.viscosity, c.modulus) for c in cycles if c.number == number]
-            size, viscosity, modulus = np.median(own, 0)
+            own = [
+                (c.max_radius_m, c.viscosity, c.viscosity_sd, c.modulus, c.modulus_sd)
+                for c in cycles
+                if c.number == number
+            ]
+            size, viscosity, viscosity_sd, modulus, modulus_sd = np.median(own, 0)
             lines.append(
                 f"Cycle {number} ({len(own)} shot(s), median R_k {1e6 * size:.0f} um) looks like "
-                f"{viscosity:.2f} Pa s and {1e-3 * modulus:.1f} kPa."
+                f"{viscosity:.2f} +- {viscosity_sd:.2f} Pa s and {1e-3 * modulus:.1f} +- "
+                f"{1e-3 * modulus_sd:.1f} kPa (of one shot)."
             )
         if len(chord) and np.median(chord) > _SLOW:
             lines.append(
