@@ -101,6 +101,7 @@ def test_characterize_finds_the_gel_that_ships_with_the_project(tmp_path, capsys
         assert middle == pytest.approx(TRUTH[name], rel=0.1)
     figures = {path.name for path in out.glob("*.png")}
     names = (
+        "record",
         "curve_shot_1",
         "curve_shot_3",
         "residuals",

@@ -16,6 +16,7 @@ STAGES = (
     "material",
     "simulate",
     "observe",
+    "record",
     "assimilate",
     "select",
     "population",

@@ -20,6 +20,7 @@ STAGES = (
     "simulate",
     "reading",
     "observe",
+    "record",
     "assimilate",
     "goodness",
     "select",

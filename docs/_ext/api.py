@@ -17,6 +17,7 @@ PACKAGES = {
     "simulate": "What does the bubble do?",
     "reading": "What did the laboratory write down?",
     "observe": "What does the camera see?",
+    "record": "What do the curves show before any gel?",
     "assimilate": "What do we learn?",
     "goodness": "Does the model explain the curves?",
     "select": "Which model?",

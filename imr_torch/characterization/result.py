@@ -32,6 +32,7 @@ from imr_torch.material import Belief
 from imr_torch.observe import Experiment, GelMedium, Noise, Prepared, TraceSet
 from imr_torch.observe.frames import FrameUse
 from imr_torch.population import Population
+from imr_torch.record import record_document
 from imr_torch.select import (
     Evidence,
     Identifiability,
@@ -281,6 +282,7 @@ class Characterization:
         return self.to_dict(command) | {
             "rows_left_out": left_out,
             "notes": list(self.traces.notes),
+            "record": record_document(self.traces, self.medium and self.medium.surroundings),
             "curves": curves,
         }
 

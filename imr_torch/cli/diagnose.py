@@ -32,6 +32,7 @@ from imr_torch.gap import (
 )
 from imr_torch.material import MATERIALS, wide_prior
 from imr_torch.observe import Experiment, GelMedium, TraceSet, load_traces, prepare
+from imr_torch.record import record_document
 from imr_torch.simulate import Simulator
 
 
@@ -41,7 +42,7 @@ def run(args: argparse.Namespace) -> None:
     simulator = simulator_of(args)
     effects = _effects(args)
     base = wide_prior((args.base,), known=parse_values(args.known, "--known")).models[0]
-    experiments, medium = _experiments(args, simulator)
+    experiments, medium, traces = _experiments(args, simulator)
     simulator = medium.applied(simulator)
     base = medium.believed_of(base)
     effects = _beside_medium(effects, medium, args)
@@ -70,7 +71,10 @@ def run(args: argparse.Namespace) -> None:
         if report.converged
         else ()
     )
-    document = to_json(report, parts, simulator=simulator)
+    labels = [experiment.label for experiment in experiments]
+    chosen = [trace for trace in traces if trace.experiment_id in labels]
+    record = record_document(chosen, medium.surroundings)
+    document = to_json(report, parts, simulator=simulator) | {"record": record}
     print(describe(document))
     said = (*medium.learnt(report.null.posterior), *(found.sentence() for found in assumed))
     print(
@@ -127,8 +131,10 @@ def _beside_medium(
 
 def _experiments(
     args: argparse.Namespace, simulator: Simulator
-) -> tuple[list[Experiment], GelMedium]:
-    """Sets or curves as experiments, and their medium; what was read and left out is printed."""
+) -> tuple[list[Experiment], GelMedium, TraceSet]:
+    """Sets or curves as experiments, their medium, and the records of curves; what was read and
+    left out is printed.
+    """
     statement = statement_of(args)
     assumed = simulator.conditions.surroundings
     sets = [name for name in args.files if _is_set(name)]
@@ -144,7 +150,7 @@ def _experiments(
             rest_radius=rest,
         )
         print(prepared.report() + "\n")
-        return list(prepared.experiments), medium
+        return list(prepared.experiments), medium, traces
     if len(sets) < len(args.files):
         raise InputDataError(
             "Sets (.npz) and files of curves cannot be mixed: their noise is known differently."
@@ -158,13 +164,13 @@ def _experiments(
     medium = medium_of(TraceSet(()), statement, assumed)
     loaded = {name: load_set(name, surroundings=medium.surroundings) for name in sets}
     if len(loaded) == 1:
-        return next(iter(loaded.values())), medium
+        return next(iter(loaded.values())), medium, TraceSet(())
     renamed = [
         replace(e, label=f"{Path(name).stem} {e.label}")
         for name, experiments in loaded.items()
         for e in experiments
     ]
-    return renamed, medium
+    return renamed, medium, TraceSet(())
 
 
 def _is_set(name: str) -> bool:

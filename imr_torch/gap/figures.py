@@ -25,10 +25,11 @@ from imr_torch.drawing import (
     floats,
 )
 from imr_torch.gap.hypotheses import in_words
-from imr_torch.gap.text import CAUSES, CURVES, PLACE, SHRINKS, TESTED, VERDICT, Document
+from imr_torch.gap.text import CAUSES, CURVES, PLACE, RECORD, SHRINKS, TESTED, VERDICT, Document
 from imr_torch.goodness.score import LEVEL
 from imr_torch.labels import file_name, plain
 from imr_torch.material import PARAMETERS
+from imr_torch.record.figures import named_record_figure
 
 LIGHT = "#A6CCE2"  # bars of fits that did not converge
 _SMALLEST = 300.0  # -log10 p beyond which p-values are zero in float64
@@ -45,6 +46,8 @@ def gap_figures(document: Document, *, curves: int | None = None) -> Iterator[Na
         curves: that are drawn, at most; all by default.
     """
     selected = " and ".join(map(in_words, document["selected"]))
+    if document.get("record"):
+        yield named_record_figure(document["record"], RECORD)
     for curve in document["curves"][:curves]:
         beside = "" if curve["selected"] is None else f" and that with {selected}"
         yield NamedFigure(

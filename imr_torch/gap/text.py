@@ -22,6 +22,7 @@ TESTED = "Is there a gap?"
 HIDDEN = "What would these data not show?"
 PLACE = "Where does it lie?"
 CAUSES = "Which effect causes it?"
+RECORD = "The record before any gel"
 SHRINKS = "How far does it shrink on unseen curves?"
 CURVES = "The curves"
 """Headings of sections in which a figure or a table stands."""
@@ -103,6 +104,8 @@ def describe(document: Document) -> str:
 def sections(document: Document) -> list[Section]:
     """The diagnosis as sections, in the order of the questions."""
     no_cause = document["posterior"] is None
+    record = document.get("record")
+    before = [Section(RECORD, tuple(record["sentences"]), folded=True)] if record else []
     return [
         Section(
             VERDICT,
@@ -113,6 +116,7 @@ def sections(document: Document) -> list[Section]:
                 *parameter_sentences(document),
             ),
         ),
+        *before,
         Section(TESTED, _gap(document)),
         Section(HIDDEN, _hidden(document)),
         Section(PLACE, _where(document), folded=not document["examined"]),

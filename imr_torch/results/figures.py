@@ -12,6 +12,7 @@ from imr_torch.errors import InputDataError, in_one_line
 from imr_torch.gap.figures import gap_figures
 from imr_torch.labels import file_name
 from imr_torch.material import Belief, material
+from imr_torch.record.figures import named_record_figure
 from imr_torch.results.charts import (
     campaign_curve,
     causes_chart,
@@ -71,6 +72,8 @@ def draw_figures(document: Mapping[str, Any]) -> list[NamedFigure]:
 def _characterization_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
     if not document["curves"] and not document.get("collapse_times"):
         raise ValueError("curves is empty")
+    if document.get("record"):
+        yield named_record_figure(document["record"])
     for curve in document["curves"]:
         frames = curve["frames"]
         yield NamedFigure(

@@ -87,6 +87,8 @@ def test_that_single_curves_are_judged_by_the_noise_of_their_frames(single, tmp_
     assert 0.003 < low < middle < high < 0.03
     assert (result["gap"], result["verdict"], result["converged"]) == (False, "none", True)
     assert "everything (chi-square)" not in {test["name"] for test in result["tests"]}
+    assert [shot["id"] for shot in result["record"]["shots"]] == ["shot 0", "shot 1"]
+    assert "The record before any gel" in said
 
 
 def test_that_a_document_is_saved_with_null_for_a_number_that_is_not_finite(

@@ -1,0 +1,246 @@
+"""The cycles of a record: wall pressure in growth and collapse, chord, skewness, and the viscosity
+and modulus that each looks like.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from imr_torch.errors import InputDataError
+from imr_torch.observe.landmarks import Landmarks
+from imr_torch.observe.plausibility import RAYLEIGH_TIME
+from imr_torch.reading.traces import RadiusTrace
+from imr_torch.record.balance import Contents, Frames, SmoothCurve, fit_medium, smooth_cycle
+from imr_torch.simulate.conditions import saturation_pressure
+from imr_torch.units import Surroundings
+
+
+@dataclass(frozen=True)
+class RecordOptions:
+    """How a record is read.
+
+    Args:
+        lowest: radius, of the maximum of a cycle, down to which its frames are used; the chord and
+            the skewness are taken at .5.
+        above_rest: the same over R_inf, since nearer to it the contents push back.
+        least_frames: of a cycle.
+        beyond: frames by which a curve is continued, since the level of the chord lies between two.
+        cycles: that are described.
+        odd: prior probability that a shot stands out in one quantity.
+        wide: standard deviation of shots that stand out, over that of the others.
+        scatter: of the shots of a set that a prior takes for likely: of the chord, of the skewness,
+            and of the viscosity over its median.
+
+    Raises:
+        InputDataError: if frames down to .5 are not used.
+
+    >>> from imr_torch.record import RecordOptions
+    >>> RecordOptions(cycles=1).lowest
+    0.45
+    """
+
+    lowest: float = 0.45
+    above_rest: float = 1.3
+    least_frames: int = 9
+    beyond: float = 0.7
+    cycles: int = 3
+    odd: float = 0.1
+    wide: float = 5.0
+    scatter: tuple[float, float, float] = (0.01, 0.01, 0.15)
+
+    def __post_init__(self) -> None:
+        if not 0.1 <= self.lowest <= 0.5:
+            raise InputDataError(
+                f"RecordOptions.lowest is {self.lowest:g}; expected .1 to .5 of the maximum radius."
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Cycle:
+    """Growth to one maximum and the collapse from it.
+
+    Args:
+        number: 1 is the cycle of the largest radius.
+        max_radius_m: R_k, m.
+        frames: that were used.
+        levels: radii over R_k at which pressures are given, increasing.
+        growth: wall pressure over p_inf less 1 at the levels, in growth; NaN where not recorded.
+            An empty cavity has -1.
+        growth_sd: its standard deviation.
+        collapse: the same in collapse.
+        collapse_sd: its standard deviation.
+        viscosity: Pa s.
+        viscosity_sd: Pa s.
+        modulus: Pa; negative where the curve is faster than pressure, density and contents allow.
+            Without a rest radius that of a large stretch.
+        modulus_sd: Pa.
+        chord: time above half of R_k over that of a lossless bubble of the same contents; twice the
+            time from the maximum where growth was not recorded; NaN where the record does not reach
+            so low.
+        chord_sd: its standard deviation.
+        skewness: middle of the chord at .5 R_k less that at .95 R_k, over the Rayleigh time .915 R_k
+            sqrt(rho/p_inf); 0 for a lossless bubble. NaN without growth.
+        skewness_sd: its standard deviation.
+
+    >>> import numpy as np
+    >>> import torch
+    >>> from imr_torch.record import describe_record
+    >>> from imr_torch.observe import RadiusTrace, TraceSet
+    >>> time = np.linspace(-24e-6, 24e-6, 97)
+    >>> trace = RadiusTrace("shot 1", torch.tensor(time), torch.tensor(2e-4 * np.cos(6e4 * time) ** 0.4), "example")
+    >>> cycle = describe_record(TraceSet((trace,))).shots[0].cycles[0]
+    >>> bool(np.nanmax(abs(cycle.split)) < 0.05), abs(cycle.skewness) < 0.01  # a curve that is even in time
+    (True, True)
+    """
+
+    number: int
+    max_radius_m: float
+    frames: int
+    levels: np.ndarray
+    growth: np.ndarray
+    growth_sd: np.ndarray
+    collapse: np.ndarray
+    collapse_sd: np.ndarray
+    viscosity: float
+    viscosity_sd: float
+    modulus: float
+    modulus_sd: float
+    chord: float
+    chord_sd: float
+    skewness: float
+    skewness_sd: float
+
+    @property
+    def common(self) -> np.ndarray:
+        """Mean of growth and collapse, over p_inf: elasticity and contents."""
+        return 0.5 * (self.collapse + self.growth)
+
+    @property
+    def split(self) -> np.ndarray:
+        """Collapse less growth, over p_inf: dissipation."""
+        return self.collapse - self.growth
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready but for NaN."""
+        arrays = ("levels", "growth", "growth_sd", "collapse", "collapse_sd")
+        return vars(self) | {name: getattr(self, name).tolist() for name in arrays}
+
+
+def describe_cycles(
+    trace: RadiusTrace, marks: Landmarks, surroundings: Surroundings, options: RecordOptions
+) -> tuple[Cycle, ...]:
+    """The cycles of a record that have frames enough, the largest first in time order.
+
+    Args:
+        trace: the record, with its growth.
+        marks: its landmarks.
+        surroundings: the liquid side.
+        options: how it is read.
+    """
+    tops = [(marks.time_of_max_s, marks.max_radius_m)]
+    tops += zip(marks.rebound_times_s, marks.rebound_radii_m, strict=True)
+    found = [
+        _describe_cycle(trace, marks, surroundings, options, number, *top)
+        for number, top in enumerate(tops[: options.cycles], start=1)
+    ]
+    return tuple(cycle for cycle in found if cycle is not None)
+
+
+def _describe_cycle(
+    trace: RadiusTrace,
+    marks: Landmarks,
+    surroundings: Surroundings,
+    options: RecordOptions,
+    number: int,
+    time: float,
+    top: float,
+) -> Cycle | None:
+    """One cycle about a maximum; None where it has too few frames, or these form no maximum."""
+    unit = float(surroundings.time_scale(top))
+    rest = (marks.rest_radius_m or 0.0) / top
+    floor = max(options.lowest, options.above_rest * rest)
+    t = (trace.time_s.numpy() - time) / unit
+    y = trace.radius_m.numpy() / top
+    kept = (y > floor) & (y < 1.03)
+    runs = np.cumsum(np.diff(kept, prepend=False))
+    kept &= runs == runs[np.abs(t).argmin()]
+    few = options.least_frames // 2  # of one branch
+    grew = int((kept & (t < 0.0)).sum()) >= few
+    kept &= grew | (t >= 0.0)
+    t = t[kept]
+    y = y[kept]
+    if len(t) < options.least_frames or (t > 0.0).sum() < few or floor > 0.9:
+        return None
+    known_still = marks.frame_noise_m / top / max(marks.time_of_max_sd_s / unit, 1e-3)
+    frames = Frames(t, y, 0.0 if grew else known_still)
+    far = surroundings.far_field_pressure
+    vapour = saturation_pressure(surroundings.temperature) / far
+    contents = Contents(rest, float(surroundings.weber(top)), vapour)
+    sound = surroundings.sound_speed / surroundings.velocity_scale
+    curve = smooth_cycle(frames, contents, sound, beyond=options.beyond)
+    if not 0.9 < curve.y.max() < 1.1:
+        return None
+    units = np.array([far * unit, far])
+    medium, medium_sd = (units * values for values in fit_medium(frames, curve, contents, sound))
+    levels = np.linspace(np.ceil(50.0 * floor) / 50.0, 0.98, 25)
+    growth, collapse = (_pressures(curve, side, levels) for side in (-1, 1))
+    return Cycle(
+        number=number,
+        max_radius_m=top * float(curve.y.max()),
+        frames=len(t),
+        levels=levels,
+        growth=growth[0],
+        growth_sd=growth[1],
+        collapse=collapse[0],
+        collapse_sd=collapse[1],
+        viscosity=float(medium[0]),
+        viscosity_sd=float(medium_sd[0]),
+        modulus=float(medium[1]),
+        modulus_sd=float(medium_sd[1]),
+        **_chord_and_skewness(curve, contents),
+    )
+
+
+def _branch(curve: SmoothCurve, side: int) -> slice:
+    """Growth (-1) or collapse (1), from the maximum to the smallest radius."""
+    return slice(int(curve.y.argmax()), None, side)
+
+
+def _pressures(curve: SmoothCurve, side: int, levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Wall pressure at levels of one branch, and its error; NaN outside of it."""
+    y, p, p_sd = (values[_branch(curve, side)][::-1] for values in (curve.y, curve.p, curve.p_sd))
+    at = np.where((levels >= y[0]) & (levels <= y[-1]), levels, np.nan)
+    return np.interp(at, y, p), np.interp(at, y, p_sd)
+
+
+def _crossing(curve: SmoothCurve, level: float, side: int) -> tuple[float, float]:
+    """Time at which a branch passes a level of the maximum, and its error; NaN where it does not."""
+    y, t = (values[_branch(curve, side)][::-1] for values in (curve.y / curve.y.max(), curve.t))
+    if y[0] > level:
+        return np.nan, np.nan
+    at = float(np.interp(level, y, t))
+    return at, float(np.interp(at, curve.t, curve.y_sd) / abs(np.interp(at, curve.t, curve.u)))
+
+
+def _chord_and_skewness(curve: SmoothCurve, contents: Contents) -> dict[str, float]:
+    """Of :class:`Cycle`, with their errors."""
+    top = int(curve.y.argmax())
+    ends = np.array([[_crossing(curve, level, side) for side in (-1, 1)] for level in (0.5, 0.95)])
+    times = ends[..., 0]
+    sds = ends[..., 1]
+    skewness = (times[0].mean() - times[1].mean()) / (RAYLEIGH_TIME * curve.y[top])
+    skewness_sd = 0.5 * np.sqrt((sds**2).sum()) / RAYLEIGH_TIME
+    if np.isnan(times[0, 0]):
+        times[0, 0] = 2.0 * curve.t[top] - times[0, 1]
+        sds[0, 0] = sds[0, 1]
+    lossless = 2.0 * contents.lossless_half_chord(0.5) * curve.y[top]
+    chord = (times[0, 1] - times[0, 0]) / lossless
+    return {
+        "chord": float(chord),
+        "chord_sd": float(
+            np.hypot(np.sqrt((sds[0] ** 2).sum()) / lossless, curve.y_sd[top] * chord)
+        ),
+        "skewness": float(skewness),
+        "skewness_sd": float(skewness_sd),
+    }

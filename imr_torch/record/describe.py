@@ -1,0 +1,212 @@
+"""What records show before any gel is fitted: wall pressure in growth and collapse, chord,
+skewness, what each cycle looks like, and shots that stand out from their set.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from imr_torch.files import without_nonfinite
+from imr_torch.observe.landmarks import find_landmarks
+from imr_torch.reading.traces import RadiusTrace
+from imr_torch.record.cycles import Cycle, RecordOptions, describe_cycles
+from imr_torch.record.odd import FEWEST, odd_probabilities
+from imr_torch.units import Surroundings
+
+WATER = {"chord": 1.020, "skewness": 0.013}
+"""Medians of 45 shots in water by laser (Wilson et al., Phys. Rev. E 99, 2019), at 998 kg/m^3."""
+
+_STANDS_OUT = 0.5  # more probable than not
+_SLOW = 1.01  # chord over that of a lossless bubble, which dissipation hardly changes
+
+
+@dataclass(frozen=True, eq=False)
+class ShotRecord:
+    """What one record shows.
+
+    Args:
+        label: name of the shot.
+        cycles: that have frames enough; the first is that of the largest radius.
+        odd: probability that the shot stands out from its set; None where fewer than three shots
+            are compared.
+        odd_in: quantities in which it does, of "chord", "skewness" and "viscosity".
+
+    >>> from imr_torch.record import ShotRecord
+    >>> ShotRecord("shot 1", (), 0.02).odd_in
+    ()
+    """
+
+    label: str
+    cycles: tuple[Cycle, ...]
+    odd: float | None = None
+    odd_in: tuple[str, ...] = ()
+
+    @property
+    def stands_out(self) -> bool:
+        """Whether it is more probable than not that it does."""
+        return self.odd is not None and self.odd > _STANDS_OUT
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """What the records of a set show.
+
+    Args:
+        shots: in the order of the traces.
+
+    >>> from imr_torch.record import Record, ShotRecord
+    >>> Record((ShotRecord("shot 1", ()),)).sentences()
+    ('No shot has frames enough about its maximum to show a wall pressure.',)
+    """
+
+    shots: tuple[ShotRecord, ...]
+
+    def first(self, name: str) -> np.ndarray:
+        """A number of the first cycle of every shot; NaN where a shot has none."""
+        firsts = [[c for c in shot.cycles if c.number == 1] for shot in self.shots]
+        return np.array([getattr(c[0], name) if c else np.nan for c in firsts], dtype=float)
+
+    def sentences(self) -> tuple[str, ...]:
+        """What is seen, in words."""
+        described = int(np.isfinite(self.first("max_radius_m")).sum())
+        if not described:
+            return ("No shot has frames enough about its maximum to show a wall pressure.",)
+        lines = []
+        chord, skewness = (
+            values[np.isfinite(values)] for values in map(self.first, ("chord", "skewness"))
+        )
+        if len(chord):
+            lines.append(
+                "Time above half of Rmax over that of a lossless bubble: "
+                f"{np.median(chord):.3f} (water by laser {WATER['chord']:.3f})."
+            )
+        if len(skewness):
+            lines.append(
+                f"Skewness {np.median(skewness):.3f} of the Rayleigh time in {len(skewness)} "
+                f"shot(s) with growth (lossless 0, water by laser {WATER['skewness']:.3f}): "
+                "dissipation delays the collapse."
+            )
+        else:
+            lines.append(
+                "Growth is not recorded, so dissipation and elasticity are told apart by the "
+                "collapse alone."
+            )
+        cycles = [cycle for shot in self.shots for cycle in shot.cycles]
+        for number in sorted({cycle.number for cycle in cycles}):
+            own = [
+                (c.max_radius_m, c.viscosity, c.viscosity_sd, c.modulus, c.modulus_sd)
+                for c in cycles
+                if c.number == number
+            ]
+            size, viscosity, viscosity_sd, modulus, modulus_sd = np.median(own, 0)
+            lines.append(
+                f"Cycle {number} ({len(own)} shot(s), median R_k {1e6 * size:.0f} um) looks like "
+                f"{viscosity:.2f} +- {viscosity_sd:.2f} Pa s and {1e-3 * modulus:.1f} +- "
+                f"{1e-3 * modulus_sd:.1f} kPa (of one shot)."
+            )
+        if len(chord) and np.median(chord) > _SLOW:
+            lines.append(
+                "The first cycle is slower than a medium of this density and pressure makes it: "
+                "a wall or another bubble near by, or a wrong density, pressure, scale or clock."
+            )
+        return (*lines, *self._odd_sentences(described))
+
+    def _odd_sentences(self, described: int) -> list[str]:
+        if described < FEWEST:
+            return ["Two shots cannot outvote each other, so of fewer than three none stands out."]
+        odd = [
+            f"{shot.label} stands out in {' and '.join(shot.odd_in)} (probability {shot.odd:.2f})."
+            for shot in self.shots
+            if shot.stands_out
+        ]
+        return odd or ["No shot stands out from its set."]
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready, SI; pressures over p_inf, and null where a number is not known."""
+        shots = [
+            {
+                "id": shot.label,
+                "odd": shot.odd,
+                "odd_in": list(shot.odd_in),
+                "stands_out": shot.stands_out,
+                "cycles": [cycle.to_dict() for cycle in shot.cycles],
+            }
+            for shot in self.shots
+        ]
+        document = {"shots": shots, "water": WATER, "sentences": list(self.sentences())}
+        return without_nonfinite(document)[0]
+
+
+def describe_record(
+    traces: Iterable[RadiusTrace],
+    surroundings: Surroundings | None = None,
+    *,
+    options: RecordOptions | None = None,
+) -> Record:
+    """What records show without a model of the gel.
+
+    Args:
+        traces: of one gel, with their growth where it was recorded.
+        surroundings: the liquid side; a wrong density or pressure looks like a modulus.
+        options: how they are read.
+
+    >>> import numpy as np
+    >>> import torch
+    >>> from imr_torch.observe import RadiusTrace, TraceSet
+    >>> from imr_torch.record import describe_record
+    >>> time = np.linspace(-24e-6, 24e-6, 97)
+    >>> trace = RadiusTrace("shot 1", torch.tensor(time), torch.tensor(2e-4 * np.cos(6e4 * time) ** 0.4), "example")
+    >>> record = describe_record(TraceSet((trace,)))
+    >>> record.shots[0].cycles[0].frames, record.sentences()[-1]
+    (95, 'Two shots cannot outvote each other, so of fewer than three none stands out.')
+    """
+    options = options or RecordOptions()
+    outer = surroundings or Surroundings()
+    shots = [
+        ShotRecord(
+            trace.experiment_id, describe_cycles(trace, find_landmarks(trace), outer, options)
+        )
+        for trace in traces
+    ]
+    return Record(tuple(_with_odd(shots, options)))
+
+
+def record_document(
+    traces: Iterable[RadiusTrace], surroundings: Surroundings | None = None
+) -> dict[str, Any] | None:
+    """:func:`describe_record` for a result document; None without traces.
+
+    >>> from imr_torch.record import record_document
+    >>> record_document(()) is None
+    True
+    """
+    record = describe_record(traces, surroundings)
+    return record.to_dict() if record.shots else None
+
+
+def _with_odd(shots: list[ShotRecord], options: RecordOptions) -> list[ShotRecord]:
+    """The shots with their probabilities of standing out."""
+    record = Record(tuple(shots))
+    sizes = record.first("max_radius_m")
+    if np.isfinite(sizes).sum() < FEWEST:
+        return shots
+    chances = {}
+    for name, scatter in zip(("chord", "skewness", "viscosity"), options.scatter, strict=True):
+        values = record.first(name)
+        if name == "viscosity":
+            scatter *= float(np.nanmedian(np.abs(values)))
+            values[np.isnan(record.first("skewness"))] = np.nan  # the collapse says little of it
+        chances[name] = odd_probabilities(
+            values, record.first(f"{name}_sd"), sizes, options, scatter=scatter
+        )
+    whole = 1.0 - np.prod([1.0 - values for values in chances.values()], axis=0)
+    return [
+        replace(
+            shot,
+            odd=float(odd),
+            odd_in=tuple(name for name, p in chances.items() if p[i] > 0.5 * _STANDS_OUT),
+        )
+        for i, (shot, odd) in enumerate(zip(shots, whole, strict=True))
+    ]

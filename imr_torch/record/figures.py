@@ -1,0 +1,121 @@
+"""The figure of a record, drawn from its document alone."""
+
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from imr_torch.drawing import CYCLE, DATA, NamedFigure
+
+_COLORS = CYCLE[:3]  # of growth and collapse, and of cycles 1 to 3
+_ODD = CYCLE[4]
+_CAPTION = (
+    "The record before any gel. Wall pressure of the first cycle of each shot, less that far away "
+    "(dashed: shots that stand out): a gap between collapse and growth is dissipation, both below "
+    "the dotted line are elasticity, both above it a wall, or a wrong scale, clock, density or "
+    "pressure. Below: chord over that of a lossless bubble and skewness (dashed: water by laser), "
+    "and what each cycle looks like, over its size; bars are 90 %, squares shots that stand out."
+)
+_ALT = (
+    "Charts of wall pressure over radius, and of chord, skewness, viscosity and modulus over size."
+)
+
+_BANDS = 6  # shots up to which bands are drawn, beyond which they hide one another
+
+
+def named_record_figure(record: Mapping[str, Any], section: str = "") -> NamedFigure:
+    """The figure of a record, still to be drawn.
+
+    Args:
+        record: of :meth:`imr_torch.record.Record.to_dict`.
+        section: heading of the section of a page that it stands in.
+
+    >>> from imr_torch.record.figures import named_record_figure
+    >>> named_record_figure({"shots": [], "water": {}}).name
+    'record'
+    """
+    return NamedFigure("record", _CAPTION, _ALT, partial(record_figure, record), section)
+
+
+def record_figure(record: Mapping[str, Any]) -> Figure:
+    """Wall pressure, chord, skewness, apparent viscosity and modulus of every shot.
+
+    Args:
+        record: of :meth:`imr_torch.record.Record.to_dict`.
+
+    >>> from imr_torch.record import Record, ShotRecord
+    >>> from imr_torch.record.figures import record_figure
+    >>> len(record_figure(Record((ShotRecord("shot 1", ()),)).to_dict()).axes)
+    5
+    """
+    figure, axes = plt.subplot_mosaic("PP;CS;VG", figsize=(5.8, 6.6), layout="constrained")
+    _plot_pressure(record, axes["P"])
+    for panel, name, scale, label in (
+        ("C", "chord", 1.0, "chord / lossless"),
+        ("S", "skewness", 1.0, "skewness"),
+        ("V", "viscosity", 1.0, "viscosity (Pa s)"),
+        ("G", "modulus", 1e-3, "modulus (kPa)"),
+    ):
+        _plot_over_size(record, name, scale, axes[panel])
+        axes[panel].set(xlabel="$R_k$ (µm)", ylabel=label)
+    keys = [axes[panel].get_legend_handles_labels() for panel in "PV"]
+    handles, labels = (lines + cycles for lines, cycles in zip(*keys, strict=True))
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=8)
+    return figure
+
+
+def _plot_pressure(record: Mapping[str, Any], ax: Axes) -> None:
+    """Wall pressure over radius of the first cycle of each shot, with 90 % bands."""
+    shots = [
+        (cycle, "--" if shot["stands_out"] else "-")
+        for shot in record["shots"]
+        for cycle in shot["cycles"]
+        if cycle["number"] == 1
+    ]
+    drawn = [-1.0]
+    for name, color in zip(("growth", "collapse"), _COLORS, strict=False):
+        ax.plot([], [], color=color, lw=1.2, label=name)
+        for cycle, style in shots:
+            levels, p, sd = (
+                np.array(cycle[key], dtype=float) for key in ("levels", name, f"{name}_sd")
+            )
+            ax.plot(levels, p, color=color, lw=0.8, ls=style)
+            if len(shots) <= _BANDS:
+                ax.fill_between(levels, p - 1.64 * sd, p + 1.64 * sd, color=color, alpha=0.12, lw=0)
+            drawn += p[np.isfinite(p)].tolist()
+    low, high = np.quantile(drawn, (0.05, 0.95))
+    margin = 0.15 * (high - low) + 0.1
+    ax.axhline(-1.0, color=DATA, ls=":", lw=1.2, label="empty cavity")
+    ax.set(xlabel="$R/R_1$", ylabel=r"pressure $/\,p_\infty$")
+    ax.set_ylim(low - margin, high + margin)
+
+
+def _plot_over_size(record: Mapping[str, Any], name: str, scale: float, ax: Axes) -> None:
+    """A number of each cycle over its size; of later cycles none that is less certain than the
+    first is large.
+    """
+    water = record["water"].get(name)
+    cycles = [(cycle, shot) for shot in record["shots"] for cycle in shot["cycles"]]
+    cycles = [(cycle, shot) for cycle, shot in cycles if cycle[name] is not None]
+    largest = np.median([abs(c[name]) for c, _ in cycles if c["number"] == 1] or [0.0])
+    for number, color in enumerate(_COLORS, start=1):
+        label = f"cycle {number}" if water is None else None
+        for cycle, shot in cycles:
+            late = number > 1 and (water is not None or cycle[f"{name}_sd"] > largest)
+            if cycle["number"] != number or late:
+                continue
+            odd = number == 1 and shot["stands_out"]
+            fmt, own = ("s", _ODD) if odd else (".", color)
+            at = (1e6 * cycle["max_radius_m"], scale * cycle[name])
+            sd = 1.64 * scale * cycle[f"{name}_sd"]
+            ax.errorbar(*at, sd, fmt=fmt, color=own, elinewidth=0.8, label=label)
+            label = label and "_"  # one entry a cycle
+    ax.axhline(1.0 if name == "chord" else 0.0, color=DATA, ls=":", lw=1.0)
+    if water is not None:
+        ax.axhline(water, color=DATA, ls="--", lw=0.8)
+    if not ax.containers:
+        ax.text(0.5, 0.5, "not recorded", ha="center", transform=ax.transAxes)

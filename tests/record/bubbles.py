@@ -1,0 +1,76 @@
+"""Records of bubbles with known wall pressure: Keller-Miksis with a polytropic gas in a neo-Hookean
+Kelvin-Voigt medium, integrated forwards and backwards from the maximum by SciPy.
+"""
+
+import numpy as np
+import torch
+from scipy.integrate import solve_ivp
+
+from imr_torch.observe import Given, RadiusTrace
+from imr_torch.simulate.conditions import saturation_pressure
+from imr_torch.units import Surroundings
+
+LIQUID = Surroundings()
+
+
+def wall_pressure(radius, speed, rest, modulus, viscosity, polytropic=1.4):
+    """Less that of the far field, Pa, and its rate."""
+    vapour = saturation_pressure(LIQUID.temperature)
+    at_rest = LIQUID.far_field_pressure + 2 * LIQUID.surface_tension / rest - vapour
+    gas = at_rest * (rest / radius) ** (3 * polytropic)
+    tension = 2 * LIQUID.surface_tension / radius
+    stretch = radius / rest
+    elastic = -modulus / 2 * (5 - 4 / stretch - stretch**-4)
+    viscous = -4 * viscosity * speed / radius
+    pressure = vapour + gas - tension + elastic + viscous - LIQUID.far_field_pressure
+    slope = -3 * polytropic * gas + tension - viscous
+    slope -= modulus / 2 * (4 / stretch + 4 * stretch**-4)
+    return pressure, slope * speed / radius
+
+
+def paths(top, rest, modulus, viscosity, *, near=0.0, lowest=0.25):
+    """Growth (in negative time) and collapse as dense solutions.
+
+    Args:
+        top: maximum radius, m.
+        rest: R_inf, m.
+        modulus: Pa.
+        viscosity: Pa s.
+        near: a wall or another bubble, which adds ``near d(R^2 U)/dt / top`` to the balance.
+        lowest: radius over the maximum at which they end.
+    """
+    density, sound = LIQUID.density, LIQUID.sound_speed
+
+    def rate(_, state):
+        radius, speed = state
+        pressure, change = wall_pressure(radius, speed, rest, modulus, viscosity)
+        mach = speed / sound
+        push = (1 + mach) * pressure / density + radius * change / (density * sound)
+        push -= 1.5 * speed**2 * (1 - mach / 3) + near * 2 * radius * speed**2 / top
+        inertia = (1 - mach) * radius + 4 * viscosity / (density * sound) + near * radius**2 / top
+        return [speed, push / inertia]
+
+    def too_small(_, state):
+        return state[0] - lowest * top
+
+    too_small.terminal = True
+    last = 3 * float(LIQUID.time_scale(top))
+    return [
+        solve_ivp(
+            rate, (0, end), [top, 0], rtol=1e-8, atol=1e-12, events=too_small, dense_output=True
+        )
+        for end in (-last, last)
+    ]
+
+
+def record(name, top, rest, modulus, viscosity, *, rng, frames=60, noise=0.003, near=0.0):
+    """A record from growth to collapse with noise over the maximum radius."""
+    growth, collapse = paths(top, rest, modulus, viscosity, near=near)
+    times = np.linspace(growth.t[-1], collapse.t[-1], frames + 1)[:-1]
+    times = times + rng.uniform() * (times[1] - times[0])
+    clean = np.where(
+        times < 0, growth.sol(np.minimum(times, 0))[0], collapse.sol(np.maximum(times, 0))[0]
+    )
+    radius = clean + noise * top * rng.standard_normal(frames)
+    given = Given(rest_radius_m=rest, rest_settled=True)
+    return RadiusTrace(name, torch.tensor(times), torch.tensor(radius), "example", given)
