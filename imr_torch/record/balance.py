@@ -107,7 +107,7 @@ def smooth_cycle(
     begin = min(t[0], 0.0) if frames.still else t[0] - more
     dense = np.linspace(begin, t[-1] + more, 401)
     volume = np.polynomial.Polynomial.fit(t, frames.y**2.5, 4, w=frames.y**-1.5)(dense)
-    y = np.maximum(volume, 0.01) ** 0.4
+    y = np.maximum(volume, 0.05) ** 0.4  # beyond the frames it may come down to nothing
     curve = SmoothCurve(dense, y, np.gradient(y, dense), y, y, y)
     for _ in range(rounds):
         of_radius = [np.ones_like(dense), 1.0 / curve.y]
@@ -124,7 +124,7 @@ def smooth_cycle(
         mean = (weights * values).sum(0)
         variances = np.array([fit.value_variances for fit in fits]) + (values - mean) ** 2
         sds = np.sqrt((weights * variances).sum(0))
-        y = np.maximum(mean[0], 1e-3) ** 0.4
+        y = np.maximum(mean[0], 0.05) ** 0.4
         scale = 0.4 * y**-1.5
         curve = SmoothCurve(dense, y, scale * mean[1], mean[2], scale * sds[0], sds[2])
     return curve
