@@ -12,23 +12,80 @@ model, ``E`` experiments, ``T`` or ``n_t`` frames.
 
 from collections.abc import Callable
 
-from jaxtyping import Float, Inexact
+from jaxtyping import Bool, Float, Inexact, Real
 from torch import Tensor
 
 Progress = Callable[[str], None]
 """Called with one line of text per step of long work."""
 
 Members = Inexact[Tensor, "*#batch"]
-"""A number of each member of a batch."""
+"""A number of each member of a batch, which may be complex."""
 
 States = Inexact[Tensor, "states *#batch"]
 """The memory states of each member of a batch."""
 
+BroadcastValues = Float[Tensor, "*#batch"]
+"""Numbers that broadcast with the others of a call."""
+
 Values = Float[Tensor, "*batch"]
-"""Numbers of any shape, on which a function acts elementwise."""
+"""A number of each member of a batch of any shape."""
+
+ParameterVectors = Real[Tensor, "*#batch parameters"]
+"""Parameter vectors, as a simulator takes them."""
+
+DesignVectors = Real[Tensor, "*#batch 2"]
+"""Designs ``(We, R_inf*)``, as a simulator takes them."""
+
+FrameTimes = Real[Tensor, "*#batch frames"]
+"""Dimensionless times of frames, as a simulator takes them."""
+
+BatchParameters = Float[Tensor, "*batch parameters"]
+"""A batch of parameter vectors."""
+
+BubbleValues = Float[Tensor, "members"]
+"""A number of each bubble that is simulated."""
+
+BubbleStates = Float[Tensor, "state members"]
+"""The integrated state of each bubble that is simulated."""
+
+BubbleFrames = Float[Tensor, "members frames"]
+"""A number of each frame of each bubble that is simulated."""
+
+FrameValues = Float[Tensor, "frames"]
+"""A number of each frame of one experiment."""
 
 Frames = Float[Tensor, "*#batch experiments frames"]
+"""A number of each frame of each experiment, of each member of a batch that broadcasts."""
+
+BatchFrames = Float[Tensor, "*batch experiments frames"]
 """A number of each frame of each experiment, of each member of a batch."""
 
 ExperimentFrames = Float[Tensor, "experiments frames"]
 """A number of each frame of each experiment."""
+
+FrameMask = Bool[Tensor, "experiments frames"]
+"""Which frames of each experiment count."""
+
+Controls = Float[Tensor, "controls"]
+"""The free parameters of one model, or a number of each of them."""
+
+ControlMatrix = Float[Tensor, "controls controls"]
+"""A covariance of the free parameters of one model, its inverse or its Cholesky factor."""
+
+BatchControls = Float[Tensor, "*batch controls"]
+"""A batch of vectors of the free parameters of one model, as controls or in SI units."""
+
+BatchControlMatrix = Float[Tensor, "*batch controls controls"]
+"""A batch of matrices over the free parameters of one model."""
+
+DrawnValues = Float[Tensor, "draws"]
+"""A number of each draw, such as its weight or log density."""
+
+DrawnControls = Float[Tensor, "draws controls"]
+"""Draws of the free parameters of one model."""
+
+DatasetValues = Float[Tensor, "data"]
+"""A number of each simulated data set."""
+
+Directions = Float[Tensor, "_ rows"]
+"""Directions in the whitened data, one a row."""

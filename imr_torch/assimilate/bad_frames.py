@@ -22,6 +22,7 @@ from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.material import PARAMETERS, ModelBelief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
+from imr_torch.types import ControlMatrix, Controls
 
 SD_OVER_MAD = 1.482602
 """Standard deviation of a Gaussian over its median absolute deviation."""
@@ -186,7 +187,7 @@ class JointGaussian:
         return self.pull * variance, variance
 
     @property
-    def gel(self) -> tuple[Float[Tensor, "controls"], Float[Tensor, "controls controls"]]:
+    def gel(self) -> tuple[Controls, ControlMatrix]:
         """Posterior mean ``d`` and covariance ``d x d`` of the whitened gel."""
         eye = torch.eye(self.slopes.shape[1], dtype=torch.float64)
         return self.slopes.mT @ self.pull, eye - self.slopes.mT @ self.precision @ self.slopes

@@ -19,6 +19,13 @@ from imr_torch.assimilate.posterior import Neighbourhood, Posterior
 from imr_torch.material import Belief, Cloud, ModelBelief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
+from imr_torch.types import (
+    BatchControls,
+    BatchParameters,
+    ControlMatrix,
+    Controls,
+    ExperimentFrames,
+)
 
 PROMISED = 2.0
 """Times the square of its gradient (in posterior standard deviations) that the cost of a start may still fall, nats: four times
@@ -140,13 +147,13 @@ class ModelFit:
     """
 
     prior: ModelBelief
-    mean: Float[Tensor, "controls"]
-    chol: Float[Tensor, "controls controls"]
+    mean: Controls
+    chol: ControlMatrix
     nuisances: Float[Tensor, "experiments nuisances"]
     nuisance_response: Float[Tensor, "experiments nuisances controls"]
     nuisance_chol: Float[Tensor, "experiments nuisances nuisances"]
     cost: float
-    prediction: Float[Tensor, "experiments frames"]
+    prediction: ExperimentFrames
     certificate: Certificate
     sample: ImportanceSample | None = None
     near: Neighbourhood | None = None
@@ -298,7 +305,7 @@ class ModelFit:
         return f"intervals not reliable: quote none of this model ({shape})"
 
     def nuisances_at(
-        self, controls: Float[Tensor, "*batch controls"]
+        self, controls: BatchControls
     ) -> Float[Tensor, "*batch experiments nuisances"]:
         """Most probable nuisances given the gel, linearised."""
         deviation = controls - self.mean
@@ -316,9 +323,7 @@ class ModelFit:
         above = along.new_zeros(len(self.chol), len(along))
         return torch.cat((torch.cat((self.chol, above), 1), torch.cat((along, own), 1)))
 
-    def parameters(
-        self, controls: Float[Tensor, "*batch controls"]
-    ) -> Float[Tensor, "*batch parameters"]:
+    def parameters(self, controls: BatchControls) -> BatchParameters:
         """Shared parameter vectors at controls ``v``, SI."""
         return self.prior.to_si(controls)
 

@@ -17,6 +17,7 @@ from torch import Tensor
 from imr_torch.material import ModelBelief
 from imr_torch.observe import ExperimentBatch, Film, predict
 from imr_torch.simulate import Simulator
+from imr_torch.types import BatchControls, BatchFrames, BatchParameters
 
 STEP = 1e-6
 """Length of the differences, prior standard deviations of gel and nuisances."""
@@ -37,7 +38,7 @@ class Point:
     (2, 2)
     """
 
-    gel: Float[Tensor, "*batch controls"]
+    gel: BatchControls
     nuisances: Float[Tensor, "*batch experiments nuisances"]
 
     def __getitem__(
@@ -98,13 +99,11 @@ class ForwardModel:
         """Nuisances at their prior means, ``batch_shape x E x w``."""
         return torch.zeros(*batch_shape, *self.batch.nuisance_sds.shape, dtype=torch.float64)
 
-    def to_si(self, gel: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch parameters"]:
+    def to_si(self, gel: BatchControls) -> BatchParameters:
         """Shared parameter vectors, SI."""
         return self.prior.to_si(gel)
 
-    def predict(
-        self, point: Point, *, bundled: bool = False
-    ) -> Float[Tensor, "*batch experiments frames"]:
+    def predict(self, point: Point, *, bundled: bool = False) -> BatchFrames:
         """What the camera would see: ``batch_shape x E x T``, R/Rmax; 0 beyond the last frame, NaN
         where a bubble fails.
 

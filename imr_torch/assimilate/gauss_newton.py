@@ -13,6 +13,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from imr_torch.types import BatchControlMatrix, BatchControls, Values
+
 _ROUNDING = 1e-13  # of the largest eigenvalue of a matrix, below which rounding may take the others
 
 
@@ -28,11 +30,11 @@ class Reduced:
         nuisance_log_det: log determinant of the nuisances' own Hessian.
     """
 
-    gradient: Float[Tensor, "*batch controls"]
-    hessian: Float[Tensor, "*batch controls controls"]
+    gradient: BatchControls
+    hessian: BatchControlMatrix
     nuisance_step: Float[Tensor, "*batch experiments nuisances"]
     nuisance_response: Float[Tensor, "*batch experiments nuisances controls"]
-    nuisance_log_det: Float[Tensor, "*batch"]
+    nuisance_log_det: Values
 
 
 @dataclass(frozen=True)
@@ -58,9 +60,9 @@ class NormalEquations:
     -1.5
     """
 
-    gel_gradient: Float[Tensor, "*batch controls"]
+    gel_gradient: BatchControls
     nuisance_gradient: Float[Tensor, "*batch experiments nuisances"]
-    gel_hessian: Float[Tensor, "*batch controls controls"]
+    gel_hessian: BatchControlMatrix
     nuisance_hessian: Float[Tensor, "*batch experiments nuisances nuisances"]
     cross: Float[Tensor, "*batch experiments nuisances controls"]
 
@@ -82,7 +84,7 @@ class NormalEquations:
         )
 
     @property
-    def whitened_gradient(self) -> Float[Tensor, "*batch"]:
+    def whitened_gradient(self) -> Values:
         """Length of the joint gradient in posterior standard deviations; 0 at the optimum."""
         chol = torch.linalg.cholesky(self.reduced.hessian)
         gel = (
@@ -94,7 +96,7 @@ class NormalEquations:
         return (gel + nuisances).sqrt()
 
     @property
-    def posterior_chol(self) -> Float[Tensor, "*batch controls controls"]:
+    def posterior_chol(self) -> BatchControlMatrix:
         """``... x d x d`` lower Cholesky factor of the inverse Hessian of the gel, nuisances
         marginalised.
         """
@@ -117,7 +119,7 @@ class NormalEquations:
     @property
     def step(
         self,
-    ) -> tuple[Float[Tensor, "*batch controls"], Float[Tensor, "*batch experiments nuisances"]]:
+    ) -> tuple[BatchControls, Float[Tensor, "*batch experiments nuisances"]]:
         """Gauss-Newton steps of gel and nuisances."""
         one = self.reduced
         gel = -torch.linalg.solve(one.hessian, one.gradient[..., None])[..., 0]
@@ -142,8 +144,8 @@ class NormalEquations:
 
 
 def definite(
-    hessian: Float[Tensor, "*batch controls controls"],
-) -> Float[Tensor, "*batch controls controls"]:
+    hessian: BatchControlMatrix,
+) -> BatchControlMatrix:
     """Hessians ``... x d x d`` in controls, with eigenvalues of at least 1 where rounding has left
     one that is not positive.
 
@@ -167,8 +169,8 @@ def definite(
 
 
 def inverse_chol(
-    hessian: Float[Tensor, "*batch controls controls"],
-) -> Float[Tensor, "*batch controls controls"]:
+    hessian: BatchControlMatrix,
+) -> BatchControlMatrix:
     """Lower Cholesky factors ``... x d x d`` of the inverses of positive definite matrices,
     ill-conditioned ones too.
 

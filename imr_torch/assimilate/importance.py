@@ -19,6 +19,7 @@ from torch import Tensor
 
 from imr_torch.assimilate.noise_posterior import NoiseNodes
 from imr_torch.observe import Noise
+from imr_torch.types import ControlMatrix, Controls, DrawnControls, DrawnValues
 
 _ENOUGH = (
     20.0  # effective samples, and a tenth of all, below which no estimate is taken as reliable
@@ -27,12 +28,12 @@ _LARGEST_SHAPE = 2.0  # of a tail, in an error; beyond it nothing is known
 _SHORTEST_TAIL = 5  # weights to which a generalised Pareto distribution can be fitted
 
 
-def kish(weights: Float[Tensor, "draws"]) -> Float[Tensor, ""]:
+def kish(weights: DrawnValues) -> Float[Tensor, ""]:
     """Effective sample size of weights of any scale (Kish 1965), a 0-d tensor."""
     return weights.sum().square() / weights.square().sum()
 
 
-def smooth(log_weights: Float[Tensor, "draws"]) -> tuple[Float[Tensor, "draws"], float]:
+def smooth(log_weights: DrawnValues) -> tuple[DrawnValues, float]:
     """Pareto-smoothed log weights on the scale of the given ones, and the shape ``k`` of their
     tail.
 
@@ -79,7 +80,7 @@ def reliable(pareto_k: float, effective_samples: float, samples: int) -> bool:
 
 
 def weighted_quantiles(
-    values: Float[Tensor, "draws"], weights: Float[Tensor, "draws"], levels: Float[Tensor, "levels"]
+    values: DrawnValues, weights: DrawnValues, levels: Float[Tensor, "levels"]
 ) -> Float[Tensor, "levels"]:
     """Quantiles of weighted draws, interpolated between them.
 
@@ -109,14 +110,14 @@ class NoiseSample:
     by_experiment: Float[Tensor, "draws laws experiments"]
     drawn: Int[Tensor, "draws"]
 
-    def likelihood_of(self, experiments: Sequence[int]) -> Float[Tensor, "draws"]:
+    def likelihood_of(self, experiments: Sequence[int]) -> DrawnValues:
         """Log likelihood of some experiments together, the noise integrated over its prior."""
         return torch.logsumexp(
             self.by_experiment[:, :, list(experiments)].sum(2) + self.nodes.log_prior.flatten(), 1
         )
 
     @cached_property
-    def log_likelihood(self) -> Float[Tensor, "draws"]:
+    def log_likelihood(self) -> DrawnValues:
         """Log likelihood of all experiments, the noise integrated over its prior."""
         return self.likelihood_of(range(self.by_experiment.shape[2]))
 
@@ -154,13 +155,13 @@ class ImportanceSample:
     (True, 0.5, -1.5)
     """
 
-    controls: Float[Tensor, "draws controls"]
-    log_prior: Float[Tensor, "draws"]
+    controls: DrawnControls
+    log_prior: DrawnValues
     by_experiment: Float[Tensor, "draws experiments"]
-    log_proposal: Float[Tensor, "draws"]
+    log_proposal: DrawnValues
     nuisances: Float[Tensor, "draws experiments 3"]
-    centre: Float[Tensor, "controls"]
-    spread: Float[Tensor, "controls controls"]
+    centre: Controls
+    spread: ControlMatrix
     first_shape: float
     rounds: int
     precisions: Float[Tensor, "draws controls controls"] | None = None
@@ -170,7 +171,7 @@ class ImportanceSample:
         return len(self.controls)
 
     @property
-    def log_likelihood(self) -> Float[Tensor, "draws"]:
+    def log_likelihood(self) -> DrawnValues:
         """``n`` tensor, of all experiments.
 
         Nuisances are integrated out, and the noise where it is uncertain.
@@ -178,11 +179,11 @@ class ImportanceSample:
         return self.by_experiment.sum(1) if self.noise is None else self.noise.log_likelihood
 
     @property
-    def log_target(self) -> Float[Tensor, "draws"]:
+    def log_target(self) -> DrawnValues:
         """``n`` tensor, log of likelihood x prior of each draw, all else integrated out."""
         return self.log_likelihood + self.log_prior
 
-    def without(self, experiments: Sequence[int]) -> Float[Tensor, "draws"]:
+    def without(self, experiments: Sequence[int]) -> DrawnValues:
         """Log density of some experiments given gel and all the others.
 
         Nuisances and noise integrated out.
@@ -193,7 +194,7 @@ class ImportanceSample:
         return self.noise.log_likelihood - self.noise.likelihood_of(others)
 
     @property
-    def log_weights(self) -> Float[Tensor, "draws"]:
+    def log_weights(self) -> DrawnValues:
         """``n`` tensor before smoothing; their mean estimates the evidence."""
         return self.log_target - self.log_proposal
 
@@ -207,7 +208,7 @@ class ImportanceSample:
         return self._smoothed[1]
 
     @cached_property
-    def weights(self) -> Float[Tensor, "draws"]:
+    def weights(self) -> DrawnValues:
         """``n`` tensor of normalised, smoothed weights."""
         return torch.softmax(self._smoothed[0], dim=0)
 
@@ -239,9 +240,7 @@ class ImportanceSample:
         """The draws weighted with the noise that the fit was made with."""
         return self if self.noise is None else replace(self, noise=None)
 
-    def corrected(
-        self, mean: Float[Tensor, "controls"], chol: Float[Tensor, "controls controls"]
-    ) -> tuple[Float[Tensor, "controls"], Float[Tensor, "controls controls"]]:
+    def corrected(self, mean: Controls, chol: ControlMatrix) -> tuple[Controls, ControlMatrix]:
         """Mean and covariance of the posterior, from those of a Gaussian near it.
 
         What is added is the difference between two weighings of the same draws, by the posterior
@@ -270,9 +269,7 @@ class ImportanceSample:
             else [self.noise.nodes.law(int(n)) for n in self.noise.drawn[self.spaced(count)]]
         )
 
-    def divergence(
-        self, mean: Float[Tensor, "controls"], chol: Float[Tensor, "controls controls"]
-    ) -> float:
+    def divergence(self, mean: Controls, chol: ControlMatrix) -> float:
         """Kullback-Leibler divergence of a Gaussian from that with the moments found, nats, less
         its expectation by chance.
 
@@ -326,12 +323,12 @@ class ImportanceSample:
         return math.hypot(self._spread, max(count ** (shape - 1.0) - count**-0.5, 0.0))
 
     @cached_property
-    def mean(self) -> Float[Tensor, "controls"]:
+    def mean(self) -> Controls:
         """``d`` tensor, posterior mean of ``v``."""
         return self.weights @ self.controls
 
     @property
-    def covariance(self) -> Float[Tensor, "controls controls"]:
+    def covariance(self) -> ControlMatrix:
         """``d x d`` tensor, posterior covariance of ``v``."""
         deviation = self.controls - self.mean
         return (self.weights[:, None] * deviation).mT @ deviation

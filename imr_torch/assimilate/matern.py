@@ -6,16 +6,18 @@ The process has a Matern-3/2 covariance, which is that of the first of two state
 """
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
+
+from imr_torch.types import ExperimentFrames, FrameMask
 
 MATERN = 2.146193
 """Rate of a Matern-3/2 covariance times the lag at which it has fallen to 1/e."""
 
 
 def matern_whitened(
-    times: Float[Tensor, "experiments frames"],
-    mask: Bool[Tensor, "experiments frames"],
+    times: ExperimentFrames,
+    mask: FrameMask,
     noise: Float[Tensor, "laws experiments frames"],
     smooth: Float[Tensor, "laws"],
     rates: Float[Tensor, "laws"],

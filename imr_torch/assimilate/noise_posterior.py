@@ -17,6 +17,7 @@ from torch import Tensor
 from imr_torch.assimilate.noise_law import LocalNoise
 from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.observe import ExperimentBatch, Noise, NoiseLaws
+from imr_torch.types import BatchFrames
 
 _SHARE = 1e-3  # probability over the largest from which on a law counts
 _STEP = 1.0  # between scales, in posterior standard deviations of their logarithm
@@ -86,7 +87,7 @@ class NoiseNodes:
     def log_likelihood(
         self,
         batch: ExperimentBatch,
-        prediction: Float[Tensor, "*batch experiments frames"],
+        prediction: BatchFrames,
         law: int,
     ) -> Float[Tensor, "scales *batch experiments"]:
         """Log likelihood of each experiment under one law at all of its scales; -inf for NaN."""

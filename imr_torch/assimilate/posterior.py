@@ -17,6 +17,7 @@ from imr_torch.assimilate.forward import ForwardModel, Point
 from imr_torch.assimilate.gauss_newton import NormalEquations, normal_equations
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import coarser
+from imr_torch.types import BatchFrames, Values
 
 _LONGEST = 4.0  # prior standard deviations of nuisances in one step
 
@@ -53,9 +54,7 @@ class Posterior(ForwardModel):
         simulator = coarser(self.simulator)
         return self if simulator is self.simulator else replace(self, simulator=simulator)
 
-    def log_joint(
-        self, point: Point, prediction: Float[Tensor, "*batch experiments frames"] | None = None
-    ) -> Float[Tensor, "*batch"]:
+    def log_joint(self, point: Point, prediction: BatchFrames | None = None) -> Values:
         """Log of likelihood times prior, nats, without the constants of the priors; ``-inf`` where
         a bubble fails.
 
@@ -84,7 +83,7 @@ class Posterior(ForwardModel):
     def equations(
         self,
         point: Point,
-        prediction: Float[Tensor, "*batch experiments frames"],
+        prediction: BatchFrames,
         by_gel: Float[Tensor, "*batch experiments frames controls"],
         by_nuisance: Float[Tensor, "*batch experiments frames nuisances"],
     ) -> NormalEquations:
@@ -135,9 +134,7 @@ class Posterior(ForwardModel):
         moved = torch.where(known[..., None], point.nuisances + step, point.nuisances)
         return moved, torch.where(known[..., None, None], root, chol)
 
-    def likelihood_slope(
-        self, prediction: Float[Tensor, "*batch experiments frames"]
-    ) -> Float[Tensor, "*batch experiments frames"]:
+    def likelihood_slope(self, prediction: BatchFrames) -> BatchFrames:
         """Gradient of the negative log likelihood over predictions."""
         with torch.enable_grad():
             point = prediction.detach().requires_grad_()
@@ -202,12 +199,12 @@ class Neighbourhood:
         return self.posterior.flat(self.point)
 
     @property
-    def centre(self) -> Float[Tensor, "*batch experiments frames"]:
+    def centre(self) -> BatchFrames:
         """``batch_shape x E x T`` tensor, the prediction at the points."""
         return self.prediction[..., 0, :, :]
 
     @cached_property
-    def log_joint(self) -> Float[Tensor, "*batch"]:
+    def log_joint(self) -> Values:
         """``batch_shape`` tensor, at the points."""
         return self.posterior.log_joint(self.point, self.centre)
 

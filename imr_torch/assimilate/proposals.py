@@ -14,6 +14,7 @@ from jaxtyping import Float, Real
 from torch import Tensor
 
 from imr_torch.assimilate.importance import kish
+from imr_torch.types import ControlMatrix, Controls, DrawnControls, DrawnValues, Values
 
 # degrees of freedom of the kernels: tails heavier than a Gaussian's, with moments up to the sixth
 _FREEDOM = 7
@@ -40,21 +41,17 @@ class Kernels:
     centres: Float[Tensor, "kernels controls"]
     weights: Float[Tensor, "kernels"]
     chols: Float[Tensor, "kernels controls controls"]
-    mean: Float[Tensor, "controls"]
-    chol: Float[Tensor, "controls controls"]
+    mean: Controls
+    chol: ControlMatrix
     precisions: Float[Tensor, "known controls controls"] | None = None
 
     @classmethod
-    def about(
-        cls, mean: Float[Tensor, "controls"], chol: Float[Tensor, "controls controls"]
-    ) -> "Kernels":
+    def about(cls, mean: Controls, chol: ControlMatrix) -> "Kernels":
         """A single kernel about ``mean`` (``d``) with scale ``chol`` (``d x d``)."""
         return cls(mean[None], torch.ones(1, dtype=mean.dtype), chol[None], mean, chol)
 
     @classmethod
-    def through(
-        cls, points: Float[Tensor, "draws controls"], log_weights: Float[Tensor, "draws"]
-    ) -> "Kernels":
+    def through(cls, points: DrawnControls, log_weights: DrawnValues) -> "Kernels":
         """Kernels on weighted points (``n x d``, ``n``), of the width of Silverman's rule (1986,
         equation 4.14).
 
@@ -88,7 +85,7 @@ class Kernels:
         )
 
     def precisions_at(
-        self, points: Float[Tensor, "draws controls"]
+        self, points: DrawnControls
     ) -> Float[Tensor, "draws controls controls"] | None:
         """Of the posterior about ``n x d`` points, ``n x d x d``, as about the nearest centre.
 
@@ -107,7 +104,7 @@ class Kernels:
         kernel = torch.multinomial(self.weights, count, replacement=True, generator=source)
         return self.centres[kernel] + (self.chols[kernel] @ deviation[..., None])[..., 0]
 
-    def log_prob(self, points: Float[Tensor, "draws controls"]) -> Float[Tensor, "draws"]:
+    def log_prob(self, points: DrawnControls) -> DrawnValues:
         """Log density at ``n x d`` points: ``n`` tensor."""
         heights = self.weights.log() - self.chols.diagonal(dim1=-2, dim2=-1).log().sum(-1)
         whiten = torch.linalg.inv(self.chols)
@@ -140,9 +137,7 @@ def student_draws(
     return normal * (freedom / squares).sqrt()
 
 
-def student_log_prob(
-    square: Float[Tensor, "*batch"], size: int | Real[Tensor, "..."], freedom: int
-) -> Float[Tensor, "*batch"]:
+def student_log_prob(square: Values, size: int | Real[Tensor, "..."], freedom: int) -> Values:
     """Log density of the standard multivariate Student t in ``size`` dimensions at points of a
     squared length.
     """
@@ -155,8 +150,8 @@ def student_log_prob(
 
 
 def mixture_log_prob(
-    proposals: Sequence[Kernels], counts: Sequence[int], points: Float[Tensor, "draws controls"]
-) -> Float[Tensor, "draws"]:
+    proposals: Sequence[Kernels], counts: Sequence[int], points: DrawnControls
+) -> DrawnValues:
     """Log density of all proposals together, each in proportion to its draws: ``n`` tensor at ``n x
     d`` points.
     """

@@ -26,7 +26,7 @@ from imr_torch.material import Belief, ModelBelief
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, predict
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
-from imr_torch.types import Progress
+from imr_torch.types import BubbleFrames, Progress
 
 _ENOUGH = 0.5  # share of an ensemble that must be simulated
 
@@ -52,7 +52,7 @@ class PublishedFit:
 
     prior: ModelBelief
     ensembles: Float[Tensor, "iterations members controls"]
-    prediction: Float[Tensor, "members frames"]
+    prediction: BubbleFrames
 
     @property
     def posterior(self) -> ModelBelief:

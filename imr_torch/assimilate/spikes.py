@@ -8,11 +8,12 @@ smooth curve does between frames.
 import math
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.observe import ExperimentBatch
+from imr_torch.types import FrameMask
 
 _SPIKE = (
     8.0 * 1.482602
@@ -54,7 +55,7 @@ def lagrange_weights(times: Float[Tensor, "windows 5"]) -> Float[Tensor, "window
     return weights
 
 
-def without_spikes(near: Neighbourhood) -> Bool[Tensor, "experiments frames"]:
+def without_spikes(near: Neighbourhood) -> FrameMask:
     """Frames without those that single errors of the camera have spoilt.
 
     A frame is left out where the residual stands off the cubic through its neighbours by more than

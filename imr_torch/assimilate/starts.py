@@ -15,6 +15,7 @@ from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.options import SearchOptions
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.errors import ConvergenceError, ShapeError
+from imr_torch.types import ControlMatrix, Controls
 
 BESIDE = 10.0
 """Posterior standard deviations between an earlier optimum and the starts about it."""
@@ -73,9 +74,7 @@ def beside(
     )
 
 
-def around(
-    chol: Float[Tensor, "controls controls"], source: torch.Generator, away: float
-) -> Float[Tensor, "controls"]:
+def around(chol: ControlMatrix, source: torch.Generator, away: float) -> Controls:
     """A ``d`` perturbation, ``away`` posterior standard deviations (``chol``, ``d x d``) or, if
     less, a quarter of the prior's.
 

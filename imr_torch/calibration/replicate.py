@@ -14,7 +14,6 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import torch
-from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate import (
@@ -33,6 +32,7 @@ from imr_torch.random import child, generator
 from imr_torch.select import evidences, update
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
+from imr_torch.types import Controls
 
 _ATTEMPTS = 50
 
@@ -299,9 +299,7 @@ def _shots(arrangement: Arrangement, seed: int) -> Iterator[tuple[Tensor, int]]:
         )
 
 
-def _places(
-    sample: ImportanceSample, gel: Float[Tensor, "controls"], uniforms: Float[Tensor, "controls"]
-) -> Float[Tensor, "controls"]:
+def _places(sample: ImportanceSample, gel: Controls, uniforms: Controls) -> Controls:
     """Rank of the truth in a posterior, between 0 and 1, uniform if the inference is calibrated.
 
     The weight of the draws below the truth, with the truth counted as one more effective draw: the

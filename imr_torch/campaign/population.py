@@ -13,8 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from imr_torch.campaign.learners import Inference, Observations
 from imr_torch.campaign.policies import Optimal, Proposal, Situation
@@ -35,7 +33,7 @@ from imr_torch.population.quadrature import cells
 from imr_torch.population.sampling import Problem, sample_population
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
-from imr_torch.types import Progress
+from imr_torch.types import Controls, Progress
 
 _SCATTERS = 64  # scatters that a gain is averaged over
 _DRAWS = 4000  # of the population after the first shot
@@ -119,7 +117,7 @@ class PopulationLearner:
             shots=problem.gaussian,
         )
 
-    def scales(self, prior: ModelBelief) -> Float[Tensor, "controls"]:
+    def scales(self, prior: ModelBelief) -> Controls:
         """``d`` tensor, scale of the prior of each control's scatter.
 
         0 for what is inferred of the medium.
@@ -168,7 +166,7 @@ class LearnPopulation:
 
 
 def information_about(
-    shots: GaussianShots, prior: ModelBelief, scales: Float[Tensor, "controls"]
+    shots: GaussianShots, prior: ModelBelief, scales: Controls
 ) -> PopulationInformation:
     """The information about a population after some shots, by the Gaussian parts of their
     likelihoods.

@@ -11,13 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from imr_torch.assimilate import Assimilation
 from imr_torch.errors import InputDataError, UnsupportedError
 from imr_torch.files import read_json, write_atomically
 from imr_torch.material import PARAMETERS, Belief
+from imr_torch.types import DrawnControls, DrawnValues
 
 if TYPE_CHECKING:
     import pandas
@@ -39,8 +38,8 @@ class WeightedDraws:
     """
 
     names: tuple[str, ...]
-    values: Float[Tensor, "draws controls"]
-    weights: Float[Tensor, "draws"]
+    values: DrawnControls
+    weights: DrawnValues
     weighted: bool
 
 

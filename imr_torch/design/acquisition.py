@@ -16,7 +16,7 @@ from typing import get_args
 import torch
 from botorch.acquisition import AcquisitionFunction
 from botorch.utils.transforms import t_batch_mode_transform
-from jaxtyping import Float, Real
+from jaxtyping import Real
 from torch import Tensor
 
 from imr_torch.design.estimator import InformationEstimator
@@ -29,6 +29,7 @@ from imr_torch.errors import InputDataError, ShapeError, UnsupportedError
 from imr_torch.material import Belief
 from imr_torch.random import SeedLike, generator
 from imr_torch.simulate import Simulator
+from imr_torch.types import Values
 
 
 def expected_information_gain(
@@ -189,7 +190,7 @@ class ExpectedInformationGain(AcquisitionFunction):
         return gain.only(self.target)
 
     @t_batch_mode_transform()  # type: ignore[arg-type]  # its annotation wants AcquisitionFunction for self
-    def forward(self, X: Real[Tensor, "*batch designs 2"]) -> Float[Tensor, "*batch"]:  # type: ignore[override]
+    def forward(self, X: Real[Tensor, "*batch designs 2"]) -> Values:  # type: ignore[override]
         """Gain of each batch of designs.
 
         Args:

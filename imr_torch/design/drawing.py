@@ -12,6 +12,7 @@ from torch import Tensor
 
 from imr_torch.design.likelihood import Data, observe
 from imr_torch.design.response import Response, Shot, respond
+from imr_torch.types import DatasetValues
 
 
 @dataclass(frozen=True)
@@ -120,6 +121,6 @@ def model_weights(shot: Shot) -> list[float]:
     return shot.belief.log_probabilities.exp().tolist()
 
 
-def mixture(logs: Sequence[Float[Tensor, "data"]], shot: Shot) -> Float[Tensor, "data"]:
+def mixture(logs: Sequence[DatasetValues], shot: Shot) -> DatasetValues:
     """Log evidence of each datum over all models, from that under each."""
     return torch.logsumexp(torch.stack(list(logs)) + shot.belief.log_probabilities[:, None], dim=0)

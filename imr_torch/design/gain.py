@@ -16,6 +16,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from imr_torch.types import DatasetValues
+
 _ENOUGH = 0.5  # share of draws that must be simulated for an estimate to count
 
 Target = Literal["parameters", "model", "both"]
@@ -103,7 +105,7 @@ class Terms:
     """
 
     weight: float
-    parameters: Float[Tensor, "data"]
+    parameters: DatasetValues
     model: Float[Tensor, "shown"]
     order: Int[Tensor, "drawn"]
     control: Float[Tensor, "drawn"] | None = None

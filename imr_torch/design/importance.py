@@ -9,7 +9,6 @@ import math
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.design.drawing import Drawn, draw, mixture, model_weights, normal_controls
@@ -20,6 +19,7 @@ from imr_torch.design.refine import best_starts, refine
 from imr_torch.design.response import Response, Shot, radii
 from imr_torch.errors import InputDataError
 from imr_torch.material import ModelBelief
+from imr_torch.types import DatasetValues
 
 _WIDER = 2.0  # posterior standard deviations of the wider part of a proposal
 _BEHIND = 25.0  # nats below the datum's own model at which an evidence need not be sampled
@@ -85,7 +85,7 @@ class ImportanceSampling(InformationEstimator):
 
     def _evidence(
         self, drawn: Drawn, model: int, rival: Tensor, shot: Shot, source: torch.Generator
-    ) -> tuple[Float[Tensor, "data"], Float[Tensor, "data"]]:
+    ) -> tuple[DatasetValues, DatasetValues]:
         """Log evidence of all data under one model by importance sampling from Gauss-Newton
         posteriors, and the relative variance of its Monte Carlo mean.
 
@@ -118,7 +118,7 @@ class ImportanceSampling(InformationEstimator):
 
     def _sample(
         self, data: Data, at: Response, shot: Shot, part: ModelBelief, source: torch.Generator
-    ) -> tuple[Float[Tensor, "data"], Float[Tensor, "data"]]:
+    ) -> tuple[DatasetValues, DatasetValues]:
         """Log mean of importance weights for each datum, and its relative variance.
 
         The proposal is a mixture, sampled in fixed proportion and weighted by its whole density

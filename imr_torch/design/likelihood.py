@@ -17,6 +17,7 @@ from torch import Tensor
 
 from imr_torch.design.plan import Plan
 from imr_torch.design.response import Response
+from imr_torch.types import BroadcastValues, DrawnControls, DrawnValues
 
 _BLOCK = 4_000_000  # numbers in one block of pairs
 
@@ -104,7 +105,7 @@ def log_likelihood(
     radius: Float[Tensor, "*#batch designs frames"],
     by_nuisance: Float[Tensor, "*#batch designs frames nuisances"],
     plan: Plan,
-) -> Float[Tensor, "*#batch"]:
+) -> BroadcastValues:
     """Log density of data given gels that show ``radius``.
 
     All shapes ``... x q x T`` broadcast, the result is ``...``.
@@ -141,13 +142,13 @@ class Linear:
         chol: Cholesky factor of the posterior precision.
     """
 
-    log_likelihood: Float[Tensor, "draws"]
-    log_evidence: Float[Tensor, "draws"]
-    mean: Float[Tensor, "draws controls"]
+    log_likelihood: DrawnValues
+    log_evidence: DrawnValues
+    mean: DrawnControls
     chol: Float[Tensor, "draws controls controls"]
 
     @property
-    def information(self) -> Float[Tensor, "draws"]:
+    def information(self) -> DrawnValues:
         """``n`` tensor: ``1/2 log det(1 + J^T C^-1 J)``."""
         return self.chol.diagonal(dim1=-2, dim2=-1).log().sum(-1)
 

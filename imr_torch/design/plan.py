@@ -15,6 +15,7 @@ from torch import Tensor
 
 from imr_torch.errors import InputDataError
 from imr_torch.observe import Noise, Nuisance, collapse_time
+from imr_torch.types import FrameValues
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class Plan:
     tensor(22)
     """
 
-    times: Float[Tensor, "frames"] = field(
+    times: FrameValues = field(
         default_factory=lambda: torch.linspace(0.0, 4.0, 81, dtype=torch.float64)
     )
     repeats: int = 1

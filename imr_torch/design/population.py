@@ -27,6 +27,7 @@ from imr_torch.design.likelihood import infer, observe
 from imr_torch.design.response import Shot, respond
 from imr_torch.errors import InputDataError
 from imr_torch.random import child, generator
+from imr_torch.types import DatasetValues
 
 _ERROR = 1e-4  # standard error of a control that counts as none
 
@@ -125,7 +126,7 @@ class PopulationInformation(InformationEstimator):
         roots = vectors * eigen.clamp_min(0.0).sqrt()[..., None, :] @ vectors.mT
         return roots @ torch.linalg.inv(part.chol), order
 
-    def _of(self, roots: Float[Tensor, "designs controls controls"]) -> Float[Tensor, "data"]:
+    def _of(self, roots: Float[Tensor, "designs controls controls"]) -> DatasetValues:
         """Gain from each of the data of shots with given Fisher information, one at each of ``q``
         designs.
         """

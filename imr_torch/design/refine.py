@@ -3,12 +3,13 @@ for many data at once.
 """
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from torch import Tensor
 
 from imr_torch.design.likelihood import Data, Linear, infer
 from imr_torch.design.response import Response, Shot, respond
 from imr_torch.material import ModelBelief
+from imr_torch.types import DatasetValues, DrawnValues
 
 _CLOSE = (
     0.5  # posterior standard deviations: evidence linearised there is as good as at the optimum
@@ -47,7 +48,7 @@ def refine(
     part: ModelBelief,
     iterations: int,
     *,
-    floor: Float[Tensor, "data"] | None = None,
+    floor: DatasetValues | None = None,
 ) -> Response:
     """Gauss-Newton steps towards the maximum of the posterior density of each datum.
 
@@ -84,6 +85,6 @@ def refine(
     return at
 
 
-def _log_posterior(linear: Linear, at: Response) -> Float[Tensor, "draws"]:
+def _log_posterior(linear: Linear, at: Response) -> DrawnValues:
     """``n`` log densities of each datum and of its gel."""
     return linear.log_likelihood - 0.5 * at.controls.square().sum(-1)

@@ -18,6 +18,7 @@ from imr_torch.design.plan import Plan
 from imr_torch.material import Belief, ModelBelief
 from imr_torch.observe import Film
 from imr_torch.simulate import Simulator
+from imr_torch.types import BatchControls, DrawnControls
 
 _NEGLIGIBLE = 1e-4  # a model less probable than this changes the gain by less than .001 nats
 
@@ -77,7 +78,7 @@ class Response:
         by_nuisance: per standard deviation of the nuisances that are not known exactly.
     """
 
-    controls: Float[Tensor, "draws controls"]
+    controls: DrawnControls
     radius: Float[Tensor, "draws designs frames"]
     by_gel: Float[Tensor, "draws designs frames slopes"]
     by_nuisance: Float[Tensor, "draws designs frames nuisances"]
@@ -103,7 +104,7 @@ class Response:
 
 
 def radii(
-    shot: Shot, part: ModelBelief, controls: Float[Tensor, "*batch controls"]
+    shot: Shot, part: ModelBelief, controls: BatchControls
 ) -> Float[Tensor, "*batch designs frames"]:
     """R/Rmax of gels at controls; NaN where the solve failed."""
     forward = shot.forward(part)
@@ -111,7 +112,7 @@ def radii(
 
 
 def respond(
-    shot: Shot, part: ModelBelief, controls: Float[Tensor, "draws controls"], *, gel: bool = True
+    shot: Shot, part: ModelBelief, controls: DrawnControls, *, gel: bool = True
 ) -> Response:
     """Radii and their sensitivities: each gel with its moved copies is a bundle that the solver
     advances in lock step.

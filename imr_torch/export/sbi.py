@@ -20,6 +20,7 @@ from imr_torch.material import ModelBelief
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, predict
 from imr_torch.random import generator
 from imr_torch.simulate import Simulator
+from imr_torch.types import BatchControls, Controls, Values
 
 
 class ModelPrior(Distribution):
@@ -66,12 +67,12 @@ class ModelPrior(Distribution):
         return constraints.independent(constraints.cat(each, dim=-1, lengths=[1] * len(each)), 1)
 
     @property
-    def mean(self) -> Float[Tensor, "controls"]:
+    def mean(self) -> Controls:
         """``d`` tensor."""
         return self.belief.means.to(self.dtype)
 
     @property
-    def variance(self) -> Float[Tensor, "controls"]:
+    def variance(self) -> Controls:
         """``d`` tensor."""
         return self.belief.sds.square().to(self.dtype)
 
@@ -80,7 +81,7 @@ class ModelPrior(Distribution):
         noise = torch.randn(*sample_shape, len(self.belief.names), dtype=torch.float64)
         return self.belief.physical(self.belief.unwhitened(noise)).to(self.dtype)
 
-    def log_prob(self, value: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch"]:
+    def log_prob(self, value: BatchControls) -> Values:
         """Log density at ``... x d`` parameters: ``...`` tensor, ``-inf`` outside the support."""
         return self.belief.log_prob(value.to(torch.float64)).to(self.dtype)
 
@@ -132,7 +133,7 @@ class SbiSimulator:
         self.dtype = dtype
         self._source = generator(seed)
 
-    def __call__(self, theta: Float[Tensor, "*batch controls"]) -> Float[Tensor, "*batch data"]:
+    def __call__(self, theta: BatchControls) -> Float[Tensor, "*batch data"]:
         """Simulate; a row of a failed solve is all NaN.
 
         Raises:

@@ -5,9 +5,6 @@ directions it was looked for.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from jaxtyping import Float
-from torch import Tensor
-
 from imr_torch.assimilate import ModelFit
 from imr_torch.gap.lookalike import Likeness, likeness
 from imr_torch.gap.refitted import refitted_directions
@@ -23,6 +20,7 @@ from imr_torch.goodness.score import (
 from imr_torch.material import Effect
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
+from imr_torch.types import Directions
 
 
 @dataclass(frozen=True)
@@ -43,10 +41,10 @@ class Adequacy:
     test: GapTest
     starts: dict[str, tuple[tuple[float, ...], ...]]
     line: Linearisation
-    directions: dict[str, Float[Tensor, "_ rows"]]
+    directions: dict[str, Directions]
     effects: tuple[Effect, ...]
-    beside: dict[str, Float[Tensor, "_ rows"]]
-    generic: dict[str, Float[Tensor, "_ rows"]]
+    beside: dict[str, Directions]
+    generic: dict[str, Directions]
 
     def likeness(self, size: float, *, seed: int) -> Likeness:
         """What an unknown effect would look like here, of which a known one explains ``size``

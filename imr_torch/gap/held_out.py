@@ -32,7 +32,7 @@ from imr_torch.observe import NUISANCES, ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.select import default_folds
 from imr_torch.simulate import Simulator
-from imr_torch.types import Progress
+from imr_torch.types import FrameValues, Progress
 
 # prior standard deviations between the starts of a training fit: many posterior ones, and inside
 # one basin
@@ -60,7 +60,7 @@ class HeldOut:
     """
 
     hypothesis: Hypothesis
-    residual: Float[Tensor, "frames"]
+    residual: FrameValues
     by_nuisance: Float[Tensor, "frames nuisances"]
     nuisances: Float[Tensor, "nuisances"]
     by_gel: Float[Tensor, "frames controls"]

@@ -30,6 +30,7 @@ from imr_torch.labels import p_value
 from imr_torch.material import PARAMETERS, Effect
 from imr_torch.random import SeedLike, child, generator
 from imr_torch.simulate import Simulator
+from imr_torch.types import Directions, FrameMask
 
 _GRID = (0.15, 0.3, 0.5, 0.75, 0.94, 1.06, 1.25, 1.5, 1.75, 1.94, 2.06, 2.25, 2.6, 3.2, math.inf)
 _LEVEL = 0.01  # of a false onset or trend; that there is a gap at all is not decided here
@@ -281,7 +282,7 @@ def where_it_acts(
     return dict(zip(PHASES, levels.mT.tolist(), strict=True))
 
 
-def restrict(line: Linearisation, frames: Bool[Tensor, "experiments frames"]) -> Linearisation:
+def restrict(line: Linearisation, frames: FrameMask) -> Linearisation:
     """The same sensitivities with the rows of all other frames set to zero.
 
     Args:
@@ -293,9 +294,7 @@ def restrict(line: Linearisation, frames: Bool[Tensor, "experiments frames"]) ->
     return replace(line, residual=line.residual * keep, fitted=line.fitted * keep[:, None])
 
 
-def _kept_rows(
-    line: Linearisation, frames: Bool[Tensor, "experiments frames"]
-) -> Bool[Tensor, "rows"]:
+def _kept_rows(line: Linearisation, frames: FrameMask) -> Bool[Tensor, "rows"]:
     """Which whitened rows (``N`` boolean tensor) belong to frames; those of priors always do."""
     rows = (frames & line.batch.mask).flatten()
     return torch.nn.functional.pad(rows, (0, line.residual.shape[0] - rows.shape[0]), value=True)
@@ -303,8 +302,8 @@ def _kept_rows(
 
 def _log_p(
     part: Linearisation,
-    frames: Bool[Tensor, "experiments frames"],
-    directions: Mapping[str, Float[Tensor, "_ rows"]],
+    frames: FrameMask,
+    directions: Mapping[str, Directions],
     drawn: Float[Tensor, "draws rows"],
 ) -> tuple[Float[Tensor, "tests"], Float[Tensor, "tests draws"]]:
     """Log p-values of what a refit to some frames leaves, in several directions and in all

@@ -23,6 +23,7 @@ from imr_torch.goodness.linear import Linearisation
 from imr_torch.goodness.score import ADEQUATE, LEAST_LEFT, STATE_LAW, Block, block, log_survival
 from imr_torch.material import Effect
 from imr_torch.random import child, generator
+from imr_torch.types import Directions
 
 _LAWS = 28  # random combinations of the generic stress functions
 _OBVIOUS, _OBVIOUS_RANK = (
@@ -98,8 +99,8 @@ class Likeness:
 
 def likeness(
     size: float,
-    rows: Mapping[str, Float[Tensor, "_ rows"]],
-    generic: Mapping[str, Float[Tensor, "_ rows"]],
+    rows: Mapping[str, Directions],
+    generic: Mapping[str, Directions],
     effects: Sequence[Effect],
     line: Linearisation,
     *,
@@ -224,7 +225,7 @@ def _calibrated(smallest: Tensor, null: Tensor) -> Tensor:
 
 
 def _in_own_span(
-    every: Mapping[str, Float[Tensor, "_ rows"]], line: Linearisation
+    every: Mapping[str, Directions], line: Linearisation
 ) -> tuple[int, dict[str, Float[Tensor, "_ span"]]]:
     """Directions in an orthonormal basis of all of them, in which distances are the same, and how
     many dimensions of the residual are outside.

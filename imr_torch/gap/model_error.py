@@ -35,6 +35,7 @@ from imr_torch.goodness.linear import Linearisation
 from imr_torch.goodness.phases import phase_clock
 from imr_torch.goodness.score import PULSES, STATE_LAW
 from imr_torch.random import child, generator
+from imr_torch.types import DrawnControls
 
 _LEVELS = (0.05, 0.5, 0.95)
 _SIZES = (1.0, 3.0)  # of what is missing, in usual sizes
@@ -199,7 +200,7 @@ def error_budget(
 
 def _with_unknown(
     budgets: Sequence[Budget], frames: int, count: int, source: torch.Generator
-) -> list[tuple[ModelFit, Float[Tensor, "draws controls"]]]:
+) -> list[tuple[ModelFit, DrawnControls]]:
     """Controls drawn from refits in proportion to their evidence, by the fit that they are about.
 
     Misfit that even the best of them leaves counts as noise.

@@ -12,14 +12,13 @@ does.
 from collections.abc import Sequence
 
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.goodness.linear import Linearisation, curves
 from imr_torch.material import Effect
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
+from imr_torch.types import Directions
 
 _ROUNDS = 2
 _FARTHEST_GEL, _FARTHEST_NUISANCE = (
@@ -34,8 +33,8 @@ def refitted_directions(
     batch: ExperimentBatch,
     simulator: Simulator,
     line: Linearisation,
-    directions: dict[str, Float[Tensor, "_ rows"]],
-) -> dict[str, Float[Tensor, "_ rows"]]:
+    directions: dict[str, Directions],
+) -> dict[str, Directions]:
     """Directions whose part beside the fitted ones is what a refit leaves of each effect.
 
     Args:

@@ -35,7 +35,7 @@ from imr_torch.goodness.score import ADEQUATE
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
-from imr_torch.types import Progress
+from imr_torch.types import FrameValues, Progress
 
 TURN = 1.5
 """Reading of the phase clock at the first rebound's maximum."""
@@ -179,7 +179,7 @@ class _Compared:
         base, effect = (self._later(one, early) for one in (self.pair.base, self.pair.effect))
         return base, effect
 
-    def excess(self, residual: Tensor) -> Float[Tensor, "frames"]:
+    def excess(self, residual: Tensor) -> FrameValues:
         """Squares of a residual beyond noise, in single-shot variances."""
         expected = self.share * self.beside.square().sum(1)
         return ((self.beside @ residual).square() - expected) / self._counts

@@ -18,6 +18,7 @@ from imr_torch.assimilate import ModelFit, Neighbourhood, Posterior
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.simulate import Simulator
+from imr_torch.types import BatchFrames, ExperimentFrames
 
 
 @dataclass(frozen=True)
@@ -34,8 +35,8 @@ class Linearisation:
 
     residual: Float[Tensor, "rows"]
     fitted: Float[Tensor, "rows fitted"]
-    prediction: Float[Tensor, "experiments frames"]
-    sd: Float[Tensor, "experiments frames"]
+    prediction: ExperimentFrames
+    sd: ExperimentFrames
     batch: ExperimentBatch
 
     @cached_property
@@ -75,9 +76,7 @@ class Linearisation:
         rows = shift @ self.fitted.mT
         return self.padded(rows[..., : self.batch.mask.numel()])
 
-    def whiten(
-        self, curves: Float[Tensor, "*batch experiments frames"]
-    ) -> Float[Tensor, "*batch rows"]:
+    def whiten(self, curves: BatchFrames) -> Float[Tensor, "*batch rows"]:
         """Curves ``... x E x T`` in R* as rows ``... x N``, with zeros for the priors."""
         seen = torch.where(self.batch.mask, curves, 0.0)
         return self.padded(self.batch.whiten(seen, self.sd).flatten(-2))

@@ -11,12 +11,13 @@ import math
 from collections.abc import Sequence
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.special import chdtri
 from torch import Tensor
 
 from imr_torch.observe import collapse_time
 from imr_torch.observe.plausibility import RAYLEIGH_TIME
+from imr_torch.types import ExperimentFrames, FrameMask
 
 PHASES = ("start", "first collapse", "first rebound", "second collapse", "later")
 """Phases of an event, in order."""
@@ -33,10 +34,10 @@ _QUIET = (
 
 
 def phase_clock(
-    times: Float[Tensor, "experiments frames"],
-    prediction: Float[Tensor, "experiments frames"],
-    mask: Bool[Tensor, "experiments frames"],
-) -> Float[Tensor, "experiments frames"]:
+    times: ExperimentFrames,
+    prediction: ExperimentFrames,
+    mask: FrameMask,
+) -> ExperimentFrames:
     """How far the event has come at each frame: 0 at the start, 1 at the first collapse, 1.5 at the
     rebound's top, 2 ...
 
@@ -73,9 +74,9 @@ def phase_name(clock: float) -> str:
 
 
 def phase_numbers(
-    times: Float[Tensor, "experiments frames"],
-    radius: Float[Tensor, "experiments frames"],
-    mask: Bool[Tensor, "experiments frames"],
+    times: ExperimentFrames,
+    radius: ExperimentFrames,
+    mask: FrameMask,
 ) -> Int[Tensor, "experiments frames"]:
     """Number of the phase of each frame in ``PHASES``: ``E x T`` integer tensor; arguments as of
     :func:`phase_clock`.

@@ -26,6 +26,7 @@ from imr_torch.material import Effect
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import generator
 from imr_torch.simulate import Simulator
+from imr_torch.types import Directions, Values
 
 LEVEL = 0.04
 """Chance of a gap being found where there is none."""
@@ -120,7 +121,7 @@ def effect_directions(
     batch: ExperimentBatch,
     simulator: Simulator,
     line: Linearisation,
-) -> dict[str, Float[Tensor, "_ rows"]]:
+) -> dict[str, Directions]:
     """What each effect changes at each of its starts, whitened: name -> ``S x N``; zero for a start
     that fails.
     """
@@ -166,7 +167,7 @@ def promising_starts(
     return small, (first * float(amplitude[other].clamp(*_TYPICAL)), *shape)
 
 
-def block(name: str, rows: Float[Tensor, "_ rows"], line: Linearisation) -> Block:
+def block(name: str, rows: Directions, line: Linearisation) -> Block:
     """A block from whitened directions ``k x N``: projected, then reduced to an orthonormal set."""
     left = line.project(rows)
     kept = left.square().sum(1) > LEAST_LEFT * rows.square().sum(1).clamp_min(1e-300)
@@ -190,7 +191,7 @@ def generic_blocks(
 
 def generic_rows(
     fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, line: Linearisation
-) -> dict[str, Float[Tensor, "_ rows"]]:
+) -> dict[str, Directions]:
     """Whitened rows that stand for no effect: generic stress laws, pulses, drifting parameters,
     distorted output.
     """
@@ -295,7 +296,7 @@ def gap_test(blocks: Sequence[Block], line: Linearisation, *, seed: int) -> GapT
     return GapTest(p_value, tuple(sorted(results, key=lambda r: r.p_value)), *_bias(line))
 
 
-def log_survival(statistic: Float[Tensor, "*batch"], rank: int) -> Float[Tensor, "*batch"]:
+def log_survival(statistic: Values, rank: int) -> Values:
     """Log of the upper tail of chi-square."""
     tail = torch.special.gammaincc(torch.tensor(0.5 * rank, dtype=torch.float64), 0.5 * statistic)
     # far out the leading term of the asymptotic series keeps the order of the blocks

@@ -27,11 +27,16 @@ from imr_torch.material.marginals import Marginal, marginal_from_dict, marginal_
 from imr_torch.material.models import Material, material
 from imr_torch.material.parameters import PARAMETERS
 from imr_torch.random import SeedLike, generator
+from imr_torch.types import (
+    BatchControls,
+    BatchParameters,
+    ControlMatrix,
+    Controls,
+    DrawnControls,
+    Values,
+)
 
 _QUADRATURE = 64
-
-Controls = Float[Tensor, "*batch controls"]
-"""The free parameters of one model, as controls or in SI units."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +63,7 @@ class Cloud:
     SCORES: ClassVar[tuple[float, ...]] = tuple(0.25 * k for k in range(-12, 13))
     """Standard normal scores at whose probabilities quantiles are stored."""
 
-    controls: Float[Tensor, "draws controls"]
+    controls: DrawnControls
     precisions: Float[Tensor, "draws controls controls"]
     marginals: Float[Tensor, "scores controls"]
 
@@ -100,8 +105,8 @@ class ModelBelief:
 
     model: str
     marginals: tuple[Marginal, ...]
-    mean: Float[Tensor, "controls"]
-    chol: Float[Tensor, "controls controls"]
+    mean: Controls
+    chol: ControlMatrix
     known: Mapping[str, float] = field(default_factory=dict)
     cloud: Cloud | None = None
 
@@ -159,17 +164,17 @@ class ModelBelief:
         )
         return self.unwhitened(noise.to(self.mean.device))
 
-    def physical(self, controls: Controls) -> Controls:
+    def physical(self, controls: BatchControls) -> BatchControls:
         """Free parameters in SI at controls."""
         columns = [m.to_physical(controls[..., i]) for i, m in enumerate(self.marginals)]
         return torch.stack(columns, dim=-1)
 
-    def to_controls(self, values: Controls) -> Controls:
+    def to_controls(self, values: BatchControls) -> BatchControls:
         """Inverse of :meth:`physical`."""
         columns = [m.to_control(values[..., i]) for i, m in enumerate(self.marginals)]
         return torch.stack(columns, dim=-1)
 
-    def parameters(self, controls: Controls) -> Float[Tensor, "*batch parameters"]:
+    def parameters(self, controls: BatchControls) -> BatchParameters:
         """Shared parameter vectors at controls, SI; what is not of the model is neutral."""
         values = self.physical(controls)
         packed = PARAMETERS.neutral(*values.shape[:-1], dtype=values.dtype).to(values.device)
@@ -179,19 +184,19 @@ class ModelBelief:
             -1, torch.tensor(PARAMETERS.index(self.names), device=values.device), values
         )
 
-    def unwhitened(self, whitened: Controls) -> Controls:
+    def unwhitened(self, whitened: BatchControls) -> BatchControls:
         """Controls at coordinates in which this belief is a standard normal."""
         return self.mean + whitened @ self.chol.mT
 
-    def to_si(self, whitened: Controls) -> Float[Tensor, "*batch parameters"]:
+    def to_si(self, whitened: BatchControls) -> BatchParameters:
         """Shared parameter vectors at coordinates in which this belief is a standard normal, SI."""
         return self.parameters(self.unwhitened(whitened))
 
-    def log_prob_controls(self, controls: Controls) -> Float[Tensor, "*batch"]:
+    def log_prob_controls(self, controls: BatchControls) -> Values:
         """Log density of the Gaussian at controls."""
         return self._gaussian.log_prob(controls)
 
-    def log_prob(self, values: Controls) -> Float[Tensor, "*batch"]:
+    def log_prob(self, values: BatchControls) -> Values:
         """Log density of free parameters in SI: ``... x d`` to ``...`` (per product of their
         units); ``-inf`` outside.
         """
@@ -240,13 +245,13 @@ class ModelBelief:
         return self.mean + sd * nodes[:, None], weights / weights.sum()
 
     @property
-    def means(self) -> Float[Tensor, "controls"]:
+    def means(self) -> Controls:
         """Posterior mean of each free parameter (``d``), SI."""
         z, weights = self._nodes
         return weights @ self.physical(z)
 
     @property
-    def sds(self) -> Float[Tensor, "controls"]:
+    def sds(self) -> Controls:
         """Standard deviation of each free parameter (``d``), SI."""
         z, weights = self._nodes
         values = self.physical(z)
@@ -259,9 +264,7 @@ class ModelBelief:
             weights @ m.log_slope(z[:, i]) for i, m in enumerate(self.marginals)
         )
 
-    def with_gaussian(
-        self, mean: Float[Tensor, "controls"], chol: Float[Tensor, "controls controls"]
-    ) -> "ModelBelief":
+    def with_gaussian(self, mean: Controls, chol: ControlMatrix) -> "ModelBelief":
         """The same maps with another Gaussian of the controls, and no cloud."""
         return replace(self, mean=mean, chol=chol, cloud=None)
 

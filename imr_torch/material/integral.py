@@ -32,7 +32,7 @@ from imr_torch.material.memory import MAXWELL, OLDROYD_B, STANDARD_LINEAR, STAND
 from imr_torch.material.parameters import PARAMETERS
 from imr_torch.material.stress import Stress, StressTerm
 from imr_torch.material.viscous import CARREAU, NEWTONIAN
-from imr_torch.types import Members, States
+from imr_torch.types import Members, States, Values
 
 TERMS: list[StressTerm] = [
     NEWTONIAN,
@@ -115,7 +115,7 @@ def gel_response(
 
 
 def derivatives(
-    function: Callable[..., Tensor], point: tuple[Float[Tensor, "*batch"], ...], *, analytic: bool
+    function: Callable[..., Tensor], point: tuple[Values, ...], *, analytic: bool
 ) -> Float[Tensor, "k ..."]:
     """Derivatives of a function of scalars in each of its arguments, elementwise.
 

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from imr_torch.errors import InputDataError
 from imr_torch.material.marginals import LogNormal, Marginal, TruncatedNormal
+from imr_torch.types import BatchParameters, BroadcastValues
 from imr_torch.units import Surroundings
 
 Dimension = Literal["pressure", "viscosity", "time", "rate", "length", "drag", "none"]
@@ -136,9 +137,7 @@ class ParameterVector:
                 self[name]  # names the parameters that are known
         return [self._columns[name] for name in names]
 
-    def neutral(
-        self, *batch_shape: int, dtype: torch.dtype = torch.float64
-    ) -> Float[Tensor, "*batch parameters"]:
+    def neutral(self, *batch_shape: int, dtype: torch.dtype = torch.float64) -> BatchParameters:
         """A ``batch_shape x p`` tensor of neutral values: a bubble in an inviscid liquid without
         elasticity.
         """
@@ -155,9 +154,7 @@ class ParameterVector:
             name for name, acts in zip(self.names, moved.tolist(), strict=True) if acts
         )
 
-    def pack(
-        self, values: Mapping[str, float | Real[Tensor, "*#batch"]]
-    ) -> Float[Tensor, "*batch parameters"]:
+    def pack(self, values: Mapping[str, float | Real[Tensor, "*#batch"]]) -> BatchParameters:
         """Put named values into a parameter tensor; what is not named is neutral.
 
         Args:
@@ -378,9 +375,9 @@ for _row in (*_OF_MODELS, *_OF_THE_GEL, *_OF_THE_BUBBLE, *_OF_THE_MEDIUM, *_OF_T
 
 def dimensionless(
     parameters: Float[Tensor, "*#batch parameters"],
-    max_radius: Float[Tensor, "*#batch"],
+    max_radius: BroadcastValues,
     surroundings: Surroundings,
-) -> dict[str, Float[Tensor, "*#batch"]]:
+) -> dict[str, BroadcastValues]:
     """The parameters of each bubble in dimensionless form.
 
     Args:

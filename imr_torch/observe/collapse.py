@@ -34,7 +34,7 @@ from imr_torch.reading.sidecar import Sidecar
 from imr_torch.reading.statement import Statement
 from imr_torch.reading.table import read_text
 from imr_torch.simulate import Simulator, check_designs
-from imr_torch.types import Frames
+from imr_torch.types import BroadcastValues, Frames
 from imr_torch.units import Surroundings
 
 RESOLUTION_S = 20e-9
@@ -217,7 +217,7 @@ def first_minimum(
     times: Float[Tensor, "*#batch frames"],
     radius: Float[Tensor, "*#batch frames"],
     velocity: Float[Tensor, "*#batch frames"],
-) -> Float[Tensor, "*#batch"]:
+) -> BroadcastValues:
     """Time of the first minimum of curves, where the velocity changes sign; NaN for a curve without
     one.
 

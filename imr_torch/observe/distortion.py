@@ -17,7 +17,7 @@ from torch import Tensor
 
 from imr_torch.material import PARAMETERS
 from imr_torch.simulate import EARLIEST
-from imr_torch.types import Frames
+from imr_torch.types import BatchParameters, Frames
 
 _GEOMETRY = (
     "missed_maximum",
@@ -60,7 +60,7 @@ class Distortion:
     @classmethod
     def of(
         cls,
-        parameters: Float[Tensor, "*batch parameters"],
+        parameters: BatchParameters,
         exposures: Float[Tensor, "experiments"] | None = None,
     ) -> "Distortion | None":
         """The errors in ``batch_shape x p`` parameters, known ``exposures`` (``E``) added to the

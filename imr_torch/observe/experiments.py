@@ -25,7 +25,7 @@ from imr_torch.observe.noise_laws import NoiseLaws
 from imr_torch.observe.nuisance import NUISANCES, Nuisance, displaced, impossible
 from imr_torch.observe.scatter import Scatter, with_own
 from imr_torch.simulate import EARLIEST, Simulator, check_designs
-from imr_torch.types import ExperimentFrames, Frames
+from imr_torch.types import BatchFrames, ExperimentFrames, FrameMask, Frames, FrameValues
 
 _EARLIEST_FILMED = -0.4  # an exposure reaches on from its frame, and so does a clock that is wrong
 
@@ -61,7 +61,7 @@ class Experiment:
 
     label: str
     design: tuple[float, float]
-    times: Float[Tensor, "frames"]
+    times: FrameValues
     radius: Float[Tensor, "repeats frames"]
     nuisance: Nuisance = field(default_factory=Nuisance)
     exposure: float = 0.0
@@ -119,7 +119,7 @@ class Experiment:
         return torch.isfinite(self.radius).sum(0)
 
     @cached_property
-    def mean(self) -> Float[Tensor, "frames"]:
+    def mean(self) -> FrameValues:
         """Mean over the repeats that have each frame."""
         return self.radius.nanmean(0)
 
@@ -180,7 +180,7 @@ class Film:
         check_designs(self.designs)
 
     @property
-    def mask(self) -> Bool[Tensor, "experiments frames"]:
+    def mask(self) -> FrameMask:
         """Frames that exist: all."""
         return torch.ones_like(self.times, dtype=torch.bool)
 
@@ -300,7 +300,7 @@ class ExperimentBatch:
         return [float(level * means.quantile(q).exp()) for q in (0.05, 0.5, 0.95)]
 
     @cached_property
-    def mask(self) -> Bool[Tensor, "experiments frames"]:
+    def mask(self) -> FrameMask:
         """Frames that exist."""
         kept = [torch.ones_like(e.times, dtype=torch.bool) for e in self.experiments]
         return pad_sequence(kept, batch_first=True)
@@ -350,9 +350,7 @@ class ExperimentBatch:
         own = torch.tensor(sds, dtype=torch.float64).expand(len(self.experiments), -1)
         return torch.cat((torch.stack([e.nuisance.sds() for e in self.experiments]), own), 1)
 
-    def sd(
-        self, prediction: Float[Tensor, "*batch experiments frames"]
-    ) -> Float[Tensor, "*batch experiments frames"]:
+    def sd(self, prediction: BatchFrames) -> BatchFrames:
         """Noise of one repeat at a prediction ``... x E x T``; 1 in the padding."""
         sd = torch.where(
             self.collapse[:, None], self._own_sd, self.noise.sd(prediction, self.times)
@@ -423,9 +421,7 @@ class ExperimentBatch:
         """Observations of each experiment, all repeats and frames."""
         return torch.where(self.mask, self.counts, 0.0).sum(-1)
 
-    def log_likelihood(
-        self, prediction: Float[Tensor, "*batch experiments frames"]
-    ) -> Float[Tensor, "*batch experiments"]:
+    def log_likelihood(self, prediction: BatchFrames) -> Float[Tensor, "*batch experiments"]:
         """Log density of all repeats and frames of each experiment; ``-inf`` for NaN."""
         square, normaliser = self.terms(prediction, self.sd(prediction), self.innovations)
         value = -0.5 * square - normaliser

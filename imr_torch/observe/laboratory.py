@@ -12,6 +12,7 @@ from imr_torch.observe.noise import Noise
 from imr_torch.observe.nuisance import Nuisance
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
+from imr_torch.types import FrameValues
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class SimulatedLaboratory:
     truth: Float[Tensor, "parameters"]
     noise: Noise = field(default_factory=Noise)
     repeats: int = 100
-    times: Float[Tensor, "frames"] = field(
+    times: FrameValues = field(
         default_factory=lambda: torch.linspace(0.0, 4.0, 81, dtype=torch.float64)
     )
     scatter: tuple[float, float] = (0.0, 0.0)

@@ -9,11 +9,11 @@ import math
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
-from imr_torch.types import ExperimentFrames
+from imr_torch.types import BroadcastValues, ExperimentFrames, FrameMask, FrameValues
 
 FEWEST_RESIDUALS = 10
 """Degrees of freedom that residuals must have for the noise to be estimated from them."""
@@ -87,15 +87,13 @@ class Noise:
         """
         return replace(self, scale=self.scale / self.widened, widened=1.0)
 
-    def sd(
-        self, radius: Float[Tensor, "*#batch"], times: Float[Tensor, "*#batch"]
-    ) -> Float[Tensor, "*#batch"]:
+    def sd(self, radius: BroadcastValues, times: BroadcastValues) -> BroadcastValues:
         """Standard deviation of one frame; arguments dimensionless and broadcastable."""
         law = self.slope * (radius - 1.0).abs() + self.drift * times.abs()
         return self.scale * torch.sqrt(law.square() + self.floor**2)
 
     def decorrelation(
-        self, times: ExperimentFrames, mask: Bool[Tensor, "experiments frames"]
+        self, times: ExperimentFrames, mask: FrameMask
     ) -> Float[Tensor, "experiments frames frames"] | None:
         """Inverse Cholesky factors of the correlation matrices: ``E x T x T``, or None for
         independent frames.
@@ -111,7 +109,7 @@ class Noise:
         return torch.diag_embed(own) - torch.diag_embed(before[:, 1:], -1)
 
     def innovations(
-        self, times: ExperimentFrames, mask: Bool[Tensor, "experiments frames"]
+        self, times: ExperimentFrames, mask: FrameMask
     ) -> tuple[ExperimentFrames, ExperimentFrames] | None:
         """The same factors by their two diagonals, or None for independent frames: an exponential
         correlation is Markov.
@@ -136,8 +134,8 @@ class Noise:
 
     def draw(
         self,
-        radius: Float[Tensor, "frames"],
-        times: Float[Tensor, "frames"],
+        radius: FrameValues,
+        times: FrameValues,
         repeats: int,
         *,
         generator: torch.Generator,

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
+from imr_torch.types import Frames
 
 NUISANCES = ("max_radius", "time_zero", "rest_radius")
 """The nuisances of one experiment, in the order of tensors of them."""
@@ -89,7 +90,7 @@ def displaced(
 
 
 def impossible(
-    times: Float[Tensor, "*#batch experiments frames"],
+    times: Frames,
     shifts: Float[Tensor, "*#batch experiments 3"],
     earliest: float,
 ) -> Bool[Tensor, "*#batch experiments"]:

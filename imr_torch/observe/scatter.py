@@ -10,6 +10,7 @@ from torch import Tensor
 
 from imr_torch.errors import InputDataError
 from imr_torch.material import PARAMETERS
+from imr_torch.types import BroadcastValues
 
 
 @dataclass(frozen=True)
@@ -35,15 +36,11 @@ class Scatter:
                 f"Scatter.relative is {self.relative}; it must be positive and finite."
             )
 
-    def moved(
-        self, value: Float[Tensor, "*#batch"], deviation: Float[Tensor, "*#batch"]
-    ) -> Float[Tensor, "*#batch"]:
+    def moved(self, value: BroadcastValues, deviation: BroadcastValues) -> BroadcastValues:
         """The parameter of an experiment, SI, whose logarithm deviates from that of a value."""
         return value * deviation.exp()
 
-    def deviation(
-        self, of_one: Float[Tensor, "*#batch"], value: Float[Tensor, "*#batch"]
-    ) -> Float[Tensor, "*#batch"]:
+    def deviation(self, of_one: BroadcastValues, value: BroadcastValues) -> BroadcastValues:
         """By how much the logarithm of the parameter of an experiment deviates: inverse of
         :meth:`moved`.
         """

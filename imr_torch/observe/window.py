@@ -5,8 +5,7 @@ default) a record is cut.
 import math
 from collections.abc import Sequence
 
-from jaxtyping import Float
-from torch import Tensor
+from imr_torch.types import FrameValues
 
 
 def turning_points(
@@ -37,9 +36,7 @@ def turning_points(
     return turns
 
 
-def collapse_time(
-    times: Float[Tensor, "frames"], radius: Float[Tensor, "frames"], number: int
-) -> float:
+def collapse_time(times: FrameValues, radius: FrameValues, number: int) -> float:
     """Time of collapse ``number`` (1 is the first) of a curve that starts at its maximum; infinity
     when not reached.
 

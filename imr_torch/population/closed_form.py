@@ -15,6 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.material import ModelBelief
+from imr_torch.types import ControlMatrix, Controls, DrawnControls, DrawnValues
 
 
 @dataclass(frozen=True)
@@ -59,9 +60,9 @@ class GaussianShots:
 
     def given(
         self,
-        scatter: Float[Tensor, "draws controls"],
-        mean: Float[Tensor, "controls"],
-        precision: Float[Tensor, "controls controls"],
+        scatter: DrawnControls,
+        mean: Controls,
+        precision: ControlMatrix,
     ) -> "GivenScatter":
         """Evidence and posterior for given scatters.
 
@@ -113,15 +114,13 @@ class GivenScatter:
     """
 
     shots: GaussianShots
-    evidence: Float[Tensor, "draws"]
-    centre: Float[Tensor, "draws controls"]
+    evidence: DrawnValues
+    centre: DrawnControls
     chol: Float[Tensor, "draws controls controls"]
     covariance: Float[Tensor, "draws experiments controls controls"]
     factor: Float[Tensor, "draws experiments controls controls"]
 
-    def shot_means(
-        self, centre: Float[Tensor, "draws controls"]
-    ) -> Float[Tensor, "draws experiments controls"]:
+    def shot_means(self, centre: DrawnControls) -> Float[Tensor, "draws experiments controls"]:
         """Mean of each shot's controls given the population's."""
         A = self.shots.precision
         b = self.shots.linear
@@ -130,10 +129,10 @@ class GivenScatter:
 
 
 def without_prior(
-    mean: Float[Tensor, "controls"],
-    covariance: Float[Tensor, "controls controls"],
+    mean: Controls,
+    covariance: ControlMatrix,
     prior: ModelBelief,
-) -> tuple[Float[Tensor, "controls controls"], Float[Tensor, "controls"]]:
+) -> tuple[ControlMatrix, Controls]:
     """Precision and linear term of the likelihood whose posterior has these moments; directions
     wider than the prior are flat.
 
@@ -147,7 +146,7 @@ def without_prior(
     return precision, precision @ mean + before @ (mean - prior.mean)
 
 
-def positive_part(matrix: Float[Tensor, "controls controls"]) -> Float[Tensor, "controls controls"]:
+def positive_part(matrix: ControlMatrix) -> ControlMatrix:
     """A symmetric matrix with its negative eigenvalues replaced by zero."""
     values, vectors = torch.linalg.eigh(matrix)
     return (vectors * values.clamp_min(0.0)) @ vectors.mT

@@ -15,8 +15,6 @@ from itertools import combinations
 
 import scipy  # whose parts are imported when they are used; `stats` takes long
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from imr_torch.assimilate import Assimilation
 from imr_torch.errors import InputDataError
@@ -32,6 +30,7 @@ from imr_torch.population.sampling import (
 )
 from imr_torch.random import child, generator
 from imr_torch.threads import one_torch_thread
+from imr_torch.types import Controls
 
 SCALE = 0.3
 """Scale of the half-normal prior of each scatter: of ln G, ln mu, and of the control of other parameters."""
@@ -117,7 +116,7 @@ def infer_population(
     )
 
 
-def coordinate_units(prior: ModelBelief) -> Float[Tensor, "controls"]:
+def coordinate_units(prior: ModelBelief) -> Controls:
     """What a control of 1 is in the coordinate whose scatter is stated, a logarithm where there is
     one.
 

@@ -20,6 +20,7 @@ from torch import Tensor
 from imr_torch.assimilate import ModelFit, Verdict
 from imr_torch.errors import InputDataError
 from imr_torch.population.closed_form import without_prior
+from imr_torch.types import BatchControls, ControlMatrix, Controls, DrawnControls, DrawnValues
 
 GROUPS = 10
 """Groups of draws, each left out once, that give the Monte Carlo error."""
@@ -70,16 +71,16 @@ class ShotLikelihood:
     """
 
     label: str
-    precision: Float[Tensor, "controls controls"]
-    linear: Float[Tensor, "controls"]
+    precision: ControlMatrix
+    linear: Controls
     constant: float
-    centre: Float[Tensor, "controls"]
-    unscale: Float[Tensor, "controls controls"]
+    centre: Controls
+    unscale: ControlMatrix
     exponents: Real[Tensor, "monomials controls"]
     coefficients: Float[Tensor, "groups monomials"]
     misses: float
-    mean: Float[Tensor, "controls"]
-    sd: Float[Tensor, "controls"]
+    mean: Controls
+    sd: Controls
     effective_samples: float
     reliable: bool
 
@@ -159,16 +160,14 @@ class ShotLikelihood:
         coefficients[:, 0] -= constant
         return ShotLikelihood(**vars(self) | {"coefficients": coefficients, "constant": constant})
 
-    def correction(
-        self, controls: Float[Tensor, "*batch controls"]
-    ) -> Float[Tensor, "*batch groups"]:
+    def correction(self, controls: BatchControls) -> Float[Tensor, "*batch groups"]:
         """The polynomial at ``... x d`` controls, of all draws and without each group: ``... x (1 +
         GROUPS)``.
         """
         whitened = (controls - self.centre) @ self.unscale.mT
         return _monomials(whitened, self.exponents) @ self.coefficients.mT
 
-    def log_prob(self, controls: Float[Tensor, "draws controls"]) -> Float[Tensor, "draws"]:
+    def log_prob(self, controls: DrawnControls) -> DrawnValues:
         """Log likelihood at ``n x d`` controls, nats: ``n``."""
         return (
             self.constant

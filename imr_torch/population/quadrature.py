@@ -13,6 +13,7 @@ from torch.distributions import HalfNormal
 
 from imr_torch.material import ModelBelief
 from imr_torch.population.closed_form import GaussianShots
+from imr_torch.types import Controls
 
 MOST = 4
 """Parameters that can differ from shot to shot, at most: the grid has as many axes."""
@@ -51,7 +52,7 @@ class Cells:
         return torch.softmax(self.log_prior + self.evidence, 0)
 
 
-def cells(shots: GaussianShots, prior: ModelBelief, scale: Float[Tensor, "controls"]) -> Cells:
+def cells(shots: GaussianShots, prior: ModelBelief, scale: Controls) -> Cells:
     """The grid with its prior and the evidence of the shots.
 
     Args:

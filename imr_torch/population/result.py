@@ -19,6 +19,7 @@ from imr_torch.observe import Noise
 from imr_torch.population.likelihood import ShotLikelihood
 from imr_torch.population.sampling import WeightedPopulation
 from imr_torch.random import child, generator
+from imr_torch.types import Controls
 
 _LEVELS = torch.tensor([0.05, 0.5, 0.95], dtype=torch.float64)
 DECISIVE = math.log(10.0)
@@ -134,7 +135,7 @@ class Population:
     designs: Float[Tensor, "experiments 2"]
     noise: Noise
     varying: tuple[str, ...]
-    units: Float[Tensor, "controls"]
+    units: Controls
     scale: float
     found: WeightedPopulation
     log_evidence: float
@@ -348,9 +349,7 @@ def scatter_of(prior: ModelBelief, name: str) -> str:
     )
 
 
-def scatter_interval(
-    found: WeightedPopulation, column: int, units: Float[Tensor, "controls"]
-) -> Interval:
+def scatter_interval(found: WeightedPopulation, column: int, units: Controls) -> Interval:
     """5, 50, 95 % quantile of one scatter."""
     values = found.scatter[:, column] * units[column]
     return _interval(weighted_quantiles(values, found.weights, _LEVELS))

@@ -23,6 +23,7 @@ from imr_torch.material import ModelBelief
 from imr_torch.population.closed_form import GaussianShots, positive_part
 from imr_torch.population.likelihood import ShotLikelihood, quadratic_form
 from imr_torch.population.quadrature import cells
+from imr_torch.types import ControlMatrix, Controls, DrawnControls, DrawnValues
 
 _DEFENSIVE = 0.1  # share of the proposal that is the prior of the scatters
 _FREEDOM = 7  # degrees of freedom of what proposes the centre
@@ -45,7 +46,7 @@ class Problem:
 
     shots: tuple[ShotLikelihood, ...]
     prior: ModelBelief
-    scale: Float[Tensor, "controls"]
+    scale: Controls
 
     @property
     def varying(self) -> list[int]:
@@ -53,7 +54,7 @@ class Problem:
         return torch.nonzero(self.scale)[:, 0].tolist()
 
     @cached_property
-    def precision(self) -> Float[Tensor, "controls controls"]:
+    def precision(self) -> ControlMatrix:
         """``d x d`` tensor, prior precision of the centre."""
         return torch.cholesky_inverse(self.prior.chol)
 
@@ -80,8 +81,8 @@ class WeightedPopulation:
         refits: times that the Gaussian parts were fitted again.
     """
 
-    scatter: Float[Tensor, "draws controls"]
-    centre: Float[Tensor, "draws controls"]
+    scatter: DrawnControls
+    centre: DrawnControls
     shots: Float[Tensor, "draws experiments controls"]
     log_weights: Float[Tensor, "draws groups"]
     refits: int = 0
@@ -96,7 +97,7 @@ class WeightedPopulation:
         return self._smoothed[1]
 
     @cached_property
-    def weights(self) -> Float[Tensor, "draws"]:
+    def weights(self) -> DrawnValues:
         """``n`` tensor, normalised and smoothed."""
         return torch.softmax(self._smoothed[0], 0)
 
@@ -123,7 +124,7 @@ class WeightedPopulation:
         weights = torch.softmax(self.log_weights[:, 0], 0)
         return float((len(weights) * weights).std() / math.sqrt(len(weights)))
 
-    def mean_error(self, values: Float[Tensor, "draws"]) -> tuple[float, float]:
+    def mean_error(self, values: DrawnValues) -> tuple[float, float]:
         """Mean of ``n`` values and its Monte Carlo standard error, by these draws and by those of
         the shots.
         """

@@ -29,6 +29,7 @@ from imr_torch.material import (
 from imr_torch.simulate.conditions import SATURATION_PREFACTOR, SATURATION_TEMPERATURE, Conditions
 from imr_torch.simulate.medium import MEDIUM
 from imr_torch.simulate.setting import Setting
+from imr_torch.types import BubbleValues
 from imr_torch.units import Number
 
 
@@ -151,9 +152,9 @@ class Numbers(NamedTuple):
     def of(
         cls,
         setting: Setting,
-        theta: Mapping[str, Float[Tensor, "members"]],
-        size: Float[Tensor, "members"],
-        seconds: Float[Tensor, "members"],
+        theta: Mapping[str, BubbleValues],
+        size: BubbleValues,
+        seconds: BubbleValues,
         conditions: Conditions,
     ) -> "Numbers":
         """The numbers of a setting, dimensionless parameters of the gel, ``Rmax`` (m) and
@@ -284,7 +285,7 @@ class Bubbles:
         return replace(self, numbers=numbers, parameters=parameters, terms=terms)
 
     @cached_property
-    def theta(self) -> dict[str, Float[Tensor, "members"]]:
+    def theta(self) -> dict[str, BubbleValues]:
         """Dimensionless parameters, each a ``B`` tensor."""
         return dict(zip(PARAMETERS.names, self.parameters, strict=True))
 
@@ -308,14 +309,14 @@ class Bubbles:
         parts = [term.memory_start(rest, self.theta) for term in self.terms]
         return torch.cat((rest.new_zeros(0, *rest.shape), *parts))
 
-    def fastest_relaxation(self) -> Float[Tensor, "members"]:
+    def fastest_relaxation(self) -> BubbleValues:
         """Rate of each member's fastest memory, a ``B`` tensor; 0 for those without."""
         rates = [
             rate for term in self.terms if (rate := term.relaxation_rate(self.theta)) is not None
         ]
         return torch.stack(rates).amax(0) if rates else torch.zeros_like(self.numbers.rest_radius)
 
-    def arguments(self, effect: Effect) -> list[Float[Tensor, "members"]]:
+    def arguments(self, effect: Effect) -> list[BubbleValues]:
         """The parameters of an effect, each a ``B`` tensor."""
         return [self.theta[name] for name in effect.names]
 

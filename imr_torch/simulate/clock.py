@@ -14,6 +14,7 @@ from torch import Tensor
 
 from imr_torch.elementary import Scalar, sqrt, where
 from imr_torch.simulate.bubbles import Numbers
+from imr_torch.types import BubbleFrames
 
 _REST = 0.3  # keeps g finite where nothing moves: about the frequency of the slow phase near Rmax
 _PRESSURE = 0.5
@@ -118,8 +119,8 @@ def hermite_cubic(
 
 
 def bracket(
-    nodes: Float[Tensor, "members steps"], times: Float[Tensor, "members frames"]
-) -> tuple[Int[Tensor, "members frames"], Float[Tensor, "members frames"], Tensor]:
+    nodes: Float[Tensor, "members steps"], times: BubbleFrames
+) -> tuple[Int[Tensor, "members frames"], BubbleFrames, Tensor]:
     """The step that holds each time.
 
     Args:
@@ -137,7 +138,7 @@ def bracket(
 
 def ends_of(
     values: Float[Tensor, "members steps"], end: Int[Tensor, "members frames"]
-) -> tuple[Float[Tensor, "members frames"], Float[Tensor, "members frames"]]:
+) -> tuple[BubbleFrames, BubbleFrames]:
     """Values at the nodes before and after each time; ``end`` as :func:`bracket` gives it."""
     return values.gather(1, end - 1), values.gather(1, end)
 
@@ -147,8 +148,8 @@ def interpolate(
     radius: Float[Tensor, "members steps"],
     velocity: Float[Tensor, "members steps"],
     acceleration: Float[Tensor, "members steps"],
-    times: Float[Tensor, "members frames"],
-) -> tuple[Float[Tensor, "members frames"], Float[Tensor, "members frames"]]:
+    times: BubbleFrames,
+) -> tuple[BubbleFrames, BubbleFrames]:
     """Radius and velocity at given times, each ``B x n_t``; the error is of sixth order in the step.
 
     Args:

@@ -8,11 +8,11 @@ bubble, which makes derivatives of the discrete solution three times as accurate
 """
 
 import torch
-from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.simulate.rhs import HEAD, Equations
 from imr_torch.simulate.rosenbrock import ORDER
+from imr_torch.types import BubbleStates, BubbleValues
 
 SAFETY, SHRINK, GROW = 0.8, 0.1, 3.0  # steps change by SAFETY err^(-1/4), within SHRINK and GROW
 HEAT_WEIGHT = 0.3  # of temperatures beside R, U, ln P and vapour
@@ -25,12 +25,12 @@ PATIENCE = (
 
 
 def scaled_error(
-    before: Float[Tensor, "state members"],
-    after: Float[Tensor, "state members"],
-    error: Float[Tensor, "state members"],
+    before: BubbleStates,
+    after: BubbleStates,
+    error: BubbleStates,
     equations: Equations,
     tolerance: float,
-) -> Float[Tensor, "members"]:
+) -> BubbleValues:
     """Scaled error of a step, a ``B`` tensor: at most 1 if the step may be accepted, infinite or
     NaN if it failed.
 
@@ -64,7 +64,7 @@ def scaled_error(
     return torch.where(radius > 0.0, norm / tolerance, torch.inf)
 
 
-def step_factor(error: Float[Tensor, "members"]) -> Float[Tensor, "members"]:
+def step_factor(error: BubbleValues) -> BubbleValues:
     """What to multiply the step by after a scaled error."""
     factor = SAFETY * error ** (-1.0 / ORDER)
     return torch.where(torch.isfinite(error), factor.clamp(SHRINK, GROW), SHRINK)

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from imr_torch.elementary import Scalar, find, where
 from imr_torch.errors import InputDataError
+from imr_torch.types import Values
 
 
 def spline(time: Scalar, knots: Scalar, cubics: Scalar) -> tuple[Scalar, Scalar, Scalar]:
@@ -82,9 +83,7 @@ class TabulatedDriving:
         with torch.inference_mode(False):  # they outlive the solve that asks for them first
             return torch.as_tensor(table.x), torch.as_tensor(table.c)
 
-    def __call__(
-        self, time: Float[Tensor, "*batch"]
-    ) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
+    def __call__(self, time: Values) -> tuple[Values, Values, Values]:
         """``p_ac`` (Pa) and its first two time derivatives (Pa/s, Pa/s^2) at times in seconds."""
         knots, cubics = self.pieces
         return spline(time, knots.to(time), cubics.to(time))

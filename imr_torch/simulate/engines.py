@@ -13,7 +13,6 @@ import warnings
 from typing import ClassVar, Literal
 
 import torch
-from jaxtyping import Real
 from torch import Tensor
 
 from imr_torch.errors import EngineWarning, InputDataError
@@ -28,6 +27,7 @@ from imr_torch.simulate.simulator import (
     together,
     tracked,
 )
+from imr_torch.types import DesignVectors, FrameTimes, ParameterVectors
 
 Engine = Literal["compiled", "torchdiffeq"]
 """What integrates the bubbles."""
@@ -62,9 +62,9 @@ class EngineSimulator:
 
     def __call__(
         self,
-        parameters: Real[Tensor, "*#batch parameters"],
-        designs: Real[Tensor, "*#batch 2"],
-        times: Real[Tensor, "*#batch frames"],
+        parameters: ParameterVectors,
+        designs: DesignVectors,
+        times: FrameTimes,
     ) -> Solution:
         """Simulate a batch; see :class:`imr_torch.simulate.Simulator`.
 
@@ -83,9 +83,9 @@ class EngineSimulator:
 
     def bundle(
         self,
-        parameters: Real[Tensor, "*#batch parameters"],
-        designs: Real[Tensor, "*#batch 2"],
-        times: Real[Tensor, "*#batch frames"],
+        parameters: ParameterVectors,
+        designs: DesignVectors,
+        times: FrameTimes,
     ) -> Solution:
         """Simulate bundles in lock step; see :meth:`imr_torch.simulate.Simulator.bundle`."""
         size = together(parameters, self.members, self.member_bytes)

@@ -20,13 +20,14 @@ from imr_torch.simulate.contents import (
 from imr_torch.simulate.grids import Grid
 from imr_torch.simulate.rhs import HEAD, Equations, Fields
 from imr_torch.simulate.wall import gas_loss_slopes, motion_slopes
+from imr_torch.types import BubbleValues
 
 _WALL = HEAD - 1
 
 
 def linearise(
     equations: Equations, f: Fields
-) -> tuple[Float[Tensor, "state state members"], Float[Tensor, "members"]]:
+) -> tuple[Float[Tensor, "state state members"], BubbleValues]:
     """The Jacobian at a state (rates by rows), and the derivative of ``U'`` in time."""
     jacobian = f.radius.new_zeros(equations.rows, equations.rows, len(f.radius))
     by_rate = torch.zeros_like(jacobian[0])

@@ -24,12 +24,12 @@ equilibrium at R_inf, follow.
 from collections.abc import Callable
 
 import torch
-from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.elementary import Scalar
 from imr_torch.material.effect import give_physics
 from imr_torch.simulate.setting import Setting
+from imr_torch.types import BubbleValues
 
 _EVAPORATION = 5200.0  # K, of p_sat ~ exp(-5200/T) (Estrada et al. 2018, eq. 18)
 
@@ -39,19 +39,19 @@ def density(setting: Setting, factor: Scalar) -> Setting:
     return setting._replace(pace=setting.pace * torch.exp(-0.5 * factor))
 
 
-def tension(setting: Setting, factor: Float[Tensor, "members"]) -> Setting:
+def tension(setting: Setting, factor: BubbleValues) -> Setting:
     """Surface tension, of the moving bubble and of the one at rest."""
     scale = torch.exp(factor)
     return setting._replace(tension=setting.tension * scale, resting=setting.resting * scale)
 
 
-def pressure(setting: Setting, factor: Float[Tensor, "members"]) -> Setting:
+def pressure(setting: Setting, factor: BubbleValues) -> Setting:
     """Far-field pressure, during the collapse and at rest."""
     scale = torch.exp(factor)
     return setting._replace(far=setting.far + (scale - 1.0), ambient=setting.ambient * scale)
 
 
-def temperature(setting: Setting, factor: Float[Tensor, "members"]) -> Setting:
+def temperature(setting: Setting, factor: BubbleValues) -> Setting:
     """Far-field temperature: vapour pressure, conduction of heat and viscous heating."""
     warm = setting.temperature * torch.exp(factor)
     more = torch.exp(_EVAPORATION / setting.temperature - _EVAPORATION / warm)

@@ -32,6 +32,7 @@ from imr_torch.simulate.contents import (
 )
 from imr_torch.simulate.grids import Grid
 from imr_torch.simulate.wall import Head, gas_loss, motion, vapour_factor
+from imr_torch.types import BubbleStates, BubbleValues
 
 HEAD = 4
 """Rows of the state before the fields: R, U, ln P, tau_w."""
@@ -52,14 +53,14 @@ class Fields:
     """
 
     head: Head
-    radius: Float[Tensor, "members"]
-    velocity: Float[Tensor, "members"]
-    pressure: Float[Tensor, "members"]
-    rate: Float[Tensor, "members"]
+    radius: BubbleValues
+    velocity: BubbleValues
+    pressure: BubbleValues
+    rate: BubbleValues
     node: Node
     wall: Wall
-    heat: Float[Tensor, "members"]
-    vapour: Float[Tensor, "members"]
+    heat: BubbleValues
+    vapour: BubbleValues
     outer_slope: Float[Tensor, "wall_and_outside members"]
     outer_laplacian: Float[Tensor, "outside members"]
 
@@ -103,7 +104,7 @@ class Equations:
         """The equations of the members with these indices."""
         return Equations(self.bubbles.take(members), self.inside, self.outside)
 
-    def start(self) -> Float[Tensor, "state members"]:
+    def start(self) -> BubbleStates:
         """The state at time zero: the wall at the far temperature, vapour in equilibrium with it;
         ``(4+2n+m+K) x B``.
         """
@@ -120,9 +121,7 @@ class Equations:
         state[self.gel.stop :] = self.bubbles.memory_start()
         return state
 
-    def fields(
-        self, state: Float[Tensor, "state members"], time: Float[Tensor, "members"] | None = None
-    ) -> Fields:
+    def fields(self, state: BubbleStates, time: BubbleValues | None = None) -> Fields:
         """Temperatures, slopes and the pressure's rate at a state.
 
         ``time`` (``B``) matters where the far field is driven.
@@ -172,7 +171,7 @@ class Equations:
             outer_laplacian,
         )
 
-    def rate(self, f: Fields) -> Float[Tensor, "state members"]:
+    def rate(self, f: Fields) -> BubbleStates:
         """``f(x)`` at a state, ``(4+2n+m+K) x B``."""
         b = self.bubbles.numbers
         c = self.bubbles.constants

@@ -9,11 +9,10 @@ parabolic equations with boundary values that change (Steinebach, preprint 1741,
 """
 
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from imr_torch.simulate.linearise import linearise
 from imr_torch.simulate.rhs import Equations
+from imr_torch.types import BubbleStates, BubbleValues
 
 GAMMA = 0.25
 """Diagonal coefficient of Rodas4P."""
@@ -63,10 +62,10 @@ TIME_INCREMENTS, MOMENTS = _follow_time()
 
 def rosenbrock_step(
     equations: Equations,
-    state: Float[Tensor, "state members"],
-    step: Float[Tensor, "members"],
-    time: Float[Tensor, "members"] | None = None,
-) -> tuple[Float[Tensor, "state members"], Float[Tensor, "state members"]]:
+    state: BubbleStates,
+    step: BubbleValues,
+    time: BubbleValues | None = None,
+) -> tuple[BubbleStates, BubbleStates]:
     """Advance every member by its own step of Rodas4P.
 
     Args:

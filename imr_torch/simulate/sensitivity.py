@@ -13,13 +13,14 @@ from collections.abc import Sequence
 from typing import Any
 
 import torch
-from jaxtyping import Float, Real
+from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from imr_torch.errors import InputDataError, UnsupportedError
 from imr_torch.material import PARAMETERS, dimensionless
 from imr_torch.simulate.simulator import Simulator, Solution, broadcast_batch, in_transform
+from imr_torch.types import DesignVectors, FrameTimes, ParameterVectors
 from imr_torch.units import Surroundings
 
 DESIGN = ("weber", "rest_radius")
@@ -31,9 +32,9 @@ _SMALL = 0.1  # dimensionless size below which increments of a material paramete
 
 def sensitivities(
     simulator: Simulator,
-    parameters: Real[Tensor, "*#batch parameters"],
-    designs: Real[Tensor, "*#batch 2"],
-    times: Real[Tensor, "*#batch frames"],
+    parameters: ParameterVectors,
+    designs: DesignVectors,
+    times: FrameTimes,
     *,
     names: Sequence[str] | None = None,
 ) -> tuple[Solution, Float[Tensor, "*#batch frames entries"]]:
@@ -124,9 +125,9 @@ def _singular(values: Tensor) -> Tensor:
 
 def differentiable(
     simulator: Simulator,
-    parameters: Real[Tensor, "*#batch parameters"],
-    designs: Real[Tensor, "*#batch 2"],
-    times: Real[Tensor, "*#batch frames"],
+    parameters: ParameterVectors,
+    designs: DesignVectors,
+    times: FrameTimes,
 ) -> Solution:
     """A solution whose radii carry gradients, by :func:`sensitivities`; arguments as there.
 

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.simulate.conditions import Conditions
+from imr_torch.types import BubbleValues
 
 
 class Setting(NamedTuple):
@@ -33,22 +34,22 @@ class Setting(NamedTuple):
         temperature: of the medium, K.
     """
 
-    rest_radius: Float[Tensor, "members"]
-    tension: Float[Tensor, "members"]
-    slowness: Float[Tensor, "members"]
-    far: Float[Tensor, "members"]
-    image: Float[Tensor, "members"]
-    velocity: Float[Tensor, "members"]
-    saturation: Float[Tensor, "members"]
-    conduction: Float[Tensor, "members"]
-    exponent: Float[Tensor, "members"]
-    adiabatic: Float[Tensor, "members"]
-    gas: Float[Tensor, "members"]
-    warmth: Float[Tensor, "members"]
-    pace: Float[Tensor, "members"]
-    ambient: Float[Tensor, "members"]
-    resting: Float[Tensor, "members"]
-    temperature: Float[Tensor, "members"]
+    rest_radius: BubbleValues
+    tension: BubbleValues
+    slowness: BubbleValues
+    far: BubbleValues
+    image: BubbleValues
+    velocity: BubbleValues
+    saturation: BubbleValues
+    conduction: BubbleValues
+    exponent: BubbleValues
+    adiabatic: BubbleValues
+    gas: BubbleValues
+    warmth: BubbleValues
+    pace: BubbleValues
+    ambient: BubbleValues
+    resting: BubbleValues
+    temperature: BubbleValues
 
     @classmethod
     def of(cls, designs: Float[Tensor, "members 2"], conditions: Conditions) -> "Setting":

@@ -20,10 +20,9 @@ from torch import Tensor
 from imr_torch.errors import InputDataError, PrecisionWarning, ShapeError
 from imr_torch.material import PARAMETERS, TERMS
 from imr_torch.simulate.conditions import Conditions
+from imr_torch.types import DesignVectors, FrameTimes, ParameterVectors
 
-Arguments: TypeAlias = tuple[
-    Real[Tensor, "*#batch parameters"], Real[Tensor, "*#batch 2"], Real[Tensor, "*#batch frames"]
-]
+Arguments: TypeAlias = tuple[ParameterVectors, DesignVectors, FrameTimes]
 """Parameters, designs and times, as a simulator is called with."""
 
 RUNAWAY = 3.0
@@ -131,9 +130,9 @@ class Simulator(Protocol):
 
     def __call__(
         self,
-        parameters: Real[Tensor, "*#batch parameters"],
-        designs: Real[Tensor, "*#batch 2"],
-        times: Real[Tensor, "*#batch frames"],
+        parameters: ParameterVectors,
+        designs: DesignVectors,
+        times: FrameTimes,
     ) -> Solution:
         """Simulate a batch.
 
@@ -150,9 +149,9 @@ class Simulator(Protocol):
 
     def bundle(
         self,
-        parameters: Real[Tensor, "*#batch parameters"],
-        designs: Real[Tensor, "*#batch 2"],
-        times: Real[Tensor, "*#batch frames"],
+        parameters: ParameterVectors,
+        designs: DesignVectors,
+        times: FrameTimes,
     ) -> Solution:
         """Simulate bundles: members that differ a little, in lock step, so that their differences
         are smooth.
@@ -212,9 +211,9 @@ def solve_bundles(
 
 
 def broadcast_batch(
-    parameters: Real[Tensor, "*#batch parameters"],
-    designs: Real[Tensor, "*#batch 2"],
-    times: Real[Tensor, "*#batch frames"],
+    parameters: ParameterVectors,
+    designs: DesignVectors,
+    times: FrameTimes,
 ) -> tuple[
     torch.Size,
     Real[Tensor, "members parameters"],

@@ -16,6 +16,7 @@ from torch import Tensor
 from imr_torch.material import derivatives, gel_response
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.contents import radial_arguments
+from imr_torch.types import Members, States
 
 
 @dataclass(frozen=True)
@@ -31,25 +32,21 @@ class Head:
         memory: the gel's memory states.
     """
 
-    time: Inexact[Tensor, "*#members"]
-    radius: Inexact[Tensor, "*#members"]
-    velocity: Inexact[Tensor, "*#members"]
-    pressure: Inexact[Tensor, "*#members"]
-    pressure_rate: Inexact[Tensor, "*#members"]
-    memory: Inexact[Tensor, "states *#members"]
+    time: Members
+    radius: Members
+    velocity: Members
+    pressure: Members
+    pressure_rate: Members
+    memory: States
 
 
-def motion(
-    bubbles: Bubbles, head: Head
-) -> tuple[Inexact[Tensor, "*#members"], Inexact[Tensor, "states *#members"]]:
+def motion(bubbles: Bubbles, head: Head) -> tuple[Members, States]:
     """``U'``, a ``B`` tensor, and ``d memory/dt``, ``K x B``."""
     far, far_rate, _ = far_field(bubbles, head.time)
     return _motion(bubbles, head, far, far_rate)
 
 
-def motion_slopes(
-    bubbles: Bubbles, head: Head
-) -> Inexact[Tensor, "entries accelerations *#members"]:
+def motion_slopes(bubbles: Bubbles, head: Head) -> Inexact[Tensor, "entries accelerations *#batch"]:
     """Derivatives of ``U'`` and of ``d memory/dt`` (together ``1 + K``) in ``R``, ``U``, ``P``,
     ``dP/dt``, time, and each memory state: ``(5 + K) x (1 + K) x B``.
     """
@@ -96,9 +93,7 @@ def _motion(bubbles: Bubbles, head: Head, far: Tensor, far_rate: Tensor) -> tupl
     return acceleration * numbers.pace * numbers.pace, memory_rate
 
 
-def gas_loss(
-    bubbles: Bubbles, radius: Inexact[Tensor, "*#members"], velocity: Inexact[Tensor, "*#members"]
-) -> Inexact[Tensor, "*#members"]:
+def gas_loss(bubbles: Bubbles, radius: Members, velocity: Members) -> Members:
     """Relative rate ``-n'/n`` at which gas is lost, by all effects, a ``B`` tensor."""
     total = torch.zeros_like(radius)
     for effect in bubbles.acting("gas_loss"):
@@ -110,10 +105,8 @@ def gas_loss(
 
 
 def gas_loss_slopes(
-    bubbles: Bubbles, radius: Inexact[Tensor, "*#members"], velocity: Inexact[Tensor, "*#members"]
-) -> tuple[
-    Inexact[Tensor, "*#members"], Inexact[Tensor, "*#members"], Inexact[Tensor, "*#members"]
-]:
+    bubbles: Bubbles, radius: Members, velocity: Members
+) -> tuple[Members, Members, Members]:
     """:func:`gas_loss` and its derivatives in R and U."""
     lost = gas_loss(bubbles, radius, velocity)
     if not bubbles.acting("gas_loss"):
@@ -124,9 +117,7 @@ def gas_loss_slopes(
     return lost, by_radius, by_velocity
 
 
-def vapour_factor(
-    bubbles: Bubbles, compression: Inexact[Tensor, "*#members"]
-) -> tuple[Inexact[Tensor, "*#members"], Inexact[Tensor, "*#members"]]:
+def vapour_factor(bubbles: Bubbles, compression: Members) -> tuple[Members, Members]:
     """Factor on the saturation pressure at a compression of the contents, and its logarithmic
     derivative; ``B`` tensors.
     """
@@ -148,11 +139,7 @@ def vapour_factor(
     ] * compression / value
 
 
-def far_field(
-    bubbles: Bubbles, time: Inexact[Tensor, "*#members"]
-) -> tuple[
-    Inexact[Tensor, "*#members"], Inexact[Tensor, "*#members"], Inexact[Tensor, "*#members"]
-]:
+def far_field(bubbles: Bubbles, time: Members) -> tuple[Members, Members, Members]:
     """Far-field pressure and its first two time derivatives, dimensionless."""
     value = bubbles.numbers.far
     rate = bend = torch.zeros_like(value)
