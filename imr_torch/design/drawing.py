@@ -27,8 +27,8 @@ class Gels:
     """
 
     parts: tuple[Response, ...]
-    controls: tuple[Float[Tensor, "draws _"], ...]
-    orders: tuple[Int[Tensor, "draws"], ...]
+    controls: tuple[Float[Tensor, "_ _"], ...]
+    orders: tuple[Int[Tensor, "_"], ...]
 
 
 @dataclass(frozen=True)
