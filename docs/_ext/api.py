@@ -95,6 +95,8 @@ def said_of_data(path: Path) -> dict[str, str]:
 
 def kind_of(value: object) -> str:
     """Which directive of autodoc documents an object."""
+    if hasattr(value, "dim_str"):
+        return "data"  # the annotation of a tensor
     if inspect.isclass(value):
         return "exception" if issubclass(value, Exception) else "class"
     return "function" if inspect.isroutine(value) or hasattr(value, "__wrapped__") else "data"
@@ -137,8 +139,11 @@ def page(package: str, question: str, found: list[Entry]) -> str:
     for entry in found:
         if entry.kind == "data":
             text = said.get(entry.name, "A value of this module.").splitlines()
+            value = getattr(importlib.import_module(entry.module), entry.name)
+            shape = [f"   :value: {value.__name__}"] if hasattr(value, "dim_str") else []
             lines += [
                 f".. py:data:: {entry.module}.{entry.name}",
+                *shape,
                 "",
                 *(f"   {line}" for line in text),
                 "",

@@ -15,7 +15,7 @@ from imr_torch.simulate.radial import KellerMiksis, RadialEquation
 from imr_torch.units import Surroundings
 
 SATURATION_PREFACTOR = 1.17e11
-SATURATION_TEMPERATURE = 5200.0
+SATURATION_TEMPERATURE = 5200.0  # K, of p_sat ~ exp(-5200/T)
 
 
 def saturation_pressure(temperature: float) -> float:

@@ -28,10 +28,9 @@ from torch import Tensor
 
 from imr_torch.elementary import Scalar
 from imr_torch.material.effect import give_physics
+from imr_torch.simulate.conditions import SATURATION_TEMPERATURE
 from imr_torch.simulate.setting import Setting
 from imr_torch.types import BubbleValues
-
-_EVAPORATION = 5200.0  # K, of p_sat ~ exp(-5200/T) (Estrada et al. 2018, eq. 18)
 
 
 def density(setting: Setting, factor: Scalar) -> Setting:
@@ -54,7 +53,7 @@ def pressure(setting: Setting, factor: BubbleValues) -> Setting:
 def temperature(setting: Setting, factor: BubbleValues) -> Setting:
     """Far-field temperature: vapour pressure, conduction of heat and viscous heating."""
     warm = setting.temperature * torch.exp(factor)
-    more = torch.exp(_EVAPORATION / setting.temperature - _EVAPORATION / warm)
+    more = torch.exp(SATURATION_TEMPERATURE / setting.temperature - SATURATION_TEMPERATURE / warm)
     return setting._replace(temperature=warm, saturation=setting.saturation * more)
 
 
