@@ -19,7 +19,6 @@ CHECKED = (
     "tests/observe/test_experiments.py",
     "tests/assimilate/test_gauss_newton.py",
     "tests/assimilate/test_posterior.py",
-    "tests/design/test_closed_form.py",
     "tests/design/test_likelihood.py",
     "tests/population/test_closed_form.py",
     "tests/goodness/test_score.py",
