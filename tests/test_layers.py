@@ -260,7 +260,7 @@ def test_that_effects_of_the_bubble_have_their_physics_once_bubbles_are_simulate
     assert [
         effect.name
         for effect in of_the_bubble
-        if not effect.physical and effect.name != "energy_loss"
+        if not effect.physical and effect.name not in ("energy_loss", "size_drag")
     ] == []
     with pytest.raises(InputDataError, match="has no law 'setting' to give"):
         give_physics("wall", setting=LIBRARY["wall"].setting)

@@ -22,7 +22,6 @@ from imr_torch.assimilate import (
     SearchOptions,
     assimilate_estimating_noise,
     find_bad_frames,
-    find_frame_jitter,
     noise_nodes,
     weigh,
 )
@@ -226,12 +225,6 @@ def characterize(
         if profile
         else None
     )
-    explained = (
-        tested is not None and tested.explained is not False
-    )  # a misfit cannot be told from jitter
-    jitter = (
-        find_frame_jitter(*found.best.of_curves(weighted.batch), simulator) if explained else None
-    )
     seconds = time.process_time() - started
     return Characterization(
         prepared,
@@ -248,7 +241,6 @@ def characterize(
         left_out,
         gels,
         followed,
-        jitter,
         traces,
         simulator,
     )

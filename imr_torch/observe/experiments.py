@@ -80,6 +80,7 @@ class Experiment:
                 f"Experiment {self.label!r}: expected radius n_repeats x n_t and times n_t, "
                 f"got {tuple(self.radius.shape)} and {tuple(self.times.shape)}."
             )
+        check_designs(torch.tensor([self.design], dtype=torch.float64))
         infinite = torch.isinf(self.radius).nonzero().tolist()
         if infinite:
             repeat, frame = infinite[0]
@@ -106,7 +107,6 @@ class Experiment:
         ):
             if wrong:
                 raise InputDataError(f"Experiment {self.label!r} {text}.")
-        check_designs(torch.tensor([self.design], dtype=torch.float64))
 
     @property
     def repeats(self) -> int:

@@ -158,7 +158,7 @@ def shape_modes(
 register_term(StressTerm(shape_modes, switch="energy_loss"))
 
 
-def size_drag(
+def drag_of_size(
     radius: Scalar, velocity: Scalar, rest_radius: Scalar, size_drag: Scalar
 ) -> tuple[Scalar, ...]:
     """A drag pressure ``-k R U``, where viscosity gives ``-4 mu U/R``.
@@ -174,7 +174,7 @@ def size_drag(
     return value, value * velocity / radius, -size_drag * radius
 
 
-register_term(StressTerm(size_drag, switch="size_drag"))
+register_term(StressTerm(drag_of_size, switch="size_drag"))
 
 
 # --- driving ---

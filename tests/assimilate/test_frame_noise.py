@@ -204,7 +204,7 @@ def test_that_a_handful_of_frames_is_not_taken_for_quiet():
         over_truth(replace(loud, experiments=tuple(e.until(0.9) for e in loud.curves)), Noise())
         > 2.0
     )
-    assert over_truth(quiet, Noise()) < 1.0  # 42 frames
+    assert over_truth(curves(Noise(scale=0.2), spacing=0.1), Noise()) < 0.4  # 78 frames
 
 
 def test_that_repeats_decide_where_there_are_some():
