@@ -108,6 +108,7 @@ class Landmarks:
         collapse_times_s: times of the minima after the maximum radius.
         rebound_times_s: times of the maxima after the first collapse.
         rebound_radii_m: their radii.
+        frame_noise_m: standard deviation of a frame, estimated from the record.
 
     >>> import torch
     >>> from imr_torch.observe import RadiusTrace, find_landmarks
@@ -129,6 +130,7 @@ class Landmarks:
     collapse_times_s: tuple[float, ...]
     rebound_times_s: tuple[float, ...]
     rebound_radii_m: tuple[float, ...]
+    frame_noise_m: float
 
 
 def find_landmarks(trace: RadiusTrace) -> Landmarks:
@@ -165,6 +167,7 @@ def find_landmarks(trace: RadiusTrace) -> Landmarks:
         collapse_times_s=tuple(x.time for x in minima),
         rebound_times_s=tuple(x.time for x in maxima),
         rebound_radii_m=tuple(x.value for x in maxima),
+        frame_noise_m=curve.noise,
     )
 
 
