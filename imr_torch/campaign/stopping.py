@@ -357,17 +357,12 @@ def _all_of(text: str) -> StoppingRule:
 def _one(text: str) -> StoppingRule:
     name, _, values = text.partition("=")
     try:
-        rule = _RULES[name]
-        numbers = [int(v) if name == "designs" else float(v) for v in values.split(":")]
-    except (KeyError, ValueError):
-        rule = None
-        numbers = []
-    if rule is None or len(numbers) > (3 if name == "budget" else 1):
+        number = int if name == "designs" else float
+        return _RULES[name](*map(number, values.split(":")))
+    except InputDataError as error:
+        raise InputDataError(f"{text!r} is not a stopping rule: {error}") from None
+    except (KeyError, TypeError, ValueError):
         raise InputDataError(
             f"{text!r} is not a stopping rule; expected NAME=NUMBER with NAME of "
             f"{', '.join(_RULES)}."
-        )
-    try:
-        return rule(*numbers)
-    except InputDataError as error:
-        raise InputDataError(f"{text!r} is not a stopping rule: {error}") from None
+        ) from None

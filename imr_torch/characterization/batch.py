@@ -16,7 +16,6 @@ from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
-    CancelledError,
     Executor,
     Future,
     wait,
@@ -316,52 +315,45 @@ def _spread(
     Shots that a pool had in hand when it broke are tried again, each in a pool of its own.
     """
     waiting = list(reversed(shots))
-    if isinstance(executor, Executor):
-        for shot in (yield from _until_broken(executor, waiting, options, window)):
-            yield shot, {"error": "the executor no longer works; start the run again"}
-        return
     while waiting:
-        in_hand = yield from _in_new_pool(executor, waiting, options, window)
+        in_hand = yield from _until_broken(executor, waiting, options, window)
         for shot in in_hand:
-            if (yield from _in_new_pool(executor, [shot], options, window)):
+            if (yield from _until_broken(executor, [shot], options, window)):
                 yield shot, {"error": "the worker that had it ended; give it more memory"}
 
 
-def _in_new_pool(
-    make: Callable[[], Executor], waiting: list[Shot], options: BatchOptions, window: int
-) -> Results:
-    """:func:`_until_broken` in a pool that is made for it."""
-    pool = make()
-    try:
-        return (yield from _until_broken(pool, waiting, options, window))
-    finally:
-        pool.shutdown(wait=False, cancel_futures=True)
-
-
 def _until_broken(
-    pool: Executor, waiting: list[Shot], options: BatchOptions, window: int
+    executor: Executor | Callable[[], Executor],
+    waiting: list[Shot],
+    options: BatchOptions,
+    window: int,
 ) -> Results:
     """Results as they come from a pool, from the end of a list; returns what the pool had in hand
-    when it broke.
+    when it broke. A pool that is made here is shut down here.
     """
+    pool = executor if isinstance(executor, Executor) else executor()
     running: dict[Future[dict[str, Any]], Shot] = {}
     in_hand: list[Shot] = []
-    while running or (waiting and not in_hand):
-        while waiting and not in_hand and len(running) < window:
-            shot = waiting.pop()
-            try:
-                running[pool.submit(characterize_shot, shot.traces, options)] = shot
-            except BrokenExecutor:
-                in_hand.append(shot)
-        for future in wait(running, return_when=FIRST_COMPLETED).done:
-            shot = running.pop(future)
-            try:
-                yield shot, future.result()
-            except BrokenExecutor:
-                in_hand.append(shot)
-            except (Exception, CancelledError) as error:
-                why = in_one_line(error)
-                yield shot, {"error": f"the worker that had it ended ({why}); give it more memory"}
+    try:
+        while running or (waiting and not in_hand):
+            while waiting and not in_hand and len(running) < window:
+                shot = waiting.pop()
+                try:
+                    running[pool.submit(characterize_shot, shot.traces, options)] = shot
+                except BrokenExecutor:
+                    in_hand.append(shot)
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                shot = running.pop(future)
+                try:
+                    yield shot, future.result()
+                except BrokenExecutor:
+                    in_hand.append(shot)
+                except Exception as error:
+                    why = f"the worker that had it ended ({in_one_line(error)})"
+                    yield shot, {"error": f"{why}; give it more memory"}
+    finally:
+        if pool is not executor:
+            pool.shutdown(wait=False, cancel_futures=True)
     return in_hand
 
 

@@ -27,12 +27,13 @@ from imr_torch.assimilate import (
     weigh,
 )
 from imr_torch.characterization.checks import (
+    EFFORTS,
+    Effort,
     check_choices,
     check_data,
     check_population,
     check_profile,
 )
-from imr_torch.characterization.effort import EFFORTS
 from imr_torch.characterization.medium import medium_of
 from imr_torch.characterization.profiles import profiles_of
 from imr_torch.characterization.result import Characterization
@@ -174,18 +175,11 @@ def characterize(
     surroundings = simulator.conditions.surroundings
     prepared = prepare(traces, surroundings, collapses=collapses, rest_radius=rest_radius)
     data = (*prepared.experiments, *(shot.to_experiment(surroundings) for shot in shots))
-    stated = options.drop_behind if isinstance(options, SearchOptions) else None
-    drop_behind = EFFORTS[effort].behind if stated is None else stated
-    method = _Method(
-        prior,
-        simulator,
-        noise,
-        estimate_noise,
-        options,
-        EFFORTS[effort].rounds,
-        drop_behind,
-        progress,
-    )
+    spent = EFFORTS[effort]
+    if isinstance(options, SearchOptions) and options.drop_behind is not None:
+        spent = replace(spent, behind=options.drop_behind)
+    rounds = NOISE_ROUNDS if estimate_noise else 0
+    method = _Method(prior, simulator, noise, rounds, options, spent, progress)
     found = method.fitted(data, None, seed)
     bad = None
     left_out = ()
@@ -275,16 +269,10 @@ class _Method:
     prior: Belief
     simulator: Simulator
     noise: Noise
-    estimate_noise: bool
+    noise_rounds: int
     options: FitOptions | None
-    rounds: int
-    drop_behind: float
+    effort: Effort
     progress: Progress | None
-
-    @property
-    def noise_rounds(self) -> int:
-        """Times that the noise is estimated and the fit repeated."""
-        return NOISE_ROUNDS if self.estimate_noise else 0
 
     def fitted(
         self, data: Sequence[Experiment | CollapseTime], near: Assimilation | None, seed: int
@@ -304,8 +292,8 @@ class _Method:
             fits,
             self.simulator,
             seed=child(seed, "weigh"),
-            rounds=self.rounds,
-            drop_behind=self.drop_behind,
+            rounds=self.effort.rounds,
+            drop_behind=self.effort.behind,
             noise=noise_nodes(fits, self.simulator),
             progress=self.progress,
         )

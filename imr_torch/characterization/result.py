@@ -4,7 +4,7 @@ table and a report.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,10 +17,10 @@ from imr_torch.assimilate import (
     Profile,
     Verdict,
 )
-from imr_torch.characterization.bands import intervals
+from imr_torch.assimilate.bad_frames import intervals
+from imr_torch.characterization.bands import curves_document
+from imr_torch.characterization.checks import EFFORTS
 from imr_torch.characterization.collapse import collapse_rows, patterns
-from imr_torch.characterization.document import curves_document
-from imr_torch.characterization.effort import EFFORTS
 from imr_torch.characterization.medium import medium_document
 from imr_torch.characterization.profiles import profiles_document
 from imr_torch.characterization.saved import SavedCharacterization, draws_to_dict
@@ -41,7 +41,6 @@ from imr_torch.select import (
     probability_errors,
 )
 from imr_torch.simulate import Simulator
-from imr_torch.units import Surroundings
 
 if TYPE_CHECKING:
     import pandas
@@ -66,8 +65,7 @@ class Characterization:
         frames: which frames of each record were fitted.
         fit_test: whether the most probable model explains the curves; None where that was not asked
             for.
-        medium: the liquid side, with what was stated and what was assumed; None where the
-            simulator's was taken unasked.
+        medium: the liquid side, with what was stated and what was assumed.
         sensitivities: what assumed values of the medium would change in the most probable model.
         bad_frames: single frames that look bad under the most probable model; None where that was
             not asked for.
@@ -78,8 +76,7 @@ class Characterization:
             probability or more, at the estimated noise; None where not asked for.
         jitter: of frame times, under the most probable model; None where that was not asked for.
         traces: the records that were fitted.
-        simulator: makes the bubbles, in the medium of the curves; None where no curves are to be
-            drawn.
+        simulator: makes the bubbles, in the medium of the curves.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, characterize, wide_prior
@@ -107,18 +104,18 @@ class Characterization:
     evidence: tuple[Evidence, ...]
     posterior: Belief
     seconds: float
-    scores: tuple[PredictiveScore, ...] = ()
-    frames: tuple[FrameUse, ...] = ()
-    fit_test: FitTest | None = None
-    medium: GelMedium | None = None
-    sensitivities: tuple[MediumSensitivity, ...] = ()
-    bad_frames: BadFrames | None = None
-    left_out: tuple[BadFrame, ...] = ()
-    population: Population | None = None
-    profiles: Mapping[str, tuple[Profile, ...]] | None = None
-    jitter: FrameJitter | None = None
-    traces: TraceSet = field(default_factory=lambda: TraceSet(()))
-    simulator: Simulator | None = None
+    scores: tuple[PredictiveScore, ...]
+    frames: tuple[FrameUse, ...]
+    fit_test: FitTest | None
+    medium: GelMedium
+    sensitivities: tuple[MediumSensitivity, ...]
+    bad_frames: BadFrames | None
+    left_out: tuple[BadFrame, ...]
+    population: Population | None
+    profiles: Mapping[str, tuple[Profile, ...]] | None
+    jitter: FrameJitter | None
+    traces: TraceSet
+    simulator: Simulator
 
     @property
     def experiments(self) -> tuple[Experiment, ...]:
@@ -172,10 +169,6 @@ class Characterization:
         Args:
             command: what to try if the model does not explain the curves.
         """
-        best = self.posterior.best
-        medium = (
-            {} if self.medium is None else medium_document(self.medium, self.sensitivities, best)
-        )
         tested = self.fit_test
         return {
             "experiments": [
@@ -188,8 +181,8 @@ class Characterization:
                 for e in self.experiments
             ],
             "cautions": list(self.cautions),
-            **medium,
-            "medium_inferred": [] if self.medium is None else list(self.medium.priors),
+            **medium_document(self.medium, self.sensitivities, self.posterior.best),
+            "medium_inferred": list(self.medium.priors),
             "collapse_times": self.collapse_times(),
             "collapse_patterns": patterns(self.collapse_times()),
             "model_probabilities": self.posterior.probabilities,
@@ -264,7 +257,7 @@ class Characterization:
             seed: of these draws.
         """
         curves = []
-        if self.simulator is not None and len(self.traces):
+        if len(self.traces):
             curves = curves_document(
                 self.assimilation,
                 self.posterior,
@@ -282,7 +275,7 @@ class Characterization:
         return self.to_dict(command) | {
             "rows_left_out": left_out,
             "notes": list(self.traces.notes),
-            "record": record_document(self.traces, self.medium and self.medium.surroundings),
+            "record": record_document(self.traces, self.medium.surroundings),
             "curves": curves,
         }
 
@@ -290,10 +283,8 @@ class Characterization:
         """Each shot of which the collapse time alone is known: measured and, by the most probable
         model, predicted, over t*.
         """
-        surroundings = Surroundings() if self.medium is None else self.medium.surroundings
-        return collapse_rows(
-            self.assimilation[self.posterior.best.model], self.assimilation.batch, surroundings
-        )
+        fit = self.assimilation[self.posterior.best.model]
+        return collapse_rows(fit, self.assimilation.batch, self.medium.surroundings)
 
     def save(self, path: str | Path) -> None:
         """Write :meth:`to_document` with its header as JSON, atomically: a result as ``imr-torch
