@@ -63,7 +63,6 @@ class History:
         told: experiments that count, by number.
         withdrawn: experiments that were forgotten, in that order.
         steps: the beliefs that still stand.
-        count: experiments that were told, forgotten ones included.
         asked: what was asked for last, by step.
         moved: designs asked for in a step whose shots failed twice.
     """
@@ -71,9 +70,13 @@ class History:
     told: dict[int, Experiment] = field(default_factory=dict)
     withdrawn: list[Experiment] = field(default_factory=list)
     steps: list[Step] = field(default_factory=list)
-    count: int = 0
     asked: dict[int, Ask] = field(default_factory=dict)
     moved: defaultdict[int, list[Tensor]] = field(default_factory=lambda: defaultdict(list))
+
+    @property
+    def count(self) -> int:
+        """Experiments that were told, forgotten ones included."""
+        return len(self.told) + len(self.withdrawn)
 
     def standing(self, number: int) -> Ask | None:
         """What was asked for last in a step.
@@ -114,7 +117,6 @@ class History:
             case {"event": "observed", "step": int(), "experiments": list(records)}:
                 for record in records:
                     self.told[int(record["number"])] = journal.restore(record)
-                    self.count += 1
             case {
                 "event": "learnt",
                 "step": int(step),
@@ -131,7 +133,9 @@ class History:
                         Belief.from_dict(belief),
                         tuple(Evidence(**_infinite(entry)) for entry in rows),
                         noise=Noise(**noise) if noise else None,
-                        finding=Finding.from_dict(finding) if finding else None,
+                        finding=Finding(**finding | {"causes": tuple(finding["causes"])})
+                        if finding
+                        else None,
                         population=population,
                         shots=GaussianShots.from_dict(shots) if shots else None,
                         number=step,

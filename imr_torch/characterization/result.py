@@ -279,6 +279,11 @@ class Characterization:
             "curves": curves,
         }
 
+    def to_result_document(self) -> dict[str, Any]:
+        """:meth:`to_document` with its header."""
+        files = list({trace.source: None for trace in self.traces})
+        return header("characterize", files=files, medium=self.medium) | self.to_document()
+
     def collapse_times(self) -> list[dict[str, object]]:
         """Each shot of which the collapse time alone is known: measured and, by the most probable
         model, predicted, over t*.
@@ -287,14 +292,12 @@ class Characterization:
         return collapse_rows(fit, self.assimilation.batch, self.medium.surroundings)
 
     def save(self, path: str | Path) -> None:
-        """Write :meth:`to_document` with its header as JSON, atomically: a result as ``imr-torch
+        """Write :meth:`to_result_document` as JSON, atomically: a result as ``imr-torch
         characterize --json`` writes it, which ``imr-torch plot`` draws.
 
         A number that is not finite is written as null.
         """
-        files = {trace.source: None for trace in self.traces}
-        made = header("characterize", files=list(files), medium=self.medium)
-        write_json(path, without_nonfinite(made | self.to_document())[0])
+        write_json(path, without_nonfinite(self.to_result_document())[0])
 
     def to_mat(self, path: str | Path) -> None:
         """Write parameters, intervals, curves and residuals for MATLAB

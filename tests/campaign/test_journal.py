@@ -48,8 +48,8 @@ CHANGES = {
         "line 1: its checksum does not fit",
     ),
     "swapped": (swapped, "line 2: its checksum does not fit"),
-    "duplicated": (lambda x: [*x[:3], x[2], *x[3:]], "line 4: a copy of line 3"),
-    "duplicated at the end": (lambda x: [*x, x[4]], "line 6: a copy of line 5"),
+    "duplicated": (lambda x: [*x[:3], x[2], *x[3:]], "line 4: its checksum does not fit"),
+    "duplicated at the end": (lambda x: [*x, x[4]], "line 6: its checksum does not fit"),
     "removed": (lambda x: [*x[:2], *x[3:]], "line 3: its checksum does not fit"),
     "first removed": (lambda x: x[1:], "line 1: its checksum does not fit"),
     "last removed": (
