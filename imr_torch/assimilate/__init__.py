@@ -6,7 +6,6 @@ from imr_torch.assimilate.bad_frames import BadFrame, BadFrames, find_bad_frames
 from imr_torch.assimilate.en4dvar import assimilate_en4dvar
 from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit, Verdict
 from imr_torch.assimilate.forward import ForwardModel, Point
-from imr_torch.assimilate.frame_jitter import FrameJitter, find_frame_jitter
 from imr_torch.assimilate.frame_noise import FrameNoise, FrameNoisePrior, infer_frame_noise
 from imr_torch.assimilate.gauss_newton import NormalEquations, normal_equations
 from imr_torch.assimilate.importance import ImportanceSample
@@ -42,7 +41,6 @@ __all__ = [
     "En4DVarOptions",
     "FitOptions",
     "ForwardModel",
-    "FrameJitter",
     "FrameNoise",
     "FrameNoisePrior",
     "ImportanceSample",
@@ -63,7 +61,6 @@ __all__ = [
     "assimilate_estimating_noise",
     "assimilate_published",
     "find_bad_frames",
-    "find_frame_jitter",
     "infer_frame_noise",
     "noise_nodes",
     "normal_equations",

@@ -288,12 +288,12 @@ class ModelFit:
             )
         shape += f", effective {sample.effective_samples:.0f} of {len(sample)}"
         if self.verdict is Verdict.TRUSTED:
-            return f"intervals trusted: weighted draws confirm the fitted Gaussian ({shape})"
+            return f"interval computation checked: weighted draws confirm the Gaussian fit ({shape})"
         if self.verdict is Verdict.REPAIRED:
             moved = ((sample.mean - self.mean).abs() / torch.linalg.norm(self.chol, dim=1)).amax()
             return (
-                f"intervals repaired: of weighted draws, {float(moved):.2f} sd from the fitted "
-                f"Gaussian at most ({shape})"
+                f"interval computation repaired: from weighted draws, {float(moved):.2f} sd from the "
+                f"Gaussian fit at most ({shape})"
             )
         return f"intervals not reliable: quote none of this model ({shape})"
 

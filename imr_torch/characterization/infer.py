@@ -22,7 +22,6 @@ from imr_torch.assimilate import (
     SearchOptions,
     assimilate_estimating_noise,
     find_bad_frames,
-    find_frame_jitter,
     noise_nodes,
     weigh,
 )
@@ -220,12 +219,6 @@ def characterize(
         if profile
         else None
     )
-    explained = (
-        tested is not None and tested.explained is not False
-    )  # a misfit cannot be told from jitter
-    jitter = (
-        find_frame_jitter(*found.best.of_curves(weighted.batch), simulator) if explained else None
-    )
     seconds = time.process_time() - started
     return Characterization(
         prepared,
@@ -242,7 +235,6 @@ def characterize(
         left_out,
         gels,
         followed,
-        jitter,
         traces,
         simulator,
     )

@@ -12,7 +12,6 @@ from imr_torch.assimilate import (
     Assimilation,
     BadFrame,
     BadFrames,
-    FrameJitter,
     ModelFit,
     Profile,
     Verdict,
@@ -74,7 +73,6 @@ class Characterization:
             where not asked for.
         profiles: model key -> the profile likelihoods of its parameters, of models with .05 of the
             probability or more, at the estimated noise; None where not asked for.
-        jitter: of frame times, under the most probable model; None where that was not asked for.
         traces: the records that were fitted.
         simulator: makes the bubbles, in the medium of the curves.
 
@@ -113,7 +111,6 @@ class Characterization:
     left_out: tuple[BadFrame, ...]
     population: Population | None
     profiles: Mapping[str, tuple[Profile, ...]] | None
-    jitter: FrameJitter | None
     traces: TraceSet
     simulator: Simulator
 
@@ -202,7 +199,6 @@ class Characterization:
                 e.label: e.noise_factor for e in self.experiments if e.noise_factor != 1.0
             },
             "bad_frames": self.bad_frames and self.bad_frames.to_dict(),
-            "frame_jitter": self.jitter and self.jitter.to_dict(),
             "frames_left_out": [vars(frame) for frame in self.left_out],
             "frame_lines": [line for use in self.frames for line in use.lines()],
             "fit_test": tested

@@ -78,7 +78,7 @@ class Noise:
             parts = ((self.slope, "|R*-1|"), (self.drift, "t*"))
             grows = " + ".join(f"{own * size:.2g} {of}" for size, of in parts if size) or "0"
         law = f"{grows} with {own * self.floor:.4f} in R* everywhere, {correlated}"
-        return law if self.widened < WIDE else f"{law}, counted {self.widened:.1f} times as large"
+        return law if self.widened < WIDE else f"{law}; error bars widened {self.widened:.1f} times"
 
     @property
     def of_frames(self) -> "Noise":

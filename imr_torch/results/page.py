@@ -97,7 +97,7 @@ def write_page(document: Mapping[str, Any], path: str | Path, *, report: str = "
     """
     if "verdict" in document and "examined" in document:
         moved = document.get("medium_sensitivities", ())
-        facts = [("Were the medium another", found["sentence"]) for found in moved]
+        facts = [("What was not stated", found["sentence"]) for found in moved]
         facts = [*provenance_rows(document), *facts]
         gap.write_page(document, path, facts=facts, footer=footer(document))
     else:

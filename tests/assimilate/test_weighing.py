@@ -46,7 +46,7 @@ def test_that_a_gaussian_posterior_is_trusted_in_one_round(simple: Assimilation)
     assert after.sample.rounds == 1
     assert after.sample.effective_samples > 200.0
     assert after.trust.startswith(
-        "intervals trusted: weighted draws confirm the fitted Gaussian (k "
+        "interval computation checked: weighted draws confirm the Gaussian fit (k "
     )
     assert after.trust.endswith("of 256)")
     sds = torch.linalg.norm(before.posterior.chol, dim=1)

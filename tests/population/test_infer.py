@@ -371,7 +371,7 @@ def test_that_the_noise_is_said_and_whether_it_was_widened_for_a_misfit(
     assert not any("misses" in text for text in one.cautions)
     widened = replace(one, noise=replace(one.noise, scale=3.0 * one.noise.scale, widened=3.0))
     assert widened.cautions[0].startswith("the model misses curves of these shots")
-    assert "counted 3.0 times as large" in widened.report()
+    assert "error bars widened 3.0 times" in widened.report()
 
 
 def test_that_a_result_is_json(polytropic: dict[str, Population]) -> None:

@@ -310,7 +310,6 @@ def test_that_curves_of_the_model_are_explained_and_those_of_an_unmodelled_effec
     tested = lossy["fit_test"]
     assert tested["explained"] is False
     assert lossy["noise"]["widened"] > 1.5
-    assert lossy["frame_jitter"] is None
     assert tested["p_value"] < 0.01
     assert re.search(
         r"explain the curves \(p [=<] .*, nhkv; strongest test: .*; largest residual .* sd in [abc], ",
