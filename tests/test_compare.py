@@ -101,10 +101,11 @@ def test_that_parameters_are_compared_over_all_pairs_of_weighted_draws():
 
     found = compare(with_draws([1000.0, 4000.0], [0.75, 0.25]), with_draws([2000.0], [1.0]))
     modulus, viscosity = found.parameters
-    assert (modulus.name, viscosity.name) == ("G", "mu")
+    assert (modulus.parameter, viscosity.parameter) == ("G", "mu")
     assert modulus.probability_greater == pytest.approx(0.25)
-    assert modulus.ratio == (0.5, 0.5, 2.0)
-    assert modulus.difference == (-1000.0, -1000.0, 2000.0)
+    assert (modulus.ratio_low, modulus.ratio_median, modulus.ratio_high) == (0.5, 0.5, 2.0)
+    assert (modulus.difference_low, modulus.difference_median) == (-1000.0, -1000.0)
+    assert modulus.difference_high == 2000.0
     assert viscosity.probability_greater == pytest.approx(0.5)
     assert found.cautions == ()
 

@@ -197,7 +197,11 @@ class Journal:
             if outermost:
                 with suppress(OSError):  # the name of the owner only serves the message
                     self._owner.write_text(f"process {os.getpid()} on {socket.gethostname()}")
-                self._check_unchanged()
+                if self._content() != self._known:
+                    raise InputDataError(
+                        f"{self.path} was written to since it was opened here; open the campaign "
+                        "again."
+                    )
                 self._repair()
             yield
         finally:
@@ -212,12 +216,6 @@ class Journal:
             return f"another campaign ({self._owner.read_text().strip()})"
         except (OSError, ValueError):
             return "another process"
-
-    def _check_unchanged(self) -> None:
-        if self._content() != self._known:
-            raise InputDataError(
-                f"{self.path} was written to since it was opened here; open the campaign again."
-            )
 
     def _content(self) -> bytes:
         return self.path.read_bytes() if self.path.exists() else b""

@@ -204,8 +204,7 @@ class Campaign:
         with self.journal.held():
             self._catch_up(progress)
             for number in range(self.told + 1, self.told + 1 + q):
-                pending = torch.stack([p.design for p in proposals]) if proposals else None
-                proposals.append(self._propose(number, pending, progress))
+                proposals.append(self._propose(number, proposals, progress))
         return tuple(proposals)
 
     def fail(self, label: str, reason: str) -> None:
@@ -226,16 +225,16 @@ class Campaign:
         """The shots that failed: ``step``, ``label`` and ``reason``."""
         return [event for event in self.journal.events if event["event"] == "failed"]
 
-    def _propose(self, number: int, pending: Tensor | None, progress: Progress | None) -> Proposal:
-        """The proposal of one step, from the journal if it was made before."""
+    def _propose(
+        self, number: int, before: Sequence[Proposal], progress: Progress | None
+    ) -> Proposal:
+        """The proposal of one step beside those before it, from the journal if it was made already."""
         known = self._history.standing(number)
         if known is not None:
             return known.proposal
         settings = self.settings
         batch = self._batch(self.experiments) if self.experiments else None
-        if moved := self._history.moved[number]:
-            failed = torch.stack(moved)
-            pending = failed if pending is None else torch.cat((pending, failed))
+        pending = [*(proposal.design for proposal in before), *self._history.moved[number]]
         situation = Situation(
             number,
             self.belief,
@@ -243,7 +242,7 @@ class Campaign:
             settings.space,
             self.plan,
             self.seed,
-            pending,
+            torch.stack(pending) if pending else None,
             self.prior,
             batch,
             self.now.shots,
@@ -252,7 +251,7 @@ class Campaign:
         search = found.search
         tried = zip(search.gains, search.designs, strict=True) if search else ()
         evaluations = [asdict(gain) | {"design": design.tolist()} for gain, design in tried]
-        before = search and search.pending and asdict(search.pending)
+        gain_before = search and search.pending and asdict(search.pending)
         self._record(
             "ask",
             step=number,
@@ -261,7 +260,7 @@ class Campaign:
             gain_sd=found.gain_sd,
             reason=found.reason,
             search=asdict(search.settings) if search else None,
-            pending=without_nonfinite(before)[0],
+            pending=without_nonfinite(gain_before)[0],
             evaluations=without_nonfinite(evaluations)[0],
         )
         return found

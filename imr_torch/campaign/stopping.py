@@ -258,7 +258,7 @@ class Budget:
             [self.per_design + self.per_curve * e.repeats for e in group]
             for group in (state.experiments, state.forgotten)
         )
-        following = [*lost, *costs][-1] if costs or lost else self.per_design + self.per_curve
+        following = [self.per_design + self.per_curve, *lost, *costs][-1]
         spent = sum(costs) + sum(lost)
         if spent + following <= self.total:
             return None
@@ -284,9 +284,8 @@ class AnyOf:
 
     def reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
-        return next(
-            (reason for rule in self.rules if (reason := rule.reason(state)) is not None), None
-        )
+        reasons = (rule.reason(state) for rule in self.rules)
+        return next(filter(None, reasons), None)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ where the weighted draws confirm both Gaussians.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     import pandas
 
 LEVELS = (0.05, 0.5, 0.95)
-_ENDS = ("low", "median", "high")
 DECISIVE = math.log(10.0)
 """Log Bayes factor, nats, from which one of the two hypotheses is called right: odds of 10 to 1."""
 CLEAR = 0.975
@@ -39,16 +38,24 @@ class ParameterComparison:
     """One parameter of two gels, ``a`` and ``b``.
 
     Args:
-        name: of the parameter.
+        parameter: its name.
         probability_greater: that it is greater in ``a``.
-        ratio: 5, 50 and 95 % quantile of a/b.
-        difference: of a - b, SI.
+        ratio_low: 5 % quantile of a/b.
+        ratio_median: its 50 % quantile.
+        ratio_high: its 95 % quantile.
+        difference_low: 5 % quantile of a - b, SI.
+        difference_median: its 50 % quantile.
+        difference_high: its 95 % quantile.
     """
 
-    name: str
+    parameter: str
     probability_greater: float
-    ratio: tuple[float, float, float]
-    difference: tuple[float, float, float]
+    ratio_low: float
+    ratio_median: float
+    ratio_high: float
+    difference_low: float
+    difference_median: float
+    difference_high: float
 
     @property
     def clear(self) -> bool:
@@ -111,12 +118,7 @@ class Comparison:
 
     def rows(self) -> list[dict[str, Any]]:
         """One row per parameter."""
-        return [
-            {"parameter": p.name, "probability_greater": p.probability_greater}
-            | {f"ratio_{end}": x for end, x in zip(_ENDS, p.ratio, strict=True)}
-            | {f"difference_{end}": x for end, x in zip(_ENDS, p.difference, strict=True)}
-            for p in self.parameters
-        ]
+        return [asdict(parameter) for parameter in self.parameters]
 
     def to_dataframe(self) -> "pandas.DataFrame":
         """:meth:`rows` as a table; needs pandas."""
@@ -187,8 +189,8 @@ def _parameter(name: str, a: WeightedDraws, b: WeightedDraws) -> ParameterCompar
     difference = (first[:, None] - second).flatten()
     ratio = (first[:, None] / second).flatten()
     greater = float((weights * ((difference > 0.0).double() + 0.5 * (difference == 0.0))).sum())
-    ratios, differences = (_quantiles(values, weights) for values in (ratio, difference))
-    return ParameterComparison(name, min(greater, 1.0), ratios, differences)
+    quantiles = (*_quantiles(ratio, weights), *_quantiles(difference, weights))
+    return ParameterComparison(name, min(greater, 1.0), *quantiles)
 
 
 def _quantiles(values: Tensor, weights: Tensor) -> tuple[float, float, float]:
@@ -243,7 +245,7 @@ def _log_bayes_factor(
         return None, "the prior probabilities of the models differ"
     terms = []
     for key in models:
-        if not _same_prior(a.prior[key], b.prior[key]):
+        if not a.prior[key].same_as(b.prior[key]):
             return (
                 None,
                 f"the priors of {key} differ between the two results; characterise both with the "
@@ -268,11 +270,6 @@ def _log_bayes_factor(
         return None, "no model is probable for both gels"
     about = f"over {', '.join(models)}" if every else f"within {models[0]}"
     return float(torch.logsumexp(torch.tensor(terms, dtype=torch.float64), 0)), about
-
-
-def _same_prior(a: ModelBelief, b: ModelBelief) -> bool:
-    same = a.marginals == b.marginals and dict(a.known) == dict(b.known)
-    return same and torch.allclose(a.mean, b.mean) and torch.allclose(a.chol, b.chol)
 
 
 def _gaussian_factor(a: ModelBelief, b: ModelBelief, prior: ModelBelief) -> float | None:

@@ -249,9 +249,10 @@ class _Found:
     posterior: Belief
 
     @property
-    def best(self) -> ModelFit:
-        """The fit of the most probable model."""
-        return self.assimilation[self.posterior.best.model]
+    def best(self) -> tuple[ModelFit, ExperimentBatch]:
+        """The fit of the most probable model to the curves alone, and these."""
+        fit = self.assimilation[self.posterior.best.model]
+        return fit.of_curves(self.assimilation.batch)
 
 
 @dataclass(frozen=True)
@@ -294,7 +295,7 @@ class _Method:
 
     def bad_frames(self, found: _Found) -> BadFrames:
         """Single frames that look bad under the most probable model."""
-        return find_bad_frames(*found.best.of_curves(found.assimilation.batch), self.simulator)
+        return find_bad_frames(*found.best, self.simulator)
 
 
 def _without_bad_frames(
@@ -330,7 +331,7 @@ def _fit_test(method: _Method, found: _Found, seed: int) -> FitTest:
     """Whether the most probable model explains the curves."""
     if method.progress:
         method.progress("fit test: does the model explain the curves?")
-    return check_fit(*found.best.of_curves(found.assimilation.batch), method.simulator, seed=seed)
+    return check_fit(*found.best, method.simulator, seed=seed)
 
 
 def _population(

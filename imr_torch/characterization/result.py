@@ -34,7 +34,6 @@ from imr_torch.population import Population
 from imr_torch.record import record_document
 from imr_torch.select import (
     Evidence,
-    Identifiability,
     PredictiveScore,
     identifiability,
     probability_errors,
@@ -149,17 +148,6 @@ class Characterization:
             if chances[fit.model] >= _COUNTS
         )
 
-    @property
-    def cautions(self) -> tuple[str, ...]:
-        """What makes the numbers doubtful, a sentence each."""
-        return (*self.prepared.cautions, *patterns(self.collapse_times()))
-
-    def identifiability(self, fit: ModelFit) -> tuple[Identifiability, ...]:
-        """What the data say of each parameter of a model: from its profile where that was made,
-        else from its posterior.
-        """
-        return identifiability(fit.prior, fit.posterior, (self.profiles or {}).get(fit.model, ()))
-
     def to_dict(self, command: str = "imr-torch diagnose") -> dict[str, Any]:
         """JSON-ready summary: intervals in SI units, probabilities, residuals, certificates.
 
@@ -167,6 +155,7 @@ class Characterization:
             command: what to try if the model does not explain the curves.
         """
         tested = self.fit_test
+        shots = self.collapse_times()
         return {
             "experiments": [
                 {
@@ -177,11 +166,11 @@ class Characterization:
                 }
                 for e in self.experiments
             ],
-            "cautions": list(self.cautions),
+            "cautions": [*self.prepared.cautions, *patterns(shots)],
             **medium_document(self.medium, self.sensitivities, self.posterior.best),
             "medium_inferred": list(self.medium.priors),
-            "collapse_times": self.collapse_times(),
-            "collapse_patterns": patterns(self.collapse_times()),
+            "collapse_times": shots,
+            "collapse_patterns": patterns(shots),
             "model_probabilities": self.posterior.probabilities,
             "model_probability_errors": probability_errors(self.assimilation.prior, self.evidence),
             "models": {
@@ -214,9 +203,11 @@ class Characterization:
     def _model(self, fit: ModelFit, evidence: Evidence) -> dict[str, Any]:
         """What is known of one model, JSON-ready."""
         certificate = fit.certificate
+        profiles = (self.profiles or {}).get(fit.model, ())
+        found = identifiability(fit.prior, fit.posterior, profiles)
         return {
             "intervals": intervals(fit.posterior),
-            "identifiability": {f.parameter.name: f.words for f in self.identifiability(fit)},
+            "identifiability": {f.parameter.name: f.words for f in found},
             "rmse": self.assimilation.rmse(fit.model),
             "rmse_by_experiment": self.assimilation.rmse_by_experiment(fit.model),
             "log_evidence": evidence.value,
