@@ -165,7 +165,7 @@ def replayed(journal: Journal) -> History:
             history.follow(event, journal)
         except ImrError as error:
             raise type(error)(f"{journal.path}, line {line}: {error}") from None
-        except (KeyError, IndexError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+        except Exception as error:
             raise InputDataError(
                 f"{journal.path}, line {line}: event {event['event']!r} cannot be read "
                 f"({type(error).__name__}: {error}). Restore the journal from a copy."
@@ -187,8 +187,7 @@ def check_identity(journal: Journal, identity: dict[str, Any]) -> None:
         raise InputDataError(
             f"{journal.path}, line 1: event is {first['event']!r}; a campaign begins with 'start'."
         )
-    known = {key: value for key, value in first.items() if key != "event"}
-    if names := differing(known, identity):
+    if names := differing(first, {"event": "start"} | identity):
         raise InputDataError(
             f"{journal.path} is the journal of another campaign: {', '.join(names)} differ. "
             "Resume with the same "

@@ -29,7 +29,7 @@ def predictive_band(
     *,
     draws: int = 100,
     seed: int = 0,
-    times: Tensor | None = None,
+    times: Tensor,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Posterior predictive quantiles (5, 50, 95 %) of single frames, over gel and noise: three ``E
     x T`` tensors, R/Rmax.
@@ -41,7 +41,7 @@ def predictive_band(
         model: whose prediction.
         draws: posterior draws.
         seed: of the draws.
-        times: ``E x T`` tensor, dimensionless, increasing; those of the frames when not given.
+        times: ``E x T`` tensor, dimensionless, increasing.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, reference_case
@@ -53,7 +53,7 @@ def predictive_band(
     >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=4)
     >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=0)
     >>> result = assimilate(prior, ExperimentBatch((shot,), Noise()), simulator, seed=0)
-    >>> low, middle, high = predictive_band(result, prior, simulator, "nhkv", draws=20)
+    >>> low, middle, high = predictive_band(result, prior, simulator, "nhkv", draws=20, times=result.batch.times)
     >>> bool((low < middle).all()), bool((middle < high).all())
     (True, True)
     """
@@ -62,7 +62,6 @@ def predictive_band(
     part = posterior[model]
     controls = part.controls(draws, seed=seed)
     shifts = (fit.nuisances * batch.nuisance_sds).expand(draws, -1, -1)
-    times = batch.times if times is None else times
     prediction = predict(simulator, part.parameters(controls), batch, shifts, times=times)
     # noise at its quantiles, not at random numbers, so that the band is smooth
     noise = torch.special.ndtri(

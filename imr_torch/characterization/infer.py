@@ -74,7 +74,6 @@ def characterize(
     *,
     prior: Belief | None = None,
     simulator: Simulator | None = None,
-    noise: Noise | None = None,
     estimate_noise: bool = True,
     collapses: int = 2,
     rest_radius: tuple[float, float] | None = None,
@@ -97,9 +96,9 @@ def characterize(
         traces: the curves.
         prior: what is believed before; the wide prior when not given.
         simulator: makes the bubbles; with heat and vapour transport by default.
-        noise: law of the observation noise; the published one by default.
-        estimate_noise: whether it is inferred (:func:`imr_torch.assimilate.infer_frame_noise`) and
-            integrated over; not where fewer than ten degrees of freedom are left.
+        estimate_noise: whether the law of the observation noise is inferred
+            (:func:`imr_torch.assimilate.infer_frame_noise`) and integrated over; not where fewer
+            than ten degrees of freedom are left. Else it is the published one.
         collapses: collapses that the fitted window holds.
         rest_radius: assumed R_inf/Rmax and its standard deviation, for records that do not hold it.
         options: how gels are fitted, and by which method:
@@ -162,7 +161,6 @@ def characterize(
     check_data(traces, shots, scores=scores, population=population)
     check_choices(effort=effort, frames=frames, scatter_scale=scatter_scale)
     prior = prior or wide_prior()
-    noise = noise or Noise()
     if population:
         check_population(prior)
     simulator = simulator or TransportSimulator(accuracy=ACCURACIES["search"])
@@ -178,16 +176,15 @@ def characterize(
     if isinstance(options, SearchOptions) and options.drop_behind is not None:
         spent = replace(spent, behind=options.drop_behind)
     rounds = NOISE_ROUNDS if estimate_noise else 0
-    method = _Method(prior, simulator, noise, rounds, options, spent, progress)
+    method = _Method(prior, simulator, rounds, options, spent, progress)
     found = method.fitted(data, None, seed)
     bad = None
     left_out = ()
-    if len(traces) and (check or frames == "robust"):
-        bad = method.bad_frames(found)
-        if frames == "robust":
-            found, bad, left_out = _without_bad_frames(
-                method, found, bad, prepared.experiments, seed
-            )
+    refits = _REFITS if frames == "robust" else 0
+    if len(traces) and (check or refits):
+        found, bad, left_out = _without_bad_frames(
+            method, found, prepared.experiments, refits, seed
+        )
     weighted = found.assimilation
     evidence = found.evidence
     posterior = found.posterior
@@ -261,7 +258,6 @@ class _Method:
 
     prior: Belief
     simulator: Simulator
-    noise: Noise
     noise_rounds: int
     options: FitOptions | None
     effort: Effort
@@ -273,7 +269,7 @@ class _Method:
         """All models fitted to data, with weighted draws; from fits nearby where they are given."""
         fits = assimilate_estimating_noise(
             self.prior,
-            ExperimentBatch(tuple(data), self.noise),
+            ExperimentBatch(tuple(data), Noise()),
             self.simulator,
             rounds=self.noise_rounds,
             seed=child(seed, "fit"),
@@ -293,27 +289,24 @@ class _Method:
         evidence = evidences(weighted)
         return _Found(weighted, evidence, update(weighted, evidence))
 
-    def bad_frames(self, found: _Found) -> BadFrames:
-        """Single frames that look bad under the most probable model."""
-        return find_bad_frames(*found.best, self.simulator)
-
 
 def _without_bad_frames(
-    method: _Method, found: _Found, bad: BadFrames, experiments: tuple[Experiment, ...], seed: int
+    method: _Method, found: _Found, experiments: tuple[Experiment, ...], refits: int, seed: int
 ) -> tuple[_Found, BadFrames, tuple[BadFrame, ...]]:
-    """The fit repeated without single frames that look bad until none does.
+    """The fit repeated without single frames that look bad until none does, at most so many times.
 
-    With the frames that were left out.
+    With the frames that look bad then, and those that were left out.
     """
     left_out: tuple[BadFrame, ...] = ()
-    for number in range(_REFITS):
+    bad = find_bad_frames(*found.best, method.simulator)
+    for number in range(refits):
         single = tuple(frame for frame in bad.frames if frame.single)
         if not single:
             break
         left_out += tuple(_as_recorded(frame, experiments) for frame in single)
         kept = _without(found.assimilation.batch.experiments, single)
         found = method.fitted(kept, found.assimilation, child(seed, "robust", number))
-        bad = method.bad_frames(found)
+        bad = find_bad_frames(*found.best, method.simulator)
     return found, bad, left_out
 
 
@@ -342,7 +335,7 @@ def _population(
         method.prior[found.posterior.best.model],
         experiments,
         method.simulator,
-        noise=method.noise,
+        noise=Noise(),
         rounds=method.noise_rounds,
         seed=seed,
         progress=method.progress,

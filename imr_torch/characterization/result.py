@@ -282,7 +282,8 @@ class Characterization:
         """Write :meth:`to_result_document` as JSON, atomically: a result as ``imr-torch
         characterize --json`` writes it, which ``imr-torch plot`` draws.
 
-        A number that is not finite is written as null.
+        A number that is not finite is written as null. :meth:`SavedCharacterization.load
+        <imr_torch.characterization.saved.SavedCharacterization.load>` reads it.
         """
         write_json(path, without_nonfinite(self.to_result_document())[0])
 
@@ -294,27 +295,14 @@ class Characterization:
 
         write_mat(self.to_document(), path)
 
-    @staticmethod
-    def load(path: str | Path) -> SavedCharacterization:
-        """Read a result that :meth:`save` or the command line wrote: posterior, intervals, weighted
-        draws, a table.
-
-        Raises:
-            InputDataError: if the file cannot be read, or holds no such result.
-        """
-        return SavedCharacterization.load(path)
-
     def to_dataframe(self) -> "pandas.DataFrame":
         """One row per model and parameter, SI; needs pandas."""
         return SavedCharacterization.from_dict(self.to_dict()).to_dataframe()
 
-    def report(self, command: str = "imr-torch diagnose") -> str:
+    def report(self) -> str:
         """The result as text: whether the fit explains the curves, the frames used, a table per
         model with its certificate.
-
-        Args:
-            command: what to try if the model does not explain the curves.
         """
         from imr_torch.results import document_report  # which draws, and needs matplotlib
 
-        return document_report(header("characterize") | self.to_dict(command))
+        return document_report(header("characterize") | self.to_dict())
