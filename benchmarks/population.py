@@ -182,7 +182,7 @@ def run_campaign(
         return laboratory.shoot(design, seed=child(seed, "noise", number, shot))
 
     learner = PopulationLearner()
-    chosen = {"chosen": LearnPopulation(learner), "random": Random()}[policy]
+    chosen = {"chosen": LearnPopulation(), "random": Random()}[policy]
     settings = CampaignSettings(plan=Plan(repeats=1, noise=NOISE), policy=chosen, learner=learner)
     prior = Belief((PRIOR,), torch.zeros(1, dtype=torch.float64))
     with tempfile.TemporaryDirectory() as folder:

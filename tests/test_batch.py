@@ -14,7 +14,7 @@ import pytest
 import torch
 
 import imr_torch.characterization.batch as batch
-from imr_torch import Characterization, PolytropicSimulator, characterize, wide_prior
+from imr_torch import PolytropicSimulator, characterize, wide_prior
 from imr_torch.assimilate import SearchOptions
 from imr_torch.characterization.batch import (
     BatchOptions,
@@ -99,8 +99,6 @@ def test_that_every_file_has_a_result_or_a_reason(shots, tmp_path):
         read = list(csv.DictReader(stream))
     assert [float(row["G"]) for row in read[1:]] == [row["G"] for row in summary.rows[1:]]
     assert summary.report().splitlines()[0] == "4 shot(s): 3 done, 0 not converged, 1 failed"
-    frame = summary.to_dataframe()
-    assert frame["G"].notna().sum() == 3
 
 
 def test_that_a_result_reopens_with_its_posterior_its_draws_and_its_table(shots, tmp_path):
@@ -115,7 +113,7 @@ def test_that_a_result_reopens_with_its_posterior_its_draws_and_its_table(shots,
     result.save(tmp_path / "gel.json")
     assert main(["plot", str(tmp_path / "gel.json"), "--format", "png", "--quiet"]) == 0
     assert (tmp_path / "parameter_G.png").exists()
-    saved = Characterization.load(tmp_path / "gel.json")
+    saved = SavedCharacterization.load(tmp_path / "gel.json")
     assert saved.posterior.to_dict() == result.posterior.to_dict()
     assert saved.prior is not None
     assert saved.prior.to_dict() == OPTIONS.prior.to_dict()

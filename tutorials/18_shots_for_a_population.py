@@ -64,7 +64,7 @@ def shoot(design, number):
 learner = PopulationLearner(samples=64 if SMOKE else 256)
 stop = AnyOf((Designs(2 if SMOKE else 8), GainBelow(0.1)))
 settings = CampaignSettings(
-    plan=Plan(repeats=1, noise=noise), policy=LearnPopulation(learner), learner=learner, stop=stop
+    plan=Plan(repeats=1, noise=noise), policy=LearnPopulation(), learner=learner, stop=stop
 )
 campaign = Campaign(HOME, wide_prior(["nhkv"]), simulator, settings=settings, seed=1)
 

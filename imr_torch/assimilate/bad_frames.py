@@ -29,20 +29,29 @@ SD_OVER_MAD = 1.482602
 PRIOR = 0.01
 """Probability of a frame to be bad, before the data."""
 
+LEVELS = (0.05, 0.5, 0.95)
+"""Quantiles that an interval states."""
+
 _EXTRA = 8.0  # standard deviations of the noise, of the extra error of a bad frame
 _DELETED = 1e6  # times that variance, with which a frame says nothing
 _NAMED = 0.5  # posterior probability from which on a frame is named
 _MOST = 3000  # frames in all; memory grows with their square
 _LARGEST = 0.25  # share of the frames that may be named; more are a misfit, not single frames
 _RUN = 3  # bad frames side by side that are a misfit
-_LEVELS = (0.05, 0.5, 0.95)
 _ROUNDS = 10
 _LEAST = 0.5  # smallest noise, over that of the fit, that residuals of the good frames may show
 
 
 def intervals(belief: ModelBelief) -> dict[str, list[float]]:
-    """Name of each parameter -> its 5, 50 and 95 % quantiles, SI."""
-    return dict(zip(belief.names, belief.quantile(_LEVELS).T.tolist(), strict=True))
+    """Parameter -> [5 %, 50 %, 95 %] quantile, SI.
+
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.characterization import intervals
+    >>> low, middle, high = intervals(wide_prior(["nhkv"])["nhkv"])["mu"]
+    >>> low < middle < high
+    True
+    """
+    return dict(zip(belief.names, belief.quantile(LEVELS).T.tolist(), strict=True))
 
 
 def interval_words(belief: ModelBelief) -> str:

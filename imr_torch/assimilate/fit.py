@@ -295,7 +295,9 @@ class ModelFit:
             )
         shape += f", effective {sample.effective_samples:.0f} of {len(sample)}"
         if self.verdict is Verdict.TRUSTED:
-            return f"interval computation checked: weighted draws confirm the Gaussian fit ({shape})"
+            return (
+                f"interval computation checked: weighted draws confirm the Gaussian fit ({shape})"
+            )
         if self.verdict is Verdict.REPAIRED:
             moved = ((sample.mean - self.mean).abs() / torch.linalg.norm(self.chol, dim=1)).amax()
             return (

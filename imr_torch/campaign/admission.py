@@ -20,15 +20,15 @@ from imr_torch.simulate import Simulator
 
 _DRAWS = 8
 _FACTOR = 30.0
+_FEWEST_FRAMES = 10
 
 
-def check_whole(experiment: Experiment, max_method: str, *, fewest: int = 10) -> None:
+def check_whole(experiment: Experiment, max_method: str) -> None:
     """Raise for a curve that shows too little of a bubble to learn from: a shot that failed.
 
     Args:
         experiment: cut to the window that is assimilated.
         max_method: how its maximum was found, of :class:`imr_torch.observe.Landmarks`.
-        fewest: frames that a curve must have.
 
     Raises:
         InputDataError: if it has fewer frames, its maximum is not in the record, or it shows no
@@ -36,8 +36,8 @@ def check_whole(experiment: Experiment, max_method: str, *, fewest: int = 10) ->
     """
     count = len(experiment.times)
     reason = ""
-    if count < fewest:
-        reason = f"has {count} frames to fit, and at least {fewest} are needed"
+    if count < _FEWEST_FRAMES:
+        reason = f"has {count} frames to fit, and at least {_FEWEST_FRAMES} are needed"
     elif max_method == "edge":
         reason = (
             "begins after its maximum radius (cut off by the edge of the picture, or filmed too "
@@ -94,7 +94,7 @@ def check_simulated(
 
 def check_new(
     experiments: Sequence[Experiment],
-    known: Mapping[str, tuple[int, str]],
+    told: Mapping[int, Experiment],
     outstanding: Sequence[int],
     journal: Path,
 ) -> None:
@@ -102,21 +102,22 @@ def check_new(
 
     Args:
         experiments: to be told.
-        known: number and label of each experiment that was told, by the hash of its curve.
+        told: those that were told before, by number.
         outstanding: numbers of those that were told and not learnt yet.
         journal: where they are, for the message.
     """
+    known = {curve_hash(experiment): number for number, experiment in told.items()}
     given: dict[str, str] = {}
     for experiment in experiments:
         curve = curve_hash(experiment)
         if curve in known:
-            number, label = known[curve]
+            number = known[curve]
             waiting = " It was not learnt yet; resuming without telling it again does so." * (
                 number in outstanding
             )
             raise InputDataError(
                 f"Experiment {experiment.label!r} has the curve of experiment {number} "
-                f"({label!r}), which is in "
+                f"({told[number].label!r}), which is in "
                 f"{journal} already; each curve counts once.{waiting} Tell only new curves; to "
                 "replace this one, "
                 f"forget it first: Campaign.forget({number}), imr-torch campaign --resume "

@@ -10,9 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import Assimilation
 from imr_torch.campaign.journal import REMEDY, Journal, differing
-from imr_torch.campaign.learners import Finding
+from imr_torch.campaign.learners import Finding, Inference
 from imr_torch.campaign.policies import Proposal
 from imr_torch.errors import ImrError, InputDataError
 from imr_torch.material import Belief
@@ -22,35 +21,21 @@ from imr_torch.select import Evidence
 
 
 @dataclass(frozen=True)
-class Step:
-    """The state after one experiment: belief, evidence and fits.
+class Step(Inference):
+    """What was inferred after one experiment, without fits and ``record`` when it was read back from
+    the journal.
 
     Args:
-        number: of the last experiment that it includes, from 1.
-        belief: after this experiment.
-        evidence: evidence of each model, all experiments together; empty if the learner knows none.
-        assimilation: the fits; None when the step was read back from the journal, or the learner
-            makes none.
-        noise: of one curve, if the learner estimates it.
-        finding: of the diagnosis, if the learner makes one.
-        population: JSON-ready, if the learner infers one and there are two shots or more.
-        shots: likelihood of each shot's gel, if the learner infers a population.
+        number: of the last experiment that it includes, from 1; 0 before the first.
 
     >>> from imr_torch import wide_prior
     >>> from imr_torch.campaign import Step
-    >>> step = Step(1, wide_prior(["nhkv"]), evidence=())
+    >>> step = Step(wide_prior(["nhkv"]), number=1)
     >>> step.number, step.belief.keys
     (1, ('nhkv',))
     """
 
-    number: int
-    belief: Belief
-    evidence: tuple[Evidence, ...]
-    assimilation: Assimilation | None = None
-    noise: Noise | None = None
-    finding: Finding | None = None
-    population: dict[str, Any] | None = None
-    shots: GaussianShots | None = None
+    number: int = field(kw_only=True)
 
 
 @dataclass
@@ -78,7 +63,6 @@ class History:
         told: experiments that count, by number.
         withdrawn: experiments that were forgotten, in that order.
         steps: the beliefs that still stand.
-        count: experiments that were told, forgotten ones included.
         asked: what was asked for last, by step.
         moved: designs asked for in a step whose shots failed twice.
     """
@@ -86,9 +70,13 @@ class History:
     told: dict[int, Experiment] = field(default_factory=dict)
     withdrawn: list[Experiment] = field(default_factory=list)
     steps: list[Step] = field(default_factory=list)
-    count: int = 0
     asked: dict[int, Ask] = field(default_factory=dict)
     moved: defaultdict[int, list[Tensor]] = field(default_factory=lambda: defaultdict(list))
+
+    @property
+    def count(self) -> int:
+        """Experiments that were told, forgotten ones included."""
+        return len(self.told) + len(self.withdrawn)
 
     def standing(self, number: int) -> Ask | None:
         """What was asked for last in a step.
@@ -129,22 +117,29 @@ class History:
             case {"event": "observed", "step": int(), "experiments": list(records)}:
                 for record in records:
                     self.told[int(record["number"])] = journal.restore(record)
-                    self.count += 1
             case {
                 "event": "learnt",
                 "step": int(step),
-                "experiments": list(numbers),
-                "belief": dict(),
+                "experiments": list(),
+                "belief": dict(belief),
                 "evidence": list(rows),
-            } if all(isinstance(number, int) for number in numbers):
-                evidence = tuple(Evidence(**_infinite(entry)) for entry in rows)
-                noise = Noise(**event["noise"]) if event.get("noise") else None
-                finding = Finding.from_dict(event["finding"]) if event.get("finding") else None
-                shots = GaussianShots.from_dict(event["shots"]) if event.get("shots") else None
-                belief = Belief.from_dict(event["belief"])
-                population = event.get("population")
+                "noise": noise,
+                "finding": finding,
+                "population": population,
+                "shots": shots,
+            }:
                 self.steps.append(
-                    Step(step, belief, evidence, None, noise, finding, population, shots)
+                    Step(
+                        Belief.from_dict(belief),
+                        tuple(Evidence(**_infinite(entry)) for entry in rows),
+                        noise=Noise(**noise) if noise else None,
+                        finding=Finding(**finding | {"causes": tuple(finding["causes"])})
+                        if finding
+                        else None,
+                        population=population,
+                        shots=GaussianShots.from_dict(shots) if shots else None,
+                        number=step,
+                    )
                 )
             case {"event": "forget", "experiment": int(number)}:
                 self.withdrawn.append(self.told.pop(number))
@@ -170,7 +165,7 @@ def replayed(journal: Journal) -> History:
             history.follow(event, journal)
         except ImrError as error:
             raise type(error)(f"{journal.path}, line {line}: {error}") from None
-        except (KeyError, IndexError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+        except Exception as error:
             raise InputDataError(
                 f"{journal.path}, line {line}: event {event['event']!r} cannot be read "
                 f"({type(error).__name__}: {error}). Restore the journal from a copy."
@@ -192,8 +187,7 @@ def check_identity(journal: Journal, identity: dict[str, Any]) -> None:
         raise InputDataError(
             f"{journal.path}, line 1: event is {first['event']!r}; a campaign begins with 'start'."
         )
-    known = {key: value for key, value in first.items() if key != "event"}
-    if names := differing(known, identity):
+    if names := differing(first, {"event": "start"} | identity):
         raise InputDataError(
             f"{journal.path} is the journal of another campaign: {', '.join(names)} differ. "
             "Resume with the same "

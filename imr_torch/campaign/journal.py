@@ -24,7 +24,7 @@ import torch
 from filelock import FileLock, Timeout
 
 from imr_torch.errors import InputDataError
-from imr_torch.files import remove_temporaries, write_atomically
+from imr_torch.files import remove_temporaries, without_nonfinite, write_atomically
 from imr_torch.observe import Experiment, Nuisance
 
 REMEDY = "Restore it from a copy, or tell its curves to a campaign in a new folder."
@@ -64,64 +64,13 @@ def curve_hash(experiment: Experiment) -> str:
     return digest.hexdigest()
 
 
-class FolderLock:
-    """The lock of a folder; it may be taken again by the thread that holds it, and ends with the
-    process.
-
-    The file ``.journal.lock`` stays in the folder and means nothing by itself. ``.journal.owner``
-    beside it names the process that holds the lock, for the message that another process gets.
-
-    Args:
-        folder: made when the lock is first taken.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self._owner = folder / ".journal.owner"
-        self._lock: FileLock | None = None
-
-    @contextmanager
-    def held(self) -> Iterator[bool]:
-        """Hold the lock; yields whether it was taken here, and not before.
-
-        Raises:
-            InputDataError: if another process, or another object of this one, holds it.
-        """
-        if self._lock is None:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            self._lock = FileLock(self.folder / ".journal.lock", timeout=0)
-        outermost = not self._lock.is_locked
-        try:
-            self._lock.acquire()
-        except Timeout:
-            raise InputDataError(
-                f"{self.folder} is in use by {self._holder()}; wait until it has ended, or give "
-                "another folder."
-            ) from None
-        try:
-            if outermost:
-                with suppress(OSError):  # the name of the owner only serves the message
-                    self._owner.write_text(f"process {os.getpid()} on {socket.gethostname()}")
-            yield outermost
-        finally:
-            if outermost:
-                with suppress(OSError):
-                    self._owner.unlink()
-            self._lock.release()
-
-    def _holder(self) -> str:
-        """What is known of the process that holds the lock."""
-        try:
-            name = self._owner.read_text().strip()
-        except (OSError, ValueError):
-            name = ""
-        return f"another campaign ({name})" if name else "another process"
-
-
 class Journal:
     """The events of one campaign in a folder.
 
-    Opening reads and changes nothing. Writing takes the folder's lock (:meth:`held`).
+    Opening reads and changes nothing. Writing takes the folder's lock (:meth:`held`), which may be
+    taken again by the thread that holds it, and ends with the process. The file ``.journal.lock``
+    stays in the folder and means nothing by itself. ``.journal.owner`` beside it names the process
+    that holds the lock, for the message that another process gets.
 
     Args:
         folder: where ``journal.jsonl`` and the curves are kept; made when something is written.
@@ -147,12 +96,13 @@ class Journal:
         self._known = b""  # all that the file holds
         self._kept = 0  # bytes that it should hold
         self._headed = 0  # lines that the head knows of
-        self._lock = FolderLock(self.folder)
+        self._lock = FileLock(self.folder / ".journal.lock", timeout=0)
+        self._owner = self.folder / ".journal.owner"
         self._read()
 
     def _read(self) -> None:
         count, check = self._read_head()  # before the journal: a writer writes it after its line
-        self._known = self.path.read_bytes() if self.path.exists() else b""
+        self._known = self._content()
         *lines, tail = self._known.split(b"\n")
         for line in lines:
             self._accept(line)
@@ -184,16 +134,14 @@ class Journal:
         if not self._head.exists():
             return 0, ""
         try:
-            document = json.loads(self._head.read_bytes())
-            count = document["lines"]
-            check = document["check"]
-            if not (type(count) is int and count >= 0 and isinstance(check, str)):
-                raise ValueError(f"lines is {count!r} and check is {check!r}")
-        except (ValueError, TypeError, KeyError) as error:
+            match json.loads(self._head.read_bytes()):
+                case {"lines": int(count), "check": str(check)} if count >= 0:
+                    return count, check
+            raise ValueError("expected 'lines' and 'check'")
+        except ValueError as error:
             raise InputDataError(
                 f"{self._head}: cannot be read ({error}). Restore it from a copy, or delete it."
             ) from None
-        return count, check
 
     def _accept(self, line: bytes) -> None:
         """Add the event of a line, once it is known to be what was written there."""
@@ -208,25 +156,22 @@ class Journal:
                 f"{place}: not a journal entry (expected an object with an 'event', got "
                 f"{text!r}). {REMEDY}"
             )
-        check = entry.pop("check", None)
-        if check is None:
+        check = entry.pop("check", "")
+        if self._encoded(entry)[0] != line:
             raise InputDataError(
-                f"{place}: has no checksum ('check'); an earlier version of imr_torch wrote it, "
-                f"or it was changed. {REMEDY}"
-            )
-        if check in self._checks:
-            raise InputDataError(
-                f"{place}: a copy of line {self._checks.index(check) + 1}. {REMEDY}"
-            )
-        expected = _encoded(entry, self._checks[-1] if self._checks else "")
-        if expected is None or expected[0] != line:
-            raise InputDataError(
-                f"{place}: its checksum does not fit; this line was edited or moved, or lines "
-                "before it were removed or moved. "
+                f"{place}: its checksum does not fit; this line was edited, moved or copied, or "
+                "lines before it were removed or moved. "
                 f"{REMEDY}"
             )
         self.events.append(entry)
         self._checks.append(check)
+
+    def _encoded(self, entry: dict[str, Any]) -> tuple[bytes, str]:
+        """The next line, of an entry, without its end, and its checksum."""
+        body = json.dumps(entry)
+        previous = self._checks[-1] if self._checks else ""
+        check = hashlib.sha256((previous + body).encode()).hexdigest()
+        return f'{body[:-1]}, "check": "{check}"}}'.encode(), check
 
     @contextmanager
     def held(self) -> Iterator[None]:
@@ -236,23 +181,44 @@ class Journal:
         What an interrupted process left is cleaned up: an incomplete last line and temporary files.
 
         Raises:
-            InputDataError: if another process holds the lock, or wrote to the journal since it was
-                opened here.
+            InputDataError: if another process, or another object of this one, holds the lock, or
+                wrote to the journal since it was opened here.
         """
-        with self._lock.held() as taken:
-            if taken:
-                self._check_unchanged()
+        self.folder.mkdir(parents=True, exist_ok=True)
+        outermost = not self._lock.is_locked
+        try:
+            self._lock.acquire()
+        except Timeout:
+            raise InputDataError(
+                f"{self.folder} is in use by {self._holder()}; wait until it has ended, or give "
+                "another folder."
+            ) from None
+        try:
+            if outermost:
+                with suppress(OSError):  # the name of the owner only serves the message
+                    self._owner.write_text(f"process {os.getpid()} on {socket.gethostname()}")
+                if self._content() != self._known:
+                    raise InputDataError(
+                        f"{self.path} was written to since it was opened here; open the campaign "
+                        "again."
+                    )
                 self._repair()
             yield
+        finally:
+            if outermost:
+                with suppress(OSError):
+                    self._owner.unlink()
+            self._lock.release()
 
-    def _check_unchanged(self) -> None:
-        if not self.path.exists():
-            if self._known:
-                raise InputDataError(f"{self.path} was removed since it was opened here. {REMEDY}")
-        elif self.path.read_bytes() != self._known:
-            raise InputDataError(
-                f"{self.path} was written to since it was opened here; open the campaign again."
-            )
+    def _holder(self) -> str:
+        """What is known of the process that holds the lock."""
+        try:
+            return f"another campaign ({self._owner.read_text().strip()})"
+        except (OSError, ValueError):
+            return "another process"
+
+    def _content(self) -> bytes:
+        return self.path.read_bytes() if self.path.exists() else b""
 
     def _repair(self) -> None:
         """Complete or cut off the last line, write the head if it lags, and remove files that an
@@ -285,12 +251,11 @@ class Journal:
             OSError: if it cannot be written; the journal is then as it was before.
         """
         entry = {"event": event, **fields}
-        encoded = _encoded(entry, self._checks[-1] if self._checks else "")
-        if encoded is None:
+        if without_nonfinite(entry)[1]:
             raise InputDataError(
                 f"Event {event!r} holds a number that is not finite, which JSON cannot represent."
             )
-        line, check = encoded
+        line, check = self._encoded(entry)
         with self.held():
             self._write(line + b"\n")
             self.events.append(json.loads(json.dumps(entry)))
@@ -342,7 +307,6 @@ class Journal:
             "design": list(experiment.design),
             "nuisance": vars(experiment.nuisance),
             "exposure": experiment.exposure,
-            "curve": curve_hash(experiment),
             "file": path.name,
             "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
         }
@@ -367,20 +331,6 @@ class Journal:
             radius = torch.from_numpy(arrays["radius"])
         weber, rest = record["design"]
         nuisance = Nuisance(**record["nuisance"])
-        exposure = record.get("exposure", 0.0)
-        experiment = Experiment(record["label"], (weber, rest), times, radius, nuisance, exposure)
-        if curve_hash(experiment) != record["curve"]:
-            raise InputDataError(
-                f"{path}: holds another curve than the journal says; restore both from a copy."
-            )
-        return experiment
-
-
-def _encoded(entry: dict[str, Any], previous: str) -> tuple[bytes, str] | None:
-    """The line of an entry without its end, and its checksum; None if a number is not finite."""
-    try:
-        body = json.dumps(entry, allow_nan=False)
-    except ValueError:
-        return None
-    check = hashlib.sha256((previous + body).encode()).hexdigest()
-    return f'{body[:-1]}, "check": "{check}"}}'.encode(), check
+        return Experiment(
+            record["label"], (weber, rest), times, radius, nuisance, record["exposure"]
+        )

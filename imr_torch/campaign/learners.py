@@ -92,12 +92,6 @@ class Finding:
         """The most probable hypothesis; None where none was fitted."""
         return max(self.probabilities, key=self.probabilities.__getitem__, default=None)
 
-    @classmethod
-    def from_dict(cls, values: dict[str, Any]) -> "Finding":
-        """Inverse of ``dataclasses.asdict`` after JSON."""
-        own: dict[str, Any] = values | {"causes": tuple(values["causes"])}
-        return cls(**own)
-
 
 @dataclass(frozen=True)
 class Inference:
@@ -246,11 +240,10 @@ class PaperLearner:
     def learn(
         self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None
     ) -> Inference:
-        """See :class:`Learner`. Raises as :meth:`check` does."""
+        """See :class:`Learner`."""
         batch = observations.batch
         belief = observations.belief
         record = {}
-        self.check(batch)
         count = len(batch.experiments)
         for number in range(count - observations.fresh + 1, count + 1):
             experiment = batch.curves[number - 1]

@@ -116,6 +116,11 @@ class Campaign:
         return self._history.steps
 
     @property
+    def now(self) -> Step:
+        """The last of these; the prior before the first."""
+        return self.steps[-1] if self.steps else Step(self.prior, number=0)
+
+    @property
     def numbers(self) -> list[int]:
         """Numbers of the experiments that count."""
         return list(self._history.told)
@@ -133,23 +138,21 @@ class Campaign:
     @property
     def belief(self) -> Belief:
         """The present belief."""
-        return self.steps[-1].belief if self.steps else self.prior
+        return self.now.belief
 
     @property
     def plan(self) -> Plan:
         """How the next experiment will be observed: as the settings say, with the noise that was
         learnt so far.
         """
-        noise = self.steps[-1].noise if self.steps else None
-        return replace(self.settings.plan, noise=noise) if noise else self.settings.plan
+        return replace(self.settings.plan, noise=self.now.noise or self.settings.plan.noise)
 
     @property
     def outstanding(self) -> tuple[int, ...]:
         """Numbers of the experiments that were told and are not in the present belief, as after an
         interruption.
         """
-        last = self.steps[-1].number if self.steps else 0
-        return tuple(number for number in self.numbers if number > last)
+        return tuple(number for number in self.numbers if number > self.now.number)
 
     def reason_to_stop(self, proposal: Proposal | None = None) -> str | None:
         """Why the campaign should end, by what was told so far and, if given, what is proposed.
@@ -158,8 +161,9 @@ class Campaign:
         """
         rule = self.settings.stop
         gain = proposal.gain if proposal else None
-        finding = self.steps[-1].finding if self.steps else None
-        state = CampaignState(self.belief, tuple(self.experiments), gain, self.forgotten, finding)
+        state = CampaignState(
+            self.belief, tuple(self.experiments), gain, self.forgotten, self.now.finding
+        )
         return rule.reason(state) if rule else None
 
     @property
@@ -168,13 +172,10 @@ class Campaign:
 
         One whose curve was told again unchanged is not among them.
         """
-        seen = {curve_hash(experiment) for experiment in self.experiments}
-        lost = []
-        for experiment in self._history.withdrawn:
-            if (curve := curve_hash(experiment)) not in seen:
-                seen.add(curve)
-                lost.append(experiment)
-        return tuple(lost)
+        lost = {curve_hash(experiment): experiment for experiment in self._history.withdrawn}
+        for experiment in self.experiments:
+            lost.pop(curve_hash(experiment), None)
+        return tuple(lost.values())
 
     def ask(self, *, progress: Progress | None = None) -> Proposal:
         """The design that the policy chooses under the present belief.
@@ -203,8 +204,7 @@ class Campaign:
         with self.journal.held():
             self._catch_up(progress)
             for number in range(self.told + 1, self.told + 1 + q):
-                pending = torch.stack([p.design for p in proposals]) if proposals else None
-                proposals.append(self._propose(number, pending, progress))
+                proposals.append(self._propose(number, proposals, progress))
         return tuple(proposals)
 
     def fail(self, label: str, reason: str) -> None:
@@ -225,16 +225,16 @@ class Campaign:
         """The shots that failed: ``step``, ``label`` and ``reason``."""
         return [event for event in self.journal.events if event["event"] == "failed"]
 
-    def _propose(self, number: int, pending: Tensor | None, progress: Progress | None) -> Proposal:
-        """The proposal of one step, from the journal if it was made before."""
+    def _propose(
+        self, number: int, before: Sequence[Proposal], progress: Progress | None
+    ) -> Proposal:
+        """The proposal of one step beside those before it, from the journal if it was made already."""
         known = self._history.standing(number)
         if known is not None:
             return known.proposal
         settings = self.settings
         batch = self._batch(self.experiments) if self.experiments else None
-        if moved := self._history.moved[number]:
-            failed = torch.stack(moved)
-            pending = failed if pending is None else torch.cat((pending, failed))
+        pending = [*(proposal.design for proposal in before), *self._history.moved[number]]
         situation = Situation(
             number,
             self.belief,
@@ -242,16 +242,16 @@ class Campaign:
             settings.space,
             self.plan,
             self.seed,
-            pending,
+            torch.stack(pending) if pending else None,
             self.prior,
             batch,
-            self.steps[-1].shots if self.steps else None,
+            self.now.shots,
         )
         found = settings.policy.choose(situation, progress=progress)
         search = found.search
         tried = zip(search.gains, search.designs, strict=True) if search else ()
         evaluations = [asdict(gain) | {"design": design.tolist()} for gain, design in tried]
-        before = search and search.pending and asdict(search.pending)
+        gain_before = search and search.pending and asdict(search.pending)
         self._record(
             "ask",
             step=number,
@@ -260,7 +260,7 @@ class Campaign:
             gain_sd=found.gain_sd,
             reason=found.reason,
             search=asdict(search.settings) if search else None,
-            pending=without_nonfinite(before)[0],
+            pending=without_nonfinite(gain_before)[0],
             evaluations=without_nonfinite(evaluations)[0],
         )
         return found
@@ -303,11 +303,7 @@ class Campaign:
         if not experiments:
             raise InputDataError("tell needs at least one experiment.")
         with self.journal.held():
-            known = {
-                curve_hash(experiment): (number, experiment.label)
-                for number, experiment in self._history.told.items()
-            }
-            check_new(experiments, known, self.outstanding, self.journal.path)
+            check_new(experiments, self._history.told, self.outstanding, self.journal.path)
             self._catch_up(progress)
             for experiment in experiments:
                 check_simulated(
@@ -391,7 +387,7 @@ class Campaign:
             raise InputDataError("There is no experiment to learn from; tell one first.")
         fresh = self.outstanding
         if not fresh:
-            return self.steps[-1]
+            return self.now
         with self.journal.held():
             observations = Observations(
                 self.prior, self.belief, self._batch(self.experiments), len(fresh), self.seed
@@ -419,8 +415,8 @@ class Campaign:
                 shots=inference.shots.to_dict() if inference.shots else None,
                 **inference.record,
             )
-        self.steps[-1] = replace(self.steps[-1], assimilation=inference.assimilation)
-        return self.steps[-1]
+        self.steps[-1] = replace(self.now, assimilation=inference.assimilation)
+        return self.now
 
     def _batch(self, experiments: Sequence[Experiment]) -> ExperimentBatch:
         """Experiments as a learner sees them."""

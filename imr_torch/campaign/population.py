@@ -7,7 +7,6 @@ scatter between shots.
 an experiment are taken to be of the same gel.
 """
 
-import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -45,26 +44,22 @@ class PopulationLearner:
     constitutive model.
 
     Args:
-        scale: of the half-normal prior of each scatter.
         samples: draws of the posterior of each shot.
         noise_rounds: how often the noise is estimated from the residuals of all shots, as measured
             curves need; with 0 it is as planned.
 
     >>> from imr_torch.campaign import PopulationLearner
-    >>> PopulationLearner(noise_rounds=1).scale
-    0.3
+    >>> PopulationLearner(noise_rounds=1).samples
+    256
     """
 
-    scale: float = SCALE
     samples: int = 256
     noise_rounds: int = 0
 
     def __post_init__(self) -> None:
-        if self.noise_rounds < 0 or not 0.0 < self.scale < math.inf:
+        if self.noise_rounds < 0:
             raise InputDataError(
-                f"PopulationLearner has noise_rounds {self.noise_rounds} and scale {self.scale}; "
-                "expected 0 rounds or more and "
-                "a positive scale."
+                f"PopulationLearner.noise_rounds is {self.noise_rounds}; expected 0 or more."
             )
 
     def check(self, batch: ExperimentBatch) -> None:
@@ -98,11 +93,11 @@ class PopulationLearner:
         shots = tuple(
             ShotLikelihood.of(fit.batch.experiments[0].label, fit.fits[0]) for fit in fits
         )
-        problem = Problem(shots, part, self.scales(part))
+        problem = Problem(shots, part, scatter_scales(part))
         noise = fits[0].batch.noise
         population = None
         if len(fits) > 1:
-            found = infer_population(fits, scale=self.scale, seed=own)
+            found = infer_population(fits, scale=SCALE, seed=own)
             drawn = found.found
             population = without_nonfinite(found.to_dict())[0]
         else:
@@ -117,13 +112,14 @@ class PopulationLearner:
             shots=problem.gaussian,
         )
 
-    def scales(self, prior: ModelBelief) -> Controls:
-        """``d`` tensor, scale of the prior of each control's scatter.
 
-        0 for what is inferred of the medium.
-        """
-        varying = torch.tensor([name in prior.of_gel for name in prior.names])
-        return torch.where(varying, self.scale / coordinate_units(prior), 0.0)
+def scatter_scales(prior: ModelBelief) -> Controls:
+    """``d`` tensor, scale of the half-normal prior of each control's scatter.
+
+    0 for what is inferred of the medium.
+    """
+    varying = torch.tensor([name in prior.of_gel for name in prior.names])
+    return torch.where(varying, SCALE / coordinate_units(prior), 0.0)
 
 
 @dataclass(frozen=True)
@@ -132,15 +128,13 @@ class LearnPopulation:
     scatter.
 
     Args:
-        learner: infers the population; that of the campaign.
         search: how the design is searched for; its estimator is not used.
 
-    >>> from imr_torch.campaign import LearnPopulation, PopulationLearner
-    >>> LearnPopulation(PopulationLearner()).search.evaluations
+    >>> from imr_torch.campaign import LearnPopulation
+    >>> LearnPopulation().search.evaluations
     25
     """
 
-    learner: PopulationLearner
     search: Optimal = field(default_factory=Optimal)
 
     def choose(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
@@ -156,7 +150,7 @@ class LearnPopulation:
                 "campaign does not give; take PopulationLearner."
             )
         shots = situation.shots or GaussianShots.none(len(prior.names))
-        estimator = information_about(shots, prior, self.learner.scales(prior))
+        estimator = information_about(shots, prior)
         found = replace(self.search, estimator=estimator).choose(situation, progress=progress)
         reason = (
             f"A shot that showed its gel without error would tell {estimator.limit():.2f} nats of "
@@ -165,19 +159,16 @@ class LearnPopulation:
         return replace(found, reason=reason)
 
 
-def information_about(
-    shots: GaussianShots, prior: ModelBelief, scales: Controls
-) -> PopulationInformation:
+def information_about(shots: GaussianShots, prior: ModelBelief) -> PopulationInformation:
     """The information about a population after some shots, by the Gaussian parts of their
     likelihoods.
 
     Args:
         shots: none before the first.
         prior: of the population's median.
-        scales: ``d`` tensor, of the half-normal prior of each control's scatter.
     """
     precision = torch.cholesky_inverse(prior.chol)
-    grid = cells(shots, prior, scales)
+    grid = cells(shots, prior, scatter_scales(prior))
     levels = (torch.arange(_SCATTERS, dtype=torch.float64) + 0.5) / _SCATTERS
     scatter = grid.middle[
         torch.searchsorted(grid.weights.cumsum(0), levels).clamp_max(len(grid.middle) - 1)

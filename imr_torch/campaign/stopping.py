@@ -258,7 +258,7 @@ class Budget:
             [self.per_design + self.per_curve * e.repeats for e in group]
             for group in (state.experiments, state.forgotten)
         )
-        following = [*lost, *costs][-1] if costs or lost else self.per_design + self.per_curve
+        following = [self.per_design + self.per_curve, *lost, *costs][-1]
         spent = sum(costs) + sum(lost)
         if spent + following <= self.total:
             return None
@@ -284,9 +284,8 @@ class AnyOf:
 
     def reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
-        return next(
-            (reason for rule in self.rules if (reason := rule.reason(state)) is not None), None
-        )
+        reasons = (rule.reason(state) for rule in self.rules)
+        return next(filter(None, reasons), None)
 
 
 @dataclass(frozen=True)
@@ -357,17 +356,12 @@ def _all_of(text: str) -> StoppingRule:
 def _one(text: str) -> StoppingRule:
     name, _, values = text.partition("=")
     try:
-        rule = _RULES[name]
-        numbers = [int(v) if name == "designs" else float(v) for v in values.split(":")]
-    except (KeyError, ValueError):
-        rule = None
-        numbers = []
-    if rule is None or len(numbers) > (3 if name == "budget" else 1):
+        number = int if name == "designs" else float
+        return _RULES[name](*map(number, values.split(":")))
+    except InputDataError as error:
+        raise InputDataError(f"{text!r} is not a stopping rule: {error}") from None
+    except (KeyError, TypeError, ValueError):
         raise InputDataError(
             f"{text!r} is not a stopping rule; expected NAME=NUMBER with NAME of "
             f"{', '.join(_RULES)}."
-        )
-    try:
-        return rule(*numbers)
-    except InputDataError as error:
-        raise InputDataError(f"{text!r} is not a stopping rule: {error}") from None
+        ) from None

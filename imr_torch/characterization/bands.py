@@ -1,31 +1,24 @@
-"""Quantiles of a posterior: of each parameter, and of the radius that a frame would show."""
+"""The curves of a characterisation as JSON-ready values, from which its figures are drawn again:
+measured frames, curves of the models, residuals, and the predictive band.
+"""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import Assimilation
+from imr_torch.assimilate import Assimilation, ModelFit
+from imr_torch.assimilate.bad_frames import LEVELS
+from imr_torch.assimilate.dense import dense_curve
 from imr_torch.files import drawn_numbers
-from imr_torch.material import Belief, ModelBelief
-from imr_torch.observe import predict
+from imr_torch.material import Belief
+from imr_torch.observe import ExperimentBatch, Prepared, TraceSet, predict
+from imr_torch.observe.frames import FrameUse
 from imr_torch.simulate import Simulator
 
-LEVELS = (0.05, 0.5, 0.95)
 _NOISE_LEVELS = 21  # quantiles of the noise in a predictive band
-
-
-def intervals(belief: ModelBelief) -> dict[str, list[float]]:
-    """Parameter -> [5 %, 50 %, 95 %] quantile, SI.
-
-    >>> from imr_torch import wide_prior
-    >>> from imr_torch.characterization import intervals
-    >>> low, middle, high = intervals(wide_prior(["nhkv"])["nhkv"])["mu"]
-    >>> low < middle < high
-    True
-    """
-    return dict(zip(belief.names, belief.quantile(LEVELS).T.tolist(), strict=True))
 
 
 def predictive_band(
@@ -36,7 +29,7 @@ def predictive_band(
     *,
     draws: int = 100,
     seed: int = 0,
-    times: Tensor | None = None,
+    times: Tensor,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Posterior predictive quantiles (5, 50, 95 %) of single frames, over gel and noise: three ``E
     x T`` tensors, R/Rmax.
@@ -48,7 +41,7 @@ def predictive_band(
         model: whose prediction.
         draws: posterior draws.
         seed: of the draws.
-        times: ``E x T`` tensor, dimensionless, increasing; those of the frames when not given.
+        times: ``E x T`` tensor, dimensionless, increasing.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, reference_case
@@ -60,7 +53,7 @@ def predictive_band(
     >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=4)
     >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=0)
     >>> result = assimilate(prior, ExperimentBatch((shot,), Noise()), simulator, seed=0)
-    >>> low, middle, high = predictive_band(result, prior, simulator, "nhkv", draws=20)
+    >>> low, middle, high = predictive_band(result, prior, simulator, "nhkv", draws=20, times=result.batch.times)
     >>> bool((low < middle).all()), bool((middle < high).all())
     (True, True)
     """
@@ -69,7 +62,6 @@ def predictive_band(
     part = posterior[model]
     controls = part.controls(draws, seed=seed)
     shifts = (fit.nuisances * batch.nuisance_sds).expand(draws, -1, -1)
-    times = batch.times if times is None else times
     prediction = predict(simulator, part.parameters(controls), batch, shifts, times=times)
     # noise at its quantiles, not at random numbers, so that the band is smooth
     noise = torch.special.ndtri(
@@ -103,4 +95,86 @@ def band_document(model: str, times: Tensor, band: Sequence[Tensor], e: int) -> 
     rows = zip(("t_star", "low", "median", "high"), (times, *band), strict=True)
     return {"model": model, "levels": LEVELS} | {
         name: drawn_numbers(values[e]) for name, values in rows
+    }
+
+
+def curves_document(
+    whole: Assimilation,
+    posterior: Belief,
+    prepared: Prepared,
+    frames: Sequence[FrameUse],
+    traces: TraceSet,
+    simulator: Simulator,
+    *,
+    draws: int,
+    seed: int,
+) -> list[dict[str, Any]]:
+    """Every curve with its measured frames, the curves of the models and the predictive band of the
+    most probable one.
+
+    Args:
+        whole: the fits.
+        posterior: belief after the data.
+        prepared: the curves as they were fitted.
+        frames: which frames were fitted.
+        traces: the records.
+        simulator: makes the bubbles, in the medium of the curves.
+        draws: posterior draws behind the predictive band.
+        seed: of these draws.
+    """
+    best = posterior.best.model
+    pairs = [fit.of_curves(whole.batch) for fit in whole.fits]
+    fits = tuple(fit for fit, _ in pairs)
+    batch = pairs[0][1]
+    drawn = {fit.model: dense_curve(fit, batch, simulator) for fit in fits}
+    curves_only = replace(whole, batch=batch, fits=fits)
+    band = predictive_band(
+        curves_only, posterior, simulator, best, draws=draws, seed=seed, times=drawn[best][0]
+    )
+    scale = simulator.conditions.surroundings
+    curves = []
+    for e, (trace, use, experiment) in enumerate(
+        zip(traces, frames, prepared.experiments, strict=True)
+    ):
+        marks = prepared.landmarks[trace.experiment_id]
+        curves.append(
+            {
+                "id": trace.experiment_id,
+                "source": trace.source.rsplit("/", 1)[-1],
+                "We": experiment.design[0],
+                "R_inf*": experiment.design[1],
+                "Rmax_m": marks.max_radius_m,
+                "R_inf_m": marks.max_radius_m * experiment.design[1],
+                "time_of_max_s": marks.time_of_max_s,
+                "time_scale_s": float(scale.time_scale(marks.max_radius_m)),
+                "frames": use.to_dict(),
+                "measured": {
+                    "t_star": use.t_star,
+                    "R_star": (trace.radius_m / marks.max_radius_m).tolist(),
+                    "fitted": use.fitted,
+                }
+                | (
+                    {}
+                    if trace.asphericity is None
+                    else {"asphericity": drawn_numbers(trace.asphericity)}
+                ),
+                "models": {fit.model: _model(fit, batch, e, drawn[fit.model]) for fit in fits},
+                "band": band_document(best, drawn[best][0], band, e),
+            }
+        )
+    return curves
+
+
+def _model(
+    fit: ModelFit, batch: ExperimentBatch, e: int, drawn: tuple[Tensor, Tensor]
+) -> dict[str, Any]:
+    """The curve of one model in one experiment, and its residuals at the fitted frames."""
+    seen = batch.mask[e]
+    residual = (batch.mean - fit.prediction)[e][seen]
+    noise = (batch.of_frames.sd(fit.prediction) / batch.counts.sqrt())[e][seen]
+    return {
+        "t_star": drawn_numbers(drawn[0][e]),
+        "R_star": drawn_numbers(drawn[1][e]),
+        "residual": drawn_numbers(residual),
+        "residual_over_sd": drawn_numbers(residual / noise),
     }

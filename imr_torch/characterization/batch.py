@@ -16,20 +16,19 @@ from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
-    CancelledError,
     Executor,
     Future,
     wait,
 )
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from imr_torch.assimilate import FitOptions
 from imr_torch.characterization import characterize
-from imr_torch.characterization.saved import SavedCharacterization, to_dataframe, write_xlsx
+from imr_torch.characterization.saved import SavedCharacterization, write_xlsx
 from imr_torch.document import header
 from imr_torch.errors import ImrError, InputDataError, in_one_line
 from imr_torch.files import read_json, write_atomically, write_json
@@ -40,9 +39,6 @@ from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
 
-if TYPE_CHECKING:
-    import pandas
-
 SHOTS = "shots"
 """Folder of the results, below that of the run."""
 
@@ -51,7 +47,8 @@ NOT_CONVERGED = "not converged"
 FAILED = "failed"
 _WINDOW = 64  # shots handed to an executor at a time
 _OF_READING = ("layout", "sort", "each")  # options that say how files are read, not how fitted
-_FEATURES = (
+_COLUMNS = (
+    "shot",
     "status",
     "explained",
     "file",
@@ -61,6 +58,11 @@ _FEATURES = (
     "R_inf*",
     "model",
     "probability",
+    *(column for name in PARAMETERS.names for column in (f"{name}_low", name, f"{name}_high")),
+    "rmse",
+    "verdict",
+    "cpu_seconds",
+    "error",
 )
 
 
@@ -150,13 +152,7 @@ class BatchSummary:
     def columns(self) -> tuple[str, ...]:
         """All columns, in order: parameters in the order of the package."""
         found = {name for row in self.rows for name in row}
-        known = (
-            "shot",
-            *_FEATURES,
-            *(n for p in PARAMETERS.names for n in (f"{p}_low", p, f"{p}_high")),
-        )
-        last = ("rmse", "verdict", "cpu_seconds", "error")
-        return tuple(name for name in (*known, *last) if name in found)
+        return tuple(name for name in _COLUMNS if name in found)
 
     def count(self, status: str) -> int:
         """Shots of a status."""
@@ -177,27 +173,6 @@ class BatchSummary:
         writer.writeheader()
         writer.writerows(self.rows)
         return stream.getvalue()
-
-    def to_dataframe(self) -> "pandas.DataFrame":
-        """The rows as a table; needs pandas."""
-        return to_dataframe(self.rows)
-
-
-@dataclass
-class _Run:
-    """A run in progress: where results go, and what is known so far."""
-
-    folder: Path
-    rows: dict[str, Mapping[str, Any]] = field(default_factory=dict)
-
-    def keep(self, shot: Shot, document: Mapping[str, Any]) -> None:
-        """Write a result and its row."""
-        target = self.folder / SHOTS / f"{shot.name}.json"
-        if document.get("error"):
-            target.unlink(missing_ok=True)  # of an earlier state of the file
-        else:
-            write_json(target, {**document, "shot": shot.name, "file": shot.file, "key": shot.key})
-        self.rows[shot.name] = _row(shot, document)
 
 
 def run_batch(
@@ -240,23 +215,34 @@ def run_batch(
     if window < 1:
         raise InputDataError(f"run_batch: window is {window}; expected at least 1.")
     files = find_files(*paths)
-    run = _Run(Path(folder))
-    old = _results(run.folder / SHOTS)
+    home = Path(folder)
+    old = _results(home / SHOTS)
+    rows: dict[str, Mapping[str, Any]] = {}
     order = []
     wanted = []
+
+    def keep(shot: Shot, document: Mapping[str, Any]) -> None:
+        """Write a result and its row."""
+        target = home / SHOTS / f"{shot.name}.json"
+        if document.get("error"):
+            target.unlink(missing_ok=True)  # of an earlier state of the file
+        else:
+            write_json(target, {**document, "shot": shot.name, "file": shot.file, "key": shot.key})
+        rows[shot.name] = _row(shot, document)
+
     for shot in _shots(files, options):
         order.append(shot.name)
         earlier = old.get(shot.key)
         if shot.traces is None:
-            run.keep(shot, {"error": shot.error})
+            keep(shot, {"error": shot.error})
         elif earlier is not None and earlier.get("shot") == shot.name:
-            run.rows[shot.name] = _row(shot, earlier)
+            rows[shot.name] = _row(shot, earlier)
         elif earlier is not None:  # under another name
-            run.keep(shot, earlier)
+            keep(shot, earlier)
         else:
             wanted.append(shot)
     if progress:
-        done = sum(row["status"] != FAILED for row in run.rows.values())
+        done = sum(row["status"] != FAILED for row in rows.values())
         progress(
             f"{len(order)} shot(s) in {len(files)} file(s): {len(wanted)} to do, {done} done before"
         )
@@ -267,17 +253,15 @@ def run_batch(
     try:
         with closing(finished):
             for number, (shot, document) in enumerate(finished, 1):
-                run.keep(shot, document)
+                keep(shot, document)
                 if progress:
-                    progress(
-                        f"{number} of {len(wanted)}: {shot.name} {run.rows[shot.name]['status']}"
-                    )
+                    progress(f"{number} of {len(wanted)}: {shot.name} {rows[shot.name]['status']}")
     finally:
-        summary = BatchSummary(tuple(run.rows[name] for name in order if name in run.rows))
+        summary = BatchSummary(tuple(rows[name] for name in order if name in rows))
         if summary.rows:
             text = summary.to_csv().encode()
-            write_atomically(run.folder / "summary.csv", lambda stream: stream.write(text))
-            write_xlsx(summary.rows, summary.columns, run.folder / "summary.xlsx")
+            write_atomically(home / "summary.csv", lambda stream: stream.write(text))
+            write_xlsx(summary.rows, summary.columns, home / "summary.xlsx")
     return summary
 
 
@@ -288,11 +272,9 @@ def characterize_shot(traces: TraceSet | None, options: BatchOptions) -> dict[st
         assert traces is not None
         of_fit = {name: value for name, value in vars(options).items() if name not in _OF_READING}
         result = characterize(traces, **of_fit)
-        files = list({trace.source: None for trace in traces})
-        document = header("characterize", files=files, medium=result.medium) | {
+        document = result.to_result_document() | {
             "converged": result.converged,
             "frames_fitted": sum(len(experiment.times) for experiment in result.experiments),
-            **result.to_document(),
         }
         json.dumps(document, allow_nan=False)  # what cannot be written is an error of this shot
         return document
@@ -316,52 +298,45 @@ def _spread(
     Shots that a pool had in hand when it broke are tried again, each in a pool of its own.
     """
     waiting = list(reversed(shots))
-    if isinstance(executor, Executor):
-        for shot in (yield from _until_broken(executor, waiting, options, window)):
-            yield shot, {"error": "the executor no longer works; start the run again"}
-        return
     while waiting:
-        in_hand = yield from _in_new_pool(executor, waiting, options, window)
+        in_hand = yield from _until_broken(executor, waiting, options, window)
         for shot in in_hand:
-            if (yield from _in_new_pool(executor, [shot], options, window)):
+            if (yield from _until_broken(executor, [shot], options, window)):
                 yield shot, {"error": "the worker that had it ended; give it more memory"}
 
 
-def _in_new_pool(
-    make: Callable[[], Executor], waiting: list[Shot], options: BatchOptions, window: int
-) -> Results:
-    """:func:`_until_broken` in a pool that is made for it."""
-    pool = make()
-    try:
-        return (yield from _until_broken(pool, waiting, options, window))
-    finally:
-        pool.shutdown(wait=False, cancel_futures=True)
-
-
 def _until_broken(
-    pool: Executor, waiting: list[Shot], options: BatchOptions, window: int
+    executor: Executor | Callable[[], Executor],
+    waiting: list[Shot],
+    options: BatchOptions,
+    window: int,
 ) -> Results:
     """Results as they come from a pool, from the end of a list; returns what the pool had in hand
-    when it broke.
+    when it broke. A pool that is made here is shut down here.
     """
+    pool = executor if isinstance(executor, Executor) else executor()
     running: dict[Future[dict[str, Any]], Shot] = {}
     in_hand: list[Shot] = []
-    while running or (waiting and not in_hand):
-        while waiting and not in_hand and len(running) < window:
-            shot = waiting.pop()
-            try:
-                running[pool.submit(characterize_shot, shot.traces, options)] = shot
-            except BrokenExecutor:
-                in_hand.append(shot)
-        for future in wait(running, return_when=FIRST_COMPLETED).done:
-            shot = running.pop(future)
-            try:
-                yield shot, future.result()
-            except BrokenExecutor:
-                in_hand.append(shot)
-            except (Exception, CancelledError) as error:
-                why = in_one_line(error)
-                yield shot, {"error": f"the worker that had it ended ({why}); give it more memory"}
+    try:
+        while running or (waiting and not in_hand):
+            while waiting and not in_hand and len(running) < window:
+                shot = waiting.pop()
+                try:
+                    running[pool.submit(characterize_shot, shot.traces, options)] = shot
+                except BrokenExecutor:
+                    in_hand.append(shot)
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                shot = running.pop(future)
+                try:
+                    yield shot, future.result()
+                except BrokenExecutor:
+                    in_hand.append(shot)
+                except Exception as error:
+                    why = f"the worker that had it ended ({in_one_line(error)})"
+                    yield shot, {"error": f"{why}; give it more memory"}
+    finally:
+        if pool is not executor:
+            pool.shutdown(wait=False, cancel_futures=True)
     return in_hand
 
 

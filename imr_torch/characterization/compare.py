@@ -8,7 +8,7 @@ where the weighted draws confirm both Gaussians.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -18,14 +18,13 @@ from torch.distributions import MultivariateNormal
 from imr_torch.characterization.saved import SavedCharacterization, WeightedDraws, to_dataframe
 from imr_torch.document import header
 from imr_torch.errors import InputDataError
-from imr_torch.material import Belief, ModelBelief
+from imr_torch.material import ModelBelief
 from imr_torch.results import document_report
 
 if TYPE_CHECKING:
     import pandas
 
 LEVELS = (0.05, 0.5, 0.95)
-_ENDS = ("low", "median", "high")
 DECISIVE = math.log(10.0)
 """Log Bayes factor, nats, from which one of the two hypotheses is called right: odds of 10 to 1."""
 CLEAR = 0.975
@@ -39,16 +38,24 @@ class ParameterComparison:
     """One parameter of two gels, ``a`` and ``b``.
 
     Args:
-        name: of the parameter.
+        parameter: its name.
         probability_greater: that it is greater in ``a``.
-        ratio: 5, 50 and 95 % quantile of a/b.
-        difference: of a - b, SI.
+        ratio_low: 5 % quantile of a/b.
+        ratio_median: its 50 % quantile.
+        ratio_high: its 95 % quantile.
+        difference_low: 5 % quantile of a - b, SI.
+        difference_median: its 50 % quantile.
+        difference_high: its 95 % quantile.
     """
 
-    name: str
+    parameter: str
     probability_greater: float
-    ratio: tuple[float, float, float]
-    difference: tuple[float, float, float]
+    ratio_low: float
+    ratio_median: float
+    ratio_high: float
+    difference_low: float
+    difference_median: float
+    difference_high: float
 
     @property
     def clear(self) -> bool:
@@ -105,27 +112,13 @@ class Comparison:
             return "undecided"
         return "same" if self.log_bayes_factor > 0.0 else "different"
 
-    def __getitem__(self, name: str) -> ParameterComparison:
-        for parameter in self.parameters:
-            if parameter.name == name:
-                return parameter
-        raise InputDataError(
-            f"No parameter {name!r}; {self.model!r} has "
-            f"{', '.join(p.name for p in self.parameters)}."
-        )
-
     def report(self) -> str:
         """The comparison as text."""
         return document_report(header("compare") | self.to_dict())
 
     def rows(self) -> list[dict[str, Any]]:
         """One row per parameter."""
-        return [
-            {"parameter": p.name, "probability_greater": p.probability_greater}
-            | {f"ratio_{end}": x for end, x in zip(_ENDS, p.ratio, strict=True)}
-            | {f"difference_{end}": x for end, x in zip(_ENDS, p.difference, strict=True)}
-            for p in self.parameters
-        ]
+        return [asdict(parameter) for parameter in self.parameters]
 
     def to_dataframe(self) -> "pandas.DataFrame":
         """:meth:`rows` as a table; needs pandas."""
@@ -151,7 +144,6 @@ def compare(
     b: SavedCharacterization,
     *,
     model: str | None = None,
-    names: tuple[str, str] | None = None,
 ) -> Comparison:
     """Compare two gels whose data are independent.
 
@@ -159,7 +151,6 @@ def compare(
         a: result of the first.
         b: result of the second.
         model: whose parameters are compared; the most probable of both together when not given.
-        names: what they are called; their files when not given.
 
     Raises:
         InputDataError: if the results have no model in common, or not the one that was asked for.
@@ -185,12 +176,10 @@ def compare(
     draws = a.draws(chosen), b.draws(chosen, seed=1)
     parameters = tuple(_parameter(name, *draws) for name in draws[0].names)
     value, reason = _log_bayes_factor(a, b, common if model is None else [chosen])
-    labels = names or (a.source, b.source)
-    cautions = tuple(_cautions(a, b, chosen, labels))
-    misfits = tuple(
-        name for result, name in zip((a, b), labels, strict=True) if result.explained is False
-    )
-    return Comparison(labels, chosen, parameters, value, reason, cautions, misfits)
+    cautions = tuple(_cautions(a, b, chosen))
+    misfits = tuple(result.source for result in (a, b) if result.explained is False)
+    names = (a.source, b.source)
+    return Comparison(names, chosen, parameters, value, reason, cautions, misfits)
 
 
 def _parameter(name: str, a: WeightedDraws, b: WeightedDraws) -> ParameterComparison:
@@ -200,8 +189,8 @@ def _parameter(name: str, a: WeightedDraws, b: WeightedDraws) -> ParameterCompar
     difference = (first[:, None] - second).flatten()
     ratio = (first[:, None] / second).flatten()
     greater = float((weights * ((difference > 0.0).double() + 0.5 * (difference == 0.0))).sum())
-    ratios, differences = (_quantiles(values, weights) for values in (ratio, difference))
-    return ParameterComparison(name, min(greater, 1.0), ratios, differences)
+    quantiles = (*_quantiles(ratio, weights), *_quantiles(difference, weights))
+    return ParameterComparison(name, min(greater, 1.0), *quantiles)
 
 
 def _quantiles(values: Tensor, weights: Tensor) -> tuple[float, float, float]:
@@ -213,11 +202,10 @@ def _quantiles(values: Tensor, weights: Tensor) -> tuple[float, float, float]:
     return low, middle, high
 
 
-def _cautions(
-    a: SavedCharacterization, b: SavedCharacterization, model: str, names: Sequence[str]
-) -> list[str]:
+def _cautions(a: SavedCharacterization, b: SavedCharacterization, model: str) -> list[str]:
     found = []
-    for result, name in ((a, names[0]), (b, names[1])):
+    for result in (a, b):
+        name = result.source
         if result.explained is False:
             found.append(
                 f"the model does not explain the curves of {name}, so that its parameters are not "
@@ -246,14 +234,18 @@ def _log_bayes_factor(
     """
     if a.prior is None or b.prior is None:
         return None, "a result does not hold its prior; characterise the gel again"
-    every = models if len(models) > 1 else None
+    every = len(models) > 1
+    of_a, of_b, before, other = (
+        dict(zip(belief.keys, belief.log_probabilities.tolist(), strict=True))
+        for belief in (a.posterior, b.posterior, a.prior, b.prior)
+    )
     if every and not (set(a.prior.keys) == set(b.prior.keys) == set(models)):
         return None, "the candidate models of the two results differ; name one with --model"
-    if every and not torch.allclose(_log_priors(a.prior, models), _log_priors(b.prior, models)):
+    if every and not all(math.isclose(before[key], other[key], rel_tol=1e-5) for key in models):
         return None, "the prior probabilities of the models differ"
     terms = []
     for key in models:
-        if not _same_prior(a.prior[key], b.prior[key]):
+        if not a.prior[key].same_as(b.prior[key]):
             return (
                 None,
                 f"the priors of {key} differ between the two results; characterise both with the "
@@ -261,8 +253,7 @@ def _log_bayes_factor(
             )
         weight = 0.0
         if every:
-            logs = [float(_log_priors(x, [key])) for x in (a.posterior, b.posterior, a.prior)]
-            weight = logs[0] + logs[1] - logs[2]
+            weight = of_a[key] + of_b[key] - before[key]
             if weight < -_IMPROBABLE:
                 continue
         wrong = next((x for x in (a, b) if x.verdict(key) != "trusted"), None)
@@ -277,17 +268,8 @@ def _log_bayes_factor(
         terms.append(weight + factor)
     if not terms:
         return None, "no model is probable for both gels"
-    about = f"within {models[0]}" if every is None else f"over {', '.join(models)}"
+    about = f"over {', '.join(models)}" if every else f"within {models[0]}"
     return float(torch.logsumexp(torch.tensor(terms, dtype=torch.float64), 0)), about
-
-
-def _log_priors(belief: Belief, models: Sequence[str]) -> Tensor:
-    return torch.stack([belief.log_probabilities[belief.keys.index(key)] for key in models])
-
-
-def _same_prior(a: ModelBelief, b: ModelBelief) -> bool:
-    same = a.marginals == b.marginals and dict(a.known) == dict(b.known)
-    return same and torch.allclose(a.mean, b.mean) and torch.allclose(a.chol, b.chol)
 
 
 def _gaussian_factor(a: ModelBelief, b: ModelBelief, prior: ModelBelief) -> float | None:
@@ -298,15 +280,12 @@ def _gaussian_factor(a: ModelBelief, b: ModelBelief, prior: ModelBelief) -> floa
     of_a, of_b, of_prior = (
         MultivariateNormal(part.mean, scale_tril=part.chol) for part in (a, b, prior)
     )
-    precision = of_a.precision_matrix + of_b.precision_matrix - of_prior.precision_matrix
+    of_all = [normal.precision_matrix for normal in (of_a, of_b, of_prior)]
+    precision = of_all[0] + of_all[1] - of_all[2]
     root, failed = torch.linalg.cholesky_ex(precision)
     if int(failed):
         return None
-    linear = (
-        of_a.precision_matrix @ a.mean
-        + of_b.precision_matrix @ b.mean
-        - of_prior.precision_matrix @ prior.mean
-    )
+    linear = of_all[0] @ a.mean + of_all[1] @ b.mean - of_all[2] @ prior.mean
     mean = torch.cholesky_solve(linear[:, None], root)[:, 0]
     product = MultivariateNormal(mean, precision_matrix=precision)
     logs = [normal.log_prob(mean) for normal in (of_a, of_b, of_prior, product)]

@@ -26,12 +26,13 @@ from imr_torch.assimilate import (
     weigh,
 )
 from imr_torch.characterization.checks import (
+    EFFORTS,
+    Effort,
     check_choices,
     check_data,
     check_population,
     check_profile,
 )
-from imr_torch.characterization.effort import EFFORTS
 from imr_torch.characterization.medium import medium_of
 from imr_torch.characterization.profiles import profiles_of
 from imr_torch.characterization.result import Characterization
@@ -73,7 +74,6 @@ def characterize(
     *,
     prior: Belief | None = None,
     simulator: Simulator | None = None,
-    noise: Noise | None = None,
     estimate_noise: bool = True,
     collapses: int = 2,
     rest_radius: tuple[float, float] | None = None,
@@ -96,9 +96,9 @@ def characterize(
         traces: the curves.
         prior: what is believed before; the wide prior when not given.
         simulator: makes the bubbles; with heat and vapour transport by default.
-        noise: law of the observation noise; the published one by default.
-        estimate_noise: whether it is inferred (:func:`imr_torch.assimilate.infer_frame_noise`) and
-            integrated over; not where fewer than ten degrees of freedom are left.
+        estimate_noise: whether the law of the observation noise is inferred
+            (:func:`imr_torch.assimilate.infer_frame_noise`) and integrated over; not where fewer
+            than ten degrees of freedom are left. Else it is the published one.
         collapses: collapses that the fitted window holds.
         rest_radius: assumed R_inf/Rmax and its standard deviation, for records that do not hold it.
         options: how gels are fitted, and by which method:
@@ -161,7 +161,6 @@ def characterize(
     check_data(traces, shots, scores=scores, population=population)
     check_choices(effort=effort, frames=frames, scatter_scale=scatter_scale)
     prior = prior or wide_prior()
-    noise = noise or Noise()
     if population:
         check_population(prior)
     simulator = simulator or TransportSimulator(accuracy=ACCURACIES["search"])
@@ -173,27 +172,19 @@ def characterize(
     surroundings = simulator.conditions.surroundings
     prepared = prepare(traces, surroundings, collapses=collapses, rest_radius=rest_radius)
     data = (*prepared.experiments, *(shot.to_experiment(surroundings) for shot in shots))
-    stated = options.drop_behind if isinstance(options, SearchOptions) else None
-    drop_behind = EFFORTS[effort].behind if stated is None else stated
-    method = _Method(
-        prior,
-        simulator,
-        noise,
-        estimate_noise,
-        options,
-        EFFORTS[effort].rounds,
-        drop_behind,
-        progress,
-    )
+    spent = EFFORTS[effort]
+    if isinstance(options, SearchOptions) and options.drop_behind is not None:
+        spent = replace(spent, behind=options.drop_behind)
+    rounds = NOISE_ROUNDS if estimate_noise else 0
+    method = _Method(prior, simulator, rounds, options, spent, progress)
     found = method.fitted(data, None, seed)
     bad = None
     left_out = ()
-    if len(traces) and (check or frames == "robust"):
-        bad = method.bad_frames(found)
-        if frames == "robust":
-            found, bad, left_out = _without_bad_frames(
-                method, found, bad, prepared.experiments, seed
-            )
+    refits = _REFITS if frames == "robust" else 0
+    if len(traces) and (check or refits):
+        found, bad, left_out = _without_bad_frames(
+            method, found, prepared.experiments, refits, seed
+        )
     weighted = found.assimilation
     evidence = found.evidence
     posterior = found.posterior
@@ -255,9 +246,10 @@ class _Found:
     posterior: Belief
 
     @property
-    def best(self) -> ModelFit:
-        """The fit of the most probable model."""
-        return self.assimilation[self.posterior.best.model]
+    def best(self) -> tuple[ModelFit, ExperimentBatch]:
+        """The fit of the most probable model to the curves alone, and these."""
+        fit = self.assimilation[self.posterior.best.model]
+        return fit.of_curves(self.assimilation.batch)
 
 
 @dataclass(frozen=True)
@@ -266,17 +258,10 @@ class _Method:
 
     prior: Belief
     simulator: Simulator
-    noise: Noise
-    estimate_noise: bool
+    noise_rounds: int
     options: FitOptions | None
-    rounds: int
-    drop_behind: float
+    effort: Effort
     progress: Progress | None
-
-    @property
-    def noise_rounds(self) -> int:
-        """Times that the noise is estimated and the fit repeated."""
-        return NOISE_ROUNDS if self.estimate_noise else 0
 
     def fitted(
         self, data: Sequence[Experiment | CollapseTime], near: Assimilation | None, seed: int
@@ -284,7 +269,7 @@ class _Method:
         """All models fitted to data, with weighted draws; from fits nearby where they are given."""
         fits = assimilate_estimating_noise(
             self.prior,
-            ExperimentBatch(tuple(data), self.noise),
+            ExperimentBatch(tuple(data), Noise()),
             self.simulator,
             rounds=self.noise_rounds,
             seed=child(seed, "fit"),
@@ -296,35 +281,32 @@ class _Method:
             fits,
             self.simulator,
             seed=child(seed, "weigh"),
-            rounds=self.rounds,
-            drop_behind=self.drop_behind,
+            rounds=self.effort.rounds,
+            drop_behind=self.effort.behind,
             noise=noise_nodes(fits, self.simulator),
             progress=self.progress,
         )
         evidence = evidences(weighted)
         return _Found(weighted, evidence, update(weighted, evidence))
 
-    def bad_frames(self, found: _Found) -> BadFrames:
-        """Single frames that look bad under the most probable model."""
-        return find_bad_frames(*found.best.of_curves(found.assimilation.batch), self.simulator)
-
 
 def _without_bad_frames(
-    method: _Method, found: _Found, bad: BadFrames, experiments: tuple[Experiment, ...], seed: int
+    method: _Method, found: _Found, experiments: tuple[Experiment, ...], refits: int, seed: int
 ) -> tuple[_Found, BadFrames, tuple[BadFrame, ...]]:
-    """The fit repeated without single frames that look bad until none does.
+    """The fit repeated without single frames that look bad until none does, at most so many times.
 
-    With the frames that were left out.
+    With the frames that look bad then, and those that were left out.
     """
     left_out: tuple[BadFrame, ...] = ()
-    for number in range(_REFITS):
+    bad = find_bad_frames(*found.best, method.simulator)
+    for number in range(refits):
         single = tuple(frame for frame in bad.frames if frame.single)
         if not single:
             break
         left_out += tuple(_as_recorded(frame, experiments) for frame in single)
         kept = _without(found.assimilation.batch.experiments, single)
         found = method.fitted(kept, found.assimilation, child(seed, "robust", number))
-        bad = method.bad_frames(found)
+        bad = find_bad_frames(*found.best, method.simulator)
     return found, bad, left_out
 
 
@@ -342,7 +324,7 @@ def _fit_test(method: _Method, found: _Found, seed: int) -> FitTest:
     """Whether the most probable model explains the curves."""
     if method.progress:
         method.progress("fit test: does the model explain the curves?")
-    return check_fit(*found.best.of_curves(found.assimilation.batch), method.simulator, seed=seed)
+    return check_fit(*found.best, method.simulator, seed=seed)
 
 
 def _population(
@@ -353,7 +335,7 @@ def _population(
         method.prior[found.posterior.best.model],
         experiments,
         method.simulator,
-        noise=method.noise,
+        noise=Noise(),
         rounds=method.noise_rounds,
         seed=seed,
         progress=method.progress,

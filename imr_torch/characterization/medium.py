@@ -11,7 +11,7 @@ from imr_torch.units import Surroundings
 
 
 def medium_document(
-    medium: GelMedium, found: Sequence[MediumSensitivity] = (), posterior: ModelBelief | None = None
+    medium: GelMedium, found: Sequence[MediumSensitivity], posterior: ModelBelief
 ) -> dict[str, object]:
     """What a result document says about the medium: its values, notes on them, and what assumed
     ones would change.
@@ -21,16 +21,16 @@ def medium_document(
         found: what assumed values would change.
         posterior: of the most probable model, for what the curves say of uncertain values.
 
+    >>> from imr_torch import wide_prior
     >>> from imr_torch.characterization import medium_document
     >>> from imr_torch.observe import gel_medium
-    >>> sorted(medium_document(gel_medium()))
+    >>> sorted(medium_document(gel_medium(), (), wide_prior(["nhkv"])["nhkv"]))
     ['medium', 'medium_notes', 'medium_sensitivities', 'medium_sentence']
     """
-    learnt = () if posterior is None else medium.learnt(posterior)
     return {
         "medium": medium.to_dict(),
         "medium_sentence": medium.report().splitlines()[0],
-        "medium_notes": [*medium.notes, *learnt],
+        "medium_notes": [*medium.notes, *medium.learnt(posterior)],
         "medium_sensitivities": [entry.to_dict() for entry in found],
     }
 

@@ -41,9 +41,8 @@ def profiles_of(
         if found and probability < _LEAST:
             break
         fit = result[key]
-        if len(fit.prior.names) < _FEWEST:
-            found[key] = ()
-        else:
+        found[key] = ()
+        if len(fit.prior.names) >= _FEWEST:
             found[key] = profile(
                 fit, result.batch, simulator, seed=child(seed, key), progress=progress
             )

@@ -4,7 +4,7 @@ table and a report.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,10 +16,10 @@ from imr_torch.assimilate import (
     Profile,
     Verdict,
 )
-from imr_torch.characterization.bands import intervals
+from imr_torch.assimilate.bad_frames import intervals
+from imr_torch.characterization.bands import curves_document
+from imr_torch.characterization.checks import EFFORTS
 from imr_torch.characterization.collapse import collapse_rows, patterns
-from imr_torch.characterization.document import curves_document
-from imr_torch.characterization.effort import EFFORTS
 from imr_torch.characterization.medium import medium_document
 from imr_torch.characterization.profiles import profiles_document
 from imr_torch.characterization.saved import SavedCharacterization, draws_to_dict
@@ -34,13 +34,11 @@ from imr_torch.population import Population
 from imr_torch.record import record_document
 from imr_torch.select import (
     Evidence,
-    Identifiability,
     PredictiveScore,
     identifiability,
     probability_errors,
 )
 from imr_torch.simulate import Simulator
-from imr_torch.units import Surroundings
 
 if TYPE_CHECKING:
     import pandas
@@ -65,8 +63,7 @@ class Characterization:
         frames: which frames of each record were fitted.
         fit_test: whether the most probable model explains the curves; None where that was not asked
             for.
-        medium: the liquid side, with what was stated and what was assumed; None where the
-            simulator's was taken unasked.
+        medium: the liquid side, with what was stated and what was assumed.
         sensitivities: what assumed values of the medium would change in the most probable model.
         bad_frames: single frames that look bad under the most probable model; None where that was
             not asked for.
@@ -76,8 +73,7 @@ class Characterization:
         profiles: model key -> the profile likelihoods of its parameters, of models with .05 of the
             probability or more, at the estimated noise; None where not asked for.
         traces: the records that were fitted.
-        simulator: makes the bubbles, in the medium of the curves; None where no curves are to be
-            drawn.
+        simulator: makes the bubbles, in the medium of the curves.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, characterize, wide_prior
@@ -105,17 +101,17 @@ class Characterization:
     evidence: tuple[Evidence, ...]
     posterior: Belief
     seconds: float
-    scores: tuple[PredictiveScore, ...] = ()
-    frames: tuple[FrameUse, ...] = ()
-    fit_test: FitTest | None = None
-    medium: GelMedium | None = None
-    sensitivities: tuple[MediumSensitivity, ...] = ()
-    bad_frames: BadFrames | None = None
-    left_out: tuple[BadFrame, ...] = ()
-    population: Population | None = None
-    profiles: Mapping[str, tuple[Profile, ...]] | None = None
-    traces: TraceSet = field(default_factory=lambda: TraceSet(()))
-    simulator: Simulator | None = None
+    scores: tuple[PredictiveScore, ...]
+    frames: tuple[FrameUse, ...]
+    fit_test: FitTest | None
+    medium: GelMedium
+    sensitivities: tuple[MediumSensitivity, ...]
+    bad_frames: BadFrames | None
+    left_out: tuple[BadFrame, ...]
+    population: Population | None
+    profiles: Mapping[str, tuple[Profile, ...]] | None
+    traces: TraceSet
+    simulator: Simulator
 
     @property
     def experiments(self) -> tuple[Experiment, ...]:
@@ -152,28 +148,14 @@ class Characterization:
             if chances[fit.model] >= _COUNTS
         )
 
-    @property
-    def cautions(self) -> tuple[str, ...]:
-        """What makes the numbers doubtful, a sentence each."""
-        return (*self.prepared.cautions, *patterns(self.collapse_times()))
-
-    def identifiability(self, fit: ModelFit) -> tuple[Identifiability, ...]:
-        """What the data say of each parameter of a model: from its profile where that was made,
-        else from its posterior.
-        """
-        return identifiability(fit.prior, fit.posterior, (self.profiles or {}).get(fit.model, ()))
-
     def to_dict(self, command: str = "imr-torch diagnose") -> dict[str, Any]:
         """JSON-ready summary: intervals in SI units, probabilities, residuals, certificates.
 
         Args:
             command: what to try if the model does not explain the curves.
         """
-        best = self.posterior.best
-        medium = (
-            {} if self.medium is None else medium_document(self.medium, self.sensitivities, best)
-        )
         tested = self.fit_test
+        shots = self.collapse_times()
         return {
             "experiments": [
                 {
@@ -184,11 +166,11 @@ class Characterization:
                 }
                 for e in self.experiments
             ],
-            "cautions": list(self.cautions),
-            **medium,
-            "medium_inferred": [] if self.medium is None else list(self.medium.priors),
-            "collapse_times": self.collapse_times(),
-            "collapse_patterns": patterns(self.collapse_times()),
+            "cautions": [*self.prepared.cautions, *patterns(shots)],
+            **medium_document(self.medium, self.sensitivities, self.posterior.best),
+            "medium_inferred": list(self.medium.priors),
+            "collapse_times": shots,
+            "collapse_patterns": patterns(shots),
             "model_probabilities": self.posterior.probabilities,
             "model_probability_errors": probability_errors(self.assimilation.prior, self.evidence),
             "models": {
@@ -221,9 +203,11 @@ class Characterization:
     def _model(self, fit: ModelFit, evidence: Evidence) -> dict[str, Any]:
         """What is known of one model, JSON-ready."""
         certificate = fit.certificate
+        profiles = (self.profiles or {}).get(fit.model, ())
+        found = identifiability(fit.prior, fit.posterior, profiles)
         return {
             "intervals": intervals(fit.posterior),
-            "identifiability": {f.parameter.name: f.words for f in self.identifiability(fit)},
+            "identifiability": {f.parameter.name: f.words for f in found},
             "rmse": self.assimilation.rmse(fit.model),
             "rmse_by_experiment": self.assimilation.rmse_by_experiment(fit.model),
             "log_evidence": evidence.value,
@@ -260,7 +244,7 @@ class Characterization:
             seed: of these draws.
         """
         curves = []
-        if self.simulator is not None and len(self.traces):
+        if len(self.traces):
             curves = curves_document(
                 self.assimilation,
                 self.posterior,
@@ -278,28 +262,30 @@ class Characterization:
         return self.to_dict(command) | {
             "rows_left_out": left_out,
             "notes": list(self.traces.notes),
-            "record": record_document(self.traces, self.medium and self.medium.surroundings),
+            "record": record_document(self.traces, self.medium.surroundings),
             "curves": curves,
         }
+
+    def to_result_document(self) -> dict[str, Any]:
+        """:meth:`to_document` with its header."""
+        files = list({trace.source: None for trace in self.traces})
+        return header("characterize", files=files, medium=self.medium) | self.to_document()
 
     def collapse_times(self) -> list[dict[str, object]]:
         """Each shot of which the collapse time alone is known: measured and, by the most probable
         model, predicted, over t*.
         """
-        surroundings = Surroundings() if self.medium is None else self.medium.surroundings
-        return collapse_rows(
-            self.assimilation[self.posterior.best.model], self.assimilation.batch, surroundings
-        )
+        fit = self.assimilation[self.posterior.best.model]
+        return collapse_rows(fit, self.assimilation.batch, self.medium.surroundings)
 
     def save(self, path: str | Path) -> None:
-        """Write :meth:`to_document` with its header as JSON, atomically: a result as ``imr-torch
+        """Write :meth:`to_result_document` as JSON, atomically: a result as ``imr-torch
         characterize --json`` writes it, which ``imr-torch plot`` draws.
 
-        A number that is not finite is written as null.
+        A number that is not finite is written as null. :meth:`SavedCharacterization.load
+        <imr_torch.characterization.saved.SavedCharacterization.load>` reads it.
         """
-        files = {trace.source: None for trace in self.traces}
-        made = header("characterize", files=list(files), medium=self.medium)
-        write_json(path, without_nonfinite(made | self.to_document())[0])
+        write_json(path, without_nonfinite(self.to_result_document())[0])
 
     def to_mat(self, path: str | Path) -> None:
         """Write parameters, intervals, curves and residuals for MATLAB
@@ -309,27 +295,14 @@ class Characterization:
 
         write_mat(self.to_document(), path)
 
-    @staticmethod
-    def load(path: str | Path) -> SavedCharacterization:
-        """Read a result that :meth:`save` or the command line wrote: posterior, intervals, weighted
-        draws, a table.
-
-        Raises:
-            InputDataError: if the file cannot be read, or holds no such result.
-        """
-        return SavedCharacterization.load(path)
-
     def to_dataframe(self) -> "pandas.DataFrame":
         """One row per model and parameter, SI; needs pandas."""
         return SavedCharacterization.from_dict(self.to_dict()).to_dataframe()
 
-    def report(self, command: str = "imr-torch diagnose") -> str:
+    def report(self) -> str:
         """The result as text: whether the fit explains the curves, the frames used, a table per
         model with its certificate.
-
-        Args:
-            command: what to try if the model does not explain the curves.
         """
         from imr_torch.results import document_report  # which draws, and needs matplotlib
 
-        return document_report(header("characterize") | self.to_dict(command))
+        return document_report(header("characterize") | self.to_dict())

@@ -167,19 +167,13 @@ class SavedCharacterization:
                 [entry["values"][name] for name in part.names], dtype=torch.float64
             ).mT
             weights = torch.tensor(entry["weights"], dtype=torch.float64)
+            whole = weights.shape == values.shape[:1] and bool((weights >= 0.0).all())
+            if not (whole and float(weights.sum()) > 0.0):
+                raise ValueError("no weights that fit them")
         except (KeyError, TypeError, ValueError) as error:
             raise InputDataError(
                 f"{self.source}: draws of {part.model!r} are not whole ({error}); {_EXPECTED}."
             ) from None
-        if (
-            weights.shape != values.shape[:1]
-            or not bool((weights >= 0.0).all())
-            or not float(weights.sum()) > 0.0
-        ):
-            raise InputDataError(
-                f"{self.source}: draws of {part.model!r} have no weights that fit them; "
-                f"{_EXPECTED}."
-            )
         return WeightedDraws(part.names, values, weights / weights.sum(), True)
 
     def rows(self) -> list[dict[str, Any]]:

@@ -53,7 +53,7 @@ def settings_of(args: argparse.Namespace) -> CampaignSettings:
     if args.goal == "population":
         learner = PopulationLearner(noise_rounds=0 if args.case else NOISE_ROUNDS)
         base = replace(base, learner=learner)
-        policy = LearnPopulation(learner, _optimal(args)) if args.policy == "optimal" else policy
+        policy = LearnPopulation(_optimal(args)) if args.policy == "optimal" else policy
         plan = (
             replace(plan, repeats=1) if args.repeats is None else plan
         )  # a repeat would be of the same gel

@@ -11,7 +11,7 @@ from imr_torch.results import document_report
 def run(args: argparse.Namespace) -> None:
     """Read both, compare, report."""
     first, second = (SavedCharacterization.load(path) for path in (args.a, args.b))
-    found = compare(first, second, model=args.model, names=(args.a, args.b))
+    found = compare(first, second, model=args.model)
     document = write_result(args, found.to_dict())
     print(document_report(document))
     show_result(args, document)

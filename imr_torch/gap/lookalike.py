@@ -146,67 +146,55 @@ def likeness(
         own = torch.nonzero(usable & ~obvious & (nearest == winner))[:, 0]
         empty = torch.zeros(len(known[0]), dtype=torch.float64)
         here = replace(line, residual=empty, fitted=known[winner][:, None])
-        blocks = [block(n, own, here) for n, own in every.items() if n != owners[winner]]
-        tests = _Tests(here, [b for b in blocks if b.directions.shape[1]], families, beyond)
+        tested = [block(n, own, here) for n, own in every.items() if n != owners[winner]]
+        blocks = [b for b in tested if b.directions.shape[1]]
         if null is None:
-            noise = tests.log_p(torch.zeros(1, 1, len(empty)), _CALIBRATION, source)
+            nothing = torch.zeros(1, 1, len(empty))
+            noise = _log_p_values(blocks, here, beyond, nothing, _CALIBRATION, source)
             null = noise.amin(0).flatten().sort().values
         left = (size / cosine[own])[:, None] * reference[own]
-        logs = tests.log_p(left[:, None], _NOISES, source)
+        logs = _log_p_values(blocks, here, beyond, left[:, None], _NOISES, source)
         for row, place in enumerate(own.tolist()):
-            smallest = tests.smallest(logs[:, row], families.get(names[place]))
-            log_p[place] = _calibrated(smallest, null)
+            # blocks of the same family would not be offered
+            family = families.get(names[place])
+            offered = [family is None or families.get(b.name) != family for b in blocks]
+            offered += [True] * (len(logs) - len(blocks))
+            log_p[place] = _calibrated(logs[offered, row].amin(0), null)
     # every effect counts as one, and so does every generic stress function
     weights = [(len(laws) if n == STATE_LAW else 1.0) / names.count(n) for n in names]
     total = torch.tensor(weights, dtype=torch.float64)
     return Likeness(size, log_p, total / total.sum())
 
 
-@dataclass(frozen=True)
-class _Tests:
-    """The blocks of the gap test beside one more fitted direction.
+def _log_p_values(
+    blocks: Sequence[Block],
+    line: Linearisation,
+    beyond: int,
+    signals: Tensor,
+    count: int,
+    source: torch.Generator,
+) -> Tensor:
+    """Log p-values of each block, ``b x n x count``, of ``n x 1 x D`` signals with noise; and last,
+    where the noise is known, of chi-square of all residuals.
 
     Args:
-        line: with that direction alone.
-        blocks: those with a direction left.
-        families: effect -> family.
+        blocks: what is tested.
+        line: the fitted directions.
         beyond: dimensions of the residual beside those of the line.
+        signals: without noise.
+        count: noise draws.
+        source: of the noise.
     """
-
-    line: Linearisation
-    blocks: list[Block]
-    families: Mapping[str, str]
-    beyond: int
-
-    @property
-    def _everything(self) -> bool:
-        """Whether chi-square of all residuals is a test too: where the noise is known."""
-        return self.line.batch.noise_laws is None
-
-    def log_p(self, signals: Tensor, count: int, source: torch.Generator) -> Tensor:
-        """Log p-values of each block and of chi-square, ``b x n x count``, of ``n x 1 x D`` signals
-        with noise.
-        """
-        size = signals.shape[-1]
-        noise = torch.randn(
-            len(signals), count, size + self.beyond, generator=source, dtype=torch.float64
-        )
-        rows = self.line.project(signals + noise[..., :size])
-        logs = [
-            log_survival((rows @ b.directions).square().sum(-1), b.directions.shape[1])
-            for b in self.blocks
-        ]
-        if self._everything:
-            total = rows.square().sum(-1) + noise[..., size:].square().sum(-1)
-            logs.append(log_survival(total, size - 1 + self.beyond))
-        return torch.stack(logs)
-
-    def smallest(self, logs: Tensor, family: str | None) -> Tensor:
-        """Smallest log p-value over all tests but the blocks of a family, which would not be
-        offered.
-        """
-        kept = [family is None or self.families.get(b.name) != family for b in self.blocks]
-        return logs[[*kept, True] if self._everything else kept].amin(0)
+    size = signals.shape[-1]
+    noise = torch.randn(len(signals), count, size + beyond, generator=source, dtype=torch.float64)
+    rows = line.project(signals + noise[..., :size])
+    logs = [
+        log_survival((rows @ b.directions).square().sum(-1), b.directions.shape[1]) for b in blocks
+    ]
+    if line.batch.noise_laws is None:
+        total = rows.square().sum(-1) + noise[..., size:].square().sum(-1)
+        logs.append(log_survival(total, size - 1 + beyond))
+    return torch.stack(logs)
 
 
 def _calibrated(smallest: Tensor, null: Tensor) -> Tensor:

@@ -264,6 +264,15 @@ class ModelBelief:
             weights @ m.log_slope(z[:, i]) for i, m in enumerate(self.marginals)
         )
 
+    def same_as(self, other: "ModelBelief") -> bool:
+        """Whether another belief is of the same model, with the same prior and Gaussian, draws
+        aside.
+        """
+        if self.model != other.model or self.marginals != other.marginals:
+            return False
+        same = dict(self.known) == dict(other.known) and torch.allclose(self.mean, other.mean)
+        return same and torch.allclose(self.chol, other.chol)
+
     def with_gaussian(self, mean: Controls, chol: ControlMatrix) -> "ModelBelief":
         """The same maps with another Gaussian of the controls, and no cloud."""
         return replace(self, mean=mean, chol=chol, cloud=None)

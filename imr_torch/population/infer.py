@@ -145,14 +145,7 @@ def _checked(
     prior = fits[0].fits[0].prior
     for fit in fits[1:]:
         other = fit.fits[0].prior
-        same = (
-            other.model == prior.model
-            and other.marginals == prior.marginals
-            and dict(other.known) == dict(prior.known)
-        )
-        if not (
-            same and torch.equal(other.mean, prior.mean) and torch.equal(other.chol, prior.chol)
-        ):
+        if not other.same_as(prior):
             raise InputDataError(
                 f"The shots were fitted with different models or priors: {prior.model!r}, "
                 f"{other.model!r}."

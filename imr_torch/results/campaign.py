@@ -8,8 +8,9 @@ from typing import Any
 
 import torch
 
+from imr_torch.assimilate.bad_frames import intervals
 from imr_torch.campaign import Campaign, PopulationLearner, Proposal
-from imr_torch.characterization.bands import band_document, intervals, predictive_band
+from imr_torch.characterization.bands import band_document, predictive_band
 from imr_torch.files import drawn_numbers
 from imr_torch.goodness import check_fit
 from imr_torch.material import Belief
@@ -46,7 +47,7 @@ def campaign_document(
     """
     belief = campaign.belief
     noise = campaign.plan.noise
-    population = campaign.steps[-1].population if campaign.steps else None
+    population = campaign.now.population
     history = [
         ("prior", campaign.prior),
         *((f"after {step.number}", step.belief) for step in campaign.steps),
@@ -85,7 +86,7 @@ def _fit_test(campaign: Campaign) -> dict[str, Any] | None:
     """Whether the most probable model explains the curves, where the last step was made in this
     run.
     """
-    whole = campaign.steps[-1].assimilation if campaign.steps else None
+    whole = campaign.now.assimilation
     if whole is None:
         return None
     fit = whole[campaign.belief.best.model]
@@ -133,9 +134,9 @@ def _curves(campaign: Campaign) -> list[dict[str, Any]]:
     """Curves of each experiment with the predictive band of the best model, where the last step was
     made in this run.
     """
-    last = campaign.steps[-1] if campaign.steps else None
+    last = campaign.now
     best = campaign.belief.best.model
-    if last is None or last.assimilation is None:
+    if last.assimilation is None:
         return []
     outer = campaign.simulator.conditions.surroundings
     shot = last.assimilation.batch.experiments
