@@ -17,7 +17,7 @@ setup: $(READY)
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "imr_torch needs Python 3.11 or newer, found " + sys.version)'
 	$(PYTHON) -m venv $(VENV)
-	$(PIP) -e ".[dev,app,arviz,cluster,completion,nuts,xlsx]"
+	$(PIP) -e ".[dev,app,arviz,cluster,nuts,xlsx]"
 	$(BIN)/python -m imr_torch.simulate.compiled
 	touch $(READY)
 

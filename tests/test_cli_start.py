@@ -1,5 +1,5 @@
 """The command line before any work: help, version and mistakes answer without PyTorch; the demo;
-completion of commands.
+start.
 """
 
 import json
@@ -136,22 +136,3 @@ def test_that_the_demo_says_which_command_failed(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("imr_torch.cli.main", lambda command: 1)
     assert main(args) == 1
     assert "ended at command 1 of 2" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("shell", ["bash", "zsh"])
-def test_that_the_completion_knows_commands_options_and_files(shell, capsys):
-    pytest.importorskip("shtab")
-    with pytest.raises(SystemExit) as stop:
-        main(["--print-completion", shell])
-    assert stop.value.code == 0
-    script = capsys.readouterr().out
-    assert "characterize" in script
-    assert "--population" in script
-
-
-def test_that_completion_without_its_package_says_what_to_install(monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, "shtab", None)
-    with pytest.raises(SystemExit) as stop:
-        main(["--print-completion", "bash"])
-    assert stop.value.code == 2
-    assert "pip install shtab" in capsys.readouterr().err

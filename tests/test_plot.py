@@ -9,11 +9,9 @@ from imr_torch.observe import Experiment
 from imr_torch.results.plot import (
     draw_information,
     draw_parameters,
-    plot_experiment,
     plot_parameter,
     plot_probabilities,
 )
-from imr_torch.units import Surroundings
 
 
 @pytest.fixture(autouse=True)
@@ -46,26 +44,6 @@ def test_that_a_narrow_density_has_a_linear_axis_and_no_inset():
     belief = narrow(wide_prior(["nhkv"])["nhkv"], 0.05)
     ax = plot_parameter((("posterior", belief),), "mu", truth=0.1)
     assert (ax.get_xscale(), len(ax.child_axes)) == ("linear", 0)
-
-
-def test_that_second_axes_are_in_laboratory_units():
-    surroundings = Surroundings()
-    ax = plot_experiment(experiment(), surroundings=surroundings)
-    ax.figure.canvas.draw()
-    top, right = ax.child_axes
-    size = float(surroundings.max_radius(300.0))
-    assert top.get_xlim()[1] == pytest.approx(
-        1e6 * surroundings.time_scale(size) * ax.get_xlim()[1]
-    )
-    assert right.get_ylim()[1] == pytest.approx(1e6 * size * ax.get_ylim()[1])
-
-
-@pytest.mark.parametrize("label", ["$x_{bad$", "a" * 300, "a\nb"])
-def test_that_any_label_is_drawn(rendered, label, tmp_path):
-    band = tuple(torch.full((21,), x, dtype=torch.float64) for x in (0.5, 0.6, 0.7))
-    figure = plot_experiment(experiment(label), band).figure
-    figure.savefig(tmp_path / "figure.pdf")
-    assert len(figure.axes[0].get_title()) < 60
 
 
 def test_that_the_joint_plot_has_every_pair_once():

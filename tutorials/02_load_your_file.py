@@ -11,6 +11,7 @@ import os
 import tempfile
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 import torch
 from scipy.io import savemat
@@ -21,7 +22,6 @@ from imr_torch.characterization import characterize, predictive_band
 from imr_torch.errors import InputDataError
 from imr_torch.material import wide_prior
 from imr_torch.observe import KNOWN_LAYOUTS, Layout, find_landmarks, load_traces
-from imr_torch.results.plot import plot_experiment
 from imr_torch.simulate import TransportSimulator
 
 SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
@@ -106,5 +106,10 @@ draws = 10 if SMOKE else 100
 band = predictive_band(
     result.assimilation, result.posterior, TransportSimulator(), best, draws=draws, times=times
 )
-ax = plot_experiment(result.experiments[0], (band[0][0], band[1][0], band[2][0]), times=times[0])
-ax.figure.savefig(OUT / "fit.png")
+low, median, high = (quantile[0] for quantile in band)
+figure, ax = plt.subplots()
+ax.plot(result.experiments[0].times, result.experiments[0].radius.mT, ".", color="black")
+ax.fill_between(times[0], low, high, alpha=0.3)
+ax.plot(times[0], median)
+ax.set(xlabel="t*", ylabel="R*")
+figure.savefig(OUT / "fit.png")

@@ -13,6 +13,7 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import torch
 
 from imr_torch.assimilate import SearchOptions
@@ -20,7 +21,7 @@ from imr_torch.calibration import Arrangement, calibrate, coverage, reliability,
 from imr_torch.design import Plan
 from imr_torch.material import reference_case
 from imr_torch.observe import ExperimentBatch, Noise
-from imr_torch.results.plot import plot_places, plot_reliability
+from imr_torch.results.plot import plot_places
 from imr_torch.simulate import PolytropicSimulator
 
 SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
@@ -75,7 +76,12 @@ result = reliability(stated, [r.model == "nhkv" for r in replicates if r.failure
 print(
     f"calibration error {result.error:.3f}; chance alone leaves {result.by_chance:.3f} (p {result.p:.2f})"
 )
-plot_reliability(result).figure.savefig(OUT / "reliability.png")
+figure, ax = plt.subplots()
+ax.plot((0, 1), (0, 1), color="grey")
+ax.vlines(result.stated, result.low, result.high)
+ax.plot(result.stated, result.share, "o")
+ax.set(xlabel="stated probability", ylabel="share that came true")
+figure.savefig(OUT / "reliability.png")
 
 # %% [markdown]
 # ## And when it is not

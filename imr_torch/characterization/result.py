@@ -31,7 +31,7 @@ from imr_torch.material import Belief
 from imr_torch.observe import Experiment, GelMedium, Noise, Prepared, TraceSet
 from imr_torch.observe.frames import FrameUse
 from imr_torch.population import Population
-from imr_torch.record import record_document
+from imr_torch.record import describe_record
 from imr_torch.select import (
     Evidence,
     PredictiveScore,
@@ -262,7 +262,7 @@ class Characterization:
         return self.to_dict(command) | {
             "rows_left_out": left_out,
             "notes": list(self.traces.notes),
-            "record": record_document(self.traces, self.medium.surroundings),
+            "record": describe_record(self.traces, self.medium.surroundings).to_dict(),
             "curves": curves,
         }
 

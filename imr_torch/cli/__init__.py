@@ -17,7 +17,6 @@ from collections.abc import Sequence
 from inspect import cleandoc
 from pathlib import Path
 
-from imr_torch.cli.completion import SHELLS, PrintCompletion
 from imr_torch.cli.options import COMMANDS, WITHOUT
 from imr_torch.cli.options.shared import InRange, add_engine_arguments
 from imr_torch.cli.progress import Terminal
@@ -35,12 +34,6 @@ def parser() -> argparse.ArgumentParser:
         epilog="Start with:  imr-torch demo",
     )
     top.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
-    top.add_argument(
-        "--print-completion",
-        action=PrintCompletion,
-        choices=SHELLS,
-        help="print the script that completes this command in a shell",
-    )
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, (summary, add_options) in COMMANDS.items():
         sub = commands.add_parser(

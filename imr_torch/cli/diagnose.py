@@ -32,7 +32,7 @@ from imr_torch.gap import (
 )
 from imr_torch.material import MATERIALS, wide_prior
 from imr_torch.observe import Experiment, GelMedium, TraceSet, load_traces, prepare
-from imr_torch.record import record_document
+from imr_torch.record import describe_record
 from imr_torch.simulate import Simulator
 
 
@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> None:
     )
     labels = [experiment.label for experiment in experiments]
     chosen = [trace for trace in traces if trace.experiment_id in labels]
-    record = record_document(chosen, medium.surroundings)
+    record = describe_record(chosen, medium.surroundings).to_dict()
     document = to_json(report, parts, simulator=simulator) | {"record": record}
     print(describe(document))
     said = (*medium.learnt(report.null.posterior), *(found.sentence() for found in assumed))

@@ -1,13 +1,11 @@
 """Runs ``imr-torch plot``."""
 
 import argparse
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 from imr_torch.cli.figures import formats_of, save_figures
 from imr_torch.errors import InputDataError
-from imr_torch.results import draw_figures, for_publication, read_document, write_page
+from imr_torch.results import draw_figures, read_document, write_page
 
 
 def run(args: argparse.Namespace) -> None:
@@ -21,13 +19,7 @@ def run(args: argparse.Namespace) -> None:
     document = read_document(args.file)
     folder = Path(args.out) if args.out else Path(args.file).parent
     try:
-        figures = draw_figures(document)
-        if args.columns:
-            figures = [
-                replace(figure, plot=partial(for_publication, figure.draw, args.columns))
-                for figure in figures
-            ]
-        failed = save_figures(figures, folder, formats)
+        failed = save_figures(draw_figures(document), folder, formats)
         if failed:
             raise InputDataError(f"{'; '.join(failed)}; make the result anew.")
         if args.html:

@@ -1,6 +1,6 @@
 """Exchange with other tools: ArviZ trees, MATLAB files, an sbi simulator."""
 
-from imr_torch.export.arviz import to_arviz, write_netcdf
+from imr_torch.export.arviz import to_arviz
 from imr_torch.export.matlab import write_mat
 from imr_torch.export.sbi import ModelPrior, SbiSimulator, sbi_simulator
 
@@ -10,5 +10,4 @@ __all__ = [
     "sbi_simulator",
     "to_arviz",
     "write_mat",
-    "write_netcdf",
 ]

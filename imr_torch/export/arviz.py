@@ -9,7 +9,6 @@ model, ``tree["nhkv/frames"]``, for LOO-PIT and predictive checks of single fram
 (:mod:`imr_torch.export.frames`). Needs the extra ``imr-torch[arviz]``.
 """
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,7 +18,6 @@ from torch import Tensor
 from imr_torch.assimilate import Assimilation, ModelFit
 from imr_torch.errors import InputDataError, UnsupportedError
 from imr_torch.export.frames import frame_predictions
-from imr_torch.files import write_atomically
 from imr_torch.material import PARAMETERS, Belief, ModelBelief
 from imr_torch.observe import NUISANCES, ExperimentBatch
 from imr_torch.random import child, generator
@@ -78,26 +76,6 @@ def to_arviz(
     return DataTree.from_dict(
         {f"/{path}": Dataset(variables) for path, variables in groups.items()}, name="imr_torch"
     )
-
-
-def write_netcdf(tree: "DataTree", path: str | Path) -> None:
-    """Write a tree as netCDF-4, atomically.
-
-    Args:
-        tree: what :func:`to_arviz` gave.
-        path: the file; replaced if it exists.
-
-    >>> import tempfile
-    >>> from pathlib import Path
-    >>> from imr_torch import wide_prior
-    >>> from imr_torch.export import to_arviz, write_netcdf
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     write_netcdf(to_arviz(wide_prior(["nhkv"]), seed=0, draws=50), Path(folder) / "prior.nc")
-    ...     (Path(folder) / "prior.nc").exists()
-    True
-    """
-    content = tree.to_netcdf(engine="h5netcdf")
-    write_atomically(Path(path), lambda stream: stream.write(content))
 
 
 def _groups(

@@ -123,8 +123,12 @@ class Record:
         ]
         return odd or ["No shot stands out from its set."]
 
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-ready, SI; pressures over p_inf, and null where a number is not known."""
+    def to_dict(self) -> dict[str, Any] | None:
+        """JSON-ready, SI; pressures over p_inf, and null where a number is not known; None without
+        shots.
+        """
+        if not self.shots:
+            return None
         shots = [
             {
                 "id": shot.label,
@@ -171,19 +175,6 @@ def describe_record(
         for trace in traces
     ]
     return Record(tuple(_with_odd(shots, options)))
-
-
-def record_document(
-    traces: Iterable[RadiusTrace], surroundings: Surroundings | None = None
-) -> dict[str, Any] | None:
-    """:func:`describe_record` for a result document; None without traces.
-
-    >>> from imr_torch.record import record_document
-    >>> record_document(()) is None
-    True
-    """
-    record = describe_record(traces, surroundings)
-    return record.to_dict() if record.shots else None
 
 
 def _with_odd(shots: list[ShotRecord], options: RecordOptions) -> list[ShotRecord]:

@@ -7,18 +7,15 @@ from imr_torch.drawing import NamedFigure
 from imr_torch.results.campaign import campaign_document
 from imr_torch.results.figures import draw_figures
 from imr_torch.results.page import document_page, document_report, write_page
-from imr_torch.results.publication import WIDTHS, for_publication
 
 __all__ = [
     "SCHEMA_VERSION",
-    "WIDTHS",
     "NamedFigure",
     "campaign_document",
     "check_document",
     "document_page",
     "document_report",
     "draw_figures",
-    "for_publication",
     "header",
     "read_document",
     "write_page",

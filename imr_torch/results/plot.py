@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from scipy.stats import gaussian_kde
 from torch import Tensor
 
-from imr_torch.calibration import Reliability, envelope
+from imr_torch.calibration import envelope
 from imr_torch.design import DesignSearch
 from imr_torch.drawing import (
     CYCLE,
@@ -26,9 +26,7 @@ from imr_torch.drawing import (
     SECOND,
     TRUTH,
     add_axis,
-    add_lengths,
     axes_or_new,
-    draw_intervals,
     floats,
     set_scale,
 )
@@ -42,7 +40,6 @@ from imr_torch.labels import (
     symbol,
 )
 from imr_torch.material import PARAMETERS, Belief, ModelBelief
-from imr_torch.observe import Experiment
 from imr_torch.simulate import Solution
 from imr_torch.units import Surroundings
 
@@ -91,39 +88,6 @@ def fill_band(ax: Axes, band: Mapping[str, Any]) -> None:
     """Draw a 90 % predictive band: ``t_star``, ``low`` and ``high``."""
     times, low, high = (floats(band[name]) for name in ("t_star", "low", "high"))
     ax.fill_between(times, low, high, color=MODEL, alpha=0.22, lw=0, label="90 % predictive")
-
-
-def plot_experiment(
-    experiment: Experiment,
-    band: tuple[Float[Tensor, "dense"], Float[Tensor, "dense"], Float[Tensor, "dense"]]
-    | None = None,
-    *,
-    ax: Axes | None = None,
-    times: Float[Tensor, "dense"] | None = None,
-    surroundings: Surroundings | None = None,
-) -> Axes:
-    """Measured curves of one experiment and, if given, the 5, 50 and 95 % posterior predictive
-    quantiles (``n_t`` each).
-
-    Args:
-        experiment: the curves.
-        band: the quantiles, R/Rmax.
-        ax: where to draw.
-        times: ``n_t`` tensor at which the band is given, dimensionless; the frames when not given.
-        surroundings: the liquid side; with it, us and um are second axes.
-    """
-    ax = axes_or_new(ax)
-    shown = None
-    if band is not None:
-        at = experiment.times if times is None else times
-        low, median, high = (x[: len(at)] for x in band)
-        shown = {"t_star": at, "low": low, "median": median, "high": high}
-    draw_curves(ax, experiment.times, experiment.radius, shown)
-    if surroundings is not None:
-        size = float(surroundings.max_radius(experiment.design[0]))
-        add_lengths(ax, size, float(surroundings.time_scale(size)))
-    ax.set_title(plain(experiment.label), fontsize=9)
-    return ax
 
 
 def plot_parameter(
@@ -353,19 +317,4 @@ def plot_places(places: Mapping[str, Sequence[float]], *, ax: Axes | None = None
         ylabel="share below, less uniform",
     )
     ax.legend(frameon=False, fontsize=8)
-    return ax
-
-
-def plot_reliability(result: Reliability, *, ax: Axes | None = None) -> Axes:
-    """Share of cases that came true over the probability that was stated, with 95 % intervals."""
-    ax = axes_or_new(ax, (4.0, 3.6))
-    ax.plot((0, 1), (0, 1), color=DATA, lw=1, alpha=0.4)
-    intervals = np.transpose((result.low, result.share, result.high))
-    draw_intervals(ax, result.stated, intervals, upright=True, color=MODEL, ms=4, capsize=2)
-    for x, y, count in zip(result.stated, result.share, result.counts, strict=True):
-        ax.annotate(str(count), (x, y), xytext=(5, -9), textcoords="offset points", fontsize=7)
-    ax.set(xlabel="stated probability", ylabel="share that came true")
-    ax.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02))
-    title = f"calibration error {result.error:.3f}, by chance {result.by_chance:.3f}"
-    ax.set_title(title, fontsize=9)
     return ax

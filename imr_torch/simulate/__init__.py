@@ -9,7 +9,6 @@ from imr_torch.simulate.conditions import (
     Medium,
     PolytropicGas,
     Stepping,
-    preset,
 )
 from imr_torch.simulate.driving import TabulatedDriving
 from imr_torch.simulate.engines import ENGINES, Engine
@@ -74,7 +73,6 @@ __all__ = [
     "coarser",
     "described",
     "fewer_steps",
-    "preset",
     "process_pool",
     "sensitivities",
     "solve_batch",

@@ -262,18 +262,3 @@ PRESETS: dict[str, Conditions] = {
     "authors_code": Conditions(medium=Medium(capacity_of="gas_wall"), stress_acceleration=False),
 }
 """Named conditions: the equations of Estrada et al. (2018), and what the published code of Chu et al. solves."""
-
-
-def preset(key: str) -> Conditions:
-    """The conditions of a name in ``PRESETS``.
-
-    Raises:
-        InputDataError: for an unknown name; the message lists the known ones.
-
-    >>> from imr_torch.simulate import preset
-    >>> preset("authors_code").stress_acceleration
-    False
-    """
-    if key not in PRESETS:
-        raise InputDataError(f"Unknown preset {key!r}; known are {', '.join(PRESETS)}.")
-    return PRESETS[key]

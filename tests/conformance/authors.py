@@ -10,7 +10,7 @@ from torch import Tensor
 
 from imr_torch.errors import UnsupportedError
 from imr_torch.material import MATERIALS, PARAMETERS
-from imr_torch.simulate import ACCURACIES, Accuracy, TransportSimulator, preset
+from imr_torch.simulate import ACCURACIES, PRESETS, Accuracy, TransportSimulator
 from tests import float64
 from tests.simulate.difference_grids import AuthorsResolution
 
@@ -54,7 +54,7 @@ def radius(case: Mapping[str, Any], t_star: np.ndarray) -> np.ndarray:
     """``R*`` at ``t_star``, same shape, of a case with the keys of the published set plus ``preset`` and ``grid``."""
     designs = float64.tensor([case["We"], case["Rinf_star"]])
     simulator = TransportSimulator(
-        preset(case.get("preset", "published")), GRIDS[case.get("grid", "converged")]
+        PRESETS[case.get("preset", "published")], GRIDS[case.get("grid", "converged")]
     )
     times = torch.as_tensor(np.asarray(t_star, dtype=np.float64))
     return simulator(parameter_vector(case), designs, times).radius.numpy()

@@ -24,7 +24,6 @@ from imr_torch.simulate import (
     Resolution,
     Status,
     TransportSimulator,
-    preset,
 )
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import bracket, ends_of, hermite_cubic
@@ -257,7 +256,6 @@ def test_that_values_between_steps_are_a_cubic_and_before_the_first_a_line():
 @pytest.mark.parametrize(
     ("make", "text"),
     [
-        (lambda: preset("estrada"), "known are published, authors_code"),
         (lambda: GasMixture(vapour="wet"), "expected one of transported, constant, frozen, absent"),
         (lambda: GasMixture(heat_ratio=1.0), "expected above 1"),
         (lambda: GasMixture(diffusivity=-1.0), "GasMixture.diffusivity is -1.0"),

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from imr_torch.errors import UnsupportedError
-from imr_torch.simulate import Accuracy, Resolution, TransportSimulator, preset
+from imr_torch.simulate import PRESETS, Accuracy, Resolution, TransportSimulator
 
 CURVES = {"published": "estrada2018", "authors_code": "parity_spectral"}
 
@@ -36,7 +36,7 @@ def oracle(shared):
 def simulate(adapter, cases, times, key, accuracy):
     parameters = torch.stack([adapter.parameter_vector(case) for case in cases])
     designs = torch.tensor([[case["We"], case["Rinf_star"]] for case in cases], dtype=torch.float64)
-    return TransportSimulator(preset(key), accuracy)(
+    return TransportSimulator(PRESETS[key], accuracy)(
         parameters, designs, torch.as_tensor(times)
     ).radius.numpy()
 

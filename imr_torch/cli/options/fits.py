@@ -5,7 +5,6 @@ is the help.
 import argparse
 
 from imr_torch.cli.options.names import (
-    COLUMNS,
     EFFECTS_ADDED,
     EFFORTS,
     FORMATS,
@@ -265,12 +264,10 @@ def add_plot(parser: argparse.ArgumentParser) -> None:
 
       imr-torch plot result/characterize.json
       imr-torch plot result/characterize.json --out paper --format pdf,svg --html gel.html
-      imr-torch plot result/characterize.json --out paper --format pdf --columns one
 
     Nothing is computed again. Results of characterize (also of result.save in Python), diagnose,
     design, campaign, batch, compare and simulate hold what their figures need. Figures go beside the
-    JSON file, or into --out. With --columns they are drawn at the width at which a journal prints them
-    (one column: 86 mm, two: 178 mm), with text of 6 to 8 points.
+    JSON file, or into --out.
     """
     parser.add_argument("file", metavar="RESULT.json", help="a result that --json or --out wrote")
     parser.add_argument(
@@ -281,9 +278,6 @@ def add_plot(parser: argparse.ArgumentParser) -> None:
         default="png,pdf",
         metavar="NAME,...",
         help=f"of {', '.join(FORMATS)} (default png,pdf)",
-    )
-    parser.add_argument(
-        "--columns", choices=COLUMNS, help="draw at the printed width of one or two columns"
     )
     parser.add_argument(
         "--html",

@@ -49,7 +49,6 @@ TARGETS = ("parameters", "model", "both")
 STRATEGIES = ("qLogNEI", "qEI", "paper")
 ESTIMATORS = ("laplace", "importance", "nested", "contrastive", "paper")
 FORMATS = ("png", "pdf", "svg")
-COLUMNS = ("one", "two")
 
 DEFAULT_MODELS = "newtonian,nhkv,gen_qkv"
 COLLAPSES = 2
