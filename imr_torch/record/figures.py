@@ -80,6 +80,8 @@ def _plot_pressure(record: Mapping[str, Any], ax: Axes) -> None:
     for name, color in zip(("growth", "collapse"), _COLORS, strict=False):
         ax.plot([], [], color=color, lw=1.2, label=name)
         for cycle, style in shots:
+            if name == "growth" and cycle["skewness"] is None:  # growth is not recorded
+                continue
             levels, p, sd = (
                 np.array(cycle[key], dtype=float) for key in ("levels", name, f"{name}_sd")
             )

@@ -72,8 +72,6 @@ def draw_figures(document: Mapping[str, Any]) -> list[NamedFigure]:
 def _characterization_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
     if not document["curves"] and not document.get("collapse_times"):
         raise ValueError("curves is empty")
-    if document.get("record"):
-        yield named_record_figure(document["record"])
     for curve in document["curves"]:
         frames = curve["frames"]
         yield NamedFigure(
@@ -92,6 +90,8 @@ def _characterization_figures(document: Mapping[str, Any]) -> Iterator[NamedFigu
             "Four charts of standardised residuals.",
             lambda: residuals_figure(document),
         )
+    if document.get("record"):
+        yield named_record_figure(document["record"])
     if document.get("collapse_times"):
         yield NamedFigure(
             "collapse_times",
