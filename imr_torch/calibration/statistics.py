@@ -89,8 +89,6 @@ class Reliability:
         high: its upper end.
         counts: cases in that bin.
         error: expected calibration error, the mean of ``|share - stated|`` over cases.
-        error_low: lower end of its 95 % bootstrap interval.
-        error_high: its upper end.
         by_chance: mean of ``error`` if the stated probabilities were right, for this many cases; it
             is never zero.
         p: probability of an ``error`` at least as large if they were right.
@@ -107,8 +105,6 @@ class Reliability:
     high: tuple[float, ...]
     counts: tuple[int, ...]
     error: float
-    error_low: float
-    error_high: float
     by_chance: float
     p: float
 
@@ -209,8 +205,8 @@ def reliability(
         stated: probability of each case.
         true: whether it came true.
         bins: of equal width.
-        resamples: for the bootstrap, and for the error expected by chance.
-        seed: of both.
+        resamples: for the error expected by chance.
+        seed: of these.
 
     Raises:
         ShapeError: if there is not one outcome for each probability.
@@ -234,14 +230,11 @@ def reliability(
         count = int(mine.sum())
         rows.append((float(p[mine].mean()), hits / count, *_share(hits, count), count))
     source = np.random.default_rng(seed)
-    again = source.integers(0, len(p), (resamples, len(p)))
-    errors = [_calibration_error(p[i], hit[i], places[i]) for i in again]
     chance = [
         _calibration_error(p, (source.random(len(p)) < p).astype(float), places)
         for _ in range(resamples)
     ]
     error = _calibration_error(p, hit, places)
-    low, high = np.quantile(errors, (0.025, 0.975))
     tail = (1 + sum(e >= error for e in chance)) / (resamples + 1)
     stated_, share, lows, highs, counts = zip(*rows, strict=True)
     return Reliability(
@@ -251,8 +244,6 @@ def reliability(
         highs,
         counts,
         error,
-        float(low),
-        float(high),
         float(np.mean(chance)),
         tail,
     )

@@ -120,14 +120,14 @@ class History:
             case {
                 "event": "learnt",
                 "step": int(step),
-                "experiments": list(),
+                "experiments": list(numbers),
                 "belief": dict(belief),
                 "evidence": list(rows),
                 "noise": noise,
                 "finding": finding,
                 "population": population,
                 "shots": shots,
-            }:
+            } if all(number in self.told for number in numbers):
                 self.steps.append(
                     Step(
                         Belief.from_dict(belief),

@@ -240,10 +240,11 @@ class PaperLearner:
     def learn(
         self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None
     ) -> Inference:
-        """See :class:`Learner`."""
+        """See :class:`Learner`. Raises as :meth:`check` does."""
         batch = observations.batch
         belief = observations.belief
         record = {}
+        self.check(batch)
         count = len(batch.experiments)
         for number in range(count - observations.fresh + 1, count + 1):
             experiment = batch.curves[number - 1]

@@ -88,7 +88,6 @@ def test_that_the_calibration_error_is_the_mean_gap_of_the_bins():
     assert result.stated == pytest.approx((0.1, 0.8))
     assert result.share == pytest.approx((0.25, 0.5))
     assert result.error == pytest.approx((4 * 0.15 + 2 * 0.3) / 6)
-    assert result.error_low <= result.error <= result.error_high
 
 
 def test_that_right_probabilities_err_as_chance_does_and_sharpened_ones_more():
@@ -99,7 +98,7 @@ def test_that_right_probabilities_err_as_chance_does_and_sharpened_ones_more():
     sharp = torch.special.expit(3.0 * torch.special.logit(stated))
     wrong = reliability(sharp.tolist(), true.tolist())
     assert wrong.p < 1e-3
-    assert wrong.error_low > wrong.by_chance
+    assert wrong.error > 2.0 * wrong.by_chance
 
 
 @pytest.mark.parametrize(

@@ -58,7 +58,7 @@ def batch_document(_: Path) -> dict:
 
 def compare_document(_: Path) -> dict:
     gel = SavedCharacterization.from_dict(saved())
-    return compare(gel, gel, names=("a", "b")).to_dict()
+    return compare(gel, gel).to_dict()
 
 
 DOCUMENTS = {
