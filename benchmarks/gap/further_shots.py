@@ -23,8 +23,8 @@ import torch
 
 from benchmarks.gap.repeats import add_task_arguments, run_tasks
 from benchmarks.gap.sets import (
+    FLOOR,
     GEL,
-    NUISANCE,
     PHYSICS,
     SyntheticSet,
     Task,
@@ -87,7 +87,7 @@ def _shoot_arm(
 ) -> Line:
     """Shots by one policy until a cause is named alone."""
     source = generator(child(task.seed, task.key, "arm"))
-    plan = Plan(repeats=task.repeats, nuisance=NUISANCE, collapses=None)
+    plan = Plan(repeats=task.repeats, nuisance=FLOOR, collapses=None)
     experiments = list(data.experiments)
     shots = []
     report = _diagnose(learner, experiments, task, simulator)

@@ -18,7 +18,7 @@ from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap import Effect, library
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, predict
-from imr_torch.observe.sets import NUISANCE
+from imr_torch.observe.nuisance import FLOOR
 from imr_torch.random import child, generator
 from imr_torch.simulate import (
     ACCURACIES,
@@ -238,7 +238,7 @@ def draw_designs(count: int, source: torch.Generator) -> Tensor:
 def make_plan(designs: Tensor, task: Task) -> ExperimentBatch:
     """Experiments before they are shot."""
     times = torch.linspace(0.0, 4.0, 81, dtype=torch.float64)
-    nuisance = NUISANCE if task.nuisances else Nuisance()
+    nuisance = FLOOR if task.nuisances else Nuisance()
     blank = torch.ones(task.repeats, 81, dtype=torch.float64)
     pairs = [(weber, rest) for weber, rest in designs.tolist()]
     return ExperimentBatch(

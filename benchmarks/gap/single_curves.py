@@ -49,7 +49,7 @@ from imr_torch.observe import (
     predict,
     prepare,
 )
-from imr_torch.observe.sets import NUISANCE
+from imr_torch.observe.nuisance import FLOOR
 from imr_torch.random import child, generator
 from imr_torch.simulate import ACCURACIES, TransportSimulator, fewer_steps
 from imr_torch.units import Surroundings
@@ -145,7 +145,7 @@ def simulate_set(number: int, kind: str, *, stated: bool) -> tuple[TraceSet, lis
             values |= drawn
             truth |= {"effect": effect.name, "values": drawn}
         designs = draw_designs(SHOTS, source).tolist()
-        plan = [Experiment(f"{k}", tuple(d), times, blank, NUISANCE) for k, d in enumerate(designs)]
+        plan = [Experiment(f"{k}", tuple(d), times, blank, FLOOR) for k, d in enumerate(designs)]
         draws = torch.randn(SHOTS, 3, generator=source, dtype=torch.float64)
         logs = torch.zeros(SHOTS, len(GEL), dtype=torch.float64)
         if kind == "gels":

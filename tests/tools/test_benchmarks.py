@@ -1,0 +1,17 @@
+"""Every benchmark can be started: what it imports from the package is there."""
+
+import importlib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+MODULES = sorted(
+    ".".join(path.relative_to(ROOT).with_suffix("").parts)
+    for path in (ROOT / "benchmarks").rglob("*.py")
+)
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_that_it_imports(module: str) -> None:
+    importlib.import_module(module)
