@@ -45,15 +45,15 @@ def test_that_bad_frames_are_named_and_hardly_any_other(law) -> None:
     hits = 0
     false = 0
     clean = 0
-    for seed in range(5):
+    for seed in range(10):
         bad = {7: 8.0, 31: -12.0, 50: 10.0}
         named = {x.frame for x in found(film(seed, bad, law), seed)[0].frames}
         hits = hits + len(named & set(bad))
         false = false + len(named - set(bad))
         clean += len(found(film(100 + seed, {}, law), seed)[0].frames)
-    assert hits >= 13  # of 15
-    assert false <= 1  # of 285
-    assert clean <= 1  # of 300
+    assert hits >= 27  # of 30
+    assert false <= 2  # of 570
+    assert clean <= 2  # of 600
 
 
 def gaussian(batch: ExperimentBatch, kept: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

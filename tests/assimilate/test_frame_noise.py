@@ -287,7 +287,7 @@ def test_that_p_values_by_inferred_noise_are_uniform_and_a_lean_is_found():
         ]
         return gap_test(blocks, line, seed=0).p_value
 
-    p_values = [p_value(0.0) for _ in range(80)]
+    p_values = [p_value(0.0) for _ in range(120)]
     assert kstest(p_values, "uniform").pvalue > 0.01
     assert sum(p < 0.05 for p in p_values) / len(p_values) < 0.11
     assert sum(p_value(0.8) < 0.01 for _ in range(10)) >= 9

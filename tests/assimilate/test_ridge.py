@@ -14,7 +14,7 @@ from tests.linear import LinearSimulator, experiments, prior
 OPTIONS = SearchOptions(raw_samples=24)
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("bend", [0.5, 1.5])
 def test_that_a_bent_posterior_is_covered_to_its_ends(bend: float, seed: int) -> None:
     """G all but mute, so that its posterior is as wide as its prior, and mu bends along it, by up to ten times its width."""
