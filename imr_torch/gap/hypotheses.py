@@ -40,7 +40,7 @@ _MANY = 6  # starts where fewer disagree
 _AGAIN = 3  # starts beside a fit whose own disagree
 _ROUGHLY = 0.03  # gradient at which a fit by coarse bubbles ends
 # chi squared per degree of freedom of a fit whose collapses may lie on the wrong side of a frame
-_FAR = 3.0
+_FAR = 1.5
 _TOO_COARSE = 200.0  # nats of error of the cost beyond which coarse bubbles lead nowhere
 
 

@@ -98,31 +98,38 @@ def select_causes(
             return replace(_conclude_slow_noise(found, steps[0], choice, held, fit), steps=steps)
         held = found.winner
         fit = found.winner_fit
-        if found.posterior[OTHER] <= _UNKNOWN:
-            named = _without_first(inquiry, left, steps, seed) or name_causes(found, choice)
+        named = _with_one_part(inquiry, left, steps, seed)
+        if named is None and found.posterior[OTHER] <= _UNKNOWN:
+            named = name_causes(found, choice)
+        if named is not None:
             return replace(named, steps=steps)
         before = found.left
         masked = masked * (1.0 - found.likeness.chance)
     return replace(_conclude_other(null, left, held, fit, steps), steps=steps)
 
 
-def _without_first(
+def _with_one_part(
     inquiry: Inquiry, left: Adequacy, steps: Sequence[Attribution], seed: int
 ) -> Finding | None:
-    """The verdict on the last part alone, where that explains the data without those selected
-    before it.
+    """The verdict on one of the selected parts alone, where that explains the data without the
+    others.
+
+    The last one may not need those before it. The first may have ended in a local minimum (its
+    collapses on the wrong side of frames), which the parts after it led out of.
     """
     last = steps[-1]
     if len(last.winner.parts) < 2:
         return None
-    alone = reconsider(
-        inquiry,
-        steps[0],
-        last.part(last.winner.name),
-        last.winner_fit,
-        before=left,
-        seed=child(seed, "reconsider"),
-    )
+    alone = steps[0]
+    for part in reversed(last.winner.parts):
+        alone = reconsider(
+            inquiry,
+            alone,
+            part,
+            last.winner_fit,
+            before=left,
+            seed=child(seed, "reconsider", part),
+        )
     choice = choose(alone.posterior)
     if alone is steps[0] or choice.leader == NONE or alone.posterior[OTHER] > _UNKNOWN:
         return None
