@@ -254,7 +254,7 @@ class _Curves:
             found.append(
                 _Curves(
                     near,
-                    _thinned(batch.mask),
+                    _thinned(batch.mask) & _counted(batch),
                     bends(batch, near.centre),
                     slice(first, first + count),
                 )
@@ -505,6 +505,12 @@ def _balanced(law: Noise, balance: float) -> tuple[float, float]:
     if balance == 0.0:
         return 0.0, law.drift
     return law.slope * math.sqrt(balance), law.drift / math.sqrt(balance)
+
+
+def _counted(batch: ExperimentBatch) -> Tensor:
+    """``E x 1`` tensor, shots that are more probably like the others than not; all, if none is."""
+    counted = torch.tensor([e.weight > 0.5 for e in batch.curves])[:, None]
+    return counted if bool(counted.any()) else torch.ones_like(counted)
 
 
 def _thinned(mask: Tensor) -> Tensor:

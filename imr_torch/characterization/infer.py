@@ -53,6 +53,7 @@ from imr_torch.observe import (
 from imr_torch.observe.frames import frame_use
 from imr_torch.population import SCALE, Population, fit_shots, infer_population
 from imr_torch.random import child
+from imr_torch.record import ALL_ALIKE, RecordOptions, describe_record
 from imr_torch.select import (
     Evidence,
     PredictiveScore,
@@ -84,6 +85,7 @@ def characterize(
     medium: GelMedium | Statement | str | None = None,
     shots: Sequence[CollapseShot] = (),
     frames: str = "all",
+    weigh_odd_shots: bool = True,
     population: bool = False,
     profile: bool = False,
     scatter_scale: float = SCALE,
@@ -124,6 +126,8 @@ def characterize(
             these are left out and the fit repeated until none is named, three times at most; those
             next to a collapse and runs of three or more stay in, since they are more likely a
             misfit.
+        weigh_odd_shots: whether a shot that stands out from its set by its record alone counts
+            little in the fits (:meth:`imr_torch.record.Record.weighted`), or as much as the others.
         population: whether each curve is also fitted by itself, under the most probable model, and
             how much the gel differs between them is inferred (:mod:`imr_torch.population`).
         scatter_scale: of the half-normal prior of the scatters between curves.
@@ -171,6 +175,9 @@ def characterize(
         check_profile(prior)
     surroundings = simulator.conditions.surroundings
     prepared = prepare(traces, surroundings, collapses=collapses, rest_radius=rest_radius)
+    weights = RecordOptions() if weigh_odd_shots else ALL_ALIKE
+    record = describe_record(traces, surroundings, options=weights)
+    prepared = replace(prepared, experiments=record.weighted(prepared.experiments))
     data = (*prepared.experiments, *(shot.to_experiment(surroundings) for shot in shots))
     spent = EFFORTS[effort]
     if isinstance(options, SearchOptions) and options.drop_behind is not None:
@@ -234,6 +241,7 @@ def characterize(
         followed,
         traces,
         simulator,
+        record,
     )
 
 

@@ -31,7 +31,7 @@ from imr_torch.material import Belief
 from imr_torch.observe import Experiment, GelMedium, Noise, Prepared, TraceSet
 from imr_torch.observe.frames import FrameUse
 from imr_torch.population import Population
-from imr_torch.record import describe_record
+from imr_torch.record import Record
 from imr_torch.select import (
     Evidence,
     PredictiveScore,
@@ -74,6 +74,7 @@ class Characterization:
             probability or more, at the estimated noise; None where not asked for.
         traces: the records that were fitted.
         simulator: makes the bubbles, in the medium of the curves.
+        record: what the records show before any gel, and how much each shot counts.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, characterize, wide_prior
@@ -112,6 +113,7 @@ class Characterization:
     profiles: Mapping[str, tuple[Profile, ...]] | None
     traces: TraceSet
     simulator: Simulator
+    record: Record
 
     @property
     def experiments(self) -> tuple[Experiment, ...]:
@@ -262,7 +264,7 @@ class Characterization:
         return self.to_dict(command) | {
             "rows_left_out": left_out,
             "notes": list(self.traces.notes),
-            "record": describe_record(self.traces, self.medium.surroundings).to_dict(),
+            "record": self.record.to_dict(),
             "curves": curves,
         }
 

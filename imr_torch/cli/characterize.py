@@ -79,6 +79,7 @@ def run(args: argparse.Namespace) -> None:
         medium=medium,
         shots=shots,
         frames=args.frames,
+        weigh_odd_shots=not args.count_all_shots,
         population=args.population,
         scatter_scale=SCALE if args.scatter_scale is None else args.scatter_scale,
         profile=args.profile,

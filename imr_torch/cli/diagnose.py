@@ -32,7 +32,7 @@ from imr_torch.gap import (
 )
 from imr_torch.material import MATERIALS, wide_prior
 from imr_torch.observe import Experiment, GelMedium, TraceSet, load_traces, prepare
-from imr_torch.record import describe_record
+from imr_torch.record import ALL_ALIKE, RecordOptions, describe_record
 from imr_torch.simulate import Simulator
 
 
@@ -48,6 +48,11 @@ def run(args: argparse.Namespace) -> None:
     effects = _beside_medium(effects, medium, args)
     if args.experiments is not None:
         experiments = _named(experiments, args.experiments, "--experiments")
+    labels = [experiment.label for experiment in experiments]
+    chosen = [trace for trace in traces if trace.experiment_id in labels]
+    weights = ALL_ALIKE if args.count_all_shots else RecordOptions()
+    record = describe_record(chosen, medium.surroundings, options=weights)
+    experiments = list(record.weighted(experiments))
     held_out = [] if args.heldout is None else _named(experiments, args.heldout, "--heldout")
     fitted = [e for e in experiments if e not in held_out]
     if not fitted:
@@ -71,10 +76,7 @@ def run(args: argparse.Namespace) -> None:
         if report.converged
         else ()
     )
-    labels = [experiment.label for experiment in experiments]
-    chosen = [trace for trace in traces if trace.experiment_id in labels]
-    record = describe_record(chosen, medium.surroundings).to_dict()
-    document = to_json(report, parts, simulator=simulator) | {"record": record}
+    document = to_json(report, parts, simulator=simulator) | {"record": record.to_dict()}
     print(describe(document))
     said = (*medium.learnt(report.null.posterior), *(found.sentence() for found in assumed))
     print(

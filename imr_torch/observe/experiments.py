@@ -47,6 +47,8 @@ class Experiment:
             0 for an instant.
         noise_factor: noise of this experiment over the law of its batch.
         noise_factor_sd: standard deviation of its logarithm.
+        weight: how often its log likelihood counts; below 1 for a shot that stands out from its set
+            (:meth:`imr_torch.record.Record.weighted`).
 
     >>> import torch
     >>> from imr_torch.observe import Experiment
@@ -67,6 +69,7 @@ class Experiment:
     exposure: float = 0.0
     noise_factor: float = 1.0
     noise_factor_sd: float = 0.0
+    weight: float = 1.0
 
     def __post_init__(self) -> None:
         for name in ("times", "radius"):
@@ -103,6 +106,10 @@ class Experiment:
             (
                 not 0.0 < self.noise_factor < math.inf,
                 f"has the noise_factor {self.noise_factor:g}; expected a factor above 0",
+            ),
+            (
+                not 0.0 < self.weight <= 1.0,
+                f"has the weight {self.weight:g}; expected one above 0, 1 at most",
             ),
         ):
             if wrong:
@@ -255,8 +262,13 @@ class ExperimentBatch:
 
     @cached_property
     def noise_factors(self) -> Float[Tensor, "experiments 1"]:
-        """``E x 1`` tensor: noise of each experiment over the law; 1 for collapse times."""
-        factors = [e.noise_factor if isinstance(e, Experiment) else 1.0 for e in self.experiments]
+        """``E x 1`` tensor: noise of each experiment over the law, by which its squares count as
+        often as its weight says; 1 for collapse times.
+        """
+        factors = [
+            e.noise_factor / math.sqrt(e.weight) if isinstance(e, Experiment) else 1.0
+            for e in self.experiments
+        ]
         return torch.tensor(factors, dtype=torch.float64)[:, None]
 
     @property

@@ -31,6 +31,8 @@ class RecordOptions:
         wide: standard deviation of shots that stand out, over that of the others.
         scatter: of the shots of a set that a prior takes for likely: of the chord, of the skewness,
             and of the viscosity over its median.
+        least_weight: of a shot in fits (:meth:`imr_torch.record.Record.weighted`), however odd it
+            is; 1 lets all shots count alike.
 
     Raises:
         InputDataError: if frames down to .5 are not used.
@@ -48,12 +50,17 @@ class RecordOptions:
     odd: float = 0.1
     wide: float = 5.0
     scatter: tuple[float, float, float] = (0.01, 0.01, 0.15)
+    least_weight: float = 0.02
 
     def __post_init__(self) -> None:
         if not 0.1 <= self.lowest <= 0.5:
             raise InputDataError(
                 f"RecordOptions.lowest is {self.lowest:g}; expected .1 to .5 of the maximum radius."
             )
+
+
+ALL_ALIKE = RecordOptions(least_weight=1.0)
+"""Shots that stand out are named, and count as much in fits as the others."""
 
 
 @dataclass(frozen=True, eq=False)

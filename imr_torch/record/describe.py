@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from imr_torch.files import without_nonfinite
+from imr_torch.observe import Experiment
 from imr_torch.observe.landmarks import find_landmarks
 from imr_torch.reading.traces import RadiusTrace
 from imr_torch.record.cycles import Cycle, RecordOptions, describe_cycles
@@ -32,6 +33,7 @@ class ShotRecord:
         odd: probability that the shot stands out from its set; None where fewer than three shots
             are compared.
         odd_in: quantities in which it does, of "chord", "skewness" and "viscosity".
+        weight: how often its likelihood counts in fits.
 
     >>> from imr_torch.record import ShotRecord
     >>> ShotRecord("shot 1", (), 0.02).odd_in
@@ -42,6 +44,7 @@ class ShotRecord:
     cycles: tuple[Cycle, ...]
     odd: float | None = None
     odd_in: tuple[str, ...] = ()
+    weight: float = 1.0
 
     @property
     def stands_out(self) -> bool:
@@ -62,6 +65,16 @@ class Record:
     """
 
     shots: tuple[ShotRecord, ...]
+
+    def weighted(self, experiments: Iterable[Experiment]) -> tuple[Experiment, ...]:
+        """The shots as a fit takes them.
+
+        One that stands out counts as often as it is probably like the others: at the maximum of a
+        mixture of good and odd shots each counts so (Dempster, Laird & Rubin, J. R. Stat. Soc. B
+        39, 1977).
+        """
+        weights = {shot.label: shot.weight for shot in self.shots}
+        return tuple(replace(e, weight=weights.get(e.label, 1.0)) for e in experiments)
 
     def first(self, name: str) -> np.ndarray:
         """A number of the first cycle of every shot; NaN where a shot has none."""
@@ -117,7 +130,8 @@ class Record:
         if described < FEWEST:
             return ["Two shots cannot outvote each other, so of fewer than three none stands out."]
         odd = [
-            f"{shot.label} stands out in {' and '.join(shot.odd_in)} (probability {shot.odd:.2f})."
+            f"{shot.label} stands out in {' and '.join(shot.odd_in)} (probability {shot.odd:.2f}); "
+            f"fits count it {shot.weight:.2g} times."
             for shot in self.shots
             if shot.stands_out
         ]
@@ -135,6 +149,7 @@ class Record:
                 "odd": shot.odd,
                 "odd_in": list(shot.odd_in),
                 "stands_out": shot.stands_out,
+                "weight": shot.weight,
                 "cycles": [cycle.to_dict() for cycle in shot.cycles],
             }
             for shot in self.shots
@@ -198,6 +213,7 @@ def _with_odd(shots: list[ShotRecord], options: RecordOptions) -> list[ShotRecor
             shot,
             odd=float(odd),
             odd_in=tuple(name for name, p in chances.items() if p[i] > 0.5 * _STANDS_OUT),
+            weight=max(1.0 - float(odd), options.least_weight) if odd > _STANDS_OUT else 1.0,
         )
         for i, (shot, odd) in enumerate(zip(shots, whole, strict=True))
     ]

@@ -494,3 +494,27 @@ def test_that_experiments_can_be_compared_and_counted() -> None:
     assert one == one
     assert one != other
     assert len({one, other, one}) == 2
+
+
+@ALL
+@pytest.mark.parametrize("weight", [0.25, 0.02])
+def test_that_slopes_of_the_likelihood_are_as_large_as_the_weight(
+    noise: Noise, weight: float
+) -> None:
+    """A shot of weight ``w`` moves a fit as much as ``w`` of its log likelihood would."""
+    first, *others = shots()
+    at = prediction().requires_grad_()
+    plain = ExperimentBatch((first, *others), replace(noise, slope=0.0))
+    counted = ExperimentBatch((replace(first, weight=weight), *others), replace(noise, slope=0.0))
+    full, little = (
+        torch.autograd.grad(batch.log_likelihood(at)[0], at, retain_graph=True)[0]
+        for batch in (plain, counted)
+    )
+    torch.testing.assert_close(little, weight * full)
+    assert float(counted.log_likelihood(at)[1]) == float(plain.log_likelihood(at)[1])
+
+
+@pytest.mark.parametrize("weight", [0.0, -1.0, 1.5, math.nan])
+def test_that_an_impossible_weight_is_refused(weight: float) -> None:
+    with pytest.raises(InputDataError, match="weight"):
+        replace(shots()[0], weight=weight)

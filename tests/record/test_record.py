@@ -1,6 +1,7 @@
 """The record before any gel: pressures and what they look like, on bubbles whose answer is known."""
 
 import json
+import math
 from dataclasses import replace
 
 import matplotlib.pyplot as plt
@@ -8,9 +9,10 @@ import numpy as np
 import pytest
 import torch
 
+from imr_torch import PolytropicSimulator, characterize, wide_prior
 from imr_torch.errors import InputDataError
-from imr_torch.observe import Given, RadiusTrace, TraceSet, load_traces
-from imr_torch.record import RecordOptions, describe_record
+from imr_torch.observe import Given, RadiusTrace, TraceSet, load_traces, prepare
+from imr_torch.record import ALL_ALIKE, RecordOptions, describe_record
 from imr_torch.record.figures import record_figure
 from imr_torch.units import Surroundings
 from tests.record.bubbles import LIQUID, paths, record, wall_pressure
@@ -143,6 +145,43 @@ def test_a_shot_that_stands_out_is_named_with_what_is_odd():
     traces[3] = spoil_scale(traces[3])
     told = describe_record(traces)
     assert told.sentences()[-1].startswith("shot 3 stands out in chord")
+
+
+def test_a_shot_that_stands_out_counts_little_in_fits_unless_asked_to():
+    traces = make_set(1)
+    traces[3] = spoil_scale(traces[3])
+    shots = prepare(TraceSet(tuple(traces))).experiments
+    weights = [e.weight for e in describe_record(traces).weighted(shots)]
+    assert 0.02 <= weights[3] < 0.1
+    assert weights[:3] + weights[4:] == [1.0] * 7
+    alike = describe_record(traces, options=ALL_ALIKE)
+    assert alike.shots[3].stands_out
+    assert [e.weight for e in alike.weighted(shots)] == [1.0] * 8
+
+
+def test_a_bad_shot_moves_the_gel_less():
+    """Truths by SciPy; one shot of six is near a wall."""
+    errors = {True: [], False: []}
+    held = []
+    for seed in range(3):
+        traces = make_set(seed, 6)
+        rng = np.random.default_rng(seed)
+        traces[3] = record("shot 3", 2e-4, 4e-5, 8e3, 0.1, rng=rng, near=0.15)
+        for weigh, moved in errors.items():
+            result = characterize(
+                TraceSet(tuple(traces)),
+                prior=wide_prior(["nhkv"]),
+                simulator=PolytropicSimulator(threads=1),
+                weigh_odd_shots=weigh,
+                check=False,
+                seed=0,
+            )
+            low, middle, high = result.to_dict()["models"]["nhkv"]["intervals"]["G"]
+            moved.append(abs(math.log(middle / 8e3)))
+            if weigh:
+                held.append(low < 8e3 < high)
+    assert np.mean(errors[True]) < 0.5 * np.mean(errors[False])
+    assert all(held)
 
 
 def test_without_growth_no_split_is_shown():

@@ -17,6 +17,7 @@ from imr_torch.cli.options.shared import (
     InRange,
     add_driving_argument,
     add_medium_argument,
+    add_odd_shots_argument,
     add_output_arguments,
     add_physics_argument,
     add_prior_arguments,
@@ -109,6 +110,7 @@ def add_characterize(parser: argparse.ArgumentParser) -> None:
         default="all",
         help="single bad frames are named; `robust` leaves them out of the fit too (default all)",
     )
+    add_odd_shots_argument(parser)
     add_output_arguments(parser)
     parser.add_argument(
         "--mat",
@@ -253,6 +255,7 @@ def add_diagnose(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help=f"effects that are added one after the other (default {EFFECTS_ADDED})",
     )
+    add_odd_shots_argument(parser)
     add_output_arguments(parser)
     add_medium_argument(parser)
     add_driving_argument(parser)

@@ -105,6 +105,16 @@ def add_window_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_odd_shots_argument(parser: argparse.ArgumentParser) -> None:
+    """``--count-all-shots``."""
+    parser.add_argument(
+        "--count-all-shots",
+        action="store_true",
+        help="a shot that stands out from its set by its record alone counts as much as the others "
+        "(else little)",
+    )
+
+
 def add_physics_argument(parser: argparse.ArgumentParser) -> None:
     """The option that chooses the simulator."""
     parser.add_argument(
