@@ -15,7 +15,7 @@ import torch
 
 from imr_torch.errors import InputDataError
 from imr_torch.reading.content import Content
-from imr_torch.reading.layout import KNOWN_LAYOUTS, LENGTHS, TIME_PER_LENGTH, TIMES, Layout
+from imr_torch.reading.layout import KNOWN_LAYOUTS, LENGTHS, TIMES, Layout
 from imr_torch.reading.names import Said, headings_of, infer_layout, unit_of
 from imr_torch.reading.traces import (
     MIN_SAMPLES,
@@ -28,6 +28,28 @@ from imr_torch.reading.traces import (
 )
 
 _TABLES = ("experiment_table", "separated_table")
+
+
+@dataclass(frozen=True)
+class Scales:
+    """What turns the numbers of a file into SI units.
+
+    Args:
+        interval: seconds between frames, if known.
+        pixel_size: metres per pixel, if known.
+        time_per_length: ``sqrt(rho / p_inf)`` in s/m; dimensionless time times ``Rmax`` times this
+            is seconds.
+    """
+
+    interval: float | None
+    pixel_size: float | None
+    time_per_length: float
+
+    def metres(self, unit: str, max_radius: float | None) -> float:
+        """Metres per unit of radii; the maximum radius is in m."""
+        size = {**LENGTHS, "px": self.pixel_size, "dimensionless": max_radius}[unit]
+        assert size is not None
+        return size
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,16 +116,18 @@ def curves_of(content: Content, layout: Layout | None, said: Said, *, sort: bool
     else:
         _check_units(content, layout)
     raw, left_out = _split(content, layout)
-    interval = content.number("frame_interval", layout.frame_interval)
-    pixel = content.number("pixel_size", layout.pixel_size)
-    tops, more = _max_radii(content, layout, raw, interval)
+    scales, of_times = _scales(content, layout, said)
+    tops, more = _max_radii(content, layout, raw, scales)
     rests = _rest_radii(content, layout, len(raw))
     traces = []
     for curve, top, rest in zip(raw, tops, rests, strict=True):
+        if not curve.radius.size:
+            left_out.append(LeftOut(curve.file, curve.experiment_id, "", "an empty cell"))
+            continue
         top_m = None if top is None else top * LENGTHS[layout.max_radius_unit]
-        converted = _to_si(_mark_absent(curve, layout), layout, interval, pixel, top_m)
+        converted = _to_si(_mark_absent(curve, layout), layout, scales, top_m)
         if rest is not None:
-            rest_m = rest * _metres(layout.rest_radius_unit, pixel, top_m)
+            rest_m = rest * scales.metres(layout.rest_radius_unit, top_m)
             converted = replace(converted, given=replace(converted.given, rest_radius_m=rest_m))
         converted, peak = _without_peak(converted, layout)
         trace, dropped = _to_trace(converted, sort=sort)
@@ -115,7 +139,26 @@ def curves_of(content: Content, layout: Layout | None, said: Said, *, sort: bool
             f"{content.path}: no usable curve ({why or 'it holds no curve'}). Give a record with "
             f"at least {MIN_SAMPLES} frames of the bubble."
         )
-    return TraceSet(tuple(traces), tuple(left_out), (*notes, *more))
+    return TraceSet(tuple(traces), tuple(left_out), (*notes, *more, *of_times))
+
+
+def _scales(content: Content, layout: Layout, said: Said) -> tuple[Scales, list[str]]:
+    """The scales of a file, and a note on what dimensionless times are undone with."""
+    density = content.number("density", "rho" if "rho" in content.values else said.density)
+    pressure = content.number("pressure", "P_inf" if "P_inf" in content.values else said.pressure)
+    assert density is not None
+    assert pressure is not None
+    notes = [
+        f"{content.path}: times are dimensionless and are undone with {density:g} kg/m^3 and "
+        f"{pressure:g} Pa; if their author took others, state them as the medium in the JSON file "
+        "beside it."
+    ]
+    scales = Scales(
+        content.number("frame_interval", layout.frame_interval),
+        content.number("pixel_size", layout.pixel_size),
+        math.sqrt(density / pressure),
+    )
+    return scales, notes if layout.time_unit == "dimensionless" else []
 
 
 def find_layout(content: Content, said: Said) -> tuple[Layout, list[str]]:
@@ -304,13 +347,6 @@ def _groups(content: Content, layout: Layout) -> tuple[dict[str, np.ndarray | No
     return {f"{content.path.stem}_{i:03d}": part for i, part in enumerate(filled, 1)}, left_out
 
 
-def _metres(unit: str, pixel_size: float | None, max_radius: float | None) -> float:
-    """Metres per unit of radii."""
-    size = {**LENGTHS, "px": pixel_size, "dimensionless": max_radius}[unit]
-    assert size is not None
-    return size
-
-
 def _mark_absent(curve: RawCurve, layout: Layout) -> RawCurve:
     """The curve with radius 0 where the file marks a frame without a bubble."""
     radius = curve.radius.copy()
@@ -324,8 +360,7 @@ def _mark_absent(curve: RawCurve, layout: Layout) -> RawCurve:
 def _to_si(
     curve: RawCurve,
     layout: Layout,
-    interval: float | None,
-    pixel_size: float | None,
+    scales: Scales,
     max_radius: float | None,
     *,
     tolerance: float = 0.01,
@@ -336,13 +371,14 @@ def _to_si(
             f"{curve.where}: max_radius is {max_radius / LENGTHS[layout.max_radius_unit]}; "
             "expected a positive length."
         )
-    radius = curve.radius * _metres(layout.radius_unit, pixel_size, max_radius)
+    radius = curve.radius * scales.metres(layout.radius_unit, max_radius)
+    interval = scales.interval
     given = curve.given if max_radius is None else replace(curve.given, max_radius_m=max_radius)
     if layout.time is None or layout.time_unit == "frames":
         assert interval is not None
         return replace(curve, time=curve.time * interval, radius=radius, given=given)
-    scale = TIMES.get(layout.time_unit)
-    time = curve.time * ((max_radius or 1.0) * TIME_PER_LENGTH if scale is None else scale)
+    scale = TIMES.get(layout.time_unit, (max_radius or 1.0) * scales.time_per_length)
+    time = curve.time * scale
     if interval is not None and len(time) > 1:
         step = float(np.nanmedian(np.diff(time)))
         if not abs(step / interval - 1.0) <= tolerance:
@@ -469,17 +505,17 @@ def _rest_radii(content: Content, layout: Layout, count: int) -> list[float | No
     if layout.rest_radius is None or count == 0:
         return [None] * count
     found = content.entries(layout.rest_radius)
-    if len(found) not in (1, count) or not (found > 0.0).all():
+    if len(found) not in (1, count) or (found <= 0.0).any():
         raise InputDataError(
             f"{content.path}: variable '{layout.rest_radius}' (rest_radius) holds {found[:6]} for "
-            f"{count} curves; expected one positive length, or one for each curve: write "
-            "rest_radius=none into --layout to leave it aside."
+            f"{count} curves; expected one positive length, or one for each curve (NaN where it is "
+            "not known): write rest_radius=none into --layout to leave it aside."
         )
-    return np.broadcast_to(found, count).tolist()
+    return [None if math.isnan(x) else x for x in np.broadcast_to(found, count).tolist()]
 
 
 def _max_radii(
-    content: Content, layout: Layout, raw: Sequence[RawCurve], interval: float | None
+    content: Content, layout: Layout, raw: Sequence[RawCurve], scales: Scales
 ) -> tuple[list[float | None], list[str]]:
     """The maximum radius of each curve, in the unit of the file, and notes on how it was chosen.
 
@@ -491,7 +527,7 @@ def _max_radii(
     found = content.entries(layout.max_radius)
     if layout.max_radius_entries is None and len(found) in (1, len(raw)):
         return np.broadcast_to(found, len(raw)).tolist(), []
-    choice, notes = _choose_entries(content, layout, found, raw, interval)
+    choice, notes = _choose_entries(content, layout, found, raw, scales)
     return found[list(choice)].tolist(), notes
 
 
@@ -500,7 +536,7 @@ def _choose_entries(
     layout: Layout,
     found: np.ndarray,
     raw: Sequence[RawCurve],
-    interval: float | None,
+    scales: Scales,
     *,
     tolerance: float = 0.01,
     common_tolerance: float = 0.002,
@@ -514,7 +550,7 @@ def _choose_entries(
         layout: what its names mean.
         found: entries of the maximum radius.
         raw: the curves.
-        interval: time between frames in s, if known.
+        scales: those of the file.
         tolerance: relative, of spacings from a known interval.
         common_tolerance: relative, between the spacings of curves.
         most: choices that are tried.
@@ -545,8 +581,9 @@ def _choose_entries(
             f"{counts}, too many choices to try; say which belong to them with {by_hand}."
         )
     steps = np.array([float(np.nanmedian(np.diff(curve.time))) for curve in raw])
-    seconds = found * LENGTHS[layout.max_radius_unit] * TIME_PER_LENGTH
+    seconds = found * LENGTHS[layout.max_radius_unit] * scales.time_per_length
     implied = steps[:, None] * seconds
+    interval = scales.interval
 
     def agrees(spacings: np.ndarray) -> bool:
         if interval is not None:

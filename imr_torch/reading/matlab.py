@@ -65,6 +65,20 @@ def read_matlab(path: Path) -> list[Content]:
     return [Content(path, values, units=units)]
 
 
+def read_matlab_curves(path: Path) -> list[Content]:
+    """As :func:`read_matlab`; a matrix with one row, or one column, for each entry of a vector
+    beside it, such as the times, is a list of curves.
+    """
+    (content,) = read_matlab(path)
+    arrays = {name: x for name, x in content.values.items() if isinstance(x, np.ndarray)}
+    lengths = {array.size for array in arrays.values() if array.ndim == 1}
+    for name, array in arrays.items():
+        if array.ndim == 2:
+            curves = array if array.shape[1] in lengths else array.T
+            content.values[name] = list(curves) if curves.shape[1] in lengths else array
+    return [content]
+
+
 def _has_objects(path: Path) -> bool:
     """Whether a file holds objects: it has a subsystem then, whose place MATLAB 5 heads it with."""
     try:

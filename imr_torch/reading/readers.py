@@ -13,7 +13,7 @@ import scipy  # whose parts are imported when they are used
 
 from imr_torch.errors import InputDataError
 from imr_torch.reading.content import Content
-from imr_torch.reading.matlab import is_matlab, read_matlab
+from imr_torch.reading.matlab import is_matlab, read_matlab_curves
 from imr_torch.reading.npz import is_npz, read_npz
 from imr_torch.reading.table import is_workbook, read_text, read_workbook
 from imr_torch.reading.traces import TraceSet
@@ -89,7 +89,7 @@ def read_contents(path: Path) -> list[Content]:
     if is_workbook(path, head):
         return read_workbook(path)
     if is_matlab(path, head):
-        return read_matlab(path)
+        return read_matlab_curves(path)
     if b"\0" not in head or head.startswith((b"\xff\xfe", b"\xfe\xff")):
         return read_text(path)
     raise InputDataError(
