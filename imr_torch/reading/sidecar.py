@@ -137,7 +137,9 @@ class Sidecar:
                 f"frame_rate_fps of the file is {rate}; expected frames per second, above 0"
             )
         medium = self.stated.values if self.stated else {}
-        stated = {name: medium[name][0] for name in ("density", "pressure") if name in medium}
+        stated: dict[str, Any] = {
+            name: medium[name][0] for name in ("density", "pressure") if name in medium
+        }
         return Said(
             **self.units,
             **stated,
