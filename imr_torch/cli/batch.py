@@ -100,7 +100,7 @@ def _check(args: argparse.Namespace) -> None:
 def _pool(args: argparse.Namespace, workers: int) -> Iterator[Pool]:
     """What does the work: nothing but this process, processes, or the workers of a cluster."""
     if args.cluster is None:
-        yield partial(process_pool, workers) if workers > 1 else None
+        yield partial(process_pool, workers, args.extensions) if workers > 1 else None
         return
     try:
         from distributed import Client

@@ -77,6 +77,15 @@ def find_reader(path: Path) -> Reader | None:
     return next((x for x in reversed(READERS.values()) if x.recognises(path, head)), None)
 
 
+def is_of_registered_format(path: Path) -> bool:
+    """Whether a registered reader recognises what may be a file."""
+    if not READERS or not path.is_file():
+        return False
+    with path.open("rb") as stream:
+        head = stream.read(4096)
+    return any(reader.recognises(path, head) for reader in READERS.values())
+
+
 def read_contents(path: Path) -> list[Content]:
     """What a file of one of the package's containers holds: one table, or several sheets.
 
