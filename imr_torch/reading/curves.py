@@ -1,11 +1,8 @@
 """From what a file holds to curves in SI units, with a record of every row left out.
 
-A :class:`~imr_torch.reading.layout.Layout` says what names mean. Which entries of a longer list of
-maximum radii belong to the curves is worked out: all curves of one camera have the same frame
-spacing once their dimensionless times are undone.
+A :class:`~imr_torch.reading.layout.Layout` says what names mean.
 """
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -17,6 +14,7 @@ from imr_torch.errors import InputDataError
 from imr_torch.reading.content import Content
 from imr_torch.reading.layout import KNOWN_LAYOUTS, LENGTHS, TIMES, Layout
 from imr_torch.reading.names import Said, headings_of, infer_layout, unit_of
+from imr_torch.reading.scales import Scales, find_scales, max_radii, rest_radii
 from imr_torch.reading.traces import (
     MIN_SAMPLES,
     RADIUS_RANGE_M,
@@ -28,28 +26,6 @@ from imr_torch.reading.traces import (
 )
 
 _TABLES = ("experiment_table", "separated_table")
-
-
-@dataclass(frozen=True)
-class Scales:
-    """What turns the numbers of a file into SI units.
-
-    Args:
-        interval: seconds between frames, if known.
-        pixel_size: metres per pixel, if known.
-        time_per_length: ``sqrt(rho / p_inf)`` in s/m; dimensionless time times ``Rmax`` times this
-            is seconds.
-    """
-
-    interval: float | None
-    pixel_size: float | None
-    time_per_length: float
-
-    def metres(self, unit: str, max_radius: float | None) -> float:
-        """Metres per unit of radii; the maximum radius is in m."""
-        size = {**LENGTHS, "px": self.pixel_size, "dimensionless": max_radius}[unit]
-        assert size is not None
-        return size
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,9 +92,9 @@ def curves_of(content: Content, layout: Layout | None, said: Said, *, sort: bool
     else:
         _check_units(content, layout)
     raw, left_out = _split(content, layout)
-    scales, of_times = _scales(content, layout, said)
-    tops, more = _max_radii(content, layout, raw, scales)
-    rests = _rest_radii(content, layout, len(raw))
+    scales, of_times = find_scales(content, layout, said)
+    tops, more = max_radii(content, layout, [curve.time for curve in raw], scales)
+    rests = rest_radii(content, layout, len(raw))
     traces = []
     for curve, top, rest in zip(raw, tops, rests, strict=True):
         if not curve.radius.size:
@@ -140,25 +116,6 @@ def curves_of(content: Content, layout: Layout | None, said: Said, *, sort: bool
             f"at least {MIN_SAMPLES} frames of the bubble."
         )
     return TraceSet(tuple(traces), tuple(left_out), (*notes, *more, *of_times))
-
-
-def _scales(content: Content, layout: Layout, said: Said) -> tuple[Scales, list[str]]:
-    """The scales of a file, and a note on what dimensionless times are undone with."""
-    density = content.number("density", "rho" if "rho" in content.values else said.density)
-    pressure = content.number("pressure", "P_inf" if "P_inf" in content.values else said.pressure)
-    assert density is not None
-    assert pressure is not None
-    notes = [
-        f"{content.path}: times are dimensionless and are undone with {density:g} kg/m^3 and "
-        f"{pressure:g} Pa; if their author took others, state them as the medium in the JSON file "
-        "beside it."
-    ]
-    scales = Scales(
-        content.number("frame_interval", layout.frame_interval),
-        content.number("pixel_size", layout.pixel_size),
-        math.sqrt(density / pressure),
-    )
-    return scales, notes if layout.time_unit == "dimensionless" else []
 
 
 def find_layout(content: Content, said: Said) -> tuple[Layout, list[str]]:
@@ -271,47 +228,57 @@ def _check_units(content: Content, layout: Layout) -> None:
 
 def _split(content: Content, layout: Layout) -> tuple[list[RawCurve], list[LeftOut]]:
     """The curves in the units of the file, and rows left out on the way."""
-    file = str(content.path)
+    file = content.path
     names = _radius_names(content, layout)
-    radii = [(name, cell) for name in names for cell in content.vectors(name)]
-    beside = []
-    for name in (layout.time, layout.symmetry_axis):
-        vectors = [None] if name is None else content.vectors(name)
-        vectors = vectors * len(radii) if len(vectors) == 1 else vectors
-        if len(vectors) != len(radii):
-            what = "times" if name == layout.time else "half axes"
-            raise InputDataError(
-                f"{file}: '{name}' holds {len(vectors)} vectors and '{layout.radius}' "
-                f"{len(radii)}; expected one vector of {what} for each curve, or one for all."
-            )
-        beside.append(vectors)
+    columns = [(name, cell) for name in names for cell in content.vectors(name)]
+    radii = [radius for _, radius in columns]
+    times = _vectors_beside(content, layout, "time", radii)
+    axes = _vectors_beside(content, layout, "symmetry_axis", radii)
     groups, left_out = _groups(content, layout)
     curves = []
-    for i, ((column, radius), time, axis) in enumerate(zip(radii, *beside, strict=True)):
-        for name, other in ((layout.time, time), (layout.symmetry_axis, axis)):
-            if other is not None and len(other) != len(radius):
-                raise InputDataError(
-                    f"{file}: curve {i + 1}: '{name}' has {len(other)} samples and "
-                    f"'{layout.radius}' {len(radius)}; give one for every radius."
-                )
+    for i, ((column, radius), time, axis) in enumerate(zip(columns, times, axes, strict=True), 1):
         asphericity = None
         if axis is not None:
             seen = (radius > 0.0) & (axis > 0.0)
             asphericity = np.divide(radius, axis, out=np.full(len(axis), np.nan), where=seen) - 1.0
             radius = np.where(seen, np.cbrt(radius * radius * axis), np.nan)
-        rows = np.arange(1, len(radius) + 1) if content.rows is None else content.rows
-        time = np.arange(len(radius)) if time is None else time
-        whole = RawCurve(file, "", time, radius, rows, asphericity)
-        numbered = f"{content.path.stem}_{i + 1:02d}"
+        frames = np.arange(len(radius))
+        time = frames if time is None else time
+        rows = frames + 1 if content.rows is None else content.rows
+        whole = RawCurve(str(file), "", time, radius, rows, asphericity)
         for group, chosen in groups.items():
-            label = group or content.path.stem
+            label = group or file.stem
             if len(names) > 1:
                 label = column if len(groups) == 1 else f"{group}:{column}"
             elif len(radii) > 1:
-                label = numbered
+                label = f"{file.stem}_{i:02d}"
             curve = whole if chosen is None else whole.take(chosen)
             curves.append(replace(curve, experiment_id=label))
     return curves, left_out
+
+
+def _vectors_beside(
+    content: Content, layout: Layout, setting: str, radii: Sequence[np.ndarray]
+) -> Sequence[np.ndarray | None]:
+    """The vector of each curve that a setting of the layout names, or that of all; None without."""
+    name = getattr(layout, setting)
+    if name is None:
+        return [None] * len(radii)
+    vectors = content.vectors(name)
+    vectors = vectors * len(radii) if len(vectors) == 1 else vectors
+    if len(vectors) != len(radii):
+        what = "times" if setting == "time" else "half axes"
+        raise InputDataError(
+            f"{content.path}: '{name}' holds {len(vectors)} vectors and '{layout.radius}' "
+            f"{len(radii)}; expected one vector of {what} for each curve, or one for all."
+        )
+    for i, (vector, radius) in enumerate(zip(vectors, radii, strict=True), 1):
+        if len(vector) != len(radius):
+            raise InputDataError(
+                f"{content.path}: curve {i}: '{name}' has {len(vector)} samples and "
+                f"'{layout.radius}' {len(radius)}; give one for every radius."
+            )
+    return vectors
 
 
 def _groups(content: Content, layout: Layout) -> tuple[dict[str, np.ndarray | None], list[LeftOut]]:
@@ -498,119 +465,3 @@ def _check_order(curve: RawCurve) -> None:
             f"of row {curve.rows[i - 1]}; times must increase strictly: remove the duplicate row, "
             "or let --sort (in Python sort=True) sort the rows by time."
         )
-
-
-def _rest_radii(content: Content, layout: Layout, count: int) -> list[float | None]:
-    """The rest radius of each curve, in the unit of the file."""
-    if layout.rest_radius is None or count == 0:
-        return [None] * count
-    found = content.entries(layout.rest_radius)
-    if len(found) not in (1, count) or (found <= 0.0).any():
-        raise InputDataError(
-            f"{content.path}: variable '{layout.rest_radius}' (rest_radius) holds {found[:6]} for "
-            f"{count} curves; expected one positive length, or one for each curve (NaN where it is "
-            "not known): write rest_radius=none into --layout to leave it aside."
-        )
-    return [None if math.isnan(x) else x for x in np.broadcast_to(found, count).tolist()]
-
-
-def _max_radii(
-    content: Content, layout: Layout, raw: Sequence[RawCurve], scales: Scales
-) -> tuple[list[float | None], list[str]]:
-    """The maximum radius of each curve, in the unit of the file, and notes on how it was chosen.
-
-    Raises:
-        InputDataError: if the entries cannot be assigned to the curves in exactly one way.
-    """
-    if not isinstance(layout.max_radius, str) or content.is_table:
-        return [content.number("max_radius", layout.max_radius)] * len(raw), []
-    found = content.entries(layout.max_radius)
-    if layout.max_radius_entries is None and len(found) in (1, len(raw)):
-        return np.broadcast_to(found, len(raw)).tolist(), []
-    choice, notes = _choose_entries(content, layout, found, raw, scales)
-    return found[list(choice)].tolist(), notes
-
-
-def _choose_entries(
-    content: Content,
-    layout: Layout,
-    found: np.ndarray,
-    raw: Sequence[RawCurve],
-    scales: Scales,
-    *,
-    tolerance: float = 0.01,
-    common_tolerance: float = 0.002,
-    most: int = 20_000,
-) -> tuple[Sequence[int], list[str]]:
-    """The entries that are named, or the one order-preserving choice of entries under which all curves have the same frame
-    spacing.
-
-    Args:
-        content: the file.
-        layout: what its names mean.
-        found: entries of the maximum radius.
-        raw: the curves.
-        scales: those of the file.
-        tolerance: relative, of spacings from a known interval.
-        common_tolerance: relative, between the spacings of curves.
-        most: choices that are tried.
-    """
-    counts = (
-        f"{content.path}: variable '{layout.max_radius}' has {len(found)} entries for {len(raw)} "
-        "curves"
-    )
-    numbers = "+".join(str(i + 1) for i in range(len(raw)))
-    by_hand = f"max_radius_entries={numbers} in --layout (entry numbers from 1, one for each curve)"
-    named = layout.max_radius_entries
-    if named is not None:
-        if len(named) != len(raw) or max(named) > len(found):
-            raise InputDataError(
-                f"{counts}, and max_radius_entries={named}; give one entry number (from 1 to "
-                f"{len(found)}) for each curve."
-            )
-        return [i - 1 for i in named], []
-    if len(found) < len(raw):
-        raise InputDataError(
-            f"{counts}; one entry for each curve is needed: add the missing ones, or give "
-            "max_radius as a number."
-        )
-    if layout.time_unit != "dimensionless":
-        raise InputDataError(f"{counts}; say which belong to them with {by_hand}.")
-    if math.comb(len(found), len(raw)) > most:
-        raise InputDataError(
-            f"{counts}, too many choices to try; say which belong to them with {by_hand}."
-        )
-    steps = np.array([float(np.nanmedian(np.diff(curve.time))) for curve in raw])
-    seconds = found * LENGTHS[layout.max_radius_unit] * scales.time_per_length
-    implied = steps[:, None] * seconds
-    interval = scales.interval
-
-    def agrees(spacings: np.ndarray) -> bool:
-        if interval is not None:
-            return bool(np.all(np.abs(spacings / interval - 1.0) <= tolerance))
-        return bool(np.ptp(spacings) <= common_tolerance * spacings.mean())
-
-    choices = itertools.combinations(range(len(found)), len(raw))
-    fitting = [choice for choice in choices if agrees(implied[range(len(raw)), choice])]
-    if len(fitting) == 1:
-        chosen = fitting[0]
-        listed = ", ".join(f"{implied[k, i]:.4g}" for k, i in enumerate(chosen))
-        how = "no other choice makes them equal"
-        if interval:
-            how = "they match the frame interval given"
-        return chosen, [
-            f"{counts}: entries {', '.join(str(i + 1) for i in chosen)} are used, in order; the "
-            f"frame spacings they imply are {listed} s, and {how}. Name them with "
-            "max_radius_entries to override this."
-        ]
-    table = "; ".join(
-        f"curve {k + 1}: " + ", ".join(f"{x:.4g}" for x in row) for k, row in enumerate(implied)
-    )
-    why = f"{len(fitting)} choices fit" if fitting else "no choice fits"
-    target = ", equal for all curves (within 0.2 %)"
-    if interval:
-        target = f" of {interval:g} s (within 1 %)"
-    raise InputDataError(
-        f"{counts}, and {why} a frame spacing{target}. Give frame_interval=<seconds between "
-        f"frames>, or {by_hand}. Frame spacings in s implied by each entry: {table}."
-    )
