@@ -3,10 +3,13 @@
 import json
 import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from imr_torch import PolytropicSimulator, wide_prior
+from imr_torch.characterization.batch import BatchOptions
 from imr_torch.cli import main, parser
 from imr_torch.cli.extensions import load_extensions
 from imr_torch.errors import InputDataError
@@ -128,3 +131,18 @@ def test_that_every_command_that_computes_takes_it():
         files = ["gel.csv"] if name in ("batch", "characterize", "diagnose") else []
         given = ["--import", "a.py", "--import", "b.py"]
         assert parser().parse_args([name, *files, *options, *given]).imports == ["a.py", "b.py"]
+
+
+def test_that_a_result_of_a_batch_depends_on_the_code_of_its_extensions():
+    options = BatchOptions(wide_prior(["nhkv"]), PolytropicSimulator())
+    keys = {replace(options, code=code).key() for code in ((), (b"G = 1",), (b"G = 2",))}
+    assert len(keys) == 3
+
+
+@pytest.mark.parametrize("option", ["--driving", "--import"])
+def test_that_a_file_that_is_read_is_not_written_over(tmp_path, option, capsys):
+    file = tmp_path / "own.py"
+    file.write_text("time (us),p (kPa)\n0,0\n1,1\n2,0\n")
+    command = ["simulate", "--set", "G=8310,mu=0.093", option, str(file), "--json", str(file)]
+    assert main(command) == 2
+    assert "which is read as well; give another name" in capsys.readouterr().err

@@ -84,6 +84,7 @@ class BatchOptions:
         medium: what is stated about the medium of all; it counts before what the file beside each
             shot states.
         seed: as for :func:`imr_torch.characterize`.
+        code: source of the extensions that the results depend on, such as a model of one's own.
 
     >>> from imr_torch import PolytropicSimulator, wide_prior
     >>> from imr_torch.characterization.batch import BatchOptions
@@ -102,6 +103,7 @@ class BatchOptions:
     options: FitOptions | None = None
     medium: Statement | None = None
     seed: int = 0
+    code: tuple[bytes, ...] = ()
 
     def key(self) -> str:
         """Hash of everything that has a say in a result."""

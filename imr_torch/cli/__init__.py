@@ -172,7 +172,7 @@ def _check_targets(args: argparse.Namespace) -> None:
 
 def _check_kept(args: argparse.Namespace, option: str, target: Path) -> None:
     """Refuse to write over a file that is read, or the JSON file beside it."""
-    for name in ("files", "tell", "file", "belief", "a", "b"):
+    for name in ("files", "tell", "file", "belief", "a", "b", "driving", "imports"):
         given = getattr(args, name, None)
         for path in [given] if isinstance(given, str) else given or ():
             if target in (Path(path).resolve(), Path(path).with_suffix(".json").resolve()):

@@ -54,6 +54,7 @@ def run(args: argparse.Namespace) -> None:
         options=METHODS[args.method],
         medium=statement_of(args),
         seed=args.seed,
+        code=tuple(Path(file).read_bytes() for file in args.imports),
     )
     with _pool(args, workers) as executor:
         window = _PER_CLUSTER if args.cluster else workers
