@@ -127,20 +127,17 @@ def find_layout(content: Content, said: Said) -> tuple[Layout, list[str]]:
         and all(len(content.names_like(x)) == 1 for x in known.names())
         and _has_rows_of(content, known.separator)
     }
-    if len(fitting) > 1:
-        possible = {name: x for name, x in fitting.items() if _is_possible(content, x)} or fitting
-        most = max(len(x.names()) for x in possible.values())
-        fitting = {name: x for name, x in possible.items() if len(x.names()) == most}
-    if len(fitting) > 1:
+    rank = {name: (_is_possible(content, x), len(x.names())) for name, x in fitting.items()}
+    best = [name for name in rank if rank[name] == max(rank.values())]
+    if len(best) > 1:
         raise InputDataError(
-            f"{content.path}: several known layouts fit ({', '.join(fitting)}). The file holds: "
+            f"{content.path}: several known layouts fit ({', '.join(best)}). The file holds: "
             f"{content.describe()}. Say what they mean with --layout "
             '"radius=<name>,radius_unit=um,time=<name>,time_unit=us" (in Python '
             'layout=Layout.from_text("...")).'
         )
-    if fitting:
-        ((name, layout),) = fitting.items()
-        return layout, [f"{content.path}: read with the known layout '{name}'."]
+    if best:
+        return fitting[best[0]], [f"{content.path}: read with the known layout '{best[0]}'."]
     layout = infer_layout(content, _declared(content, said))
     time = f"frames {layout.frame_interval:g} s apart" if layout.frame_interval else ""
     if layout.time:

@@ -155,6 +155,11 @@ def test_that_imr_codes_save_metres_or_micrometres_and_seconds(
     check(traces, rest_radius_m=4e-5)
 
 
+def test_that_vectors_of_matlab_4_are_read(tmp_path: Path) -> None:
+    scipy.io.savemat(tmp_path / "gel.mat", {"R": 1e6 * RADII, "t": TIMES}, format="4")
+    check(load_traces(tmp_path / "gel.mat"))
+
+
 def test_that_names_of_imr_codes_do_not_stand_for_other_units(tmp_path: Path) -> None:
     for name, content in {
         "times in us": {"R": 1e6 * RADII, "t": 1e6 * TIMES},
