@@ -28,7 +28,8 @@ def load_traces(*paths: str | Path, layout: Layout | None = None, sort: bool = F
 
     Args:
         paths: files, folders (all files in them that end in one of ``SUFFIXES``, or are of a
-            registered format), and patterns such as ``"gel7/*.csv"``. A file is a table of text or ``.xlsx`` (columns
+            registered format), and patterns such as ``"gel7/*.csv"``. A file is a table of text or
+            ``.xlsx`` (columns
             ``experiment_id,time_s,radius_m``, or time and radius with their units in the header,
             one column of radii a curve if there are several, or half axes ``a`` and ``b``), a
             MATLAB file (v4 to v7.3), an ``.npz`` with ``time_s`` and ``radius_m``, or of a

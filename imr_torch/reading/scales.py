@@ -85,6 +85,8 @@ def max_radii(
     if not isinstance(layout.max_radius, str) or content.is_table:
         return [content.number("max_radius", layout.max_radius)] * count, []
     found = content.entries(layout.max_radius)
+    if not count:
+        return [], []
     if layout.max_radius_entries is None and len(found) in (1, count):
         return np.broadcast_to(found, count).tolist(), []
     choice, notes = _choose_entries(content, layout, found, times, scales)
@@ -141,7 +143,7 @@ def _choose_entries(
         raise InputDataError(
             f"{counts}, too many choices to try; say which belong to them with {by_hand}."
         )
-    steps = np.array([np.nanmedian(np.diff(time)) for time in times])
+    steps = np.array([np.nanmedian(np.diff(x)) if x.size > 1 else math.nan for x in times])
     seconds = found * LENGTHS[layout.max_radius_unit] * scales.time_per_length
     implied = steps[:, None] * seconds
     choices = np.array(list(itertools.combinations(range(len(found)), count)))

@@ -68,7 +68,7 @@ def blocks(page: str, language: str) -> list[str]:
 @pytest.mark.parametrize(
     ("page", "prepare", "made"),
     [
-        ("extend", as_table, ("bubble.json",)),
+        ("extend", as_table, ("b.json",)),
         ("video_to_g", of_tracker, ("gel.html", "gel/characterize.json", "diagnosis.html")),
         ("coming_from_matlab", of_matlab, ("result.mat", "gel/characterize.json")),
         ("coming_from_imrfit", of_matlab, ("result.mat", "day1_results/summary.csv")),

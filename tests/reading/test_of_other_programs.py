@@ -242,6 +242,23 @@ def test_that_an_empty_cell_of_imr_prime_is_left_out_and_said(tmp_path: Path) ->
     assert [(x.experiment_id, x.reason) for x in traces.left_out] == [("gel_02", "an empty cell")]
 
 
+@pytest.mark.parametrize(
+    ("cells", "message"),
+    [
+        (0, r"no usable curve \(it holds no curve\)"),
+        (2, r"no usable curve \(row\(s\) -: an empty cell; row\(s\) -: an empty cell\)"),
+        (4, r"'RmaxList' has 2 entries for 4 curves; one entry for each curve"),
+        (1, r"'RmaxList' has 2 entries for 1 curves, and no choice fits .* curve 1: nan, nan"),
+    ],
+)
+def test_that_empty_cells_alone_hold_no_curve(tmp_path: Path, cells: int, message: str) -> None:
+    empty = as_cells([np.empty((0, 0))] * cells)
+    content = {"R_nondim_All": empty, "t_nondim_All": empty, "RmaxList": np.array([2e-4, 1e-4])}
+    scipy.io.savemat(tmp_path / "gel.mat", content)
+    with pytest.raises(InputDataError, match=message):
+        load_traces(tmp_path / "gel.mat")
+
+
 @pytest.mark.parametrize("where", ["file", "beside"])
 def test_that_dimensionless_times_are_undone_with_the_density_and_pressure_of_their_author(
     tmp_path: Path, where: str
@@ -273,7 +290,8 @@ def test_that_a_matrix_of_curves_beside_their_times_is_a_curve_a_row_or_column(
     """The first IMR code: ``Rnew`` in um, one row an experiment, and ``t`` in s."""
     curves = 1e6 * np.stack([RADII] * 3)
     matrix = curves.T if turned else curves
-    scipy.io.savemat(tmp_path / "RofTdata.mat", {"Rnew": matrix, "t": TIMES})
+    content = {"Rnew": matrix, "t": TIMES, "magnification": np.full(3, 20.0)}
+    scipy.io.savemat(tmp_path / "RofTdata.mat", content)
     check(load_traces(tmp_path / "RofTdata.mat"), count=3)
 
 
