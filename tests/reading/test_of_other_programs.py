@@ -160,6 +160,21 @@ def test_that_vectors_of_matlab_4_are_read(tmp_path: Path) -> None:
     check(load_traces(tmp_path / "gel.mat"))
 
 
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ({"R_exp": 1e6 * RADII / 3.2}, {"radius_unit": "px", "pixel_size_m": 3.2e-6}),
+        ({"R_exp": 1e6 * RADII, "t_exp": 1e6 * TIMES}, {"radius_unit": "um", "time_unit": "us"}),
+    ],
+)
+def test_that_what_an_import_wizard_asks_for_may_stand_beside_the_file(
+    tmp_path: Path, content: dict, said: dict
+) -> None:
+    scipy.io.savemat(tmp_path / "gel.mat", content)
+    (tmp_path / "gel.json").write_text(json.dumps(said | {"frame_rate_fps": 1e6}))
+    check(load_traces(tmp_path / "gel.mat"))
+
+
 def test_that_names_of_imr_codes_do_not_stand_for_other_units(tmp_path: Path) -> None:
     for name, content in {
         "times in us": {"R": 1e6 * RADII, "t": 1e6 * TIMES},
