@@ -46,7 +46,7 @@ DONE = "done"
 NOT_CONVERGED = "not converged"
 FAILED = "failed"
 _WINDOW = 64  # shots handed to an executor at a time
-_OF_READING = ("layout", "sort", "each")  # options that say how files are read, not how fitted
+_NOT_OF_FIT = ("layout", "sort", "each", "code")  # options that characterize does not take
 _COLUMNS = (
     "shot",
     "status",
@@ -84,6 +84,7 @@ class BatchOptions:
         medium: what is stated about the medium of all; it counts before what the file beside each
             shot states.
         seed: as for :func:`imr_torch.characterize`.
+        code: source of the extensions that the results depend on, such as a model of one's own.
 
     >>> from imr_torch import PolytropicSimulator, wide_prior
     >>> from imr_torch.characterization.batch import BatchOptions
@@ -102,6 +103,7 @@ class BatchOptions:
     options: FitOptions | None = None
     medium: Statement | None = None
     seed: int = 0
+    code: tuple[bytes, ...] = ()
 
     def key(self) -> str:
         """Hash of everything that has a say in a result."""
@@ -270,7 +272,7 @@ def characterize_shot(traces: TraceSet | None, options: BatchOptions) -> dict[st
     """The result of one shot as a document, or ``{"error": ...}``: what a worker does."""
     try:
         assert traces is not None
-        of_fit = {name: value for name, value in vars(options).items() if name not in _OF_READING}
+        of_fit = {name: value for name, value in vars(options).items() if name not in _NOT_OF_FIT}
         result = characterize(traces, **of_fit)
         document = result.to_result_document() | {
             "converged": result.converged,

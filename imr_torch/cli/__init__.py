@@ -56,6 +56,15 @@ def parser() -> argparse.ArgumentParser:
             )
         if "json" not in left_out:
             sub.add_argument("--json", metavar="FILE", help="write the result as JSON")
+        if "import" not in left_out:
+            sub.add_argument(
+                "--import",
+                action="append",
+                default=[],
+                dest="imports",
+                metavar="FILE.py",
+                help="a Python file that adds models, effects or file formats; may be repeated",
+            )
         if "engine" not in left_out:
             add_engine_arguments(sub)
         sub.add_argument("--quiet", action="store_true", help="no progress on the terminal")
@@ -116,11 +125,13 @@ def main(argv: Sequence[str] | None = None, *, live: bool | None = None) -> int:
 
 
 def _run(args: argparse.Namespace) -> None:
-    """Import what the subcommand runs, and run it."""
+    """Import extensions and what the subcommand runs, and run it."""
     module = importlib.import_module(f"imr_torch.cli.{args.command}")
     importlib.import_module("torch").set_num_threads(
         1
     )  # of tensor operators, which are small; the engine has its own threads
+    extensions = importlib.import_module("imr_torch.cli.extensions")  # slow to import for help
+    args.extensions = extensions.load_extensions(getattr(args, "imports", ()))
     module.run(args)
 
 
@@ -161,7 +172,7 @@ def _check_targets(args: argparse.Namespace) -> None:
 
 def _check_kept(args: argparse.Namespace, option: str, target: Path) -> None:
     """Refuse to write over a file that is read, or the JSON file beside it."""
-    for name in ("files", "tell", "file", "belief", "a", "b"):
+    for name in ("files", "tell", "file", "belief", "a", "b", "driving", "imports"):
         given = getattr(args, name, None)
         for path in [given] if isinstance(given, str) else given or ():
             if target in (Path(path).resolve(), Path(path).with_suffix(".json").resolve()):

@@ -54,6 +54,7 @@ def run(args: argparse.Namespace) -> None:
         options=METHODS[args.method],
         medium=statement_of(args),
         seed=args.seed,
+        code=tuple(Path(file).read_bytes() for file in args.imports),
     )
     with _pool(args, workers) as executor:
         window = _PER_CLUSTER if args.cluster else workers
@@ -100,7 +101,7 @@ def _check(args: argparse.Namespace) -> None:
 def _pool(args: argparse.Namespace, workers: int) -> Iterator[Pool]:
     """What does the work: nothing but this process, processes, or the workers of a cluster."""
     if args.cluster is None:
-        yield partial(process_pool, workers) if workers > 1 else None
+        yield partial(process_pool, workers, args.extensions) if workers > 1 else None
         return
     try:
         from distributed import Client

@@ -181,4 +181,6 @@ def diagnose_command(args: argparse.Namespace, best: ModelBelief) -> str:
         if value and value != usual.get(name):
             parts += [f"--{name.replace('_', '-')}", f"{value}"]
     parts += ["--sort"] if args.sort else []
+    for file in args.imports:
+        parts += ["--import", file]
     return shlex.join([*parts, "--html", "diagnosis.html"])

@@ -11,7 +11,7 @@ from imr_torch.design.nested import NestedMonteCarlo, PriorContrastive, Publishe
 from imr_torch.design.optimizer import DesignOptimizer, Recommendation, Strategy
 from imr_torch.design.plan import PAPER_PLAN, Plan
 from imr_torch.design.population import PopulationInformation
-from imr_torch.design.response import Shot
+from imr_torch.design.response import Shot, radii
 from imr_torch.design.search import DesignSearch, SearchSettings, search_design
 from imr_torch.design.space import DESIGN_NAMES, DesignSpace
 
@@ -38,6 +38,7 @@ __all__ = [
     "Strategy",
     "Target",
     "expected_information_gain",
+    "radii",
     "search_design",
     "separate_errors",
 ]

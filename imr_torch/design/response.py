@@ -106,7 +106,22 @@ class Response:
 def radii(
     shot: Shot, part: ModelBelief, controls: BatchControls
 ) -> Float[Tensor, "*batch designs frames"]:
-    """R/Rmax of gels at controls; NaN where the solve failed."""
+    """R/Rmax of gels at controls; NaN where the solve failed.
+
+    Args:
+        shot: designs and how they are observed.
+        part: the model.
+        controls: in which the belief in the model is a standard normal.
+
+    >>> from imr_torch.design import Plan, Shot, radii
+    >>> from imr_torch.material import reference_case
+    >>> from imr_torch.simulate import PolytropicSimulator
+    >>> designs = torch.tensor([[400.0, 0.2], [700.0, 0.25]], dtype=torch.float64)
+    >>> shot = Shot(reference_case("soft-pa").prior, designs, PolytropicSimulator(), Plan())
+    >>> part = shot.belief.models[0]
+    >>> radii(shot, part, torch.zeros(3, len(part.names)).double()).shape  # 81 frames
+    torch.Size([3, 2, 81])
+    """
     forward = shot.forward(part)
     return forward.predict(Point(controls, forward.still(*controls.shape[:-1])))
 

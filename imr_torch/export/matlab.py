@@ -22,8 +22,9 @@ def write_mat(document: Mapping[str, Any], path: str | Path) -> None:
 
     It holds ``model`` (the most probable), ``probabilities``, ``parameters`` (one struct a model
     and parameter: ``model``, ``name``, ``unit``, ``low``, ``median``, ``high``, SI) and ``curves``
-    (one struct a curve: frames in us and um, which of them were ``fitted``, the model's curve, its
-    90 % predictive band, and ``residual`` and ``residual_over_sd`` at the fitted frames, R/Rmax).
+    (one struct a curve: frames in us and um, which of them were ``fitted``, their ``asphericity``
+    a/b - 1 where half axes were measured, the model's curve, its 90 % predictive band, and
+    ``residual`` and ``residual_over_sd`` at the fitted frames, R/Rmax).
 
     Args:
         document: of :meth:`imr_torch.Characterization.to_document` or ``imr-torch characterize``.
@@ -66,6 +67,7 @@ def _curve(curve: Mapping[str, Any]) -> dict[str, Any]:
         "time_us": (to_us, measured["t_star"]),
         "radius_um": (to_um, measured["R_star"]),
         "fitted": (1.0, measured["fitted"]),
+        "asphericity": (1.0, measured.get("asphericity", [])),
         "model_time_us": (to_us, model["t_star"]),
         "model_radius_um": (to_um, model["R_star"]),
         "band_time_us": (to_us, band["t_star"]),

@@ -102,7 +102,10 @@ def material(key: str) -> Material:
     """
     base, *extra = key.split("+")
     if base not in MATERIALS:
-        raise InputDataError(f"Unknown model {base!r}; known are {', '.join(MATERIALS)}.")
+        raise InputDataError(
+            f"Unknown model {base!r}; known are {', '.join(MATERIALS)}. A model of your own is "
+            "registered first (of commands: --import FILE.py)."
+        )
     if not extra:
         return MATERIALS[base]
     double = [

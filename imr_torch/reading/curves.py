@@ -1,11 +1,8 @@
 """From what a file holds to curves in SI units, with a record of every row left out.
 
-A :class:`~imr_torch.reading.layout.Layout` says what names mean. Which entries of a longer list of
-maximum radii belong to the curves is worked out: all curves of one camera have the same frame
-spacing once their dimensionless times are undone.
+A :class:`~imr_torch.reading.layout.Layout` says what names mean.
 """
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -15,8 +12,9 @@ import torch
 
 from imr_torch.errors import InputDataError
 from imr_torch.reading.content import Content
-from imr_torch.reading.layout import KNOWN_LAYOUTS, LENGTHS, TIME_PER_LENGTH, TIMES, Layout
+from imr_torch.reading.layout import KNOWN_LAYOUTS, LENGTHS, TIMES, Layout
 from imr_torch.reading.names import Said, headings_of, infer_layout, unit_of
+from imr_torch.reading.scales import Scales, find_scales, max_radii, rest_radii
 from imr_torch.reading.traces import (
     MIN_SAMPLES,
     RADIUS_RANGE_M,
@@ -94,16 +92,18 @@ def curves_of(content: Content, layout: Layout | None, said: Said, *, sort: bool
     else:
         _check_units(content, layout)
     raw, left_out = _split(content, layout)
-    interval = content.number("frame_interval", layout.frame_interval)
-    pixel = content.number("pixel_size", layout.pixel_size)
-    tops, more = _max_radii(content, layout, raw, interval)
-    rests = _rest_radii(content, layout, len(raw))
+    scales, of_times = find_scales(content, layout, said)
+    tops, more = max_radii(content, layout, [curve.time for curve in raw], scales)
+    rests = rest_radii(content, layout, len(raw))
     traces = []
     for curve, top, rest in zip(raw, tops, rests, strict=True):
+        if not curve.radius.size:
+            left_out.append(LeftOut(curve.file, curve.experiment_id, "", "an empty cell"))
+            continue
         top_m = None if top is None else top * LENGTHS[layout.max_radius_unit]
-        converted = _to_si(_mark_absent(curve, layout), layout, interval, pixel, top_m)
+        converted = _to_si(_mark_absent(curve, layout), layout, scales, top_m)
         if rest is not None:
-            rest_m = rest * _metres(layout.rest_radius_unit, pixel, top_m)
+            rest_m = rest * scales.metres(layout.rest_radius_unit, top_m)
             converted = replace(converted, given=replace(converted.given, rest_radius_m=rest_m))
         converted, peak = _without_peak(converted, layout)
         trace, dropped = _to_trace(converted, sort=sort)
@@ -115,7 +115,7 @@ def curves_of(content: Content, layout: Layout | None, said: Said, *, sort: bool
             f"{content.path}: no usable curve ({why or 'it holds no curve'}). Give a record with "
             f"at least {MIN_SAMPLES} frames of the bubble."
         )
-    return TraceSet(tuple(traces), tuple(left_out), (*notes, *more))
+    return TraceSet(tuple(traces), tuple(left_out), (*notes, *more, *of_times))
 
 
 def find_layout(content: Content, said: Said) -> tuple[Layout, list[str]]:
@@ -127,20 +127,17 @@ def find_layout(content: Content, said: Said) -> tuple[Layout, list[str]]:
         and all(len(content.names_like(x)) == 1 for x in known.names())
         and _has_rows_of(content, known.separator)
     }
-    if len(fitting) > 1:
-        possible = {name: x for name, x in fitting.items() if _is_possible(content, x)} or fitting
-        most = max(len(x.names()) for x in possible.values())
-        fitting = {name: x for name, x in possible.items() if len(x.names()) == most}
-    if len(fitting) > 1:
+    rank = {name: (_is_possible(content, x), len(x.names())) for name, x in fitting.items()}
+    best = [name for name in rank if rank[name] == max(rank.values())]
+    if len(best) > 1:
         raise InputDataError(
-            f"{content.path}: several known layouts fit ({', '.join(fitting)}). The file holds: "
+            f"{content.path}: several known layouts fit ({', '.join(best)}). The file holds: "
             f"{content.describe()}. Say what they mean with --layout "
             '"radius=<name>,radius_unit=um,time=<name>,time_unit=us" (in Python '
             'layout=Layout.from_text("...")).'
         )
-    if fitting:
-        ((name, layout),) = fitting.items()
-        return layout, [f"{content.path}: read with the known layout '{name}'."]
+    if best:
+        return fitting[best[0]], [f"{content.path}: read with the known layout '{best[0]}'."]
     layout = infer_layout(content, _declared(content, said))
     time = f"frames {layout.frame_interval:g} s apart" if layout.frame_interval else ""
     if layout.time:
@@ -228,47 +225,57 @@ def _check_units(content: Content, layout: Layout) -> None:
 
 def _split(content: Content, layout: Layout) -> tuple[list[RawCurve], list[LeftOut]]:
     """The curves in the units of the file, and rows left out on the way."""
-    file = str(content.path)
+    file = content.path
     names = _radius_names(content, layout)
-    radii = [(name, cell) for name in names for cell in content.vectors(name)]
-    beside = []
-    for name in (layout.time, layout.symmetry_axis):
-        vectors = [None] if name is None else content.vectors(name)
-        vectors = vectors * len(radii) if len(vectors) == 1 else vectors
-        if len(vectors) != len(radii):
-            what = "times" if name == layout.time else "half axes"
-            raise InputDataError(
-                f"{file}: '{name}' holds {len(vectors)} vectors and '{layout.radius}' "
-                f"{len(radii)}; expected one vector of {what} for each curve, or one for all."
-            )
-        beside.append(vectors)
+    columns = [(name, cell) for name in names for cell in content.vectors(name)]
+    radii = [radius for _, radius in columns]
+    times = _vectors_beside(content, layout, "time", radii)
+    axes = _vectors_beside(content, layout, "symmetry_axis", radii)
     groups, left_out = _groups(content, layout)
     curves = []
-    for i, ((column, radius), time, axis) in enumerate(zip(radii, *beside, strict=True)):
-        for name, other in ((layout.time, time), (layout.symmetry_axis, axis)):
-            if other is not None and len(other) != len(radius):
-                raise InputDataError(
-                    f"{file}: curve {i + 1}: '{name}' has {len(other)} samples and "
-                    f"'{layout.radius}' {len(radius)}; give one for every radius."
-                )
+    for i, ((column, radius), time, axis) in enumerate(zip(columns, times, axes, strict=True), 1):
         asphericity = None
         if axis is not None:
             seen = (radius > 0.0) & (axis > 0.0)
             asphericity = np.divide(radius, axis, out=np.full(len(axis), np.nan), where=seen) - 1.0
             radius = np.where(seen, np.cbrt(radius * radius * axis), np.nan)
-        rows = np.arange(1, len(radius) + 1) if content.rows is None else content.rows
-        time = np.arange(len(radius)) if time is None else time
-        whole = RawCurve(file, "", time, radius, rows, asphericity)
-        numbered = f"{content.path.stem}_{i + 1:02d}"
+        frames = np.arange(len(radius))
+        time = frames if time is None else time
+        rows = frames + 1 if content.rows is None else content.rows
+        whole = RawCurve(str(file), "", time, radius, rows, asphericity)
         for group, chosen in groups.items():
-            label = group or content.path.stem
+            label = group or file.stem
             if len(names) > 1:
                 label = column if len(groups) == 1 else f"{group}:{column}"
             elif len(radii) > 1:
-                label = numbered
+                label = f"{file.stem}_{i:02d}"
             curve = whole if chosen is None else whole.take(chosen)
             curves.append(replace(curve, experiment_id=label))
     return curves, left_out
+
+
+def _vectors_beside(
+    content: Content, layout: Layout, setting: str, radii: Sequence[np.ndarray]
+) -> Sequence[np.ndarray | None]:
+    """The vector of each curve that a setting of the layout names, or that of all; None without."""
+    name = getattr(layout, setting)
+    if name is None:
+        return [None] * len(radii)
+    vectors = content.vectors(name)
+    vectors = vectors * len(radii) if len(vectors) == 1 else vectors
+    if len(vectors) != len(radii):
+        what = "times" if setting == "time" else "half axes"
+        raise InputDataError(
+            f"{content.path}: '{name}' holds {len(vectors)} vectors and '{layout.radius}' "
+            f"{len(radii)}; expected one vector of {what} for each curve, or one for all."
+        )
+    for i, (vector, radius) in enumerate(zip(vectors, radii, strict=True), 1):
+        if len(vector) != len(radius):
+            raise InputDataError(
+                f"{content.path}: curve {i}: '{name}' has {len(vector)} samples and "
+                f"'{layout.radius}' {len(radius)}; give one for every radius."
+            )
+    return vectors
 
 
 def _groups(content: Content, layout: Layout) -> tuple[dict[str, np.ndarray | None], list[LeftOut]]:
@@ -304,13 +311,6 @@ def _groups(content: Content, layout: Layout) -> tuple[dict[str, np.ndarray | No
     return {f"{content.path.stem}_{i:03d}": part for i, part in enumerate(filled, 1)}, left_out
 
 
-def _metres(unit: str, pixel_size: float | None, max_radius: float | None) -> float:
-    """Metres per unit of radii."""
-    size = {**LENGTHS, "px": pixel_size, "dimensionless": max_radius}[unit]
-    assert size is not None
-    return size
-
-
 def _mark_absent(curve: RawCurve, layout: Layout) -> RawCurve:
     """The curve with radius 0 where the file marks a frame without a bubble."""
     radius = curve.radius.copy()
@@ -324,8 +324,7 @@ def _mark_absent(curve: RawCurve, layout: Layout) -> RawCurve:
 def _to_si(
     curve: RawCurve,
     layout: Layout,
-    interval: float | None,
-    pixel_size: float | None,
+    scales: Scales,
     max_radius: float | None,
     *,
     tolerance: float = 0.01,
@@ -336,13 +335,14 @@ def _to_si(
             f"{curve.where}: max_radius is {max_radius / LENGTHS[layout.max_radius_unit]}; "
             "expected a positive length."
         )
-    radius = curve.radius * _metres(layout.radius_unit, pixel_size, max_radius)
+    radius = curve.radius * scales.metres(layout.radius_unit, max_radius)
+    interval = scales.interval
     given = curve.given if max_radius is None else replace(curve.given, max_radius_m=max_radius)
     if layout.time is None or layout.time_unit == "frames":
         assert interval is not None
         return replace(curve, time=curve.time * interval, radius=radius, given=given)
-    scale = TIMES.get(layout.time_unit)
-    time = curve.time * ((max_radius or 1.0) * TIME_PER_LENGTH if scale is None else scale)
+    scale = TIMES.get(layout.time_unit, (max_radius or 1.0) * scales.time_per_length)
+    time = curve.time * scale
     if interval is not None and len(time) > 1:
         step = float(np.nanmedian(np.diff(time)))
         if not abs(step / interval - 1.0) <= tolerance:
@@ -462,118 +462,3 @@ def _check_order(curve: RawCurve) -> None:
             f"of row {curve.rows[i - 1]}; times must increase strictly: remove the duplicate row, "
             "or let --sort (in Python sort=True) sort the rows by time."
         )
-
-
-def _rest_radii(content: Content, layout: Layout, count: int) -> list[float | None]:
-    """The rest radius of each curve, in the unit of the file."""
-    if layout.rest_radius is None or count == 0:
-        return [None] * count
-    found = content.entries(layout.rest_radius)
-    if len(found) not in (1, count) or not (found > 0.0).all():
-        raise InputDataError(
-            f"{content.path}: variable '{layout.rest_radius}' (rest_radius) holds {found[:6]} for "
-            f"{count} curves; expected one positive length, or one for each curve: write "
-            "rest_radius=none into --layout to leave it aside."
-        )
-    return np.broadcast_to(found, count).tolist()
-
-
-def _max_radii(
-    content: Content, layout: Layout, raw: Sequence[RawCurve], interval: float | None
-) -> tuple[list[float | None], list[str]]:
-    """The maximum radius of each curve, in the unit of the file, and notes on how it was chosen.
-
-    Raises:
-        InputDataError: if the entries cannot be assigned to the curves in exactly one way.
-    """
-    if not isinstance(layout.max_radius, str) or content.is_table:
-        return [content.number("max_radius", layout.max_radius)] * len(raw), []
-    found = content.entries(layout.max_radius)
-    if layout.max_radius_entries is None and len(found) in (1, len(raw)):
-        return np.broadcast_to(found, len(raw)).tolist(), []
-    choice, notes = _choose_entries(content, layout, found, raw, interval)
-    return found[list(choice)].tolist(), notes
-
-
-def _choose_entries(
-    content: Content,
-    layout: Layout,
-    found: np.ndarray,
-    raw: Sequence[RawCurve],
-    interval: float | None,
-    *,
-    tolerance: float = 0.01,
-    common_tolerance: float = 0.002,
-    most: int = 20_000,
-) -> tuple[Sequence[int], list[str]]:
-    """The entries that are named, or the one order-preserving choice of entries under which all curves have the same frame
-    spacing.
-
-    Args:
-        content: the file.
-        layout: what its names mean.
-        found: entries of the maximum radius.
-        raw: the curves.
-        interval: time between frames in s, if known.
-        tolerance: relative, of spacings from a known interval.
-        common_tolerance: relative, between the spacings of curves.
-        most: choices that are tried.
-    """
-    counts = (
-        f"{content.path}: variable '{layout.max_radius}' has {len(found)} entries for {len(raw)} "
-        "curves"
-    )
-    numbers = "+".join(str(i + 1) for i in range(len(raw)))
-    by_hand = f"max_radius_entries={numbers} in --layout (entry numbers from 1, one for each curve)"
-    named = layout.max_radius_entries
-    if named is not None:
-        if len(named) != len(raw) or max(named) > len(found):
-            raise InputDataError(
-                f"{counts}, and max_radius_entries={named}; give one entry number (from 1 to "
-                f"{len(found)}) for each curve."
-            )
-        return [i - 1 for i in named], []
-    if len(found) < len(raw):
-        raise InputDataError(
-            f"{counts}; one entry for each curve is needed: add the missing ones, or give "
-            "max_radius as a number."
-        )
-    if layout.time_unit != "dimensionless":
-        raise InputDataError(f"{counts}; say which belong to them with {by_hand}.")
-    if math.comb(len(found), len(raw)) > most:
-        raise InputDataError(
-            f"{counts}, too many choices to try; say which belong to them with {by_hand}."
-        )
-    steps = np.array([float(np.nanmedian(np.diff(curve.time))) for curve in raw])
-    seconds = found * LENGTHS[layout.max_radius_unit] * TIME_PER_LENGTH
-    implied = steps[:, None] * seconds
-
-    def agrees(spacings: np.ndarray) -> bool:
-        if interval is not None:
-            return bool(np.all(np.abs(spacings / interval - 1.0) <= tolerance))
-        return bool(np.ptp(spacings) <= common_tolerance * spacings.mean())
-
-    choices = itertools.combinations(range(len(found)), len(raw))
-    fitting = [choice for choice in choices if agrees(implied[range(len(raw)), choice])]
-    if len(fitting) == 1:
-        chosen = fitting[0]
-        listed = ", ".join(f"{implied[k, i]:.4g}" for k, i in enumerate(chosen))
-        how = "no other choice makes them equal"
-        if interval:
-            how = "they match the frame interval given"
-        return chosen, [
-            f"{counts}: entries {', '.join(str(i + 1) for i in chosen)} are used, in order; the "
-            f"frame spacings they imply are {listed} s, and {how}. Name them with "
-            "max_radius_entries to override this."
-        ]
-    table = "; ".join(
-        f"curve {k + 1}: " + ", ".join(f"{x:.4g}" for x in row) for k, row in enumerate(implied)
-    )
-    why = f"{len(fitting)} choices fit" if fitting else "no choice fits"
-    target = ", equal for all curves (within 0.2 %)"
-    if interval:
-        target = f" of {interval:g} s (within 1 %)"
-    raise InputDataError(
-        f"{counts}, and {why} a frame spacing{target}. Give frame_interval=<seconds between "
-        f"frames>, or {by_hand}. Frame spacings in s implied by each entry: {table}."
-    )

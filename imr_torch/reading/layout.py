@@ -1,7 +1,8 @@
 """Description of a file format: names, units and scales of its columns or variables.
 
 Dimensionless times are undone with ``t = t* Rmax sqrt(rho / p_inf)`` (Estrada et al., J. Mech.
-Phys. Solids 112, 2018).
+Phys. Solids 112, 2018), with the density and pressure that the file names ``rho`` and ``P_inf``, or
+the medium stated beside it, or those of water at 1 atm.
 """
 
 import math
@@ -16,8 +17,6 @@ LENGTHS = {"m": 1.0, "um": 1e-6, "mm": 1e-3}
 TIMES = {"s": 1.0, "us": 1e-6, "ms": 1e-3, "ns": 1e-9}
 RADIUS_UNITS = (*LENGTHS, "px", "dimensionless")
 TIME_UNITS = (*TIMES, "frames", "dimensionless")
-TIME_PER_LENGTH = math.sqrt(998.0 / 101325.0)
-"""``sqrt(rho / p_inf)`` of water at 1 atm in s/m: dimensionless time times ``Rmax`` times this is seconds."""
 
 
 @dataclass(frozen=True)

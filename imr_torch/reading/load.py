@@ -10,7 +10,12 @@ from pathlib import Path
 from imr_torch.errors import InputDataError
 from imr_torch.reading.curves import curves_of
 from imr_torch.reading.layout import Layout
-from imr_torch.reading.readers import find_reader, is_shot_file, read_contents
+from imr_torch.reading.readers import (
+    find_reader,
+    is_of_registered_format,
+    is_shot_file,
+    read_contents,
+)
 from imr_torch.reading.sidecar import Sidecar
 from imr_torch.reading.traces import TraceSet
 
@@ -22,8 +27,9 @@ def load_traces(*paths: str | Path, layout: Layout | None = None, sort: bool = F
     """Read curves from files.
 
     Args:
-        paths: files, folders (all files in them that end in one of ``SUFFIXES``), and patterns such
-            as ``"gel7/*.csv"``. A file is a table of text or ``.xlsx`` (columns
+        paths: files, folders (all files in them that end in one of ``SUFFIXES``, or are of a
+            registered format), and patterns such as ``"gel7/*.csv"``. A file is a table of text or
+            ``.xlsx`` (columns
             ``experiment_id,time_s,radius_m``, or time and radius with their units in the header,
             one column of radii a curve if there are several, or half axes ``a`` and ``b``), a
             MATLAB file (v4 to v7.3), an ``.npz`` with ``time_s`` and ``radius_m``, or of a
@@ -82,7 +88,8 @@ def find_files(*paths: str | Path) -> list[Path]:
             inside = sorted(
                 p
                 for p in path.iterdir()
-                if p.suffix.lower() in SUFFIXES and not p.name.startswith((".", "~$"))
+                if not p.name.startswith((".", "~$"))
+                and (p.suffix.lower() in SUFFIXES or is_of_registered_format(p))
             )
             if not inside:
                 raise InputDataError(

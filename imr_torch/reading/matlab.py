@@ -65,6 +65,21 @@ def read_matlab(path: Path) -> list[Content]:
     return [Content(path, values, units=units)]
 
 
+def read_matlab_curves(path: Path) -> list[Content]:
+    """As :func:`read_matlab`; a matrix with one row, or one column, for each entry of a vector
+    beside it, such as the times, is a list of curves, the longest if both fit.
+    """
+    (content,) = read_matlab(path)
+    arrays = {name: x for name, x in content.values.items() if isinstance(x, np.ndarray)}
+    lengths = {array.size for array in arrays.values() if array.ndim == 1}
+    for name, array in arrays.items():
+        if array.ndim == 2:
+            fitting = [x for x in (array, array.T) if x.shape[1] in lengths]
+            curves = max(fitting, key=lambda x: x.shape[1], default=None)
+            content.values[name] = array if curves is None else list(curves)
+    return [content]
+
+
 def _has_objects(path: Path) -> bool:
     """Whether a file holds objects: it has a subsystem then, whose place MATLAB 5 heads it with."""
     try:

@@ -37,13 +37,14 @@ _ROLES = {
     "frames": "frame frames frameno framenr framenumber frameindex",
     "radius": "r radius radii rexp rad rt rnew roft bubbleradius meanradius averageradius "
     "equivalentradius",
-    "half axis a": "a axisa semiaxisa halfaxisa",
-    "half axis b": "b axisb semiaxisb halfaxisb",
+    "half axis a": "a alengths axisa semiaxisa halfaxisa",
+    "half axis b": "b blengths axisb semiaxisb halfaxisb",
     "experiment": "experimentid experiment id shot shotid curve curveid trial run bubble",
 }
 _ERROR = re.compile(r"(^|[^a-z])(sd|std|err|error|sigma|uncertainty)([^a-z]|$)", re.IGNORECASE)
 _OF_PROGRAMS = (
     ("BubbleTrack", ("Radius", "CircleFitPar"), {"Radius": "px"}),
+    ("ellipse fits", ("a_lengths", "b_lengths"), {"a_lengths": "px", "b_lengths": "px"}),
     ("InCA", ("Average Radius", "Surface Area"), {"Average Radius": "px"}),
     ("InCA", ("RoFT", "FTs"), {"RoFT": "px", "t": "s"}),
 )
@@ -140,13 +141,18 @@ def _is_texts(value: object) -> bool:
 
 @dataclass(frozen=True)
 class Said:
-    """What is said about all curves of a file, as far as a layout needs it."""
+    """What is said about all curves of a file, as far as reading them needs it; SI units.
+
+    ``density`` and ``pressure`` are those that dimensionless times are undone with.
+    """
 
     time_unit: str | None = None
     radius_unit: str | None = None
     frame_interval: float | None = None
     pixel_size: float | None = None
     max_radius: float | None = None
+    density: float = 998.0
+    pressure: float = 101325.0
 
 
 def infer_layout(content: Content, said: Said) -> Layout:

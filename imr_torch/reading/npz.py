@@ -21,17 +21,11 @@ def read_npz(path: Path) -> list[Content]:
     arrays = read_arrays(path, ("time_s", "radius_m"))
     time = arrays["time_s"]
     radius = arrays["radius_m"]
-    fits = time.ndim in (1, radius.ndim) and time.shape[-1:] == radius.shape[-1:]
-    if radius.ndim not in (1, 2) or not fits:
+    if radius.ndim not in (1, 2) or time.ndim not in (1, radius.ndim):
         raise InputDataError(
             f"{path}: time_s has shape {time.shape} and radius_m {radius.shape}; expected frames, "
             "or curves x frames, with one time for every radius. Sets of repeated designs "
             "(designs x repeats x frames) are read by imr-torch diagnose."
-        )
-    if time.ndim == 2 and len(time) != len(radius):
-        raise InputDataError(
-            f"{path}: time_s has {len(time)} curves and radius_m {len(radius)}; give one row of "
-            "times each."
         )
     values = {name: x if x.ndim == 1 else list(x) for name, x in arrays.items()}
     return [Content(path, values)]

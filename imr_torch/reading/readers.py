@@ -13,7 +13,7 @@ import scipy  # whose parts are imported when they are used
 
 from imr_torch.errors import InputDataError
 from imr_torch.reading.content import Content
-from imr_torch.reading.matlab import is_matlab, read_matlab
+from imr_torch.reading.matlab import is_matlab, read_matlab_curves
 from imr_torch.reading.npz import is_npz, read_npz
 from imr_torch.reading.table import is_workbook, read_text, read_workbook
 from imr_torch.reading.traces import TraceSet
@@ -77,6 +77,15 @@ def find_reader(path: Path) -> Reader | None:
     return next((x for x in reversed(READERS.values()) if x.recognises(path, head)), None)
 
 
+def is_of_registered_format(path: Path) -> bool:
+    """Whether a registered reader recognises what may be a file."""
+    if not READERS or not path.is_file():
+        return False
+    with path.open("rb") as stream:
+        head = stream.read(4096)
+    return any(reader.recognises(path, head) for reader in READERS.values())
+
+
 def read_contents(path: Path) -> list[Content]:
     """What a file of one of the package's containers holds: one table, or several sheets.
 
@@ -89,7 +98,7 @@ def read_contents(path: Path) -> list[Content]:
     if is_workbook(path, head):
         return read_workbook(path)
     if is_matlab(path, head):
-        return read_matlab(path)
+        return read_matlab_curves(path)
     if b"\0" not in head or head.startswith((b"\xff\xfe", b"\xfe\xff")):
         return read_text(path)
     raise InputDataError(

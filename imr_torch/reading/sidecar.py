@@ -136,8 +136,13 @@ class Sidecar:
             raise self._unusable(
                 f"frame_rate_fps of the file is {rate}; expected frames per second, above 0"
             )
+        medium = self.stated.values if self.stated else {}
+        stated: dict[str, Any] = {
+            name: medium[name][0] for name in ("density", "pressure") if name in medium
+        }
         return Said(
             **self.units,
+            **stated,
             frame_interval=None if rate is None else 1.0 / rate,
             pixel_size=top.get("pixel_size_m"),
             max_radius=None if self.entries else top.get("max_radius_m"),

@@ -6,19 +6,22 @@ One simulator shares its bubbles among threads by itself (``threads=`` of the si
 import os
 import signal
 import threading
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from importlib import import_module
 from multiprocessing import get_context, parent_process
 from multiprocessing.process import BaseProcess
 
 from imr_torch.errors import InputDataError
 
 
-def process_pool(workers: int) -> ProcessPoolExecutor:
+def process_pool(workers: int, modules: Sequence[str] = ()) -> ProcessPoolExecutor:
     """A pool of fresh processes on this machine; a script that makes one needs an ``if __name__ ==
     "__main__":``.
 
     Args:
         workers: how many; at most as many as there are idle cores.
+        modules: what each process imports first, such as a module that registers a model.
 
     Raises:
         InputDataError: if there are none.
@@ -30,15 +33,20 @@ def process_pool(workers: int) -> ProcessPoolExecutor:
     if workers < 1:
         raise InputDataError(f"process_pool: workers is {workers}; expected at least 1.")
     return ProcessPoolExecutor(
-        workers, mp_context=get_context("spawn"), initializer=_prepare_worker
+        workers,
+        mp_context=get_context("spawn"),
+        initializer=_prepare_worker,
+        initargs=(modules,),
     )
 
 
-def _prepare_worker() -> None:
-    """Leave Ctrl-C, which reaches all processes of a terminal, to the process that started this
+def _prepare_worker(modules: Sequence[str]) -> None:
+    """Import modules. Leave Ctrl-C, which reaches all processes of a terminal, to the process that started this
     one, and end when that ends.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for name in modules:
+        import_module(name)
     parent = parent_process()
     if parent is not None:
         threading.Thread(target=_end_with, args=(parent,), daemon=True).start()

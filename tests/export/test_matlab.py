@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
+from imr_torch.export import write_mat
 from tests.results.documents import fitted, traces
 
 
@@ -31,14 +32,24 @@ def test_that_parameters_and_curves_are_struct_arrays_in_us_and_um(result, tmp_p
             curve["time_us"][fitted_frames], curve["model_time_us"], curve["model_radius_um"]
         )
         left = curve["radius_um"][fitted_frames] - near
+        assert curve["asphericity"].size == 0
         size = 1e6 * wanted["Rmax_m"]
         assert left / size == pytest.approx(curve["residual"], abs=3e-3)
 
 
 def test_that_a_result_without_curves_is_written_too(tmp_path) -> None:
-    from imr_torch.export import write_mat
-
     models = {"nhkv": {"intervals": {"G": [4e3, 5e3, 6e3]}}}
     document = {"model_probabilities": {"nhkv": 1.0}, "models": models, "curves": []}
     write_mat(document, tmp_path / "gel.mat")
     assert loadmat(tmp_path / "gel.mat")["curves"].size == 0
+
+
+def test_that_the_shape_is_written_of_the_curves_that_have_it(result, tmp_path) -> None:
+    document = result.to_document(draws=5)
+    first, second = document["curves"]
+    frames = len(first["measured"]["t_star"])
+    shaped = first | {"measured": first["measured"] | {"asphericity": [0.05] * frames}}
+    write_mat(document | {"curves": [shaped, second]}, tmp_path / "gel.mat")
+    found = loadmat(tmp_path / "gel.mat", squeeze_me=True)["curves"]["asphericity"]
+    assert [x.size for x in found] == [frames, 0]
+    assert found[0].tolist() == [0.05] * frames

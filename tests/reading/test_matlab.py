@@ -203,9 +203,9 @@ UM = Layout("R", radius_unit="um", time="t", time_unit="us")
         ({"R": "text", "t": T}, UM, r"variable 'R' holds 'text', not real numbers"),
         ({"R": R + 1j, "t": T}, UM, r"variable 'R' holds .*, not real numbers"),
         (
-            {"R": np.ones((10, 2)), "t": T},
+            {"R": np.ones((9, 2)), "t": T},
             UM,
-            r"variable 'R' has shape \(10, 2\); expected a vector, or a cell array",
+            r"variable 'R' has shape \(9, 2\); expected a vector, or a cell array",
         ),
         ({"R": R, "t": T[:-1]}, UM, r"curve 1: 't' has 9 samples and 'R' 10"),
         ({"R": cells([R, R, R]), "t": cells([T, T])}, UM, r"'t' holds 2 vectors and 'R' 3"),

@@ -155,6 +155,26 @@ def test_that_imr_codes_save_metres_or_micrometres_and_seconds(
     check(traces, rest_radius_m=4e-5)
 
 
+def test_that_vectors_of_matlab_4_are_read(tmp_path: Path) -> None:
+    scipy.io.savemat(tmp_path / "gel.mat", {"R": 1e6 * RADII, "t": TIMES}, format="4")
+    check(load_traces(tmp_path / "gel.mat"))
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ({"R_exp": 1e6 * RADII / 3.2}, {"radius_unit": "px", "pixel_size_m": 3.2e-6}),
+        ({"R_exp": 1e6 * RADII, "t_exp": 1e6 * TIMES}, {"radius_unit": "um", "time_unit": "us"}),
+    ],
+)
+def test_that_what_an_import_wizard_asks_for_may_stand_beside_the_file(
+    tmp_path: Path, content: dict, said: dict
+) -> None:
+    scipy.io.savemat(tmp_path / "gel.mat", content)
+    (tmp_path / "gel.json").write_text(json.dumps(said | {"frame_rate_fps": 1e6}))
+    check(load_traces(tmp_path / "gel.mat"))
+
+
 def test_that_names_of_imr_codes_do_not_stand_for_other_units(tmp_path: Path) -> None:
     for name, content in {
         "times in us": {"R": 1e6 * RADII, "t": 1e6 * TIMES},
@@ -187,6 +207,15 @@ def test_that_a_result_with_its_experiment_gives_the_experiment(tmp_path: Path) 
     check(load_traces(tmp_path / "nested.mat"))
 
 
+def test_that_an_experiment_of_a_struct_may_have_no_rest_radius(tmp_path: Path) -> None:
+    expts = np.zeros((1, 3), dtype=[(name, object) for name in ("t", "Roft", "R0", "Req")])
+    for i, rest in enumerate((4e-5, np.nan, 5e-5)):
+        expts[0, i] = (TIMES[None], RADII[None], RADII.max(), rest)
+    scipy.io.savemat(tmp_path / "gel.mat", {"expts": expts})
+    traces = load_traces(tmp_path / "gel.mat")
+    assert [trace.given.rest_radius_m for trace in traces] == [4e-5, None, 5e-5]
+
+
 def test_that_structs_of_experiments_are_curves(tmp_path: Path) -> None:
     """fitIMR and IMR_PRIME: ``expts(i)`` with time, R(t), R_max and R_eq in SI units."""
     dtype = [(name, object) for name in ("t", "Roft", "R0", "Req")]
@@ -210,6 +239,75 @@ def test_that_dimensionless_cells_of_imr_prime_become_si(tmp_path: Path) -> None
     }
     scipy.io.savemat(tmp_path / "gel.mat", content)
     check(load_traces(tmp_path / "gel.mat"), count=2, max_radius_m=RADII.max())
+
+
+def test_that_an_empty_cell_of_imr_prime_is_left_out_and_said(tmp_path: Path) -> None:
+    """Its scripts leave the cells of discarded experiments empty, with a maximum radius of 0."""
+    scale = RADII.max() * (998.0 / 101325.0) ** 0.5
+    empty = np.empty((0, 0))
+    content = {
+        "R_nondim_All": as_cells([RADII / RADII.max(), empty, RADII / RADII.max()]),
+        "t_nondim_All": as_cells([TIMES / scale + 1e-3, empty, TIMES / scale + 1e-3]),
+        "RmaxList": np.array([[RADII.max(), 0.0, RADII.max()]]),
+    }
+    scipy.io.savemat(tmp_path / "gel.mat", content)
+    traces = load_traces(tmp_path / "gel.mat")
+    check(traces, count=2, max_radius_m=RADII.max())
+    assert traces.ids == ("gel_01", "gel_03")
+    assert [(x.experiment_id, x.reason) for x in traces.left_out] == [("gel_02", "an empty cell")]
+
+
+@pytest.mark.parametrize(
+    ("cells", "message"),
+    [
+        (0, r"no usable curve \(it holds no curve\)"),
+        (2, r"no usable curve \(row\(s\) -: an empty cell; row\(s\) -: an empty cell\)"),
+        (4, r"'RmaxList' has 2 entries for 4 curves; one entry for each curve"),
+        (1, r"'RmaxList' has 2 entries for 1 curves, and no choice fits .* curve 1: nan, nan"),
+    ],
+)
+def test_that_empty_cells_alone_hold_no_curve(tmp_path: Path, cells: int, message: str) -> None:
+    empty = as_cells([np.empty((0, 0))] * cells)
+    content = {"R_nondim_All": empty, "t_nondim_All": empty, "RmaxList": np.array([2e-4, 1e-4])}
+    scipy.io.savemat(tmp_path / "gel.mat", content)
+    with pytest.raises(InputDataError, match=message):
+        load_traces(tmp_path / "gel.mat")
+
+
+@pytest.mark.parametrize("where", ["file", "beside"])
+def test_that_dimensionless_times_are_undone_with_the_density_and_pressure_of_their_author(
+    tmp_path: Path, where: str
+) -> None:
+    scale = RADII.max() * (1064.0 / 95000.0) ** 0.5
+    content = {
+        "R_nondim_All": as_cells([RADII / RADII.max()]),
+        "t_nondim_All": as_cells([TIMES / scale + 1e-3]),
+        "RmaxList": RADII.max(),
+    }
+    if where == "file":
+        content |= {"rho": 1064.0, "P_inf": 95000.0}
+    else:
+        medium = {"medium": {"density": 1064.0, "pressure": [95000.0, 500.0]}}
+        (tmp_path / "gel.json").write_text(json.dumps(medium))
+    scipy.io.savemat(tmp_path / "gel.mat", content)
+    traces = load_traces(tmp_path / "gel.mat")
+    check(traces, max_radius_m=RADII.max())
+    assert "undone with 1064 kg/m^3 and 95000 Pa" in traces.notes[1]
+    scipy.io.savemat(tmp_path / "gel.mat", content | {"rho": -1.0})
+    with pytest.raises(InputDataError, match=r"'rho' \(density\) is .*one positive number"):
+        load_traces(tmp_path / "gel.mat")
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_that_a_matrix_of_curves_beside_their_times_is_a_curve_a_row_or_column(
+    tmp_path: Path, turned: bool
+) -> None:
+    """The first IMR code: ``Rnew`` in um, one row an experiment, and ``t`` in s."""
+    curves = 1e6 * np.stack([RADII] * 3)
+    matrix = curves.T if turned else curves
+    content = {"Rnew": matrix, "t": TIMES, "magnification": np.full(3, 20.0)}
+    scipy.io.savemat(tmp_path / "RofTdata.mat", content)
+    check(load_traces(tmp_path / "RofTdata.mat"), count=3)
 
 
 def test_that_inca_gives_converted_curves_its_table_and_what_it_exports_for_imr(
@@ -321,6 +419,22 @@ def test_that_two_half_axes_are_a_radius_and_an_asphericity(tmp_path: Path) -> N
     (tmp_path / "gel.csv").write_text("\n".join(["t (us),a (um),b (mm)", *rows]))
     with pytest.raises(InputDataError, match=r"'a \(um\)', 'b \(mm\)' differ in their units"):
         load_traces(tmp_path / "gel.csv")
+
+
+def test_that_lengths_of_fitted_ellipses_take_their_scales_from_the_json_beside(
+    tmp_path: Path,
+) -> None:
+    """Ellipses that were fitted to frames: half axes in pixels, -1 where there was no bubble."""
+    lengths = np.concatenate([[-1.0, -1.0], 1e6 * RADII / 3.2])
+    axes = {"a_lengths": 1.1 ** (1 / 3) * lengths, "b_lengths": 1.1 ** (-2 / 3) * lengths}
+    scipy.io.savemat(tmp_path / "gel.mat", axes)
+    said = {"pixel_size_m": 3.2e-6, "frame_rate_fps": 1e6}
+    (tmp_path / "gel.json").write_text(json.dumps(said))
+    traces = load_traces(tmp_path / "gel.mat")
+    check(traces)
+    assert traces.left_out[0].count == 2
+    assert traces[0].asphericity is not None
+    assert traces[0].asphericity.numpy() == pytest.approx(0.1)
 
 
 def test_that_collapse_times_of_parsimonious_imr_are_read(tmp_path: Path) -> None:

@@ -4,15 +4,23 @@ import json
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
+from scipy.integrate import solve_ivp
 
 from imr_torch.cli import main, parser
 from imr_torch.cli.common import simulator_of
 from imr_torch.errors import InputDataError
 from imr_torch.material import PARAMETERS
 from imr_torch.reading import load_driving
-from imr_torch.simulate import Conditions, PolytropicSimulator, TabulatedDriving
+from imr_torch.simulate import (
+    Conditions,
+    PolytropicGas,
+    PolytropicSimulator,
+    TabulatedDriving,
+)
+from imr_torch.units import Surroundings
 from tests.simulate.bubble import sine
 
 
@@ -72,6 +80,67 @@ def test_that_a_sampled_sound_field_moves_a_bubble_as_its_formula_does(tmp_path:
     radius = torch.tensor(found["R_star"], dtype=torch.float64)
     assert float((driven - alone).abs().max()) > 0.02
     torch.testing.assert_close(radius, driven, rtol=0, atol=1e-3)
+
+
+def driven_radius(times: np.ndarray, amplitude: float, middle: float, width: float) -> np.ndarray:
+    """R/Rmax of a neo-Hookean Kelvin-Voigt bubble under a Gaussian pulse of pressure, Keller-Miksis
+    in SI by SciPy; nothing of the package but the constants of water is used.
+
+    Args:
+        times: s, from the maximum radius on.
+        amplitude: Pa.
+        middle: s.
+        width: standard deviation of the pulse, s.
+    """
+    s = Surroundings()
+    p_inf, rho, c, tension = s.far_field_pressure, s.density, s.sound_speed, s.surface_tension
+    modulus, viscosity, kappa = 8310.0, 0.093, PolytropicGas().exponent
+    r_max = 300.0 * 2.0 * tension / p_inf
+    r_rest = 0.2 * r_max
+    vapour = 1.17e11 * math.exp(-5200.0 / s.temperature)
+    p_top = (p_inf + 2.0 * tension / r_rest - vapour) * 0.2**3
+
+    def rate(t: float, y: np.ndarray) -> list[float]:
+        r, u = y
+        push = amplitude * math.exp(-0.5 * ((t - middle) / width) ** 2)
+        push_rate = -push * (t - middle) / width**2
+        gas = p_top * (r_max / r) ** (3.0 * kappa)
+        inverse = r_rest / r
+        elastic = -0.5 * modulus * (5.0 - 4.0 * inverse - inverse**4)
+        wall = gas + vapour - 2.0 * tension / r + elastic - 4.0 * viscosity * u / r
+        force = wall - p_inf - push
+        # the rate of the force without the term of the wall's acceleration
+        known = (
+            (-3.0 * kappa * gas + 2.0 * tension / r) * u / r
+            - 2.0 * modulus * (inverse + inverse**4) * u / r
+            + 4.0 * viscosity * u**2 / r**2
+            - push_rate
+        )
+        right = ((1.0 + u / c) * force + r / c * known) / rho - 1.5 * (1.0 - u / (3.0 * c)) * u**2
+        return [u, right / ((1.0 - u / c) * r + 4.0 * viscosity / (rho * c))]
+
+    span = (0.0, float(times[-1]))
+    run = solve_ivp(rate, span, [r_max, 0.0], method="DOP853", t_eval=times, rtol=1e-10, atol=1e-16)
+    assert run.success
+    return run.y[0] / r_max
+
+
+def test_that_a_bubble_driven_by_a_file_is_scipys(tmp_path: Path) -> None:
+    pulse = {"amplitude": 4e4, "middle": 2e-5, "width": 6e-6}
+    seconds = 1e-7 * np.arange(-50, 1500)
+    kilopascal = 40.0 * np.exp(-0.5 * ((seconds - 2e-5) / 6e-6) ** 2)
+    rows = [f"{1e6 * t:.9g},{p:.12g}" for t, p in zip(seconds, kilopascal, strict=True)]
+    path = written(tmp_path / "p.csv", "\n".join(["time (us),p (kPa)", *rows]))
+    command = ["simulate", "--physics", "polytropic", "--accuracy", "reference"]
+    command += ["--set", "G=8310,mu=0.093", "--until", "2", "--rinf", "0.2", "--we", "300"]
+    command += ["--driving", str(path), "--json", str(tmp_path / "bubble.json")]
+    assert main(command) == 0
+    found = json.loads((tmp_path / "bubble.json").read_text())
+    times = np.array(found["time_s"])
+    expected = driven_radius(times, **pulse)
+    alone = driven_radius(times, **pulse | {"amplitude": 0.0})
+    assert np.abs(expected - alone).max() > 0.05
+    assert np.abs(np.array(found["R_star"]) - expected).max() < 1e-5
 
 
 @pytest.mark.parametrize("command", ["characterize", "diagnose"])

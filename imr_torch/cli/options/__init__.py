@@ -25,7 +25,8 @@ COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
 """Name -> summary, and the function that adds its options and whose docstring is its help."""
 
 WITHOUT = {
-    "app": ("seed", "engine", "json"),
+    "demo": ("import",),
+    "app": ("seed", "engine", "json", "import"),
     "simulate": ("seed",),
     "compare": ("seed", "engine"),
     "plot": ("seed", "engine", "json"),
