@@ -86,14 +86,33 @@ class NormalEquations:
     @property
     def whitened_gradient(self) -> Values:
         """Length of the joint gradient in posterior standard deviations; 0 at the optimum."""
+        return (self._gel_decrease + self._nuisance_decrease).sqrt()
+
+    @property
+    def log_integral(self) -> Values:
+        """Logarithm of the Gaussian integral over gel and nuisances with their standard normal
+        priors, over the integrand at the point.
+        """
+        log_det = torch.linalg.slogdet(self.reduced.hessian).logabsdet
+        return self.log_nuisance_integral + 0.5 * (self._gel_decrease - log_det)
+
+    @property
+    def log_nuisance_integral(self) -> Values:
+        """The same over the nuisances alone, at the gel of the point."""
+        return 0.5 * (self._nuisance_decrease - self.reduced.nuisance_log_det)
+
+    @property
+    def _gel_decrease(self) -> Values:
+        """Twice the predicted decrease of the cost by the step of the gel."""
         chol = torch.linalg.cholesky(self.reduced.hessian)
-        gel = (
-            torch.linalg.solve_triangular(chol, self.reduced.gradient[..., None], upper=False)
-            .square()
-            .sum((-2, -1))
-        )
-        nuisances = -(self.nuisance_gradient * self.reduced.nuisance_step).sum((-2, -1))
-        return (gel + nuisances).sqrt()
+        gradient = self.reduced.gradient[..., None]
+        white = torch.linalg.solve_triangular(chol, gradient, upper=False)
+        return white.square().sum((-2, -1))
+
+    @property
+    def _nuisance_decrease(self) -> Values:
+        """The same by the step of the nuisances when the gel stays."""
+        return -(self.nuisance_gradient * self.reduced.nuisance_step).sum((-2, -1))
 
     @property
     def posterior_chol(self) -> BatchControlMatrix:

@@ -2,8 +2,8 @@
 as Gaussian directions.
 
 Data are the mean curves of all repeats, within each datum's own window. Nuisances are marginalised
-in their linear approximation: ``y = f(v) + B w + e`` with ``w`` standard normal, by the Woodbury
-identity. What is left out is the scatter of the repeats about their mean, which tells of the gel
+in their linear approximation: ``y = f(v) + B w + e`` with ``w`` standard normal, by the normal
+equations that fits use. What is left out is the scatter of the repeats about their mean, which tells of the gel
 through the noise law alone (``2 slope^2`` of the information, .1 %).
 
 Constants common to all gels and models are left out of log densities.
@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from imr_torch.assimilate.gauss_newton import NormalEquations, normal_equations
 from imr_torch.design.plan import Plan
 from imr_torch.design.response import Response
 from imr_torch.types import BroadcastValues, DrawnControls, DrawnValues
@@ -59,45 +60,31 @@ def observe(seen: Response, plan: Plan, source: torch.Generator) -> Data:
     )
 
 
-def _whiten(columns: Tensor, sd: Tensor, window: Tensor, plan: Plan) -> Tensor:
-    """Columns ``... x q x T x c`` in units of independent noise of the mean curve, 0 outside the
-    window.
+def _linearise(
+    data: Data,
+    radius: Float[Tensor, "*#batch designs frames"],
+    by_gel: Float[Tensor, "*#batch designs frames slopes"],
+    by_nuisance: Float[Tensor, "*#batch designs frames nuisances"],
+    plan: Plan,
+) -> tuple[BroadcastValues, NormalEquations]:
+    """Log density of data given gels that show ``radius`` with the nuisances at their means, and
+    normal equations of that likelihood.
     """
-    scaled = columns / sd[..., None] * plan.repeats**0.5
-    if plan.decorrelation is not None:
-        scaled = plan.decorrelation @ scaled
-    return torch.where(window[..., None], scaled, 0.0)
+    sd = plan.noise.sd(radius, plan.times)
 
+    def whiten(columns: Tensor) -> Tensor:
+        """In units of independent noise of the mean curve, 0 outside the window."""
+        scaled = columns / sd[..., None] * plan.repeats**0.5
+        if plan.decorrelation is not None:
+            scaled = plan.decorrelation @ scaled
+        return torch.where(data.window[..., None], scaled, 0.0)
 
-def _gram(
-    columns: Tensor, by_nuisance: Tensor, at: Tensor, window: Tensor, plan: Plan
-) -> tuple[Tensor, Tensor]:
-    """``X^T C^-1 X`` and ``log det C`` of noise and nuisances together, for a gel that shows
-    ``at``.
-
-    Args:
-        columns: ``... x q x T x c`` tensor ``X``.
-        by_nuisance: ``... x q x T x k`` tensor.
-        at: ``... x q x T`` tensor, the prediction that sets the noise.
-        window: ``... x q x T`` boolean tensor.
-        plan: how experiments are observed.
-
-    Returns:
-        ``... x c x c`` and ``...`` tensors, summed over the ``q`` experiments.
-    """
-    sd = plan.noise.sd(at, plan.times)
-    white = _whiten(columns, sd, window, plan)
-    gram = (white.mT @ white).sum(-3)
-    log_det = 2.0 * torch.where(window, sd.log(), 0.0).sum((-2, -1))
-    if by_nuisance.shape[-1] == 0:
-        return gram, log_det
-    nuisance = _whiten(by_nuisance, sd, window, plan)
-    chol = torch.linalg.cholesky(
-        torch.eye(nuisance.shape[-1], dtype=sd.dtype) + nuisance.mT @ nuisance
-    )
-    shared = torch.linalg.solve_triangular(chol, nuisance.mT @ white, upper=False)
-    log_det = log_det + 2.0 * chol.diagonal(dim1=-2, dim2=-1).log().sum((-2, -1))
-    return gram - (shared.mT @ shared).sum(-3), log_det
+    residual = whiten((data.radius - radius)[..., None])
+    slopes = whiten(by_gel), whiten(by_nuisance)
+    of_gel, of_nuisances = (-(slope.mT @ residual)[..., 0] for slope in slopes)
+    log_det = torch.where(data.window, sd.log(), 0.0).sum((-2, -1))
+    log = -0.5 * residual.square().sum((-3, -2, -1)) - log_det
+    return log, normal_equations((of_gel.sum(-2), of_nuisances), slopes)
 
 
 def log_likelihood(
@@ -110,10 +97,9 @@ def log_likelihood(
 
     All shapes ``... x q x T`` broadcast, the result is ``...``.
     """
-    square, log_det = _gram(
-        (data.radius - radius)[..., None], by_nuisance, radius, data.window, plan
-    )
-    return -0.5 * (square[..., 0, 0] + log_det)
+    log, equations = _linearise(data, radius, radius[..., None][..., :0], by_nuisance, plan)
+    still = torch.zeros(by_nuisance.shape[-1], dtype=radius.dtype)
+    return log + equations.with_prior(still[:0], still).log_nuisance_integral
 
 
 def pairwise(data: Data, gels: Response, plan: Plan) -> Float[Tensor, "data gels"]:
@@ -170,21 +156,12 @@ def infer(data: Data, at: Response, plan: Plan) -> Linear:
         at: ``n`` gels, or one for all data.
         plan: how they are observed.
     """
-    columns = torch.cat(
-        ((data.radius - at.radius)[..., None], at.by_gel.expand(len(data), -1, -1, -1)), dim=-1
+    log, likelihood = _linearise(data, at.radius, at.by_gel, at.by_nuisance, plan)
+    still = torch.zeros(at.by_nuisance.shape[-1], dtype=log.dtype)
+    posterior = likelihood.with_prior(at.controls, still)
+    return Linear(
+        log + posterior.log_nuisance_integral,
+        log - 0.5 * at.controls.square().sum(-1) + posterior.log_integral,
+        at.controls + posterior.step[0],
+        torch.linalg.cholesky(posterior.reduced.hessian),
     )
-    gram, log_det = _gram(columns, at.by_nuisance, at.radius, data.window, plan)
-    square = gram[:, 0, 0]
-    score = gram[:, 1:, 0]
-    normal = gram[:, 1:, 1:]
-    v = at.controls.expand(len(data), -1)
-    moved = (normal @ v[..., None])[..., 0]
-    from_origin = square + ((2.0 * score + moved) * v).sum(
-        -1
-    )  # the residual that the gel v = 0 would leave
-    score = score + moved
-    chol = torch.linalg.cholesky(torch.eye(v.shape[1], dtype=v.dtype) + normal)
-    mean = torch.cholesky_solve(score[..., None], chol)[..., 0]
-    fitted = from_origin - (score * mean).sum(-1)
-    log_evidence = -0.5 * (fitted + log_det) - chol.diagonal(dim1=-2, dim2=-1).log().sum(-1)
-    return Linear(-0.5 * (square + log_det), log_evidence, mean, chol)
