@@ -17,10 +17,12 @@ from imr_torch.assimilate.noise_estimation import (
 )
 from imr_torch.assimilate.noise_posterior import NoiseNodes
 from imr_torch.assimilate.options import (
+    DescentOptions,
     En4DVarOptions,
     FitOptions,
     PublishedOptions,
     SearchOptions,
+    WeighingOptions,
 )
 from imr_torch.assimilate.posterior import Neighbourhood, Posterior
 from imr_torch.assimilate.profile import Profile, profile
@@ -38,6 +40,7 @@ __all__ = [
     "BadFrame",
     "BadFrames",
     "Certificate",
+    "DescentOptions",
     "En4DVarOptions",
     "FitOptions",
     "ForwardModel",
@@ -55,6 +58,7 @@ __all__ = [
     "PublishedOptions",
     "SearchOptions",
     "Verdict",
+    "WeighingOptions",
     "as_one_curve",
     "assimilate",
     "assimilate_en4dvar",

@@ -15,8 +15,6 @@ from torch import Tensor
 
 from imr_torch.types import BatchControlMatrix, BatchControls, Values
 
-_ROUNDING = 1e-13  # of the largest eigenvalue of a matrix, below which rounding may take the others
-
 
 @dataclass(frozen=True)
 class Reduced:
@@ -162,16 +160,14 @@ class NormalEquations:
         )
 
 
-def definite(
-    hessian: BatchControlMatrix,
-) -> BatchControlMatrix:
+def definite(hessian: BatchControlMatrix, *, rounding: float = 1e-13) -> BatchControlMatrix:
     """Hessians ``... x d x d`` in controls, with eigenvalues of at least 1 where rounding has left
     one that is not positive.
 
     The prior's own Hessian is the identity, so no exact one is smaller. Sensitivities of 1e8
     standard deviations, at the edge of where bubbles can be simulated, lose it in the sum with
     their squares or in the elimination of the nuisances. The eigenvalues are also no less than what
-    rounding leaves of the largest, so that the matrix can be factored.
+    rounding leaves of the largest (a share of ``rounding``), so that the matrix can be factored.
 
     >>> import torch
     >>> from imr_torch.assimilate.gauss_newton import definite
@@ -182,7 +178,7 @@ def definite(
     if not bool(lost.any()):
         return hessian
     values, vectors = torch.linalg.eigh(hessian)
-    least = (_ROUNDING * values[..., -1:]).clamp_min(1.0)
+    least = (rounding * values[..., -1:]).clamp_min(1.0)
     mended = (vectors * torch.maximum(values, least)[..., None, :]) @ vectors.mT
     return torch.where(lost[..., None, None], 0.5 * (mended + mended.mT), hessian)
 

@@ -115,7 +115,11 @@ def trace_ridge(
     )
     below, above = (_follow_side(optimum, way, posterior, options) for way in (-axis, axis))
     points = [*reversed(below), optimum, *above]
-    return _place_kernels(points, options) if len(points) > 2 else Kernels.about(fit.mean, fit.chol)
+    return (
+        _place_kernels(points, options)
+        if len(points) > 2
+        else Kernels.about_mean(fit.mean, fit.chol)
+    )
 
 
 def _follow_side(

@@ -166,7 +166,7 @@ class ExpectedInformationGain(AcquisitionFunction):
         Raises:
             InputDataError: for a design outside the space.
         """
-        self.space.check(designs)
+        self.space.check_inside(designs)
         return self._joint(designs, seed)
 
     def estimate_pending(self, *, seed: int | None = None) -> InformationGain | None:
@@ -187,7 +187,7 @@ class ExpectedInformationGain(AcquisitionFunction):
             estimator=self.estimator,
             seed=self.seed if seed is None else seed,
         )
-        return gain.only(self.target)
+        return gain.of_target(self.target)
 
     @t_batch_mode_transform()  # type: ignore[arg-type]  # its annotation wants AcquisitionFunction for self
     def forward(self, X: Real[Tensor, "*batch designs 2"]) -> Values:  # type: ignore[override]

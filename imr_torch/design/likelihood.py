@@ -20,8 +20,6 @@ from imr_torch.design.plan import Plan
 from imr_torch.design.response import Response
 from imr_torch.types import BroadcastValues, DrawnControls, DrawnValues
 
-_BLOCK = 4_000_000  # numbers in one block of pairs
-
 
 @dataclass(frozen=True)
 class Data:
@@ -42,7 +40,7 @@ class Data:
         return Data(self.radius[rows], self.window[rows])
 
 
-def observe(seen: Response, plan: Plan, source: torch.Generator) -> Data:
+def observe_gels(seen: Response, plan: Plan, source: torch.Generator) -> Data:
     """One datum of each gel, with nuisances and noise drawn."""
     noise = torch.randn(seen.radius.shape, generator=source, dtype=torch.float64)
     if plan.decorrelation is not None:
@@ -102,10 +100,12 @@ def log_likelihood(
     return log + equations.with_prior(still[:0], still).log_nuisance_integral
 
 
-def pairwise(data: Data, gels: Response, plan: Plan) -> Float[Tensor, "data gels"]:
-    """``n x m`` log densities of every datum given every gel."""
+def pairwise(
+    data: Data, gels: Response, plan: Plan, *, block: int = 4_000_000
+) -> Float[Tensor, "data gels"]:
+    """``n x m`` log densities of every datum given every gel, ``block`` numbers at once."""
     per_row = gels.radius.numel() * (1 + gels.by_nuisance.shape[-1])
-    rows = max(1, _BLOCK // max(1, per_row))
+    rows = max(1, block // max(1, per_row))
     blocks = [data[i : i + rows] for i in range(0, max(1, len(data)), rows)]
     return torch.cat(
         [
@@ -147,7 +147,7 @@ class Linear:
         return eye - torch.cholesky_inverse(self.chol)
 
 
-def infer(data: Data, at: Response, plan: Plan) -> Linear:
+def infer_linear(data: Data, at: Response, plan: Plan) -> Linear:
     """Bayesian inference with the model linearised at a gel: ``f(v) = f + J (v - v_at)``, ``v``
     standard normal.
 

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
-from imr_torch.observe import Noise, Nuisance, collapse_time
+from imr_torch.observe import Experiment, Noise, Nuisance, collapse_time
 from imr_torch.types import FrameValues
 
 
@@ -65,6 +65,12 @@ class Plan:
             self.times[None], torch.ones(1, len(self.times), dtype=torch.bool)
         )
         return None if factor is None else factor[0]
+
+    def cut_to_window(self, experiment: Experiment) -> Experiment:
+        """An experiment without the frames after the last collapse of the window."""
+        if self.collapses is None:
+            return experiment
+        return experiment.until(collapse_time(experiment.times, experiment.mean, self.collapses))
 
     def window(self, radius: Float[Tensor, "*batch frames"]) -> Bool[Tensor, "*batch frames"]:
         """Frames of each curve (``... x n_t``) up to the last collapse of the window: a boolean

@@ -20,8 +20,6 @@ from imr_torch.observe import Film
 from imr_torch.simulate import Simulator
 from imr_torch.types import BatchControls, DrawnControls
 
-_NEGLIGIBLE = 1e-4  # a model less probable than this changes the gain by less than .001 nats
-
 
 @dataclass(frozen=True)
 class Shot:
@@ -32,6 +30,8 @@ class Shot:
         designs: (We, R_inf*).
         simulator: makes the bubbles.
         plan: how they are observed.
+        negligible: probability below which a model is left out; 1e-4 changes the gain by less than
+            .001 nats.
 
     >>> from imr_torch.design import Plan, Shot
     >>> from imr_torch.material import reference_case
@@ -46,9 +46,10 @@ class Shot:
     designs: Float[Tensor, "designs 2"]
     simulator: Simulator
     plan: Plan
+    negligible: float = 1e-4
 
     def __post_init__(self) -> None:
-        likely = self.belief.log_probabilities.exp() > _NEGLIGIBLE
+        likely = self.belief.log_probabilities.exp() > self.negligible
         parts = tuple(
             part for part, keep in zip(self.belief.models, likely.tolist(), strict=True) if keep
         )
@@ -108,10 +109,10 @@ def radii(
 ) -> Float[Tensor, "*batch designs frames"]:
     """R/Rmax of gels at controls; NaN where the solve failed."""
     forward = shot.forward(part)
-    return forward.predict(Point(controls, forward.still(*controls.shape[:-1])))
+    return forward.predict(Point(controls, forward.mean_nuisances(*controls.shape[:-1])))
 
 
-def respond(
+def simulate_response(
     shot: Shot, part: ModelBelief, controls: DrawnControls, *, gel: bool = True
 ) -> Response:
     """Radii and their sensitivities: each gel with its moved copies is a bundle that the solver
@@ -124,7 +125,7 @@ def respond(
         gel: whether the sensitivity to the gel is wanted.
     """
     forward = shot.forward(part)
-    seen = forward.bundle(Point(controls, forward.still(len(controls))), moves_gel=gel)
+    seen = forward.bundle(Point(controls, forward.mean_nuisances(len(controls))), moves_gel=gel)
     by_gel, by_nuisance = forward.slopes(seen)
     good = torch.isfinite(seen).flatten(1).all(1)[:, None, None]  # of the gel and of all beside it
     slopes = by_gel if gel else by_gel[..., :0]

@@ -23,10 +23,6 @@ from imr_torch.random import child
 from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
 
-_SMALLEST_VARIANCE = (
-    1e-8  # nats^2: draws may agree exactly, and a known noise of 0 is no noise model
-)
-
 
 @dataclass(frozen=True)
 class DesignSearch:
@@ -195,7 +191,7 @@ class SearchSettings:
             common = errors.common
         base = pending.value if pending else 0.0
         values = torch.tensor([gain.value - base for gain in kept], dtype=torch.float64)
-        own = own.clamp_min(_SMALLEST_VARIANCE)
+        own = own.clamp_min(1e-8)  # draws may agree exactly, and a known noise of 0 is none
         optimizer.tell(designs[counted], values[:, None], own[:, None])
         return optimizer, common
 

@@ -27,7 +27,7 @@ from imr_torch.gap.hypotheses import (
     even_belief,
     laplace_evidence,
 )
-from imr_torch.goodness.linear import Linearisation, linearise, whiten_rows
+from imr_torch.goodness.linear import Linearisation, linearise_fit, whiten_rows
 from imr_torch.observe import NUISANCES, ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.select import default_folds
@@ -128,7 +128,7 @@ def judge_designs(
             progress(f"without {labels}: {found[0].name}")
     judged = []
     for (hypothesis, fit, base, base_fit), training, designs in tasks:
-        line = linearise(base_fit, base.seen(training), simulator)
+        line = linearise_fit(base_fit, base.seen(training), simulator)
         for place in range(len(designs.experiments)):
             design = _part(designs, [place])
             pair = Judged(
@@ -263,7 +263,7 @@ def _most_probable(posterior: Posterior, fit: ModelFit) -> Float[Tensor, "1 nuis
     tried; so is, where curves have gels of their own, the gel of any curve of the fit.
     """
     own = fit.nuisances[:, len(NUISANCES) :]
-    moved = posterior.still(1 + len(own) if own.numel() else 1)
+    moved = posterior.mean_nuisances(1 + len(own) if own.numel() else 1)
     if own.numel():
         moved[1:, 0, len(NUISANCES) :] = own
     gels = fit.mean.expand(len(moved), -1)

@@ -22,15 +22,8 @@ from imr_torch.types import ExperimentFrames, FrameMask
 PHASES = ("start", "first collapse", "first rebound", "second collapse", "later")
 """Phases of an event, in order."""
 
-_ENDS = (
-    0.3,
-    1.25,
-    1.75,
-    2.25,
-)  # phase clock at which each ends; what a collapse did is seen in the rise after it
-_QUIET = (
-    1e-3  # chance of so small a sum of squares under the law, below which the law says too much
-)
+PHASE_ENDS = (0.3, 1.25, 1.75, 2.25)
+"""Reading of the phase clock at which each but the last ends: what a collapse did is seen in the rise after it."""
 
 
 def phase_clock(
@@ -50,10 +43,12 @@ def phase_clock(
         ``E x T`` tensor; linear in time between landmarks and, after the second collapse, by the
         length of the first cycle.
     """
-    return torch.stack([_clock(t, r, m) for t, r, m in zip(times, prediction, mask, strict=True)])
+    return torch.stack(
+        [_read_clock(t, r, m) for t, r, m in zip(times, prediction, mask, strict=True)]
+    )
 
 
-def _clock(times: Tensor, radius: Tensor, mask: Tensor) -> Tensor:
+def _read_clock(times: Tensor, radius: Tensor, mask: Tensor) -> Tensor:
     t = times[mask]
     r = radius[mask]
     first, second = (collapse_time(t, r, number) for number in (1, 2))
@@ -70,7 +65,7 @@ def _clock(times: Tensor, radius: Tensor, mask: Tensor) -> Tensor:
 
 def phase_name(clock: float) -> str:
     """The phase at a reading of the phase clock."""
-    return PHASES[sum(clock > end + 1e-9 for end in _ENDS)]
+    return PHASES[sum(clock > end + 1e-9 for end in PHASE_ENDS)]
 
 
 def phase_numbers(
@@ -81,23 +76,27 @@ def phase_numbers(
     """Number of the phase of each frame in ``PHASES``: ``E x T`` integer tensor; arguments as of
     :func:`phase_clock`.
     """
-    ends = torch.tensor(_ENDS, dtype=torch.float64) + 1e-9
+    ends = torch.tensor(PHASE_ENDS, dtype=torch.float64) + 1e-9
     return torch.searchsorted(ends, phase_clock(times, radius, mask).contiguous())
 
 
 def noise_shares(
-    squares: Sequence[Float[Tensor, "*frames"]], phase: Int[Tensor, "*frames"]
+    squares: Sequence[Float[Tensor, "*frames"]],
+    phase: Int[Tensor, "*frames"],
+    *,
+    quiet: float = 1e-3,
 ) -> Float[Tensor, "*frames"]:
     """How much of the law's variance counts in each frame, 1 or less: what residuals leave room for
     in its phase.
 
-    It is less than 1 only where the sum of squares of a phase has a chance below .001 under the
+    It is less than 1 only where the sum of squares of a phase has a chance below ``quiet`` under the
     law, under the hypothesis that leaves least there; it is then the mean square.
 
     Args:
         squares: of each hypothesis, squared residuals in units of the law's variance, independent
             between frames; tensors of one shape.
         phase: of each frame, same shape; frames of number -1 do not count.
+        quiet: chance of so small a sum of squares under the law, below which it says too much.
 
     Returns:
         Tensor of that shape.
@@ -114,6 +113,6 @@ def noise_shares(
         inside = phase == number
         count = int(inside.sum())
         least = min(float(own[inside].sum()) for own in squares)
-        if least < float(chdtri(count, 1.0 - _QUIET)):
+        if least < float(chdtri(count, 1.0 - quiet)):
             shares[inside] = least / count
     return shares

@@ -12,7 +12,7 @@ SIMULATOR = PolytropicSimulator()
 
 
 def test_that_points_follow_each_other_closely_through_a_collapse() -> None:
-    """No two neighbours are farther apart than three times what evenly spread ones would be."""
+    """No two neighbours are farther apart than five times what evenly spread ones would be."""
     laboratory = SimulatedLaboratory(
         SIMULATOR, PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=1
     )
@@ -24,5 +24,5 @@ def test_that_points_follow_each_other_closely_through_a_collapse() -> None:
     assert times.shape == radius.shape == (1, 400)
     assert bool((times.diff(dim=1) > 0.0).all())
     steps = torch.hypot(times.diff(dim=1) / float(times.max()), radius.diff(dim=1))
-    assert float(steps.max()) < 3.0 * float(steps.sum()) / 399.0
+    assert float(steps.max()) < 5.0 * float(steps.sum()) / 399.0
     assert float(radius.min()) < float(fit.prediction.min())  # between two frames

@@ -104,7 +104,7 @@ def test_initial_asks_fill_the_space_and_do_not_repeat():
     optimizer.tell(first, value, torch.full_like(value, 0.01))
     more = optimizer.ask(2)
     every = torch.cat((first, more))
-    SPACE.check(every)
+    SPACE.check_inside(every)
     assert len({tuple(row) for row in every.tolist()}) == 6
 
 
