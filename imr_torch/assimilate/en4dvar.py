@@ -77,7 +77,7 @@ def assimilate_en4dvar(
     >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
     >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=1)
     >>> fits = assimilate_en4dvar(case.prior, ExperimentBatch((shot,)), simulator, seed=0, options=En4DVarOptions(members=16))
-    >>> min(fits.fits, key=lambda fit: fit.cost).model
+    >>> fits.lowest.model
     'nhkv'
     """
     options = options or En4DVarOptions()

@@ -379,8 +379,14 @@ class Assimilation:
         tolerance of the gradient, and its starts may have been dropped
         (``SearchOptions.drop_behind``).
         """
-        best = min(fit.cost for fit in self.fits)
-        return all(fit.certificate.converged or fit.far_behind(best) for fit in self.fits)
+        return all(
+            fit.certificate.converged or fit.far_behind(self.lowest.cost) for fit in self.fits
+        )
+
+    @property
+    def lowest(self) -> ModelFit:
+        """The fit of lowest cost."""
+        return min(self.fits, key=lambda fit: fit.cost)
 
     def __getitem__(self, model: str) -> ModelFit:
         return next(fit for fit in self.fits if fit.model == model)

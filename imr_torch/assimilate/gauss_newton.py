@@ -183,9 +183,7 @@ def definite(hessian: BatchControlMatrix, *, rounding: float = 1e-13) -> BatchCo
     return torch.where(lost[..., None, None], 0.5 * (mended + mended.mT), hessian)
 
 
-def inverse_chol(
-    hessian: BatchControlMatrix,
-) -> BatchControlMatrix:
+def inverse_chol(hessian: BatchControlMatrix) -> BatchControlMatrix:
     """Lower Cholesky factors ``... x d x d`` of the inverses of positive definite matrices,
     ill-conditioned ones too.
 
@@ -199,15 +197,11 @@ def inverse_chol(
     >>> bool(torch.allclose(chol @ chol.mT @ hessian, torch.eye(2, dtype=torch.float64)))
     True
     """
-    chol, info = torch.linalg.cholesky_ex(torch.linalg.inv(hessian))
-    if not bool((info > 0).any()):
-        return chol
+    eye = torch.eye(hessian.shape[-1], dtype=hessian.dtype, device=hessian.device)
     chol, info = torch.linalg.cholesky_ex(hessian.flip((-2, -1)))
-    chol = torch.where(
-        (info > 0)[..., None, None], torch.eye(chol.shape[-1], dtype=chol.dtype), chol
-    )
-    eye = torch.eye(chol.shape[-1], dtype=chol.dtype, device=chol.device).expand_as(chol)
-    return torch.linalg.solve_triangular(chol, eye, upper=False).mT.flip((-2, -1)).tril()
+    chol = torch.where((info > 0)[..., None, None], eye, chol)
+    inverse = torch.linalg.solve_triangular(chol, eye.expand_as(chol), upper=False)
+    return inverse.mT.flip((-2, -1)).tril()
 
 
 def normal_equations(

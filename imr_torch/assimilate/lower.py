@@ -13,11 +13,10 @@ import torch
 
 from imr_torch.assimilate.fit import ModelFit
 from imr_torch.assimilate.forward import Point
-from imr_torch.assimilate.map_fit import assimilate
+from imr_torch.assimilate.map_fit import assimilate_model
 from imr_torch.assimilate.options import SearchOptions, WeighingOptions
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.assimilate.starts import draw_perturbation
-from imr_torch.material import Belief
 from imr_torch.random import child, generator
 from imr_torch.types import Progress
 
@@ -78,17 +77,13 @@ def lower_minimum(
     )
     moves = torch.stack((torch.zeros_like(second), second))
     nuisances = point.nuisances + (fit.nuisance_response @ moves[:, None, :, None])[..., 0]
-    found = assimilate(
-        Belief((fit.prior,), torch.zeros(1, dtype=torch.float64)),
-        posterior.batch,
-        posterior.simulator,
+    found = assimilate_model(
+        posterior,
+        Point(point.gel + moves, nuisances),
         seed=seed,
         options=SearchOptions(starts=2),
-        starts=[point.gel + moves],
-        nuisances=[nuisances],
-        warn=False,
         progress=progress,
-    ).fits[0]
+    )
     if found.cost >= fit.cost - options.lower_minimum:
         return None
     if progress:

@@ -86,7 +86,7 @@ def assimilate(
     >>> fits = assimilate(case.prior, ExperimentBatch((shot,)), simulator, seed=0, options=options)
     >>> {fit.model: fit.certificate.converged for fit in fits.fits}
     {'nhkv': True, 'gen_qkv': True}
-    >>> min(fits.fits, key=lambda fit: fit.cost).model
+    >>> fits.lowest.model
     'nhkv'
     """
     options = options or SearchOptions()
@@ -132,6 +132,37 @@ def assimilate(
         if warn and not fit.certificate.converged:
             warnings.warn(f"{fit.model}: {fit.certificate}", ConvergenceWarning, stacklevel=3)
     return Assimilation(belief, batch, fits)
+
+
+def assimilate_model(
+    posterior: Posterior,
+    starts: Point,
+    *,
+    seed: int,
+    options: SearchOptions | None = None,
+    progress: Progress | None = None,
+) -> ModelFit:
+    """The fit of one model from given points, as :func:`assimilate` makes it; the caller reads its
+    certificate.
+
+    Args:
+        posterior: of the model.
+        starts: ``n`` gels with nuisances of each, or (``E x w``) for all.
+        seed: of further starts.
+        options: how to search.
+        progress: called with one line per iteration.
+    """
+    return assimilate(
+        Belief((posterior.prior,), torch.zeros(1, dtype=torch.float64)),
+        posterior.batch,
+        posterior.simulator,
+        seed=seed,
+        options=options,
+        starts=[starts.gel],
+        nuisances=[starts.nuisances],
+        warn=False,
+        progress=progress,
+    ).fits[0]
 
 
 def _conclude_fit(search: ModelSearch) -> ModelFit:

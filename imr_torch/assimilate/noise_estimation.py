@@ -136,7 +136,7 @@ def with_inferred_noise(
     """
     if not bool((~batch.collapse).any()):
         return batch
-    best, curves = min(result.fits, key=lambda fit: fit.cost).of_curves(result.batch)
+    best, curves = result.lowest.of_curves(result.batch)
     if not determines_noise(best, curves):
         return batch
     near = best.linearise(curves, simulator)
@@ -166,7 +166,7 @@ def noise_nodes(result: Assimilation, simulator: Simulator) -> NoiseNodes | None
     batch = result.batch
     if batch.noise_laws is None or bool(batch.collapse.any()):
         return None
-    best = min(result.fits, key=lambda fit: fit.cost)
+    best = result.lowest
     return NoiseNodes.about_fit(batch.noise_laws, best.linearise(batch, simulator))
 
 
@@ -178,7 +178,7 @@ def with_scatter(result: Assimilation) -> tuple[Experiment | CollapseTime, ...]:
     standardised nuisances, the precision of these given the gel is ``I + a a^T/s^2``, and they have
     taken up ``|a|^2/(s^2 + |a|^2)`` of the residual.
     """
-    best = min(result.fits, key=lambda fit: fit.cost)
+    best = result.lowest
     batch = result.batch
     rows = batch.collapse
     shots = [e for e in batch.experiments if isinstance(e, CollapseTime)]

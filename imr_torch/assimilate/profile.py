@@ -16,11 +16,12 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate.fit import ModelFit
-from imr_torch.assimilate.map_fit import assimilate
+from imr_torch.assimilate.forward import Point
+from imr_torch.assimilate.map_fit import assimilate_model
 from imr_torch.assimilate.options import SearchOptions
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.errors import InputDataError
-from imr_torch.material import Belief, ModelBelief
+from imr_torch.material import ModelBelief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
@@ -212,19 +213,10 @@ def _fit_others(
     seed: int,
 ) -> ModelFit:
     """The fit of the parameters that are not held, from their controls and from beside these."""
-    part = posterior.prior
-    away = (controls - part.mean)[:, None]
-    start = torch.linalg.solve_triangular(part.chol, away, upper=False)[:, 0]
-    return assimilate(
-        Belief((part,), torch.zeros(1, dtype=torch.float64)),
-        posterior.batch,
-        posterior.simulator,
-        seed=seed,
-        options=options,
-        starts=[torch.stack((start, start + 0.01))],
-        nuisances=[nuisances],
-        warn=False,
-    ).fits[0]
+    away = (controls - posterior.prior.mean)[:, None]
+    start = torch.linalg.solve_triangular(posterior.prior.chol, away, upper=False)[:, 0]
+    starts = Point(torch.stack((start, start + 0.01)), nuisances)
+    return assimilate_model(posterior, starts, seed=seed, options=options)
 
 
 def _hold_parameter(prior: ModelBelief, i: int, control: float) -> ModelBelief:

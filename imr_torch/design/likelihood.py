@@ -96,8 +96,8 @@ def log_likelihood(
     All shapes ``... x q x T`` broadcast, the result is ``...``.
     """
     log, equations = _linearise(data, radius, radius[..., None][..., :0], by_nuisance, plan)
-    still = torch.zeros(by_nuisance.shape[-1], dtype=radius.dtype)
-    return log + equations.with_prior(still[:0], still).log_nuisance_integral
+    still = by_nuisance.new_zeros(by_nuisance.shape[-3], by_nuisance.shape[-1])
+    return log + equations.with_prior(still[0, :0], still).log_nuisance_integral
 
 
 def pairwise(
@@ -157,7 +157,8 @@ def infer_linear(data: Data, at: Response, plan: Plan) -> Linear:
         plan: how they are observed.
     """
     log, likelihood = _linearise(data, at.radius, at.by_gel, at.by_nuisance, plan)
-    still = torch.zeros(at.by_nuisance.shape[-1], dtype=log.dtype)
+    _, q, _, k = at.by_nuisance.shape
+    still = at.by_nuisance.new_zeros(q, k)
     posterior = likelihood.with_prior(at.controls, still)
     return Linear(
         log + posterior.log_nuisance_integral,

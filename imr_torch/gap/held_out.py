@@ -16,15 +16,15 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from imr_torch.assimilate import ModelFit, Point, Posterior, SearchOptions, assimilate
+from imr_torch.assimilate import ModelFit, Point, Posterior, SearchOptions
 from imr_torch.assimilate.basins import deeper_nuisances
+from imr_torch.assimilate.map_fit import assimilate_model
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.hypotheses import (
     EXPLAINS,
     GEL_SCATTER,
     Hypothesis,
-    even_belief,
     laplace_evidence,
 )
 from imr_torch.goodness.linear import Linearisation, linearise_fit, whiten_rows
@@ -214,16 +214,12 @@ def _train(
         beside = _APART * torch.randn(
             _OPTIONS.starts - 1, len(fit.mean), generator=source, dtype=torch.float64
         )
-        fits[name] = assimilate(
-            even_belief((fit.prior,)),
-            hypothesis.seen(training),
-            simulator,
+        fits[name] = assimilate_model(
+            Posterior(fit.prior, hypothesis.seen(training), simulator),
+            Point(torch.cat((fit.mean[None], fit.mean + beside)), fit.nuisances[list(kept)]),
             seed=seed,
             options=_OPTIONS,
-            starts=[torch.cat((fit.mean[None], fit.mean + beside))],
-            nuisances=[fit.nuisances[list(kept)]],
-            warn=False,
-        ).fits[0]
+        )
     return fits
 
 
