@@ -25,7 +25,7 @@ from imr_torch.assimilate.options import (
     WeighingOptions,
 )
 from imr_torch.assimilate.posterior import Neighbourhood, Posterior
-from imr_torch.assimilate.profile import Profile, profile
+from imr_torch.assimilate.profile import Profile, ProfileOptions, profile
 from imr_torch.assimilate.published import (
     PublishedFit,
     as_one_curve,
@@ -54,6 +54,7 @@ __all__ = [
     "Point",
     "Posterior",
     "Profile",
+    "ProfileOptions",
     "PublishedFit",
     "PublishedOptions",
     "SearchOptions",

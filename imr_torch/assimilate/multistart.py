@@ -91,7 +91,7 @@ class ModelSearch:
             deeper = deeper_nuisances(self.posterior, Point(end.point.gel[None], here[None]))[0]
             if torch.equal(deeper, here):
                 break
-            beside = self._move_away(end, self.options.descent.restarts[0])
+            beside = self._move_away(end, self.options.descent.restart)
             self._add_minimum(Point(end.point.gel, deeper))
             self._add_minimum(Point(beside.gel, beside.nuisances + deeper - here))
             self._agree_nearby()
@@ -101,7 +101,7 @@ class ModelSearch:
 
     def _agree_nearby(self) -> None:
         """Descend from points near the lowest one while no two ends agree."""
-        for away in self.options.descent.restarts:
+        for away in (self.options.descent.restart, self.options.descent.nearer):
             if not self._two_agree() and not self._is_behind(self.lowest):
                 self._add_minimum(self._move_away(self.lowest, away))
 

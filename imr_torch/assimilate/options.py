@@ -10,7 +10,25 @@ from imr_torch.errors import InputDataError
 
 
 @dataclass(frozen=True)
-class DescentOptions:
+class CheckedOptions:
+    """Settings none of whose numbers may be negative; a base class.
+
+    >>> from imr_torch.assimilate import DescentOptions
+    >>> DescentOptions(reach=-1.0)
+    Traceback (most recent call last):
+    imr_torch.errors.InputDataError: DescentOptions.reach is -1.0; expected a number of at least 0.
+    """
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if isinstance(value, int | float) and not value >= 0.0:
+                raise InputDataError(
+                    f"{type(self).__name__}.{name} is {value}; expected a number of at least 0."
+                )
+
+
+@dataclass(frozen=True)
+class DescentOptions(CheckedOptions):
     """How descents of a search go on; distances are in posterior standard deviations.
 
     Args:
@@ -24,7 +42,8 @@ class DescentOptions:
         leader_iterations: most iterations with the steps of one point.
         failures: steps in succession that may fail to lower the cost; a trust region that shrinks
             three times is at the rounding of the cost.
-        restarts: distances from the lowest point at which others begin where no two ends agree.
+        restart: distance from the lowest point at which others begin where no two ends agree.
+        nearer: the same of the next, where they still do not.
         apart: least distance between the prior draws that are started from, prior standard
             deviations.
         basin_rivals: nats between the minima of models that a deeper basin of the nuisances is not
@@ -41,7 +60,8 @@ class DescentOptions:
     shared_distance: float = 3.0
     leader_iterations: int = 20
     failures: int = 3
-    restarts: tuple[float, ...] = (10.0, 3.0)
+    restart: float = 10.0
+    nearer: float = 3.0
     apart: float = 0.5
     basin_rivals: float = 200.0
 
@@ -113,7 +133,7 @@ class SearchOptions:
 
 
 @dataclass(frozen=True)
-class BasinOptions:
+class BasinOptions(CheckedOptions):
     """How deeper basins of the nuisances are searched for
     (:mod:`imr_torch.assimilate.basins`).
 
@@ -135,7 +155,7 @@ class BasinOptions:
 
 
 @dataclass(frozen=True)
-class WeighingOptions:
+class WeighingOptions(CheckedOptions):
     """How draws of a posterior are made and weighed (:func:`imr_torch.assimilate.weigh`).
 
     Args:

@@ -18,7 +18,7 @@ from torch import Tensor
 from imr_torch.assimilate.fit import ModelFit
 from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.map_fit import assimilate_model
-from imr_torch.assimilate.options import SearchOptions
+from imr_torch.assimilate.options import CheckedOptions, SearchOptions
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.errors import InputDataError
 from imr_torch.material import ModelBelief
@@ -32,7 +32,7 @@ FALL = 1.920729
 
 
 @dataclass(frozen=True)
-class ProfileOptions:
+class ProfileOptions(CheckedOptions):
     """Where a profile is computed.
 
     Args:

@@ -22,13 +22,14 @@ from torch.nn.functional import normalize
 
 from imr_torch.assimilate.fit import ModelFit
 from imr_torch.assimilate.forward import Point
+from imr_torch.assimilate.options import CheckedOptions
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.assimilate.proposals import Kernels
 from imr_torch.types import ControlMatrix, Controls
 
 
 @dataclass(frozen=True)
-class RidgeOptions:
+class RidgeOptions(CheckedOptions):
     """How far and how finely a ridge is followed.
 
     Args:

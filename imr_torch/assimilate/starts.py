@@ -58,7 +58,7 @@ def starts_beside(
     """A model's optimum in an earlier assimilation, and perturbed copies of it."""
     noise = torch.stack(
         [
-            draw_perturbation(fit.chol, source, options.descent.restarts[0])
+            draw_perturbation(fit.chol, source, options.descent.restart)
             for _ in range(options.starts)
         ]
     )

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
+from imr_torch.assimilate.options import CheckedOptions
 from imr_torch.design.likelihood import Data, Linear, infer_linear
 from imr_torch.design.response import Response, Shot, simulate_response
 from imr_torch.material import ModelBelief
@@ -15,7 +16,7 @@ from imr_torch.types import DatasetValues, DrawnValues
 
 
 @dataclass(frozen=True)
-class RefinementOptions:
+class RefinementOptions(CheckedOptions):
     """How far and how long a gel is refined.
 
     Args:

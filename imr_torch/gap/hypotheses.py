@@ -389,7 +389,7 @@ def finish(
     if ended.certificate.converged or ended.certificate.gradient >= options.gradient:
         return ended
     source = generator(child(seed, "beside"))
-    away = SearchOptions().descent.restarts[0]
+    away = SearchOptions().descent.restart
     starts = ended.mean + torch.stack(
         [draw_perturbation(ended.chol, source, away) for _ in range(_AGAIN)]
     )

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 import torch
 from jaxtyping import Float, Int
+from scipy.interpolate import make_interp_spline
 from scipy.special import chdtri
 from torch import Tensor
 
@@ -56,11 +57,9 @@ def _read_clock(times: Tensor, radius: Tensor, mask: Tensor) -> Tensor:
     later = (t > first) & (t < second)
     top = float(t[later][r[later].argmax()]) if bool(later.any()) else 2.0 * first
     second = 2.0 * top - first if math.isinf(second) else second
-    knots = torch.tensor((0.0, first, top, second, second + (second - first)), dtype=torch.float64)
-    values = torch.tensor((0.0, 1.0, 1.5, 2.0, 3.0), dtype=torch.float64)
-    piece = (torch.searchsorted(knots, times.contiguous()) - 1).clamp(0, 3)
-    slope = (values[1:] - values[:-1]) / (knots[1:] - knots[:-1])
-    return values[piece] + slope[piece] * (times - knots[piece])
+    knots = (0.0, first, top, second, second + (second - first))
+    clock = make_interp_spline(knots, (0.0, 1.0, 1.5, 2.0, 3.0), k=1)  # extrapolates the last piece
+    return torch.from_numpy(clock(times.numpy()))
 
 
 def phase_name(clock: float) -> str:

@@ -27,7 +27,7 @@ def test_that_starts_beside_an_optimum_cost_what_their_distance_says() -> None:
     above = -posterior.log_joint(point) - fit.cost
     assert float(away[0]) == 0.0
     assert bool((away[1:] > 0.1).all())
-    assert bool((away < 4.0 * OPTIONS.descent.restarts[0]).all())
+    assert bool((away < 4.0 * OPTIONS.descent.restart).all())
     torch.testing.assert_close(above, 0.5 * away.square(), rtol=1e-4, atol=1e-5)
 
 
