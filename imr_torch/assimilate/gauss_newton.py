@@ -81,6 +81,11 @@ class NormalEquations:
             log_det,
         )
 
+    @cached_property
+    def gel_chol(self) -> BatchControlMatrix:
+        """``... x d x d`` lower Cholesky factor of the Hessian of the gel, nuisances marginalised."""
+        return torch.linalg.cholesky(self.reduced.hessian)
+
     @property
     def whitened_gradient(self) -> Values:
         """Length of the joint gradient in posterior standard deviations; 0 at the optimum."""
@@ -91,8 +96,8 @@ class NormalEquations:
         """Logarithm of the Gaussian integral over gel and nuisances with their standard normal
         priors, over the integrand at the point.
         """
-        log_det = torch.linalg.slogdet(self.reduced.hessian).logabsdet
-        return self.log_nuisance_integral + 0.5 * (self._gel_decrease - log_det)
+        log_det = self.gel_chol.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+        return self.log_nuisance_integral + 0.5 * self._gel_decrease - log_det
 
     @property
     def log_nuisance_integral(self) -> Values:
@@ -102,9 +107,8 @@ class NormalEquations:
     @property
     def _gel_decrease(self) -> Values:
         """Twice the predicted decrease of the cost by the step of the gel."""
-        chol = torch.linalg.cholesky(self.reduced.hessian)
         gradient = self.reduced.gradient[..., None]
-        white = torch.linalg.solve_triangular(chol, gradient, upper=False)
+        white = torch.linalg.solve_triangular(self.gel_chol, gradient, upper=False)
         return white.square().sum((-2, -1))
 
     @property
@@ -139,7 +143,7 @@ class NormalEquations:
     ) -> tuple[BatchControls, Float[Tensor, "*batch experiments nuisances"]]:
         """Gauss-Newton steps of gel and nuisances."""
         one = self.reduced
-        gel = -torch.linalg.solve(one.hessian, one.gradient[..., None])[..., 0]
+        gel = -torch.cholesky_solve(one.gradient[..., None], self.gel_chol)[..., 0]
         return gel, one.nuisance_step + (one.nuisance_response @ gel[..., None, :, None])[..., 0]
 
     def with_prior(

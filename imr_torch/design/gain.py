@@ -120,21 +120,25 @@ class Terms:
     def influence(self) -> Float[Tensor, "drawn 2"]:
         """Influence of each draw, in the order drawn, on the weighted means."""
         found = torch.zeros(len(self.order), 2, dtype=torch.float64)
-        found[self.order[: len(self.parameters)], 0] = _mean_deviations(self.parameters)
-        found[self.order[: len(self.model)], 1] = _mean_deviations(self.model)
+        found[self.order[: len(self.parameters)], 0] = mean_deviations(self.parameters)
+        found[self.order[: len(self.model)], 1] = mean_deviations(self.model)
         if self.control is not None:
-            found[self.order, 0] += _mean_deviations(self.control)
+            found[self.order, 0] += mean_deviations(self.control)
         return self.weight * found
 
 
-def _mean_deviations(values: Tensor) -> Tensor:
-    """Deviations from the mean, scaled so that their squares sum to the variance of the mean."""
+def mean_deviations(values: Float[Tensor, "draws *columns"]) -> Float[Tensor, "draws *columns"]:
+    """Deviations from the mean, scaled so that their squares sum to the variance of the mean.
+
+    >>> import torch
+    >>> from imr_torch.design.gain import mean_deviations
+    >>> mean_deviations(torch.tensor([1.0, 3.0])).tolist()  # variance 2 of the values, 1 of their mean
+    [-0.7071067690849304, 0.7071067690849304]
+    """
     count = len(values)
-    return (
-        (values - values.mean()) / math.sqrt(count * (count - 1))
-        if count > 1
-        else torch.zeros_like(values)
-    )
+    if count < 2:
+        return torch.zeros_like(values)
+    return (values - values.mean(0)) / math.sqrt(count * (count - 1))
 
 
 def summarise_terms(

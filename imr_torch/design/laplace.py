@@ -167,7 +167,5 @@ def _local_information(part: ModelBelief, gels: Response, linear: Linear) -> Ten
         at, part.cloud.controls, compute_mode="donot_use_mm_for_euclid_dist"
     ).argmin(1)
     before = part.chol.mT @ part.cloud.precisions[closest] @ part.chol
-    gained = linear.chol @ linear.chol.mT - torch.eye(before.shape[-1], dtype=before.dtype)
-    return 0.5 * (
-        torch.linalg.slogdet(before + gained).logabsdet - torch.linalg.slogdet(before).logabsdet
-    )
+    after = torch.linalg.slogdet(before + linear.fisher).logabsdet
+    return 0.5 * (after - torch.linalg.slogdet(before).logabsdet)

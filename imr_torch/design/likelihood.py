@@ -3,8 +3,8 @@ as Gaussian directions.
 
 Data are the mean curves of all repeats, within each datum's own window. Nuisances are marginalised
 in their linear approximation: ``y = f(v) + B w + e`` with ``w`` standard normal, by the normal
-equations that fits use. What is left out is the scatter of the repeats about their mean, which tells of the gel
-through the noise law alone (``2 slope^2`` of the information, .1 %).
+equations that fits use. What is left out is the scatter of the repeats about their mean, which
+tells of the gel through the noise law alone (``2 slope^2`` of the information, .1 %).
 
 Constants common to all gels and models are left out of log densities.
 """
@@ -139,6 +139,11 @@ class Linear:
         return self.chol.diagonal(dim1=-2, dim2=-1).log().sum(-1)
 
     @property
+    def fisher(self) -> Float[Tensor, "draws controls controls"]:
+        """``n x d x d`` tensor ``J^T C^-1 J``, what the data add to the precision."""
+        return self.chol @ self.chol.mT - torch.eye(self.chol.shape[-1], dtype=self.chol.dtype)
+
+    @property
     def averaging(self) -> Float[Tensor, "draws controls controls"]:
         """``n x d x d`` tensor ``G (1 + G)^-1`` with ``G = J^T C^-1 J``: share of the posterior
         that is from the data.
@@ -164,5 +169,5 @@ def infer_linear(data: Data, at: Response, plan: Plan) -> Linear:
         log + posterior.log_nuisance_integral,
         log - 0.5 * at.controls.square().sum(-1) + posterior.log_integral,
         at.controls + posterior.step[0],
-        torch.linalg.cholesky(posterior.reduced.hessian),
+        posterior.gel_chol,
     )

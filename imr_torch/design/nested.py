@@ -23,7 +23,7 @@ from torch import Tensor
 
 from imr_torch.design.drawing import Drawn, Gels, draw_data, normal_controls, simulate_gels
 from imr_torch.design.estimator import InformationEstimator, check_at_least
-from imr_torch.design.gain import InformationGain, with_influence
+from imr_torch.design.gain import InformationGain, mean_deviations, with_influence
 from imr_torch.design.likelihood import log_likelihood, pairwise
 from imr_torch.design.plan import Plan
 from imr_torch.design.response import Shot
@@ -171,7 +171,5 @@ def _slope_influence(
     found = torch.zeros(len(order), 2, dtype=torch.float64)
     slopes = slopes[first:]
     count = len(slopes)
-    if count > 1:
-        scale = math.sqrt(count / (count - 1))
-        found[order[first : first + count]] = scale * (slopes - slopes.mean(0))
+    found[order[first : first + count]] = mean_deviations(count * slopes)
     return found

@@ -22,7 +22,7 @@ from torch import Tensor
 from torch.distributions import MultivariateNormal
 
 from imr_torch.design.estimator import InformationEstimator, check_at_least
-from imr_torch.design.gain import InformationGain, Terms, summarise_terms
+from imr_torch.design.gain import InformationGain, Terms, mean_deviations, summarise_terms
 from imr_torch.design.likelihood import infer_linear, observe_gels
 from imr_torch.design.response import Shot, simulate_response
 from imr_torch.errors import InputDataError
@@ -79,7 +79,7 @@ class PopulationInformation(InformationEstimator):
             values[row] = self._gain_of_data(root)
         gels = Terms(1.0, values.mean(1), torch.zeros(len(values), dtype=torch.float64), order)
         by_datum = values.mean(0) if len(values) else torch.zeros(self.data, dtype=torch.float64)
-        shared = (by_datum - by_datum.mean()) / (self.data * (self.data - 1)) ** 0.5
+        shared = mean_deviations(by_datum)
         return summarise_terms([gels], shared=torch.stack((shared, torch.zeros_like(shared)), 1))
 
     def largest_gain(self) -> float:
@@ -115,10 +115,8 @@ class PopulationInformation(InformationEstimator):
             seen = simulate_response(one, part, controls)
             good = seen.good
             normal = torch.full((self.draws, *part.chol.shape), torch.nan, dtype=torch.float64)
-            chol = infer_linear(
-                observe_gels(seen[good], shot.plan, source), seen[good], shot.plan
-            ).chol
-            normal[good] = chol @ chol.mT - torch.eye(chol.shape[-1], dtype=torch.float64)
+            data = observe_gels(seen[good], shot.plan, source)
+            normal[good] = infer_linear(data, seen[good], shot.plan).fisher
             normals.append(normal)
         good = torch.isfinite(torch.stack(normals, 1)).flatten(1).all(1)
         order = torch.argsort(~good, stable=True)
