@@ -143,8 +143,15 @@ def _fit_model(
     seed: int,
     progress: Progress | None,
 ) -> ModelFit:
-    """All cycles of one model, from the mean and the Cholesky factor of the covariance of an ensemble
-    in the coordinates of :meth:`Posterior.coordinates_of`.
+    """All cycles of one model.
+
+    Args:
+        posterior: of the model.
+        mean: of the first ensemble, in the coordinates of :meth:`Posterior.coordinates_of`.
+        chol: Cholesky factor of its covariance.
+        options: sizes.
+        seed: of the ensembles.
+        progress: called with one line per iteration.
     """
     source = generator(seed)
     costs = [math.inf, math.inf]

@@ -39,7 +39,8 @@ ONE_MINIMUM = 0.5
 """Cost difference, nats, within which two fits are of one minimum: solver steps alone change costs by up to some .3."""
 
 CONFIRMED = 0.05
-"""Nats between Gaussians up to which draws confirm a fit: a mean a third of an sd off, or an sd 20 % off."""
+"""Nats between Gaussians up to which draws confirm a fit: a mean a third of an sd off, or an sd
+20 % off."""
 
 REPEATED = 0.1
 """The same between two rounds of draws, each with its error."""

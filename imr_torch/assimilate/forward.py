@@ -89,7 +89,10 @@ class ForwardModel:
         return torch.cat((point.gel, point.nuisances[..., self.uncertain].flatten(-2)), -1)
 
     def point_at(self, coordinates: Float[Tensor, "*batch coordinates"]) -> Point:
-        """The points at coordinates of :meth:`coordinates_of`; other nuisances are at their prior means."""
+        """The points at coordinates of :meth:`coordinates_of`.
+
+        Other nuisances are at their prior means.
+        """
         nuisances = self.mean_nuisances(*coordinates.shape[:-1])
         values = coordinates[..., self.size :].unflatten(-1, (nuisances.shape[-2], -1))
         nuisances[..., self.uncertain] = values

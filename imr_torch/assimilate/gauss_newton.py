@@ -83,7 +83,7 @@ class NormalEquations:
 
     @cached_property
     def gel_chol(self) -> BatchControlMatrix:
-        """``... x d x d`` lower Cholesky factor of the Hessian of the gel, nuisances marginalised."""
+        """``... x d x d`` lower Cholesky factor of the gel's Hessian, nuisances marginalised."""
         return torch.linalg.cholesky(self.reduced.hessian)
 
     @property

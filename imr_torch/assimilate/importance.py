@@ -34,8 +34,8 @@ def smooth_tail(log_weights: DrawnValues, *, shortest: int = 5) -> tuple[DrawnVa
 
     Args:
         log_weights: ``-inf`` for draws that count for nothing.
-        shortest: weights in the tail, a fifth of all, to which a generalised Pareto distribution can
-            be fitted.
+        shortest: weights in the tail, a fifth of all, to which a generalised Pareto distribution
+            can be fitted.
 
     Returns:
         The smoothed weights, and ``k``: infinite where too few weights count for a tail to be

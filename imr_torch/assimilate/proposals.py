@@ -29,8 +29,8 @@ class Kernels:
         chol: Cholesky factor of the covariance of that posterior.
         precisions: tensor ``d x d`` for each of the first centres, of that posterior about them;
             None where not known.
-        freedom: degrees of freedom of the kernels: with 7 their tails are heavier than a Gaussian's,
-            with moments up to the sixth.
+        freedom: degrees of freedom of the kernels: with 7 their tails are heavier than a
+            Gaussian's, with moments up to the sixth.
     """
 
     centres: Float[Tensor, "kernels controls"]
@@ -112,7 +112,7 @@ class Kernels:
         return self.centres[kernel] + (self.chols[kernel] @ deviation[..., None])[..., 0]
 
     def log_prob(self, points: DrawnControls, *, pairs: int = 1_000_000) -> DrawnValues:
-        """Log density at ``n x d`` points: ``n`` tensor; ``pairs`` of points and kernels at once."""
+        """Log density at ``n x d`` points: ``n`` tensor; so many pairs with kernels at once."""
         heights = self.weights.log() - self.chols.diagonal(dim1=-2, dim2=-1).log().sum(-1)
         whiten = torch.linalg.inv(self.chols)
         rows = []

@@ -96,6 +96,6 @@ def without_spikes(
 
 
 def _running_median(values: Tensor, around: int) -> Tensor:
-    """Median of each value and ``around`` on either side, as many as there are at the ends; never zero."""
+    """Median of each value and ``around`` on either side, as many as there are; never zero."""
     padded = torch.nn.functional.pad(values, (around, around), value=math.nan)
     return padded.unfold(0, 2 * around + 1, 1).nanmedian(1).values.clamp_min(1e-300)

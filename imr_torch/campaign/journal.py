@@ -69,9 +69,9 @@ def curve_hash(experiment: Experiment) -> str:
 class Journal:
     """The events of one campaign in a folder.
 
-    Opening reads and changes nothing. Writing takes the folder's lock (:meth:`hold_lock`), which may be
-    taken again by the thread that holds it, and ends with the process. The file ``.journal.lock``
-    stays in the folder and means nothing by itself. ``.journal.owner`` beside it names the process
+    Opening reads and changes nothing. Writing takes the folder's lock (:meth:`hold_lock`), which
+    may be taken again by the thread that holds it, and ends with the process. The file
+    ``.journal.lock`` stays in the folder and means nothing by itself. ``.journal.owner`` beside it names the process
     that holds the lock, for the message that another process gets.
 
     Args:
@@ -192,8 +192,8 @@ class Journal:
             self._lock.acquire()
         except Timeout:
             raise InputDataError(
-                f"{self.folder} is in use by {self._describe_holder()}; wait until it has ended, or give "
-                "another folder."
+                f"{self.folder} is in use by {self._describe_holder()}; wait until it has ended, "
+                "or give another folder."
             ) from None
         try:
             if outermost:

@@ -155,8 +155,8 @@ class LearnPopulation:
             situation, progress=progress
         )
         reason = (
-            f"A shot that showed its gel without error would tell {estimator.largest_gain():.2f} nats of "
-            "median and scatter."
+            f"A shot that showed its gel without error would tell {estimator.largest_gain():.2f} "
+            "nats of median and scatter."
         )
         return replace(found, reason=reason)
 

@@ -53,7 +53,7 @@ class InformationGain:
 
     @property
     def failed(self) -> bool:
-        """Whether fewer than half of the draws could be simulated: too few to stand for the belief."""
+        """Whether fewer than half of the draws could be simulated, too few for an estimate."""
         return 2 * self.counted < self.drawn
 
     @property

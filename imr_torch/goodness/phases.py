@@ -24,7 +24,8 @@ PHASES = ("start", "first collapse", "first rebound", "second collapse", "later"
 """Phases of an event, in order."""
 
 PHASE_ENDS = (0.3, 1.25, 1.75, 2.25)
-"""Reading of the phase clock at which each but the last ends: what a collapse did is seen in the rise after it."""
+"""Reading of the phase clock at which each but the last ends: what a collapse did is seen in the
+rise after it."""
 
 
 def phase_clock(
@@ -88,8 +89,8 @@ def noise_shares(
     """How much of the law's variance counts in each frame, 1 or less: what residuals leave room for
     in its phase.
 
-    It is less than 1 only where the sum of squares of a phase has a chance below ``quiet`` under the
-    law, under the hypothesis that leaves least there; it is then the mean square.
+    It is less than 1 only where the sum of squares of a phase has a chance below ``quiet`` under
+    the law, under the hypothesis that leaves least there; it is then the mean square.
 
     Args:
         squares: of each hypothesis, squared residuals in units of the law's variance, independent

@@ -45,7 +45,7 @@ LAW_STEPS = (
     ("law_velocity_squared", 1e-3),
     ("law_rate_squared", 1e-4),
 )
-"""Terms of the generic closure, and coefficients at which the directions of ``STATE_LAW`` are taken."""
+"""Terms of the generic closure, and coefficients at which directions of ``STATE_LAW`` are taken."""
 LEAST_LEFT = 1e-4
 """Part of a direction's square that must be left beside the fitted directions for it to be tested."""
 EVERYTHING = "everything (chi-square)"
