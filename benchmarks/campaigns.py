@@ -77,7 +77,9 @@ def bound_errors(case: ReferenceCase, designs: Tensor) -> Tensor:
     for design in designs.split(1):
         with torch.no_grad():
             seen = simulate_response(Shot(belief, design, SIMULATOR, PLAN), part, gel)
-        chols.append(infer_linear(Data(seen.radius, PLAN.window(seen.radius)), seen, PLAN).chol[0])
+        chols.append(
+            infer_linear(Data(seen.radius, PLAN.frames_in_window(seen.radius)), seen, PLAN).chol[0]
+        )
     known = torch.stack(chols)
     prior = torch.eye(len(part.names), dtype=torch.float64)
     known = prior + (known @ known.mT - prior).cumsum(0)

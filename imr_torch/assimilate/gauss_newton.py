@@ -75,7 +75,7 @@ class NormalEquations:
         log_det = 2.0 * chol.diagonal(dim1=-2, dim2=-1).log().sum((-2, -1))
         return Reduced(
             self.gel_gradient + from_nuisances,
-            definite(0.5 * (hessian + hessian.mT)),
+            make_definite(0.5 * (hessian + hessian.mT)),
             step,
             response,
             log_det,
@@ -159,12 +159,12 @@ class NormalEquations:
             gel + self.gel_gradient,
             nuisances + self.nuisance_gradient,
             eye_of_gel + self.gel_hessian,
-            definite(eye_of_nuisances + self.nuisance_hessian),
+            make_definite(eye_of_nuisances + self.nuisance_hessian),
             self.cross,
         )
 
 
-def definite(hessian: BatchControlMatrix, *, rounding: float = 1e-13) -> BatchControlMatrix:
+def make_definite(hessian: BatchControlMatrix, *, rounding: float = 1e-13) -> BatchControlMatrix:
     """Hessians ``... x d x d`` in controls, with eigenvalues of at least 1 where rounding has left
     one that is not positive.
 
@@ -174,8 +174,8 @@ def definite(hessian: BatchControlMatrix, *, rounding: float = 1e-13) -> BatchCo
     rounding leaves of the largest (a share of ``rounding``), so that the matrix can be factored.
 
     >>> import torch
-    >>> from imr_torch.assimilate.gauss_newton import definite
-    >>> definite(torch.tensor([[1e12, 0.0], [0.0, -3.0]], dtype=torch.float64)).diagonal().tolist()
+    >>> from imr_torch.assimilate.gauss_newton import make_definite
+    >>> make_definite(torch.tensor([[1e12, 0.0], [0.0, -3.0]], dtype=torch.float64)).diagonal().tolist()
     [1000000000000.0, 1.0]
     """
     lost = torch.linalg.cholesky_ex(hessian).info > 0

@@ -74,14 +74,14 @@ class Descent:
         """Length of the gradient in posterior standard deviations."""
         return float(self.equations.whitened_gradient) if math.isfinite(self.cost) else math.inf
 
-    def distance(self, point: Point) -> float:
+    def distance_to(self, point: Point) -> float:
         """Distance of another point's gel, posterior standard deviations."""
         gap = (point.gel - self.point.gel)[:, None]
         chol = self.equations.posterior_chol
         return float(torch.linalg.solve_triangular(chol, gap, upper=False).norm())
 
 
-def descend(
+def descend_from(
     posterior: Posterior,
     point: Point,
     leader: Point | None,
@@ -123,7 +123,7 @@ def descend(
             slope < gradient
             or cost.failures >= failures
             or now.cost - PROMISED * slope**2 > limit
-            or (reach < math.inf and now.distance(point) > reach)
+            or (reach < math.inf and now.distance_to(point) > reach)
         ):
             raise StopIteration
 
@@ -168,7 +168,7 @@ class _FrozenCost:
         )
         return Descent(near, self.leader)
 
-    def _at(self, x: Vector) -> Descent:
+    def _recall_at(self, x: Vector) -> Descent:
         """What is at coordinates; of those where no bubble can be simulated, what was lowest."""
         if not np.array_equal(x, self.x):
             self.x = x.copy()
@@ -183,16 +183,18 @@ class _FrozenCost:
 
     def __call__(self, x: Vector) -> float:
         """The cost; where a bubble fails so large that no step ends there."""
-        self._at(x)
+        self._recall_at(x)
         return min(self.last.cost, 1e10)
 
     def gradient_at(self, x: Vector) -> Vector:
         """The gradient."""
-        return self._at(x).equations.joint_gradient(self.posterior.uncertain).numpy()
+        return self._recall_at(x).equations.joint_gradient(self.posterior.uncertain).numpy()
 
     def hessian_at(self, x: Vector) -> Vector:
         """The Hessian."""
-        return self._at(x).equations.joint_hessian(self.posterior.uncertain).numpy() + self.bend
+        return (
+            self._recall_at(x).equations.joint_hessian(self.posterior.uncertain).numpy() + self.bend
+        )
 
     def _update_curvature(self, old: Neighbourhood, new: Neighbourhood) -> None:
         """Update the curvature that Gauss-Newton leaves out by a step (symmetric rank one)."""

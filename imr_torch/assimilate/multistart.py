@@ -16,7 +16,7 @@ import torch
 from imr_torch.assimilate.basins import deeper_nuisances
 from imr_torch.assimilate.fit import PROMISED
 from imr_torch.assimilate.forward import Point
-from imr_torch.assimilate.local_minimum import Descent, Report, descend
+from imr_torch.assimilate.local_minimum import Descent, Report, descend_from
 from imr_torch.assimilate.masking import without_collapses
 from imr_torch.assimilate.options import SearchOptions
 from imr_torch.assimilate.posterior import Posterior
@@ -117,7 +117,7 @@ class ModelSearch:
         if not self.masking:
             return point
         masked = without_collapses(self.posterior.coarse)
-        return descend(
+        return descend_from(
             masked,
             point,
             None,
@@ -131,7 +131,7 @@ class ModelSearch:
         options = self.options.descent
 
         def lower_cost(leader: Point | None, gradient: float, reach: float = math.inf) -> Descent:
-            return descend(
+            return descend_from(
                 self.posterior,
                 point,
                 leader,
@@ -159,7 +159,7 @@ class ModelSearch:
             end = lower_cost(leader, self.options.gradient, math.inf if shared else reach)
             left -= end.iterations
             close = options.shared_distance if shared else options.leader_distance
-            arrived = end.gradient < self.options.gradient and end.distance(leader) < close
+            arrived = end.gradient < self.options.gradient and end.distance_to(leader) < close
             if arrived or end.iterations == 0 or left <= 0 or self._is_behind(end):
                 self.minima.append(replace(end, iterations=self.options.iterations - left))
                 return
@@ -170,7 +170,8 @@ class ModelSearch:
     def _shared_leader(self, point: Point) -> Point | None:
         """The leader of the lowest minimum, for points that are close to it."""
         close = (
-            bool(self.minima) and self.lowest.distance(point) < self.options.descent.shared_distance
+            bool(self.minima)
+            and self.lowest.distance_to(point) < self.options.descent.shared_distance
         )
         return self.lowest.leader if close else None
 

@@ -96,7 +96,7 @@ class _State:
     drawn: int = 0
 
     @property
-    def refused(self) -> bool:
+    def is_refused(self) -> bool:
         """Whether the draws so far do not give reliable moments."""
         return self.fit.verdict is Verdict.REFUSED
 
@@ -200,7 +200,7 @@ def weigh(
         waiting = [
             c
             for c in waiting
-            if not c.parts or (c.refused and len(c.parts) < rounds and c.fit.model in ahead)
+            if not c.parts or (c.is_refused and len(c.parts) < rounds and c.fit.model in ahead)
         ]
     return replace(assimilation, fits=tuple(state.fit for state in states))
 

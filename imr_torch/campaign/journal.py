@@ -71,8 +71,8 @@ class Journal:
 
     Opening reads and changes nothing. Writing takes the folder's lock (:meth:`hold_lock`), which
     may be taken again by the thread that holds it, and ends with the process. The file
-    ``.journal.lock`` stays in the folder and means nothing by itself. ``.journal.owner`` beside it names the process
-    that holds the lock, for the message that another process gets.
+    ``.journal.lock`` stays in the folder and means nothing by itself. ``.journal.owner`` beside it
+    names the process that holds the lock, for the message that another process gets.
 
     Args:
         folder: where ``journal.jsonl`` and the curves are kept; made when something is written.

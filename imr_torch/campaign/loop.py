@@ -279,7 +279,7 @@ class Campaign:
         gains = [InformationGain.from_dict(row) for row in rows]
         pending = InformationGain.from_dict(record["pending"]) if record["pending"] else None
         settings = SearchSettings(**record["search"])
-        return settings.finish(self.settings.space, designs, gains, pending)
+        return settings.finish_search(self.settings.space, designs, gains, pending)
 
     @one_torch_thread()
     def tell(self, *experiments: Experiment, progress: Progress | None = None) -> Step:

@@ -167,16 +167,16 @@ class ExpectedInformationGain(AcquisitionFunction):
             InputDataError: for a design outside the space.
         """
         self.space.check_inside(designs)
-        return self._joint(designs, seed)
+        return self._joint_gain(designs, seed)
 
     def estimate_pending(self, *, seed: int | None = None) -> InformationGain | None:
         """The joint gain of the pending designs alone, with the draws of :meth:`estimate`.
 
         None if none is pending.
         """
-        return None if self.X_pending is None else self._joint(self.X_pending[:0], seed)
+        return None if self.X_pending is None else self._joint_gain(self.X_pending[:0], seed)
 
-    def _joint(self, designs: Tensor, seed: int | None) -> InformationGain:
+    def _joint_gain(self, designs: Tensor, seed: int | None) -> InformationGain:
         if self.X_pending is not None:
             designs = torch.cat((designs, self.X_pending.to(designs)))
         gain = expected_information_gain(

@@ -110,14 +110,14 @@ class Terms:
     order: Int[Tensor, "drawn"]
     control: Float[Tensor, "drawn"] | None = None
 
-    def mean(self) -> tuple[float, float]:
+    def mean_gain(self) -> tuple[float, float]:
         """Mean gain about parameters and about the model; 0 without data."""
         if len(self.parameters) == 0:
             return 0.0, 0.0
         control = 0.0 if self.control is None else float(self.control.mean())
         return float(self.parameters.mean()) + control, float(self.model.mean())
 
-    def influence(self) -> Float[Tensor, "drawn 2"]:
+    def draw_influence(self) -> Float[Tensor, "drawn 2"]:
         """Influence of each draw, in the order drawn, on the weighted means."""
         found = torch.zeros(len(self.order), 2, dtype=torch.float64)
         found[self.order[: len(self.parameters)], 0] = mean_deviations(self.parameters)
@@ -154,10 +154,10 @@ def summarise_terms(
         shared: influence of samples that all data share.
         bias: of the whole.
     """
-    means = torch.tensor([t.mean() for t in terms], dtype=torch.float64)
+    means = torch.tensor([t.mean_gain() for t in terms], dtype=torch.float64)
     weights = torch.tensor([t.weight for t in terms], dtype=torch.float64)
     parameters, model = (weights @ means).tolist()
-    parts = [t.influence() for t in terms] + ([] if shared is None else [shared])
+    parts = [t.draw_influence() for t in terms] + ([] if shared is None else [shared])
     counted = sum(len(t.parameters) for t in terms)
     drawn = sum(len(t.order) for t in terms)
     return with_influence(

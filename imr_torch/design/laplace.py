@@ -70,7 +70,7 @@ class Laplace(InformationEstimator):
 
     def __call__(self, shot: Shot, generator: torch.Generator) -> InformationGain:
         """See :class:`~imr_torch.design.estimator.InformationEstimator`."""
-        drawn, own, logs = self.compare(shot, generator)
+        drawn, own, logs = self.compare_models(shot, generator)
         total = mixture_evidence(logs, shot)
         terms = []
         for i, (weight, rows) in enumerate(zip(model_weights(shot), drawn.rows, strict=True)):
@@ -83,7 +83,7 @@ class Laplace(InformationEstimator):
             )
         return summarise_terms(terms)
 
-    def compare(
+    def compare_models(
         self, shot: Shot, generator: torch.Generator
     ) -> tuple[Drawn, list[Linear], list[Tensor]]:
         """Data of every model, their linearised posteriors under it, and for each model the log

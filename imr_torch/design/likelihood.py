@@ -54,11 +54,12 @@ def observe_gels(seen: Response, plan: Plan, source: torch.Generator) -> Data:
     )
     noise = noise * plan.noise.sd(seen.radius, plan.times) / plan.repeats**0.5
     return Data(
-        seen.radius + (seen.by_nuisance @ nuisance)[..., 0] + noise, plan.window(seen.radius)
+        seen.radius + (seen.by_nuisance @ nuisance)[..., 0] + noise,
+        plan.frames_in_window(seen.radius),
     )
 
 
-def _linearise(
+def _linearise_data(
     data: Data,
     radius: Float[Tensor, "*#batch designs frames"],
     by_gel: Float[Tensor, "*#batch designs frames slopes"],
@@ -70,15 +71,15 @@ def _linearise(
     """
     sd = plan.noise.sd(radius, plan.times)
 
-    def whiten(columns: Tensor) -> Tensor:
+    def whiten_columns(columns: Tensor) -> Tensor:
         """In units of independent noise of the mean curve, 0 outside the window."""
         scaled = columns / sd[..., None] * plan.repeats**0.5
         if plan.decorrelation is not None:
             scaled = plan.decorrelation @ scaled
         return torch.where(data.window[..., None], scaled, 0.0)
 
-    residual = whiten((data.radius - radius)[..., None])
-    slopes = whiten(by_gel), whiten(by_nuisance)
+    residual = whiten_columns((data.radius - radius)[..., None])
+    slopes = whiten_columns(by_gel), whiten_columns(by_nuisance)
     of_gel, of_nuisances = (-(slope.mT @ residual)[..., 0] for slope in slopes)
     log_det = torch.where(data.window, sd.log(), 0.0).sum((-2, -1))
     log = -0.5 * residual.square().sum((-3, -2, -1)) - log_det
@@ -95,12 +96,12 @@ def log_likelihood(
 
     All shapes ``... x q x T`` broadcast, the result is ``...``.
     """
-    log, equations = _linearise(data, radius, radius[..., None][..., :0], by_nuisance, plan)
+    log, equations = _linearise_data(data, radius, radius[..., None][..., :0], by_nuisance, plan)
     still = by_nuisance.new_zeros(by_nuisance.shape[-3], by_nuisance.shape[-1])
     return log + equations.with_prior(still[0, :0], still).log_nuisance_integral
 
 
-def pairwise(
+def pairwise_log_likelihood(
     data: Data, gels: Response, plan: Plan, *, block: int = 4_000_000
 ) -> Float[Tensor, "data gels"]:
     """``n x m`` log densities of every datum given every gel, ``block`` numbers at once."""
@@ -161,7 +162,7 @@ def infer_linear(data: Data, at: Response, plan: Plan) -> Linear:
         at: ``n`` gels, or one for all data.
         plan: how they are observed.
     """
-    log, likelihood = _linearise(data, at.radius, at.by_gel, at.by_nuisance, plan)
+    log, likelihood = _linearise_data(data, at.radius, at.by_gel, at.by_nuisance, plan)
     _, q, _, k = at.by_nuisance.shape
     still = at.by_nuisance.new_zeros(q, k)
     posterior = likelihood.with_prior(at.controls, still)

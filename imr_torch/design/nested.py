@@ -24,7 +24,7 @@ from torch import Tensor
 from imr_torch.design.drawing import Drawn, Gels, draw_data, normal_controls, simulate_gels
 from imr_torch.design.estimator import InformationEstimator, check_at_least
 from imr_torch.design.gain import InformationGain, mean_deviations, with_influence
-from imr_torch.design.likelihood import log_likelihood, pairwise
+from imr_torch.design.likelihood import log_likelihood, pairwise_log_likelihood
 from imr_torch.design.plan import Plan
 from imr_torch.design.response import Shot
 
@@ -130,7 +130,7 @@ def _estimate_gain(
         log_likelihood(drawn.data[rows], part.radius, part.by_nuisance, plan)
         for rows, part in zip(drawn.rows, drawn.parts, strict=True)
     ]
-    blocks = [pairwise(drawn.data, part, plan) for part in inner.parts]
+    blocks = [pairwise_log_likelihood(drawn.data, part, plan) for part in inner.parts]
     if contrastive:
         for block, rows, likelihood in zip(blocks, drawn.rows, likelihoods, strict=True):
             block[rows, :1] = likelihood[:, None]

@@ -31,7 +31,7 @@ class Plan:
 
     >>> from imr_torch.design import Plan
     >>> plan = Plan(repeats=10, collapses=1)
-    >>> plan.window(0.6 + 0.4 * torch.cos(3.0 * plan.times)).sum()  # frames up to the first minimum of a curve
+    >>> plan.frames_in_window(0.6 + 0.4 * torch.cos(3.0 * plan.times)).sum()  # frames up to the first minimum of a curve
     tensor(22)
     """
 
@@ -72,7 +72,9 @@ class Plan:
             return experiment
         return experiment.until(collapse_time(experiment.times, experiment.mean, self.collapses))
 
-    def window(self, radius: Float[Tensor, "*batch frames"]) -> Bool[Tensor, "*batch frames"]:
+    def frames_in_window(
+        self, radius: Float[Tensor, "*batch frames"]
+    ) -> Bool[Tensor, "*batch frames"]:
         """Frames of each curve (``... x n_t``) up to the last collapse of the window: a boolean
         tensor of that shape.
         """

@@ -103,7 +103,7 @@ def refine_gels(
         moved = moved[moved.good]
         there = infer_linear(data[rows], moved, shot.plan)
         gains = _log_posterior(there, moved) > _log_posterior(here, at)[rows]
-        at = at.replaced(rows[gains], moved[gains])
+        at = at.replace_rows(rows[gains], moved[gains])
         length *= options.shorter
         length[rows[gains]] = 1.0
     return at

@@ -63,7 +63,7 @@ class Shot:
             self.designs, self.plan.times.expand(q, -1), self.plan.nuisance.sds().expand(q, -1)
         )
 
-    def forward(self, part: ModelBelief) -> ForwardModel:
+    def forward_model(self, part: ModelBelief) -> ForwardModel:
         """What the camera would see of one model's gels."""
         return ForwardModel(part, self.film, self.simulator)
 
@@ -98,7 +98,7 @@ class Response:
         seen = torch.cat((self.radius[..., None], self.by_gel, self.by_nuisance), dim=-1)
         return torch.isfinite(seen).flatten(1).all(1)
 
-    def replaced(self, rows: Shaped[Tensor, "rows"], others: "Response") -> "Response":
+    def replace_rows(self, rows: Shaped[Tensor, "rows"], others: "Response") -> "Response":
         """These gels with others in the place of some rows."""
         pairs = [(getattr(self, f), getattr(others, f)) for f in self.__dataclass_fields__]
         return Response(*(mine.index_copy(0, rows, new) for mine, new in pairs))
@@ -108,7 +108,7 @@ def radii(
     shot: Shot, part: ModelBelief, controls: BatchControls
 ) -> Float[Tensor, "*batch designs frames"]:
     """R/Rmax of gels at controls; NaN where the solve failed."""
-    forward = shot.forward(part)
+    forward = shot.forward_model(part)
     return forward.predict(Point(controls, forward.mean_nuisances(*controls.shape[:-1])))
 
 
@@ -124,7 +124,7 @@ def simulate_response(
         controls: ``n x d`` tensor.
         gel: whether the sensitivity to the gel is wanted.
     """
-    forward = shot.forward(part)
+    forward = shot.forward_model(part)
     seen = forward.bundle(Point(controls, forward.mean_nuisances(len(controls))), moves_gel=gel)
     by_gel, by_nuisance = forward.slopes(seen)
     good = torch.isfinite(seen).flatten(1).all(1)[:, None, None]  # of the gel and of all beside it

@@ -70,7 +70,7 @@ def refitted_directions(
         moved = predict_changed(
             fit, batch, simulator, [changes[i] for i in under_way.tolist()], -shift
         )
-        beside = line.whiten(moved - line.prediction) + line.explained(shift)
+        beside = line.whiten(moved - line.prediction) + line.explained_rows(shift)
         now = line.project_out(beside).norm(dim=1)
         smaller = now < left[under_way]  # not where a solve failed: NaN is not smaller
         under_way = under_way[smaller]

@@ -69,7 +69,7 @@ class Linearisation:
         missing = len(self.residual) - rows.shape[-1]
         return torch.nn.functional.pad(rows, (0, missing), value=value)
 
-    def explained(self, shift: Float[Tensor, "*batch fitted"]) -> Float[Tensor, "*batch rows"]:
+    def explained_rows(self, shift: Float[Tensor, "*batch fitted"]) -> Float[Tensor, "*batch rows"]:
         """What shifts ``... x k`` of everything fitted change in the data, to first order: rows
         ``... x N``.
         """

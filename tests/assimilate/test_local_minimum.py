@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate import Point, Posterior, SearchOptions, assimilate
-from imr_torch.assimilate.local_minimum import _FrozenCost, descend
+from imr_torch.assimilate.local_minimum import _FrozenCost, descend_from
 from imr_torch.assimilate.multistart import ModelSearch
 from imr_torch.material import PARAMETERS, reference_case
 from imr_torch.observe import (
@@ -142,7 +142,7 @@ def test_that_a_point_where_bubbles_fail_is_not_taken() -> None:
     barred = Circle(limit={"mu": MEANS["mu"] + 0.8 * SDS["mu"]})
     posterior = Posterior(prior(("nhkv",)).models[0], nearly_central(), barred)
     begun = Point(STARTS[0], posterior.mean_nuisances())
-    ended = descend(posterior, begun, begun, gradient=1e-3, iterations=30)
+    ended = descend_from(posterior, begun, begun, gradient=1e-3, iterations=30)
     assert ended.cost < -float(posterior.log_joint(begun))
     assert 0.5 < float(ended.point.gel[1]) < 0.8
 
@@ -150,7 +150,7 @@ def test_that_a_point_where_bubbles_fail_is_not_taken() -> None:
 def test_that_a_start_that_cannot_be_simulated_has_an_infinite_cost_and_gradient() -> None:
     posterior = Posterior(prior(("nhkv",)).models[0], nearly_central(), Circle(fails=True))
     start = Point(STARTS[0], posterior.mean_nuisances())
-    ended = descend(posterior, start, None, gradient=1e-3, iterations=5)
+    ended = descend_from(posterior, start, None, gradient=1e-3, iterations=5)
     assert (ended.cost, ended.gradient, ended.iterations) == (math.inf, math.inf, 0)
 
 
@@ -159,7 +159,9 @@ def test_that_a_descent_ends_at_its_reach_and_above_its_limit() -> None:
     start = Point(STARTS[0], posterior.mean_nuisances())
 
     def steps(**ends: float) -> int:
-        return descend(posterior, start, start, gradient=1e-3, iterations=50, **ends).iterations
+        return descend_from(
+            posterior, start, start, gradient=1e-3, iterations=50, **ends
+        ).iterations
 
     assert steps(reach=0.01) == steps(limit=-1e9) == 1 < steps()
 

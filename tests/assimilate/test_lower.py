@@ -131,7 +131,7 @@ def test_that_a_model_fitted_again_is_weighted_beside_others_whose_rounds_are_ah
     """All rounds are made; the third has several nuisances to a draw, of which one is kept in
     proportion to its weight.
     """
-    monkeypatch.setattr("imr_torch.assimilate.weighing._State.refused", True)
+    monkeypatch.setattr("imr_torch.assimilate.weighing._State.is_refused", True)
     batch = experiments(3, nuisance=BOTH)
     options = SearchOptions(raw_samples=24, starts=2)
     both = assimilate(

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from imr_torch.design import Plan
-from imr_torch.design.likelihood import Data, log_likelihood, observe_gels, pairwise
+from imr_torch.design.likelihood import Data, log_likelihood, observe_gels, pairwise_log_likelihood
 from imr_torch.design.response import Shot, radii, simulate_response
 from imr_torch.material import reference_case
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, displaced
@@ -29,7 +29,7 @@ def test_log_likelihood_ratios_of_gels_are_those_of_the_assimilation(noise):
     plan = Plan(times=TIMES, noise=noise)
     seen = simulate_response(shot(plan), PART, CONTROLS, gel=False)
     data = observe_gels(seen, plan, torch.Generator().manual_seed(0))
-    mine = pairwise(data, seen, plan)
+    mine = pairwise_log_likelihood(data, seen, plan)
     for n in range(2):
         experiments = []
         for e, design in enumerate(DESIGNS.tolist()):
@@ -57,7 +57,7 @@ def test_frames_outside_the_window_do_not_count():
     spoilt = Data(torch.where(data.window, data.radius, 99.0), data.window)
     assert torch.equal(
         log_likelihood(spoilt, seen.radius, seen.by_nuisance, plan),
-        pairwise(data, seen, plan).diagonal(),
+        pairwise_log_likelihood(data, seen, plan).diagonal(),
     )
 
 
