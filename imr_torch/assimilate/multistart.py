@@ -123,6 +123,7 @@ class ModelSearch:
             None,
             gradient=self.options.descent.own_steps,
             iterations=self.options.iterations,
+            failures=self.options.descent.failures,
         ).point
 
     def _add_minimum(self, point: Point) -> None:
