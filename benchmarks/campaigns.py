@@ -21,8 +21,8 @@ from torch import Tensor
 from benchmarks.records import Figure, Line, run_missing_jobs, write_figures
 from imr_torch.campaign import Campaign, CampaignSettings, Optimal
 from imr_torch.design import Laplace, Plan
-from imr_torch.design.likelihood import Data, infer
-from imr_torch.design.response import Shot, respond
+from imr_torch.design.likelihood import Data, infer_linear
+from imr_torch.design.response import Shot, simulate_response
 from imr_torch.material import CASES, PARAMETERS, Belief, ReferenceCase, reference_case
 from imr_torch.observe import Experiment, SimulatedLaboratory
 from imr_torch.random import child
@@ -76,8 +76,10 @@ def bound_errors(case: ReferenceCase, designs: Tensor) -> Tensor:
     chols = []
     for design in designs.split(1):
         with torch.no_grad():
-            seen = respond(Shot(belief, design, SIMULATOR, PLAN), part, gel)
-        chols.append(infer(Data(seen.radius, PLAN.window(seen.radius)), seen, PLAN).chol[0])
+            seen = simulate_response(Shot(belief, design, SIMULATOR, PLAN), part, gel)
+        chols.append(
+            infer_linear(Data(seen.radius, PLAN.frames_in_window(seen.radius)), seen, PLAN).chol[0]
+        )
     known = torch.stack(chols)
     prior = torch.eye(len(part.names), dtype=torch.float64)
     known = prior + (known @ known.mT - prior).cumsum(0)

@@ -23,10 +23,10 @@ class StubLearner:
 
     fails_above: float = 10.0
 
-    def check(self, batch: ExperimentBatch) -> None:
+    def check_batch(self, batch: ExperimentBatch) -> None:
         pass
 
-    def learn(
+    def infer_belief(
         self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None
     ) -> Inference:
         batch = observations.batch

@@ -503,7 +503,7 @@ def test_that_a_folder_in_use_and_a_full_disk_are_one_line_each(told_once, tmp_p
     out = tmp_path / "gel"
     shutil.copytree(told_once[0], out)
     before = (out / "journal.jsonl").read_bytes()
-    with Journal(out).held():
+    with Journal(out).hold_lock():
         assert main(real(out, "--resume", "--forget", 1)) == 2
     assert "is in use by another campaign (process" in capsys.readouterr().err
     with Disk(2, "full").watched():

@@ -71,7 +71,7 @@ def traced() -> dict[str, list[Call]]:
         X[0], seed=0
     )
     posterior = Posterior(case.prior.models[0], ExperimentBatch((shot,)), simulator)
-    point = Point(torch.zeros(1, posterior.size, dtype=torch.float64), posterior.still(1))
+    point = Point(torch.zeros(1, posterior.size, dtype=torch.float64), posterior.mean_nuisances(1))
     acquisition = ExpectedInformationGain(case.prior, simulator, estimator, plan=plan)
     return {
         "likelihood": calls(lambda: posterior.log_joint(point)),

@@ -98,7 +98,7 @@ def _shoot_arm(
         situation = Situation(
             number, _PRIOR, simulator, DesignSpace(), plan, task.seed, prior=_PRIOR, batch=batch
         )
-        design = policy.choose(situation).design
+        design = policy.choose_design(situation).design
         filmed = film(data.values, make_plan(design[None], task), task, source)
         if filmed is None:
             raise ConvergenceError(f"The bubble at {design.tolist()} could not be simulated.")

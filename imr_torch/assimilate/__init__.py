@@ -17,13 +17,15 @@ from imr_torch.assimilate.noise_estimation import (
 )
 from imr_torch.assimilate.noise_posterior import NoiseNodes
 from imr_torch.assimilate.options import (
+    DescentOptions,
     En4DVarOptions,
     FitOptions,
     PublishedOptions,
     SearchOptions,
+    WeighingOptions,
 )
 from imr_torch.assimilate.posterior import Neighbourhood, Posterior
-from imr_torch.assimilate.profile import Profile, profile
+from imr_torch.assimilate.profile import Profile, ProfileOptions, profile
 from imr_torch.assimilate.published import (
     PublishedFit,
     as_one_curve,
@@ -38,6 +40,7 @@ __all__ = [
     "BadFrame",
     "BadFrames",
     "Certificate",
+    "DescentOptions",
     "En4DVarOptions",
     "FitOptions",
     "ForwardModel",
@@ -51,10 +54,12 @@ __all__ = [
     "Point",
     "Posterior",
     "Profile",
+    "ProfileOptions",
     "PublishedFit",
     "PublishedOptions",
     "SearchOptions",
     "Verdict",
+    "WeighingOptions",
     "as_one_curve",
     "assimilate",
     "assimilate_en4dvar",

@@ -15,68 +15,63 @@ from torch import Tensor
 
 from imr_torch.assimilate.fit import ONE_MINIMUM
 from imr_torch.assimilate.forward import STEP, Point
+from imr_torch.assimilate.options import BasinOptions
 from imr_torch.assimilate.posterior import Neighbourhood, Posterior
 from imr_torch.observe import NUISANCES, predict
 from imr_torch.simulate import EARLIEST
 
 _TIME_ZERO = NUISANCES.index("time_zero")
-_REACH = 3.0  # prior standard deviations on either side
-_PLACES = 61  # in all: .1 apart
-_BASINS = 4
-_STEPS = 4
-_MARGIN = 1e-6  # from the earliest time of a bubble, against rounding
-_DISTINCT = (
-    1e-13  # between times that may coincide, as places are apart by what frames may be apart by
-)
 
 
 def deeper_nuisances(
-    posterior: Posterior, point: Point
+    posterior: Posterior, point: Point, options: BasinOptions | None = None
 ) -> Float[Tensor, "models experiments nuisances"]:
     """Nuisances in the deepest basin of each experiment that is found at fixed gels.
 
     Args:
         posterior: whose cost is looked through, with some 70 bubbles for each gel and experiment.
         point: ``M`` points, each at a local minimum.
+        options: how far and how finely it is looked through.
 
     Returns:
         ``M x E x w`` nuisances; those of experiments without a deeper basin are the same numbers.
     """
+    options = options or BasinOptions()
     movable = posterior.batch.nuisance_sds[:, _TIME_ZERO] > 0.0
     if not bool(movable.any()):
         return point.nuisances
-    places = _lowest_places(posterior, point)
-    gels = point.gel.repeat_interleave(_BASINS, 0)
+    places = _find_lowest_places(posterior, point, options)
+    gels = point.gel.repeat_interleave(options.minima, 0)
     flat = places.flatten(0, 1)
     width = flat.shape[-1]
     unit = torch.eye(width, dtype=torch.float64).expand(*flat.shape[:2], width, width)
-    for _ in range(_STEPS):
+    for _ in range(options.steps):
         flat = posterior.fit_nuisances(Point(gels, flat), unit)[0]
-    before = _cost(posterior, point)  # M x E
-    cost, place = _cost(posterior, Point(gels, flat)).unflatten(0, places.shape[:2]).min(1)
+    before = _nuisance_cost(posterior, point)  # M x E
+    cost, place = _nuisance_cost(posterior, Point(gels, flat)).unflatten(0, places.shape[:2]).min(1)
     found = flat.unflatten(0, places.shape[:2]).gather(
         1, place[:, None, :, None].expand(-1, 1, -1, width)
     )[:, 0]
     return torch.where((movable & (cost < before - ONE_MINIMUM))[..., None], found, point.nuisances)
 
 
-def _lowest_places(posterior: Posterior, point: Point) -> Tensor:
-    """Nuisances ``M x _BASINS x E x w`` at the lowest minima of each experiment's profile over time
+def _find_lowest_places(posterior: Posterior, point: Point, options: BasinOptions) -> Tensor:
+    """Nuisances ``M x minima x E x w`` at the lowest minima of each experiment's profile over time
     zero.
 
     At each place Rmax and R_inf take one Gauss-Newton step, and the profile is what the cost is
     then expected to be.
     """
     batch = posterior.batch
-    reach = _reach(posterior, point.nuisances)
+    reach = _reachable_shifts(posterior, point.nuisances, options)
     prediction = _predict_moved(posterior, point, reach)
     known = torch.isfinite(prediction).all(-1).all(2)  # M x P x E
     prediction = torch.where(known[:, :, None, :, None], prediction, 0.5)
-    moved = point.nuisances[:, None].repeat(1, _PLACES, 1, 1)
+    moved = point.nuisances[:, None].repeat(1, len(reach), 1, 1)
     moved[..., _TIME_ZERO] += reach / batch.nuisance_sds[:, _TIME_ZERO].clamp_min(1e-300)
     still = moved.clone()
     still[..., _TIME_ZERO] = 0.0  # where its prior does not pull: it is to stay
-    gels = point.gel[:, None].expand(-1, _PLACES, -1)
+    gels = point.gel[:, None].expand(-1, len(reach), -1)
     equations = Neighbourhood(posterior, Point(gels, still), prediction).equations
     step = equations.reduced.nuisance_step
     cost = (
@@ -84,11 +79,11 @@ def _lowest_places(posterior: Posterior, point: Point) -> Tensor:
         - batch.log_likelihood(prediction[:, :, 0])
         + 0.5 * (equations.nuisance_gradient * step).sum(-1)
     )
-    chosen = _minima(torch.where(known, cost, torch.inf))
+    chosen = _find_minima(torch.where(known, cost, torch.inf), options.minima)
     return (moved + step).gather(1, chosen[..., None].expand(-1, -1, -1, step.shape[-1]))
 
 
-def _reach(posterior: Posterior, nuisances: Tensor) -> Tensor:
+def _reachable_shifts(posterior: Posterior, nuisances: Tensor, options: BasinOptions) -> Tensor:
     """Shifts of time zero that are tried, ``P x E`` tensor, dimensionless.
 
     None moves a frame to before the bubble exists.
@@ -97,14 +92,15 @@ def _reach(posterior: Posterior, nuisances: Tensor) -> Tensor:
     shifts = nuisances * batch.nuisance_sds
     first = EARLIEST * (1.0 + shifts[..., 0]) - batch.times[:, 0] - shifts[..., _TIME_ZERO]
     reach = (
-        torch.linspace(-_REACH, _REACH, _PLACES, dtype=torch.float64)[:, None]
+        torch.linspace(-options.reach, options.reach, options.places, dtype=torch.float64)[:, None]
         * batch.nuisance_sds[:, _TIME_ZERO]
     )
-    return reach.maximum((first + _MARGIN).amax(0).clamp_max(0.0))
+    # a margin against rounding
+    return reach.maximum((first + 1e-6).amax(0).clamp_max(0.0))
 
 
-def _minima(cost: Tensor) -> Tensor:
-    """``M x _BASINS x E`` indices of the lowest minima of profiles ``M x P x E``.
+def _find_minima(cost: Tensor, count: int) -> Tensor:
+    """``M x count x E`` indices of the lowest minima of profiles ``M x P x E``.
 
     Any others where there are fewer.
     """
@@ -112,7 +108,7 @@ def _minima(cost: Tensor) -> Tensor:
     lowest = (cost <= torch.cat((beyond, cost[:, :-1]), 1)) & (
         cost <= torch.cat((cost[:, 1:], beyond), 1)
     )
-    return torch.where(lowest, cost, torch.inf).topk(_BASINS, dim=1, largest=False).indices
+    return torch.where(lowest, cost, torch.inf).topk(count, dim=1, largest=False).indices
 
 
 def _predict_moved(posterior: Posterior, point: Point, reach: Tensor) -> Tensor:
@@ -127,7 +123,8 @@ def _predict_moved(posterior: Posterior, point: Point, reach: Tensor) -> Tensor:
     sides = STEP * torch.eye(batch.nuisance_sds.shape[1], dtype=torch.float64)[columns]
     points = torch.cat((point.nuisances[:, None], point.nuisances[:, None] + sides[:, None]), 1)
     times, order = (batch.times[:, None] + reach.mT[..., None]).flatten(1).sort(1)
-    times = times + _DISTINCT * torch.arange(times.shape[1])
+    # places may be apart by what frames are apart by
+    times = times + 1e-13 * torch.arange(times.shape[1])
     seen = predict(
         posterior.simulator,
         posterior.to_si(point.gel)[:, None].expand(-1, points.shape[1], -1),
@@ -137,14 +134,14 @@ def _predict_moved(posterior: Posterior, point: Point, reach: Tensor) -> Tensor:
         bundled=True,
     )
     seen = seen.gather(-1, order.argsort(1).expand(seen.shape)).unflatten(
-        -1, (_PLACES, -1)
+        -1, (len(reach), -1)
     )  # M x (1 + S') x E x P x T
     seen = torch.where(batch.mask[:, None], seen, 0.0).movedim(-2, 1)
     rows = [0] + [1 + columns.index(column) if column in columns else 0 for column in uncertain]
     return seen[:, :, rows]
 
 
-def _cost(posterior: Posterior, point: Point) -> Tensor:
+def _nuisance_cost(posterior: Posterior, point: Point) -> Tensor:
     """Negative log of likelihood x prior of the nuisances of each experiment, ``n x E``.
 
     Infinite where there is no bubble.

@@ -19,7 +19,7 @@ which the exact cost is lowest.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -36,12 +36,6 @@ from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
-
-_ENOUGH = 0.5  # share of an ensemble that must be simulated
-_LONGEST = 2.0  # prior standard deviations of the gel in one step
-_LENGTHS = (1.0, 0.5, 0.2, 0.05, 0.0)  # shares of a step at which the exact cost is compared
-_STILL = 0.1  # posterior standard deviations of the last step of a fit that has converged
-_SAME = 0.1  # nats between its cycles
 
 
 @one_torch_thread()
@@ -83,27 +77,28 @@ def assimilate_en4dvar(
     >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
     >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=1)
     >>> fits = assimilate_en4dvar(case.prior, ExperimentBatch((shot,)), simulator, seed=0, options=En4DVarOptions(members=16))
-    >>> min(fits.fits, key=lambda fit: fit.cost).model
+    >>> fits.lowest.model
     'nhkv'
     """
     options = options or En4DVarOptions()
-    used = tempered(batch) if options.tempered else batch
+    used = temper_batch(batch) if options.tempered else batch
     fits = []
     for part in belief.models:
         posterior = Posterior(part, used, simulator)
         if near is None:
             size = posterior.size + len(posterior.uncertain) * len(used.experiments)
-            state = _State.unwidened(
-                torch.zeros(size, dtype=torch.float64), torch.eye(size, dtype=torch.float64)
-            )
+            mean = torch.zeros(size, dtype=torch.float64)
+            chol = torch.eye(size, dtype=torch.float64)
         else:
             fit = near[part.model]
-            state = _State.unwidened(posterior.flat(fit.point), fit.joint_chol(posterior.uncertain))
-        fits.append(_fit(posterior, state, options, child(seed, "en4dvar", part.model), progress))
+            mean = posterior.coordinates_of(fit.point)
+            chol = fit.joint_chol(posterior.uncertain)
+        own = child(seed, "en4dvar", part.model)
+        fits.append(_fit_model(posterior, mean, chol, options, own, progress))
     return Assimilation(belief, used, tuple(fits))
 
 
-def tempered(batch: ExperimentBatch) -> ExperimentBatch:
+def temper_batch(batch: ExperimentBatch) -> ExperimentBatch:
     """Data as the published method weighs them: one mean curve each, with the noise of one curve
     times the root of its frames.
 
@@ -124,72 +119,68 @@ def tempered(batch: ExperimentBatch) -> ExperimentBatch:
     return ExperimentBatch(tuple(as_one_curve(e) for e in batch.curves), noise)
 
 
-@dataclass(frozen=True)
-class _State:
-    """Mean of an ensemble in the coordinates of :meth:`Posterior.flat`, and what its next deviations
-    are drawn for.
+def _draw_deviations(
+    chol: Tensor, widening: Tensor, members: int, source: torch.Generator
+) -> Tensor:
+    """Deviations of an ensemble from its mean, in opposite pairs: ``members x n``.
 
     Args:
-        mean: ``n`` tensor.
-        chol: ``n x n`` tensor, Cholesky factor of the covariance.
+        chol: ``n x n`` tensor, Cholesky factor of their covariance.
         widening: ``n`` tensor, factor of the deviations of each coordinate.
+        members: of the ensemble.
+        source: of the draws.
     """
-
-    mean: Tensor
-    chol: Tensor
-    widening: Tensor
-
-    @classmethod
-    def unwidened(cls, mean: Tensor, chol: Tensor) -> "_State":
-        return cls(mean, chol, torch.ones_like(mean))
-
-    def deviations(self, options: En4DVarOptions, source: torch.Generator) -> Tensor:
-        """Deviations of an ensemble from its mean, in opposite pairs: ``members x n``."""
-        shape = (options.members // 2, len(self.mean))
-        white = torch.randn(*shape, generator=source, dtype=torch.float64)
-        half = white @ self.chol.mT * self.widening
-        return torch.cat((half, -half))
-
-    def relaxed(self, before: "_State", share: float) -> "_State":
-        """With the spread of each coordinate relaxed to that of an earlier state by a share (RTPS),
-        both before their own widening.
-        """
-        ratio = before.chol.norm(dim=1) / self.chol.norm(dim=1)
-        return replace(self, widening=1.0 + share * (ratio - 1.0))
+    white = torch.randn(members // 2, len(chol), generator=source, dtype=torch.float64)
+    half = white @ chol.mT * widening
+    return torch.cat((half, -half))
 
 
-def _fit(
+def _fit_model(
     posterior: Posterior,
-    state: _State,
+    mean: Tensor,
+    chol: Tensor,
     options: En4DVarOptions,
     seed: int,
     progress: Progress | None,
 ) -> ModelFit:
-    """All cycles of one model."""
+    """All cycles of one model.
+
+    Args:
+        posterior: of the model.
+        mean: of the first ensemble, in the coordinates of :meth:`Posterior.coordinates_of`.
+        chol: Cholesky factor of its covariance.
+        options: sizes.
+        seed: of the ensembles.
+        progress: called with one line per iteration.
+    """
     source = generator(seed)
     costs = [math.inf, math.inf]
     length = math.inf
     failed = 0.0
     equations: NormalEquations | None = None
-    begun = state
+    before = chol.norm(dim=1)
     for cycle in range(options.cycles):
-        begun, state = state, state.relaxed(begun, options.relaxation)
+        # the spread of each coordinate, relaxed to that from which the last cycle began
+        spread = chol.norm(dim=1)
+        widening = 1.0 + options.relaxation * (before / spread - 1.0)
+        before = spread
         for iteration in range(options.iterations):
-            deviations = state.deviations(options, source)
-            equations, failed = _ensemble_equations(posterior, state.mean, deviations)
+            deviations = _draw_deviations(chol, widening, options.members, source)
+            widening = torch.ones_like(widening)
+            equations, failed = _ensemble_equations(posterior, mean, deviations, options)
             chol = inverse_chol(equations.joint_hessian(posterior.uncertain))
             step = -chol.mT @ equations.joint_gradient(posterior.uncertain)
             length = float(step[: posterior.size].norm())
-            state = _State.unwidened(_best_of(posterior, state.mean, chol @ step), chol)
+            mean = _shorten_step(posterior, mean, chol @ step, options)
             if progress:
                 progress(
                     f"ensemble 4D-Var: {posterior.prior.model}, cycle {cycle + 1}, "
                     f"iteration {iteration + 1}, step {length:.1e} sd"
                 )
-        costs.append(-float(posterior.log_joint(posterior.place(state.mean))))
+        costs.append(-float(posterior.log_joint(posterior.point_at(mean))))
     assert equations is not None
     agreement = abs(costs[-1] - costs[-2])
-    point = posterior.place(state.mean)
+    point = posterior.point_at(mean)
     return ModelFit(
         prior=posterior.prior,
         mean=point.gel,
@@ -204,41 +195,45 @@ def _fit(
             agreement,
             options.iterations * options.cycles,
             failed,
-            length < _STILL and agreement < _SAME,
+            length < options.step and agreement < options.agreement,
             compared="cycles",
         ),
     )
 
 
-def _best_of(posterior: Posterior, mean: Tensor, step: Tensor) -> Tensor:
+def _shorten_step(
+    posterior: Posterior, mean: Tensor, step: Tensor, options: En4DVarOptions
+) -> Tensor:
     """Where the exact cost is lowest along a step, the point itself included."""
-    longest = min(1.0, _LONGEST / max(float(step[: posterior.size].norm()), 1e-300))
-    tried = mean + longest * torch.tensor(_LENGTHS, dtype=torch.float64)[:, None] * step
-    return tried[int(posterior.log_joint(posterior.place(tried)).argmax())]
+    longest = min(1.0, options.longest / max(float(step[: posterior.size].norm()), 1e-300))
+    tried = mean + longest * torch.tensor(options.lengths, dtype=torch.float64)[:, None] * step
+    return tried[int(posterior.log_joint(posterior.point_at(tried)).argmax())]
 
 
 def _ensemble_equations(
-    posterior: Posterior, mean: Tensor, deviations: Tensor
+    posterior: Posterior, mean: Tensor, deviations: Tensor, options: En4DVarOptions
 ) -> tuple[NormalEquations, float]:
     """Normal equations at the mean of an ensemble with slopes by regression, and the share of
     members that failed.
     """
-    point = posterior.place(mean)
-    prediction = posterior.predict(posterior.place(torch.cat((mean[None], mean + deviations))))
+    point = posterior.point_at(mean)
+    prediction = posterior.predict(posterior.point_at(torch.cat((mean[None], mean + deviations))))
     good = torch.isfinite(prediction[1:]).flatten(1).all(1)
     share = float(good.double().mean())
-    if share < _ENOUGH or not bool(torch.isfinite(prediction[0]).all()):
+    if share < options.simulated or not bool(torch.isfinite(prediction[0]).all()):
         raise ConvergenceError(
             f"{posterior.prior.model}: {int(good.sum())} of {len(good)} members could be "
             "simulated about the ensemble's mean; "
             "check units and bounds of the prior and the designs."
         )
     responses = (prediction[1:] - prediction[0])[good]
-    slopes = _regress(posterior, deviations[good], responses)
+    slopes = _regress_slopes(posterior, deviations[good], responses)
     return posterior.equations(point, prediction[0], *slopes), 1.0 - share
 
 
-def _regress(posterior: Posterior, deviations: Tensor, responses: Tensor) -> tuple[Tensor, Tensor]:
+def _regress_slopes(
+    posterior: Posterior, deviations: Tensor, responses: Tensor
+) -> tuple[Tensor, Tensor]:
     """Slopes over gel (``E x T x d``) and nuisances (``E x T x w``) of each experiment, by least
     squares over its members.
     """
@@ -246,6 +241,6 @@ def _regress(posterior: Posterior, deviations: Tensor, responses: Tensor) -> tup
     own = deviations[:, posterior.size :].unflatten(1, (responses.shape[1], -1)).movedim(0, 1)
     columns = torch.cat((gel.expand(len(own), -1, -1), own), -1)
     solution = torch.linalg.lstsq(columns, responses.movedim(0, 1), driver="gelsd").solution.mT
-    by_nuisance = posterior.still()[:, None].repeat(1, solution.shape[1], 1)
+    by_nuisance = posterior.mean_nuisances()[:, None].repeat(1, solution.shape[1], 1)
     by_nuisance[..., posterior.uncertain] = solution[..., posterior.size :]
     return solution[..., : posterior.size], by_nuisance

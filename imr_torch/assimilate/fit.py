@@ -38,11 +38,15 @@ by about a hundredth of a nat."""
 ONE_MINIMUM = 0.5
 """Cost difference, nats, within which two fits are of one minimum: solver steps alone change costs by up to some .3."""
 
-_SAME = 0.05  # nats between Gaussians: a mean a third of an sd off, or an sd 20 % off
-_CLOUD = 64  # draws that represent a curved posterior in a belief
-_OUT = 20.0  # nats above the best model from which a nearly converged fit is discarded
-_FAR_OUT = 100.0  # the same for a fit that has not, after the decrease that its gradient allows
-_AGAIN = 0.1  # the same between two rounds, each with its error
+CONFIRMED = 0.05
+"""Nats between Gaussians up to which draws confirm a fit: a mean a third of an sd off, or an sd
+20 % off."""
+
+REPEATED = 0.1
+"""The same between two rounds of draws, each with its error."""
+
+CLOUD_DRAWS = 64
+"""Draws that represent a curved posterior in a belief."""
 
 
 @dataclass(frozen=True)
@@ -173,13 +177,19 @@ class ModelFit:
             return posterior.neighbourhood(self.point)
         return replace(near, posterior=posterior)
 
-    def far_behind(self, best: float) -> bool:
-        """Whether the cost is far above ``best`` (the lowest of all models), by more than further
-        fitting can lower it.
+    def far_behind(
+        self, best: float, *, converged: float = 20.0, unconverged: float = 100.0
+    ) -> bool:
+        """Whether the cost is far above another, by more than further fitting can lower it.
+
+        Args:
+            best: the lowest cost of all models, nats.
+            converged: nats above it from which a nearly converged fit is discarded.
+            unconverged: the same of another, after the decrease that its gradient allows.
         """
         if self.certificate.nearly_converged:
-            return self.cost > best + _OUT
-        return self.cost - PROMISED * self.certificate.gradient**2 > best + _FAR_OUT
+            return self.cost > best + converged
+        return self.cost - PROMISED * self.certificate.gradient**2 > best + unconverged
 
     @property
     def point(self) -> Point:
@@ -240,14 +250,14 @@ class ModelFit:
             mean = self.mean
             chol = self.chol
             if self.sample is not None and self.verdict is Verdict.TRUSTED:
-                mean, chol = self.sample.corrected(mean, chol)
-            return self._believed(mean, chol @ chol.mT)
+                mean, chol = self.sample.correct_gaussian(mean, chol)
+            return self._with_gaussian(mean, chol @ chol.mT)
         sample = self.sample
         assert sample is not None
-        belief = self._believed(sample.mean, sample.covariance)
+        belief = self._with_gaussian(sample.mean, sample.covariance)
         if sample.precisions is None:
             return belief
-        chosen = sample.spaced(_CLOUD)
+        chosen = sample.space_draws(CLOUD_DRAWS)
         unscale = torch.linalg.inv(self.prior.chol)
         levels = torch.special.ndtr(torch.tensor(Cloud.SCORES, dtype=torch.float64))
         columns = self.prior.unwhitened(sample.controls).unbind(1)
@@ -259,7 +269,7 @@ class ModelFit:
             Cloud(self.prior.unwhitened(sample.controls[chosen]), precisions, marginals)
         )
 
-    def _believed(self, mean: Tensor, covariance: Tensor) -> ModelBelief:
+    def _with_gaussian(self, mean: Tensor, covariance: Tensor) -> ModelBelief:
         """The prior with a Gaussian of ``v``."""
         covariance = self.prior.chol @ covariance @ self.prior.chol.mT
         return self.prior.with_gaussian(
@@ -278,9 +288,11 @@ class ModelFit:
         sample = self.sample
         if sample is None:
             return Verdict.UNCHECKED
-        if sample.reliable and sample.as_fitted.divergence(self.mean, self.chol) < _SAME:
+        if sample.reliable and sample.as_fitted.divergence_from(self.mean, self.chol) < CONFIRMED:
             return Verdict.TRUSTED
-        return Verdict.REPAIRED if sample.reliable and sample.surprise < _AGAIN else Verdict.REFUSED
+        return (
+            Verdict.REPAIRED if sample.reliable and sample.surprise < REPEATED else Verdict.REFUSED
+        )
 
     @property
     def trust(self) -> str:
@@ -317,7 +329,7 @@ class ModelFit:
         self, columns: Int[Tensor, "columns"]
     ) -> Float[Tensor, "coordinates coordinates"]:
         """Cholesky factor of the covariance of the gel and some nuisances of each experiment, in the
-        order of :meth:`imr_torch.assimilate.ForwardModel.flat`.
+        order of :meth:`imr_torch.assimilate.ForwardModel.coordinates_of`.
         """
         hessian = self.nuisance_chol[:, columns][:, :, columns]
         own = torch.block_diag(*torch.linalg.cholesky(torch.cholesky_inverse(hessian)))
@@ -368,8 +380,14 @@ class Assimilation:
         tolerance of the gradient, and its starts may have been dropped
         (``SearchOptions.drop_behind``).
         """
-        best = min(fit.cost for fit in self.fits)
-        return all(fit.certificate.converged or fit.far_behind(best) for fit in self.fits)
+        return all(
+            fit.certificate.converged or fit.far_behind(self.lowest.cost) for fit in self.fits
+        )
+
+    @property
+    def lowest(self) -> ModelFit:
+        """The fit of lowest cost."""
+        return min(self.fits, key=lambda fit: fit.cost)
 
     def __getitem__(self, model: str) -> ModelFit:
         return next(fit for fit in self.fits if fit.model == model)

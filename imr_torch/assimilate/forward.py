@@ -62,7 +62,7 @@ class ForwardModel:
     >>> from imr_torch.observe import Film
     >>> film = Film(torch.tensor([[400.0, 0.22]]).double(), torch.tensor([[0.0, 0.5, 1.0]]).double())
     >>> forward = ForwardModel(wide_prior(["nhkv"])["nhkv"], film, PolytropicSimulator())
-    >>> point = Point(torch.zeros(4, 2, dtype=torch.float64), forward.still(4))  # four times the prior median
+    >>> point = Point(torch.zeros(4, 2, dtype=torch.float64), forward.mean_nuisances(4))  # four times the prior median
     >>> tuple(forward.predict(point).shape)
     (4, 1, 3)
     >>> by_gel, by_nuisance = forward.slopes(forward.bundle(point))
@@ -74,7 +74,7 @@ class ForwardModel:
     batch: ExperimentBatch | Film
     simulator: Simulator
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Coordinates of the gel."""
         return len(self.prior.names)
@@ -84,18 +84,21 @@ class ForwardModel:
         """Columns of nuisances that are uncertain in any experiment."""
         return torch.nonzero((self.batch.nuisance_sds > 0.0).any(0))[:, 0]
 
-    def flat(self, point: Point) -> Float[Tensor, "*batch coordinates"]:
+    def coordinates_of(self, point: Point) -> Float[Tensor, "*batch coordinates"]:
         """The gel's coordinates, then the uncertain nuisances of each experiment."""
         return torch.cat((point.gel, point.nuisances[..., self.uncertain].flatten(-2)), -1)
 
-    def place(self, coordinates: Float[Tensor, "*batch coordinates"]) -> Point:
-        """The points at coordinates of :meth:`flat`; other nuisances are at their prior means."""
-        nuisances = self.still(*coordinates.shape[:-1])
+    def point_at(self, coordinates: Float[Tensor, "*batch coordinates"]) -> Point:
+        """The points at coordinates of :meth:`coordinates_of`.
+
+        Other nuisances are at their prior means.
+        """
+        nuisances = self.mean_nuisances(*coordinates.shape[:-1])
         values = coordinates[..., self.size :].unflatten(-1, (nuisances.shape[-2], -1))
         nuisances[..., self.uncertain] = values
         return Point(coordinates[..., : self.size], nuisances)
 
-    def still(self, *batch_shape: int) -> Float[Tensor, "*batch experiments nuisances"]:
+    def mean_nuisances(self, *batch_shape: int) -> Float[Tensor, "*batch experiments nuisances"]:
         """Nuisances at their prior means, ``batch_shape x E x w``."""
         return torch.zeros(*batch_shape, *self.batch.nuisance_sds.shape, dtype=torch.float64)
 

@@ -15,8 +15,6 @@ from torch import Tensor
 
 from imr_torch.types import BatchControlMatrix, BatchControls, Values
 
-_ROUNDING = 1e-13  # of the largest eigenvalue of a matrix, below which rounding may take the others
-
 
 @dataclass(frozen=True)
 class Reduced:
@@ -77,23 +75,46 @@ class NormalEquations:
         log_det = 2.0 * chol.diagonal(dim1=-2, dim2=-1).log().sum((-2, -1))
         return Reduced(
             self.gel_gradient + from_nuisances,
-            definite(0.5 * (hessian + hessian.mT)),
+            make_definite(0.5 * (hessian + hessian.mT)),
             step,
             response,
             log_det,
         )
 
+    @cached_property
+    def gel_chol(self) -> BatchControlMatrix:
+        """``... x d x d`` lower Cholesky factor of the gel's Hessian, nuisances marginalised."""
+        return torch.linalg.cholesky(self.reduced.hessian)
+
     @property
     def whitened_gradient(self) -> Values:
         """Length of the joint gradient in posterior standard deviations; 0 at the optimum."""
-        chol = torch.linalg.cholesky(self.reduced.hessian)
-        gel = (
-            torch.linalg.solve_triangular(chol, self.reduced.gradient[..., None], upper=False)
-            .square()
-            .sum((-2, -1))
-        )
-        nuisances = -(self.nuisance_gradient * self.reduced.nuisance_step).sum((-2, -1))
-        return (gel + nuisances).sqrt()
+        return (self._gel_decrease + self._nuisance_decrease).sqrt()
+
+    @property
+    def log_integral(self) -> Values:
+        """Logarithm of the Gaussian integral over gel and nuisances with their standard normal
+        priors, over the integrand at the point.
+        """
+        log_det = self.gel_chol.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+        return self.log_nuisance_integral + 0.5 * self._gel_decrease - log_det
+
+    @property
+    def log_nuisance_integral(self) -> Values:
+        """The same over the nuisances alone, at the gel of the point."""
+        return 0.5 * (self._nuisance_decrease - self.reduced.nuisance_log_det)
+
+    @property
+    def _gel_decrease(self) -> Values:
+        """Twice the predicted decrease of the cost by the step of the gel."""
+        gradient = self.reduced.gradient[..., None]
+        white = torch.linalg.solve_triangular(self.gel_chol, gradient, upper=False)
+        return white.square().sum((-2, -1))
+
+    @property
+    def _nuisance_decrease(self) -> Values:
+        """The same by the step of the nuisances when the gel stays."""
+        return -(self.nuisance_gradient * self.reduced.nuisance_step).sum((-2, -1))
 
     @property
     def posterior_chol(self) -> BatchControlMatrix:
@@ -122,7 +143,7 @@ class NormalEquations:
     ) -> tuple[BatchControls, Float[Tensor, "*batch experiments nuisances"]]:
         """Gauss-Newton steps of gel and nuisances."""
         one = self.reduced
-        gel = -torch.linalg.solve(one.hessian, one.gradient[..., None])[..., 0]
+        gel = -torch.cholesky_solve(one.gradient[..., None], self.gel_chol)[..., 0]
         return gel, one.nuisance_step + (one.nuisance_response @ gel[..., None, :, None])[..., 0]
 
     def with_prior(
@@ -138,39 +159,35 @@ class NormalEquations:
             gel + self.gel_gradient,
             nuisances + self.nuisance_gradient,
             eye_of_gel + self.gel_hessian,
-            definite(eye_of_nuisances + self.nuisance_hessian),
+            make_definite(eye_of_nuisances + self.nuisance_hessian),
             self.cross,
         )
 
 
-def definite(
-    hessian: BatchControlMatrix,
-) -> BatchControlMatrix:
+def make_definite(hessian: BatchControlMatrix, *, rounding: float = 1e-13) -> BatchControlMatrix:
     """Hessians ``... x d x d`` in controls, with eigenvalues of at least 1 where rounding has left
     one that is not positive.
 
     The prior's own Hessian is the identity, so no exact one is smaller. Sensitivities of 1e8
     standard deviations, at the edge of where bubbles can be simulated, lose it in the sum with
     their squares or in the elimination of the nuisances. The eigenvalues are also no less than what
-    rounding leaves of the largest, so that the matrix can be factored.
+    rounding leaves of the largest (a share of ``rounding``), so that the matrix can be factored.
 
     >>> import torch
-    >>> from imr_torch.assimilate.gauss_newton import definite
-    >>> definite(torch.tensor([[1e12, 0.0], [0.0, -3.0]], dtype=torch.float64)).diagonal().tolist()
+    >>> from imr_torch.assimilate.gauss_newton import make_definite
+    >>> make_definite(torch.tensor([[1e12, 0.0], [0.0, -3.0]], dtype=torch.float64)).diagonal().tolist()
     [1000000000000.0, 1.0]
     """
     lost = torch.linalg.cholesky_ex(hessian).info > 0
     if not bool(lost.any()):
         return hessian
     values, vectors = torch.linalg.eigh(hessian)
-    least = (_ROUNDING * values[..., -1:]).clamp_min(1.0)
+    least = (rounding * values[..., -1:]).clamp_min(1.0)
     mended = (vectors * torch.maximum(values, least)[..., None, :]) @ vectors.mT
     return torch.where(lost[..., None, None], 0.5 * (mended + mended.mT), hessian)
 
 
-def inverse_chol(
-    hessian: BatchControlMatrix,
-) -> BatchControlMatrix:
+def inverse_chol(hessian: BatchControlMatrix) -> BatchControlMatrix:
     """Lower Cholesky factors ``... x d x d`` of the inverses of positive definite matrices,
     ill-conditioned ones too.
 
@@ -184,15 +201,11 @@ def inverse_chol(
     >>> bool(torch.allclose(chol @ chol.mT @ hessian, torch.eye(2, dtype=torch.float64)))
     True
     """
-    chol, info = torch.linalg.cholesky_ex(torch.linalg.inv(hessian))
-    if not bool((info > 0).any()):
-        return chol
+    eye = torch.eye(hessian.shape[-1], dtype=hessian.dtype, device=hessian.device)
     chol, info = torch.linalg.cholesky_ex(hessian.flip((-2, -1)))
-    chol = torch.where(
-        (info > 0)[..., None, None], torch.eye(chol.shape[-1], dtype=chol.dtype), chol
-    )
-    eye = torch.eye(chol.shape[-1], dtype=chol.dtype, device=chol.device).expand_as(chol)
-    return torch.linalg.solve_triangular(chol, eye, upper=False).mT.flip((-2, -1)).tril()
+    chol = torch.where((info > 0)[..., None, None], eye, chol)
+    inverse = torch.linalg.solve_triangular(chol, eye.expand_as(chol), upper=False)
+    return inverse.mT.flip((-2, -1)).tril()
 
 
 def normal_equations(

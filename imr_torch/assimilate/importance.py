@@ -16,29 +16,26 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
+from torch.distributions import MultivariateNormal, kl_divergence
 
 from imr_torch.assimilate.noise_posterior import NoiseNodes
 from imr_torch.observe import Noise
 from imr_torch.types import ControlMatrix, Controls, DrawnControls, DrawnValues
 
-_ENOUGH = (
-    20.0  # effective samples, and a tenth of all, below which no estimate is taken as reliable
-)
-_LARGEST_SHAPE = 2.0  # of a tail, in an error; beyond it nothing is known
-_SHORTEST_TAIL = 5  # weights to which a generalised Pareto distribution can be fitted
 
-
-def kish(weights: DrawnValues) -> Float[Tensor, ""]:
+def effective_size(weights: DrawnValues) -> Float[Tensor, ""]:
     """Effective sample size of weights of any scale (Kish 1965), a 0-d tensor."""
     return weights.sum().square() / weights.square().sum()
 
 
-def smooth(log_weights: DrawnValues) -> tuple[DrawnValues, float]:
+def smooth_tail(log_weights: DrawnValues, *, shortest: int = 5) -> tuple[DrawnValues, float]:
     """Pareto-smoothed log weights on the scale of the given ones, and the shape ``k`` of their
     tail.
 
     Args:
         log_weights: ``-inf`` for draws that count for nothing.
+        shortest: weights in the tail, a fifth of all, to which a generalised Pareto distribution
+            can be fitted.
 
     Returns:
         The smoothed weights, and ``k``: infinite where too few weights count for a tail to be
@@ -50,8 +47,10 @@ def smooth(log_weights: DrawnValues) -> tuple[DrawnValues, float]:
 
     possible = torch.nonzero(torch.isfinite(log_weights))[:, 0]
     some = log_weights[possible]
-    if len(some) < 5 * _SHORTEST_TAIL or float(some.amax() - some.amin()) < 1e-9:
-        return log_weights, 0.0 if len(some) >= 5 * _SHORTEST_TAIL else math.inf
+    if len(some) < 5 * shortest:
+        return log_weights, math.inf
+    if float(some.amax() - some.amin()) < 1e-9:
+        return log_weights, 0.0
     floor = (
         some.amax() - 600.0
     )  # what is smaller is nothing beside the largest, and would underflow in the fit
@@ -74,9 +73,13 @@ def largest_shape(count: int) -> float:
     return min(1.0 - 1.0 / math.log10(max(count, 2)), 0.7)
 
 
-def reliable(pareto_k: float, effective_samples: float, samples: int) -> bool:
-    """Whether estimates from weighted draws are reliable."""
-    return pareto_k <= largest_shape(samples) and effective_samples >= max(_ENOUGH, 0.1 * samples)
+def are_reliable(
+    pareto_k: float, effective_samples: float, samples: int, *, fewest: float = 20.0
+) -> bool:
+    """Whether estimates from weighted draws are reliable: a light tail, and ``fewest`` effective
+    samples or a tenth of all.
+    """
+    return pareto_k <= largest_shape(samples) and effective_samples >= max(fewest, 0.1 * samples)
 
 
 def weighted_quantiles(
@@ -183,7 +186,7 @@ class ImportanceSample:
         """``n`` tensor, log of likelihood x prior of each draw, all else integrated out."""
         return self.log_likelihood + self.log_prior
 
-    def without(self, experiments: Sequence[int]) -> DrawnValues:
+    def density_given_others(self, experiments: Sequence[int]) -> DrawnValues:
         """Log density of some experiments given gel and all the others.
 
         Nuisances and noise integrated out.
@@ -199,23 +202,23 @@ class ImportanceSample:
         return self.log_target - self.log_proposal
 
     @cached_property
-    def _smoothed(self) -> tuple[Tensor, float]:
-        return smooth(self.log_weights)
+    def _smoothed_tail(self) -> tuple[Tensor, float]:
+        return smooth_tail(self.log_weights)
 
     @property
     def pareto_k(self) -> float:
         """Shape of the tail of the weights."""
-        return self._smoothed[1]
+        return self._smoothed_tail[1]
 
     @cached_property
     def weights(self) -> DrawnValues:
         """``n`` tensor of normalised, smoothed weights."""
-        return torch.softmax(self._smoothed[0], dim=0)
+        return torch.softmax(self._smoothed_tail[0], dim=0)
 
     @property
     def effective_samples(self) -> float:
         """Kish effective sample size of the smoothed weights."""
-        return float(kish(self.weights))
+        return float(effective_size(self.weights))
 
     @property
     def failed(self) -> int:
@@ -225,22 +228,24 @@ class ImportanceSample:
     @property
     def reliable(self) -> bool:
         """Whether the estimates below are reliable."""
-        return reliable(self.pareto_k, self.effective_samples, len(self))
+        return are_reliable(self.pareto_k, self.effective_samples, len(self))
 
     @cached_property
     def surprise(self) -> float:
         """How far the moments are from those that the proposal was made for.
 
-        See :meth:`divergence`.
+        See :meth:`divergence_from`.
         """
-        return self.divergence(self.centre, self.spread)
+        return self.divergence_from(self.centre, self.spread)
 
     @cached_property
     def as_fitted(self) -> "ImportanceSample":
         """The draws weighted with the noise that the fit was made with."""
         return self if self.noise is None else replace(self, noise=None)
 
-    def corrected(self, mean: Controls, chol: ControlMatrix) -> tuple[Controls, ControlMatrix]:
+    def correct_gaussian(
+        self, mean: Controls, chol: ControlMatrix
+    ) -> tuple[Controls, ControlMatrix]:
         """Mean and covariance of the posterior, from those of a Gaussian near it.
 
         What is added is the difference between two weighings of the same draws, by the posterior
@@ -266,10 +271,12 @@ class ImportanceSample:
         return (
             None
             if self.noise is None
-            else [self.noise.nodes.law(int(n)) for n in self.noise.drawn[self.spaced(count)]]
+            else [
+                self.noise.nodes.law_at(int(n)) for n in self.noise.drawn[self.space_draws(count)]
+            ]
         )
 
-    def divergence(self, mean: Controls, chol: ControlMatrix) -> float:
+    def divergence_from(self, mean: Controls, chol: ControlMatrix) -> float:
         """Kullback-Leibler divergence of a Gaussian from that with the moments found, nats, less
         its expectation by chance.
 
@@ -280,30 +287,28 @@ class ImportanceSample:
             mean: ``d`` tensor.
             chol: Cholesky factor of the covariance.
         """
+        found, other = (
+            MultivariateNormal(at, scale_tril=root, validate_args=False)
+            for at, root in ((self.mean, torch.linalg.cholesky(self.covariance)), (mean, chol))
+        )
         size = len(mean)
-        shift = torch.linalg.solve_triangular(chol, (self.mean - mean)[:, None], upper=False)
-        root = torch.linalg.solve_triangular(
-            chol, torch.linalg.cholesky(self.covariance), upper=False
-        )
-        value = (
-            0.5 * (shift.square().sum() + root.square().sum() - size) - root.diagonal().log().sum()
-        )
-        return float(value) - size * (size + 3) / (4.0 * self.effective_samples)
+        chance = size * (size + 3) / (4.0 * self.effective_samples)
+        return float(kl_divergence(found, other)) - chance
 
     @property
     def log_evidence(self) -> float:
         """``log p(y)``, nats."""
-        return float(torch.logsumexp(self._smoothed[0], dim=0)) - math.log(len(self))
+        return float(torch.logsumexp(self._smoothed_tail[0], dim=0)) - math.log(len(self))
 
     @property
     def log_evidence_error(self) -> float:
         """Monte Carlo standard error of ``log_evidence``: by the delta method, larger where the
         draws are not reliable.
         """
-        return self._spread if self.reliable else self.doubtful_error
+        return self._weight_spread if self.reliable else self.doubtful_error
 
     @property
-    def _spread(self) -> float:
+    def _weight_spread(self) -> float:
         return float(len(self) * self.weights.std() / math.sqrt(len(self)))
 
     @property
@@ -312,15 +317,14 @@ class ImportanceSample:
 
         The mean of ``n`` weights whose tail has a shape ``k`` above 1/2 converges as ``n^(k - 1)``
         (Vehtari et al. 2024), mostly from below, and the spread of the weights that were drawn does
-        not show it. ``k`` is taken one standard deviation above its estimate.
+        not show it. ``k`` is taken one standard deviation above its estimate, and at most 2, beyond
+        which nothing is known.
         """
         count = len(self)
-        shape = min(self.pareto_k, _LARGEST_SHAPE)
-        shape = min(
-            shape + (1.0 + shape) / math.sqrt(min(0.2 * count, 3.0 * math.sqrt(count))),
-            _LARGEST_SHAPE,
-        )
-        return math.hypot(self._spread, max(count ** (shape - 1.0) - count**-0.5, 0.0))
+        shape = min(self.pareto_k, 2.0)
+        tail = min(0.2 * count, 3.0 * math.sqrt(count))
+        shape = min(shape + (1.0 + shape) / math.sqrt(tail), 2.0)
+        return math.hypot(self._weight_spread, max(count ** (shape - 1.0) - count**-0.5, 0.0))
 
     @cached_property
     def mean(self) -> Controls:
@@ -333,14 +337,14 @@ class ImportanceSample:
         deviation = self.controls - self.mean
         return (self.weights[:, None] * deviation).mT @ deviation
 
-    def spaced(self, count: int, start: float = 0.5) -> Int[Tensor, "count"]:
+    def space_draws(self, count: int, start: float = 0.5) -> Int[Tensor, "count"]:
         """Indices of ``count`` draws of equal weight, each within one of its expected number, the
         same whenever asked for (systematic resampling).
         """
         positions = (torch.arange(count, dtype=torch.float64) + start) / count
         return torch.searchsorted(self.weights.cumsum(0), positions).clamp_max(len(self) - 1)
 
-    def resample(self, count: int, source: torch.Generator) -> Int[Tensor, "count"]:
+    def resample_draws(self, count: int, source: torch.Generator) -> Int[Tensor, "count"]:
         """The same from a random start and in random order."""
         start = float(torch.rand((), generator=source, dtype=torch.float64))
-        return self.spaced(count, start)[torch.randperm(count, generator=source)]
+        return self.space_draws(count, start)[torch.randperm(count, generator=source)]

@@ -31,9 +31,6 @@ from imr_torch.assimilate.posterior import Neighbourhood, Posterior
 Vector = NDArray[np.float64]
 Report = Callable[["Descent"], None]
 
-_FAILURES = 3  # steps in succession that may fail to lower the cost
-_WALL = 1e10  # cost where a bubble fails: no step ends there
-
 
 @dataclass(frozen=True)
 class Descent:
@@ -77,14 +74,14 @@ class Descent:
         """Length of the gradient in posterior standard deviations."""
         return float(self.equations.whitened_gradient) if math.isfinite(self.cost) else math.inf
 
-    def distance(self, point: Point) -> float:
+    def distance_to(self, point: Point) -> float:
         """Distance of another point's gel, posterior standard deviations."""
         gap = (point.gel - self.point.gel)[:, None]
         chol = self.equations.posterior_chol
         return float(torch.linalg.solve_triangular(chol, gap, upper=False).norm())
 
 
-def descend(
+def descend_from(
     posterior: Posterior,
     point: Point,
     leader: Point | None,
@@ -93,6 +90,7 @@ def descend(
     iterations: int,
     reach: float = math.inf,
     limit: float = math.inf,
+    failures: int = 3,
     report: Report | None = None,
 ) -> Descent:
     """Lower the cost from one point until its gradient is small.
@@ -105,6 +103,7 @@ def descend(
         iterations: most iterations.
         reach: distance from the start at which it ends, posterior standard deviations.
         limit: cost above which it ends, nats, after the decrease that the gradient allows.
+        failures: steps in succession that may fail to lower the cost.
         report: called after each iteration with the lowest point.
     """
     cost = _FrozenCost(posterior, point, leader)
@@ -113,7 +112,7 @@ def descend(
     if report:
         report(first)
 
-    def stop(intermediate_result: OptimizeResult) -> None:
+    def stop_when_done(intermediate_result: OptimizeResult) -> None:
         nonlocal number
         number += 1
         now = cost.lowest
@@ -122,9 +121,9 @@ def descend(
             report(now)
         if (
             slope < gradient
-            or cost.failures >= _FAILURES
+            or cost.failures >= failures
             or now.cost - PROMISED * slope**2 > limit
-            or (reach < math.inf and now.distance(point) > reach)
+            or (reach < math.inf and now.distance_to(point) > reach)
         ):
             raise StopIteration
 
@@ -132,10 +131,10 @@ def descend(
         minimize(
             cost,
             cost.x,
-            jac=cost.slope,
-            hess=cost.curvature,
+            jac=cost.gradient_at,
+            hess=cost.hessian_at,
             method="trust-exact",
-            callback=stop,
+            callback=stop_when_done,
             options={
                 "gtol": 0.0,
                 "maxiter": iterations,
@@ -159,43 +158,45 @@ class _FrozenCost:
         self.posterior = posterior
         self.leader = leader
         self.failures = 0
-        self.x = posterior.flat(point).numpy()
-        self.last = self.lowest = self._simulated(self.x)
+        self.x = posterior.coordinates_of(point).numpy()
+        self.last = self.lowest = self._simulate_at(self.x)
         self.bend = np.zeros((len(self.x), len(self.x)))
 
-    def _simulated(self, x: Vector) -> Descent:
+    def _simulate_at(self, x: Vector) -> Descent:
         near = self.posterior.neighbourhood(
-            self.posterior.place(torch.tensor(x)), leader=self.leader
+            self.posterior.point_at(torch.tensor(x)), leader=self.leader
         )
         return Descent(near, self.leader)
 
-    def _at(self, x: Vector) -> Descent:
+    def _recall_at(self, x: Vector) -> Descent:
         """What is at coordinates; of those where no bubble can be simulated, what was lowest."""
         if not np.array_equal(x, self.x):
             self.x = x.copy()
-            self.last = self._simulated(x)
+            self.last = self._simulate_at(x)
             self.failures += 1
             if self.last.cost < self.lowest.cost:
                 self.failures = 0
                 before, self.lowest = self.lowest, self.last
                 if self.leader is not None:
-                    self._learn(before.near, self.last.near)
+                    self._update_curvature(before.near, self.last.near)
         return self.last if math.isfinite(self.last.cost) else self.lowest
 
     def __call__(self, x: Vector) -> float:
-        """The cost."""
-        self._at(x)
-        return min(self.last.cost, _WALL)
+        """The cost; where a bubble fails so large that no step ends there."""
+        self._recall_at(x)
+        return min(self.last.cost, 1e10)
 
-    def slope(self, x: Vector) -> Vector:
+    def gradient_at(self, x: Vector) -> Vector:
         """The gradient."""
-        return self._at(x).equations.joint_gradient(self.posterior.uncertain).numpy()
+        return self._recall_at(x).equations.joint_gradient(self.posterior.uncertain).numpy()
 
-    def curvature(self, x: Vector) -> Vector:
+    def hessian_at(self, x: Vector) -> Vector:
         """The Hessian."""
-        return self._at(x).equations.joint_hessian(self.posterior.uncertain).numpy() + self.bend
+        return (
+            self._recall_at(x).equations.joint_hessian(self.posterior.uncertain).numpy() + self.bend
+        )
 
-    def _learn(self, old: Neighbourhood, new: Neighbourhood) -> None:
+    def _update_curvature(self, old: Neighbourhood, new: Neighbourhood) -> None:
         """Update the curvature that Gauss-Newton leaves out by a step (symmetric rank one)."""
         slope = self.posterior.likelihood_slope(new.centre)
         change = ((new.jacobian - old.jacobian) * slope).sum((1, 2)).numpy()

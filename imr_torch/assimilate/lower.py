@@ -13,50 +13,48 @@ import torch
 
 from imr_torch.assimilate.fit import ModelFit
 from imr_torch.assimilate.forward import Point
-from imr_torch.assimilate.map_fit import assimilate
-from imr_torch.assimilate.options import SearchOptions
+from imr_torch.assimilate.map_fit import assimilate_model
+from imr_torch.assimilate.options import SearchOptions, WeighingOptions
 from imr_torch.assimilate.posterior import Posterior
-from imr_torch.assimilate.starts import around
-from imr_torch.material import Belief
+from imr_torch.assimilate.starts import draw_perturbation
 from imr_torch.random import child, generator
 from imr_torch.types import Progress
 
-# nats by which a draw must be more probable than the optimum; the integral over nuisances is off by
-# some tenths
-_MORE = 1.0
-_LOWER = 0.1  # nats by which a point or minimum must be lower to belong to another
-_LIKELIEST = 4  # draws that are looked at
-_STEPS = 3  # Gauss-Newton steps of their nuisances
-_AWAY = 3.0  # posterior standard deviations between the draw and the second start
-_OPTIONS = SearchOptions(starts=2)
 
-
-def lower_point(fit: ModelFit, best: float, posterior: Posterior) -> Point | None:
+def lower_point(
+    fit: ModelFit, best: float, posterior: Posterior, options: WeighingOptions
+) -> Point | None:
     """The lowest of the most probable draws if its cost is below the fit's own minimum.
 
     Args:
         fit: a model with its draws.
         best: the lowest cost of all models, nats; a model that is far behind is left out.
         posterior: of the model; bubbles are made only where the weights suggest another minimum.
+        options: by how much, and how many draws are looked at.
     """
     assert fit.sample is not None
-    if fit.far_behind(best) or _excess(fit) <= _MORE:
+    if fit.far_behind(best) or _excess_probability(fit) <= options.lower_draw:
         return None
-    likeliest = fit.sample.as_fitted.log_target.argsort(descending=True)[:_LIKELIEST]
+    likeliest = fit.sample.as_fitted.log_target.argsort(descending=True)[: options.likeliest]
     point = Point(fit.sample.controls[likeliest], fit.sample.nuisances[likeliest])
     chol = fit.nuisance_chol.expand(len(likeliest), -1, -1, -1)
     if len(posterior.uncertain):
-        for _ in range(_STEPS):
+        for _ in range(options.nuisance_steps):
             nuisances, chol = posterior.fit_nuisances(point, chol)
             point = Point(point.gel, nuisances)
     highest = posterior.log_joint(point).max(0)
-    return point[highest.indices] if -float(highest.values) < fit.cost - _LOWER else None
+    return (
+        point[highest.indices]
+        if -float(highest.values) < fit.cost - options.lower_minimum
+        else None
+    )
 
 
 def lower_minimum(
     fit: ModelFit,
     point: Point,
     posterior: Posterior,
+    options: WeighingOptions,
     *,
     seed: int,
     progress: Progress | None = None,
@@ -67,27 +65,26 @@ def lower_minimum(
         fit: the model; not changed.
         point: see :func:`lower_point`.
         posterior: of the model.
+        options: how far off the second start is, and how much lower a minimum must be.
         seed: of the second start.
         progress: called with one line per iteration, and one for a lower minimum.
 
     Returns:
         The fit without draws if its minimum is lower, else None.
     """
-    second = around(fit.chol, generator(child(seed, "lower", fit.model)), _AWAY)
+    second = draw_perturbation(
+        fit.chol, generator(child(seed, "lower", fit.model)), options.restart
+    )
     moves = torch.stack((torch.zeros_like(second), second))
     nuisances = point.nuisances + (fit.nuisance_response @ moves[:, None, :, None])[..., 0]
-    found = assimilate(
-        Belief((fit.prior,), torch.zeros(1, dtype=torch.float64)),
-        posterior.batch,
-        posterior.simulator,
+    found = assimilate_model(
+        posterior,
+        Point(point.gel + moves, nuisances),
         seed=seed,
-        options=_OPTIONS,
-        starts=[point.gel + moves],
-        nuisances=[nuisances],
-        warn=False,
+        options=SearchOptions(starts=2),
         progress=progress,
-    ).fits[0]
-    if found.cost >= fit.cost - _LOWER:
+    )
+    if found.cost >= fit.cost - options.lower_minimum:
         return None
     if progress:
         progress(
@@ -96,7 +93,7 @@ def lower_minimum(
     return found
 
 
-def _excess(fit: ModelFit) -> float:
+def _excess_probability(fit: ModelFit) -> float:
     """Log probability of the most probable draw over that of the optimum, whose nuisances its
     Gaussian integrates out.
     """

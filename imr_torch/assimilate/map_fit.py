@@ -24,7 +24,7 @@ from imr_torch.assimilate.local_minimum import Descent
 from imr_torch.assimilate.multistart import ModelSearch
 from imr_torch.assimilate.options import SearchOptions
 from imr_torch.assimilate.posterior import Posterior
-from imr_torch.assimilate.starts import beside, best_prior_draws, given
+from imr_torch.assimilate.starts import best_prior_draws, given_starts, starts_beside
 from imr_torch.errors import ConvergenceWarning
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch
@@ -32,8 +32,6 @@ from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
-
-_FAR_BEHIND = 200.0  # nats between minima that no other basin is likely to make up for
 
 
 @one_torch_thread()
@@ -88,16 +86,16 @@ def assimilate(
     >>> fits = assimilate(case.prior, ExperimentBatch((shot,)), simulator, seed=0, options=options)
     >>> {fit.model: fit.certificate.converged for fit in fits.fits}
     {'nhkv': True, 'gen_qkv': True}
-    >>> min(fits.fits, key=lambda fit: fit.cost).model
+    >>> fits.lowest.model
     'nhkv'
     """
     options = options or SearchOptions()
     source = generator(child(seed, "assimilate"))
     posteriors = [Posterior(part, batch, simulator) for part in belief.models]
     if starts is not None:
-        points = given(posteriors, starts, nuisances)
+        points = given_starts(posteriors, starts, nuisances)
     elif near is not None:
-        points = [beside(p, near[p.prior.model], options, source) for p in posteriors]
+        points = [starts_beside(p, near[p.prior.model], options, source) for p in posteriors]
     else:
         points = [best_prior_draws(p, options, source) for p in posteriors]
     masking = (
@@ -107,8 +105,8 @@ def assimilate(
     )
     number = itertools.count(1)
 
-    def search(posterior: Posterior, point: Point) -> ModelSearch:
-        def report(end: Descent) -> None:
+    def search_model(posterior: Posterior, point: Point) -> ModelSearch:
+        def report_iteration(end: Descent) -> None:
             if progress:
                 progress(
                     f"assimilation: iteration {next(number)}, {posterior.prior.model} "
@@ -116,9 +114,9 @@ def assimilate(
                 )
 
         begun = [point[row] for row in range(len(point.gel))]
-        return ModelSearch(posterior, begun, options, masking, source, report)
+        return ModelSearch(posterior, begun, options, masking, source, report_iteration)
 
-    searches = [search(*pair) for pair in zip(posteriors, points, strict=True)]
+    searches = [search_model(*pair) for pair in zip(posteriors, points, strict=True)]
     begun = [one.approach_first() for one in searches]
     drop_behind = math.inf if options.drop_behind is None else options.drop_behind
     lowest = options.known_cost
@@ -127,16 +125,47 @@ def assimilate(
         one.find_lowest()
         lowest = min(lowest, one.lowest.cost)
     for one in searches:
-        one.limit = lowest + min(drop_behind, _FAR_BEHIND)
+        one.limit = lowest + min(drop_behind, options.descent.basin_rivals)
         one.enter_deeper_basins()
-    fits = tuple(_fit(search) for search in searches)
+    fits = tuple(_conclude_fit(search) for search in searches)
     for fit in fits:
         if warn and not fit.certificate.converged:
             warnings.warn(f"{fit.model}: {fit.certificate}", ConvergenceWarning, stacklevel=3)
     return Assimilation(belief, batch, fits)
 
 
-def _fit(search: ModelSearch) -> ModelFit:
+def assimilate_model(
+    posterior: Posterior,
+    starts: Point,
+    *,
+    seed: int,
+    options: SearchOptions | None = None,
+    progress: Progress | None = None,
+) -> ModelFit:
+    """The fit of one model from given points, as :func:`assimilate` makes it; the caller reads its
+    certificate.
+
+    Args:
+        posterior: of the model.
+        starts: ``n`` gels with nuisances of each, or (``E x w``) for all.
+        seed: of further starts.
+        options: how to search.
+        progress: called with one line per iteration.
+    """
+    return assimilate(
+        Belief((posterior.prior,), torch.zeros(1, dtype=torch.float64)),
+        posterior.batch,
+        posterior.simulator,
+        seed=seed,
+        options=options,
+        starts=[starts.gel],
+        nuisances=[starts.nuisances],
+        warn=False,
+        progress=progress,
+    ).fits[0]
+
+
+def _conclude_fit(search: ModelSearch) -> ModelFit:
     """The lowest minimum as the fit of its model; of equals the one that converged furthest."""
     options = search.options
     least = search.lowest.cost

@@ -16,19 +16,11 @@ import torch
 from imr_torch.assimilate.basins import deeper_nuisances
 from imr_torch.assimilate.fit import PROMISED
 from imr_torch.assimilate.forward import Point
-from imr_torch.assimilate.local_minimum import Descent, Report, descend
+from imr_torch.assimilate.local_minimum import Descent, Report, descend_from
 from imr_torch.assimilate.masking import without_collapses
 from imr_torch.assimilate.options import SearchOptions
 from imr_torch.assimilate.posterior import Posterior
-from imr_torch.assimilate.starts import around
-
-_NEAR = 1.0  # gradient, posterior standard deviations, from which on solver steps are those of one
-_OWN = 1.0  # posterior standard deviations from a leader within which a minimum is its own
-_SHARED = 3.0  # the same within which a start takes the leader of the lowest minimum
-_FAR = 1.5  # the same beyond which the first leader is left; twice as far each time
-_FARTHEST = 1e3  # the same of the last one
-_STEPS = 20  # iterations with one of them
-_AWAY = (10.0, 3.0)  # posterior standard deviations from the lowest point at which others begin
+from imr_torch.assimilate.starts import draw_perturbation
 
 
 @dataclass
@@ -69,7 +61,7 @@ class ModelSearch:
     def approach_first(self) -> float:
         """Lower the first start without the frames next to collapses; returns its cost."""
         self.starts[0] = self._lower_masked(self.starts[0])
-        return self._cost(self.starts[0])
+        return self._cost_at(self.starts[0])
 
     def find_lowest(self) -> None:
         """Descend from starts until two agree, and from points near the lowest where they do not.
@@ -81,11 +73,11 @@ class ModelSearch:
         among = self.options.drop_behind is not None
         several = among and len(starts) > 2
         if among and len(starts) == 2 and not self.masking:
-            starts = sorted(starts, key=self._cost)
-        self._descend(starts[0])
+            starts = sorted(starts, key=self._cost_at)
+        self._add_minimum(starts[0])
         for start in starts[1:]:
-            if several or not (self._agrees() or self._is_behind(self.lowest)):
-                self._descend(self._lower_masked(start))
+            if several or not (self._two_agree() or self._is_behind(self.lowest)):
+                self._add_minimum(self._lower_masked(start))
         if len(starts) > 1:
             self._agree_nearby()
 
@@ -99,21 +91,21 @@ class ModelSearch:
             deeper = deeper_nuisances(self.posterior, Point(end.point.gel[None], here[None]))[0]
             if torch.equal(deeper, here):
                 break
-            beside = self._move(end, _AWAY[0])
-            self._descend(Point(end.point.gel, deeper))
-            self._descend(Point(beside.gel, beside.nuisances + deeper - here))
+            beside = self._move_away(end, self.options.descent.restart)
+            self._add_minimum(Point(end.point.gel, deeper))
+            self._add_minimum(Point(beside.gel, beside.nuisances + deeper - here))
             self._agree_nearby()
 
-    def _cost(self, point: Point) -> float:
+    def _cost_at(self, point: Point) -> float:
         return -float(self.posterior.log_joint(point))
 
     def _agree_nearby(self) -> None:
         """Descend from points near the lowest one while no two ends agree."""
-        for away in _AWAY:
-            if not self._agrees() and not self._is_behind(self.lowest):
-                self._descend(self._move(self.lowest, away))
+        for away in (self.options.descent.restart, self.options.descent.nearer):
+            if not self._two_agree() and not self._is_behind(self.lowest):
+                self._add_minimum(self._move_away(self.lowest, away))
 
-    def _agrees(self) -> bool:
+    def _two_agree(self) -> bool:
         return self.agreement < self.options.agreement
 
     def _is_behind(self, end: Descent) -> bool:
@@ -125,44 +117,51 @@ class ModelSearch:
         if not self.masking:
             return point
         masked = without_collapses(self.posterior.coarse)
-        most = self.options.iterations
-        return descend(masked, point, None, gradient=_NEAR, iterations=most).point
+        return descend_from(
+            masked,
+            point,
+            None,
+            gradient=self.options.descent.own_steps,
+            iterations=self.options.iterations,
+            failures=self.options.descent.failures,
+        ).point
 
-    def _descend(self, point: Point) -> None:
+    def _add_minimum(self, point: Point) -> None:
         """Add the minimum below a point, by bubbles that take the solver steps of one."""
         left = self.options.iterations
-        tolerance = self.options.gradient
+        options = self.options.descent
 
-        def lower(leader: Point | None, gradient: float, reach: float = math.inf) -> Descent:
-            return descend(
+        def lower_cost(leader: Point | None, gradient: float, reach: float = math.inf) -> Descent:
+            return descend_from(
                 self.posterior,
                 point,
                 leader,
                 gradient=gradient,
-                iterations=min(left, _STEPS),
+                iterations=min(left, options.leader_iterations),
                 reach=reach,
                 limit=self.limit,
+                failures=options.failures,
                 report=self.report,
             )
 
         leader = self._shared_leader(point)
         if leader is None:
-            end = lower(None, _NEAR)
+            end = lower_cost(None, options.own_steps)
             left -= end.iterations
             if self._is_behind(end):
                 self.minima.append(end)
                 return
             point = end.point
             leader = self._shared_leader(point)
-        reach = _FAR
+        reach = options.reach
         while True:
-            own = leader is None
+            shared = leader is not None
             leader = leader or point
-            end = lower(leader, tolerance, reach if own else math.inf)
+            end = lower_cost(leader, self.options.gradient, math.inf if shared else reach)
             left -= end.iterations
-            close = end.distance(leader) < (_OWN if own else _SHARED)
-            arrived = end.gradient < tolerance and close
-            if arrived or left <= 0 or self._is_behind(end) or reach > _FARTHEST:
+            close = options.shared_distance if shared else options.leader_distance
+            arrived = end.gradient < self.options.gradient and end.distance_to(leader) < close
+            if arrived or end.iterations == 0 or left <= 0 or self._is_behind(end):
                 self.minima.append(replace(end, iterations=self.options.iterations - left))
                 return
             point = end.point
@@ -171,11 +170,14 @@ class ModelSearch:
 
     def _shared_leader(self, point: Point) -> Point | None:
         """The leader of the lowest minimum, for points that are close to it."""
-        close = bool(self.minima) and self.lowest.distance(point) < _SHARED
+        close = (
+            bool(self.minima)
+            and self.lowest.distance_to(point) < self.options.descent.shared_distance
+        )
         return self.lowest.leader if close else None
 
-    def _move(self, end: Descent, away: float) -> Point:
+    def _move_away(self, end: Descent, away: float) -> Point:
         """A point so many posterior standard deviations away, whose nuisances follow the gel."""
-        move = around(end.equations.posterior_chol, self.source, away)
+        move = draw_perturbation(end.equations.posterior_chol, self.source, away)
         response = end.equations.reduced.nuisance_response
         return Point(end.point.gel + move, end.point.nuisances + response @ move)

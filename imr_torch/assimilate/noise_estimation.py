@@ -30,9 +30,6 @@ from imr_torch.types import Progress
 NOISE_ROUNDS = 2
 """How often the noise of measured curves is estimated: from fits with the given law, and from fits with the first estimate."""
 
-_GRADIENT = 0.3  # posterior standard deviations, tolerance of all fits but the last
-_AGREEMENT = 1.0  # nats, the same
-
 
 @one_torch_thread()
 def assimilate_estimating_noise(
@@ -79,7 +76,7 @@ def assimilate_estimating_noise(
     law = FrameNoisePrior(batch.noise)
     options = options or SearchOptions()
 
-    def fit(batch: ExperimentBatch, number: int, near: Assimilation | None) -> Assimilation:
+    def fit_models(batch: ExperimentBatch, number: int, near: Assimilation | None) -> Assimilation:
         own = child(seed, "round", number) if number else seed
         last = number == rounds
         if isinstance(options, En4DVarOptions):
@@ -91,28 +88,30 @@ def assimilate_estimating_noise(
             batch,
             simulator,
             seed=own,
-            options=options if last else _coarse(options),
+            options=options if last else _loosen_tolerances(options),
             near=near,
             warn=warn and last,
             progress=progress,
         )
 
-    result = fit(batch, 0, near)
+    result = fit_models(batch, 0, near)
     for number in range(1, rounds + 1):
         scattered = replace(result.batch, experiments=with_scatter(result))
         batch = with_inferred_noise(scattered, result, law, simulator, widen=number == rounds)
         if progress:
             progress(f"noise {batch.noise}")
-        result = fit(batch, number, result)
+        result = fit_models(batch, number, result)
     return result
 
 
-def _coarse(options: SearchOptions) -> SearchOptions:
-    """Tolerances of all fits but the last."""
+def _loosen_tolerances(
+    options: SearchOptions, *, gradient: float = 0.3, agreement: float = 1.0
+) -> SearchOptions:
+    """Tolerances of all fits but the last: posterior standard deviations, and nats."""
     return replace(
         options,
-        gradient=max(_GRADIENT, options.gradient),
-        agreement=max(_AGREEMENT, options.agreement),
+        gradient=max(gradient, options.gradient),
+        agreement=max(agreement, options.agreement),
     )
 
 
@@ -137,7 +136,7 @@ def with_inferred_noise(
     """
     if not bool((~batch.collapse).any()):
         return batch
-    best, curves = min(result.fits, key=lambda fit: fit.cost).of_curves(result.batch)
+    best, curves = result.lowest.of_curves(result.batch)
     if not determines_noise(best, curves):
         return batch
     near = best.linearise(curves, simulator)
@@ -167,8 +166,8 @@ def noise_nodes(result: Assimilation, simulator: Simulator) -> NoiseNodes | None
     batch = result.batch
     if batch.noise_laws is None or bool(batch.collapse.any()):
         return None
-    best = min(result.fits, key=lambda fit: fit.cost)
-    return NoiseNodes.of(batch.noise_laws, best.linearise(batch, simulator))
+    best = result.lowest
+    return NoiseNodes.about_fit(batch.noise_laws, best.linearise(batch, simulator))
 
 
 def with_scatter(result: Assimilation) -> tuple[Experiment | CollapseTime, ...]:
@@ -179,7 +178,7 @@ def with_scatter(result: Assimilation) -> tuple[Experiment | CollapseTime, ...]:
     standardised nuisances, the precision of these given the gel is ``I + a a^T/s^2``, and they have
     taken up ``|a|^2/(s^2 + |a|^2)`` of the residual.
     """
-    best = min(result.fits, key=lambda fit: fit.cost)
+    best = result.lowest
     batch = result.batch
     rows = batch.collapse
     shots = [e for e in batch.experiments if isinstance(e, CollapseTime)]

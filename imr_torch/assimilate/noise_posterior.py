@@ -19,10 +19,6 @@ from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.observe import ExperimentBatch, Noise, NoiseLaws
 from imr_torch.types import BatchFrames
 
-_SHARE = 1e-3  # probability over the largest from which on a law counts
-_STEP = 1.0  # between scales, in posterior standard deviations of their logarithm
-_REACH = 3  # scales on either side of the central one
-
 
 @dataclass(frozen=True)
 class NoiseNodes:
@@ -38,7 +34,7 @@ class NoiseNodes:
     >>> from imr_torch.observe import Noise
     >>> half = torch.full((1, 2), 0.5, dtype=torch.float64)
     >>> nodes = NoiseNodes((Noise(),), torch.tensor([[0.0, 0.69314718]], dtype=torch.float64), half.log())
-    >>> len(nodes), round(nodes.law(1).scale, 3)
+    >>> len(nodes), round(nodes.law_at(1).scale, 3)
     (2, 2.0)
     """
 
@@ -47,7 +43,9 @@ class NoiseNodes:
     log_prior: Float[Tensor, "laws scales"]
 
     @classmethod
-    def of(cls, known: NoiseLaws, near: Neighbourhood) -> "NoiseNodes":
+    def about_fit(
+        cls, known: NoiseLaws, near: Neighbourhood, *, share: float = 1e-3, reach: int = 3
+    ) -> "NoiseNodes":
         """Nodes whose posterior about a fit is what is known of the noise.
 
         The sum of likelihood times weight over the nodes is then, about that fit, the marginal
@@ -56,10 +54,13 @@ class NoiseNodes:
         Args:
             known: the laws.
             near: the fit of the best model, about which they were inferred.
+            share: probability over the largest from which on a law counts.
+            reach: scales on either side of the central one, each a posterior standard deviation of
+                their logarithm apart.
         """
-        kept = torch.nonzero(known.weights >= _SHARE * known.weights.max())[:, 0]
+        kept = torch.nonzero(known.weights >= share * known.weights.max())[:, 0]
         laws = tuple(known.laws[i] for i in kept.tolist())
-        steps = _STEP * torch.arange(-_REACH, _REACH + 1, dtype=torch.float64)
+        steps = torch.arange(-reach, reach + 1, dtype=torch.float64)
         log_factors = known.log_scale_sds[kept, None] * steps
         shares = torch.log_softmax(-0.5 * steps.square(), 0) + known.weights[kept, None].log()
         shares = shares - shares.flatten().logsumexp(0)
@@ -76,7 +77,7 @@ class NoiseNodes:
         """How many scales each law has."""
         return self.log_factors.shape[1]
 
-    def law(self, node: int) -> Noise:
+    def law_at(self, node: int) -> Noise:
         """One of the laws, numbered law by law."""
         law, number = divmod(node, self.scales)
         return replace(

@@ -10,6 +10,63 @@ from imr_torch.errors import InputDataError
 
 
 @dataclass(frozen=True)
+class CheckedOptions:
+    """Settings none of whose numbers may be negative; a base class.
+
+    >>> from imr_torch.assimilate import DescentOptions
+    >>> DescentOptions(reach=-1.0)
+    Traceback (most recent call last):
+    imr_torch.errors.InputDataError: DescentOptions.reach is -1.0; expected a number of at least 0.
+    """
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if isinstance(value, int | float) and not value >= 0.0:
+                raise InputDataError(
+                    f"{type(self).__name__}.{name} is {value}; expected a number of at least 0."
+                )
+
+
+@dataclass(frozen=True)
+class DescentOptions(CheckedOptions):
+    """How descents of a search go on; distances are in posterior standard deviations.
+
+    Args:
+        own_steps: gradient above which each bubble takes solver steps of its own; below it, steps
+            are those of one point, so that the cost is smooth.
+        reach: distance from the first such point at which it is left for the point reached, twice
+            as far each time: steps of a point far away are less exact.
+        leader_distance: the same within which a minimum counts as found by steps of its own.
+        shared_distance: the same within which a start takes the steps of the lowest minimum, so
+            that their costs can be compared.
+        leader_iterations: most iterations with the steps of one point.
+        failures: steps in succession that may fail to lower the cost; a trust region that shrinks
+            three times is at the rounding of the cost.
+        restart: distance from the lowest point at which others begin where no two ends agree.
+        nearer: the same of the next, where they still do not.
+        apart: least distance between the prior draws that are started from, prior standard
+            deviations.
+        basin_rivals: nats between the minima of models that a deeper basin of the nuisances is not
+            likely to make up for.
+
+    >>> from imr_torch.assimilate.options import DescentOptions
+    >>> DescentOptions(leader_iterations=40).reach
+    1.5
+    """
+
+    own_steps: float = 1.0
+    reach: float = 1.5
+    leader_distance: float = 1.0
+    shared_distance: float = 3.0
+    leader_iterations: int = 20
+    failures: int = 3
+    restart: float = 10.0
+    nearer: float = 3.0
+    apart: float = 0.5
+    basin_rivals: float = 200.0
+
+
+@dataclass(frozen=True)
 class SearchOptions:
     """Settings of the search for the most probable gel (:func:`imr_torch.assimilate.assimilate`).
 
@@ -31,6 +88,7 @@ class SearchOptions:
         mask_collapses: whether chains leave the frames next to collapses out until they are near a
             minimum (:mod:`imr_torch.assimilate.masking`); when not given, those that start from
             prior draws do.
+        descent: how each descent goes on.
 
     >>> from imr_torch.assimilate import SearchOptions
     >>> SearchOptions(starts=2).gradient
@@ -48,6 +106,7 @@ class SearchOptions:
     )  # of one fit: no setting that campaigns write down
     basin_rounds: int = 3
     mask_collapses: bool | None = None
+    descent: DescentOptions = field(default_factory=DescentOptions)
 
     def __post_init__(self) -> None:
         if not 2 <= self.starts <= self.raw_samples:
@@ -74,6 +133,63 @@ class SearchOptions:
 
 
 @dataclass(frozen=True)
+class BasinOptions(CheckedOptions):
+    """How deeper basins of the nuisances are searched for
+    (:mod:`imr_torch.assimilate.basins`).
+
+    Args:
+        reach: prior standard deviations of time zero on either side that are looked through.
+        places: how many times zero are tried; 61 are a tenth of a standard deviation apart.
+        minima: lowest minima of the profile from which all nuisances are fitted.
+        steps: Gauss-Newton steps of each.
+
+    >>> from imr_torch.assimilate.options import BasinOptions
+    >>> BasinOptions().places
+    61
+    """
+
+    reach: float = 3.0
+    places: int = 61
+    minima: int = 4
+    steps: int = 4
+
+
+@dataclass(frozen=True)
+class WeighingOptions(CheckedOptions):
+    """How draws of a posterior are made and weighed (:func:`imr_torch.assimilate.weigh`).
+
+    Args:
+        refits: times that a model of which a draw has a lower cost than its minimum is fitted again
+            from there, and weighted anew; with 0 none is.
+        behind_share: share of the draws that a model far behind the best one gets.
+        nuisance_pairs: opposite pairs of nuisances of each draw where one lost most of them.
+        nuisance_freedom: degrees of freedom of what proposes nuisances: heavier tails than a
+            Gaussian's cost 3 % of the draws an experiment where the posterior is one, and save
+            models whose nuisances are not Gaussian from being refused.
+        lower_draw: nats by which a draw must be more probable than the optimum for another minimum
+            to be looked for; the integral over nuisances is off by some tenths.
+        lower_minimum: nats by which a point or minimum must be lower to belong to another.
+        likeliest: draws that are looked at for one.
+        nuisance_steps: Gauss-Newton steps of their nuisances.
+        restart: posterior standard deviations between such a draw and the second start.
+
+    >>> from imr_torch.assimilate import WeighingOptions
+    >>> WeighingOptions(refits=0).nuisance_pairs
+    4
+    """
+
+    refits: int = 4
+    behind_share: float = 0.25
+    nuisance_pairs: int = 4
+    nuisance_freedom: int = 15
+    lower_draw: float = 1.0
+    lower_minimum: float = 0.1
+    likeliest: int = 4
+    nuisance_steps: int = 3
+    restart: float = 3.0
+
+
+@dataclass(frozen=True)
 class PublishedOptions:
     """Sizes of ensemble 4D-Var; the defaults are those of arXiv 2409.00011.
 
@@ -83,6 +199,7 @@ class PublishedOptions:
         cycles: the first and its restarts.
         relaxation: share by which spread is relaxed to that at the start of a cycle, between
             cycles.
+        simulated: share of an ensemble that must be simulated.
 
     >>> from imr_torch.assimilate import PublishedOptions
     >>> PublishedOptions(members=24).iterations
@@ -93,6 +210,7 @@ class PublishedOptions:
     iterations: int = 5
     cycles: int = 3
     relaxation: float = 0.7
+    simulated: float = 0.5
 
     def __post_init__(self) -> None:
         name = type(self).__name__
@@ -119,6 +237,10 @@ class En4DVarOptions(PublishedOptions):
         tempered: whether the likelihood is the published one: repeats count as one curve, their
             mean, with the noise of one, and its misfit is divided by the number of frames.
             Intervals are then far too wide.
+        longest: most prior standard deviations of the gel in one step.
+        lengths: shares of a step at which the exact cost is compared.
+        step: posterior standard deviations of the last step of a fit that has converged.
+        agreement: nats between the ends of its last two cycles.
 
     >>> from imr_torch.assimilate import En4DVarOptions
     >>> En4DVarOptions(members=32).cycles
@@ -126,6 +248,10 @@ class En4DVarOptions(PublishedOptions):
     """
 
     tempered: bool = False
+    longest: float = 2.0
+    lengths: tuple[float, ...] = (1.0, 0.5, 0.2, 0.05, 0.0)
+    step: float = 0.1
+    agreement: float = 0.1
 
 
 FitOptions = SearchOptions | En4DVarOptions

@@ -19,8 +19,6 @@ from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import coarser
 from imr_torch.types import BatchFrames, Values
 
-_LONGEST = 4.0  # prior standard deviations of nuisances in one step
-
 
 @dataclass(frozen=True)
 class Posterior(ForwardModel):
@@ -39,7 +37,7 @@ class Posterior(ForwardModel):
     >>> batch = ExperimentBatch((Experiment("shot 1", (400.0, 0.22), times, radius[None]),))
     >>> posterior = Posterior(wide_prior(["nhkv"])["nhkv"], batch, PolytropicSimulator())
     >>> gels = torch.tensor([[0.0, 0.0], [0.5, 0.0]], dtype=torch.float64)  # the prior median, and a stiffer gel
-    >>> [round(x) for x in posterior.log_joint(Point(gels, posterior.still(2))).tolist()]
+    >>> [round(x) for x in posterior.log_joint(Point(gels, posterior.mean_nuisances(2))).tolist()]
     [4, -17]
     """
 
@@ -106,7 +104,11 @@ class Posterior(ForwardModel):
         return likelihood.with_prior(point.gel, point.nuisances)
 
     def fit_nuisances(
-        self, point: Point, chol: Float[Tensor, "draws experiments nuisances nuisances"]
+        self,
+        point: Point,
+        chol: Float[Tensor, "draws experiments nuisances nuisances"],
+        *,
+        longest: float = 4.0,
     ) -> tuple[
         Float[Tensor, "draws experiments nuisances"],
         Float[Tensor, "draws experiments nuisances nuisances"],
@@ -120,6 +122,7 @@ class Posterior(ForwardModel):
         Args:
             point: ``n`` gels, with nuisances to start from.
             chol: lower Cholesky factors of their Hessian, kept where a bubble fails.
+            longest: most prior standard deviations of nuisances in one step.
 
         Returns:
             Nuisances ``n x E x w`` and Cholesky factors ``n x E x w x w``.
@@ -130,7 +133,7 @@ class Posterior(ForwardModel):
         equations = replace(near, prediction=prediction).equations
         root = torch.linalg.cholesky(equations.nuisance_hessian)
         step = equations.reduced.nuisance_step
-        step = step * (_LONGEST / step.norm(dim=-1, keepdim=True).clamp_min(1e-300)).clamp_max(1.0)
+        step = step * (longest / step.norm(dim=-1, keepdim=True).clamp_min(1e-300)).clamp_max(1.0)
         moved = torch.where(known[..., None], point.nuisances + step, point.nuisances)
         return moved, torch.where(known[..., None, None], root, chol)
 
@@ -159,7 +162,7 @@ class Neighbourhood:
     >>> times, radius = torch.tensor([[0.0, 0.5, 1.0], [1.0, 0.84, 0.31]], dtype=torch.float64)
     >>> batch = ExperimentBatch((Experiment("shot 1", (400.0, 0.22), times, radius[None]),))
     >>> posterior = Posterior(wide_prior(["nhkv"])["nhkv"], batch, PolytropicSimulator())
-    >>> near = posterior.neighbourhood(Point(torch.zeros(1, 2, dtype=torch.float64), posterior.still(1)))
+    >>> near = posterior.neighbourhood(Point(torch.zeros(1, 2, dtype=torch.float64), posterior.mean_nuisances(1)))
     >>> tuple(near.prediction.shape)  # 1 point, with one neighbour along G and one along mu
     (1, 3, 1, 3)
     """
@@ -186,19 +189,19 @@ class Neighbourhood:
     @cached_property
     def jacobian(self) -> Float[Tensor, "coordinates experiments frames"]:
         """Sensitivities of one point to all coordinates, in the order of
-        :meth:`ForwardModel.flat`.
+        :meth:`ForwardModel.coordinates_of`.
         """
         by_gel, by_nuisance = self.slopes
         own = by_nuisance[..., self.posterior.uncertain].movedim(-1, 0)  # S x E x T
         apart = own * torch.eye(own.shape[1], dtype=torch.float64)[:, None, :, None]
         return torch.cat((by_gel.movedim(-1, 0), apart.flatten(0, 1)))
 
-    @property
+    @cached_property
     def coordinates(self) -> Float[Tensor, "*batch coordinates"]:
         """Gel and uncertain nuisances, as :attr:`jacobian` has them."""
-        return self.posterior.flat(self.point)
+        return self.posterior.coordinates_of(self.point)
 
-    @property
+    @cached_property
     def centre(self) -> BatchFrames:
         """``batch_shape x E x T`` tensor, the prediction at the points."""
         return self.prediction[..., 0, :, :]

@@ -9,17 +9,19 @@ the parameter there, which an interval of the posterior hides behind its prior.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from imr_torch.assimilate.fit import ModelFit
-from imr_torch.assimilate.map_fit import assimilate
-from imr_torch.assimilate.options import SearchOptions
+from imr_torch.assimilate.forward import Point
+from imr_torch.assimilate.map_fit import assimilate_model
+from imr_torch.assimilate.options import CheckedOptions, SearchOptions
+from imr_torch.assimilate.posterior import Posterior
 from imr_torch.errors import InputDataError
-from imr_torch.material import Belief, ModelBelief
+from imr_torch.material import ModelBelief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
@@ -28,20 +30,29 @@ from imr_torch.types import Progress
 FALL = 1.920729
 """Nats that the best fit loses at the end of a 95 % interval."""
 
-_ENOUGH = 3.0  # nats beyond which a profile is not followed
-_STEPS = (
-    0.7,
-    1.4,
-    2.1,
-    2.8,
-    3.6,
-    5.0,
-    8.0,
-    13.0,
-    21.0,
-)  # posterior standard deviations from the most probable value
-_FARTHEST = 4.0  # prior standard deviations from the prior's median
-_OPTIONS = SearchOptions(starts=2, iterations=30, basin_rounds=0)
+
+@dataclass(frozen=True)
+class ProfileOptions(CheckedOptions):
+    """Where a profile is computed.
+
+    Args:
+        steps: distances from the most probable value at which the parameter is held, posterior
+            standard deviations.
+        fall: nats beyond which it is not followed.
+        farthest: prior standard deviations from the prior's median beyond which it is not.
+        search: of everything else.
+
+    >>> from imr_torch.assimilate.profile import ProfileOptions
+    >>> ProfileOptions(steps=(1.0, 2.0)).fall
+    3.0
+    """
+
+    steps: tuple[float, ...] = (0.7, 1.4, 2.1, 2.8, 3.6, 5.0, 8.0, 13.0, 21.0)
+    fall: float = 3.0
+    farthest: float = 4.0
+    search: SearchOptions = field(
+        default_factory=lambda: SearchOptions(starts=2, iterations=30, basin_rounds=0)
+    )
 
 
 @dataclass(frozen=True)
@@ -84,6 +95,7 @@ def profile(
     simulator: Simulator,
     *,
     names: tuple[str, ...] = (),
+    options: ProfileOptions | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> tuple[Profile, ...]:
@@ -96,6 +108,7 @@ def profile(
         batch: the data.
         simulator: makes the bubbles.
         names: parameters; all free ones of the model without any.
+        options: where it is computed.
         seed: of the second starts.
         progress: called with one line per value.
 
@@ -127,16 +140,23 @@ def profile(
             f"profile: {prior.model!r} has one free parameter, so its posterior is its profile."
         )
     return tuple(
-        _profile(fit, prior.names.index(name), batch, simulator, seed, progress)
+        _profile_parameter(
+            Posterior(prior, batch, simulator),
+            fit,
+            prior.names.index(name),
+            options or ProfileOptions(),
+            seed,
+            progress,
+        )
         for name in names or prior.names
     )
 
 
-def _profile(
+def _profile_parameter(
+    posterior: Posterior,
     fit: ModelFit,
     i: int,
-    batch: ExperimentBatch,
-    simulator: Simulator,
+    options: ProfileOptions,
     seed: int,
     progress: Progress | None,
 ) -> Profile:
@@ -152,18 +172,17 @@ def _profile(
     own_prior = 0.5 * ((control - centre) / width) ** 2
     found = {control: (fit.cost - own_prior, fit.certificate.converged)}
     for side in (-1.0, 1.0):
-        others = prior.unwhitened(fit.mean)[rest] + side * _STEPS[0] * sd * ridge
+        others = prior.unwhitened(fit.mean)[rest] + side * options.steps[0] * sd * ridge
         nuisances = fit.nuisances
-        for step in _STEPS:
+        for step in options.steps:
             held = control + side * step * sd
-            if abs(held - centre) > _FARTHEST * width:
+            if abs(held - centre) > options.farthest * width:
                 break
             last = _fit_others(
-                _without(prior, i, held),
+                replace(posterior, prior=_hold_parameter(prior, i, held)),
                 others,
                 nuisances,
-                batch,
-                simulator,
+                options.search,
                 child(seed, "profile", name, str(side), str(step)),
             )
             if not math.isfinite(last.cost):  # no bubble could be made there
@@ -174,42 +193,33 @@ def _profile(
             lowest = min(cost for cost, _ in found.values())
             if progress:
                 progress(f"profile of {name}: {side * step:+.1f} sd, {last.cost - lowest:.2f} nats")
-            if last.cost - lowest > _ENOUGH:
+            if last.cost - lowest > options.fall:
                 break
     places = torch.tensor(sorted(found), dtype=torch.float64)
     costs, converged = zip(*(found[place] for place in places.tolist()), strict=True)
     values = prior.marginals[i].to_physical(places).tolist()
     fall = [cost - min(costs) for cost in costs]
     best = fall.index(0.0)
-    low = _crossing(values[: best + 1][::-1], fall[: best + 1][::-1])
-    high = _crossing(values[best:], fall[best:])
+    low = _find_crossing(values[: best + 1][::-1], fall[: best + 1][::-1])
+    high = _find_crossing(values[best:], fall[best:])
     return Profile(name, tuple(values), tuple(fall), converged, (low, high))
 
 
 def _fit_others(
-    part: ModelBelief,
+    posterior: Posterior,
     controls: Tensor,
     nuisances: Tensor,
-    batch: ExperimentBatch,
-    simulator: Simulator,
+    options: SearchOptions,
     seed: int,
 ) -> ModelFit:
     """The fit of the parameters that are not held, from their controls and from beside these."""
-    away = (controls - part.mean)[:, None]
-    start = torch.linalg.solve_triangular(part.chol, away, upper=False)[:, 0]
-    return assimilate(
-        Belief((part,), torch.zeros(1, dtype=torch.float64)),
-        batch,
-        simulator,
-        seed=seed,
-        options=_OPTIONS,
-        starts=[torch.stack((start, start + 0.01))],
-        nuisances=[nuisances],
-        warn=False,
-    ).fits[0]
+    away = (controls - posterior.prior.mean)[:, None]
+    start = torch.linalg.solve_triangular(posterior.prior.chol, away, upper=False)[:, 0]
+    starts = Point(torch.stack((start, start + 0.01)), nuisances)
+    return assimilate_model(posterior, starts, seed=seed, options=options)
 
 
-def _without(prior: ModelBelief, i: int, control: float) -> ModelBelief:
+def _hold_parameter(prior: ModelBelief, i: int, control: float) -> ModelBelief:
     """The prior of the other parameters given one that is held at a control."""
     rest = [j for j in range(len(prior.names)) if j != i]
     whole = prior.chol @ prior.chol.mT
@@ -226,7 +236,7 @@ def _without(prior: ModelBelief, i: int, control: float) -> ModelBelief:
     )
 
 
-def _crossing(values: list[float], fall: list[float]) -> float | None:
+def _find_crossing(values: list[float], fall: list[float]) -> float | None:
     """The first value, from the best one outwards, at which the root of the fall crosses that of
     ``FALL``.
     """

@@ -7,21 +7,14 @@ all of them weighted by the mixture of their proposals (Owen & Zhou, JASA 95, 20
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Real
 from torch import Tensor
 
-from imr_torch.assimilate.importance import kish
+from imr_torch.assimilate.importance import effective_size
 from imr_torch.types import ControlMatrix, Controls, DrawnControls, DrawnValues, Values
-
-# degrees of freedom of the kernels: tails heavier than a Gaussian's, with moments up to the sixth
-_FREEDOM = 7
-_PAIRS = 1_000_000  # of points and kernels, in memory at once
-_WIDE_SHARE = 0.5  # of the wide kernel in a proposal made from draws
-_WIDE = 1.5  # its size, in standard deviations of the draws
-_WIDEST = 4.0  # most by which kernels are widened in one round
 
 
 @dataclass(frozen=True)
@@ -36,6 +29,8 @@ class Kernels:
         chol: Cholesky factor of the covariance of that posterior.
         precisions: tensor ``d x d`` for each of the first centres, of that posterior about them;
             None where not known.
+        freedom: degrees of freedom of the kernels: with 7 their tails are heavier than a
+            Gaussian's, with moments up to the sixth.
     """
 
     centres: Float[Tensor, "kernels controls"]
@@ -44,44 +39,56 @@ class Kernels:
     mean: Controls
     chol: ControlMatrix
     precisions: Float[Tensor, "known controls controls"] | None = None
+    freedom: int = 7
 
     @classmethod
-    def about(cls, mean: Controls, chol: ControlMatrix) -> "Kernels":
+    def about_mean(cls, mean: Controls, chol: ControlMatrix) -> "Kernels":
         """A single kernel about ``mean`` (``d``) with scale ``chol`` (``d x d``)."""
         return cls(mean[None], torch.ones(1, dtype=mean.dtype), chol[None], mean, chol)
 
     @classmethod
-    def through(cls, points: DrawnControls, log_weights: DrawnValues) -> "Kernels":
+    def through_draws(
+        cls,
+        points: DrawnControls,
+        log_weights: DrawnValues,
+        *,
+        wide_share: float = 0.5,
+        widest: float = 4.0,
+    ) -> "Kernels":
         """Kernels on weighted points (``n x d``, ``n``), of the width of Silverman's rule (1986,
         equation 4.14).
 
         One wide kernel about them all covers places without a point. Weights with an effective
         sample size below ten a dimension are tempered first, and the kernels widened in turn: such
         points lie at the edge of the earlier proposal, and the posterior beyond it.
+
+        Args:
+            points: draws so far.
+            log_weights: theirs.
+            wide_share: probability of the wide kernel.
+            widest: most by which kernels are widened.
         """
         size = points.shape[1]
-        weights, power = _tempered(log_weights, 10.0 * (size + 1))
+        weights, power = _temper_weights(log_weights, 10.0 * (size + 1))
         mean = weights @ points
         deviation = points - mean
         chol = torch.linalg.cholesky((weights[:, None] * deviation).mT @ deviation)
-        chol = min(power**-0.5, _WIDEST) * chol
-        width = (4.0 / ((size + 2) * float(kish(weights)))) ** (1.0 / (size + 4))
+        chol = min(power**-0.5, widest) * chol
+        width = (4.0 / ((size + 2) * float(effective_size(weights)))) ** (1.0 / (size + 4))
         kept = weights > 0.0
         chols = width * chol.expand(int(kept.sum()), -1, -1)
-        return cls(points[kept], weights[kept], chols, mean, chol).with_wide_kernel(_WIDE_SHARE)
+        return cls(points[kept], weights[kept], chols, mean, chol).with_wide_kernel(wide_share)
 
-    def with_wide_kernel(self, share: float) -> "Kernels":
+    def with_wide_kernel(self, share: float, *, scale: float = 1.5) -> "Kernels":
         """With one wide kernel about all, which covers what the others do not.
 
-        It takes ``share`` of the probability.
+        It takes ``share`` of the probability, and is ``scale`` standard deviations wide.
         """
-        return Kernels(
+        return replace(
+            self,
             centres=torch.cat((self.centres, self.mean[None])),
             weights=torch.cat(((1.0 - share) * self.weights, self.weights.new_tensor([share]))),
-            chols=torch.cat((self.chols, _WIDE * self.chol[None])),
-            mean=self.mean,
-            chol=self.chol,
-            precisions=self.precisions,
+            chols=torch.cat((self.chols, scale * self.chol[None])),
         )
 
     def precisions_at(
@@ -98,24 +105,25 @@ class Kernels:
         gaps = torch.einsum("jab,jnb->jna", whiten, points - centres[:, None])
         return self.precisions[gaps.square().sum(-1).argmin(0)]
 
-    def draw(self, count: int, source: torch.Generator) -> Float[Tensor, "count controls"]:
+    def draw_points(self, count: int, source: torch.Generator) -> Float[Tensor, "count controls"]:
         """``count x d`` independent draws."""
-        deviation = student_draws((count, self.centres.shape[1]), _FREEDOM, source)
+        deviation = student_draws((count, self.centres.shape[1]), self.freedom, source)
         kernel = torch.multinomial(self.weights, count, replacement=True, generator=source)
         return self.centres[kernel] + (self.chols[kernel] @ deviation[..., None])[..., 0]
 
-    def log_prob(self, points: DrawnControls) -> DrawnValues:
-        """Log density at ``n x d`` points: ``n`` tensor."""
+    def log_prob(self, points: DrawnControls, *, pairs: int = 1_000_000) -> DrawnValues:
+        """Log density at ``n x d`` points: ``n`` tensor; so many pairs with kernels at once."""
         heights = self.weights.log() - self.chols.diagonal(dim1=-2, dim2=-1).log().sum(-1)
         whiten = torch.linalg.inv(self.chols)
         rows = []
-        for some in points.split(max(1, _PAIRS // len(self.centres))):
+        for some in points.split(max(1, pairs // len(self.centres))):
             square = (
                 torch.einsum("jab,jnb->jna", whiten, some - self.centres[:, None]).square().sum(-1)
             )
             rows.append(
                 torch.logsumexp(
-                    heights[:, None] + student_log_prob(square, self.centres.shape[1], _FREEDOM),
+                    heights[:, None]
+                    + student_log_prob(square, self.centres.shape[1], self.freedom),
                     dim=0,
                 )
             )
@@ -161,7 +169,7 @@ def mixture_log_prob(
     )
 
 
-def _tempered(log_weights: Tensor, least: float) -> tuple[Tensor, float]:
+def _temper_weights(log_weights: Tensor, least: float) -> tuple[Tensor, float]:
     """Normalised weights, raised to the largest power up to 1 that leaves an effective sample size
     of ``least``; the power.
     """
@@ -169,7 +177,7 @@ def _tempered(log_weights: Tensor, least: float) -> tuple[Tensor, float]:
     high = 1.0
     power = 1.0
     for _ in range(40):
-        enough = float(kish(torch.softmax(power * log_weights, dim=0))) >= least
+        enough = float(effective_size(torch.softmax(power * log_weights, dim=0))) >= least
         if enough and power == 1.0:
             break
         low, high = (power, high) if enough else (low, power)

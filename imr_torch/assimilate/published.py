@@ -28,8 +28,6 @@ from imr_torch.random import child
 from imr_torch.simulate import Simulator
 from imr_torch.types import BubbleFrames, Progress
 
-_ENOUGH = 0.5  # share of an ensemble that must be simulated
-
 
 @dataclass(frozen=True)
 class PublishedFit:
@@ -120,12 +118,12 @@ def assimilate_published(
     batch = ExperimentBatch((as_one_curve(experiment),), noise)
     precision = 1.0 / (batch.sd(batch.mean).square() * len(experiment.times))
     return tuple(
-        _fit(part, batch, precision[0], simulator, options, seed, progress)
+        _fit_model(part, batch, precision[0], simulator, options, seed, progress)
         for part in belief.models
     )
 
 
-def _fit(
+def _fit_model(
     part: ModelBelief,
     batch: ExperimentBatch,
     precision: Tensor,
@@ -144,8 +142,8 @@ def _fit(
         transform = torch.eye(len(members), dtype=members.dtype)
         for iteration in range(options.iterations):
             history.append(centre + transform @ start)
-            curves = _predict(part, history[-1], batch, simulator)
-            step, transform = _step(
+            curves = _predict_ensemble(part, history[-1], batch, simulator, options.simulated)
+            step, transform = _step_ensemble(
                 curves, transform, start, first - centre, batch.mean[0], precision
             )
             centre = centre + step
@@ -205,13 +203,17 @@ def published_probabilities(
     return torch.softmax(torch.stack(logs), 0)
 
 
-def _predict(
-    part: ModelBelief, members: Tensor, batch: ExperimentBatch, simulator: Simulator
+def _predict_ensemble(
+    part: ModelBelief,
+    members: Tensor,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    least: float,
 ) -> Tensor:
-    """Curves ``N x T`` of an ensemble."""
+    """Curves ``N x T`` of an ensemble, of which a share of ``least`` must be simulated."""
     curves = predict(simulator, part.parameters(members), batch)[:, 0]
     good = int(torch.isfinite(curves).all(1).sum())
-    if good < _ENOUGH * len(curves):
+    if good < least * len(curves):
         raise ConvergenceError(
             f"{part.model}: {good} of {len(curves)} members could be simulated; check the prior "
             "and the design."
@@ -219,7 +221,7 @@ def _predict(
     return curves
 
 
-def _step(
+def _step_ensemble(
     curves: Tensor, transform: Tensor, start: Tensor, back: Tensor, data: Tensor, precision: Tensor
 ) -> tuple[Tensor, Tensor]:
     """One Gauss-Newton step of the mean of an ensemble, ``d``, and the transform of its deviations

@@ -20,8 +20,6 @@ from imr_torch.assimilate.matern import MATERN
 from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.observe import collapse_time
 
-_FRAMES = 900  # in all; of more, every second, third, ... is used
-
 
 @dataclass(frozen=True)
 class SmoothDeviations:
@@ -43,6 +41,7 @@ def smooth_deviations(
     amounts: Sequence[float] = (0.001, 0.002, 0.004, 0.008, 0.016),
     durations: Sequence[float] = (0.14, 0.24, 0.4),
     shares: Sequence[float] = (0.5, 0.9),
+    most_frames: int = 900,
 ) -> SmoothDeviations:
     """Evidence for smooth deviations about a fit, to first order.
 
@@ -53,43 +52,49 @@ def smooth_deviations(
         durations: lags in t* at which its correlation has fallen to 1/e, equally probable; repeats
             of public records differ by deviations that last .14 to .4.
         shares: of its variance that is common to all shots, equally probable, where it is.
+        most_frames: frames in all; of more, every second, third, ... is used. Time grows with their
+            cube.
     """
     batch = near.posterior.batch
     used = batch.mask & (
-        torch.arange(batch.mask.shape[1]) % -(-int(batch.mask.sum()) // _FRAMES) == 0
+        torch.arange(batch.mask.shape[1]) % -(-int(batch.mask.sum()) // most_frames) == 0
     )
     shot = torch.arange(len(used))[:, None].expand_as(used)[used]
     times = batch.times[used]
-    phases = _phases(near)[used]
+    phases = _cycle_phases(near)[used]
     noise = (batch.sd(near.centre).square() / batch.counts)[used]
     columns = near.jacobian[:, used].mT
     observed = (batch.mean - near.centre)[used] + columns @ near.coordinates
     explained = columns @ columns.mT + torch.diag(noise)  # by gel and nuisances, and single frames
     same = (shot[:, None] == shot).to(noise)
 
-    def evidence(amount: float, duration: float, share: float) -> Tensor:
-        own, common = (_matern((x[:, None] - x).abs() / duration) for x in (times, phases))
+    def evidence_of(amount: float, duration: float, share: float) -> Tensor:
+        own, common = (
+            _matern_correlation((x[:, None] - x).abs() / duration) for x in (times, phases)
+        )
         smooth = amount**2 * ((1.0 - share) * same * own + share * common)
         mean = torch.zeros_like(observed)
         law = MultivariateNormal(mean, explained + smooth, validate_args=False)
         return law.log_prob(observed)
 
-    none = evidence(0.0, 1.0, 0.0)
+    none = evidence_of(0.0, 1.0, 0.0)
 
-    def mean(shares: Sequence[float]) -> float:
-        values = torch.stack([evidence(*values) for values in product(amounts, durations, shares)])
+    def mean_evidence(shares: Sequence[float]) -> float:
+        values = torch.stack(
+            [evidence_of(*values) for values in product(amounts, durations, shares)]
+        )
         return float(values.logsumexp(0) - math.log(len(values)) - none)
 
-    return SmoothDeviations(mean((0.0,)), mean(shares))
+    return SmoothDeviations(mean_evidence((0.0,)), mean_evidence(shares))
 
 
-def _matern(lags: Tensor) -> Tensor:
+def _matern_correlation(lags: Tensor) -> Tensor:
     """Correlation at lags over that at which it has fallen to 1/e."""
     x = MATERN * lags
     return (1.0 + x) * torch.exp(-x)
 
 
-def _phases(near: Neighbourhood) -> Tensor:
+def _cycle_phases(near: Neighbourhood) -> Tensor:
     """Times by the length of the first cycle, over its mean in all shots: ``E x T``; times where a
     shot has no collapse.
     """

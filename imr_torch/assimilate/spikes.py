@@ -15,13 +15,6 @@ from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.observe import ExperimentBatch
 from imr_torch.types import FrameMask
 
-_SPIKE = (
-    8.0 * 1.482602
-)  # times the median distance of a frame from its neighbours, beyond which it is spoilt
-_AROUND = 10  # frames on either side that say what is usual
-_SPIKES = 0.05  # share of the frames of a curve that may be
-_FEWEST = 12  # frames that a curve needs to be asked
-
 
 def bends(batch: ExperimentBatch, radius: Tensor) -> Tensor:
     """How far a frame lies off the cubic through two neighbours on either side, the largest of
@@ -55,7 +48,14 @@ def lagrange_weights(times: Float[Tensor, "windows 5"]) -> Float[Tensor, "window
     return weights
 
 
-def without_spikes(near: Neighbourhood) -> FrameMask:
+def without_spikes(
+    near: Neighbourhood,
+    *,
+    spike: float = 8.0 * 1.482602,
+    around: int = 10,
+    most: float = 0.05,
+    fewest: int = 12,
+) -> FrameMask:
     """Frames without those that single errors of the camera have spoilt.
 
     A frame is left out where the residual stands off the cubic through its neighbours by more than
@@ -65,33 +65,37 @@ def without_spikes(near: Neighbourhood) -> FrameMask:
 
     Args:
         near: a fitted point; its batch holds curves of one repeat.
+        spike: times the median distance of a frame from its neighbours, beyond which it is spoilt:
+            eight standard deviations of a Gaussian.
+        around: frames on either side that say what is usual.
+        most: share of the frames of a curve that may be spoilt.
+        fewest: frames that a curve needs to be asked.
     """
     batch = near.posterior.batch
     law = batch.sd(near.centre)
     bent = bends(batch, near.centre)
     kept = batch.mask.clone()
     for row in range(len(kept)):
-        most = max(1, int(_SPIKES * float(batch.mask[row].sum())))
-        for _ in range(most):
+        for _ in range(max(1, int(most * float(batch.mask[row].sum())))):
             frames = torch.nonzero(kept[row])[:, 0]
-            if len(frames) < _FEWEST:
+            if len(frames) < fewest:
                 break
             residual = (batch.mean - near.centre)[row, frames].unfold(0, 5, 1)
             weights = lagrange_weights(batch.times[row, frames].unfold(0, 5, 1))
             off = (weights * residual).sum(1).abs()
             over_law = off / (weights * law[row, frames].unfold(0, 5, 1)).norm(dim=1)
             own = torch.minimum(
-                off / _running_median(off), over_law / over_law.median().clamp_min(1e-300)
+                off / _running_median(off, around), over_law / over_law.median().clamp_min(1e-300)
             )
             own = torch.where(off > bent[row, frames][2:-2], own, 0.0)
             worst = int(own.argmax())
-            if float(own[worst]) < _SPIKE:
+            if float(own[worst]) < spike:
                 break
             kept[row, frames[worst + 2]] = False
     return kept
 
 
-def _running_median(values: Tensor) -> Tensor:
-    """Median of each value and ten on either side, as many as there are at the ends; never zero."""
-    padded = torch.nn.functional.pad(values, (_AROUND, _AROUND), value=math.nan)
-    return padded.unfold(0, 2 * _AROUND + 1, 1).nanmedian(1).values.clamp_min(1e-300)
+def _running_median(values: Tensor, around: int) -> Tensor:
+    """Median of each value and ``around`` on either side, as many as there are; never zero."""
+    padded = torch.nn.functional.pad(values, (around, around), value=math.nan)
+    return padded.unfold(0, 2 * around + 1, 1).nanmedian(1).values.clamp_min(1e-300)

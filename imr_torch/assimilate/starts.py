@@ -17,12 +17,6 @@ from imr_torch.assimilate.posterior import Posterior
 from imr_torch.errors import ConvergenceError, ShapeError
 from imr_torch.types import ControlMatrix, Controls
 
-BESIDE = 10.0
-"""Posterior standard deviations between an earlier optimum and the starts about it."""
-
-_APART = 0.5  # prior standard deviations between the prior draws that are chosen
-_RESTART = 0.25  # prior standard deviations
-
 
 def best_prior_draws(
     posterior: Posterior, options: SearchOptions, source: torch.Generator
@@ -33,13 +27,11 @@ def best_prior_draws(
     """
     draws = torch.randn(options.raw_samples, posterior.size, generator=source, dtype=torch.float64)
     draws[0] = 0.0
-    points = Point(draws, posterior.still(options.raw_samples))
-    return points[
-        _distinct(posterior.prior.model, draws, -posterior.coarse.log_joint(points), options.starts)
-    ]
+    points = Point(draws, posterior.mean_nuisances(options.raw_samples))
+    return points[_choose_distinct(posterior, draws, points, options)]
 
 
-def given(
+def given_starts(
     posteriors: Sequence[Posterior],
     gels: Sequence[Float[Tensor, "starts _"]],
     nuisances: Sequence[Float[Tensor, "*starts experiments nuisances"]] | None,
@@ -56,15 +48,20 @@ def given(
         raise ShapeError(
             f"starts has shapes {shapes}; expected a row or more of {free} free parameters."
         )
-    own = [p.still() for p in posteriors] if nuisances is None else nuisances
+    own = [p.mean_nuisances() for p in posteriors] if nuisances is None else nuisances
     return [Point(rows, n.expand(len(rows), -1, -1)) for rows, n in zip(gels, own, strict=True)]
 
 
-def beside(
+def starts_beside(
     posterior: Posterior, fit: ModelFit, options: SearchOptions, source: torch.Generator
 ) -> Point:
     """A model's optimum in an earlier assimilation, and perturbed copies of it."""
-    noise = torch.stack([around(fit.chol, source, BESIDE) for _ in range(options.starts)])
+    noise = torch.stack(
+        [
+            draw_perturbation(fit.chol, source, options.descent.restart)
+            for _ in range(options.starts)
+        ]
+    )
     noise[0] = 0.0
     point = Point(fit.mean + noise, fit.nuisances_at(fit.mean + noise))
     failed = torch.isinf(posterior.log_joint(point))
@@ -74,33 +71,38 @@ def beside(
     )
 
 
-def around(chol: ControlMatrix, source: torch.Generator, away: float) -> Controls:
+def draw_perturbation(
+    chol: ControlMatrix, source: torch.Generator, away: float, *, longest: float = 0.25
+) -> Controls:
     """A ``d`` perturbation, ``away`` posterior standard deviations (``chol``, ``d x d``) or, if
-    less, a quarter of the prior's.
+    less, ``longest`` of the prior's.
 
     Where the data are sharp, a step on the prior's scale would lead to another local minimum.
     """
     noise = torch.randn(chol.shape[0], generator=source, dtype=torch.float64)
     step = away * (chol @ noise)
-    return step * (_RESTART * noise.norm() / step.norm().clamp_min(1e-300)).clamp_max(1.0)
+    return step * (longest * noise.norm() / step.norm().clamp_min(1e-300)).clamp_max(1.0)
 
 
-def _distinct(model: str, draws: Tensor, cost: Tensor, count: int) -> Tensor:
-    """Rows of the best draws of a model (``n x d``, with their costs), each apart from the ones
+def _choose_distinct(
+    posterior: Posterior, draws: Tensor, points: Point, options: SearchOptions
+) -> Tensor:
+    """Rows of the best draws of a model (``n x d``), by coarse bubbles, each apart from the ones
     before.
     """
+    cost = -posterior.coarse.log_joint(points)
     order = torch.argsort(cost)
-    order = order[torch.isfinite(cost[order])]
-    if order.numel() < 2:
+    order = order[torch.isfinite(cost[order])].tolist()
+    if len(order) < 2:
         raise ConvergenceError(
-            f"{model}: {order.numel()} of {len(cost)} prior draws could be simulated; "
+            f"{posterior.prior.model}: {len(order)} of {len(cost)} prior draws could be simulated; "
             "check units and bounds of the prior and the designs."
         )
     picked: list[int] = []
-    for row in order.tolist():
-        if all((draws[row] - draws[other]).norm() > _APART for other in picked):
+    for row in order:
+        if all((draws[row] - draws[other]).norm() > options.descent.apart for other in picked):
             picked.append(row)
-        if len(picked) == count:
+        if len(picked) == options.starts:
             break
-    picked += [row for row in order.tolist() if row not in picked]
-    return torch.tensor((picked * count)[:count])
+    picked += [row for row in order if row not in picked]
+    return torch.tensor((picked * options.starts)[: options.starts])

@@ -26,6 +26,7 @@ from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.importance import ImportanceSample, NoiseSample
 from imr_torch.assimilate.lower import lower_minimum, lower_point
 from imr_torch.assimilate.noise_posterior import NoiseNodes
+from imr_torch.assimilate.options import WeighingOptions
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.assimilate.proposals import (
     Kernels,
@@ -39,15 +40,6 @@ from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
-
-_REFITS = 4  # times that a model is fitted again, at most
-# of nuisances for each draw from the third round on, where more than half of the effective draws
-# were lost
-_PAIRS = 4
-_FEWER = 4  # a model far behind gets one draw in so many
-_FREEDOM = 15
-"""Degrees of freedom of what proposes nuisances: heavier tails than a Gaussian's, which costs 3 % of the draws an experiment
-where the posterior is one, and saves models whose nuisances are not Gaussian from being refused."""
 
 
 @dataclass(frozen=True)
@@ -65,18 +57,18 @@ class _Draws:
     nuisances: Tensor
     log_ratio: Tensor
 
-    def averaged(self, likelihood: Tensor) -> Tensor:
+    def average_likelihood(self, likelihood: Tensor) -> Tensor:
         """Logarithm of the mean over the nuisances of each draw of the likelihood: ``... x n x K x
         E`` to ``... x n x E``.
         """
         total = torch.logsumexp(likelihood + self.log_ratio, dim=-2)
         return total - math.log(likelihood.shape[-2])
 
-    def kept(self, likelihood: Tensor, source: torch.Generator) -> Tensor:
+    def keep_nuisances(self, likelihood: Tensor, source: torch.Generator) -> Tensor:
         """One of the nuisances of each draw and experiment, in proportion to its part of the
         likelihood (``n x K x E``).
         """
-        chosen = _picked((likelihood + self.log_ratio).mT.flatten(0, 1), source)
+        chosen = _pick_columns((likelihood + self.log_ratio).mT.flatten(0, 1), source)
         chosen = chosen.reshape(len(likelihood), 1, -1, 1)
         width = self.nuisances.shape[-1]
         return self.nuisances.gather(1, chosen.expand(-1, -1, -1, width))[:, 0]
@@ -104,7 +96,7 @@ class _State:
     drawn: int = 0
 
     @property
-    def refused(self) -> bool:
+    def is_refused(self) -> bool:
         """Whether the draws so far do not give reliable moments."""
         return self.fit.verdict is Verdict.REFUSED
 
@@ -118,7 +110,7 @@ def weigh(
     samples: int = 256,
     rounds: int = 4,
     drop_behind: float | None = None,
-    refit: bool = True,
+    options: WeighingOptions | None = None,
     noise: NoiseNodes | None = None,
     progress: Progress | None = None,
 ) -> Assimilation:
@@ -139,8 +131,8 @@ def weigh(
             Gaussian.
         drop_behind: a model gets one round only if its optimum is worse than the best one's by more
             than this, nats, or if its evidence is, by reliable weights.
-        refit: whether a model of which a draw has a lower cost than its minimum is fitted again
-            from there, and weighted anew.
+        options: when a model is fitted again from a draw below its minimum, and how draws are
+            made.
         noise: laws of the noise, which is then integrated out: the likelihood of each draw is
             summed over them (:class:`imr_torch.assimilate.NoiseNodes`). The law of the batch is
             taken as known when not given.
@@ -168,6 +160,7 @@ def weigh(
     >>> weighted["nhkv"].verdict.value
     'trusted'
     """
+    options = options or WeighingOptions()
     if samples < 25 or rounds < 1:
         raise InputDataError(
             f"weigh: samples {samples} must be at least 25, and rounds {rounds} at least 1."
@@ -187,13 +180,13 @@ def weigh(
     number = 0
     while waiting:
         number += 1
-        ahead = _ahead([state.fit for state in states], drop_behind)
+        ahead = _models_ahead([state.fit for state in states], drop_behind)
         for state in waiting:
-            state.proposals.append(_proposal(state))
-            some = samples if state.fit.model in ahead else max(25, samples // _FEWER)
-            draws = _draw(state, some, seed)
+            state.proposals.append(_make_proposal(state))
+            share = 1.0 if state.fit.model in ahead else options.behind_share
+            draws = _draw_round(state, max(25, int(share * samples)), seed, options)
             source = generator(child(seed, "kept", state.fit.model, state.drawn))
-            sample = _simulate(state, draws, noise, source)
+            sample = _weigh_draws(state, draws, noise, source)
             state.parts.append(sample)
             state.drawn += 1
             state.fit = replace(state.fit, sample=sample)
@@ -202,51 +195,58 @@ def weigh(
                 f"draws: round {number}, "
                 + ", ".join(f"{c.fit.model} {c.fit.trust}" for c in waiting)
             )
-        if refit:
-            _fit_again(waiting, states, child(seed, "refit", number), progress)
-        ahead = _ahead([state.fit for state in states], drop_behind)
+        _fit_again(waiting, states, options, child(seed, "refit", number), progress)
+        ahead = _models_ahead([state.fit for state in states], drop_behind)
         waiting = [
             c
             for c in waiting
-            if not c.parts or (c.refused and len(c.parts) < rounds and c.fit.model in ahead)
+            if not c.parts or (c.is_refused and len(c.parts) < rounds and c.fit.model in ahead)
         ]
     return replace(assimilation, fits=tuple(state.fit for state in states))
 
 
 def _fit_again(
-    drawn: list[_State], states: list[_State], seed: int, progress: Progress | None
+    drawn: list[_State],
+    states: list[_State],
+    options: WeighingOptions,
+    seed: int,
+    progress: Progress | None,
 ) -> None:
     """Replace fits by fits to lower minima that draws of the last round found."""
     best = min(state.fit.cost for state in states)
     for state in drawn:
-        if state.refits >= _REFITS:
+        if state.refits >= options.refits:
             continue
-        point = lower_point(state.fit, best, state.posterior)
+        point = lower_point(state.fit, best, state.posterior, options)
         if point is None:
             continue
         state.refits += 1
-        lower = lower_minimum(state.fit, point, state.posterior, seed=seed, progress=progress)
+        lower = lower_minimum(
+            state.fit, point, state.posterior, options, seed=seed, progress=progress
+        )
         if lower is not None:
             state.fit = lower
             state.proposals = []
             state.parts = []
 
 
-def _proposal(state: _State) -> Kernels:
+def _make_proposal(state: _State) -> Kernels:
     """The proposal of the next round: the fit's Gaussian, then its ridge, then one from all its
     draws so far.
     """
     if not state.parts:
-        return Kernels.about(state.fit.mean, state.fit.chol)
+        return Kernels.about_mean(state.fit.mean, state.fit.chol)
     if len(state.parts) == 1:
         return trace_ridge(state.fit, state.posterior)
     controls = torch.cat([part.controls for part in state.parts])
     target = torch.cat([part.log_target for part in state.parts])
     counts = [len(part) for part in state.parts]
-    return Kernels.through(controls, target - mixture_log_prob(state.proposals, counts, controls))
+    return Kernels.through_draws(
+        controls, target - mixture_log_prob(state.proposals, counts, controls)
+    )
 
 
-def _ahead(fits: list[ModelFit], drop_behind: float | None) -> set[str]:
+def _models_ahead(fits: list[ModelFit], drop_behind: float | None) -> set[str]:
     """Models that get further rounds: those not far behind the best, neither by cost nor by
     evidence.
     """
@@ -263,7 +263,7 @@ def _ahead(fits: list[ModelFit], drop_behind: float | None) -> set[str]:
     return near - {model for model, value in evidence.items() if value < most - drop_behind}
 
 
-def _draw(state: _State, samples: int, seed: int) -> _Draws:
+def _draw_round(state: _State, samples: int, seed: int, options: WeighingOptions) -> _Draws:
     """Draws of the gel, and of the nuisances given the gel.
 
     Those are placed anew for each gel after the first round.
@@ -274,15 +274,17 @@ def _draw(state: _State, samples: int, seed: int) -> _Draws:
     sure = not bool(uncertain.any())
     samples *= 2 ** max(0, number - (1 if sure else 2))
     source = generator(child(seed, "weigh", fit.model, state.drawn))
-    controls = state.proposals[-1].draw(samples, source)
+    controls = state.proposals[-1].draw_points(samples, source)
     if sure:
         still = torch.zeros(samples, 1, *uncertain.shape, dtype=torch.float64)
         return _Draws(controls, still, still[..., 0])
     last = fit.sample
-    pairs = (
-        1 if number < 2 or (last is not None and last.effective_samples > len(last) / 2) else _PAIRS
+    worth_half = last is not None and last.effective_samples > len(last) / 2
+    pairs = 1 if number < 2 or worth_half else options.nuisance_pairs
+    half = (
+        student_draws((samples, pairs, *uncertain.shape), options.nuisance_freedom, source)
+        * uncertain
     )
-    half = student_draws((samples, pairs, *uncertain.shape), _FREEDOM, source) * uncertain
     noise = torch.cat((half, -half), dim=1)
     centre = fit.nuisances_at(controls)
     chol = fit.nuisance_chol.expand(samples, -1, -1, -1)
@@ -293,7 +295,9 @@ def _draw(state: _State, samples: int, seed: int) -> _Draws:
     ]
     nuisances = centre[:, None] + deviation
     log_prior = torch.where(uncertain, _standard_log_prob(nuisances), 0.0).sum(-1)
-    log_proposal = student_log_prob(noise.square().sum(-1), uncertain.sum(1), _FREEDOM)
+    log_proposal = student_log_prob(
+        noise.square().sum(-1), uncertain.sum(1), options.nuisance_freedom
+    )
     scales = torch.where(uncertain, chol.diagonal(dim1=-2, dim2=-1), 1.0)
     log_det = scales.log().sum(-1)[:, None]
     return _Draws(controls, nuisances, log_prior - log_proposal - log_det)
@@ -304,7 +308,7 @@ def _standard_log_prob(values: Tensor) -> Tensor:
     return -0.5 * (values.square() + math.log(2.0 * math.pi))
 
 
-def _simulate(
+def _weigh_draws(
     state: _State, draws: _Draws, noise: NoiseNodes | None, source: torch.Generator
 ) -> ImportanceSample:
     """The draws of a model with their likelihoods."""
@@ -313,15 +317,15 @@ def _simulate(
     point = Point(draws.controls.repeat_interleave(count[1], 0), draws.nuisances.flatten(0, 1))
     prediction = state.posterior.predict(point).unflatten(0, count)
     likelihood = batch.log_likelihood(prediction)
-    by_experiment = draws.averaged(likelihood)
+    by_experiment = draws.average_likelihood(likelihood)
     under_laws = None
     if noise is not None:
         parts = [
-            draws.averaged(noise.log_likelihood(batch, prediction, law))
+            draws.average_likelihood(noise.log_likelihood(batch, prediction, law))
             for law in range(len(noise.laws))
         ]
         by_law = torch.cat(parts).movedim(0, 1)  # n x M x E
-        drawn = _picked(by_law.sum(2) + noise.log_prior.flatten(), source)
+        drawn = _pick_columns(by_law.sum(2) + noise.log_prior.flatten(), source)
         laws, scales = drawn // noise.scales, drawn % noise.scales
         for law in laws.unique().tolist():
             rows = torch.nonzero(laws == law)[:, 0]
@@ -335,7 +339,7 @@ def _simulate(
         log_prior=_standard_log_prob(draws.controls).sum(1),
         by_experiment=by_experiment,
         log_proposal=proposal.log_prob(draws.controls),
-        nuisances=draws.kept(likelihood, source),
+        nuisances=draws.keep_nuisances(likelihood, source),
         centre=proposal.mean,
         spread=proposal.chol,
         first_shape=math.nan if before is None else before.first_shape,
@@ -351,7 +355,7 @@ def _simulate(
     return sample if before is not None else replace(sample, first_shape=sample.pareto_k)
 
 
-def _picked(log_weights: Tensor, source: torch.Generator) -> Tensor:
+def _pick_columns(log_weights: Tensor, source: torch.Generator) -> Tensor:
     """One column of each row, in proportion to its weight: ``n`` integers."""
     shares = torch.softmax(log_weights.nan_to_num(neginf=-1e300), 1)
     return torch.multinomial(shares, 1, generator=source)[:, 0]

@@ -27,14 +27,12 @@ from imr_torch.assimilate import (
 from imr_torch.design import Plan
 from imr_torch.errors import ConvergenceError, ShapeError
 from imr_torch.material import Belief
-from imr_torch.observe import Experiment, ExperimentBatch, SimulatedLaboratory, collapse_time
+from imr_torch.observe import Experiment, ExperimentBatch, SimulatedLaboratory
 from imr_torch.random import child, generator
 from imr_torch.select import evidences, update
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
 from imr_torch.types import Controls
-
-_ATTEMPTS = 50
 
 Learn = Callable[[tuple[Experiment, ...]], ExperimentBatch]
 
@@ -56,6 +54,7 @@ class Arrangement:
             not given. Lets a wrong inference be tested, or one with less information.
         noise_rounds: how often the inference estimates the noise from its residuals.
             It is then integrated out, as in a characterisation.
+        attempts: gels drawn, at most, until one can be simulated.
 
     >>> from imr_torch import wide_prior
     >>> from imr_torch.calibration import Arrangement
@@ -71,6 +70,7 @@ class Arrangement:
     options: FitOptions = field(default_factory=SearchOptions)
     learn: Learn | None = None
     noise_rounds: int = 0
+    attempts: int = 50
 
 
 @dataclass(frozen=True)
@@ -148,11 +148,11 @@ def calibrate(
     for number in numbers:
         own = child(seed, "replicate", number)
         started = time.process_time()
-        truth = _draw(arrangement, own, simulator)
+        truth = _draw_truth(arrangement, own, simulator)
         judged = (
-            _inferred(arrangement, truth, own, simulator)
+            _infer_replicate(arrangement, truth, own, simulator)
             if infer is None
-            else _ranked(arrangement, truth, own, infer)
+            else _rank_draws(arrangement, truth, own, infer)
         )
         yield replace(
             judged,
@@ -173,17 +173,17 @@ class _Truth:
     redrawn: int
 
 
-def _data(arrangement: Arrangement, truth: _Truth) -> ExperimentBatch:
+def _prepare_data(arrangement: Arrangement, truth: _Truth) -> ExperimentBatch:
     """What the inference is given."""
     learn = arrangement.learn or partial(ExperimentBatch, noise=arrangement.plan.noise)
     return learn(truth.experiments)
 
 
-def _ranked(arrangement: Arrangement, truth: _Truth, seed: int, infer: Infer) -> Replicate:
+def _rank_draws(arrangement: Arrangement, truth: _Truth, seed: int, infer: Infer) -> Replicate:
     """Where the truth lies among the draws of a function."""
     part = arrangement.prior[truth.model]
     try:
-        draws = infer(_data(arrangement, truth), truth.model, child(seed, "infer"))
+        draws = infer(_prepare_data(arrangement, truth), truth.model, child(seed, "infer"))
     except ConvergenceError as error:
         return Replicate(0, truth.model, failure=str(error))
     if (
@@ -206,11 +206,11 @@ def _ranked(arrangement: Arrangement, truth: _Truth, seed: int, infer: Infer) ->
     )
 
 
-def _inferred(
+def _infer_replicate(
     arrangement: Arrangement, truth: _Truth, seed: int, simulator: Simulator
 ) -> Replicate:
     """Result of the toolkit's own inference on one gel."""
-    batch = _data(arrangement, truth)
+    batch = _prepare_data(arrangement, truth)
     try:
         fitted = assimilate_estimating_noise(
             arrangement.prior,
@@ -236,24 +236,24 @@ def _inferred(
     away = fit.prior.unwhitened(truth.gel) - reported.mean
     z_reported = away / torch.linalg.norm(reported.chol, dim=1)
     assert fit.sample is not None
-    places = _places(fit.sample, truth.gel, uniforms)
+    places = _rank_truth(fit.sample, truth.gel, uniforms)
 
-    def named(values: Tensor) -> dict[str, float]:
+    def by_name(values: Tensor) -> dict[str, float]:
         return dict(zip(fit.prior.names, values.tolist(), strict=True))
 
     return Replicate(
         number=0,
         model=truth.model,
-        gaussian=named(torch.special.ndtr(z)),
-        weighted=named(places),
-        reported=named(torch.special.ndtr(z_reported)),
+        gaussian=by_name(torch.special.ndtr(z)),
+        weighted=by_name(places),
+        reported=by_name(torch.special.ndtr(z_reported)),
         probabilities=update(result, evidences(result)).probabilities,
         verdict=fit.verdict.value,
         converged=result.converged,
     )
 
 
-def _draw(arrangement: Arrangement, seed: int, simulator: Simulator) -> _Truth:
+def _draw_truth(arrangement: Arrangement, seed: int, simulator: Simulator) -> _Truth:
     """A gel of the prior that can be simulated, and its experiments, cut to the window."""
     prior = arrangement.prior
     plan = arrangement.plan
@@ -261,7 +261,7 @@ def _draw(arrangement: Arrangement, seed: int, simulator: Simulator) -> _Truth:
         prior.log_probabilities.exp(), 1, generator=generator(child(seed, "model"))
     )
     part = prior.models[int(chosen)]
-    for attempt in range(_ATTEMPTS):
+    for attempt in range(arrangement.attempts):
         gel = torch.randn(
             len(part.names), generator=generator(child(seed, "gel", attempt)), dtype=torch.float64
         )
@@ -275,22 +275,19 @@ def _draw(arrangement: Arrangement, seed: int, simulator: Simulator) -> _Truth:
         )
         try:
             shots = [
-                laboratory.shoot(design, seed=own) for design, own in _shots(arrangement, seed)
+                laboratory.shoot(design, seed=own)
+                for design, own in _seeded_shots(arrangement, seed)
             ]
         except ConvergenceError:
             continue
-        if plan.collapses is not None:
-            shots = [
-                shot.until(collapse_time(shot.times, shot.mean, plan.collapses)) for shot in shots
-            ]
-        return _Truth(part.model, gel, tuple(shots), attempt)
+        return _Truth(part.model, gel, tuple(map(plan.cut_to_window, shots)), attempt)
     raise ConvergenceError(
-        f"None of {_ATTEMPTS} gels of the prior of {part.model!r} could be simulated at "
+        f"None of {arrangement.attempts} gels of the prior of {part.model!r} could be simulated at "
         f"{arrangement.designs}."
     )
 
 
-def _shots(arrangement: Arrangement, seed: int) -> Iterator[tuple[Tensor, int]]:
+def _seeded_shots(arrangement: Arrangement, seed: int) -> Iterator[tuple[Tensor, int]]:
     """Each design with the seed of its noise."""
     for number, design in enumerate(arrangement.designs):
         yield (
@@ -299,7 +296,7 @@ def _shots(arrangement: Arrangement, seed: int) -> Iterator[tuple[Tensor, int]]:
         )
 
 
-def _places(sample: ImportanceSample, gel: Controls, uniforms: Controls) -> Controls:
+def _rank_truth(sample: ImportanceSample, gel: Controls, uniforms: Controls) -> Controls:
     """Rank of the truth in a posterior, between 0 and 1, uniform if the inference is calibrated.
 
     The weight of the draws below the truth, with the truth counted as one more effective draw: the

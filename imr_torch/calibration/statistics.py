@@ -14,9 +14,6 @@ import scipy  # whose parts are imported when they are used; `stats` takes long
 
 from imr_torch.errors import InputDataError, ShapeError
 
-_EDGE = 1e-12  # where the Gaussian tail is below float64 precision
-_FEWEST = 5  # expected in a bin for the chi-square approximation to hold
-
 
 @dataclass(frozen=True)
 class Uniformity:
@@ -109,19 +106,20 @@ class Reliability:
     p: float
 
 
-def _checked(values: Sequence[float], name: str) -> np.ndarray:
+def _check_shares(values: Sequence[float], name: str) -> np.ndarray:
     found = np.asarray(values, dtype=float)
     if found.ndim != 1 or len(found) == 0 or not ((found >= 0.0) & (found <= 1.0)).all():
         raise InputDataError(f"{name}: expected at least one number, all within [0, 1].")
     return found
 
 
-def uniformity(values: Sequence[float], *, bins: int | None = None) -> Uniformity:
+def uniformity(values: Sequence[float], *, bins: int | None = None, fewest: int = 5) -> Uniformity:
     """Test numbers against the uniform distribution on [0, 1].
 
     Args:
         values: places of truths in their posteriors.
         bins: of the histogram; as many as hold ten on average, at most 20, when not given.
+        fewest: expected in a bin, for the chi-square approximation to hold.
 
     Raises:
         InputDataError: if a value is outside, or there are too few for the bins.
@@ -131,15 +129,16 @@ def uniformity(values: Sequence[float], *, bins: int | None = None) -> Uniformit
     >>> uniformity(too_narrow).p < 1e-6
     True
     """
-    found = _checked(values, "uniformity")
+    found = _check_shares(values, "uniformity")
     bins = bins or max(2, min(20, len(found) // 10))
-    if len(found) < _FEWEST * bins:
+    if len(found) < fewest * bins:
         raise InputDataError(
-            f"uniformity: {len(found)} values are too few for {bins} bins; {_FEWEST * bins} are "
+            f"uniformity: {len(found)} values are too few for {bins} bins; {fewest * bins} are "
             "needed."
         )
     counts = np.histogram(found, bins=bins, range=(0.0, 1.0))[0]
-    square = float((scipy.stats.norm.ppf(found.clip(_EDGE, 1.0 - _EDGE)) ** 2).sum())
+    edge = 1e-12  # where the Gaussian tail is below float64 precision
+    square = float((scipy.stats.norm.ppf(found.clip(edge, 1.0 - edge)) ** 2).sum())
     below = scipy.stats.chi2.cdf(square, len(found))
     return Uniformity(
         len(found),
@@ -162,7 +161,7 @@ def envelope(count: int, level: float = 0.95) -> float:
     return float(scipy.stats.kstwo.ppf(level, count))
 
 
-def _share(hits: int, count: int) -> tuple[float, float]:
+def _share_interval(hits: int, count: int) -> tuple[float, float]:
     """95 % confidence interval of a share (Clopper & Pearson, Biometrika 26, 1934)."""
     interval = scipy.stats.binomtest(hits, count).proportion_ci(0.95, method="exact")
     return float(interval.low), float(interval.high)
@@ -180,9 +179,9 @@ def coverage(values: Sequence[float], level: float) -> Coverage:
     >>> found.share, found.fits
     (0.9, True)
     """
-    found = _checked(values, "coverage")
+    found = _check_shares(values, "coverage")
     hits = int((np.abs(found - 0.5) <= 0.5 * level).sum())
-    return Coverage(level, hits / len(found), *_share(hits, len(found)))
+    return Coverage(level, hits / len(found), *_share_interval(hits, len(found)))
 
 
 def _calibration_error(stated: np.ndarray, true: np.ndarray, places: np.ndarray) -> float:
@@ -216,7 +215,7 @@ def reliability(
     >>> round(found.error, 2), found.share
     (0.1, (0.0, 1.0))
     """
-    p = _checked(stated, "reliability")
+    p = _check_shares(stated, "reliability")
     hit = np.asarray(true, dtype=float)
     if p.shape != hit.shape:
         raise ShapeError(
@@ -228,7 +227,7 @@ def reliability(
         mine = places == place
         hits = int(hit[mine].sum())
         count = int(mine.sum())
-        rows.append((float(p[mine].mean()), hits / count, *_share(hits, count), count))
+        rows.append((float(p[mine].mean()), hits / count, *_share_interval(hits, count), count))
     source = np.random.default_rng(seed)
     chance = [
         _calibration_error(p, (source.random(len(p)) < p).astype(float), places)

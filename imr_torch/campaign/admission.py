@@ -18,17 +18,14 @@ from imr_torch.observe.plausibility import RAYLEIGH_TIME
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
 
-_DRAWS = 8
-_FACTOR = 30.0
-_FEWEST_FRAMES = 10
 
-
-def check_whole(experiment: Experiment, max_method: str) -> None:
+def check_whole(experiment: Experiment, max_method: str, *, fewest: int = 10) -> None:
     """Raise for a curve that shows too little of a bubble to learn from: a shot that failed.
 
     Args:
         experiment: cut to the window that is assimilated.
         max_method: how its maximum was found, of :class:`imr_torch.observe.Landmarks`.
+        fewest: frames that it must have.
 
     Raises:
         InputDataError: if it has fewer frames, its maximum is not in the record, or it shows no
@@ -36,8 +33,8 @@ def check_whole(experiment: Experiment, max_method: str) -> None:
     """
     count = len(experiment.times)
     reason = ""
-    if count < _FEWEST_FRAMES:
-        reason = f"has {count} frames to fit, and at least {_FEWEST_FRAMES} are needed"
+    if count < fewest:
+        reason = f"has {count} frames to fit, and at least {fewest} are needed"
     elif max_method == "edge":
         reason = (
             "begins after its maximum radius (cut off by the edge of the picture, or filmed too "
@@ -50,27 +47,36 @@ def check_whole(experiment: Experiment, max_method: str) -> None:
 
 
 def check_simulated(
-    belief: Belief, experiment: Experiment, simulator: Simulator, noise: Noise, seed: int
+    belief: Belief,
+    experiment: Experiment,
+    simulator: Simulator,
+    noise: Noise,
+    seed: int,
+    *,
+    draws: int = 8,
+    factor: float = 30.0,
 ) -> None:
     """Raise unless at least one gel of the belief gives a curve at the design and times of an
     experiment.
 
     Args:
-        belief: eight gels of each model are drawn from it.
+        belief: gels of each model are drawn from it.
         experiment: cut to the window that is assimilated.
         simulator: makes the bubbles.
         noise: law of the observation noise.
         seed: of the draws.
+        draws: gels of each model.
+        factor: times earlier or later than that of an empty bubble that a collapse may be.
 
     Raises:
-        InputDataError: if no bubble could be simulated, or the curve collapses 30 times earlier or
-            later than an empty bubble.
+        InputDataError: if no bubble could be simulated, or the curve collapses too early or too
+            late.
     """
     name, (weber, rest) = f"Experiment {experiment.label!r}", experiment.design
     collapse = collapse_time(experiment.times, experiment.mean, 1)
     last = float(experiment.times[-1])
-    late = _FACTOR * RAYLEIGH_TIME < collapse < math.inf
-    if late or (collapse < RAYLEIGH_TIME / _FACTOR and last < RAYLEIGH_TIME):
+    late = factor * RAYLEIGH_TIME < collapse < math.inf
+    if late or (collapse < RAYLEIGH_TIME / factor and last < RAYLEIGH_TIME):
         raise InputDataError(
             f"{name} collapses first at a dimensionless time of {collapse:.3g}; bubbles do near "
             f"{RAYLEIGH_TIME}. Its times or "
@@ -79,14 +85,14 @@ def check_simulated(
         )
     batch = ExperimentBatch((experiment,), noise)
     for part in belief.models:
-        controls = part.controls(_DRAWS, seed=child(seed, "admission"))
+        controls = part.controls(draws, seed=child(seed, "admission"))
         with torch.no_grad():
             radius = predict(simulator, part.parameters(controls), batch)
         if bool(torch.isfinite(radius).all(-1).any()):
             return
     raise InputDataError(
         f"{name} at (We, R_inf*) = ({weber:g}, {rest:g}) and times up to {last:.3g} cannot be "
-        f"simulated: all {_DRAWS} gels "
+        f"simulated: all {draws} gels "
         f"drawn of each of {', '.join(belief.keys)} failed. Check Rmax, R_inf and the units of "
         "the file; nothing was recorded."
     )

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from imr_torch.campaign.journal import REMEDY, Journal, differing
+from imr_torch.campaign.journal import REMEDY, Journal, differing_names
 from imr_torch.campaign.learners import Finding, Inference
 from imr_torch.campaign.policies import Proposal
 from imr_torch.errors import ImrError, InputDataError
@@ -78,7 +78,7 @@ class History:
         """Experiments that were told, forgotten ones included."""
         return len(self.told) + len(self.withdrawn)
 
-    def standing(self, number: int) -> Ask | None:
+    def standing_ask(self, number: int) -> Ask | None:
         """What was asked for last in a step.
 
         None if it was to be answered under a belief that was withdrawn since, or its design failed
@@ -89,7 +89,7 @@ class History:
             return None
         return ask
 
-    def follow(self, event: dict[str, Any], journal: Journal) -> None:
+    def follow_event(self, event: dict[str, Any], journal: Journal) -> None:
         """Take one event of the journal in.
 
         Raises:
@@ -116,7 +116,7 @@ class History:
                         self.moved[step].append(ask.proposal.design)
             case {"event": "observed", "step": int(), "experiments": list(records)}:
                 for record in records:
-                    self.told[int(record["number"])] = journal.restore(record)
+                    self.told[int(record["number"])] = journal.restore_curves(record)
             case {
                 "event": "learnt",
                 "step": int(step),
@@ -131,7 +131,7 @@ class History:
                 self.steps.append(
                     Step(
                         Belief.from_dict(belief),
-                        tuple(Evidence(**_infinite(entry)) for entry in rows),
+                        tuple(Evidence(**_restore_infinite(entry)) for entry in rows),
                         noise=Noise(**noise) if noise else None,
                         finding=Finding(**finding | {"causes": tuple(finding["causes"])})
                         if finding
@@ -153,7 +153,7 @@ class History:
                 )
 
 
-def replayed(journal: Journal) -> History:
+def replay_journal(journal: Journal) -> History:
     """The history that a journal tells.
 
     Raises:
@@ -162,7 +162,7 @@ def replayed(journal: Journal) -> History:
     history = History()
     for line, event in enumerate(journal.events, start=1):
         try:
-            history.follow(event, journal)
+            history.follow_event(event, journal)
         except ImrError as error:
             raise type(error)(f"{journal.path}, line {line}: {error}") from None
         except Exception as error:
@@ -187,7 +187,7 @@ def check_identity(journal: Journal, identity: dict[str, Any]) -> None:
         raise InputDataError(
             f"{journal.path}, line 1: event is {first['event']!r}; a campaign begins with 'start'."
         )
-    if names := differing(first, {"event": "start"} | identity):
+    if names := differing_names(first, {"event": "start"} | identity):
         raise InputDataError(
             f"{journal.path} is the journal of another campaign: {', '.join(names)} differ. "
             "Resume with the same "
@@ -196,7 +196,7 @@ def check_identity(journal: Journal, identity: dict[str, Any]) -> None:
         )
 
 
-def _infinite(values: dict[str, Any]) -> dict[str, Any]:
+def _restore_infinite(values: dict[str, Any]) -> dict[str, Any]:
     """Inverse of :func:`finite`.
 
     The one number of an evidence that may be infinite is the shape of its tail.

@@ -30,7 +30,7 @@ from imr_torch.observe import Experiment, Nuisance
 REMEDY = "Restore it from a copy, or tell its curves to a campaign in a new folder."
 
 
-def differing(known: Any, wanted: Any, name: str = "") -> list[str]:
+def differing_names(known: Any, wanted: Any, name: str = "") -> list[str]:
     """Dotted names of the entries in which two JSON documents differ, or which one lacks.
 
     Parts of two kinds differ whole.
@@ -43,7 +43,9 @@ def differing(known: Any, wanted: Any, name: str = "") -> list[str]:
     return [
         found
         for key in keys
-        for found in differing(known.get(key), wanted.get(key), f"{name}.{key}" if name else key)
+        for found in differing_names(
+            known.get(key), wanted.get(key), f"{name}.{key}" if name else key
+        )
     ]
 
 
@@ -67,10 +69,10 @@ def curve_hash(experiment: Experiment) -> str:
 class Journal:
     """The events of one campaign in a folder.
 
-    Opening reads and changes nothing. Writing takes the folder's lock (:meth:`held`), which may be
-    taken again by the thread that holds it, and ends with the process. The file ``.journal.lock``
-    stays in the folder and means nothing by itself. ``.journal.owner`` beside it names the process
-    that holds the lock, for the message that another process gets.
+    Opening reads and changes nothing. Writing takes the folder's lock (:meth:`hold_lock`), which
+    may be taken again by the thread that holds it, and ends with the process. The file
+    ``.journal.lock`` stays in the folder and means nothing by itself. ``.journal.owner`` beside it
+    names the process that holds the lock, for the message that another process gets.
 
     Args:
         folder: where ``journal.jsonl`` and the curves are kept; made when something is written.
@@ -83,7 +85,7 @@ class Journal:
     >>> from imr_torch.campaign import Journal
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     _ = Journal(folder).append("note", text="laser realigned")
-    ...     Journal(folder).find("note")["text"]
+    ...     Journal(folder).find_event("note")["text"]
     'laser realigned'
     """
 
@@ -98,18 +100,18 @@ class Journal:
         self._headed = 0  # lines that the head knows of
         self._lock = FileLock(self.folder / ".journal.lock", timeout=0)
         self._owner = self.folder / ".journal.owner"
-        self._read()
+        self._read_journal()
 
-    def _read(self) -> None:
+    def _read_journal(self) -> None:
         count, check = self._read_head()  # before the journal: a writer writes it after its line
-        self._known = self._content()
+        self._known = self._read_bytes()
         *lines, tail = self._known.split(b"\n")
         for line in lines:
-            self._accept(line)
+            self._accept_line(line)
         self._kept = len(self._known) - len(tail)
         if tail:
             with suppress(InputDataError):  # an append that was cut off
-                self._accept(tail)
+                self._accept_line(tail)
                 self._kept = len(self._known) + 1  # nothing but the end of the line is missing
         self._headed = count
         if count > len(self.events):
@@ -143,7 +145,7 @@ class Journal:
                 f"{self._head}: cannot be read ({error}). Restore it from a copy, or delete it."
             ) from None
 
-    def _accept(self, line: bytes) -> None:
+    def _accept_line(self, line: bytes) -> None:
         """Add the event of a line, once it is known to be what was written there."""
         place = f"{self.path}, line {len(self.events) + 1}"
         try:
@@ -157,7 +159,7 @@ class Journal:
                 f"{text!r}). {REMEDY}"
             )
         check = entry.pop("check", "")
-        if self._encoded(entry)[0] != line:
+        if self._encode_entry(entry)[0] != line:
             raise InputDataError(
                 f"{place}: its checksum does not fit; this line was edited, moved or copied, or "
                 "lines before it were removed or moved. "
@@ -166,7 +168,7 @@ class Journal:
         self.events.append(entry)
         self._checks.append(check)
 
-    def _encoded(self, entry: dict[str, Any]) -> tuple[bytes, str]:
+    def _encode_entry(self, entry: dict[str, Any]) -> tuple[bytes, str]:
         """The next line, of an entry, without its end, and its checksum."""
         body = json.dumps(entry)
         previous = self._checks[-1] if self._checks else ""
@@ -174,7 +176,7 @@ class Journal:
         return f'{body[:-1]}, "check": "{check}"}}'.encode(), check
 
     @contextmanager
-    def held(self) -> Iterator[None]:
+    def hold_lock(self) -> Iterator[None]:
         """Hold the folder's lock for several operations; every operation that writes takes it by
         itself otherwise.
 
@@ -190,19 +192,19 @@ class Journal:
             self._lock.acquire()
         except Timeout:
             raise InputDataError(
-                f"{self.folder} is in use by {self._holder()}; wait until it has ended, or give "
-                "another folder."
+                f"{self.folder} is in use by {self._describe_holder()}; wait until it has ended, "
+                "or give another folder."
             ) from None
         try:
             if outermost:
                 with suppress(OSError):  # the name of the owner only serves the message
                     self._owner.write_text(f"process {os.getpid()} on {socket.gethostname()}")
-                if self._content() != self._known:
+                if self._read_bytes() != self._known:
                     raise InputDataError(
                         f"{self.path} was written to since it was opened here; open the campaign "
                         "again."
                     )
-                self._repair()
+                self._repair_end()
             yield
         finally:
             if outermost:
@@ -210,23 +212,23 @@ class Journal:
                     self._owner.unlink()
             self._lock.release()
 
-    def _holder(self) -> str:
+    def _describe_holder(self) -> str:
         """What is known of the process that holds the lock."""
         try:
             return f"another campaign ({self._owner.read_text().strip()})"
         except (OSError, ValueError):
             return "another process"
 
-    def _content(self) -> bytes:
+    def _read_bytes(self) -> bytes:
         return self.path.read_bytes() if self.path.exists() else b""
 
-    def _repair(self) -> None:
+    def _repair_end(self) -> None:
         """Complete or cut off the last line, write the head if it lags, and remove files that an
         interrupted write left.
         """
         remove_temporaries(self.folder, "journal.head", "experiment_*.npz")
         if self._kept > len(self._known):
-            self._write(b"\n")
+            self._write_bytes(b"\n")
         elif self._kept < len(self._known):
             os.truncate(self.path, self._kept)
             self._known = self._known[: self._kept]
@@ -255,15 +257,15 @@ class Journal:
             raise InputDataError(
                 f"Event {event!r} holds a number that is not finite, which JSON cannot represent."
             )
-        line, check = self._encoded(entry)
-        with self.held():
-            self._write(line + b"\n")
+        line, check = self._encode_entry(entry)
+        with self.hold_lock():
+            self._write_bytes(line + b"\n")
             self.events.append(json.loads(json.dumps(entry)))
             self._checks.append(check)
             self._write_head()
         return self.events[-1]
 
-    def _write(self, data: bytes) -> None:
+    def _write_bytes(self, data: bytes) -> None:
         """Add bytes to the file and flush them to disk, all of them or none."""
         try:
             with self.path.open("ab", buffering=0) as stream:
@@ -285,14 +287,14 @@ class Journal:
         self._known += data
         self._kept = len(self._known)
 
-    def find(self, event: str, step: int | None = None) -> dict[str, Any] | None:
+    def find_event(self, event: str, step: int | None = None) -> dict[str, Any] | None:
         """The last event of a kind (and step), or None."""
         for entry in reversed(self.events):
             if entry["event"] == event and (step is None or entry.get("step") == step):
                 return entry
         return None
 
-    def store(self, experiment: Experiment, name: str) -> dict[str, Any]:
+    def store_curves(self, experiment: Experiment, name: str) -> dict[str, Any]:
         """Write an experiment's curves beside the journal.
 
         Returns the JSON-ready record that finds them again.
@@ -300,7 +302,7 @@ class Journal:
         path = self.folder / f"{name}.npz"
         times = experiment.times.detach().cpu().numpy()
         radius = experiment.radius.detach().cpu().numpy()
-        with self.held():
+        with self.hold_lock():
             write_atomically(path, lambda stream: np.savez(stream, times=times, radius=radius))
         return {
             "label": experiment.label,
@@ -311,8 +313,8 @@ class Journal:
             "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
         }
 
-    def restore(self, record: dict[str, Any]) -> Experiment:
-        """Read an experiment that :meth:`store` wrote.
+    def restore_curves(self, record: dict[str, Any]) -> Experiment:
+        """Read an experiment that :meth:`store_curves` wrote.
 
         Raises:
             InputDataError: if its file is missing or was changed.

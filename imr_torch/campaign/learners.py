@@ -134,14 +134,14 @@ class Learner(Protocol):
     True
     """
 
-    def check(self, batch: ExperimentBatch) -> None:
+    def check_batch(self, batch: ExperimentBatch) -> None:
         """Raise :class:`InputDataError` for experiments that the method cannot take.
 
         Called before they are recorded.
         """
         ...
 
-    def learn(
+    def infer_belief(
         self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None
     ) -> Inference:
         """Infer the belief after all experiments; a function of the observations alone."""
@@ -177,10 +177,10 @@ class ExactLearner:
                 f"ExactLearner.noise_rounds is {self.noise_rounds}; expected 0 or more."
             )
 
-    def check(self, batch: ExperimentBatch) -> None:
+    def check_batch(self, batch: ExperimentBatch) -> None:
         """See :class:`Learner`; all are taken."""
 
-    def learn(
+    def infer_belief(
         self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None
     ) -> Inference:
         """See :class:`Learner`."""
@@ -223,7 +223,7 @@ class PaperLearner:
 
     options: PublishedOptions = field(default_factory=PublishedOptions)
 
-    def check(self, batch: ExperimentBatch) -> None:
+    def check_batch(self, batch: ExperimentBatch) -> None:
         """Raise if the design or the clock of an experiment is uncertain, which the method cannot
         express.
         """
@@ -237,14 +237,14 @@ class PaperLearner:
                 "PaperLearner learns from curves; leave shots of collapse times out."
             )
 
-    def learn(
+    def infer_belief(
         self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None
     ) -> Inference:
-        """See :class:`Learner`. Raises as :meth:`check` does."""
+        """See :class:`Learner`. Raises as :meth:`check_batch` does."""
         batch = observations.batch
         belief = observations.belief
         record = {}
-        self.check(batch)
+        self.check_batch(batch)
         count = len(batch.experiments)
         for number in range(count - observations.fresh + 1, count + 1):
             experiment = batch.curves[number - 1]
@@ -259,7 +259,7 @@ class PaperLearner:
             )
             here = published_probabilities(fits, experiment, batch.noise)
             so_far = belief.log_probabilities.exp() if number > 1 else torch.zeros_like(here)
-            parts = tuple(product(fit.prior, fit.posterior) for fit in fits)
+            parts = tuple(multiply_gaussians(fit.prior, fit.posterior) for fit in fits)
             belief = Belief(parts, ((so_far * (number - 1) + here) / number).log())
             record = {
                 "probabilities_of_this_design": dict(zip(belief.keys, here.tolist(), strict=True))
@@ -267,7 +267,7 @@ class PaperLearner:
         return Inference(belief, record=record)
 
 
-def product(first: ModelBelief, second: ModelBelief) -> ModelBelief:
+def multiply_gaussians(first: ModelBelief, second: ModelBelief) -> ModelBelief:
     """The normalised product of the Gaussians of two beliefs that share their maps."""
     precisions = [torch.cholesky_inverse(part.chol) for part in (first, second)]
     covariance = torch.linalg.inv(precisions[0] + precisions[1])

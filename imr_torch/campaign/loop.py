@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.campaign.admission import check_new, check_simulated
-from imr_torch.campaign.history import Step, check_identity, replayed
+from imr_torch.campaign.history import Step, check_identity, replay_journal
 from imr_torch.campaign.journal import Journal, curve_hash
 from imr_torch.campaign.learners import Observations
 from imr_torch.campaign.policies import Proposal, Situation
@@ -30,7 +30,7 @@ from imr_torch.design import DesignSearch, InformationGain, Plan, SearchSettings
 from imr_torch.errors import ImrError, InputDataError
 from imr_torch.files import without_nonfinite
 from imr_torch.material import Belief
-from imr_torch.observe import Experiment, ExperimentBatch, collapse_time
+from imr_torch.observe import Experiment, ExperimentBatch
 from imr_torch.simulate import Simulator, described
 from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
@@ -48,7 +48,7 @@ class Campaign:
         note: what else identifies the campaign (JSON-ready); checked on resume.
 
     Opening writes nothing; a new journal begins with the first thing that is asked or told.
-    Whatever writes holds the folder's lock while it works (:meth:`Journal.held`), so that two
+    Whatever writes holds the folder's lock while it works (:meth:`Journal.hold_lock`), so that two
     processes cannot continue one campaign at a time.
 
     Raises:
@@ -87,10 +87,10 @@ class Campaign:
         self.seed = seed
         self.settings = settings or CampaignSettings()
         self.journal = Journal(folder)
-        self._identity = self._identify(note or {})
-        self._history = replayed(self.journal)
+        self._identity = self._check_identity(note or {})
+        self._history = replay_journal(self.journal)
 
-    def _identify(self, note: dict[str, Any]) -> dict[str, Any]:
+    def _check_identity(self, note: dict[str, Any]) -> dict[str, Any]:
         """What the journal begins with, checked against the journal if there is one."""
         identity = through_json(
             {
@@ -104,11 +104,11 @@ class Campaign:
         check_identity(self.journal, identity)
         return identity
 
-    def _record(self, event: str, **values: Any) -> None:
+    def _record_event(self, event: str, **values: Any) -> None:
         """Write an event, after the start of the journal if there is none yet."""
         if not self.journal.events:
             self.journal.append("start", **self._identity)
-        self._history.follow(self.journal.append(event, **values), self.journal)
+        self._history.follow_event(self.journal.append(event, **values), self.journal)
 
     @property
     def steps(self) -> list[Step]:
@@ -164,7 +164,7 @@ class Campaign:
         state = CampaignState(
             self.belief, tuple(self.experiments), gain, self.forgotten, self.now.finding
         )
-        return rule.reason(state) if rule else None
+        return rule.find_reason(state) if rule else None
 
     @property
     def forgotten(self) -> tuple[Experiment, ...]:
@@ -201,10 +201,10 @@ class Campaign:
         if q < 1:
             raise InputDataError(f"q is {q}; expected at least 1.")
         proposals: list[Proposal] = []
-        with self.journal.held():
+        with self.journal.hold_lock():
             self._catch_up(progress)
             for number in range(self.told + 1, self.told + 1 + q):
-                proposals.append(self._propose(number, proposals, progress))
+                proposals.append(self._propose_design(number, proposals, progress))
         return tuple(proposals)
 
     def fail(self, label: str, reason: str) -> None:
@@ -217,23 +217,23 @@ class Campaign:
             label: of the shot or its file.
             reason: why it cannot be used.
         """
-        with self.journal.held():
-            self._record("failed", step=self.told + 1, label=label, reason=reason)
+        with self.journal.hold_lock():
+            self._record_event("failed", step=self.told + 1, label=label, reason=reason)
 
     @property
     def failures(self) -> list[dict[str, Any]]:
         """The shots that failed: ``step``, ``label`` and ``reason``."""
         return [event for event in self.journal.events if event["event"] == "failed"]
 
-    def _propose(
+    def _propose_design(
         self, number: int, before: Sequence[Proposal], progress: Progress | None
     ) -> Proposal:
         """The proposal of one step beside those before it, from the journal if it was made already."""
-        known = self._history.standing(number)
+        known = self._history.standing_ask(number)
         if known is not None:
             return known.proposal
         settings = self.settings
-        batch = self._batch(self.experiments) if self.experiments else None
+        batch = self._make_batch(self.experiments) if self.experiments else None
         pending = [*(proposal.design for proposal in before), *self._history.moved[number]]
         situation = Situation(
             number,
@@ -247,12 +247,12 @@ class Campaign:
             batch,
             self.now.shots,
         )
-        found = settings.policy.choose(situation, progress=progress)
+        found = settings.policy.choose_design(situation, progress=progress)
         search = found.search
         tried = zip(search.gains, search.designs, strict=True) if search else ()
         evaluations = [asdict(gain) | {"design": design.tolist()} for gain, design in tried]
         gain_before = search and search.pending and asdict(search.pending)
-        self._record(
+        self._record_event(
             "ask",
             step=number,
             design=found.design.tolist(),
@@ -270,7 +270,7 @@ class Campaign:
 
         None where there was none.
         """
-        known = self._history.standing(number)
+        known = self._history.standing_ask(number)
         if known is None or not known.event["search"]:
             return None
         record = known.event
@@ -279,7 +279,7 @@ class Campaign:
         gains = [InformationGain.from_dict(row) for row in rows]
         pending = InformationGain.from_dict(record["pending"]) if record["pending"] else None
         settings = SearchSettings(**record["search"])
-        return settings.finish(self.settings.space, designs, gains, pending)
+        return settings.finish_search(self.settings.space, designs, gains, pending)
 
     @one_torch_thread()
     def tell(self, *experiments: Experiment, progress: Progress | None = None) -> Step:
@@ -302,25 +302,26 @@ class Campaign:
         """
         if not experiments:
             raise InputDataError("tell needs at least one experiment.")
-        with self.journal.held():
+        with self.journal.hold_lock():
             check_new(experiments, self._history.told, self.outstanding, self.journal.path)
             self._catch_up(progress)
             for experiment in experiments:
                 check_simulated(
                     self.belief,
-                    self._window(experiment),
+                    self.settings.plan.cut_to_window(experiment),
                     self.simulator,
                     self.settings.plan.noise,
                     self.seed,
                 )
             numbers = range(self.told + 1, self.told + 1 + len(experiments))
-            self.settings.learner.check(self._batch(experiments))
+            self.settings.learner.check_batch(self._make_batch(experiments))
             records = [
-                {"number": number} | self.journal.store(experiment, f"experiment_{number:03d}")
+                {"number": number}
+                | self.journal.store_curves(experiment, f"experiment_{number:03d}")
                 for number, experiment in zip(numbers, experiments, strict=True)
             ]
-            self._record("observed", step=numbers[-1], experiments=records)
-            return self.learn(progress=progress)
+            self._record_event("observed", step=numbers[-1], experiments=records)
+            return self.learn_outstanding(progress=progress)
 
     def forget(self, number: int, *, progress: Progress | None = None) -> Step | None:
         """Take an experiment out of the belief and learn from the others; its curve and its line in
@@ -356,7 +357,7 @@ class Campaign:
         ...     campaign.told, campaign.numbers, campaign.belief.probabilities == case.prior.probabilities
         (1, [], True)
         """
-        with self.journal.held():
+        with self.journal.hold_lock():
             if number not in self.numbers:
                 told = self._history.told.items()
                 held = ", ".join(f"{n} ({e.label!r})" for n, e in told) or "none"
@@ -364,7 +365,7 @@ class Campaign:
                     f"There is no experiment {number} to forget in {self.journal.path}; it counts "
                     f"{held}."
                 )
-            self._record("forget", experiment=number)
+            self._record_event("forget", experiment=number)
             self._catch_up(progress)
         return self.steps[-1] if self.steps else None
 
@@ -373,10 +374,10 @@ class Campaign:
         if waiting := self.outstanding:
             if progress:
                 progress(f"learning from experiment {', '.join(map(str, waiting))}, told before")
-            self.learn(progress=progress)
+            self.learn_outstanding(progress=progress)
 
     @one_torch_thread()
-    def learn(self, *, progress: Progress | None = None) -> Step:
+    def learn_outstanding(self, *, progress: Progress | None = None) -> Step:
         """Learn from all experiments so far and record the belief, unless that was done; what
         :meth:`tell` does last.
 
@@ -388,12 +389,12 @@ class Campaign:
         fresh = self.outstanding
         if not fresh:
             return self.now
-        with self.journal.held():
+        with self.journal.hold_lock():
             observations = Observations(
-                self.prior, self.belief, self._batch(self.experiments), len(fresh), self.seed
+                self.prior, self.belief, self._make_batch(self.experiments), len(fresh), self.seed
             )
             try:
-                inference = self.settings.learner.learn(
+                inference = self.settings.learner.infer_belief(
                     observations, self.simulator, progress=progress
                 )
             except ImrError as error:
@@ -403,7 +404,7 @@ class Campaign:
                     f"without it: Campaign.forget({fresh[-1]}), imr-torch campaign --resume "
                     f"--forget {fresh[-1]}.)"
                 ) from error
-            self._record(
+            self._record_event(
                 "learnt",
                 step=fresh[-1],
                 experiments=list(self.numbers),
@@ -418,17 +419,11 @@ class Campaign:
         self.steps[-1] = replace(self.now, assimilation=inference.assimilation)
         return self.now
 
-    def _batch(self, experiments: Sequence[Experiment]) -> ExperimentBatch:
+    def _make_batch(self, experiments: Sequence[Experiment]) -> ExperimentBatch:
         """Experiments as a learner sees them."""
         return ExperimentBatch(
-            tuple(self._window(e) for e in experiments), self.settings.plan.noise
+            tuple(map(self.settings.plan.cut_to_window, experiments)), self.settings.plan.noise
         )
-
-    def _window(self, experiment: Experiment) -> Experiment:
-        collapses = self.settings.plan.collapses
-        if collapses is None:
-            return experiment
-        return experiment.until(collapse_time(experiment.times, experiment.mean, collapses))
 
     def run(
         self,
@@ -449,16 +444,16 @@ class Campaign:
                 rule looks at the belief before each such set.
             progress: called with one line per step of work.
         """
-        with self.journal.held():
+        with self.journal.hold_lock():
             self._catch_up(progress)
             while len(self.experiments) < designs:
                 if reason := self.reason_to_stop():
-                    return self._end(reason, progress)
+                    return self._end_campaign(reason, progress)
                 proposals = self.ask_several(
                     min(q, designs - len(self.experiments)), progress=progress
                 )
                 if reason := self.reason_to_stop(proposals[0]):
-                    return self._end(reason, progress)
+                    return self._end_campaign(reason, progress)
                 worth = takewhile(lambda proposal: not self.reason_to_stop(proposal), proposals)
                 self.tell(
                     *[shoot(proposal.design, proposal.step) for proposal in worth],
@@ -466,10 +461,10 @@ class Campaign:
                 )
         return self.steps
 
-    def _end(self, reason: str, progress: Progress | None) -> Sequence[Step]:
+    def _end_campaign(self, reason: str, progress: Progress | None) -> Sequence[Step]:
         """Write down why the campaign is over, once."""
-        if self.journal.find("stop", self.told) is None:
-            self._record("stop", step=self.told, reason=reason)
+        if self.journal.find_event("stop", self.told) is None:
+            self._record_event("stop", step=self.told, reason=reason)
         if progress:
             progress(f"stopped: {reason}")
         return self.steps

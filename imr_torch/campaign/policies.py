@@ -108,12 +108,12 @@ class DesignPolicy(Protocol):
     >>> from imr_torch.campaign import DesignPolicy, Proposal
     >>> @dataclass(frozen=True)
     ... class Largest:
-    ...     def choose(self, situation, *, progress=None):
+    ...     def choose_design(self, situation, *, progress=None):
     ...         return Proposal(situation.number, situation.space.bounds[1])
     >>> policy: DesignPolicy = Largest()
     """
 
-    def choose(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
+    def choose_design(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
         """The next design, a function of the situation alone."""
         ...
 
@@ -138,7 +138,7 @@ class Optimal:
     >>> from imr_torch.design import DesignSpace, Laplace, Plan
     >>> prior, space = reference_case("soft-pa").prior, DesignSpace((100.0, 1000.0), (0.14, 0.3))
     >>> situation = Situation(2, prior, PolytropicSimulator(), space, Plan(), seed=0)
-    >>> proposal = Optimal(Laplace(draws=2, rivals=2), evaluations=3, initial=2).choose(situation)
+    >>> proposal = Optimal(Laplace(draws=2, rivals=2), evaluations=3, initial=2).choose_design(situation)
     >>> proposal.step, proposal.gain > 0.0
     (2, True)
     """
@@ -161,7 +161,7 @@ class Optimal:
         if self.batch < 1:
             raise InputDataError(f"Optimal.batch is {self.batch}; expected at least 1.")
 
-    def choose(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
+    def choose_design(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
         """See :class:`DesignPolicy`."""
         acquisition = ExpectedInformationGain(
             situation.belief,
@@ -206,12 +206,12 @@ class Random:
     >>> from imr_torch.design import DesignSpace, Plan
     >>> prior, space = reference_case("soft-pa").prior, DesignSpace((100.0, 1000.0), (0.14, 0.3))
     >>> situation = Situation(2, prior, PolytropicSimulator(), space, Plan(), seed=0)
-    >>> proposal = Random().choose(situation)
+    >>> proposal = Random().choose_design(situation)
     >>> 100.0 <= float(proposal.design[0]) <= 1000.0, proposal.gain
     (True, None)
     """
 
-    def choose(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
+    def choose_design(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
         """See :class:`DesignPolicy`."""
         space = situation.space
         source = generator(child(situation.seed, "random design", situation.number))
@@ -229,12 +229,12 @@ class SpaceFilling:
     >>> from imr_torch.design import DesignSpace, Plan
     >>> prior, space = reference_case("soft-pa").prior, DesignSpace((100.0, 1000.0), (0.14, 0.3))
     >>> situation = Situation(2, prior, PolytropicSimulator(), space, Plan(), seed=0)
-    >>> proposal = SpaceFilling().choose(situation)
+    >>> proposal = SpaceFilling().choose_design(situation)
     >>> 100.0 <= float(proposal.design[0]) <= 1000.0, proposal.gain
     (True, None)
     """
 
-    def choose(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
+    def choose_design(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
         """See :class:`DesignPolicy`."""
         seed = child(situation.seed, "space-filling") % 2**31
         points = draw_sobol_samples(situation.space.bounds, n=situation.number, q=1, seed=seed)
@@ -253,7 +253,7 @@ class Fixed:
     >>> from imr_torch.design import DesignSpace, Plan
     >>> prior, space = reference_case("soft-pa").prior, DesignSpace((100.0, 1000.0), (0.14, 0.3))
     >>> situation = Situation(2, prior, PolytropicSimulator(), space, Plan(), seed=0)
-    >>> Fixed(((400.0, 0.2), (600.0, 0.25))).choose(situation).design.tolist()  # the second experiment
+    >>> Fixed(((400.0, 0.2), (600.0, 0.25))).choose_design(situation).design.tolist()  # the second experiment
     [600.0, 0.25]
     """
 
@@ -264,7 +264,7 @@ class Fixed:
             raise InputDataError("Fixed.designs is empty; name at least one (We, R_inf*).")
         check_designs(torch.tensor(self.designs, dtype=torch.float64))
 
-    def choose(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
+    def choose_design(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
         """See :class:`DesignPolicy`.
 
         Raises:
@@ -277,5 +277,5 @@ class Fixed:
                 "ask for fewer experiments, or start a campaign with a longer list."
             )
         design = torch.tensor(self.designs[situation.number - 1], dtype=torch.float64)
-        situation.space.check(design)
+        situation.space.check_inside(design)
         return Proposal(situation.number, design)

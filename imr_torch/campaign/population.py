@@ -34,9 +34,6 @@ from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.types import Controls, Progress
 
-_SCATTERS = 64  # scatters that a gain is averaged over
-_DRAWS = 4000  # of the population after the first shot
-
 
 @dataclass(frozen=True)
 class PopulationLearner:
@@ -47,6 +44,7 @@ class PopulationLearner:
         samples: draws of the posterior of each shot.
         noise_rounds: how often the noise is estimated from the residuals of all shots, as measured
             curves need; with 0 it is as planned.
+        first_draws: draws of the population after the first shot.
 
     >>> from imr_torch.campaign import PopulationLearner
     >>> PopulationLearner(noise_rounds=1).samples
@@ -55,6 +53,7 @@ class PopulationLearner:
 
     samples: int = 256
     noise_rounds: int = 0
+    first_draws: int = 4000
 
     def __post_init__(self) -> None:
         if self.noise_rounds < 0:
@@ -62,14 +61,14 @@ class PopulationLearner:
                 f"PopulationLearner.noise_rounds is {self.noise_rounds}; expected 0 or more."
             )
 
-    def check(self, batch: ExperimentBatch) -> None:
+    def check_batch(self, batch: ExperimentBatch) -> None:
         """Raise for shots of collapse times alone; see :class:`imr_torch.campaign.Learner`."""
         if len(batch.curves) < len(batch.experiments):
             raise InputDataError(
                 "PopulationLearner learns from curves; leave shots of collapse times out."
             )
 
-    def learn(
+    def infer_belief(
         self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None
     ) -> Inference:
         """See :class:`imr_torch.campaign.Learner`.
@@ -77,7 +76,7 @@ class PopulationLearner:
         Raises:
             InputDataError: if the prior holds several models.
         """
-        part = _only(observations.prior)
+        part = _only_model(observations.prior)
         batch = observations.batch
         own = child(observations.seed, "population", len(batch.experiments))
         fits = fit_shots(
@@ -101,7 +100,8 @@ class PopulationLearner:
             drawn = found.found
             population = without_nonfinite(found.to_dict())[0]
         else:
-            drawn = sample_population(problem, _DRAWS, generator(child(own, "first shot")))
+            source = generator(child(own, "first shot"))
+            drawn = sample_population(problem, self.first_draws, source)
         mean = drawn.weights @ drawn.centre
         away = drawn.weights.sqrt()[:, None] * (drawn.centre - mean)
         median = part.with_gaussian(mean, torch.linalg.cholesky(away.mT @ away))
@@ -137,13 +137,13 @@ class LearnPopulation:
 
     search: Optimal = field(default_factory=Optimal)
 
-    def choose(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
+    def choose_design(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
         """See :class:`imr_torch.campaign.DesignPolicy`.
 
         Raises:
             InputDataError: if the prior holds several models.
         """
-        prior = _only(situation.prior or situation.belief)
+        prior = _only_model(situation.prior or situation.belief)
         if situation.shots is None and situation.batch is not None:
             raise InputDataError(
                 "LearnPopulation needs the likelihood of each shot, which the learner of this "
@@ -151,25 +151,30 @@ class LearnPopulation:
             )
         shots = situation.shots or GaussianShots.none(len(prior.names))
         estimator = information_about(shots, prior)
-        found = replace(self.search, estimator=estimator).choose(situation, progress=progress)
+        found = replace(self.search, estimator=estimator).choose_design(
+            situation, progress=progress
+        )
         reason = (
-            f"A shot that showed its gel without error would tell {estimator.limit():.2f} nats of "
-            "median and scatter."
+            f"A shot that showed its gel without error would tell {estimator.largest_gain():.2f} "
+            "nats of median and scatter."
         )
         return replace(found, reason=reason)
 
 
-def information_about(shots: GaussianShots, prior: ModelBelief) -> PopulationInformation:
+def information_about(
+    shots: GaussianShots, prior: ModelBelief, *, scatters: int = 64
+) -> PopulationInformation:
     """The information about a population after some shots, by the Gaussian parts of their
     likelihoods.
 
     Args:
         shots: none before the first.
         prior: of the population's median.
+        scatters: that the gain is averaged over.
     """
     precision = torch.cholesky_inverse(prior.chol)
     grid = cells(shots, prior, scatter_scales(prior))
-    levels = (torch.arange(_SCATTERS, dtype=torch.float64) + 0.5) / _SCATTERS
+    levels = (torch.arange(scatters, dtype=torch.float64) + 0.5) / scatters
     scatter = grid.middle[
         torch.searchsorted(grid.weights.cumsum(0), levels).clamp_max(len(grid.middle) - 1)
     ]
@@ -192,7 +197,7 @@ def _named_apart(experiments: Sequence[Experiment]) -> list[Experiment]:
     return named
 
 
-def _only(prior: Belief) -> ModelBelief:
+def _only_model(prior: Belief) -> ModelBelief:
     """The only model of a prior."""
     if len(prior.models) != 1:
         raise InputDataError(

@@ -45,19 +45,19 @@ class CampaignSettings:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready values, with the kind of every part."""
-        return _described(self)
+        return _describe_part(self)
 
 
-def _described(value: Any) -> Any:
+def _describe_part(value: Any) -> Any:
     """A dataclass and what it is made of as JSON-ready values.
 
     Fields that make no two of them differ are left out.
     """
     if is_dataclass(value):
-        own = {f.name: _described(getattr(value, f.name)) for f in fields(value) if f.compare}
+        own = {f.name: _describe_part(getattr(value, f.name)) for f in fields(value) if f.compare}
         return {"kind": type(value).__name__} | own
     if isinstance(value, tuple):
-        return [_described(part) for part in value]
+        return [_describe_part(part) for part in value]
     return value.tolist() if isinstance(value, Tensor) else value
 
 

@@ -35,7 +35,7 @@ class CampaignState:
     >>> from imr_torch import wide_prior
     >>> from imr_torch.campaign import GainBelow, CampaignState
     >>> now = CampaignState(wide_prior(["nhkv"]), experiments=(), gain=0.4)
-    >>> GainBelow(0.5).reason(now)
+    >>> GainBelow(0.5).find_reason(now)
     'the expected information gain of the next design is below 0.5 nats'
     """
 
@@ -52,11 +52,11 @@ class StoppingRule(Protocol):
     >>> from imr_torch import wide_prior
     >>> from imr_torch.campaign import Designs, CampaignState, StoppingRule
     >>> rule: StoppingRule = Designs(3)
-    >>> rule.reason(CampaignState(wide_prior(["nhkv"]), experiments=())) is None  # go on
+    >>> rule.find_reason(CampaignState(wide_prior(["nhkv"]), experiments=())) is None  # go on
     True
     """
 
-    def reason(self, state: CampaignState) -> str | None:
+    def find_reason(self, state: CampaignState) -> str | None:
         """Why to stop now, or None."""
         ...
 
@@ -70,7 +70,7 @@ class Designs:
 
     >>> from imr_torch import wide_prior
     >>> from imr_torch.campaign import Designs, CampaignState
-    >>> Designs(3).reason(CampaignState(wide_prior(["nhkv"]), experiments=())) is None  # go on
+    >>> Designs(3).find_reason(CampaignState(wide_prior(["nhkv"]), experiments=())) is None  # go on
     True
     """
 
@@ -80,7 +80,7 @@ class Designs:
         if self.count < 1:
             raise InputDataError(f"Designs.count is {self.count}; expected at least 1.")
 
-    def reason(self, state: CampaignState) -> str | None:
+    def find_reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
         done = len(state.experiments)
         lost = f", besides {len(state.forgotten)} that were forgotten" if state.forgotten else ""
@@ -97,7 +97,7 @@ class RelativeSd:
 
     >>> from imr_torch import wide_prior
     >>> from imr_torch.campaign import RelativeSd, CampaignState
-    >>> RelativeSd(below=0.01).reason(CampaignState(wide_prior(["nhkv"]), experiments=())) is None  # the prior is wider
+    >>> RelativeSd(below=0.01).find_reason(CampaignState(wide_prior(["nhkv"]), experiments=())) is None  # the prior is wider
     True
     """
 
@@ -109,7 +109,7 @@ class RelativeSd:
                 f"RelativeSd.below is {self.below}; expected a positive number, such as 0.01."
             )
 
-    def reason(self, state: CampaignState) -> str | None:
+    def find_reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
         best = state.belief.best
         means = best.means.tolist()
@@ -149,11 +149,11 @@ class ModelProbability(_Above):
 
     >>> from imr_torch import wide_prior
     >>> from imr_torch.campaign import ModelProbability, CampaignState
-    >>> ModelProbability(above=0.95).reason(CampaignState(wide_prior(["nhkv"]), experiments=()))
+    >>> ModelProbability(above=0.95).find_reason(CampaignState(wide_prior(["nhkv"]), experiments=()))
     'nhkv has a probability above 0.95'
     """
 
-    def reason(self, state: CampaignState) -> str | None:
+    def find_reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
         best = state.belief.best.model
         probable = state.belief.probabilities[best] > self.above
@@ -171,11 +171,11 @@ class CauseProbability(_Above):
     >>> from imr_torch import wide_prior
     >>> from imr_torch.campaign import CauseProbability, Finding, CampaignState
     >>> found = Finding("effect", ("wall",), {"wall": 0.96, "other": 0.04}, "Adequate.", True, 1e-6)
-    >>> CauseProbability(above=0.9).reason(CampaignState(wide_prior(["nhkv"]), experiments=(), finding=found))
+    >>> CauseProbability(above=0.9).find_reason(CampaignState(wide_prior(["nhkv"]), experiments=(), finding=found))
     'the cause wall has a probability above 0.9'
     """
 
-    def reason(self, state: CampaignState) -> str | None:
+    def find_reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
         found = state.finding
         if found is None or found.leader is None or not found.converged:
@@ -201,7 +201,7 @@ class GainBelow:
 
     >>> from imr_torch import wide_prior
     >>> from imr_torch.campaign import GainBelow, CampaignState
-    >>> GainBelow(nats=0.5).reason(CampaignState(wide_prior(["nhkv"]), experiments=(), gain=0.4))
+    >>> GainBelow(nats=0.5).find_reason(CampaignState(wide_prior(["nhkv"]), experiments=(), gain=0.4))
     'the expected information gain of the next design is below 0.5 nats'
     """
 
@@ -213,7 +213,7 @@ class GainBelow:
                 f"GainBelow.nats is {self.nats}; expected a positive number of nats."
             )
 
-    def reason(self, state: CampaignState) -> str | None:
+    def find_reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
         if state.gain is None or state.gain >= self.nats:
             return None
@@ -235,7 +235,7 @@ class Budget:
     >>> from imr_torch.observe import Experiment
     >>> times, radius = torch.tensor([[0.0, 0.5], [1.0, 0.84]], dtype=torch.float64)
     >>> shot = Experiment("shot 1", (400.0, 0.22), times, radius[None])
-    >>> Budget(total=5.0, per_design=3.0).reason(CampaignState(wide_prior(["nhkv"]), (shot,)))
+    >>> Budget(total=5.0, per_design=3.0).find_reason(CampaignState(wide_prior(["nhkv"]), (shot,)))
     '3 of the budget of 5 are spent'
     """
 
@@ -252,7 +252,7 @@ class Budget:
                 "expected finite numbers >= 0, and a cost of something."
             )
 
-    def reason(self, state: CampaignState) -> str | None:
+    def find_reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
         costs, lost = (
             [self.per_design + self.per_curve * e.repeats for e in group]
@@ -276,15 +276,15 @@ class AnyOf:
     >>> from imr_torch import wide_prior
     >>> from imr_torch.campaign import AnyOf, Designs, GainBelow, CampaignState
     >>> rule = AnyOf((Designs(10), GainBelow(0.5)))
-    >>> rule.reason(CampaignState(wide_prior(["nhkv"]), experiments=(), gain=0.4))
+    >>> rule.find_reason(CampaignState(wide_prior(["nhkv"]), experiments=(), gain=0.4))
     'the expected information gain of the next design is below 0.5 nats'
     """
 
     rules: tuple[StoppingRule, ...]
 
-    def reason(self, state: CampaignState) -> str | None:
+    def find_reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
-        reasons = (rule.reason(state) for rule in self.rules)
+        reasons = (rule.find_reason(state) for rule in self.rules)
         return next(filter(None, reasons), None)
 
 
@@ -298,7 +298,7 @@ class AllOf:
     >>> from imr_torch import wide_prior
     >>> from imr_torch.campaign import AllOf, Designs, GainBelow, CampaignState
     >>> rule = AllOf((Designs(10), GainBelow(0.5)))
-    >>> rule.reason(CampaignState(wide_prior(["nhkv"]), experiments=(), gain=0.4)) is None  # ten designs are not shot yet
+    >>> rule.find_reason(CampaignState(wide_prior(["nhkv"]), experiments=(), gain=0.4)) is None  # ten designs are not shot yet
     True
     """
 
@@ -310,13 +310,13 @@ class AllOf:
                 "AllOf.rules is empty; it would stop at once. Give at least one rule."
             )
 
-    def reason(self, state: CampaignState) -> str | None:
+    def find_reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
-        reasons = [rule.reason(state) for rule in self.rules]
+        reasons = [rule.find_reason(state) for rule in self.rules]
         return None if None in reasons else " and ".join(filter(None, reasons))
 
 
-_RULES = {
+RULES = {
     "designs": Designs,
     "sd": RelativeSd,
     "probability": ModelProbability,
@@ -349,19 +349,19 @@ def stopping_rule(*texts: str) -> StoppingRule | None:
 
 
 def _all_of(text: str) -> StoppingRule:
-    rules = tuple(_one(part.strip()) for part in text.split(","))
+    rules = tuple(_parse_rule(part.strip()) for part in text.split(","))
     return rules[0] if len(rules) == 1 else AllOf(rules)
 
 
-def _one(text: str) -> StoppingRule:
+def _parse_rule(text: str) -> StoppingRule:
     name, _, values = text.partition("=")
     try:
         number = int if name == "designs" else float
-        return _RULES[name](*map(number, values.split(":")))
+        return RULES[name](*map(number, values.split(":")))
     except InputDataError as error:
         raise InputDataError(f"{text!r} is not a stopping rule: {error}") from None
     except (KeyError, TypeError, ValueError):
         raise InputDataError(
             f"{text!r} is not a stopping rule; expected NAME=NUMBER with NAME of "
-            f"{', '.join(_RULES)}."
+            f"{', '.join(RULES)}."
         ) from None

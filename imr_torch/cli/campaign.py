@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> None:
         prior = one_model(prior, case, args.goal)
     campaign = _open(args, simulator, prior, settings)
     try:
-        with campaign.journal.held():
+        with campaign.journal.hold_lock():
             remove_temporaries(campaign.journal.folder, f"{args.command}.json", "*.png")
             proposals, stopped = _simulated(campaign, case, args) if case else _real(campaign, args)
             _report(campaign, case, args, time.process_time() - started, proposals, stopped)
@@ -93,7 +93,7 @@ def _begun_with(args: argparse.Namespace) -> Belief | None:
     """
     if not args.resume or any((args.models, args.known, args.belief, args.case)):
         return None
-    start = Journal(args.out).find("start")
+    start = Journal(args.out).find_event("start")
     if start is None:
         return None
     args.case = start["note"].get("case")
@@ -159,7 +159,7 @@ def _simulated(
     if args.forget is not None:
         campaign.forget(args.forget, progress=progress)
     campaign.run(shoot, args.designs, q=args.q, progress=progress)
-    ended = campaign.journal.find("stop", campaign.told)
+    ended = campaign.journal.find_event("stop", campaign.told)
     return (), ended["reason"] if ended else None
 
 
@@ -191,7 +191,7 @@ def _real(campaign: Campaign, args: argparse.Namespace) -> tuple[Sequence[Propos
     if experiments:
         campaign.tell(*experiments, progress=progress)
     elif campaign.outstanding:  # the last run was cut off while it learnt
-        campaign.learn(progress=progress)
+        campaign.learn_outstanding(progress=progress)
     for name, error in failed:
         campaign.fail(name, str(error))
     if reason := campaign.reason_to_stop():

@@ -58,7 +58,7 @@ def settings_of(args: argparse.Namespace) -> CampaignSettings:
             replace(plan, repeats=1) if args.repeats is None else plan
         )  # a repeat would be of the same gel
     if isinstance(policy, Fixed):
-        space.check(torch.tensor(policy.designs, dtype=torch.float64))
+        space.check_inside(torch.tensor(policy.designs, dtype=torch.float64))
         if args.case and not args.stop and args.designs > len(policy.designs):
             raise InputDataError(
                 f"--policy lists {len(policy.designs)} designs and --designs is {args.designs}; "

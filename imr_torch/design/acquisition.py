@@ -166,17 +166,17 @@ class ExpectedInformationGain(AcquisitionFunction):
         Raises:
             InputDataError: for a design outside the space.
         """
-        self.space.check(designs)
-        return self._joint(designs, seed)
+        self.space.check_inside(designs)
+        return self._joint_gain(designs, seed)
 
     def estimate_pending(self, *, seed: int | None = None) -> InformationGain | None:
         """The joint gain of the pending designs alone, with the draws of :meth:`estimate`.
 
         None if none is pending.
         """
-        return None if self.X_pending is None else self._joint(self.X_pending[:0], seed)
+        return None if self.X_pending is None else self._joint_gain(self.X_pending[:0], seed)
 
-    def _joint(self, designs: Tensor, seed: int | None) -> InformationGain:
+    def _joint_gain(self, designs: Tensor, seed: int | None) -> InformationGain:
         if self.X_pending is not None:
             designs = torch.cat((designs, self.X_pending.to(designs)))
         gain = expected_information_gain(
@@ -187,7 +187,7 @@ class ExpectedInformationGain(AcquisitionFunction):
             estimator=self.estimator,
             seed=self.seed if seed is None else seed,
         )
-        return gain.only(self.target)
+        return gain.of_target(self.target)
 
     @t_batch_mode_transform()  # type: ignore[arg-type]  # its annotation wants AcquisitionFunction for self
     def forward(self, X: Real[Tensor, "*batch designs 2"]) -> Values:  # type: ignore[override]

@@ -10,8 +10,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from imr_torch.design.likelihood import Data, observe
-from imr_torch.design.response import Response, Shot, respond
+from imr_torch.design.likelihood import Data, observe_gels
+from imr_torch.design.response import Response, Shot, simulate_response
 from imr_torch.types import DatasetValues
 
 
@@ -46,7 +46,7 @@ class Drawn(Gels):
     data: Data
     rows: tuple[slice, ...]
 
-    def outside(self, model: int) -> Int[Tensor, "rows"]:
+    def rows_outside(self, model: int) -> Int[Tensor, "rows"]:
         """Rows of data that are of other models."""
         rows = torch.arange(len(self.data))
         return torch.cat((rows[: self.rows[model].start], rows[self.rows[model].stop :]))
@@ -89,7 +89,7 @@ def simulate_gels(
         gel: whether sensitivities to the gel are needed.
     """
     seen = [
-        respond(shot, part, v, gel=gel)
+        simulate_response(shot, part, v, gel=gel)
         for part, v in zip(shot.belief.models, controls, strict=True)
     ]
     orders = [torch.argsort(~every.good, stable=True) for every in seen]
@@ -100,7 +100,7 @@ def simulate_gels(
     )
 
 
-def draw(
+def draw_data(
     shot: Shot,
     controls: Sequence[Float[Tensor, "_ _"]],
     source: torch.Generator,
@@ -109,7 +109,7 @@ def draw(
 ) -> Drawn:
     """Simulate the gels of each model at controls, and a datum of each that could be simulated."""
     gels = simulate_gels(shot, controls, gel=gel)
-    data = [observe(part, shot.plan, source) for part in gels.parts]
+    data = [observe_gels(part, shot.plan, source) for part in gels.parts]
     together = Data(torch.cat([d.radius for d in data]), torch.cat([d.window for d in data]))
     ends = torch.tensor([0, *map(len, data)]).cumsum(0).tolist()
     rows = tuple(slice(first, end) for first, end in pairwise(ends))
@@ -121,6 +121,6 @@ def model_weights(shot: Shot) -> list[float]:
     return shot.belief.log_probabilities.exp().tolist()
 
 
-def mixture(logs: Sequence[DatasetValues], shot: Shot) -> DatasetValues:
+def mixture_evidence(logs: Sequence[DatasetValues], shot: Shot) -> DatasetValues:
     """Log evidence of each datum over all models, from that under each."""
     return torch.logsumexp(torch.stack(list(logs)) + shot.belief.log_probabilities[:, None], dim=0)

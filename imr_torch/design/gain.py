@@ -18,8 +18,6 @@ from torch import Tensor
 
 from imr_torch.types import DatasetValues
 
-_ENOUGH = 0.5  # share of draws that must be simulated for an estimate to count
-
 Target = Literal["parameters", "model", "both"]
 """What the information is to be about."""
 
@@ -41,7 +39,7 @@ class InformationGain:
             does not say.
 
     >>> gain = InformationGain(2.0, 0.5, variance=0.01, counted=64, drawn=64)
-    >>> gain.value, gain.only("model").value, gain.failed
+    >>> gain.value, gain.of_target("model").value, gain.failed
     (2.5, 0.5, False)
     """
 
@@ -55,8 +53,8 @@ class InformationGain:
 
     @property
     def failed(self) -> bool:
-        """Whether too few draws could be simulated to stand for the belief."""
-        return self.counted < _ENOUGH * self.drawn
+        """Whether fewer than half of the draws could be simulated, too few for an estimate."""
+        return 2 * self.counted < self.drawn
 
     @property
     def value(self) -> float:
@@ -79,16 +77,18 @@ class InformationGain:
         influence = tuple((a, b) for a, b in values["influence"])
         return cls(**{**values, "influence": influence})
 
-    def only(self, target: Target) -> "InformationGain":
+    def of_target(self, target: Target) -> "InformationGain":
         """The gain about the parameters alone, about the model alone, or unchanged (``"both"``)."""
         if target == "both":
             return self
-        if target == "model":
-            influence = tuple((0.0, model) for _, model in self.influence)
-            variance = self.model_variance
-            return replace(self, parameters=0.0, variance=variance, influence=influence)
-        influence = tuple((parameters, 0.0) for parameters, _ in self.influence)
-        return replace(self, model=0.0, variance=self.parameters_variance, influence=influence)
+        parameters, model = float(target == "parameters"), float(target == "model")
+        return replace(
+            self,
+            parameters=parameters * self.parameters,
+            model=model * self.model,
+            variance=parameters * self.parameters_variance + model * self.model_variance,
+            influence=tuple((parameters * a, model * b) for a, b in self.influence),
+        )
 
 
 @dataclass(frozen=True)
@@ -110,40 +110,38 @@ class Terms:
     order: Int[Tensor, "drawn"]
     control: Float[Tensor, "drawn"] | None = None
 
-    def mean(self) -> tuple[float, float]:
+    def mean_gain(self) -> tuple[float, float]:
         """Mean gain about parameters and about the model; 0 without data."""
         if len(self.parameters) == 0:
             return 0.0, 0.0
         control = 0.0 if self.control is None else float(self.control.mean())
         return float(self.parameters.mean()) + control, float(self.model.mean())
 
-    def influence(self) -> Float[Tensor, "drawn 2"]:
+    def draw_influence(self) -> Float[Tensor, "drawn 2"]:
         """Influence of each draw, in the order drawn, on the weighted means."""
-        count = len(self.order)
         found = torch.zeros(len(self.order), 2, dtype=torch.float64)
-        if self.control is None:
-            found[self.order[: len(self.parameters)], 0] = _deviations(self.parameters)
-        else:
-            influence = self.control - self.control.mean()
-            n = len(self.parameters)
-            if n:
-                influence[:n] += (self.parameters - self.parameters.mean()) * (count / n)
-            found[self.order, 0] = influence / math.sqrt(count * (count - 1))
-        found[self.order[: len(self.model)], 1] = _deviations(self.model)
+        found[self.order[: len(self.parameters)], 0] = mean_deviations(self.parameters)
+        found[self.order[: len(self.model)], 1] = mean_deviations(self.model)
+        if self.control is not None:
+            found[self.order, 0] += mean_deviations(self.control)
         return self.weight * found
 
 
-def _deviations(values: Tensor) -> Tensor:
-    """Deviations from the mean, scaled so that their squares sum to the variance of the mean."""
+def mean_deviations(values: Float[Tensor, "draws *columns"]) -> Float[Tensor, "draws *columns"]:
+    """Deviations from the mean, scaled so that their squares sum to the variance of the mean.
+
+    >>> import torch
+    >>> from imr_torch.design.gain import mean_deviations
+    >>> mean_deviations(torch.tensor([1.0, 3.0])).tolist()  # variance 2 of the values, 1 of their mean
+    [-0.7071067690849304, 0.7071067690849304]
+    """
     count = len(values)
-    return (
-        (values - values.mean()) / math.sqrt(count * (count - 1))
-        if count > 1
-        else torch.zeros_like(values)
-    )
+    if count < 2:
+        return torch.zeros_like(values)
+    return (values - values.mean(0)) / math.sqrt(count * (count - 1))
 
 
-def summarise(
+def summarise_terms(
     terms: Sequence[Terms],
     *,
     shared: Float[Tensor, "samples 2"] | None = None,
@@ -156,10 +154,10 @@ def summarise(
         shared: influence of samples that all data share.
         bias: of the whole.
     """
-    means = torch.tensor([t.mean() for t in terms], dtype=torch.float64)
+    means = torch.tensor([t.mean_gain() for t in terms], dtype=torch.float64)
     weights = torch.tensor([t.weight for t in terms], dtype=torch.float64)
     parameters, model = (weights @ means).tolist()
-    parts = [t.influence() for t in terms] + ([] if shared is None else [shared])
+    parts = [t.draw_influence() for t in terms] + ([] if shared is None else [shared])
     counted = sum(len(t.parameters) for t in terms)
     drawn = sum(len(t.order) for t in terms)
     return with_influence(

@@ -11,18 +11,21 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from imr_torch.design.drawing import Drawn, draw, mixture, model_weights, normal_controls
+from imr_torch.design.drawing import (
+    Drawn,
+    draw_data,
+    mixture_evidence,
+    model_weights,
+    normal_controls,
+)
 from imr_torch.design.estimator import InformationEstimator, check_at_least
-from imr_torch.design.gain import InformationGain, Terms, summarise
-from imr_torch.design.likelihood import Data, Linear, infer, log_likelihood
-from imr_torch.design.refine import best_starts, refine
+from imr_torch.design.gain import InformationGain, Terms, summarise_terms
+from imr_torch.design.likelihood import Data, Linear, infer_linear, log_likelihood
+from imr_torch.design.refine import best_starts, refine_gels
 from imr_torch.design.response import Response, Shot, radii
 from imr_torch.errors import InputDataError
 from imr_torch.material import ModelBelief
 from imr_torch.types import DatasetValues
-
-_WIDER = 2.0  # posterior standard deviations of the wider part of a proposal
-_BEHIND = 25.0  # nats below the datum's own model at which an evidence need not be sampled
 
 
 @dataclass(frozen=True)
@@ -37,15 +40,20 @@ class ImportanceSampling(InformationEstimator):
             start.
         defence: share of each datum's inner samples from a wider proposal; 0 makes linear-Gaussian
             models exact.
+        wider: its posterior standard deviations.
+        behind: nats below the datum's own model at which an evidence is not sampled: it would not
+            change the gain.
 
     >>> ImportanceSampling(draws=32, inner=64)
-    ImportanceSampling(draws=32, inner=64, refinements=5, defence=0.25)
+    ImportanceSampling(draws=32, inner=64, refinements=5, defence=0.25, wider=2.0, behind=25.0)
     """
 
     draws: int = 64
     inner: int = 32
     refinements: int = 5
     defence: float = 0.25
+    wider: float = 2.0
+    behind: float = 25.0
 
     def __post_init__(self) -> None:
         check_at_least(self, 2, "draws", "inner")
@@ -59,16 +67,16 @@ class ImportanceSampling(InformationEstimator):
         """See :class:`~imr_torch.design.estimator.InformationEstimator`."""
         weights = model_weights(shot)
         controls = normal_controls(shot, [self.draws] * len(weights), generator)
-        drawn = draw(shot, controls, generator)
+        drawn = draw_data(shot, controls, generator)
         own = [
-            infer(drawn.data[rows], part, shot.plan)
+            infer_linear(drawn.data[rows], part, shot.plan)
             for rows, part in zip(drawn.rows, drawn.parts, strict=True)
         ]
         rival = torch.cat([linear.log_evidence for linear in own])
-        found = [self._evidence(drawn, i, rival, shot, generator) for i in range(len(own))]
+        found = [self._sample_evidence(drawn, i, rival, shot, generator) for i in range(len(own))]
         logs = torch.stack([log for log, _ in found])
         variances = torch.stack([variance for _, variance in found])
-        total = mixture(list(logs), shot)
+        total = mixture_evidence(list(logs), shot)
         shares = torch.tensor(weights, dtype=torch.float64)[:, None] * (logs - total).exp()
         spread = (shares.square() * variances).sum(0)
         terms = []
@@ -81,9 +89,9 @@ class ImportanceSampling(InformationEstimator):
             terms.append(Terms(weight, about, which, drawn.orders[i], control))
             if len(log):
                 bias += 0.5 * weight * float(spread[rows].mean())
-        return summarise(terms, bias=bias)
+        return summarise_terms(terms, bias=bias)
 
-    def _evidence(
+    def _sample_evidence(
         self, drawn: Drawn, model: int, rival: Tensor, shot: Shot, source: torch.Generator
     ) -> tuple[DatasetValues, DatasetValues]:
         """Log evidence of all data under one model by importance sampling from Gauss-Newton
@@ -104,19 +112,21 @@ class ImportanceSampling(InformationEstimator):
         own = len(gels)
         if own < 2:
             return log, variance
-        others = drawn.outside(model)
+        others = drawn.rows_outside(model)
         rows = torch.cat((torch.arange(count)[drawn.rows[model]], others))
         data = drawn.data[rows]
         start = torch.cat((torch.arange(own), best_starts(drawn.data[others], gels, shot)))
-        at = refine(data, gels[start], shot, part, self.refinements)
-        log[rows] = infer(data, at, shot.plan).log_evidence
-        close = log[rows] > rival[rows] - _BEHIND
+        at = refine_gels(data, gels[start], shot, part, self.refinements)
+        log[rows] = infer_linear(data, at, shot.plan).log_evidence
+        close = log[rows] > rival[rows] - self.behind
         close[:own] = True
         kept = rows[close]
-        log[kept], variance[kept] = self._sample(data[close], at[close], shot, part, source)
+        log[kept], variance[kept] = self._average_weights(
+            data[close], at[close], shot, part, source
+        )
         return log, variance
 
-    def _sample(
+    def _average_weights(
         self, data: Data, at: Response, shot: Shot, part: ModelBelief, source: torch.Generator
     ) -> tuple[DatasetValues, DatasetValues]:
         """Log mean of importance weights for each datum, and its relative variance.
@@ -132,15 +142,15 @@ class ImportanceSampling(InformationEstimator):
             part: the model.
             source: of the samples.
         """
-        linear = infer(data, at, shot.plan)
+        linear = infer_linear(data, at, shot.plan)
         d = at.controls.shape[1]
         wide = round(self.defence * self.inner)
         z = torch.randn(len(data), self.inner, d, generator=source, dtype=torch.float64)
-        z[:, self.inner - wide :] *= _WIDER
+        z[:, self.inner - wide :] *= self.wider
         away = torch.linalg.solve_triangular(linear.chol.mT, z.mT, upper=True).mT
         v = linear.mean[:, None] + away
         square = z.square().sum(-1)
-        widths = torch.tensor([1.0, _WIDER], dtype=torch.float64)[:, None, None]
+        widths = torch.tensor([1.0, self.wider], dtype=torch.float64)[:, None, None]
         shares = torch.tensor([self.inner - wide, wide], dtype=torch.float64) / self.inner
         densities = (
             shares.log()[:, None, None]
@@ -164,7 +174,7 @@ def _noise_control(controls: Tensor, linear: Linear) -> Tensor:
     ``v``, the mean ``1/2 log det(1 + G) - 1/2 (tr H - v^T H v)`` with ``H = G (1 + G)^-1``.
     """
     ratio = linear.log_likelihood - linear.log_evidence
-    return ratio - linear.information - 0.5 * _excess(controls, linear.averaging)
+    return ratio - linear.information - 0.5 * _excess_square(controls, linear.averaging)
 
 
 def _gel_control(controls: Tensor, linear: Linear) -> Tensor:
@@ -177,10 +187,10 @@ def _gel_control(controls: Tensor, linear: Linear) -> Tensor:
     total = linear.averaging.sum(0)
     others = (total - linear.averaging) / (count - 1)
     rest = (total / count).expand(len(controls) - count, -1, -1)
-    return -0.5 * _excess(controls, torch.cat((others, rest)))
+    return -0.5 * _excess_square(controls, torch.cat((others, rest)))
 
 
-def _excess(controls: Tensor, matrices: Tensor) -> Tensor:
+def _excess_square(controls: Tensor, matrices: Tensor) -> Tensor:
     """``v^T H v - tr H`` of each row."""
     square = (controls[:, None] @ matrices @ controls[..., None])[:, 0, 0]
     return square - matrices.diagonal(dim1=-2, dim2=-1).sum(-1)

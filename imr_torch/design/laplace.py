@@ -20,16 +20,19 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from imr_torch.design.drawing import Drawn, cloud_controls, draw, mixture, model_weights
+from imr_torch.design.drawing import (
+    Drawn,
+    cloud_controls,
+    draw_data,
+    mixture_evidence,
+    model_weights,
+)
 from imr_torch.design.estimator import InformationEstimator, check_at_least
-from imr_torch.design.gain import InformationGain, Terms, summarise
-from imr_torch.design.likelihood import Data, Linear, infer
-from imr_torch.design.refine import best_starts, refine
+from imr_torch.design.gain import InformationGain, Terms, summarise_terms
+from imr_torch.design.likelihood import Data, Linear, infer_linear
+from imr_torch.design.refine import best_starts, refine_gels
 from imr_torch.design.response import Response, Shot
 from imr_torch.material import ModelBelief
-
-_BEHIND = 30.0  # nats by which a rival may be behind after the first step and still be refined
-_FEWEST = 6  # data of each model whose rivals are refined, if the number is left to the estimator
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,7 @@ class Laplace(InformationEstimator):
             a belief with several models grows with it.
         refinements: Gauss-Newton steps to the gel of a rival model; 0 linearises at the draw they
             would start from.
+        behind: nats by which a rival may be behind after the first step and still be refined.
 
     >>> from imr_torch.design import Plan, expected_information_gain
     >>> from imr_torch.material import reference_case
@@ -56,6 +60,7 @@ class Laplace(InformationEstimator):
     draws: int = 64
     rivals: int | None = None
     refinements: int = 2
+    behind: float = 30.0
 
     def __post_init__(self) -> None:
         check_at_least(self, 2, "draws")
@@ -65,54 +70,56 @@ class Laplace(InformationEstimator):
 
     def __call__(self, shot: Shot, generator: torch.Generator) -> InformationGain:
         """See :class:`~imr_torch.design.estimator.InformationEstimator`."""
-        drawn, own, logs = self.compare(shot, generator)
-        total = mixture(logs, shot)
+        drawn, own, logs = self.compare_models(shot, generator)
+        total = mixture_evidence(logs, shot)
         terms = []
         for i, (weight, rows) in enumerate(zip(model_weights(shot), drawn.rows, strict=True)):
-            gained = _information(shot.belief.models[i], drawn.parts[i], own[i])
-            compared = slice(rows.start, rows.start + min(self._rivals, rows.stop - rows.start))
+            gained = _local_information(shot.belief.models[i], drawn.parts[i], own[i])
+            compared = slice(
+                rows.start, rows.start + min(self._rival_count, rows.stop - rows.start)
+            )
             terms.append(
                 Terms(weight, gained, logs[i][compared] - total[compared], drawn.orders[i])
             )
-        return summarise(terms)
+        return summarise_terms(terms)
 
-    def compare(
+    def compare_models(
         self, shot: Shot, generator: torch.Generator
     ) -> tuple[Drawn, list[Linear], list[Tensor]]:
         """Data of every model, their linearised posteriors under it, and for each model the log
         evidence of all data, NaN for those that are not compared.
         """
-        drawn = draw(shot, cloud_controls(shot, self.draws, generator), generator)
+        drawn = draw_data(shot, cloud_controls(shot, self.draws, generator), generator)
         own = [
-            infer(drawn.data[rows], part, shot.plan)
+            infer_linear(drawn.data[rows], part, shot.plan)
             for rows, part in zip(drawn.rows, drawn.parts, strict=True)
         ]
-        evidences = [self._evidences(drawn, i, own, shot) for i in range(len(own))]
+        evidences = [self._log_evidences(drawn, i, own, shot) for i in range(len(own))]
         return drawn, own, evidences
 
     @property
-    def _rivals(self) -> int:
-        return max(_FEWEST, self.draws // 4) if self.rivals is None else self.rivals
+    def _rival_count(self) -> int:
+        return max(6, self.draws // 4) if self.rivals is None else self.rivals
 
-    def _evidences(self, drawn: Drawn, model: int, own: list[Linear], shot: Shot) -> Tensor:
+    def _log_evidences(self, drawn: Drawn, model: int, own: list[Linear], shot: Shot) -> Tensor:
         """Log evidence of all data under one model; NaN for data that are not compared."""
         if len(own[model].mean) == 0:
             return torch.full((len(drawn.data),), -math.inf, dtype=torch.float64)
         logs = torch.full((len(drawn.data),), math.nan, dtype=torch.float64)
         logs[drawn.rows[model]] = own[model].log_evidence
         others = [
-            torch.arange(r.stop - r.start)[: self._rivals] + r.start
+            torch.arange(r.stop - r.start)[: self._rival_count] + r.start
             for i, r in enumerate(drawn.rows)
             if i != model
         ]
         if others and len(rows := torch.cat(others)):
             best = torch.cat([linear.log_evidence for linear in own])[rows]
-            logs[rows] = self._rival(
+            logs[rows] = self._rival_evidence(
                 drawn.data[rows], best, drawn.parts[model], shot, shot.belief.models[model]
             )
         return logs
 
-    def _rival(
+    def _rival_evidence(
         self, data: Data, own: Tensor, gels: Response, shot: Shot, part: ModelBelief
     ) -> Tensor:
         """Log evidence of data of other models under one model.
@@ -124,13 +131,13 @@ class Laplace(InformationEstimator):
             shot: designs and how they are observed.
             part: the model.
         """
-        data, gels, shot = _windowed(data, gels, shot)
+        data, gels, shot = _cut_to_window(data, gels, shot)
         start = best_starts(data, gels, shot)
-        at = refine(data, gels[start], shot, part, self.refinements, floor=own - _BEHIND)
-        return infer(data, at, shot.plan).log_evidence
+        at = refine_gels(data, gels[start], shot, part, self.refinements, floor=own - self.behind)
+        return infer_linear(data, at, shot.plan).log_evidence
 
 
-def _windowed(data: Data, gels: Response, shot: Shot) -> tuple[Data, Response, Shot]:
+def _cut_to_window(data: Data, gels: Response, shot: Shot) -> tuple[Data, Response, Shot]:
     """The same without the frames after the longest window, which count in no datum and need not be
     simulated.
     """
@@ -146,7 +153,7 @@ def _windowed(data: Data, gels: Response, shot: Shot) -> tuple[Data, Response, S
     return Data(data.radius[..., :last], data.window[..., :last]), kept, replace(shot, plan=plan)
 
 
-def _information(part: ModelBelief, gels: Response, linear: Linear) -> Tensor:
+def _local_information(part: ModelBelief, gels: Response, linear: Linear) -> Tensor:
     """``1/2 log det(P + J^T J) - 1/2 log det P`` at each gel, with ``P`` the precision of the
     belief there: ``n``.
 
@@ -160,7 +167,5 @@ def _information(part: ModelBelief, gels: Response, linear: Linear) -> Tensor:
         at, part.cloud.controls, compute_mode="donot_use_mm_for_euclid_dist"
     ).argmin(1)
     before = part.chol.mT @ part.cloud.precisions[closest] @ part.chol
-    gained = linear.chol @ linear.chol.mT - torch.eye(before.shape[-1], dtype=before.dtype)
-    return 0.5 * (
-        torch.linalg.slogdet(before + gained).logabsdet - torch.linalg.slogdet(before).logabsdet
-    )
+    after = torch.linalg.slogdet(before + linear.fisher).logabsdet
+    return 0.5 * (after - torch.linalg.slogdet(before).logabsdet)

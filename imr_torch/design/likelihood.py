@@ -2,9 +2,9 @@
 as Gaussian directions.
 
 Data are the mean curves of all repeats, within each datum's own window. Nuisances are marginalised
-in their linear approximation: ``y = f(v) + B w + e`` with ``w`` standard normal, by the Woodbury
-identity. What is left out is the scatter of the repeats about their mean, which tells of the gel
-through the noise law alone (``2 slope^2`` of the information, .1 %).
+in their linear approximation: ``y = f(v) + B w + e`` with ``w`` standard normal, by the normal
+equations that fits use. What is left out is the scatter of the repeats about their mean, which
+tells of the gel through the noise law alone (``2 slope^2`` of the information, .1 %).
 
 Constants common to all gels and models are left out of log densities.
 """
@@ -15,11 +15,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from imr_torch.assimilate.gauss_newton import NormalEquations, normal_equations
 from imr_torch.design.plan import Plan
 from imr_torch.design.response import Response
 from imr_torch.types import BroadcastValues, DrawnControls, DrawnValues
-
-_BLOCK = 4_000_000  # numbers in one block of pairs
 
 
 @dataclass(frozen=True)
@@ -41,7 +40,7 @@ class Data:
         return Data(self.radius[rows], self.window[rows])
 
 
-def observe(seen: Response, plan: Plan, source: torch.Generator) -> Data:
+def observe_gels(seen: Response, plan: Plan, source: torch.Generator) -> Data:
     """One datum of each gel, with nuisances and noise drawn."""
     noise = torch.randn(seen.radius.shape, generator=source, dtype=torch.float64)
     if plan.decorrelation is not None:
@@ -55,49 +54,36 @@ def observe(seen: Response, plan: Plan, source: torch.Generator) -> Data:
     )
     noise = noise * plan.noise.sd(seen.radius, plan.times) / plan.repeats**0.5
     return Data(
-        seen.radius + (seen.by_nuisance @ nuisance)[..., 0] + noise, plan.window(seen.radius)
+        seen.radius + (seen.by_nuisance @ nuisance)[..., 0] + noise,
+        plan.frames_in_window(seen.radius),
     )
 
 
-def _whiten(columns: Tensor, sd: Tensor, window: Tensor, plan: Plan) -> Tensor:
-    """Columns ``... x q x T x c`` in units of independent noise of the mean curve, 0 outside the
-    window.
+def _linearise_data(
+    data: Data,
+    radius: Float[Tensor, "*#batch designs frames"],
+    by_gel: Float[Tensor, "*#batch designs frames slopes"],
+    by_nuisance: Float[Tensor, "*#batch designs frames nuisances"],
+    plan: Plan,
+) -> tuple[BroadcastValues, NormalEquations]:
+    """Log density of data given gels that show ``radius`` with the nuisances at their means, and
+    normal equations of that likelihood.
     """
-    scaled = columns / sd[..., None] * plan.repeats**0.5
-    if plan.decorrelation is not None:
-        scaled = plan.decorrelation @ scaled
-    return torch.where(window[..., None], scaled, 0.0)
+    sd = plan.noise.sd(radius, plan.times)
 
+    def whiten_columns(columns: Tensor) -> Tensor:
+        """In units of independent noise of the mean curve, 0 outside the window."""
+        scaled = columns / sd[..., None] * plan.repeats**0.5
+        if plan.decorrelation is not None:
+            scaled = plan.decorrelation @ scaled
+        return torch.where(data.window[..., None], scaled, 0.0)
 
-def _gram(
-    columns: Tensor, by_nuisance: Tensor, at: Tensor, window: Tensor, plan: Plan
-) -> tuple[Tensor, Tensor]:
-    """``X^T C^-1 X`` and ``log det C`` of noise and nuisances together, for a gel that shows
-    ``at``.
-
-    Args:
-        columns: ``... x q x T x c`` tensor ``X``.
-        by_nuisance: ``... x q x T x k`` tensor.
-        at: ``... x q x T`` tensor, the prediction that sets the noise.
-        window: ``... x q x T`` boolean tensor.
-        plan: how experiments are observed.
-
-    Returns:
-        ``... x c x c`` and ``...`` tensors, summed over the ``q`` experiments.
-    """
-    sd = plan.noise.sd(at, plan.times)
-    white = _whiten(columns, sd, window, plan)
-    gram = (white.mT @ white).sum(-3)
-    log_det = 2.0 * torch.where(window, sd.log(), 0.0).sum((-2, -1))
-    if by_nuisance.shape[-1] == 0:
-        return gram, log_det
-    nuisance = _whiten(by_nuisance, sd, window, plan)
-    chol = torch.linalg.cholesky(
-        torch.eye(nuisance.shape[-1], dtype=sd.dtype) + nuisance.mT @ nuisance
-    )
-    shared = torch.linalg.solve_triangular(chol, nuisance.mT @ white, upper=False)
-    log_det = log_det + 2.0 * chol.diagonal(dim1=-2, dim2=-1).log().sum((-2, -1))
-    return gram - (shared.mT @ shared).sum(-3), log_det
+    residual = whiten_columns((data.radius - radius)[..., None])
+    slopes = whiten_columns(by_gel), whiten_columns(by_nuisance)
+    of_gel, of_nuisances = (-(slope.mT @ residual)[..., 0] for slope in slopes)
+    log_det = torch.where(data.window, sd.log(), 0.0).sum((-2, -1))
+    log = -0.5 * residual.square().sum((-3, -2, -1)) - log_det
+    return log, normal_equations((of_gel.sum(-2), of_nuisances), slopes)
 
 
 def log_likelihood(
@@ -110,16 +96,17 @@ def log_likelihood(
 
     All shapes ``... x q x T`` broadcast, the result is ``...``.
     """
-    square, log_det = _gram(
-        (data.radius - radius)[..., None], by_nuisance, radius, data.window, plan
-    )
-    return -0.5 * (square[..., 0, 0] + log_det)
+    log, equations = _linearise_data(data, radius, radius[..., None][..., :0], by_nuisance, plan)
+    still = by_nuisance.new_zeros(by_nuisance.shape[-3], by_nuisance.shape[-1])
+    return log + equations.with_prior(still[0, :0], still).log_nuisance_integral
 
 
-def pairwise(data: Data, gels: Response, plan: Plan) -> Float[Tensor, "data gels"]:
-    """``n x m`` log densities of every datum given every gel."""
+def pairwise_log_likelihood(
+    data: Data, gels: Response, plan: Plan, *, block: int = 4_000_000
+) -> Float[Tensor, "data gels"]:
+    """``n x m`` log densities of every datum given every gel, ``block`` numbers at once."""
     per_row = gels.radius.numel() * (1 + gels.by_nuisance.shape[-1])
-    rows = max(1, _BLOCK // max(1, per_row))
+    rows = max(1, block // max(1, per_row))
     blocks = [data[i : i + rows] for i in range(0, max(1, len(data)), rows)]
     return torch.cat(
         [
@@ -153,6 +140,11 @@ class Linear:
         return self.chol.diagonal(dim1=-2, dim2=-1).log().sum(-1)
 
     @property
+    def fisher(self) -> Float[Tensor, "draws controls controls"]:
+        """``n x d x d`` tensor ``J^T C^-1 J``, what the data add to the precision."""
+        return self.chol @ self.chol.mT - torch.eye(self.chol.shape[-1], dtype=self.chol.dtype)
+
+    @property
     def averaging(self) -> Float[Tensor, "draws controls controls"]:
         """``n x d x d`` tensor ``G (1 + G)^-1`` with ``G = J^T C^-1 J``: share of the posterior
         that is from the data.
@@ -161,7 +153,7 @@ class Linear:
         return eye - torch.cholesky_inverse(self.chol)
 
 
-def infer(data: Data, at: Response, plan: Plan) -> Linear:
+def infer_linear(data: Data, at: Response, plan: Plan) -> Linear:
     """Bayesian inference with the model linearised at a gel: ``f(v) = f + J (v - v_at)``, ``v``
     standard normal.
 
@@ -170,21 +162,13 @@ def infer(data: Data, at: Response, plan: Plan) -> Linear:
         at: ``n`` gels, or one for all data.
         plan: how they are observed.
     """
-    columns = torch.cat(
-        ((data.radius - at.radius)[..., None], at.by_gel.expand(len(data), -1, -1, -1)), dim=-1
+    log, likelihood = _linearise_data(data, at.radius, at.by_gel, at.by_nuisance, plan)
+    _, q, _, k = at.by_nuisance.shape
+    still = at.by_nuisance.new_zeros(q, k)
+    posterior = likelihood.with_prior(at.controls, still)
+    return Linear(
+        log + posterior.log_nuisance_integral,
+        log - 0.5 * at.controls.square().sum(-1) + posterior.log_integral,
+        at.controls + posterior.step[0],
+        posterior.gel_chol,
     )
-    gram, log_det = _gram(columns, at.by_nuisance, at.radius, data.window, plan)
-    square = gram[:, 0, 0]
-    score = gram[:, 1:, 0]
-    normal = gram[:, 1:, 1:]
-    v = at.controls.expand(len(data), -1)
-    moved = (normal @ v[..., None])[..., 0]
-    from_origin = square + ((2.0 * score + moved) * v).sum(
-        -1
-    )  # the residual that the gel v = 0 would leave
-    score = score + moved
-    chol = torch.linalg.cholesky(torch.eye(v.shape[1], dtype=v.dtype) + normal)
-    mean = torch.cholesky_solve(score[..., None], chol)[..., 0]
-    fitted = from_origin - (score * mean).sum(-1)
-    log_evidence = -0.5 * (fitted + log_det) - chol.diagonal(dim1=-2, dim2=-1).log().sum(-1)
-    return Linear(-0.5 * (square + log_det), log_evidence, mean, chol)

@@ -21,14 +21,12 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from imr_torch.design.drawing import Drawn, Gels, draw, normal_controls, simulate_gels
+from imr_torch.design.drawing import Drawn, Gels, draw_data, normal_controls, simulate_gels
 from imr_torch.design.estimator import InformationEstimator, check_at_least
-from imr_torch.design.gain import InformationGain, with_influence
-from imr_torch.design.likelihood import log_likelihood, pairwise
+from imr_torch.design.gain import InformationGain, mean_deviations, with_influence
+from imr_torch.design.likelihood import log_likelihood, pairwise_log_likelihood
 from imr_torch.design.plan import Plan
 from imr_torch.design.response import Shot
-
-_IMPROBABLE = 1e-2  # models below this probability were not simulated in the published search
 
 
 @dataclass(frozen=True)
@@ -57,13 +55,13 @@ class NestedMonteCarlo(InformationEstimator):
         """See :class:`~imr_torch.design.estimator.InformationEstimator`."""
         log_weights = shot.belief.log_probabilities
         models = len(log_weights)
-        drawn = draw(
+        drawn = draw_data(
             shot, normal_controls(shot, [self.draws] * models, generator), generator, gel=False
         )
         inner = simulate_gels(
             shot, normal_controls(shot, [self.inner] * models, generator), gel=False
         )
-        return _estimate(drawn, inner, log_weights, shot.plan, contrastive=self.contrastive)
+        return _estimate_gain(drawn, inner, log_weights, shot.plan, contrastive=self.contrastive)
 
 
 @dataclass(frozen=True)
@@ -89,12 +87,14 @@ class PublishedEstimator(InformationEstimator):
 
     Args:
         draws: gels per constitutive model, on average.
+        improbable: probability below which the published search did not simulate a model.
 
     >>> PublishedEstimator(500)
-    PublishedEstimator(draws=500)
+    PublishedEstimator(draws=500, improbable=0.01)
     """
 
     draws: int = 500
+    improbable: float = 1e-2
 
     def __post_init__(self) -> None:
         check_at_least(self, 2, "draws")
@@ -103,13 +103,13 @@ class PublishedEstimator(InformationEstimator):
         """See :class:`~imr_torch.design.estimator.InformationEstimator`."""
         probabilities = shot.belief.log_probabilities.exp()
         wanted = (self.draws * len(shot.belief.models) * probabilities).round()
-        counts = torch.where(probabilities > _IMPROBABLE, wanted, 0.0).long().tolist()
-        drawn = draw(shot, normal_controls(shot, counts, generator), generator, gel=False)
+        counts = torch.where(probabilities > self.improbable, wanted, 0.0).long().tolist()
+        drawn = draw_data(shot, normal_controls(shot, counts, generator), generator, gel=False)
         sizes = torch.tensor([len(part) for part in drawn.parts], dtype=torch.float64)
-        return _estimate(drawn, drawn, (sizes / sizes.sum().clamp_min(1.0)).log(), shot.plan)
+        return _estimate_gain(drawn, drawn, (sizes / sizes.sum().clamp_min(1.0)).log(), shot.plan)
 
 
-def _estimate(
+def _estimate_gain(
     drawn: Drawn,
     inner: Gels,
     log_weights: Float[Tensor, "models"],
@@ -130,13 +130,13 @@ def _estimate(
         log_likelihood(drawn.data[rows], part.radius, part.by_nuisance, plan)
         for rows, part in zip(drawn.rows, drawn.parts, strict=True)
     ]
-    blocks = [pairwise(drawn.data, part, plan) for part in inner.parts]
+    blocks = [pairwise_log_likelihood(drawn.data, part, plan) for part in inner.parts]
     if contrastive:
         for block, rows, likelihood in zip(blocks, drawn.rows, likelihoods, strict=True):
             block[rows, :1] = likelihood[:, None]
     models = len(blocks)
 
-    def gains(*weights: Float[Tensor, "_"]) -> Float[Tensor, "2"]:
+    def mean_gains(*weights: Float[Tensor, "_"]) -> Float[Tensor, "2"]:
         """About parameters and model, by the weights of data and of inner gels, each 1."""
         logs = [
             torch.logsumexp(block + w.log(), 1) - math.log(max(len(w), 1))
@@ -153,25 +153,23 @@ def _estimate(
     samples = [drawn] if inner is drawn else [drawn, inner]
     parts = [part for sample in samples for part in sample.parts]
     weights = tuple(torch.ones(len(part), dtype=torch.float64) for part in parts)
-    slopes = torch.autograd.functional.jacobian(gains, weights)
+    slopes = torch.autograd.functional.jacobian(mean_gains, weights)
     influence = []
     for place, order in enumerate(order for sample in samples for order in sample.orders):
         replaced = int(contrastive and place >= models)
-        influence.append(_influence(slopes[place].mT, order, replaced))
-    parameters, model = gains(*weights).tolist()
+        influence.append(_slope_influence(slopes[place].mT, order, replaced))
+    parameters, model = mean_gains(*weights).tolist()
     asked = sum(map(len, drawn.orders))
     gain = InformationGain(parameters, model, 0.0, len(drawn.data), asked)
     return with_influence(gain, torch.cat(influence))
 
 
-def _influence(
+def _slope_influence(
     slopes: Float[Tensor, "simulated 2"], order: Int[Tensor, "drawn"], first: int
 ) -> Float[Tensor, "drawn 2"]:
     """Deviations from the mean of the slopes of draws from the ``first`` on; others have none."""
     found = torch.zeros(len(order), 2, dtype=torch.float64)
     slopes = slopes[first:]
     count = len(slopes)
-    if count > 1:
-        scale = math.sqrt(count / (count - 1))
-        found[order[first : first + count]] = scale * (slopes - slopes.mean(0))
+    found[order[first : first + count]] = mean_deviations(count * slopes)
     return found

@@ -32,11 +32,6 @@ Strategy = Literal["qLogNEI", "qEI", "paper"]
 and the maximum of the posterior mean, or as in arXiv 2409.00011 (``paper``): by ``qEI`` over the best
 observed value, which is recommended, and a least improvement."""
 
-_LEAST_NOISE = (
-    2e-6  # variance over that of the told values: below 1e-6 GPyTorch rounds up, and warns
-)
-_IMPROVEMENT = 0.01  # nats, least that counts in the paper's strategy
-
 
 @dataclass(frozen=True)
 class Recommendation:
@@ -112,7 +107,7 @@ class DesignOptimizer:
                 evaluated or because their evaluation failed.
         """
         waiting = torch.empty(0, 2, dtype=torch.float64) if pending is None else pending
-        self.space.check(waiting)
+        self.space.check_inside(waiting)
         done = len(self.train_X) + len(waiting)
         if done < self.initial or len(self.train_X) < 2:
             points = draw_sobol_samples(
@@ -123,7 +118,7 @@ class DesignOptimizer:
             warnings.simplefilter("ignore", NumericsWarning)
             # BoTorch tries again
             warnings.filterwarnings("ignore", "Optimization failed in", RuntimeWarning)
-            return self._maximise(self._acquisition(waiting), q)
+            return self._maximise_acquisition(self._make_acquisition(waiting), q)
 
     def tell(
         self,
@@ -142,7 +137,7 @@ class DesignOptimizer:
             InputDataError: for a value that is not finite, a variance that is not positive, or a
                 design outside.
         """
-        self.space.check(X)
+        self.space.check_inside(X)
         if X.ndim != 2 or Y.shape != (len(X), 1) or Yvar.shape != (len(X), 1):
             raise InputDataError(
                 f"tell expects X n x 2, Y n x 1 and Yvar n x 1; got {tuple(X.shape)}, "
@@ -174,7 +169,8 @@ class DesignOptimizer:
             gp = SingleTaskGP(
                 self.train_X,
                 self.train_Y,
-                self.train_Yvar.clamp_min(_LEAST_NOISE * float(self.train_Y.var())),
+                # below 1e-6 of the variance of what was told, GPyTorch rounds up, and warns
+                self.train_Yvar.clamp_min(2e-6 * float(self.train_Y.var())),
                 # an axis along which the utility does not change has no length scale unless there
                 # is a prior of it
                 covar_module=get_matern_kernel_with_gamma_prior(2),
@@ -194,25 +190,25 @@ class DesignOptimizer:
             return Recommendation(self.train_X[best], float(self.train_Y[best]), sd)
         model = self.model()
         with manual_seed(child(self.seed, "recommend", len(self.train_X))):
-            design = self._maximise(PosteriorMean(model), 1)
+            design = self._maximise_acquisition(PosteriorMean(model), 1)
         with torch.no_grad():
             posterior = model.posterior(design)
         return Recommendation(design[0], float(posterior.mean), float(posterior.variance.sqrt()))
 
-    def _acquisition(self, pending: Tensor) -> AcquisitionFunction:
+    def _make_acquisition(self, pending: Tensor) -> AcquisitionFunction:
         model = self.model()
         waiting = pending if len(pending) else None
         if self.strategy == "qLogNEI":
             return qLogNoisyExpectedImprovement(
                 model, X_baseline=self.train_X, prune_baseline=True, X_pending=waiting
             )
-        best = self.train_Y.amax() + _IMPROVEMENT
+        best = self.train_Y.amax() + 0.01  # nats, the least improvement that counts there
         if self.strategy == "qEI":
             with torch.no_grad():
                 best = model.posterior(self.train_X[:, None]).mean.amax()
         return qExpectedImprovement(model, best_f=best, X_pending=waiting)
 
-    def _maximise(self, acquisition: AcquisitionFunction, q: int) -> Tensor:
+    def _maximise_acquisition(self, acquisition: AcquisitionFunction, q: int) -> Tensor:
         """The ``q x 2`` designs of largest acquisition."""
         best, _ = optimize_acqf(
             acquisition,

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
-from imr_torch.observe import Noise, Nuisance, collapse_time
+from imr_torch.observe import Experiment, Noise, Nuisance, collapse_time
 from imr_torch.types import FrameValues
 
 
@@ -31,7 +31,7 @@ class Plan:
 
     >>> from imr_torch.design import Plan
     >>> plan = Plan(repeats=10, collapses=1)
-    >>> plan.window(0.6 + 0.4 * torch.cos(3.0 * plan.times)).sum()  # frames up to the first minimum of a curve
+    >>> plan.frames_in_window(0.6 + 0.4 * torch.cos(3.0 * plan.times)).sum()  # frames up to the first minimum of a curve
     tensor(22)
     """
 
@@ -66,7 +66,15 @@ class Plan:
         )
         return None if factor is None else factor[0]
 
-    def window(self, radius: Float[Tensor, "*batch frames"]) -> Bool[Tensor, "*batch frames"]:
+    def cut_to_window(self, experiment: Experiment) -> Experiment:
+        """An experiment without the frames after the last collapse of the window."""
+        if self.collapses is None:
+            return experiment
+        return experiment.until(collapse_time(experiment.times, experiment.mean, self.collapses))
+
+    def frames_in_window(
+        self, radius: Float[Tensor, "*batch frames"]
+    ) -> Bool[Tensor, "*batch frames"]:
         """Frames of each curve (``... x n_t``) up to the last collapse of the window: a boolean
         tensor of that shape.
         """

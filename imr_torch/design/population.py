@@ -22,14 +22,12 @@ from torch import Tensor
 from torch.distributions import MultivariateNormal
 
 from imr_torch.design.estimator import InformationEstimator, check_at_least
-from imr_torch.design.gain import InformationGain, Terms, summarise
-from imr_torch.design.likelihood import infer, observe
-from imr_torch.design.response import Shot, respond
+from imr_torch.design.gain import InformationGain, Terms, mean_deviations, summarise_terms
+from imr_torch.design.likelihood import infer_linear, observe_gels
+from imr_torch.design.response import Shot, simulate_response
 from imr_torch.errors import InputDataError
 from imr_torch.random import child, generator
 from imr_torch.types import DatasetValues
-
-_ERROR = 1e-4  # standard error of a control that counts as none
 
 
 @dataclass(frozen=True)
@@ -75,21 +73,22 @@ class PopulationInformation(InformationEstimator):
             InputDataError: for a belief in several models: the medians of two models are not the
                 same quantity.
         """
-        roots, order = self._roots(shot, generator)
+        roots, order = self._information_roots(shot, generator)
         values = torch.zeros(len(roots), self.data, dtype=torch.float64)
         for row, root in enumerate(roots):
-            values[row] = self._of(root)
+            values[row] = self._gain_of_data(root)
         gels = Terms(1.0, values.mean(1), torch.zeros(len(values), dtype=torch.float64), order)
         by_datum = values.mean(0) if len(values) else torch.zeros(self.data, dtype=torch.float64)
-        shared = (by_datum - by_datum.mean()) / (self.data * (self.data - 1)) ** 0.5
-        return summarise([gels], shared=torch.stack((shared, torch.zeros_like(shared)), 1))
+        shared = mean_deviations(by_datum)
+        return summarise_terms([gels], shared=torch.stack((shared, torch.zeros_like(shared)), 1))
 
-    def limit(self) -> float:
+    def largest_gain(self) -> float:
         """Gain of one shot that shows its gel without error, nats: no design can tell more."""
-        exact = torch.eye(self.scatter.shape[1], dtype=torch.float64)[None] / _ERROR
-        return float(self._of(exact).mean())
+        # a standard error of 1e-4 counts as none
+        exact = 1e4 * torch.eye(self.scatter.shape[1], dtype=torch.float64)[None]
+        return float(self._gain_of_data(exact).mean())
 
-    def _roots(self, shot: Shot, source: torch.Generator) -> tuple[Tensor, Tensor]:
+    def _information_roots(self, shot: Shot, source: torch.Generator) -> tuple[Tensor, Tensor]:
         """Roots of the Fisher information, ``n x q x d x d``, at gels that could be simulated, and
         which those are first.
         """
@@ -113,11 +112,11 @@ class PopulationInformation(InformationEstimator):
             controls = torch.linalg.solve_triangular(
                 part.chol, (gels[:, e] - part.mean).mT, upper=False
             ).mT
-            seen = respond(one, part, controls)
+            seen = simulate_response(one, part, controls)
             good = seen.good
             normal = torch.full((self.draws, *part.chol.shape), torch.nan, dtype=torch.float64)
-            chol = infer(observe(seen[good], shot.plan, source), seen[good], shot.plan).chol
-            normal[good] = chol @ chol.mT - torch.eye(chol.shape[-1], dtype=torch.float64)
+            data = observe_gels(seen[good], shot.plan, source)
+            normal[good] = infer_linear(data, seen[good], shot.plan).fisher
             normals.append(normal)
         good = torch.isfinite(torch.stack(normals, 1)).flatten(1).all(1)
         order = torch.argsort(~good, stable=True)
@@ -126,7 +125,7 @@ class PopulationInformation(InformationEstimator):
         roots = vectors * eigen.clamp_min(0.0).sqrt()[..., None, :] @ vectors.mT
         return roots @ torch.linalg.inv(part.chol), order
 
-    def _of(self, roots: Float[Tensor, "designs controls controls"]) -> DatasetValues:
+    def _gain_of_data(self, roots: Float[Tensor, "designs controls controls"]) -> DatasetValues:
         """Gain from each of the data of shots with given Fisher information, one at each of ``q``
         designs.
         """
@@ -140,7 +139,7 @@ class PopulationInformation(InformationEstimator):
             ((roots[:, None] @ gels[..., None])[..., 0] + noise[1 + q :]).movedim(0, 1).flatten(1)
         )
         stacked = roots.flatten(0, 1)  # qd x d
-        own = self._covariances(roots)
+        own = self._data_covariances(roots)
         spread = stacked @ self.spread
         zero = torch.zeros(q * d, dtype=torch.float64)
         known = MultivariateNormal(zero, own[rows]).log_prob(seen - medians @ stacked.mT)
@@ -148,7 +147,7 @@ class PopulationInformation(InformationEstimator):
         apart = seen[:, None] - self.centre @ stacked.mT  # n x hyper x qd
         return known - torch.logsumexp(whole.log_prob(apart), 1) + math.log(len(self.scatter))
 
-    def _covariances(self, roots: Tensor) -> Float[Tensor, "hyper size size"]:
+    def _data_covariances(self, roots: Tensor) -> Float[Tensor, "hyper size size"]:
         """Of the data about the median's, given each scatter: scatter of each shot, and its noise."""
         (q, d, _), hyper = roots.shape, len(self.scatter)
         moved = roots * self.scatter[:, None, None, :]

@@ -20,8 +20,6 @@ from imr_torch.observe import Film
 from imr_torch.simulate import Simulator
 from imr_torch.types import BatchControls, DrawnControls
 
-_NEGLIGIBLE = 1e-4  # a model less probable than this changes the gain by less than .001 nats
-
 
 @dataclass(frozen=True)
 class Shot:
@@ -32,6 +30,8 @@ class Shot:
         designs: (We, R_inf*).
         simulator: makes the bubbles.
         plan: how they are observed.
+        negligible: probability below which a model is left out; 1e-4 changes the gain by less than
+            .001 nats.
 
     >>> from imr_torch.design import Plan, Shot
     >>> from imr_torch.material import reference_case
@@ -46,9 +46,10 @@ class Shot:
     designs: Float[Tensor, "designs 2"]
     simulator: Simulator
     plan: Plan
+    negligible: float = 1e-4
 
     def __post_init__(self) -> None:
-        likely = self.belief.log_probabilities.exp() > _NEGLIGIBLE
+        likely = self.belief.log_probabilities.exp() > self.negligible
         parts = tuple(
             part for part, keep in zip(self.belief.models, likely.tolist(), strict=True) if keep
         )
@@ -62,7 +63,7 @@ class Shot:
             self.designs, self.plan.times.expand(q, -1), self.plan.nuisance.sds().expand(q, -1)
         )
 
-    def forward(self, part: ModelBelief) -> ForwardModel:
+    def forward_model(self, part: ModelBelief) -> ForwardModel:
         """What the camera would see of one model's gels."""
         return ForwardModel(part, self.film, self.simulator)
 
@@ -97,7 +98,7 @@ class Response:
         seen = torch.cat((self.radius[..., None], self.by_gel, self.by_nuisance), dim=-1)
         return torch.isfinite(seen).flatten(1).all(1)
 
-    def replaced(self, rows: Shaped[Tensor, "rows"], others: "Response") -> "Response":
+    def replace_rows(self, rows: Shaped[Tensor, "rows"], others: "Response") -> "Response":
         """These gels with others in the place of some rows."""
         pairs = [(getattr(self, f), getattr(others, f)) for f in self.__dataclass_fields__]
         return Response(*(mine.index_copy(0, rows, new) for mine, new in pairs))
@@ -122,11 +123,11 @@ def radii(
     >>> radii(shot, part, torch.zeros(3, len(part.names)).double()).shape  # 81 frames
     torch.Size([3, 2, 81])
     """
-    forward = shot.forward(part)
-    return forward.predict(Point(controls, forward.still(*controls.shape[:-1])))
+    forward = shot.forward_model(part)
+    return forward.predict(Point(controls, forward.mean_nuisances(*controls.shape[:-1])))
 
 
-def respond(
+def simulate_response(
     shot: Shot, part: ModelBelief, controls: DrawnControls, *, gel: bool = True
 ) -> Response:
     """Radii and their sensitivities: each gel with its moved copies is a bundle that the solver
@@ -138,8 +139,8 @@ def respond(
         controls: ``n x d`` tensor.
         gel: whether the sensitivity to the gel is wanted.
     """
-    forward = shot.forward(part)
-    seen = forward.bundle(Point(controls, forward.still(len(controls))), moves_gel=gel)
+    forward = shot.forward_model(part)
+    seen = forward.bundle(Point(controls, forward.mean_nuisances(len(controls))), moves_gel=gel)
     by_gel, by_nuisance = forward.slopes(seen)
     good = torch.isfinite(seen).flatten(1).all(1)[:, None, None]  # of the gel and of all beside it
     slopes = by_gel if gel else by_gel[..., :0]

@@ -23,10 +23,6 @@ from imr_torch.random import child
 from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
 
-_SMALLEST_VARIANCE = (
-    1e-8  # nats^2: draws may agree exactly, and a known noise of 0 is no noise model
-)
-
 
 @dataclass(frozen=True)
 class DesignSearch:
@@ -158,7 +154,7 @@ class SearchSettings:
 
     >>> designs = torch.tensor([[200.0, 0.2], [500.0, 0.2], [800.0, 0.2]], dtype=torch.float64)
     >>> gains = [InformationGain(value, 0.0, variance=0.01, counted=8, drawn=8) for value in (4.0, 6.0, 4.0)]
-    >>> best = SearchSettings(seed=0, initial=2, common=False).finish(DesignSpace(), designs, gains, None).recommendation
+    >>> best = SearchSettings(seed=0, initial=2, common=False).finish_search(DesignSpace(), designs, gains, None).recommendation
     >>> 300.0 < float(best.design[0]) < 700.0
     True
     """
@@ -168,7 +164,7 @@ class SearchSettings:
     strategy: Strategy = "qLogNEI"
     common: bool = True
 
-    def optimizer(
+    def make_optimizer(
         self,
         space: DesignSpace,
         designs: Float[Tensor, "evaluated 2"],
@@ -195,11 +191,11 @@ class SearchSettings:
             common = errors.common
         base = pending.value if pending else 0.0
         values = torch.tensor([gain.value - base for gain in kept], dtype=torch.float64)
-        own = own.clamp_min(_SMALLEST_VARIANCE)
+        own = own.clamp_min(1e-8)  # draws may agree exactly, and a known noise of 0 is none
         optimizer.tell(designs[counted], values[:, None], own[:, None])
         return optimizer, common
 
-    def finish(
+    def finish_search(
         self,
         space: DesignSpace,
         designs: Float[Tensor, "evaluated 2"],
@@ -210,7 +206,7 @@ class SearchSettings:
 
         Its error has the part that is common to all of them.
         """
-        optimizer, common = self.optimizer(space, designs, gains, pending)
+        optimizer, common = self.make_optimizer(space, designs, gains, pending)
         best = optimizer.recommend()
         best = replace(best, sd=math.sqrt(best.sd**2 + common))
         return DesignSearch(best, designs, tuple(gains), optimizer, self, pending)
@@ -245,7 +241,7 @@ def _search_one(
     designs = torch.empty(0, 2, dtype=torch.float64)
     gains: list[InformationGain] = []
     while len(gains) < evaluations:
-        optimizer, _ = settings.optimizer(space, designs, gains, pending)
+        optimizer, _ = settings.make_optimizer(space, designs, gains, pending)
         failed = designs[[row for row, gain in enumerate(gains) if gain.failed]]
         count = min(batch, evaluations - len(gains)) if gains else settings.initial
         for design in optimizer.ask(count, pending=failed):
@@ -260,4 +256,4 @@ def _search_one(
                     f"{float(design[1]):.3f}  "
                     f"EIG {gain.value:.3f} +- {gain.variance**0.5:.3f} nats"
                 )
-    return settings.finish(space, designs, gains, pending)
+    return settings.finish_search(space, designs, gains, pending)

@@ -44,7 +44,7 @@ class DesignSpace:
         """``2 x 2`` tensor, lower row and upper row, in BoTorch's layout."""
         return torch.tensor([self.weber, self.rest_radius], dtype=torch.float64).T.contiguous()
 
-    def check(self, X: Real[Tensor, "*batch 2"]) -> None:
+    def check_inside(self, X: Real[Tensor, "*batch 2"]) -> None:
         """Raise unless every design of ``X`` (``... x 2``) lies in the box.
 
         Raises:

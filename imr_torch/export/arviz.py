@@ -142,7 +142,7 @@ def _fit_groups(
         noise = torch.randn(draws, len(fit.mean), generator=source, dtype=torch.float64)
         controls = fit.mean + noise @ fit.chol.mT
         return {"posterior": _parameters(fit.prior, fit.prior.unwhitened(controls))} | data
-    chosen = sample.resample(draws, source)
+    chosen = sample.resample_draws(draws, source)
     posterior = _parameters(fit.prior, fit.prior.unwhitened(sample.controls[chosen]))
     posterior |= _experiments(batch) | {"nuisance": _variable("nuisance", list(NUISANCES))}
     sds = _variable(

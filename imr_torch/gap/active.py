@@ -58,10 +58,10 @@ class CauseLearner:
         if self.most < 1:
             raise InputDataError(f"CauseLearner.most is {self.most}; expected at least 1 effect.")
 
-    def check(self, batch: ExperimentBatch) -> None:
+    def check_batch(self, batch: ExperimentBatch) -> None:
         """See :class:`imr_torch.campaign.Learner`; all are taken."""
 
-    def learn(
+    def infer_belief(
         self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None
     ) -> Inference:
         """See :class:`imr_torch.campaign.Learner`.
@@ -161,7 +161,7 @@ class TellCausesApart:
                 "more of each."
             )
 
-    def choose(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
+    def choose_design(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
         """See :class:`imr_torch.campaign.DesignPolicy`.
 
         Raises:
@@ -189,7 +189,7 @@ class TellCausesApart:
                     return self._apart(report, report.attribution, situation, progress)
                 except (ConvergenceError, InputDataError) as error:
                     reason = f"Fills the space: {error}"
-        return replace(SpaceFilling().choose(situation), reason=reason)
+        return replace(SpaceFilling().choose_design(situation), reason=reason)
 
     def _apart(
         self,

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from imr_torch.assimilate import ModelFit
 from imr_torch.gap.lookalike import Likeness, likeness
 from imr_torch.gap.refitted import refitted_directions
-from imr_torch.goodness.linear import Linearisation, linearise
+from imr_torch.goodness.linear import Linearisation, linearise_fit
 from imr_torch.goodness.score import (
     GapTest,
-    block,
     effect_directions,
     gap_test,
     generic_rows,
+    make_block,
     promising_starts,
 )
 from imr_torch.material import Effect
@@ -62,12 +62,12 @@ def adequacy_test(
     seed: int,
 ) -> Adequacy:
     """The gap test at a fit, of effects that it does not hold and of the generic blocks."""
-    line = linearise(fit, batch, simulator)
+    line = linearise_fit(fit, batch, simulator)
     others = tuple(effect for effect in effects if not set(effect.names) & set(fit.prior.names))
     directions = effect_directions(others, fit, batch, simulator, line)
     beside = refitted_directions(others, fit, batch, simulator, line, directions)
     generic = generic_rows(fit, batch, simulator, line)
-    blocks = [block(name, rows, line) for name, rows in (*beside.items(), *generic.items())]
+    blocks = [make_block(name, rows, line) for name, rows in (*beside.items(), *generic.items())]
     starts = {effect.name: promising_starts(effect, beside[effect.name], line) for effect in others}
     return Adequacy(
         gap_test(blocks, line, seed=seed), starts, line, directions, others, beside, generic

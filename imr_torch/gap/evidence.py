@@ -8,7 +8,7 @@ where they are near each other, are computed again by importance sampling
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from imr_torch.assimilate import Assimilation, ModelFit, weigh
+from imr_torch.assimilate import Assimilation, ModelFit, WeighingOptions, weigh
 from imr_torch.errors import ConvergenceError
 from imr_torch.gap.hypotheses import even_belief
 from imr_torch.observe import ExperimentBatch
@@ -75,7 +75,7 @@ def check_evidence(
             seed=seed,
             samples=_SAMPLES,
             rounds=1,
-            refit=False,
+            options=WeighingOptions(refits=0),
         )
     except ConvergenceError:
         return {}

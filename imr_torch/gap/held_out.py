@@ -16,18 +16,18 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from imr_torch.assimilate import ModelFit, Point, Posterior, SearchOptions, assimilate
+from imr_torch.assimilate import ModelFit, Point, Posterior, SearchOptions
 from imr_torch.assimilate.basins import deeper_nuisances
+from imr_torch.assimilate.map_fit import assimilate_model
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.hypotheses import (
     EXPLAINS,
     GEL_SCATTER,
     Hypothesis,
-    even_belief,
     laplace_evidence,
 )
-from imr_torch.goodness.linear import Linearisation, linearise, whiten_rows
+from imr_torch.goodness.linear import Linearisation, linearise_fit, whiten_rows
 from imr_torch.observe import NUISANCES, ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.select import default_folds
@@ -128,7 +128,7 @@ def judge_designs(
             progress(f"without {labels}: {found[0].name}")
     judged = []
     for (hypothesis, fit, base, base_fit), training, designs in tasks:
-        line = linearise(base_fit, base.seen(training), simulator)
+        line = linearise_fit(base_fit, base.seen(training), simulator)
         for place in range(len(designs.experiments)):
             design = _part(designs, [place])
             pair = Judged(
@@ -214,16 +214,12 @@ def _train(
         beside = _APART * torch.randn(
             _OPTIONS.starts - 1, len(fit.mean), generator=source, dtype=torch.float64
         )
-        fits[name] = assimilate(
-            even_belief((fit.prior,)),
-            hypothesis.seen(training),
-            simulator,
+        fits[name] = assimilate_model(
+            Posterior(fit.prior, hypothesis.seen(training), simulator),
+            Point(torch.cat((fit.mean[None], fit.mean + beside)), fit.nuisances[list(kept)]),
             seed=seed,
             options=_OPTIONS,
-            starts=[torch.cat((fit.mean[None], fit.mean + beside))],
-            nuisances=[fit.nuisances[list(kept)]],
-            warn=False,
-        ).fits[0]
+        )
     return fits
 
 
@@ -263,7 +259,7 @@ def _most_probable(posterior: Posterior, fit: ModelFit) -> Float[Tensor, "1 nuis
     tried; so is, where curves have gels of their own, the gel of any curve of the fit.
     """
     own = fit.nuisances[:, len(NUISANCES) :]
-    moved = posterior.still(1 + len(own) if own.numel() else 1)
+    moved = posterior.mean_nuisances(1 + len(own) if own.numel() else 1)
     if own.numel():
         moved[1:, 0, len(NUISANCES) :] = own
     gels = fit.mean.expand(len(moved), -1)

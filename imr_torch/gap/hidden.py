@@ -60,7 +60,7 @@ def hidden_effects(report: GapReport) -> tuple[Hidden, ...]:
 
 def _hidden(effect: Effect, left: Adequacy, fit: ModelFit, gel: Sequence[str]) -> Hidden:
     """What would hide of one effect beside a fit: of the start that shows in the middle of all."""
-    beside = left.line.project(left.beside[effect.name]).norm(dim=1)
+    beside = left.line.project_out(left.beside[effect.name]).norm(dim=1)
     rows = left.directions[effect.name]
     known = torch.nonzero(beside > 0.0)[:, 0]
     blocks = [b for b in left.test.blocks if b.name == effect.name]

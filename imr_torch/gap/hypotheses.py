@@ -19,7 +19,7 @@ from torch import Tensor
 
 from imr_torch.assimilate import Assimilation, ModelFit, Point, Posterior, SearchOptions, assimilate
 from imr_torch.assimilate.fit import NEARLY, ONE_MINIMUM, PROMISED
-from imr_torch.assimilate.starts import BESIDE, around
+from imr_torch.assimilate.starts import draw_perturbation
 from imr_torch.material import Belief, Effect, ModelBelief
 from imr_torch.material.belief import beside
 from imr_torch.observe import NUISANCES, ExperimentBatch, Scatter
@@ -389,7 +389,10 @@ def finish(
     if ended.certificate.converged or ended.certificate.gradient >= options.gradient:
         return ended
     source = generator(child(seed, "beside"))
-    starts = torch.stack([ended.mean + around(ended.chol, source, BESIDE) for _ in range(_AGAIN)])
+    away = SearchOptions().descent.restart
+    starts = ended.mean + torch.stack(
+        [draw_perturbation(ended.chol, source, away) for _ in range(_AGAIN)]
+    )
     moved = [ended.nuisances_at(starts)]
     again = search(
         near.prior, batch, simulator, seed=child(seed, "again"), starts=[starts], nuisances=moved

@@ -214,7 +214,7 @@ def judge_design(
         ConvergenceError: if fewer than two data of a cause could be simulated.
     """
     shot = Shot(_belief(causes, fits), design[None], simulator, plan)
-    drawn, _, logs = _estimator(draws).compare(shot, generator(seed))
+    drawn, _, logs = _estimator(draws).compare_models(shot, generator(seed))
     if min(rows.stop - rows.start for rows in drawn.rows) < 2:
         raise ConvergenceError(
             f"Too many bubbles failed at the design {design.tolist()}; narrow the space."

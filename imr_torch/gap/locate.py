@@ -23,9 +23,9 @@ from torch import Tensor
 from imr_torch.assimilate import ModelFit
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.diagnose import GapReport
-from imr_torch.goodness.linear import Linearisation, curves
+from imr_torch.goodness.linear import Linearisation, predict_changed
 from imr_torch.goodness.phases import PHASES, phase_clock, phase_name, phase_numbers
-from imr_torch.goodness.score import BOOTSTRAP, PULSES, SHAPE, block, log_survival
+from imr_torch.goodness.score import BOOTSTRAP, PULSES, SHAPE, log_survival, make_block
 from imr_torch.labels import p_value
 from imr_torch.material import PARAMETERS, Effect
 from imr_torch.random import SeedLike, child, generator
@@ -265,14 +265,14 @@ def where_it_acts(
     nuisances = int((batch.nuisance_sds > 0.0).any(0).sum()) * len(batch.experiments)
     shift = torch.nn.functional.pad(noise @ fit.chol.mT, (0, nuisances)).repeat(2, 1)
     off = {effect.names[0]: PARAMETERS[effect.names[0]].neutral for effect in effects}
-    made = curves(fit, batch, simulator, [{}] * _DRAWS + [off] * _DRAWS, shift)
+    made = predict_changed(fit, batch, simulator, [{}] * _DRAWS + [off] * _DRAWS, shift)
     signal = line.whiten(made[:_DRAWS] - made[_DRAWS:])
     phase = phase_numbers(batch.times, line.prediction, batch.mask)
     reached = [torch.zeros(_DRAWS, dtype=torch.float64)]
     for last in range(len(PHASES)):
         frames = (phase <= last) & batch.mask
         rows = signal * _kept_rows(line, frames).to(signal)
-        reached.append(restrict(line, frames).project(rows).square().sum(1))
+        reached.append(restrict(line, frames).project_out(rows).square().sum(1))
     gained = torch.stack(reached, 1).diff(dim=1).clamp_min(0.0)
     shares = gained / gained.sum(1, keepdim=True)
     shares = shares[torch.isfinite(shares).all(1)]
@@ -320,8 +320,8 @@ def _log_p(
         direction are left out.
     """
     keep = _kept_rows(part, frames).to(part.residual)
-    blocks = [block(name, rows * keep, part).directions for name, rows in directions.items()]
-    rows = part.project(torch.cat((part.residual[None], drawn * keep)))
+    blocks = [make_block(name, rows * keep, part).directions for name, rows in directions.items()]
+    rows = part.project_out(torch.cat((part.residual[None], drawn * keep)))
     freedom = int(keep.sum()) - part.fitted.shape[1]
     tests = [((rows @ u).square().sum(1), u.shape[1]) for u in blocks if u.shape[1]]
     if freedom > 0:

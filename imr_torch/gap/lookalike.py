@@ -20,7 +20,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.goodness.linear import Linearisation
-from imr_torch.goodness.score import ADEQUATE, LEAST_LEFT, STATE_LAW, Block, block, log_survival
+from imr_torch.goodness.score import (
+    ADEQUATE,
+    LEAST_LEFT,
+    STATE_LAW,
+    Block,
+    log_survival,
+    make_block,
+)
 from imr_torch.material import Effect
 from imr_torch.random import child, generator
 from imr_torch.types import Directions
@@ -146,7 +153,7 @@ def likeness(
         own = torch.nonzero(usable & ~obvious & (nearest == winner))[:, 0]
         empty = torch.zeros(len(known[0]), dtype=torch.float64)
         here = replace(line, residual=empty, fitted=known[winner][:, None])
-        tested = [block(n, own, here) for n, own in every.items() if n != owners[winner]]
+        tested = [make_block(n, own, here) for n, own in every.items() if n != owners[winner]]
         blocks = [b for b in tested if b.directions.shape[1]]
         if null is None:
             nothing = torch.zeros(1, 1, len(empty))
@@ -187,7 +194,7 @@ def _log_p_values(
     """
     size = signals.shape[-1]
     noise = torch.randn(len(signals), count, size + beyond, generator=source, dtype=torch.float64)
-    rows = line.project(signals + noise[..., :size])
+    rows = line.project_out(signals + noise[..., :size])
     logs = [
         log_survival((rows @ b.directions).square().sum(-1), b.directions.shape[1]) for b in blocks
     ]
@@ -230,6 +237,6 @@ def _unit(rows: Tensor, line: Linearisation) -> Tensor:
 
     Those of which nothing is left are dropped.
     """
-    left = line.project(rows)
+    left = line.project_out(rows)
     left = left[left.square().sum(1) > LEAST_LEFT * rows.square().sum(1).clamp_min(1e-300)]
     return left / left.norm(dim=1, keepdim=True)

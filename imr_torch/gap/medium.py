@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
-from imr_torch.goodness.linear import linearise
+from imr_torch.goodness.linear import linearise_fit
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import ExperimentBatch, GelMedium, predict
 from imr_torch.observe.medium import label
@@ -149,6 +149,6 @@ def _shifts(
         row[PARAMETERS.index([OF_MEDIUM[name]])[0]] += _STEP * math.log(DEVIATIONS[name])
     nuisances = (fit.nuisances * batch.nuisance_sds).expand(len(parameters), -1, -1)
     leader, *moved = predict(simulator, parameters, batch, nuisances, bundled=True)
-    line = linearise(fit, batch, simulator)
+    line = linearise_fit(fit, batch, simulator)
     changes = line.whiten((torch.stack(moved) - leader).nan_to_num() / _STEP)
     return -(changes @ line.to_shift.mT)[:, : len(fit.mean)]

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import torch
 
 from imr_torch.assimilate import ModelFit
-from imr_torch.goodness.linear import Linearisation, curves
+from imr_torch.goodness.linear import Linearisation, predict_changed
 from imr_torch.material import Effect
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
@@ -56,7 +56,7 @@ def refitted_directions(
     if not changes:
         return {}
     rows = torch.cat([directions[effect.name] for effect in effects])
-    left = line.project(rows).norm(dim=1)
+    left = line.project_out(rows).norm(dim=1)
     farthest = torch.full((line.fitted.shape[1],), _FARTHEST_NUISANCE, dtype=torch.float64)
     farthest[: len(fit.mean)] = _FARTHEST_GEL
     under_way = torch.nonzero(left > 0.0)[:, 0]  # a start that failed would only fail again, slowly
@@ -67,9 +67,11 @@ def refitted_directions(
         shift = shift[near]
         if not len(under_way):
             break
-        moved = curves(fit, batch, simulator, [changes[i] for i in under_way.tolist()], -shift)
-        beside = line.whiten(moved - line.prediction) + line.explained(shift)
-        now = line.project(beside).norm(dim=1)
+        moved = predict_changed(
+            fit, batch, simulator, [changes[i] for i in under_way.tolist()], -shift
+        )
+        beside = line.whiten(moved - line.prediction) + line.explained_rows(shift)
+        now = line.project_out(beside).norm(dim=1)
         smaller = now < left[under_way]  # not where a solve failed: NaN is not smaller
         under_way = under_way[smaller]
         rows[under_way], left[under_way] = beside[smaller], now[smaller]

@@ -304,7 +304,7 @@ def _select_random(
     )
     chosen: list[int] = []
     for _ in range(rounds):
-        left = here.project(columns)
+        left = here.project_out(columns)
         square = left.square().sum(1)
         gain = 0.5 * (left @ here.residual).square() / square - 0.5 * square.log()
         gain[chosen] = -math.inf

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from imr_torch.assimilate import ModelFit, Posterior, infer_frame_noise
 from imr_torch.assimilate.noise_estimation import determines_noise
-from imr_torch.goodness.linear import Linearisation, linearise, whiten_rows
+from imr_torch.goodness.linear import Linearisation, linearise_fit, whiten_rows
 from imr_torch.goodness.phases import phase_clock, phase_name
 from imr_torch.goodness.score import LEVEL, gap_test, generic_blocks
 from imr_torch.labels import p_value
@@ -29,9 +29,6 @@ FORM = (
     "generic blocks of the gap test at the fit, without effects of the library; noise of single "
     "frames inferred"
 )
-# posterior standard deviations in all; a fit that must move farther to suit the noise of the test
-# is moved first
-_LARGE = 4.0
 
 
 @dataclass(frozen=True)
@@ -138,7 +135,7 @@ def check_fit(
         )
     near = fit.linearise(batch, simulator)
     batch = infer_frame_noise(near).applied(batch)
-    fit, line = _settled(fit, batch, simulator)
+    fit, line = _move_to_noise(fit, batch, simulator)
     test = gap_test(generic_blocks(fit, batch, simulator, line), line, seed=child(seed, "fit test"))
     if test.found and not fit.certificate.usable:
         return FitTest(
@@ -146,7 +143,7 @@ def check_fit(
             None,
             reason=f"the fit of {fit.model} did not converge, and such a fit looks like a misfit.",
         )
-    left = _left(line)
+    left = _scaled_residual(line)
     row, column = divmod(int(left.abs().argmax()), left.shape[1])
     return FitTest(
         fit.model,
@@ -162,19 +159,21 @@ def check_fit(
     )
 
 
-def _settled(
-    fit: ModelFit, batch: ExperimentBatch, simulator: Simulator
+def _move_to_noise(
+    fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, far: float = 4.0
 ) -> tuple[ModelFit, Linearisation]:
     """The fit after one Gauss-Newton step under the noise of the test, where that lowers the cost
-    and is not small.
+    and is longer than ``far`` posterior standard deviations in all.
     """
-    line = linearise(fit, batch, simulator)
-    if float((line.basis.mT @ line.residual).norm()) < _LARGE:
+    line = linearise_fit(fit, batch, simulator)
+    if float((line.basis.mT @ line.residual).norm()) < far:
         return fit, line
     posterior = Posterior(fit.prior, batch, simulator)
     step = line.to_shift @ line.residual
     for factor in (1.0, 0.3):
-        near = posterior.neighbourhood(posterior.place(posterior.flat(fit.point) + factor * step))
+        near = posterior.neighbourhood(
+            posterior.point_at(posterior.coordinates_of(fit.point) + factor * step)
+        )
         if not bool(torch.isfinite(near.centre).all()):
             continue
         own = whiten_rows(near)
@@ -186,7 +185,7 @@ def _settled(
     return fit, line
 
 
-def _left(line: Linearisation) -> Tensor:
+def _scaled_residual(line: Linearisation) -> Tensor:
     """Residual of a linear refit at every frame over the noise of the mean, ``E x T``.
 
     0 in the padding.

@@ -60,33 +60,33 @@ class Linearisation:
         1 for priors and 0 in the padding.
         """
         ratios = self.batch.log_noise_ratios(self.prediction, count, generator=generator).exp()
-        return self.padded(torch.where(self.batch.mask, ratios, 0.0).flatten(1), 1.0)
+        return self.pad_rows(torch.where(self.batch.mask, ratios, 0.0).flatten(1), 1.0)
 
-    def padded(
+    def pad_rows(
         self, rows: Float[Tensor, "*batch data"], value: float = 0.0
     ) -> Float[Tensor, "*batch rows"]:
         """Rows of data with those of the priors, which have one value."""
         missing = len(self.residual) - rows.shape[-1]
         return torch.nn.functional.pad(rows, (0, missing), value=value)
 
-    def explained(self, shift: Float[Tensor, "*batch fitted"]) -> Float[Tensor, "*batch rows"]:
+    def explained_rows(self, shift: Float[Tensor, "*batch fitted"]) -> Float[Tensor, "*batch rows"]:
         """What shifts ``... x k`` of everything fitted change in the data, to first order: rows
         ``... x N``.
         """
         rows = shift @ self.fitted.mT
-        return self.padded(rows[..., : self.batch.mask.numel()])
+        return self.pad_rows(rows[..., : self.batch.mask.numel()])
 
     def whiten(self, curves: BatchFrames) -> Float[Tensor, "*batch rows"]:
         """Curves ``... x E x T`` in R* as rows ``... x N``, with zeros for the priors."""
         seen = torch.where(self.batch.mask, curves, 0.0)
-        return self.padded(self.batch.whiten(seen, self.sd).flatten(-2))
+        return self.pad_rows(self.batch.whiten(seen, self.sd).flatten(-2))
 
-    def project(self, rows: Float[Tensor, "*batch rows"]) -> Float[Tensor, "*batch rows"]:
+    def project_out(self, rows: Float[Tensor, "*batch rows"]) -> Float[Tensor, "*batch rows"]:
         """What is left of rows ``... x N`` beside the fitted directions."""
         return rows - (rows @ self.basis) @ self.basis.mT
 
 
-def curves(
+def predict_changed(
     fit: ModelFit,
     batch: ExperimentBatch,
     simulator: Simulator,
@@ -106,8 +106,8 @@ def curves(
     if not changes:
         return torch.empty(0, *batch.times.shape, dtype=torch.float64)
     posterior = Posterior(fit.prior, batch, simulator)
-    flat = posterior.flat(fit.point).expand(len(changes), -1)
-    point = posterior.place(flat if shift is None else flat + shift)
+    flat = posterior.coordinates_of(fit.point).expand(len(changes), -1)
+    point = posterior.point_at(flat if shift is None else flat + shift)
     parameters = posterior.to_si(point.gel).clone()
     for row, change in zip(parameters, changes, strict=True):
         for name, value in change.items():
@@ -115,7 +115,7 @@ def curves(
     return predict(simulator, parameters, batch, point.nuisances * batch.nuisance_sds)
 
 
-def linearise(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> Linearisation:
+def linearise_fit(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> Linearisation:
     """Local sensitivities at a fit, by finite differences of bubbles that take the same solver
     steps.
     """

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 import torch
 from jaxtyping import Float, Int
+from scipy.interpolate import make_interp_spline
 from scipy.special import chdtri
 from torch import Tensor
 
@@ -22,15 +23,9 @@ from imr_torch.types import ExperimentFrames, FrameMask
 PHASES = ("start", "first collapse", "first rebound", "second collapse", "later")
 """Phases of an event, in order."""
 
-_ENDS = (
-    0.3,
-    1.25,
-    1.75,
-    2.25,
-)  # phase clock at which each ends; what a collapse did is seen in the rise after it
-_QUIET = (
-    1e-3  # chance of so small a sum of squares under the law, below which the law says too much
-)
+PHASE_ENDS = (0.3, 1.25, 1.75, 2.25)
+"""Reading of the phase clock at which each but the last ends: what a collapse did is seen in the
+rise after it."""
 
 
 def phase_clock(
@@ -50,10 +45,12 @@ def phase_clock(
         ``E x T`` tensor; linear in time between landmarks and, after the second collapse, by the
         length of the first cycle.
     """
-    return torch.stack([_clock(t, r, m) for t, r, m in zip(times, prediction, mask, strict=True)])
+    return torch.stack(
+        [_read_clock(t, r, m) for t, r, m in zip(times, prediction, mask, strict=True)]
+    )
 
 
-def _clock(times: Tensor, radius: Tensor, mask: Tensor) -> Tensor:
+def _read_clock(times: Tensor, radius: Tensor, mask: Tensor) -> Tensor:
     t = times[mask]
     r = radius[mask]
     first, second = (collapse_time(t, r, number) for number in (1, 2))
@@ -61,16 +58,14 @@ def _clock(times: Tensor, radius: Tensor, mask: Tensor) -> Tensor:
     later = (t > first) & (t < second)
     top = float(t[later][r[later].argmax()]) if bool(later.any()) else 2.0 * first
     second = 2.0 * top - first if math.isinf(second) else second
-    knots = torch.tensor((0.0, first, top, second, second + (second - first)), dtype=torch.float64)
-    values = torch.tensor((0.0, 1.0, 1.5, 2.0, 3.0), dtype=torch.float64)
-    piece = (torch.searchsorted(knots, times.contiguous()) - 1).clamp(0, 3)
-    slope = (values[1:] - values[:-1]) / (knots[1:] - knots[:-1])
-    return values[piece] + slope[piece] * (times - knots[piece])
+    knots = (0.0, first, top, second, second + (second - first))
+    clock = make_interp_spline(knots, (0.0, 1.0, 1.5, 2.0, 3.0), k=1)  # extrapolates the last piece
+    return torch.from_numpy(clock(times.numpy()))
 
 
 def phase_name(clock: float) -> str:
     """The phase at a reading of the phase clock."""
-    return PHASES[sum(clock > end + 1e-9 for end in _ENDS)]
+    return PHASES[sum(clock > end + 1e-9 for end in PHASE_ENDS)]
 
 
 def phase_numbers(
@@ -81,23 +76,27 @@ def phase_numbers(
     """Number of the phase of each frame in ``PHASES``: ``E x T`` integer tensor; arguments as of
     :func:`phase_clock`.
     """
-    ends = torch.tensor(_ENDS, dtype=torch.float64) + 1e-9
+    ends = torch.tensor(PHASE_ENDS, dtype=torch.float64) + 1e-9
     return torch.searchsorted(ends, phase_clock(times, radius, mask).contiguous())
 
 
 def noise_shares(
-    squares: Sequence[Float[Tensor, "*frames"]], phase: Int[Tensor, "*frames"]
+    squares: Sequence[Float[Tensor, "*frames"]],
+    phase: Int[Tensor, "*frames"],
+    *,
+    quiet: float = 1e-3,
 ) -> Float[Tensor, "*frames"]:
     """How much of the law's variance counts in each frame, 1 or less: what residuals leave room for
     in its phase.
 
-    It is less than 1 only where the sum of squares of a phase has a chance below .001 under the
-    law, under the hypothesis that leaves least there; it is then the mean square.
+    It is less than 1 only where the sum of squares of a phase has a chance below ``quiet`` under
+    the law, under the hypothesis that leaves least there; it is then the mean square.
 
     Args:
         squares: of each hypothesis, squared residuals in units of the law's variance, independent
             between frames; tensors of one shape.
         phase: of each frame, same shape; frames of number -1 do not count.
+        quiet: chance of so small a sum of squares under the law, below which it says too much.
 
     Returns:
         Tensor of that shape.
@@ -114,6 +113,6 @@ def noise_shares(
         inside = phase == number
         count = int(inside.sum())
         least = min(float(own[inside].sum()) for own in squares)
-        if least < float(chdtri(count, 1.0 - _QUIET)):
+        if least < float(chdtri(count, 1.0 - quiet)):
             shares[inside] = least / count
     return shares

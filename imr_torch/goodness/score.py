@@ -20,7 +20,7 @@ from scipy.special import chdtri, chndtr
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
-from imr_torch.goodness.linear import Linearisation, curves
+from imr_torch.goodness.linear import Linearisation, predict_changed
 from imr_torch.goodness.phases import noise_shares, phase_numbers
 from imr_torch.material import Effect
 from imr_torch.observe import ExperimentBatch
@@ -33,12 +33,10 @@ LEVEL = 0.04
 ADEQUATE = 0.05
 """P-value of the test at a fit with effects from which on that fit is adequate: the right effects fail it once in twenty."""
 
-_RANK = 1e-3  # singular values below this part of the largest add no direction
 BOOTSTRAP = 2000
 """Simulated residuals behind a p value or an interval."""
 
-_PULSES = 8
-_LAWS = (
+LAW_STEPS = (
     ("law_stretch", 1e-3),
     ("law_stretch_squared", 3e-4),
     ("law_compression", 1e-3),
@@ -46,21 +44,16 @@ _LAWS = (
     ("law_velocity", 3e-3),
     ("law_velocity_squared", 1e-3),
     ("law_rate_squared", 1e-4),
-)  # of the generic closure, and coefficients at which its directions are taken
+)
+"""Terms of the generic closure, and coefficients at which directions of ``STATE_LAW`` are taken."""
 LEAST_LEFT = 1e-4
 """Part of a direction's square that must be left beside the fitted directions for it to be tested."""
-_SURE = 2.0  # standard deviations by which the scale of inferred noise may be wrong
-_LAWS_DRAWN = 500  # noise laws over which the p-value of a block is averaged
 EVERYTHING = "everything (chi-square)"
 """Name of the test of all residuals together, which only noise that is known allows."""
 STATE_LAW = "generic stress law"
 PULSES = "pulses common to all experiments"
 SHAPE = "shape of the output"
 """Names of generic blocks: of the generic closure, of pressure pulses, of the output's shape."""
-# amplitude of a first start over the effect's own: so near the null fit that a descent ends below
-# that
-_SMALL = 0.05
-_TYPICAL = (0.5, 1.5)  # bounds of that of a second
 
 
 @dataclass(frozen=True)
@@ -82,10 +75,9 @@ class Block:
 
 @dataclass(frozen=True)
 class BlockResult:
-    """A block's statistic: ``chi2`` of ``rank`` degrees of freedom under the fitted model."""
+    """The test of a block, a chi-square of ``rank`` degrees of freedom under the fitted model."""
 
     name: str
-    statistic: float
     rank: int
     p_value: float
     power: float
@@ -128,7 +120,7 @@ def effect_directions(
     starts = [(effect, start) for effect in effects for start in effect.starts]
     changes = [dict(zip(effect.names, start, strict=True)) for effect, start in starts]
     rows = line.whiten(
-        (curves(fit, batch, simulator, changes) - line.prediction).nan_to_num(nan=math.inf)
+        (predict_changed(fit, batch, simulator, changes) - line.prediction).nan_to_num(nan=math.inf)
     )
     rows = torch.where(torch.isfinite(rows).all(1, keepdim=True), rows, 0.0)
     parts = rows.split([len(effect.starts) for effect in effects])
@@ -136,7 +128,12 @@ def effect_directions(
 
 
 def promising_starts(
-    effect: Effect, rows: Float[Tensor, "starts rows"], line: Linearisation
+    effect: Effect,
+    rows: Float[Tensor, "starts rows"],
+    line: Linearisation,
+    *,
+    small: float = 0.05,
+    typical: tuple[float, float] = (0.5, 1.5),
 ) -> tuple[tuple[float, ...], ...]:
     """From where to fit an effect: next to its neutral value, and from larger ones.
 
@@ -151,8 +148,11 @@ def promising_starts(
         effect: the effect.
         rows: ``S x N`` tensor from :func:`effect_directions`.
         line: local sensitivities at the fit.
+        small: amplitude of the first start over the effect's own: so near the null fit that a
+            descent ends below that.
+        typical: bounds of that of the second.
     """
-    left = line.project(rows)
+    left = line.project_out(rows)
     square = left.square().sum(1).clamp_min(1e-300)
     amplitude = (left @ line.residual) / square
     gain = amplitude.clamp_min(0.0) * amplitude * square
@@ -160,16 +160,18 @@ def promising_starts(
     best = order[0]
     other = next((i for i in order[1:2] if float(gain[i]) > 0.0), order[0])
     first, *shape = effect.starts[best]
-    small = (_SMALL * first, *shape)
+    smallest = (small * first, *shape)
     if len({tuple(others) for _, *others in effect.starts}) > 1:
-        return small, *effect.starts
+        return smallest, *effect.starts
     first, *shape = effect.starts[other]
-    return small, (first * float(amplitude[other].clamp(*_TYPICAL)), *shape)
+    return smallest, (first * float(amplitude[other].clamp(*typical)), *shape)
 
 
-def block(name: str, rows: Directions, line: Linearisation) -> Block:
-    """A block from whitened directions ``k x N``: projected, then reduced to an orthonormal set."""
-    left = line.project(rows)
+def make_block(name: str, rows: Directions, line: Linearisation, *, rank: float = 1e-3) -> Block:
+    """A block from whitened directions ``k x N``: projected, then reduced to an orthonormal set,
+    to which singular values below a share of ``rank`` of the largest add nothing.
+    """
+    left = line.project_out(rows)
     kept = left.square().sum(1) > LEAST_LEFT * rows.square().sum(1).clamp_min(1e-300)
     left = left[kept]
     if not len(left):
@@ -177,7 +179,7 @@ def block(name: str, rows: Directions, line: Linearisation) -> Block:
     size = float(left.norm(dim=1).max())
     left = left / left.norm(dim=1, keepdim=True)
     u, s, _ = torch.linalg.svd(left.mT, full_matrices=False)
-    return Block(name, u[:, s > _RANK * s[0]], size)
+    return Block(name, u[:, s > rank * s[0]], size)
 
 
 def generic_blocks(
@@ -185,7 +187,8 @@ def generic_blocks(
 ) -> list[Block]:
     """Blocks that stand for no effect in particular (:func:`generic_rows`)."""
     return [
-        block(name, rows, line) for name, rows in generic_rows(fit, batch, simulator, line).items()
+        make_block(name, rows, line)
+        for name, rows in generic_rows(fit, batch, simulator, line).items()
     ]
 
 
@@ -199,12 +202,14 @@ def generic_rows(
     times = batch.times
     last = float(times[batch.mask].max())
     changes = [*pulse_changes(batch).values(), *law_steps()]
-    rows = line.whiten((curves(fit, batch, simulator, changes) - line.prediction).nan_to_num())
-    pulses = rows[: -len(_LAWS)]
-    laws = rows[-len(_LAWS) :]
+    rows = line.whiten(
+        (predict_changed(fit, batch, simulator, changes) - line.prediction).nan_to_num()
+    )
+    pulses = rows[: -len(LAW_STEPS)]
+    laws = rows[-len(LAW_STEPS) :]
     data = times.numel()
-    gel = line.padded(line.fitted[:data, : len(fit.mean)].mT)
-    early = line.padded((times < 0.5 * last).flatten().to(gel))
+    gel = line.pad_rows(line.fitted[:data, : len(fit.mean)].mT)
+    early = line.pad_rows((times < 0.5 * last).flatten().to(gel))
     found = {
         STATE_LAW: laws,
         PULSES: pulses,
@@ -213,7 +218,7 @@ def generic_rows(
     }
     if experiments > 1:
         one = torch.eye(experiments, dtype=torch.float64)
-        masks = line.padded(one.repeat_interleave(times.shape[1], 1))
+        masks = line.pad_rows(one.repeat_interleave(times.shape[1], 1))
         found["parameters between designs"] = (masks[:, None] * gel).flatten(0, 1)
         found["pulses in single experiments"] = (masks[:, None] * pulses).flatten(0, 1)
     return found
@@ -221,14 +226,14 @@ def generic_rows(
 
 def law_steps() -> list[dict[str, float]]:
     """Parameter -> value of each row of the block ``STATE_LAW``, in order."""
-    return [{name: step} for name, step in _LAWS]
+    return [{name: step} for name, step in LAW_STEPS]
 
 
-def pulse_changes(batch: ExperimentBatch) -> dict[float, dict[str, float]]:
+def pulse_changes(batch: ExperimentBatch, count: int = 8) -> dict[float, dict[str, float]]:
     """Small pressure pulses side by side over the records: moment ``t*`` -> parameters."""
     last = float(batch.times[batch.mask].max())
-    width = math.log(0.5 * last / _PULSES)
-    centres = torch.linspace(0.1, 0.9, _PULSES, dtype=torch.float64) * last
+    width = math.log(0.5 * last / count)
+    centres = torch.linspace(0.1, 0.9, count, dtype=torch.float64) * last
     return {t: {"pulse": 0.01, "pulse_time": t, "pulse_width": width} for t in centres.tolist()}
 
 
@@ -259,7 +264,7 @@ def gap_test(blocks: Sequence[Block], line: Linearisation, *, seed: int) -> GapT
     source = generator(seed)
     ratios = line.noise_ratios(BOOTSTRAP, generator=source)
     rows = torch.cat((line.residual[None], _drawn_residuals(line, ratios, source)))
-    few = ratios[:_LAWS_DRAWN].square()
+    few = ratios[:500].square()  # noise laws over which the p-value of a block is averaged
     entries = [
         (
             b.name,
@@ -282,10 +287,9 @@ def gap_test(blocks: Sequence[Block], line: Linearisation, *, seed: int) -> GapT
     results = [
         BlockResult(
             name,
-            float(square[0]),
             rank,
             math.exp(_mean_log_survival(square[0], rank, scales)),
-            _power(size, rank, threshold),
+            _detection_power(size, rank, threshold),
         )
         for name, size, rank, square, scales in entries
     ]
@@ -293,7 +297,9 @@ def gap_test(blocks: Sequence[Block], line: Linearisation, *, seed: int) -> GapT
     bonferroni = min(1.0, len(results) * min(result.p_value for result in results))
     # p-values that the bootstrap cannot resolve: Bonferroni's bound
     p_value = (1 + count) / (1 + BOOTSTRAP) if count else min(bonferroni, 1.0 / (1 + BOOTSTRAP))
-    return GapTest(p_value, tuple(sorted(results, key=lambda r: r.p_value)), *_bias(line))
+    return GapTest(
+        p_value, tuple(sorted(results, key=lambda r: r.p_value)), *_bias_beyond_noise(line)
+    )
 
 
 def log_survival(statistic: Values, rank: int) -> Values:
@@ -306,21 +312,23 @@ def log_survival(statistic: Values, rank: int) -> Values:
     return torch.where(tail > 1e-250, tail.clamp_min(1e-300).log(), far)
 
 
-def _drawn_residuals(line: Linearisation, ratios: Tensor, source: torch.Generator) -> Tensor:
+def _drawn_residuals(
+    line: Linearisation, ratios: Tensor, source: torch.Generator, *, sure: float = 2.0
+) -> Tensor:
     """Residuals drawn under the fitted model, ``B x N``.
 
     Where the noise was inferred from the residuals themselves, drawn ones get the mean square of
     those observed: under the model that says nothing of their direction, so the test holds whatever
     the scale of the noise. A mean square that is larger than the uncertainty of the scale allows is
-    a misfit, and counts as no larger than that.
+    a misfit, and counts as no larger than that: ``sure`` standard deviations.
     """
     drawn = torch.randn(ratios.shape, generator=source, dtype=torch.float64)
     laws = line.batch.noise_laws
-    rows = line.project(drawn * ratios)
+    rows = line.project_out(drawn * ratios)
     if laws is None or not laws.of_residuals:
         return rows
     frames = float(line.batch.mask.sum())
-    largest = frames * math.exp(2.0 * _SURE * laws.log_scale_sd)
+    largest = frames * math.exp(2.0 * sure * laws.log_scale_sd)
     square = min(float(line.residual.square().sum()), largest)
     return rows * (square / rows.square().sum(1, keepdim=True)).sqrt()
 
@@ -331,7 +339,7 @@ def _mean_log_survival(statistic: Tensor, rank: int, scales: Tensor) -> float:
     return float(logs.logsumexp(0)) - math.log(len(scales))
 
 
-def _power(size: float, rank: int, level: float) -> float:
+def _detection_power(size: float, rank: int, level: float) -> float:
     """Chance that a block of this size in sd is found at a level: normal approximation of
     noncentral chi-square.
     """
@@ -340,7 +348,7 @@ def _power(size: float, rank: int, level: float) -> float:
     return 1.0 - float(chndtr(chdtri(rank, level), rank, size**2))
 
 
-def _bias(line: Linearisation) -> tuple[float, float]:
+def _bias_beyond_noise(line: Linearisation) -> tuple[float, float]:
     """Root mean square of the residual beyond noise: in single-shot sd and in R*."""
     batch = line.batch
     frames = batch.mask.sum()

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.distributions import HalfNormal
 
-from imr_torch.assimilate.importance import kish, largest_shape, smooth
+from imr_torch.assimilate.importance import effective_size, largest_shape, smooth_tail
 from imr_torch.assimilate.proposals import student_draws, student_log_prob
 from imr_torch.material import ModelBelief
 from imr_torch.population.closed_form import GaussianShots, positive_part
@@ -89,7 +89,7 @@ class WeightedPopulation:
 
     @cached_property
     def _smoothed(self) -> tuple[Tensor, float]:
-        return smooth(self.log_weights[:, 0])
+        return smooth_tail(self.log_weights[:, 0])
 
     @property
     def pareto_k(self) -> float:
@@ -104,7 +104,7 @@ class WeightedPopulation:
     @property
     def effective_samples(self) -> float:
         """Kish effective sample size."""
-        return float(kish(self.weights))
+        return float(effective_size(self.weights))
 
     @property
     def reliable(self) -> bool:
@@ -230,7 +230,10 @@ def _fitted_again(problem: Problem, found: WeightedPopulation) -> GaussianShots:
     size = len(problem.scale)
     power = 1.0
     logs = found.log_weights[:, 0]
-    while float(kish(torch.softmax(power * logs, 0))) < 20.0 * (size + 1) ** 2 and power > 1e-3:
+    while (
+        float(effective_size(torch.softmax(power * logs, 0))) < 20.0 * (size + 1) ** 2
+        and power > 1e-3
+    ):
         power *= 0.7
     root = torch.softmax(power * logs, 0).sqrt()
     rows, columns = torch.triu_indices(size, size)

@@ -9,10 +9,8 @@ import math
 from dataclasses import dataclass
 
 from imr_torch.assimilate import Assimilation, ImportanceSample, ModelFit, Verdict
-from imr_torch.assimilate.importance import reliable
+from imr_torch.assimilate.importance import are_reliable
 from imr_torch.errors import InputDataError
-
-_UNKNOWN = 100.0  # nats, of a divergence that cannot be computed
 
 
 @dataclass(frozen=True)
@@ -46,7 +44,7 @@ class Evidence:
     @property
     def trusted(self) -> bool:
         """Whether value and error are reliable."""
-        return reliable(self.pareto_k, self.effective_samples, self.samples)
+        return are_reliable(self.pareto_k, self.effective_samples, self.samples)
 
 
 def log_evidence(fit: ModelFit) -> Evidence:
@@ -82,7 +80,7 @@ def log_evidence(fit: ModelFit) -> Evidence:
     return Evidence(
         fit.model,
         sample.log_evidence,
-        _error(fit, sample),
+        _standard_error(fit, sample),
         sample.effective_samples,
         len(sample),
         sample.failed,
@@ -90,7 +88,7 @@ def log_evidence(fit: ModelFit) -> Evidence:
     )
 
 
-def _error(fit: ModelFit, sample: ImportanceSample) -> float:
+def _standard_error(fit: ModelFit, sample: ImportanceSample) -> float:
     """Standard error of a log evidence, nats.
 
     Where the moments found are not those that the proposal was made for, draws may lack a part of
@@ -98,7 +96,8 @@ def _error(fit: ModelFit, sample: ImportanceSample) -> float:
     """
     if fit.verdict is not Verdict.REFUSED:
         return sample.log_evidence_error
-    missed = sample.surprise if math.isfinite(sample.surprise) else _UNKNOWN
+    # 100 nats for a divergence that cannot be computed
+    missed = sample.surprise if math.isfinite(sample.surprise) else 100.0
     return math.hypot(sample.doubtful_error, max(missed, 0.0))
 
 

@@ -14,13 +14,10 @@ from enum import Enum
 import torch
 
 from imr_torch.assimilate import Profile
+from imr_torch.assimilate.profile import FALL
 from imr_torch.material import PARAMETERS, ModelBelief, Parameter
 
-_END = 2.5  # prior standard deviations: the ends of what was thought possible
 _FLAT = "not determined: the profile likelihood is flat, and the interval is that of the prior"
-# nats by which the likelihood falls at a 95 % bound (half the quantile of chi-squared with one
-# degree of freedom)
-_FALL = 1.92
 
 
 class Bound(Enum):
@@ -77,7 +74,11 @@ class Identifiability:
 
 
 def identifiability(
-    prior: ModelBelief, posterior: ModelBelief, profiles: Sequence[Profile] = ()
+    prior: ModelBelief,
+    posterior: ModelBelief,
+    profiles: Sequence[Profile] = (),
+    *,
+    end: float = 2.5,
 ) -> tuple[Identifiability, ...]:
     """What data say of each free parameter of a model.
 
@@ -86,6 +87,8 @@ def identifiability(
         posterior: its belief after them.
         profiles: profile likelihoods of its parameters, which count before what follows from prior
             and posterior.
+        end: prior standard deviations from the prior median to the ends of what was thought
+            possible.
 
     >>> import torch
     >>> from imr_torch import wide_prior
@@ -103,10 +106,10 @@ def identifiability(
     variance = after.diagonal() / sds.square()
     precision = (1.0 / variance - 1.0).clamp_min(0.0)  # of the likelihood
     centre = torch.where(precision > 0.0, mean / (variance * precision.clamp_min(1e-300)), 0.0)
-    inside = centre.clamp(-_END, _END)  # where the likelihood is largest within the prior
+    inside = centre.clamp(-end, end)  # where the likelihood is largest within the prior
     largest = 0.5 * precision * (inside - centre).square()
     low, high = (
-        0.5 * precision * (end - centre).square() - largest > _FALL for end in (-_END, _END)
+        0.5 * precision * (side - centre).square() - largest > FALL for side in (-end, end)
     )
     quantiles = posterior.quantile([0.05, 0.95]).T.tolist()
     kinds = {

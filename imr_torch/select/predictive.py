@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate import Assimilation, ModelFit, SearchOptions, assimilate, weigh
-from imr_torch.assimilate.importance import kish, reliable, smooth
+from imr_torch.assimilate.importance import are_reliable, effective_size, smooth_tail
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch
@@ -25,9 +25,6 @@ from imr_torch.select.evidence import log_evidence
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
-
-_ALONE = 5  # up to as many experiments each is held out alone; of more, a quarter at a time
-_FOLDS = 4
 
 
 @dataclass(frozen=True)
@@ -57,7 +54,7 @@ class PredictiveScore:
     refitted: bool
 
 
-def default_folds(count: int) -> list[list[int]]:
+def default_folds(count: int, *, alone: int = 5, parts: int = 4) -> list[list[int]]:
     """Which of ``count`` experiments are held out together: each alone up to five, else in four
     parts.
 
@@ -65,9 +62,9 @@ def default_folds(count: int) -> list[list[int]]:
     >>> default_folds(3), default_folds(9)
     ([[0], [1], [2]], [[0, 4, 8], [1, 5], [2, 6], [3, 7]])
     """
-    if count <= _ALONE:
+    if count <= alone:
         return [[i] for i in range(count)]
-    return [list(range(start, count, _FOLDS)) for start in range(_FOLDS)]
+    return [list(range(start, count, parts)) for start in range(parts)]
 
 
 @one_torch_thread()
@@ -130,7 +127,7 @@ def cross_validate(
         if poor:
             whole = assimilation.fits[poor[0]].sample
             assert whole is not None
-            near = _restricted(assimilation, poor, [e for e in range(count) if e not in fold])
+            near = _restrict_fits(assimilation, poor, [e for e in range(count) if e not in fold])
             seed_of_fit = child(seed, "fit", number)
             again = assimilate(
                 near.prior, near.batch, simulator, seed=seed_of_fit, options=options, near=near
@@ -140,7 +137,7 @@ def cross_validate(
                 again, simulator, seed=child(seed, "weigh", number), samples=samples, noise=noise
             )
             for i, fit in zip(poor, again.fits, strict=True):
-                found[i] = _refitted(found[i][0], assimilation.fits[i], fit), True
+                found[i] = _score_refit(found[i][0], assimilation.fits[i], fit), True
         scores += [score for score, _ in found]
         if progress:
             progress(f"scores: held out {', '.join(scores[-1].held_out)}")
@@ -173,7 +170,7 @@ def sum_over_folds(scores: Sequence[PredictiveScore]) -> tuple[PredictiveScore, 
     )
 
 
-def _restricted(
+def _restrict_fits(
     assimilation: Assimilation, models: Sequence[int], experiments: Sequence[int]
 ) -> Assimilation:
     """Some models and experiments of an assimilation: where a search without the others starts."""
@@ -196,12 +193,12 @@ def _leave_out(
     log_evidence(fit)  # says what to do where the fit is not weighted
     sample = fit.sample
     assert sample is not None
-    seen = sample.without(fold)
-    log_weights, shape = smooth(
+    seen = sample.density_given_others(fold)
+    log_weights, shape = smooth_tail(
         torch.where(torch.isfinite(seen), sample.log_weights - seen, -torch.inf)
     )
     without = torch.softmax(log_weights, dim=0)
-    trusted = reliable(shape, float(kish(without)), len(sample))
+    trusted = are_reliable(shape, float(effective_size(without)), len(sample))
     labels = tuple(batch.experiments[e].label for e in fold)
     value, error = _log_ratio(without, seen)
     return PredictiveScore(fit.model, labels, value, error, shape, False), trusted
@@ -216,7 +213,7 @@ def _log_ratio(weights: Tensor, log_values: Tensor) -> tuple[float, float]:
     return float(torch.logsumexp(joint, dim=0)), float((tilted - weights).norm())
 
 
-def _refitted(score: PredictiveScore, whole: ModelFit, without: ModelFit) -> PredictiveScore:
+def _score_refit(score: PredictiveScore, whole: ModelFit, without: ModelFit) -> PredictiveScore:
     """Score as evidence of all experiments over evidence of the others."""
     joint = log_evidence(whole)
     rest = log_evidence(without)

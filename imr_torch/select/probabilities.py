@@ -36,7 +36,7 @@ def update(assimilation: Assimilation, evidence: Sequence[Evidence]) -> Belief:
     >>> update(weighted, evidences(weighted)).best.model
     'nhkv'
     """
-    _check(assimilation.prior, evidence)
+    _check_models(assimilation.prior, evidence)
     logs = assimilation.prior.log_probabilities + torch.tensor(
         [e.value for e in evidence], dtype=torch.float64
     )
@@ -68,7 +68,7 @@ def probability_errors(prior: Belief, evidence: Sequence[Evidence]) -> dict[str,
     >>> {model: round(error, 3) for model, error in probability_errors(prior, [first, second]).items()}
     {'newtonian': 0.028, 'nhkv': 0.028}
     """
-    _check(prior, evidence)
+    _check_models(prior, evidence)
     values = torch.tensor([(e.value, e.error) for e in evidence], dtype=torch.float64)
     after = torch.softmax(prior.log_probabilities + values[:, 0], dim=0)
     slopes = after[:, None] * (torch.eye(len(after), dtype=torch.float64) - after)
@@ -79,7 +79,7 @@ def probability_errors(prior: Belief, evidence: Sequence[Evidence]) -> dict[str,
     return dict(zip(prior.keys, errors.tolist(), strict=True))
 
 
-def _check(prior: Belief, evidence: Sequence[Evidence]) -> None:
+def _check_models(prior: Belief, evidence: Sequence[Evidence]) -> None:
     if tuple(e.model for e in evidence) != prior.keys:
         raise InputDataError(
             f"Evidence of {[e.model for e in evidence]} does not match the belief over "

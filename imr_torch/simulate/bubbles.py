@@ -255,7 +255,7 @@ class Bubbles:
         theta = dimensionless(parameters, size, outer)
         rows = torch.stack(list(theta.values()))
         acting = PARAMETERS.acting(rows)
-        effects = tuple(e for e in LIBRARY.values() if e.physical and e.names[0] in acting)
+        effects = tuple(e for e in LIBRARY.values() if e.names[0] in acting and e.physical)
         setting = Setting.of(designs, conditions)
         for name, law in MEDIUM.items():
             if name in acting:

@@ -17,7 +17,7 @@ from imr_torch.assimilate.spikes import without_spikes
 from imr_torch.gap import LIBRARY
 from imr_torch.gap.adequacy import adequacy_test
 from imr_torch.goodness.linear import whiten_rows
-from imr_torch.goodness.score import LEVEL, block, gap_test
+from imr_torch.goodness.score import LEVEL, gap_test, make_block
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, NoiseLaws, predict
 from imr_torch.random import generator
@@ -280,9 +280,9 @@ def test_that_p_values_by_inferred_noise_are_uniform_and_a_lean_is_found():
                 Posterior(part, batch, simulator).neighbourhood(point), few
             ).applied(batch)
         line = whiten_rows(Posterior(part, batch, simulator).neighbourhood(point))
-        line = replace(line, residual=line.project(line.residual))
+        line = replace(line, residual=line.project_out(line.residual))
         blocks = [
-            block(f"{k}", line.whiten(shapes[k : k + 1, None].expand(1, 3, -1)), line)
+            make_block(f"{k}", line.whiten(shapes[k : k + 1, None].expand(1, 3, -1)), line)
             for k in range(24)
         ]
         return gap_test(blocks, line, seed=0).p_value

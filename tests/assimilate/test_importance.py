@@ -8,7 +8,13 @@ import pytest
 import torch
 from scipy import special, stats
 
-from imr_torch.assimilate.importance import ImportanceSample, kish, largest_shape, reliable, smooth
+from imr_torch.assimilate.importance import (
+    ImportanceSample,
+    are_reliable,
+    effective_size,
+    largest_shape,
+    smooth_tail,
+)
 from imr_torch.assimilate.proposals import Kernels, mixture_log_prob
 from imr_torch.random import generator
 from tests.curved import mean_error, sd_error
@@ -24,7 +30,7 @@ def test_that_one_kernel_is_a_student_t() -> None:
         points.numpy()
     )
     torch.testing.assert_close(
-        Kernels.about(MEAN, CHOL).log_prob(points), torch.as_tensor(expected)
+        Kernels.about_mean(MEAN, CHOL).log_prob(points), torch.as_tensor(expected)
     )
 
 
@@ -34,8 +40,8 @@ def test_that_a_mixture_is_the_mean_of_its_kernels() -> None:
     both = Kernels(
         torch.stack((MEAN, other)), tensor(0.25, 0.75), torch.stack((CHOL, 2.0 * CHOL)), MEAN, CHOL
     )
-    one = Kernels.about(MEAN, CHOL)
-    two = Kernels.about(other, 2.0 * CHOL)
+    one = Kernels.about_mean(MEAN, CHOL)
+    two = Kernels.about_mean(other, 2.0 * CHOL)
     expected = (0.25 * one.log_prob(points).exp() + 0.75 * two.log_prob(points).exp()).log()
     torch.testing.assert_close(both.log_prob(points), expected)
     torch.testing.assert_close(mixture_log_prob([one, two], [100, 300], points), expected)
@@ -49,7 +55,7 @@ def test_that_draws_have_the_moments_of_the_density() -> None:
         MEAN,
         CHOL,
     )
-    draws = proposal.draw(100_000, generator(1))
+    draws = proposal.draw_points(100_000, generator(1))
     inner = 2.5 * CHOL @ CHOL.mT * 7.0 / 5.0
     torch.testing.assert_close(draws.mean(0), tensor(2.0, 0.5), rtol=0.0, atol=0.03)
     torch.testing.assert_close(
@@ -62,8 +68,8 @@ def test_that_kernels_through_weighted_points_follow_the_weighted_density() -> N
     kernel.
     """
     points = 10.0 * torch.rand(4000, 2, generator=generator(2), dtype=torch.float64) - 5.0
-    proposal = Kernels.through(points, -0.5 * (points - tensor(1.0, 0.0)).square().sum(1))
-    draws = proposal.draw(50_000, generator(3))
+    proposal = Kernels.through_draws(points, -0.5 * (points - tensor(1.0, 0.0)).square().sum(1))
+    draws = proposal.draw_points(50_000, generator(3))
     narrow = float(proposal.chols[0, 0, 0] / proposal.chol[0, 0])
     variance = 0.5 * (1.0 + narrow**2 * 7.0 / 5.0) + 0.5 * 1.5**2 * 7.0 / 5.0
     assert narrow < 0.5
@@ -77,8 +83,8 @@ def test_that_kernels_on_a_single_heavy_point_still_have_a_shape_and_reach_out()
     points = torch.randn(200, 2, generator=generator(4), dtype=torch.float64)
     log_weights = torch.zeros(200, dtype=torch.float64)
     log_weights[7] = 500.0
-    proposal = Kernels.through(points, log_weights)
-    assert float(kish(proposal.weights[:-1])) == pytest.approx(30.0, rel=0.01)
+    proposal = Kernels.through_draws(points, log_weights)
+    assert float(effective_size(proposal.weights[:-1])) == pytest.approx(30.0, rel=0.01)
     assert float(proposal.chol.diagonal().min()) > 1.0
 
 
@@ -90,14 +96,14 @@ def test_that_the_shape_of_a_pareto_tail_is_found(shape: float) -> None:
     """
     uniform = torch.rand(40_000, generator=generator(5), dtype=torch.float64)
     weights = 1.0 + (uniform.pow(-shape) - 1.0) / shape
-    assert smooth(weights.log())[1] == pytest.approx(
+    assert smooth_tail(weights.log())[1] == pytest.approx(
         shape, abs=3.0 * (1.0 + shape) / math.sqrt(600.0)
     )
 
 
 def test_that_smoothing_keeps_scale_order_and_all_but_the_tail() -> None:
     log_weights = 30.0 + torch.randn(1000, generator=generator(6), dtype=torch.float64)
-    smoothed, _ = smooth(log_weights)
+    smoothed, _ = smooth_tail(log_weights)
     assert torch.equal(smoothed.argsort(), log_weights.argsort())
     body = log_weights.argsort()[: 1000 - math.ceil(3.0 * math.sqrt(1000.0))]
     torch.testing.assert_close(smoothed[body], log_weights[body])
@@ -116,16 +122,16 @@ def test_that_smoothing_halves_the_error_of_a_heavy_tailed_mean() -> None:
             / 0.6
         )
         plain.append(float(weights.mean()) - 3.5)
-        smoothed.append(float(smooth(weights.log())[0].exp().mean()) - 3.5)
+        smoothed.append(float(smooth_tail(weights.log())[0].exp().mean()) - 3.5)
     assert tensor(*smoothed).square().mean().sqrt() < 0.75 * tensor(*plain).square().mean().sqrt()
 
 
 def test_that_equal_weights_have_no_tail_and_impossible_ones_take_no_part() -> None:
     equal = torch.zeros(100, dtype=torch.float64)
-    assert smooth(equal)[1] == 0.0
+    assert smooth_tail(equal)[1] == 0.0
     some = torch.randn(400, generator=generator(7), dtype=torch.float64)
     with_failed = torch.cat((some, torch.full((50,), -math.inf, dtype=torch.float64)))
-    (alone, shape), (together, same) = smooth(some), smooth(with_failed)
+    (alone, shape), (together, same) = smooth_tail(some), smooth_tail(with_failed)
     assert shape == same
     torch.testing.assert_close(together[:400], alone)
     assert bool(torch.isinf(together[400:]).all())
@@ -134,12 +140,12 @@ def test_that_equal_weights_have_no_tail_and_impossible_ones_take_no_part() -> N
 @pytest.mark.parametrize("count", [1, 24])
 def test_that_too_few_weights_are_never_reliable(count: int) -> None:
     log_weights = torch.cat((torch.zeros(count), torch.full((100,), -math.inf))).double()
-    assert smooth(log_weights)[1] == math.inf
+    assert smooth_tail(log_weights)[1] == math.inf
 
 
 def test_that_weights_a_thousand_nats_apart_are_judged_without_underflow() -> None:
     log_weights = -torch.linspace(0.0, 1e5, 500, dtype=torch.float64)
-    smoothed, shape = smooth(log_weights)
+    smoothed, shape = smooth_tail(log_weights)
     assert not bool(torch.isnan(smoothed).any())
     assert shape > 1.0
 
@@ -166,13 +172,13 @@ def test_that_fewer_draws_allow_only_lighter_tails(count: int, limit: float) -> 
 def test_that_reliable_weights_have_a_light_tail_and_a_tenth_of_them_counts(
     shape: float, effective: float, samples: int, verdict: bool
 ) -> None:
-    assert reliable(shape, effective, samples) == verdict
+    assert are_reliable(shape, effective, samples) == verdict
 
 
 def gaussian_sample(scale: float, seed: int, count: int = 1000) -> ImportanceSample:
     """A posterior ``N((1, -2), C C^T)`` times ``e^-7``, with the proposal ``scale`` times as wide."""
-    proposal = Kernels.about(MEAN, scale * CHOL)
-    controls = proposal.draw(count, generator(seed))
+    proposal = Kernels.about_mean(MEAN, scale * CHOL)
+    controls = proposal.draw_points(count, generator(seed))
     target = torch.distributions.MultivariateNormal(MEAN, scale_tril=CHOL).log_prob(controls) - 7.0
     prior = -0.5 * controls.square().sum(1) - math.log(2.0 * math.pi)
     likelihood = (target - prior)[:, None]
@@ -197,7 +203,7 @@ def test_that_moments_of_a_gaussian_are_left_as_they_are_by_the_draws() -> None:
     """To what Pareto smoothing changes of the weights: all other chance cancels, in 100 draws as in
     1000.
     """
-    mean, chol = gaussian_sample(1.3, 0, 100).corrected(MEAN, CHOL)
+    mean, chol = gaussian_sample(1.3, 0, 100).correct_gaussian(MEAN, CHOL)
     torch.testing.assert_close(mean, MEAN, rtol=0.0, atol=0.01)
     torch.testing.assert_close(chol, CHOL, rtol=0.0, atol=0.01)
 
@@ -215,14 +221,14 @@ def test_that_draws_correct_the_gaussian_about_the_mode_of_a_skewed_posterior() 
     found = []
     weighted = []
     for seed in range(200):
-        proposal = Kernels.about(mode, chol)
-        draws = proposal.draw(256, generator(seed))
+        proposal = Kernels.about_mean(mode, chol)
+        draws = proposal.draw_points(256, generator(seed))
         target = shape * draws - draws.exp()
         still = torch.zeros(256, 1, 3, dtype=torch.float64)
         sample = ImportanceSample(
             draws, 0.0 * target[:, 0], target, proposal.log_prob(draws), still, zero, chol, 0.0, 1
         )
-        centre, scale = sample.corrected(mode, chol)
+        centre, scale = sample.correct_gaussian(mode, chol)
         found.append((float(centre), float(scale)))
         weighted.append((float(sample.mean), float(sample.covariance.sqrt())))
     moments = tensor(*found)
@@ -265,7 +271,7 @@ def test_that_a_proposal_far_too_narrow_is_found_out() -> None:
 
 def test_that_resampling_takes_each_draw_in_proportion_to_its_weight() -> None:
     sample = gaussian_sample(1.5, 2)
-    chosen = sample.resample(5000, generator(0))
+    chosen = sample.resample_draws(5000, generator(0))
     counts = torch.bincount(chosen, minlength=len(sample))
     assert bool(((counts - 5000 * sample.weights).abs() <= 1.0 + 1e-9).all())
     assert not torch.equal(chosen, chosen.sort().values)

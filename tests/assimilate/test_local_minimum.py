@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate import Point, Posterior, SearchOptions, assimilate
-from imr_torch.assimilate.local_minimum import _FrozenCost, descend
+from imr_torch.assimilate.local_minimum import _FrozenCost, descend_from
 from imr_torch.assimilate.multistart import ModelSearch
 from imr_torch.material import PARAMETERS, reference_case
 from imr_torch.observe import (
@@ -108,7 +108,7 @@ def test_that_a_fit_arrives_where_gauss_newton_alone_would_not(
     arrived = fitted(Circle(), nuisance)
     assert arrived.certificate.converged
     assert float(arrived.mean[1]) == pytest.approx(TURN, abs=0.05)  # the prior pulls
-    monkeypatch.setattr(_FrozenCost, "_learn", lambda *_: None)
+    monkeypatch.setattr(_FrozenCost, "_update_curvature", lambda *_: None)
     alone = fitted(Circle(), nuisance)
     assert not alone.certificate.converged
 
@@ -121,7 +121,7 @@ def test_that_a_fit_arrives_where_bubbles_fail_by_the_steps_of_a_leader_far_away
 
 def test_that_a_minimum_is_one_under_the_solver_steps_of_the_leader_and_under_no_others() -> None:
     posterior = Posterior(prior(("nhkv",)).models[0], nearly_central(), Rough())
-    start = Point(STARTS[0], posterior.still())
+    start = Point(STARTS[0], posterior.mean_nuisances())
     search = ModelSearch(posterior, [start], SearchOptions(), False, generator(0))
     search.approach_first()
     search.find_lowest()
@@ -141,25 +141,27 @@ def test_that_a_point_where_bubbles_fail_is_not_taken() -> None:
     """
     barred = Circle(limit={"mu": MEANS["mu"] + 0.8 * SDS["mu"]})
     posterior = Posterior(prior(("nhkv",)).models[0], nearly_central(), barred)
-    begun = Point(STARTS[0], posterior.still())
-    ended = descend(posterior, begun, begun, gradient=1e-3, iterations=30)
+    begun = Point(STARTS[0], posterior.mean_nuisances())
+    ended = descend_from(posterior, begun, begun, gradient=1e-3, iterations=30)
     assert ended.cost < -float(posterior.log_joint(begun))
     assert 0.5 < float(ended.point.gel[1]) < 0.8
 
 
 def test_that_a_start_that_cannot_be_simulated_has_an_infinite_cost_and_gradient() -> None:
     posterior = Posterior(prior(("nhkv",)).models[0], nearly_central(), Circle(fails=True))
-    start = Point(STARTS[0], posterior.still())
-    ended = descend(posterior, start, None, gradient=1e-3, iterations=5)
+    start = Point(STARTS[0], posterior.mean_nuisances())
+    ended = descend_from(posterior, start, None, gradient=1e-3, iterations=5)
     assert (ended.cost, ended.gradient, ended.iterations) == (math.inf, math.inf, 0)
 
 
 def test_that_a_descent_ends_at_its_reach_and_above_its_limit() -> None:
     posterior = Posterior(prior(("nhkv",)).models[0], nearly_central(), Circle())
-    start = Point(STARTS[0], posterior.still())
+    start = Point(STARTS[0], posterior.mean_nuisances())
 
     def steps(**ends: float) -> int:
-        return descend(posterior, start, start, gradient=1e-3, iterations=50, **ends).iterations
+        return descend_from(
+            posterior, start, start, gradient=1e-3, iterations=50, **ends
+        ).iterations
 
     assert steps(reach=0.01) == steps(limit=-1e9) == 1 < steps()
 
@@ -174,7 +176,7 @@ def _filmed() -> ExperimentBatch:
 
 def _frozen(simulator: Simulator, batch: ExperimentBatch) -> _FrozenCost:
     posterior = Posterior(prior(("nhkv",)).models[0], batch, simulator)
-    point = Point(0.1 * torch.ones(posterior.size, dtype=torch.float64), posterior.still())
+    point = Point(0.1 * torch.ones(posterior.size, dtype=torch.float64), posterior.mean_nuisances())
     return _FrozenCost(posterior, point, point)
 
 
@@ -182,12 +184,12 @@ def _lower(cost: _FrozenCost) -> tuple[Tensor, Tensor, Tensor]:
     """A step downhill, the gradient there, and what the old sensitivities make of it."""
     before = cost.lowest
     old = cost.x.copy()
-    step = -1e-5 * cost.slope(old)
+    step = -1e-5 * cost.gradient_at(old)
     assert cost(old + step) < before.cost
     new = cost.lowest.near
     by_old = cost.posterior.equations(new.point, new.centre, *before.near.slopes)
     uncertain = cost.posterior.uncertain
-    rise = cost.slope(old + step) - by_old.joint_gradient(uncertain).numpy()
+    rise = cost.gradient_at(old + step) - by_old.joint_gradient(uncertain).numpy()
     return torch.from_numpy(step), torch.from_numpy(rise), torch.from_numpy(cost.bend)
 
 
@@ -200,7 +202,7 @@ def test_that_along_a_step_the_curvature_is_what_old_sensitivities_miss_of_the_g
 
 def test_that_a_linear_model_has_no_curvature_beside_gauss_and_newtons() -> None:
     cost = _frozen(LinearSimulator(), experiments(3, nuisance=LINEAR))
-    hessian = cost.curvature(cost.x)
+    hessian = cost.hessian_at(cost.x)
     bend = _lower(cost)[2]
     assert float(bend.abs().max()) < 1e-5 * float(abs(hessian).max())
 
@@ -209,10 +211,10 @@ def test_that_gradient_and_hessian_are_those_of_the_arrow() -> None:
     cost = _frozen(PolytropicSimulator(), _filmed())
     x = cost.x.copy()
     here = cost(x)
-    slope = torch.from_numpy(cost.slope(x))
+    slope = torch.from_numpy(cost.gradient_at(x))
     step = 1e-6 * slope / slope.norm()
     assert cost(x - step.numpy()) - here == pytest.approx(-float(step @ slope), rel=1e-3)
-    equations = cost.posterior.neighbourhood(cost.posterior.place(torch.from_numpy(x))).equations
+    equations = cost.posterior.neighbourhood(cost.posterior.point_at(torch.from_numpy(x))).equations
     hessian = equations.joint_hessian(cost.posterior.uncertain)
     joint = torch.linalg.solve(hessian, -slope)
     gel, nuisances = equations.step
@@ -226,7 +228,7 @@ def test_that_a_search_begins_with_coarse_bubbles_and_ends_with_the_simulators_o
     truth = fine(gel.to_si(torch.zeros(2, dtype=torch.float64)), tensor(400.0, 0.2), times).radius
     batch = ExperimentBatch((Experiment("shot", (400.0, 0.2), times, truth[None]),))
     posterior = Posterior(gel, batch, fine)
-    starts = [Point(tensor(v, v), posterior.still()) for v in (0.5, -0.5)]
+    starts = [Point(tensor(v, v), posterior.mean_nuisances()) for v in (0.5, -0.5)]
     search = ModelSearch(posterior, starts, SearchOptions(), True, generator(0))
     before = -float(posterior.log_joint(starts[0]))
     first = search.approach_first()

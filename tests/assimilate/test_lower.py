@@ -12,6 +12,7 @@ from imr_torch.assimilate import (
     Posterior,
     SearchOptions,
     Verdict,
+    WeighingOptions,
     assimilate,
     weigh,
 )
@@ -56,7 +57,10 @@ def test_that_a_fit_above_another_minimum_is_made_again_from_there(right: Assimi
 
 def test_that_it_stays_where_that_is_not_asked_for(right: Assimilation) -> None:
     wrong = ended_too_high(right, 4.0)
-    assert weigh(wrong, LinearSimulator(), seed=0, refit=False).fits[0].cost == wrong.fits[0].cost
+    assert (
+        weigh(wrong, LinearSimulator(), seed=0, options=WeighingOptions(refits=0)).fits[0].cost
+        == wrong.fits[0].cost
+    )
 
 
 def test_that_a_draw_is_better_only_above_another_minimum_and_of_a_model_that_may_matter(
@@ -64,13 +68,25 @@ def test_that_a_draw_is_better_only_above_another_minimum_and_of_a_model_that_ma
 ) -> None:
     batch = right.batch
     simulator = LinearSimulator()
-    sound = weigh(right, simulator, seed=0, refit=False).fits[0]
-    assert lower_point(sound, sound.cost, Posterior(sound.prior, batch, simulator)) is None
-    wrong = weigh(ended_too_high(right, 4.0), simulator, seed=0, refit=False).fits[0]
-    point = lower_point(wrong, wrong.cost, Posterior(wrong.prior, batch, simulator))
+    sound = weigh(right, simulator, seed=0, options=WeighingOptions(refits=0)).fits[0]
+    assert (
+        lower_point(sound, sound.cost, Posterior(sound.prior, batch, simulator), WeighingOptions())
+        is None
+    )
+    wrong = weigh(
+        ended_too_high(right, 4.0), simulator, seed=0, options=WeighingOptions(refits=0)
+    ).fits[0]
+    point = lower_point(
+        wrong, wrong.cost, Posterior(wrong.prior, batch, simulator), WeighingOptions()
+    )
     assert point is not None
     assert -float(Posterior(wrong.prior, batch, simulator).log_joint(point)) < wrong.cost - 0.1
-    assert lower_point(wrong, wrong.cost - 200.0, Posterior(wrong.prior, batch, simulator)) is None
+    assert (
+        lower_point(
+            wrong, wrong.cost - 200.0, Posterior(wrong.prior, batch, simulator), WeighingOptions()
+        )
+        is None
+    )
 
 
 def test_that_a_fit_that_only_looks_too_high_is_not_made_again(right: Assimilation) -> None:
@@ -92,16 +108,18 @@ def test_that_a_minimum_that_is_not_lower_is_not_taken_and_the_fit_is_weighted_t
     """However often the draws promise one."""
     promised = []
 
-    def promise(fit: ModelFit, best: float, posterior: Posterior) -> Point:
+    def promise(fit: ModelFit, best: float, *_: object) -> Point:
         promised.append(best)
         return fit.point
 
     monkeypatch.setattr("imr_torch.assimilate.weighing.lower_point", promise)
-    monkeypatch.setattr("imr_torch.assimilate.weighing._REFITS", 1)
     fit = right.fits[0]
     said = []
     narrow = replace(right, fits=(replace(fit, nuisance_chol=2.0 * fit.nuisance_chol),))
-    weighted = weigh(narrow, LinearSimulator(), seed=0, progress=said.append).fits[0]
+    options = WeighingOptions(refits=1)
+    weighted = weigh(narrow, LinearSimulator(), seed=0, options=options, progress=said.append).fits[
+        0
+    ]
     assert sum(line.startswith("assimilation: iteration 1,") for line in said) == len(promised) == 1
     assert weighted.cost == fit.cost
     assert weighted.sample.rounds == 2
@@ -113,7 +131,7 @@ def test_that_a_model_fitted_again_is_weighted_beside_others_whose_rounds_are_ah
     """All rounds are made; the third has several nuisances to a draw, of which one is kept in
     proportion to its weight.
     """
-    monkeypatch.setattr("imr_torch.assimilate.weighing._State.refused", True)
+    monkeypatch.setattr("imr_torch.assimilate.weighing._State.is_refused", True)
     batch = experiments(3, nuisance=BOTH)
     options = SearchOptions(raw_samples=24, starts=2)
     both = assimilate(

@@ -39,14 +39,16 @@ def fitted(batch: ExperimentBatch) -> Assimilation:
 
 
 def nodes_of(batch: ExperimentBatch) -> NoiseNodes:
-    return NoiseNodes.of(
+    return NoiseNodes.about_fit(
         KNOWN, Posterior(PART, batch, SIMULATOR).neighbourhood(fitted(batch)["nhkv"].point)
     )
 
 
 def by_brute_force(batch: ExperimentBatch, nodes: NoiseNodes) -> dict[str, torch.Tensor]:
     """Exact evidence and posterior over all laws of the nodes, by dense algebra."""
-    found = [exact(PART, replace(batch, noise=nodes.law(number))) for number in range(len(nodes))]
+    found = [
+        exact(PART, replace(batch, noise=nodes.law_at(number))) for number in range(len(nodes))
+    ]
     values = (
         torch.tensor([one.log_evidence for one in found], dtype=torch.float64)
         + nodes.log_prior.flatten()

@@ -36,7 +36,9 @@ def linear(batch: ExperimentBatch, **how) -> Posterior:
 def points(posterior: Posterior, count: int) -> Point:
     source = generator(0)
     gel = 0.3 * torch.randn(count, posterior.size, generator=source, dtype=torch.float64)
-    nuisances = torch.randn(*posterior.still(count).shape, generator=source, dtype=torch.float64)
+    nuisances = torch.randn(
+        *posterior.mean_nuisances(count).shape, generator=source, dtype=torch.float64
+    )
     return Point(gel, nuisances * (posterior.batch.nuisance_sds > 0.0))
 
 
@@ -127,21 +129,23 @@ def test_that_flat_coordinates_lead_back_and_the_jacobian_is_of_them(nuisance) -
     """The columns of one experiment's nuisances are zero in all others."""
     posterior = linear(experiments(3, nuisance=nuisance))
     point = points(posterior, 1)[0]
-    flat = posterior.flat(point)
+    flat = posterior.coordinates_of(point)
     assert len(flat) == 2 + (6 if nuisance else 0)
-    torch.testing.assert_close(posterior.flat(posterior.place(flat)), flat, rtol=0.0, atol=0.0)
-    step = 0.1 * torch.arange(1.0, len(flat) + 1.0, dtype=torch.float64)
-    moved = posterior.predict(posterior.place(flat + step)) - posterior.predict(
-        posterior.place(flat)
+    torch.testing.assert_close(
+        posterior.coordinates_of(posterior.point_at(flat)), flat, rtol=0.0, atol=0.0
     )
-    jacobian = posterior.neighbourhood(posterior.place(flat)).jacobian
+    step = 0.1 * torch.arange(1.0, len(flat) + 1.0, dtype=torch.float64)
+    moved = posterior.predict(posterior.point_at(flat + step)) - posterior.predict(
+        posterior.point_at(flat)
+    )
+    jacobian = posterior.neighbourhood(posterior.point_at(flat)).jacobian
     torch.testing.assert_close(torch.tensordot(step, jacobian, 1), moved, rtol=1e-5, atol=1e-6)
 
 
 def test_that_a_neighbour_that_fails_tells_nothing_and_the_others_do() -> None:
     """A simulator that fails just above the point in G: the slope in mu stays."""
     batch = experiments(3, nuisance=BOTH)
-    point = Point(tensor(0.0, 0.0), linear(batch).still())
+    point = Point(tensor(0.0, 0.0), linear(batch).mean_nuisances())
     whole = linear(batch).neighbourhood(point).slopes
     limited = linear(batch, limit={"G": MEANS["G"] + 1e-9 * SDS["G"]}).neighbourhood(point)
     assert bool(limited.prediction[1][batch.mask].isnan().all())
@@ -153,7 +157,7 @@ def test_that_a_neighbour_that_fails_tells_nothing_and_the_others_do() -> None:
 
 def test_that_a_neighbour_that_fails_after_some_frames_tells_nothing() -> None:
     batch = experiments(2, nuisance=BOTH)
-    near = linear(batch).neighbourhood(Point(tensor(0.0, 0.0), linear(batch).still()))
+    near = linear(batch).neighbourhood(Point(tensor(0.0, 0.0), linear(batch).mean_nuisances()))
     by_gel, by_nuisance = near.slopes
     prediction = near.prediction.clone()
     prediction[1, 0, -1] = prediction[3, 1, -1] = (
@@ -168,7 +172,10 @@ def test_that_a_neighbour_that_fails_after_some_frames_tells_nothing() -> None:
 
 def test_that_where_the_bubble_itself_fails_the_log_joint_is_minus_infinity() -> None:
     posterior = linear(experiments(2), fails=True)
-    assert float(posterior.log_joint(Point(tensor(0.0, 0.0), posterior.still()))) == -torch.inf
+    assert (
+        float(posterior.log_joint(Point(tensor(0.0, 0.0), posterior.mean_nuisances())))
+        == -torch.inf
+    )
 
 
 def test_that_certain_nuisances_are_not_simulated() -> None:
@@ -192,11 +199,11 @@ def test_that_the_log_joint_can_be_sampled_by_hamiltonian_monte_carlo() -> None:
     options = SearchOptions(raw_samples=24)
     fit = assimilate(prior(("nhkv",)), batch, simulator, seed=1, options=options).fits[0]
     posterior = Posterior(fit.prior, batch, simulator)
-    middle = posterior.flat(fit.point)
+    middle = posterior.coordinates_of(fit.point)
     chol = fit.joint_chol(posterior.uncertain)
 
     def cost(point: dict[str, Tensor]) -> Tensor:
-        return -posterior.log_joint(posterior.place(middle + point["u"] @ chol.mT)).sum()
+        return -posterior.log_joint(posterior.point_at(middle + point["u"] @ chol.mT)).sum()
 
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
@@ -206,7 +213,7 @@ def test_that_the_log_joint_can_be_sampled_by_hamiltonian_monte_carlo() -> None:
             kernel, 60, warmup_steps=30, initial_params={"u": start}, disable_progbar=True
         )
         run.run()
-    gels = posterior.place(middle + run.get_samples()["u"] @ chol.mT).gel.flatten(0, 1)
+    gels = posterior.point_at(middle + run.get_samples()["u"] @ chol.mT).gel.flatten(0, 1)
     truth = quadrature(fit, batch, simulator)
     sds = truth.covariance.diagonal().sqrt()
     assert float(((gels.mean(0) - truth.mean) / sds).abs().max()) < 0.15

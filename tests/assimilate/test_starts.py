@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from imr_torch.assimilate import Posterior, SearchOptions, assimilate
-from imr_torch.assimilate.starts import BESIDE, beside, given
+from imr_torch.assimilate.starts import given_starts, starts_beside
 from imr_torch.observe import Nuisance
 from imr_torch.random import generator
 from tests.linear import LinearSimulator, experiments, prior, tensor
@@ -20,14 +20,14 @@ def test_that_starts_beside_an_optimum_cost_what_their_distance_says() -> None:
     belief = prior(("nhkv",))
     fit = assimilate(belief, BATCH, LinearSimulator(), seed=1, options=OPTIONS).fits[0]
     posterior = Posterior(belief.models[0], BATCH, LinearSimulator())
-    point = beside(posterior, fit, OPTIONS, generator(2))
+    point = starts_beside(posterior, fit, OPTIONS, generator(2))
     away = torch.linalg.solve_triangular(fit.chol, (point.gel - fit.mean).mT, upper=False).norm(
         dim=0
     )
     above = -posterior.log_joint(point) - fit.cost
     assert float(away[0]) == 0.0
     assert bool((away[1:] > 0.1).all())
-    assert bool((away < 4.0 * BESIDE).all())
+    assert bool((away < 4.0 * OPTIONS.descent.restart).all())
     torch.testing.assert_close(above, 0.5 * away.square(), rtol=1e-4, atol=1e-5)
 
 
@@ -36,7 +36,7 @@ def test_that_nuisances_are_given_for_all_starts_or_for_each(many: bool) -> None
     posterior = Posterior(prior(("nhkv",)).models[0], BATCH, LinearSimulator())
     gels = tensor([0.0, 0.0], [1.0, -1.0])
     nuisances = torch.randn(2, 3, 3, generator=generator(0), dtype=torch.float64)
-    (point,) = given([posterior], [gels], [nuisances if many else nuisances[0]])
+    (point,) = given_starts([posterior], [gels], [nuisances if many else nuisances[0]])
     torch.testing.assert_close(
         point.nuisances, nuisances if many else nuisances[:1].expand(2, -1, -1)
     )

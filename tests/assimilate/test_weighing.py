@@ -10,6 +10,7 @@ from imr_torch.assimilate import (
     Posterior,
     SearchOptions,
     Verdict,
+    WeighingOptions,
     assimilate,
     weigh,
     weighing,
@@ -185,7 +186,7 @@ def test_that_the_discrepancy_is_the_divergence_of_gaussians(simple: Assimilatio
     expected = torch.distributions.kl_divergence(
         normal(truth.mean, truth.covariance), normal(mean, scale_tril=chol)
     )
-    assert after.sample.divergence(mean, chol) == pytest.approx(float(expected), abs=0.03)
+    assert after.sample.divergence_from(mean, chol) == pytest.approx(float(expected), abs=0.03)
 
 
 def test_that_failed_draws_weigh_nothing_and_all_failed_is_an_error(simple: Assimilation) -> None:
@@ -304,8 +305,8 @@ def test_that_a_third_round_has_more_nuisances_where_the_second_lost_most_of_its
     state = weighing._State(
         replace(fit, sample=sample),
         Posterior(fit.prior, simple.batch, LinearSimulator()),
-        proposals=[weighing.Kernels.about(fit.mean, fit.chol)],
+        proposals=[weighing.Kernels.about_mean(fit.mean, fit.chol)],
         parts=[None, None],
     )
-    drawn = weighing._draw(state, 256, 0)
+    drawn = weighing._draw_round(state, 256, 0, WeighingOptions())
     assert drawn.nuisances.shape == (256, kept, 3, 3)

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from imr_torch.assimilate import En4DVarOptions, SearchOptions
-from imr_torch.assimilate.en4dvar import tempered
+from imr_torch.assimilate.en4dvar import temper_batch
 from imr_torch.calibration import Arrangement, calibrate, coverage, reliability, uniformity
 from imr_torch.design import Plan
 from imr_torch.errors import ConvergenceError, ShapeError
@@ -65,7 +65,9 @@ def enlarged(experiments):
     return ExperimentBatch(tuple(replace(e, radius=1.02 * e.radius) for e in experiments), NOISE)
 
 
-@pytest.mark.parametrize("learn", [halved, lambda e: tempered(ExperimentBatch(e, NOISE)), enlarged])
+@pytest.mark.parametrize(
+    "learn", [halved, lambda e: temper_batch(ExperimentBatch(e, NOISE)), enlarged]
+)
 def test_that_a_wrong_inference_is_found_out(learn):
     found = run(40, learn=learn)
     for kind in ("gaussian", "reported", "weighted"):

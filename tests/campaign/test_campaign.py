@@ -57,10 +57,10 @@ def test_the_belief_closes_in_on_the_truth(finished):
 def test_the_journal_holds_what_was_asked_measured_and_concluded(finished):
     kinds = [event["event"] for event in Journal(finished.journal.folder).events]
     assert kinds == ["start", "ask", "observed", "learnt", "ask", "observed", "learnt"]
-    asked = finished.journal.find("ask", 1)
+    asked = finished.journal.find_event("ask", 1)
     assert len(asked["evaluations"]) == SETTINGS.policy.evaluations
     assert asked["design"] == pytest.approx(list(finished.experiments[0].design))
-    assert {"nhkv", "gen_qkv"} == set(finished.journal.find("learnt", 2)["certificates"])
+    assert {"nhkv", "gen_qkv"} == set(finished.journal.find_event("learnt", 2)["certificates"])
 
 
 @pytest.mark.parametrize("events", [1, 2, 3, 5, 6, 7], ids=lambda n: f"cut after event {n}")
@@ -115,8 +115,8 @@ def test_a_stored_experiment_comes_back_bit_for_bit(tmp_path):
         "odd / name", (301.7, 0.2131), times, radius, Nuisance(0.01, 0.002, 0.03)
     )
     journal = Journal(tmp_path)
-    record = json.loads(json.dumps(journal.store(experiment, "one")))
-    back = journal.restore(record)
+    record = json.loads(json.dumps(journal.store_curves(experiment, "one")))
+    back = journal.restore_curves(record)
     assert torch.equal(back.radius, radius)
     assert torch.equal(back.times, times)
     assert (back.label, back.design, back.nuisance) == (

@@ -59,11 +59,11 @@ def told(folder) -> int:
         run.tell(CURVES[1], CURVES[2])
     if run.told == 3:
         if 2 in run.numbers:
-            run.learn()
+            run.learn_outstanding()
             run.forget(2)
         run.tell(CURVES[1])
     if run.outstanding:
-        run.learn()
+        run.learn_outstanding()
     run.ask()
     return 0
 
@@ -142,7 +142,7 @@ def test_that_ctrl_c_is_one_line_that_says_what_is_kept_and_how_to_go_on(
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Campaign, "learn", interrupted)
+    monkeypatch.setattr(Campaign, "learn_outstanding", interrupted)
     assert main([*base, "--out", str(out)]) == 130
     said = capsys.readouterr().err
     assert (

@@ -130,7 +130,7 @@ def test_that_a_line_cut_at_any_byte_is_left_out_and_then_repaired(folder, tmp_p
             journal.append("note", step=COUNT - 1, value=0.1 * (COUNT - 1))
         else:  # nothing but the end of the line was missing
             assert cut_at == len(last) - 1
-            with journal.held():
+            with journal.hold_lock():
                 pass
         assert (copy / "journal.jsonl").read_bytes() == whole
         assert len(Journal(copy).events) == COUNT
@@ -150,7 +150,7 @@ def test_that_a_line_that_was_written_and_then_damaged_is_not_taken_for_one_that
 def test_that_a_second_writer_is_told_who_holds_the_folder(folder):
     first = Journal(folder)
     second = Journal(folder)
-    with first.held(), first.held():
+    with first.hold_lock(), first.hold_lock():
         with pytest.raises(
             InputDataError,
             match=rf"whole is in use by another campaign \(process {os.getpid()} on ",
@@ -178,7 +178,7 @@ def test_that_what_was_opened_before_another_wrote_must_be_opened_again(folder):
 @needs_fork
 def test_that_the_lock_ends_with_a_killed_process(folder):
     def work() -> int:
-        with Journal(folder).held():
+        with Journal(folder).hold_lock():
             os.kill(os.getpid(), signal.SIGKILL)
         return 0
 
@@ -255,6 +255,6 @@ def test_that_the_head_knows_the_last_line(folder):
 def test_that_a_head_that_lags_behind_is_written_when_the_folder_is_next_held(folder, tmp_path):
     copy = cut(folder, tmp_path / "cut", COUNT - 1)
     (copy / "journal.jsonl").write_bytes((folder / "journal.jsonl").read_bytes())
-    with Journal(copy).held():
+    with Journal(copy).hold_lock():
         pass
     assert (copy / "journal.head").read_bytes() == (folder / "journal.head").read_bytes()

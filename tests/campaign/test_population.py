@@ -240,5 +240,5 @@ def test_that_what_is_inferred_of_the_medium_is_not_asked_for_scatter() -> None:
     assert torch.equal(with_density.scatter[:, :2], without.scatter)
     assert float(with_density.scatter[:, 2].abs().max()) == 0.0
     assert (
-        with_density.limit() > without.limit()
+        with_density.largest_gain() > without.largest_gain()
     )  # a shot that showed its gel would also tell the density

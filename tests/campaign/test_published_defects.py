@@ -33,7 +33,7 @@ TWO = ("newtonian", "nhkv")
 def learn(learner, batch: ExperimentBatch, models: tuple[str, ...] = TWO) -> Belief:
     """What is believed after all experiments of a batch."""
     belief = prior(models)
-    return learner.learn(
+    return learner.infer_belief(
         Observations(belief, belief, batch, len(batch.experiments), 0), SIMULATOR
     ).belief
 

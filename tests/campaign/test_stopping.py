@@ -110,13 +110,13 @@ def standing(
     ids=lambda x: type(x).__name__ if not isinstance(x, str | CampaignState) else "",
 )
 def test_a_rule_speaks_on_one_side_of_its_threshold(rule, going, over, reason):
-    assert rule.reason(going) is None
-    assert re.search(reason, rule.reason(over))
+    assert rule.find_reason(going) is None
+    assert re.search(reason, rule.find_reason(over))
 
 
 def test_a_rule_about_the_gain_is_silent_until_it_is_known():
-    assert GainBelow(100.0).reason(standing(gain=None)) is None
-    assert GainBelow(100.0).reason(standing(gain=1.0)) is not None
+    assert GainBelow(100.0).find_reason(standing(gain=None)) is None
+    assert GainBelow(100.0).find_reason(standing(gain=1.0)) is not None
 
 
 def test_rules_are_read_from_text():
@@ -159,12 +159,12 @@ def test_that_a_forgotten_experiment_is_spent_and_is_no_datum():
     now = standing(repeats=(1, 1, 1))
     one_lost = CampaignState(now.belief, now.experiments[:2], None, now.experiments[2:])
     assert (
-        Budget(3.5).reason(one_lost)
+        Budget(3.5).find_reason(one_lost)
         == "3 of the budget of 3.5 are spent, 1 of these on experiments that were forgotten"
     )
-    assert Budget(4.0).reason(one_lost) is None
-    assert Designs(3).reason(one_lost) is None
-    assert Designs(2).reason(one_lost) == "2 designs were shot, besides 1 that were forgotten"
+    assert Budget(4.0).find_reason(one_lost) is None
+    assert Designs(3).find_reason(one_lost) is None
+    assert Designs(2).find_reason(one_lost) == "2 designs were shot, besides 1 that were forgotten"
     all_lost = CampaignState(now.belief, (), None, now.experiments)
-    assert Budget(3.5).reason(all_lost) is not None
-    assert Designs(1).reason(all_lost) is None
+    assert Budget(3.5).find_reason(all_lost) is not None
+    assert Designs(1).find_reason(all_lost) is None

@@ -110,7 +110,7 @@ def test_that_what_was_told_and_not_learnt_is_learnt_before_anything_else(tmp_pa
     assert kinds(whole) == ["start", "observed", "learnt", "observed", "learnt", "ask"]
     for name, act in {
         "ask": Campaign.ask,
-        "learn": Campaign.learn,
+        "learn": Campaign.learn_outstanding,
         "run": lambda c: c.run(None, 2),
     }.items():
         run = campaign(cut(tmp_path / "whole", tmp_path / name, 4))
@@ -130,9 +130,9 @@ def test_that_what_was_told_and_not_learnt_is_learnt_before_anything_else(tmp_pa
 def test_that_learning_twice_learns_once_and_from_nothing_is_refused(tmp_path):
     run = campaign(tmp_path)
     with pytest.raises(InputDataError, match="no experiment to learn from"):
-        run.learn()
+        run.learn_outstanding()
     step = run.tell(CURVES[0])
-    assert run.learn() is step
+    assert run.learn_outstanding() is step
     assert kinds(run) == ["start", "observed", "learnt"]
 
 
@@ -185,8 +185,8 @@ def test_that_one_of_several_curves_told_together_can_be_forgotten(tmp_path):
 def test_that_designs_asked_for_with_a_forgotten_curve_in_the_belief_are_asked_for_anew(tmp_path):
     @dataclass(frozen=True)
     class Follows(Random):
-        def choose(self, situation, *, progress=None):
-            found = super().choose(situation, progress=progress)
+        def choose_design(self, situation, *, progress=None):
+            found = super().choose_design(situation, progress=progress)
             return replace(found, gain=float(situation.belief.best.mean.sum()))
 
     run = campaign(tmp_path, policy=Follows())
@@ -322,7 +322,7 @@ def test_that_addresses_in_memory_are_no_part_of_a_campaign(tmp_path):
 def test_that_two_campaigns_on_one_folder_do_not_write_over_each_other(tmp_path):
     first = campaign(tmp_path)
     second = campaign(tmp_path)
-    with first.journal.held():
+    with first.journal.hold_lock():
         with pytest.raises(InputDataError, match="is in use by another campaign"):
             second.tell(CURVES[1])
         first.tell(CURVES[0])
@@ -389,9 +389,9 @@ def test_that_numbers_of_experiments_are_in_the_journal(tmp_path):
     run.tell(CURVES[0], CURVES[1])
     run.forget(1)
     journal = Journal(tmp_path)
-    assert [record["number"] for record in journal.find("observed")["experiments"]] == [1, 2]
-    assert journal.find("forget") == {"event": "forget", "experiment": 1}
-    assert journal.find("learnt")["experiments"] == [2]
+    assert [record["number"] for record in journal.find_event("observed")["experiments"]] == [1, 2]
+    assert journal.find_event("forget") == {"event": "forget", "experiment": 1}
+    assert journal.find_event("learnt")["experiments"] == [2]
 
 
 def test_that_a_shot_that_failed_is_recorded_and_its_design_asked_again_then_moved(tmp_path):
@@ -399,8 +399,8 @@ def test_that_a_shot_that_failed_is_recorded_and_its_design_asked_again_then_mov
     class Away(Random):
         """Next to what is pending."""
 
-        def choose(self, situation, *, progress=None):
-            found = super().choose(situation, progress=progress)
+        def choose_design(self, situation, *, progress=None):
+            found = super().choose_design(situation, progress=progress)
             if situation.pending is None:
                 return found
             return replace(found, design=situation.pending[-1] + tensor(1.0, 0.0))

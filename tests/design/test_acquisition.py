@@ -226,6 +226,6 @@ def test_that_a_belief_of_one_model_tells_nothing_about_the_model():
 def test_that_settings_of_a_search_rebuild_its_surrogate():
     gain = acquisition(TWO)
     search = search_design(gain, seed=3, evaluations=5, initial=3)
-    again = SearchSettings(3, 3).finish(gain.space, search.designs, search.gains, None)
+    again = SearchSettings(3, 3).finish_search(gain.space, search.designs, search.gains, None)
     assert torch.equal(again.recommendation.design, search.recommendation.design)
     assert again.recommendation.sd == search.recommendation.sd

@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from imr_torch.design import Plan
-from imr_torch.design.likelihood import Data, log_likelihood, observe, pairwise
-from imr_torch.design.response import Shot, radii, respond
+from imr_torch.design.likelihood import Data, log_likelihood, observe_gels, pairwise_log_likelihood
+from imr_torch.design.response import Shot, radii, simulate_response
 from imr_torch.material import reference_case
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, displaced
 from imr_torch.simulate import PolytropicSimulator, Stepping
@@ -27,9 +27,9 @@ def shot(plan):
 )
 def test_log_likelihood_ratios_of_gels_are_those_of_the_assimilation(noise):
     plan = Plan(times=TIMES, noise=noise)
-    seen = respond(shot(plan), PART, CONTROLS, gel=False)
-    data = observe(seen, plan, torch.Generator().manual_seed(0))
-    mine = pairwise(data, seen, plan)
+    seen = simulate_response(shot(plan), PART, CONTROLS, gel=False)
+    data = observe_gels(seen, plan, torch.Generator().manual_seed(0))
+    mine = pairwise_log_likelihood(data, seen, plan)
     for n in range(2):
         experiments = []
         for e, design in enumerate(DESIGNS.tolist()):
@@ -51,22 +51,22 @@ def test_log_likelihood_ratios_of_gels_are_those_of_the_assimilation(noise):
 
 def test_frames_outside_the_window_do_not_count():
     plan = Plan(times=TIMES, noise=Noise(correlation_time=0.1))
-    seen = respond(shot(plan), PART, CONTROLS, gel=False)
-    data = observe(seen, plan, torch.Generator().manual_seed(0))
+    seen = simulate_response(shot(plan), PART, CONTROLS, gel=False)
+    data = observe_gels(seen, plan, torch.Generator().manual_seed(0))
     assert not bool(data.window.all())
     spoilt = Data(torch.where(data.window, data.radius, 99.0), data.window)
     assert torch.equal(
         log_likelihood(spoilt, seen.radius, seen.by_nuisance, plan),
-        pairwise(data, seen, plan).diagonal(),
+        pairwise_log_likelihood(data, seen, plan).diagonal(),
     )
 
 
 def test_data_scatter_about_their_gel_as_the_plan_says():
     plan = Plan(times=TIMES, repeats=4, noise=Noise(correlation_time=0.1))
-    seen = respond(shot(plan), PART, CONTROLS[:1].expand(4000, -1)[:1], gel=False)[
+    seen = simulate_response(shot(plan), PART, CONTROLS[:1].expand(4000, -1)[:1], gel=False)[
         torch.zeros(4000, dtype=torch.long)
     ]
-    data = observe(seen, plan, torch.Generator().manual_seed(0))
+    data = observe_gels(seen, plan, torch.Generator().manual_seed(0))
     standard = (data.radius - seen.radius) / plan.noise.sd(seen.radius, TIMES) * 2.0
     covariance = torch.cov(standard[:, 0].mT)
     assert torch.allclose(covariance.diagonal(), torch.ones(31).double(), atol=0.12)
@@ -78,7 +78,7 @@ def test_data_scatter_about_their_gel_as_the_plan_says():
 def test_sensitivities_are_the_derivatives_of_what_is_seen():
     nuisance = Nuisance(max_radius=0.02, time_zero=0.01, rest_radius=0.03)
     plan = Plan(times=TIMES, nuisance=nuisance)
-    seen = respond(shot(plan), PART, CONTROLS)
+    seen = simulate_response(shot(plan), PART, CONTROLS)
     step = 1e-3
     for i in range(3):
         side = torch.zeros(3, dtype=torch.float64)

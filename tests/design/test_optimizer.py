@@ -104,7 +104,7 @@ def test_initial_asks_fill_the_space_and_do_not_repeat():
     optimizer.tell(first, value, torch.full_like(value, 0.01))
     more = optimizer.ask(2)
     every = torch.cat((first, more))
-    SPACE.check(every)
+    SPACE.check_inside(every)
     assert len({tuple(row) for row in every.tolist()}) == 6
 
 
@@ -173,7 +173,7 @@ def test_the_published_strategy_recommends_the_best_observed_value():
 def test_that_the_published_strategy_wants_more_than_the_best_observed_value():
     none = torch.empty(0, 2, dtype=torch.float64)
     optimizer = told(SPACE, utility, strategy="paper")
-    best = float(optimizer._acquisition(none).best_f)
+    best = float(optimizer._make_acquisition(none).best_f)
     assert best == pytest.approx(float(optimizer.train_Y.max()) + 0.01, abs=1e-12)
 
 

@@ -13,7 +13,7 @@ def test_the_window_holds_the_frames_that_an_assimilation_would_keep():
     design = torch.tensor([400.0, 0.2], dtype=torch.float64)
     plan = Plan()
     radius = PolytropicSimulator()(draws, design, plan.times).radius
-    window = plan.window(radius[:, None])[:, 0]
+    window = plan.frames_in_window(radius[:, None])[:, 0]
     for curve, kept in zip(radius, window, strict=True):
         experiment = Experiment("x", (400.0, 0.2), plan.times, curve[None])
         used = experiment.until(collapse_time(plan.times, curve, 2)).times
@@ -23,8 +23,8 @@ def test_the_window_holds_the_frames_that_an_assimilation_would_keep():
 
 def test_a_curve_without_that_many_collapses_keeps_all_frames():
     plan = Plan(times=torch.linspace(0.0, 1.0, 11, dtype=torch.float64))
-    assert bool(plan.window(torch.cos(plan.times)[None]).all())
-    assert bool(Plan(collapses=None).window(torch.cos(9.0 * Plan().times)).all())
+    assert bool(plan.frames_in_window(torch.cos(plan.times)[None]).all())
+    assert bool(Plan(collapses=None).frames_in_window(torch.cos(9.0 * Plan().times)).all())
 
 
 def test_the_papers_plan_is_its_noise_ramp_over_61_frames():

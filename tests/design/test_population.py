@@ -117,7 +117,7 @@ def test_that_no_design_tells_more_than_a_shot_without_error() -> None:
     exact = 0.5 * float(
         torch.logdet(covariance + SCATTER.square().diag()) - SCATTER.log().sum() * 2.0
     )
-    assert estimator.limit() == pytest.approx(exact, abs=0.15)
+    assert estimator.largest_gain() == pytest.approx(exact, abs=0.15)
     assert 0.5 * exact < closed_form(SCATTER, DESIGNS[:1]) < exact
 
 

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.gap.locate import where_it_acts
-from imr_torch.goodness.linear import linearise
+from imr_torch.goodness.linear import linearise_fit
 from imr_torch.goodness.phases import PHASES
 from imr_torch.material import LIBRARY
 from tests.gap.synthetic import BASE, SIMULATOR, fit, shoot
@@ -25,7 +25,7 @@ def late() -> dict[int, Tensor]:
     for repeats in (5, 80):
         batch = shoot(PULSE, ((400.0, 0.2),), repeats=repeats)
         with_pulse = fit(batch, Hypothesis(BASE, (LIBRARY["pulse"],)), **PULSE)
-        line = linearise(fit(batch), batch, SIMULATOR)
+        line = linearise_fit(fit(batch), batch, SIMULATOR)
         shares = where_it_acts(with_pulse, (LIBRARY["pulse"],), line, SIMULATOR, seed=0)
         assert shares is not None
         assert tuple(shares) == PHASES

@@ -77,7 +77,7 @@ def test_that_each_experiment_is_seen_with_a_gel_of_its_own(gels) -> None:
 
 def test_that_sensitivities_to_a_gel_of_its_own_are_those_of_the_bubbles(gels) -> None:
     posterior = Posterior(BASE, DIFFER.seen(gels), SIMULATOR)
-    point = Point(torch.tensor([0.3, -0.1]).double(), posterior.still())
+    point = Point(torch.tensor([0.3, -0.1]).double(), posterior.mean_nuisances())
     slopes = posterior.neighbourhood(point).slopes[1]
     step = 1e-3
     for column in (3, 4):

@@ -69,7 +69,7 @@ def test_that_the_gain_lies_between_nothing_and_the_entropy_of_the_causes(
     assert found.entropy == pytest.approx(math.log(2.0))
     assert 0.0 < found.gain < found.entropy + 3.0 * found.error
     assert found.error >= 0.0
-    DesignSpace().check(found.design)
+    DesignSpace().check_inside(found.design)
 
 
 def test_that_a_cause_of_the_measurement_is_told_apart_too(fits) -> None:

@@ -7,7 +7,7 @@ from imr_torch.gap import diagnose, library, locate
 from imr_torch.gap.adequacy import adequacy_test
 from imr_torch.gap.differing import fit_alone
 from imr_torch.gap.locate import Trend, by_experiment, drifts, onset, restrict
-from imr_torch.goodness.linear import linearise
+from imr_torch.goodness.linear import linearise_fit
 from imr_torch.goodness.phases import PHASES, phase_clock, phase_name
 from imr_torch.observe import Nuisance
 from tests.gap.synthetic import DESIGNS, SIMULATOR, fit, shoot
@@ -64,7 +64,7 @@ def test_that_the_onset_is_in_the_phase_in_which_the_effect_acts_and_silent_on_m
 def test_that_a_linear_refit_to_all_frames_stays_and_to_some_frames_is_the_nonlinear_one() -> None:
     batch = shoot({}, repeats=50, nuisance=Nuisance(time_zero=0.004))
     best = fit(batch)
-    line = linearise(best, batch, SIMULATOR)
+    line = linearise_fit(best, batch, SIMULATOR)
     shift = line.to_shift @ line.residual
     to_shift = line.to_shift
     size = len(best.mean)

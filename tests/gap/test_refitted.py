@@ -10,7 +10,7 @@ import torch
 from imr_torch.assimilate import ModelFit
 from imr_torch.gap import refitted
 from imr_torch.gap.refitted import refitted_directions
-from imr_torch.goodness.linear import Linearisation, linearise
+from imr_torch.goodness.linear import Linearisation, linearise_fit
 from imr_torch.goodness.score import effect_directions
 from imr_torch.material import LIBRARY, Effect
 from imr_torch.observe import ExperimentBatch, Nuisance
@@ -31,8 +31,8 @@ def left_of(
     """Sd that the first order leaves of an effect, and the refit."""
     raw = effect_directions([effect], best, batch, SIMULATOR, line)
     beside = refitted_directions([effect], best, batch, SIMULATOR, line, raw)
-    return float(line.project(raw[effect.name]).norm()), float(
-        line.project(beside[effect.name]).norm()
+    return float(line.project_out(raw[effect.name]).norm()), float(
+        line.project_out(beside[effect.name]).norm()
     )
 
 
@@ -41,7 +41,7 @@ def matched(request) -> tuple[ModelFit, ExperimentBatch, Linearisation]:
     """The fit of a matched set, and its neighbourhood."""
     batch = shoot({}, repeats=REPEATS, nuisance=request.param)
     best = fit(batch)
-    return best, batch, linearise(best, batch, SIMULATOR)
+    return best, batch, linearise_fit(best, batch, SIMULATOR)
 
 
 @pytest.mark.parametrize(
@@ -55,8 +55,8 @@ def test_that_it_is_what_a_real_refit_leaves(matched, name, value) -> None:
     refit = fit(shot)
     # the noise of these repeats is that of the matched set, so the difference of residuals is that
     # of the curves
-    gap = linearise(refit, shot, SIMULATOR)
-    noise = line.project(line.residual).norm()
+    gap = linearise_fit(refit, shot, SIMULATOR)
+    noise = line.project_out(line.residual).norm()
     real = float((gap.residual.square().sum() - noise.square()).clamp_min(0.0).sqrt())
     assert beside == pytest.approx(real, rel=0.2)
     assert first > 1.2 * beside
@@ -73,7 +73,7 @@ def test_that_a_gel_that_cannot_be_simulated_leaves_the_first_order(matched, mon
     raw = effect_directions([effect], best, batch, SIMULATOR, line)
     monkeypatch.setattr(
         refitted,
-        "curves",
+        "predict_changed",
         lambda *_: torch.full((1, *batch.times.shape), torch.nan, dtype=torch.float64),
     )
     beside = refitted_directions([effect], best, batch, SIMULATOR, line, raw)

@@ -9,14 +9,14 @@ import pytest
 import torch
 from scipy.stats import binomtest, chi2
 
-from imr_torch.goodness.linear import Linearisation, linearise
+from imr_torch.goodness.linear import Linearisation, linearise_fit
 from imr_torch.goodness.score import (
     LEVEL,
     Block,
-    block,
     effect_directions,
     gap_test,
     generic_blocks,
+    make_block,
     promising_starts,
 )
 from imr_torch.material import LIBRARY, library
@@ -29,16 +29,16 @@ def matched() -> tuple[Linearisation, dict[str, torch.Tensor], list[Block]]:
     """A matched fit, what each effect changes there, and all blocks."""
     batch = shoot({})
     best = fit(batch)
-    line = linearise(best, batch, SIMULATOR)
+    line = linearise_fit(best, batch, SIMULATOR)
     rows = effect_directions(library(), best, batch, SIMULATOR, line)
-    blocks = [block(name, some, line) for name, some in rows.items()]
+    blocks = [make_block(name, some, line) for name, some in rows.items()]
     return line, rows, [*blocks, *generic_blocks(best, batch, SIMULATOR, line)]
 
 
 def drawn(line: Linearisation, seed: int, lean: torch.Tensor | float = 0.0) -> Linearisation:
     """The neighbourhood with another residual, drawn under the fitted model, and a lean beside it."""
     noise = torch.randn(len(line.residual), generator=generator(seed), dtype=torch.float64)
-    return replace(line, residual=line.project(noise + lean))
+    return replace(line, residual=line.project_out(noise + lean))
 
 
 def test_that_it_is_silent_on_residuals_of_the_model_at_its_level(matched) -> None:
@@ -56,13 +56,12 @@ def test_that_it_is_silent_on_residuals_of_the_model_at_its_level(matched) -> No
 def test_that_an_effect_is_found_as_often_as_its_power_says(matched, name: str) -> None:
     """Its own direction, three noise standard deviations long beside what was fitted, among all the other blocks."""
     line, rows, blocks = matched
-    first = line.project(rows[name][:1])
+    first = line.project_out(rows[name][:1])
     lean = 3.5 * first[0] / first.norm()
-    alone = [replace(block(name, rows[name][:1], line), size=3.5)]
+    alone = [replace(make_block(name, rows[name][:1], line), size=3.5)]
     results = [gap_test(alone, drawn(line, 2000 + seed, lean), seed=seed) for seed in range(100)]
     own = [next(b for b in r.blocks if b.name == name) for r in results]
-    threshold = chi2.isf(LEVEL / 2.0, 1)  # of two blocks, its own and the chi-square
-    found = sum(b.statistic > threshold for b in own)
+    found = sum(b.p_value < LEVEL / 2.0 for b in own)  # of two blocks, its own and the chi-square
     low, high = binomtest(found, 100).proportion_ci(0.99, method="exact")
     assert low < own[0].power < high
     everywhere = gap_test(blocks, drawn(line, 7, 3.0 * lean), seed=1)
@@ -73,9 +72,9 @@ def test_that_an_effect_is_found_as_often_as_its_power_says(matched, name: str) 
 def test_that_what_the_fit_explains_is_no_direction_and_rank_is_counted_once(matched) -> None:
     line, rows, _ = matched
     explained = line.fitted.mT[:1]
-    assert block("explained", explained, line).directions.shape[1] == 0
+    assert make_block("explained", explained, line).directions.shape[1] == 0
     twice = torch.cat((rows["gas_loss"][:1], 2.0 * rows["gas_loss"][:1], explained))
-    found = block("twice", twice, line)
+    found = make_block("twice", twice, line)
     assert found.directions.shape[1] == 1
     torch.testing.assert_close(
         found.directions.mT @ found.directions, torch.eye(1, dtype=torch.float64)
@@ -102,7 +101,7 @@ def test_where_fits_of_an_effect_start(matched) -> None:
     from all its starts.
     """
     line, rows, _ = matched
-    leaning = replace(line, residual=line.project(0.8 * rows["gas_loss"][1]))
+    leaning = replace(line, residual=line.project_out(0.8 * rows["gas_loss"][1]))
     small, asked = promising_starts(LIBRARY["gas_loss"], rows["gas_loss"], leaning)
     own = [start[0] for start in LIBRARY["gas_loss"].starts]
     assert small[0] == pytest.approx(0.05 * own[1])
@@ -114,7 +113,7 @@ def test_where_fits_of_an_effect_start(matched) -> None:
 
 def test_that_bias_is_what_is_left_beyond_noise() -> None:
     batch = shoot({})
-    line = linearise(fit(batch), batch, SIMULATOR)
+    line = linearise_fit(fit(batch), batch, SIMULATOR)
     quiet = gap_test([], line, seed=0)
     assert quiet.bias_sigma < 0.1
     lean = torch.where(batch.mask, 0.5 * line.sd, 0.0)

@@ -124,6 +124,8 @@ def test_that_an_exposure_survives_windows_and_journals(tmp_path):
     experiment = film(0.04).experiments[0]
     assert experiment.until(1.0).exposure == 0.04
     journal = Journal(tmp_path)
-    assert journal.restore(journal.store(experiment, "experiment_001")).exposure == 0.04
+    assert (
+        journal.restore_curves(journal.store_curves(experiment, "experiment_001")).exposure == 0.04
+    )
     with pytest.raises(InputDataError, match=r"has an exposure of 0\.7 Rmax/U_c"):
         film(0.7)
