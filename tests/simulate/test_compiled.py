@@ -267,6 +267,19 @@ def test_that_a_follower_that_fails_disturbs_no_other() -> None:
     assert torch.equal(failed[others], good[others])
 
 
+@SIMULATORS
+def test_that_a_bubble_takes_the_same_steps_before_and_after_it_led_a_bundle(kind) -> None:
+    """And as many as the leader, though its followers reach the last time later."""
+    simulator = kind(threads=1)
+    bundle = followers({"G": 4e3, "mu": 0.08}, 3)
+    before = simulator(bundle[0], DESIGNS[0], TIMES)
+    led = simulator.bundle(bundle, DESIGNS[:1], TIMES)
+    after = simulator(bundle[0], DESIGNS[0], TIMES)
+    assert int(before.steps) > 50
+    assert int(led.steps[0]) == int(before.steps) == int(after.steps)
+    assert torch.equal(before.radius, after.radius)
+
+
 FAILURES = [
     (
         TransportSimulator,
