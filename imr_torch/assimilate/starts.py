@@ -5,6 +5,7 @@ Starts of a model are apart from each other, so that their agreement is evidence
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float
@@ -17,6 +18,9 @@ from imr_torch.assimilate.posterior import Posterior
 from imr_torch.errors import ConvergenceError, ShapeError
 from imr_torch.types import ControlMatrix, Controls
 
+ENOUGH = 8
+"""Experiments that tell good starts from bad ones, so that the choice does not cost more with more shots."""
+
 BESIDE = 10.0
 """Posterior standard deviations between an earlier optimum and the starts about it."""
 
@@ -27,16 +31,19 @@ _RESTART = 0.25  # prior standard deviations
 def best_prior_draws(
     posterior: Posterior, options: SearchOptions, source: torch.Generator
 ) -> Point:
-    """The best of many prior draws that are not neighbours of each other, by coarse bubbles.
+    """The best of many prior draws that are not neighbours of each other, by coarse bubbles of some
+    of the experiments.
 
     The prior mean is among them.
     """
     draws = torch.randn(options.raw_samples, posterior.size, generator=source, dtype=torch.float64)
     draws[0] = 0.0
-    points = Point(draws, posterior.still(options.raw_samples))
-    return points[
-        _distinct(posterior.prior.model, draws, -posterior.coarse.log_joint(points), options.starts)
-    ]
+    batch = posterior.batch
+    some = batch.experiments[:: -(-len(batch.experiments) // ENOUGH)]
+    few = replace(posterior.coarse, batch=replace(batch, experiments=some))
+    cost = -few.log_joint(Point(draws, few.still(options.raw_samples)))
+    chosen = _distinct(posterior.prior.model, draws, cost, options.starts)
+    return Point(draws[chosen], posterior.still(options.starts))
 
 
 def given(

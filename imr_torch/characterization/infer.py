@@ -171,6 +171,7 @@ def characterize(
         check_profile(prior)
     surroundings = simulator.conditions.surroundings
     prepared = prepare(traces, surroundings, collapses=collapses, rest_radius=rest_radius)
+    traces = prepared.traces
     data = (*prepared.experiments, *(shot.to_experiment(surroundings) for shot in shots))
     spent = EFFORTS[effort]
     if isinstance(options, SearchOptions) and options.drop_behind is not None:

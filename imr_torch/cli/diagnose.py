@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> None:
     chosen = [trace for trace in traces if trace.experiment_id in labels]
     record = describe_record(chosen, medium.surroundings).to_dict()
     document = to_json(report, parts, simulator=simulator) | {"record": record}
-    print(describe(document))
+    print("\n\n".join(filter(None, (medium.unstated, describe(document)))))
     said = (*medium.learnt(report.null.posterior), *(found.sentence() for found in assumed))
     print(
         "\n"

@@ -7,14 +7,16 @@ not know. Its likelihood is Gaussian in the time of the first minimum of the sim
 and R_inf are nuisances of the shot with their errors.
 
 The minimum is where the wall's velocity changes sign, by a cubic through radius and velocity at
-both ends of an interval of the output; in three passes the intervals shrink to 1e-5 of the collapse
-time. Rheometry from collapse times alone: Zhu et al., Soft Matter (2025), doi 10.1039/D5SM00397K,
+both ends of an interval of the output; in two passes the intervals shrink to 1e-6 of the collapse
+time. Of many shots, the time is a smooth function of two numbers, (ln We, R_inf*): it is simulated at
+the Chebyshev nodes of their range and interpolated, so that the cost of a gel does not grow with the
+number of shots. Rheometry from collapse times alone: Zhu et al., Soft Matter (2025), doi 10.1039/D5SM00397K,
 where the collapse time is a formula; here the bubble is simulated.
 """
 
 import math
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import ClassVar
 
@@ -25,6 +27,7 @@ from scipy.special import ndtri, stdtrit
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
+from imr_torch.material import PARAMETERS
 from imr_torch.observe.distortion import Distortion
 from imr_torch.observe.nuisance import FLOOR, SMALLEST, Nuisance, displaced
 from imr_torch.reading.content import Content
@@ -48,14 +51,15 @@ _ERRORS = {
 _GRID = torch.cat(
     [
         torch.linspace(a, b, n + 1, dtype=torch.float64)[:-1]
-        for a, b, n in ((0.0, 0.7, 40), (0.7, 1.3, 120), (1.3, 2.5, 60))
+        for a, b, n in ((0.0, 0.7, 40), (0.7, 1.3, 1200), (1.3, 2.5, 600))
     ]
-)  # output times over the measured collapse time, in which an interval with the minimum is found
-_USUAL = 160  # of these times, up to 1.3
-_AROUND = 0.03 * torch.sinh(torch.linspace(-6.0, 6.0, 121, dtype=torch.float64)) / math.sinh(6.0)
-"""Output times about that, over the measured collapse time: 1.5e-5 apart at its middle and .003 at its ends."""
-_CLOSE = torch.linspace(-2e-4, 2e-4, 41, dtype=torch.float64)
-"""Output times about what these give. With them the time of the minimum is as smooth in the gel as the solver's output."""
+)  # output times over the measured collapse time: the minimum is found to 3e-5
+_USUAL = 1240  # of these times, up to 1.3
+_CLOSE = 1e-3 * torch.sinh(torch.linspace(-6.0, 6.0, 201, dtype=torch.float64)) / math.sinh(6.0)
+"""Output times about that, 3e-7 apart at their middle: the time is as smooth in the gel as the solver's output."""
+_NODES = (4, 3)
+"""Nodes along ln We and R_inf*; of a gel that collapses freely, times are right to 5e-5."""
+_STEPS = (0.05, 0.01)  # to which the range of (ln We, R_inf*) is rounded, so that nodes stay
 _RANGES = {"rmax_m": (1e-6, 1e-2), "stretch": (1.2, 100.0), "collapse_time_s": (1e-8, 1e-2)}
 
 
@@ -315,18 +319,99 @@ def predict_collapse(
         designs = distortion.placed(designs, times)[0]
         rate = torch.exp(distortion.clock)
 
-    def solved(times: Tensor) -> tuple[Tensor, Tensor]:
-        return simulate_bubbles(simulator, parameters, designs, times, bundled=bundled)
-
-    found = first_minimum(times[..., :_USUAL], *solved(times[..., :_USUAL]))
-    if bool(torch.isnan(found).any()):
-        found = first_minimum(times, *solved(times))
-    for about in (_AROUND, _CLOSE):
-        near = (
-            torch.where(torch.isnan(found), measured, found)[..., None] + about * measured[:, None]
-        )
-        found = torch.where(torch.isnan(found), torch.nan, first_minimum(near, *solved(near)))
+    several = designs.shape[-2] > math.prod(_NODES)
+    solve = _interpolated_collapses if several else _simulated_collapses
+    found = solve(simulator, parameters, designs, measured, bundled)
     return torch.where(lost, torch.nan, found / rate * scale[..., 0] - shifts[..., 1])
+
+
+def _simulated_collapses(
+    simulator: Simulator, parameters: Tensor, designs: Tensor, about: Tensor, bundled: bool
+) -> Tensor:
+    """Collapse times ``... x E`` of true designs, looked for about ``E`` times."""
+
+    def solved(times: Tensor, gels: Tensor = parameters, places: Tensor = designs) -> Tensor:
+        return first_minimum(
+            times, *simulate_bubbles(simulator, gels, places, times, bundled=bundled)
+        )
+
+    times = about[:, None] * _GRID.to(about)
+    found = solved(times[..., :_USUAL])
+    late = torch.isnan(found).any(-1)
+    if bundled and bool(late.any()):
+        found = solved(times)
+    elif bool(late.any()):
+        found[late] = solved(times, *_of(late, parameters, designs))
+    lost = torch.isnan(found)
+    near = torch.where(lost, about, found)[..., None] + _CLOSE * about[:, None]
+    return torch.where(lost, torch.nan, solved(near))
+
+
+def _interpolated_collapses(
+    simulator: Simulator, parameters: Tensor, designs: Tensor, about: Tensor, bundled: bool
+) -> Tensor:
+    """The same, interpolated between designs; of gels without a collapse at some of the nodes alone
+    every design is simulated.
+    """
+    places = torch.stack((designs[..., 0].log(), designs[..., 1]), -1)
+    steps = torch.tensor(_STEPS, dtype=torch.float64)
+    low = torch.floor(places.reshape(-1, 2).amin(0) / steps) * steps
+    half = 0.5 * (torch.ceil(places.reshape(-1, 2).amax(0) / steps) * steps - low)
+    angles = [torch.pi * (torch.arange(n, dtype=torch.float64) + 0.5) / n for n in _NODES]
+    nodes = low + half + half * torch.cartesian_prod(*(x.cos() for x in angles))
+    nodes[:, 0] = nodes[:, 0].exp()
+    moved = torch.zeros(1, dtype=torch.bool)
+    if bundled:  # members of which only the design is moved share the bubbles of the leader
+        moved = (parameters != parameters[..., :1, :]).any(-1)
+        moved = moved.reshape(-1, moved.shape[-1]).any(0)
+    if bool(moved.any()):
+        moved[0] = True
+        rows = torch.where(moved, moved.cumsum(0) - 1, 0)
+        middle = about.mean().expand(len(nodes))
+        times = _simulated_collapses(simulator, parameters[..., moved, :], nodes, middle, True)
+        times = times[..., rows, :]
+    else:
+        flat = parameters.reshape(-1, parameters.shape[-1])
+        gels, rows = torch.unique(flat, dim=0, return_inverse=True)
+        times = _collapses_at(simulator, *map(_frozen, (gels, nodes)), float(about.mean()))
+        times = times[rows].reshape(*parameters.shape[:-1], -1)
+    lost = times.isnan().any(-1) & ~times.isnan().all(-1)
+    if bundled and bool(lost.any()):
+        return _simulated_collapses(simulator, parameters, designs, about, bundled)
+    across = ((places - low) / half - 1.0).clamp(-1.0, 1.0).acos()
+    weights = []
+    for axis, angle in enumerate(angles):
+        degrees = torch.arange(len(angle), dtype=torch.float64)
+        to_nodes = torch.linalg.inv(torch.cos(degrees * angle[:, None]))
+        weights.append(torch.cos(degrees * across[..., axis, None]) @ to_nodes)
+    found = torch.einsum("...ei,...ej,...ij->...e", *weights, times.unflatten(-1, _NODES))
+    lost = lost.expand(found.shape[:-1])
+    if bool(lost.any()):
+        found[lost] = _simulated_collapses(
+            simulator, *_of(lost, parameters, designs), about, bundled
+        )
+    return found
+
+
+@lru_cache(maxsize=4)  # of the same draws nuisances are fitted, then drawn
+def _collapses_at(simulator: Simulator, gels: bytes, nodes: bytes, about: float) -> Tensor:
+    """Collapse times of gels at nodes, both as bytes."""
+    parameters, designs = (
+        torch.frombuffer(bytearray(x), dtype=torch.float64) for x in (gels, nodes)
+    )
+    designs = designs.unflatten(0, (-1, 2))
+    parameters = parameters.unflatten(0, (-1, len(PARAMETERS.names)))
+    times = designs.new_full((len(designs),), about)
+    return _simulated_collapses(simulator, parameters, designs, times, False)
+
+
+def _frozen(values: Tensor) -> bytes:
+    return values.contiguous().numpy().tobytes()
+
+
+def _of(rows: Tensor, parameters: Tensor, designs: Tensor) -> tuple[Tensor, Tensor]:
+    """Gels and designs of some members of a batch."""
+    return parameters.expand(*rows.shape, -1)[rows], designs.expand(*rows.shape, -1, -1)[rows]
 
 
 def load_collapse_times(*paths: str | Path) -> tuple[CollapseShot, ...]:
