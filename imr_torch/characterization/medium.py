@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from imr_torch.gap import MediumSensitivity
 from imr_torch.material import ModelBelief
 from imr_torch.observe import (
-    UNSTATED_SDS,
     CollapseShot,
     GelMedium,
     Statement,
@@ -73,9 +72,7 @@ def medium_of(
     command = Statement.from_text(medium, "medium") if isinstance(medium, str) else medium
     said = [*(trace.given.stated for trace in traces), *(shot.stated for shot in shots)]
     beside = [statement for statement in said if statement is not None]
-    return gel_medium(
-        command,
-        list({repr(statement): statement for statement in beside}.values()),
-        surroundings,
-        unstated=UNSTATED_SDS if len(traces) or shots else None,
+    found = gel_medium(
+        command, list({repr(statement): statement for statement in beside}.values()), surroundings
     )
+    return found.loosened if len(traces) or shots else found

@@ -16,7 +16,7 @@ where the collapse time is a formula; here the bubble is simulated.
 
 import math
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import ClassVar
 
@@ -27,7 +27,6 @@ from scipy.special import ndtri, stdtrit
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
-from imr_torch.material import PARAMETERS
 from imr_torch.observe.distortion import Distortion
 from imr_torch.observe.nuisance import FLOOR, SMALLEST, Nuisance, displaced
 from imr_torch.reading.content import Content
@@ -330,18 +329,14 @@ def _simulated_collapses(
 ) -> Tensor:
     """Collapse times ``... x E`` of true designs, looked for about ``E`` times."""
 
-    def solved(times: Tensor, gels: Tensor = parameters, places: Tensor = designs) -> Tensor:
-        return first_minimum(
-            times, *simulate_bubbles(simulator, gels, places, times, bundled=bundled)
-        )
+    def solved(times: Tensor) -> Tensor:
+        bubbles = simulate_bubbles(simulator, parameters, designs, times, bundled=bundled)
+        return first_minimum(times, *bubbles)
 
     times = about[:, None] * _GRID.to(about)
     found = solved(times[..., :_USUAL])
-    late = torch.isnan(found).any(-1)
-    if bundled and bool(late.any()):
+    if bool(torch.isnan(found).any()):
         found = solved(times)
-    elif bool(late.any()):
-        found[late] = solved(times, *_of(late, parameters, designs))
     lost = torch.isnan(found)
     near = torch.where(lost, about, found)[..., None] + _CLOSE * about[:, None]
     return torch.where(lost, torch.nan, solved(near))
@@ -350,9 +345,7 @@ def _simulated_collapses(
 def _interpolated_collapses(
     simulator: Simulator, parameters: Tensor, designs: Tensor, about: Tensor, bundled: bool
 ) -> Tensor:
-    """The same, interpolated between designs; of gels without a collapse at some of the nodes alone
-    every design is simulated.
-    """
+    """The same, interpolated between designs where every gel collapses at all nodes or at none."""
     places = torch.stack((designs[..., 0].log(), designs[..., 1]), -1)
     steps = torch.tensor(_STEPS, dtype=torch.float64)
     low = torch.floor(places.reshape(-1, 2).amin(0) / steps) * steps
@@ -360,23 +353,11 @@ def _interpolated_collapses(
     angles = [torch.pi * (torch.arange(n, dtype=torch.float64) + 0.5) / n for n in _NODES]
     nodes = low + half + half * torch.cartesian_prod(*(x.cos() for x in angles))
     nodes[:, 0] = nodes[:, 0].exp()
-    moved = torch.zeros(1, dtype=torch.bool)
-    if bundled:  # members of which only the design is moved share the bubbles of the leader
-        moved = (parameters != parameters[..., :1, :]).any(-1)
-        moved = moved.reshape(-1, moved.shape[-1]).any(0)
-    if bool(moved.any()):
-        moved[0] = True
-        rows = torch.where(moved, moved.cumsum(0) - 1, 0)
-        middle = about.mean().expand(len(nodes))
-        times = _simulated_collapses(simulator, parameters[..., moved, :], nodes, middle, True)
-        times = times[..., rows, :]
-    else:
-        flat = parameters.reshape(-1, parameters.shape[-1])
-        gels, rows = torch.unique(flat, dim=0, return_inverse=True)
-        times = _collapses_at(simulator, *map(_frozen, (gels, nodes)), float(about.mean()))
-        times = times[rows].reshape(*parameters.shape[:-1], -1)
-    lost = times.isnan().any(-1) & ~times.isnan().all(-1)
-    if bundled and bool(lost.any()):
+    gels, rows = _distinct_gels(parameters, bundled)
+    middle = about.mean().expand(len(nodes))
+    times = _simulated_collapses(simulator, gels, nodes, middle, bundled)[..., rows, :]
+    lost = times.isnan()
+    if bool((lost.any(-1) & ~lost.all(-1)).any()):
         return _simulated_collapses(simulator, parameters, designs, about, bundled)
     across = ((places - low) / half - 1.0).clamp(-1.0, 1.0).acos()
     weights = []
@@ -384,34 +365,22 @@ def _interpolated_collapses(
         degrees = torch.arange(len(angle), dtype=torch.float64)
         to_nodes = torch.linalg.inv(torch.cos(degrees * angle[:, None]))
         weights.append(torch.cos(degrees * across[..., axis, None]) @ to_nodes)
-    found = torch.einsum("...ei,...ej,...ij->...e", *weights, times.unflatten(-1, _NODES))
-    lost = lost.expand(found.shape[:-1])
-    if bool(lost.any()):
-        found[lost] = _simulated_collapses(
-            simulator, *_of(lost, parameters, designs), about, bundled
+    return torch.einsum("...ei,...ej,...ij->...e", *weights, times.unflatten(-1, _NODES))
+
+
+def _distinct_gels(parameters: Tensor, bundled: bool) -> tuple[Tensor, Tensor]:
+    """Gels to be simulated, and which of them each member has: members of a bundle of which only
+    the design is moved share the bubbles of the leader, draws of one gel each other's.
+    """
+    if not bundled:
+        gels, rows = torch.unique(
+            parameters.reshape(-1, parameters.shape[-1]), dim=0, return_inverse=True
         )
-    return found
-
-
-@lru_cache(maxsize=4)  # of the same draws nuisances are fitted, then drawn
-def _collapses_at(simulator: Simulator, gels: bytes, nodes: bytes, about: float) -> Tensor:
-    """Collapse times of gels at nodes, both as bytes."""
-    parameters, designs = (
-        torch.frombuffer(bytearray(x), dtype=torch.float64) for x in (gels, nodes)
-    )
-    designs = designs.unflatten(0, (-1, 2))
-    parameters = parameters.unflatten(0, (-1, len(PARAMETERS.names)))
-    times = designs.new_full((len(designs),), about)
-    return _simulated_collapses(simulator, parameters, designs, times, False)
-
-
-def _frozen(values: Tensor) -> bytes:
-    return values.contiguous().numpy().tobytes()
-
-
-def _of(rows: Tensor, parameters: Tensor, designs: Tensor) -> tuple[Tensor, Tensor]:
-    """Gels and designs of some members of a batch."""
-    return parameters.expand(*rows.shape, -1)[rows], designs.expand(*rows.shape, -1, -1)[rows]
+        return gels, rows.reshape(parameters.shape[:-1])
+    moved = (parameters != parameters[..., :1, :]).any(-1)
+    moved = moved.reshape(-1, moved.shape[-1]).any(0)
+    moved[0] = True
+    return parameters[..., moved, :], torch.where(moved, moved.cumsum(0) - 1, 0)
 
 
 def load_collapse_times(*paths: str | Path) -> tuple[CollapseShot, ...]:

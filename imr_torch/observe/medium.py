@@ -69,6 +69,17 @@ class GelMedium:
             for name, sd in self.sds.items()
         }
 
+    @property
+    def loosened(self) -> "GelMedium":
+        """The same with :data:`UNSTATED_SDS` of what nobody stated, and no caller changed."""
+        usual = Surroundings()
+        loose = {
+            name: sd
+            for name, sd in UNSTATED_SDS.items()
+            if name in self.assumed and getattr(self.surroundings, name) == getattr(usual, name)
+        }
+        return replace(self, sds=loose | dict(self.sds))
+
     def applied(self, simulator: Simulator) -> Simulator:
         """The simulator with this medium."""
         if simulator.conditions.surroundings == self.surroundings:
@@ -190,8 +201,6 @@ def gel_medium(
     command: Statement | None = None,
     beside: Sequence[Statement] = (),
     surroundings: Surroundings | None = None,
-    *,
-    unstated: Mapping[str, float] | None = None,
 ) -> GelMedium:
     """The medium of one gel from all that was said about it.
 
@@ -199,8 +208,6 @@ def gel_medium(
         command: what the caller states; it counts first.
         beside: what the files say.
         surroundings: values of what nobody states.
-        unstated: standard deviations of such values, where they are those of :class:`Surroundings`
-            and not the caller's own; exact when not given.
 
     Raises:
         InputDataError: if files contradict each other in what the caller does not state, or water
@@ -241,14 +248,9 @@ def gel_medium(
             f"{values.far_field_pressure:.3g} Pa, so it boils; correct temperature or pressure."
         )
     order = [name for name in _FIELDS if name in found]
-    loose = {
-        name: sd
-        for name, sd in (unstated or {}).items()
-        if name not in found and getattr(base, name) == getattr(Surroundings(), name)
-    }
     return GelMedium(
         values,
-        loose | {name: sd for name in order if (sd := found[name][1]) is not None},
+        {name: sd for name in order if (sd := found[name][1]) is not None},
         {name: found[name][2] for name in order},
         tuple(dict.fromkeys(notes)),
     )
