@@ -145,7 +145,9 @@ def test_that_doubtful_results_are_compared_with_a_caution():
     found = compare(gel((0.3, 0.0), 0.1, models={"nhkv": bad}), gel((0.3, 0.0), 0.1))
     text = " ".join(found.cautions)
     assert "the fit of nhkv to gel (0.3, 0.0) has not converged" in text
-    assert "neither the Gaussian of gel (0.3, 0.0) nor its weighted draws are reliable" in text
+    assert (
+        "the intervals of gel (0.3, 0.0) are not reliable, since their computation failed" in text
+    )
     same = gel((0.3, 0.0), 0.1)
     assert "their data are not independent" in " ".join(compare(same, same).cautions)
 

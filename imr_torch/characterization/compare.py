@@ -205,10 +205,12 @@ def _cautions(a: SavedCharacterization, b: SavedCharacterization, model: str) ->
         if not result.converged(model):
             found.append(f"the fit of {model} to {name} has not converged")
         if result.verdict(model) == "refused":
-            found.append(f"neither the Gaussian of {name} nor its weighted draws are reliable")
+            found.append(
+                f"the intervals of {name} are not reliable, since their computation failed its check"
+            )
         if not result.draws(model).weighted:
             found.append(
-                f"{name} holds no weighted draws, so its Gaussian approximation is drawn from"
+                f"{name} holds no weighted draws, so that draws of its Gaussian approximation are compared"
             )
     if a.document == b.document:
         found.append("the two results are the same, so their data are not independent")

@@ -226,11 +226,11 @@ class Characterization:
             return ""
         few = self.posterior.probabilities[fit.model] < math.exp(-EFFORTS["normal"].behind)
         drawn = (
-            "few draws, since it is improbable"
+            "it has few draws, since it is improbable"
             if few
             else "curves at other designs may settle them"
         )
-        return f"; {drawn}; effort='thorough' (--effort thorough) weighs more"
+        return f"; {drawn}; more draws: --effort thorough (effort='thorough' in Python)"
 
     def to_document(
         self, command: str = "imr-torch diagnose", *, draws: int = 100, seed: int = 0

@@ -297,7 +297,7 @@ def test_that_curves_and_times_of_one_gel_tell_more_than_either() -> None:
     assert (
         both.assimilation["nhkv"].sample.noise is None
     )  # beside collapse times the noise is plugged in
-    assert "plugged in" in both.report()
+    assert "which is taken as known" in both.report()
     assert len(both.collapse_times()) == 8
     assert [e.label for e in both.experiments] == ["curve"]
     assert set(both.assimilation.rmse_by_experiment("nhkv")) == {"curve"}
