@@ -173,7 +173,7 @@ def compare(
         raise InputDataError(f"--model is {model!r}; both results have {', '.join(common)}.")
     chosen = model or max(common, key=lambda key: a.probabilities[key] * b.probabilities[key])
     draws = a.draws(chosen), b.draws(chosen, seed=1)
-    parameters = tuple(_parameter(name, *draws) for name in draws[0].names)
+    parameters = tuple(_parameter(name, *draws) for name in a.posterior[chosen].of_gel)
     value, reason = _log_bayes_factor(a, b, common if model is None else [chosen])
     cautions = tuple(_cautions(a, b, chosen))
     misfits = tuple(result.source for result in (a, b) if result.explained is False)

@@ -42,7 +42,7 @@ def population(*, verdict: str, cautions: tuple[str, ...] = ()) -> dict:
             }
         ],
         "scales": [],
-        "noise": {},
+        "noise": {"scale": 1.0},
         "draws": {
             "effective_samples": 90.0,
             "count": 100,
