@@ -152,6 +152,7 @@ def characterize(
     ...     simulator=simulator,
     ...     estimate_noise=False,
     ...     rest_radius=(0.2, 0.002),
+    ...     medium="density=1060",
     ...     options=SearchOptions(raw_samples=16, starts=2),
     ... )
     >>> [round(x, 1) for x in (result.posterior["nhkv"].means / torch.tensor([8310.0, 0.093])).tolist()]  # over the truth

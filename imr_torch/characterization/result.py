@@ -90,6 +90,7 @@ class Characterization:
     ...     simulator=simulator,
     ...     estimate_noise=False,
     ...     rest_radius=(0.2, 0.002),
+    ...     medium="density=1060",
     ...     options=SearchOptions(raw_samples=16, starts=2),
     ... )
     >>> result.posterior.keys, result.assimilation.converged, len(result.evidence)
