@@ -67,7 +67,7 @@ def characterize_stages(
     for wanted, stage in (
         (scores, Stage("scores of held-out curves", 2.0, r"^scores")),
         (True, Stage(f"fit test{figures}", 0.3, r"^fit test")),
-        (population, Stage("each shot by itself, and the population", 1.5, r"^shots: ")),
+        (population, Stage("each shot by itself, and the population", 3.0, r"^shots: ")),
         (profile, Stage("profile likelihoods, and figures", 0.5, r"^profile of")),
     ):
         stages += [stage] if wanted else []

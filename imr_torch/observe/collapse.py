@@ -350,8 +350,10 @@ def _interpolated_collapses(
     steps = torch.tensor(_STEPS, dtype=torch.float64)
     low = torch.floor(places.reshape(-1, 2).amin(0) / steps) * steps
     half = 0.5 * (torch.ceil(places.reshape(-1, 2).amax(0) / steps) * steps - low)
-    angles = [torch.pi * (torch.arange(n, dtype=torch.float64) + 0.5) / n for n in _NODES]
-    nodes = low + half + half * torch.cartesian_prod(*(x.cos() for x in angles))
+    unit = torch.cartesian_prod(
+        *(torch.cos(torch.pi * (torch.arange(n).double() + 0.5) / n) for n in _NODES)
+    )
+    nodes = low + half * (1.0 + unit)
     nodes[:, 0] = nodes[:, 0].exp()
     gels, rows = _distinct_gels(parameters, bundled)
     middle = about.mean().expand(len(nodes))
@@ -359,13 +361,14 @@ def _interpolated_collapses(
     lost = times.isnan()
     if bool((lost.any(-1) & ~lost.all(-1)).any()):
         return _simulated_collapses(simulator, parameters, designs, about, bundled)
-    across = ((places - low) / half - 1.0).clamp(-1.0, 1.0).acos()
-    weights = []
-    for axis, angle in enumerate(angles):
-        degrees = torch.arange(len(angle), dtype=torch.float64)
-        to_nodes = torch.linalg.inv(torch.cos(degrees * angle[:, None]))
-        weights.append(torch.cos(degrees * across[..., axis, None]) @ to_nodes)
-    return torch.einsum("...ei,...ej,...ij->...e", *weights, times.unflatten(-1, _NODES))
+    weights = _powers((places - low) / half - 1.0) @ torch.linalg.inv(_powers(unit))
+    return (weights * times[..., None, :]).sum(-1)
+
+
+def _powers(places: Tensor) -> Tensor:
+    """Monomials ``... x 12`` of places in the unit square, as many as there are nodes."""
+    first, second = (places[..., i, None] ** torch.arange(n) for i, n in enumerate(_NODES))
+    return (first[..., None] * second[..., None, :]).flatten(-2)
 
 
 def _distinct_gels(parameters: Tensor, bundled: bool) -> tuple[Tensor, Tensor]:

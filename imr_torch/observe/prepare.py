@@ -6,6 +6,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import torch
+
 from imr_torch.errors import InputDataError
 from imr_torch.observe.convert import to_experiment
 from imr_torch.observe.experiments import Experiment
@@ -174,13 +176,8 @@ def _thin_dense_record(
     stride = min(-(-len(trace) // most), int(widest / spacing))
     if stride < 2:
         return trace
-    ellipse = None if trace.asphericity is None else trace.asphericity[::stride]
-    return replace(
-        trace,
-        time_s=trace.time_s[::stride],
-        radius_m=trace.radius_m[::stride],
-        asphericity=ellipse,
-    )
+    frames = {name: x[::stride] for name, x in vars(trace).items() if isinstance(x, torch.Tensor)}
+    return replace(trace, **frames)
 
 
 def _first_collapse(whole: Experiment, marks: Landmarks, surroundings: Surroundings) -> float:
