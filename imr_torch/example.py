@@ -8,7 +8,7 @@ def example_gel() -> Path:
 
     The gel is neo-Hookean Kelvin-Voigt with G = 8.31 kPa and mu = 0.093 Pa s; heat and vapour
     transport, 1 us between frames, noise of 0.3 % of the maximum radius, which is 250 to 400 um. A
-    JSON file of the same name beside it gives R_inf.
+    JSON file of the same name beside it gives R_inf and the medium.
 
     Returns:
         Path of ``example_gel.csv``, with the columns ``experiment_id``, ``time_s``, ``radius_m``.

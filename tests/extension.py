@@ -179,7 +179,11 @@ def main(folder: Path) -> None:
 
     options = SearchOptions(raw_samples=48, starts=2)
     found = characterize(
-        traces, prior=wide_prior(("nhkv", "two_springs")), simulator=simulator, options=options
+        traces,
+        prior=wide_prior(("nhkv", "two_springs")),
+        simulator=simulator,
+        options=options,
+        medium="density=1060",
     )
     print("model", found.posterior.best.model, ",".join(found.posterior.best.names))
 

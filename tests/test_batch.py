@@ -26,7 +26,7 @@ from imr_torch.characterization.saved import SavedCharacterization, to_dataframe
 from imr_torch.cli import main
 from imr_torch.errors import InputDataError, UnsupportedError
 from imr_torch.material import PARAMETERS
-from imr_torch.observe import load_traces
+from imr_torch.observe import Statement, load_traces
 from imr_torch.results import document_page, header
 from imr_torch.results.intervals import plot_shots, usable
 from imr_torch.simulate import process_pool
@@ -41,6 +41,7 @@ OPTIONS = BatchOptions(
     rest_radius=(0.2, 0.002),
     estimate_noise=False,
     options=SearchOptions(raw_samples=16, starts=2),
+    medium=Statement.from_text("density=1060"),
 )
 
 
@@ -109,6 +110,7 @@ def test_that_a_result_reopens_with_its_posterior_its_draws_and_its_table(shots,
         rest_radius=OPTIONS.rest_radius,
         estimate_noise=False,
         options=OPTIONS.options,
+        medium=OPTIONS.medium,
     )
     result.save(tmp_path / "gel.json")
     assert main(["plot", str(tmp_path / "gel.json"), "--format", "png", "--quiet"]) == 0
@@ -332,7 +334,9 @@ COMMAND = [
 
 def test_that_the_command_writes_all_and_tells_of_failures(shots, tmp_path, capsys):
     out = tmp_path / "out"
-    assert main(["batch", str(shots), "--out", str(out), "--workers", "1", *COMMAND]) == 2
+    command = ["batch", str(shots), "--out", str(out), "--workers", "1", *COMMAND]
+    command += ["--medium", "density=1060"]
+    assert main(command) == 2
     captured = capsys.readouterr()
     assert "4 shot(s): 3 done, 0 not converged, 1 failed" in captured.out
     assert (
@@ -348,7 +352,7 @@ def test_that_the_command_writes_all_and_tells_of_failures(shots, tmp_path, caps
     }
     assert len(json.loads((out / "batch.json").read_text())["shots"]) == 4
     (shots / "bad.csv").unlink()
-    assert main(["batch", str(shots), "--out", str(out), "--workers", "1", *COMMAND]) == 0
+    assert main(command) == 0
     assert "3 shot(s): 3 done, 0 not converged, 0 failed" in capsys.readouterr().out
     results = [str(out / "shots" / f"gel_{i}.json") for i in (0, 2)]
     assert main(["compare", *results, "--json", str(tmp_path / "compare.json")]) == 0

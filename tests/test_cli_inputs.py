@@ -253,7 +253,7 @@ def test_that_intervals_that_draws_did_not_settle_say_what_to_do(capsys) -> None
     thorough = capsys.readouterr().out
     (line,) = (line for line in normal.splitlines() if "intervals not reliable" in line)
     assert (
-        "few draws, since it is improbable; effort='thorough' (--effort thorough) weighs more"
+        "it has few draws, since it is improbable; more draws: --effort thorough (effort='thorough' in Python)"
         in line
     )
     assert "intervals not reliable" not in thorough

@@ -13,6 +13,7 @@ import torch
 from imr_torch import PolytropicSimulator
 from imr_torch.cli import main
 from imr_torch.material import PARAMETERS
+from imr_torch.results import document_report
 from imr_torch.units import Surroundings
 
 QUICK = ["--physics", "polytropic", "--quiet"]
@@ -26,15 +27,15 @@ def keep_threads():
     torch.set_num_threads(before)
 
 
-def shot(folder: Path, medium: object = None) -> Path:
+def shot(folder: Path, medium: object = None, *, dense: Surroundings = DENSE) -> Path:
     """A curve in a gel of 1150 kg/m^3, and what the JSON beside it states."""
     simulator = PolytropicSimulator()
     times = torch.arange(1, 75, dtype=torch.float64) * 1e-6
     size = 300e-6
-    conditions = type(simulator.conditions)(surroundings=DENSE)
-    design = torch.tensor([DENSE.weber(size), 0.21], dtype=torch.float64)
+    conditions = type(simulator.conditions)(surroundings=dense)
+    design = torch.tensor([dense.weber(size), 0.21], dtype=torch.float64)
     gel = PARAMETERS.pack({"G": 8310.0, "mu": 0.093})
-    radius = type(simulator)(conditions)(gel, design, times / DENSE.time_scale(size)).radius
+    radius = type(simulator)(conditions)(gel, design, times / dense.time_scale(size)).radius
     noise = 0.003 * torch.randn(
         len(times), generator=torch.Generator().manual_seed(3), dtype=torch.float64
     )
@@ -61,7 +62,7 @@ def fit(path: Path, *more: str) -> list[str]:
     ]
 
 
-def test_that_a_stated_density_gives_the_gel_and_an_assumed_one_is_named(tmp_path, capsys) -> None:
+def test_that_a_stated_density_gives_the_gel_and_another_one_is_inferred(tmp_path, capsys) -> None:
     path = shot(tmp_path)
     result = tmp_path / "fit.json"
     page = tmp_path / "fit.html"
@@ -85,12 +86,25 @@ def test_that_a_stated_density_gives_the_gel_and_an_assumed_one_is_named(tmp_pat
     assert document["models"]["nhkv"]["intervals"]["G"][1] == pytest.approx(8310.0, rel=0.1)
     assert "density 1150 kg/m^3 (--medium)" in page.read_text()
     assert "--medium density=1150" in document["fit_test"]["command"]
-    assert main([*fit(path), "--json", str(result)]) in (0, 1)
-    assert "density was assumed 1060 kg/m^3; 3 % more would change G by" in capsys.readouterr().out
+    assert main([*fit(path), "--json", str(result), "--html", str(page)]) in (0, 1)
+    said = capsys.readouterr().out
+    assert "density was assumed 1060 +- 30 kg/m^3 and is" in said
     assumed = json.loads(result.read_text())
+    first = "Not stated, and inferred with the gel from a wide prior: density (1060 +- 30 kg/m^3)"
+    assert document_report(assumed).startswith(first)
+    assert first in page.read_text()
     assert assumed["medium"]["density"]["stated"] is False
-    assert assumed["models"]["nhkv"]["intervals"]["G"][2] < 0.6 * 8310.0
-    assert assumed["medium_sensitivities"][0]["name"] == "density"
+    assert "density" not in [found["name"] for found in assumed["medium_sensitivities"]]
+
+
+@pytest.mark.parametrize("density", [1030.0, 1100.0])
+def test_that_an_unstated_density_of_a_gel_leaves_the_truth_inside(density, tmp_path) -> None:
+    path = shot(tmp_path, dense=Surroundings(density=density))
+    main([*fit(path), "--json", str(tmp_path / "fit.json")])
+    document = json.loads((tmp_path / "fit.json").read_text())
+    low, _, high = document["models"]["nhkv+density"]["intervals"]["G"]
+    assert low < 8310.0 < high
+    assert high > 1.3 * low  # a known density gives +- 5 %
 
 
 def test_that_the_file_states_the_medium_and_the_command_counts_first(tmp_path, capsys) -> None:

@@ -40,8 +40,10 @@ def test_that_stage_step_and_time_left_are_said():
     made("assimilation: iteration 2, nhkv cost 1")
     assert (
         made.line()
-        == "characterize, stage 2 of 4, 0:20, 19 %, about 1:24 left: fit with the estimated noise (round 1 of 2), iteration 2"
+        == "characterize, stage 2 of 4, 0:20, 19 %, about 1:28 left: fit with the estimated noise (round 1 of 2), iteration 2"
     )
+    clock.now = 50.0
+    assert "about 0:58 left" in made.line()  # less, though nothing was counted meanwhile
     made("noise 0.06 x the published law")
     made("fit test: does the model explain the curves?")
     assert "stage 4 of 4, " in made.line()

@@ -376,9 +376,12 @@ class _Grid:
         sds = widths * wide / both.sqrt()
         marginal = torch.stack([one.marginal(likely[:, None])[:, 0] for one in local]).sum(0)
         value = marginal + sds.log() - 0.5 * ahead.square() / both + self.log_prior
-        too_small = log_scales + self.values[:, 2].log() < math.log(self.prior.least)
-        if not bool(too_small.all()):
-            value = torch.where(too_small, -torch.inf, value)
+        floors = self.values[:, 2]
+        least = math.log(self.prior.least) - floors.log()
+        too_small = log_scales < least
+        if bool(too_small.all()):  # only the error of the solver is left, which is nearly constant
+            log_scales, too_small = least, floors < floors.max()
+        value = torch.where(too_small, -torch.inf, value)
         return _Found(value - value.logsumexp(0), log_scales, sds)
 
     def outlier(

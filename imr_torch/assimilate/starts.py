@@ -5,6 +5,7 @@ Starts of a model are apart from each other, so that their agreement is evidence
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float
@@ -17,18 +18,26 @@ from imr_torch.assimilate.posterior import Posterior
 from imr_torch.errors import ConvergenceError, ShapeError
 from imr_torch.types import ControlMatrix, Controls
 
+ENOUGH = 8
+"""Experiments that tell good starts from bad ones, so that the choice does not cost more with more shots."""
+
 
 def best_prior_draws(
     posterior: Posterior, options: SearchOptions, source: torch.Generator
 ) -> Point:
-    """The best of many prior draws that are not neighbours of each other, by coarse bubbles.
+    """The best of many prior draws that are not neighbours of each other, by coarse bubbles of some
+    of the experiments.
 
     The prior mean is among them.
     """
     draws = torch.randn(options.raw_samples, posterior.size, generator=source, dtype=torch.float64)
     draws[0] = 0.0
-    points = Point(draws, posterior.mean_nuisances(options.raw_samples))
-    return points[_choose_distinct(posterior, draws, points, options)]
+    batch = posterior.batch
+    some = batch.experiments[:: -(-len(batch.experiments) // ENOUGH)]
+    few = replace(posterior, batch=replace(batch, experiments=some))
+    points = Point(draws, few.mean_nuisances(options.raw_samples))
+    chosen = _choose_distinct(few, draws, points, options)
+    return Point(draws[chosen], posterior.mean_nuisances(options.starts))
 
 
 def given_starts(

@@ -421,6 +421,9 @@ def _row(shot: Shot, document: Mapping[str, Any]) -> dict[str, Any]:
         "explained": {True: "yes", False: "no", None: "not tested"}[saved.explained],
         "cpu_seconds": document.get("cpu_seconds"),
     }
+    of_gel = saved.posterior.best.of_gel
     for name, (low, middle, high) in saved.intervals().items():
+        if name not in of_gel:
+            continue
         row |= {f"{name}_low": low, name: middle, f"{name}_high": high}
     return row

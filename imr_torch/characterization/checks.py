@@ -40,21 +40,14 @@ def check_data(
     """Raise unless there are as many data, and of the kind, that what is asked for needs."""
     if len(traces) == 0 and not shots:
         raise InputDataError("No curve or collapse time to characterise; load at least one.")
+    asked = "Scores hold curves out" if scores else "A population is inferred from curves"
     if shots and (scores or population):
-        asked = "Scores hold curves out" if scores else "A population is inferred from curves"
         raise InputDataError(
             f"{asked}, and {len(shots)} shot(s) of collapse times are given; leave one of the two "
             "out."
         )
-    if scores and len(traces) == 1:
-        raise InputDataError(
-            "Scores hold curves out, and there is 1; give at least two, or ask for no scores."
-        )
-    if population and len(traces) == 1:
-        raise InputDataError(
-            "A population needs several shots, and there is 1 curve; give at least two, or ask "
-            "for none."
-        )
+    if len(traces) == 1 and (scores or population):
+        raise InputDataError(f"{asked}, and there is 1; give at least two, or leave this out.")
 
 
 def check_choices(*, effort: str, frames: str, scatter_scale: float) -> None:

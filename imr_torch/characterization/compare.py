@@ -12,21 +12,20 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import torch
-from torch import Tensor
 from torch.distributions import MultivariateNormal
 
+from imr_torch.assimilate.bad_frames import LEVELS
+from imr_torch.assimilate.importance import weighted_quantiles
 from imr_torch.characterization.saved import SavedCharacterization, WeightedDraws, to_dataframe
 from imr_torch.document import header
 from imr_torch.errors import InputDataError
 from imr_torch.material import ModelBelief
+from imr_torch.population.result import DECISIVE
 from imr_torch.results import document_report
 
 if TYPE_CHECKING:
     import pandas
 
-LEVELS = (0.05, 0.5, 0.95)
-DECISIVE = math.log(10.0)
-"""Log Bayes factor, nats, from which one of the two hypotheses is called right: odds of 10 to 1."""
 CLEAR = 0.975
 """Probability from which a parameter is called larger where there is no Bayes factor."""
 
@@ -174,7 +173,7 @@ def compare(
         raise InputDataError(f"--model is {model!r}; both results have {', '.join(common)}.")
     chosen = model or max(common, key=lambda key: a.probabilities[key] * b.probabilities[key])
     draws = a.draws(chosen), b.draws(chosen, seed=1)
-    parameters = tuple(_parameter(name, *draws) for name in draws[0].names)
+    parameters = tuple(_parameter(name, *draws) for name in a.posterior[chosen].of_gel)
     value, reason = _log_bayes_factor(a, b, common if model is None else [chosen])
     cautions = tuple(_cautions(a, b, chosen))
     misfits = tuple(result.source for result in (a, b) if result.explained is False)
@@ -189,17 +188,9 @@ def _parameter(name: str, a: WeightedDraws, b: WeightedDraws) -> ParameterCompar
     difference = (first[:, None] - second).flatten()
     ratio = (first[:, None] / second).flatten()
     greater = float((weights * ((difference > 0.0).double() + 0.5 * (difference == 0.0))).sum())
-    quantiles = (*_quantiles(ratio, weights), *_quantiles(difference, weights))
-    return ParameterComparison(name, min(greater, 1.0), *quantiles)
-
-
-def _quantiles(values: Tensor, weights: Tensor) -> tuple[float, float, float]:
-    """5, 50 and 95 % quantile of weighted values."""
-    order = values.argsort()
-    below = weights[order].cumsum(0)
-    levels = torch.tensor(LEVELS, dtype=below.dtype) * below[-1]
-    low, middle, high = values[order][torch.searchsorted(below, levels)].tolist()
-    return low, middle, high
+    levels = torch.tensor(LEVELS, dtype=torch.float64)
+    quantiles = [weighted_quantiles(values, weights, levels) for values in (ratio, difference)]
+    return ParameterComparison(name, min(greater, 1.0), *torch.cat(quantiles).tolist())
 
 
 def _cautions(a: SavedCharacterization, b: SavedCharacterization, model: str) -> list[str]:
@@ -214,10 +205,12 @@ def _cautions(a: SavedCharacterization, b: SavedCharacterization, model: str) ->
         if not result.converged(model):
             found.append(f"the fit of {model} to {name} has not converged")
         if result.verdict(model) == "refused":
-            found.append(f"neither the Gaussian of {name} nor its weighted draws are reliable")
+            found.append(
+                f"the intervals of {name} are not reliable, since their computation failed its check"
+            )
         if not result.draws(model).weighted:
             found.append(
-                f"{name} holds no weighted draws, so its Gaussian approximation is drawn from"
+                f"{name} holds no weighted draws, so that draws of its Gaussian approximation are compared"
             )
     if a.document == b.document:
         found.append("the two results are the same, so their data are not independent")

@@ -156,6 +156,7 @@ def characterize(
     ...     simulator=simulator,
     ...     estimate_noise=False,
     ...     rest_radius=(0.2, 0.002),
+    ...     medium="density=1060",
     ...     options=SearchOptions(raw_samples=16, starts=2),
     ... )
     >>> [round(x, 1) for x in (result.posterior["nhkv"].means / torch.tensor([8310.0, 0.093])).tolist()]  # over the truth
@@ -178,6 +179,7 @@ def characterize(
     weights = RecordOptions() if weigh_odd_shots else ALL_ALIKE
     record = describe_record(traces, surroundings, options=weights)
     prepared = replace(prepared, experiments=record.weighted(prepared.experiments))
+    traces = prepared.traces
     data = (*prepared.experiments, *(shot.to_experiment(surroundings) for shot in shots))
     spent = EFFORTS[effort]
     if isinstance(options, SearchOptions) and options.drop_behind is not None:

@@ -6,7 +6,13 @@ from collections.abc import Sequence
 
 from imr_torch.gap import MediumSensitivity
 from imr_torch.material import ModelBelief
-from imr_torch.observe import CollapseShot, GelMedium, Statement, TraceSet, gel_medium
+from imr_torch.observe import (
+    CollapseShot,
+    GelMedium,
+    Statement,
+    TraceSet,
+    gel_medium,
+)
 from imr_torch.units import Surroundings
 
 
@@ -25,10 +31,11 @@ def medium_document(
     >>> from imr_torch.characterization import medium_document
     >>> from imr_torch.observe import gel_medium
     >>> sorted(medium_document(gel_medium(), (), wide_prior(["nhkv"])["nhkv"]))
-    ['medium', 'medium_notes', 'medium_sensitivities', 'medium_sentence']
+    ['medium', 'medium_notes', 'medium_sensitivities', 'medium_sentence', 'medium_unstated']
     """
     return {
         "medium": medium.to_dict(),
+        "medium_unstated": medium.unstated,
         "medium_sentence": medium.report().splitlines()[0],
         "medium_notes": [*medium.notes, *medium.learnt(posterior)],
         "medium_sensitivities": [entry.to_dict() for entry in found],
@@ -42,7 +49,7 @@ def medium_of(
     shots: Sequence[CollapseShot] = (),
 ) -> GelMedium:
     """The medium of curves that are fitted together: what the caller states, then their files, then
-    what is assumed.
+    what is assumed, of which the density is inferred (:data:`imr_torch.observe.UNSTATED_SDS`).
 
     Args:
         traces: the curves.
@@ -65,6 +72,7 @@ def medium_of(
     command = Statement.from_text(medium, "medium") if isinstance(medium, str) else medium
     said = [*(trace.given.stated for trace in traces), *(shot.stated for shot in shots)]
     beside = [statement for statement in said if statement is not None]
-    return gel_medium(
+    found = gel_medium(
         command, list({repr(statement): statement for statement in beside}.values()), surroundings
     )
+    return found.loosened if len(traces) or shots else found

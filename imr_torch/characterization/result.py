@@ -91,6 +91,7 @@ class Characterization:
     ...     simulator=simulator,
     ...     estimate_noise=False,
     ...     rest_radius=(0.2, 0.002),
+    ...     medium="density=1060",
     ...     options=SearchOptions(raw_samples=16, starts=2),
     ... )
     >>> result.posterior.keys, result.assimilation.converged, len(result.evidence)
@@ -228,11 +229,11 @@ class Characterization:
             return ""
         few = self.posterior.probabilities[fit.model] < math.exp(-EFFORTS["normal"].behind)
         drawn = (
-            "few draws, since it is improbable"
+            "it has few draws, since it is improbable"
             if few
             else "curves at other designs may settle them"
         )
-        return f"; {drawn}; effort='thorough' (--effort thorough) weighs more"
+        return f"; {drawn}; more draws: --effort thorough (effort='thorough' in Python)"
 
     def to_document(
         self, command: str = "imr-torch diagnose", *, draws: int = 100, seed: int = 0

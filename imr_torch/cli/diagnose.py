@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> None:
         else ()
     )
     document = to_json(report, parts, simulator=simulator) | {"record": record.to_dict()}
-    print(describe(document))
+    print("\n\n".join(filter(None, (medium.unstated, describe(document)))))
     said = (*medium.learnt(report.null.posterior), *(found.sentence() for found in assumed))
     print(
         "\n"

@@ -51,18 +51,23 @@ def characterize_stages(
     >>> [stage.name for stage in characterize_stages(1)]
     ['fit of all models', 'fit with the estimated noise, and draws', 'fit test and figures']
     """
-    # measured on the example gel: a first fit takes a sixth of all, each later one, which ends more
-    # precisely, a third
-    stages = [Stage("fit of all models" + ("" if noise_rounds else ", and draws"), 0.5)]
+    # measured on the example gel, with one model and three, and on long records
+    stages = [
+        Stage(
+            "fit of all models" + ("" if noise_rounds else ", and draws"),
+            0.5 if noise_rounds else 2.0,
+        )
+    ]
     for number in range(1, noise_rounds + 1):
         again = f" (round {number} of {noise_rounds})" if noise_rounds > 1 else ""
         draws = ", and draws" if number == noise_rounds else ""
-        stages.append(Stage(f"fit with the estimated noise{again}{draws}", 1.0, r"^noise "))
+        share = 1.5 if number == noise_rounds else 0.4
+        stages.append(Stage(f"fit with the estimated noise{again}{draws}", share, r"^noise "))
     figures = "" if population or profile else " and figures"
     for wanted, stage in (
         (scores, Stage("scores of held-out curves", 2.0, r"^scores")),
-        (True, Stage(f"fit test{figures}", 0.1, r"^fit test")),
-        (population, Stage("each shot by itself, and the population", 1.5, r"^shots: ")),
+        (True, Stage(f"fit test{figures}", 0.3, r"^fit test")),
+        (population, Stage("each shot by itself, and the population", 3.0, r"^shots: ")),
         (profile, Stage("profile likelihoods, and figures", 0.5, r"^profile of")),
     ):
         stages += [stage] if wanted else []
@@ -128,6 +133,7 @@ class Terminal:
             self.at = 0
             self.step = ""
             self.part = 0.0
+            self.counted = 0.0
             self.started = self.said = self.clock()
             self._said_stage = -1
             self._begun = True
@@ -158,8 +164,9 @@ class Terminal:
             parts.append(f"stage {self.at + 1} of {len(self.stages)}")
         parts.append(_clock(elapsed))
         if done >= _EARLY:
-            left = _clock(elapsed * (1.0 - done) / done)
-            parts.append(f"{100 * done:.0f} %, about {left} left")
+            # since the last step that counts the time left has become less
+            left = self.counted / done - elapsed
+            parts.append(f"{100 * done:.0f} %, about {_clock(max(left, 0.0))} left")
         stage = self.stages[self.at].name if self.stages else ""
         doing = ", ".join(filter(None, (stage, self.step)))
         return ", ".join(parts) + (f": {doing}" if doing else "")
@@ -174,6 +181,7 @@ class Terminal:
 
     def _read(self, text: str) -> None:
         """Take stage and step from a reported line."""
+        before = self._done()
         following = range(self.at + 1, len(self.stages))
         new = next((i for i in following if re.search(self.stages[i].begins, text)), None)
         if new is not None:
@@ -188,6 +196,8 @@ class Terminal:
             self.step = step[0]
         elif new is None:
             self.step = text.partition(":")[0][:40]
+        if self._done() != before:
+            self.counted = self.clock() - self.started
 
     def _log(self) -> None:
         """A line for a log: when the stage has changed, else seldom."""

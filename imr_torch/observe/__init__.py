@@ -5,7 +5,7 @@ from imr_torch.observe.convert import to_experiment
 from imr_torch.observe.experiments import Experiment, ExperimentBatch, Film, predict
 from imr_torch.observe.laboratory import SimulatedLaboratory
 from imr_torch.observe.landmarks import Landmarks, find_landmarks
-from imr_torch.observe.medium import GelMedium, gel_medium
+from imr_torch.observe.medium import UNSTATED_SDS, GelMedium, gel_medium
 from imr_torch.observe.noise import Noise
 from imr_torch.observe.noise_laws import NoiseLaws, noise_sentences
 from imr_torch.observe.nuisance import NUISANCES, Nuisance, displaced
@@ -37,6 +37,7 @@ __all__ = [
     "NUISANCES",
     "READERS",
     "SUFFIXES",
+    "UNSTATED_SDS",
     "CollapseShot",
     "CollapseTime",
     "Experiment",

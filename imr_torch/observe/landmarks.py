@@ -331,7 +331,8 @@ def _fit_start(curve: _Curve) -> _Extreme | None:
     parameters. What another window changes is added to the standard deviations.
     """
     top = curve.top
-    spacing = curve.spacing
+    near = curve.time[curve.radius > RULES.start_windows[0] * top]
+    spacing = max(curve.spacing, float(np.ptp(near)) / 40.0)  # of dense frames, several
     fits = []
     for level in RULES.start_windows:
         below = np.flatnonzero(curve.radius < level * top)

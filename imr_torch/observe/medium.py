@@ -2,8 +2,9 @@
 and assumed ones.
 
 What the command (or the caller) states counts before what the file says, a value before a name, and
-what nobody states is assumed. A value with a standard deviation is a
-parameter of the fit, the same for all shots, with that prior (:mod:`imr_torch.simulate.medium`).
+what nobody states is assumed. A value with a standard deviation is a parameter of the fit, the same
+for all shots, with that prior (:mod:`imr_torch.simulate.medium`). Where curves are fitted, a density
+that nobody states has such a prior too (:data:`UNSTATED_SDS`).
 
 A stated temperature changes the vapour pressure and the conduction of heat in the bubble, and the
 density, sound speed and surface tension of a *named* medium; values that were stated or assumed
@@ -24,6 +25,9 @@ from imr_torch.simulate import Simulator
 from imr_torch.simulate.conditions import saturation_pressure
 from imr_torch.simulate.medium import OF_MEDIUM
 from imr_torch.units import Surroundings
+
+UNSTATED_SDS: Mapping[str, float] = {"density": 30.0}
+"""Field -> standard deviation, SI, of what nobody states: with 1060 kg/m^3, nine gels of ten between 1010 and 1110."""
 
 _NAME_OF = {entry.field: name for name, entry in PROPERTIES.items()}
 
@@ -65,6 +69,17 @@ class GelMedium:
             for name, sd in self.sds.items()
         }
 
+    @property
+    def loosened(self) -> "GelMedium":
+        """The same with :data:`UNSTATED_SDS` of what nobody stated, and no caller changed."""
+        usual = Surroundings()
+        loose = {
+            name: sd
+            for name, sd in UNSTATED_SDS.items()
+            if name in self.assumed and getattr(self.surroundings, name) == getattr(usual, name)
+        }
+        return replace(self, sds=loose | dict(self.sds))
+
     def applied(self, simulator: Simulator) -> Simulator:
         """The simulator with this medium."""
         if simulator.conditions.surroundings == self.surroundings:
@@ -85,6 +100,21 @@ class GelMedium:
         return beside(
             part,
             {name: prior for name, prior in self.priors.items() if name not in part.material.names},
+        )
+
+    @property
+    def unstated(self) -> str:
+        """What is inferred beside the gel since nobody stated it, in a sentence; empty where nothing
+        is.
+        """
+        values = [
+            f"{label(name)} ({self.value(name)})" for name in self.sds if name in self.assumed
+        ]
+        if not values:
+            return ""
+        return (
+            f"Not stated, and inferred with the gel from a wide prior: {', '.join(values)}. Measure "
+            "it and state it (--medium density=VALUE:SD): intervals become narrower."
         )
 
     def value(self, name: str) -> str:
@@ -122,15 +152,13 @@ class GelMedium:
             before = sd / stated
             expected = math.sqrt(max(before**2 - after**2, (least * before) ** 2))
             shift = float(posterior.means[column]) / expected
-            doubt = (
-                "; the curves contradict what was stated, or the model lacks something"
-                if abs(shift) > contradicts
-                else ""
-            )
+            said = "stated" if name in self.sources else "assumed"
+            doubt = f"; the curves contradict what was {said}, or the model lacks something"
             lines.append(
-                f"{label(name)} was stated {stated:.4g} +- {sd:.2g} "
-                f"{PROPERTIES[_NAME_OF[name]].unit} and is {middle:.4g} "
-                f"(90 %: {low:.4g} to {high:.4g}) with the curves{doubt}."
+                f"{label(name)} was {said} {self.value(name)} and is {middle:.4g} "
+                f"(90 %: {low:.4g} to {high:.4g}) with the curves"
+                + doubt * (abs(shift) > contradicts)
+                + "."
             )
         return tuple(lines)
 

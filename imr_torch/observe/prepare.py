@@ -6,6 +6,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import torch
+
 from imr_torch.errors import InputDataError
 from imr_torch.observe.convert import to_experiment
 from imr_torch.observe.experiments import Experiment
@@ -32,6 +34,7 @@ class Prepared:
         first_collapses: their dimensionless times; infinite where a record holds none.
         assumed: whether the rest radius is the caller's, not the record's.
         cautions: what is unusual about them, a sentence each.
+        traces: the records, dense ones without the frames that were thinned out.
 
     >>> import torch
     >>> from imr_torch.observe import RadiusTrace, TraceSet, prepare
@@ -48,6 +51,7 @@ class Prepared:
     first_collapses: dict[str, float]
     assumed: bool
     cautions: tuple[str, ...]
+    traces: TraceSet
 
     def report(self, *, frames: bool = True) -> str:
         """A line a curve: Rmax, R_inf*, We, how each was found, and how many ``frames`` will be
@@ -85,15 +89,19 @@ def prepare(
     *,
     collapses: int = 2,
     rest_radius: tuple[float, float] | None = None,
+    most_frames: int = 1000,
 ) -> Prepared:
     """Dimensionless experiments of a set of traces, cut after ``collapses`` collapses or at the
     stated end of a window.
+
+    A dense record is thinned evenly, after its landmarks were read off all its frames.
 
     Args:
         traces: the curves.
         surroundings: the liquid side, for the scales; water at 1 atm by default.
         collapses: collapses that the window holds.
         rest_radius: assumed R_inf/Rmax and its standard deviation, for records that do not hold it.
+        most_frames: of one record; no frame is left out that would leave a gap of t* = 0.02.
 
     Raises:
         InputDataError: for a curve that no bubble has (:mod:`imr_torch.observe.plausibility`), a
@@ -122,10 +130,18 @@ def prepare(
     frames = {}
     firsts = {}
     outer = surroundings or Surroundings()
-    for trace in traces:
-        name = trace.experiment_id
+    kept = []
+    for record in traces:
+        name = record.experiment_id
         marks = landmarks[name]
-        cautions += check_maximum(trace, marks, outer)
+        cautions += check_maximum(record, marks, outer)
+        trace = _thin_dense_record(record, outer.time_scale(marks.max_radius_m), most_frames)
+        kept.append(trace)
+        if len(trace) < len(record):
+            cautions.append(
+                f"{len(trace)} of the {len(record)} frames of '{name}' are used, evenly spread: "
+                "so many more would change little."
+            )
         whole = to_experiment(trace, marks, outer, rest_radius=rest_radius)
         first = _first_collapse(whole, marks, outer)
         cautions += check_experiment(whole, trace.where, first=first)
@@ -140,8 +156,28 @@ def prepare(
     cautions += _find_outvoting_curve(experiments)
     cautions += () if rest_radius else _name_unused_rest_radii(traces, landmarks)
     return Prepared(
-        tuple(experiments), landmarks, frames, firsts, rest_radius is not None, tuple(cautions)
+        tuple(experiments),
+        landmarks,
+        frames,
+        firsts,
+        rest_radius is not None,
+        tuple(cautions),
+        replace(traces, traces=tuple(kept)),
     )
+
+
+def _thin_dense_record(
+    trace: RadiusTrace, time_scale: float, most: int, *, widest: float = 0.02
+) -> RadiusTrace:
+    """Every n-th frame of a record of more than ``most`` frames, none further apart than ``widest``
+    in t*.
+    """
+    spacing = float(trace.time_s.diff().median()) / time_scale
+    stride = min(-(-len(trace) // most), int(widest / spacing))
+    if stride < 2:
+        return trace
+    frames = {name: x[::stride] for name, x in vars(trace).items() if isinstance(x, torch.Tensor)}
+    return replace(trace, **frames)
 
 
 def _first_collapse(whole: Experiment, marks: Landmarks, surroundings: Surroundings) -> float:

@@ -248,7 +248,7 @@ class Population:
         if rough:
             said.append(
                 f"the likelihood of {', '.join(rough)} is not well described by a smooth function "
-                "of the gel."
+                "of the gel, so that what it adds here is rough."
             )
         if not self.found.reliable:
             said.append(

@@ -94,6 +94,7 @@ def fit_shots(
     options = options or _OPTIONS
     current = None
     fits = []
+    steps = (rounds + 2) * len(labels)  # fits of every round, then draws
     for number in range(rounds + 1):
         last = number == rounds
         how = options if last else replace(options, gradient=_GRADIENT, agreement=_AGREEMENT)
@@ -107,9 +108,8 @@ def fit_shots(
                 assimilate(belief, batch, simulator, seed=own, options=how, near=before, warn=False)
             )
             if progress:
-                progress(
-                    f"shots: {experiment.label}, {len(found)}/{len(labels)}, round {number + 1}"
-                )
+                done = number * len(labels) + len(found)
+                progress(f"shots: {experiment.label}, {done}/{steps}, round {number + 1}")
         fits = found
         if not last:
             current = shared_noise(fits, law, simulator, widen=number + 1 == rounds)
@@ -119,7 +119,8 @@ def fit_shots(
     for fit, label in zip(fits, labels, strict=True):
         weighted.append(weigh(fit, simulator, seed=child(seed, "weigh", label), samples=samples))
         if progress:
-            progress(f"draws: {label}, {len(weighted)}/{len(labels)}, {weighted[-1].fits[0].trust}")
+            done = steps - len(labels) + len(weighted)
+            progress(f"draws: {label}, {done}/{steps}, {weighted[-1].fits[0].trust}")
     return tuple(weighted)
 
 

@@ -93,6 +93,7 @@ def test_that_a_stated_exposure_brings_the_fit_to_the_truth():
             rest_radius=(0.2, 0.002),
             options=SearchOptions(raw_samples=16, starts=2),
             check=False,
+            medium="density=1060",
         )
         found[stated] = result.assimilation.rmse("nhkv")
     assert found[exposure * SCALE] < 0.0013

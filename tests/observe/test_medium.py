@@ -37,6 +37,22 @@ def test_that_a_stated_temperature_moves_a_named_medium_and_no_assumed_value() -
     assert gel_medium(text("temperature=320")).surroundings.density == Surroundings().density
 
 
+def test_that_a_density_is_loose_where_curves_are_fitted_and_nobody_stated_or_chose_it() -> None:
+    time = torch.linspace(0.0, 60e-6, 61, dtype=torch.float64)
+    curves = TraceSet((RadiusTrace("a", time, 200e-6 * (0.6 + 0.4 * torch.cos(2e5 * time)), "a"),))
+    assert medium_of(curves).sds == {"density": 30.0}
+    assert "density (1060 +- 30 kg/m^3)" in medium_of(curves).unstated
+    chosen = Surroundings(density=998.0)
+    for exact in (
+        medium_of(curves, "density=1060"),
+        medium_of(curves, "water"),
+        medium_of(curves, None, chosen),
+        medium_of(TraceSet(())),
+    ):
+        assert not exact.sds
+        assert not exact.unstated
+
+
 def test_that_standard_deviations_are_priors_of_the_logarithm_in_every_model() -> None:
     belief = gel_medium(text("density=1000:20,pressure=101325:500")).believed(
         wide_prior(["newtonian", "nhkv"])

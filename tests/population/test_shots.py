@@ -69,3 +69,15 @@ def test_that_the_noise_is_that_of_a_misfit_where_the_model_misses_the_shots(mis
     )
     noise = fits[0].batch.noise
     assert (noise.widened > 1.5) == missed
+
+
+def test_that_the_steps_are_counted_over_all_rounds_and_draws() -> None:
+    simulator = PolytropicSimulator()
+    laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack({"G": 7e3, "mu": 0.09}), repeats=1)
+    design = torch.tensor([400.0, 0.22]).double()
+    shots = [laboratory.shoot(design, seed=i, label=f"shot {i}") for i in range(2)]
+    said: list[str] = []
+    prior = wide_prior(["nhkv"])["nhkv"]
+    fit_shots(prior, shots, simulator, rounds=1, samples=64, progress=said.append)
+    counted = [line.split(", ")[1] for line in said if line.startswith(("shots: ", "draws: "))]
+    assert counted == ["1/6", "2/6", "3/6", "4/6", "5/6", "6/6"]

@@ -46,6 +46,7 @@ def fitted(records: TraceSet, models=("nhkv",)) -> Characterization:
         simulator=SIMULATOR,
         rest_radius=(0.2, 0.002),
         options=SearchOptions(raw_samples=32, starts=3),
+        medium="density=1060",
         seed=1,
     )
 

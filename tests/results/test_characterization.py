@@ -108,7 +108,7 @@ def test_that_the_drawn_curve_goes_through_the_predictions(result, document):
 def test_that_the_header_names_schema_software_units_and_medium(document):
     assert document["schema"] == {"name": "imr_torch characterize", "version": 1}
     assert set(document["software"]) == {"imr_torch", "torch", "python"}
-    density = {"value": 1060.0, "unit": "kg/m^3", "sd": None, "stated": False, "source": "assumed"}
+    density = {"value": 1060.0, "unit": "kg/m^3", "sd": None, "stated": True, "source": "medium"}
     assert document["medium"]["density"] == density
     assert document["units"]["*_s"] == "s"
     assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00", document["created"])

@@ -140,7 +140,7 @@ def test_that_the_command_writes_report_json_figure_and_page(
 
 def test_that_a_population_of_one_curve_is_refused(monkeypatch) -> None:
     with pytest.raises(
-        InputDataError, match="A population needs several shots, and there is 1 curve"
+        InputDataError, match="A population is inferred from curves, and there is 1"
     ):
         characterize(traces(("a",)), simulator=SIMULATOR, population=True)
     monkeypatch.setattr("imr_torch.characterization.checks.MOST", 2)

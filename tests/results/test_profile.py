@@ -21,6 +21,8 @@ from tests.figures import rendering
 from tests.results.documents import SIMULATOR, traces
 
 QUICK = [
+    "--medium",
+    "density=1060",
     "--physics",
     "polytropic",
     "--rest-radius",
@@ -143,7 +145,11 @@ def test_that_a_profile_of_models_with_one_parameter_is_refused_before_any_fit(
         match="needs a model with two free parameters or more, and newtonian has one",
     ):
         characterize(
-            traces(("a",)), prior=wide_prior(["newtonian"]), simulator=SIMULATOR, profile=True
+            traces(("a",)),
+            prior=wide_prior(["newtonian"]),
+            simulator=SIMULATOR,
+            medium="density=1060",
+            profile=True,
         )
     assert (
         main(

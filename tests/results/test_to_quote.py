@@ -1,0 +1,92 @@
+"""The last sentence of a report says what may be quoted, or that nothing can be, and the page says the
+same first.
+"""
+
+import copy
+
+import pytest
+
+from imr_torch.results import document_page, document_report
+from tests.results.documents import documented, traces
+
+MISSED = {"explained": False, "sentence": "Misfit: the model does not explain the curves."}
+
+
+@pytest.fixture(scope="module")
+def found() -> dict:
+    return documented(traces(("a", "b"), noise=0.003))
+
+
+def population(*, verdict: str, cautions: tuple[str, ...] = ()) -> dict:
+    factor = {"value": 9.0, "error": 0.1, "reliable": True}
+    entry = {
+        "median": [4e3, 5e3, 6e3],
+        "next_shot": [3e3, 5e3, 7e3],
+        "scatter": [0.1, 0.2, 0.3],
+        "scatter_of": "ln G",
+        "log_bayes_factor": factor,
+    }
+    return {
+        "model": "nhkv",
+        "verdict": verdict,
+        "sentence": "The gel differs.",
+        "log_bayes_factor": factor,
+        "prior": {"kind": "half-normal", "scale": 0.3},
+        "parameters": {"G": entry},
+        "shots": [
+            {
+                "id": "a",
+                "smooth_misses": 0.1,
+                "given_all": {"G": [4e3, 5e3, 6e3]},
+                "alone": {"G": [4e3, 5e3, 6e3]},
+            }
+        ],
+        "scales": [],
+        "noise": {"scale": 1.0},
+        "draws": {
+            "effective_samples": 90.0,
+            "count": 100,
+            "pareto_k": 0.1,
+            "reliable": True,
+            "worst_error": 0.1,
+        },
+        "cautions": list(cautions),
+    }
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({}, "Quote for NHKV: G "),
+        ({"model_probabilities": {"nhkv": 0.7}}, "say that the model has a probability of 0.70"),
+        ({"fit_test": None}, "say that it was not tested whether it explains the data"),
+        ({"medium_unstated": "Not stated."}, "say that the density was not measured"),
+        ({"fit_test": MISSED}, "Quote nothing of these curves: NHKV does not explain them"),
+        ({"converged": False}, "Quote nothing: the fit of NHKV has not converged"),
+        ({"verdict": "refused"}, "Quote nothing: the computation of the intervals of NHKV is not"),
+        ({"collapse_patterns": ["a pattern"]}, "Quote medians alone"),
+        (
+            {"fit_test": MISSED, "population": population(verdict="scatter")},
+            "Quote the population, since the shots differ and the model explains each by itself: median G 5 kPa",
+        ),
+        (
+            {
+                "fit_test": MISSED,
+                "population": population(verdict="scatter", cautions=("missed.",)),
+            },
+            "no interval holds the error of a wrong model, the population",
+        ),
+    ],
+)
+def test_that_the_last_sentence_says_what_to_quote(found: dict, change: dict, said: str) -> None:
+    document = copy.deepcopy(found)
+    model = document["models"]["nhkv"]
+    model["verdict"] = change.get("verdict", "trusted")
+    model["certificate"]["converged"] = change.get("converged", True)
+    kept = {k: v for k, v in change.items() if k not in ("verdict", "converged")}
+    if change.get("fit_test"):
+        kept["fit_test"] = document["fit_test"] | MISSED
+    document |= kept
+    last = document_report(document).splitlines()[-1]
+    assert said in last
+    assert said in document_page(document).partition("<section>")[0]
