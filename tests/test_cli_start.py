@@ -13,10 +13,9 @@ import pytest
 import imr_torch
 from imr_torch import example_gel
 from imr_torch.campaign import Journal, Optimal
-from imr_torch.characterization import EFFORTS, FRAMES
+from imr_torch.characterization import EFFORTS
 from imr_torch.cli import demo, main, parser
 from imr_torch.cli.common import METHODS, SIMULATORS
-from imr_torch.cli.design import ESTIMATORS
 from imr_torch.cli.options import COMMANDS, names
 from imr_torch.design import Strategy, Target
 from imr_torch.gap import diagnose
@@ -71,10 +70,8 @@ def test_that_the_version_is_that_of_the_package(capsys):
         (names.ENGINES, ENGINES),
         (names.METHODS, METHODS),
         (names.EFFORTS, EFFORTS),
-        (names.FRAMES, FRAMES),
         (names.TARGETS, get_args(Target)),
         (names.STRATEGIES, get_args(Strategy)),
-        (names.ESTIMATORS, ESTIMATORS),
         (
             (names.SCATTER_SCALE, names.EVALUATIONS, names.EFFECTS_ADDED),
             (SCALE, Optimal.evaluations, signature(diagnose).parameters["most"].default),

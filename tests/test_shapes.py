@@ -47,7 +47,7 @@ SLOW = (
     "are_scipys",
     "of_scipys",
     "noise_estimation",
-    "bad_frames",
+    "test_spikes",
     "profile",
     "silent_on",
     "as_often_as",

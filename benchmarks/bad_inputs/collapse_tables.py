@@ -98,7 +98,13 @@ def collapse_tables() -> Iterator[Case]:
         "times", "--rest-radius of times", (*TIMED, "--rest-radius=.2:.1"), "--rest-radius", whole
     )
     yield Case("times", "--collapses of times", (*TIMED, "--collapses=1"), "--collapses", whole)
-    yield Case("times", "--frames of times", (*TIMED, "--frames=robust"), "--frames", whole)
+    yield Case(
+        "times",
+        "--count-all-shots of times",
+        (*TIMED, "--count-all-shots"),
+        "--count-all-shots",
+        whole,
+    )
     yield Case(
         "times", "--json over the times", (*TIMED, "--json", "{here}/times.csv"), "--json", whole
     )

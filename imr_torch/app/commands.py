@@ -11,7 +11,6 @@ DEFAULTS: dict[str, Any] = {
     "physics": "transport",
     "collapses": COLLAPSES,
     "rest_radius": "",
-    "frames": "all",
     "population": False,
     "profile": False,
     "scores": False,
@@ -32,7 +31,7 @@ DEFAULTS: dict[str, Any] = {
 FORMS: dict[str, tuple[tuple[str, ...], ...]] = {
     "characterize": (
         ("experiments",),
-        ("models", "physics", "collapses", "frames"),
+        ("models", "physics", "collapses"),
         ("population", "profile", "scores"),
         ("known", "rest_radius"),
     ),
@@ -61,8 +60,8 @@ def command_arguments(
         files: what is read; how, ``layout`` says.
 
     >>> from imr_torch.app.commands import command_arguments
-    >>> command_arguments("characterize", {"frames": "robust", "profile": True}, "results/001", files=["files/gel.csv"])[:5]
-    ['characterize', 'files/gel.csv', '--frames', 'robust', '--profile']
+    >>> command_arguments("characterize", {"collapses": 1, "profile": True}, "results/001", files=["files/gel.csv"])[:5]
+    ['characterize', 'files/gel.csv', '--collapses', '1', '--profile']
     """
     words = [command, *files]
     options = [name for row in FORMS[command] for name in row]

@@ -19,7 +19,6 @@ _LABELS = {
     "models": "Candidate models",
     "physics": "Bubble physics",
     "collapses": "Collapses in the window",
-    "frames": "Single bad frames",
     "population": "does the gel differ from shot to shot?",
     "profile": "profile likelihoods",
     "scores": "predict held-out curves",
@@ -39,7 +38,6 @@ _CHOICES: dict[str, Any] = {
     "base": list(MODELS),
     "physics": list(PHYSICS),
     "target": list(TARGETS),
-    "frames": {"all": "named only", "robust": "left out of the fit"},
 }
 
 

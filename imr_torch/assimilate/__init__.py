@@ -2,7 +2,6 @@
 certificate.
 """
 
-from imr_torch.assimilate.bad_frames import BadFrame, BadFrames, find_bad_frames
 from imr_torch.assimilate.en4dvar import assimilate_en4dvar
 from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit, Verdict
 from imr_torch.assimilate.forward import ForwardModel, Point
@@ -37,8 +36,6 @@ from imr_torch.assimilate.weighing import weigh
 __all__ = [
     "NOISE_ROUNDS",
     "Assimilation",
-    "BadFrame",
-    "BadFrames",
     "Certificate",
     "DescentOptions",
     "En4DVarOptions",
@@ -65,7 +62,6 @@ __all__ = [
     "assimilate_en4dvar",
     "assimilate_estimating_noise",
     "assimilate_published",
-    "find_bad_frames",
     "infer_frame_noise",
     "noise_nodes",
     "normal_equations",

@@ -18,6 +18,7 @@ from imr_torch.assimilate.frame_noise import FrameNoisePrior, infer_frame_noise
 from imr_torch.assimilate.map_fit import assimilate
 from imr_torch.assimilate.noise_posterior import NoiseNodes
 from imr_torch.assimilate.options import En4DVarOptions, FitOptions, SearchOptions
+from imr_torch.assimilate.spikes import without_spoilt_frames
 from imr_torch.material import Belief
 from imr_torch.observe import CollapseTime, Experiment, ExperimentBatch
 from imr_torch.observe.collapse import scatter_of
@@ -95,6 +96,10 @@ def assimilate_estimating_noise(
         )
 
     result = fit_models(batch, 0, near)
+    if rounds:
+        kept = _without_spoilt_frames(result, simulator)
+        if kept is not result.batch:
+            result = fit_models(kept, 0, result)
     for number in range(1, rounds + 1):
         scattered = replace(result.batch, experiments=with_scatter(result))
         batch = with_inferred_noise(scattered, result, law, simulator, widen=number == rounds)
@@ -113,6 +118,23 @@ def _loosen_tolerances(
         gradient=max(gradient, options.gradient),
         agreement=max(agreement, options.agreement),
     )
+
+
+def _without_spoilt_frames(result: Assimilation, simulator: Simulator) -> ExperimentBatch:
+    """The batch without frames that single errors of the camera have spoilt, by the model of lowest
+    cost; the same where there are none.
+    """
+    if not bool((~result.batch.collapse).any()):
+        return result.batch
+    best, curves = result.lowest.of_curves(result.batch)
+    kept = without_spoilt_frames(best.linearise(curves, simulator))
+    if kept is curves:
+        return result.batch
+    shots = iter(kept.curves)
+    experiments = (
+        next(shots) if isinstance(e, Experiment) else e for e in result.batch.experiments
+    )
+    return replace(result.batch, experiments=tuple(experiments))
 
 
 def with_inferred_noise(

@@ -105,11 +105,7 @@ class LocalNoise:
             - self.size * log_scales
         )
         prior = 0.5 * (self.point.gel.square().sum() + self.point.nuisances.square().sum())
-        determinant = (
-            torch.linalg.slogdet(equations.reduced.hessian).logabsdet
-            + equations.reduced.nuisance_log_det
-        )
-        return likelihood - prior + 0.5 * equations.whitened_gradient.square() - 0.5 * determinant
+        return likelihood - prior + equations.log_integral
 
 
 def equations_of_columns(whitened: Tensor, gel: int) -> NormalEquations:

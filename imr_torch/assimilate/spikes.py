@@ -6,13 +6,15 @@ smooth curve does between frames.
 """
 
 import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate.posterior import Neighbourhood
-from imr_torch.observe import ExperimentBatch
+from imr_torch.observe import Experiment, ExperimentBatch
 from imr_torch.types import FrameMask
 
 
@@ -46,6 +48,42 @@ def lagrange_weights(times: Float[Tensor, "windows 5"]) -> Float[Tensor, "window
         ]
         weights[:, i] = -torch.stack(factors).prod(0)
     return weights
+
+
+def without_spoilt_frames(near: Neighbourhood) -> ExperimentBatch:
+    """The batch of a fitted point without frames that single errors of the camera have spoilt; the
+    same where there are none, and where designs are repeated, which says what is usual.
+    """
+    batch = near.posterior.batch
+    if any(e.repeats > 1 for e in batch.curves):
+        return batch
+    kept = without_spikes(near)
+    if bool((kept == batch.mask).all()):
+        return batch
+    rows = zip(batch.experiments, kept, strict=True)
+    return replace(batch, experiments=tuple(e.at(row[: len(e.times)]) for e, row in rows))
+
+
+def frames_left_out(
+    before: Sequence[Experiment], after: Sequence[Experiment]
+) -> dict[str, list[int]]:
+    """Label of a curve -> numbers of the frames that it has lost, from 0; of curves that lost some."""
+    lost = {
+        old.label: torch.nonzero(~torch.isin(old.times, new.times))[:, 0].tolist()
+        for old, new in zip(before, after, strict=True)
+    }
+    return {label: frames for label, frames in lost.items() if frames}
+
+
+def spoilt_sentence(frames: Mapping[str, Sequence[int]]) -> str:
+    """Which frames were left out (:func:`frames_left_out`), in a sentence.
+
+    >>> from imr_torch.assimilate.spikes import spoilt_sentence
+    >>> spoilt_sentence({"shot 1": [12, 40]})
+    'Frames that stand alone, far off their neighbours, were left out: 12, 40 of shot 1.'
+    """
+    parts = [f"{', '.join(map(str, numbers))} of {label}" for label, numbers in frames.items()]
+    return f"Frames that stand alone, far off their neighbours, were left out: {'; '.join(parts)}."
 
 
 def without_spikes(

@@ -19,6 +19,7 @@ from imr_torch.design import PopulationInformation
 from imr_torch.errors import InputDataError
 from imr_torch.files import without_nonfinite
 from imr_torch.material import Belief, ModelBelief
+from imr_torch.material.belief import even_belief
 from imr_torch.observe import Experiment, ExperimentBatch
 from imr_torch.population import (
     SCALE,
@@ -106,7 +107,7 @@ class PopulationLearner:
         away = drawn.weights.sqrt()[:, None] * (drawn.centre - mean)
         median = part.with_gaussian(mean, torch.linalg.cholesky(away.mT @ away))
         return Inference(
-            Belief((median,), torch.zeros(1, dtype=torch.float64)),
+            even_belief((median,)),
             noise=noise if self.noise_rounds else None,
             population=population,
             shots=problem.gaussian,

@@ -6,16 +6,15 @@ All curves are fitted together, each with its own Rmax, time zero and R_inf as n
 a table.
 """
 
-from imr_torch.assimilate.bad_frames import LEVELS, intervals
 from imr_torch.characterization.bands import predictive_band
-from imr_torch.characterization.checks import EFFORTS, FRAMES, Effort
+from imr_torch.characterization.checks import EFFORTS, Effort
 from imr_torch.characterization.infer import characterize
 from imr_torch.characterization.medium import medium_document, medium_of
 from imr_torch.characterization.result import Characterization
+from imr_torch.material.intervals import LEVELS, intervals
 
 __all__ = [
     "EFFORTS",
-    "FRAMES",
     "LEVELS",
     "Characterization",
     "Effort",

@@ -30,8 +30,6 @@ class Effort:
 
 
 EFFORTS = {"normal": Effort(4, 3.0), "thorough": Effort(8, 7.0)}
-FRAMES = ("all", "robust")
-"""What is done about single bad frames: named only, or left out too."""
 
 
 def check_data(
@@ -50,7 +48,7 @@ def check_data(
         raise InputDataError(f"{asked}, and there is 1; give at least two, or leave this out.")
 
 
-def check_choices(*, effort: str, frames: str, scatter_scale: float) -> None:
+def check_choices(*, effort: str, scatter_scale: float) -> None:
     """Raise unless each choice is a known one."""
     if not 0.0 < scatter_scale < math.inf:
         raise InputDataError(
@@ -58,8 +56,6 @@ def check_choices(*, effort: str, frames: str, scatter_scale: float) -> None:
         )
     if effort not in EFFORTS:
         raise InputDataError(f"effort is {effort!r}; expected one of {', '.join(EFFORTS)}.")
-    if frames not in FRAMES:
-        raise InputDataError(f"frames is {frames!r}; expected one of {', '.join(FRAMES)}.")
 
 
 def check_population(prior: Belief) -> None:

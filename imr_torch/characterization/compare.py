@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch.distributions import MultivariateNormal
 
-from imr_torch.assimilate.bad_frames import LEVELS
 from imr_torch.assimilate.importance import weighted_quantiles
 from imr_torch.characterization.saved import SavedCharacterization, WeightedDraws, to_dataframe
 from imr_torch.document import header
 from imr_torch.errors import InputDataError
 from imr_torch.material import ModelBelief
+from imr_torch.material.intervals import LEVELS
 from imr_torch.population.result import DECISIVE
 from imr_torch.results import document_report
 

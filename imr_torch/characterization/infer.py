@@ -10,21 +10,17 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import torch
-
 from imr_torch.assimilate import (
     NOISE_ROUNDS,
     Assimilation,
-    BadFrame,
-    BadFrames,
     FitOptions,
     ModelFit,
     SearchOptions,
     assimilate_estimating_noise,
-    find_bad_frames,
     noise_nodes,
     weigh,
 )
+from imr_torch.assimilate.spikes import frames_left_out
 from imr_torch.characterization.checks import (
     EFFORTS,
     Effort,
@@ -66,8 +62,6 @@ from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
 from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
 
-_REFITS = 3  # times that bad frames are left out and the fit repeated
-
 
 @one_torch_thread()
 def characterize(
@@ -84,7 +78,6 @@ def characterize(
     effort: str = "normal",
     medium: GelMedium | Statement | str | None = None,
     shots: Sequence[CollapseShot] = (),
-    frames: str = "all",
     weigh_odd_shots: bool = True,
     population: bool = False,
     profile: bool = False,
@@ -122,10 +115,6 @@ def characterize(
             ``estimate_noise`` a further error of their times is estimated from their scatter about
             the fit; that and, beside such shots, the noise of the curves are plugged in and not
             integrated over.
-        frames: ``"all"`` are fitted, and single ones that look bad are named; with ``"robust"``
-            these are left out and the fit repeated until none is named, three times at most; those
-            next to a collapse and runs of three or more stay in, since they are more likely a
-            misfit.
         weigh_odd_shots: whether a shot that stands out from its set by its record alone counts
             little in the fits (:meth:`imr_torch.record.Record.weighted`), or as much as the others.
         population: whether each curve is also fitted by itself, under the most probable model, and
@@ -164,7 +153,7 @@ def characterize(
     """
     started = time.process_time()
     check_data(traces, shots, scores=scores, population=population)
-    check_choices(effort=effort, frames=frames, scatter_scale=scatter_scale)
+    check_choices(effort=effort, scatter_scale=scatter_scale)
     prior = prior or wide_prior()
     if population:
         check_population(prior)
@@ -187,16 +176,10 @@ def characterize(
     rounds = NOISE_ROUNDS if estimate_noise else 0
     method = _Method(prior, simulator, rounds, options, spent, progress)
     found = method.fitted(data, None, seed)
-    bad = None
-    left_out = ()
-    refits = _REFITS if frames == "robust" else 0
-    if len(traces) and (check or refits):
-        found, bad, left_out = _without_bad_frames(
-            method, found, prepared.experiments, refits, seed
-        )
     weighted = found.assimilation
     evidence = found.evidence
     posterior = found.posterior
+    fitted = prepared.experiments
     prepared = replace(
         prepared,
         experiments=tuple(e for e in weighted.batch.experiments if isinstance(e, Experiment)),
@@ -237,8 +220,7 @@ def characterize(
         tested,
         medium,
         moved,
-        bad,
-        left_out,
+        frames_left_out(fitted, prepared.experiments),
         gels,
         followed,
         traces,
@@ -300,26 +282,6 @@ class _Method:
         return _Found(weighted, evidence, update(weighted, evidence))
 
 
-def _without_bad_frames(
-    method: _Method, found: _Found, experiments: tuple[Experiment, ...], refits: int, seed: int
-) -> tuple[_Found, BadFrames, tuple[BadFrame, ...]]:
-    """The fit repeated without single frames that look bad until none does, at most so many times.
-
-    With the frames that look bad then, and those that were left out.
-    """
-    left_out: tuple[BadFrame, ...] = ()
-    bad = find_bad_frames(*found.best, method.simulator)
-    for number in range(refits):
-        single = tuple(frame for frame in bad.frames if frame.single)
-        if not single:
-            break
-        left_out += tuple(_as_recorded(frame, experiments) for frame in single)
-        kept = _without(found.assimilation.batch.experiments, single)
-        found = method.fitted(kept, found.assimilation, child(seed, "robust", number))
-        bad = find_bad_frames(*found.best, method.simulator)
-    return found, bad, left_out
-
-
 def _scores(method: _Method, weighted: Assimilation, seed: int) -> tuple[PredictiveScore, ...]:
     """How well each model predicts curves that were held out."""
     options = method.options if isinstance(method.options, SearchOptions) else None
@@ -351,21 +313,3 @@ def _population(
         progress=method.progress,
     )
     return infer_population(alone, scale=scale, seed=seed)
-
-
-def _without(
-    experiments: tuple[Experiment | CollapseTime, ...], bad: tuple[BadFrame, ...]
-) -> tuple[Experiment | CollapseTime, ...]:
-    """Experiments without the frames that look bad."""
-    kept: list[Experiment | CollapseTime] = []
-    for experiment in experiments:
-        frames = torch.ones_like(experiment.times, dtype=torch.bool)
-        frames[[frame.frame for frame in bad if frame.experiment == experiment.label]] = False
-        kept.append(experiment.at(frames))
-    return tuple(kept)
-
-
-def _as_recorded(frame: BadFrame, experiments: tuple[Experiment, ...]) -> BadFrame:
-    """The frame with its number among all frames of the fitted window."""
-    times = next(e.times for e in experiments if e.label == frame.experiment)
-    return replace(frame, frame=int((times - frame.time).abs().argmin()))

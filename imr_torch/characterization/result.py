@@ -3,20 +3,17 @@ table and a report.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from imr_torch.assimilate import (
     Assimilation,
-    BadFrame,
-    BadFrames,
     ModelFit,
     Profile,
     Verdict,
 )
-from imr_torch.assimilate.bad_frames import intervals
 from imr_torch.characterization.bands import curves_document
 from imr_torch.characterization.checks import EFFORTS
 from imr_torch.characterization.collapse import collapse_rows, patterns
@@ -28,6 +25,7 @@ from imr_torch.files import without_nonfinite, write_json
 from imr_torch.gap import MediumSensitivity
 from imr_torch.goodness import FitTest
 from imr_torch.material import Belief
+from imr_torch.material.intervals import intervals
 from imr_torch.observe import Experiment, GelMedium, Noise, Prepared, TraceSet
 from imr_torch.observe.frames import FrameUse
 from imr_torch.population import Population
@@ -65,9 +63,8 @@ class Characterization:
             for.
         medium: the liquid side, with what was stated and what was assumed.
         sensitivities: what assumed values of the medium would change in the most probable model.
-        bad_frames: single frames that look bad under the most probable model; None where that was
-            not asked for.
-        left_out: bad frames that were left out of the fit, in the order in which they were found.
+        spoilt: label of a curve -> numbers of the frames that single errors of the camera have spoilt,
+            which are left out of the fit where the noise is inferred.
         population: how much the gel differs between curves, under the most probable model; None
             where not asked for.
         profiles: model key -> the profile likelihoods of its parameters, of models with .05 of the
@@ -108,8 +105,7 @@ class Characterization:
     fit_test: FitTest | None
     medium: GelMedium
     sensitivities: tuple[MediumSensitivity, ...]
-    bad_frames: BadFrames | None
-    left_out: tuple[BadFrame, ...]
+    spoilt: Mapping[str, Sequence[int]]
     population: Population | None
     profiles: Mapping[str, tuple[Profile, ...]] | None
     traces: TraceSet
@@ -190,8 +186,7 @@ class Characterization:
             "noise_factors": {
                 e.label: e.noise_factor for e in self.experiments if e.noise_factor != 1.0
             },
-            "bad_frames": self.bad_frames and self.bad_frames.to_dict(),
-            "frames_left_out": [vars(frame) for frame in self.left_out],
+            "frames_left_out": dict(self.spoilt),
             "frame_lines": [line for use in self.frames for line in use.lines()],
             "fit_test": tested
             and tested.to_dict() | {"command": command, "sentence": tested.sentence(command)},

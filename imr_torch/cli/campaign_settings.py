@@ -26,6 +26,7 @@ from imr_torch.cli.design import plan_of, space_of
 from imr_torch.errors import InputDataError
 from imr_torch.gap import CauseLearner, TellCausesApart
 from imr_torch.material import PARAMETERS, Belief, ReferenceCase, library, reference_case
+from imr_torch.material.belief import even_belief
 
 _LARGEST = 2.0  # scatter of a logarithm
 _CAUSE_SURE = "cause=0.9"  # when a campaign for a cause ends, if nothing else is asked for
@@ -159,7 +160,7 @@ def one_model(prior: Belief, case: ReferenceCase | None, goal: str) -> Belief:
     the only one named.
     """
     if case:
-        return Belief((prior[case.truth_model],), torch.zeros(1, dtype=torch.float64))
+        return even_belief((prior[case.truth_model],))
     if len(prior.models) > 1:
         raise InputDataError(
             f"--models names {len(prior.models)} ({', '.join(prior.keys)}); with --goal {goal} "

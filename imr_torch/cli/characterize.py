@@ -78,7 +78,6 @@ def run(args: argparse.Namespace) -> None:
         effort=args.effort,
         medium=medium,
         shots=shots,
-        frames=args.frames,
         weigh_odd_shots=not args.count_all_shots,
         population=args.population,
         scatter_scale=SCALE if args.scatter_scale is None else args.scatter_scale,
@@ -153,7 +152,7 @@ def _check_no_curves(args: argparse.Namespace, tables: Sequence[Path]) -> None:
         ("layout", args.layout is not None),
         ("rest-radius", args.rest_radius is not None),
         ("collapses", args.collapses != COLLAPSES),
-        ("frames", args.frames != "all"),
+        ("count-all-shots", args.count_all_shots),
     ):
         if given:
             raise InputDataError(

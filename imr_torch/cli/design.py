@@ -1,7 +1,6 @@
 """Runs ``imr-torch design``."""
 
 import argparse
-from collections.abc import Callable
 
 from imr_torch.campaign import Optimal
 from imr_torch.cli.common import (
@@ -18,13 +17,8 @@ from imr_torch.cli.progress import DESIGN
 from imr_torch.design import (
     DesignSpace,
     ExpectedInformationGain,
-    ImportanceSampling,
-    InformationEstimator,
     Laplace,
-    NestedMonteCarlo,
     Plan,
-    PriorContrastive,
-    PublishedEstimator,
     search_design,
 )
 from imr_torch.errors import InputDataError
@@ -38,13 +32,6 @@ _REPEATS = 10
 _MEASURED = Nuisance(
     max_radius=0.01, time_zero=0.01, rest_radius=0.03
 )  # of curves filmed in a laboratory
-ESTIMATORS: dict[str, Callable[[int], InformationEstimator]] = {
-    "laplace": Laplace,
-    "importance": ImportanceSampling,
-    "nested": NestedMonteCarlo,
-    "contrastive": PriorContrastive,
-    "paper": PublishedEstimator,
-}
 
 
 def space_of(args: argparse.Namespace) -> DesignSpace:
@@ -79,7 +66,7 @@ def run(args: argparse.Namespace) -> None:
     acquisition = ExpectedInformationGain(
         prior,
         coarser(simulator),
-        ESTIMATORS[args.estimator](args.draws),
+        Laplace(args.draws),
         target=args.target,
         plan=plan_of(args),
         space=space,

@@ -156,15 +156,10 @@ class SbiSimulator:
         )
         noise = torch.randn(shape, generator=self._source, dtype=torch.float64)
         sd = self.batch.noise.sd(clean, self.batch.times) * self.batch.noise_factors
-        seen = clean + sd * self._correlated(noise)
+        noise = self.batch.noise.correlated(noise, self.batch.times, self.batch.mask)
+        seen = clean + sd * noise
         seen = torch.where(torch.isnan(seen).flatten(1).any(1)[:, None, None], torch.nan, seen)
         return seen.flatten(1).to(self.dtype).reshape(*theta.shape[:-1], -1)
-
-    def _correlated(self, noise: Tensor) -> Tensor:
-        decorrelate = self.batch.noise.decorrelation(self.batch.times, self.batch.mask)
-        if decorrelate is None:
-            return noise
-        return torch.linalg.solve_triangular(decorrelate, noise[..., None], upper=False)[..., 0]
 
 
 def sbi_simulator(

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 from imr_torch.assimilate import ModelFit, Posterior
 from imr_torch.assimilate.frame_noise import infer_frame_noise
-from imr_torch.assimilate.spikes import without_spikes
+from imr_torch.assimilate.spikes import frames_left_out, without_spoilt_frames
 from imr_torch.errors import InputDataError
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.attribute import Inquiry
@@ -45,8 +45,8 @@ class GapReport(Finding):
         left: the gap test at that fit, with local sensitivities and what each effect changes.
         seconds: wall time.
         alone: the base model's fit of each experiment by itself, where gels may differ.
-        spoilt: label of a curve -> frames that a single error of the camera has spoilt, which are
-            left out.
+        spoilt: label of a curve -> numbers of the frames that single errors of the camera have
+            spoilt, which are left out.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator
@@ -65,7 +65,7 @@ class GapReport(Finding):
     left: Adequacy
     seconds: float
     alone: tuple[ModelFit, ...] = ()
-    spoilt: Mapping[str, int] = field(default_factory=dict)
+    spoilt: Mapping[str, Sequence[int]] = field(default_factory=dict)
 
     @property
     def gap(self) -> GapTest:
@@ -146,9 +146,8 @@ def diagnose(
     simulator = fewer_steps(simulator or TransportSimulator(accuracy=ACCURACIES["search"]))
     batch = ExperimentBatch(tuple(experiments), noise or Noise())
     null = fit_null(base, batch, simulator, seed=child(seed, "null"), progress=progress)
-    spoilt = dict[str, int]()
     if estimate_noise:
-        batch, spoilt = _without_spikes(null, base, batch, simulator)
+        batch = without_spoilt_frames(Posterior(base, batch, simulator).neighbourhood(null.point))
         null, batch = _with_inferred_noise(
             null, base, batch, simulator, seed=child(seed, "noise"), progress=progress
         )
@@ -175,24 +174,8 @@ def diagnose(
         left=left,
         seconds=time.perf_counter() - start,
         alone=alone,
-        spoilt=spoilt,
+        spoilt=frames_left_out(experiments, batch.curves),
     )
-
-
-def _without_spikes(
-    null: ModelFit, base: ModelBelief, batch: ExperimentBatch, simulator: Simulator
-) -> tuple[ExperimentBatch, dict[str, int]]:
-    """Single curves without frames that a single error of the camera has spoilt, and how many of
-    each there were.
-    """
-    if any(e.repeats > 1 for e in batch.curves):
-        return batch, {}
-    kept = without_spikes(Posterior(base, batch, simulator).neighbourhood(null.point))
-    experiments = tuple(e.at(kept[row, : len(e.times)]) for row, e in enumerate(batch.curves))
-    lost = (batch.mask & ~kept).sum(1).tolist()
-    return replace(batch, experiments=experiments), {
-        e.label: n for e, n in zip(experiments, lost, strict=True) if n
-    }
 
 
 def _with_inferred_noise(

@@ -13,12 +13,12 @@ import torch
 from imr_torch.assimilate import ModelFit, SearchOptions, assimilate
 from imr_torch.gap.hypotheses import (
     Hypothesis,
-    even_belief,
     finish,
     fit_hypotheses,
     lower,
     scatters,
 )
+from imr_torch.material.belief import even_belief
 from imr_torch.observe import NUISANCES, ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator

@@ -28,10 +28,9 @@ from imr_torch.gap.text import acts_sentence, headline, hidden_sentence, next_st
 from imr_torch.gap.verdict import VERDICT_ODDS
 from imr_torch.goodness.phases import PHASES, phase_numbers
 from imr_torch.material import LIBRARY
+from imr_torch.material.intervals import LEVELS
 from imr_torch.observe import ExperimentBatch, noise_sentences
 from imr_torch.simulate import Simulator
-
-_LEVELS = (0.05, 0.5, 0.95)
 
 
 def to_json(
@@ -172,7 +171,7 @@ def _values(report: GapReport, parts: Parts) -> dict[str, Any]:
 
 def _intervals(fit: ModelFit, names: Sequence[str]) -> dict[str, list[float]]:
     """Parameter -> 5, 50, 95 %, SI."""
-    quantiles = fit.posterior.quantile(_LEVELS)
+    quantiles = fit.posterior.quantile(LEVELS)
     return {name: quantiles[:, fit.prior.names.index(name)].tolist() for name in names}
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from imr_torch.assimilate import Assimilation, ModelFit, WeighingOptions, weigh
 from imr_torch.errors import ConvergenceError
-from imr_torch.gap.hypotheses import even_belief
+from imr_torch.material.belief import even_belief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
 

@@ -9,7 +9,7 @@ and leave out what is far behind; every fit that counts ends with the simulator 
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -21,7 +21,7 @@ from imr_torch.assimilate import Assimilation, ModelFit, Point, Posterior, Searc
 from imr_torch.assimilate.fit import NEARLY, ONE_MINIMUM, PROMISED
 from imr_torch.assimilate.starts import draw_perturbation
 from imr_torch.material import Belief, Effect, ModelBelief
-from imr_torch.material.belief import beside
+from imr_torch.material.belief import beside, even_belief
 from imr_torch.observe import NUISANCES, ExperimentBatch, Scatter
 from imr_torch.population import SCALE
 from imr_torch.random import child, generator
@@ -330,12 +330,6 @@ def _descend(
             fits[i] = _certified(fit, agreement, own) if twice else fit
         own = replace(own, rival=min(options.known_cost, *(fits[i].cost for i in places)))
     return fits
-
-
-def even_belief(models: Iterable[ModelBelief]) -> Belief:
-    """Models of equal probability."""
-    kept = tuple(models)
-    return Belief(kept, torch.zeros(len(kept), dtype=torch.float64))
 
 
 def _coarse_error(

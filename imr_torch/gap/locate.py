@@ -28,6 +28,7 @@ from imr_torch.goodness.phases import PHASES, phase_clock, phase_name, phase_num
 from imr_torch.goodness.score import BOOTSTRAP, PULSES, SHAPE, log_survival, make_block
 from imr_torch.labels import p_value
 from imr_torch.material import PARAMETERS, Effect
+from imr_torch.material.intervals import LEVELS
 from imr_torch.random import SeedLike, child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.types import Directions, FrameMask
@@ -36,7 +37,6 @@ _GRID = (0.15, 0.3, 0.5, 0.75, 0.94, 1.06, 1.25, 1.5, 1.75, 1.94, 2.06, 2.25, 2.
 _LEVEL = 0.01  # of a false onset or trend; that there is a gap at all is not decided here
 _BESIDE = 4  # designs from which on the trends in We and R_inf* are told apart
 _DRAWS = 24  # posterior draws behind the shares of phases
-_LEVELS = (0.05, 0.5, 0.95)
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ def by_experiment(
         one = replace(batch, experiments=(experiment,), between={})
         test = adequacy_test(fit, report.left.effects, one, simulator, seed=child(seed, e)).test
         p_values[experiment.label] = min(1.0, len(alone) * test.p_value)
-    quantiles = torch.stack([fit.posterior.quantile(_LEVELS) for fit in alone])
+    quantiles = torch.stack([fit.posterior.quantile(LEVELS) for fit in alone])
     trends = drifts(alone, batch.designs)
     return ByExperiment(
         p_values,
@@ -278,7 +278,7 @@ def where_it_acts(
     shares = shares[torch.isfinite(shares).all(1)]
     if not len(shares):
         return None
-    levels = shares.quantile(torch.tensor(_LEVELS, dtype=torch.float64), dim=0)
+    levels = shares.quantile(torch.tensor(LEVELS, dtype=torch.float64), dim=0)
     return dict(zip(PHASES, levels.mT.tolist(), strict=True))
 
 

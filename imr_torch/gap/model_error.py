@@ -34,10 +34,10 @@ from imr_torch.gap.verdict import NONE, OTHER, PRIOR_TWO, SLOW_NOISE
 from imr_torch.goodness.linear import Linearisation
 from imr_torch.goodness.phases import phase_clock
 from imr_torch.goodness.score import PULSES, STATE_LAW
+from imr_torch.material.intervals import LEVELS
 from imr_torch.random import child, generator
 from imr_torch.types import DrawnControls
 
-_LEVELS = (0.05, 0.5, 0.95)
 _SIZES = (1.0, 3.0)  # of what is missing, in usual sizes
 _CAMERA = 0.003  # usual size of a smooth error of the radius, in R*
 _CAMERA_TIME = 0.003  # of time, in t*
@@ -110,7 +110,7 @@ def model_error(report: GapReport, *, seed: int = 0) -> ModelError:
     for fit, moved in drawn:
         physical = fit.prior.physical(fit.prior.unwhitened(moved))
         rows.append(physical[:, [fit.prior.names.index(name) for name in names]])
-    levels = torch.tensor(_LEVELS, dtype=torch.float64)
+    levels = torch.tensor(LEVELS, dtype=torch.float64)
     columns = torch.cat(rows).quantile(levels, dim=0).mT.tolist()
     line = report.left.line
     square = float(line.residual[: line.batch.mask.numel()].square().sum())

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from imr_torch.assimilate.spikes import spoilt_sentence
 from imr_torch.gap.hypotheses import GEL_SCATTER, in_words
 from imr_torch.gap.verdict import NONE, OTHER, SLOW_NOISE
 from imr_torch.goodness.score import ADEQUATE, LEVEL
@@ -281,10 +282,7 @@ def _noise(document: Document) -> list[str]:
         for label, factor in factors.items()
     ]
     if document["frames_left_out"]:
-        counts = ", ".join(
-            f"{count} of {label}" for label, count in document["frames_left_out"].items()
-        )
-        lines.append(f"Frames that stand alone, far off their neighbours, were left out: {counts}.")
+        lines.append(spoilt_sentence(document["frames_left_out"]))
     return lines
 
 

@@ -282,6 +282,12 @@ class ModelBelief:
         return replace(self, cloud=cloud)
 
 
+def even_belief(models: Iterable[ModelBelief]) -> Belief:
+    """Models of equal probability."""
+    kept = tuple(models)
+    return Belief(kept, torch.zeros(len(kept), dtype=torch.float64))
+
+
 def beside(part: ModelBelief, priors: Mapping[str, Marginal]) -> ModelBelief:
     """A model with further parameters freed, independent of the others: effects, or properties of
     the medium.

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
-from imr_torch.types import BroadcastValues, ExperimentFrames, FrameMask, FrameValues
+from imr_torch.types import BroadcastValues, ExperimentFrames, FrameMask, Frames, FrameValues
 
 FEWEST_RESIDUALS = 10
 """Degrees of freedom that residuals must have for the noise to be estimated from them."""
@@ -132,6 +132,13 @@ class Noise:
         own = (-torch.expm1(-2.0 * gap)).rsqrt()
         return own, torch.exp(-gap) * own
 
+    def correlated(self, noise: Frames, times: ExperimentFrames, mask: FrameMask) -> Frames:
+        """Independent standard normals ``... x E x T``, correlated as the noise is."""
+        decorrelate = self.decorrelation(times, mask)
+        if decorrelate is None:
+            return noise
+        return torch.linalg.solve_triangular(decorrelate, noise[..., None], upper=False)[..., 0]
+
     def draw(
         self,
         radius: FrameValues,
@@ -142,12 +149,8 @@ class Noise:
     ) -> Float[Tensor, "repeats frames"]:
         """Noisy curves of one experiment: ``repeats x n_t`` from a true curve ``n_t``."""
         noise = torch.randn(repeats, times.shape[0], generator=generator, dtype=radius.dtype)
-        decorrelate = self.decorrelation(
-            times[None], torch.ones_like(times[None], dtype=torch.bool)
-        )
-        if decorrelate is not None:
-            noise = torch.linalg.solve_triangular(decorrelate[0], noise.mT, upper=False).mT
-        return radius + self.sd(radius, times) * noise
+        rows = self.correlated(noise[:, None], times[None], torch.isfinite(times[None]))[:, 0]
+        return radius + self.sd(radius, times) * rows
 
 
 def previous(values: Float[Tensor, "*batch frames"]) -> Float[Tensor, "*batch frames"]:

@@ -9,8 +9,6 @@ linear in the number of shots.
 from collections.abc import Sequence
 from dataclasses import replace
 
-import torch
-
 from imr_torch.assimilate import (
     NOISE_ROUNDS,
     Assimilation,
@@ -24,7 +22,8 @@ from imr_torch.assimilate import (
 )
 from imr_torch.assimilate.noise_estimation import freedom_of
 from imr_torch.errors import InputDataError
-from imr_torch.material import Belief, ModelBelief
+from imr_torch.material import ModelBelief
+from imr_torch.material.belief import even_belief
 from imr_torch.observe import Experiment, ExperimentBatch, Noise
 from imr_torch.observe.noise import FEWEST_RESIDUALS
 from imr_torch.random import child
@@ -89,7 +88,7 @@ def fit_shots(
     labels = [experiment.label for experiment in experiments]
     if not labels or len(set(labels)) < len(labels):
         raise InputDataError(f"Shots of different names are needed, got {len(labels)}: {labels}.")
-    belief = Belief((prior,), torch.zeros(1, dtype=torch.float64))
+    belief = even_belief((prior,))
     law = noise or Noise()
     options = options or _OPTIONS
     current = None

@@ -9,7 +9,7 @@ from typing import Any
 from jinja2 import UndefinedError
 
 from imr_torch import gap
-from imr_torch.assimilate import BadFrame
+from imr_torch.assimilate.spikes import spoilt_sentence
 from imr_torch.drawing import NamedFigure
 from imr_torch.errors import InputDataError, in_one_line
 from imr_torch.html import render, write
@@ -138,7 +138,7 @@ def _names(document: Mapping[str, Any]) -> dict[str, Any]:
         "material": material,
         "model_probability": model_probability,
         "Bound": Bound,
-        "BadFrame": BadFrame,
+        "spoilt_sentence": spoilt_sentence,
         "BayesFactor": BayesFactor,
         "Noise": Noise,
         "usable": usable,

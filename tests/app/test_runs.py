@@ -133,7 +133,6 @@ def test_that_a_run_that_ended_with_the_application_is_known_as_interrupted(tmp_
                 "population": True,
                 "profile": True,
                 "scores": True,
-                "frames": "robust",
             },
         ),
         (

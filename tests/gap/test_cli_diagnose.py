@@ -80,9 +80,9 @@ def test_that_single_curves_are_judged_by_the_noise_of_their_frames(single, tmp_
     said = capsys.readouterr().out
     result = json.loads(target.read_text())
     assert "negative or smaller than a camera sees" in said
-    assert "Frames that stand alone, far off their neighbours, were left out: 1 of shot 0." in said
+    assert "Frames that stand alone, far off their neighbours, were left out: 15 of shot 0." in said
     assert "Noise of single frames, inferred: " in said
-    assert result["frames_left_out"] == {"shot 0": 1}
+    assert result["frames_left_out"] == {"shot 0": [15]}
     low, middle, high = result["noise_interval"]
     assert 0.003 < low < middle < high < 0.03
     assert (result["gap"], result["verdict"], result["converged"]) == (False, "none", True)

@@ -8,7 +8,6 @@ from imr_torch.cli.options.names import (
     EFFECTS_ADDED,
     EFFORTS,
     FORMATS,
-    FRAMES,
     METHODS,
     MODELS,
     SCATTER_SCALE,
@@ -103,12 +102,6 @@ def add_characterize(parser: argparse.ArgumentParser) -> None:
         default="normal",
         help="how many posterior draws are made of a model whose first ones do not settle its "
         "intervals: up to 4 rounds (normal, default) or 8 (thorough)",
-    )
-    parser.add_argument(
-        "--frames",
-        choices=FRAMES,
-        default="all",
-        help="single bad frames are named; `robust` leaves them out of the fit too (default all)",
     )
     add_odd_shots_argument(parser)
     add_output_arguments(parser)
@@ -236,17 +229,7 @@ def add_diagnose(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--experiments", metavar="ID,...", help="use only these experiments")
     add_reading_arguments(parser)
-    parser.add_argument(
-        "--collapses",
-        action=InRange,
-        type=int,
-        help="collapses in the window of a curve (default 2)",
-    )
-    parser.add_argument(
-        "--noise",
-        choices=("estimated", "published"),
-        help="default: published for sets, estimated for curves",
-    )
+    add_window_arguments(parser, sets=True)
     parser.add_argument(
         "--most",
         action=InRange,

@@ -44,10 +44,8 @@ PHYSICS = ("polytropic", "transport")
 ENGINES = ("compiled", "torchdiffeq")
 METHODS = ("map", "en4dvar", "en4dvar-tempered")
 EFFORTS = ("normal", "thorough")
-FRAMES = ("all", "robust")
 TARGETS = ("parameters", "model", "both")
 STRATEGIES = ("qLogNEI", "qEI", "paper")
-ESTIMATORS = ("laplace", "importance", "nested", "contrastive", "paper")
 FORMATS = ("png", "pdf", "svg")
 
 DEFAULT_MODELS = "newtonian,nhkv,gen_qkv"

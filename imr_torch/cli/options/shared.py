@@ -88,20 +88,26 @@ def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_window_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options for which part of a curve is fitted, and with what noise."""
+def add_window_arguments(parser: argparse.ArgumentParser, *, sets: bool = False) -> None:
+    """Options for which part of a curve is fitted, and with what noise.
+
+    Args:
+        parser: of the command.
+        sets: whether it takes sets too, whose noise is known and whose window is their own.
+    """
     parser.add_argument(
         "--collapses",
         action=InRange,
         type=int,
-        default=COLLAPSES,
-        help="collapses in the fitted window (default %(default)s)",
+        default=None if sets else COLLAPSES,
+        help=f"collapses in the fitted window of a curve (default {COLLAPSES})",
     )
     parser.add_argument(
         "--noise",
         choices=("estimated", "published"),
-        default="estimated",
-        help="observation noise: estimated from the residuals (default), or the published law",
+        default=None if sets else "estimated",
+        help="observation noise: estimated from residuals (default of curves), or the published law"
+        + " (default of sets)" * sets,
     )
 
 

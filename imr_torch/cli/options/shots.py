@@ -5,7 +5,6 @@ function each, whose docstring is the help.
 import argparse
 
 from imr_torch.cli.options.names import (
-    ESTIMATORS,
     EVALUATIONS,
     MODELS,
     STRATEGIES,
@@ -167,12 +166,6 @@ def add_design(parser: argparse.ArgumentParser) -> None:
         choices=STRATEGIES,
         default="qLogNEI",
         help="how designs to evaluate are chosen (default qLogNEI)",
-    )
-    parser.add_argument(
-        "--estimator",
-        choices=ESTIMATORS,
-        default="laplace",
-        help="of the information gain (default laplace)",
     )
     parser.add_argument(
         "--draws",

@@ -1,0 +1,68 @@
+"""Frames that single errors of the camera have spoilt: left out where they are, no other one, under
+independent and under correlated noise.
+"""
+
+import pytest
+import torch
+
+from imr_torch.assimilate import SearchOptions, assimilate_estimating_noise
+from imr_torch.assimilate.spikes import frames_left_out
+from imr_torch.observe import Experiment, ExperimentBatch, Nuisance
+from tests.linear import CORRELATED, NOISE, LinearSimulator, prior, tensor
+
+PRIOR = prior(("nhkv",))
+PART = PRIOR.models[0]
+SIMULATOR = LinearSimulator()
+OPTIONS = SearchOptions(raw_samples=8, starts=2)
+TIMES = torch.linspace(0.05, 2.5, 60, dtype=torch.float64)
+SD = 0.05
+
+
+def film(seed: int, bad: dict[int, float], law=NOISE, repeats: int = 1) -> ExperimentBatch:
+    """One curve with errors, in standard deviations of the noise, added to some frames."""
+    source = torch.Generator().manual_seed(seed)
+    gel = torch.randn(2, generator=source, dtype=torch.float64)
+    clean = SIMULATOR(PART.to_si(gel), tensor(400.0, 0.2), TIMES).radius
+    seen = law.draw(clean, TIMES, repeats, generator=source)
+    for frame, size in bad.items():
+        seen[0, frame] += size * SD
+    nuisance = Nuisance(time_zero=0.02, rest_radius=0.02)
+    return ExperimentBatch((Experiment("a", (400.0, 0.2), TIMES, seen, nuisance),), NOISE)
+
+
+def fit(batch: ExperimentBatch, seed: int = 0, rounds: int = 2):
+    return assimilate_estimating_noise(
+        PRIOR, batch, SIMULATOR, rounds=rounds, seed=seed, options=OPTIONS, warn=False
+    )
+
+
+@pytest.mark.parametrize("law", [NOISE, CORRELATED])
+def test_that_spoilt_frames_are_left_out_and_no_other(law) -> None:
+    hits = 0
+    false = 0
+    for seed in range(10):
+        bad = {7: 14.0, 31: -16.0, 50: 20.0}
+        for errors, place in ((bad, seed), ({}, 100 + seed)):
+            batch = film(place, errors, law)
+            lost = frames_left_out(batch.curves, fit(batch, seed).batch.curves).get("a", [])
+            hits += len(set(lost) & set(errors))
+            false += len(set(lost) - set(errors))
+    assert hits >= 27  # of 30
+    assert false <= 2  # of 1170
+
+
+def test_that_the_fit_is_that_of_the_curve_without_them() -> None:
+    batch = film(3, {22: 30.0})
+    kept = torch.arange(60) != 22
+    good = ExperimentBatch((batch.curves[0].at(kept),), NOISE)
+    found = fit(batch)["nhkv"]
+    expected = fit(good)["nhkv"]
+    torch.testing.assert_close(found.mean, expected.mean, rtol=0.0, atol=1e-2)
+    torch.testing.assert_close(found.chol, expected.chol, rtol=1e-2, atol=1e-3)
+    spoilt = fit(batch, rounds=0)["nhkv"]
+    assert float((spoilt.mean - expected.mean).abs().max()) > 0.05
+
+
+def test_that_repeats_say_themselves_what_is_usual() -> None:
+    batch = film(3, {22: 30.0}, repeats=4)
+    assert len(fit(batch).batch.curves[0].times) == 60
