@@ -89,22 +89,22 @@ def spoilt_sentence(frames: Mapping[str, Sequence[int]]) -> str:
 def without_spikes(
     near: Neighbourhood,
     *,
-    spike: float = 8.0 * 1.482602,
-    around: int = 10,
+    spike: float = 6.5 * 1.482602,
+    around: int = 15,
     most: float = 0.05,
     fewest: int = 12,
 ) -> FrameMask:
     """Frames without those that single errors of the camera have spoilt.
 
     A frame is left out where the residual stands off the cubic through its neighbours by more than
-    eight times what is usual (in R* about that time, and over the law of the batch in the whole
-    curve), by more than the fitted curve bends there, and farther than any other frame; then the
-    next one is looked for.
+    6.5 standard deviations of what is usual (in R* about that time, and over the law of the batch
+    in the whole curve), by more than the fitted curve bends there, and farther than any other
+    frame; then the next one is looked for.
 
     Args:
         near: a fitted point; its batch holds curves of one repeat.
         spike: times the median distance of a frame from its neighbours, beyond which it is spoilt:
-            eight standard deviations of a Gaussian.
+            6.5 standard deviations of a Gaussian.
         around: frames on either side that say what is usual.
         most: share of the frames of a curve that may be spoilt.
         fewest: frames that a curve needs to be asked.
@@ -134,6 +134,10 @@ def without_spikes(
 
 
 def _running_median(values: Tensor, around: int) -> Tensor:
-    """Median of each value and ``around`` on either side, as many as there are; never zero."""
+    """Median of ``around`` values on either side, as many as there are, without those that a spike
+    at the value itself moves; never zero.
+    """
     padded = torch.nn.functional.pad(values, (around, around), value=math.nan)
-    return padded.unfold(0, 2 * around + 1, 1).nanmedian(1).values.clamp_min(1e-300)
+    windows = padded.unfold(0, 2 * around + 1, 1).clone()
+    windows[:, around - 2 : around + 3] = math.nan
+    return windows.nanmedian(1).values.clamp_min(1e-300)

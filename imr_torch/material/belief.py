@@ -9,7 +9,7 @@ conditioning on data keeps the form.
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -282,12 +282,6 @@ class ModelBelief:
         return replace(self, cloud=cloud)
 
 
-def even_belief(models: Iterable[ModelBelief]) -> Belief:
-    """Models of equal probability."""
-    kept = tuple(models)
-    return Belief(kept, torch.zeros(len(kept), dtype=torch.float64))
-
-
 def beside(part: ModelBelief, priors: Mapping[str, Marginal]) -> ModelBelief:
     """A model with further parameters freed, independent of the others: effects, or properties of
     the medium.
@@ -557,3 +551,9 @@ class Belief:
             return cls.from_dict(document)
         except (OSError, ValueError, RecursionError) as error:
             raise InputDataError(f"{path}: not a saved belief ({error}).") from None
+
+
+def even_belief(models: Iterable[ModelBelief]) -> Belief:
+    """Models of equal probability."""
+    kept = tuple(models)
+    return Belief(kept, torch.zeros(len(kept), dtype=torch.float64))
