@@ -54,7 +54,7 @@ def without_fits() -> Iterator[None]:
             ("imr_torch.cli.design", "search_design"),
         ):
             stack.enter_context(mock.patch.object(importlib.import_module(module), name, _stop))
-        stack.enter_context(mock.patch.object(Campaign, "learn", _stop))
+        stack.enter_context(mock.patch.object(Campaign, "learn_outstanding", _stop))
         stack.enter_context(mock.patch.object(Campaign, "ask_several", _stop))
         stack.enter_context(mock.patch.dict(METHODS, SMALL))
         yield

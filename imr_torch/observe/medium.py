@@ -164,13 +164,11 @@ class GelMedium:
 
     def report(self) -> str:
         """All values with who stated them, sources of named media, and what was stated twice."""
-        stated = [
-            f"{label(name)} {self.value(name)} ({source})" for name, source in self.sources.items()
-        ]
-        assumed = ", ".join(
-            f"{label(name)} {self.value(name)}" for name in _FIELDS if name in self.assumed
-        )
-        text = "; ".join([*stated, *([f"{assumed} (assumed)"] if assumed else [])])
+        said: dict[str, list[str]] = {}
+        for name in (*self.sources, *(name for name in _FIELDS if name in self.assumed)):
+            source = self.sources.get(name, "assumed")
+            said.setdefault(source, []).append(f"{label(name)} {self.value(name)}")
+        text = "; ".join(f"{', '.join(values)} ({source})" for source, values in said.items())
         return "\n".join([f"Medium: {text}.", *(f"  {note}" for note in self.notes)])
 
     def to_dict(self) -> dict[str, dict[str, Any]]:

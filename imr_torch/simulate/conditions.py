@@ -243,11 +243,6 @@ class Conditions:
                 "m/s."
             )
 
-    @property
-    def vapour_pressure(self) -> float:
-        """Vapour pressure over ``p_inf`` of the polytropic gas; 0 without vapour."""
-        return self.saturation if self.gas.vapour else 0.0
-
     @cached_property
     def saturation(self) -> float:
         """Saturation pressure at the far temperature over ``p_inf``."""

@@ -163,7 +163,7 @@ def test_that_the_medium_is_stated_and_a_wrong_one_refused(app: App) -> None:
     field.fill("1040")
     app.page.get_by_label("sd of density").fill("5")
     app.page.get_by_role("button", name="State it").click()
-    app.sees(re.compile(r"Medium: density 1040 \+- 5 kg/m\^3"))
+    app.sees(re.compile(r"density 1040 \+- 5 kg/m\^3"))
 
 
 def run(app: App, seconds: float = 240.0) -> None:

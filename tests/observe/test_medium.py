@@ -28,7 +28,7 @@ def test_that_a_value_counts_before_a_name_and_a_name_before_what_is_assumed() -
     assert medium.surroundings.surface_tension == water_surface_tension(310.0)
     assert medium.sds == {"density": 11.0, "temperature": 2.0}
     assert medium.assumed == ("far_field_pressure",)
-    assert "density 1125 +- 11 kg/m^3 (--medium)" in medium.report()
+    assert "density 1125 +- 11 kg/m^3, temperature 310 +- 2 K (--medium)" in medium.report()
     assert "pressure 1.013e+05 Pa (assumed)" in medium.report()
 
 

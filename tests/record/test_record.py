@@ -173,6 +173,7 @@ def test_a_bad_shot_moves_the_gel_less():
                 prior=wide_prior(["nhkv"]),
                 simulator=PolytropicSimulator(threads=1),
                 weigh_odd_shots=weigh,
+                medium="density=1060",
                 check=False,
                 seed=0,
             )

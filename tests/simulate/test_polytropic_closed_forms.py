@@ -117,7 +117,7 @@ def test_that_a_small_oscillation_has_the_linear_frequency_and_damping(
     s = conditions.surroundings
     rest = 1.0 - 1e-4
     time = s.time_scale(s.max_radius(weber))
-    gas = 1.0 + 1.0 / (weber * rest) - conditions.vapour_pressure
+    gas = 1.0 + 1.0 / (weber * rest) - conditions.saturation * conditions.gas.vapour
     c = s.sound_speed / s.velocity_scale
     cauchy = values.get("G", 0.0) / s.far_field_pressure
     k = (3.0 * conditions.gas.exponent * gas - 1.0 / (weber * rest) + 4.0 * cauchy) / rest
