@@ -45,7 +45,8 @@ def test_that_a_table_gives_result_figure_and_page(tmp_path, capsys) -> None:
     said = capsys.readouterr().out
     document = json.loads((out / "characterize.json").read_text())
     assert "13 shot(s) of which the collapse time alone is known" in said
-    assert "density 998.2 kg/m^3 (polyacrylamide" in said  # stated in the JSON beside
+    stated = said[said.index("Medium: density 998.2 kg/m^3, ") :]  # in the JSON beside
+    assert stated.index("(polyacrylamide, ") < stated.index("(assumed)")
     assert [x["id"] for x in document["collapse_times"]] == names.split(",")
     assert document["curves"] == []
     assert document["collapse_times"][0]["Rmax_m"] == pytest.approx(3.4017647e-4, rel=1e-6)
