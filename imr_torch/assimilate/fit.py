@@ -390,6 +390,7 @@ class Assimilation:
         return min(self.fits, key=lambda fit: fit.cost)
 
     def __getitem__(self, model: str) -> ModelFit:
+        self.prior[model]  # which names those that there are, if it is none of them
         return next(fit for fit in self.fits if fit.model == model)
 
     def rmse(self, model: str) -> float:

@@ -5,7 +5,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from imr_torch.assimilate import ModelFit, SearchOptions, assimilate
+from imr_torch.assimilate import Assimilation, ModelFit, SearchOptions, assimilate
+from imr_torch.errors import InputDataError
 from imr_torch.observe import ExperimentBatch, Noise, Nuisance
 from tests.linear import LinearSimulator, experiments, prior
 
@@ -54,3 +55,10 @@ def test_that_other_points_frames_and_simulators_are_simulated(
     assert _count(monkeypatch, moved, BATCH, SIMULATOR) == 1
     assert _count(monkeypatch, fit, other, SIMULATOR) == 1
     assert _count(monkeypatch, fit, BATCH, LinearSimulator()) == 1
+
+
+def test_that_an_unknown_model_is_named_with_those_that_there_are(fit: ModelFit) -> None:
+    fits = Assimilation(prior(("nhkv",)), BATCH, (fit,))
+    assert fits["nhkv"] is fit
+    with pytest.raises(InputDataError, match=r"'gen_qkv' is not part .* holds nhkv"):
+        fits["gen_qkv"]

@@ -45,7 +45,8 @@ def add_characterize(parser: argparse.ArgumentParser) -> None:
     collapse_time_sd_s, 20 ns if not given, rmax_sd_m, stretch_sd), alone or beside curves of the same
     gel. --medium states density, sound speed, surface tension, temperature and ambient pressure of the
     gel (--medium water,temperature=310,density=1125:11: with a standard deviation it is inferred beside
-    the gel); the report says what was assumed and whether that matters. All curves are taken to be of
+    the gel, as a density that nobody states is); the report says what was assumed and whether that
+    matters. All curves are taken to be of
     one gel and are fitted together; imr-torch batch --each fits every curve by itself, which shows
     whether they agree, and --population says how much the gel differs between them, by evidence. The report says whether
     the model explains the curves, which rows were left out, which frames were fitted, and why.

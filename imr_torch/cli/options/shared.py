@@ -146,7 +146,8 @@ MEDIUM_HELP = (
     "the medium: a name and values in SI, each with an optional standard deviation, for example "
     "water,temperature=310,density=1125:11 (properties density, sound_speed, surface_tension, "
     "temperature, pressure; names "
-    f"{', '.join(MEDIA)}); what is not stated is assumed"
+    f"{', '.join(MEDIA)}); a density that is not stated is inferred with the gel of curves (1060 +- 30 "
+    "kg/m^3), what else is not stated is assumed"
 )
 
 
