@@ -69,9 +69,8 @@ class Record:
     def weighted(self, experiments: Iterable[Experiment]) -> tuple[Experiment, ...]:
         """The shots as a fit takes them.
 
-        One that stands out counts as often as it is probably like the others: at the maximum of a
-        mixture of good and odd shots each counts so (Dempster, Laird & Rubin, J. R. Stat. Soc. B
-        39, 1977).
+        One that stands out counts next to nothing (``RecordOptions.odd_weight``): in a mixture of
+        good and odd shots the others say what the gel is.
         """
         weights = {shot.label: shot.weight for shot in self.shots}
         return tuple(replace(e, weight=weights.get(e.label, 1.0)) for e in experiments)
@@ -213,7 +212,7 @@ def _with_odd(shots: list[ShotRecord], options: RecordOptions) -> list[ShotRecor
             shot,
             odd=float(odd),
             odd_in=tuple(name for name, p in chances.items() if p[i] > 0.5 * _STANDS_OUT),
-            weight=max(1.0 - float(odd), options.least_weight) if odd > _STANDS_OUT else 1.0,
+            weight=options.odd_weight if odd > _STANDS_OUT else 1.0,
         )
         for i, (shot, odd) in enumerate(zip(shots, whole, strict=True))
     ]
