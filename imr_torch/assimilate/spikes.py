@@ -82,8 +82,8 @@ def spoilt_sentence(frames: Mapping[str, Sequence[int]]) -> str:
     >>> spoilt_sentence({"shot 1": [12, 40]})
     'Frames that stand alone, far off their neighbours, were left out: 12, 40 of shot 1.'
     """
-    parts = [f"{', '.join(map(str, numbers))} of {label}" for label, numbers in frames.items()]
-    return f"Frames that stand alone, far off their neighbours, were left out: {'; '.join(parts)}."
+    parts = "; ".join(f"{', '.join(map(str, x))} of {label}" for label, x in frames.items())
+    return f"Frames that stand alone, far off their neighbours, were left out: {parts}."
 
 
 def without_spikes(

@@ -165,8 +165,9 @@ def characterize(
         check_profile(prior)
     surroundings = simulator.conditions.surroundings
     prepared = prepare(traces, surroundings, collapses=collapses, rest_radius=rest_radius)
-    weights = RecordOptions() if weigh_odd_shots else ALL_ALIKE
-    record = describe_record(traces, surroundings, options=weights)
+    record = describe_record(
+        traces, surroundings, options=RecordOptions() if weigh_odd_shots else ALL_ALIKE
+    )
     prepared = replace(prepared, experiments=record.weighted(prepared.experiments))
     traces = prepared.traces
     data = (*prepared.experiments, *(shot.to_experiment(surroundings) for shot in shots))

@@ -6,13 +6,7 @@ from collections.abc import Sequence
 
 from imr_torch.gap import MediumSensitivity
 from imr_torch.material import ModelBelief
-from imr_torch.observe import (
-    CollapseShot,
-    GelMedium,
-    Statement,
-    TraceSet,
-    gel_medium,
-)
+from imr_torch.observe import CollapseShot, GelMedium, Statement, TraceSet, gel_medium
 from imr_torch.units import Surroundings
 
 

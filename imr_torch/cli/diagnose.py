@@ -50,8 +50,9 @@ def run(args: argparse.Namespace) -> None:
         experiments = _named(experiments, args.experiments, "--experiments")
     labels = [experiment.label for experiment in experiments]
     chosen = [trace for trace in traces if trace.experiment_id in labels]
-    weights = ALL_ALIKE if args.count_all_shots else RecordOptions()
-    record = describe_record(chosen, medium.surroundings, options=weights)
+    record = describe_record(
+        chosen, medium.surroundings, options=ALL_ALIKE if args.count_all_shots else RecordOptions()
+    )
     experiments = list(record.weighted(experiments))
     held_out = [] if args.heldout is None else _named(experiments, args.heldout, "--heldout")
     fitted = [e for e in experiments if e not in held_out]

@@ -215,7 +215,7 @@ def _phase_residual(fit: ModelFit, batch: ExperimentBatch) -> list[list[float | 
     where a phase has no frames.
     """
     phase = phase_numbers(batch.times, fit.prediction, batch.mask)
-    noise = batch.sd(fit.prediction) / batch.counts.sqrt()
+    noise = batch.of_frames.sd(fit.prediction) / batch.counts.sqrt()
     square = torch.where(batch.mask, ((batch.mean - fit.prediction) / noise).square(), 0.0)
     columns = []
     for number in range(len(PHASES)):
@@ -238,7 +238,7 @@ def _curves(report: GapReport, simulator: Simulator | None) -> list[dict[str, An
         for name, (hypothesis, fit) in fits.items()
         if simulator is not None
     }
-    noise = batch.sd(report.null.prediction) / batch.counts.sqrt()
+    noise = batch.of_frames.sd(report.null.prediction) / batch.counts.sqrt()
     rows = []
     for e, experiment in enumerate(batch.experiments):
         seen = batch.mask[e]

@@ -273,13 +273,15 @@ class ExperimentBatch:
 
     @property
     def of_frames(self) -> "ExperimentBatch":
-        """The same data with the noise of single frames, where fits were made with that of all that
-        they leave.
+        """The same data with the noise of single frames, in shots of any weight, where fits were
+        made with that of all that they leave.
         """
-        if self.noise_laws is None or self.noise_laws.frames is None:
-            return replace(self, noise=self.noise.of_frames)
-        frames = self.noise_laws.frames
-        return replace(self, noise=frames.laws[int(frames.weights.argmax())], noise_laws=frames)
+        shots = tuple(
+            replace(e, weight=1.0) if isinstance(e, Experiment) else e for e in self.experiments
+        )
+        laws = self.noise_laws and self.noise_laws.frames
+        noise = laws.laws[int(laws.weights.argmax())] if laws else self.noise.of_frames
+        return replace(self, experiments=shots, noise=noise, noise_laws=laws or self.noise_laws)
 
     def log_noise_ratios(
         self,

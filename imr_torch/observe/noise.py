@@ -149,8 +149,8 @@ class Noise:
     ) -> Float[Tensor, "repeats frames"]:
         """Noisy curves of one experiment: ``repeats x n_t`` from a true curve ``n_t``."""
         noise = torch.randn(repeats, times.shape[0], generator=generator, dtype=radius.dtype)
-        rows = self.correlated(noise[:, None], times[None], torch.isfinite(times[None]))[:, 0]
-        return radius + self.sd(radius, times) * rows
+        noise = self.correlated(noise[:, None], times[None], torch.isfinite(times[None]))[:, 0]
+        return radius + self.sd(radius, times) * noise
 
 
 def previous(values: Float[Tensor, "*batch frames"]) -> Float[Tensor, "*batch frames"]:

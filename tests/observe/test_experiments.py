@@ -518,3 +518,13 @@ def test_that_slopes_of_the_likelihood_are_as_large_as_the_weight(
 def test_that_an_impossible_weight_is_refused(weight: float) -> None:
     with pytest.raises(InputDataError, match="weight"):
         replace(shots()[0], weight=weight)
+
+
+def test_that_figures_show_the_noise_of_frames_whatever_a_shot_counts() -> None:
+    """A shot that counts little is not drawn as if its camera were thirty times as noisy."""
+    first, *others = shots()
+    plain = ExperimentBatch((first, *others))
+    counted = ExperimentBatch((replace(first, weight=0.001), *others))
+    at = prediction()
+    torch.testing.assert_close(counted.of_frames.sd(at), plain.sd(at), rtol=0.0, atol=0.0)
+    assert float(counted.sd(at)[0, 0] / plain.sd(at)[0, 0]) == pytest.approx(1e3**0.5)
