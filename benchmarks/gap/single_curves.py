@@ -1,6 +1,6 @@
 """Single curves whose noise must be inferred: false gaps, the noise, names of causes, intervals.
 
-  python -m benchmarks.gap.single_curves run OUT.jsonl [--sets 275] [--only published,slow]
+  python -m benchmarks.gap.single_curves run OUT.jsonl [--sets 275] [--seed 74000] [--only published,slow]
   python -m benchmarks.gap.single_curves labelled FOLDER OUT.jsonl [--stated]
   python -m benchmarks.gap.single_curves table OUT.jsonl ...
 
@@ -58,6 +58,7 @@ TRUTH = TransportSimulator(accuracy=SHARP, threads=1)
 FITS = TransportSimulator(accuracy=ACCURACIES["search"], threads=1)
 BASE = wide_prior(("nhkv",)).models[0]
 SHOTS = 3
+SEED = 74000
 LENGTH = 4.0
 _DENSE = 801
 ALL = "all but slow and gels"
@@ -124,12 +125,14 @@ NOISES = {
 }
 
 
-def simulate_set(number: int, kind: str, *, stated: bool) -> tuple[TraceSet, list[Noise], Line]:
+def simulate_set(
+    number: int, kind: str, *, stated: bool, seed: int = SEED
+) -> tuple[TraceSet, list[Noise], Line]:
     """Three curves of a random gel, the law of each one's noise, and the truth.
 
     What cannot be simulated is drawn again.
     """
-    source = generator(child(73000, "single curves", kind, number))
+    source = generator(child(seed, "single curves", kind, number))
     names = list(LIBRARY)
     times = torch.linspace(0.0, LENGTH, _DENSE, dtype=torch.float64)
     blank = torch.ones(1, _DENSE, dtype=torch.float64)
@@ -275,9 +278,9 @@ def characterize_traces(traces: TraceSet, truth: Line, seed: int) -> Line:
     }
 
 
-def judge_simulated(number: int, kind: str, *, stated: bool, fit: bool) -> Line:
+def judge_simulated(number: int, kind: str, *, stated: bool, fit: bool, seed: int) -> Line:
     """The line of a simulated set; with ``fit`` it is characterised too."""
-    traces, laws, truth = simulate_set(number, kind, stated=stated)
+    traces, laws, truth = simulate_set(number, kind, stated=stated, seed=seed)
     line = diagnose_traces(f"{kind}/{number}", traces, laws, truth)
     if fit and "refused" not in line:
         line |= characterize_traces(traces, truth, number)
@@ -300,7 +303,7 @@ def list_jobs(args: argparse.Namespace) -> Mapping[str, Job]:
         kind = kinds[place]
         fit = kind not in ("effect", "slow", "gels") and args.every and turn % args.every == 0
         jobs[f"{kind}/{number}"] = partial(
-            judge_simulated, number, kind, stated=args.stated, fit=bool(fit)
+            judge_simulated, number, kind, stated=args.stated, fit=bool(fit), seed=args.seed
         )
     return jobs
 
@@ -372,6 +375,7 @@ def main() -> None:
     commands = parser.add_subparsers(dest="what", required=True)
     runs = commands.add_parser("run", help="simulate sets and diagnose them")
     runs.add_argument("--sets", type=int, default=275)
+    runs.add_argument("--seed", type=int, default=SEED, help="other sets by another one")
     runs.add_argument("--every", type=int, default=5, help="is characterised too; 0: none")
     labelled = commands.add_parser("labelled", help="diagnose sets of a separate program")
     labelled.add_argument("folder", type=Path)
