@@ -28,6 +28,7 @@ STAGES = (
     "design",
     "campaign",
     "calibration",
+    "unknown",
     "gap",
     "export",
 )

@@ -31,6 +31,7 @@ from imr_torch.material import LIBRARY
 from imr_torch.material.intervals import LEVELS
 from imr_torch.observe import ExperimentBatch, noise_sentences
 from imr_torch.simulate import Simulator
+from imr_torch.unknown import Unknown
 
 
 def to_json(
@@ -75,6 +76,7 @@ def to_json(
         **_where(parts),
         "shrinkage": parts.shrinkage and _shrinkage(parts.shrinkage, report),
         "next_design": parts.next_design and _design(parts.next_design),
+        "missing": parts.unknown and _missing(parts.unknown),
         "examined": parts.onset is not None,
         "phase_residual": {"phases": PHASES, "rows": _phase_residual(report.null, report.batch)},
         "curves": _curves(report, simulator),
@@ -207,6 +209,32 @@ def _shrinkage(found: Shrinkage, report: GapReport) -> dict[str, Any]:
         "placebo_95": found.placebo_high if shares else None,
         "placebos": len(shares),
         "word": found.word(report.adequacy_p or 0.0),
+    }
+
+
+def _missing(found: Unknown, *, thinned: int = 4) -> dict[str, Any]:
+    """Kinds and terms with their probabilities, and the missing pressure of each shot: us, kPa, 1/s."""
+    units = {
+        "t_us": ("times", 1e6),
+        "stretch": ("stretch", 1.0),
+        "rate": ("rate", 1.0),
+        "kPa": ("pressure", 1e-3),
+        "sd_kPa": ("sd", 1e-3),
+        "own_kPa": ("own_stress", 1e-3),
+    }
+    return {
+        "kind": found.kind,
+        "kinds": found.probabilities,
+        "explained_nats": found.explained,
+        "terms": found.terms,
+        "shots": [
+            {"id": shot.label}
+            | {
+                label: drawn_numbers(scale * getattr(shot, name)[::thinned])
+                for label, (name, scale) in units.items()
+            }
+            for shot in found.shots
+        ],
     }
 
 

@@ -22,9 +22,10 @@ from imr_torch.gap.shrinkage import Shrinkage, shrinkage
 from imr_torch.gap.verdict import OTHER
 from imr_torch.observe import Experiment
 from imr_torch.random import child
-from imr_torch.simulate import Simulator
+from imr_torch.simulate import Simulator, fewer_steps
 from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress
+from imr_torch.unknown import Unknown, infer_unknown
 
 _SURE = 0.95  # probability of the leading cause from which on no shot is designed
 
@@ -41,6 +42,7 @@ class Parts:
         next_design: what to shoot to tell the causes apart that are still possible.
         model_error: parameters with what the model may lack.
         hidden: what these data would not show.
+        unknown: the missing pressure, where no effect of the library is enough.
 
     >>> from imr_torch.gap import Parts
     >>> Parts().onset is None  # not run
@@ -54,6 +56,7 @@ class Parts:
     next_design: NextDesign | None = None
     model_error: ModelError | None = None
     hidden: tuple[Hidden, ...] = ()
+    unknown: Unknown | None = None
 
 
 @one_torch_thread()
@@ -112,7 +115,17 @@ def examine(
             report, simulator, judging, seed=child(seed, "shrinkage"), progress=progress
         ),
         next_design=_next(report, simulator, seed, progress),
+        unknown=_unknown(report, simulator, progress),
     )
+
+
+def _unknown(report: GapReport, simulator: Simulator, progress: Progress | None) -> Unknown | None:
+    """What the base model misses; None where causes are named."""
+    if report.verdict in ("effect", "class"):
+        return None
+    if progress:
+        progress("what is missing")
+    return infer_unknown(report.null, report.batch, fewer_steps(simulator))
 
 
 def _acts(report: GapReport, simulator: Simulator, seed: int) -> dict[str, list[float]] | None:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import SymLogNorm
 from matplotlib.figure import Figure
 
 from imr_torch.drawing import (
@@ -25,7 +26,17 @@ from imr_torch.drawing import (
     floats,
 )
 from imr_torch.gap.hypotheses import in_words
-from imr_torch.gap.text import CAUSES, CURVES, PLACE, RECORD, SHRINKS, TESTED, VERDICT, Document
+from imr_torch.gap.text import (
+    CAUSES,
+    CURVES,
+    MISSING,
+    PLACE,
+    RECORD,
+    SHRINKS,
+    TESTED,
+    VERDICT,
+    Document,
+)
 from imr_torch.goodness.score import LEVEL
 from imr_torch.labels import file_name, plain
 from imr_torch.material import PARAMETERS
@@ -71,6 +82,22 @@ def gap_figures(document: Document, *, curves: int | None = None) -> Iterator[Na
         yield from _of_place(document)
     if document["posterior"]:
         yield _of_causes(document)
+    if document["missing"]:
+        yield NamedFigure(
+            "missing",
+            "The missing pressure beside the base model's gel as fitted, with its 90 % band; "
+            "dashed: the base model's own stress.",
+            "A band over time for each shot; the sentences above give its size and kind.",
+            partial(plot_missing_pressure, document["missing"]["shots"]),
+            section=MISSING,
+        )
+        yield NamedFigure(
+            "missing states",
+            "The same over stretch and strain rate, along the paths of all shots.",
+            "Points coloured by pressure; the sentences above give its size and kind.",
+            partial(plot_missing_states, document["missing"]["shots"]),
+            section=MISSING,
+        )
     if document["shrinkage"] and document["shrinkage"]["share"]:
         yield NamedFigure(
             "shrinkage",
@@ -271,6 +298,45 @@ def plot_explained(
     texts = [f"{explained[n]:.0f}{' or more' if n in unconverged else ''}" for n in names]
     ax = _bars(ax, names, lengths, texts, [LIGHT if n in unconverged else MODEL for n in names])
     ax.set(xlabel="log evidence gained (nats)", xlim=(0.0, 1.3 * max(1.0, *lengths)))
+    return ax
+
+
+def plot_missing_pressure(
+    shots: Sequence[Mapping[str, Any]], *, most: int = 3, ax: Axes | None = None
+) -> Axes:
+    """The missing pressure of each shot over its time, with a 90 % band; linear up to 10 kPa,
+    logarithmic beyond.
+    """
+    ax = axes_or_new(ax, (6.4, 3.2))
+    for shot, color in zip(shots[:most], (MODEL, SECOND, TRUTH), strict=False):
+        t, p, sd, own = (floats(shot[name]) for name in ("t_us", "kPa", "sd_kPa", "own_kPa"))
+        ax.fill_between(t, p - 1.645 * sd, p + 1.645 * sd, color=color, alpha=0.25, lw=0)
+        ax.plot(t, p, color=color, lw=1.2, label=plain(shot["id"], 24))
+        ax.plot(t, own, color=color, lw=0.8, ls="--")
+    ax.axhline(0.0, color=DATA, lw=0.8)
+    ax.set_yscale("symlog", linthresh=10.0)
+    ax.set(xlabel="time (us)", ylabel="missing pressure (kPa)")
+    ax.legend(frameon=False, fontsize=8)
+    return ax
+
+
+def plot_missing_states(shots: Sequence[Mapping[str, Any]], *, ax: Axes | None = None) -> Axes:
+    """The missing pressure over stretch and strain rate, where the bubbles went.
+
+    Grey where it is less than 1.645 of its standard deviations: there the data do not say.
+    """
+    ax = axes_or_new(ax, (6.0, 3.6))
+    names = ("stretch", "rate", "kPa", "sd_kPa")
+    stretch, rate, p, sd = (np.concatenate([floats(s[n]) for s in shots]) for n in names)
+    sure = np.abs(p) > 1.645 * sd
+    ax.scatter(stretch[~sure], rate[~sure], s=6, color="#CCCCCC", label="not told from zero")
+    top = float(np.abs(p[sure]).max()) if sure.any() else 1.0
+    colors = {"cmap": "RdBu_r", "norm": SymLogNorm(10.0, vmin=-top, vmax=top)}
+    points = ax.scatter(stretch[sure], rate[sure], c=p[sure], s=10, **colors)
+    ax.figure.colorbar(points, ax=ax, label="missing pressure (kPa)")
+    ax.set_yscale("symlog", linthresh=1e4)
+    ax.set(xlabel="stretch $R/R_\\infty$", ylabel="strain rate $U/R$ (1/s)")
+    ax.legend(frameon=False, fontsize=8)
     return ax
 
 

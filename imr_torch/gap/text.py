@@ -10,10 +10,11 @@ from typing import Any
 
 from imr_torch.assimilate.spikes import spoilt_sentence
 from imr_torch.gap.hypotheses import GEL_SCATTER, in_words
-from imr_torch.gap.verdict import NONE, OTHER, SLOW_NOISE
+from imr_torch.gap.verdict import MEMBER, NONE, OTHER, SLOW_NOISE
 from imr_torch.goodness.score import ADEQUATE, LEVEL
 from imr_torch.labels import p_value
 from imr_torch.material import LIBRARY, PARAMETERS
+from imr_torch.unknown import NOTHING_KNOWN
 
 Document = Mapping[str, Any]
 """A diagnosis as :func:`imr_torch.gap.to_json` makes it."""
@@ -25,11 +26,20 @@ PLACE = "Where does it lie?"
 CAUSES = "Which effect causes it?"
 RECORD = "The record before any gel"
 SHRINKS = "How far does it shrink on unseen curves?"
+MISSING = "What is missing?"
 CURVES = "The curves"
 """Headings of sections in which a figure or a table stands."""
 _MOST_SHOWN = 5
 _TESTS_SHOWN = 3
 _SHARE_SHOWN = 0.15
+_TOLD_APART = 0.8  # probability of a kind or a term from which on it is said
+_KINDS = {
+    "material": "a stress of the gel, one function of stretch and strain rate in all shots",
+    "contents": "a pressure of the contents, one function of radius and velocity in all shots",
+    "drive": "a pressure of its own in each shot",
+    "sample": "the sample around the bubble: an echo of its flux, or a resistance to it",
+    "camera": "an error of the camera, of radius or time",
+}
 _ENTRIES = {
     GEL_SCATTER: "the gel differs between shots",
     NONE: "nothing is missing",
@@ -122,6 +132,7 @@ def sections(document: Document) -> list[Section]:
         Section(HIDDEN, _hidden(document)),
         Section(PLACE, _where(document), folded=not document["examined"]),
         Section(CAUSES, _causes(document), folded=no_cause),
+        Section(MISSING, _missing(document), folded=document["missing"] is None),
         Section(SHRINKS, _shrinkage(document), folded=document["shrinkage"] is None),
         Section(
             "What does it do to the parameters?",
@@ -417,6 +428,44 @@ def _checks(document: Document) -> list[str]:
         f"Evidence by importance sampling less that of the Gaussian approximation ({used}): "
         f"{', '.join(said)}."
     ]
+
+
+def _missing(document: Document) -> tuple[str, ...]:
+    """The missing pressure: its kind, its size, what it looks like."""
+    found = document["missing"]
+    if found is None:
+        if document["verdict"] in ("effect", "class"):
+            return ("Not inferred, because a cause is named.",)
+        return (
+            "Not inferred, because no gap was found." if not document["gap"] else "Not inferred.",
+        )
+    kinds = sorted(found["kinds"].items(), key=lambda item: -item[1])
+    kind, share = kinds[0]
+    told = share >= _TOLD_APART
+    said = f"Most like {_KINDS[kind]} (probability {share:.2f}"
+    if not told:
+        others = "; ".join(f"{_KINDS[name]}, {p:.2f}" for name, p in kinds[1:] if p > MEMBER)
+        said = f"These data do not tell its kind: {_KINDS[kind]}, {share:.2f}; {others}"
+    sentences = [
+        said + (f" of {len(kinds)} kinds)." if told else "."),
+        f"It explains the curves {found['explained_nats']:.0f} nats better than the base model.",
+    ]
+    shots = found["shots"]
+    if kind != "camera":
+        largest = max(abs(p) for shot in shots for p in shot["kPa"])
+        own = max(abs(p) for shot in shots for p in shot["own_kPa"])
+        sentences.append(
+            f"The missing pressure is up to {largest:.3g} kPa, where the base model's stress is up "
+            f"to {own:.3g} kPa."
+        )
+    if found["terms"]:
+        term, p = next(iter(found["terms"].items()))
+        sentences.append(
+            f"It looks like {term} (probability {p:.2f})."
+            if term != NOTHING_KNOWN and p >= _TOLD_APART
+            else "No plain term looks like it."
+        )
+    return tuple(sentences)
 
 
 def _shrinkage(document: Document) -> tuple[str, ...]:

@@ -154,6 +154,7 @@ def answered(document: dict, answer: str, shared: str, *, helps: bool | None) ->
         "parameter_shift": document["parameter_shift"] if named else None,
         "cause_values": document["cause_values"] if cause == ["sound_speed"] and named else None,
         "gels": {"G": [6e3, 8e3, 11e3]} if "gel_scatter" in parts else None,
+        "missing": None if named else document["missing"],
     }
     return made | {"headline": headline(made), "next_step": next_step(made)}
 
@@ -190,6 +191,10 @@ def contradictions(document: dict) -> list[str]:
         "a likely effect beside other is not said": verdict == "other"
         and "slow_noise" not in members
         and in_head != likely,
+        "something is missing beside a named cause": named and document["missing"] is not None,
+        "what is missing is not said": verdict == "other"
+        and document["missing"] is not None
+        and "better than the base model" not in text,
         "closed by what is not named": "the gap is closed" in text and verdict == "other",
         "a shot that is not designed": ("Shoot We" in document["next_step"])
         != bool(document["next_design"] and document["next_design"]["helps"]),

@@ -1,0 +1,232 @@
+"""Is the missing pressure right? Sets whose effect no model holds, and sets where nothing is missing.
+
+  python -m benchmarks.gap.unknown run OUT.jsonl [--sets 40] [--physics transport] [--seed 0]
+  python -m benchmarks.gap.unknown table OUT.jsonl
+
+Each effect of the library acts in turn; the base model alone is fitted, and what it misses is
+inferred without the library. A kind is right if it is that of the effect's place: effects of the gel
+and drags of the wall are a stress (the drag that sound between walls makes is one of the sample as
+well), those of the gas a pressure of the contents, those of the drive a pressure in time, those of the
+measurement the camera's; other effects of the liquid have no kind, and count as told apart wrongly
+where one is sure. For stress laws the true missing pressure is known: the stress of the true law less
+that of the fitted base model, along the true bubble, with the law's memory integrated there. It is
+compared with the inferred one where the bubble was, weighted by the inverse square of the stated
+error (correlation) or by its own square (share inside the 90 % band).
+"""
+
+import argparse
+import math
+import time
+from functools import partial
+
+import torch
+from torch import Tensor
+
+from benchmarks.gap.sets import PHYSICS, SyntheticSet, Task, make_set
+from benchmarks.records import Line, read_record, run_missing_jobs, write_table
+from imr_torch.gap.hypotheses import fit_null
+from imr_torch.material import LIBRARY, PARAMETERS, TERMS, dimensionless, gel_response, wide_prior
+from imr_torch.observe import ExperimentBatch
+from imr_torch.simulate import Simulator, fewer_steps
+from imr_torch.unknown import NOTHING_KNOWN, MissingPressure, infer_unknown
+
+PLACES = {
+    "material": {"material"},
+    "gas": {"contents"},
+    "driving": {"drive"},
+    "measurement": {"camera"},
+    "geometry": {"contents", "material"},
+    "liquid": set(),
+}
+OWN_KINDS = {"size_drag": {"sample", "material"}, "energy_loss": {"material", "contents"}}
+OWN_KINDS |= {"vapour_pressure": {"contents"}, "residual_velocity": {"camera", "drive"}}
+SURE = 0.8
+_STEP = 5e-4  # of the memory of the true law, t*
+
+
+def infer_set(task: Task) -> Line:
+    """Make a set, fit the base model, infer what it misses, and compare."""
+    data = make_set(task)
+    simulator = fewer_steps(task.simulator())
+    batch = ExperimentBatch(data.experiments)
+    null = fit_null(wide_prior(("nhkv",)).models[0], batch, simulator, seed=task.seed)
+    started = time.process_time()
+    found = infer_unknown(null, batch, simulator)
+    line: Line = {"truth": data.truth, "signal": data.signal, "explained": None}
+    if found is None:
+        return line
+    line |= {
+        "kinds": found.probabilities,
+        "explained": found.explained,
+        "terms": dict(list(found.terms.items())[:3]),
+        "largest_kPa": max(float(shot.pressure.abs().max()) for shot in found.shots) / 1e3,
+        "sure_nonzero": _share_nonzero(found.shots),
+        "seconds": time.process_time() - started,
+    }
+    if data.truth and found.kind != "camera" and _is_stress(data.truth[0]):
+        fitted = null.prior.to_si(null.mean)
+        line |= compare_pressures(data, found.shots, fitted, task.simulator(fine=True))
+    return line
+
+
+def _share_nonzero(shots: tuple[MissingPressure, ...]) -> float:
+    """Share of time in which the 90 % band excludes zero."""
+    away = [(shot.pressure.abs() > 1.645 * shot.sd).double().mean() for shot in shots]
+    return float(torch.stack(away).mean())
+
+
+def _is_stress(effect: str) -> bool:
+    """Whether an effect acts by a stress term alone."""
+    own = LIBRARY[effect]
+    acts = any(set(own.names) & {term.switch, *term.names} for term in TERMS)
+    return acts and not own.physical and effect != "permanent_set"
+
+
+def compare_pressures(
+    data: SyntheticSet, shots: tuple[MissingPressure, ...], fitted: Tensor, simulator: Simulator
+) -> Line:
+    """Correlation of true and inferred missing pressure, and the share of the true one inside the
+    90 % band.
+    """
+    truths, found, sds = [], [], []
+    gel = PARAMETERS.pack(data.values)
+    for experiment, shot in zip(data.experiments, shots, strict=True):
+        times, missing = true_missing_stress(gel, fitted, experiment.design, simulator)
+        surroundings = simulator.conditions.surroundings
+        size = surroundings.max_radius(experiment.design[0])
+        seconds = times * float(surroundings.time_scale(size))
+        # as coarse in time as what is inferred
+        step = float(shot.times[1] - shot.times[0])
+        places = torch.searchsorted(seconds, shot.times).clamp_max(len(times) - 1)
+        truths.append(smooth(missing, 0.04 / (times[1] - times[0]))[places])
+        found.append(shot.pressure)
+        sds.append(shot.sd.clamp_min(1e-3 * step))
+    true, own, sd = (torch.cat(x) for x in (truths, found, sds))
+    weight = sd.square().reciprocal()
+    inside = ((true - own).abs() <= 1.645 * sd).double()
+    return {
+        "correlation": weighted_correlation(true, own, weight),
+        "inside": float((inside * true.square()).sum() / true.square().sum()),
+        "inside_plain": float(inside.mean()),
+    }
+
+
+def smooth(values: Tensor, width: float) -> Tensor:
+    """Gaussian average, ``exp(-(t/width)^2)``, widths in samples."""
+    reach = int(3.0 * width)
+    offsets = torch.arange(-reach, reach + 1, dtype=torch.float64)
+    kernel = (-(offsets / width).square()).exp()
+    padded = torch.nn.functional.pad(values[None, None], (reach, reach), mode="replicate")
+    return torch.nn.functional.conv1d(padded, (kernel / kernel.sum())[None, None])[0, 0]
+
+
+def weighted_correlation(a: Tensor, b: Tensor, weight: Tensor) -> float:
+    """Pearson's correlation."""
+    share = weight / weight.sum()
+    a = a - share @ a
+    b = b - share @ b
+    return float((share @ (a * b)) / ((share @ a.square()) * (share @ b.square())).sqrt())
+
+
+def true_missing_stress(
+    gel: Tensor, fitted: Tensor, design: tuple[float, float], simulator: Simulator
+) -> tuple[Tensor, Tensor]:
+    """Times and, in Pa, the stress of the true gel less that of a fitted one, along the true bubble."""
+    times = torch.arange(0.0, 4.0, _STEP, dtype=torch.float64)
+    solution = simulator(gel, torch.tensor(design, dtype=torch.float64), times)
+    surroundings = simulator.conditions.surroundings
+    size = surroundings.max_radius(torch.tensor(design[0], dtype=torch.float64))
+    rest = torch.tensor(design[1], dtype=torch.float64)
+    true, base = (
+        stress_along(dimensionless(x, size, surroundings), solution.radius, solution.velocity, rest)
+        for x in (gel, fitted)
+    )
+    return times, surroundings.far_field_pressure * (true - base)
+
+
+def stress_along(
+    theta: dict[str, Tensor], radius: Tensor, velocity: Tensor, rest: Tensor
+) -> Tensor:
+    """Stress over p_inf of all terms that act, their memory by Heun's method."""
+    terms = [term for term in TERMS if bool(theta[term.switch] != 0.0)]
+    memory = torch.cat([term.memory_start(rest, theta) for term in terms])
+    if not len(memory):
+        return gel_response(terms, radius, velocity, rest, theta, memory)[0].value
+    states = [memory]
+    for k in range(len(radius) - 1):
+        _, rate = gel_response(terms, radius[k], velocity[k], rest, theta, memory)
+        ahead = memory + _STEP * rate
+        _, later = gel_response(terms, radius[k + 1], velocity[k + 1], rest, theta, ahead)
+        memory = memory + 0.5 * _STEP * (rate + later)
+        states.append(memory)
+    held = torch.stack(states, -1)
+    return gel_response(terms, radius, velocity, rest, theta, held)[0].value
+
+
+def kinds_of(effect: str) -> set[str]:
+    """Kinds that are right for an effect."""
+    return OWN_KINDS.get(effect, PLACES[LIBRARY[effect].place])
+
+
+def write_scores(lines: list[Line]) -> str:
+    """Figures of a record in Markdown."""
+    acting = [x for x in lines if x["truth"] and x["explained"] is not None]
+    strong = [x for x in acting if max(x["signal"].values()) > 8.0]
+    quiet = [x for x in lines if not x["truth"] and x["explained"] is not None]
+    sure = [x for x in acting if max(x["kinds"].values()) > SURE and x["explained"] > 3.0]
+    right = [x for x in sure if max(x["kinds"], key=x["kinds"].get) in kinds_of(x["truth"][0])]
+    compared = [x for x in strong if "inside" in x and not math.isnan(x["correlation"])]
+    named = [(x, *next(iter(x["terms"].items()))) for x in acting if x["terms"]]
+    named = [(x, name) for x, name, p in named if p > SURE and name != NOTHING_KNOWN]
+
+    def middle(name: str) -> str:
+        values = sorted(x[name] for x in compared)
+        return f"{values[len(values) // 2]:.2f} ({len(values)})" if values else "-"
+
+    rows = [
+        ("sets with an effect; of more than 8 sd", f"{len(acting)}; {len(strong)}"),
+        ("one kind has P > .8 (of those above 8 sd)", f"{sum(x in sure for x in strong)}"),
+        ("of all such, the kind is right", f"{len(right)} of {len(sure)}"),
+        ("correlation of true and inferred pressure, median", middle("correlation")),
+        ("true pressure inside the 90 % band, signal-weighted, median", middle("inside")),
+        ("the same, by time", middle("inside_plain")),
+        ("plain terms named with P > .8", ", ".join(f"{x['truth'][0]}: {n}" for x, n in named)),
+        (
+            "nothing missing: explained more than 3 nats; time that excludes zero, mean",
+            f"{sum(x['explained'] > 3.0 for x in quiet)} of {len(quiet)}; "
+            f"{sum(x['sure_nonzero'] for x in quiet) / max(len(quiet), 1):.3f}",
+        ),
+    ]
+    return write_table(("figure", "found"), rows)
+
+
+def main() -> None:
+    """Run or tabulate."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    commands = parser.add_subparsers(dest="what", required=True)
+    runs = commands.add_parser("run", help="simulate sets and infer what is missing")
+    runs.add_argument("out", metavar="OUT.jsonl")
+    runs.add_argument("--sets", type=int, default=40)
+    runs.add_argument("--physics", choices=PHYSICS, default="transport")
+    runs.add_argument("--seed", type=int, default=0)
+    runs.add_argument("--workers", type=int, default=1)
+    table = commands.add_parser("table", help="score the lines of runs")
+    table.add_argument("files", nargs="+", metavar="OUT.jsonl")
+    args = parser.parse_args()
+    if args.what == "table":
+        lines = read_record(*args.files)
+    else:
+        kinds = ("withheld", "withheld", "none")
+        tasks = [
+            Task(kinds[n % 3], 3, 10, args.physics, args.seed + n, nuisances=True)
+            for n in range(args.sets)
+        ]
+        jobs = {task.key: partial(infer_set, task) for task in tasks}
+        lines = run_missing_jobs(args.out, jobs, workers=args.workers)
+    print(write_scores(lines))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,481 @@
+"""What is missing in a model, inferred from its misfit: which kind of unknown, the missing pressure,
+and which known term looks like it.
+
+About a fit of the base model each kind of unknown (:mod:`imr_torch.unknown.kinds`) is fitted beside
+gel and nuisances by Gauss-Newton: the curves are linear in the weights given the trajectory, which is
+simulated again under the pressure that was found. Its evidence, averaged over its size, gives the
+kind's probability; a function of the gel's state must explain all shots at once, a pressure of each
+shot's own need not, and pays for that. The missing pressure is shown beside the base model's gel as it
+was fitted (Plumlee, J. Am. Stat. Assoc. 112, 2017, asks for what the base model cannot absorb). Plain
+terms are then tried in place of the function, about the same trajectory.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from imr_torch.assimilate import ModelFit
+from imr_torch.observe import ExperimentBatch
+from imr_torch.simulate import Simulator
+from imr_torch.types import Controls, Values
+from imr_torch.unknown.kinds import (
+    Columns,
+    camera_errors,
+    contents_scale,
+    contents_state,
+    flux_kernel,
+    function_of_state,
+    function_of_time,
+    material_scale,
+    material_state,
+)
+from imr_torch.unknown.shot import Path, Response, Shot
+
+CAMERA = "camera"
+NOTHING_KNOWN = "nothing known"
+TERMS: Mapping[str, Callable[[Path], Tensor]] = {
+    "constant pressure": lambda path: torch.ones_like(path.radius),
+    "viscous, U/R": lambda path: path.rate,
+    "drag, R U": lambda path: path.size * path.radius * path.velocity,
+    "drag, R^2 U": lambda path: (path.size * path.radius).square() * path.velocity,
+    "drag, U": lambda path: path.velocity,
+    "quadratic drag, U|U|": lambda path: path.velocity * path.velocity.abs(),
+    "quadratic viscosity, (U/R)|U/R|": lambda path: path.rate * path.rate.abs(),
+    "yield stress, sign U": lambda path: torch.tanh(path.velocity / 0.02),
+    "spring, R/R_inf": lambda path: path.radius / path.rest_radius,
+    "stiffening, (R/R_inf)^2": lambda path: (path.radius / path.rest_radius).square(),
+    "compression, (R_inf/R)^4": lambda path: (path.rest_radius / path.radius) ** 4,
+    "contents, their own pressure": lambda path: path.contents,
+    "softening with strain": lambda path: path.own_stress * path.strain,
+}
+"""Plain terms that an unknown pressure is compared with, each with one size for all shots."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class UnknownOptions:
+    """How an unknown is inferred.
+
+    Args:
+        sizes: of what may be missing, over its usual size; the evidence averages over them.
+        rounds: trajectories that are simulated again, at most.
+        settled: nats that a further round must gain.
+        shortest: part of a step that is tried, at least.
+        fitted_terms: plain terms that are fitted; the others are compared to first order.
+    """
+
+    sizes: tuple[float, ...] = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
+    rounds: int = 8
+    settled: float = 1.0
+    shortest: float = 0.02
+    fitted_terms: int = 3
+
+
+@dataclass(frozen=True)
+class MissingPressure:
+    """The missing pressure in one shot, beside the base model's gel as fitted.
+
+    Args:
+        label: of the shot.
+        times: s.
+        stretch: R/R_inf.
+        rate: strain rate, 1/s.
+        pressure: Pa; positive pushes the wall outwards.
+        sd: its standard deviation, Pa.
+        own_stress: the base model's own stress, Pa.
+    """
+
+    label: str
+    times: Float[Tensor, "fine"]
+    stretch: Float[Tensor, "fine"]
+    rate: Float[Tensor, "fine"]
+    pressure: Float[Tensor, "fine"]
+    sd: Float[Tensor, "fine"]
+    own_stress: Float[Tensor, "fine"]
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """What is missing.
+
+    Args:
+        probabilities: kind -> probability; the kinds are equally probable before the data.
+        explained: nats by which the most probable kind explains the data better than the base model.
+        terms: plain term, or ``"nothing known"``, -> probability; empty where the camera is most
+            probable.
+        shots: the missing pressure in each shot by the most probable kind in the equation of motion.
+    """
+
+    probabilities: dict[str, float]
+    explained: float
+    terms: dict[str, float]
+    shots: tuple[MissingPressure, ...]
+
+    @property
+    def kind(self) -> str:
+        """The most probable kind."""
+        return max(self.probabilities, key=self.probabilities.__getitem__)
+
+
+@dataclass(frozen=True)
+class _State:
+    """Gel, nuisances ``E x w``, the unknown's weights, and what they make in each shot: a pressure in
+    each pulse, or an error of the radius in each frame.
+    """
+
+    gel: Controls
+    nuisances: Float[Tensor, "experiments nuisances"]
+    weights: Float[Tensor, "weights"]
+    made: tuple[Tensor, ...]
+
+    def towards(self, other: "_State", share: float) -> "_State":
+        """A state on the way to another."""
+        made = zip(self.made, other.made, strict=True)
+        return _State(
+            torch.lerp(self.gel, other.gel, share),
+            torch.lerp(self.nuisances, other.nuisances, share),
+            torch.lerp(self.weights, other.weights, share),
+            tuple(torch.lerp(a, b, share) for a, b in made),
+        )
+
+
+@dataclass(frozen=True)
+class _System:
+    """Whitened rows of all shots and priors about a state: ``residual = fitted d + unknown w +
+    noise``, with ``w`` whole and ``d`` a change.
+    """
+
+    residual: Float[Tensor, "rows"]
+    fitted: Float[Tensor, "rows coordinates"]
+    unknown: Float[Tensor, "rows weights"]
+
+    def solve(self, sizes: Sequence[float]) -> tuple[Values, list[tuple[Tensor, Tensor]]]:
+        """Log evidence at each size, nats without the constants that all unknowns share; and each
+        size's solution, its weights at that size, with the Cholesky factor of its precision.
+        """
+        logs = []
+        solved = []
+        for size in sizes:
+            columns = torch.cat((self.fitted, size * self.unknown), 1)
+            free = torch.zeros(columns.shape[1], dtype=torch.float64)
+            free[self.fitted.shape[1] :] = 1.0
+            chol = torch.linalg.cholesky(columns.mT @ columns + free.diag())
+            seen = columns.mT @ self.residual
+            solution = torch.cholesky_solve(seen[:, None], chol)[:, 0]
+            misfit = self.residual.square().sum() - seen @ solution
+            logs.append(-chol.diagonal().log().sum() - 0.5 * misfit)
+            solved.append((solution, chol))
+        return torch.stack(logs), solved
+
+    def log_evidence(self, sizes: Sequence[float]) -> float:
+        """Nats, averaged over sizes."""
+        logs, _ = self.solve(sizes)
+        return float(logs.logsumexp(0)) - math.log(len(sizes))
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """The fit of one kind: its state, the responses there, its system and the best size."""
+
+    state: _State
+    responses: tuple[Response, ...]
+    system: _System
+    size: float
+    log_evidence: float
+
+
+def infer_unknown(
+    fit: ModelFit,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    *,
+    options: UnknownOptions | None = None,
+) -> Unknown | None:
+    """What a fitted base model misses.
+
+    Args:
+        fit: of the base model to the batch.
+        batch: the data, curves only.
+        simulator: makes the bubbles.
+        options: sizes and rounds.
+
+    Returns:
+        None where a bubble of the fit cannot be simulated, or the data are not curves.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, wide_prior
+    >>> from imr_torch.gap.hypotheses import fit_null
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
+    >>> from imr_torch.unknown import infer_unknown
+    >>> simulator = PolytropicSimulator()
+    >>> truth = PARAMETERS.pack({"G": 8e3, "mu": 0.1, "tau": 2e-6})  # it relaxes
+    >>> laboratory = SimulatedLaboratory(simulator, truth, repeats=10)
+    >>> designs = torch.tensor([[300.0, 0.15], [600.0, 0.25]], dtype=torch.float64)
+    >>> batch = ExperimentBatch(tuple(laboratory.shoot(x, seed=i) for i, x in enumerate(designs)))
+    >>> fit = fit_null(wide_prior(["nhkv"])["nhkv"], batch, simulator, seed=0)
+    >>> unknown = infer_unknown(fit, batch, simulator)
+    >>> unknown.explained > 10.0, unknown.probabilities["camera"] < 0.01
+    (True, True)
+    """
+    options = options or UnknownOptions()
+    if bool(batch.collapse.any()):
+        return None
+    shots = tuple(
+        Shot(fit.prior, replace(batch, experiments=(experiment,)), simulator)
+        for experiment in batch.experiments
+    )
+    still = _State(
+        fit.mean,
+        fit.nuisances,
+        torch.zeros(0, dtype=torch.float64),
+        tuple(torch.zeros(len(shot.moments), dtype=torch.float64) for shot in shots),
+    )
+    responses = _respond(shots, still, inside=True)
+    if not all(bool(torch.isfinite(response.path.radius).all()) for response in responses):
+        return None
+    paths = [response.path for response in responses]
+    free = _fit_kind(function_of_time(paths), shots, still, responses, options)
+    fits = {"drive": free}
+    kinds: dict[str, Columns] = {
+        "material": function_of_state(material_state, material_scale, paths),
+        "contents": function_of_state(contents_state, contents_scale, paths),
+        "sample": flux_kernel(),
+    }
+    fits |= {
+        name: _fit_kind(columns, shots, still, responses, options, lead=free)
+        for name, columns in kinds.items()
+    }
+    kinds["drive"] = function_of_time(paths)
+    fits[CAMERA] = _fit_kind(camera_errors, shots, still, responses, options, inside=False)
+    base = _assemble(shots, still, responses, ()).log_evidence((1.0,))
+    logs = {name: found.log_evidence for name, found in fits.items()}
+    probabilities = torch.tensor(list(logs.values()), dtype=torch.float64).softmax(0).tolist()
+    best = max(logs, key=logs.__getitem__)
+    inside = max(kinds, key=logs.__getitem__)
+    return Unknown(
+        dict(zip(logs, probabilities, strict=True)),
+        logs[best] - base,
+        {} if best == CAMERA else _compare_terms(shots, fits[inside], still, responses, options),
+        _missing_pressures(fit, shots, fits[inside], kinds[inside]),
+    )
+
+
+def _respond(shots: Sequence[Shot], state: _State, *, inside: bool) -> tuple[Response, ...]:
+    """Responses at a state; an error of the camera is in no trajectory."""
+    rows = zip(shots, state.nuisances, state.made, strict=True)
+    return tuple(
+        shot.respond(state.gel, nuisances, made if inside else torch.zeros_like(shot.moments))
+        for shot, nuisances, made in rows
+    )
+
+
+def _fit_kind(
+    columns: Columns,
+    shots: Sequence[Shot],
+    still: _State,
+    responses: tuple[Response, ...],
+    options: UnknownOptions,
+    *,
+    inside: bool = True,
+    lead: _Fit | None = None,
+) -> _Fit:
+    """Gauss-Newton of one kind, each step halved until it descends.
+
+    It begins at the trajectories of a fit that explains the data, if the kind can make them, else at
+    those of the base model.
+    """
+    own = _columns_of(columns, shots, responses)
+    weights = torch.zeros(own[0].shape[1], dtype=torch.float64)
+    state = replace(still, weights=weights, made=tuple(x @ weights for x in own))
+    if lead is not None:
+        there = _columns_of(columns, shots, lead.responses)
+        system = _assemble(shots, lead.state, lead.responses, there)
+        logs, solved = system.solve(options.sizes)
+        best = int(logs.argmax())
+        aim = _aim(shots, lead.state, solved[best][0], options.sizes[best], there)
+        if _cost(shots, aim, options.sizes[best]) < _cost(shots, state, options.sizes[best]):
+            state = aim
+            responses = _respond(shots, state, inside=True)
+            own = _columns_of(columns, shots, responses)
+    for number in range(options.rounds):
+        system = _assemble(shots, state, responses, own, inside=inside)
+        logs, solved = system.solve(options.sizes)
+        best = int(logs.argmax())
+        size = options.sizes[best]
+        evidence = float(logs.logsumexp(0)) - math.log(len(logs))
+        found = _Fit(state, responses, system, size, evidence)
+        if number == options.rounds - 1:
+            break
+        aim = _aim(shots, state, solved[best][0], size, own)
+        before = _cost(shots, state, size, inside=inside)
+        share = 1.0
+        while share > options.shortest:
+            moved = state.towards(aim, share)
+            gain = before - _cost(shots, moved, size, inside=inside)
+            if gain > 0.0:  # not where a bubble failed: NaN is not larger
+                break
+            share *= 0.5
+        else:
+            break
+        state = moved
+        responses = _respond(shots, state, inside=inside)
+        own = _columns_of(columns, shots, responses)
+        if gain < options.settled:
+            break
+    return found
+
+
+def _columns_of(
+    columns: Columns, shots: Sequence[Shot], responses: Sequence[Response]
+) -> tuple[Tensor, ...]:
+    pairs = zip(shots, responses, strict=True)
+    return tuple(columns(number, *pair) for number, pair in enumerate(pairs))
+
+
+def _assemble(
+    shots: Sequence[Shot],
+    state: _State,
+    responses: Sequence[Response],
+    columns: Sequence[Tensor],
+    *,
+    inside: bool = True,
+) -> _System:
+    """Rows of all shots, and of the priors of gel and nuisances; without columns nothing is unknown."""
+    gel = len(state.gel)
+    uncertain = [torch.nonzero(shot.batch.nuisance_sds[0] > 0.0)[:, 0] for shot in shots]
+    own = [row[chosen] for row, chosen in zip(state.nuisances, uncertain, strict=True)]
+    coordinates = torch.cat((state.gel, *own))
+    residuals = []
+    fitted = []
+    unknown = []
+    place = gel
+    for number, (shot, response) in enumerate(zip(shots, responses, strict=True)):
+        rows = torch.zeros(len(coordinates), len(response.residual), dtype=torch.float64)
+        rows[:gel] = response.fitted[:gel]
+        rows[place : place + len(own[number])] = response.fitted[gel:]
+        place += len(own[number])
+        fitted.append(rows)
+        held = state.made[number] @ response.pressure if inside else 0.0
+        residuals.append(response.residual + held)
+        if inside and columns:
+            unknown.append(columns[number].mT @ response.pressure)
+        elif columns:
+            unknown.append(shot.whiten(columns[number].mT, response.prediction))
+    data = torch.cat(fitted, 1).mT
+    weights = torch.cat(unknown, 1).mT if unknown else data[:, :0]
+    return _System(
+        torch.cat((*residuals, coordinates)),
+        torch.cat((data, -torch.eye(len(coordinates), dtype=torch.float64))),
+        torch.nn.functional.pad(weights, (0, 0, 0, len(coordinates))),
+    )
+
+
+def _aim(
+    shots: Sequence[Shot],
+    state: _State,
+    solution: Tensor,
+    size: float,
+    columns: Sequence[Tensor],
+) -> _State:
+    """The state at which a linear solution aims."""
+    place = len(state.gel)
+    nuisances = state.nuisances.clone()
+    for row, shot in zip(nuisances, shots, strict=True):
+        uncertain = shot.batch.nuisance_sds[0] > 0.0
+        count = int(uncertain.sum())
+        row[uncertain] += solution[place : place + count]
+        place += count
+    weights = size * solution[place:]
+    made = tuple(own @ weights for own in columns)
+    return _State(state.gel + solution[: len(state.gel)], nuisances, weights, made)
+
+
+def _cost(shots: Sequence[Shot], state: _State, size: float, *, inside: bool = True) -> float:
+    """Negative log of likelihood x priors, nats."""
+    priors = (state.gel, state.nuisances, state.weights / size)
+    total = 0.5 * sum(float(x.square().sum()) for x in priors)
+    for shot, nuisances, made in zip(shots, state.nuisances, state.made, strict=True):
+        pressure = made if inside else torch.zeros_like(shot.moments)
+        seen = shot.predict(state.gel, nuisances, pressure) + (0.0 if inside else made)
+        total -= float(shot.batch.log_likelihood(seen[None]).sum())
+    return total
+
+
+def _columns_of_term(term: Callable[[Path], Tensor], responses: Sequence[Response]) -> Columns:
+    """A plain term, of root mean square p_inf over the trajectories at unit size."""
+    usual = torch.cat([term(response.path) for response in responses]).square().mean().sqrt()
+
+    def columns(number: int, shot: Shot, response: Response) -> Tensor:
+        path = response.path
+        return (shot.average_pressure(path.times) @ term(path) / usual)[:, None]
+
+    return columns
+
+
+def _compare_terms(
+    shots: Sequence[Shot],
+    found: _Fit,
+    still: _State,
+    responses: tuple[Response, ...],
+    options: UnknownOptions,
+) -> dict[str, float]:
+    """Probability of each plain term in place of the unknown function; half of the prior is for
+    nothing known.
+
+    All are compared about the trajectories of the unknown function; the best are then fitted.
+    """
+    columns = {name: _columns_of_term(term, found.responses) for name, term in TERMS.items()}
+    logs = {}
+    for name, own in columns.items():
+        made = _columns_of(own, shots, found.responses)
+        system = _assemble(shots, found.state, found.responses, made)
+        logs[name] = system.log_evidence(options.sizes)
+    for name in sorted(logs, key=lambda name: -logs[name])[: options.fitted_terms]:
+        fitted = _fit_kind(columns[name], shots, still, responses, options, lead=found)
+        logs[name] = fitted.log_evidence
+    logs = {name: log - math.log(len(TERMS)) for name, log in logs.items()}
+    logs[NOTHING_KNOWN] = found.log_evidence
+    shares = torch.tensor(list(logs.values()), dtype=torch.float64).softmax(0).tolist()
+    return dict(sorted(zip(logs, shares, strict=True), key=lambda item: -item[1]))
+
+
+def _missing_pressures(
+    fit: ModelFit, shots: Sequence[Shot], found: _Fit, columns: Columns
+) -> tuple[MissingPressure, ...]:
+    """The unknown's pressure with its error, given the base model's gel as fitted."""
+    gel = len(fit.mean)
+    away = fit.mean - found.state.gel
+    held = replace(
+        found.system,
+        residual=found.system.residual - found.system.fitted[:, :gel] @ away,
+        fitted=found.system.fitted[:, gel:],
+    )
+    _, [(solution, chol)] = held.solve((found.size,))
+    place = held.fitted.shape[1]
+    root = torch.linalg.solve_triangular(
+        chol.mT, torch.eye(len(solution), dtype=torch.float64), upper=True
+    )[place:]
+    surroundings = shots[0].simulator.conditions.surroundings
+    scale = surroundings.far_field_pressure
+    missing = []
+    for number, (shot, response) in enumerate(zip(shots, found.responses, strict=True)):
+        path = response.path
+        shape = shot.shape_pressure(path.times).mT @ columns(number, shot, response) * found.size
+        experiment = shot.batch.curves[0]
+        seconds = float(surroundings.time_scale(surroundings.max_radius(experiment.design[0])))
+        missing.append(
+            MissingPressure(
+                experiment.label,
+                path.times * seconds,
+                path.radius / path.rest_radius,
+                path.rate * path.size / seconds,
+                scale * shape @ solution[place:],
+                scale * (shape @ root).norm(dim=1),
+                scale * path.own_stress,
+            )
+        )
+    return tuple(missing)

@@ -1,0 +1,209 @@
+"""One shot with an unknown pressure of its own: its bubble, and how its curve answers to a pressure
+at each moment.
+
+Whatever is missing in the equation of motion acts as a pressure ``w(t)`` at the bubble's wall. It is
+represented by Gaussian pulses of equal width and spacing, which together make any smooth function;
+the change of the curve by each pulse is its response (a Green's function of the trajectory). A
+trajectory under a finite ``w`` is simulated with ``w`` as far-field driving of the opposite sign, so
+responses can be taken about it again: nothing here is limited to small pressures.
+"""
+
+import math
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from imr_torch.assimilate import Point, Posterior
+from imr_torch.material import PARAMETERS, TERMS, ModelBelief, dimensionless, gel_response
+from imr_torch.observe import Experiment, ExperimentBatch, predict
+from imr_torch.simulate import Simulator, TabulatedDriving, coarser
+from imr_torch.types import Controls, FrameValues
+
+SPACING = 0.04
+"""Width and spacing of the pulses in t*: about a frame."""
+
+USUAL_SIZE = 200e-6
+"""Rmax in m to which sizes are referred."""
+
+_STEP = 1e-4  # pressure over p_inf at which responses are taken, in bubbles of the same steps
+_FINE = 0.0025  # spacing of a trajectory in t*, finer than a collapse lasts
+_OVERLAP = math.sqrt(math.pi)  # sum of unit pulses whose spacing is their width
+
+
+@dataclass(frozen=True)
+class Path:
+    """The trajectory of one bubble and what it holds.
+
+    Args:
+        times: dimensionless.
+        radius: R/Rmax.
+        velocity: over ``U_c``.
+        rest_radius: R_inf/Rmax.
+        size: Rmax over 200 um: gels and samples know no Rmax.
+        own_stress: stress of the base model's gel over p_inf.
+    """
+
+    times: Float[Tensor, "fine"]
+    radius: Float[Tensor, "fine"]
+    velocity: Float[Tensor, "fine"]
+    rest_radius: float
+    size: float
+    own_stress: Float[Tensor, "fine"]
+
+    @property
+    def rate(self) -> Float[Tensor, "fine"]:
+        """Strain rate ``U/R``, in ``U_c`` over 200 um."""
+        return self.velocity / self.radius / self.size
+
+    @cached_property
+    def strain(self) -> Float[Tensor, "fine"]:
+        """Strain that the gel has gone through, ``int |U|/R dt``: the memory variable."""
+        step = float(self.times[1] - self.times[0])
+        return torch.cumsum((self.velocity / self.radius).abs(), 0) * step
+
+    @property
+    def contents(self) -> Float[Tensor, "fine"]:
+        """Pressure of the contents over p_inf, about: gas of ``R_inf`` that follows a polytrope."""
+        return self.rest_radius**3 * self.radius**-3.9
+
+
+@dataclass(frozen=True)
+class Response:
+    """A shot about one state: all that a linear refit needs.
+
+    Args:
+        residual: ``T`` tensor, whitened.
+        prediction: ``T`` tensor, R/Rmax.
+        fitted: ``(d + w) x T`` tensor, whitened sensitivities to the gel and to the shot's uncertain
+            nuisances.
+        pressure: ``K x T`` tensor, whitened responses to a pressure p_inf in each pulse.
+        path: the trajectory.
+    """
+
+    residual: FrameValues
+    prediction: FrameValues
+    fitted: Float[Tensor, "coordinates frames"]
+    pressure: Float[Tensor, "pulses frames"]
+    path: Path
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One experiment of a batch whose bubble may feel a pressure of its own.
+
+    Args:
+        prior: of the base model's gel.
+        batch: the experiment alone, with the batch's noise.
+        simulator: makes the bubbles.
+    """
+
+    prior: ModelBelief
+    batch: ExperimentBatch
+    simulator: Simulator
+    moments: Float[Tensor, "pulses"] = field(init=False)
+
+    def __post_init__(self) -> None:
+        last = float(self._experiment.times.max())
+        beyond = 3.0 * SPACING
+        moments = torch.arange(-beyond, last + beyond, SPACING, dtype=torch.float64)
+        object.__setattr__(self, "moments", moments)
+
+    @property
+    def _experiment(self) -> Experiment:
+        return self.batch.curves[0]
+
+    def shape_pressure(self, times: Float[Tensor, "times"]) -> Float[Tensor, "pulses times"]:
+        """Pulses at given times; their sum is a constant pressure p_inf."""
+        return (-((times - self.moments[:, None]) / SPACING).square()).exp() / _OVERLAP
+
+    def average_pressure(self, times: Float[Tensor, "times"]) -> Float[Tensor, "pulses times"]:
+        """Weights that give each pulse its share of a pressure at given times, so that impulses
+        stay what they are.
+        """
+        weights = self.shape_pressure(times)
+        return weights / weights.sum(1, keepdim=True).clamp_min(1e-300)
+
+    def driven(self, pressure: Float[Tensor, "pulses"]) -> Simulator:
+        """The simulator with a pressure at the wall, over p_inf, beside the laboratory's own
+        driving.
+        """
+        if not bool(pressure.any()):
+            return self.simulator
+        conditions = self.simulator.conditions
+        surroundings = conditions.surroundings
+        weber = self.batch.designs[0, 0]
+        seconds = surroundings.time_scale(surroundings.max_radius(weber))
+        times = torch.arange(0.0, float(self.moments[-1]), SPACING / 4.0, dtype=torch.float64)
+        pascals = -surroundings.far_field_pressure * (pressure @ self.shape_pressure(times))
+        if conditions.driving is not None:
+            pascals = pascals + conditions.driving(times * seconds)[0]
+        driving = TabulatedDriving(tuple((times * seconds).tolist()), tuple(pascals.tolist()))
+        conditions = replace(conditions, driving=driving)
+        return replace(self.simulator, conditions=conditions)  # type: ignore[type-var]
+
+    def predict(
+        self,
+        gel: Controls,
+        nuisances: Float[Tensor, "nuisances"],
+        pressure: Float[Tensor, "pulses"],
+    ) -> FrameValues:
+        """The curve under a pressure."""
+        posterior = Posterior(self.prior, self.batch, self.driven(pressure))
+        return posterior.predict(Point(gel, nuisances[None]))[0]
+
+    def respond(
+        self,
+        gel: Controls,
+        nuisances: Float[Tensor, "nuisances"],
+        pressure: Float[Tensor, "pulses"],
+    ) -> Response:
+        """The curve under a pressure and its sensitivities there."""
+        simulator = self.driven(pressure)
+        posterior = Posterior(self.prior, self.batch, simulator)
+        near = posterior.neighbourhood(Point(gel, nuisances[None]))
+        parameters = posterior.to_si(gel)
+        shifts = nuisances[None] * self.batch.nuisance_sds
+        moved = parameters.repeat(1 + len(self.moments), 1)
+        names = PARAMETERS.index(["pulse", "pulse_time", "pulse_width"])
+        moved[1:, names[0]] = -_STEP
+        moved[1:, names[1]] = self.moments
+        moved[1:, names[2]] = math.log(SPACING)
+        # a linear response needs no exact bubble: what it misses, the next trajectory shows
+        curves = predict(coarser(simulator), moved, self.batch, shifts, bundled=True)[:, 0]
+        changes = ((curves[1:] - curves[:1]) / (_STEP * _OVERLAP)).nan_to_num()
+        centre = near.centre[0]
+        sd = self.batch.sd(near.centre)
+        return Response(
+            residual=self.batch.whiten(self.batch.mean - near.centre, sd)[0],
+            prediction=centre,
+            fitted=self.whiten(near.jacobian[:, 0], centre),
+            pressure=self.whiten(changes, centre),
+            path=self._path(simulator, parameters, shifts),
+        )
+
+    def whiten(
+        self, rows: Float[Tensor, "rows frames"], prediction: FrameValues
+    ) -> Float[Tensor, "rows frames"]:
+        """Changes of the curve in R* in units of its noise."""
+        sd = self.batch.sd(prediction[None])
+        seen = torch.where(self.batch.mask, rows[:, None], 0.0)
+        return self.batch.whiten(seen, sd).nan_to_num()[:, 0]
+
+    def _path(self, simulator: Simulator, parameters: Tensor, shifts: Tensor) -> Path:
+        experiment = self._experiment
+        times = torch.arange(0.0, float(experiment.times.max()), _FINE, dtype=torch.float64)
+        seen = replace(experiment, times=times, radius=torch.ones(1, len(times)).double())
+        fine = replace(self.batch, experiments=(seen,))
+        radius = predict(simulator, parameters, fine, shifts)[0]
+        velocity = torch.gradient(radius, spacing=(times,))[0]
+        rest = radius.new_tensor(experiment.design[1])
+        surroundings = simulator.conditions.surroundings
+        size = surroundings.max_radius(radius.new_tensor(experiment.design[0]))
+        theta = dimensionless(parameters, size, surroundings)
+        # memory starts anew on each call, so a term that remembers has no value here
+        terms = [term for term in TERMS if not term.states and bool(theta[term.switch] != 0.0)]
+        stress, _ = gel_response(terms, radius, velocity, rest, theta)
+        return Path(times, radius, velocity, float(rest), float(size) / USUAL_SIZE, stress.value)
