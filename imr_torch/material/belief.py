@@ -140,6 +140,11 @@ class ModelBelief:
             )
 
     @cached_property
+    def precision(self) -> ControlMatrix:
+        """Inverse of the covariance of the controls."""
+        return torch.cholesky_inverse(self.chol)
+
+    @cached_property
     def material(self) -> Material:
         """The constitutive model."""
         return material(self.model)

@@ -30,7 +30,7 @@ from imr_torch.observe import (
 )
 from imr_torch.population import Population, ShotLikelihood, fit_shots, infer_population
 from imr_torch.population.sampling import Problem, jackknife_error, sample_population
-from imr_torch.population.shots import shared_noise
+from imr_torch.population.infer import share_noise
 from imr_torch.random import generator
 from tests.curved import CurvedSimulator
 from tests.linear import MEANS, NOISE, SDS, LinearSimulator, prior, tensor
@@ -241,7 +241,7 @@ def test_that_curved_shots_give_what_quadrature_over_gels_and_scatter_gives() ->
     assert max(shot.misses for shot in population.shots) < 0.2
     assert (
         max(
-            float(shot.correction(shot.mean + 2.0 * shot.sd).abs().max())
+            float(shot.correct_quadratic(shot.mean + 2.0 * shot.sd).abs().max())
             for shot in population.shots
         )
         > 0.5
@@ -404,7 +404,7 @@ def test_that_shots_that_differ_are_not_taken_for_noise() -> None:
     fits = fit_shots(
         PART, experiments, LinearSimulator(), noise=NOISE, rounds=0, options=OPTIONS, samples=25
     )
-    shared = shared_noise(fits, NOISE, LinearSimulator(), widen=True)
+    shared = share_noise(fits, NOISE, LinearSimulator(), widen=True)
     assert shared is not None
     own = shared.laws.frames.laws[0]
     typical = [
