@@ -23,7 +23,8 @@ def newtonian(
 
 
 _RULE = unit_rule(16)
-_SHEAR = 2.0 * 3.0**0.5  # shear rate at the wall over |U|/R
+WALL_SHEAR = 2.0 * 3.0**0.5
+"""Shear rate at the wall over ``|U|/R``."""
 
 
 def _mean_lost(span: Scalar, thinning: Scalar) -> Scalar:
@@ -54,7 +55,7 @@ def carreau(
     """
     factor = 4.0 * mu
     strain = velocity / radius
-    reduced = _SHEAR * shear_time * strain
+    reduced = WALL_SHEAR * shear_time * strain
     span = asinh(reduced)
     still = real(reduced) == 0.0
     stretch = where(still, 1.0, span / where(still, 1.0, reduced))

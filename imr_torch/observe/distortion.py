@@ -98,7 +98,7 @@ class Distortion:
         moved = torch.stack((-edge, torch.zeros_like(edge), -edge / designs[:, 1]), -1)
         return self.shifts + moved, edge[..., None]
 
-    def placed(
+    def correct_clock(
         self,
         designs: Float[Tensor, "*#batch experiments 2"],
         times: Frames,
@@ -108,7 +108,7 @@ class Distortion:
         slower = torch.cat((1.0 / rate, torch.ones_like(rate)), -1)
         return designs * slower, times * rate
 
-    def filmed(
+    def film_radius(
         self,
         times: Frames,
         simulate: Callable[[Tensor], Tensor],

@@ -18,8 +18,8 @@ from typing import Any
 
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief, Marginal, ModelBelief, TruncatedNormal
-from imr_torch.material.belief import beside
 from imr_torch.material.media import named_medium
+from imr_torch.material.model_belief import add_parameters
 from imr_torch.reading.statement import PROPERTIES, Statement
 from imr_torch.simulate import Simulator
 from imr_torch.simulate.conditions import saturation_pressure
@@ -97,7 +97,7 @@ class GelMedium:
 
     def believed_of(self, part: ModelBelief) -> ModelBelief:
         """The same for the belief of one model."""
-        return beside(
+        return add_parameters(
             part,
             {name: prior for name, prior in self.priors.items() if name not in part.material.names},
         )

@@ -14,7 +14,7 @@ from torch import Tensor
 from imr_torch.html import render
 from imr_torch.labels import plain
 from imr_torch.material import PARAMETERS, LogNormal, ModelBelief, material
-from imr_torch.material.intervals import intervals
+from imr_torch.material.model_belief import intervals
 from imr_torch.observe import Noise
 from imr_torch.population.likelihood import ShotLikelihood
 from imr_torch.population.sampling import WeightedPopulation

@@ -35,7 +35,7 @@ def rows_of(term: StressTerm, theta=None, rest=POINT[2]):
 
     def rows(radius, velocity, *memory):
         held = torch.stack(memory) if memory else None
-        return torch.stack(term.evaluate(radius, velocity, rest, theta, held))
+        return torch.stack(term.evaluate_law(radius, velocity, rest, theta, held))
 
     return rows
 
