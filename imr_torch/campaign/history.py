@@ -131,7 +131,10 @@ class History:
                 self.steps.append(
                     Step(
                         Belief.from_dict(belief),
-                        tuple(Evidence(**_restore_infinite(entry)) for entry in rows),
+                        tuple(
+                            Evidence(**{k: math.inf if v is None else v for k, v in entry.items()})
+                            for entry in rows
+                        ),
                         noise=Noise(**noise) if noise else None,
                         finding=Finding(**finding | {"causes": tuple(finding["causes"])})
                         if finding
@@ -194,11 +197,3 @@ def check_identity(journal: Journal, identity: dict[str, Any]) -> None:
             "arguments; if another version of imr_torch began it, tell its curves to a campaign "
             "in a new folder."
         )
-
-
-def _restore_infinite(values: dict[str, Any]) -> dict[str, Any]:
-    """Inverse of :func:`finite`.
-
-    The one number of an evidence that may be infinite is the shape of its tail.
-    """
-    return {k: (math.inf if v is None else v) for k, v in values.items()}

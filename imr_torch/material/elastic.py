@@ -92,22 +92,6 @@ def _exponential_density(stretch: Scalar, alpha: Scalar) -> Scalar:
     )
 
 
-def _second_order_mean(span: Scalar, alpha: Scalar) -> Scalar:
-    """Mean density between no stretch and one of ``exp(span)``."""
-    total = 0.0 * span
-    for node, weight in _RULE:
-        total = total + weight * _second_order_density(exp(node * span), alpha)
-    return total
-
-
-def _exponential_mean(span: Scalar, alpha: Scalar) -> Scalar:
-    """Mean density between no stretch and one of ``exp(span)``."""
-    total = 0.0 * span
-    for node, weight in _RULE:
-        total = total + weight * _exponential_density(exp(node * span), alpha)
-    return total
-
-
 def second_order_fung(
     radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, alpha_fung2: Scalar
 ) -> tuple[Scalar, ...]:
@@ -119,8 +103,10 @@ def second_order_fung(
     """
     stretch = radius / rest_radius
     span = log(stretch)
-    value = G * span * _second_order_mean(span, alpha_fung2)
-    return value, G * _second_order_density(stretch, alpha_fung2) * velocity / radius, 0.0
+    mean = 0.0 * span
+    for node, weight in _RULE:
+        mean = mean + weight * _second_order_density(exp(node * span), alpha_fung2)
+    return G * span * mean, G * _second_order_density(stretch, alpha_fung2) * velocity / radius, 0.0
 
 
 def exponential_fung(
@@ -131,8 +117,10 @@ def exponential_fung(
     """
     stretch = radius / rest_radius
     span = log(stretch)
-    value = G * span * _exponential_mean(span, alpha_fung)
-    return value, G * _exponential_density(stretch, alpha_fung) * velocity / radius, 0.0
+    mean = 0.0 * span
+    for node, weight in _RULE:
+        mean = mean + weight * _exponential_density(exp(node * span), alpha_fung)
+    return G * span * mean, G * _exponential_density(stretch, alpha_fung) * velocity / radius, 0.0
 
 
 NEO_HOOKEAN = StressTerm(neo_hookean, switch="G")

@@ -181,6 +181,9 @@ class LogNormal:
     [2500, 5000, 10000]
     """
 
+    lower: ClassVar[float] = 0.0
+    upper: ClassVar[float] = math.inf
+
     median: float
     factor: float
 
@@ -194,16 +197,6 @@ class LogNormal:
                 f"LogNormal.factor is {self.factor}; a spread needs a factor above 1 (2 means "
                 "'within twofold')."
             )
-
-    @property
-    def lower(self) -> float:
-        """See :class:`Marginal`."""
-        return 0.0
-
-    @property
-    def upper(self) -> float:
-        """See :class:`Marginal`."""
-        return math.inf
 
     def to_physical(self, z: Values) -> Values:
         """See :class:`Marginal`."""

@@ -3,6 +3,7 @@
 from imr_torch.observe.collapse import CollapseShot, CollapseTime, load_collapse_times
 from imr_torch.observe.convert import to_experiment
 from imr_torch.observe.experiments import Experiment, ExperimentBatch, Film
+from imr_torch.observe.extremes import collapse_time
 from imr_torch.observe.laboratory import SimulatedLaboratory
 from imr_torch.observe.landmarks import Landmarks, find_landmarks
 from imr_torch.observe.medium import UNSTATED_SDS, GelMedium, gel_medium
@@ -12,7 +13,6 @@ from imr_torch.observe.plausibility import check_experiment, check_maximum
 from imr_torch.observe.prediction import predict
 from imr_torch.observe.prepare import Prepared, prepare
 from imr_torch.observe.sets import load_set
-from imr_torch.observe.window import collapse_time
 from imr_torch.reading import (
     KNOWN_LAYOUTS,
     READERS,

@@ -229,7 +229,7 @@ def gel_medium(
             known = found.setdefault(name, entry)
             if known[:2] == entry[:2]:
                 continue
-            said = f"{label(name)}: {_said(known)} ({known[2]}) and {_said(entry)} ({entry[2]})"
+            said = f"{label(name)}: {_write_value(known)} ({known[2]}) and {_write_value(entry)} ({entry[2]})"
             if command is None or name not in command.at(warm):
                 raise InputDataError(
                     f"The files state different media, {said}; curves that are fitted together "
@@ -254,5 +254,5 @@ def gel_medium(
     )
 
 
-def _said(entry: tuple[float, float | None, str]) -> str:
+def _write_value(entry: tuple[float, float | None, str]) -> str:
     return f"{entry[0]:.5g}" + ("" if entry[1] is None else f" +- {entry[1]:.2g}")

@@ -10,7 +10,7 @@ from imr_torch.errors import InputDataError
 from imr_torch.observe.experiments import Experiment
 from imr_torch.observe.nuisance import FLOOR, Nuisance
 from imr_torch.observe.plausibility import check_experiment
-from imr_torch.reading.npz import read_arrays
+from imr_torch.reading.readers import read_arrays
 from imr_torch.units import Surroundings
 
 _SHAPES = {"time_s": 2, "radius_m": 3, "we": 1, "rinf_star": 1}

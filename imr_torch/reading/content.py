@@ -165,7 +165,7 @@ class Content:
         if found.size != 1 or not 0.0 < found[0] < math.inf:
             raise InputDataError(
                 f"{self.path}: variable '{value}' ({setting}) is "
-                f"{_shape(self.values[self.find(value)])} {found[:4]!s}; expected one positive "
+                f"{_describe_shape(self.values[self.find(value)])} {found[:4]!s}; expected one positive "
                 f"number. Write {setting}=<number> into --layout instead."
             )
         return float(found[0])
@@ -185,10 +185,10 @@ class Content:
         """Names and shapes, such as ``R (256,), All cell of 4 x (257,), Req scalar``."""
         if self.is_table:
             return f"columns {', '.join(self.values)}"
-        return ", ".join(f"{name} {_shape(value)}" for name, value in self.values.items())
+        return ", ".join(f"{name} {_describe_shape(value)}" for name, value in self.values.items())
 
 
-def _shape(value: Any) -> str:
+def _describe_shape(value: Any) -> str:
     if isinstance(value, str):
         return "text"
     if isinstance(value, list):

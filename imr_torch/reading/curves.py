@@ -12,8 +12,8 @@ import torch
 
 from imr_torch.errors import InputDataError
 from imr_torch.reading.content import Content
-from imr_torch.reading.layout import KNOWN_LAYOUTS, LENGTHS, TIMES, Layout
-from imr_torch.reading.names import Said, headings_of, infer_layout, unit_of
+from imr_torch.reading.layout import KNOWN_LAYOUTS, LENGTHS, TIMES, Layout, Said
+from imr_torch.reading.names import headings_of, infer_layout, unit_of
 from imr_torch.reading.scales import Scales, find_scales, max_radii, rest_radii
 from imr_torch.reading.traces import (
     MIN_SAMPLES,
@@ -217,7 +217,7 @@ def _check_units(content: Content, layout: Layout) -> None:
     """Refuse a layout that contradicts a unit written in the header of a table."""
     if not content.is_table:
         return
-    written = {heading.name: heading.unit for heading in headings_of(content)}
+    written = {h.name: h.unit for h in headings_of(content)}
     asked = [(column, layout.radius_unit) for column in _radius_names(content, layout)]
     asked += [(layout.time, layout.time_unit)] if layout.time in content.values else []
     for column, unit in asked:

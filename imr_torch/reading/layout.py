@@ -158,7 +158,7 @@ class Layout:
                     f"--layout: cannot use '{part}'; write name=value once, with a name among "
                     f"{', '.join(known)}."
                 )
-            settings[name] = _setting(name, value)
+            settings[name] = _parse_setting(name, value)
         for needed in ("radius", "radius_unit"):
             if needed not in settings:
                 raise InputDataError(
@@ -167,7 +167,7 @@ class Layout:
         return cls(**settings)
 
 
-def _setting(name: str, value: str) -> Any:
+def _parse_setting(name: str, value: str) -> Any:
     if value.lower() == "none":
         return None
     try:
@@ -181,6 +181,22 @@ def _setting(name: str, value: str) -> Any:
                 f"--layout: {name} is '{value}'; expected a number (entries as 1+2+4)."
             ) from None
     return value
+
+
+@dataclass(frozen=True)
+class Said:
+    """What is said about all curves of a file, as far as reading them needs it; SI units.
+
+    ``density`` and ``pressure`` are those that dimensionless times are undone with.
+    """
+
+    time_unit: str | None = None
+    radius_unit: str | None = None
+    frame_interval: float | None = None
+    pixel_size: float | None = None
+    max_radius: float | None = None
+    density: float = 998.0
+    pressure: float = 101325.0
 
 
 KNOWN_LAYOUTS: Mapping[str, Layout] = MappingProxyType(

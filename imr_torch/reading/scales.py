@@ -14,8 +14,7 @@ import numpy as np
 
 from imr_torch.errors import InputDataError
 from imr_torch.reading.content import Content
-from imr_torch.reading.layout import LENGTHS, Layout
-from imr_torch.reading.names import Said
+from imr_torch.reading.layout import LENGTHS, Layout, Said
 
 
 @dataclass(frozen=True)

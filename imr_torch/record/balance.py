@@ -142,18 +142,18 @@ def _fit_pressures(
     mach = curve.u / sound
     root = 2.5 * np.sqrt(curve.y)
 
-    def integrate(values: np.ndarray) -> np.ndarray:
+    def integrate_once(values: np.ndarray) -> np.ndarray:
         return cumulative_trapezoid(values, dense, axis=0, initial=0.0)
 
     p = contents.pressure(curve.y)
-    slope = integrate(root * (p * (1.0 + 2.0 * mach) - mach * curve.u**2))
-    known = np.stack([integrate(slope), slope, p])
+    slope = integrate_once(root * (p * (1.0 + 2.0 * mach) - mach * curve.u**2))
+    known = np.stack([integrate_once(slope), slope, p])
     ones = np.ones((len(dense), 1))
     pressures = np.stack(terms, 1)
-    slopes = integrate(pressures * (root * (1.0 + 2.0 * mach))[:, None])
+    slopes = integrate_once(pressures * (root * (1.0 + 2.0 * mach))[:, None])
     design = np.stack(
         [
-            np.hstack([ones, (dense - dense[0])[:, None], integrate(slopes)]),
+            np.hstack([ones, (dense - dense[0])[:, None], integrate_once(slopes)]),
             np.hstack([0.0 * ones, ones, slopes]),
             np.hstack([0.0 * ones, 0.0 * ones, pressures]),
         ]

@@ -119,11 +119,6 @@ class Cycle:
     skewness_sd: float
 
     @property
-    def common(self) -> np.ndarray:
-        """Mean of growth and collapse, over p_inf: elasticity and contents."""
-        return 0.5 * (self.collapse + self.growth)
-
-    @property
     def split(self) -> np.ndarray:
         """Collapse less growth, over p_inf: dissipation."""
         return self.collapse - self.growth
@@ -191,7 +186,7 @@ def _describe_cycle(
     units = np.array([far * unit, far])
     medium, medium_sd = (units * values for values in fit_medium(frames, curve, contents, sound))
     levels = np.linspace(np.ceil(50.0 * floor) / 50.0, 0.98, 25)
-    growth, collapse = (_pressures(curve, side, levels) for side in (-1, 1))
+    growth, collapse = (_read_pressures(curve, side, levels) for side in (-1, 1))
     return Cycle(
         number=number,
         max_radius_m=top * float(curve.y.max()),
@@ -209,21 +204,27 @@ def _describe_cycle(
     )
 
 
-def _branch(curve: SmoothCurve, side: int) -> slice:
+def _take_branch(curve: SmoothCurve, side: int) -> slice:
     """Growth (-1) or collapse (1), from the maximum to the smallest radius."""
     return slice(int(curve.y.argmax()), None, side)
 
 
-def _pressures(curve: SmoothCurve, side: int, levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _read_pressures(
+    curve: SmoothCurve, side: int, levels: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Wall pressure at levels of one branch, and its error; NaN outside of it."""
-    y, p, p_sd = (values[_branch(curve, side)][::-1] for values in (curve.y, curve.p, curve.p_sd))
+    y, p, p_sd = (
+        values[_take_branch(curve, side)][::-1] for values in (curve.y, curve.p, curve.p_sd)
+    )
     at = np.where((levels >= y[0]) & (levels <= y[-1]), levels, np.nan)
     return np.interp(at, y, p), np.interp(at, y, p_sd)
 
 
-def _crossing(curve: SmoothCurve, level: float, side: int) -> tuple[float, float]:
+def _find_crossing(curve: SmoothCurve, level: float, side: int) -> tuple[float, float]:
     """Time at which a branch passes a level of the maximum, and its error; NaN where it does not."""
-    y, t = (values[_branch(curve, side)][::-1] for values in (curve.y / curve.y.max(), curve.t))
+    y, t = (
+        values[_take_branch(curve, side)][::-1] for values in (curve.y / curve.y.max(), curve.t)
+    )
     if y[0] > level:
         return np.nan, np.nan
     at = float(np.interp(level, y, t))
@@ -233,7 +234,9 @@ def _crossing(curve: SmoothCurve, level: float, side: int) -> tuple[float, float
 def _chord_and_skewness(curve: SmoothCurve, contents: Contents) -> dict[str, float]:
     """Of :class:`Cycle`, with their errors."""
     top = int(curve.y.argmax())
-    ends = np.array([[_crossing(curve, level, side) for side in (-1, 1)] for level in (0.5, 0.95)])
+    ends = np.array(
+        [[_find_crossing(curve, level, side) for side in (-1, 1)] for level in (0.5, 0.95)]
+    )
     times = ends[..., 0]
     sds = ends[..., 1]
     skewness = (times[0].mean() - times[1].mean()) / (RAYLEIGH_TIME * curve.y[top])

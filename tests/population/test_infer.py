@@ -29,8 +29,8 @@ from imr_torch.observe import (
     predict,
 )
 from imr_torch.population import Population, ShotLikelihood, fit_shots, infer_population
-from imr_torch.population.sampling import Problem, jackknife_error, sample_population
 from imr_torch.population.infer import share_noise
+from imr_torch.population.sampling import Problem, jackknife_error, sample_population
 from imr_torch.random import generator
 from tests.curved import CurvedSimulator
 from tests.linear import MEANS, NOISE, SDS, LinearSimulator, prior, tensor
