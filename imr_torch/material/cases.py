@@ -56,7 +56,7 @@ CASES: dict[str, ReferenceCase] = {
                     "gen_qkv": {
                         "G": _make_positive(2770.0, 300.0),
                         "mu": _make_positive(0.286, 0.186),
-                        "alpha": TruncatedNormal(0.28, 0.48, lower=0.0),
+                        "alpha": _make_positive(0.28, 0.48),
                     },
                 }
             ),
@@ -74,7 +74,7 @@ CASES: dict[str, ReferenceCase] = {
                     "gen_qkv": {
                         "G": _make_positive(570.0, 60.0),
                         "mu": _make_positive(0.08, 0.05),
-                        "alpha": TruncatedNormal(0.96, 0.48, lower=0.0),
+                        "alpha": _make_positive(0.96, 0.48),
                     },
                 }
             ),

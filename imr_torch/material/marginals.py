@@ -181,9 +181,6 @@ class LogNormal:
     [2500, 5000, 10000]
     """
 
-    lower: ClassVar[float] = 0.0
-    upper: ClassVar[float] = math.inf
-
     median: float
     factor: float
 
@@ -197,6 +194,16 @@ class LogNormal:
                 f"LogNormal.factor is {self.factor}; a spread needs a factor above 1 (2 means "
                 "'within twofold')."
             )
+
+    @property
+    def lower(self) -> float:
+        """See :class:`Marginal`."""
+        return 0.0
+
+    @property
+    def upper(self) -> float:
+        """See :class:`Marginal`."""
+        return math.inf
 
     def to_physical(self, z: Values) -> Values:
         """See :class:`Marginal`."""

@@ -332,8 +332,9 @@ def _interpolate_collapses(
         return _simulate_collapses(simulator, parameters, designs, about, bundled)
 
     def find_powers(places: Tensor) -> Tensor:
-        degrees = [n - 1 for n in nodes]
-        return torch.from_numpy(np.polynomial.polynomial.polyvander2d(*places.unbind(-1), degrees))
+        x, y = (column.numpy() for column in places.unbind(-1))
+        powers = np.polynomial.polynomial.polyvander2d(x, y, [n - 1 for n in nodes])
+        return torch.from_numpy(powers)
 
     weights = find_powers((places - low) / half - 1.0) @ torch.linalg.inv(find_powers(unit))
     return (weights * times[..., None, :]).sum(-1)

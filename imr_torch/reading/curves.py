@@ -12,9 +12,18 @@ import torch
 
 from imr_torch.errors import InputDataError
 from imr_torch.reading.content import Content
-from imr_torch.reading.layout import KNOWN_LAYOUTS, LENGTHS, TIMES, Layout, Said
+from imr_torch.reading.layout import (
+    KNOWN_LAYOUTS,
+    LENGTHS,
+    TIMES,
+    Layout,
+    Said,
+    Scales,
+    find_scales,
+    max_radii,
+    rest_radii,
+)
 from imr_torch.reading.names import headings_of, infer_layout, unit_of
-from imr_torch.reading.scales import Scales, find_scales, max_radii, rest_radii
 from imr_torch.reading.traces import (
     MIN_SAMPLES,
     RADIUS_RANGE_M,

@@ -351,8 +351,10 @@ class TraceSet:
     def __getitem__(self, key: int | str) -> RadiusTrace:
         if isinstance(key, str):
             if key not in self._places:
+                more = f", ... ({len(self) - 8} more)" if len(self) > 8 else ""
                 raise InputDataError(
-                    f"No experiment '{key}' among the {len(self)} loaded: {_list_some(self.ids)}."
+                    f"No experiment '{key}' among the {len(self)} loaded: "
+                    f"{', '.join(self.ids[:8])}{more}."
                 )
             return self.traces[self._places[key]]
         return self.traces[key]
@@ -435,8 +437,3 @@ def _longer_name(trace: RadiusTrace, *, folder: bool) -> str:
 
 def _new_name(names: Mapping[tuple[str, str], str], file: str, named: RadiusTrace | LeftOut) -> str:
     return names.get((file, named.experiment_id), named.experiment_id)
-
-
-def _list_some(names: Sequence[str], limit: int = 8) -> str:
-    more = f", ... ({len(names) - limit} more)" if len(names) > limit else ""
-    return ", ".join(names[:limit]) + more
