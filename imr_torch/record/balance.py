@@ -145,30 +145,26 @@ def _fit_pressures(
     def integrate_once(values: np.ndarray) -> np.ndarray:
         return cumulative_trapezoid(values, dense, axis=0, initial=0.0)
 
-    p = contents.pressure(curve.y)
-    slope = integrate_once(root * (p * (1.0 + 2.0 * mach) - mach * curve.u**2))
-    known = np.stack([integrate_once(slope), slope, p])
-    ones = np.ones((len(dense), 1))
-    pressures = np.stack(terms, 1)
-    slopes = integrate_once(pressures * (root * (1.0 + 2.0 * mach))[:, None])
-    design = np.stack(
+    # V, its rate and the wall pressure: the known column, the unknowns and two constants
+    pressures = np.stack([contents.pressure(curve.y), *terms], 1)
+    bending = pressures * (root * (1.0 + 2.0 * mach))[:, None]
+    bending[:, 0] -= root * mach * curve.u**2
+    slopes = integrate_once(bending)
+    zeros = np.zeros_like(dense)
+    columns = np.stack(
         [
-            np.hstack([ones, (dense - dense[0])[:, None], integrate_once(slopes)]),
-            np.hstack([0.0 * ones, ones, slopes]),
-            np.hstack([0.0 * ones, 0.0 * ones, pressures]),
+            np.column_stack([integrate_once(slopes), zeros + 1.0, dense - dense[0]]),
+            np.column_stack([slopes, zeros, zeros + 1.0]),
+            np.column_stack([pressures, zeros, zeros]),
         ]
     )
-
-    def at(times: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        return np.stack([np.interp(times, dense, column) for column in columns.T], 1)
-
-    start = np.zeros(1)
     weight = frames.y**-1.5  # the noise of V grows as y^1.5
-    basis = np.vstack(
-        [at(frames.t, design[0]) * weight[:, None], frames.still * at(start, design[1])]
-    )
-    target = (frames.y**2.5 - np.interp(frames.t, dense, known[0])) * weight
-    target = np.append(target, -frames.still * np.interp(start, dense, known[1]))
+    seen = [weight * np.interp(frames.t, dense, column) for column in columns[0].T]
+    still = [frames.still * np.interp(0.0, dense, column) for column in columns[1].T]
+    rows = np.vstack([np.stack(seen, 1), still])
+    target = np.append(frames.y**2.5 * weight, 0.0) - rows[:, 0]
+    basis = rows[:, 1:]
+    known, design = columns[..., 0], columns[..., 1:]
     size = np.sqrt((basis**2).sum(0))
     inverse = np.linalg.pinv(basis / size, rcond=1e-9) / size[:, None]
     coefficients = inverse @ target
@@ -179,8 +175,8 @@ def _fit_pressures(
     inflated = square / max(count - unknown, 1) * (1.0 + lag) / (1.0 - lag)
     covariance = inflated * inverse @ inverse.T
     return _Fit(
-        coefficients[2:],
-        covariance.diagonal()[2:],
+        coefficients[:-2],
+        covariance.diagonal()[:-2],
         count * np.log(square / count) + unknown * np.log(count),
         design @ coefficients + known,
         np.einsum("kij,jl,kil->ki", design, covariance, design),
