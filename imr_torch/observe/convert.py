@@ -62,7 +62,7 @@ def to_experiment(
             f"{1e6 * top:.1f} um); expected a rest radius below the maximum radius. {remedy}"
         )
     scale = surroundings.time_scale(top)
-    times = (trace.time_s - landmarks.time_of_max_s) / scale
+    times = landmarks.dimensionless_time(trace.time_s, surroundings)
     kept = times >= 0.0
     nuisance = Nuisance(
         max_radius=min(math.hypot(landmarks.max_radius_sd_m / top, FLOOR.max_radius), widest),
@@ -195,9 +195,7 @@ def find_frame_use(
         surroundings: the liquid side, for the time scale.
         collapses: collapses in the fitted window.
     """
-    times = (trace.time_s - landmarks.time_of_max_s) / surroundings.time_scale(
-        landmarks.max_radius_m
-    )
+    times = landmarks.dimensionless_time(trace.time_s, surroundings)
     fitted = torch.isclose(times[:, None], experiment.times, rtol=0.0, atol=1e-9).any(1).tolist()
     first = min(0.0, float(experiment.times[0]))
     last = float(experiment.times[-1])

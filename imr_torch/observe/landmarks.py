@@ -22,6 +22,7 @@ from imr_torch.observe.extremes import (
     grow_window,
 )
 from imr_torch.reading.traces import RadiusTrace
+from imr_torch.units import Number, Surroundings
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,12 @@ class Landmarks:
     rebound_times_s: tuple[float, ...]
     rebound_radii_m: tuple[float, ...]
     frame_noise_m: float
+
+    def dimensionless_time(self, time_s: Number, surroundings: Surroundings) -> Number:
+        """Times on the time axis of the trace, s (numbers or a tensor), as t*: 0 at the maximum
+        radius.
+        """
+        return (time_s - self.time_of_max_s) / surroundings.time_scale(self.max_radius_m)
 
 
 def find_landmarks(trace: RadiusTrace) -> Landmarks:
