@@ -90,10 +90,7 @@ class PopulationLearner:
             seed=own,
             progress=progress,
         )
-        shots = tuple(
-            ShotLikelihood.of(fit.batch.experiments[0].label, fit.fits[0]) for fit in fits
-        )
-        problem = Problem(shots, part, scatter_scales(part))
+        problem = Problem(tuple(map(ShotLikelihood.of, fits)), part, scatter_scales(part))
         noise = fits[0].batch.noise
         population = None
         if len(fits) > 1:

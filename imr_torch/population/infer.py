@@ -207,7 +207,7 @@ def infer_population(
     True
     """
     prior = _check_shots(fits, varying, scale, draws)
-    shots = tuple(ShotLikelihood.of(fit.batch.experiments[0].label, fit.fits[0]) for fit in fits)
+    shots = tuple(map(ShotLikelihood.of, fits))
     names = prior.names
     units = coordinate_units(prior)
     columns = [names.index(name) for name in (varying or prior.of_gel)]

@@ -18,7 +18,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from imr_torch.assimilate import ModelFit, Verdict
+from imr_torch.assimilate import Assimilation, Verdict
 from imr_torch.errors import InputDataError
 from imr_torch.population.closed_form import without_prior
 from imr_torch.types import BatchControls, ControlMatrix, Controls, DrawnControls, DrawnValues
@@ -58,7 +58,7 @@ class ShotLikelihood:
     >>> design = torch.tensor([400.0, 0.22]).double()
     >>> shots = [laboratory.shoot(design, seed=seed, label=f"shot {seed}") for seed in (0, 1)]
     >>> fits = fit_shots(wide_prior(["nhkv"])["nhkv"], shots, simulator, rounds=0, samples=64)
-    >>> likelihood = ShotLikelihood.of("shot 0", fits[0].fits[0])
+    >>> likelihood = ShotLikelihood.of(fits[0])
     >>> best, far = likelihood.log_prob(torch.stack((likelihood.mean, likelihood.mean + 3.0 * likelihood.sd)))
     >>> likelihood.misses < 0.1, bool(best > far + 2.0)
     (True, True)
@@ -80,17 +80,18 @@ class ShotLikelihood:
     reach: float = 3.5
 
     @classmethod
-    def of(cls, label: str, fit: ModelFit, *, wider: float = 1.5) -> "ShotLikelihood":
-        """From the weighted draws of a fit to this shot alone.
+    def of(cls, shot: Assimilation, *, wider: float = 1.5) -> "ShotLikelihood":
+        """From the weighted draws of a fit of one model to this shot alone.
 
         Args:
-            label: of the shot.
-            fit: to it.
+            shot: its assimilation.
             wider: posterior standard deviations of the region in which the polynomial is fitted.
 
         Raises:
             InputDataError: if the fit has no weighted draws.
         """
+        (fit,) = shot.fits
+        (label,) = (experiment.label for experiment in shot.batch.experiments)
         sample = fit.sample
         if sample is None:
             raise InputDataError(

@@ -24,12 +24,14 @@ class Contents:
         rest: rest radius; 0 where it is not known, and the gas is left out.
         weber: Weber number of the cycle.
         vapour: vapour pressure.
+        sound: sound speed of the liquid over the unit of velocity.
         polytropic: exponent of the gas.
     """
 
     rest: float
     weber: float
     vapour: float
+    sound: float
     polytropic: float = sum(ISOTHERMAL_TO_ADIABATIC) / 2.0
 
     def pressure(self, y: np.ndarray) -> np.ndarray:
@@ -87,7 +89,7 @@ class _Fit:
 
 
 def smooth_cycle(
-    frames: Frames, contents: Contents, sound: float, *, beyond: float, rounds: int = 3
+    frames: Frames, contents: Contents, *, beyond: float, rounds: int = 3
 ) -> SmoothCurve:
     """The curve whose wall pressure is that of the contents, a function of R and U times another.
 
@@ -98,7 +100,6 @@ def smooth_cycle(
     Args:
         frames: of the cycle.
         contents: of the bubble.
-        sound: sound speed over the unit of velocity.
         beyond: frames by which the curve is continued where it goes on.
         rounds: of computing the curve with its own radii in the integrals.
     """
@@ -113,7 +114,7 @@ def smooth_cycle(
         of_radius = [np.ones_like(dense), 1.0 / curve.y]
         of_rate = [curve.u / curve.y, curve.u * curve.y]
         fits = [
-            _fit_pressures(frames, curve, contents, sound, [*of_radius[:i], *of_rate[:j]])
+            _fit_pressures(frames, curve, contents, [*of_radius[:i], *of_rate[:j]])
             for i in (1, 2)
             for j in ((0,) if frames.still else (0, 1, 2))
         ]
@@ -131,7 +132,7 @@ def smooth_cycle(
 
 
 def _fit_pressures(
-    frames: Frames, curve: SmoothCurve, contents: Contents, sound: float, terms: list[np.ndarray]
+    frames: Frames, curve: SmoothCurve, contents: Contents, terms: list[np.ndarray]
 ) -> _Fit:
     """``V'' = 5/2 sqrt(y) (p (1 + 2 M) - M u^2)``, p being that of the contents and unknown times
     ``terms``, integrated twice: linear in these unknowns and in two constants.
@@ -139,7 +140,7 @@ def _fit_pressures(
     The covariance is enlarged where neighbouring residuals agree.
     """
     dense = curve.t
-    mach = curve.u / sound
+    mach = curve.u / contents.sound
     root = 2.5 * np.sqrt(curve.y)
 
     def integrate_once(values: np.ndarray) -> np.ndarray:
@@ -184,7 +185,7 @@ def _fit_pressures(
 
 
 def fit_medium(
-    frames: Frames, curve: SmoothCurve, contents: Contents, sound: float
+    frames: Frames, curve: SmoothCurve, contents: Contents
 ) -> tuple[np.ndarray, np.ndarray]:
     """Viscosity over p_inf times the unit of time and modulus over p_inf of a neo-Hookean
     Kelvin-Voigt medium (Gaudron et al., J. Fluid Mech. 766, 2015), and their standard deviations.
@@ -195,7 +196,7 @@ def fit_medium(
     stretch = curve.y / max(contents.rest, 1e-3)
     terms = [-4.0 * curve.u / curve.y, -(5.0 - 4.0 / stretch - stretch**-4) / 2.0]
     fits = [
-        _fit_pressures(frames, curve, replace(contents, polytropic=exponent), sound, terms)
+        _fit_pressures(frames, curve, replace(contents, polytropic=exponent), terms)
         for exponent in ISOTHERMAL_TO_ADIABATIC
     ]
     values = np.array([fit.coefficients for fit in fits])

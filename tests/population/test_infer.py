@@ -298,9 +298,7 @@ def test_that_the_stated_error_of_the_evidence_is_its_spread_over_seeds() -> Non
             seed=seed,
             samples=96,
         )
-        smooth = tuple(
-            ShotLikelihood.of(fit.batch.experiments[0].label, fit.fits[0]) for fit in fits
-        )
+        smooth = tuple(map(ShotLikelihood.of, fits))
         found = [
             sample_population(Problem(smooth, PART, tensor(s, s)), 500, generator(seed))
             for s in (SCALE, 0.0)
@@ -472,9 +470,9 @@ def test_that_shots_with_different_priors_are_refused() -> None:
 
 
 def test_that_a_fit_without_draws_is_refused() -> None:
-    fit = _fits()[0].fits[0]
+    shot = _fits()[0]
     with pytest.raises(InputDataError, match="no weighted draws"):
-        ShotLikelihood.of("e0", replace(fit, sample=None))
+        ShotLikelihood.of(replace(shot, fits=(replace(shot.fits[0], sample=None),)))
 
 
 def test_that_what_is_inferred_of_the_medium_is_the_same_in_all_shots() -> None:
