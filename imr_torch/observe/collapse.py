@@ -41,7 +41,6 @@ _ERRORS = {
     "rmax_sd_m": "max_radius_sd_m",
     "stretch_sd": "stretch_sd",
 }
-_RANGES = {"rmax_m": (1e-6, 1e-2), "stretch": (1.2, 100.0), "collapse_time_s": (1e-8, 1e-2)}
 
 
 @dataclass(frozen=True)
@@ -77,24 +76,27 @@ class CollapseShot:
     stated: Statement | None = None
 
     def __post_init__(self) -> None:
-        values = (self.max_radius_m, self.stretch, self.collapse_time_s)
-        for (name, (low, high)), value in zip(_RANGES.items(), values, strict=True):
+        top = self.max_radius_m
+        time = self.collapse_time_s
+        for name, value, low, high, error, sd in (
+            ("rmax_m", top, 1e-6, 1e-2, "max_radius_sd_m", self.max_radius_sd_m),
+            ("stretch", self.stretch, 1.2, 100.0, "stretch_sd", self.stretch_sd),
+            ("collapse_time_s", time, 1e-8, 1e-2, "collapse_time_sd_s", self.collapse_time_sd_s),
+        ):
             if not low <= value <= high:
                 raise InputDataError(
-                    f"{self.source}: experiment '{self.experiment_id}': {name} is {value:g}; "
-                    f"expected {low:g} to {high:g}, in SI units."
+                    f"{self.where}: {name} is {value:g}; expected {low:g} to {high:g}, in SI units."
                 )
-        for name, value, of in (
-            ("collapse_time_sd_s", self.collapse_time_sd_s, self.collapse_time_s),
-            ("max_radius_sd_m", self.max_radius_sd_m, self.max_radius_m),
-            ("stretch_sd", self.stretch_sd, self.stretch),
-        ):
-            if value is not None and not 0.0 < value < of:
+            if sd is not None and not 0.0 < sd < value:
                 raise InputDataError(
-                    f"{self.source}: experiment '{self.experiment_id}': {name} is {value:g}; "
-                    f"expected an error above 0 and below the value itself, {of:g}, in SI units, "
-                    "or leave it out."
+                    f"{self.where}: {error} is {sd:g}; expected an error above 0 and below the value "
+                    f"itself, {value:g}, in SI units, or leave it out."
                 )
+
+    @property
+    def where(self) -> str:
+        """File and experiment, for messages."""
+        return f"{self.source}: experiment '{self.experiment_id}'"
 
     def to_experiment(self, surroundings: Surroundings) -> "CollapseTime":
         """The shot in dimensionless form."""
@@ -108,9 +110,8 @@ class CollapseShot:
         time = self.collapse_time_s / scale
         if not 0.3 <= time <= 6.0:
             raise InputDataError(
-                f"{self.source}: experiment '{self.experiment_id}': the collapse is at t* = "
-                f"{time:.2g} (an empty "
-                "cavity: .915); check the units of rmax_m and collapse_time_s."
+                f"{self.where}: the collapse is at t* = {time:.2g} (an empty cavity: .915); check the "
+                "units of rmax_m and collapse_time_s."
             )
         return CollapseTime(
             self.experiment_id, design, time, self.collapse_time_sd_s / scale, nuisance

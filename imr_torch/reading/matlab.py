@@ -121,13 +121,12 @@ def _check_size(path: Path) -> None:
 def _add_values(name: str, value: Any, values: dict[str, Any], units: dict[str, str]) -> None:
     """Add a value, or each of its fields or columns, under its name."""
     if hasattr(value, "columns"):  # a table, which is a data frame
-        if value.index.dtype.kind in "mM":
-            times = _to_seconds(np.asarray(value.index))
-            values[f"{name}.{value.index.name}"] = times
-            units[f"{name}.{value.index.name}"] = "s"
         written = value.attrs.get("VariableUnits") or value.attrs.get("varUnits") or []
+        if value.index.dtype.kind in "mM":  # of a timetable
+            value = value.reset_index()
+            written = ["", *written]
         for column, unit in zip(value.columns, [*written, *[""] * value.shape[1]], strict=False):
-            values[f"{name}.{column}"] = _simplify_value(value[column].to_numpy())
+            _add_values(f"{name}.{column}", value[column].to_numpy(), values, units)
             units |= {f"{name}.{column}": unit} if unit else {}
     elif isinstance(value, dict):
         for field, part in value.items():
@@ -141,7 +140,7 @@ def _add_values(name: str, value: Any, values: dict[str, Any], units: dict[str, 
                 values[f"{name}.{field}"] = [_simplify_value(struct[field]) for struct in structs]
     else:
         values[name] = _simplify_value(value)
-        if isinstance(value, np.ndarray) and value.dtype.kind == "m":
+        if isinstance(value, np.ndarray) and value.dtype.kind in "mM":
             units[name] = "s"
 
 

@@ -138,21 +138,20 @@ def table_content(
                 "write every row with the same columns (a lost frame as NaN)."
                 + (decimal if len(row) == 2 * len(names) else "")
             )
-    columns: dict[str, np.ndarray | list[str]] = {}
     texts: dict[str, Sequence[str]] = {}
-    places: dict[str, int] = {}
-    for k, cells in enumerate(zip(*(row for _, row in body), strict=True)):
-        if not names[k] and not any(cells):  # as spreadsheets leave them at the end
+    beside: dict[str, str] = {}
+    for k, (name, *cells) in enumerate(zip(names, *(row for _, row in body), strict=True)):
+        if not name and not any(cells):  # as spreadsheets leave them at the end
             continue
-        if names[k] in columns:
+        if name in texts:
             raise InputDataError(
-                f"{path}: columns {places[names[k]]} and {k + 1} are both named '{names[k]}'; "
-                "give every column a name of its own."
+                f"{path}: columns {names.index(name) + 1} and {k + 1} are both named '{name}'; give "
+                "every column a name of its own."
             )
-        places[names[k]] = k + 1
-        texts[names[k]] = cells
-        columns[names[k]] = _read_column(cells, comma)
-    beside = {name: units[k - 1] for name, k in places.items()} if units else {}
+        texts[name] = cells
+        if units:
+            beside[name] = units[k]
+    columns = {name: _read_column(cells, comma) for name, cells in texts.items()}
     lines = np.array([line for line, _ in body])
     return Content(path, columns, "column", lines, beside, has_header, texts)
 

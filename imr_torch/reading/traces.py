@@ -7,7 +7,7 @@ everything a reader left out, and why.
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -389,13 +389,18 @@ class TraceSet:
         notes = [x for s in sets for x in s.notes]
         for folder in (False, True):
             counts = Counter(t.experiment_id for t in traces)
-            new = {
-                (t.source, t.experiment_id): _longer_name(t, folder=folder)
-                for t in traces
-                if counts[t.experiment_id] > 1
-            }
-            traces = [replace(t, experiment_id=_new_name(new, t.source, t)) for t in traces]
-            left_out = [replace(x, experiment_id=_new_name(new, x.file, x)) for x in left_out]
+            new: dict[tuple[str, str], str] = {}
+            for t in traces:
+                if counts[t.experiment_id] > 1:
+                    file = Path(t.source)
+                    before = f"{file.parent.name}/" if folder else f"{file.stem}:"
+                    new[t.source, t.experiment_id] = f"{before}{t.experiment_id}"
+            for place, t in enumerate(traces):
+                name = new.get((t.source, t.experiment_id), t.experiment_id)
+                traces[place] = replace(t, experiment_id=name)
+            for place, x in enumerate(left_out):
+                name = new.get((x.file, x.experiment_id), x.experiment_id)
+                left_out[place] = replace(x, experiment_id=name)
             notes += [
                 f"{file}: experiment '{old}' is named '{name}' here."
                 for (file, old), name in new.items()
@@ -426,14 +431,3 @@ class TraceSet:
         if self.notes:
             lines += ["Notes:", *(f"  {note}" for note in self.notes)]
         return "\n".join(lines)
-
-
-def _longer_name(trace: RadiusTrace, *, folder: bool) -> str:
-    """The id of a trace after the name of its file, or of its folder."""
-    source = Path(trace.source)
-    before = f"{source.parent.name}/" if folder else f"{source.stem}:"
-    return f"{before}{trace.experiment_id}"
-
-
-def _new_name(names: Mapping[tuple[str, str], str], file: str, named: RadiusTrace | LeftOut) -> str:
-    return names.get((file, named.experiment_id), named.experiment_id)
