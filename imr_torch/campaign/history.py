@@ -132,10 +132,7 @@ class History:
                 self.steps.append(
                     Step(
                         Belief.from_dict(belief),
-                        tuple(
-                            Evidence(**{k: math.inf if v is None else v for k, v in entry.items()})
-                            for entry in rows
-                        ),
+                        tuple(Evidence(**_restore_infinite(entry)) for entry in rows),
                         noise=Noise(**noise) if noise else None,
                         finding=Finding(**finding | {"causes": tuple(finding["causes"])})
                         if finding
@@ -209,3 +206,11 @@ def check_identity(journal: Journal, identity: dict[str, Any]) -> dict[str, Any]
             "curves to a campaign in a new folder."
         )
     return identity
+
+
+def _restore_infinite(values: dict[str, Any]) -> dict[str, Any]:
+    """Inverse of :func:`imr_torch.files.without_nonfinite` for an evidence.
+
+    The one number of it that may be infinite is the shape of its tail.
+    """
+    return {k: (math.inf if v is None else v) for k, v in values.items()}
