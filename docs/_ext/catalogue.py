@@ -335,7 +335,7 @@ def found_effects(found: LookAlikes, effect: Effect) -> list[Effect]:
 
 def _laws(effect: Effect) -> str:
     """What the code says of its law."""
-    from imr_torch.material.integral import TERMS
+    from imr_torch.material.models import TERMS
 
     laws = [
         law

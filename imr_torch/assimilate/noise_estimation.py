@@ -21,7 +21,7 @@ from imr_torch.assimilate.options import En4DVarOptions, FitOptions, SearchOptio
 from imr_torch.assimilate.spikes import without_spoilt_frames
 from imr_torch.material import Belief
 from imr_torch.observe import CollapseTime, Experiment, ExperimentBatch
-from imr_torch.observe.collapse import scatter_of
+from imr_torch.observe.collapse import estimate_scatter
 from imr_torch.observe.noise import FEWEST_RESIDUALS
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
@@ -212,7 +212,7 @@ def with_scatter(result: Assimilation) -> tuple[Experiment | CollapseTime, ...]:
     precision = best.nuisance_chol[rows].square().sum((-2, -1))  # trace, 3 without data
     slopes = square * (precision - 3.0).clamp_min(0.0)
     gel = len(best.mean) - float(best.chol.square().sum())
-    scatter = scatter_of(left * (1.0 + slopes / square), stated + slopes, max(gel, 0.0))
+    scatter = estimate_scatter(left * (1.0 + slopes / square), stated + slopes, max(gel, 0.0))
     return tuple(
         replace(e, scatter=scatter) if isinstance(e, CollapseTime) else e for e in batch.experiments
     )

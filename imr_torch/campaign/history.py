@@ -2,6 +2,7 @@
 beliefs.
 """
 
+import json
 import math
 from collections import defaultdict
 from dataclasses import dataclass, field
@@ -173,16 +174,27 @@ def replay_journal(journal: Journal) -> History:
     return history
 
 
-def check_identity(journal: Journal, identity: dict[str, Any]) -> None:
-    """Raise if a journal is that of another campaign; one without events is of none.
+def check_identity(journal: Journal, identity: dict[str, Any]) -> dict[str, Any]:
+    """What the journal of a campaign begins with, as it will read when it comes back from there.
 
     Args:
-        journal: of the folder.
-        identity: what the journal of the campaign begins with.
+        journal: of the folder; one without events is of no campaign yet.
+        identity: of the campaign.
+
+    Raises:
+        InputDataError: if the journal is that of another campaign, or the identity cannot be
+            written.
     """
-    if not journal.events:
-        return
-    first = journal.events[0]
+    for name, part in identity.items():
+        try:
+            json.dumps(part, allow_nan=False)
+        except (ValueError, TypeError) as error:
+            raise InputDataError(
+                f"Campaign: {name} cannot be written to a journal ({error}); give finite numbers, "
+                "text, or dataclasses of them."
+            ) from None
+    identity = json.loads(json.dumps(identity))
+    first = journal.events[0] if journal.events else {"event": "start"} | identity
     if first["event"] != "start":
         raise InputDataError(
             f"{journal.path}, line 1: event is {first['event']!r}; a campaign begins with 'start'."
@@ -190,15 +202,15 @@ def check_identity(journal: Journal, identity: dict[str, Any]) -> None:
     if names := differing_names(first, {"event": "start"} | identity):
         raise InputDataError(
             f"{journal.path} is the journal of another campaign: {', '.join(names)} differ. "
-            "Resume with the same "
-            "arguments; if another version of imr_torch began it, tell its curves to a campaign "
-            "in a new folder."
+            "Resume with the same arguments; if another version of imr_torch began it, tell its "
+            "curves to a campaign in a new folder."
         )
+    return identity
 
 
 def _restore_infinite(values: dict[str, Any]) -> dict[str, Any]:
-    """Inverse of :func:`finite`.
+    """Inverse of :func:`imr_torch.files.without_nonfinite` for an evidence.
 
-    The one number of an evidence that may be infinite is the shape of its tail.
+    The one number of it that may be infinite is the shape of its tail.
     """
     return {k: (math.inf if v is None else v) for k, v in values.items()}

@@ -269,7 +269,6 @@ class PaperLearner:
 
 def multiply_gaussians(first: ModelBelief, second: ModelBelief) -> ModelBelief:
     """The normalised product of the Gaussians of two beliefs that share their maps."""
-    precisions = [torch.cholesky_inverse(part.chol) for part in (first, second)]
-    covariance = torch.linalg.inv(precisions[0] + precisions[1])
-    mean = covariance @ (precisions[0] @ first.mean + precisions[1] @ second.mean)
+    covariance = torch.linalg.inv(first.precision + second.precision)
+    mean = covariance @ (first.precision @ first.mean + second.precision @ second.mean)
     return first.with_gaussian(mean, torch.linalg.cholesky(0.5 * (covariance + covariance.mT)))

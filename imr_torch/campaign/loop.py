@@ -24,7 +24,7 @@ from imr_torch.campaign.history import Step, check_identity, replay_journal
 from imr_torch.campaign.journal import Journal, curve_hash
 from imr_torch.campaign.learners import Observations
 from imr_torch.campaign.policies import Proposal, Situation
-from imr_torch.campaign.settings import CampaignSettings, through_json
+from imr_torch.campaign.settings import CampaignSettings
 from imr_torch.campaign.stopping import CampaignState
 from imr_torch.design import DesignSearch, InformationGain, Plan, SearchSettings
 from imr_torch.errors import ImrError, InputDataError
@@ -87,22 +87,17 @@ class Campaign:
         self.seed = seed
         self.settings = settings or CampaignSettings()
         self.journal = Journal(folder)
-        self._identity = self._check_identity(note or {})
-        self._history = replay_journal(self.journal)
-
-    def _check_identity(self, note: dict[str, Any]) -> dict[str, Any]:
-        """What the journal begins with, checked against the journal if there is one."""
-        identity = through_json(
+        self._identity = check_identity(
+            self.journal,
             {
-                "prior": self.prior.to_dict(),
-                "simulator": described(self.simulator),
+                "prior": prior.to_dict(),
+                "simulator": described(simulator),
                 "settings": self.settings.to_dict(),
-                "seed": self.seed,
-                "note": note,
-            }
+                "seed": seed,
+                "note": note or {},
+            },
         )
-        check_identity(self.journal, identity)
-        return identity
+        self._history = replay_journal(self.journal)
 
     def _record_event(self, event: str, **values: Any) -> None:
         """Write an event, after the start of the journal if there is none yet."""

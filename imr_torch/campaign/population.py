@@ -29,7 +29,7 @@ from imr_torch.population import (
     fit_shots,
     infer_population,
 )
-from imr_torch.population.quadrature import cells
+from imr_torch.population.closed_form import grid_scatters
 from imr_torch.population.sampling import Problem, sample_population
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
@@ -90,10 +90,7 @@ class PopulationLearner:
             seed=own,
             progress=progress,
         )
-        shots = tuple(
-            ShotLikelihood.of(fit.batch.experiments[0].label, fit.fits[0]) for fit in fits
-        )
-        problem = Problem(shots, part, scatter_scales(part))
+        problem = Problem(tuple(map(ShotLikelihood.of, fits)), part, scatter_scales(part))
         noise = fits[0].batch.noise
         population = None
         if len(fits) > 1:
@@ -173,13 +170,12 @@ def information_about(
         prior: of the population's median.
         scatters: that the gain is averaged over.
     """
-    precision = torch.cholesky_inverse(prior.chol)
-    grid = cells(shots, prior, scatter_scales(prior))
+    grid = grid_scatters(shots, prior, scatter_scales(prior))
     levels = (torch.arange(scatters, dtype=torch.float64) + 0.5) / scatters
     scatter = grid.middle[
         torch.searchsorted(grid.weights.cumsum(0), levels).clamp_max(len(grid.middle) - 1)
     ]
-    given = shots.given(scatter, prior.mean, precision)
+    given = shots.given(scatter, prior.mean, prior.precision)
     return PopulationInformation(
         scatter, given.centre, torch.linalg.cholesky(torch.cholesky_inverse(given.chol))
     )

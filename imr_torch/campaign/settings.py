@@ -1,6 +1,5 @@
 """How a campaign chooses, learns and ends, and how that is written down in its journal."""
 
-import json
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
@@ -10,7 +9,6 @@ from imr_torch.campaign.learners import ExactLearner, Learner, PaperLearner
 from imr_torch.campaign.policies import PAPER_OPTIMAL, DesignPolicy, Optimal
 from imr_torch.campaign.stopping import StoppingRule
 from imr_torch.design import DesignSpace, Plan
-from imr_torch.errors import InputDataError
 
 
 @dataclass(frozen=True)
@@ -59,16 +57,3 @@ def _describe_part(value: Any) -> Any:
     if isinstance(value, tuple):
         return [_describe_part(part) for part in value]
     return value.tolist() if isinstance(value, Tensor) else value
-
-
-def through_json(document: dict[str, Any]) -> dict[str, Any]:
-    """As it will read when it comes back from the journal."""
-    for name, part in document.items():
-        try:
-            json.dumps(part, allow_nan=False)
-        except (ValueError, TypeError) as error:
-            raise InputDataError(
-                f"Campaign: {name} cannot be written to a journal ({error}); give finite numbers, "
-                "text, or dataclasses of them."
-            ) from None
-    return json.loads(json.dumps(document))

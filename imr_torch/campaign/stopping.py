@@ -344,13 +344,11 @@ def stopping_rule(*texts: str) -> StoppingRule | None:
     AnyOf(rules=(AllOf(rules=(RelativeSd(below=0.01), ModelProbability(above=0.99))),
     Designs(count=5)))
     """
-    rules = [_all_of(text) for text in texts]
-    return (rules[0] if len(rules) == 1 else AnyOf(tuple(rules))) if rules else None
-
-
-def _all_of(text: str) -> StoppingRule:
-    rules = tuple(_parse_rule(part.strip()) for part in text.split(","))
-    return rules[0] if len(rules) == 1 else AllOf(rules)
+    rules = []
+    for text in texts:
+        first, *others = (_parse_rule(part.strip()) for part in text.split(","))
+        rules.append(AllOf((first, *others)) if others else first)
+    return AnyOf(tuple(rules)) if len(rules) > 1 else next(iter(rules), None)
 
 
 def _parse_rule(text: str) -> StoppingRule:

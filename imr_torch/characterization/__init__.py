@@ -11,7 +11,7 @@ from imr_torch.characterization.checks import EFFORTS, Effort
 from imr_torch.characterization.infer import characterize
 from imr_torch.characterization.medium import medium_document, medium_of
 from imr_torch.characterization.result import Characterization
-from imr_torch.material.intervals import LEVELS, intervals
+from imr_torch.material.model_belief import LEVELS, intervals
 
 __all__ = [
     "EFFORTS",

@@ -13,9 +13,9 @@ from imr_torch.assimilate import Assimilation, ModelFit
 from imr_torch.assimilate.dense import dense_curve
 from imr_torch.files import drawn_numbers
 from imr_torch.material import Belief
-from imr_torch.material.intervals import LEVELS
+from imr_torch.material.model_belief import LEVELS
 from imr_torch.observe import ExperimentBatch, Prepared, TraceSet, predict
-from imr_torch.observe.frames import FrameUse
+from imr_torch.observe.convert import FrameUse
 from imr_torch.simulate import Simulator
 
 _NOISE_LEVELS = 21  # quantiles of the noise in a predictive band

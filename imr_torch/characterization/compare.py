@@ -19,7 +19,7 @@ from imr_torch.characterization.saved import SavedCharacterization, WeightedDraw
 from imr_torch.document import header
 from imr_torch.errors import InputDataError
 from imr_torch.material import ModelBelief
-from imr_torch.material.intervals import LEVELS
+from imr_torch.material.model_belief import LEVELS
 from imr_torch.population.result import DECISIVE
 from imr_torch.results import document_report
 

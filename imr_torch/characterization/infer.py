@@ -46,7 +46,7 @@ from imr_torch.observe import (
     TraceSet,
     prepare,
 )
-from imr_torch.observe.frames import frame_use
+from imr_torch.observe.convert import find_frame_use
 from imr_torch.population import SCALE, Population, fit_shots, infer_population
 from imr_torch.random import child
 from imr_torch.record import ALL_ALIKE, RecordOptions, describe_record
@@ -193,7 +193,7 @@ def characterize(
         else None
     )
     used = tuple(
-        frame_use(
+        find_frame_use(
             trace,
             prepared.landmarks[trace.experiment_id],
             experiment,

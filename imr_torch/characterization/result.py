@@ -25,9 +25,9 @@ from imr_torch.files import without_nonfinite, write_json
 from imr_torch.gap import MediumSensitivity
 from imr_torch.goodness import FitTest
 from imr_torch.material import Belief
-from imr_torch.material.intervals import intervals
+from imr_torch.material.model_belief import intervals
 from imr_torch.observe import Experiment, GelMedium, Noise, Prepared, TraceSet
-from imr_torch.observe.frames import FrameUse
+from imr_torch.observe.convert import FrameUse
 from imr_torch.population import Population
 from imr_torch.record import Record
 from imr_torch.select import (

@@ -28,7 +28,7 @@ from imr_torch.gap.text import acts_sentence, headline, hidden_sentence, next_st
 from imr_torch.gap.verdict import VERDICT_ODDS
 from imr_torch.goodness.phases import PHASES, phase_numbers
 from imr_torch.material import LIBRARY
-from imr_torch.material.intervals import LEVELS
+from imr_torch.material.model_belief import LEVELS
 from imr_torch.observe import ExperimentBatch, noise_sentences
 from imr_torch.simulate import Simulator
 from imr_torch.unknown import Unknown

@@ -21,7 +21,8 @@ from imr_torch.assimilate import Assimilation, ModelFit, Point, Posterior, Searc
 from imr_torch.assimilate.fit import NEARLY, ONE_MINIMUM, PROMISED
 from imr_torch.assimilate.starts import draw_perturbation
 from imr_torch.material import Belief, Effect, ModelBelief
-from imr_torch.material.belief import beside, even_belief
+from imr_torch.material.belief import even_belief
+from imr_torch.material.model_belief import add_parameters
 from imr_torch.observe import NUISANCES, ExperimentBatch, Scatter
 from imr_torch.population import SCALE
 from imr_torch.random import child, generator
@@ -92,7 +93,7 @@ class Hypothesis:
     @property
     def belief(self) -> ModelBelief:
         """The prior of base and effects together."""
-        return beside(
+        return add_parameters(
             self.base,
             {name: prior for effect in self.effects for name, prior in effect.priors.items()},
         )

@@ -28,7 +28,7 @@ from imr_torch.goodness.phases import PHASES, phase_clock, phase_name, phase_num
 from imr_torch.goodness.score import BOOTSTRAP, PULSES, SHAPE, log_survival, make_block
 from imr_torch.labels import p_value
 from imr_torch.material import PARAMETERS, Effect
-from imr_torch.material.intervals import LEVELS
+from imr_torch.material.model_belief import LEVELS
 from imr_torch.random import SeedLike, child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.types import Directions, FrameMask

@@ -3,7 +3,7 @@ orthogonal to those fitted.
 
 A chi-square over all frames is nearly blind to a small effect, because it tests all directions at
 once. A block tests the few directions in which something definite would show: each effect of the
-library at a finite step, a generic stress law (:mod:`imr_torch.material.closure`), pressure pulses,
+library at a finite step, a generic stress law (:mod:`imr_torch.material.departures`), pressure pulses,
 parameters that change in time or between designs, distortions of the output. The smallest p-value
 over the blocks is calibrated against residuals drawn under the fitted model (Rao's score test;
 parametric bootstrap: Davison & Hinkley, Bootstrap Methods and their Application, 1997, section

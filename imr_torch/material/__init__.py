@@ -1,19 +1,21 @@
 """The gel: parameters, constitutive models, effects, and what is believed of them."""
 
 import imr_torch.material.effects  # noqa: F401 - which registers those of the package
-from imr_torch.material.belief import Belief, Cloud, Draws, ModelBelief
+from imr_torch.material.belief import Belief, Draws
 from imr_torch.material.cases import CASES, ReferenceCase, reference_case, wide_prior
 from imr_torch.material.effect import LIBRARY, Effect, library, register_effect
-from imr_torch.material.integral import (
+from imr_torch.material.marginals import LogNormal, Marginal, Quantile, TruncatedNormal
+from imr_torch.material.model_belief import Cloud, ModelBelief
+from imr_torch.material.models import (
+    MATERIALS,
     TERMS,
-    derivatives,
-    gel_response,
+    Material,
+    material,
+    register,
     register_term,
 )
-from imr_torch.material.marginals import LogNormal, Marginal, Quantile, TruncatedNormal
-from imr_torch.material.models import MATERIALS, Material, material, register
 from imr_torch.material.parameters import PARAMETERS, Parameter, dimensionless
-from imr_torch.material.stress import Stress, StressTerm
+from imr_torch.material.stress import Stress, StressTerm, derivatives, gel_response
 
 __all__ = [
     "CASES",

@@ -36,7 +36,7 @@ class ReferenceCase:
     prior: Belief
 
 
-def _positive(mean: float, sd: float) -> TruncatedNormal:
+def _make_positive(mean: float, sd: float) -> TruncatedNormal:
     return TruncatedNormal(mean, sd, lower=0.0)
 
 
@@ -49,11 +49,14 @@ CASES: dict[str, ReferenceCase] = {
             {"G": 2770.0, "mu": 0.186, "alpha": 0.48},
             Belief.prior(
                 {
-                    "nhkv": {"G": _positive(15090.0, 4350.0), "mu": _positive(0.209, 0.18)},
+                    "nhkv": {
+                        "G": _make_positive(15090.0, 4350.0),
+                        "mu": _make_positive(0.209, 0.18),
+                    },
                     "gen_qkv": {
-                        "G": _positive(2770.0, 300.0),
-                        "mu": _positive(0.286, 0.186),
-                        "alpha": TruncatedNormal(0.28, 0.48, lower=0.0),
+                        "G": _make_positive(2770.0, 300.0),
+                        "mu": _make_positive(0.286, 0.186),
+                        "alpha": _make_positive(0.28, 0.48),
                     },
                 }
             ),
@@ -64,11 +67,14 @@ CASES: dict[str, ReferenceCase] = {
             {"G": 8310.0, "mu": 0.093},
             Belief.prior(
                 {
-                    "nhkv": {"G": _positive(12000.0, 6350.0), "mu": _positive(0.14, 0.073)},
+                    "nhkv": {
+                        "G": _make_positive(12000.0, 6350.0),
+                        "mu": _make_positive(0.14, 0.073),
+                    },
                     "gen_qkv": {
-                        "G": _positive(570.0, 60.0),
-                        "mu": _positive(0.08, 0.05),
-                        "alpha": TruncatedNormal(0.96, 0.48, lower=0.0),
+                        "G": _make_positive(570.0, 60.0),
+                        "mu": _make_positive(0.08, 0.05),
+                        "alpha": _make_positive(0.96, 0.48),
                     },
                 }
             ),
@@ -133,13 +139,15 @@ def wide_prior(
         raise InputDataError(f"models is {list(models)}; name at least one model, each once.")
     held = set(fixed) - {name for key in models for name in material(key).known}
     priors = {
-        key: {name: _default(key, name) for name in material(key).free if name not in held}
+        key: {
+            name: _find_default_prior(key, name) for name in material(key).free if name not in held
+        }
         for key in models
     }
     return Belief.prior(priors, known=fixed)
 
 
-def _default(model: str, name: str) -> Marginal:
+def _find_default_prior(model: str, name: str) -> Marginal:
     """The prior that a parameter was registered with."""
     prior = PARAMETERS[name].prior
     if prior is None:

@@ -1,9 +1,16 @@
-"""Stress terms for damage of modulus and viscosity, a yield stress, a graded modulus and a
-permanent set.
+"""Stress terms beside those of a model: damage of modulus and viscosity, a yield stress, a graded
+modulus, a permanent set, and generic laws.
 
-Each is a correction to a model's elastic stress with one parameter, neutral at zero, so that it can
-be added to any model and inferred with it. They are simple closures that act where the effect does,
-not complete constitutive laws.
+Each of the former is a correction to a model's elastic stress with one parameter, neutral at zero,
+so that it can be added to any model and inferred with it. They are simple closures that act where
+the effect does, not complete constitutive laws.
+
+The generic laws (:data:`CLOSURE`) are seven functions of the bubble's state, whose linear
+combinations approximate any local stress law: ``lambda - 1``, ``(lambda - 1)^2``, ``lambda^-3 - 1``,
+``lambda^-6 - 1``, ``U``, ``U|U|`` and ``(U/R)|U/R|`` with the stretch ``lambda = R/R_inf``. They model
+no particular material: the gap test detects with them a missing stress law that is in no library.
+Coefficients are pressures over ``p_inf``; each does nothing at zero. ``|U|`` is rounded off at small
+velocities.
 """
 
 from imr_torch.elementary import Scalar, log, sqrt, where
@@ -11,10 +18,11 @@ from imr_torch.material.elastic import neo_hookean, stiffening
 from imr_torch.material.stress import SMOOTH, StressTerm
 from imr_torch.material.viscous import newtonian
 
-_SLOWEST = 0.1  # shear rate below which a yield stress is left out
+SLOWEST_SHEAR = 0.1
+"""Dimensionless shear rate below which a yield stress is left out."""
 
 
-def _elastic(
+def _elastic_stress(
     radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, alpha: Scalar
 ) -> tuple[Scalar, Scalar]:
     """Value and rate of the elastic stress of the models that may be damaged or set."""
@@ -48,7 +56,7 @@ def damaged(
     Macromolecules 47, 2014). A modulus that falls over the event is reported by Spratt et al. (J.
     Mech. Phys. Solids 152, 2021).
     """
-    value, rate = _elastic(radius, velocity, rest_radius, G, alpha)
+    value, rate = _elastic_stress(radius, velocity, rest_radius, G, alpha)
     growth = damage * (1.0 - lost) * _strain_rate(radius, velocity) - healing * lost
     return -lost * value, -growth * value - lost * rate, 0.0, growth
 
@@ -93,15 +101,17 @@ def yielding(
     the wall over the slow one.
     """
     strain = velocity / radius
-    ratio = strain / _SLOWEST
+    ratio = strain / SLOWEST_SHEAR
     square = 1.0 + ratio * ratio
-    steep = _SLOWEST / SMOOTH
+    steep = SLOWEST_SHEAR / SMOOTH
     rounded = 1.0 + steep * steep * ratio * ratio
     root = sqrt(rounded)
     direction = steep * ratio / root
     extent = log(square) / 6.0
     scale = -2.0 * yield_stress
-    by_strain = direction * ratio / (3.0 * square * _SLOWEST) + extent / (SMOOTH * rounded * root)
+    by_strain = direction * ratio / (3.0 * square * SLOWEST_SHEAR) + extent / (
+        SMOOTH * rounded * root
+    )
     return (
         scale * direction * extent,
         -scale * by_strain * strain * strain,
@@ -145,8 +155,8 @@ def stretched(
     maximum radius.
     """
     moved = rest_radius + permanent_set * (1.0 - rest_radius)
-    value, rate = _elastic(radius, velocity, moved, G, alpha)
-    before, before_rate = _elastic(radius, velocity, rest_radius, G, alpha)
+    value, rate = _elastic_stress(radius, velocity, moved, G, alpha)
+    before, before_rate = _elastic_stress(radius, velocity, rest_radius, G, alpha)
     return value - before, rate - before_rate, 0.0
 
 
@@ -155,3 +165,94 @@ VISCOUS_DAMAGE = StressTerm(thinned_by_damage, switch="viscous_damage", states=1
 YIELD_STRESS = StressTerm(yielding, switch="yield_stress")
 GRADED_MODULUS = StressTerm(graded, switch="graded_modulus")
 PERMANENT_SET = StressTerm(stretched, switch="permanent_set")
+
+
+def _signed_square(x: Scalar) -> tuple[Scalar, Scalar]:
+    """``x|x|`` and its derivative."""
+    size = sqrt(x * x + SMOOTH * SMOOTH)
+    return x * size, size + x * x / size
+
+
+def stretch(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, law_stretch: Scalar
+) -> tuple[Scalar, ...]:
+    """``lambda - 1``."""
+    return -law_stretch * (radius / rest_radius - 1.0), -law_stretch * velocity / rest_radius, 0.0
+
+
+def squared_stretch(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, law_stretch_squared: Scalar
+) -> tuple[Scalar, ...]:
+    """``(lambda - 1)^2``."""
+    strain = radius / rest_radius - 1.0
+    return (
+        -law_stretch_squared * strain * strain,
+        -2.0 * law_stretch_squared * strain * velocity / rest_radius,
+        0.0,
+    )
+
+
+def compression(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, law_compression: Scalar
+) -> tuple[Scalar, ...]:
+    """``lambda^-3 - 1``."""
+    inverse = rest_radius / radius
+    cubed = inverse * inverse * inverse
+    return -law_compression * (cubed - 1.0), 3.0 * law_compression * cubed * velocity / radius, 0.0
+
+
+def steep_compression(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, law_compression_steep: Scalar
+) -> tuple[Scalar, ...]:
+    """``lambda^-6 - 1``."""
+    inverse = rest_radius / radius
+    cubed = inverse * inverse * inverse
+    sixth = cubed * cubed
+    return (
+        -law_compression_steep * (sixth - 1.0),
+        6.0 * law_compression_steep * sixth * velocity / radius,
+        0.0,
+    )
+
+
+def speed(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, law_velocity: Scalar
+) -> tuple[Scalar, ...]:
+    """``U``."""
+    return -law_velocity * velocity, 0.0, -law_velocity
+
+
+def squared_speed(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, law_velocity_squared: Scalar
+) -> tuple[Scalar, ...]:
+    """``U|U|``."""
+    value, slope = _signed_square(velocity)
+    return -law_velocity_squared * value, 0.0, -law_velocity_squared * slope
+
+
+def squared_rate(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, law_rate_squared: Scalar
+) -> tuple[Scalar, ...]:
+    """``(U/R)|U/R|``."""
+    rate = velocity / radius
+    value, slope = _signed_square(rate)
+    return (
+        -law_rate_squared * value,
+        law_rate_squared * slope * rate * rate,
+        -law_rate_squared * slope / radius,
+    )
+
+
+CLOSURE = tuple(
+    StressTerm(law, switch=coefficient)
+    for law, coefficient in (
+        (stretch, "law_stretch"),
+        (squared_stretch, "law_stretch_squared"),
+        (compression, "law_compression"),
+        (steep_compression, "law_compression_steep"),
+        (speed, "law_velocity"),
+        (squared_speed, "law_velocity_squared"),
+        (squared_rate, "law_rate_squared"),
+    )
+)
+"""The generic laws, in the order above."""

@@ -9,8 +9,27 @@ parameter is not neutral. The physics of the bubble and of the liquid around it 
 :mod:`imr_torch.observe.distortion`. At zero each does nothing, exactly.
 """
 
-from imr_torch.material.effect import Effect, register_effect
+import math
+
+from imr_torch.material.effect import Effect, Place, register_effect
 from imr_torch.material.marginals import LogNormal, TruncatedNormal
+
+
+def _amplitude_effect(
+    name: str,
+    meaning: str,
+    place: Place,
+    sd: float,
+    *,
+    lower: float = -math.inf,
+    upper: float = math.inf,
+    group: str = "",
+    needs: str = "",
+) -> Effect:
+    """An effect whose only parameter is its amplitude, of the same name and of prior mean zero."""
+    prior = TruncatedNormal(0.0, sd, lower, upper)
+    return Effect(name, meaning, place, {name: prior}, group=group, needs=needs)
+
 
 for _effect in (
     Effect(
@@ -38,11 +57,12 @@ for _effect in (
         ((0.15, 1e-5), (0.4, 1e-5)),
         needs="mu",
     ),
-    Effect(
+    _amplitude_effect(
         "damage",
         "the gel softens with accumulated strain",
         "material",
-        {"damage": TruncatedNormal(0.0, 0.1, lower=0.0)},
+        0.1,
+        lower=0.0,
         group="damage",
         needs="G",
     ),
@@ -57,101 +77,107 @@ for _effect in (
         group="damage",
         needs="G",
     ),
-    Effect(
+    _amplitude_effect(
         "viscous_damage",
         "viscosity falls with accumulated strain",
         "material",
-        {
-            "viscous_damage": TruncatedNormal(0.0, 0.1, lower=0.0)
-        },  # a third is lost by the first rebound, at a strain of 4
+        0.1,
+        lower=0.0,  # a third is lost by the first rebound, at a strain of 4
         needs="mu",
     ),
-    Effect(
+    _amplitude_effect(
         "yield_stress",
         "the gel flows only above a stress",
         "material",
-        {"yield_stress": TruncatedNormal(0.0, 3e3, lower=0.0)},
+        3e3,
+        lower=0.0,
     ),
-    Effect(
+    _amplitude_effect(
         "graded_modulus",
         "the modulus near the bubble differs",
         "material",
-        {"graded_modulus": TruncatedNormal(0.0, 0.5, lower=-1.0)},
+        0.5,
+        lower=-1.0,
         needs="G",
     ),
-    Effect(
+    _amplitude_effect(
         "permanent_set",
         "growth has stretched the gel for good",
         "material",
-        {"permanent_set": TruncatedNormal(0.0, 0.02)},
+        0.02,
         needs="G",
     ),
-    Effect(
+    _amplitude_effect(
         "heat_exchange",
         "more or less heat crosses the bubble's wall",
         "gas",
-        {"heat_exchange": TruncatedNormal(0.0, 1.0)},
+        1.0,
     ),
-    Effect(
+    _amplitude_effect(
         "vapour_pressure",
         "vapour pressure off its saturation value",
         "gas",
-        {"vapour_pressure": TruncatedNormal(0.0, 0.05, lower=-0.03)},
+        0.05,
+        lower=-0.03,
     ),
-    Effect(
+    _amplitude_effect(
         "condensation",
         "vapour is trapped by the collapse",
         "gas",
-        {"condensation": TruncatedNormal(0.0, 0.2, lower=0.0)},
+        0.2,
+        lower=0.0,
     ),
-    Effect(
+    _amplitude_effect(
         "gas_loss",
         "gas is lost at collapse",
         "gas",
-        {"gas_loss": TruncatedNormal(0.0, 0.2, lower=0.0)},
+        0.2,
+        lower=0.0,
     ),
-    Effect(
+    _amplitude_effect(
         "sound_speed",
         "the speed of sound differs",
         "liquid",
-        {"sound_speed": TruncatedNormal(0.0, 0.7)},
+        0.7,
     ),
-    Effect(
+    _amplitude_effect(
         "surface_tension",
         "surface tension differs",
         "liquid",
-        {"surface_tension": TruncatedNormal(0.0, 0.5)},
+        0.5,
     ),
-    Effect(
+    _amplitude_effect(
         "far_field_pressure",
         "far-field pressure is not p_inf",
         "liquid",
-        {"far_field_pressure": TruncatedNormal(0.0, 0.015)},
+        0.015,
     ),
-    Effect(
+    _amplitude_effect(
         "wall",
         "a wall or another bubble is near",
         "liquid",
-        {"wall": TruncatedNormal(0.0, 0.1)},
+        0.1,
     ),
-    Effect(
+    _amplitude_effect(
         "energy_loss",
         "energy goes into non-spherical modes at collapse",
         "liquid",
-        {"energy_loss": TruncatedNormal(0.0, 0.7, lower=0.0)},
+        0.7,
+        lower=0.0,
     ),
-    Effect(
+    _amplitude_effect(
         "size_drag",
         "a drag that grows with the bubble's size, as sound between walls makes it",
         "liquid",
         # 1e7 Pa s/m^2 is a layer of about a centimetre
-        {"size_drag": TruncatedNormal(0.0, 1e7, lower=0.0)},
+        1e7,
+        lower=0.0,
     ),
-    Effect(
+    _amplitude_effect(
         "residual_velocity",
         "the wall still moves at time zero",
         "driving",
-        {"residual_velocity": TruncatedNormal(0.0, 0.05)},
+        0.05,
         group="start",
     ),
     Effect(
@@ -178,80 +204,79 @@ for _effect in (
         tuple((a, t, -1.5) for a in (0.03, -0.03) for t in (0.5, 1.5, 2.5)),
         group="sound",
     ),
-    Effect(
+    _amplitude_effect(
         "excess_gas",
         "the gas at the maximum radius is not that of R_inf",
         "gas",
-        {"excess_gas": TruncatedNormal(0.0, 0.2)},  # 7 % of R_inf, as tails of repeats differ
+        0.2,  # 7 % of R_inf, as tails of repeats differ
         group="rest radius",
     ),
-    Effect(
+    _amplitude_effect(
         "hot_contents",
         "the contents are hot (or cold) at the maximum radius",
         "gas",
-        {
-            "hot_contents": TruncatedNormal(0.0, 0.15, lower=-0.3, upper=0.6)
-        },  # 45 K: growth lasts several times of conduction
+        0.15,
+        lower=-0.3,
+        upper=0.6,  # 45 K: growth lasts several times of conduction
     ),
-    Effect(
+    _amplitude_effect(
         "rinf_drift",
         "gas comes or goes over the event: the tail drifts",
         "gas",
-        {"rinf_drift": TruncatedNormal(0.0, 500.0)},  # 1 % in Rmax/U_c of a bubble of 200 um
+        500.0,  # 1 % in Rmax/U_c of a bubble of 200 um
     ),
-    Effect(
+    _amplitude_effect(
         "density",
         "the medium's density differs",
         "liquid",
-        {"density": TruncatedNormal(0.0, 0.05)},
+        0.05,
         group="time_scale",
     ),
-    Effect(
+    _amplitude_effect(
         "missed_maximum",
         "the true maximum was missed",
         "measurement",
-        {"missed_maximum": TruncatedNormal(0.0, 0.015)},
+        0.015,
     ),
-    Effect(
+    _amplitude_effect(
         "trigger_offset",
         "the clock starts early or late",
         "measurement",
-        {"trigger_offset": TruncatedNormal(0.0, 0.025)},
+        0.025,
         group="start",
     ),
-    Effect(
+    _amplitude_effect(
         "rinf_bias",
         "the rest radius is misread",
         "geometry",
-        {"rinf_bias": TruncatedNormal(0.0, 0.05)},
+        0.05,
         group="rest radius",
     ),
-    Effect(
+    _amplitude_effect(
         "clock",
         "frame rate or pixel size is off",
         "measurement",
-        {"clock": TruncatedNormal(0.0, 0.025)},
+        0.025,
         group="time_scale",
     ),
-    Effect(
+    _amplitude_effect(
         "exposure_blur",
         "frames average over their exposure",
         "measurement",
-        {"exposure_blur": TruncatedNormal(0.0, 0.05, lower=0.0)},
+        0.05,
+        lower=0.0,
     ),
-    Effect(
+    _amplitude_effect(
         "refraction",
         "the gel refracts: R is magnified as it grows",
         "measurement",
-        {"refraction": TruncatedNormal(0.0, 0.01)},
+        0.01,
     ),
-    Effect(
+    _amplitude_effect(
         "edge_error",
         "the bubble's edge is misplaced by the same distance in every frame",
         "measurement",
-        {
-            "edge_error": TruncatedNormal(0.0, 2e-6)
-        },  # about a pixel: published films have 1.5 to 2.8 um a pixel
+        2e-6,  # about a pixel: published films have 1.5 to 2.8 um a pixel
     ),
 ):
     register_effect(_effect)

@@ -44,7 +44,7 @@ def stiffening(
     return value, slope * velocity / radius, 0.0
 
 
-def _softens(G: Tensor, alpha: Tensor) -> Tensor:
+def _has_no_bound(G: Tensor, alpha: Tensor) -> Tensor:
     """At negative ``alpha`` the stress at collapse pulls inwards as ``l^-8``."""
     return (G > 0.0) & (alpha < 0.0)
 
@@ -61,16 +61,17 @@ def linear_elastic(
 # nodes and weights of Gauss-Legendre in ``u`` of ``1 - (1 - u)^2``: dense at 1, where exponentials
 # vary most
 _RULE = tuple((1.0 - (1.0 - u) ** 2, 2.0 * w * (1.0 - u)) for u, w in unit_rule(32))
-_STIFFEST = 300.0  # exponent beyond which no bubble could tell a stiffer gel
+STIFFEST_EXPONENT = 300.0
+"""Exponent of the Fung law beyond which no bubble could tell a stiffer gel."""
 
 
-def _invariant(stretch: Scalar) -> Scalar:
+def _find_invariant(stretch: Scalar) -> Scalar:
     """``I_1 - 3`` at a hoop stretch."""
     square = stretch * stretch
     return 1.0 / (square * square) + 2.0 * square - 3.0
 
 
-def _density(stretch: Scalar, excess: Scalar) -> Scalar:
+def _find_density(stretch: Scalar, excess: Scalar) -> Scalar:
     """``dS/d ln b`` per modulus at a hoop stretch, of an ``excess`` ``f(I_1 - 3) - 1`` over the
     neo-Hookean modulus.
     """
@@ -80,29 +81,15 @@ def _density(stretch: Scalar, excess: Scalar) -> Scalar:
 
 
 def _second_order_density(stretch: Scalar, alpha: Scalar) -> Scalar:
-    scaled = alpha * _invariant(stretch)
-    return _density(stretch, scaled * (1.0 + 0.5 * scaled))
+    scaled = alpha * _find_invariant(stretch)
+    return _find_density(stretch, scaled * (1.0 + 0.5 * scaled))
 
 
 def _exponential_density(stretch: Scalar, alpha: Scalar) -> Scalar:
-    exponent = alpha * _invariant(stretch)
-    return _density(stretch, expm1(where(real(exponent) > _STIFFEST, _STIFFEST, exponent)))
-
-
-def _second_order_mean(span: Scalar, alpha: Scalar) -> Scalar:
-    """Mean density between no stretch and one of ``exp(span)``."""
-    total = 0.0 * span
-    for node, weight in _RULE:
-        total = total + weight * _second_order_density(exp(node * span), alpha)
-    return total
-
-
-def _exponential_mean(span: Scalar, alpha: Scalar) -> Scalar:
-    """Mean density between no stretch and one of ``exp(span)``."""
-    total = 0.0 * span
-    for node, weight in _RULE:
-        total = total + weight * _exponential_density(exp(node * span), alpha)
-    return total
+    exponent = alpha * _find_invariant(stretch)
+    return _find_density(
+        stretch, expm1(where(real(exponent) > STIFFEST_EXPONENT, STIFFEST_EXPONENT, exponent))
+    )
 
 
 def second_order_fung(
@@ -116,8 +103,10 @@ def second_order_fung(
     """
     stretch = radius / rest_radius
     span = log(stretch)
-    value = G * span * _second_order_mean(span, alpha_fung2)
-    return value, G * _second_order_density(stretch, alpha_fung2) * velocity / radius, 0.0
+    mean = 0.0 * span
+    for node, weight in _RULE:
+        mean = mean + weight * _second_order_density(exp(node * span), alpha_fung2)
+    return G * span * mean, G * _second_order_density(stretch, alpha_fung2) * velocity / radius, 0.0
 
 
 def exponential_fung(
@@ -128,12 +117,14 @@ def exponential_fung(
     """
     stretch = radius / rest_radius
     span = log(stretch)
-    value = G * span * _exponential_mean(span, alpha_fung)
-    return value, G * _exponential_density(stretch, alpha_fung) * velocity / radius, 0.0
+    mean = 0.0 * span
+    for node, weight in _RULE:
+        mean = mean + weight * _exponential_density(exp(node * span), alpha_fung)
+    return G * span * mean, G * _exponential_density(stretch, alpha_fung) * velocity / radius, 0.0
 
 
 NEO_HOOKEAN = StressTerm(neo_hookean, switch="G")
-STIFFENING = StressTerm(stiffening, switch="alpha", unbounded=_softens)
+STIFFENING = StressTerm(stiffening, switch="alpha", unbounded=_has_no_bound)
 LINEAR_ELASTIC = StressTerm(linear_elastic, switch="G_lin")
 SECOND_ORDER_FUNG = StressTerm(second_order_fung, switch="alpha_fung2")
 EXPONENTIAL_FUNG = StressTerm(exponential_fung, switch="alpha_fung")

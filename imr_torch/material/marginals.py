@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import scipy  # whose parts are imported when they are used; `stats` takes long
 import torch
@@ -18,13 +18,11 @@ from torch import Tensor
 from torch.special import ndtri
 
 from imr_torch.errors import InputDataError
+from imr_torch.files import without_nonfinite
 from imr_torch.types import Values
 
-_TINY = 1e-300
-_SURE = (
-    10.0  # standard deviations up to which SciPy's quantiles of all families were seen to be right
-)
-_FAR = 25.0  # standard deviations from which tails are computed by their asymptotic form
+LEAST_PROBABILITY = 1e-300
+"""Probability of a tail at least, so that a value at its bound has a finite density."""
 
 
 class Marginal(Protocol):
@@ -67,14 +65,10 @@ def ndtr(x: Values) -> Values:
     return 0.5 * torch.erfc(-x / math.sqrt(2.0))
 
 
-def _far_tail(z: Tensor, log_kept: float) -> Tensor:
-    """Solve ``log Q(x) = log_kept + log Q(z)`` far out, where ``Q(z) ~ pdf(z)/z`` and ``Q`` itself
-    would underflow.
-    """
-    x = z
-    for _ in range(3):
-        x = torch.sqrt(z * z - 2.0 * log_kept - 2.0 * torch.log(x / z))
-    return x
+def _find_score(below: Tensor, above: Tensor) -> Tensor:
+    """Standard normal score of probabilities below and above it, from the smaller of them."""
+    below, above = (p.clamp(LEAST_PROBABILITY, 1.0) for p in (below, above))
+    return torch.where(below < 0.5, ndtri(below), -ndtri(above))
 
 
 def _normal_log_pdf(x: Tensor) -> Tensor:
@@ -98,6 +92,9 @@ class TruncatedNormal:
     [0.1, 0.337, 0.705]
     """
 
+    FAR: ClassVar[float] = 25.0
+    """Standard deviations from which tails are computed by their asymptotic form."""
+
     mean: float
     sd: float
     lower: float = -math.inf
@@ -113,54 +110,60 @@ class TruncatedNormal:
             raise InputDataError(
                 f"TruncatedNormal: lower bound {self.lower} is not below upper bound {self.upper}."
             )
-        if self._parts[2] < 1e-12:
+        if self._masses[2] < 1e-12:
             raise InputDataError(
                 f"TruncatedNormal(mean={self.mean}, sd={self.sd}) has no mass between {self.lower} "
                 f"and {self.upper}; move the mean towards the bounds or widen sd."
             )
 
     @cached_property
-    def _parts(self) -> tuple[float, float, float]:
+    def _masses(self) -> tuple[float, float, float]:
         """Mass cut off below and above, and what is kept."""
         below = 0.5 * math.erfc(-(self.lower - self.mean) / self.sd / math.sqrt(2.0))
         above = 0.5 * math.erfc((self.upper - self.mean) / self.sd / math.sqrt(2.0))
         return below, above, 1.0 - below - above
 
-    def _standard(self, z: Tensor) -> Tensor:
+    def _replace_far_tails(self, z: Tensor, near: Tensor, log_kept: float) -> Tensor:
+        """``near``, but far out on a side without a bound the solution of ``log Q(x) = log_kept + log
+        Q(z)``, where ``Q(z) ~ pdf(z)/z`` and ``Q`` itself would underflow.
+        """
+        below, above, _ = self._masses
+        size = z.abs().clamp_min(self.FAR)
+        x = size
+        for _ in range(3):
+            x = torch.sqrt(size * size - 2.0 * log_kept - 2.0 * torch.log(x / size))
+        unbounded = (z > self.FAR) & (above == 0.0) | (z < -self.FAR) & (below == 0.0)
+        return torch.where(unbounded, torch.sign(z) * x, near)
+
+    def _standardise(self, z: Tensor) -> Tensor:
         """The standardised value.
 
         Each half is computed from its own tail, so neither loses digits.
         """
-        below, above, kept = self._parts
-        from_below = ndtri(below + kept * ndtr(z.clamp(-_FAR, 0.0)))
-        from_above = -ndtri(above + kept * ndtr(-z.clamp(0.0, _FAR)))
-        value = torch.where(z < 0.0, from_below, from_above)
-        far = torch.sign(z) * _far_tail(z.abs().clamp_min(_FAR), math.log(kept))
-        unbounded = (z > _FAR) & (above == 0.0) | (z < -_FAR) & (below == 0.0)
-        return torch.where(unbounded, far, value)
+        below, above, kept = self._masses
+        from_below = ndtri(below + kept * ndtr(z.clamp(-self.FAR, 0.0)))
+        from_above = -ndtri(above + kept * ndtr(-z.clamp(0.0, self.FAR)))
+        return self._replace_far_tails(
+            z, torch.where(z < 0.0, from_below, from_above), math.log(kept)
+        )
 
     def to_physical(self, z: Values) -> Values:
         """See :class:`Marginal`."""
-        value = self.mean + self.sd * self._standard(z)
+        value = self.mean + self.sd * self._standardise(z)
         return value.clamp(self.lower, self.upper)
 
     def to_control(self, value: Values) -> Values:
         """See :class:`Marginal`."""
-        below, above, kept = self._parts
+        below, above, kept = self._masses
         x = (value - self.mean) / self.sd
-        # a value at its bound has a finite density
-        cumulative = ((ndtr(x) - below) / kept).clamp(_TINY, 1.0)
-        survival = ((ndtr(-x) - above) / kept).clamp(_TINY, 1.0)
-        z = torch.where(cumulative < 0.5, ndtri(cumulative), -ndtri(survival))
-        far = torch.sign(x) * _far_tail(x.abs().clamp_min(_FAR), -math.log(kept))
-        unbounded = (x > _FAR) & (above == 0.0) | (x < -_FAR) & (below == 0.0)
-        return torch.where(unbounded, far, z)
+        z = _find_score((ndtr(x) - below) / kept, (ndtr(-x) - above) / kept)
+        return self._replace_far_tails(x, z, -math.log(kept))
 
     def log_slope(self, z: Values) -> Values:
         """See :class:`Marginal`."""
-        below, above, _ = self._parts
+        below, above, _ = self._masses
         scale = math.log(self.sd) + math.log1p(-below - above)
-        return scale + _normal_log_pdf(z) - _normal_log_pdf(self._standard(z))
+        return scale + _normal_log_pdf(z) - _normal_log_pdf(self._standardise(z))
 
 
 @dataclass(frozen=True)
@@ -235,6 +238,9 @@ class Quantile:
     [708, 1678, 3300]
     """
 
+    FAR: ClassVar[float] = 10.0
+    """Standard deviations up to which SciPy's quantiles of all families were seen to be right."""
+
     family: str
     arguments: Mapping[str, float]
 
@@ -245,7 +251,7 @@ class Quantile:
                 f"Quantile: scipy.stats has no continuous distribution named {self.family!r}."
             )
         try:
-            usable = math.isfinite(self._law.median())
+            usable = math.isfinite(self._frozen_law.median())
         except TypeError as error:
             raise InputDataError(
                 f"Quantile: scipy.stats.{self.family} with {dict(self.arguments)}: {error}."
@@ -256,61 +262,56 @@ class Quantile:
             )
 
     @cached_property
-    def _law(self) -> Any:
+    def _frozen_law(self) -> Any:
         return getattr(scipy.stats, self.family)(**self.arguments)
 
     @property
     def lower(self) -> float:
         """See :class:`Marginal`."""
-        return float(self._law.support()[0])
+        return float(self._frozen_law.support()[0])
 
     @property
     def upper(self) -> float:
         """See :class:`Marginal`."""
-        return float(self._law.support()[1])
+        return float(self._frozen_law.support()[1])
 
     def to_physical(self, z: Values) -> Values:
         """See :class:`Marginal`."""
-        z = z.clamp(-_SURE, _SURE)
+        z = z.clamp(-self.FAR, self.FAR)
         slope = (
             self.log_slope(z.detach()).exp().nan_to_num(posinf=0.0)
         )  # a value that rounds to a bound
-        return self._at(z.detach()) + slope * (z - z.detach())
+        return self._find_quantile(z.detach()) + slope * (z - z.detach())
 
     def to_control(self, value: Values) -> Values:
         """See :class:`Marginal`."""
         at = value.detach().cpu().numpy()
-        below, above = (
-            self._tensor(f(at), value).clamp_min(_TINY) for f in (self._law.cdf, self._law.sf)
+        return _find_score(
+            *(value.new_tensor(f(at)) for f in (self._frozen_law.cdf, self._frozen_law.sf))
         )
-        return torch.where(below < 0.5, ndtri(below), -ndtri(above))
 
     def log_slope(self, z: Values) -> Values:
         """See :class:`Marginal`."""
-        z = z.clamp(-_SURE, _SURE)
-        return _normal_log_pdf(z) - self._tensor(self._law.logpdf(self._at(z).cpu().numpy()), z)
-
-    def _at(self, z: Tensor) -> Tensor:
-        tail = ndtr(-z.abs()).cpu().numpy()
-        return torch.where(
-            z < 0.0, self._tensor(self._law.ppf(tail), z), self._tensor(self._law.isf(tail), z)
+        z = z.clamp(-self.FAR, self.FAR)
+        return _normal_log_pdf(z) - z.new_tensor(
+            self._frozen_law.logpdf(self._find_quantile(z).cpu().numpy())
         )
 
-    @staticmethod
-    def _tensor(values: Any, like: Tensor) -> Tensor:
-        return torch.as_tensor(values, dtype=like.dtype, device=like.device)
+    def _find_quantile(self, z: Tensor) -> Tensor:
+        tail = ndtr(-z.abs()).cpu().numpy()
+        return torch.where(
+            z < 0.0,
+            z.new_tensor(self._frozen_law.ppf(tail)),
+            z.new_tensor(self._frozen_law.isf(tail)),
+        )
 
 
 MARGINALS = {kind.__name__: kind for kind in (TruncatedNormal, LogNormal, Quantile)}
 
 
-def _finite_or_none(value: Any) -> Any:
-    return None if isinstance(value, float) and math.isinf(value) else value
-
-
 def marginal_to_dict(marginal: Marginal) -> dict[str, Any]:
     """The marginal as JSON-ready values; infinite bounds become ``None``."""
-    fields = {k: _finite_or_none(v) for k, v in asdict(marginal).items()}  # type: ignore[call-overload]
+    fields = without_nonfinite(asdict(marginal))[0]  # type: ignore[call-overload]
     return {"kind": type(marginal).__name__, **fields}
 
 

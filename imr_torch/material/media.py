@@ -15,8 +15,8 @@ from imr_torch.errors import InputDataError
 ROOM = 298.15
 """Temperature, K, at which a source without one is read."""
 
-_ZERO = 273.15
-_CRITICAL = 647.096  # K
+ZERO_CELSIUS = 273.15
+"""In K."""
 
 
 def water_density(temperature: float) -> float:
@@ -27,7 +27,7 @@ def water_density(temperature: float) -> float:
     >>> round(water_density(298.15), 2)
     997.04
     """
-    t = temperature - _ZERO
+    t = temperature - ZERO_CELSIUS
     coefficients = (
         999.83952,
         16.945176,
@@ -48,7 +48,7 @@ def water_sound_speed(temperature: float) -> float:
     >>> round(water_sound_speed(298.15), 1)
     1496.7
     """
-    t = temperature - _ZERO
+    t = temperature - ZERO_CELSIUS
     coefficients = (1402.385, 5.038813, -5.799136e-2, 3.287156e-4, -1.398845e-6, 2.787860e-9)
     return sum(c * t**i for i, c in enumerate(coefficients))
 
@@ -60,7 +60,8 @@ def water_surface_tension(temperature: float) -> float:
     >>> round(water_surface_tension(298.15), 4)
     0.072
     """
-    t = 1.0 - temperature / _CRITICAL
+    critical = 647.096  # K
+    t = 1.0 - temperature / critical
     return 235.8e-3 * t**1.256 * (1.0 - 0.625 * t)
 
 
@@ -102,7 +103,7 @@ class NamedMedium:
         }
 
 
-def _water(salt: float = 0.0) -> dict[str, float]:
+def _water_with_salt(salt: float = 0.0) -> dict[str, float]:
     """Water at room temperature with grams of salt per kilogram, as sea water of that salinity."""
     return {
         "density": water_density(ROOM) + 0.75 * salt,
@@ -127,12 +128,12 @@ NAMED: dict[str, NamedMedium] = {
         NamedMedium(
             "water",
             "Kell 1975 (density), Marczak 1997 (sound speed), IAPWS R1-76 (surface tension)",
-            _water(),
+            _water_with_salt(),
         ),
         NamedMedium(
             "pbs",
             "water with 9.6 g/kg of salts, taken as sea water of that salinity (UNESCO 44, 1983)",
-            _water(9.6),
+            _water_with_salt(9.6),
         ),
         NamedMedium("agarose_0.5", _IMR_PRIME, {"density": 1003.0}),
         NamedMedium("agarose_5", _IMR_PRIME, {"density": 1050.0}),

@@ -14,7 +14,7 @@ from imr_torch.elementary import Scalar, where
 from imr_torch.material.stress import StressTerm
 
 
-def _relaxation(time: Scalar) -> Scalar:
+def _relaxation_rate(time: Scalar) -> Scalar:
     """``1/De``; 0 for members that do not relax."""
     return where(time > 0.0, 1.0 / where(time > 0.0, time, 1.0), 0.0)
 
@@ -36,7 +36,7 @@ def maxwell(
     Johnsen 2015). The state is ``Z/R^3``. ``s`` is the retardation time over the relaxation time.
     """
     on = tau > 0.0
-    relaxation = _relaxation(tau)
+    relaxation = _relaxation_rate(tau)
     strain = velocity / radius
     instant = where(on, 4.0 * (1.0 - retardation) * mu, 0.0)
     change = where(on, -relaxation * (memory + instant * strain) - 3.0 * strain * memory, 0.0)
@@ -45,10 +45,10 @@ def maxwell(
 
 
 def _maxwell_fastest(mu: Scalar, tau: Scalar, retardation: Scalar) -> Scalar:
-    return _relaxation(tau)
+    return _relaxation_rate(tau)
 
 
-def _solid(
+def _relaxing_solid(
     memory: Scalar,
     strain: Scalar,
     viscous: Scalar,
@@ -67,7 +67,7 @@ def _solid(
     """
     on = time > 0.0
     change = where(
-        on, _relaxation(time) * (elastic - memory - viscous * strain) - stiffness * strain, 0.0
+        on, _relaxation_rate(time) * (elastic - memory - viscous * strain) - stiffness * strain, 0.0
     )
     value = where(on, memory - elastic + viscous * strain, 0.0)
     rate = where(on, change - slope * strain - viscous * strain * strain, 0.0)
@@ -114,7 +114,9 @@ def standard_linear(
 ) -> tuple[Scalar, ...]:
     """A linear spring beside a linear Maxwell branch (Estrada et al. 2018, eq. 12)."""
     elastic, slope, stiffness = _linear_solid(rest_radius / radius, G_lin)
-    return _solid(memory, velocity / radius, 4.0 * mu, elastic, slope, stiffness, tau_sls, radius)
+    return _relaxing_solid(
+        memory, velocity / radius, 4.0 * mu, elastic, slope, stiffness, tau_sls, radius
+    )
 
 
 def _standard_linear_start(
@@ -124,7 +126,7 @@ def _standard_linear_start(
 
 
 def _standard_fastest(mu: Scalar, modulus: Scalar, time: Scalar) -> Scalar:
-    return _relaxation(time)
+    return _relaxation_rate(time)
 
 
 def standard_nonlinear(
@@ -141,7 +143,9 @@ def standard_nonlinear(
     2018, eq. 13; "nhzen" in the published code).
     """
     elastic, slope, stiffness = _nonlinear_solid(rest_radius / radius, G)
-    return _solid(memory, velocity / radius, 4.0 * mu, elastic, slope, stiffness, tau_sns, radius)
+    return _relaxing_solid(
+        memory, velocity / radius, 4.0 * mu, elastic, slope, stiffness, tau_sns, radius
+    )
 
 
 def _standard_nonlinear_start(
@@ -170,7 +174,7 @@ def oldroyd_b(
     alone, one state for each. Neither is the radial or the hoop stress; their sum is exact.
     """
     on = tau_ucm > 0.0
-    relaxation = _relaxation(tau_ucm)
+    relaxation = _relaxation_rate(tau_ucm)
     strain = velocity / radius
     instant = where(on, 4.0 * (1.0 - retardation) * mu, 0.0)
     drive = 0.5 * instant * relaxation * strain
@@ -182,7 +186,7 @@ def oldroyd_b(
 
 
 def _oldroyd_fastest(mu: Scalar, tau_ucm: Scalar, retardation: Scalar) -> Scalar:
-    return _relaxation(tau_ucm)
+    return _relaxation_rate(tau_ucm)
 
 
 MAXWELL = StressTerm(maxwell, switch="tau", states=1, fastest=_maxwell_fastest)

@@ -1,7 +1,8 @@
 """Constitutive models: named sets of stress terms, in one registry that drives the same tests
 through every model.
 
-To add a model, name its terms in a :class:`Material` and register it.
+To add a model, name its terms in a :class:`Material` and register it; a term of your own is
+registered first (:func:`register_term`).
 """
 
 from dataclasses import dataclass, replace
@@ -9,6 +10,14 @@ from functools import cached_property
 from itertools import chain
 
 from imr_torch.errors import InputDataError
+from imr_torch.material.departures import (
+    CLOSURE,
+    DAMAGE,
+    GRADED_MODULUS,
+    PERMANENT_SET,
+    VISCOUS_DAMAGE,
+    YIELD_STRESS,
+)
 from imr_torch.material.elastic import (
     EXPONENTIAL_FUNG,
     LINEAR_ELASTIC,
@@ -16,11 +25,54 @@ from imr_torch.material.elastic import (
     SECOND_ORDER_FUNG,
     STIFFENING,
 )
-from imr_torch.material.integral import TERMS
 from imr_torch.material.memory import MAXWELL, OLDROYD_B, STANDARD_LINEAR, STANDARD_NONLINEAR
 from imr_torch.material.parameters import PARAMETERS
 from imr_torch.material.stress import StressTerm
 from imr_torch.material.viscous import CARREAU, NEWTONIAN
+
+TERMS: list[StressTerm] = [
+    NEWTONIAN,
+    NEO_HOOKEAN,
+    STIFFENING,
+    LINEAR_ELASTIC,
+    SECOND_ORDER_FUNG,
+    EXPONENTIAL_FUNG,
+    CARREAU,
+    MAXWELL,
+    STANDARD_LINEAR,
+    STANDARD_NONLINEAR,
+    OLDROYD_B,
+    DAMAGE,
+    VISCOUS_DAMAGE,
+    YIELD_STRESS,
+    GRADED_MODULUS,
+    PERMANENT_SET,
+    *CLOSURE,
+]
+"""Every term a batch may need. Simulators leave out those that are neutral in the whole batch."""
+
+
+def register_term(term: StressTerm) -> StressTerm:
+    """Add a term to ``TERMS``, so that every simulator knows it; the same one again is left out.
+
+    Raises:
+        InputDataError: if it reads a parameter that is not registered, or its switch is not neutral
+            at zero.
+
+    >>> from imr_torch.material import TERMS, register_term
+    >>> register_term(TERMS[0]) is TERMS[0]  # one that is known is not added again
+    True
+    """
+    for name in (*term.names, term.switch):
+        PARAMETERS[name]
+    if PARAMETERS[term.switch].neutral != 0.0:
+        raise InputDataError(
+            f"The switch of {term.name} is {term.switch!r}, whose neutral value is not 0; it must "
+            "be."
+        )
+    if term not in TERMS:
+        TERMS.append(term)
+    return term
 
 
 @dataclass(frozen=True)

@@ -198,179 +198,136 @@ class ParameterVector:
             )
 
 
-def _modulus(name: str, meaning: str) -> Parameter:
+_QUOTED: dict[Dimension, tuple[str, float, str]] = {
+    "pressure": ("Pa", 1e-3, "kPa"),
+    "viscosity": ("Pa s", 1.0, ""),
+    "time": ("s", 1e6, "us"),
+    "rate": ("1/s", 1e-3, "1/ms"),
+    "length": ("m", 1e6, "um"),
+    "drag": ("Pa s/m^2", 1e-6, "MPa s/m^2"),
+    "none": ("1", 1.0, ""),
+}
+"""Dimension -> SI unit, and the factor to the unit in which people quote it."""
+
+
+def _make_entry(
+    name: str,
+    meaning: str,
+    lower: float,
+    upper: float,
+    dimension: Dimension = "none",
+    prior: Marginal | None = None,
+) -> Parameter:
+    """An entry that is neutral at 0; of one without a prior nothing is believed but as an effect."""
+    unit, scale, quoted = _QUOTED[dimension]
+    return Parameter(name, meaning, unit, dimension, lower, upper, 0.0, scale, quoted, prior=prior)
+
+
+def _make_modulus(name: str, meaning: str) -> Parameter:
     """A shear modulus, within 1-25 kPa at 68 %."""
-    prior = LogNormal(median=5e3, factor=5.0)
-    return Parameter(
-        name,
-        meaning,
-        "Pa",
-        "pressure",
-        0.0,
-        1e7,
-        0.0,
-        display_scale=1e-3,
-        display_unit="kPa",
-        prior=prior,
-    )
+    return _make_entry(name, meaning, 0.0, 1e7, "pressure", LogNormal(median=5e3, factor=5.0))
 
 
-def _shape(name: str, meaning: str, lower: float, upper: float, sd: float) -> Parameter:
+def _make_shape(name: str, meaning: str, lower: float, upper: float, sd: float) -> Parameter:
     """A number that is most likely small and not negative."""
     prior = TruncatedNormal(0.0, sd, lower=0.0, upper=min(upper, 100.0 * sd))
-    return Parameter(name, meaning, "1", "none", lower, upper, 0.0, prior=prior)
+    return _make_entry(name, meaning, lower, upper, prior=prior)
 
 
-def _relaxation_time(name: str, meaning: str) -> Parameter:
-    """A time from 0 (neutral) to a second, quoted in microseconds; within 2-50 us at 68 %."""
-    prior = LogNormal(median=1e-5, factor=5.0)
-    return Parameter(
-        name, meaning, "s", "time", 0.0, 1.0, 0.0, display_scale=1e6, display_unit="us", prior=prior
-    )
+def _make_time(name: str, meaning: str) -> Parameter:
+    """A time from 0 (neutral) to a second, within 2-50 us at 68 %."""
+    return _make_entry(name, meaning, 0.0, 1.0, "time", LogNormal(median=1e-5, factor=5.0))
 
 
-def _number(name: str, meaning: str, lower: float, upper: float) -> Parameter:
-    """A number without a unit that nothing is believed of but as an effect."""
-    return Parameter(name, meaning, "1", "none", lower, upper, 0.0)
+PARAMETERS = ParameterVector()
+"""The one parameter vector, with every registered parameter."""
 
-
-def _rate(name: str, meaning: str, lower: float, upper: float) -> Parameter:
-    """A rate, quoted per millisecond."""
-    return Parameter(
-        name, meaning, "1/s", "rate", lower, upper, 0.0, display_scale=1e-3, display_unit="1/ms"
-    )
-
-
-_OF_MODELS = (
-    _modulus("G", "shear modulus"),
-    Parameter(
-        "mu",
-        "viscosity",
-        "Pa s",
-        "viscosity",
-        0.0,
-        100.0,
-        0.0,
-        prior=LogNormal(median=0.1, factor=3.0),
-    ),
-    Parameter(
+for _entry in (
+    # of constitutive models
+    _make_modulus("G", "shear modulus"),
+    _make_entry("mu", "viscosity", 0.0, 100.0, "viscosity", LogNormal(median=0.1, factor=3.0)),
+    _make_entry(
         "alpha",
         "strain stiffening",
-        "1",
-        "none",
         -1.0,
         100.0,
-        0.0,
         prior=TruncatedNormal(0.0, 0.5, lower=0.0),
     ),
-    _modulus("G_lin", "shear modulus at small strain"),
-    _shape("alpha_fung2", "stiffening, Fung to second order", -1.0, 100.0, 0.1),
-    _shape("alpha_fung", "stiffening, exponential Fung", -1.0, 10.0, 0.02),
-    _shape("thinning", "shear thinning 1 - n (Carreau)", 0.0, 1.0, 0.3),
-    _relaxation_time("shear_time", "time scale of shear thinning (Carreau)"),
-    _relaxation_time("tau", "relaxation time (Maxwell branch)"),
-    _shape("retardation", "retardation over relaxation time", 0.0, 1.0, 0.3),
-    _relaxation_time("tau_sls", "relaxation time (standard linear solid)"),
-    _relaxation_time("tau_sns", "relaxation time (standard nonlinear solid)"),
-    _relaxation_time("tau_ucm", "relaxation time (upper-convected branch)"),
-)
-_OF_THE_GEL = (
-    _number("damage", "softening per unit of accumulated strain", 0.0, 10.0),
-    Parameter(
-        "yield_stress",
-        "yield stress",
-        "Pa",
-        "pressure",
-        0.0,
-        1e6,
-        0.0,
-        display_scale=1e-3,
-        display_unit="kPa",
+    _make_modulus("G_lin", "shear modulus at small strain"),
+    _make_shape("alpha_fung2", "stiffening, Fung to second order", -1.0, 100.0, 0.1),
+    _make_shape("alpha_fung", "stiffening, exponential Fung", -1.0, 10.0, 0.02),
+    _make_shape("thinning", "shear thinning 1 - n (Carreau)", 0.0, 1.0, 0.3),
+    _make_time("shear_time", "time scale of shear thinning (Carreau)"),
+    _make_time("tau", "relaxation time (Maxwell branch)"),
+    _make_shape("retardation", "retardation over relaxation time", 0.0, 1.0, 0.3),
+    _make_time("tau_sls", "relaxation time (standard linear solid)"),
+    _make_time("tau_sns", "relaxation time (standard nonlinear solid)"),
+    _make_time("tau_ucm", "relaxation time (upper-convected branch)"),
+    # of the gel
+    _make_entry("damage", "softening per unit of accumulated strain", 0.0, 10.0),
+    _make_entry("yield_stress", "yield stress", 0.0, 1e6, "pressure"),
+    _make_entry("graded_modulus", "excess modulus at the wall", -1.0, 10.0),
+    _make_entry("permanent_set", "part of the stretch that stays", -0.5, 0.5),
+    _make_entry("healing", "rate at which damage heals", 0.0, 1e7, "rate"),
+    _make_entry("viscous_damage", "loss of viscosity per unit of accumulated strain", 0.0, 10.0),
+    _make_entry("law_stretch", "generic stress in lambda - 1, over p_inf", -1.0, 1.0),
+    _make_entry("law_stretch_squared", "generic stress in (lambda - 1)^2, over p_inf", -1.0, 1.0),
+    _make_entry("law_compression", "generic stress in lambda^-3 - 1, over p_inf", -1.0, 1.0),
+    _make_entry("law_compression_steep", "generic stress in lambda^-6 - 1, over p_inf", -1.0, 1.0),
+    _make_entry("law_velocity", "generic stress in U, over p_inf", -1.0, 1.0),
+    _make_entry("law_velocity_squared", "generic stress in U|U|, over p_inf", -1.0, 1.0),
+    _make_entry("law_rate_squared", "generic stress in (U/R)|U/R|, over p_inf", -1.0, 1.0),
+    # of the bubble
+    _make_entry("heat_exchange", "log factor of heat conduction in the bubble", -6.0, 6.0),
+    _make_entry("vapour_pressure", "vapour pressure beyond saturation, over p_inf", -0.03, 0.5),
+    _make_entry("condensation", "power with which trapped vapour follows compression", 0.0, 1.0),
+    _make_entry("gas_loss", "share of gas lost per unit of strain below R_inf", 0.0, 5.0),
+    _make_entry("sound_speed", "log factor of the sound speed", -3.0, 5.0),
+    _make_entry("surface_tension", "log factor of the surface tension at the wall", -3.0, 3.0),
+    _make_entry("far_field_pressure", "far-field pressure beyond p_inf, over p_inf", -0.5, 0.5),
+    _make_entry("wall", "strength of a mirror bubble, Rmax over twice the distance", -0.5, 0.5),
+    _make_entry("energy_loss", "loss to shape modes near collapse, in U|U|", 0.0, 20.0),
+    _make_entry("size_drag", "drag pressure over R U", 0.0, 1e10, "drag"),
+    _make_entry("residual_velocity", "wall velocity at time zero over U_c", -1.0, 1.0),
+    _make_entry("sound_field", "amplitude of a residual sound field over p_inf", -1.0, 1.0),
+    _make_entry("sound_frequency", "log of its angular frequency, in U_c/Rmax", -4.0, 6.0),
+    _make_entry("sound_phase", "its phase", -20.0, 20.0),
+    _make_entry("pulse", "amplitude of a reflected pulse over p_inf", -3.0, 3.0),
+    _make_entry("pulse_time", "when it arrives, in Rmax/U_c", -1.0, 20.0),
+    _make_entry("pulse_width", "log of its width, in Rmax/U_c", -6.0, 3.0),
+    _make_entry(
+        "excess_gas", "log of the gas at time zero over that which rests at R_inf", -2.0, 2.0
     ),
-    _number("graded_modulus", "excess modulus at the wall", -1.0, 10.0),
-    _number("permanent_set", "part of the stretch that stays", -0.5, 0.5),
-    _rate("healing", "rate at which damage heals", 0.0, 1e7),
-    _number("viscous_damage", "loss of viscosity per unit of accumulated strain", 0.0, 10.0),
-    _number("law_stretch", "generic stress in lambda - 1, over p_inf", -1.0, 1.0),
-    _number("law_stretch_squared", "generic stress in (lambda - 1)^2, over p_inf", -1.0, 1.0),
-    _number("law_compression", "generic stress in lambda^-3 - 1, over p_inf", -1.0, 1.0),
-    _number("law_compression_steep", "generic stress in lambda^-6 - 1, over p_inf", -1.0, 1.0),
-    _number("law_velocity", "generic stress in U, over p_inf", -1.0, 1.0),
-    _number("law_velocity_squared", "generic stress in U|U|, over p_inf", -1.0, 1.0),
-    _number("law_rate_squared", "generic stress in (U/R)|U/R|, over p_inf", -1.0, 1.0),
-)
-_OF_THE_BUBBLE = (
-    _number("heat_exchange", "log factor of heat conduction in the bubble", -6.0, 6.0),
-    _number("vapour_pressure", "vapour pressure beyond saturation, over p_inf", -0.03, 0.5),
-    _number("condensation", "power with which trapped vapour follows compression", 0.0, 1.0),
-    _number("gas_loss", "share of gas lost per unit of strain below R_inf", 0.0, 5.0),
-    _number("sound_speed", "log factor of the sound speed", -3.0, 5.0),
-    _number("surface_tension", "log factor of the surface tension at the wall", -3.0, 3.0),
-    _number("far_field_pressure", "far-field pressure beyond p_inf, over p_inf", -0.5, 0.5),
-    _number("wall", "strength of a mirror bubble, Rmax over twice the distance", -0.5, 0.5),
-    _number("energy_loss", "loss to shape modes near collapse, in U|U|", 0.0, 20.0),
-    Parameter(
-        "size_drag",
-        "drag pressure over R U",
-        "Pa s/m^2",
-        "drag",
-        0.0,
-        1e10,
-        0.0,
-        display_scale=1e-6,
-        display_unit="MPa s/m^2",
-    ),
-    _number("residual_velocity", "wall velocity at time zero over U_c", -1.0, 1.0),
-    _number("sound_field", "amplitude of a residual sound field over p_inf", -1.0, 1.0),
-    _number("sound_frequency", "log of its angular frequency, in U_c/Rmax", -4.0, 6.0),
-    _number("sound_phase", "its phase", -20.0, 20.0),
-    _number("pulse", "amplitude of a reflected pulse over p_inf", -3.0, 3.0),
-    _number("pulse_time", "when it arrives, in Rmax/U_c", -1.0, 20.0),
-    _number("pulse_width", "log of its width, in Rmax/U_c", -6.0, 3.0),
-    _number("excess_gas", "log of the gas at time zero over that which rests at R_inf", -2.0, 2.0),
-    _number(
+    _make_entry(
         "hot_contents",
         "mean temperature of the contents at time zero over T_inf, less 1",
         -0.3,
         0.6,
     ),
-    _rate("rinf_drift", "relative rate at which the gas's rest radius grows", -1e5, 1e5),
-)
-_OF_THE_MEDIUM = (
-    _number("density", "log of the medium's density over the stated one", -2.0, 2.0),
-    _number("medium_tension", "log of the medium's surface tension over the stated one", -3.0, 3.0),
-    _number(
+    _make_entry(
+        "rinf_drift", "relative rate at which the gas's rest radius grows", -1e5, 1e5, "rate"
+    ),
+    # of the medium
+    _make_entry("density", "log of the medium's density over the stated one", -2.0, 2.0),
+    _make_entry(
+        "medium_tension", "log of the medium's surface tension over the stated one", -3.0, 3.0
+    ),
+    _make_entry(
         "medium_pressure", "log of the medium's far-field pressure over the stated one", -2.0, 2.0
     ),
-    _number(
+    _make_entry(
         "medium_temperature", "log of the medium's temperature in K over the stated one", -0.2, 0.2
     ),
-)
-_OF_THE_CAMERA = (
-    _number("missed_maximum", "true Rmax over the measured one, less 1", -0.2, 0.2),
-    _number("trigger_offset", "time of the first frame, in Rmax/U_c", -0.3, 0.3),
-    _number("rinf_bias", "true R_inf over the measured one, less 1", -0.5, 0.5),
-    _number("clock", "log of true over measured time at a fixed time scale", -0.3, 0.3),
-    _number("exposure_blur", "exposure, in Rmax/U_c", 0.0, 0.5),
-    _number("refraction", "relative error of R that grows with R*", -0.2, 0.2),
-    Parameter(
-        "edge_error",
-        "measured less true radius",
-        "m",
-        "length",
-        -2e-5,
-        2e-5,
-        0.0,
-        display_scale=1e6,
-        display_unit="um",
-    ),
-)
-
-PARAMETERS = ParameterVector()
-"""The one parameter vector, with every registered parameter."""
-
-for _row in (*_OF_MODELS, *_OF_THE_GEL, *_OF_THE_BUBBLE, *_OF_THE_MEDIUM, *_OF_THE_CAMERA):
-    PARAMETERS.register(_row)
+    # of the camera
+    _make_entry("missed_maximum", "true Rmax over the measured one, less 1", -0.2, 0.2),
+    _make_entry("trigger_offset", "time of the first frame, in Rmax/U_c", -0.3, 0.3),
+    _make_entry("rinf_bias", "true R_inf over the measured one, less 1", -0.5, 0.5),
+    _make_entry("clock", "log of true over measured time at a fixed time scale", -0.3, 0.3),
+    _make_entry("exposure_blur", "exposure, in Rmax/U_c", 0.0, 0.5),
+    _make_entry("refraction", "relative error of R that grows with R*", -0.2, 0.2),
+    _make_entry("edge_error", "measured less true radius", -2e-5, 2e-5, "length"),
+):
+    PARAMETERS.register(_entry)
 
 
 def dimensionless(

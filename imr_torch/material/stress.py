@@ -6,21 +6,26 @@ where the gel remembers, of *memory states* with rates of their own. The radial 
 ``dS/dt``, which holds ``dU/dt``; each law therefore returns ``S``, the part of ``dS/dt`` that is
 known from the state, and the factor of ``dU/dt``. All quantities are dimensionless (pressures over
 ``p_inf``).
+
+The integral of a batch is the sum of its terms (:func:`gel_response`). A batch may mix models,
+because a term does nothing for a member at whose parameters it is switched off; terms that are
+switched off in the whole batch are left out. Memory states of all terms are stacked into one ``K x
+B`` tensor in the order of the terms.
 """
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 import torch
-from jaxtyping import Inexact
+from jaxtyping import Float, Inexact
 from torch import Tensor
 
 from imr_torch.elementary import Law, obstacle_of
 from imr_torch.errors import InputDataError
-from imr_torch.types import Members, States
+from imr_torch.types import Members, States, Values
 
 SMOOTH = 0.02
 """Velocity, over ``U_c``, below which laws round off ``|U|`` and its sign."""
@@ -129,22 +134,6 @@ class StressTerm:
             law is None or obstacle_of(law) is None for law in (self.law, self.start, self.fastest)
         )
 
-    def __call__(
-        self,
-        radius: Members,
-        velocity: Members,
-        rest_radius: Members,
-        theta: Mapping[str, Members],
-        memory: States | None = None,
-    ) -> Stress:
-        """Evaluate the term; ``memory`` is ``states x batch_shape``, all else broadcasts to
-        ``batch_shape``.
-
-        Raises:
-            InputDataError: if the term has memory and none is given.
-        """
-        return Stress(*self.evaluate(radius, velocity, rest_radius, theta, memory)[:3])
-
     def memory_start(
         self,
         rest_radius: Members,
@@ -153,13 +142,13 @@ class StressTerm:
         """Memory at time zero, ``states x batch_shape``."""
         if self.start is None:
             return rest_radius.new_zeros(self.states, *rest_radius.shape)
-        return torch.stack(self.start(rest_radius, *self._read(theta)))
+        return torch.stack(self.start(rest_radius, *self._read_parameters(theta)))
 
     def relaxation_rate(self, theta: Mapping[str, Members]) -> Members | None:
         """Rate of the fastest state, ``batch_shape``; None if it follows the bubble's motion."""
-        return None if self.fastest is None else self.fastest(*self._read(theta))
+        return None if self.fastest is None else self.fastest(*self._read_parameters(theta))
 
-    def evaluate(
+    def evaluate_law(
         self,
         radius: Members,
         velocity: Members,
@@ -169,16 +158,89 @@ class StressTerm:
     ) -> tuple[Members, ...]:
         """Value, rate and acceleration of the stress, and the rates of the memory, all of the
         broadcast shape.
+
+        ``memory`` is ``states x batch_shape``, all else broadcasts to ``batch_shape``.
+
+        Raises:
+            InputDataError: if the term has memory and none is given.
         """
         if self.states and memory is None:
             raise InputDataError(f"{self.name} has memory; its states must be given.")
-        states = memory.unbind(0)[: self.states] if memory is not None else ()
-        parts = self.law(radius, velocity, rest_radius, *states, *self._read(theta))
-        return tuple(
-            torch.broadcast_tensors(
-                *(x if isinstance(x, Tensor) else radius.new_full((), x) for x in parts)
-            )
-        )
+        states = () if memory is None else memory.unbind(0)
+        parts = self.law(radius, velocity, rest_radius, *states, *self._read_parameters(theta))
+        tensors = (x if isinstance(x, Tensor) else radius.new_tensor(x) for x in parts)
+        return tuple(torch.broadcast_tensors(*tensors))
 
-    def _read(self, theta: Mapping[str, Tensor]) -> list[Tensor]:
+    def _read_parameters(self, theta: Mapping[str, Tensor]) -> list[Tensor]:
         return [theta[name] for name in self.names]
+
+
+def gel_response(
+    terms: Sequence[StressTerm],
+    radius: Members,
+    velocity: Members,
+    rest_radius: Members,
+    theta: Mapping[str, Members],
+    memory: States | None = None,
+) -> tuple[Stress, States]:
+    """Sum of ``terms``, and ``d memory/dt`` (``K x B``).
+
+    All arguments dimensionless, ``B`` tensors but ``memory``, ``K x B``; see
+    :class:`imr_torch.material.stress.StressTerm`.
+
+    >>> import torch
+    >>> from imr_torch.material import TERMS, gel_response
+    >>> one, still, rest, G, mu = torch.tensor([[1.0], [0.0], [0.2], [0.05], [0.1]], dtype=torch.float64)
+    >>> stress, memory_rates = gel_response(TERMS[:2], one, still, rest, {"G": G, "mu": mu})
+    >>> round(float(stress.value), 4), tuple(memory_rates.shape)  # no term remembers
+    (-0.105, (0, 1))
+    """
+    zero = torch.zeros_like(radius)
+    total = Stress(zero, zero, zero)
+    rates = []
+    start = 0
+    for term in terms:
+        states = None if memory is None else memory[start : start + term.states]
+        start += term.states
+        parts = term.evaluate_law(radius, velocity, rest_radius, theta, states)
+        total = total + Stress(*parts[:3])
+        rates += parts[3:]
+    return total, torch.stack(rates) if rates else zero.new_zeros(0, *zero.shape)
+
+
+def derivatives(
+    function: Callable[..., Tensor], point: tuple[Values, ...], *, analytic: bool
+) -> Float[Tensor, "k ..."]:
+    """Derivatives of a function of scalars in each of its arguments, elementwise.
+
+    Args:
+        function: ``k`` tensors of a shape ``B`` to one of the shape ``... x B``; where
+            ``analytic``, also complex ones of the shape ``k x B``.
+        point: the shape ``B``.
+        analytic: whether the function is one of laws written with :mod:`imr_torch.elementary`. Then
+            the derivatives are the imaginary parts at a tiny imaginary step (Squire & Trapp, SIAM
+            Rev. 40, 1998), else those of forward mode.
+
+    Returns:
+        ``k x ... x B`` tensor.
+
+    >>> import torch
+    >>> from imr_torch.material import derivatives
+    >>> x, y = torch.tensor([[1.0, 2.0], [3.0, 4.0]], dtype=torch.float64)
+    >>> derivatives(lambda x, y: x * y, (x, y), analytic=False).tolist()
+    [[3.0, 4.0], [1.0, 2.0]]
+    """
+    count = len(point)
+    if analytic:
+        step = 1e-30
+        shape = point[0].shape
+        shift = step * torch.eye(count, dtype=point[0].dtype, device=point[0].device)
+        rows = shift.reshape(count, count, *[1] * len(shape)).expand(count, count, *shape)
+        moved = [
+            torch.complex(x.expand(count, *shape), row) for x, row in zip(point, rows, strict=True)
+        ]
+        return function(*moved).imag.div(step).movedim(-1 - len(shape), 0)
+    directions = [
+        tuple(torch.full_like(x, float(i == j)) for j, x in enumerate(point)) for i in range(count)
+    ]
+    return torch.stack([torch.func.jvp(function, point, direction)[1] for direction in directions])

@@ -23,18 +23,8 @@ def newtonian(
 
 
 _RULE = unit_rule(16)
-_SHEAR = 2.0 * 3.0**0.5  # shear rate at the wall over |U|/R
-
-
-def _mean_lost(span: Scalar, thinning: Scalar) -> Scalar:
-    """Viscosity lost, over ``mu``, in the mean over shear rates of ``sinh(x)`` with ``x`` from 0 to
-    ``span``; exactly 0 without thinning.
-    """
-    total = 0.0 * span
-    for node, weight in _RULE:
-        rate = cosh(node * span)
-        total = total - weight * rate * expm1(-thinning * log(rate))
-    return total
+WALL_SHEAR = 2.0 * 3.0**0.5
+"""Shear rate at the wall over ``|U|/R``."""
 
 
 def carreau(
@@ -54,11 +44,15 @@ def carreau(
     """
     factor = 4.0 * mu
     strain = velocity / radius
-    reduced = _SHEAR * shear_time * strain
+    reduced = WALL_SHEAR * shear_time * strain
     span = asinh(reduced)
     still = real(reduced) == 0.0
     stretch = where(still, 1.0, span / where(still, 1.0, reduced))
-    lost = stretch * _mean_lost(span, thinning)  # of the mean viscosity over mu
+    mean = 0.0 * span  # over shear rates of sinh(x) with x from 0 to the span
+    for node, weight in _RULE:
+        rate = cosh(node * span)
+        mean = mean - weight * rate * expm1(-thinning * log(rate))
+    lost = stretch * mean  # of the mean viscosity over mu
     lost_at_wall = -expm1(-0.5 * thinning * log(1.0 + reduced * reduced))
     return (
         factor * strain * lost,

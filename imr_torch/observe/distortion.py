@@ -19,23 +19,27 @@ from imr_torch.material import PARAMETERS
 from imr_torch.simulate import EARLIEST
 from imr_torch.types import BatchParameters, Frames
 
-_GEOMETRY = (
-    "missed_maximum",
-    "trigger_offset",
-    "rinf_bias",
-)  # in the order of the nuisances of one experiment
-# exposure, in units of t*, that no frame can tell from none, and whose nodes may be one number
-_INSTANT = 1e-6
 _NODES, _WEIGHTS = (torch.as_tensor(x) for x in np.polynomial.legendre.leggauss(8))
 
 
 @cache
-def _columns() -> list[int]:
-    """Where the errors stand in a parameter tensor.
+def _find_columns() -> list[int]:
+    """Where the errors stand in a parameter tensor, those of the geometry first and in the order of
+    the nuisances of one experiment.
 
     A column never moves, since entries are only appended.
     """
-    return PARAMETERS.index((*_GEOMETRY, "clock", "exposure_blur", "refraction", "edge_error"))
+    return PARAMETERS.index(
+        (
+            "missed_maximum",
+            "trigger_offset",
+            "rinf_bias",
+            "clock",
+            "exposure_blur",
+            "refraction",
+            "edge_error",
+        )
+    )
 
 
 @dataclass(frozen=True)
@@ -66,7 +70,7 @@ class Distortion:
         """The errors in ``batch_shape x p`` parameters, known ``exposures`` (``E``) added to the
         blur; None if all are 0.
         """
-        columns = parameters[..., _columns()]
+        columns = parameters[..., _find_columns()]
         known = exposures is not None and bool((exposures != 0.0).any())
         if not known and not bool((columns != 0.0).any()):
             return None
@@ -98,7 +102,7 @@ class Distortion:
         moved = torch.stack((-edge, torch.zeros_like(edge), -edge / designs[:, 1]), -1)
         return self.shifts + moved, edge[..., None]
 
-    def placed(
+    def correct_clock(
         self,
         designs: Float[Tensor, "*#batch experiments 2"],
         times: Frames,
@@ -108,7 +112,7 @@ class Distortion:
         slower = torch.cat((1.0 / rate, torch.ones_like(rate)), -1)
         return designs * slower, times * rate
 
-    def filmed(
+    def film_radius(
         self,
         times: Frames,
         simulate: Callable[[Tensor], Tensor],
@@ -120,17 +124,23 @@ class Distortion:
             simulate: true radii at times, for any number of them.
         """
         radius = (
-            self._averaged(times, simulate) if bool((self.blur != 0.0).any()) else simulate(times)
+            self._average_exposure(times, simulate)
+            if bool((self.blur != 0.0).any())
+            else simulate(times)
         )
         return radius * (1.0 + self.refraction[..., None] * radius)
 
-    def _averaged(self, times: Tensor, simulate: Callable[[Tensor], Tensor]) -> Tensor:
+    def _average_exposure(
+        self, times: Tensor, simulate: Callable[[Tensor], Tensor], *, shortest: float = 1e-6
+    ) -> Tensor:
         """Mean over an exposure centred on each frame, by Gauss-Legendre; one call for the frames
         and all nodes.
 
-        NaN where an exposure reaches back to before the bubble is simulated.
+        NaN where an exposure reaches back to before the bubble is simulated. One below
+        ``shortest``, in t*, is taken as an instant: no frame can tell it from none, and its nodes
+        may be one number.
         """
-        instant = self.blur < _INSTANT
+        instant = self.blur < shortest
         early = times[..., 0] - 0.5 * self.blur < EARLIEST
         blur = torch.where(instant | early, 1e-3, self.blur)[
             ..., None, None

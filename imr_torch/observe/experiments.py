@@ -2,7 +2,7 @@
 
 An :class:`Experiment` is one design shot once or several times. :class:`ExperimentBatch` pads all
 of them to a common number of frames, so that any number of experiments is one tensor;
-:func:`predict` says what the camera would see.
+:func:`imr_torch.observe.predict` says what the camera would see.
 """
 
 import math
@@ -18,18 +18,11 @@ from torch.nn.utils.rnn import pad_sequence
 
 from imr_torch.errors import InputDataError, ShapeError
 from imr_torch.material import PARAMETERS
-from imr_torch.observe.collapse import CollapseTime, predict_collapse, simulate_bubbles
-from imr_torch.observe.distortion import Distortion
-from imr_torch.observe.noise import Noise, previous
-from imr_torch.observe.noise_laws import NoiseLaws
-from imr_torch.observe.nuisance import NUISANCES, Nuisance, displaced, impossible
-from imr_torch.observe.scatter import Scatter, with_own
-from imr_torch.simulate import EARLIEST, Simulator, check_designs
+from imr_torch.observe.collapse import CollapseTime
+from imr_torch.observe.noise import Noise, NoiseLaws, previous
+from imr_torch.observe.nuisance import NUISANCES, Nuisance, Scatter
+from imr_torch.simulate import check_designs
 from imr_torch.types import BatchFrames, ExperimentFrames, FrameMask, Frames, FrameValues
-
-_EARLIEST_FILMED = -0.4  # an exposure reaches on from its frame, and so does a clock that is wrong
-
-_LONGEST_EXPOSURE = PARAMETERS["exposure_blur"].upper
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +84,7 @@ class Experiment:
                 f"Experiment {self.label!r}: radius of repeat {repeat}, frame {frame} is "
                 f"{self.radius[repeat, frame]}; mark a missing frame by NaN."
             )
+        longest = PARAMETERS["exposure_blur"].upper
         lost = (self.counts == 0).nonzero()[:, 0].tolist()
         rises = bool((self.times.diff() > 0.0).all() and torch.isfinite(self.times).all())
         for wrong, text in (
@@ -99,9 +93,8 @@ class Experiment:
             (lost, f"has frames {lost} that are NaN in every repeat; leave them out"),
             (not rises, "has times that are not finite or do not increase"),
             (
-                not 0.0 <= self.exposure <= _LONGEST_EXPOSURE,
-                f"has an exposure of {self.exposure:g} Rmax/U_c; expected 0 to "
-                f"{_LONGEST_EXPOSURE:g}",
+                not 0.0 <= self.exposure <= longest,
+                f"has an exposure of {self.exposure:g} Rmax/U_c; expected 0 to {longest:g}",
             ),
             (
                 not 0.0 < self.noise_factor < math.inf,
@@ -243,12 +236,10 @@ class ExperimentBatch:
         return torch.tensor([e.kind == "collapse" for e in self.experiments])
 
     @cached_property
-    def _own_sd(self) -> Tensor:
-        """``E x 1`` tensor: errors of collapse times; 1 for curves."""
-        return torch.tensor(
-            [[e.whole_sd if isinstance(e, CollapseTime) else 1.0] for e in self.experiments],
-            dtype=torch.float64,
-        )
+    def _collapse_sds(self) -> Float[Tensor, "experiments 1"]:
+        """Errors of collapse times; 1 for curves."""
+        sds = [[getattr(e, "whole_sd", 1.0)] for e in self.experiments]
+        return torch.tensor(sds, dtype=torch.float64)
 
     @cached_property
     def designs(self) -> Float[Tensor, "experiments 2"]:
@@ -265,11 +256,8 @@ class ExperimentBatch:
         """``E x 1`` tensor: noise of each experiment over the law, by which its squares count as
         often as its weight says; 1 for collapse times.
         """
-        factors = [
-            e.noise_factor / math.sqrt(e.weight) if isinstance(e, Experiment) else 1.0
-            for e in self.experiments
-        ]
-        return torch.tensor(factors, dtype=torch.float64)[:, None]
+        factors = [[e.noise_factor / math.sqrt(e.weight)] for e in self.experiments]
+        return torch.tensor(factors, dtype=torch.float64)
 
     @property
     def of_frames(self) -> "ExperimentBatch":
@@ -299,10 +287,8 @@ class ExperimentBatch:
         logs = self.noise_laws.log_ratios(
             self.noise, prediction, self.times, count, generator=generator
         )
-        sds = [e.noise_factor_sd if isinstance(e, Experiment) else 0.0 for e in self.experiments]
-        own = torch.randn(count, len(sds), generator=generator, dtype=torch.float64) * torch.tensor(
-            sds, dtype=torch.float64
-        )
+        sds = torch.tensor([e.noise_factor_sd for e in self.experiments], dtype=torch.float64)
+        own = sds * torch.randn(count, len(sds), generator=generator, dtype=torch.float64)
         return torch.where(self.mask, logs + own[..., None], 0.0)
 
     def noise_interval(self, prediction: ExperimentFrames) -> list[float]:
@@ -340,12 +326,12 @@ class ExperimentBatch:
     @cached_property
     def innovations(
         self,
-    ) -> tuple[ExperimentFrames, ExperimentFrames] | None:
+    ) -> tuple[ExperimentFrames, ExperimentFrames]:
         """:meth:`Noise.innovations` of these frames."""
         return self.noise.innovations(self.times, self.mask)
 
     @cached_property
-    def _scatter(self) -> tuple[Tensor, Tensor]:
+    def _repeat_scatter(self) -> tuple[Tensor, Tensor]:
         """Deviations of the repeats from their mean, squared, and times those of the frame before:
         two ``E x T`` tensors.
         """
@@ -367,7 +353,7 @@ class ExperimentBatch:
     def sd(self, prediction: BatchFrames) -> BatchFrames:
         """Noise of one repeat at a prediction ``... x E x T``; 1 in the padding."""
         sd = torch.where(
-            self.collapse[:, None], self._own_sd, self.noise.sd(prediction, self.times)
+            self.collapse[:, None], self._collapse_sds, self.noise.sd(prediction, self.times)
         )
         return torch.where(self.mask, sd * self.noise_factors, 1.0)
 
@@ -380,16 +366,14 @@ class ExperimentBatch:
         noise.
         """
         scaled = torch.where(self.mask, values / sd, 0.0)
-        if self.innovations is not None:
-            own, before = self.innovations
-            scaled = own * scaled - before * previous(scaled)
-        return scaled * self.counts.sqrt()
+        own, before = self.innovations
+        return (own * scaled - before * previous(scaled)) * self.counts.sqrt()
 
     def terms(
         self,
         prediction: Frames,
         sd: Frames,
-        innovations: tuple[Frames, Frames] | None,
+        innovations: tuple[Frames, Frames],
     ) -> tuple[Float[Tensor, "*#batch experiments"], Float[Tensor, "*#batch experiments"]]:
         """Squared misfit and normaliser of each experiment under any noise: two ``... x E``
         tensors, the second in nats.
@@ -401,34 +385,22 @@ class ExperimentBatch:
         Args:
             prediction: ``... x E x T`` tensor.
             sd: noise of one repeat; 1 in the padding.
-            innovations: as of :meth:`Noise.innovations`, ``... x E x T`` each; None for independent
-                frames.
+            innovations: as of :meth:`Noise.innovations`, ``... x E x T`` each.
         """
+        own, before = innovations
         weight = torch.where(self.mask, 1.0 / sd, 0.0)
         misfit = weight * (self.mean - prediction)
-        log_sd = sd.log()
-        if innovations is not None:
-            own, before = innovations
-            misfit = own * misfit - before * previous(misfit)
-            log_sd = log_sd - own.log()
+        misfit = own * misfit - before * previous(misfit)
         counts = torch.where(self.mask, self.counts, 0.0)
         square = counts * misfit.square()
-        normaliser = counts * (log_sd + 0.5 * math.log(2.0 * math.pi))
-        if max(e.repeats for e in self.experiments) > 1:
-            square = square + self._scattered(weight, innovations)
+        normaliser = counts * ((sd / own).log() + 0.5 * math.log(2.0 * math.pi))
+        if max(e.repeats for e in self.experiments) > 1:  # and their deviations from the mean
+            squares, products = self._repeat_scatter
+            last = before * previous(weight)
+            weight = own * weight
+            square = square + weight.square() * squares - 2.0 * weight * last * products
+            square = square + last.square() * previous(squares)
         return square.sum(-1), normaliser.sum(-1)
-
-    def _scattered(self, weight: Tensor, innovations: tuple[Tensor, Tensor] | None) -> Tensor:
-        """Whitened squares of the deviations of the repeats from their mean, for weights ``... x E
-        x T``.
-        """
-        squares, products = self._scatter
-        if innovations is None:
-            return weight.square() * squares
-        own, before = innovations
-        last = before * previous(weight)
-        both = (own * weight).square() * squares - 2.0 * own * weight * last * products
-        return both + last.square() * previous(squares)
 
     @cached_property
     def sizes(self) -> Float[Tensor, "experiments"]:
@@ -440,108 +412,3 @@ class ExperimentBatch:
         square, normaliser = self.terms(prediction, self.sd(prediction), self.innovations)
         value = -0.5 * square - normaliser
         return torch.where(torch.isnan(value), -torch.inf, value)
-
-
-def predict(
-    simulator: Simulator,
-    parameters: Float[Tensor, "*#batch parameters"],
-    film: Film | ExperimentBatch,
-    shifts: Float[Tensor, "*#batch experiments nuisances"] | None = None,
-    *,
-    times: ExperimentFrames | None = None,
-    bundled: bool = False,
-) -> Frames:
-    """What the camera would see of each gel in each experiment.
-
-    Args:
-        simulator: makes the bubbles.
-        parameters: SI.
-        film: the experiments, for their designs and times: an :class:`ExperimentBatch`, or a
-            :class:`Film` of planned ones.
-        shifts: nuisances in physical size; none when not given.
-        times: measured, dimensionless, increasing; those of the frames when not given.
-        bundled: whether the last batch dimension holds the members of a bundle
-            (:meth:`imr_torch.simulate.Simulator.bundle`), the leader first.
-
-    Returns:
-        ``batch_shape x E x T`` tensor, R/Rmax with the measured Rmax; NaN rows where a solve
-        failed, or shifts leave no bubble.
-
-    >>> import torch
-    >>> from imr_torch import PolytropicSimulator
-    >>> from imr_torch.material import PARAMETERS
-    >>> from imr_torch.observe import Experiment, ExperimentBatch, predict
-    >>> times = torch.tensor([0.0, 0.5, 1.0], dtype=torch.float64)
-    >>> batch = ExperimentBatch((Experiment("shot 1", (400.0, 0.22), times, torch.ones(1, 3, dtype=torch.float64)),))
-    >>> seen = predict(PolytropicSimulator(), PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), batch)
-    >>> [round(x, 3) for x in seen[0].tolist()]
-    [1.0, 0.846, 0.418]
-    """
-    designs = film.designs
-    times = film.times if times is None else times
-    exposures = film.exposures if isinstance(film, ExperimentBatch) else None
-    if isinstance(film, Film) or not (film.between or bool(film.collapse.any())):
-        return _radii(simulator, parameters, designs, times, shifts, bundled, exposures)
-    parts = []
-    order = _alike(film)
-    for rows in order:
-        gels = parameters
-        own = None if shifts is None else shifts[..., rows, : len(NUISANCES)]
-        if film.between and shifts is not None:
-            gels = with_own(parameters, film.between, shifts[..., rows[0], len(NUISANCES) :])
-        if bool(film.collapse[rows[0]]):
-            found = predict_collapse(
-                simulator, gels, designs[rows], film.mean[rows, 0], own, bundled=bundled
-            )
-            parts.append(found[..., None].expand(*found.shape, times.shape[-1]))
-        else:
-            parts.append(
-                _radii(
-                    simulator, gels, designs[rows], times[rows], own, bundled, film.exposures[rows]
-                )
-            )
-    return torch.cat(parts, -2)[..., torch.cat(order).argsort(), :]
-
-
-def _alike(film: ExperimentBatch) -> list[Tensor]:
-    """Rows of experiments that are simulated together: of one kind and with the same parameters."""
-    rows = torch.arange(len(film.experiments))
-    if film.between:
-        return list(rows.split(1))
-    return [part for part in (rows[~film.collapse], rows[film.collapse]) if len(part)]
-
-
-def _radii(
-    simulator: Simulator,
-    parameters: Tensor,
-    designs: Tensor,
-    times: Tensor,
-    shifts: Tensor | None,
-    bundled: bool,
-    exposures: Tensor | None,
-) -> Tensor:
-    """:func:`predict` for curves, with the known exposure of each."""
-    factor = None
-    beyond = None
-    distortion = Distortion.of(parameters, exposures)
-    if distortion is not None:
-        measured = simulator.conditions.surroundings.max_radius(designs[:, 0])
-        errors, beyond = distortion.shifts_of(designs, measured)
-        shifts = errors if shifts is None else shifts + errors
-    if shifts is not None:
-        lost = impossible(times, shifts, EARLIEST if distortion is None else _EARLIEST_FILMED)[
-            ..., None
-        ]
-        designs, times, factor = displaced(designs, times, torch.where(lost, 0.0, shifts))
-        factor = torch.where(lost, torch.nan, factor)
-
-    def simulate(times: Tensor) -> Tensor:
-        return simulate_bubbles(simulator, parameters, designs, times, bundled=bundled)[0]
-
-    if distortion is None:
-        radius = simulate(times)
-    else:
-        designs, times = distortion.placed(designs, times)
-        radius = distortion.filmed(times, simulate)
-    radius = radius if factor is None else radius * factor
-    return radius if beyond is None else radius + beyond

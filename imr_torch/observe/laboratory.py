@@ -7,9 +7,10 @@ from jaxtyping import Float, Real
 from torch import Tensor
 
 from imr_torch.errors import ConvergenceError, InputDataError
-from imr_torch.observe.experiments import Experiment, ExperimentBatch, predict
+from imr_torch.observe.experiments import Experiment, ExperimentBatch
 from imr_torch.observe.noise import Noise
 from imr_torch.observe.nuisance import Nuisance
+from imr_torch.observe.prediction import predict
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.types import FrameValues

@@ -1,9 +1,8 @@
 """Landmarks of a curve: maximum radius and its time, collapses, rebounds, rest radius, phases.
 
-Every landmark comes from a local least-squares fit, so it lies between frames and carries a
-standard deviation. Where the record does not hold a landmark (growth cut off, no rebound), the
-result says so in its method rather than guessing: near a collapse ``R ~ |t - t_c|^(2/5)``
-(Rayleigh, Phil. Mag. 34, 1917), which no smooth fit resolves better than a frame.
+Every landmark comes from a local least-squares fit (:mod:`~imr_torch.observe.extremes`). Where the
+record does not hold a landmark (growth cut off, no rebound), the result says so in its method rather
+than guessing.
 """
 
 import math
@@ -13,78 +12,17 @@ from itertools import pairwise
 import numpy as np
 from scipy.optimize import curve_fit
 
-from imr_torch.observe.window import turning_points
-from imr_torch.reading.traces import Given, RadiusTrace
-
-
-@dataclass(frozen=True)
-class LandmarkRules:
-    """How landmarks are found; every default was chosen on simulated and measured curves.
-
-    Args:
-        tail: share of the last frames whose mean is the rest radius, if the bubble has settled.
-        settled_below: the bubble has settled if std/mean of these frames is below this, over half a
-            cycle or more.
-        noisy_tail: a tail that scatters by no more than this times the noise of its frames has
-            settled too.
-        peak_windows: frames above these shares of the largest one are fitted for the maximum; what
-            the second window changes is an error.
-        neighbour: share of the largest frame that a frame beside it must have.
-        largest_excess: of a fitted maximum over the largest frame; beyond, the fit is not used.
-        quartic_from: frames from which on a polynomial of degree 4 is fitted.
-        exposure: of the time between frames, by which the time of the maximum is blurred.
-        noise_range: least and largest noise of a frame, of the largest radius.
-        few_frames_noise: noise of the frames of a record too short to show it.
-        prior_weight: frames that this noise counts for in the variance of a fit.
-        reversal: of the noise of a frame, by which a curve must turn.
-        local_reversal: the same of the noise of the frames around: noise that grows with time
-            would make cycles of its own in the tail of a record.
-        local_frames: frames around.
-        start_windows: as ``peak_windows``, for a record that begins near its maximum.
-        start_frames: fewest frames for that.
-        start_reach: frames before the record that the maximum may lie.
-        edge_sd: least relative standard deviation of a maximum that is the largest frame.
-        ringing_power: power of (smallest x largest radius of a cycle / mean^2) that is, times the
-            mean, the rest radius of a bubble that still rings; fitted to 1200 simulated bubbles
-            with heat and vapour transport (We 100-1500, R_inf* .08-.45, G .1-30 kPa, mu .003-.2
-            Pa s).
-        ringing_sd: largest relative standard deviation that the ringing adds: that of this fit.
-        ringing_floor: least relative standard deviation of a rest radius from a ringing bubble.
-        partial_floor: the same from less than a cycle.
-        stated_floor: the same of a stated rest radius.
-
-    >>> from imr_torch.observe.landmarks import RULES
-    >>> RULES.settled_below
-    0.03
-    """
-
-    tail: float = 0.15
-    settled_below: float = 0.03
-    noisy_tail: float = 1.2
-    peak_windows: tuple[float, float] = (0.85, 0.95)
-    neighbour: float = 0.75
-    largest_excess: float = 0.04
-    quartic_from: int = 9
-    exposure: float = 0.2
-    noise_range: tuple[float, float] = (0.002, 0.02)
-    few_frames_noise: float = 0.005
-    prior_weight: float = 3.0
-    reversal: float = 6.0
-    local_reversal: float = 4.5
-    local_frames: int = 25
-    start_windows: tuple[float, float] = (0.8, 0.9)
-    start_frames: int = 8
-    start_reach: float = 2.0
-    edge_sd: float = 0.01
-    ringing_power: float = 2.0 / 3.0
-    ringing_sd: float = 0.2
-    ringing_floor: float = 0.10
-    partial_floor: float = 0.30
-    stated_floor: float = 0.01
-
-
-RULES = LandmarkRules()
-"""The rules of :func:`find_landmarks`."""
+from imr_torch.observe.extremes import (
+    RULES,
+    Curve,
+    Extreme,
+    find_extremes,
+    fit_extreme,
+    frame_roughness,
+    grow_window,
+)
+from imr_torch.reading.traces import RadiusTrace
+from imr_torch.units import Number, Surroundings
 
 
 @dataclass(frozen=True)
@@ -132,6 +70,12 @@ class Landmarks:
     rebound_radii_m: tuple[float, ...]
     frame_noise_m: float
 
+    def dimensionless_time(self, time_s: Number, surroundings: Surroundings) -> Number:
+        """Times on the time axis of the trace, s (numbers or a tensor), as t*: 0 at the maximum
+        radius.
+        """
+        return (time_s - self.time_of_max_s) / surroundings.time_scale(self.max_radius_m)
+
 
 def find_landmarks(trace: RadiusTrace) -> Landmarks:
     """Find the landmarks of a curve.
@@ -150,10 +94,10 @@ def find_landmarks(trace: RadiusTrace) -> Landmarks:
     >>> round(1e6 * landmarks.max_radius_m, 1), landmarks.max_method  # um
     (210.0, 'peak fit')
     """
-    curve = _Curve.of(trace)
-    peak, method = _peak(curve)
-    minima, maxima = _extremes(curve)
-    rest, sd, settled, rest_method = _rest(curve, minima, maxima)
+    curve = Curve.of(trace)
+    peak, method = _find_peak(curve)
+    minima, maxima = find_extremes(curve)
+    rest, sd, settled, rest_method = _find_rest(curve, minima, maxima)
     return Landmarks(
         max_radius_m=peak.value,
         max_radius_sd_m=peak.value_sd,
@@ -171,113 +115,7 @@ def find_landmarks(trace: RadiusTrace) -> Landmarks:
     )
 
 
-@dataclass(frozen=True)
-class _Curve:
-    """A record as arrays, with the frame and radius of its maximum and the noise of a frame in m."""
-
-    time: np.ndarray
-    radius: np.ndarray
-    given: Given
-    noise: float
-    k: int
-    top: float
-
-    @classmethod
-    def of(cls, trace: RadiusTrace) -> "_Curve":
-        radius = trace.radius_m.numpy()
-        k = int(radius.argmax())
-        top = float(radius[k])
-        noise = RULES.few_frames_noise * top
-        if len(radius) >= 12:
-            low, high = RULES.noise_range
-            noise = float(np.clip(roughness(radius), low * top, high * top))
-        return cls(trace.time_s.numpy(), radius, trace.given, noise, k, top)
-
-    @property
-    def spacing(self) -> float:
-        """Longest time between the largest frame and one beside it, s."""
-        return float(np.diff(self.time)[max(self.k - 1, 0) : self.k + 1].max())
-
-
-@dataclass(frozen=True)
-class _Extreme:
-    """A maximum or minimum: time and value with standard deviations."""
-
-    time: float
-    value: float
-    time_sd: float
-    value_sd: float
-
-
-def roughness(radius: np.ndarray) -> float:
-    """Standard deviation of a frame by the median third difference, which a local parabola does not
-    change.
-
-    >>> import numpy as np
-    >>> from imr_torch.observe.landmarks import roughness
-    >>> round(roughness(np.random.default_rng(0).normal(1.0, 0.02, 500)), 2)
-    0.02
-    """
-    if len(radius) < 6:
-        return 0.0
-    return 1.4826 * float(np.median(np.abs(np.diff(radius, 3)))) / math.sqrt(20.0)
-
-
-def _window(radius: np.ndarray, k: int, keep: np.ndarray) -> slice:
-    """The run of frames round ``k`` in which ``keep`` holds.
-
-    Always with the neighbours of ``k``.
-    """
-    low = k
-    high = k + 1
-    while low > 0 and (keep[low - 1] or low == k):
-        low -= 1
-    while high < len(radius) and (keep[high] or high == k + 1):
-        high += 1
-    return slice(low, high)
-
-
-def _fit_extreme(curve: _Curve, window: slice, degree: int, sign: int) -> _Extreme | None:
-    """Least-squares polynomial and its vertex; None if the vertex is not inside the frames.
-
-    The residual variance is pooled with ``noise**2`` (as ``prior_weight`` frames), because a few
-    frames cannot determine it, and enlarged where neighbouring residuals agree (edge detection
-    and misfit err smoothly). The value varies as the fit at the vertex does (its derivative there
-    is zero); the time as the slope there over the curvature.
-    """
-    time = curve.time[window]
-    radius = curve.radius[window]
-    centre = 0.5 * (time[0] + time[-1])
-    span = 0.5 * (time[-1] - time[0])
-    x = (time - centre) / span
-    basis = np.vander(x, degree + 1)
-    coefficients, *_ = np.linalg.lstsq(basis, radius, rcond=None)
-    slope = np.polyder(coefficients)
-    roots = np.roots(slope)
-    inside = roots[(np.abs(roots.imag) < 1e-9) & (np.abs(roots.real) <= 1.0)].real
-    vertices = [float(r) for r in inside if sign * np.polyval(np.polyder(slope), r) < 0.0]
-    if not vertices:
-        return None
-    vertex = max(vertices, key=lambda r: sign * float(np.polyval(coefficients, r)))
-    residual = radius - basis @ coefficients
-    freedom = len(x) - degree - 1
-    weight = RULES.prior_weight
-    variance = (float(residual @ residual) + weight * curve.noise**2) / (freedom + weight)
-    if len(x) >= RULES.quartic_from:
-        lag = float(residual[1:] @ residual[:-1]) / max(float(residual @ residual), 1e-300)
-        variance *= (1.0 + max(lag, 0.0)) / (1.0 - max(lag, 0.0))
-    covariance = variance * np.linalg.pinv(basis.T @ basis)
-    at_value = np.vander(np.array([vertex]), degree + 1)[0]
-    at_slope = np.array([n * vertex ** (n - 1) if n else 0.0 for n in range(degree, -1, -1)])
-    value_sd = math.sqrt(at_value @ covariance @ at_value)
-    curvature = abs(float(np.polyval(np.polyder(slope), vertex)))
-    time_sd = min(math.sqrt(at_slope @ covariance @ at_slope) / curvature, 2.0) * span
-    return _Extreme(
-        centre + vertex * span, float(np.polyval(coefficients, vertex)), time_sd, value_sd
-    )
-
-
-def _peak(curve: _Curve) -> tuple[_Extreme, str]:
+def _find_peak(curve: Curve) -> tuple[Extreme, str]:
     """Maximum radius: as it is stated, or else found; what is not stated of it is found."""
     found, method = _found_peak(curve)
     stated = curve.given.override
@@ -292,7 +130,7 @@ def _peak(curve: _Curve) -> tuple[_Extreme, str]:
     return found, "as stated"
 
 
-def _found_peak(curve: _Curve) -> tuple[_Extreme, str]:
+def _found_peak(curve: Curve) -> tuple[Extreme, str]:
     """Maximum radius: a fit where frames stand on both sides of it, else what the laboratory says,
     else a frame.
     """
@@ -305,23 +143,22 @@ def _found_peak(curve: _Curve) -> tuple[_Extreme, str]:
     if found is not None and near and found.value <= (1.0 + RULES.largest_excess) * top:
         return found, "peak fit"
     at = float(curve.time[k])
-    stated = curve.given.max_radius_m
+    given = curve.given
+    stated = given.max_radius_m
     if stated is not None and abs(stated / top - 1.0) > 1e-6:
-        if curve.given.time_of_max_s is not None:
-            at = curve.given.time_of_max_s
-        sd = curve.given.max_radius_sd_m
+        at = at if given.time_of_max_s is None else given.time_of_max_s
+        sd = given.max_radius_sd_m
         sd = max(curve.noise, abs(stated - top)) if sd is None else sd
-        return _Extreme(at, stated, curve.spacing / 2.0, sd), "as given"
-    from_start = _fit_start(curve)
-    if from_start is not None:
+        return Extreme(at, stated, curve.spacing / 2.0, sd), "as given"
+    if (from_start := _fit_start(curve)) is not None:
         return from_start, "one-sided fit"
     drop = top - float(radius[k - 1 if k == len(radius) - 1 else k + 1])
     missed = found.value - top if found is not None else min(drop, RULES.ringing_floor * top)
     sd = max(curve.noise, RULES.edge_sd * top, missed)
-    return _Extreme(at, top, curve.spacing, sd), "edge"
+    return Extreme(at, top, curve.spacing, sd), "edge"
 
 
-def _fit_start(curve: _Curve) -> _Extreme | None:
+def _fit_start(curve: Curve) -> Extreme | None:
     """Maximum of a record that begins near it, by the frames after it; None if they are few or put
     it well before the record.
 
@@ -354,7 +191,7 @@ def _fit_start(curve: _Curve) -> _Extreme | None:
         return None
     value_sd = math.hypot(sd[0], other[0] - found[0])
     time_sd = math.hypot(sd[2], other[2] - found[2])
-    return _Extreme(
+    return Extreme(
         float(curve.time[0] + spacing * found[2]),
         top * float(found[0]),
         spacing * time_sd,
@@ -367,7 +204,7 @@ def _near_maximum(time: np.ndarray, top: float, bend: float, at: float) -> np.nd
     return top * (1.0 - square - 2.0 / 3.0 * square**2)
 
 
-def _fit_peak(curve: _Curve) -> _Extreme | None:
+def _fit_peak(curve: Curve) -> Extreme | None:
     """Fitted maximum near the largest frame; None if frames on both sides do not bracket it.
 
     What the choice of window changes, the length of an exposure, and half of what the fit adds to
@@ -376,17 +213,17 @@ def _fit_peak(curve: _Curve) -> _Extreme | None:
     """
     radius = curve.radius
     k = curve.k
-    wide, narrow = (_window(radius, k, radius >= level * curve.top) for level in RULES.peak_windows)
+    wide, narrow = (grow_window(k, radius >= level * curve.top) for level in RULES.peak_windows)
     enough = wide.stop - wide.start >= RULES.quartic_from
     many = enough and min(k - wide.start, wide.stop - 1 - k) >= 3
-    found = _fit_extreme(curve, wide, 4 if many else 2, +1)
+    found = fit_extreme(curve, wide, 4 if many else 2, +1)
     ends = max(radius[wide.start], radius[wide.stop - 1])
     if found is None or found.value - ends < 3.0 * curve.noise:
         return None
     if not many:
         excess = 0.5 * max(found.value - curve.top, 0.0)
         return replace(found, value_sd=math.hypot(found.value_sd, excess))
-    other = _fit_extreme(curve, narrow, 2, +1) if narrow.stop - narrow.start >= 5 else None
+    other = fit_extreme(curve, narrow, 2, +1) if narrow.stop - narrow.start >= 5 else None
     if other is None:
         return found
     exposure = RULES.exposure * float(np.diff(curve.time[wide]).max())
@@ -397,44 +234,8 @@ def _fit_peak(curve: _Curve) -> _Extreme | None:
     )
 
 
-def _extremes(curve: _Curve) -> tuple[list[_Extreme], list[_Extreme]]:
-    """Minima and maxima after the main maximum, alternating.
-
-    A reversal smaller than the noise is none.
-    """
-    time = curve.time
-    radius = curve.radius
-    noise = curve.noise
-    minima: list[_Extreme] = []
-    maxima: list[_Extreme] = []
-    turns = turning_points(radius.tolist(), _reversals(curve).tolist(), curve.k)
-    places = [curve.k, *(k for k, _ in turns), len(radius)]
-    for low, (k, sign), high in zip(places, turns, places[2:], strict=False):
-        swing = min(abs(radius[low] - radius[k]), np.abs(radius[k:high] - radius[k]).max())
-        near = np.abs(radius - radius[k]) <= 0.2 * swing
-        near[:low], near[high:] = False, False
-        found = _fit_extreme(curve, _window(radius, k, near), 2, sign)
-        farthest = max(0.3 * swing, 3.0 * noise)
-        if found is None or abs(found.value - radius[k]) > farthest:
-            apart = float(time[k + 1] - time[k - 1])
-            found = _Extreme(float(time[k]), float(radius[k]), apart / 4.0, noise)
-        (maxima if sign > 0 else minima).append(found)
-    return minima, maxima
-
-
-def _reversals(curve: _Curve) -> np.ndarray:
-    """By how much the curve must turn at each frame to turn by more than its noise can."""
-    radius = curve.radius
-    count = RULES.local_frames
-    starts = (np.arange(len(radius)) - count // 2).clip(0, max(len(radius) - count, 0))
-    local = np.full(len(radius), curve.noise)
-    if len(radius) >= count:
-        local = np.array([roughness(radius[start : start + count]) for start in starts])
-    return np.maximum(RULES.reversal * curve.noise, RULES.local_reversal * local)
-
-
-def _rest(
-    curve: _Curve, minima: list[_Extreme], maxima: list[_Extreme]
+def _find_rest(
+    curve: Curve, minima: list[Extreme], maxima: list[Extreme]
 ) -> tuple[float | None, float | None, bool, str]:
     """Rest radius, its sd, whether settled, and the method."""
     given = curve.given
@@ -462,7 +263,9 @@ def _rest(
         sure = given.rest_settled or stated_sd
         floor = RULES.stated_floor if sure else RULES.ringing_floor
         return stated, max(stated_sd, floor * stated), True, "as given"
-    if came_to_rest and scatter < RULES.noisy_tail * roughness(tail):  # noise may hide ringing
+    if came_to_rest and scatter < RULES.noisy_tail * frame_roughness(
+        tail
+    ):  # noise may hide ringing
         sd = math.hypot(scatter, drift, RULES.ringing_floor * mean)
         return mean, sd, True, "settled tail"
     if maxima or (minima and time[-1] - minima[0].time > minima[0].time - turns[0]):
@@ -478,7 +281,7 @@ def _rest(
     return None, None, False, "not in record"
 
 
-def _rest_while_ringing(curve: _Curve, inside: np.ndarray) -> tuple[float, float]:
+def _rest_while_ringing(curve: Curve, inside: np.ndarray) -> tuple[float, float]:
     """Rest radius of a bubble that oscillates, from one cycle, and the relative standard deviation
     that this adds.
 
@@ -493,13 +296,13 @@ def _rest_while_ringing(curve: _Curve, inside: np.ndarray) -> tuple[float, float
     low = float(radius.min())
     high = float(radius.max())
     excess = -power * math.log(low * high / mean**2)
-    by_noise = power * roughness(radius) * math.hypot(1.0 / low, 1.0 / high)
+    by_noise = power * frame_roughness(radius) * math.hypot(1.0 / low, 1.0 / high)
     added = min(abs(excess), RULES.ringing_sd)
     return mean * math.exp(-excess), math.hypot(added, by_noise)
 
 
 def _last_cycles(
-    curve: _Curve, minima: list[_Extreme], maxima: list[_Extreme]
+    curve: Curve, minima: list[Extreme], maxima: list[Extreme]
 ) -> tuple[float, float, str]:
     """Bounds in s of the last full cycle, or of what follows it where that is longer (ringing below
     the noise).

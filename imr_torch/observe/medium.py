@@ -18,8 +18,8 @@ from typing import Any
 
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief, Marginal, ModelBelief, TruncatedNormal
-from imr_torch.material.belief import beside
 from imr_torch.material.media import named_medium
+from imr_torch.material.model_belief import add_parameters
 from imr_torch.reading.statement import PROPERTIES, Statement
 from imr_torch.simulate import Simulator
 from imr_torch.simulate.conditions import saturation_pressure
@@ -97,7 +97,7 @@ class GelMedium:
 
     def believed_of(self, part: ModelBelief) -> ModelBelief:
         """The same for the belief of one model."""
-        return beside(
+        return add_parameters(
             part,
             {name: prior for name, prior in self.priors.items() if name not in part.material.names},
         )
@@ -229,7 +229,7 @@ def gel_medium(
             known = found.setdefault(name, entry)
             if known[:2] == entry[:2]:
                 continue
-            said = f"{label(name)}: {_said(known)} ({known[2]}) and {_said(entry)} ({entry[2]})"
+            said = f"{label(name)}: {_write_value(known)} ({known[2]}) and {_write_value(entry)} ({entry[2]})"
             if command is None or name not in command.at(warm):
                 raise InputDataError(
                     f"The files state different media, {said}; curves that are fitted together "
@@ -254,5 +254,5 @@ def gel_medium(
     )
 
 
-def _said(entry: tuple[float, float | None, str]) -> str:
+def _write_value(entry: tuple[float, float | None, str]) -> str:
     return f"{entry[0]:.5g}" + ("" if entry[1] is None else f" +- {entry[1]:.2g}")

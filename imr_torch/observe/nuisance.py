@@ -1,10 +1,13 @@
-"""Nuisance parameters of each experiment: errors of the measured Rmax, time zero and R_inf.
+"""Nuisance parameters of each experiment: errors of the measured Rmax, time zero and R_inf, and by
+how much a parameter of its gel differs from that of the others.
 
 Each is a standard normal control per experiment times its prior standard deviation, and neutral at
 0: a fit of the gel marginalises over them, so that an error of Rmax is not mistaken for a change of
 modulus.
 """
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
@@ -12,7 +15,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
-from imr_torch.types import Frames
+from imr_torch.material import PARAMETERS
+from imr_torch.types import BroadcastValues, Frames
 
 NUISANCES = ("max_radius", "time_zero", "rest_radius")
 """The nuisances of one experiment, in the order of tensors of them."""
@@ -89,7 +93,7 @@ def displaced(
     )
 
 
-def impossible(
+def find_impossible(
     times: Frames,
     shifts: Float[Tensor, "*#batch experiments 3"],
     earliest: float,
@@ -108,6 +112,57 @@ def impossible(
     scale = 1.0 + shifts[..., 0]
     first = (times[..., 0] + shifts[..., 1]) / scale
     early = first < times[..., 0].clamp_max(earliest)
-    return ~(
-        (scale >= SMALLEST) & ~early & torch.isfinite(shifts).all(-1)
-    )  # NaN is not possible either
+    # NaN is not possible either
+    return ~((scale >= SMALLEST) & ~early & torch.isfinite(shifts).all(-1))
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """How a positive parameter differs between experiments: its logarithm is normal about that of
+    the value in all experiments.
+
+    Args:
+        relative: standard deviation of the logarithm.
+
+    >>> import torch
+    >>> from imr_torch.observe import Scatter
+    >>> value, deviation = torch.tensor(0.2, dtype=torch.float64), torch.tensor(0.3, dtype=torch.float64)
+    >>> round(float(Scatter(0.3).moved(value, deviation)), 3)  # .2 exp(.3)
+    0.27
+    """
+
+    relative: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.relative < math.inf:
+            raise InputDataError(
+                f"Scatter.relative is {self.relative}; it must be positive and finite."
+            )
+
+    def moved(self, value: BroadcastValues, deviation: BroadcastValues) -> BroadcastValues:
+        """The parameter of an experiment, SI, whose logarithm deviates from that of a value."""
+        return value * deviation.exp()
+
+    def deviation(self, of_one: BroadcastValues, value: BroadcastValues) -> BroadcastValues:
+        """By how much the logarithm of the parameter of an experiment deviates: inverse of
+        :meth:`moved`.
+        """
+        return of_one.log() - value.log()
+
+
+def with_own(
+    parameters: Float[Tensor, "*#batch parameters"],
+    scatters: Mapping[str, Scatter],
+    deviations: Float[Tensor, "*#batch own"],
+) -> Float[Tensor, "*#batch parameters"]:
+    """Parameter vectors, SI, with the values that an experiment has.
+
+    Deviations in the order of the scatters.
+    """
+    columns = PARAMETERS.index(tuple(scatters))
+    own = [
+        s.moved(parameters[..., c], deviations[..., i])
+        for i, (s, c) in enumerate(zip(scatters.values(), columns, strict=True))
+    ]
+    values = torch.stack(own, -1)
+    return parameters.expand(*values.shape[:-1], -1).index_copy(-1, torch.tensor(columns), values)

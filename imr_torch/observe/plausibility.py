@@ -15,8 +15,8 @@ from torch import Tensor
 
 from imr_torch.errors import InputDataError
 from imr_torch.observe.experiments import Experiment
-from imr_torch.observe.landmarks import RULES, Landmarks, roughness
-from imr_torch.observe.window import collapse_time
+from imr_torch.observe.extremes import RULES, collapse_time, frame_roughness
+from imr_torch.observe.landmarks import Landmarks
 from imr_torch.reading.traces import RadiusTrace
 from imr_torch.units import Surroundings
 
@@ -143,7 +143,7 @@ def check_experiment(
         if last < LIMITS.duration[0]:
             raise InputDataError(f"{text} Expected at least {LIMITS.duration[0]}.{advice}")
         cautions.append(f"{text} Only overdamped bubbles do not rebound.{advice}")
-    scatter = roughness(radius.numpy()) / max(float(radius.amax() - radius.amin()), 1e-300)
+    scatter = frame_roughness(radius.numpy()) / max(float(radius.amax() - radius.amin()), 1e-300)
     if len(radius) >= LIMITS.fewest_frames and scatter > LIMITS.scatter.usual[1]:
         what = (
             f"{where}: neighbouring frames scatter by {100.0 * scatter:.0f} % of the range of all "

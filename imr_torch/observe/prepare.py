@@ -228,9 +228,7 @@ def _collapse_frame(
     """
     if len(marks.collapse_times_s) < number:
         return math.inf
-    at = (marks.collapse_times_s[number - 1] - marks.time_of_max_s) / float(
-        surroundings.time_scale(marks.max_radius_m)
-    )
+    at = marks.dimensionless_time(marks.collapse_times_s[number - 1], surroundings)
     near = (whole.times - at).abs().argsort()[:2]
     return float(whole.times[near[whole.radius[0, near].argmin()]])
 
@@ -287,9 +285,7 @@ def _cut_window(
     end = _collapse_frame(whole, marks, surroundings, collapses)
     remedy = "Raise the number of collapses, or leave it out."
     if override is not None and override.window_end_s is not None:
-        end = (override.window_end_s - marks.time_of_max_s) / float(
-            surroundings.time_scale(marks.max_radius_m)
-        )
+        end = marks.dimensionless_time(override.window_end_s, surroundings)
         last = f"the stated end of the window at {1e6 * override.window_end_s:.4g} us"
         remedy = "State a later window_end_s, on the time axis of the file, or leave it out."
     if (count := int((whole.times <= end).sum())) < MIN_SAMPLES:

@@ -10,7 +10,7 @@ from imr_torch.errors import InputDataError
 from imr_torch.observe.experiments import Experiment
 from imr_torch.observe.nuisance import FLOOR, Nuisance
 from imr_torch.observe.plausibility import check_experiment
-from imr_torch.reading.npz import read_arrays
+from imr_torch.reading.readers import read_arrays
 from imr_torch.units import Surroundings
 
 _SHAPES = {"time_s": 2, "radius_m": 3, "we": 1, "rinf_star": 1}
@@ -63,30 +63,27 @@ def load_set(
         )
     experiments = []
     for i, (weber, rest) in enumerate(zip(arrays["we"], arrays["rinf_star"], strict=True)):
+        where = f"{path}: design {i}"
         size = outer.max_radius(float(weber))
         radius = torch.as_tensor(arrays["radius_m"][i]) / size
         times = torch.as_tensor(arrays["time_s"][i]) / outer.time_scale(size)
         seen = torch.isfinite(radius).any(0) & torch.isfinite(times)
         if int(seen.sum()) < 2:
             raise InputDataError(
-                f"{path}: design {i} has {int(seen.sum())} frames with a finite time and radius; "
-                "at least 2 are needed."
+                f"{where} has {int(seen.sum())} frames with a finite time and radius; at least 2 are "
+                "needed."
             )
-        kept = torch.isfinite(radius[:, seen]).any(1)
-        radius = radius[kept]
+        radius = radius[:, seen]
+        radius = radius[torch.isfinite(radius).any(1)]
+        design = (float(weber), float(rest))
         try:
-            found = Experiment(
-                f"design {i}", (float(weber), float(rest)), times[seen], radius[:, seen], nuisance
-            )
+            found = Experiment(f"design {i}", design, times[seen], radius, nuisance)
         except InputDataError as error:
-            raise InputDataError(f"{path}: design {i}: {error}") from None
+            raise InputDataError(f"{where}: {error}") from None
+        _check_units(where, found, size, outer.time_scale(size))
+        remedy = "the Weber numbers, and that time zero is the maximum"
+        check_experiment(found, where, remedy=remedy)
         experiments.append(found)
-        _check_units(f"{path}: design {i}", experiments[-1], size, outer.time_scale(size))
-        check_experiment(
-            experiments[-1],
-            f"{path}: design {i}",
-            remedy="the Weber numbers, and that time zero is the maximum",
-        )
     return experiments
 
 

@@ -1,11 +1,9 @@
 """The population of gels: how much the gel differs from shot to shot, and what its median is."""
 
-from imr_torch.population.closed_form import GaussianShots
-from imr_torch.population.infer import SCALE, coordinate_units, infer_population
+from imr_torch.population.closed_form import MOST, GaussianShots
+from imr_torch.population.infer import SCALE, coordinate_units, fit_shots, infer_population
 from imr_torch.population.likelihood import ShotLikelihood
-from imr_torch.population.quadrature import MOST
 from imr_torch.population.result import BayesFactor, Population
-from imr_torch.population.shots import fit_shots
 
 __all__ = [
     "MOST",

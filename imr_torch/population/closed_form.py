@@ -4,18 +4,24 @@ the scatter.
 A shot's likelihood is ``exp(c - z A z / 2 + b z)`` of its controls ``z``, and ``z ~ N(m, T)`` with
 the diagonal ``T`` of squared scatters; ``m`` has a Gaussian prior. Everything but ``T`` is then
 integrated out exactly (Lindley & Smith, JRSS B 34, 1972). No inverse of ``A`` or ``T`` is taken, so
-a shot may leave a direction open, and a scatter may be zero.
+a shot may leave a direction open, and a scatter may be zero. The scatters that vary are integrated
+over on a grid, whose cells :mod:`imr_torch.population.sampling` proposes scatters from.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.distributions import HalfNormal
 
 from imr_torch.material import ModelBelief
 from imr_torch.types import ControlMatrix, Controls, DrawnControls, DrawnValues
+
+MOST = 4
+"""Parameters that can differ from shot to shot, at most: the grid has as many axes."""
 
 
 @dataclass(frozen=True)
@@ -128,6 +134,82 @@ class GivenScatter:
         return centre[:, None] + (self.covariance @ pull[..., None])[..., 0]
 
 
+@dataclass(frozen=True)
+class Cells:
+    """Cells of a grid over the scatters that vary, finer where these are small.
+
+    Args:
+        low: lower corners, of the controls.
+        width: ``n x k`` tensor.
+        middle: centres; 0 where a scatter does not vary.
+        log_prior: log probability of each under half-normal priors.
+        evidence: log density of all data in the middle of each, nats.
+    """
+
+    low: Float[Tensor, "cells varying"]
+    width: Float[Tensor, "cells varying"]
+    middle: Float[Tensor, "cells controls"]
+    log_prior: Float[Tensor, "cells"]
+    evidence: Float[Tensor, "cells"]
+
+    @property
+    def log_evidence(self) -> float:
+        """The integral over the scatters, nats."""
+        return float(torch.logsumexp(self.log_prior + self.evidence, 0))
+
+    @property
+    def weights(self) -> Float[Tensor, "cells"]:
+        """``n`` tensor, posterior probability of each cell."""
+        return torch.softmax(self.log_prior + self.evidence, 0)
+
+
+def grid_scatters(
+    shots: GaussianShots,
+    prior: ModelBelief,
+    scale: Controls,
+    *,
+    steps: Sequence[int] = (1, 400, 48, 20, 11),
+    top: float = 6.0,
+    chunk: int = 2000,
+) -> Cells:
+    """The grid with its prior and the evidence of the shots.
+
+    Args:
+        shots: the shots.
+        prior: of the population's centre, in the model's controls.
+        scale: scale of the half-normal prior of each scatter; 0 where it does not vary.
+        steps: cells along each axis, by the number of axes.
+        top: scales of the prior up to which the grid reaches.
+        chunk: cells at once.
+
+    >>> import torch
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.population import GaussianShots
+    >>> from imr_torch.population.closed_form import grid_scatters
+    >>> values = torch.tensor([[-1.0, 0.0], [0.0, 0.0], [1.0, 0.0]], dtype=torch.float64)  # G differs, mu does not
+    >>> precision = 100.0 * torch.eye(2, dtype=torch.float64).expand(3, 2, 2)
+    >>> shots = GaussianShots(precision, 100.0 * values, -50.0 * values.square().sum(1))
+    >>> prior = wide_prior(["nhkv"])["nhkv"]
+    >>> G, mu = (grid_scatters(shots, prior, scale).log_evidence for scale in 0.3 * torch.eye(2, dtype=torch.float64))
+    >>> G > mu
+    True
+    """
+    varying = torch.nonzero(scale)[:, 0]
+    count = len(varying)
+    ends = torch.linspace(0.0, 1.0, steps[count] + 1, dtype=torch.float64).square() * top
+    low = width = torch.zeros(1, 0, dtype=torch.float64)
+    if count:
+        low, width = (
+            torch.cartesian_prod(*[x] * count).reshape(-1, count) * scale[varying]
+            for x in (ends[:-1], ends.diff())
+        )
+    middle = torch.zeros(len(low), len(scale), dtype=torch.float64)
+    middle[:, varying] = low + 0.5 * width
+    log_prior = HalfNormal(scale[varying]).log_prob(middle[:, varying]).sum(1) + width.log().sum(1)
+    parts = [shots.given(x, prior.mean, prior.precision).evidence for x in middle.split(chunk)]
+    return Cells(low, width, middle, log_prior, torch.cat(parts))
+
+
 def without_prior(
     mean: Controls,
     covariance: ControlMatrix,
@@ -141,9 +223,8 @@ def without_prior(
         covariance: ``d x d`` tensor.
         prior: what is divided out.
     """
-    before = torch.cholesky_inverse(prior.chol)
-    precision = positive_part(torch.linalg.inv(covariance) - before)
-    return precision, precision @ mean + before @ (mean - prior.mean)
+    precision = positive_part(torch.linalg.inv(covariance) - prior.precision)
+    return precision, precision @ mean + prior.precision @ (mean - prior.mean)
 
 
 def positive_part(matrix: ControlMatrix) -> ControlMatrix:

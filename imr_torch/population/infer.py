@@ -4,24 +4,44 @@ each shot's own values.
 Every control of a model's parameters is normal over shots: ``z_e ~ N(m, T)``, so a parameter with a
 log-normal prior is log-normal over shots. The centre ``m`` has the model's prior, each scatter an
 independent half-normal prior (Gelman, Bayesian Analysis 1, 2006), and whether a parameter varies at
-all is decided by evidence, over all sets of parameters that may vary. Shots enter through the draws
-of their own posteriors (:class:`~imr_torch.population.ShotLikelihood`), so nothing is simulated
-here.
+all is decided by evidence, over all sets of parameters that may vary.
+
+Every shot is first fitted on its own, with one law of the noise for all, and its posterior weighted
+by draws (:func:`fit_shots`). The noise is inferred from the residuals of these fits and not from a
+common one, in which shots that differ would look like noise
+(:func:`imr_torch.assimilate.infer_frame_noise`). The cost is linear in the number of shots. The
+population needs these draws alone (:class:`~imr_torch.population.ShotLikelihood`) and simulates
+nothing.
 """
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import scipy  # whose parts are imported when they are used; `stats` takes long
 import torch
 
-from imr_torch.assimilate import Assimilation
+from imr_torch.assimilate import (
+    NOISE_ROUNDS,
+    Assimilation,
+    FrameNoise,
+    FrameNoisePrior,
+    Posterior,
+    SearchOptions,
+    assimilate,
+    infer_frame_noise,
+    weigh,
+)
+from imr_torch.assimilate.noise_estimation import freedom_of
 from imr_torch.errors import InputDataError
 from imr_torch.material import LogNormal, ModelBelief
+from imr_torch.material.belief import even_belief
+from imr_torch.observe import Experiment, ExperimentBatch, Noise
+from imr_torch.observe.noise import FEWEST_RESIDUALS
+from imr_torch.population.closed_form import MOST
 from imr_torch.population.likelihood import ShotLikelihood
-from imr_torch.population.quadrature import MOST
-from imr_torch.population.result import BayesFactor, Population, ScaleCheck, Trend, scatter_interval
+from imr_torch.population.result import BayesFactor, Population, ScaleCheck, Trend
 from imr_torch.population.sampling import (
     Problem,
     WeightedPopulation,
@@ -29,14 +49,123 @@ from imr_torch.population.sampling import (
     sample_population,
 )
 from imr_torch.random import child, generator
+from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Controls
+from imr_torch.types import Controls, Progress
 
 SCALE = 0.3
 """Scale of the half-normal prior of each scatter: of ln G, ln mu, and of the control of other parameters."""
 
-_DRAWS = 4000
-_FEWEST_FOR_TREND = 4
+
+@one_torch_thread()
+def fit_shots(
+    prior: ModelBelief,
+    experiments: Sequence[Experiment],
+    simulator: Simulator,
+    *,
+    noise: Noise | None = None,
+    rounds: int = NOISE_ROUNDS,
+    samples: int = 256,
+    seed: int = 0,
+    options: SearchOptions | None = None,
+    early: tuple[float, float] = (0.3, 1.0),
+    progress: Progress | None = None,
+) -> tuple[Assimilation, ...]:
+    """Fit a model to every experiment by itself.
+
+    Args:
+        prior: of the gel of every shot.
+        experiments: one a shot; repeats within one are taken to be of the same gel.
+        simulator: makes the bubbles.
+        noise: law of the observation noise; the published one by default.
+        rounds: how often it is inferred from all residuals; 0 keeps it.
+        samples: draws of each posterior.
+        seed: of everything random.
+        options: how the most probable gel is searched for; from two starts when not given.
+        early: tolerances (gradient in posterior standard deviations, agreement of starts in nats)
+            of fits that only the noise is taken from.
+        progress: called with one line per shot.
+
+    Returns:
+        One weighted assimilation per experiment, all with the same noise.
+
+    Raises:
+        InputDataError: without experiments, or for two of one label.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, wide_prior
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import SimulatedLaboratory
+    >>> from imr_torch.population import fit_shots
+    >>> simulator, design = PolytropicSimulator(), torch.tensor([400.0, 0.22]).double()
+    >>> shots = []
+    >>> for number, stiffness in enumerate((7e3, 9e3)):
+    ...     laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack({"G": stiffness, "mu": 0.09}), repeats=1)
+    ...     shots.append(laboratory.shoot(design, seed=number, label=f"shot {number}"))
+    >>> fits = fit_shots(wide_prior(["nhkv"])["nhkv"], shots, simulator, rounds=0, samples=64)
+    >>> [round(float(fit.fits[0].posterior.means[0]), -3) for fit in fits]
+    [7000.0, 9000.0]
+    """
+    labels = [experiment.label for experiment in experiments]
+    if not labels or len(set(labels)) < len(labels):
+        raise InputDataError(f"Shots of different names are needed, got {len(labels)}: {labels}.")
+    belief = even_belief((prior,))
+    law = noise or Noise()
+    options = options or SearchOptions(starts=2)
+    current = None
+    fits = []
+    steps = (rounds + 2) * len(labels)  # fits of every round, then draws
+    for number in range(rounds + 1):
+        last = number == rounds
+        how = options if last else replace(options, gradient=early[0], agreement=early[1])
+        near: Sequence[Assimilation | None] = fits or [None] * len(labels)
+        found = []
+        for place, (experiment, before) in enumerate(zip(experiments, near, strict=True)):
+            own = child(seed, "shot", experiment.label, number)
+            batch = ExperimentBatch((experiment,), law)
+            batch = batch if current is None else current.of_curve(place).applied(batch)
+            found.append(
+                assimilate(belief, batch, simulator, seed=own, options=how, near=before, warn=False)
+            )
+            if progress:
+                done = number * len(labels) + len(found)
+                progress(f"shots: {experiment.label}, {done}/{steps}, round {number + 1}")
+        fits = found
+        if not last:
+            current = share_noise(fits, law, simulator, widen=number + 1 == rounds)
+            if progress:
+                progress(f"noise {law if current is None else current.law}")
+    weighted = []
+    for fit, label in zip(fits, labels, strict=True):
+        weighted.append(weigh(fit, simulator, seed=child(seed, "weigh", label), samples=samples))
+        if progress:
+            done = steps - len(labels) + len(weighted)
+            progress(f"draws: {label}, {done}/{steps}, {weighted[-1].fits[0].trust}")
+    return tuple(weighted)
+
+
+def share_noise(
+    fits: Sequence[Assimilation], law: Noise, simulator: Simulator, *, widen: bool
+) -> FrameNoise | None:
+    """The noise, one law for all shots, each with a gel of its own, enlarged if their intervals are
+    to be right.
+
+    None where the fits left fewer than ten degrees of freedom.
+
+    Args:
+        fits: of the shots.
+        law: to begin with.
+        simulator: makes the bubbles.
+        widen: see :func:`imr_torch.assimilate.noise_estimation.with_inferred_noise`.
+    """
+    pairs = [(found.fits[0], found.batch) for found in fits]
+    if (
+        sum(float(batch.mask.sum()) - freedom_of(fit, batch) for fit, batch in pairs)
+        < FEWEST_RESIDUALS
+    ):
+        return None
+    near = [Posterior(fit.prior, batch, simulator).neighbourhood(fit.point) for fit, batch in pairs]
+    return infer_frame_noise(near, FrameNoisePrior(law)).for_fits(widen=widen)
 
 
 @one_torch_thread()
@@ -45,7 +174,7 @@ def infer_population(
     *,
     varying: Sequence[str] | None = None,
     scale: float = SCALE,
-    draws: int = _DRAWS,
+    draws: int = 4000,
     seed: int = 0,
 ) -> Population:
     """Infer median, scatter and every shot's own values.
@@ -77,26 +206,30 @@ def infer_population(
     >>> population.by_parameter["G"].value > 0.0 > population.by_parameter["mu"].value  # G differs, and mu does not
     True
     """
-    prior = _checked(fits, varying, scale, draws)
-    shots = tuple(ShotLikelihood.of(fit.batch.experiments[0].label, fit.fits[0]) for fit in fits)
+    prior = _check_shots(fits, varying, scale, draws)
+    shots = tuple(map(ShotLikelihood.of, fits))
     names = prior.names
     units = coordinate_units(prior)
     columns = [names.index(name) for name in (varying or prior.of_gel)]
 
-    def problem(which: Sequence[int], width: float) -> Problem:
+    def pose_problem(which: Sequence[int], width: float) -> Problem:
         scales = torch.zeros(len(names), dtype=torch.float64)
         scales[list(which)] = width / units[list(which)]
         return Problem(shots, prior, scales)
 
-    found = sample_population(problem(columns, scale), draws, generator(child(seed, "population")))
-    evidence = _evidences(problem, columns, scale, draws // 2, seed)
+    found = sample_population(
+        pose_problem(columns, scale), draws, generator(child(seed, "population"))
+    )
+    evidence = _weigh_sets(pose_problem, columns, scale, draws // 2, seed)
     checks = []
     for width in (0.5 * scale, 2.0 * scale):
         other = sample_population(
-            problem(columns, width), draws, generator(child(seed, "population"))
+            pose_problem(columns, width), draws, generator(child(seed, "population"))
         )
-        intervals = {names[i]: scatter_interval(other, i, units) for i in columns}
-        sets = _evidences(problem, columns, width, draws // 2, seed)
+        intervals = {
+            names[i]: other.take_quantiles(other.scatter[:, i] * units[i]).tolist() for i in columns
+        }
+        sets = _weigh_sets(pose_problem, columns, width, draws // 2, seed)
         checks.append(ScaleCheck(width, _bayes_factor(sets, columns), intervals))
     by_parameter = {names[i]: _bayes_factor(evidence, [i]) for i in columns}
     return Population(
@@ -112,7 +245,7 @@ def infer_population(
         any_scatter=_bayes_factor(evidence, columns),
         by_parameter=by_parameter,
         checks=tuple(checks),
-        trends=_trends(shots, fits, names),
+        trends=_find_trends(shots, fits, names),
     )
 
 
@@ -129,7 +262,7 @@ def coordinate_units(prior: ModelBelief) -> Controls:
     return torch.tensor(values, dtype=torch.float64)
 
 
-def _checked(
+def _check_shots(
     fits: Sequence[Assimilation], varying: Sequence[str] | None, scale: float, draws: int
 ) -> ModelBelief:
     """The prior that all shots share."""
@@ -169,8 +302,8 @@ def _checked(
     return prior
 
 
-def _evidences(
-    problem: Callable[[Sequence[int], float], Problem],
+def _weigh_sets(
+    pose_problem: Callable[[Sequence[int], float], Problem],
     columns: Sequence[int],
     scale: float,
     draws: int,
@@ -181,7 +314,7 @@ def _evidences(
     for size in range(len(columns) + 1):
         for which in combinations(columns, size):
             source = generator(child(seed, "evidence", *which))
-            found[which] = sample_population(problem(which, scale), draws, source)
+            found[which] = sample_population(pose_problem(which, scale), draws, source)
     return found
 
 
@@ -206,19 +339,21 @@ def _bayes_factor(
     )
 
 
-def _trends(
-    shots: Sequence[ShotLikelihood], fits: Sequence[Assimilation], names: Sequence[str]
+def _find_trends(
+    shots: Sequence[ShotLikelihood],
+    fits: Sequence[Assimilation],
+    names: Sequence[str],
+    *,
+    fewest: int = 4,
 ) -> tuple[Trend, ...]:
-    """Rank correlation (Kendall) of each parameter of the shots with their Weber number, and so
-    with the size of the bubble.
+    """Rank correlation (Kendall) of each parameter of ``fewest`` shots or more with their Weber
+    number, and so with the size of the bubble.
     """
     weber = torch.cat([fit.batch.designs[:, 0] for fit in fits])
-    if len(shots) < _FEWEST_FOR_TREND or float(weber.amax() - weber.amin()) < 1e-6 * float(
-        weber.amax()
-    ):
+    if len(shots) < fewest or float(weber.amin() / weber.amax()) > 1.0 - 1e-6:
         return ()
-    values = torch.stack([shot.mean for shot in shots])
+    values = torch.stack([shot.mean for shot in shots], 1)
     return tuple(
-        Trend(name, *map(float, scipy.stats.kendalltau(weber, values[:, i])))
-        for i, name in enumerate(names)
+        Trend(name, *map(float, scipy.stats.kendalltau(weber, own)))
+        for name, own in zip(names, values, strict=True)
     )

@@ -11,32 +11,24 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from imr_torch.assimilate.importance import weighted_quantiles
 from imr_torch.html import render
 from imr_torch.labels import plain
 from imr_torch.material import PARAMETERS, LogNormal, ModelBelief, material
+from imr_torch.material.model_belief import intervals
 from imr_torch.observe import Noise
 from imr_torch.population.likelihood import ShotLikelihood
 from imr_torch.population.sampling import WeightedPopulation
 from imr_torch.random import child, generator
 from imr_torch.types import Controls
 
-_LEVELS = torch.tensor([0.05, 0.5, 0.95], dtype=torch.float64)
 DECISIVE = math.log(10.0)
 """Log Bayes factor, nats, from which shots are said to differ, or to be of one gel: odds of 10 to 1."""
 
-_DECISIVE_ROUGHLY = (
-    10.0  # nats; the same where draws are not reliable, as of one gel for shots that agree nowhere
-)
 LARGEST_SHOWN = 30.0
 """Nats; a larger log Bayes factor rests on the far tails of the shots' likelihoods."""
-_MISSED = (
-    1.5  # times as wide as frames alone say, from which on shots are said to be missed by the model
-)
-_TREND = 0.05  # p-value of a trend with the bubbles' size, all parameters together
-_ROUGH = 1.0  # nats of one shot's likelihood that its smooth form may miss at a draw
 
-Interval = tuple[float, float, float]
+Interval = list[float]
+"""5, 50 and 95 % quantile."""
 
 
 @dataclass(frozen=True)
@@ -114,6 +106,12 @@ class Population:
             varies.
         checks: the answer with the prior's scale halved and doubled.
         trends: of each parameter with the size of the bubble; none where the sizes are the same.
+        roughly_decisive: nats that decide where draws are not reliable, as of one gel for shots that
+            agree nowhere.
+        missed_from: times as wide as frames alone say, from which on it is said that the model
+            misses shots.
+        rough_from: nats of one shot's likelihood that its smooth form may miss at a draw.
+        trend_below: p-value of a trend with the bubbles' size, all parameters together.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, wide_prior
@@ -143,6 +141,10 @@ class Population:
     by_parameter: Mapping[str, BayesFactor]
     checks: tuple[ScaleCheck, ...]
     trends: tuple[Trend, ...]
+    roughly_decisive: float = 10.0
+    missed_from: float = 1.5
+    rough_from: float = 1.0
+    trend_below: float = 0.05
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -155,7 +157,7 @@ class Population:
         draws are not reliable.
         """
         value = self.any_scatter.value
-        if abs(value) < (DECISIVE if self.any_scatter.reliable else _DECISIVE_ROUGHLY):
+        if abs(value) < (DECISIVE if self.any_scatter.reliable else self.roughly_decisive):
             return "undecided"
         return "scatter" if value > 0.0 else "none"
 
@@ -165,38 +167,39 @@ class Population:
         reliable.
         """
         return self.found.reliable and all(
-            shot.reliable and shot.misses < _ROUGH for shot in self.shots
+            shot.reliable and shot.misses < self.rough_from for shot in self.shots
         )
 
     def median(self, name: str) -> Interval:
         """5, 50, 95 % quantile of the population's median of a parameter, SI."""
-        return self._physical(self.found.centre, name)
+        return self._find_interval(self.found.centre, name)
 
     def scatter(self, name: str) -> Interval:
         """5, 50, 95 % quantile of a parameter's scatter: the standard deviation of its logarithm,
         or of its control.
         """
-        return scatter_interval(self.found, self.prior.names.index(name), self.units)
+        column = self.prior.names.index(name)
+        return self.found.take_quantiles(
+            self.found.scatter[:, column] * self.units[column]
+        ).tolist()
 
     def shot(self, label: str, name: str) -> Interval:
         """5, 50, 95 % quantile of a parameter of one shot, given all shots, SI."""
-        return self._physical(self.found.shots[:, self.labels.index(label)], name)
+        return self._find_interval(self.found.shots[:, self.labels.index(label)], name)
 
     def alone(self, label: str, name: str) -> Interval:
         """5, 50, 95 % quantile of a parameter of one shot from that shot alone (Gaussian in the
         control), SI.
         """
-        column = self.prior.names.index(name)
         shot = self.shots[self.labels.index(label)]
-        controls = shot.mean[column] + shot.sd[column] * torch.special.ndtri(_LEVELS)
-        return _interval(self.prior.marginals[column].to_physical(controls))
+        return intervals(self.prior.with_gaussian(shot.mean, torch.diag(shot.sd)))[name]
 
     def next_shot(self, name: str) -> Interval:
         """5, 50, 95 % quantile of a parameter of a shot still to be made, SI."""
         noise = torch.randn(
             self.found.centre.shape, generator=generator(child(0, "next shot")), dtype=torch.float64
         )
-        return self._physical(self.found.centre + self.found.scatter * noise, name)
+        return self._find_interval(self.found.centre + self.found.scatter * noise, name)
 
     def error(self, name: str) -> tuple[float, float]:
         """Monte Carlo standard errors of the posterior means of a median's control and of a
@@ -210,23 +213,23 @@ class Population:
             found.append(error / sd if sd > 0.0 else 0.0)
         return found[0], found[1]
 
-    def _physical(self, controls: Tensor, name: str) -> Interval:
+    def _find_interval(self, controls: Tensor, name: str) -> Interval:
         column = self.prior.names.index(name)
-        levels = weighted_quantiles(controls[:, column], self.found.weights, _LEVELS)
-        return _interval(self.prior.marginals[column].to_physical(levels))
+        levels = self.found.take_quantiles(controls[:, column])
+        return self.prior.marginals[column].to_physical(levels).tolist()
 
     @property
     def cautions(self) -> tuple[str, ...]:
         """What makes the numbers doubtful, a sentence each."""
         said = []
-        if self.noise.widened > _MISSED:
+        if self.noise.widened > self.missed_from:
             said.append(
                 "the model misses curves of these shots; the fit of each passes through them, and "
                 "intervals are "
                 f"{self.noise.widened:.1f} times as wide for what the residuals have in common."
             )
         for trend in self.trends:
-            if trend.p_value * len(self.trends) < _TREND and trend.name in self.varying:
+            if trend.p_value * len(self.trends) < self.trend_below and trend.name in self.varying:
                 word = "rises" if trend.correlation > 0.0 else "falls"
                 said.append(
                     f"{trend.name} {word} with the size of the bubble (Kendall's tau "
@@ -243,7 +246,7 @@ class Population:
         rough = [
             f"{plain(shot.label)} ({shot.misses:.1f} nats)"
             for shot in self.shots
-            if not shot.misses < _ROUGH
+            if not shot.misses < self.rough_from
         ]
         if rough:
             said.append(
@@ -284,14 +287,14 @@ class Population:
         parameters = {}
         for name in self.prior.names:
             entry: dict[str, Any] = {
-                "median": list(self.median(name)),
-                "next_shot": list(self.next_shot(name)),
+                "median": self.median(name),
+                "next_shot": self.next_shot(name),
             }
             entry["error"] = dict(zip(("median", "scatter"), self.error(name), strict=True))
             if name in self.varying:
                 entry |= {
-                    "scatter": list(self.scatter(name)),
-                    "scatter_of": scatter_of(self.prior, name),
+                    "scatter": self.scatter(name),
+                    "scatter_of": name_scatter(self.prior, name),
                     "log_bayes_factor": vars(self.by_parameter[name]),
                 }
             parameters[name] = entry
@@ -300,8 +303,8 @@ class Population:
                 "id": shot.label,
                 "We": float(design[0]),
                 "R_inf*": float(design[1]),
-                "given_all": {name: list(self.shot(shot.label, name)) for name in self.prior.names},
-                "alone": {name: list(self.alone(shot.label, name)) for name in self.prior.names},
+                "given_all": {name: self.shot(shot.label, name) for name in self.prior.names},
+                "alone": {name: self.alone(shot.label, name) for name in self.prior.names},
                 "reliable": shot.reliable,
                 "smooth_misses": shot.misses,
                 "effective_samples": shot.effective_samples,
@@ -312,7 +315,7 @@ class Population:
             {
                 "scale": c.scale,
                 "log_bayes_factor": vars(c.any_scatter),
-                "scatter": {k: list(v) for k, v in c.scatter.items()},
+                "scatter": dict(c.scatter),
             }
             for c in self.checks
         ]
@@ -339,7 +342,7 @@ class Population:
         }
 
 
-def scatter_of(prior: ModelBelief, name: str) -> str:
+def name_scatter(prior: ModelBelief, name: str) -> str:
     """What the scatter of a parameter is the standard deviation of."""
     marginal = prior.marginals[prior.names.index(name)]
     return (
@@ -347,14 +350,3 @@ def scatter_of(prior: ModelBelief, name: str) -> str:
         if isinstance(marginal, LogNormal)
         else f"{name} in standard deviations of its prior"
     )
-
-
-def scatter_interval(found: WeightedPopulation, column: int, units: Controls) -> Interval:
-    """5, 50, 95 % quantile of one scatter."""
-    values = found.scatter[:, column] * units[column]
-    return _interval(weighted_quantiles(values, found.weights, _LEVELS))
-
-
-def _interval(values: Float[Tensor, "3"]) -> Interval:
-    low, middle, high = values.tolist()
-    return low, middle, high

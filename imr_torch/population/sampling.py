@@ -17,20 +17,18 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.distributions import HalfNormal
 
-from imr_torch.assimilate.importance import effective_size, largest_shape, smooth_tail
+from imr_torch.assimilate.importance import (
+    effective_size,
+    largest_shape,
+    smooth_tail,
+    weighted_quantiles,
+)
 from imr_torch.assimilate.proposals import student_draws, student_log_prob
 from imr_torch.material import ModelBelief
-from imr_torch.population.closed_form import GaussianShots, positive_part
-from imr_torch.population.likelihood import ShotLikelihood, quadratic_form
-from imr_torch.population.quadrature import cells
-from imr_torch.types import ControlMatrix, Controls, DrawnControls, DrawnValues
-
-_DEFENSIVE = 0.1  # share of the proposal that is the prior of the scatters
-_FREEDOM = 7  # degrees of freedom of what proposes the centre
-_EACH = 8  # gels of each shot for each draw, in opposite pairs
-_CHUNK = 2000  # draws at once
-_ENOUGH = 0.15  # effective share of the draws below which the Gaussian parts are fitted again
-_REFITS = 3
+from imr_torch.material.model_belief import LEVELS
+from imr_torch.population.closed_form import GaussianShots, grid_scatters, positive_part
+from imr_torch.population.likelihood import ShotLikelihood, quadratic_form, solve_weighted
+from imr_torch.types import Controls, DrawnControls, DrawnValues
 
 
 @dataclass(frozen=True)
@@ -47,16 +45,6 @@ class Problem:
     shots: tuple[ShotLikelihood, ...]
     prior: ModelBelief
     scale: Controls
-
-    @property
-    def varying(self) -> list[int]:
-        """Columns of the controls that vary."""
-        return torch.nonzero(self.scale)[:, 0].tolist()
-
-    @cached_property
-    def precision(self) -> ControlMatrix:
-        """``d x d`` tensor, prior precision of the centre."""
-        return torch.cholesky_inverse(self.prior.chol)
 
     @cached_property
     def gaussian(self) -> GaussianShots:
@@ -88,18 +76,18 @@ class WeightedPopulation:
     refits: int = 0
 
     @cached_property
-    def _smoothed(self) -> tuple[Tensor, float]:
+    def _smooth_weights(self) -> tuple[Tensor, float]:
         return smooth_tail(self.log_weights[:, 0])
 
     @property
     def pareto_k(self) -> float:
         """Shape of the tail of the weights."""
-        return self._smoothed[1]
+        return self._smooth_weights[1]
 
     @cached_property
     def weights(self) -> DrawnValues:
         """``n`` tensor, normalised and smoothed."""
-        return torch.softmax(self._smoothed[0], 0)
+        return torch.softmax(self._smooth_weights[0], 0)
 
     @property
     def effective_samples(self) -> float:
@@ -124,6 +112,10 @@ class WeightedPopulation:
         weights = torch.softmax(self.log_weights[:, 0], 0)
         return float((len(weights) * weights).std() / math.sqrt(len(weights)))
 
+    def take_quantiles(self, values: DrawnValues) -> Float[Tensor, "3"]:
+        """5, 50 and 95 % quantile of ``n`` values."""
+        return weighted_quantiles(values, self.weights, torch.tensor(LEVELS, dtype=torch.float64))
+
     def mean_error(self, values: DrawnValues) -> tuple[float, float]:
         """Mean of ``n`` values and its Monte Carlo standard error, by these draws and by those of
         the shots.
@@ -139,91 +131,111 @@ def jackknife_error(values: Float[Tensor, "groups"]) -> float:
     return float(((len(values) - 1) * values.var(correction=0)).sqrt())
 
 
-def sample_population(problem: Problem, draws: int, source: torch.Generator) -> WeightedPopulation:
-    """Weighted draws, with Gaussian parts that are fitted again as long as that helps."""
-    gaussian = problem.gaussian
-    best = _sample(problem, gaussian, draws, source)
-    for number in range(1, _REFITS + 1):
-        if best.effective_samples >= _ENOUGH * draws and best.pareto_k < largest_shape(draws):
+def sample_population(
+    problem: Problem,
+    draws: int,
+    source: torch.Generator,
+    *,
+    enough: float = 0.15,
+    refits: int = 3,
+    chunk: int = 2000,
+) -> WeightedPopulation:
+    """Weighted draws, with Gaussian parts that are fitted again as long as that helps.
+
+    Args:
+        problem: what is inferred from what.
+        draws: how many.
+        source: of random numbers.
+        enough: effective share of the draws below which the Gaussian parts are fitted again.
+        refits: how often they are, at most.
+        chunk: draws at once.
+    """
+
+    def draw_weighted(gaussian: GaussianShots, number: int) -> WeightedPopulation:
+        scatter, log_ratio = _draw_scatters(problem, gaussian, draws, source)
+        parts = [_draw_gels(problem, gaussian, rows, source) for rows in scatter.split(chunk)]
+        centre, shots, log_weights = (torch.cat(x) for x in zip(*parts, strict=True))
+        return WeightedPopulation(scatter, centre, shots, log_weights + log_ratio[:, None], number)
+
+    best = draw_weighted(problem.gaussian, 0)
+    for number in range(1, refits + 1):
+        if best.effective_samples >= enough * draws and best.pareto_k < largest_shape(draws):
             break
-        gaussian = _fitted_again(problem, best)
-        other = _sample(problem, gaussian, draws, source)
-        if other.effective_samples > best.effective_samples:
-            best = WeightedPopulation(
-                other.scatter, other.centre, other.shots, other.log_weights, number
-            )
+        other = draw_weighted(_refit_gaussians(problem, best), number)
+        best = max(best, other, key=lambda found: found.effective_samples)
     return best
 
 
-def _sample(
-    problem: Problem, gaussian: GaussianShots, draws: int, source: torch.Generator
-) -> WeightedPopulation:
-    """Draws from the closed form of Gaussian shots, and their weights."""
-    scatter, log_ratio = _scatters(problem, gaussian, draws, source)
-    parts = [_given(problem, gaussian, rows, source) for rows in scatter.split(_CHUNK)]
-    centre, shots, log_weights = (torch.cat(x) for x in zip(*parts, strict=True))
-    return WeightedPopulation(scatter, centre, shots, log_weights + log_ratio[:, None])
-
-
-def _scatters(
-    problem: Problem, gaussian: GaussianShots, draws: int, source: torch.Generator
+def _draw_scatters(
+    problem: Problem,
+    gaussian: GaussianShots,
+    draws: int,
+    source: torch.Generator,
+    *,
+    defensive: float = 0.1,
 ) -> tuple[Tensor, Tensor]:
-    """``draws x d`` scatters, and the log of their prior over their proposal."""
-    varying = problem.varying
-    size = len(problem.scale)
-    scatter = torch.zeros(draws, size, dtype=torch.float64)
-    if not varying:
-        return scatter, torch.zeros(draws, dtype=torch.float64)
-    grid = cells(gaussian, problem.prior, problem.scale)
-    chance = (1.0 - _DEFENSIVE) * grid.weights + _DEFENSIVE * torch.softmax(grid.log_prior, 0)
+    """``draws x d`` scatters, and the log of their prior over their proposal, of which the share
+    ``defensive`` is the prior.
+    """
+    scale = problem.scale
+    varying = torch.nonzero(scale)[:, 0]
+    scatter = torch.zeros(draws, len(scale), dtype=torch.float64)
+    if not len(varying):
+        return scatter, scatter.sum(1)
+    grid = grid_scatters(gaussian, problem.prior, scale)
+    chance = (1.0 - defensive) * grid.weights + defensive * torch.softmax(grid.log_prior, 0)
     cell = torch.multinomial(chance, draws, replacement=True, generator=source)
     within = torch.rand(draws, len(varying), generator=source, dtype=torch.float64)
     values = grid.low[cell] + within * grid.width[cell]
     scatter[:, varying] = values
     log_proposal = chance[cell].log() - grid.width[cell].log().sum(1)
-    log_prior = HalfNormal(problem.scale[varying]).log_prob(values).sum(1)
-    return scatter, log_prior - log_proposal
+    return scatter, HalfNormal(scale[varying]).log_prob(values).sum(1) - log_proposal
 
 
-def _given(
-    problem: Problem, gaussian: GaussianShots, scatter: Tensor, source: torch.Generator
+def _draw_gels(
+    problem: Problem,
+    gaussian: GaussianShots,
+    scatter: Tensor,
+    source: torch.Generator,
+    *,
+    freedom: int = 7,
+    each: int = 8,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Centre, shots and log weights of draws with given scatters, but for the prior and proposal of
     these.
+
+    The centre is proposed with ``freedom`` degrees of freedom; of each shot ``each`` gels are drawn
+    in opposite pairs, two where no parameter varies.
     """
     count, size = scatter.shape
-    given = gaussian.given(scatter, problem.prior.mean, problem.precision)
-    noise = student_draws((count, size), _FREEDOM, source)
-    centre = (
-        given.centre
-        + torch.linalg.solve_triangular(given.chol.mT, noise[..., None], upper=True)[..., 0]
-    )
+    given = gaussian.given(scatter, problem.prior.mean, problem.prior.precision)
+    noise = student_draws((count, size), freedom, source)
+    away = torch.linalg.solve_triangular(given.chol.mT, noise[..., None], upper=True)[..., 0]
+    centre = given.centre + away
     square = noise.square().sum(1)
     # evidence times the Gaussian posterior of the centre, over the proposal of it
     log_normal = -0.5 * (square + size * math.log(2.0 * math.pi))
-    log_weights = given.evidence + log_normal - student_log_prob(square, size, _FREEDOM)
+    log_weights = given.evidence + log_normal - student_log_prob(square, size, freedom)
     means = given.shot_means(centre)
+    each = each if bool(problem.scale.any()) else 2
     shots = []
     missed = []
-    each = _EACH if problem.varying else 2
     for e, shot in enumerate(problem.shots):
         half = torch.randn(count, each // 2, size, generator=source, dtype=torch.float64)
         noise = torch.cat((half, -half), 1)
         gels = means[:, e, None] + noise @ given.factor[:, e].mT
+        gaussian_part = quadratic_form(gels, gaussian.precision[e], gaussian.linear[e])
         base = (
             shot.constant - gaussian.constant[e] + quadratic_form(gels, shot.precision, shot.linear)
         )
-        left = (
-            shot.correction(gels)
-            + (base - quadratic_form(gels, gaussian.precision[e], gaussian.linear[e]))[..., None]
-        )
+        left = shot.correct_quadratic(gels) + (base - gaussian_part)[..., None]
         chosen = torch.multinomial(torch.softmax(left[..., 0], 1), 1, generator=source)[:, 0]
         shots.append(gels[torch.arange(count), chosen])
         missed.append(torch.logsumexp(left, 1) - math.log(each))
     return centre, torch.stack(shots, 1), log_weights[:, None] + torch.stack(missed).sum(0)
 
 
-def _fitted_again(problem: Problem, found: WeightedPopulation) -> GaussianShots:
+def _refit_gaussians(problem: Problem, found: WeightedPopulation) -> GaussianShots:
     """Quadratics fitted to the likelihoods of the shots at the draws of each, with tempered
     weights.
     """
@@ -238,21 +250,15 @@ def _fitted_again(problem: Problem, found: WeightedPopulation) -> GaussianShots:
     root = torch.softmax(power * logs, 0).sqrt()
     rows, columns = torch.triu_indices(size, size)
     parts = []
-    for e, shot in enumerate(problem.shots):
-        gels = found.shots[:, e]
+    for shot, gels in zip(problem.shots, found.shots.unbind(1), strict=True):
         mean = root.square() @ gels
         unit = (root.square() @ (gels - mean).square()).sqrt().clamp_min(1e-9)
         x = (gels - mean) / unit
         basis = torch.cat((torch.ones_like(x[:, :1]), x, x[:, rows] * x[:, columns]), 1)
-        values = shot.log_prob(gels)
-        solved = torch.linalg.lstsq(
-            root[:, None] * basis, (root * values)[:, None], driver="gelsd"
-        ).solution[:, 0]
+        solved = solve_weighted(basis, shot.log_prob(gels), root)
         curve = torch.zeros(size, size, dtype=torch.float64)
         curve[rows, columns] = -solved[1 + size :]
         A = positive_part(curve + curve.mT) / (unit[:, None] * unit)
         slope = solved[1 : 1 + size] / unit
-        b = slope + A @ mean
-        parts.append((A, b, solved[0] - slope @ mean - 0.5 * mean @ A @ mean))
-    precision, linear, constant = (torch.stack(x) for x in zip(*parts, strict=True))
-    return GaussianShots(precision, linear, constant)
+        parts.append((A, slope + A @ mean, solved[0] - slope @ mean - 0.5 * mean @ A @ mean))
+    return GaussianShots(*(torch.stack(x) for x in zip(*parts, strict=True)))

@@ -72,6 +72,10 @@ class Content:
         """Whether it is a table of text or of a workbook."""
         return self.noun == "column"
 
+    def lines(self, entries: Any) -> Any:
+        """Row numbers of entries of a column, counted from 1."""
+        return entries + 1 if self.rows is None else self.rows[entries]
+
     def names_like(self, name: str) -> list[str]:
         """The name itself if it is there; else names that add a struct before it, or a unit behind
         it.
@@ -129,7 +133,6 @@ class Content:
         worded = [i for i in filled if read_number(cells[i], comma=True) is None]
         place = (worded or [i for i in filled if read_number(cells[i]) is None])[0]
         cell = cells[place]
-        row = place + 1 if self.rows is None else self.rows[place]
         shown = repr(cell) if len(cell) <= 40 else f"{cell[:40]!r}... ({len(cell)} characters)"
         remedy = "write numbers with a decimal point, and a lost frame as NaN."
         if "," in cell:
@@ -138,7 +141,7 @@ class Content:
                 "where decimals have commas."
             )
         return InputDataError(
-            f"{self.path}: row {row}, column '{name}' is {shown}, not a number; {remedy}"
+            f"{self.path}: row {self.lines(place)}, column '{name}' is {shown}, not a number; {remedy}"
         )
 
     def entries(self, name: str) -> np.ndarray:
@@ -162,7 +165,7 @@ class Content:
         if found.size != 1 or not 0.0 < found[0] < math.inf:
             raise InputDataError(
                 f"{self.path}: variable '{value}' ({setting}) is "
-                f"{_shape(self.values[self.find(value)])} {found[:4]!s}; expected one positive "
+                f"{_describe_shape(self.values[self.find(value)])} {found[:4]!s}; expected one positive "
                 f"number. Write {setting}=<number> into --layout instead."
             )
         return float(found[0])
@@ -182,10 +185,10 @@ class Content:
         """Names and shapes, such as ``R (256,), All cell of 4 x (257,), Req scalar``."""
         if self.is_table:
             return f"columns {', '.join(self.values)}"
-        return ", ".join(f"{name} {_shape(value)}" for name, value in self.values.items())
+        return ", ".join(f"{name} {_describe_shape(value)}" for name, value in self.values.items())
 
 
-def _shape(value: Any) -> str:
+def _describe_shape(value: Any) -> str:
     if isinstance(value, str):
         return "text"
     if isinstance(value, list):

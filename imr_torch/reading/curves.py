@@ -12,9 +12,18 @@ import torch
 
 from imr_torch.errors import InputDataError
 from imr_torch.reading.content import Content
-from imr_torch.reading.layout import KNOWN_LAYOUTS, LENGTHS, TIMES, Layout
-from imr_torch.reading.names import Said, headings_of, infer_layout, unit_of
-from imr_torch.reading.scales import Scales, find_scales, max_radii, rest_radii
+from imr_torch.reading.layout import (
+    KNOWN_LAYOUTS,
+    LENGTHS,
+    TIMES,
+    Layout,
+    Said,
+    Scales,
+    find_scales,
+    max_radii,
+    rest_radii,
+)
+from imr_torch.reading.names import headings_of, infer_layout, unit_of
 from imr_torch.reading.traces import (
     MIN_SAMPLES,
     RADIUS_RANGE_M,
@@ -56,22 +65,33 @@ class RawCurve:
         """File and experiment, for messages."""
         return f"{self.file}: experiment '{self.experiment_id}'"
 
-    def take(self, index: np.ndarray) -> "RawCurve":
+    def take_rows(self, index: np.ndarray) -> "RawCurve":
         """The curve at some of its rows, in the order of an index."""
-        parts = {
-            name: None if getattr(self, name) is None else getattr(self, name)[index]
-            for name in ("time", "radius", "rows", "asphericity")
-        }
+        parts = {k: x[index] for k, x in vars(self).items() if isinstance(x, np.ndarray)}
         return replace(self, **parts)
 
-    def without(self, keep: np.ndarray, reason: str) -> tuple["RawCurve", list[LeftOut]]:
-        """The curve with the rows where the ``n`` boolean array ``keep`` holds, and a record of the
-        others.
+    def leave_out(self, rows: np.ndarray, reason: str) -> tuple["RawCurve", list[LeftOut]]:
+        """The curve without the rows where the ``n`` boolean array ``rows`` holds, and a record of
+        them.
         """
-        if keep.all():
+        if not rows.any():
             return self, []
-        record = LeftOut(self.file, self.experiment_id, row_ranges(self.rows[~keep]), reason)
-        return self.take(np.flatnonzero(keep)), [record]
+        record = LeftOut(self.file, self.experiment_id, row_ranges(self.rows[rows]), reason)
+        return self.take_rows(~rows), [record]
+
+    def refuse_row(self, wrong: np.ndarray, text: str) -> None:
+        """Raise for the first row that is wrong; the text may show its radius, its time, and time
+        and number of the row before.
+        """
+        if wrong.any():
+            i = int(wrong.argmax())
+            said = text.format(
+                radius=self.radius[i],
+                time=self.time[i],
+                before=self.time[i - 1],
+                row=self.rows[i - 1],
+            )
+            raise InputDataError(f"{self.where}, row {self.rows[i]}: {said}")
 
 
 def curves_of(content: Content, layout: Layout | None, said: Said, *, sort: bool) -> TraceSet:
@@ -91,7 +111,7 @@ def curves_of(content: Content, layout: Layout | None, said: Said, *, sort: bool
         layout, notes = find_layout(content, said)
     else:
         _check_units(content, layout)
-    raw, left_out = _split(content, layout)
+    raw, left_out = _split_curves(content, layout)
     scales, of_times = find_scales(content, layout, said)
     tops, more = max_radii(content, layout, [curve.time for curve in raw], scales)
     rests = rest_radii(content, layout, len(raw))
@@ -101,12 +121,10 @@ def curves_of(content: Content, layout: Layout | None, said: Said, *, sort: bool
             left_out.append(LeftOut(curve.file, curve.experiment_id, "", "an empty cell"))
             continue
         top_m = None if top is None else top * LENGTHS[layout.max_radius_unit]
-        converted = _to_si(_mark_absent(curve, layout), layout, scales, top_m)
-        if rest is not None:
-            rest_m = rest * scales.metres(layout.rest_radius_unit, top_m)
-            converted = replace(converted, given=replace(converted.given, rest_radius_m=rest_m))
-        converted, peak = _without_peak(converted, layout)
-        trace, dropped = _to_trace(converted, sort=sort)
+        rest_m = None if rest is None else rest * scales.metres(layout.rest_radius_unit, top_m)
+        converted = _convert_to_si(_mark_absent(curve, layout), layout, scales, top_m, rest_m)
+        converted, peak = _leave_out_peak(converted, layout)
+        trace, dropped = _make_trace(converted, sort=sort)
         left_out += [*peak, *dropped]
         traces += [] if trace is None else [trace]
     if not traces:
@@ -125,7 +143,7 @@ def find_layout(content: Content, said: Said) -> tuple[Layout, list[str]]:
         for name, known in KNOWN_LAYOUTS.items()
         if (name in _TABLES) == content.is_table
         and all(len(content.names_like(x)) == 1 for x in known.names())
-        and _has_rows_of(content, known.separator)
+        and (known.separator is None or _find_separators(content, known.separator).any())
     }
     rank = {name: (_is_possible(content, x), len(x.names())) for name, x in fitting.items()}
     best = [name for name in rank if rank[name] == max(rank.values())]
@@ -138,7 +156,7 @@ def find_layout(content: Content, said: Said) -> tuple[Layout, list[str]]:
         )
     if best:
         return fitting[best[0]], [f"{content.path}: read with the known layout '{best[0]}'."]
-    layout = infer_layout(content, _declared(content, said))
+    layout = infer_layout(content, _add_declared_units(content, said))
     time = f"frames {layout.frame_interval:g} s apart" if layout.frame_interval else ""
     if layout.time:
         time = f"time from '{layout.time}' in {layout.time_unit}"
@@ -152,11 +170,7 @@ def find_layout(content: Content, said: Said) -> tuple[Layout, list[str]]:
     return layout, [f"{content.path}: {radius}, {time}{size}."]
 
 
-def _has_rows_of(content: Content, value: float | None) -> bool:
-    return value is None or bool(_separators(content, value).any())
-
-
-def _separators(content: Content, value: float) -> np.ndarray:
+def _find_separators(content: Content, value: float) -> np.ndarray:
     """Rows of a table that consist of one number alone."""
     if any(isinstance(column, list) for column in content.values.values()):
         return np.zeros(1, dtype=bool)
@@ -172,7 +186,7 @@ def _is_possible(content: Content, layout: Layout) -> bool:
     )
 
 
-def _declared(content: Content, said: Said) -> Said:
+def _add_declared_units(content: Content, said: Said) -> Said:
     """What is said beside the file, with the units that the file itself declares, as IMRFit does."""
     units = {}
     for name, allowed in (("time_unit", TIMES), ("radius_unit", LENGTHS)):
@@ -212,7 +226,7 @@ def _check_units(content: Content, layout: Layout) -> None:
     """Refuse a layout that contradicts a unit written in the header of a table."""
     if not content.is_table:
         return
-    written = {heading.name: heading.unit for heading in headings_of(content)}
+    written = {h.name: h.unit for h in headings_of(content)}
     asked = [(column, layout.radius_unit) for column in _radius_names(content, layout)]
     asked += [(layout.time, layout.time_unit)] if layout.time in content.values else []
     for column, unit in asked:
@@ -223,7 +237,7 @@ def _check_units(content: Content, layout: Layout) -> None:
             )
 
 
-def _split(content: Content, layout: Layout) -> tuple[list[RawCurve], list[LeftOut]]:
+def _split_curves(content: Content, layout: Layout) -> tuple[list[RawCurve], list[LeftOut]]:
     """The curves in the units of the file, and rows left out on the way."""
     file = content.path
     names = _radius_names(content, layout)
@@ -231,7 +245,7 @@ def _split(content: Content, layout: Layout) -> tuple[list[RawCurve], list[LeftO
     radii = [radius for _, radius in columns]
     times = _vectors_beside(content, layout, "time", radii)
     axes = _vectors_beside(content, layout, "symmetry_axis", radii)
-    groups, left_out = _groups(content, layout)
+    groups, left_out = _group_rows(content, layout)
     curves = []
     for i, ((column, radius), time, axis) in enumerate(zip(columns, times, axes, strict=True), 1):
         asphericity = None
@@ -241,15 +255,14 @@ def _split(content: Content, layout: Layout) -> tuple[list[RawCurve], list[LeftO
             radius = np.where(seen, np.cbrt(radius * radius * axis), np.nan)
         frames = np.arange(len(radius))
         time = frames if time is None else time
-        rows = frames + 1 if content.rows is None else content.rows
-        whole = RawCurve(str(file), "", time, radius, rows, asphericity)
+        whole = RawCurve(str(file), "", time, radius, content.lines(frames), asphericity)
         for group, chosen in groups.items():
             label = group or file.stem
             if len(names) > 1:
                 label = column if len(groups) == 1 else f"{group}:{column}"
             elif len(radii) > 1:
                 label = f"{file.stem}_{i:02d}"
-            curve = whole if chosen is None else whole.take(chosen)
+            curve = whole if chosen is None else whole.take_rows(chosen)
             curves.append(replace(curve, experiment_id=label))
     return curves, left_out
 
@@ -278,7 +291,9 @@ def _vectors_beside(
     return vectors
 
 
-def _groups(content: Content, layout: Layout) -> tuple[dict[str, np.ndarray | None], list[LeftOut]]:
+def _group_rows(
+    content: Content, layout: Layout
+) -> tuple[dict[str, np.ndarray | None], list[LeftOut]]:
     """Row indices of each curve, by experiment column, by separator rows, or all in one."""
     file = str(content.path)
     if layout.experiment is not None:
@@ -287,26 +302,23 @@ def _groups(content: Content, layout: Layout) -> tuple[dict[str, np.ndarray | No
         for i, label in enumerate(content.texts.get(column, content.values[column])):
             groups.setdefault(str(label), []).append(i)
         if "" in groups:
-            row = groups[""][0]
-            line = row + 1 if content.rows is None else content.rows[row]
             raise InputDataError(
-                f"{file}: row {line}, column '{layout.experiment}' is empty; name the experiment."
+                f"{file}: row {content.lines(groups[''][0])}, column '{layout.experiment}' is empty; name the experiment."
             )
         return {name: np.array(rows) for name, rows in groups.items()}, []
     if layout.separator is None:
         return {"": None}, []
-    rows = content.rows
-    assert rows is not None
-    marks = np.flatnonzero(_separators(content, layout.separator))
-    left_out = []
+    separates = _find_separators(content, layout.separator)
+    marks = np.flatnonzero(separates)
+    parts = [part[~separates[part]] for part in np.split(np.arange(len(separates)), marks)]
+    aside = {}
     if len(marks):
-        left_out.append(LeftOut(file, "", row_ranges(rows[marks]), "separator rows between curves"))
-    bounds = zip([-1, *marks], [*marks, len(rows)], strict=True)
-    parts = [np.arange(a + 1, b) for a, b in bounds]
+        aside["separator rows between curves"] = marks
     if len(marks) and 0 < len(parts[0]) < MIN_SAMPLES:
-        stray = "stray row(s) before the first separator"
-        left_out.append(LeftOut(file, "", row_ranges(rows[parts[0]]), stray))
-        parts = parts[1:]
+        aside["stray row(s) before the first separator"] = parts.pop(0)
+    left_out = [
+        LeftOut(file, "", row_ranges(content.lines(rows)), reason) for reason, rows in aside.items()
+    ]
     filled = [part for part in parts if len(part)]
     return {f"{content.path.stem}_{i:03d}": part for i, part in enumerate(filled, 1)}, left_out
 
@@ -321,11 +333,12 @@ def _mark_absent(curve: RawCurve, layout: Layout) -> RawCurve:
     return replace(curve, radius=radius)
 
 
-def _to_si(
+def _convert_to_si(
     curve: RawCurve,
     layout: Layout,
     scales: Scales,
     max_radius: float | None,
+    rest_radius: float | None,
     *,
     tolerance: float = 0.01,
 ) -> RawCurve:
@@ -335,15 +348,13 @@ def _to_si(
             f"{curve.where}: max_radius is {max_radius / LENGTHS[layout.max_radius_unit]}; "
             "expected a positive length."
         )
-    radius = curve.radius * scales.metres(layout.radius_unit, max_radius)
     interval = scales.interval
-    given = curve.given if max_radius is None else replace(curve.given, max_radius_m=max_radius)
-    if layout.time is None or layout.time_unit == "frames":
-        assert interval is not None
-        return replace(curve, time=curve.time * interval, radius=radius, given=given)
-    scale = TIMES.get(layout.time_unit, (max_radius or 1.0) * scales.time_per_length)
+    by_frames = layout.time is None or layout.time_unit == "frames"
+    dimensionless = (max_radius or 1.0) * scales.time_per_length
+    scale = interval if by_frames else TIMES.get(layout.time_unit, dimensionless)
+    assert scale is not None
     time = curve.time * scale
-    if interval is not None and len(time) > 1:
+    if interval is not None and not by_frames and len(time) > 1:
         step = float(np.nanmedian(np.diff(time)))
         if not abs(step / interval - 1.0) <= tolerance:
             raise InputDataError(
@@ -351,10 +362,12 @@ def _to_si(
                 f"{interval:.4g} s; correct time_unit={layout.time_unit}, max_radius or "
                 "frame_interval in --layout."
             )
+    radius = curve.radius * scales.metres(layout.radius_unit, max_radius)
+    given = Given(max_radius_m=max_radius, rest_radius_m=rest_radius)
     return replace(curve, time=time, radius=radius, given=given)
 
 
-def _without_peak(curve: RawCurve, layout: Layout) -> tuple[RawCurve, list[LeftOut]]:
+def _leave_out_peak(curve: RawCurve, layout: Layout) -> tuple[RawCurve, list[LeftOut]]:
     """The curve without a peak that its source inserted, which is given as the maximum."""
     chosen = np.zeros(len(curve.radius), dtype=bool)
     if layout.inserted_peak == "first_row":
@@ -374,10 +387,10 @@ def _without_peak(curve: RawCurve, layout: Layout) -> tuple[RawCurve, list[LeftO
     at = float(curve.time[chosen][0])
     given = replace(curve.given, max_radius_m=stated or peak, time_of_max_s=at)
     reason = "fitted peak inserted by the source, not a camera frame"
-    return replace(curve, given=given).without(~chosen, reason)
+    return replace(curve, given=given).leave_out(chosen, reason)
 
 
-def _to_trace(
+def _make_trace(
     curve: RawCurve, *, sort: bool, few: float = 0.02
 ) -> tuple[RadiusTrace | None, list[LeftOut]]:
     """Drop the frames without a bubble and build the trace.
@@ -400,25 +413,30 @@ def _to_trace(
     left_out: list[LeftOut] = []
     if impossible.sum() <= few * len(radius):
         reason = "radius negative or smaller than a camera sees (lost frames)"
-        curve, left_out = curve.without(~impossible, reason)
-    _check_rows(curve)
-    empty = np.isnan(curve.radius) | (curve.radius == 0.0) | np.isnan(curve.time)
-    seen = np.flatnonzero(~empty)
-    first, last = (seen[0], seen[-1]) if len(seen) else (len(empty), len(empty))
-    index = np.arange(len(empty))
+        curve, left_out = curve.leave_out(impossible, reason)
+    for name, values in (("time", curve.time), ("radius", curve.radius)):
+        text = f"{name} is {{{name}}}; write NaN for a lost frame."
+        curve.refuse_row(np.isinf(values), text)
+    curve.refuse_row(
+        curve.radius < 0.0,
+        "radius is {radius:g} m, which is negative. Write NaN for a lost frame; if such rows "
+        "separate curves, write separator=<that number> into --layout.",
+    )
+    seen = np.flatnonzero((curve.radius > 0.0) & ~np.isnan(curve.time))
+    index = np.arange(len(curve.radius))
+    first, last = (seen[0], seen[-1]) if len(seen) else (len(index), len(index))
+    empty = ~np.isin(index, seen)
     for chosen, place in (
         (index < first, "before the first frame with a bubble (before nucleation)"),
         ((index > first) & (index < last), "between frames with a bubble (lost frames)"),
         (index > last, "after the last frame with a bubble (lost frames)"),
     ):
-        _, record = curve.without(~(empty & chosen), f"radius 0, negative or NaN {place}")
-        left_out += record
-    curve = curve.take(seen)
+        left_out += curve.leave_out(empty & chosen, f"radius 0, negative or NaN {place}")[1]
+    curve = curve.take_rows(seen)
     if sort:
-        order = np.argsort(curve.time, kind="stable")
-        curve = curve.take(order)
-        fresh = np.diff(curve.time, prepend=-np.inf) > 0.0
-        curve, record = curve.without(fresh, "its time is that of another row")
+        curve = curve.take_rows(np.argsort(curve.time, kind="stable"))
+        double = np.diff(curve.time, prepend=-np.inf) <= 0.0
+        curve, record = curve.leave_out(double, "its time is that of another row")
         left_out += record
     if len(curve.radius) < MIN_SAMPLES:
         reason = (
@@ -426,39 +444,15 @@ def _to_trace(
         )
         short = LeftOut(curve.file, curve.experiment_id, row_ranges(curve.rows), reason)
         return None, [*left_out, short]
-    _check_order(curve)
+    step = np.diff(curve.time, prepend=-np.inf)
+    what = "repeats" if (step[step <= 0.0] == 0.0)[:1].any() else "goes back from"
+    curve.refuse_row(
+        step <= 0.0,
+        f"time {{time:.6g}} s {what} {{before:.6g}} s of row {{row}}; times must increase strictly: "
+        "remove the duplicate row, or let --sort (in Python sort=True) sort the rows by time.",
+    )
     time = torch.from_numpy(curve.time)
     radii = torch.from_numpy(curve.radius)
     shape = None if curve.asphericity is None else torch.from_numpy(curve.asphericity)
     trace = RadiusTrace(curve.experiment_id, time, radii, curve.file, curve.given, shape)
     return trace, left_out
-
-
-def _check_rows(curve: RawCurve) -> None:
-    for name, values in (("time", curve.time), ("radius", curve.radius)):
-        if np.isinf(values).any():
-            i = int(np.flatnonzero(np.isinf(values))[0])
-            raise InputDataError(
-                f"{curve.where}, row {curve.rows[i]}: {name} is {values[i]}; write NaN for a lost "
-                "frame."
-            )
-    if (curve.radius < 0).any():
-        i = int(np.flatnonzero(curve.radius < 0)[0])
-        raise InputDataError(
-            f"{curve.where}, row {curve.rows[i]}: radius is {curve.radius[i]:g} m, which is "
-            "negative. Write NaN for a lost frame; if such rows separate curves, write "
-            "separator=<that number> into --layout."
-        )
-
-
-def _check_order(curve: RawCurve) -> None:
-    time = curve.time
-    step = np.diff(time)
-    if (step <= 0).any():
-        i = int(np.flatnonzero(step <= 0)[0]) + 1
-        what = "repeats" if step[i - 1] == 0 else "goes back from"
-        raise InputDataError(
-            f"{curve.where}, row {curve.rows[i]}: time {time[i]:.6g} s {what} {time[i - 1]:.6g} s "
-            f"of row {curve.rows[i - 1]}; times must increase strictly: remove the duplicate row, "
-            "or let --sort (in Python sort=True) sort the rows by time."
-        )

@@ -3,15 +3,22 @@
 Dimensionless times are undone with ``t = t* Rmax sqrt(rho / p_inf)`` (Estrada et al., J. Mech.
 Phys. Solids 112, 2018), with the density and pressure that the file names ``rho`` and ``P_inf``, or
 the medium stated beside it, or those of water at 1 atm.
+
+Which entries of a longer list of maximum radii belong to the curves is worked out: all curves of one
+camera have the same frame spacing once their dimensionless times are undone.
 """
 
+import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, fields
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 from imr_torch.errors import InputDataError
+from imr_torch.reading.content import Content
 
 LENGTHS = {"m": 1.0, "um": 1e-6, "mm": 1e-3}
 TIMES = {"s": 1.0, "us": 1e-6, "ms": 1e-3, "ns": 1e-9}
@@ -158,7 +165,7 @@ class Layout:
                     f"--layout: cannot use '{part}'; write name=value once, with a name among "
                     f"{', '.join(known)}."
                 )
-            settings[name] = _setting(name, value)
+            settings[name] = _parse_setting(name, value)
         for needed in ("radius", "radius_unit"):
             if needed not in settings:
                 raise InputDataError(
@@ -167,7 +174,7 @@ class Layout:
         return cls(**settings)
 
 
-def _setting(name: str, value: str) -> Any:
+def _parse_setting(name: str, value: str) -> Any:
     if value.lower() == "none":
         return None
     try:
@@ -181,6 +188,22 @@ def _setting(name: str, value: str) -> Any:
                 f"--layout: {name} is '{value}'; expected a number (entries as 1+2+4)."
             ) from None
     return value
+
+
+@dataclass(frozen=True)
+class Said:
+    """What is said about all curves of a file, as far as reading them needs it; SI units.
+
+    ``density`` and ``pressure`` are those that dimensionless times are undone with.
+    """
+
+    time_unit: str | None = None
+    radius_unit: str | None = None
+    frame_interval: float | None = None
+    pixel_size: float | None = None
+    max_radius: float | None = None
+    density: float = 998.0
+    pressure: float = 101325.0
 
 
 KNOWN_LAYOUTS: Mapping[str, Layout] = MappingProxyType(
@@ -225,3 +248,161 @@ KNOWN_LAYOUTS: Mapping[str, Layout] = MappingProxyType(
 """Name -> layout that is recognised without being stated: the tables of this project and of IMR_DDI;
 MATLAB files of IMR_PRIME, IMR_v1, BubbleTrack (``peak_at_time_zero``), fitIMR
 (``struct_of_experiments``) and InCA (``converted_plot_set``)."""
+
+
+@dataclass(frozen=True)
+class Scales:
+    """What turns the numbers of a file into SI units.
+
+    Args:
+        interval: seconds between frames, if known.
+        pixel_size: metres per pixel, if known.
+        time_per_length: ``sqrt(rho / p_inf)`` in s/m; dimensionless time times ``Rmax`` times this
+            is seconds.
+    """
+
+    interval: float | None
+    pixel_size: float | None
+    time_per_length: float
+
+    def metres(self, unit: str, max_radius: float | None) -> float:
+        """Metres per unit of radii; the maximum radius is in m."""
+        size = {**LENGTHS, "px": self.pixel_size, "dimensionless": max_radius}[unit]
+        assert size is not None
+        return size
+
+
+def find_scales(content: Content, layout: Layout, said: Said) -> tuple[Scales, list[str]]:
+    """The scales of a file, and a note on what dimensionless times are undone with."""
+    density = said.density
+    pressure = said.pressure
+    notes = []
+    if layout.time_unit == "dimensionless":
+        known = {} if content.is_table else content.values
+        density = content.number("density", "rho" if "rho" in known else None) or density
+        pressure = content.number("pressure", "P_inf" if "P_inf" in known else None) or pressure
+        notes = [
+            f"{content.path}: times are dimensionless and are undone with {density:g} kg/m^3 and "
+            f"{pressure:g} Pa; if their author took others, state them as the medium in the JSON "
+            "file beside it."
+        ]
+    interval = content.number("frame_interval", layout.frame_interval)
+    pixel_size = content.number("pixel_size", layout.pixel_size)
+    return Scales(interval, pixel_size, math.sqrt(density / pressure)), notes
+
+
+def rest_radii(content: Content, layout: Layout, count: int) -> list[float | None]:
+    """The rest radius of each curve, in the unit of the file."""
+    if layout.rest_radius is None or count == 0:
+        return [None] * count
+    found = content.entries(layout.rest_radius)
+    if len(found) not in (1, count) or (found <= 0.0).any():
+        raise InputDataError(
+            f"{content.path}: variable '{layout.rest_radius}' (rest_radius) holds {found[:6]} for "
+            f"{count} curves; expected one positive length, or one for each curve (NaN where it is "
+            "not known): write rest_radius=none into --layout to leave it aside."
+        )
+    return [None if math.isnan(x) else x for x in np.broadcast_to(found, count).tolist()]
+
+
+def max_radii(
+    content: Content, layout: Layout, times: Sequence[np.ndarray], scales: Scales
+) -> tuple[list[float | None], list[str]]:
+    """The maximum radius of each curve, in the unit of the file, and notes on how it was chosen.
+
+    Raises:
+        InputDataError: if the entries cannot be assigned to the curves in exactly one way.
+    """
+    count = len(times)
+    if not isinstance(layout.max_radius, str) or content.is_table:
+        return [content.number("max_radius", layout.max_radius)] * count, []
+    found = content.entries(layout.max_radius)
+    if not count:
+        return [], []
+    if layout.max_radius_entries is None and len(found) in (1, count):
+        return np.broadcast_to(found, count).tolist(), []
+    choice, notes = _choose_entries(content, layout, found, times, scales)
+    return found[list(choice)].tolist(), notes
+
+
+def _choose_entries(
+    content: Content,
+    layout: Layout,
+    found: np.ndarray,
+    times: Sequence[np.ndarray],
+    scales: Scales,
+    *,
+    tolerance: float = 0.01,
+    common_tolerance: float = 0.002,
+    most: int = 20_000,
+) -> tuple[Sequence[int], list[str]]:
+    """The entries that are named, or the one order-preserving choice of entries under which all
+    curves have the same frame spacing.
+
+    Args:
+        content: the file.
+        layout: what its names mean.
+        found: entries of the maximum radius.
+        times: of the frames of each curve, dimensionless.
+        scales: those of the file.
+        tolerance: relative, of spacings from a known interval.
+        common_tolerance: relative, between the spacings of curves.
+        most: choices that are tried.
+    """
+    count = len(times)
+    counts = (
+        f"{content.path}: variable '{layout.max_radius}' has {len(found)} entries for {count} "
+        "curves"
+    )
+    numbers = "+".join(str(i + 1) for i in range(count))
+    by_hand = f"max_radius_entries={numbers} in --layout (entry numbers from 1, one for each curve)"
+    named = layout.max_radius_entries
+    if named is not None:
+        if len(named) != count or max(named) > len(found):
+            raise InputDataError(
+                f"{counts}, and max_radius_entries={named}; give one entry number (from 1 to "
+                f"{len(found)}) for each curve."
+            )
+        return [i - 1 for i in named], []
+    if len(found) < count:
+        raise InputDataError(
+            f"{counts}; one entry for each curve is needed: add the missing ones, or give "
+            "max_radius as a number."
+        )
+    if layout.time_unit != "dimensionless":
+        raise InputDataError(f"{counts}; say which belong to them with {by_hand}.")
+    if math.comb(len(found), count) > most:
+        raise InputDataError(
+            f"{counts}, too many choices to try; say which belong to them with {by_hand}."
+        )
+    steps = np.array([np.nanmedian(np.diff(x)) if x.size > 1 else math.nan for x in times])
+    seconds = found * LENGTHS[layout.max_radius_unit] * scales.time_per_length
+    implied = steps[:, None] * seconds
+    choices = np.array(list(itertools.combinations(range(len(found)), count)))
+    spacings = implied[range(count), choices]
+    interval = scales.interval
+    if interval is None:
+        fits = np.ptp(spacings, 1) <= common_tolerance * spacings.mean(1)
+        target = ", equal for all curves (within 0.2 %)"
+        how = "no other choice makes them equal"
+    else:
+        fits = (np.abs(spacings / interval - 1.0) <= tolerance).all(1)
+        target = f" of {interval:g} s (within 1 %)"
+        how = "they match the frame interval given"
+    fitting = choices[fits]
+    if len(fitting) == 1:
+        (chosen,) = fitting.tolist()
+        listed = ", ".join(f"{spacing:.4g}" for spacing in spacings[fits][0])
+        return chosen, [
+            f"{counts}: entries {', '.join(str(i + 1) for i in chosen)} are used, in order; the "
+            f"frame spacings they imply are {listed} s, and {how}. Name them with "
+            "max_radius_entries to override this."
+        ]
+    table = "; ".join(
+        f"curve {k + 1}: " + ", ".join(f"{x:.4g}" for x in row) for k, row in enumerate(implied)
+    )
+    why = f"{len(fitting)} choices fit" if len(fitting) else "no choice fits"
+    raise InputDataError(
+        f"{counts}, and {why} a frame spacing{target}. Give frame_interval=<seconds between "
+        f"frames>, or {by_hand}. Frame spacings in s implied by each entry: {table}."
+    )

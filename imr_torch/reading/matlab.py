@@ -52,7 +52,7 @@ def read_matlab(path: Path) -> list[Content]:
                 content = pymatreader.read_mat(str(path))
         for name, value in content.items():
             if not name.startswith(("__", "#")):
-                _flatten(name, value, values, units)
+                _add_values(name, value, values, units)
     except Exception as error:  # SciPy, h5py and zlib each raise their own kinds on damaged files
         raise InputDataError(
             f"{path}: cannot be read as a MATLAB file ({type(error).__name__}: {error}). Save it "
@@ -118,53 +118,52 @@ def _check_size(path: Path) -> None:
         )
 
 
-def _flatten(name: str, value: Any, values: dict[str, Any], units: dict[str, str]) -> None:
+def _add_values(name: str, value: Any, values: dict[str, Any], units: dict[str, str]) -> None:
     """Add a value, or each of its fields or columns, under its name."""
     if hasattr(value, "columns"):  # a table, which is a data frame
-        if value.index.dtype.kind in "mM":
-            times = _seconds(np.asarray(value.index))
-            values[f"{name}.{value.index.name}"] = times
-            units[f"{name}.{value.index.name}"] = "s"
         written = value.attrs.get("VariableUnits") or value.attrs.get("varUnits") or []
+        if value.index.dtype.kind in "mM":  # of a timetable
+            value = value.reset_index()
+            written = ["", *written]
         for column, unit in zip(value.columns, [*written, *[""] * value.shape[1]], strict=False):
-            values[f"{name}.{column}"] = _plain(value[column].to_numpy())
+            _add_values(f"{name}.{column}", value[column].to_numpy(), values, units)
             units |= {f"{name}.{column}": unit} if unit else {}
     elif isinstance(value, dict):
         for field, part in value.items():
-            _flatten(f"{name}.{field}", part, values, units)
+            _add_values(f"{name}.{field}", part, values, units)
     elif isinstance(value, np.ndarray) and value.dtype.names:
         structs = value.reshape(-1)
         for field in value.dtype.names:
             if len(structs) == 1:
-                _flatten(f"{name}.{field}", structs[0][field], values, units)
+                _add_values(f"{name}.{field}", structs[0][field], values, units)
             else:
-                values[f"{name}.{field}"] = [_plain(struct[field]) for struct in structs]
+                values[f"{name}.{field}"] = [_simplify_value(struct[field]) for struct in structs]
     else:
-        values[name] = _plain(value)
-        if isinstance(value, np.ndarray) and value.dtype.kind == "m":
+        values[name] = _simplify_value(value)
+        if isinstance(value, np.ndarray) and value.dtype.kind in "mM":
             units[name] = "s"
 
 
-def _plain(value: Any) -> Any:
+def _simplify_value(value: Any) -> Any:
     """An array without dimensions of 1, a text, or a list of these."""
     if isinstance(value, list):
-        return [_plain(cell) for cell in value]
+        return [_simplify_value(cell) for cell in value]
     if isinstance(value, (bool, int, float, np.generic)):
         return np.asarray(value)
     if not isinstance(value, np.ndarray):
         return value
     if value.dtype.kind in "mM":
-        return _seconds(value).squeeze()
+        return _to_seconds(value).squeeze()
     if value.dtype.kind in "UT":
         texts = [str(text) for text in value.reshape(-1)]
         return texts[0] if len(texts) == 1 else texts
     if value.dtype.kind == "O":
-        cells = [_plain(cell) for cell in value.reshape(-1, order="F")]
+        cells = [_simplify_value(cell) for cell in value.reshape(-1, order="F")]
         return cells[0] if len(cells) == 1 and isinstance(cells[0], str) else cells
     return value.squeeze()
 
 
-def _seconds(times: np.ndarray) -> np.ndarray:
+def _to_seconds(times: np.ndarray) -> np.ndarray:
     """Durations in seconds, or seconds since the first date."""
     since = times if times.dtype.kind == "m" else times - times.reshape(-1)[0]
     return since / np.timedelta64(1, "s")

@@ -10,13 +10,13 @@ error proposes.
 import math
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imr_torch.errors import InputDataError
 from imr_torch.reading.content import Content
-from imr_torch.reading.layout import LENGTHS, TIMES, Layout
+from imr_torch.reading.layout import LENGTHS, TIMES, Layout, Said
 from imr_torch.reading.traces import MIN_SAMPLES, RADIUS_RANGE_M
 
 _UNITS = {
@@ -99,7 +99,7 @@ def unit_of(text: str, units: Collection[str] = tuple(_UNITS)) -> str | None:
     return unit if unit in units else None
 
 
-def heading(name: str, below: str = "", units: Collection[str] = tuple(_UNITS)) -> Heading:
+def read_heading(name: str, below: str = "", units: Collection[str] = tuple(_UNITS)) -> Heading:
     """A name with its unit, one of some: behind it in brackets, after a stroke, comma or
     underscore, or in the row below.
     """
@@ -130,29 +130,13 @@ def headings_of(content: Content) -> list[Heading]:
         cells = isinstance(value, list) and value and all(isinstance(x, np.ndarray) for x in value)
         if content.is_table or name in vectors or cells or _is_texts(value):
             field = name if content.is_table else name.rpartition(".")[2]
-            part = heading(field, units.get(name, ""))
+            part = read_heading(field, units.get(name, ""))
             found.append(Heading(name, part.bare, part.unit))
     return found
 
 
 def _is_texts(value: object) -> bool:
     return isinstance(value, list) and bool(value) and all(isinstance(x, str) for x in value)
-
-
-@dataclass(frozen=True)
-class Said:
-    """What is said about all curves of a file, as far as reading them needs it; SI units.
-
-    ``density`` and ``pressure`` are those that dimensionless times are undone with.
-    """
-
-    time_unit: str | None = None
-    radius_unit: str | None = None
-    frame_interval: float | None = None
-    pixel_size: float | None = None
-    max_radius: float | None = None
-    density: float = 998.0
-    pressure: float = 101325.0
 
 
 def infer_layout(content: Content, said: Said) -> Layout:
@@ -173,20 +157,19 @@ def infer_layout(content: Content, said: Said) -> Layout:
         headings = [Heading("1", "t", None), Heading("2", "R", None)]
     usable = [h for h in headings if h.name in values or h.role or h.unit]
     usable = [h for h in usable if not _is_texts(content.values[h.name]) or content.is_table]
-    time = _time(usable)
-    radii = _radii(usable)
+    time = _find_time(usable)
+    radii = _find_radii(usable)
     axes = [h for role in ("half axis a", "half axis b") for h in usable if h.role == role]
     ellipse = not any(h.role == "radius" for h in radii) and len(axes) == 2 and axes[0].is_length
-    radii = axes[:1] if ellipse else radii
-    _check_kinds(file, usable, radii)
-    radii = [h for h in radii if h is not time]
-    experiment = _experiment(headings, (time, *radii))
+    _check_kinds(file, usable, axes if ellipse else radii)
+    radii = axes if ellipse else _keep_one_unit([h for h in radii if h is not time])
+    experiment = _find_experiment(headings, (time, *radii))
     if experiment is not None and not content.is_table:
         labels = list(content.values[experiment.name])
         shared = bool(radii) and len(labels) == np.size(content.values[radii[0].name])
         few = len(set(map(str, labels))) * MIN_SAMPLES <= len(labels)
         experiment = experiment if shared and few else None
-    proposal = _propose(usable, values, said)
+    proposal = _propose_layout(usable, values, said)
     if not radii or (time is None and said.frame_interval is None):
         if not radii and any(name.startswith("struct_best_fit") for name in content.values):
             raise InputDataError(
@@ -198,37 +181,36 @@ def infer_layout(content: Content, said: Said) -> Layout:
             f"{file}: {what} is found by its name or unit. The file holds: {content.describe()}. "
             f"{proposal}"
         )
-    radii = _in_one_unit(radii)
-    units = {h.unit or said.radius_unit for h in radii} | (
-        {axes[1].unit or said.radius_unit} if ellipse else set()
-    )
-    if len(units) > 1:
-        listed = ", ".join(f"'{h.name}'" for h in (axes if ellipse else radii))
+    radii = [replace(h, unit=h.unit or said.radius_unit) for h in radii]
+    if len({h.unit for h in radii}) > 1:
+        listed = ", ".join(f"'{h.name}'" for h in radii)
         raise InputDataError(
             f"{file}: the columns of radii {listed} differ in their units; write all in one unit."
         )
-    radius_unit = units.pop()
-    time_unit = None
     if time is not None:
-        time_unit = "frames" if time.role == "frames" else time.unit or said.time_unit
-    by_size = False
-    if time is not None and not content.is_table and len(radii) == 1:
-        pair = (radii[0].name.rpartition(".")[2], time.name.rpartition(".")[2])
-        if radius_unit is None and pair in _OF_IMR_CODES and time_unit in (None, "s"):
-            radius_unit = _possible_unit(content, radii[0].name, time.name)
-            by_size = radius_unit is not None
-            time_unit = "s" if by_size else time_unit
-    lacking = [] if radius_unit else [f"'{h.name}'" for h in radii[:3]]
-    lacking += [] if time is None or time_unit else [f"'{time.name}'"]
+        unit = "frames" if time.role == "frames" else time.unit or said.time_unit
+        time = replace(time, unit=unit)
+    symmetry_axis = radii.pop().name if ellipse else None
+    alone = not content.is_table and len(radii) == 1
+    by_size = None
+    if alone and time is not None and radii[0].unit is None and time.unit in (None, "s"):
+        by_size = _possible_unit(content, radii[0], time)
+    if by_size and time is not None:
+        radii = [replace(radii[0], unit=by_size)]
+        time = replace(time, unit="s")
+    clock = [] if time is None else [time]
+    lacking = [f"'{h.name}'" for h in (*radii[:3], *clock) if h.unit is None]
+    radius_unit = radii[0].unit
     if lacking or radius_unit is None:
         verb = "has" if len(lacking) == 1 else "have"
         raise InputDataError(f"{file}: {' and '.join(lacking)} {verb} no unit. {proposal}")
-    _check_scales(file, said, radii, time, radius_unit, time_unit)
-    rest = _rest_name(content) if not content.is_table and len(radii) == 1 else None
+    time_unit = None if time is None else time.unit
+    _check_scales(file, said, radii, time)
+    rest = _rest_name(content) if alone else None
     return Layout(
         "+".join(h.name for h in radii),
         radius_unit=radius_unit,
-        symmetry_axis=axes[1].name if ellipse else None,
+        symmetry_axis=symmetry_axis,
         time=None if time is None else time.name,
         time_unit=time_unit or "s",
         experiment=None if experiment is None else experiment.name,
@@ -241,7 +223,7 @@ def infer_layout(content: Content, said: Said) -> Layout:
     )
 
 
-def _in_one_unit(radii: list[Heading]) -> list[Heading]:
+def _keep_one_unit(radii: list[Heading]) -> list[Heading]:
     """The columns of radii, without those that repeat others in pixels or over Rmax."""
     order = [*LENGTHS, "px", "dimensionless", None]
     best = {h.bare: h for h in sorted(radii, key=lambda h: -order.index(h.unit))}
@@ -249,26 +231,33 @@ def _in_one_unit(radii: list[Heading]) -> list[Heading]:
 
 
 def _possible_unit(
-    content: Content, radius: str, time: str, *, lasts: tuple[float, float] = (0.05, 100.0)
+    content: Content, radius: Heading, time: Heading, *, lasts: tuple[float, float] = (0.05, 100.0)
 ) -> str | None:
-    """``"m"`` or ``"um"``: in which of them, and in seconds, a bubble may be; None if in neither.
+    """``"m"`` or ``"um"``: in which of them, and in seconds, a bubble may be by names that IMR codes
+    save; None if in neither.
 
     Args:
         content: the file.
-        radius: name of the radii.
-        time: name of the times.
+        radius: the radii.
+        time: the times.
         lasts: shortest and longest record, in ``Rmax sqrt(rho/p)``, .1 s/m in water at 1 atm.
     """
-    largest = float(np.nanmax(content.entries(radius), initial=0.0))
-    seconds = content.entries(time)
-    finite = seconds[np.isfinite(seconds)]
-    span = float(finite.max() - finite.min()) if len(finite) else 0.0
+    if tuple(h.name.rpartition(".")[2] for h in (radius, time)) not in _OF_IMR_CODES:
+        return None
+    largest = float(np.nanmax(content.entries(radius.name), initial=0.0))
+    span = _finite_span(content.entries(time.name))
     for unit in ("m", "um"):
         top = largest * LENGTHS[unit]
         possible = RADIUS_RANGE_M[0] < top < RADIUS_RANGE_M[1]
         if possible and lasts[0] < span / (0.1 * top) < lasts[1]:
             return unit
     return None
+
+
+def _finite_span(values: np.ndarray) -> float:
+    """Largest less smallest of the finite values; 0 without any."""
+    finite = values[np.isfinite(values)]
+    return float(np.ptp(finite)) if len(finite) else 0.0
 
 
 def _rest_name(content: Content) -> str | None:
@@ -280,7 +269,9 @@ def _rest_name(content: Content) -> str | None:
     return None
 
 
-def _experiment(headings: Sequence[Heading], taken: Sequence[Heading | None]) -> Heading | None:
+def _find_experiment(
+    headings: Sequence[Heading], taken: Sequence[Heading | None]
+) -> Heading | None:
     return next((h for h in headings if h.role == "experiment" and h not in taken), None)
 
 
@@ -307,10 +298,10 @@ def _check_scales(
     said: Said,
     radii: Sequence[Heading],
     time: Heading | None,
-    radius_unit: str,
-    time_unit: str | None,
 ) -> None:
     """Refuse units whose size is not known."""
+    radius_unit = radii[0].unit
+    time_unit = None if time is None else time.unit
     known = f"radius={'+'.join(h.name for h in radii)},radius_unit={radius_unit}"
     known += f",time={time.name},time_unit={time_unit}" if time is not None else ""
     dimensionless = "dimensionless" in (radius_unit, time_unit)
@@ -327,13 +318,13 @@ def _check_scales(
             )
 
 
-def _time(headings: Sequence[Heading]) -> Heading | None:
+def _find_time(headings: Sequence[Heading]) -> Heading | None:
     named = {h.role: h for h in reversed(headings)}
     by_unit = [h for h in headings if h.role is None and h.unit in TIMES]
     return named.get("time") or next(iter(by_unit), named.get("frames"))
 
 
-def _radii(headings: Sequence[Heading]) -> list[Heading]:
+def _find_radii(headings: Sequence[Heading]) -> list[Heading]:
     named = [h for h in headings if h.role == "radius"]
     unnamed = (None, "half axis a", "half axis b")
     return named or [
@@ -341,15 +332,17 @@ def _radii(headings: Sequence[Heading]) -> list[Heading]:
     ]
 
 
-def _propose(headings: Sequence[Heading], values: Mapping[str, np.ndarray], said: Said) -> str:
+def _propose_layout(
+    headings: Sequence[Heading], values: Mapping[str, np.ndarray], said: Said
+) -> str:
     """The option to add, with the units that give a bubble of usual size and a record of usual
     length.
     """
     numeric = [h for h in headings if h.name in values]
-    time = _time(numeric)
-    if time is None and len(numeric) > 1 and _radii(numeric)[:1] != numeric[:1]:
+    time = _find_time(numeric)
+    if time is None and len(numeric) > 1 and _find_radii(numeric)[:1] != numeric[:1]:
         time = numeric[0]
-    radii = [h for h in _radii(numeric) or numeric if h is not time]
+    radii = [h for h in _find_radii(numeric) or numeric if h is not time]
     if not radii:
         return (
             'Say what they mean: --layout "radius=<name>,radius_unit=um,time=<name>,time_unit=us".'
@@ -363,12 +356,11 @@ def _propose(headings: Sequence[Heading], values: Mapping[str, np.ndarray], said
     if time is None:
         option += ",frame_interval=<seconds between frames>"
     else:
-        finite = values[time.name][np.isfinite(values[time.name])]
-        span = float(np.ptp(finite)) if len(finite) else 0.0
+        span = _finite_span(values[time.name])
         clock = time.unit or said.time_unit or _nearest_unit(span, TIMES, 3e-5)
         option += f",time={time.name},time_unit={clock}"
         sense += f" and a record of {span:.4g} {clock}"
-    experiment = _experiment(headings, (time, *radii))
+    experiment = _find_experiment(headings, (time, *radii))
     option += f",experiment={experiment.name}" if experiment else ""
     return (
         f'If this is right, add --layout "{option}" (in Python '

@@ -6,7 +6,7 @@ import numpy as np
 
 from imr_torch.errors import InputDataError
 from imr_torch.reading.layout import TIMES
-from imr_torch.reading.names import heading
+from imr_torch.reading.names import read_heading
 from imr_torch.reading.readers import read_contents
 from imr_torch.simulate import TabulatedDriving
 
@@ -39,7 +39,7 @@ def load_driving(path: str | Path) -> TabulatedDriving:
         found = {
             name: units[unit]
             for name in content.plain_vectors()
-            if (unit := heading(name, content.units.get(name, ""), units).unit) is not None
+            if (unit := read_heading(name, content.units.get(name, ""), units).unit) is not None
         }
         if len(found) != 1:
             raise InputDataError(

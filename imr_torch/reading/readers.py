@@ -5,16 +5,16 @@ functions that read it.
 before the others.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import scipy  # whose parts are imported when they are used
 
 from imr_torch.errors import InputDataError
-from imr_torch.reading.content import Content
+from imr_torch.reading.content import LARGEST, Content
 from imr_torch.reading.matlab import is_matlab, read_matlab_curves
-from imr_torch.reading.npz import is_npz, read_npz
 from imr_torch.reading.table import is_workbook, read_text, read_workbook
 from imr_torch.reading.traces import TraceSet
 
@@ -73,7 +73,7 @@ def find_reader(path: Path) -> Reader | None:
     Raises:
         InputDataError: if the file is missing or empty.
     """
-    head = _head(path)
+    head = _read_head(path)
     return next((x for x in reversed(READERS.values()) if x.recognises(path, head)), None)
 
 
@@ -92,7 +92,7 @@ def read_contents(path: Path) -> list[Content]:
     Raises:
         InputDataError: if the file is missing, empty, damaged, or of no known container.
     """
-    head = _head(path)
+    head = _read_head(path)
     if is_npz(path, head):
         return read_npz(path)
     if is_workbook(path, head):
@@ -125,7 +125,7 @@ def is_shot_file(path: str | Path) -> bool:
         return False
 
 
-def _head(path: Path) -> bytes:
+def _read_head(path: Path) -> bytes:
     """The first bytes of a file that can be one."""
     if not path.exists():
         raise InputDataError(
@@ -138,3 +138,79 @@ def _head(path: Path) -> bytes:
     if not head.removeprefix(b"\xef\xbb\xbf").strip():
         raise InputDataError(f"{path}: the file is empty; export the curve again.")
     return head
+
+
+def is_npz(path: Path, head: bytes) -> bool:
+    """Whether a file is an ``.npz``."""
+    return head.startswith(b"PK") and path.suffix.lower() == ".npz"
+
+
+def read_npz(path: Path) -> list[Content]:
+    """One curve, or one a row, in SI units."""
+    arrays = read_arrays(path, ("time_s", "radius_m"))
+    time = arrays["time_s"]
+    radius = arrays["radius_m"]
+    if radius.ndim not in (1, 2) or time.ndim not in (1, radius.ndim):
+        raise InputDataError(
+            f"{path}: time_s has shape {time.shape} and radius_m {radius.shape}; expected frames, "
+            "or curves x frames, with one time for every radius. Sets of repeated designs "
+            "(designs x repeats x frames) are read by imr-torch diagnose."
+        )
+    values = {name: x if x.ndim == 1 else list(x) for name, x in arrays.items()}
+    return [Content(path, values)]
+
+
+def read_arrays(path: str | Path, names: Collection[str]) -> dict[str, np.ndarray]:
+    """Arrays of an ``.npz`` file as float64.
+
+    Args:
+        path: the file.
+        names: arrays that it must hold.
+
+    Raises:
+        InputDataError: if the file is missing or no ``.npz``, lacks an array, or declares arrays
+            that are no numbers, or take more than ``LARGEST`` together.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import numpy
+    >>> from imr_torch.reading.readers import read_arrays
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     numpy.savez(Path(folder) / "gel.npz", time_s=[0.0, 1e-6])
+    ...     read_arrays(Path(folder) / "gel.npz", ["time_s"])["time_s"].shape
+    (2,)
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputDataError(
+            f"{path}: no such file; check the name and the folder ({path.parent.resolve()})."
+        )
+    arrays = {}
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            missing = [name for name in names if name not in archive.files]
+            if missing:
+                raise InputDataError(
+                    f"{path}: no array {missing[0]!r}; expected {', '.join(names)}, got "
+                    f"{', '.join(archive.files) or 'none'}."
+                )
+            size = sum(archive.zip.getinfo(f"{name}.npy").file_size for name in names)
+            if size > LARGEST:
+                raise InputDataError(
+                    f"{path}: its arrays take {size / 2**30:.3g} GiB, more than "
+                    f"{LARGEST / 2**30:.3g} GiB; it is damaged, or must be divided into several "
+                    "files."
+                )
+            for name in names:
+                array = archive[name]
+                if array.dtype.kind not in "fiub":
+                    raise ValueError(f"array {name!r} holds {array.dtype}, not real numbers")
+                arrays[name] = array.astype(np.float64)
+    except InputDataError:
+        raise
+    except Exception as error:  # zipfile and NumPy each raise their own kinds on damaged files
+        raise InputDataError(
+            f"{path}: cannot be read as .npz arrays of numbers ({error}); write it with "
+            "numpy.savez."
+        ) from error
+    return arrays

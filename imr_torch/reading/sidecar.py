@@ -27,8 +27,8 @@ from typing import Any
 
 from imr_torch.errors import InputDataError
 from imr_torch.files import read_json, write_json
-from imr_torch.reading.layout import RADIUS_UNITS, TIMES
-from imr_torch.reading.names import Said, unit_of
+from imr_torch.reading.layout import RADIUS_UNITS, TIMES, Said
+from imr_torch.reading.names import unit_of
 from imr_torch.reading.statement import Statement
 from imr_torch.reading.traces import Given, Override, RadiusTrace, TraceSet
 
@@ -82,46 +82,46 @@ class Sidecar:
         self.exists = self.path.exists() and self.path != path
         document = read_json(self.path, expected=_EXPECTED) if self.exists else {}
         if not isinstance(document, dict):
-            raise self._unusable(f"it holds a {type(document).__name__}")
+            raise self._refuse_file(f"it holds a {type(document).__name__}")
         listed = document.get("experiments", [])
         if not isinstance(listed, list) or not all(isinstance(entry, dict) for entry in listed):
-            raise self._unusable("'experiments' is no list of entries")
+            raise self._refuse_file("'experiments' is no list of entries")
         self.top: dict[str, Any] = {
             name: value for name, value in document.items() if name != "experiments"
         }
         self.entries: dict[str, dict[str, Any]] = {}
         for i, entry in enumerate(listed):
             if "experiment_id" not in entry:
-                raise self._unusable(f"entry {i + 1} of 'experiments' has no experiment_id")
+                raise self._refuse_file(f"entry {i + 1} of 'experiments' has no experiment_id")
             name = str(entry["experiment_id"])
             if name in self.entries:
-                raise self._unusable(
+                raise self._refuse_file(
                     f"experiment_id '{name}' occurs twice; describe every experiment once"
                 )
             if isinstance(entry.get("medium"), dict):
-                raise self._unusable(
+                raise self._refuse_file(
                     f"the medium of experiment '{name}' is an object; state properties once, at "
                     "the top"
                 )
             self.entries[name] = entry
         self.units = {
-            name: self._unit(name, allowed)
+            name: self._read_unit(name, allowed)
             for name, allowed in (("time_unit", TIMES), ("radius_unit", RADIUS_UNITS))
         }
         medium = self.top.get("medium")
         stated = isinstance(medium, dict)
         self.stated = Statement.from_json(medium, str(self.path)) if stated else None
 
-    def _unusable(self, why: str) -> InputDataError:
+    def _refuse_file(self, why: str) -> InputDataError:
         return InputDataError(
             f"{self.path}: cannot be used ({why}); {_EXPECTED}: correct it, or move it away."
         )
 
-    def _unit(self, name: str, allowed: Collection[str]) -> str | None:
+    def _read_unit(self, name: str, allowed: Collection[str]) -> str | None:
         value = self.top.get(name)
         unit = unit_of(value, allowed) if isinstance(value, str) else None
         if value is not None and unit is None:
-            raise self._unusable(
+            raise self._refuse_file(
                 f"{name} is {value!r}; write s, ms, us, frames for times and m, mm, um, px for "
                 "radii"
             )
@@ -130,10 +130,10 @@ class Sidecar:
     @property
     def said(self) -> Said:
         """What a layout needs to know of it."""
-        top = self._numbers(self.top, _NUMBERS, "the file")
+        top = self._read_numbers(self.top, _NUMBERS, "the file")
         rate = top.get("frame_rate_hz")
         if rate is not None and not rate > 0.0:
-            raise self._unusable(
+            raise self._refuse_file(
                 f"frame_rate_fps of the file is {rate}; expected frames per second, above 0"
             )
         medium = self.stated.values if self.stated else {}
@@ -148,7 +148,7 @@ class Sidecar:
             max_radius=None if self.entries else top.get("max_radius_m"),
         )
 
-    def _numbers(
+    def _read_numbers(
         self, entry: Mapping[str, Any], names: Mapping[str, str], where: str
     ) -> dict[str, float]:
         """Fields of numbers that are there; of camera and frames a remark is left alone."""
@@ -160,7 +160,7 @@ class Sidecar:
             ):
                 continue
             if isinstance(value, bool) or not isinstance(value, (int, float)):
-                raise self._unusable(
+                raise self._refuse_file(
                     f"{key} of {where} is {value!r}; expected a number in SI units, or null"
                 )
             found[field] = float(value)
@@ -171,11 +171,11 @@ class Sidecar:
         entry = self.entries.get(name, {})
         whole = alone and not self.entries
         own = self.top if whole else entry
-        values = self._numbers(self.top, _NUMBERS if whole else _OF_CAMERA, "the file")
-        values |= self._numbers(entry, _NUMBERS, f"experiment '{name}'")
+        values = self._read_numbers(self.top, _NUMBERS if whole else _OF_CAMERA, "the file")
+        values |= self._read_numbers(entry, _NUMBERS, f"experiment '{name}'")
         settled = own.get("Rinf_settled", True if own.get("Rinf_sd_m") is not None else None)
         if settled is not None and not isinstance(settled, bool):
-            raise self._unusable(
+            raise self._refuse_file(
                 f"experiment '{name}': Rinf_settled is {settled!r}; expected true or false"
             )
         of_all = self.stated.name if self.stated else self.top.get("medium")
@@ -190,7 +190,9 @@ class Sidecar:
                 override=override,
             )
         except InputDataError as error:
-            raise self._unusable(f"experiment '{name}': {type(error).__name__}: {error}") from error
+            raise self._refuse_file(
+                f"experiment '{name}': {type(error).__name__}: {error}"
+            ) from error
 
     def override(self, stated: Any, name: str) -> Override | None:
         """What a person states about an experiment.
@@ -203,15 +205,15 @@ class Sidecar:
         unknown = ", ".join(sorted({*stated} - {*OVERRIDES})) if isinstance(stated, dict) else ""
         if unknown or not isinstance(stated, dict):
             said = f"has the unknown field(s) {unknown}" if unknown else f"is {stated!r}"
-            raise self._unusable(
+            raise self._refuse_file(
                 f"override of experiment '{name}' {said}; expected some of {', '.join(OVERRIDES)}"
             )
         where = f"the override of experiment '{name}'"
-        values = self._numbers(stated, OVERRIDES, where)
+        values = self._read_numbers(stated, OVERRIDES, where)
         try:
             return Override(**values)
         except InputDataError as error:
-            raise self._unusable(f"{where}: {error}") from None
+            raise self._refuse_file(f"{where}: {error}") from None
 
     def added_to(self, traces: TraceSet) -> TraceSet:
         """The traces with what it says about them, where their file says nothing itself, and a

@@ -78,7 +78,7 @@ class Statement:
             if self.name:
                 named_medium(self.name)
             for name, (value, sd) in self.values.items():
-                _check(name, value, sd)
+                _check_property(name, value, sd)
         except InputDataError as error:
             raise InputDataError(f"{self.where}: {error}") from None
 
@@ -104,7 +104,7 @@ class Statement:
                 )
             if key in values:
                 raise InputDataError(f"{where}: {key} is stated twice; state it once.")
-            values[key] = _pair(rest, part, where)
+            values[key] = _parse_pair(rest, part, where)
         return cls(name, values, where)
 
     @classmethod
@@ -143,7 +143,7 @@ class Statement:
         return found
 
 
-def _pair(text: str, part: str, where: str) -> tuple[float, float | None]:
+def _parse_pair(text: str, part: str, where: str) -> tuple[float, float | None]:
     try:
         value, *sd = (float(x) for x in text.split(":"))
     except ValueError:
@@ -157,7 +157,7 @@ def _pair(text: str, part: str, where: str) -> tuple[float, float | None]:
     return value, sd[0] if sd else None
 
 
-def _check(name: str, value: float, sd: float | None, *, widest: float = 0.3) -> None:
+def _check_property(name: str, value: float, sd: float | None, *, widest: float = 0.3) -> None:
     """Raise unless a property is known, its value possible in SI units, and its standard deviation
     usable: at most ``widest`` of the value.
     """

@@ -30,7 +30,7 @@ def read_text(path: Path) -> list[Content]:
         InputDataError: if the file is no text, has no rows, rows of different lengths, a field that
             no number or name fills, or two columns of one name.
     """
-    lines = [(i, line) for i, line in enumerate(_decode(path).splitlines(), 1) if line.strip()]
+    lines = [(i, line) for i, line in enumerate(_decode_text(path).splitlines(), 1) if line.strip()]
     if lines and _SEPARATOR.fullmatch(lines[0][1].strip()):  # of spreadsheets
         lines = lines[1:]
     comments = [line.lstrip("#% \t") for _, line in lines if line.startswith(("#", "%"))]
@@ -38,21 +38,21 @@ def read_text(path: Path) -> list[Content]:
     if not lines:
         raise InputDataError(f"{path}: holds no row; export the curve again.")
     mark = _find_mark(lines[0][1], lines[-1][1])
-    rows = [_split(path, i, line, mark) for i, line in lines]
+    rows = [_split_line(path, i, line, mark) for i, line in lines]
     numbers = [i for i, _ in lines]
     if mark is None and len(rows) > 1 and len(rows[0]) != len(rows[1]):  # blanks within names
         rows[0] = re.split(r"\s{2,}", lines[0][1].strip())
     comma = mark != ","
     if comments and _are_numbers(rows[0], comma):
         header_mark = _find_mark(comments[-1], comments[-1]) if mark is None else mark
-        header = _split(path, 0, comments[-1], header_mark)
+        header = _split_line(path, 0, comments[-1], header_mark)
         if len(header) == len(rows[0]) and not _are_numbers(header, comma):
             rows = [header, *rows]
             numbers = [0, *numbers]
     return [table_content(path, rows, numbers, comma=comma)]
 
 
-def _decode(path: Path) -> str:
+def _decode_text(path: Path) -> str:
     """The text of a file in UTF-8, in UTF-16 with a byte-order mark, or with Latin-1 micro signs
     alone.
     """
@@ -81,7 +81,7 @@ def _find_mark(first: str, last: str) -> str | None:
     return next((c for c in ";\t," if c in first), None)
 
 
-def _split(path: Path, number: int, line: str, mark: str | None) -> list[str]:
+def _split_line(path: Path, number: int, line: str, mark: str | None) -> list[str]:
     if mark is None:
         return line.split()
     try:
@@ -138,26 +138,25 @@ def table_content(
                 "write every row with the same columns (a lost frame as NaN)."
                 + (decimal if len(row) == 2 * len(names) else "")
             )
-    columns: dict[str, np.ndarray | list[str]] = {}
     texts: dict[str, Sequence[str]] = {}
-    places: dict[str, int] = {}
-    for k, cells in enumerate(zip(*(row for _, row in body), strict=True)):
-        if not names[k] and not any(cells):  # as spreadsheets leave them at the end
+    beside: dict[str, str] = {}
+    for k, (name, *cells) in enumerate(zip(names, *(row for _, row in body), strict=True)):
+        if not name and not any(cells):  # as spreadsheets leave them at the end
             continue
-        if names[k] in columns:
+        if name in texts:
             raise InputDataError(
-                f"{path}: columns {places[names[k]]} and {k + 1} are both named '{names[k]}'; "
-                "give every column a name of its own."
+                f"{path}: columns {names.index(name) + 1} and {k + 1} are both named '{name}'; give "
+                "every column a name of its own."
             )
-        places[names[k]] = k + 1
-        texts[names[k]] = cells
-        columns[names[k]] = _column(cells, comma)
-    beside = {name: units[k - 1] for name, k in places.items()} if units else {}
+        texts[name] = cells
+        if units:
+            beside[name] = units[k]
+    columns = {name: _read_column(cells, comma) for name, cells in texts.items()}
     lines = np.array([line for line, _ in body])
     return Content(path, columns, "column", lines, beside, has_header, texts)
 
 
-def _column(cells: Sequence[str], comma: bool) -> np.ndarray | list[str]:
+def _read_column(cells: Sequence[str], comma: bool) -> np.ndarray | list[str]:
     """Numbers, NaN where a cell is empty; the texts themselves if one is no number."""
     numbers = [read_number(cell, comma=comma) if cell else np.nan for cell in cells]
     return list(cells) if None in numbers else np.array(numbers, dtype=np.float64)

@@ -7,7 +7,7 @@ everything a reader left out, and why.
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -173,16 +173,16 @@ class RadiusTrace:
             object.__setattr__(self, name, value)
             if value.ndim != 1:
                 raise InputDataError(
-                    f"{self._at(name)} has shape {tuple(value.shape)}; expected one dimension."
+                    f"{self._place_of(name)} has shape {tuple(value.shape)}; expected one dimension."
                 )
         if self.time_s.shape != self.radius_m.shape:
             raise InputDataError(
-                f"{self._at('radius_m')} has {len(self.radius_m)} samples and time_s has "
+                f"{self._place_of('radius_m')} has {len(self.radius_m)} samples and time_s has "
                 f"{len(self.time_s)}; give one time for every radius."
             )
         if len(self.time_s) < 2:
             raise InputDataError(
-                f"{self._at('time_s')} has {len(self.time_s)} sample(s); a curve needs at least 2."
+                f"{self._place_of('time_s')} has {len(self.time_s)} sample(s); a curve needs at least 2."
             )
         self._check_values()
         self._check_units()
@@ -195,31 +195,31 @@ class RadiusTrace:
         """File and experiment, for messages."""
         return f"{self.source}: experiment '{self.experiment_id}'"
 
-    def _at(self, field: str, sample: int | None = None) -> str:
+    def _place_of(self, field: str, sample: int | None = None) -> str:
         row = "" if sample is None else f", sample {sample} (counted from 0)"
         return f"{self.where}, {field}{row}"
 
-    def _refuse(self, wrong: Tensor, field: str, text: str) -> None:
+    def _refuse_sample(self, wrong: Tensor, field: str, text: str) -> None:
         """Refuse the first sample of a field that is wrong, with its value and the one before."""
         if bool(wrong.any()):
             i = int(wrong.nonzero()[0])
             values = getattr(self, field)
             said = text.format(values[i].item(), values[i - 1].item())
-            raise InputDataError(f"{self._at(field, i)} is {said}")
+            raise InputDataError(f"{self._place_of(field, i)} is {said}")
 
     def _check_values(self) -> None:
         time = self.time_s
         radius = self.radius_m
         for name in ("time_s", "radius_m"):
             wrong = ~getattr(self, name).isfinite()
-            self._refuse(wrong, name, "{}; leave lost frames out of the trace.")
+            self._refuse_sample(wrong, name, "{}; leave lost frames out of the trace.")
         text = "{:g}; a radius is positive: leave out frames without a bubble."
-        self._refuse(radius <= 0.0, "radius_m", text)
+        self._refuse_sample(radius <= 0.0, "radius_m", text)
         backwards = torch.nn.functional.pad(time.diff(), (1, 0), value=1.0) <= 0.0
         text = (
             "{:g} after {:g}; times must increase strictly: remove the duplicate, or sort the rows."
         )
-        self._refuse(backwards, "time_s", text)
+        self._refuse_sample(backwards, "time_s", text)
 
     def _check_units(self) -> None:
         top = float(self.radius_m.max())
@@ -234,14 +234,14 @@ class RadiusTrace:
             elif top > largest:
                 guess = "millimetres given as metres: write radius_unit=mm"
             raise InputDataError(
-                f"{self._at('radius_m')} is {top:.4g} at its largest, in m; bubbles lie between "
+                f"{self._place_of('radius_m')} is {top:.4g} at its largest, in m; bubbles lie between "
                 f"1e-07 and 0.1 m. This looks like {guess} into --layout."
             )
         text = (
             "{:.4g} m, below what a camera can see (1e-07 m): set the frame to NaN if the bubble "
             "was lost in it."
         )
-        self._refuse(self.radius_m < smallest, "radius_m", text)
+        self._refuse_sample(self.radius_m < smallest, "radius_m", text)
         duration = float(self.time_s[-1] - self.time_s[0])
         shortest, longest = DURATION_RANGE_S
         if not shortest <= duration <= longest:
@@ -252,7 +252,7 @@ class RadiusTrace:
                     "with a frame_interval)"
                 )
             raise InputDataError(
-                f"{self._at('time_s')} spans {duration:.4g} s; records last between 1e-07 and 1 "
+                f"{self._place_of('time_s')} spans {duration:.4g} s; records last between 1e-07 and 1 "
                 f"s. This looks like {guess} into --layout."
             )
 
@@ -351,8 +351,10 @@ class TraceSet:
     def __getitem__(self, key: int | str) -> RadiusTrace:
         if isinstance(key, str):
             if key not in self._places:
+                more = f", ... ({len(self) - 8} more)" if len(self) > 8 else ""
                 raise InputDataError(
-                    f"No experiment '{key}' among the {len(self)} loaded: {_some(self.ids)}."
+                    f"No experiment '{key}' among the {len(self)} loaded: "
+                    f"{', '.join(self.ids[:8])}{more}."
                 )
             return self.traces[self._places[key]]
         return self.traces[key]
@@ -387,13 +389,18 @@ class TraceSet:
         notes = [x for s in sets for x in s.notes]
         for folder in (False, True):
             counts = Counter(t.experiment_id for t in traces)
-            new = {
-                (t.source, t.experiment_id): _longer_name(t, folder=folder)
-                for t in traces
-                if counts[t.experiment_id] > 1
-            }
-            traces = [replace(t, experiment_id=_renamed(new, t.source, t)) for t in traces]
-            left_out = [replace(x, experiment_id=_renamed(new, x.file, x)) for x in left_out]
+            new: dict[tuple[str, str], str] = {}
+            for t in traces:
+                if counts[t.experiment_id] > 1:
+                    file = Path(t.source)
+                    before = f"{file.parent.name}/" if folder else f"{file.stem}:"
+                    new[t.source, t.experiment_id] = f"{before}{t.experiment_id}"
+            for place, t in enumerate(traces):
+                name = new.get((t.source, t.experiment_id), t.experiment_id)
+                traces[place] = replace(t, experiment_id=name)
+            for place, x in enumerate(left_out):
+                name = new.get((x.file, x.experiment_id), x.experiment_id)
+                left_out[place] = replace(x, experiment_id=name)
             notes += [
                 f"{file}: experiment '{old}' is named '{name}' here."
                 for (file, old), name in new.items()
@@ -424,19 +431,3 @@ class TraceSet:
         if self.notes:
             lines += ["Notes:", *(f"  {note}" for note in self.notes)]
         return "\n".join(lines)
-
-
-def _longer_name(trace: RadiusTrace, *, folder: bool) -> str:
-    """The id of a trace after the name of its file, or of its folder."""
-    source = Path(trace.source)
-    before = f"{source.parent.name}/" if folder else f"{source.stem}:"
-    return f"{before}{trace.experiment_id}"
-
-
-def _renamed(names: Mapping[tuple[str, str], str], file: str, named: RadiusTrace | LeftOut) -> str:
-    return names.get((file, named.experiment_id), named.experiment_id)
-
-
-def _some(names: Sequence[str], limit: int = 8) -> str:
-    more = f", ... ({len(names) - limit} more)" if len(names) > limit else ""
-    return ", ".join(names[:limit]) + more

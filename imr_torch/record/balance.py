@@ -24,12 +24,14 @@ class Contents:
         rest: rest radius; 0 where it is not known, and the gas is left out.
         weber: Weber number of the cycle.
         vapour: vapour pressure.
+        sound: sound speed of the liquid over the unit of velocity.
         polytropic: exponent of the gas.
     """
 
     rest: float
     weber: float
     vapour: float
+    sound: float
     polytropic: float = sum(ISOTHERMAL_TO_ADIABATIC) / 2.0
 
     def pressure(self, y: np.ndarray) -> np.ndarray:
@@ -87,7 +89,7 @@ class _Fit:
 
 
 def smooth_cycle(
-    frames: Frames, contents: Contents, sound: float, *, beyond: float, rounds: int = 3
+    frames: Frames, contents: Contents, *, beyond: float, rounds: int = 3
 ) -> SmoothCurve:
     """The curve whose wall pressure is that of the contents, a function of R and U times another.
 
@@ -98,7 +100,6 @@ def smooth_cycle(
     Args:
         frames: of the cycle.
         contents: of the bubble.
-        sound: sound speed over the unit of velocity.
         beyond: frames by which the curve is continued where it goes on.
         rounds: of computing the curve with its own radii in the integrals.
     """
@@ -113,7 +114,7 @@ def smooth_cycle(
         of_radius = [np.ones_like(dense), 1.0 / curve.y]
         of_rate = [curve.u / curve.y, curve.u * curve.y]
         fits = [
-            _fit_pressures(frames, curve, contents, sound, [*of_radius[:i], *of_rate[:j]])
+            _fit_pressures(frames, curve, contents, [*of_radius[:i], *of_rate[:j]])
             for i in (1, 2)
             for j in ((0,) if frames.still else (0, 1, 2))
         ]
@@ -131,7 +132,7 @@ def smooth_cycle(
 
 
 def _fit_pressures(
-    frames: Frames, curve: SmoothCurve, contents: Contents, sound: float, terms: list[np.ndarray]
+    frames: Frames, curve: SmoothCurve, contents: Contents, terms: list[np.ndarray]
 ) -> _Fit:
     """``V'' = 5/2 sqrt(y) (p (1 + 2 M) - M u^2)``, p being that of the contents and unknown times
     ``terms``, integrated twice: linear in these unknowns and in two constants.
@@ -139,36 +140,32 @@ def _fit_pressures(
     The covariance is enlarged where neighbouring residuals agree.
     """
     dense = curve.t
-    mach = curve.u / sound
+    mach = curve.u / contents.sound
     root = 2.5 * np.sqrt(curve.y)
 
-    def integrate(values: np.ndarray) -> np.ndarray:
+    def integrate_once(values: np.ndarray) -> np.ndarray:
         return cumulative_trapezoid(values, dense, axis=0, initial=0.0)
 
-    p = contents.pressure(curve.y)
-    slope = integrate(root * (p * (1.0 + 2.0 * mach) - mach * curve.u**2))
-    known = np.stack([integrate(slope), slope, p])
-    ones = np.ones((len(dense), 1))
-    pressures = np.stack(terms, 1)
-    slopes = integrate(pressures * (root * (1.0 + 2.0 * mach))[:, None])
-    design = np.stack(
+    # V, its rate and the wall pressure: the known column, the unknowns and two constants
+    pressures = np.stack([contents.pressure(curve.y), *terms], 1)
+    bending = pressures * (root * (1.0 + 2.0 * mach))[:, None]
+    bending[:, 0] -= root * mach * curve.u**2
+    slopes = integrate_once(bending)
+    zeros = np.zeros_like(dense)
+    columns = np.stack(
         [
-            np.hstack([ones, (dense - dense[0])[:, None], integrate(slopes)]),
-            np.hstack([0.0 * ones, ones, slopes]),
-            np.hstack([0.0 * ones, 0.0 * ones, pressures]),
+            np.column_stack([integrate_once(slopes), zeros + 1.0, dense - dense[0]]),
+            np.column_stack([slopes, zeros, zeros + 1.0]),
+            np.column_stack([pressures, zeros, zeros]),
         ]
     )
-
-    def at(times: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        return np.stack([np.interp(times, dense, column) for column in columns.T], 1)
-
-    start = np.zeros(1)
     weight = frames.y**-1.5  # the noise of V grows as y^1.5
-    basis = np.vstack(
-        [at(frames.t, design[0]) * weight[:, None], frames.still * at(start, design[1])]
-    )
-    target = (frames.y**2.5 - np.interp(frames.t, dense, known[0])) * weight
-    target = np.append(target, -frames.still * np.interp(start, dense, known[1]))
+    seen = [weight * np.interp(frames.t, dense, column) for column in columns[0].T]
+    still = [frames.still * np.interp(0.0, dense, column) for column in columns[1].T]
+    rows = np.vstack([np.stack(seen, 1), still])
+    target = np.append(frames.y**2.5 * weight, 0.0) - rows[:, 0]
+    basis = rows[:, 1:]
+    known, design = columns[..., 0], columns[..., 1:]
     size = np.sqrt((basis**2).sum(0))
     inverse = np.linalg.pinv(basis / size, rcond=1e-9) / size[:, None]
     coefficients = inverse @ target
@@ -179,8 +176,8 @@ def _fit_pressures(
     inflated = square / max(count - unknown, 1) * (1.0 + lag) / (1.0 - lag)
     covariance = inflated * inverse @ inverse.T
     return _Fit(
-        coefficients[2:],
-        covariance.diagonal()[2:],
+        coefficients[:-2],
+        covariance.diagonal()[:-2],
         count * np.log(square / count) + unknown * np.log(count),
         design @ coefficients + known,
         np.einsum("kij,jl,kil->ki", design, covariance, design),
@@ -188,7 +185,7 @@ def _fit_pressures(
 
 
 def fit_medium(
-    frames: Frames, curve: SmoothCurve, contents: Contents, sound: float
+    frames: Frames, curve: SmoothCurve, contents: Contents
 ) -> tuple[np.ndarray, np.ndarray]:
     """Viscosity over p_inf times the unit of time and modulus over p_inf of a neo-Hookean
     Kelvin-Voigt medium (Gaudron et al., J. Fluid Mech. 766, 2015), and their standard deviations.
@@ -199,7 +196,7 @@ def fit_medium(
     stretch = curve.y / max(contents.rest, 1e-3)
     terms = [-4.0 * curve.u / curve.y, -(5.0 - 4.0 / stretch - stretch**-4) / 2.0]
     fits = [
-        _fit_pressures(frames, curve, replace(contents, polytropic=exponent), sound, terms)
+        _fit_pressures(frames, curve, replace(contents, polytropic=exponent), terms)
         for exponent in ISOTHERMAL_TO_ADIABATIC
     ]
     values = np.array([fit.coefficients for fit in fits])

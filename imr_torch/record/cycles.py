@@ -119,11 +119,6 @@ class Cycle:
     skewness_sd: float
 
     @property
-    def common(self) -> np.ndarray:
-        """Mean of growth and collapse, over p_inf: elasticity and contents."""
-        return 0.5 * (self.collapse + self.growth)
-
-    @property
     def split(self) -> np.ndarray:
         """Collapse less growth, over p_inf: dissipation."""
         return self.collapse - self.growth
@@ -183,15 +178,15 @@ def _describe_cycle(
     frames = Frames(t, y, 0.0 if grew else known_still)
     far = surroundings.far_field_pressure
     vapour = saturation_pressure(surroundings.temperature) / far
-    contents = Contents(rest, float(surroundings.weber(top)), vapour)
     sound = surroundings.sound_speed / surroundings.velocity_scale
-    curve = smooth_cycle(frames, contents, sound, beyond=options.beyond)
+    contents = Contents(rest, float(surroundings.weber(top)), vapour, sound)
+    curve = smooth_cycle(frames, contents, beyond=options.beyond)
     if not 0.9 < curve.y.max() < 1.1:
         return None
     units = np.array([far * unit, far])
-    medium, medium_sd = (units * values for values in fit_medium(frames, curve, contents, sound))
+    medium, medium_sd = (units * values for values in fit_medium(frames, curve, contents))
     levels = np.linspace(np.ceil(50.0 * floor) / 50.0, 0.98, 25)
-    growth, collapse = (_pressures(curve, side, levels) for side in (-1, 1))
+    growth, collapse = (_read_pressures(_take_branch(curve, side), levels) for side in (-1, 1))
     return Cycle(
         number=number,
         max_radius_m=top * float(curve.y.max()),
@@ -209,31 +204,37 @@ def _describe_cycle(
     )
 
 
-def _branch(curve: SmoothCurve, side: int) -> slice:
-    """Growth (-1) or collapse (1), from the maximum to the smallest radius."""
-    return slice(int(curve.y.argmax()), None, side)
+def _take_branch(curve: SmoothCurve, side: int) -> SmoothCurve:
+    """Growth (-1) or collapse (1), from the smallest radius to the maximum."""
+    rows = slice(int(curve.y.argmax()), None, side)
+    return SmoothCurve(*(values[rows][::-1] for values in vars(curve).values()))
 
 
-def _pressures(curve: SmoothCurve, side: int, levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _read_pressures(branch: SmoothCurve, levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Wall pressure at levels of one branch, and its error; NaN outside of it."""
-    y, p, p_sd = (values[_branch(curve, side)][::-1] for values in (curve.y, curve.p, curve.p_sd))
-    at = np.where((levels >= y[0]) & (levels <= y[-1]), levels, np.nan)
-    return np.interp(at, y, p), np.interp(at, y, p_sd)
+    inside = (levels >= branch.y[0]) & (levels <= branch.y[-1])
+    at = np.where(inside, levels, np.nan)
+    return np.interp(at, branch.y, branch.p), np.interp(at, branch.y, branch.p_sd)
 
 
-def _crossing(curve: SmoothCurve, level: float, side: int) -> tuple[float, float]:
+def _find_crossing(branch: SmoothCurve, level: float) -> tuple[float, float]:
     """Time at which a branch passes a level of the maximum, and its error; NaN where it does not."""
-    y, t = (values[_branch(curve, side)][::-1] for values in (curve.y / curve.y.max(), curve.t))
+    y = branch.y / branch.y[-1]
     if y[0] > level:
         return np.nan, np.nan
-    at = float(np.interp(level, y, t))
-    return at, float(np.interp(at, curve.t, curve.y_sd) / abs(np.interp(at, curve.t, curve.u)))
+    at, sd, speed = (np.interp(level, y, x) for x in (branch.t, branch.y_sd, branch.u))
+    return float(at), float(sd / abs(speed))
 
 
 def _chord_and_skewness(curve: SmoothCurve, contents: Contents) -> dict[str, float]:
     """Of :class:`Cycle`, with their errors."""
     top = int(curve.y.argmax())
-    ends = np.array([[_crossing(curve, level, side) for side in (-1, 1)] for level in (0.5, 0.95)])
+    ends = np.array(
+        [
+            [_find_crossing(_take_branch(curve, side), level) for side in (-1, 1)]
+            for level in (0.5, 0.95)
+        ]
+    )
     times = ends[..., 0]
     sds = ends[..., 1]
     skewness = (times[0].mean() - times[1].mean()) / (RAYLEIGH_TIME * curve.y[top])

@@ -1,5 +1,10 @@
 """What records show before any gel is fitted: wall pressure in growth and collapse, chord,
 skewness, what each cycle looks like, and shots that stand out from their set.
+
+The probability that a shot stands out is that of a mixture over shots: a quantity of a shot (chord,
+skewness, viscosity of its first cycle) is normal about a line over the logarithm of its maximum
+radius; a shot that stands out has a much wider spread about the same line. Intercept, slope and
+scatter are integrated over on a grid, so that nobody has to say which shots the line is fitted to.
 """
 
 from collections.abc import Iterable
@@ -13,14 +18,19 @@ from imr_torch.observe import Experiment
 from imr_torch.observe.landmarks import find_landmarks
 from imr_torch.reading.traces import RadiusTrace
 from imr_torch.record.cycles import Cycle, RecordOptions, describe_cycles
-from imr_torch.record.odd import FEWEST, odd_probabilities
 from imr_torch.units import Surroundings
 
 WATER = {"chord": 1.020, "skewness": 0.013}
 """Medians of 45 shots in water by laser (Wilson et al., Phys. Rev. E 99, 2019), at 998 kg/m^3."""
 
-_STANDS_OUT = 0.5  # more probable than not
-_SLOW = 1.01  # chord over that of a lossless bubble, which dissipation hardly changes
+FEWEST = 3
+"""Shots below which none can be told to stand out: two cannot outvote each other."""
+
+SLOW = 1.01
+"""Chord over that of a lossless bubble, which dissipation hardly changes, from which on a cycle is slow."""
+
+EVEN_ODDS = 0.5
+"""Probability from which on a shot stands out: more probable than not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +59,7 @@ class ShotRecord:
     @property
     def stands_out(self) -> bool:
         """Whether it is more probable than not that it does."""
-        return self.odd is not None and self.odd > _STANDS_OUT
+        return self.odd is not None and self.odd > EVEN_ODDS
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +128,7 @@ class Record:
                 f"{viscosity:.2f} +- {viscosity_sd:.2f} Pa s and {1e-3 * modulus:.1f} +- "
                 f"{1e-3 * modulus_sd:.1f} kPa (of one shot)."
             )
-        if len(chord) and np.median(chord) > _SLOW:
+        if len(chord) and np.median(chord) > SLOW:
             lines.append(
                 "The first cycle is slower than a medium of this density and pressure makes it: "
                 "a wall or another bubble near by, or a wrong density, pressure, scale or clock."
@@ -211,8 +221,63 @@ def _with_odd(shots: list[ShotRecord], options: RecordOptions) -> list[ShotRecor
         replace(
             shot,
             odd=float(odd),
-            odd_in=tuple(name for name, p in chances.items() if p[i] > 0.5 * _STANDS_OUT),
-            weight=options.odd_weight if odd > _STANDS_OUT else 1.0,
+            odd_in=tuple(name for name, p in chances.items() if p[i] > 0.5 * EVEN_ODDS),
+            weight=options.odd_weight if odd > EVEN_ODDS else 1.0,
         )
         for i, (shot, odd) in enumerate(zip(shots, whole, strict=True))
     ]
+
+
+def odd_probabilities(
+    values: np.ndarray,
+    sds: np.ndarray,
+    sizes: np.ndarray,
+    options: RecordOptions,
+    *,
+    scatter: float,
+    relative_slope: float = 5.0,
+) -> np.ndarray:
+    """Probability that each shot stands out in a quantity; 0 where it is not known or fewer than
+    three shots have it.
+
+    Args:
+        values: a shot; NaN where it is not known.
+        sds: their standard deviations.
+        sizes: maximum radius of each shot.
+        options: prior probability and width of shots that stand out.
+        scatter: of good shots, that a prior takes for likely.
+        relative_slope: change with the logarithm of the maximum radius, over ``scatter``, that a
+            prior takes for likely.
+
+    >>> import numpy as np
+    >>> from imr_torch.record import RecordOptions
+    >>> from imr_torch.record.describe import odd_probabilities
+    >>> chords = np.array([1.00, 1.01, 0.99, 1.00, 1.10, 1.01])
+    >>> sds = np.full(6, 0.003)
+    >>> odd_probabilities(chords, sds, np.ones(6), RecordOptions(), scatter=0.01) > 0.5
+    array([False, False, False, False,  True, False])
+    """
+    found = np.zeros(len(values))
+    known = np.isfinite(values + sds)
+    if known.sum() < FEWEST:
+        return found
+    x = values[known]
+    size = np.log(sizes[known] / np.median(sizes[known]))
+    reach = 3.0 * np.hypot(scatter, 1.5 * np.median(abs(x - np.median(x))))
+    centre, change, spread = np.meshgrid(
+        np.median(x) + reach * np.linspace(-1.0, 1.0, 41),
+        scatter * relative_slope * np.linspace(-2.5, 2.5, 11),
+        scatter * 2.0 ** np.linspace(-2.0, 4.0, 13),
+        indexing="ij",
+    )
+    prior = -0.5 * (change / (scatter * relative_slope)) ** 2
+    prior -= 0.5 * np.log2(spread / scatter) ** 2  # a factor of 2 either way
+    variance = spread[..., None] ** 2 + sds[known] ** 2
+    apart = (x - centre[..., None] - change[..., None] * size) ** 2 / variance
+    good = np.exp(-0.5 * apart) * (1.0 - options.odd)
+    odd = np.exp(-0.5 * apart / options.wide**2) * options.odd / options.wide
+    weight = prior + (np.log(good + odd + 1e-300) - 0.5 * np.log(variance)).sum(-1)
+    weight = np.exp(weight - weight.max())
+    share = odd / (good + odd + 1e-300)
+    found[known] = (weight[..., None] * share).sum((0, 1, 2)) / weight.sum()
+    return found

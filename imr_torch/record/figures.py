@@ -11,8 +11,6 @@ from matplotlib.figure import Figure
 
 from imr_torch.drawing import CYCLE, DATA, NamedFigure
 
-_COLORS = CYCLE[:3]  # of growth and collapse, and of cycles 1 to 3
-_ODD = CYCLE[4]
 _CAPTION = (
     "The record before any gel. Wall pressure of the first cycle of each shot, less that far away "
     "(dashed: shots that stand out): a gap between collapse and growth is dissipation, both below "
@@ -23,8 +21,6 @@ _CAPTION = (
 _ALT = (
     "Charts of wall pressure over radius, and of chord, skewness, viscosity and modulus over size."
 )
-
-_BANDS = 6  # shots up to which bands are drawn, beyond which they hide one another
 
 
 def named_record_figure(record: Mapping[str, Any], section: str = "") -> NamedFigure:
@@ -68,8 +64,10 @@ def record_figure(record: Mapping[str, Any]) -> Figure:
     return figure
 
 
-def _plot_pressure(record: Mapping[str, Any], ax: Axes) -> None:
-    """Wall pressure over radius of the first cycle of each shot, with 90 % bands."""
+def _plot_pressure(record: Mapping[str, Any], ax: Axes, *, most_bands: int = 6) -> None:
+    """Wall pressure over radius of the first cycle of each shot, with 90 % bands, which hide one
+    another beyond ``most_bands`` shots.
+    """
     shots = [
         (cycle, "--" if shot["stands_out"] else "-")
         for shot in record["shots"]
@@ -77,7 +75,7 @@ def _plot_pressure(record: Mapping[str, Any], ax: Axes) -> None:
         if cycle["number"] == 1
     ]
     drawn = [-1.0]
-    for name, color in zip(("growth", "collapse"), _COLORS, strict=False):
+    for name, color in zip(("growth", "collapse"), CYCLE, strict=False):
         ax.plot([], [], color=color, lw=1.2, label=name)
         for cycle, style in shots:
             if name == "growth" and cycle["skewness"] is None:  # growth is not recorded
@@ -86,7 +84,7 @@ def _plot_pressure(record: Mapping[str, Any], ax: Axes) -> None:
                 np.array(cycle[key], dtype=float) for key in ("levels", name, f"{name}_sd")
             )
             ax.plot(levels, p, color=color, lw=0.8, ls=style)
-            if len(shots) <= _BANDS:
+            if len(shots) <= most_bands:
                 ax.fill_between(levels, p - 1.64 * sd, p + 1.64 * sd, color=color, alpha=0.12, lw=0)
             drawn += p[np.isfinite(p)].tolist()
     low, high = np.quantile(drawn, (0.05, 0.95))
@@ -104,14 +102,14 @@ def _plot_over_size(record: Mapping[str, Any], name: str, scale: float, ax: Axes
     cycles = [(cycle, shot) for shot in record["shots"] for cycle in shot["cycles"]]
     cycles = [(cycle, shot) for cycle, shot in cycles if cycle[name] is not None]
     largest = np.median([abs(c[name]) for c, _ in cycles if c["number"] == 1] or [0.0])
-    for number, color in enumerate(_COLORS, start=1):
+    for number, color in enumerate(CYCLE[:3], start=1):
         label = f"cycle {number}" if water is None else None
         for cycle, shot in cycles:
             late = number > 1 and (water is not None or cycle[f"{name}_sd"] > largest)
             if cycle["number"] != number or late:
                 continue
             odd = number == 1 and shot["stands_out"]
-            fmt, own = ("s", _ODD) if odd else (".", color)
+            fmt, own = ("s", CYCLE[4]) if odd else (".", color)
             at = (1e6 * cycle["max_radius_m"], scale * cycle[name])
             sd = 1.64 * scale * cycle[f"{name}_sd"]
             ax.errorbar(*at, sd, fmt=fmt, color=own, elinewidth=0.8, label=label)

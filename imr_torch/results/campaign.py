@@ -13,7 +13,7 @@ from imr_torch.characterization.bands import band_document, predictive_band
 from imr_torch.files import drawn_numbers
 from imr_torch.goodness import check_fit
 from imr_torch.material import Belief
-from imr_torch.material.intervals import intervals
+from imr_torch.material.model_belief import intervals
 from imr_torch.results.plot import design_document, search_document
 
 _REPEATS = 12  # curves of one experiment that are drawn

@@ -88,6 +88,11 @@ def memory_of(terms: tuple[StressTerm, ...] | list[StressTerm], *shape: int) -> 
     return rows.reshape(-1, *[1] * len(shape)).expand(-1, *shape)
 
 
+def stress_of_term(term: StressTerm, *state) -> Stress:
+    """The stress of one term at radius, velocity, rest radius, parameters and memory, if any."""
+    return gel_response([term], *state)[0]
+
+
 def evaluate(
     model: Material,
     radius: float | Tensor,

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 from scipy import stats
-from scipy.integrate import dblquad, quad
+from scipy.integrate import dblquad
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
@@ -98,23 +98,6 @@ def test_that_the_prior_density_is_the_product_of_scipys(key: str) -> None:
     torch.testing.assert_close(part.log_prob(values), expected, rtol=1e-10, atol=1e-10)
 
 
-def differential_entropy(law) -> float:
-    """By quadrature over the probability:
-
-    SciPy's own entropy of a half-infinite truncated normal is NaN.
-    """
-    return -quad(
-        lambda p: float(law.logpdf(law.ppf(p))), 0.0, 1.0, epsabs=1e-9, epsrel=1e-9, limit=500
-    )[0]
-
-
-@KEYS
-def test_that_the_prior_entropy_is_the_sum_of_scipys(key: str) -> None:
-    part = prior()[key]
-    expected = sum(differential_entropy(LAWS[n][1]) for n in part.names)
-    assert float(part.entropy()) == pytest.approx(expected, abs=1e-6)
-
-
 @KEYS
 def test_that_the_density_of_a_correlated_belief_is_the_gaussian_through_its_maps(key: str) -> None:
     part = updated()[key]
@@ -124,7 +107,6 @@ def test_that_the_density_of_a_correlated_belief_is_the_gaussian_through_its_map
     torch.testing.assert_close(
         part.log_prob(part.physical(z)), law.log_prob(z) - slopes, rtol=1e-8, atol=1e-8
     )
-    torch.testing.assert_close(part.log_prob_controls(z), law.log_prob(z))
 
 
 def test_that_a_correlated_density_integrates_to_one() -> None:
@@ -163,42 +145,6 @@ def test_that_the_density_at_a_bound_is_the_limit_from_inside() -> None:
     at = values.clone()
     inside[2], at[2] = 1e-12, 0.0
     assert float(part.log_prob(at)) == pytest.approx(float(part.log_prob(inside)), abs=1e-6)
-
-
-@pytest.mark.parametrize("belief", [prior(), updated()], ids=["prior", "updated"])
-def test_that_entropy_is_the_mean_of_minus_log_prob(belief: Belief) -> None:
-    draws = belief.sample(20000, seed=1)
-    surprise = torch.empty(len(draws.parameters), dtype=torch.float64)
-    for i, part in enumerate(belief.models):
-        chosen = draws.model_index == i
-        values = draws.parameters[chosen][:, PARAMETERS.index(part.names)]
-        surprise[chosen] = -belief.log_probabilities[i] - part.log_prob(values)
-    error = float(surprise.std()) / len(surprise) ** 0.5
-    assert float(belief.entropy()) == pytest.approx(float(surprise.mean()), abs=4.5 * error)
-
-
-def test_that_the_entropy_of_a_gaussian_is_its_closed_form() -> None:
-    sds = tensor(700.0, 0.02)
-    chol = tensor([0.5, 0.0], [0.3, 0.2])
-    marginals = (TruncatedNormal(5e3, float(sds[0])), TruncatedNormal(0.1, float(sds[1])))
-    part = ModelBelief("nhkv", marginals, tensor(0.4, -0.2), chol)
-    physical = sds[:, None] * chol
-    expected = torch.distributions.MultivariateNormal(
-        torch.zeros(2, dtype=torch.float64), scale_tril=physical
-    ).entropy()
-    assert float(part.entropy()) == pytest.approx(float(expected), abs=1e-10)
-    assert float(Belief((part,), tensor(0.0)).entropy()) == pytest.approx(
-        float(expected), abs=1e-10
-    )
-
-
-def test_that_the_entropy_of_models_is_that_of_their_probabilities() -> None:
-    part = prior()
-    weights = part.log_probabilities.exp()
-    inner = sum(float(w) * float(m.entropy()) for w, m in zip(weights, part.models, strict=True))
-    assert float(part.entropy()) - inner == pytest.approx(
-        float(stats.entropy([0.1, 0.4, 0.2, 0.3])), abs=1e-12
-    )
 
 
 @pytest.mark.parametrize("belief", [prior(), updated()], ids=["prior", "updated"])
@@ -337,7 +283,7 @@ def test_that_nothing_given_is_changed() -> None:
     belief["nhkv"].log_prob(values)
     belief["nhkv"].parameters(z)
     other.sample(3, seed=0)
-    _ = other.entropy(), belief["nhkv"].means, belief["nhkv"].sds
+    _ = belief["nhkv"].means, belief["nhkv"].sds
     assert given == copy
     assert float(logs) == 1.0
     assert torch.equal(z, kept)

@@ -5,8 +5,8 @@ matters.
 import pytest
 import torch
 
-from imr_torch.material.closure import CLOSURE
-from tests.material.gels import tensors
+from imr_torch.material.departures import CLOSURE
+from tests.material.gels import stress_of_term, tensors
 
 RADIUS = 0.4
 VELOCITY = -2.0
@@ -29,7 +29,7 @@ def test_that_each_law_is_a_stress_against_its_state(law, coefficient) -> None:
     radius, velocity, rest = (
         torch.tensor(x, dtype=torch.float64) for x in (RADIUS, VELOCITY, REST)
     )
-    stress = law(radius, velocity, rest, tensors({law.switch: coefficient}))
+    stress = stress_of_term(law, radius, velocity, rest, tensors({law.switch: coefficient}))
     assert float(stress.value) == pytest.approx(
         -coefficient * STATES[law.switch], rel=1e-3
     )  # |U| is rounded off

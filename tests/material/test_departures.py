@@ -15,7 +15,7 @@ from imr_torch.material.departures import (
     VISCOUS_DAMAGE,
     YIELD_STRESS,
 )
-from tests.material.gels import REST, evaluate, memory_rate, stress_of, tensors
+from tests.material.gels import REST, evaluate, memory_rate, stress_of, stress_of_term, tensors
 
 GEL = {"G": 0.08, "alpha": 0.7}
 RADII = pytest.mark.parametrize("radius", [0.06, 0.15, 0.229, 0.3, 0.9, 1.4])
@@ -39,8 +39,8 @@ def test_that_a_graded_gel_is_the_quadrature_of_its_modulus(radius: float) -> No
         return 2.0 * 0.08 * 1.5 * REST**3 / cube * (b**-4 - b**2) / s
 
     expected = quad(integrand, 0.0, 1.0, epsabs=1e-14, epsrel=1e-12)[0]
-    stress = GRADED_MODULUS(
-        *scalars(radius, 0.0, REST), tensors({"G": 0.08, "graded_modulus": 1.5})
+    stress = stress_of_term(
+        GRADED_MODULUS, *scalars(radius, 0.0, REST), tensors({"G": 0.08, "graded_modulus": 1.5})
     )
     assert float(stress.value) == pytest.approx(expected, rel=1e-9, abs=1e-13)
 
@@ -49,16 +49,20 @@ def test_that_a_graded_gel_passes_smoothly_through_its_rest() -> None:
     """Its weight is 0/0 there, which the closed form must not show."""
     edge = torch.tensor([-1e-4, 0.0, 1e-4], dtype=torch.float64)
     stretch = torch.exp(edge[:, None] + 1e-9 * torch.tensor([-1.0, 1.0], dtype=torch.float64))
-    stress = GRADED_MODULUS(
-        stretch, stretch, torch.ones_like(stretch), tensors({"G": 1.0, "graded_modulus": 1.0})
+    stress = stress_of_term(
+        GRADED_MODULUS,
+        stretch,
+        stretch,
+        torch.ones_like(stretch),
+        tensors({"G": 1.0, "graded_modulus": 1.0}),
     )
     jump = (stress.value[:, 1] - stress.value[:, 0]) / 2e-9
     assert float((jump + 2.0).abs().max()) < 1e-2  # dS/d ln l = -2 G g at rest
     assert float((stress.rate[:, 1] - stress.rate[:, 0]).abs().max()) < 1e-6
     assert (
         float(
-            GRADED_MODULUS(
-                *scalars(1.0, 0.0, 1.0), tensors({"G": 1.0, "graded_modulus": 1.0})
+            stress_of_term(
+                GRADED_MODULUS, *scalars(1.0, 0.0, 1.0), tensors({"G": 1.0, "graded_modulus": 1.0})
             ).value
         )
         == 0.0
@@ -69,7 +73,7 @@ def test_that_a_graded_gel_passes_smoothly_through_its_rest() -> None:
 def test_that_damage_takes_its_share_of_the_elastic_stress(lost: float) -> None:
     whole = elastic(0.6, -1.2)
     held = torch.tensor([lost], dtype=torch.float64)
-    part = DAMAGE(*scalars(0.6, -1.2, REST), tensors(GEL | {"damage": 0.3}), held)
+    part = stress_of_term(DAMAGE, *scalars(0.6, -1.2, REST), tensors(GEL | {"damage": 0.3}), held)
     assert float(part.value + whole.value) == pytest.approx(
         (1.0 - lost) * float(whole.value), rel=1e-13
     )
@@ -120,7 +124,7 @@ def test_that_viscous_damage_takes_its_share_of_the_newtonian_stress_and_grows_w
     held = torch.tensor([lost], dtype=torch.float64)
     whole = stress_of(material("newtonian"), *point, tensors({"mu": 0.05}))
     theta = tensors({"mu": 0.05, "viscous_damage": 0.3})
-    part = VISCOUS_DAMAGE(*point, theta, held)
+    part = stress_of_term(VISCOUS_DAMAGE, *point, theta, held)
     growth = float(memory_rate([VISCOUS_DAMAGE], *point, theta, held))
     assert growth == pytest.approx(0.3 * (1.0 - lost) * 50.0 / 0.6, rel=1e-3, abs=1e-12)
     assert float(part.value) == pytest.approx(-lost * float(whole.value), rel=1e-13)
@@ -134,8 +138,8 @@ def test_that_viscous_damage_takes_its_share_of_the_newtonian_stress_and_grows_w
 def test_that_viscous_damage_leaves_a_stress_that_relaxes_alone(relaxing: str) -> None:
     """The law of the branch has taken the Newtonian stress already."""
     theta = tensors({"mu": 0.05, "viscous_damage": 0.3, relaxing: 0.2})
-    stress = VISCOUS_DAMAGE(
-        *scalars(0.6, -1.0, REST), theta, torch.tensor([0.5], dtype=torch.float64)
+    stress = stress_of_term(
+        VISCOUS_DAMAGE, *scalars(0.6, -1.0, REST), theta, torch.tensor([0.5], dtype=torch.float64)
     )
     assert float(stress.value) == float(stress.rate) == float(stress.acceleration) == 0.0
 
@@ -147,7 +151,9 @@ def test_that_a_yield_stress_opposes_motion_over_the_sheared_gel(velocity: float
     stress = 0.02
     extent = math.log(abs(velocity) / radius / 0.1) / 3.0
     value = float(
-        YIELD_STRESS(*scalars(radius, velocity, REST), tensors({"yield_stress": stress})).value
+        stress_of_term(
+            YIELD_STRESS, *scalars(radius, velocity, REST), tensors({"yield_stress": stress})
+        ).value
     )
     assert value == pytest.approx(-math.copysign(2.0 * stress * extent, velocity), rel=0.02)
 
@@ -155,8 +161,12 @@ def test_that_a_yield_stress_opposes_motion_over_the_sheared_gel(velocity: float
 def test_that_a_yield_stress_vanishes_smoothly_at_a_turning_point() -> None:
     velocity = torch.linspace(-1e-3, 1e-3, 5, dtype=torch.float64)
     theta = tensors({"yield_stress": 0.02})
-    values = YIELD_STRESS(
-        torch.full_like(velocity, 0.4), velocity, torch.full_like(velocity, REST), theta
+    values = stress_of_term(
+        YIELD_STRESS,
+        torch.full_like(velocity, 0.4),
+        velocity,
+        torch.full_like(velocity, REST),
+        theta,
     ).value
     assert float(values[2]) == 0.0
     torch.testing.assert_close(values, -values.flip(0), rtol=1e-12, atol=0.0)
@@ -168,7 +178,9 @@ def test_that_a_set_gel_is_the_gel_referred_to_the_radius_it_was_stretched_to(
     radius: float,
 ) -> None:
     share = 0.1
-    change = PERMANENT_SET(*scalars(radius, -0.8, REST), tensors(GEL | {"permanent_set": share}))
+    change = stress_of_term(
+        PERMANENT_SET, *scalars(radius, -0.8, REST), tensors(GEL | {"permanent_set": share})
+    )
     whole = elastic(radius, -0.8)
     moved = elastic(radius, -0.8, REST * (1.0 + share * (1.0 / REST - 1.0)))
     for name in ("value", "rate", "acceleration"):

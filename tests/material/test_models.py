@@ -30,6 +30,7 @@ from tests.material.gels import (
     memory_rate,
     memory_start,
     stress_of,
+    stress_of_term,
     tensors,
     values_for,
     values_of,
@@ -181,14 +182,14 @@ def test_that_a_term_is_switched_off_by_its_switch_alone(term) -> None:
     assert term.switch in term.names
     on = tensors(values_for(term))
     off = tensors(values_for(term) | {term.switch: PARAMETERS[term.switch].neutral})
-    assert float(term(*point, on, *states).value) != 0.0
+    assert float(stress_of_term(term, *point, on, *states).value) != 0.0
     if term.states:  # a member without it starts without memory, which then stays away
         still = 0.0 * states[0]
-        assert float(term(*point, off, still).value) == 0.0
+        assert float(stress_of_term(term, *point, off, still).value) == 0.0
         assert float(memory_rate([term], *point, off, still).abs().sum()) == 0.0
         assert float(term.memory_start(point[2][None], off).abs().sum()) == 0.0
     else:
-        assert float(term(*point, off).value) == 0.0
+        assert float(stress_of_term(term, *point, off).value) == 0.0
 
 
 @MODELS

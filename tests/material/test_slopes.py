@@ -35,7 +35,7 @@ def rows_of(term: StressTerm, theta=None, rest=POINT[2]):
 
     def rows(radius, velocity, *memory):
         held = torch.stack(memory) if memory else None
-        return torch.stack(term.evaluate(radius, velocity, rest, theta, held))
+        return torch.stack(term.evaluate_law(radius, velocity, rest, theta, held))
 
     return rows
 
@@ -123,7 +123,7 @@ def test_a_term_that_only_tensors_can_evaluate_is_differentiated_automatically()
     term = StressTerm(tanh_drag, switch="mu")
     assert not term.compilable
     by_radius, by_velocity = derivatives(rows_of(term), point_of(term), analytic=False)
-    stress = term(*POINT, THETA)
+    stress = gel_response([term], *POINT, THETA)[0]
     assert_close(by_radius[0] * POINT[1], stress.rate, rtol=1e-12, atol=1e-13)
     assert_close(by_velocity[0], stress.acceleration, rtol=1e-12, atol=1e-13)
 

@@ -25,12 +25,8 @@ from imr_torch.observe import (
     load_traces,
     predict,
 )
-from imr_torch.observe.collapse import (
-    first_minimum,
-    predict_collapse,
-    scatter_of,
-    serial_correlation,
-)
+from imr_torch.observe.collapse import estimate_scatter, serial_correlation
+from imr_torch.observe.prediction import first_minimum, predict_collapse
 from imr_torch.random import generator
 from imr_torch.simulate import Conditions, PolytropicGas
 from imr_torch.units import Surroundings
@@ -216,10 +212,10 @@ def test_that_the_scatter_gives_chi_square_its_degrees_of_freedom() -> None:
     missed = 0.01 * torch.randn(40, generator=generator(1), dtype=torch.float64)
     variance = torch.full((40,), 1e-6).double()
     found = (
-        scatter_of(missed, variance, 2.0) * 1.6449 / 1.6860
+        estimate_scatter(missed, variance, 2.0) * 1.6449 / 1.6860
     )  # 95 % quantiles: normal, Student's t with 38
     assert float((missed.square() / (variance + found**2)).sum()) == pytest.approx(38.0, rel=1e-3)
-    assert scatter_of(0.1 * missed, torch.full((40,), 1e-4).double(), 2.0) == 0.0
+    assert estimate_scatter(0.1 * missed, torch.full((40,), 1e-4).double(), 2.0) == 0.0
 
 
 def test_that_serial_correlation_is_seen_and_not_claimed() -> None:

@@ -29,8 +29,8 @@ from imr_torch.observe import (
     predict,
 )
 from imr_torch.population import Population, ShotLikelihood, fit_shots, infer_population
+from imr_torch.population.infer import share_noise
 from imr_torch.population.sampling import Problem, jackknife_error, sample_population
-from imr_torch.population.shots import shared_noise
 from imr_torch.random import generator
 from tests.curved import CurvedSimulator
 from tests.linear import MEANS, NOISE, SDS, LinearSimulator, prior, tensor
@@ -241,7 +241,7 @@ def test_that_curved_shots_give_what_quadrature_over_gels_and_scatter_gives() ->
     assert max(shot.misses for shot in population.shots) < 0.2
     assert (
         max(
-            float(shot.correction(shot.mean + 2.0 * shot.sd).abs().max())
+            float(shot.correct_quadratic(shot.mean + 2.0 * shot.sd).abs().max())
             for shot in population.shots
         )
         > 0.5
@@ -298,9 +298,7 @@ def test_that_the_stated_error_of_the_evidence_is_its_spread_over_seeds() -> Non
             seed=seed,
             samples=96,
         )
-        smooth = tuple(
-            ShotLikelihood.of(fit.batch.experiments[0].label, fit.fits[0]) for fit in fits
-        )
+        smooth = tuple(map(ShotLikelihood.of, fits))
         found = [
             sample_population(Problem(smooth, PART, tensor(s, s)), 500, generator(seed))
             for s in (SCALE, 0.0)
@@ -404,7 +402,7 @@ def test_that_shots_that_differ_are_not_taken_for_noise() -> None:
     fits = fit_shots(
         PART, experiments, LinearSimulator(), noise=NOISE, rounds=0, options=OPTIONS, samples=25
     )
-    shared = shared_noise(fits, NOISE, LinearSimulator(), widen=True)
+    shared = share_noise(fits, NOISE, LinearSimulator(), widen=True)
     assert shared is not None
     own = shared.laws.frames.laws[0]
     typical = [
@@ -472,9 +470,9 @@ def test_that_shots_with_different_priors_are_refused() -> None:
 
 
 def test_that_a_fit_without_draws_is_refused() -> None:
-    fit = _fits()[0].fits[0]
+    shot = _fits()[0]
     with pytest.raises(InputDataError, match="no weighted draws"):
-        ShotLikelihood.of("e0", replace(fit, sample=None))
+        ShotLikelihood.of(replace(shot, fits=(replace(shot.fits[0], sample=None),)))
 
 
 def test_that_what_is_inferred_of_the_medium_is_the_same_in_all_shots() -> None:

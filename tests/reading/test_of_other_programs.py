@@ -365,7 +365,7 @@ def test_that_units_of_the_columns_of_a_table_are_used() -> None:
     values: dict = {}
     units: dict = {}
     table.attrs["VariableUnits"] = ["s", "um"]
-    matlab._flatten("T", table, values, units)
+    matlab._add_values("T", table, values, units)
     assert units == {"T.tau": "s", "T.size": "um"}
     layout = infer_layout(Content(Path("gel.mat"), values, units=units), Said())
     assert (layout.radius, layout.radius_unit, layout.time) == ("T.size", "um", "T.tau")

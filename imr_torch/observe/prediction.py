@@ -1,0 +1,355 @@
+"""What would be measured of gels: the radius in each frame, or the time of the first collapse.
+
+Measured designs and times are first taken to the true ones (:mod:`~imr_torch.observe.nuisance`,
+:mod:`~imr_torch.observe.distortion`), at which the bubble is simulated, and the result back.
+
+The collapse is where the wall's velocity changes sign, by a cubic through radius and velocity at
+both ends of an interval of the output; in two passes the intervals shrink to 1e-6 of the collapse
+time. Of many shots, the time is a smooth function of two numbers, (ln We, R_inf*): it is simulated at
+the Chebyshev nodes of their range and interpolated, so that the cost of a gel does not grow with the
+number of shots.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from imr_torch.observe.distortion import Distortion
+from imr_torch.observe.experiments import ExperimentBatch, Film
+from imr_torch.observe.nuisance import NUISANCES, displaced, find_impossible, with_own
+from imr_torch.simulate import EARLIEST, Simulator
+from imr_torch.types import BroadcastValues, ExperimentFrames, Frames
+
+
+def predict(
+    simulator: Simulator,
+    parameters: Float[Tensor, "*#batch parameters"],
+    film: Film | ExperimentBatch,
+    shifts: Float[Tensor, "*#batch experiments nuisances"] | None = None,
+    *,
+    times: ExperimentFrames | None = None,
+    bundled: bool = False,
+) -> Frames:
+    """What the camera would see of each gel in each experiment.
+
+    Args:
+        simulator: makes the bubbles.
+        parameters: SI.
+        film: the experiments, for their designs and times: an :class:`ExperimentBatch`, or a
+            :class:`Film` of planned ones.
+        shifts: nuisances in physical size; none when not given.
+        times: measured, dimensionless, increasing; those of the frames when not given.
+        bundled: whether the last batch dimension holds the members of a bundle
+            (:meth:`imr_torch.simulate.Simulator.bundle`), the leader first.
+
+    Returns:
+        ``batch_shape x E x T`` tensor, R/Rmax with the measured Rmax; NaN rows where a solve
+        failed, or shifts leave no bubble.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import Experiment, ExperimentBatch, predict
+    >>> times = torch.tensor([0.0, 0.5, 1.0], dtype=torch.float64)
+    >>> batch = ExperimentBatch((Experiment("shot 1", (400.0, 0.22), times, torch.ones(1, 3, dtype=torch.float64)),))
+    >>> seen = predict(PolytropicSimulator(), PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), batch)
+    >>> [round(x, 3) for x in seen[0].tolist()]
+    [1.0, 0.846, 0.418]
+    """
+    designs = film.designs
+    times = film.times if times is None else times
+    if isinstance(film, Film):
+        return _predict_radii(simulator, parameters, designs, times, shifts, bundled)
+    parts = []
+    order = _group_alike(film)
+    for rows in order:
+        gels = parameters
+        own = None if shifts is None else shifts[..., rows, : len(NUISANCES)]
+        if film.between and shifts is not None:
+            gels = with_own(parameters, film.between, shifts[..., rows[0], len(NUISANCES) :])
+        common = (simulator, gels, designs[rows])
+        if bool(film.collapse[rows[0]]):
+            found = predict_collapse(*common, film.mean[rows, 0], own, bundled=bundled)
+            parts.append(found[..., None].expand(*found.shape, times.shape[-1]))
+        else:
+            parts.append(_predict_radii(*common, times[rows], own, bundled, film.exposures[rows]))
+    return torch.cat(parts, -2)[..., torch.cat(order).argsort(), :]
+
+
+def _group_alike(film: ExperimentBatch) -> list[Tensor]:
+    """Rows of experiments that are simulated together: of one kind and with the same parameters."""
+    rows = torch.arange(len(film.experiments))
+    if film.between:
+        return list(rows.split(1))
+    return [part for part in (rows[~film.collapse], rows[film.collapse]) if len(part)]
+
+
+def _predict_radii(
+    simulator: Simulator,
+    parameters: Tensor,
+    designs: Tensor,
+    times: Tensor,
+    shifts: Tensor | None,
+    bundled: bool,
+    exposures: Tensor | None = None,
+) -> Tensor:
+    """:func:`predict` for curves, with the known exposure of each."""
+    truth = _find_truth(simulator, parameters, designs, times, shifts, exposures)
+
+    def simulate_radius(times: Tensor) -> Tensor:
+        return _simulate_bubbles(simulator, parameters, truth.designs, times, bundled=bundled)[0]
+
+    if truth.distortion is None:
+        return simulate_radius(truth.times) * truth.scale
+    radius = truth.distortion.film_radius(truth.times, simulate_radius)
+    return radius * truth.scale + truth.beyond
+
+
+@dataclass(frozen=True)
+class _Truth:
+    """The bubbles that gave what was measured.
+
+    Args:
+        designs: true ones, ``... x E x 2``.
+        times: true ones, ``... x E x T``.
+        scale: from the true R* to the measured one, ``... x E x 1``; NaN where the errors leave no
+            bubble.
+        offset: by which measured times are too small, ``... x E x 1``.
+        beyond: what the error of the edge adds to the radius.
+        distortion: errors that all experiments share; None without.
+    """
+
+    designs: Tensor
+    times: Tensor
+    scale: Tensor
+    offset: Tensor
+    beyond: Tensor
+    distortion: Distortion | None
+
+    def measured_times(self, times: Tensor) -> Tensor:
+        """Inverse of the step from measured to true times."""
+        slow = times if self.distortion is None else times / torch.exp(self.distortion.clock)
+        return slow * self.scale[..., 0] - self.offset[..., 0]
+
+
+def _find_truth(
+    simulator: Simulator,
+    parameters: Tensor,
+    designs: Tensor,
+    times: Tensor,
+    shifts: Tensor | None,
+    exposures: Tensor | None = None,
+    *,
+    earliest_filmed: float = -0.4,
+) -> _Truth:
+    """True designs and times of what was measured with ``shifts`` and the errors among the
+    parameters.
+
+    ``earliest_filmed``: time to which a first frame may be taken where an exposure reaches on from
+    it, or the clock is wrong.
+    """
+    shifts = designs.new_zeros(*designs.shape[:-1], 3) if shifts is None else shifts
+    beyond = shifts[..., :1]
+    distortion = Distortion.of(parameters, exposures)
+    if distortion is not None:
+        errors, beyond = distortion.shifts_of(
+            designs, simulator.conditions.surroundings.max_radius(designs[:, 0])
+        )
+        shifts = shifts + errors
+    lost = find_impossible(times, shifts, EARLIEST if distortion is None else earliest_filmed)
+    shifts = torch.where(lost[..., None], 0.0, shifts)
+    designs, times, scale = displaced(designs, times, shifts)
+    if distortion is not None:
+        designs, times = distortion.correct_clock(designs, times)
+    scale = torch.where(lost[..., None], torch.nan, scale)
+    return _Truth(designs, times, scale, shifts[..., 1:2], beyond, distortion)
+
+
+def _simulate_bubbles(
+    simulator: Simulator,
+    parameters: Float[Tensor, "*#batch parameters"],
+    designs: Float[Tensor, "*#batch experiments 2"],
+    times: Frames,
+    *,
+    bundled: bool = False,
+) -> tuple[Frames, Frames]:
+    """Radius and velocity of each gel in each experiment, dimensionless.
+
+    Args:
+        simulator: makes the bubbles.
+        parameters: SI.
+        designs: true ones.
+        times: true ones.
+        bundled: as for :func:`imr_torch.observe.predict`.
+    """
+    if not bundled:
+        solution = simulator(parameters[..., None, :], designs, times)
+        return solution.radius, solution.velocity
+    # experiments are bundles of their own, so members move to the last batch dimension
+    inputs = (x if x.ndim > 2 else x[None] for x in (parameters[..., None, :], designs, times))
+    solution = simulator.bundle(*(x.transpose(-3, -2) for x in inputs))
+    return solution.radius.transpose(-3, -2), solution.velocity.transpose(-3, -2)
+
+
+def first_minimum(
+    times: Float[Tensor, "*#batch frames"],
+    radius: Float[Tensor, "*#batch frames"],
+    velocity: Float[Tensor, "*#batch frames"],
+) -> BroadcastValues:
+    """Time of the first minimum of curves, where the velocity changes sign; NaN for a curve without
+    one.
+
+    Args:
+        times: increasing.
+        radius: ``... x n`` tensor.
+        velocity: ``... x n`` tensor.
+
+    >>> import torch
+    >>> from imr_torch.observe.prediction import first_minimum
+    >>> times = torch.linspace(0.0, 9.0, 46, dtype=torch.float64)
+    >>> round(float(first_minimum(times, 1.1 + torch.cos(times), -torch.sin(times))), 3)
+    3.142
+    """
+    turns = (velocity[..., :-1] < 0.0) & (velocity[..., 1:] >= 0.0)
+    left = (
+        (turns.cumsum(-1) == 0).sum(-1, keepdim=True).clamp_max(turns.shape[-1] - 1)
+    )  # intervals before the first
+    shape = turns.shape[:-1]
+
+    def ends(values: Tensor) -> tuple[Tensor, Tensor]:
+        whole = values.expand(*shape, values.shape[-1])
+        return whole.gather(-1, left)[..., 0], whole.gather(-1, left + 1)[..., 0]
+
+    (t0, t1), (r0, r1), (u0, u1) = ends(times), ends(radius), ends(velocity)
+    h = t1 - t0
+    rise = r1 - r0
+    u0 = u0 * h
+    u1 = u1 * h
+    a = 3.0 * (u0 + u1 - 2.0 * rise)
+    b = 2.0 * (3.0 * rise - 2.0 * u0 - u1)
+    share = -2.0 * u0 / (b + (b * b - 4.0 * a * u0).clamp_min(0.0).sqrt())
+    return torch.where(turns.any(-1), t0 + h * share.clamp(0.0, 1.0), torch.nan)
+
+
+def predict_collapse(
+    simulator: Simulator,
+    parameters: Float[Tensor, "*#batch parameters"],
+    designs: Float[Tensor, "experiments 2"],
+    measured: Float[Tensor, "experiments"],
+    shifts: Float[Tensor, "*#batch experiments 3"] | None = None,
+    *,
+    bundled: bool = False,
+    nodes: tuple[int, int] = (4, 3),
+) -> Float[Tensor, "*#batch experiments"]:
+    """Collapse times that would be measured of each gel in each shot: ``batch_shape x E``,
+    dimensionless; NaN without one.
+
+    Args:
+        simulator: makes the bubbles.
+        parameters: SI.
+        designs: measured.
+        measured: measured times; a collapse is looked for up to two and a half times as late.
+        shifts: nuisances in physical size.
+        bundled: as for :func:`imr_torch.observe.predict`.
+        nodes: along ln We and R_inf*, at which the times of more shots than nodes are simulated; of
+            a gel that collapses freely, times are right to 5e-5.
+    """
+    truth = _find_truth(simulator, parameters, designs, measured[:, None], shifts)
+    if truth.designs.shape[-2] > math.prod(nodes):
+        found = _interpolate_collapses(
+            simulator, parameters, truth.designs, measured, bundled, nodes
+        )
+    else:
+        found = _simulate_collapses(simulator, parameters, truth.designs, measured, bundled)
+    return truth.measured_times(found)
+
+
+@cache
+def _collapse_times_looked_at() -> tuple[Tensor, Tensor, Tensor]:
+    """Output times, over the measured collapse time: up to 1.3, up to 2.5, and about the collapse.
+
+    By the first two the minimum is found to 3e-5; the last are 3e-7 apart at their middle, where the
+    time is as smooth in the gel as the solver's output.
+    """
+    usual = np.append(np.linspace(0.0, 0.7, 40, endpoint=False), np.linspace(0.7, 1.3, 1201)[:-1])
+    late = np.append(usual, np.linspace(1.3, 2.5, 601)[:-1])
+    close = 1e-3 * np.sinh(np.linspace(-6.0, 6.0, 201)) / math.sinh(6.0)
+    usual, late, close = (torch.from_numpy(x) for x in (usual, late, close))
+    return usual, late, close
+
+
+def _simulate_collapses(
+    simulator: Simulator, parameters: Tensor, designs: Tensor, about: Tensor, bundled: bool
+) -> Tensor:
+    """Collapse times ``... x E`` of true designs, looked for about ``E`` times."""
+
+    def find_minima(times: Tensor) -> Tensor:
+        bubbles = _simulate_bubbles(simulator, parameters, designs, times, bundled=bundled)
+        return first_minimum(times, *bubbles)
+
+    usual, late, close = (about[:, None] * x.to(about) for x in _collapse_times_looked_at())
+    found = find_minima(usual)
+    if bool(torch.isnan(found).any()):
+        found = find_minima(late)
+    lost = torch.isnan(found)
+    near = torch.where(lost, about, found)[..., None] + close
+    return torch.where(lost, torch.nan, find_minima(near))
+
+
+def _interpolate_collapses(
+    simulator: Simulator,
+    parameters: Tensor,
+    designs: Tensor,
+    about: Tensor,
+    bundled: bool,
+    nodes: tuple[int, int],
+    *,
+    steps: tuple[float, float] = (0.05, 0.01),
+) -> Tensor:
+    """The same, interpolated between designs where every gel collapses at all nodes or at none.
+
+    The range of (ln We, R_inf*) is rounded to ``steps``, so that nodes stay.
+    """
+    places = torch.stack((designs[..., 0].log(), designs[..., 1]), -1)
+    step = torch.tensor(steps, dtype=torch.float64)
+    low = torch.floor(places.reshape(-1, 2).amin(0) / step) * step
+    half = 0.5 * (torch.ceil(places.reshape(-1, 2).amax(0) / step) * step - low)
+    unit = torch.cartesian_prod(
+        *(torch.cos(torch.pi * (torch.arange(n).double() + 0.5) / n) for n in nodes)
+    )
+    at = low + half * (1.0 + unit)
+    at[:, 0] = at[:, 0].exp()
+    gels, rows = _distinct_gels(parameters, bundled)
+    middle = about.mean().expand(len(at))
+    times = _simulate_collapses(simulator, gels, at, middle, bundled)[..., rows, :]
+    lost = times.isnan()
+    if bool((lost.any(-1) & ~lost.all(-1)).any()):
+        return _simulate_collapses(simulator, parameters, designs, about, bundled)
+
+    def find_powers(places: Tensor) -> Tensor:
+        x, y = (column.numpy() for column in places.unbind(-1))
+        powers = np.polynomial.polynomial.polyvander2d(x, y, [n - 1 for n in nodes])
+        return torch.from_numpy(powers)
+
+    weights = find_powers((places - low) / half - 1.0) @ torch.linalg.inv(find_powers(unit))
+    return (weights * times[..., None, :]).sum(-1)
+
+
+def _distinct_gels(parameters: Tensor, bundled: bool) -> tuple[Tensor, Tensor]:
+    """Gels to be simulated, and which of them each member has: members of a bundle of which only
+    the design is moved share the bubbles of the leader, draws of one gel each other's.
+    """
+    if not bundled:
+        gels, rows = torch.unique(
+            parameters.reshape(-1, parameters.shape[-1]), dim=0, return_inverse=True
+        )
+        return gels, rows.reshape(parameters.shape[:-1])
+    moved = (parameters != parameters[..., :1, :]).any(-1)
+    moved = moved.reshape(-1, moved.shape[-1]).any(0)
+    moved[0] = True
+    return parameters[..., moved, :], torch.where(moved, moved.cumsum(0) - 1, 0)
