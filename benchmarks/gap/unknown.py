@@ -9,9 +9,9 @@ and drags of the wall are a stress (the drag that sound between walls makes is o
 well), those of the gas a pressure of the contents, those of the drive a pressure in time, those of the
 measurement the camera's; other effects of the liquid have no kind, and count as told apart wrongly
 where one is sure. For stress laws the true missing pressure is known: the stress of the true law less
-that of the fitted base model, along the true bubble, with the law's memory integrated there. It is
-compared with the inferred one where the bubble was, weighted by the inverse square of the stated
-error (correlation) or by its own square (share inside the 90 % band).
+that of the fitted base model, along the inferred bubble (the true one has shifts of its own), with the
+law's memory integrated there. It is compared with the inferred one where the bubble was, weighted by
+the inverse square of the stated error (correlation) or by its own square (share inside the 90 % band).
 """
 
 import argparse
@@ -29,6 +29,7 @@ from imr_torch.material import LIBRARY, PARAMETERS, TERMS, dimensionless, gel_re
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator, fewer_steps
 from imr_torch.unknown import NOTHING_KNOWN, MissingPressure, infer_unknown
+from imr_torch.unknown.shot import SPACING
 
 PLACES = {
     "material": {"material"},
@@ -41,7 +42,6 @@ PLACES = {
 OWN_KINDS = {"size_drag": {"sample", "material"}, "energy_loss": {"material", "contents"}}
 OWN_KINDS |= {"vapour_pressure": {"contents"}, "residual_velocity": {"camera", "drive"}}
 SURE = 0.8
-_STEP = 5e-4  # of the memory of the true law, t*
 
 
 def infer_set(task: Task) -> Line:
@@ -89,23 +89,29 @@ def compare_pressures(
     90 % band.
     """
     truths, found, sds = [], [], []
-    gel = PARAMETERS.pack(data.values)
+    surroundings = simulator.conditions.surroundings
+    gels = (PARAMETERS.pack(data.values), fitted)
     for experiment, shot in zip(data.experiments, shots, strict=True):
-        times, missing = true_missing_stress(gel, fitted, experiment.design, simulator)
-        surroundings = simulator.conditions.surroundings
-        size = surroundings.max_radius(experiment.design[0])
-        seconds = times * float(surroundings.time_scale(size))
-        # as coarse in time as what is inferred
-        step = float(shot.times[1] - shot.times[0])
-        places = torch.searchsorted(seconds, shot.times).clamp_max(len(times) - 1)
-        truths.append(smooth(missing, 0.04 / (times[1] - times[0]))[places])
+        weber, rest = torch.tensor(experiment.design, dtype=torch.float64)
+        size = surroundings.max_radius(weber)
+        seconds = surroundings.time_scale(size)
+        times = shot.times / seconds
+        step = float(times[1] - times[0])
+        radius = shot.stretch * rest
+        velocity = shot.rate * seconds * radius
+        true, base = (
+            stress_along(dimensionless(x, size, surroundings), radius, velocity, rest, step)
+            for x in gels
+        )
+        # as coarse in time as what is inferred: averaged, and made, by pulses
+        width = math.sqrt(2.0) * SPACING / step
+        truths.append(surroundings.far_field_pressure * smooth(true - base, width))
         found.append(shot.pressure)
-        sds.append(shot.sd.clamp_min(1e-3 * step))
+        sds.append(shot.sd)
     true, own, sd = (torch.cat(x) for x in (truths, found, sds))
-    weight = sd.square().reciprocal()
     inside = ((true - own).abs() <= 1.645 * sd).double()
     return {
-        "correlation": weighted_correlation(true, own, weight),
+        "correlation": weighted_correlation(true, own, sd.square().reciprocal()),
         "inside": float((inside * true.square()).sum() / true.square().sum()),
         "inside_plain": float(inside.mean()),
     }
@@ -128,26 +134,10 @@ def weighted_correlation(a: Tensor, b: Tensor, weight: Tensor) -> float:
     return float((share @ (a * b)) / ((share @ a.square()) * (share @ b.square())).sqrt())
 
 
-def true_missing_stress(
-    gel: Tensor, fitted: Tensor, design: tuple[float, float], simulator: Simulator
-) -> tuple[Tensor, Tensor]:
-    """Times and, in Pa, the stress of the true gel less that of a fitted one, along the true bubble."""
-    times = torch.arange(0.0, 4.0, _STEP, dtype=torch.float64)
-    solution = simulator(gel, torch.tensor(design, dtype=torch.float64), times)
-    surroundings = simulator.conditions.surroundings
-    size = surroundings.max_radius(torch.tensor(design[0], dtype=torch.float64))
-    rest = torch.tensor(design[1], dtype=torch.float64)
-    true, base = (
-        stress_along(dimensionless(x, size, surroundings), solution.radius, solution.velocity, rest)
-        for x in (gel, fitted)
-    )
-    return times, surroundings.far_field_pressure * (true - base)
-
-
 def stress_along(
-    theta: dict[str, Tensor], radius: Tensor, velocity: Tensor, rest: Tensor
+    theta: dict[str, Tensor], radius: Tensor, velocity: Tensor, rest: Tensor, step: float
 ) -> Tensor:
-    """Stress over p_inf of all terms that act, their memory by Heun's method."""
+    """Stress over p_inf of all terms that act along a path, their memory by Heun's method."""
     terms = [term for term in TERMS if bool(theta[term.switch] != 0.0)]
     memory = torch.cat([term.memory_start(rest, theta) for term in terms])
     if not len(memory):
@@ -155,9 +145,9 @@ def stress_along(
     states = [memory]
     for k in range(len(radius) - 1):
         _, rate = gel_response(terms, radius[k], velocity[k], rest, theta, memory)
-        ahead = memory + _STEP * rate
+        ahead = memory + step * rate
         _, later = gel_response(terms, radius[k + 1], velocity[k + 1], rest, theta, ahead)
-        memory = memory + 0.5 * _STEP * (rate + later)
+        memory = memory + 0.5 * step * (rate + later)
         states.append(memory)
     held = torch.stack(states, -1)
     return gel_response(terms, radius, velocity, rest, theta, held)[0].value

@@ -25,6 +25,7 @@ PACKAGES = {
     "design": "What to shoot next?",
     "campaign": "And again",
     "calibration": "Is it right on average?",
+    "unknown": "What is missing, as a function?",
     "gap": "Where does the model fail?",
     "export": "To and from other tools",
     "characterization": "From curves to properties",

@@ -13,12 +13,14 @@ terms are then tried in place of the function, about the same trajectory.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
+from imr_torch.errors import InputDataError
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
 from imr_torch.types import Controls, Values
@@ -123,7 +125,7 @@ class Unknown:
 @dataclass(frozen=True)
 class _State:
     """Gel, nuisances ``E x w``, the unknown's weights, and what they make in each shot: a pressure in
-    each pulse, or an error of the radius in each frame.
+    each pulse, or errors of radius and time in each frame.
     """
 
     gel: Controls
@@ -264,12 +266,20 @@ def infer_unknown(
     )
 
 
-def _respond(shots: Sequence[Shot], state: _State, *, inside: bool) -> tuple[Response, ...]:
-    """Responses at a state; an error of the camera is in no trajectory."""
+def _at_state(
+    shots: Sequence[Shot], state: _State, *, inside: bool
+) -> list[tuple[Shot, Tensor, Tensor]]:
+    """Shots with their nuisances and pressures; errors of the camera are undone in the data."""
     rows = zip(shots, state.nuisances, state.made, strict=True)
+    if inside:
+        return list(rows)
+    return [(shot.reread(made), own, torch.zeros_like(shot.moments)) for shot, own, made in rows]
+
+
+def _respond(shots: Sequence[Shot], state: _State, *, inside: bool) -> tuple[Response, ...]:
+    """Responses at a state."""
     return tuple(
-        shot.respond(state.gel, nuisances, made if inside else torch.zeros_like(shot.moments))
-        for shot, nuisances, made in rows
+        shot.respond(state.gel, *own) for shot, *own in _at_state(shots, state, inside=inside)
     )
 
 
@@ -359,14 +369,14 @@ def _assemble(
         rows[place : place + len(own[number])] = response.fitted[gel:]
         place += len(own[number])
         fitted.append(rows)
-        held = state.made[number] @ response.pressure if inside else 0.0
-        residuals.append(response.residual + held)
-        if inside and columns:
-            unknown.append(columns[number].mT @ response.pressure)
-        elif columns:
-            unknown.append(shot.whiten(columns[number].mT, response.prediction))
+        # what the state holds, then each column, as changes of the curve
+        made = torch.cat((state.made[number][:, None], *columns[number : number + 1]), 1)
+        errors = partial(shot.project_errors, prediction=response.prediction)
+        changes = made.mT @ response.pressure if inside else errors(made)
+        residuals.append(response.residual + changes[0])
+        unknown.append(changes[1:])
     data = torch.cat(fitted, 1).mT
-    weights = torch.cat(unknown, 1).mT if unknown else data[:, :0]
+    weights = torch.cat(unknown, 1).mT
     return _System(
         torch.cat((*residuals, coordinates)),
         torch.cat((data, -torch.eye(len(coordinates), dtype=torch.float64))),
@@ -395,13 +405,15 @@ def _aim(
 
 
 def _cost(shots: Sequence[Shot], state: _State, size: float, *, inside: bool = True) -> float:
-    """Negative log of likelihood x priors, nats."""
+    """Negative log of likelihood x priors, nats; infinite where frames would change their order."""
     priors = (state.gel, state.nuisances, state.weights / size)
     total = 0.5 * sum(float(x.square().sum()) for x in priors)
-    for shot, nuisances, made in zip(shots, state.nuisances, state.made, strict=True):
-        pressure = made if inside else torch.zeros_like(shot.moments)
-        seen = shot.predict(state.gel, nuisances, pressure) + (0.0 if inside else made)
-        total -= float(shot.batch.log_likelihood(seen[None]).sum())
+    try:
+        seen = _at_state(shots, state, inside=inside)
+    except InputDataError:
+        return math.inf
+    for shot, *own in seen:
+        total -= float(shot.batch.log_likelihood(shot.predict(state.gel, *own)[None]).sum())
     return total
 
 

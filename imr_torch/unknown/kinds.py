@@ -23,8 +23,8 @@ from torch import Tensor
 from imr_torch.unknown.shot import Path, Response, Shot
 
 Columns = Callable[[int, Shot, Response], Float[Tensor, "values weights"]]
-"""Number of a shot, the shot, its response -> what each weight makes there: a pressure over p_inf in each pulse, or an error
-of the radius in each frame, R*."""
+"""Number of a shot, the shot, its response -> what each weight makes there: a pressure over p_inf in each pulse, or errors
+of radius and time in each frame, as of :meth:`Shot.reread`."""
 
 Scale = Callable[[Path], Float[Tensor, "fine"]]
 
@@ -142,12 +142,9 @@ def flux_kernel(*, longest: float = 1.4, width: float = 0.1) -> Columns:
 
 
 def camera_errors(number: int, shot: Shot, response: Response) -> Tensor:
-    """Smooth errors of the radius over R, of the time over R, and of the time over t, R*."""
-    times = shot.batch.times[0]
-    prediction = response.prediction
-    slope = torch.gradient(prediction, spacing=(times,))[0][:, None]
+    """Smooth errors of the radius over R, R*, above smooth errors of the time over R and t, t*."""
     radii = NystroemBasis.through(torch.linspace(0.0, 1.1, 40).double()[:, None] / 0.3)
     moments = NystroemBasis.through(torch.linspace(0.0, 4.0, 60).double()[:, None] / 0.8)
-    by_radius = radii(prediction[:, None] / 0.3)
-    by_time = moments(times[:, None] / 0.8)
-    return BACKGROUND * torch.cat((by_radius, by_radius * slope, by_time * slope), 1)
+    by_radius = radii(response.prediction[:, None] / 0.3)
+    by_time = moments(shot.batch.times[0][:, None] / 0.8)
+    return BACKGROUND * torch.block_diag(by_radius, torch.cat((by_radius, by_time), 1))

@@ -184,6 +184,30 @@ class Shot:
             path=self._path(simulator, parameters, shifts),
         )
 
+    def reread(self, errors: Float[Tensor, "twice_frames"]) -> "Shot":
+        """The shot as a camera without errors would have filmed it.
+
+        Args:
+            errors: of the radius in each frame, R*, then of the time, t*: what was read is too large
+                and too early by them.
+
+        Raises:
+            InputDataError: where times would not increase.
+        """
+        by_radius, by_time = errors.unflatten(0, (2, -1))
+        experiment = self._experiment
+        times = experiment.times + by_time
+        right = replace(experiment, times=times, radius=experiment.radius - by_radius)
+        return replace(self, batch=replace(self.batch, experiments=(right,)))
+
+    def project_errors(
+        self, errors: Float[Tensor, "twice_frames errors"], prediction: FrameValues
+    ) -> Float[Tensor, "errors frames"]:
+        """Whitened changes of the curve by small errors of radius and time."""
+        by_radius, by_time = errors.mT.unflatten(1, (2, -1)).unbind(1)
+        slope = torch.gradient(prediction, spacing=(self._experiment.times,))[0]
+        return self.whiten(by_radius + slope * by_time, prediction)
+
     def whiten(
         self, rows: Float[Tensor, "rows frames"], prediction: FrameValues
     ) -> Float[Tensor, "rows frames"]:
