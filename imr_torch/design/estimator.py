@@ -1,14 +1,13 @@
 """What an estimator of the information gain is: a callable object, so that one of your own needs no
 change of the package.
 
-Five estimators of the information about one gel come with the package (and one about a population of
+Four estimators of the information about one gel come with the package (and one about a population of
 gels: :class:`~imr_torch.design.population.PopulationInformation`). They agree for many samples;
 what differs is how many that takes.
 
 | estimator | evidence of each datum | expected value |
 |---|---|---|
 | `Laplace` | Gaussian, linearised | exact for linear-Gaussian models |
-| `ImportanceSampling` | draws from the Gauss-Newton posterior | above the gain by its ``bias`` |
 | `NestedMonteCarlo` | fresh draws of the prior, shared by all data | above the gain |
 | `PriorContrastive` | the same, the datum's own gel among them | below the gain, at most ``log(inner)`` per model |
 | `PublishedEstimator` | the data's own gels, used again | below ``log`` of the number of draws |

@@ -32,9 +32,7 @@ class InformationGain:
         variance: Monte Carlo variance of the sum of the two.
         counted: draws that could be simulated.
         drawn: draws asked for.
-        bias: how far finite inner sums raise the value, to first order; None for other methods. It
-            grows with the curvature of posteriors that the samples did not see, so compare two
-            sizes of ``inner``.
+        bias: how far the value is above the gain on average, where an estimator says so.
         influence: influence of each draw on ``(parameters, model)``, nats; empty if the estimator
             does not say.
 
@@ -100,30 +98,24 @@ class Terms:
         parameters: gain about the parameters from each datum.
         model: ``m`` tensor with ``m <= n``, gain about the model from the first ``m`` data.
         order: the numbers of all draws, those that gave a datum first and in the order of the data.
-        control: ``drawn`` tensor with mean zero in that order, added to the parameters' gain to
-            reduce its variance.
     """
 
     weight: float
     parameters: DatasetValues
     model: Float[Tensor, "shown"]
     order: Int[Tensor, "drawn"]
-    control: Float[Tensor, "drawn"] | None = None
 
     def mean_gain(self) -> tuple[float, float]:
         """Mean gain about parameters and about the model; 0 without data."""
         if len(self.parameters) == 0:
             return 0.0, 0.0
-        control = 0.0 if self.control is None else float(self.control.mean())
-        return float(self.parameters.mean()) + control, float(self.model.mean())
+        return float(self.parameters.mean()), float(self.model.mean())
 
     def draw_influence(self) -> Float[Tensor, "drawn 2"]:
         """Influence of each draw, in the order drawn, on the weighted means."""
         found = torch.zeros(len(self.order), 2, dtype=torch.float64)
         found[self.order[: len(self.parameters)], 0] = mean_deviations(self.parameters)
         found[self.order[: len(self.model)], 1] = mean_deviations(self.model)
-        if self.control is not None:
-            found[self.order, 0] += mean_deviations(self.control)
         return self.weight * found
 
 
@@ -145,14 +137,12 @@ def summarise_terms(
     terms: Sequence[Terms],
     *,
     shared: Float[Tensor, "samples 2"] | None = None,
-    bias: float | None = None,
 ) -> InformationGain:
     """The gain of independent strata, one per model.
 
     Args:
         terms: one per model.
         shared: influence of samples that all data share.
-        bias: of the whole.
     """
     means = torch.tensor([t.mean_gain() for t in terms], dtype=torch.float64)
     weights = torch.tensor([t.weight for t in terms], dtype=torch.float64)
@@ -160,9 +150,7 @@ def summarise_terms(
     parts = [t.draw_influence() for t in terms] + ([] if shared is None else [shared])
     counted = sum(len(t.parameters) for t in terms)
     drawn = sum(len(t.order) for t in terms)
-    return with_influence(
-        InformationGain(parameters, model, 0.0, counted, drawn, bias), torch.cat(parts)
-    )
+    return with_influence(InformationGain(parameters, model, 0.0, counted, drawn), torch.cat(parts))
 
 
 def with_influence(gain: InformationGain, influence: Float[Tensor, "draws 2"]) -> InformationGain:

@@ -20,13 +20,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from imr_torch.design.drawing import (
-    Drawn,
-    cloud_controls,
-    draw_data,
-    mixture_evidence,
-    model_weights,
-)
+from imr_torch.design.drawing import Gels, draw_cloud_controls, simulate_gels
 from imr_torch.design.estimator import InformationEstimator, check_at_least
 from imr_torch.design.gain import InformationGain, Terms, summarise_terms
 from imr_torch.design.likelihood import Data, Linear, infer_linear
@@ -70,70 +64,68 @@ class Laplace(InformationEstimator):
 
     def __call__(self, shot: Shot, generator: torch.Generator) -> InformationGain:
         """See :class:`~imr_torch.design.estimator.InformationEstimator`."""
-        drawn, own, logs = self.compare_models(shot, generator)
-        total = mixture_evidence(logs, shot)
-        terms = []
-        for i, (weight, rows) in enumerate(zip(model_weights(shot), drawn.rows, strict=True)):
-            gained = _local_information(shot.belief.models[i], drawn.parts[i], own[i])
-            compared = slice(
-                rows.start, rows.start + min(self._rival_count, rows.stop - rows.start)
-            )
-            terms.append(
-                Terms(weight, gained, logs[i][compared] - total[compared], drawn.orders[i])
-            )
-        return summarise_terms(terms)
+        gels, rows, own, logs = self.compare_models(shot, generator)
+        log_prior = shot.belief.log_probabilities
+        total = torch.logsumexp(torch.stack(logs) + log_prior[:, None], dim=0)
+        return summarise_terms(
+            [
+                Terms(
+                    weight,
+                    _local_information(shot.belief.models[i], gels.parts[i], own[i]),
+                    (logs[i] - total)[rows[i]][: self._rival_count],
+                    gels.orders[i],
+                )
+                for i, weight in enumerate(log_prior.exp().tolist())
+            ]
+        )
 
     def compare_models(
         self, shot: Shot, generator: torch.Generator
-    ) -> tuple[Drawn, list[Linear], list[Tensor]]:
-        """Data of every model, their linearised posteriors under it, and for each model the log
-        evidence of all data, NaN for those that are not compared.
+    ) -> tuple[Gels, tuple[slice, ...], list[Linear], list[Tensor]]:
+        """Gels of every model, which of the data are of each, their linearised posteriors under it,
+        and for each model the log evidence of all data, NaN for those that are not compared.
         """
-        drawn = draw_data(shot, cloud_controls(shot, self.draws, generator), generator)
+        gels = simulate_gels(shot, draw_cloud_controls(shot, self.draws, generator))
+        data, rows = gels.observe(shot, generator)
         own = [
-            infer_linear(drawn.data[rows], part, shot.plan)
-            for rows, part in zip(drawn.rows, drawn.parts, strict=True)
+            infer_linear(data[some], part, shot.plan)
+            for some, part in zip(rows, gels.parts, strict=True)
         ]
-        evidences = [self._log_evidences(drawn, i, own, shot) for i in range(len(own))]
-        return drawn, own, evidences
+        best = torch.cat([linear.log_evidence for linear in own])
+        compared = [torch.arange(len(data))[some][: self._rival_count] for some in rows]
+        logs = []
+        for i, part in enumerate(gels.parts):
+            if len(part) == 0:
+                logs.append(torch.full_like(best, -math.inf))
+                continue
+            log = torch.full_like(best, math.nan)
+            log[rows[i]] = best[rows[i]]
+            others = torch.cat([*compared[:i], compared[i][:0], *compared[i + 1 :]])
+            if len(others):
+                log[others] = self._rival_evidence(data[others], best[others], i, part, shot)
+            logs.append(log)
+        return gels, rows, own, logs
 
     @property
     def _rival_count(self) -> int:
         return max(6, self.draws // 4) if self.rivals is None else self.rivals
 
-    def _log_evidences(self, drawn: Drawn, model: int, own: list[Linear], shot: Shot) -> Tensor:
-        """Log evidence of all data under one model; NaN for data that are not compared."""
-        if len(own[model].mean) == 0:
-            return torch.full((len(drawn.data),), -math.inf, dtype=torch.float64)
-        logs = torch.full((len(drawn.data),), math.nan, dtype=torch.float64)
-        logs[drawn.rows[model]] = own[model].log_evidence
-        others = [
-            torch.arange(r.stop - r.start)[: self._rival_count] + r.start
-            for i, r in enumerate(drawn.rows)
-            if i != model
-        ]
-        if others and len(rows := torch.cat(others)):
-            best = torch.cat([linear.log_evidence for linear in own])[rows]
-            logs[rows] = self._rival_evidence(
-                drawn.data[rows], best, drawn.parts[model], shot, shot.belief.models[model]
-            )
-        return logs
-
     def _rival_evidence(
-        self, data: Data, own: Tensor, gels: Response, shot: Shot, part: ModelBelief
+        self, data: Data, own: Tensor, model: int, gels: Response, shot: Shot
     ) -> Tensor:
         """Log evidence of data of other models under one model.
 
         Args:
             data: ``n`` data.
             own: ``n`` tensor, log evidence under the model of each datum.
-            gels: draws of the model.
+            model: which.
+            gels: draws of it.
             shot: designs and how they are observed.
-            part: the model.
         """
         data, gels, shot = _cut_to_window(data, gels, shot)
-        start = best_starts(data, gels, shot)
-        at = refine_gels(data, gels[start], shot, part, self.refinements, floor=own - self.behind)
+        start = gels[best_starts(data, gels, shot)]
+        part = shot.belief.models[model]
+        at = refine_gels(data, start, shot, part, self.refinements, floor=own - self.behind)
         return infer_linear(data, at, shot.plan).log_evidence
 
 

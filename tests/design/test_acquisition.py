@@ -12,7 +12,6 @@ from botorch.utils.sampling import manual_seed
 
 from imr_torch.design import (
     ExpectedInformationGain,
-    ImportanceSampling,
     InformationEstimator,
     InformationGain,
     Laplace,
@@ -32,7 +31,6 @@ ENTROPY = -(0.7 * math.log(0.7) + 0.3 * math.log(0.3))
 EVERY = [
     Laplace(draws=6, rivals=6),
     Laplace(draws=6, rivals=6, refinements=0),
-    ImportanceSampling(draws=6, inner=4),
     NestedMonteCarlo(draws=6, inner=4),
     PriorContrastive(draws=6, inner=4),
     PublishedEstimator(10),
