@@ -12,14 +12,13 @@ minimum that was found, and later ones are hardly widened. Truncated priors need
 treatment, since members are in whitened coordinates.
 
 The prior enters through the cost and not through the ensemble, so restarts do not use the data
-again, and data have their own likelihood; ``tempered`` gives them the published one. As slopes are
-means over the ensemble, steps do not follow the detail of the cost within its width: the method
-passes small local minima. Unlike the published method, each step is shortened to the share of it at
-which the exact cost is lowest.
+again, and data have their own likelihood (:mod:`imr_torch.assimilate.published` has the published
+one). As slopes are means over the ensemble, steps do not follow the detail of the cost within its
+width: the method passes small local minima. Unlike the published method, each step is shortened to
+the share of it at which the exact cost is lowest.
 """
 
 import math
-from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -28,8 +27,7 @@ from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit
 from imr_torch.assimilate.gauss_newton import NormalEquations, inverse_chol
 from imr_torch.assimilate.options import En4DVarOptions
 from imr_torch.assimilate.posterior import Posterior
-from imr_torch.assimilate.published import as_one_curve
-from imr_torch.errors import ConvergenceError, InputDataError
+from imr_torch.errors import ConvergenceError
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
@@ -81,12 +79,11 @@ def assimilate_en4dvar(
     'nhkv'
     """
     options = options or En4DVarOptions()
-    used = temper_batch(batch) if options.tempered else batch
     fits = []
     for part in belief.models:
-        posterior = Posterior(part, used, simulator)
+        posterior = Posterior(part, batch, simulator)
         if near is None:
-            size = posterior.size + len(posterior.uncertain) * len(used.experiments)
+            size = posterior.size + len(posterior.uncertain) * len(batch.experiments)
             mean = torch.zeros(size, dtype=torch.float64)
             chol = torch.eye(size, dtype=torch.float64)
         else:
@@ -95,44 +92,7 @@ def assimilate_en4dvar(
             chol = fit.joint_chol(posterior.uncertain)
         own = child(seed, "en4dvar", part.model)
         fits.append(_fit_model(posterior, mean, chol, options, own, progress))
-    return Assimilation(belief, used, tuple(fits))
-
-
-def temper_batch(batch: ExperimentBatch) -> ExperimentBatch:
-    """Data as the published method weighs them: one mean curve each, with the noise of one curve
-    times the root of its frames.
-
-    Args:
-        batch: the data; experiments may differ in frames, and the mean number of frames counts for
-            all.
-
-    Raises:
-        InputDataError: for shots of which the collapse time alone is known.
-    """
-    if bool(batch.collapse.any()):
-        raise InputDataError(
-            "The tempered likelihood is one of curves, and shots of collapse times are given; "
-            "take another method (map)."
-        )
-    frames = float(batch.mask.sum(1).double().mean())
-    noise = replace(batch.noise, scale=batch.noise.scale * frames**0.5, correlation_time=0.0)
-    return ExperimentBatch(tuple(as_one_curve(e) for e in batch.curves), noise)
-
-
-def _draw_deviations(
-    chol: Tensor, widening: Tensor, members: int, source: torch.Generator
-) -> Tensor:
-    """Deviations of an ensemble from its mean, in opposite pairs: ``members x n``.
-
-    Args:
-        chol: ``n x n`` tensor, Cholesky factor of their covariance.
-        widening: ``n`` tensor, factor of the deviations of each coordinate.
-        members: of the ensemble.
-        source: of the draws.
-    """
-    white = torch.randn(members // 2, len(chol), generator=source, dtype=torch.float64)
-    half = white @ chol.mT * widening
-    return torch.cat((half, -half))
+    return Assimilation(belief, batch, tuple(fits))
 
 
 def _fit_model(
@@ -165,7 +125,11 @@ def _fit_model(
         widening = 1.0 + options.relaxation * (before / spread - 1.0)
         before = spread
         for iteration in range(options.iterations):
-            deviations = _draw_deviations(chol, widening, options.members, source)
+            white = torch.randn(
+                options.members // 2, len(chol), generator=source, dtype=torch.float64
+            )
+            half = white @ chol.mT * widening
+            deviations = torch.cat((half, -half))
             widening = torch.ones_like(widening)
             equations, failed = _ensemble_equations(posterior, mean, deviations, options)
             chol = inverse_chol(equations.joint_hessian(posterior.uncertain))

@@ -23,11 +23,11 @@ model misses them. What residuals have in common makes their intervals too narro
 :attr:`FrameNoise.widened` says by how much. Where the model is right both laws are one.
 """
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import product
 
 import torch
 from torch import Tensor
@@ -36,7 +36,6 @@ from imr_torch.assimilate.matern import MATERN, matern_whitened
 from imr_torch.assimilate.noise_law import (
     LocalNoise,
     best_scales,
-    concatenated,
     equations_of_columns,
     interval_factor,
     law_of_repeats,
@@ -204,7 +203,7 @@ def infer_frame_noise(
     factors = torch.ones(len(curves), dtype=torch.float64)
     sds = torch.zeros_like(factors)
     found = grid.posterior(factors)
-    while len(factors) > 1 and bool((factors == 1.0).sum() > 1):
+    for _ in curves[1:]:
         other = grid.outlier(found, factors, prior.own)
         if other is None:
             break
@@ -216,58 +215,38 @@ def infer_frame_noise(
 
 
 @dataclass(frozen=True)
-class _Found:
-    """Log weights of all combinations, and their log scales with standard deviations: ``J``
-    tensors.
-    """
-
-    log_weights: Tensor
-    log_scales: Tensor
-    sds: Tensor
-
-
-@dataclass(frozen=True)
 class _Curves:
     """The curves of one fit.
 
     Args:
         near: the fitted point.
+        place: which of all curves of all fits they are.
         rows: frames that are used, ``E x T`` boolean tensor.
         bend: ``E x T`` tensor, how far each frame lies off the cubic through its neighbours, in the
             fitted curve.
-        place: which of all curves of all fits they are.
     """
 
     near: Neighbourhood
+    place: slice
     rows: Tensor
     bend: Tensor
-    place: slice
 
-    @staticmethod
-    def of(fits: Sequence[Neighbourhood]) -> "tuple[_Curves, ...]":
+    @classmethod
+    def of(cls, fits: Sequence[Neighbourhood]) -> "tuple[_Curves, ...]":
         """Those of each fit."""
+        ends = itertools.accumulate((len(near.centre) for near in fits), initial=0)
         found = []
-        first = 0
-        for near in fits:
+        for near, (first, end) in zip(fits, itertools.pairwise(ends), strict=True):
             batch = near.posterior.batch
-            count = len(near.centre)
-            found.append(
-                _Curves(
-                    near,
-                    _thinned(batch.mask) & _counted(batch),
-                    bends(batch, near.centre),
-                    slice(first, first + count),
-                )
-            )
-            first += count
+            rows = _thinned(batch.mask) & _counted(batch)
+            found.append(cls(near, slice(first, end), rows, bends(batch, near.centre)))
         return tuple(found)
 
-    def variance(self, values: Tensor) -> Tensor:
+    def variance(self, values: Tensor, factors: Tensor) -> Tensor:
         """``J x E x T`` tensor, variance of the noise at scale 1, without that of deviations."""
         slope, drift, floor = (values[:, i, None, None] for i in range(3))
-        batch = self.near.posterior.batch
-        radius = self.near.centre
-        return (slope * (radius - 1.0).abs() + drift * batch.times).square() + floor.square()
+        grown = slope * (self.near.centre - 1.0).abs() + drift * self.near.posterior.batch.times
+        return (grown.square() + floor.square()) * factors[self.place, None].square()
 
     def whitened(
         self, values: Tensor, factors: Tensor, level: Tensor, columns: Tensor
@@ -275,13 +254,10 @@ class _Curves:
         """Columns ``C x E x T`` under each combination, ``J x C x E x T``, and half the log
         determinants, ``J x E``.
         """
-        noise = self.variance(values) * factors[self.place, None].square()
-        noise = noise + (values[:, 5, None, None] * self.bend).square()
+        noise = self.variance(values, factors) + (values[:, 5, None, None] * self.bend).square()
         smooth = values[:, 3].square() * level
-        rates = MATERN / values[:, 4]
-        return matern_whitened(
-            self.near.posterior.batch.times, self.rows, noise, smooth, rates, columns
-        )
+        times = self.near.posterior.batch.times
+        return matern_whitened(times, self.rows, noise, smooth, MATERN / values[:, 4], columns)
 
     @property
     def residual(self) -> Tensor:
@@ -294,26 +270,17 @@ class _Curves:
 
     def local(self, values: Tensor, factors: Tensor, level: Tensor) -> LocalNoise:
         """What the linearisation says of the data under each combination, at scale 1."""
-        near = self.near
-        root = self.near.posterior.batch.counts.sqrt()
-        slopes = [
-            torch.where(self.rows, x.movedim(-1, 0) * root, 0.0).nan_to_num() for x in near.slopes
-        ]
-        columns = torch.cat((self.residual[None], *slopes))
-        squares = []
-        normalisers = []
-        equations = []
-        for some, own_level in zip(values.split(_AT_ONCE), level.split(_AT_ONCE), strict=True):
-            seen, log_det = self.whitened(some, factors, own_level, columns)
-            squares.append(seen[:, 0].square().sum((1, 2)))
-            normalisers.append(log_det.sum(1))
-            equations.append(equations_of_columns(seen, len(slopes[0])))
+        by_gel, by_nuisance = (x.movedim(-1, 0) for x in self.near.slopes)
+        slopes = torch.cat((by_gel, by_nuisance)) * self.near.posterior.batch.counts.sqrt()
+        slopes = torch.where(self.rows, slopes, 0.0).nan_to_num()
+        columns = torch.cat((self.residual[None], slopes))
+        seen, log_det = self.whitened(values, factors, level, columns)
         return LocalNoise(
-            torch.cat(squares),
-            torch.cat(normalisers),
+            seen[:, 0].square().sum((1, 2)),
+            log_det.sum(1),
             float(self.rows.sum()),
-            concatenated(equations),
-            near.point,
+            equations_of_columns(seen, len(by_gel)),
+            self.near.point,
         )
 
 
@@ -341,7 +308,7 @@ class _Grid:
         """The grid about fitted points."""
         laws = [
             (*_balanced(prior.law, balance), floor, weight)
-            for (balance, weight), floor in product(prior.balances, prior.floors)
+            for (balance, weight), floor in itertools.product(prior.balances, prior.floors)
         ]
         of_laws, of_deviations = (
             torch.tensor(rows, dtype=torch.float64) for rows in (laws, _deviations(fits, prior))
@@ -358,23 +325,26 @@ class _Grid:
 
     def level(self, factors: Tensor) -> Tensor:
         """``J`` tensor, mean variance of the noise over the frames that are used."""
-        sums = [
-            (c.variance(self.values) * factors[c.place, None].square() * c.rows).sum((1, 2))
-            for c in self.curves
-        ]
+        sums = [(c.variance(self.values, factors) * c.rows).sum((1, 2)) for c in self.curves]
         return torch.stack(sums).sum(0) / sum(c.rows.sum() for c in self.curves)
 
-    def posterior(self, factors: Tensor) -> _Found:
-        """Weights of all combinations, their scales integrated out."""
+    def posterior(self, factors: Tensor) -> Tensor:
+        """``3 x J`` tensor: log weights of all combinations, their scales integrated out, and log
+        scales with standard deviations.
+        """
         level = self.level(factors)
-        local = [c.local(self.values, factors, level) for c in self.curves]
-        likely, widths = best_scales(local)
+        parts = []
+        for some, its in zip(self.values.split(_AT_ONCE), level.split(_AT_ONCE), strict=True):
+            local = [c.local(some, factors, its) for c in self.curves]
+            scales, sds = best_scales(local)
+            value = torch.stack([one.marginal(scales[:, None])[:, 0] for one in local]).sum(0)
+            parts.append((scales, sds, value))
+        likely, widths, marginal = map(torch.cat, zip(*parts, strict=True))
         median, wide = self.prior.level
         ahead = math.log(median) - 0.5 * level.log() - likely
         both = widths.square() + wide**2
         log_scales = likely + widths.square() / both * ahead
         sds = widths * wide / both.sqrt()
-        marginal = torch.stack([one.marginal(likely[:, None])[:, 0] for one in local]).sum(0)
         value = marginal + sds.log() - 0.5 * ahead.square() / both + self.log_prior
         floors = self.values[:, 2]
         least = math.log(self.prior.least) - floors.log()
@@ -382,29 +352,25 @@ class _Grid:
         if bool(too_small.all()):  # only the error of the solver is left, which is nearly constant
             log_scales, too_small = least, floors < floors.max()
         value = torch.where(too_small, -torch.inf, value)
-        return _Found(value - value.logsumexp(0), log_scales, sds)
+        return torch.stack((value - value.logsumexp(0), log_scales, sds))
 
     def outlier(
-        self, found: _Found, factors: Tensor, chance: float
+        self, found: Tensor, factors: Tensor, chance: float
     ) -> tuple[int, float, float] | None:
         """The curve whose noise most clearly differs from that of the others: number, log factor
         and its sd.
         """
-        best = int(found.log_weights.argmax())
+        best = int(found[0].argmax())
         values = self.values[best : best + 1]
         level = self.level(factors)[best : best + 1]
-        squares = []
-        frames = []
-        counts = []
+        parts = []
         for c in self.curves:
             seen, _ = c.whitened(values, factors, level, c.residual[None])
             by_gel, by_nuisance = c.near.slopes
-            used = c.rows.sum(1)
             fitted = by_gel.shape[-1] / len(by_gel) + by_nuisance.shape[-1]
-            squares.append(seen[0, 0].square().sum(-1))
-            frames.append(used)
-            counts.append((used - fitted).clamp_min(1.0))
-        square, used, count = (torch.cat(parts) for parts in (squares, frames, counts))
+            used = c.rows.sum(1)
+            parts.append((seen[0, 0].square().sum(-1), used, (used - fitted).clamp_min(1.0)))
+        square, used, count = map(torch.cat, zip(*parts, strict=True))
         others = square.sum() - square, count.sum() - count
         log_factor = 0.5 * (square / count / (others[0] / others[1])).log()
         variance = 0.5 / count + 0.5 / others[1]
@@ -425,7 +391,7 @@ class _Grid:
             [law.sd(c.near.centre, c.near.posterior.batch.times)[c.rows].log() for c in self.curves]
         ).mean()
 
-    def concluded(self, found: _Found, factors: Tensor, factor_sds: Tensor) -> FrameNoise:
+    def concluded(self, found: Tensor, factors: Tensor, factor_sds: Tensor) -> FrameNoise:
         """What is known of the noise of frames, of that of independent residuals, and what the rest
         does to intervals.
         """
@@ -436,12 +402,9 @@ class _Grid:
             law, laws, tuple(factors.tolist()), tuple(factor_sds.tolist()), independent, widened
         )
 
-    def summed(self, found: _Found, deviations: slice) -> tuple[Noise, NoiseLaws]:
+    def summed(self, found: Tensor, deviations: slice) -> tuple[Noise, NoiseLaws]:
         """The central law, and all laws, each with some of the deviations summed over."""
-        log_weights, log_scales, sds = (
-            x.reshape(len(self.laws), -1)[:, deviations]
-            for x in (found.log_weights, found.log_scales, found.sds)
-        )
+        log_weights, log_scales, sds = found.reshape(3, len(self.laws), -1)[..., deviations]
         totals = log_weights.logsumexp(1)
         kept = totals > totals.max() + math.log(_KEPT)
         within = torch.softmax(log_weights[kept], 1)
@@ -490,11 +453,11 @@ def _deviations(
     ).median()
     smooth = [
         (amount, max(lag, 2.5 * float(spacing)))
-        for amount, lag in product(prior.amounts, prior.durations)
+        for amount, lag in itertools.product(prior.amounts, prior.durations)
     ]
     third = (1.0 - prior.none) / 3.0
     found = []
-    for (amount, lag), bend in product([(0.0, 1.0), *smooth], [0.0, *prior.bends]):
+    for (amount, lag), bend in itertools.product([(0.0, 1.0), *smooth], [0.0, *prior.bends]):
         alike = (len(smooth) if amount else 1) * (len(prior.bends) if bend else 1)
         share = third / alike if amount or bend else prior.none
         found.append((amount, lag, bend, share))

@@ -97,7 +97,7 @@ def assimilate_estimating_noise(
 
     result = fit_models(batch, 0, near)
     if rounds:
-        kept = _without_spoilt_frames(result, simulator)
+        kept = without_spoilt_frames(result.lowest.linearise(result.batch, simulator))
         if kept is not result.batch:
             result = fit_models(kept, 0, result)
     for number in range(1, rounds + 1):
@@ -118,23 +118,6 @@ def _loosen_tolerances(
         gradient=max(gradient, options.gradient),
         agreement=max(agreement, options.agreement),
     )
-
-
-def _without_spoilt_frames(result: Assimilation, simulator: Simulator) -> ExperimentBatch:
-    """The batch without frames that single errors of the camera have spoilt, by the model of lowest
-    cost; the same where there are none.
-    """
-    if not bool((~result.batch.collapse).any()):
-        return result.batch
-    best, curves = result.lowest.of_curves(result.batch)
-    kept = without_spoilt_frames(best.linearise(curves, simulator))
-    if kept is curves:
-        return result.batch
-    shots = iter(kept.curves)
-    experiments = (
-        next(shots) if isinstance(e, Experiment) else e for e in result.batch.experiments
-    )
-    return replace(result.batch, experiments=tuple(experiments))
 
 
 def with_inferred_noise(

@@ -64,27 +64,20 @@ class LocalNoise:
     @classmethod
     def of(cls, near: Neighbourhood, laws: Sequence[Noise]) -> "LocalNoise":
         """At one point that was simulated, under laws whose scales are taken as 1."""
-        squares = []
-        normalisers = []
-        equations = []
         by_gel, by_nuisance = (x.movedim(-1, 0) for x in near.slopes)
+        columns = torch.cat(((near.posterior.batch.mean - near.centre)[None], by_gel, by_nuisance))
+        found = []
         for law in laws:
             batch = replace(
                 near.posterior.batch, noise=replace(law, scale=1.0, widened=1.0), noise_laws=None
             )
             sd = batch.sd(near.centre)
-            square, normaliser = batch.terms(near.centre, sd, batch.innovations)
-            columns = torch.cat(((batch.mean - near.centre)[None], by_gel, by_nuisance))
-            squares.append(square.sum())
-            normalisers.append(normaliser.sum())
-            equations.append(equations_of_columns(batch.whiten(columns, sd)[None], len(by_gel)))
-        return cls(
-            torch.stack(squares),
-            torch.stack(normalisers),
-            float(near.posterior.batch.sizes.sum()),
-            concatenated(equations),
-            near.point,
-        )
+            terms = batch.terms(near.centre, sd, batch.innovations)
+            found.append((*(x.sum() for x in terms), batch.whiten(columns, sd)))
+        square, normaliser, whitened = map(torch.stack, zip(*found, strict=True))
+        size = float(near.posterior.batch.sizes.sum())
+        equations = equations_of_columns(whitened, len(by_gel))
+        return cls(square, normaliser, size, equations, near.point)
 
     def posterior(self, log_scales: Tensor) -> NormalEquations:
         """Equations of the posterior, ``J x S``, for ``J x S`` logarithms of the scale."""
@@ -116,18 +109,9 @@ def equations_of_columns(whitened: Tensor, gel: int) -> NormalEquations:
             nuisances.
         gel: how many of the columns are those of the gel.
     """
-    nuisances = whitened.shape[1] - 1 - gel
-    residual, by_gel, by_nuisance = (
-        x.movedim(1, -1) for x in whitened.split((1, gel, nuisances), 1)
-    )
+    residual, by_gel, by_nuisance = whitened.movedim(1, -1).tensor_split((1, 1 + gel), -1)
     gradients = -(by_gel.mT @ residual)[..., 0].sum(1), -(by_nuisance.mT @ residual)[..., 0]
     return normal_equations(gradients, (by_gel, by_nuisance))
-
-
-def concatenated(parts: Sequence[NormalEquations]) -> NormalEquations:
-    """The equations of several sets of laws together."""
-    names = [block.name for block in fields(NormalEquations)]
-    return NormalEquations(*(torch.cat([getattr(one, name) for one in parts]) for name in names))
 
 
 def best_scales(fits: Sequence[LocalNoise]) -> tuple[Tensor, Tensor]:

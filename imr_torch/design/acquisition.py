@@ -160,23 +160,14 @@ class ExpectedInformationGain(AcquisitionFunction):
         """The joint gain of designs and pending designs, with its Monte Carlo error.
 
         Args:
-            designs: ``q x 2`` tensor.
+            designs: ``q x 2`` tensor; with none of them (``q = 0``) the gain is that of the pending
+                ones.
             seed: of the draws; that of the acquisition if None.
 
         Raises:
             InputDataError: for a design outside the space.
         """
         self.space.check_inside(designs)
-        return self._joint_gain(designs, seed)
-
-    def estimate_pending(self, *, seed: int | None = None) -> InformationGain | None:
-        """The joint gain of the pending designs alone, with the draws of :meth:`estimate`.
-
-        None if none is pending.
-        """
-        return None if self.X_pending is None else self._joint_gain(self.X_pending[:0], seed)
-
-    def _joint_gain(self, designs: Tensor, seed: int | None) -> InformationGain:
         if self.X_pending is not None:
             designs = torch.cat((designs, self.X_pending.to(designs)))
         gain = expected_information_gain(

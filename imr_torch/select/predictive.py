@@ -154,9 +154,7 @@ def sum_over_folds(scores: Sequence[PredictiveScore]) -> tuple[PredictiveScore, 
     >>> total.value, total.error
     (190.0, 0.5)
     """
-    by_model: dict[str, list[PredictiveScore]] = {}
-    for score in scores:
-        by_model.setdefault(score.model, []).append(score)
+    by_model = {score.model: [s for s in scores if s.model == score.model] for score in scores}
     return tuple(
         PredictiveScore(
             model,
