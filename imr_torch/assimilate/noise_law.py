@@ -73,11 +73,12 @@ class LocalNoise:
             )
             sd = batch.sd(near.centre)
             terms = batch.terms(near.centre, sd, batch.innovations)
-            found.append((*(x.sum() for x in terms), batch.whiten(columns, sd)))
-        square, normaliser, whitened = map(torch.stack, zip(*found, strict=True))
+            equations = equations_of_columns(batch.whiten(columns, sd), len(by_gel))
+            blocks = (getattr(equations, block.name) for block in fields(equations))
+            found.append((*(x.sum() for x in terms), *blocks))
+        square, normaliser, *blocks = map(torch.stack, zip(*found, strict=True))
         size = float(near.posterior.batch.sizes.sum())
-        equations = equations_of_columns(whitened, len(by_gel))
-        return cls(square, normaliser, size, equations, near.point)
+        return cls(square, normaliser, size, NormalEquations(*blocks), near.point)
 
     def posterior(self, log_scales: Tensor) -> NormalEquations:
         """Equations of the posterior, ``J x S``, for ``J x S`` logarithms of the scale."""
@@ -105,12 +106,12 @@ def equations_of_columns(whitened: Tensor, gel: int) -> NormalEquations:
     """Gauss-Newton equations, without the prior, from whitened columns.
 
     Args:
-        whitened: ``J x C x E x T`` tensor: residual, slopes over the gel, slopes over the
+        whitened: ``... x C x E x T`` tensor: residual, slopes over the gel, slopes over the
             nuisances.
         gel: how many of the columns are those of the gel.
     """
-    residual, by_gel, by_nuisance = whitened.movedim(1, -1).tensor_split((1, 1 + gel), -1)
-    gradients = -(by_gel.mT @ residual)[..., 0].sum(1), -(by_nuisance.mT @ residual)[..., 0]
+    residual, by_gel, by_nuisance = whitened.movedim(-3, -1).tensor_split((1, 1 + gel), -1)
+    gradients = -(by_gel.mT @ residual)[..., 0].sum(-2), -(by_nuisance.mT @ residual)[..., 0]
     return normal_equations(gradients, (by_gel, by_nuisance))
 
 
