@@ -177,8 +177,8 @@ def _shorten_step(
 def _ensemble_equations(
     posterior: Posterior, mean: Tensor, deviations: Tensor, options: En4DVarOptions
 ) -> tuple[NormalEquations, float]:
-    """Normal equations at the mean of an ensemble with slopes by regression, and the share of
-    members that failed.
+    """Normal equations at the mean of an ensemble, with slopes over gel and nuisances of each
+    experiment by least squares, and the share of members that failed.
     """
     point = posterior.point_at(mean)
     prediction = posterior.predict(posterior.point_at(torch.cat((mean[None], mean + deviations))))
@@ -190,21 +190,11 @@ def _ensemble_equations(
             "simulated about the ensemble's mean; "
             "check units and bounds of the prior and the designs."
         )
-    responses = (prediction[1:] - prediction[0])[good]
-    slopes = _regress_slopes(posterior, deviations[good], responses)
-    return posterior.equations(point, prediction[0], *slopes), 1.0 - share
-
-
-def _regress_slopes(
-    posterior: Posterior, deviations: Tensor, responses: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Slopes over gel (``E x T x d``) and nuisances (``E x T x w``) of each experiment, by least
-    squares over its members.
-    """
-    gel = deviations[:, : posterior.size]
-    own = deviations[:, posterior.size :].unflatten(1, (responses.shape[1], -1)).movedim(0, 1)
-    columns = torch.cat((gel.expand(len(own), -1, -1), own), -1)
-    solution = torch.linalg.lstsq(columns, responses.movedim(0, 1), driver="gelsd").solution.mT
-    by_nuisance = posterior.mean_nuisances()[:, None].repeat(1, solution.shape[1], 1)
-    by_nuisance[..., posterior.uncertain] = solution[..., posterior.size :]
-    return solution[..., : posterior.size], by_nuisance
+    own = deviations[good, posterior.size :].unflatten(1, (prediction.shape[1], -1)).movedim(0, 1)
+    gel = deviations[good, : posterior.size].expand(len(own), -1, -1)
+    responses = (prediction[1:] - prediction[0])[good].movedim(0, 1)
+    slopes = torch.linalg.lstsq(torch.cat((gel, own), -1), responses, driver="gelsd").solution.mT
+    by_nuisance = posterior.mean_nuisances()[:, None].repeat(1, slopes.shape[1], 1)
+    by_nuisance[..., posterior.uncertain] = slopes[..., posterior.size :]
+    by_gel = slopes[..., : posterior.size]
+    return posterior.equations(point, prediction[0], by_gel, by_nuisance), 1.0 - share

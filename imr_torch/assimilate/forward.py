@@ -41,9 +41,7 @@ class Point:
     gel: BatchControls
     nuisances: Float[Tensor, "*batch experiments nuisances"]
 
-    def __getitem__(
-        self, rows: Tensor | slice | int | tuple[Tensor | slice | int | None, ...]
-    ) -> "Point":
+    def __getitem__(self, rows: Tensor | slice | int) -> "Point":
         return Point(self.gel[rows], self.nuisances[rows])
 
 

@@ -195,10 +195,8 @@ def infer_frame_noise(
     curves = [e for one in fits for e in one.posterior.batch.curves]
     if all(e.repeats > 1 for e in curves):
         law, laws = law_of_repeats([one.posterior.batch for one in fits], prior.law)
-        independent, widened = _of_all_residuals(fits, law)
-        return FrameNoise(
-            law, laws, (1.0,) * len(curves), (0.0,) * len(curves), independent, widened
-        )
+        alike = (1.0,) * len(curves), (0.0,) * len(curves)
+        return FrameNoise(law, laws, *alike, *_of_all_residuals(fits, law))
     grid = _Grid.of(fits, prior)
     factors = torch.ones(len(curves), dtype=torch.float64)
     sds = torch.zeros_like(factors)
@@ -238,7 +236,11 @@ class _Curves:
         found = []
         for near, (first, end) in zip(fits, itertools.pairwise(ends), strict=True):
             batch = near.posterior.batch
-            rows = _thinned(batch.mask) & _counted(batch)
+            stride = -(-int(batch.mask.sum(1).max()) // _FRAMES)
+            rows = batch.mask & (torch.arange(batch.mask.shape[1]) % stride == 0)
+            # shots that are more probably like the others than not; all, if none is
+            alike = torch.tensor([e.weight > 0.5 for e in batch.curves])[:, None]
+            rows = rows & alike if bool(alike.any()) else rows
             found.append(cls(near, slice(first, end), rows, bends(batch, near.centre)))
         return tuple(found)
 
@@ -471,15 +473,3 @@ def _balanced(law: Noise, balance: float) -> tuple[float, float]:
     if balance == 0.0:
         return 0.0, law.drift
     return law.slope * math.sqrt(balance), law.drift / math.sqrt(balance)
-
-
-def _counted(batch: ExperimentBatch) -> Tensor:
-    """``E x 1`` tensor, shots that are more probably like the others than not; all, if none is."""
-    counted = torch.tensor([e.weight > 0.5 for e in batch.curves])[:, None]
-    return counted if bool(counted.any()) else torch.ones_like(counted)
-
-
-def _thinned(mask: Tensor) -> Tensor:
-    """Frames that are used: all of short records."""
-    stride = -(-int(mask.sum(1).max()) // _FRAMES)
-    return mask & (torch.arange(mask.shape[1]) % stride == 0)

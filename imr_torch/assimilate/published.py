@@ -143,7 +143,13 @@ def _fit_model(
         transform = torch.eye(len(members), dtype=members.dtype)
         for iteration in range(options.iterations):
             history.append(centre + transform @ start)
-            curves = _predict_ensemble(part, history[-1], batch, simulator, options.simulated)
+            curves = predict(simulator, part.parameters(history[-1]), batch)[:, 0]
+            good = int(torch.isfinite(curves).all(1).sum())
+            if good < options.simulated * len(curves):
+                raise ConvergenceError(
+                    f"{part.model}: {good} of {len(curves)} members could be simulated; check the "
+                    "prior and the design."
+                )
             step, transform = _step_ensemble(
                 curves, transform, start, first - centre, batch.mean[0], precision
             )
@@ -158,9 +164,9 @@ def _fit_model(
             ratio = start.std(0) / deviation.std(0)
             deviation = deviation * (1.0 + options.relaxation * (ratio - 1.0))
         members = centre + deviation
-    good = curves[torch.isfinite(curves).all(1)]
-    misfit = ((batch.mean - good) / batch.sd(batch.mean)).square().sum(1)
-    likelihood = float(torch.logsumexp(-0.5 * misfit, 0)) - math.log(len(good))
+    seen = curves[torch.isfinite(curves).all(1)]
+    misfit = ((batch.mean - seen) / batch.sd(batch.mean)).square().sum(1)
+    likelihood = float(torch.logsumexp(-0.5 * misfit, 0)) - math.log(len(seen))
     return PublishedFit(part, torch.stack((*history, members)), curves, likelihood)
 
 
@@ -193,24 +199,6 @@ def published_probabilities(fits: Sequence[PublishedFit]) -> Float[Tensor, "mode
     """
     logs = torch.tensor([fit.log_likelihood for fit in fits], dtype=torch.float64)
     return torch.softmax(logs, 0)
-
-
-def _predict_ensemble(
-    part: ModelBelief,
-    members: Tensor,
-    batch: ExperimentBatch,
-    simulator: Simulator,
-    least: float,
-) -> Tensor:
-    """Curves ``N x T`` of an ensemble, of which a share of ``least`` must be simulated."""
-    curves = predict(simulator, part.parameters(members), batch)[:, 0]
-    good = int(torch.isfinite(curves).all(1).sum())
-    if good < least * len(curves):
-        raise ConvergenceError(
-            f"{part.model}: {good} of {len(curves)} members could be simulated; check the prior "
-            "and the design."
-        )
-    return curves
 
 
 def _step_ensemble(

@@ -35,8 +35,22 @@ def best_prior_draws(
     batch = posterior.batch
     some = batch.experiments[:: -(-len(batch.experiments) // ENOUGH)]
     few = replace(posterior, batch=replace(batch, experiments=some))
-    points = Point(draws, few.mean_nuisances(options.raw_samples))
-    chosen = _choose_distinct(few, draws, points, options)
+    cost = -few.coarse.log_joint(Point(draws, few.mean_nuisances(options.raw_samples)))
+    order = torch.argsort(cost)
+    order = order[torch.isfinite(cost[order])].tolist()
+    if len(order) < 2:
+        raise ConvergenceError(
+            f"{posterior.prior.model}: {len(order)} of {len(cost)} prior draws could be simulated; "
+            "check units and bounds of the prior and the designs."
+        )
+    picked: list[int] = []
+    for row in order:
+        if all((draws[row] - draws[other]).norm() > options.descent.apart for other in picked):
+            picked.append(row)
+        if len(picked) == options.starts:
+            break
+    picked += [row for row in order if row not in picked]
+    chosen = (picked * options.starts)[: options.starts]
     return Point(draws[chosen], posterior.mean_nuisances(options.starts))
 
 
@@ -91,27 +105,3 @@ def draw_perturbation(
     noise = torch.randn(chol.shape[0], generator=source, dtype=torch.float64)
     step = away * (chol @ noise)
     return step * (longest * noise.norm() / step.norm().clamp_min(1e-300)).clamp_max(1.0)
-
-
-def _choose_distinct(
-    posterior: Posterior, draws: Tensor, points: Point, options: SearchOptions
-) -> Tensor:
-    """Rows of the best draws of a model (``n x d``), by coarse bubbles, each apart from the ones
-    before.
-    """
-    cost = -posterior.coarse.log_joint(points)
-    order = torch.argsort(cost)
-    order = order[torch.isfinite(cost[order])].tolist()
-    if len(order) < 2:
-        raise ConvergenceError(
-            f"{posterior.prior.model}: {len(order)} of {len(cost)} prior draws could be simulated; "
-            "check units and bounds of the prior and the designs."
-        )
-    picked: list[int] = []
-    for row in order:
-        if all((draws[row] - draws[other]).norm() > options.descent.apart for other in picked):
-            picked.append(row)
-        if len(picked) == options.starts:
-            break
-    picked += [row for row in order if row not in picked]
-    return torch.tensor((picked * options.starts)[: options.starts])

@@ -56,8 +56,7 @@ def draw_cloud_controls(
         if part.cloud is not None:
             rows = torch.randperm(len(part.cloud.controls), generator=source)
             rows = rows.repeat(-(-draws // len(rows)))[:draws]
-            away = part.cloud.controls[rows] - part.mean
-            drawn[i] = torch.linalg.solve_triangular(part.chol, away.mT, upper=False).mT
+            drawn[i] = part.whitened(part.cloud.controls[rows])
     return drawn
 
 

@@ -102,31 +102,22 @@ class Laplace(InformationEstimator):
             log[rows[i]] = best[rows[i]]
             others = torch.cat([*compared[:i], compared[i][:0], *compared[i + 1 :]])
             if len(others):
-                log[others] = self._rival_evidence(data[others], best[others], i, part, shot)
+                seen, start, short = _cut_to_window(data[others], part, shot)
+                at = refine_gels(
+                    seen,
+                    start[best_starts(seen, start, short)],
+                    short,
+                    shot.belief.models[i],
+                    self.refinements,
+                    floor=best[others] - self.behind,
+                )
+                log[others] = infer_linear(seen, at, short.plan).log_evidence
             logs.append(log)
         return gels, rows, own, logs
 
     @property
     def _rival_count(self) -> int:
         return max(6, self.draws // 4) if self.rivals is None else self.rivals
-
-    def _rival_evidence(
-        self, data: Data, own: Tensor, model: int, gels: Response, shot: Shot
-    ) -> Tensor:
-        """Log evidence of data of other models under one model.
-
-        Args:
-            data: ``n`` data.
-            own: ``n`` tensor, log evidence under the model of each datum.
-            model: which.
-            gels: draws of it.
-            shot: designs and how they are observed.
-        """
-        data, gels, shot = _cut_to_window(data, gels, shot)
-        start = gels[best_starts(data, gels, shot)]
-        part = shot.belief.models[model]
-        at = refine_gels(data, start, shot, part, self.refinements, floor=own - self.behind)
-        return infer_linear(data, at, shot.plan).log_evidence
 
 
 def _cut_to_window(data: Data, gels: Response, shot: Shot) -> tuple[Data, Response, Shot]:

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.design.drawing import Gels, draw_normal_controls, simulate_gels
@@ -165,20 +165,14 @@ def _estimate_gain(
     slopes = torch.autograd.functional.jacobian(mean_gains, weights)
     influence = []
     for place, order in enumerate(order for sample in samples for order in sample.orders):
-        replaced = int(contrastive and place >= models)
-        influence.append(_slope_influence(slopes[place].mT, order, replaced))
+        first = int(
+            contrastive and place >= models
+        )  # a datum's own gel is in the place of this one
+        own = slopes[place].mT[first:]
+        found = torch.zeros(len(order), 2, dtype=torch.float64)
+        found[order[first : first + len(own)]] = mean_deviations(len(own) * own)
+        influence.append(found)
     parameters, model = mean_gains(*weights).tolist()
     asked = sum(map(len, gels.orders))
     gain = InformationGain(parameters, model, 0.0, len(data), asked)
     return with_influence(gain, torch.cat(influence))
-
-
-def _slope_influence(
-    slopes: Float[Tensor, "simulated 2"], order: Int[Tensor, "drawn"], first: int
-) -> Float[Tensor, "drawn 2"]:
-    """Deviations from the mean of the slopes of draws from the ``first`` on; others have none."""
-    found = torch.zeros(len(order), 2, dtype=torch.float64)
-    slopes = slopes[first:]
-    count = len(slopes)
-    found[order[first : first + count]] = mean_deviations(count * slopes)
-    return found

@@ -109,10 +109,7 @@ class PopulationInformation(InformationEstimator):
         normals = []
         for e in range(q):
             one = replace(shot, designs=shot.designs[e : e + 1])
-            controls = torch.linalg.solve_triangular(
-                part.chol, (gels[:, e] - part.mean).mT, upper=False
-            ).mT
-            seen = simulate_response(one, part, controls)
+            seen = simulate_response(one, part, part.whitened(gels[:, e]))
             good = seen.good
             normal = torch.full((self.draws, *part.chol.shape), torch.nan, dtype=torch.float64)
             data = observe_gels(seen[good], shot.plan, source)

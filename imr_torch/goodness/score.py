@@ -281,7 +281,7 @@ def gap_test(blocks: Sequence[Block], line: Linearisation, *, seed: int) -> GapT
         BlockResult(
             name,
             rank,
-            math.exp(_mean_log_survival(square[0], rank, scales)),
+            float(log_survival(square[0] / scales, rank).exp().mean()),
             _detection_power(size, rank, threshold),
         )
         for name, size, rank, square, scales in entries
@@ -324,12 +324,6 @@ def _drawn_residuals(
     largest = frames * math.exp(2.0 * sure * laws.log_scale_sd)
     square = min(float(line.residual.square().sum()), largest)
     return rows * (square / rows.square().sum(1, keepdim=True)).sqrt()
-
-
-def _mean_log_survival(statistic: Tensor, rank: int, scales: Tensor) -> float:
-    """Log of the upper tail of ``scale`` times chi-square, averaged over scales."""
-    logs = log_survival(statistic / scales, rank)
-    return float(logs.logsumexp(0)) - math.log(len(scales))
 
 
 def _detection_power(size: float, rank: int, level: float) -> float:
