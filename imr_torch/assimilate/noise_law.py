@@ -17,7 +17,6 @@ The scatter of repeats about their mean holds the camera's noise alone, whatever
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from itertools import product
 
 import torch
 from torch import Tensor
@@ -27,10 +26,6 @@ from imr_torch.assimilate.gauss_newton import NormalEquations, normal_equations
 from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.observe import ExperimentBatch, Noise, NoiseLaws
 from imr_torch.observe.noise import TIE
-
-# half-widths of the parabolas through which the most probable scale is found, in its logarithm
-_SEARCH = (0.5, 0.15, 0.05)
-
 
 CORRELATION_TIMES = tuple(0.01 * 2.0 ** (k / 4.0) for k in range(34))
 """Correlation times that are tried, t*."""
@@ -115,16 +110,22 @@ def equations_of_columns(whitened: Tensor, gel: int) -> NormalEquations:
     return normal_equations(gradients, (by_gel, by_nuisance))
 
 
-def best_scales(fits: Sequence[LocalNoise]) -> tuple[Tensor, Tensor]:
+def best_scales(
+    fits: Sequence[LocalNoise], *, halves: Sequence[float] = (0.5, 0.15, 0.05)
+) -> tuple[Tensor, Tensor]:
     """Most probable log scale of each law, one for all fits, and its posterior standard deviation:
     two ``J`` tensors.
+
+    Args:
+        fits: what each says of the laws.
+        halves: half-widths of the parabolas through which it is found.
     """
     centre = (
         0.5
         * (torch.stack([fit.square for fit in fits]).sum(0) / sum(fit.size for fit in fits)).log()
     )
     width = torch.full_like(centre, 1.0)
-    for half in _SEARCH:
+    for half in halves:
         tried = centre[:, None] + torch.tensor([-half, 0.0, half]).double()
         low, middle, high = torch.stack([fit.marginal(tried) for fit in fits]).sum(0).unbind(1)
         slope = (high - low) / (2.0 * half)
@@ -142,7 +143,7 @@ def interval_factor(fits: Sequence[Neighbourhood], law: Noise) -> float:
         fits: each fitted point with its local sensitivities.
         law: by which they weigh frames, of independent ones.
     """
-    laws = [replace(law, correlation_time=time) for time in (0.0, *CORRELATION_TIMES)]
+    laws = [replace(law, correlation_time=time) for time in _TIMES]
     local = [LocalNoise.of(near, laws) for near in fits]
     log_scales, _ = best_scales(local)
     value = torch.stack([one.marginal(log_scales[:, None])[:, 0] for one in local]).sum(0)
@@ -208,15 +209,14 @@ def law_of_repeats(batches: Sequence[ExperimentBatch], law: Noise) -> tuple[Nois
             for ratio in _FLOORS
         ]
         square, normaliser = torch.zeros(2, len(laws), dtype=torch.float64)
-        for batch, (row, one) in product(batches, enumerate(laws)):
-            sd = one.sd(batch.mean, batch.times) * batch.noise_factors
-            parts = batch.terms(
-                batch.mean,
-                torch.where(batch.mask, sd, 1.0),
-                one.innovations(batch.times, batch.mask),
-            )
-            square[row] += parts[0].sum()
-            normaliser[row] += parts[1].sum()
+        for batch in batches:
+            sds = torch.stack([one.sd(batch.mean, batch.times) for one in laws])
+            sds = torch.where(batch.mask, sds * batch.noise_factors, 1.0)
+            # alike for all of the laws
+            innovations = laws[0].innovations(batch.times, batch.mask)
+            parts = batch.terms(batch.mean, sds, innovations)
+            square += parts[0].sum(1)
+            normaliser += parts[1].sum(1)
         value = -0.5 * repeats * square.log() - repeats / sizes * normaliser + math.log(share)
         row = int(torch.nonzero(value >= value.max() - TIE)[0])
         if float(value[row]) > best:
