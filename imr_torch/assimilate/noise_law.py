@@ -35,7 +35,6 @@ INDEPENDENT = 0.25
 
 # times the floor of the law that is begun with
 _FLOORS = tuple(2.0 ** (k / 4.0) for k in range(27))
-_TIMES = (0.0, *CORRELATION_TIMES)
 
 
 @dataclass(frozen=True)
@@ -143,7 +142,7 @@ def interval_factor(fits: Sequence[Neighbourhood], law: Noise) -> float:
         fits: each fitted point with its local sensitivities.
         law: by which they weigh frames, of independent ones.
     """
-    laws = [replace(law, correlation_time=time) for time in _TIMES]
+    laws = [replace(law, correlation_time=time) for time in (0.0, *CORRELATION_TIMES)]
     local = [LocalNoise.of(near, laws) for near in fits]
     log_scales, _ = best_scales(local)
     value = torch.stack([one.marginal(log_scales[:, None])[:, 0] for one in local]).sum(0)
@@ -202,8 +201,8 @@ def law_of_repeats(batches: Sequence[ExperimentBatch], law: Noise) -> tuple[Nois
     sizes = sum(float(batch.sizes.sum()) for batch in batches)
     best = -math.inf
     found = law
-    for time in (0.0,) if gaps else _TIMES:
-        share = INDEPENDENT if time == 0.0 else (1.0 - INDEPENDENT) / (len(_TIMES) - 1)
+    for time in (0.0, *(() if gaps else CORRELATION_TIMES)):
+        share = INDEPENDENT if time == 0.0 else (1.0 - INDEPENDENT) / len(CORRELATION_TIMES)
         laws = [
             replace(law, scale=1.0, floor=ratio * law.floor, correlation_time=time, widened=1.0)
             for ratio in _FLOORS

@@ -146,8 +146,7 @@ class PopulationInformation(InformationEstimator):
 
     def _data_covariances(self, roots: Tensor) -> Float[Tensor, "hyper size size"]:
         """Of the data about the median's, given each scatter: scatter of each shot, and its noise."""
-        (q, d, _), hyper = roots.shape, len(self.scatter)
         moved = roots * self.scatter[:, None, None, :]
-        blocks = torch.zeros(hyper, q, d, q, d, dtype=torch.float64)
-        blocks[:, range(q), :, range(q)] = (moved @ moved.mT).movedim(1, 0)
-        return blocks.reshape(hyper, q * d, q * d) + torch.eye(q * d, dtype=torch.float64)
+        apart = torch.eye(len(roots), dtype=torch.float64)
+        blocks = torch.einsum("hqab,qr->hqarb", moved @ moved.mT, apart).flatten(3).flatten(1, 2)
+        return blocks + torch.eye(blocks.shape[1], dtype=torch.float64)
