@@ -3,7 +3,7 @@ parameters and model, and the same as a BoTorch acquisition function over design
 
 Nested Monte Carlo with one sample set is bounded by ``log N`` and saturates where experiments are
 most informative, which is where a search for designs looks. The estimators that do not saturate,
-and bounds from either side, are objects (:mod:`~imr_torch.design.estimator`). In all of them
+and bounds from either side, are objects (:mod:`~imr_torch.design.gain`). In all of them
 
     I(y; theta, m) = I(y; theta | m) + I(y; m),
 
@@ -19,8 +19,7 @@ from botorch.utils.transforms import t_batch_mode_transform
 from jaxtyping import Real
 from torch import Tensor
 
-from imr_torch.design.estimator import InformationEstimator
-from imr_torch.design.gain import InformationGain, Target
+from imr_torch.design.gain import InformationEstimator, InformationGain, Target
 from imr_torch.design.laplace import Laplace
 from imr_torch.design.plan import Plan
 from imr_torch.design.response import Shot

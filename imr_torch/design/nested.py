@@ -23,8 +23,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.design.drawing import Gels, draw_normal_controls, simulate_gels
-from imr_torch.design.estimator import InformationEstimator, check_at_least
-from imr_torch.design.gain import InformationGain, mean_deviations, with_influence
+from imr_torch.design.gain import (
+    InformationEstimator,
+    InformationGain,
+    check_at_least,
+    mean_deviations,
+    with_influence,
+)
 from imr_torch.design.likelihood import Data, log_likelihood, pairwise_log_likelihood
 from imr_torch.design.plan import Plan
 from imr_torch.design.response import Shot
@@ -53,7 +58,7 @@ class NestedMonteCarlo(InformationEstimator):
         check_at_least(self, 2, "draws", "inner")
 
     def __call__(self, shot: Shot, generator: torch.Generator) -> InformationGain:
-        """See :class:`~imr_torch.design.estimator.InformationEstimator`."""
+        """See :class:`~imr_torch.design.gain.InformationEstimator`."""
         models = len(shot.belief.models)
 
         def draw_gels(count: int) -> Gels:
@@ -104,7 +109,7 @@ class PublishedEstimator(InformationEstimator):
         check_at_least(self, 2, "draws")
 
     def __call__(self, shot: Shot, generator: torch.Generator) -> InformationGain:
-        """See :class:`~imr_torch.design.estimator.InformationEstimator`."""
+        """See :class:`~imr_torch.design.gain.InformationEstimator`."""
         probabilities = shot.belief.log_probabilities.exp()
         wanted = (self.draws * len(shot.belief.models) * probabilities).round()
         counts = torch.where(probabilities > self.improbable, wanted, 0.0).long().tolist()

@@ -21,8 +21,14 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.distributions import MultivariateNormal
 
-from imr_torch.design.estimator import InformationEstimator, check_at_least
-from imr_torch.design.gain import InformationGain, Terms, mean_deviations, summarise_terms
+from imr_torch.design.gain import (
+    InformationEstimator,
+    InformationGain,
+    Terms,
+    check_at_least,
+    mean_deviations,
+    summarise_terms,
+)
 from imr_torch.design.likelihood import infer_linear, observe_gels
 from imr_torch.design.response import Shot, simulate_response
 from imr_torch.errors import InputDataError
@@ -67,7 +73,7 @@ class PopulationInformation(InformationEstimator):
         check_at_least(self, 2, "draws", "data")
 
     def __call__(self, shot: Shot, generator: torch.Generator) -> InformationGain:
-        """See :class:`~imr_torch.design.estimator.InformationEstimator`.
+        """See :class:`~imr_torch.design.gain.InformationEstimator`.
 
         Raises:
             InputDataError: for a belief in several models: the medians of two models are not the
