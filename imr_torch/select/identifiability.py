@@ -108,9 +108,9 @@ def identifiability(
     centre = torch.where(precision > 0.0, mean / (variance * precision.clamp_min(1e-300)), 0.0)
     inside = centre.clamp(-end, end)  # where the likelihood is largest within the prior
     largest = 0.5 * precision * (inside - centre).square()
-    falls = torch.stack(
-        [0.5 * precision * (side - centre).square() - largest > FALL for side in (-end, end)], 1
-    ).tolist()
+    low, high = (
+        0.5 * precision * (side - centre).square() - largest > FALL for side in (-end, end)
+    )
     quantiles = posterior.quantile([0.05, 0.95]).T.tolist()
     kinds = {
         (True, True): Bound.BOTH,
@@ -121,9 +121,12 @@ def identifiability(
     found = []
     profiled = {own.name: own.limits for own in profiles}
     for i, name in enumerate(prior.names):
-        ends = profiled.get(name, quantiles[i])
-        sides = [end is not None for end in ends] if name in profiled else falls[i]
-        bound = kinds[*sides]
+        if name in profiled:
+            ends = profiled[name]
+            bound = kinds[ends[0] is not None, ends[1] is not None]
+        else:
+            ends = quantiles[i]
+            bound = kinds[bool(low[i]), bool(high[i])]
         limit = {Bound.BELOW: ends[0], Bound.ABOVE: ends[1]}.get(bound)
         found.append(Identifiability(PARAMETERS[name], bound, limit, name in profiled))
     return tuple(found)
