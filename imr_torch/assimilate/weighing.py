@@ -95,6 +95,11 @@ class _State:
     parts: list[ImportanceSample] = field(default_factory=list)
     drawn: int = 0
 
+    @property
+    def is_refused(self) -> bool:
+        """Whether the draws so far do not give reliable moments."""
+        return self.fit.verdict is Verdict.REFUSED
+
 
 @one_torch_thread()
 def weigh(
@@ -195,8 +200,7 @@ def weigh(
         waiting = [
             c
             for c in waiting
-            if not c.parts
-            or (c.fit.verdict is Verdict.REFUSED and len(c.parts) < rounds and c.fit.model in ahead)
+            if not c.parts or (c.is_refused and len(c.parts) < rounds and c.fit.model in ahead)
         ]
     return replace(assimilation, fits=tuple(state.fit for state in states))
 
