@@ -28,7 +28,6 @@ from benchmarks.records import Job, Line, run_missing_jobs, write_table
 from imr_torch.design import (
     DesignSpace,
     ExpectedInformationGain,
-    ImportanceSampling,
     InformationEstimator,
     Laplace,
     NestedMonteCarlo,
@@ -56,7 +55,6 @@ TRUTH = Laplace(draws=500, rivals=500)
 RANKED: tuple[tuple[InformationEstimator, bool], ...] = (
     *((Laplace(draws=n), common) for n in (32, 64, 128) for common in (False, True)),
     (Laplace(draws=32, refinements=0), True),
-    (ImportanceSampling(draws=50), True),
     (PublishedEstimator(500), False),
 )
 """Estimators, and whether designs share draws and noise."""
@@ -225,7 +223,6 @@ def bound_model_gain(design: tuple[float, float]) -> Line:
     for name, estimator, seeds, used in (
         ("nested", NestedMonteCarlo(600, 15000), 1, recalled),
         ("contrastive", PriorContrastive(600, 15000), 1, recalled),
-        ("importance", ImportanceSampling(draws=256, inner=64), 1, simulator),
         ("refined", Laplace(32, 32), 16, simulator),
         ("at a draw", Laplace(32, 32, refinements=0), 16, simulator),
     ):
@@ -242,7 +239,7 @@ def bound_model_gain(design: tuple[float, float]) -> Line:
 
 def write_bounds(lines: Sequence[Line]) -> str:
     """The gains about the model at each design."""
-    names = ("nested", "contrastive", "importance", "refined", "at a draw")
+    names = ("nested", "contrastive", "refined", "at a draw")
     rows = [
         (line["design"], *(f"{line[n][0]:.3f} +- {line[n][1]:.3f}" for n in names))
         for line in lines

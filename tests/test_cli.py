@@ -159,7 +159,7 @@ def test_design_can_ask_about_the_model_alone(tmp_path):
 
 def test_design_recommends_inside_the_space_and_draws_its_map(rendered, tmp_path):
     out = tmp_path / "next"
-    options = ["--evaluations", "5", "--draws", "4", "--we-range", "200:400", "--strategy", "qEI"]
+    options = ["--evaluations", "5", "--draws", "4", "--we-range", "200:400", "--strategy", "paper"]
     assert main(["design", "--case", "soft-pa", *options, *QUICK, "--out", str(out)]) == 0
     result = json.loads((out / "design.json").read_text())
     assert 200.0 <= result["design"]["We"] <= 400.0

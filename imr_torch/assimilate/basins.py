@@ -43,14 +43,12 @@ def deeper_nuisances(
     places = _find_lowest_places(posterior, point, options)
     gels = point.gel.repeat_interleave(options.minima, 0)
     flat = places.flatten(0, 1)
-    width = flat.shape[-1]
-    unit = torch.eye(width, dtype=torch.float64).expand(*flat.shape[:2], width, width)
     for _ in range(options.steps):
-        flat = posterior.fit_nuisances(Point(gels, flat), unit)[0]
+        flat = posterior.fit_nuisances(Point(gels, flat))[0]
     before = _nuisance_cost(posterior, point)  # M x E
     cost, place = _nuisance_cost(posterior, Point(gels, flat)).unflatten(0, places.shape[:2]).min(1)
     found = flat.unflatten(0, places.shape[:2]).gather(
-        1, place[:, None, :, None].expand(-1, 1, -1, width)
+        1, place[:, None, :, None].expand(-1, 1, -1, flat.shape[-1])
     )[:, 0]
     return torch.where((movable & (cost < before - ONE_MINIMUM))[..., None], found, point.nuisances)
 
@@ -66,7 +64,6 @@ def _find_lowest_places(posterior: Posterior, point: Point, options: BasinOption
     reach = _reachable_shifts(posterior, point.nuisances, options)
     prediction = _predict_moved(posterior, point, reach)
     known = torch.isfinite(prediction).all(-1).all(2)  # M x P x E
-    prediction = torch.where(known[:, :, None, :, None], prediction, 0.5)
     moved = point.nuisances[:, None].repeat(1, len(reach), 1, 1)
     moved[..., _TIME_ZERO] += reach / batch.nuisance_sds[:, _TIME_ZERO].clamp_min(1e-300)
     still = moved.clone()
@@ -127,7 +124,7 @@ def _predict_moved(posterior: Posterior, point: Point, reach: Tensor) -> Tensor:
     times = times + 1e-13 * torch.arange(times.shape[1])
     seen = predict(
         posterior.simulator,
-        posterior.to_si(point.gel)[:, None].expand(-1, points.shape[1], -1),
+        posterior.prior.to_si(point.gel)[:, None].expand(-1, points.shape[1], -1),
         batch,
         points * batch.nuisance_sds,
         times=times,

@@ -12,14 +12,13 @@ minimum that was found, and later ones are hardly widened. Truncated priors need
 treatment, since members are in whitened coordinates.
 
 The prior enters through the cost and not through the ensemble, so restarts do not use the data
-again, and data have their own likelihood; ``tempered`` gives them the published one. As slopes are
-means over the ensemble, steps do not follow the detail of the cost within its width: the method
-passes small local minima. Unlike the published method, each step is shortened to the share of it at
-which the exact cost is lowest.
+again, and data have their own likelihood (:mod:`imr_torch.assimilate.published` has the published
+one). As slopes are means over the ensemble, steps do not follow the detail of the cost within its
+width: the method passes small local minima. Unlike the published method, each step is shortened to
+the share of it at which the exact cost is lowest.
 """
 
 import math
-from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -28,8 +27,7 @@ from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit
 from imr_torch.assimilate.gauss_newton import NormalEquations, inverse_chol
 from imr_torch.assimilate.options import En4DVarOptions
 from imr_torch.assimilate.posterior import Posterior
-from imr_torch.assimilate.published import as_one_curve
-from imr_torch.errors import ConvergenceError, InputDataError
+from imr_torch.errors import ConvergenceError
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
@@ -81,12 +79,11 @@ def assimilate_en4dvar(
     'nhkv'
     """
     options = options or En4DVarOptions()
-    used = temper_batch(batch) if options.tempered else batch
     fits = []
     for part in belief.models:
-        posterior = Posterior(part, used, simulator)
+        posterior = Posterior(part, batch, simulator)
         if near is None:
-            size = posterior.size + len(posterior.uncertain) * len(used.experiments)
+            size = posterior.size + len(posterior.uncertain) * len(batch.experiments)
             mean = torch.zeros(size, dtype=torch.float64)
             chol = torch.eye(size, dtype=torch.float64)
         else:
@@ -95,44 +92,7 @@ def assimilate_en4dvar(
             chol = fit.joint_chol(posterior.uncertain)
         own = child(seed, "en4dvar", part.model)
         fits.append(_fit_model(posterior, mean, chol, options, own, progress))
-    return Assimilation(belief, used, tuple(fits))
-
-
-def temper_batch(batch: ExperimentBatch) -> ExperimentBatch:
-    """Data as the published method weighs them: one mean curve each, with the noise of one curve
-    times the root of its frames.
-
-    Args:
-        batch: the data; experiments may differ in frames, and the mean number of frames counts for
-            all.
-
-    Raises:
-        InputDataError: for shots of which the collapse time alone is known.
-    """
-    if bool(batch.collapse.any()):
-        raise InputDataError(
-            "The tempered likelihood is one of curves, and shots of collapse times are given; "
-            "take another method (map)."
-        )
-    frames = float(batch.mask.sum(1).double().mean())
-    noise = replace(batch.noise, scale=batch.noise.scale * frames**0.5, correlation_time=0.0)
-    return ExperimentBatch(tuple(as_one_curve(e) for e in batch.curves), noise)
-
-
-def _draw_deviations(
-    chol: Tensor, widening: Tensor, members: int, source: torch.Generator
-) -> Tensor:
-    """Deviations of an ensemble from its mean, in opposite pairs: ``members x n``.
-
-    Args:
-        chol: ``n x n`` tensor, Cholesky factor of their covariance.
-        widening: ``n`` tensor, factor of the deviations of each coordinate.
-        members: of the ensemble.
-        source: of the draws.
-    """
-    white = torch.randn(members // 2, len(chol), generator=source, dtype=torch.float64)
-    half = white @ chol.mT * widening
-    return torch.cat((half, -half))
+    return Assimilation(belief, batch, tuple(fits))
 
 
 def _fit_model(
@@ -165,7 +125,11 @@ def _fit_model(
         widening = 1.0 + options.relaxation * (before / spread - 1.0)
         before = spread
         for iteration in range(options.iterations):
-            deviations = _draw_deviations(chol, widening, options.members, source)
+            white = torch.randn(
+                options.members // 2, len(chol), generator=source, dtype=torch.float64
+            )
+            half = white @ chol.mT * widening
+            deviations = torch.cat((half, -half))
             widening = torch.ones_like(widening)
             equations, failed = _ensemble_equations(posterior, mean, deviations, options)
             chol = inverse_chol(equations.joint_hessian(posterior.uncertain))
@@ -213,8 +177,8 @@ def _shorten_step(
 def _ensemble_equations(
     posterior: Posterior, mean: Tensor, deviations: Tensor, options: En4DVarOptions
 ) -> tuple[NormalEquations, float]:
-    """Normal equations at the mean of an ensemble with slopes by regression, and the share of
-    members that failed.
+    """Normal equations at the mean of an ensemble, with slopes over gel and nuisances of each
+    experiment by least squares, and the share of members that failed.
     """
     point = posterior.point_at(mean)
     prediction = posterior.predict(posterior.point_at(torch.cat((mean[None], mean + deviations))))
@@ -226,21 +190,11 @@ def _ensemble_equations(
             "simulated about the ensemble's mean; "
             "check units and bounds of the prior and the designs."
         )
-    responses = (prediction[1:] - prediction[0])[good]
-    slopes = _regress_slopes(posterior, deviations[good], responses)
-    return posterior.equations(point, prediction[0], *slopes), 1.0 - share
-
-
-def _regress_slopes(
-    posterior: Posterior, deviations: Tensor, responses: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Slopes over gel (``E x T x d``) and nuisances (``E x T x w``) of each experiment, by least
-    squares over its members.
-    """
-    gel = deviations[:, : posterior.size]
-    own = deviations[:, posterior.size :].unflatten(1, (responses.shape[1], -1)).movedim(0, 1)
-    columns = torch.cat((gel.expand(len(own), -1, -1), own), -1)
-    solution = torch.linalg.lstsq(columns, responses.movedim(0, 1), driver="gelsd").solution.mT
-    by_nuisance = posterior.mean_nuisances()[:, None].repeat(1, solution.shape[1], 1)
-    by_nuisance[..., posterior.uncertain] = solution[..., posterior.size :]
-    return solution[..., : posterior.size], by_nuisance
+    own = deviations[good, posterior.size :].unflatten(1, (prediction.shape[1], -1)).movedim(0, 1)
+    gel = deviations[good, : posterior.size].expand(len(own), -1, -1)
+    responses = (prediction[1:] - prediction[0])[good].movedim(0, 1)
+    slopes = torch.linalg.lstsq(torch.cat((gel, own), -1), responses, driver="gelsd").solution.mT
+    by_nuisance = posterior.mean_nuisances()[:, None].repeat(1, slopes.shape[1], 1)
+    by_nuisance[..., posterior.uncertain] = slopes[..., posterior.size :]
+    by_gel = slopes[..., : posterior.size]
+    return posterior.equations(point, prediction[0], by_gel, by_nuisance), 1.0 - share

@@ -398,23 +398,21 @@ class Assimilation:
 
         Of collapse times alone in t*.
         """
-        curves = self.batch.mask & ~self.batch.collapse[:, None]
-        residual = (self.batch.mean - self[model].prediction)[
-            curves if bool(curves.any()) else self.batch.mask
-        ]
-        return float(residual.square().mean().sqrt())
+        mask = self.batch.mask
+        curves = mask & ~self.batch.collapse[:, None]
+        frames = curves if bool(curves.any()) else mask
+        return float(self._residual(model)[frames].square().mean().sqrt())
 
     def rmse_by_experiment(self, model: str) -> dict[str, float]:
         """The same for each curve, or each shot if there are none.
 
         One that stands out is of another gel, or wrongly scaled.
         """
-        square = (
-            torch.where(self.batch.mask, self.batch.mean - self[model].prediction, 0.0)
-            .square()
-            .sum(1)
-        )
+        square = self._residual(model).square().sum(1)
         values = (square / self.batch.mask.sum(1)).sqrt().tolist()
         mixed = bool((~self.batch.collapse).any())
         pairs = zip(self.batch.experiments, values, strict=True)
         return {e.label: value for e, value in pairs if not mixed or e.kind == "radius"}
+
+    def _residual(self, model: str) -> ExperimentFrames:
+        return torch.where(self.batch.mask, self.batch.mean - self[model].prediction, 0.0)

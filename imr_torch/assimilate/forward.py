@@ -17,7 +17,7 @@ from torch import Tensor
 from imr_torch.material import ModelBelief
 from imr_torch.observe import ExperimentBatch, Film, predict
 from imr_torch.simulate import Simulator
-from imr_torch.types import BatchControls, BatchFrames, BatchParameters
+from imr_torch.types import BatchControls, BatchFrames
 
 STEP = 1e-6
 """Length of the differences, prior standard deviations of gel and nuisances."""
@@ -41,9 +41,7 @@ class Point:
     gel: BatchControls
     nuisances: Float[Tensor, "*batch experiments nuisances"]
 
-    def __getitem__(
-        self, rows: Tensor | slice | int | tuple[Tensor | slice | int | None, ...]
-    ) -> "Point":
+    def __getitem__(self, rows: Tensor | slice | int) -> "Point":
         return Point(self.gel[rows], self.nuisances[rows])
 
 
@@ -102,10 +100,6 @@ class ForwardModel:
         """Nuisances at their prior means, ``batch_shape x E x w``."""
         return torch.zeros(*batch_shape, *self.batch.nuisance_sds.shape, dtype=torch.float64)
 
-    def to_si(self, gel: BatchControls) -> BatchParameters:
-        """Shared parameter vectors, SI."""
-        return self.prior.to_si(gel)
-
     def predict(self, point: Point, *, bundled: bool = False) -> BatchFrames:
         """What the camera would see: ``batch_shape x E x T``, R/Rmax; 0 beyond the last frame, NaN
         where a bubble fails.
@@ -116,7 +110,7 @@ class ForwardModel:
         """
         shifts = point.nuisances * self.batch.nuisance_sds if len(self.uncertain) else None
         prediction = predict(
-            self.simulator, self.to_si(point.gel), self.batch, shifts, bundled=bundled
+            self.simulator, self.prior.to_si(point.gel), self.batch, shifts, bundled=bundled
         )
         return torch.where(self.batch.mask, prediction, 0.0)
 

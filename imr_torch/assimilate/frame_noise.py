@@ -23,11 +23,11 @@ model misses them. What residuals have in common makes their intervals too narro
 :attr:`FrameNoise.widened` says by how much. Where the model is right both laws are one.
 """
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import product
 
 import torch
 from torch import Tensor
@@ -36,7 +36,6 @@ from imr_torch.assimilate.matern import MATERN, matern_whitened
 from imr_torch.assimilate.noise_law import (
     LocalNoise,
     best_scales,
-    concatenated,
     equations_of_columns,
     interval_factor,
     law_of_repeats,
@@ -44,13 +43,6 @@ from imr_torch.assimilate.noise_law import (
 from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.assimilate.spikes import bends
 from imr_torch.observe import CollapseTime, Experiment, ExperimentBatch, Noise, NoiseLaws
-
-_FRAMES = 400  # of a longer record every second, third, ... frame is used
-_AT_ONCE = 1500  # combinations filtered side by side
-_KEPT = 1e-4  # weight over the largest from which on a law is kept
-_OWN_SD = 0.7  # prior standard deviation of the logarithm of one curve's own noise factor
-_MISSED = 1.1  # of repeats' own noise, from which on residuals about a fit are more than that
-_FEWEST = 12  # frames that a curve needs for a factor of its own
 
 
 @dataclass(frozen=True)
@@ -75,6 +67,12 @@ class FrameNoisePrior:
         none: probability that there is neither of these; a smooth one alone, one next to collapses
             alone and both are equally probable otherwise.
         own: probability that the noise of one curve differs from that of the others.
+        own_sd: standard deviation of the logarithm of such a curve's factor.
+        own_frames: frames that a curve needs for a factor of its own.
+        frames: of a longer record every second, third, ... frame is used.
+        kept: weight over the largest from which on a law is kept.
+        missed: residuals about a fit over the scatter of repeats, from which on they hold more than
+            that.
 
     >>> from imr_torch.assimilate.frame_noise import FrameNoisePrior
     >>> FrameNoisePrior().floors[0], FrameNoisePrior().durations
@@ -98,6 +96,11 @@ class FrameNoisePrior:
     bends: tuple[float, ...] = (0.05, 0.2, 0.8)
     none: float = 0.7
     own: float = 0.1
+    own_sd: float = 0.7
+    own_frames: int = 12
+    frames: int = 400
+    kept: float = 1e-4
+    missed: float = 1.1
 
 
 @dataclass(frozen=True)
@@ -196,34 +199,21 @@ def infer_frame_noise(
     curves = [e for one in fits for e in one.posterior.batch.curves]
     if all(e.repeats > 1 for e in curves):
         law, laws = law_of_repeats([one.posterior.batch for one in fits], prior.law)
-        independent, widened = _of_all_residuals(fits, law)
-        return FrameNoise(
-            law, laws, (1.0,) * len(curves), (0.0,) * len(curves), independent, widened
-        )
+        alike = (1.0,) * len(curves), (0.0,) * len(curves)
+        return FrameNoise(law, laws, *alike, *_of_all_residuals(fits, law, prior.missed))
     grid = _Grid.of(fits, prior)
     factors = torch.ones(len(curves), dtype=torch.float64)
     sds = torch.zeros_like(factors)
-    found = grid.posterior(factors)
-    while len(factors) > 1 and bool((factors == 1.0).sum() > 1):
-        other = grid.outlier(found, factors, prior.own)
+    found = grid.weigh_combinations(factors)
+    for _ in curves[1:]:
+        other = grid.find_outlier(found, factors)
         if other is None:
             break
         experiment, log_factor, sd = other
         factors[experiment] *= math.exp(log_factor)
         sds[experiment] = sd
-        found = grid.posterior(factors)
-    return grid.concluded(found, factors, sds)
-
-
-@dataclass(frozen=True)
-class _Found:
-    """Log weights of all combinations, and their log scales with standard deviations: ``J``
-    tensors.
-    """
-
-    log_weights: Tensor
-    log_scales: Tensor
-    sds: Tensor
+        found = grid.weigh_combinations(factors)
+    return grid.conclude_noise(found, factors, sds)
 
 
 @dataclass(frozen=True)
@@ -232,56 +222,50 @@ class _Curves:
 
     Args:
         near: the fitted point.
+        place: which of all curves of all fits they are.
         rows: frames that are used, ``E x T`` boolean tensor.
         bend: ``E x T`` tensor, how far each frame lies off the cubic through its neighbours, in the
             fitted curve.
-        place: which of all curves of all fits they are.
     """
 
     near: Neighbourhood
+    place: slice
     rows: Tensor
     bend: Tensor
-    place: slice
 
-    @staticmethod
-    def of(fits: Sequence[Neighbourhood]) -> "tuple[_Curves, ...]":
-        """Those of each fit."""
+    @classmethod
+    def of(cls, fits: Sequence[Neighbourhood], frames: int) -> "tuple[_Curves, ...]":
+        """Those of each fit; of longer records than ``frames`` every second, third, ... one."""
+        ends = itertools.accumulate((len(near.centre) for near in fits), initial=0)
         found = []
-        first = 0
-        for near in fits:
+        for near, (first, end) in zip(fits, itertools.pairwise(ends), strict=True):
             batch = near.posterior.batch
-            count = len(near.centre)
-            found.append(
-                _Curves(
-                    near,
-                    _thinned(batch.mask) & _counted(batch),
-                    bends(batch, near.centre),
-                    slice(first, first + count),
-                )
-            )
-            first += count
+            stride = -(-int(batch.mask.sum(1).max()) // frames)
+            rows = batch.mask & (torch.arange(batch.mask.shape[1]) % stride == 0)
+            # shots that are more probably like the others than not; all, if none is
+            alike = torch.tensor([e.weight > 0.5 for e in batch.curves])[:, None]
+            rows = rows & alike if bool(alike.any()) else rows
+            found.append(cls(near, slice(first, end), rows, bends(batch, near.centre)))
         return tuple(found)
 
-    def variance(self, values: Tensor) -> Tensor:
+    def noise_variance(self, values: Tensor, factors: Tensor) -> Tensor:
         """``J x E x T`` tensor, variance of the noise at scale 1, without that of deviations."""
         slope, drift, floor = (values[:, i, None, None] for i in range(3))
-        batch = self.near.posterior.batch
-        radius = self.near.centre
-        return (slope * (radius - 1.0).abs() + drift * batch.times).square() + floor.square()
+        grown = slope * (self.near.centre - 1.0).abs() + drift * self.near.posterior.batch.times
+        return (grown.square() + floor.square()) * factors[self.place, None].square()
 
-    def whitened(
+    def whiten_columns(
         self, values: Tensor, factors: Tensor, level: Tensor, columns: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Columns ``C x E x T`` under each combination, ``J x C x E x T``, and half the log
         determinants, ``J x E``.
         """
-        noise = self.variance(values) * factors[self.place, None].square()
-        noise = noise + (values[:, 5, None, None] * self.bend).square()
-        smooth = values[:, 3].square() * level
-        rates = MATERN / values[:, 4]
-        return matern_whitened(
-            self.near.posterior.batch.times, self.rows, noise, smooth, rates, columns
+        noise = (
+            self.noise_variance(values, factors) + (values[:, 5, None, None] * self.bend).square()
         )
+        smooth = values[:, 3].square() * level
+        times = self.near.posterior.batch.times
+        return matern_whitened(times, self.rows, noise, smooth, MATERN / values[:, 4], columns)
 
     @property
     def residual(self) -> Tensor:
@@ -292,28 +276,19 @@ class _Curves:
         batch = self.near.posterior.batch
         return torch.where(self.rows, (batch.mean - self.near.centre) * batch.counts.sqrt(), 0.0)
 
-    def local(self, values: Tensor, factors: Tensor, level: Tensor) -> LocalNoise:
+    def describe_locally(self, values: Tensor, factors: Tensor, level: Tensor) -> LocalNoise:
         """What the linearisation says of the data under each combination, at scale 1."""
-        near = self.near
-        root = self.near.posterior.batch.counts.sqrt()
-        slopes = [
-            torch.where(self.rows, x.movedim(-1, 0) * root, 0.0).nan_to_num() for x in near.slopes
-        ]
-        columns = torch.cat((self.residual[None], *slopes))
-        squares = []
-        normalisers = []
-        equations = []
-        for some, own_level in zip(values.split(_AT_ONCE), level.split(_AT_ONCE), strict=True):
-            seen, log_det = self.whitened(some, factors, own_level, columns)
-            squares.append(seen[:, 0].square().sum((1, 2)))
-            normalisers.append(log_det.sum(1))
-            equations.append(equations_of_columns(seen, len(slopes[0])))
+        by_gel, by_nuisance = (x.movedim(-1, 0) for x in self.near.slopes)
+        slopes = torch.cat((by_gel, by_nuisance)) * self.near.posterior.batch.counts.sqrt()
+        slopes = torch.where(self.rows, slopes, 0.0).nan_to_num()
+        columns = torch.cat((self.residual[None], slopes))
+        seen, log_det = self.whiten_columns(values, factors, level, columns)
         return LocalNoise(
-            torch.cat(squares),
-            torch.cat(normalisers),
+            seen[:, 0].square().sum((1, 2)),
+            log_det.sum(1),
             float(self.rows.sum()),
-            concatenated(equations),
-            near.point,
+            equations_of_columns(seen, len(by_gel)),
+            self.near.point,
         )
 
 
@@ -340,14 +315,14 @@ class _Grid:
     def of(cls, fits: Sequence[Neighbourhood], prior: FrameNoisePrior) -> "_Grid":
         """The grid about fitted points."""
         laws = [
-            (*_balanced(prior.law, balance), floor, weight)
-            for (balance, weight), floor in product(prior.balances, prior.floors)
+            (*_balance_law(prior.law, balance), floor, weight)
+            for (balance, weight), floor in itertools.product(prior.balances, prior.floors)
         ]
         of_laws, of_deviations = (
             torch.tensor(rows, dtype=torch.float64) for rows in (laws, _deviations(fits, prior))
         )
         shares = of_laws[:, 3:] * of_deviations[:, 3] / len(prior.floors)
-        curves = _Curves.of(fits)
+        curves = _Curves.of(fits, prior.frames)
         return cls(curves, prior, of_laws[:, :3], of_deviations[:, :3], shares.log().flatten())
 
     @cached_property
@@ -356,25 +331,28 @@ class _Grid:
         laws = self.laws.repeat_interleave(len(self.deviations), 0)
         return torch.cat((laws, self.deviations.repeat(len(self.laws), 1)), 1)
 
-    def level(self, factors: Tensor) -> Tensor:
+    def mean_variance(self, factors: Tensor) -> Tensor:
         """``J`` tensor, mean variance of the noise over the frames that are used."""
-        sums = [
-            (c.variance(self.values) * factors[c.place, None].square() * c.rows).sum((1, 2))
-            for c in self.curves
-        ]
+        sums = [(c.noise_variance(self.values, factors) * c.rows).sum((1, 2)) for c in self.curves]
         return torch.stack(sums).sum(0) / sum(c.rows.sum() for c in self.curves)
 
-    def posterior(self, factors: Tensor) -> _Found:
-        """Weights of all combinations, their scales integrated out."""
-        level = self.level(factors)
-        local = [c.local(self.values, factors, level) for c in self.curves]
-        likely, widths = best_scales(local)
+    def weigh_combinations(self, factors: Tensor, *, at_once: int = 1500) -> Tensor:
+        """``3 x J`` tensor: log weights of all combinations, their scales integrated out, and log
+        scales with standard deviations; so many are filtered side by side.
+        """
+        level = self.mean_variance(factors)
+        parts = []
+        for some, its in zip(self.values.split(at_once), level.split(at_once), strict=True):
+            local = [c.describe_locally(some, factors, its) for c in self.curves]
+            scales, sds = best_scales(local)
+            value = torch.stack([one.marginal(scales[:, None])[:, 0] for one in local]).sum(0)
+            parts.append((scales, sds, value))
+        likely, widths, marginal = map(torch.cat, zip(*parts, strict=True))
         median, wide = self.prior.level
         ahead = math.log(median) - 0.5 * level.log() - likely
         both = widths.square() + wide**2
         log_scales = likely + widths.square() / both * ahead
         sds = widths * wide / both.sqrt()
-        marginal = torch.stack([one.marginal(likely[:, None])[:, 0] for one in local]).sum(0)
         value = marginal + sds.log() - 0.5 * ahead.square() / both + self.log_prior
         floors = self.values[:, 2]
         least = math.log(self.prior.least) - floors.log()
@@ -382,40 +360,34 @@ class _Grid:
         if bool(too_small.all()):  # only the error of the solver is left, which is nearly constant
             log_scales, too_small = least, floors < floors.max()
         value = torch.where(too_small, -torch.inf, value)
-        return _Found(value - value.logsumexp(0), log_scales, sds)
+        return torch.stack((value - value.logsumexp(0), log_scales, sds))
 
-    def outlier(
-        self, found: _Found, factors: Tensor, chance: float
-    ) -> tuple[int, float, float] | None:
+    def find_outlier(self, found: Tensor, factors: Tensor) -> tuple[int, float, float] | None:
         """The curve whose noise most clearly differs from that of the others: number, log factor
         and its sd.
         """
-        best = int(found.log_weights.argmax())
+        best = int(found[0].argmax())
         values = self.values[best : best + 1]
-        level = self.level(factors)[best : best + 1]
-        squares = []
-        frames = []
-        counts = []
+        level = self.mean_variance(factors)[best : best + 1]
+        parts = []
         for c in self.curves:
-            seen, _ = c.whitened(values, factors, level, c.residual[None])
+            seen, _ = c.whiten_columns(values, factors, level, c.residual[None])
             by_gel, by_nuisance = c.near.slopes
-            used = c.rows.sum(1)
             fitted = by_gel.shape[-1] / len(by_gel) + by_nuisance.shape[-1]
-            squares.append(seen[0, 0].square().sum(-1))
-            frames.append(used)
-            counts.append((used - fitted).clamp_min(1.0))
-        square, used, count = (torch.cat(parts) for parts in (squares, frames, counts))
+            used = c.rows.sum(1)
+            parts.append((seen[0, 0].square().sum(-1), used, (used - fitted).clamp_min(1.0)))
+        square, used, count = map(torch.cat, zip(*parts, strict=True))
         others = square.sum() - square, count.sum() - count
         log_factor = 0.5 * (square / count / (others[0] / others[1])).log()
         variance = 0.5 / count + 0.5 / others[1]
-        wide = variance + _OWN_SD**2
+        wide = variance + self.prior.own_sd**2
         gain = (
             0.5 * log_factor.square() * (1.0 / variance - 1.0 / wide)
             - 0.5 * (wide / variance).log()
         )
-        gain = torch.where((used >= _FEWEST) & (factors == 1.0), gain, -torch.inf)
+        gain = torch.where((used >= self.prior.own_frames) & (factors == 1.0), gain, -torch.inf)
         first = int(gain.argmax())
-        if float(gain[first]) < math.log((1.0 - chance) / chance * len(square)):
+        if float(gain[first]) < math.log((1.0 - self.prior.own) / self.prior.own * len(square)):
             return None
         return first, float(log_factor[first]), math.sqrt(float(variance[first]))
 
@@ -425,25 +397,22 @@ class _Grid:
             [law.sd(c.near.centre, c.near.posterior.batch.times)[c.rows].log() for c in self.curves]
         ).mean()
 
-    def concluded(self, found: _Found, factors: Tensor, factor_sds: Tensor) -> FrameNoise:
+    def conclude_noise(self, found: Tensor, factors: Tensor, factor_sds: Tensor) -> FrameNoise:
         """What is known of the noise of frames, of that of independent residuals, and what the rest
         does to intervals.
         """
-        law, laws = self.summed(found, slice(None))
-        independent = self.summed(found, slice(1))
+        law, laws = self.sum_deviations(found, slice(None))
+        independent = self.sum_deviations(found, slice(1))
         widened = interval_factor([c.near for c in self.curves], independent[0])
         return FrameNoise(
             law, laws, tuple(factors.tolist()), tuple(factor_sds.tolist()), independent, widened
         )
 
-    def summed(self, found: _Found, deviations: slice) -> tuple[Noise, NoiseLaws]:
+    def sum_deviations(self, found: Tensor, deviations: slice) -> tuple[Noise, NoiseLaws]:
         """The central law, and all laws, each with some of the deviations summed over."""
-        log_weights, log_scales, sds = (
-            x.reshape(len(self.laws), -1)[:, deviations]
-            for x in (found.log_weights, found.log_scales, found.sds)
-        )
+        log_weights, log_scales, sds = found.reshape(3, len(self.laws), -1)[..., deviations]
         totals = log_weights.logsumexp(1)
-        kept = totals > totals.max() + math.log(_KEPT)
+        kept = totals > totals.max() + math.log(self.prior.kept)
         within = torch.softmax(log_weights[kept], 1)
         centres = (within * log_scales[kept]).sum(1)
         apart = log_scales[kept] - centres[:, None]
@@ -466,13 +435,13 @@ class _Grid:
 
 
 def _of_all_residuals(
-    fits: Sequence[Neighbourhood], law: Noise
+    fits: Sequence[Neighbourhood], law: Noise, missed: float
 ) -> tuple[tuple[Noise, NoiseLaws] | None, float]:
-    """The law of independent residuals where a fit leaves more than the scatter of repeats, and the
-    factor for intervals.
+    """The law of independent residuals where a fit leaves more than ``missed`` times the scatter of
+    repeats, and the factor for intervals.
     """
     whole, _ = best_scales([LocalNoise.of(near, (law,)) for near in fits])
-    if math.exp(float(whole)) < _MISSED * law.scale:
+    if math.exp(float(whole)) < missed * law.scale:
         return None, 1.0
     white = replace(law, correlation_time=0.0)
     log_scale, sd = best_scales([LocalNoise.of(near, (white,)) for near in fits])
@@ -490,33 +459,21 @@ def _deviations(
     ).median()
     smooth = [
         (amount, max(lag, 2.5 * float(spacing)))
-        for amount, lag in product(prior.amounts, prior.durations)
+        for amount, lag in itertools.product(prior.amounts, prior.durations)
     ]
     third = (1.0 - prior.none) / 3.0
     found = []
-    for (amount, lag), bend in product([(0.0, 1.0), *smooth], [0.0, *prior.bends]):
+    for (amount, lag), bend in itertools.product([(0.0, 1.0), *smooth], [0.0, *prior.bends]):
         alike = (len(smooth) if amount else 1) * (len(prior.bends) if bend else 1)
         share = third / alike if amount or bend else prior.none
         found.append((amount, lag, bend, share))
     return found
 
 
-def _balanced(law: Noise, balance: float) -> tuple[float, float]:
+def _balance_law(law: Noise, balance: float) -> tuple[float, float]:
     """Slope and drift whose ratio is ``balance`` times that of a law."""
     if math.isinf(balance):
         return law.slope, 0.0
     if balance == 0.0:
         return 0.0, law.drift
     return law.slope * math.sqrt(balance), law.drift / math.sqrt(balance)
-
-
-def _counted(batch: ExperimentBatch) -> Tensor:
-    """``E x 1`` tensor, shots that are more probably like the others than not; all, if none is."""
-    counted = torch.tensor([e.weight > 0.5 for e in batch.curves])[:, None]
-    return counted if bool(counted.any()) else torch.ones_like(counted)
-
-
-def _thinned(mask: Tensor) -> Tensor:
-    """Frames that are used: all of short records."""
-    stride = -(-int(mask.sum(1).max()) // _FRAMES)
-    return mask & (torch.arange(mask.shape[1]) % stride == 0)

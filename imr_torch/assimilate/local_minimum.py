@@ -46,13 +46,10 @@ class Descent:
     leader: Point | None
     iterations: int = 0
 
-    @cached_property
+    @property
     def equations(self) -> NormalEquations:
-        """Gauss-Newton equations there; those of the prior where no bubble could be simulated."""
-        if math.isfinite(self.cost):
-            return self.near.equations
-        flat = torch.full_like(self.near.prediction, 0.5)
-        return replace(self.near, prediction=flat).equations
+        """Gauss-Newton equations there."""
+        return self.near.equations
 
     @property
     def failed_share(self) -> float:

@@ -33,15 +33,17 @@ def lower_point(
         options: by how much, and how many draws are looked at.
     """
     assert fit.sample is not None
-    if fit.far_behind(best) or _excess_probability(fit) <= options.lower_draw:
+    log_target = fit.sample.as_fitted.log_target
+    # of the optimum, whose nuisances its Gaussian integrates out
+    at_optimum = (
+        -fit.cost - 0.5 * fit.nuisance_log_det - 0.5 * len(fit.mean) * math.log(2.0 * math.pi)
+    )
+    if fit.far_behind(best) or float(log_target.max()) - at_optimum <= options.lower_draw:
         return None
-    likeliest = fit.sample.as_fitted.log_target.argsort(descending=True)[: options.likeliest]
+    likeliest = log_target.argsort(descending=True)[: options.likeliest]
     point = Point(fit.sample.controls[likeliest], fit.sample.nuisances[likeliest])
-    chol = fit.nuisance_chol.expand(len(likeliest), -1, -1, -1)
-    if len(posterior.uncertain):
-        for _ in range(options.nuisance_steps):
-            nuisances, chol = posterior.fit_nuisances(point, chol)
-            point = Point(point.gel, nuisances)
+    for _ in range(options.nuisance_steps if len(posterior.uncertain) else 0):
+        point = Point(point.gel, posterior.fit_nuisances(point)[0])
     highest = posterior.log_joint(point).max(0)
     return (
         point[highest.indices]
@@ -91,14 +93,3 @@ def lower_minimum(
             f"{fit.model}: draws found a minimum that is {fit.cost - found.cost:.1f} nats lower"
         )
     return found
-
-
-def _excess_probability(fit: ModelFit) -> float:
-    """Log probability of the most probable draw over that of the optimum, whose nuisances its
-    Gaussian integrates out.
-    """
-    assert fit.sample is not None
-    at_optimum = (
-        -fit.cost - 0.5 * fit.nuisance_log_det - 0.5 * len(fit.mean) * math.log(2.0 * math.pi)
-    )
-    return float(fit.sample.as_fitted.log_target.max()) - at_optimum

@@ -106,18 +106,24 @@ def assimilate(
     )
     number = itertools.count(1)
 
-    def search_model(posterior: Posterior, point: Point) -> ModelSearch:
-        def report_iteration(end: Descent) -> None:
-            if progress:
-                progress(
-                    f"assimilation: iteration {next(number)}, {posterior.prior.model} "
-                    f"cost {end.cost:.2f} gradient {end.gradient:.1e}"
-                )
+    def report_iteration(end: Descent) -> None:
+        if progress:
+            progress(
+                f"assimilation: iteration {next(number)}, {end.near.posterior.prior.model} "
+                f"cost {end.cost:.2f} gradient {end.gradient:.1e}"
+            )
 
-        begun = [point[row] for row in range(len(point.gel))]
-        return ModelSearch(posterior, begun, options, masking, source, report_iteration)
-
-    searches = [search_model(*pair) for pair in zip(posteriors, points, strict=True)]
+    searches = [
+        ModelSearch(
+            posterior,
+            [point[row] for row in range(len(point.gel))],
+            options,
+            masking,
+            source,
+            report_iteration,
+        )
+        for posterior, point in zip(posteriors, points, strict=True)
+    ]
     begun = [one.approach_first() for one in searches]
     drop_behind = math.inf if options.drop_behind is None else options.drop_behind
     lowest = options.known_cost

@@ -2,7 +2,7 @@
 order, and when two agree.
 
 A start from the prior is first lowered by coarse bubbles without the frames next to collapses,
-which make local minima (:mod:`imr_torch.assimilate.masking`), then by the simulator's own bubbles
+which make local minima (:mod:`imr_torch.assimilate.starts`), then by the simulator's own bubbles
 and all frames, and near a minimum by bubbles that take the solver steps of one point
 (:mod:`imr_torch.assimilate.local_minimum`). Starts follow each other until the cost of a second is
 that of the lowest. Where they disagree, others begin near the lowest point.
@@ -17,10 +17,9 @@ from imr_torch.assimilate.basins import deeper_nuisances
 from imr_torch.assimilate.fit import PROMISED
 from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.local_minimum import Descent, Report, descend_from
-from imr_torch.assimilate.masking import without_collapses
 from imr_torch.assimilate.options import SearchOptions
 from imr_torch.assimilate.posterior import Posterior
-from imr_torch.assimilate.starts import draw_perturbation
+from imr_torch.assimilate.starts import draw_perturbation, without_collapses
 
 
 @dataclass

@@ -41,6 +41,8 @@ def assimilate_estimating_noise(
     rounds: int,
     seed: int,
     options: FitOptions | None = None,
+    gradient: float = 0.3,
+    agreement: float = 1.0,
     near: Assimilation | None = None,
     warn: bool = True,
     progress: Progress | None = None,
@@ -55,6 +57,8 @@ def assimilate_estimating_noise(
         seed: of starts and ensembles.
         options: the method and its settings, :func:`assimilate` by default; tolerances are those of
             the last fits.
+        gradient: tolerance of the gradient of all fits but the last, posterior standard deviations.
+        agreement: their tolerance of the agreement of starts, nats.
         near: fits of the same belief and experiments, with other noise or frames, to start from.
         warn: as for :func:`assimilate`, of the last fits.
         progress: called with one line per iteration.
@@ -84,12 +88,17 @@ def assimilate_estimating_noise(
             return assimilate_en4dvar(
                 belief, batch, simulator, seed=own, options=options, near=near, progress=progress
             )
+        rough = replace(
+            options,
+            gradient=max(options.gradient, gradient),
+            agreement=max(options.agreement, agreement),
+        )
         return assimilate(
             belief,
             batch,
             simulator,
             seed=own,
-            options=options if last else _loosen_tolerances(options),
+            options=options if last else rough,
             near=near,
             warn=warn and last,
             progress=progress,
@@ -97,7 +106,7 @@ def assimilate_estimating_noise(
 
     result = fit_models(batch, 0, near)
     if rounds:
-        kept = _without_spoilt_frames(result, simulator)
+        kept = without_spoilt_frames(result.lowest.linearise(result.batch, simulator))
         if kept is not result.batch:
             result = fit_models(kept, 0, result)
     for number in range(1, rounds + 1):
@@ -107,34 +116,6 @@ def assimilate_estimating_noise(
             progress(f"noise {batch.noise}")
         result = fit_models(batch, number, result)
     return result
-
-
-def _loosen_tolerances(
-    options: SearchOptions, *, gradient: float = 0.3, agreement: float = 1.0
-) -> SearchOptions:
-    """Tolerances of all fits but the last: posterior standard deviations, and nats."""
-    return replace(
-        options,
-        gradient=max(gradient, options.gradient),
-        agreement=max(agreement, options.agreement),
-    )
-
-
-def _without_spoilt_frames(result: Assimilation, simulator: Simulator) -> ExperimentBatch:
-    """The batch without frames that single errors of the camera have spoilt, by the model of lowest
-    cost; the same where there are none.
-    """
-    if not bool((~result.batch.collapse).any()):
-        return result.batch
-    best, curves = result.lowest.of_curves(result.batch)
-    kept = without_spoilt_frames(best.linearise(curves, simulator))
-    if kept is curves:
-        return result.batch
-    shots = iter(kept.curves)
-    experiments = (
-        next(shots) if isinstance(e, Experiment) else e for e in result.batch.experiments
-    )
-    return replace(result.batch, experiments=tuple(experiments))
 
 
 def with_inferred_noise(

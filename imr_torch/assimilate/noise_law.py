@@ -17,7 +17,6 @@ The scatter of repeats about their mean holds the camera's noise alone, whatever
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from itertools import product
 
 import torch
 from torch import Tensor
@@ -28,10 +27,6 @@ from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.observe import ExperimentBatch, Noise, NoiseLaws
 from imr_torch.observe.noise import TIE
 
-# half-widths of the parabolas through which the most probable scale is found, in its logarithm
-_SEARCH = (0.5, 0.15, 0.05)
-
-
 CORRELATION_TIMES = tuple(0.01 * 2.0 ** (k / 4.0) for k in range(34))
 """Correlation times that are tried, t*."""
 
@@ -40,7 +35,6 @@ INDEPENDENT = 0.25
 
 # times the floor of the law that is begun with
 _FLOORS = tuple(2.0 ** (k / 4.0) for k in range(27))
-_TIMES = (0.0, *CORRELATION_TIMES)
 
 
 @dataclass(frozen=True)
@@ -64,27 +58,21 @@ class LocalNoise:
     @classmethod
     def of(cls, near: Neighbourhood, laws: Sequence[Noise]) -> "LocalNoise":
         """At one point that was simulated, under laws whose scales are taken as 1."""
-        squares = []
-        normalisers = []
-        equations = []
         by_gel, by_nuisance = (x.movedim(-1, 0) for x in near.slopes)
+        columns = torch.cat(((near.posterior.batch.mean - near.centre)[None], by_gel, by_nuisance))
+        found = []
         for law in laws:
             batch = replace(
                 near.posterior.batch, noise=replace(law, scale=1.0, widened=1.0), noise_laws=None
             )
             sd = batch.sd(near.centre)
-            square, normaliser = batch.terms(near.centre, sd, batch.innovations)
-            columns = torch.cat(((batch.mean - near.centre)[None], by_gel, by_nuisance))
-            squares.append(square.sum())
-            normalisers.append(normaliser.sum())
-            equations.append(equations_of_columns(batch.whiten(columns, sd)[None], len(by_gel)))
-        return cls(
-            torch.stack(squares),
-            torch.stack(normalisers),
-            float(near.posterior.batch.sizes.sum()),
-            concatenated(equations),
-            near.point,
-        )
+            terms = batch.terms(near.centre, sd, batch.innovations)
+            equations = equations_of_columns(batch.whiten(columns, sd), len(by_gel))
+            blocks = (getattr(equations, block.name) for block in fields(equations))
+            found.append((*(x.sum() for x in terms), *blocks))
+        square, normaliser, *blocks = map(torch.stack, zip(*found, strict=True))
+        size = float(near.posterior.batch.sizes.sum())
+        return cls(square, normaliser, size, NormalEquations(*blocks), near.point)
 
     def posterior(self, log_scales: Tensor) -> NormalEquations:
         """Equations of the posterior, ``J x S``, for ``J x S`` logarithms of the scale."""
@@ -112,34 +100,31 @@ def equations_of_columns(whitened: Tensor, gel: int) -> NormalEquations:
     """Gauss-Newton equations, without the prior, from whitened columns.
 
     Args:
-        whitened: ``J x C x E x T`` tensor: residual, slopes over the gel, slopes over the
+        whitened: ``... x C x E x T`` tensor: residual, slopes over the gel, slopes over the
             nuisances.
         gel: how many of the columns are those of the gel.
     """
-    nuisances = whitened.shape[1] - 1 - gel
-    residual, by_gel, by_nuisance = (
-        x.movedim(1, -1) for x in whitened.split((1, gel, nuisances), 1)
-    )
-    gradients = -(by_gel.mT @ residual)[..., 0].sum(1), -(by_nuisance.mT @ residual)[..., 0]
+    residual, by_gel, by_nuisance = whitened.movedim(-3, -1).tensor_split((1, 1 + gel), -1)
+    gradients = -(by_gel.mT @ residual)[..., 0].sum(-2), -(by_nuisance.mT @ residual)[..., 0]
     return normal_equations(gradients, (by_gel, by_nuisance))
 
 
-def concatenated(parts: Sequence[NormalEquations]) -> NormalEquations:
-    """The equations of several sets of laws together."""
-    names = [block.name for block in fields(NormalEquations)]
-    return NormalEquations(*(torch.cat([getattr(one, name) for one in parts]) for name in names))
-
-
-def best_scales(fits: Sequence[LocalNoise]) -> tuple[Tensor, Tensor]:
+def best_scales(
+    fits: Sequence[LocalNoise], *, halves: Sequence[float] = (0.5, 0.15, 0.05)
+) -> tuple[Tensor, Tensor]:
     """Most probable log scale of each law, one for all fits, and its posterior standard deviation:
     two ``J`` tensors.
+
+    Args:
+        fits: what each says of the laws.
+        halves: half-widths of the parabolas through which it is found.
     """
     centre = (
         0.5
         * (torch.stack([fit.square for fit in fits]).sum(0) / sum(fit.size for fit in fits)).log()
     )
     width = torch.full_like(centre, 1.0)
-    for half in _SEARCH:
+    for half in halves:
         tried = centre[:, None] + torch.tensor([-half, 0.0, half]).double()
         low, middle, high = torch.stack([fit.marginal(tried) for fit in fits]).sum(0).unbind(1)
         slope = (high - low) / (2.0 * half)
@@ -216,22 +201,21 @@ def law_of_repeats(batches: Sequence[ExperimentBatch], law: Noise) -> tuple[Nois
     sizes = sum(float(batch.sizes.sum()) for batch in batches)
     best = -math.inf
     found = law
-    for time in (0.0,) if gaps else _TIMES:
-        share = INDEPENDENT if time == 0.0 else (1.0 - INDEPENDENT) / (len(_TIMES) - 1)
+    for time in (0.0, *(() if gaps else CORRELATION_TIMES)):
+        share = INDEPENDENT if time == 0.0 else (1.0 - INDEPENDENT) / len(CORRELATION_TIMES)
         laws = [
             replace(law, scale=1.0, floor=ratio * law.floor, correlation_time=time, widened=1.0)
             for ratio in _FLOORS
         ]
         square, normaliser = torch.zeros(2, len(laws), dtype=torch.float64)
-        for batch, (row, one) in product(batches, enumerate(laws)):
-            sd = one.sd(batch.mean, batch.times) * batch.noise_factors
-            parts = batch.terms(
-                batch.mean,
-                torch.where(batch.mask, sd, 1.0),
-                one.innovations(batch.times, batch.mask),
-            )
-            square[row] += parts[0].sum()
-            normaliser[row] += parts[1].sum()
+        for batch in batches:
+            sds = torch.stack([one.sd(batch.mean, batch.times) for one in laws])
+            sds = torch.where(batch.mask, sds * batch.noise_factors, 1.0)
+            # alike for all of the laws
+            innovations = laws[0].innovations(batch.times, batch.mask)
+            parts = batch.terms(batch.mean, sds, innovations)
+            square += parts[0].sum(1)
+            normaliser += parts[1].sum(1)
         value = -0.5 * repeats * square.log() - repeats / sizes * normaliser + math.log(share)
         row = int(torch.nonzero(value >= value.max() - TIE)[0])
         if float(value[row]) > best:

@@ -64,7 +64,8 @@ class NoiseNodes:
         log_factors = known.log_scale_sds[kept, None] * steps
         shares = torch.log_softmax(-0.5 * steps.square(), 0) + known.weights[kept, None].log()
         shares = shares - shares.flatten().logsumexp(0)
-        marginal = LocalNoise.of(near, laws).marginal(_log_scales(laws, log_factors))
+        scales = torch.tensor([[law.scale] for law in laws], dtype=torch.float64)
+        marginal = LocalNoise.of(near, laws).marginal(scales.log() + log_factors)
         return cls(
             laws, log_factors, shares - marginal + (shares + marginal).flatten().logsumexp(0)
         )
@@ -97,7 +98,3 @@ class NoiseNodes:
         factors = self.log_factors[law].reshape(-1, *[1] * square.ndim)
         value = -0.5 * square * torch.exp(-2.0 * factors) - normaliser - batch.sizes * factors
         return torch.where(torch.isnan(value), -torch.inf, value)
-
-
-def _log_scales(laws: tuple[Noise, ...], log_factors: Tensor) -> Tensor:
-    return torch.tensor([[law.scale] for law in laws], dtype=torch.float64).log() + log_factors

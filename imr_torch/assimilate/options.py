@@ -86,7 +86,7 @@ class SearchOptions:
             (:mod:`imr_torch.assimilate.basins`); with 0 none is searched for, as where nuisances
             begin at a fit whose basins were compared.
         mask_collapses: whether chains leave the frames next to collapses out until they are near a
-            minimum (:mod:`imr_torch.assimilate.masking`); when not given, those that start from
+            minimum (:mod:`imr_torch.assimilate.starts`); when not given, those that start from
             prior draws do.
         descent: how each descent goes on.
 
@@ -234,9 +234,6 @@ class En4DVarOptions(PublishedOptions):
     """Settings of hybrid ensemble 4D-Var: its sizes, as of :class:`PublishedOptions`.
 
     Args:
-        tempered: whether the likelihood is the published one: repeats count as one curve, their
-            mean, with the noise of one, and its misfit is divided by the number of frames.
-            Intervals are then far too wide.
         longest: most prior standard deviations of the gel in one step.
         lengths: shares of a step at which the exact cost is compared.
         step: posterior standard deviations of the last step of a fit that has converged.
@@ -247,7 +244,6 @@ class En4DVarOptions(PublishedOptions):
     3
     """
 
-    tempered: bool = False
     longest: float = 2.0
     lengths: tuple[float, ...] = (1.0, 0.5, 0.2, 0.05, 0.0)
     step: float = 0.1

@@ -106,7 +106,6 @@ class Posterior(ForwardModel):
     def fit_nuisances(
         self,
         point: Point,
-        chol: Float[Tensor, "draws experiments nuisances nuisances"],
         *,
         longest: float = 4.0,
     ) -> tuple[
@@ -120,22 +119,18 @@ class Posterior(ForwardModel):
         draw from. The result is a function of the gel alone, so importance weights stay exact.
 
         Args:
-            point: ``n`` gels, with nuisances to start from.
-            chol: lower Cholesky factors of their Hessian, kept where a bubble fails.
+            point: ``n`` gels, with nuisances to start from, kept where a bubble fails.
             longest: most prior standard deviations of nuisances in one step.
 
         Returns:
-            Nuisances ``n x E x w`` and Cholesky factors ``n x E x w x w``.
+            Nuisances ``n x E x w`` and lower Cholesky factors of their Hessian ``n x E x w x w``.
         """
         near = self.neighbourhood(point, moves_gel=False)
-        known = torch.isfinite(near.prediction).all(-1).all(1)
-        prediction = torch.where(known[:, None, :, None], near.prediction, 0.5)
-        equations = replace(near, prediction=prediction).equations
-        root = torch.linalg.cholesky(equations.nuisance_hessian)
-        step = equations.reduced.nuisance_step
+        known = torch.isfinite(near.prediction).all(-1).all(-2)[..., None]
+        step = near.equations.reduced.nuisance_step
         step = step * (longest / step.norm(dim=-1, keepdim=True).clamp_min(1e-300)).clamp_max(1.0)
-        moved = torch.where(known[..., None], point.nuisances + step, point.nuisances)
-        return moved, torch.where(known[..., None, None], root, chol)
+        root = torch.linalg.cholesky(near.equations.nuisance_hessian)
+        return torch.where(known, point.nuisances + step, point.nuisances), root
 
     def likelihood_slope(self, prediction: BatchFrames) -> BatchFrames:
         """Gradient of the negative log likelihood over predictions."""
@@ -173,18 +168,12 @@ class Neighbourhood:
 
     def is_of(self, posterior: Posterior, point: Point) -> bool:
         """Whether its bubbles are those of a posterior at a point, whatever the noise."""
-        batch = self.posterior.batch
-        other = posterior.batch
-        pairs = (
-            (self.point.gel, point.gel),
-            (self.point.nuisances, point.nuisances),
-            (batch.times, other.times),
-            (batch.mask, other.mask),
-            (batch.designs, other.designs),
-            (batch.nuisance_sds, other.nuisance_sds),
+        mine, others = (
+            (at.gel, at.nuisances, b.times, b.mask, b.designs, b.nuisance_sds)
+            for at, b in ((self.point, self.posterior.batch), (point, posterior.batch))
         )
         same = self.posterior.simulator is posterior.simulator
-        return same and all(torch.equal(*pair) for pair in pairs)
+        return same and all(map(torch.equal, mine, others))
 
     @cached_property
     def jacobian(self) -> Float[Tensor, "coordinates experiments frames"]:
@@ -227,5 +216,9 @@ class Neighbourhood:
 
     @cached_property
     def equations(self) -> NormalEquations:
-        """Gauss-Newton normal equations at the points, with the exact gradient."""
-        return self.posterior.equations(self.point, self.centre, *self.slopes)
+        """Gauss-Newton normal equations at the points, with the exact gradient; an experiment whose
+        bubble fails tells nothing.
+        """
+        known = torch.isfinite(self.centre).all(-1, keepdim=True)
+        centre = torch.where(known, self.centre, 0.5)
+        return self.posterior.equations(self.point, centre, *self.slopes)

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from imr_torch.assimilate.fit import ModelFit
 from imr_torch.assimilate.forward import Point
@@ -178,16 +177,17 @@ def _profile_parameter(
             held = control + side * step * sd
             if abs(held - centre) > options.farthest * width:
                 break
-            last = _fit_others(
-                replace(posterior, prior=_hold_parameter(prior, i, held)),
-                others,
-                nuisances,
-                options.search,
-                child(seed, "profile", name, str(side), str(step)),
+            left = _hold_parameter(prior, i, held)
+            begin = left.whitened(others[None])
+            last = assimilate_model(
+                replace(posterior, prior=left),
+                Point(torch.cat((begin, begin + 0.01)), nuisances),
+                seed=child(seed, "profile", name, str(side), str(step)),
+                options=options.search,
             )
             if not math.isfinite(last.cost):  # no bubble could be made there
                 break
-            others = last.prior.unwhitened(last.mean)
+            others = left.unwhitened(last.mean)
             nuisances = last.nuisances
             found[held] = (last.cost, last.certificate.converged)
             lowest = min(cost for cost, _ in found.values())
@@ -203,20 +203,6 @@ def _profile_parameter(
     low = _find_crossing(values[: best + 1][::-1], fall[: best + 1][::-1])
     high = _find_crossing(values[best:], fall[best:])
     return Profile(name, tuple(values), tuple(fall), converged, (low, high))
-
-
-def _fit_others(
-    posterior: Posterior,
-    controls: Tensor,
-    nuisances: Tensor,
-    options: SearchOptions,
-    seed: int,
-) -> ModelFit:
-    """The fit of the parameters that are not held, from their controls and from beside these."""
-    away = (controls - posterior.prior.mean)[:, None]
-    start = torch.linalg.solve_triangular(posterior.prior.chol, away, upper=False)[:, 0]
-    starts = Point(torch.stack((start, start + 0.01)), nuisances)
-    return assimilate_model(posterior, starts, seed=seed, options=options)
 
 
 def _hold_parameter(prior: ModelBelief, i: int, control: float) -> ModelBelief:

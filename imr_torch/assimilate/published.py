@@ -37,13 +37,15 @@ class PublishedFit:
         prior: belief it was drawn from.
         ensembles: controls ``z`` of ``prior``, before each iteration, and at the end.
         prediction: R/Rmax of the last ensemble that was simulated; NaN where a solve failed.
+        log_likelihood: of the mean curve, averaged over those of its members that could be
+            simulated, up to a constant common to all models.
 
     >>> import torch
     >>> from imr_torch import wide_prior
     >>> from imr_torch.assimilate import PublishedFit
     >>> from imr_torch.random import generator
     >>> members = 0.5 + 0.1 * torch.randn(1, 200, 2, generator=generator(0), dtype=torch.float64)
-    >>> fit = PublishedFit(wide_prior(["nhkv"])["nhkv"], members, torch.ones(200, 3))
+    >>> fit = PublishedFit(wide_prior(["nhkv"])["nhkv"], members, torch.ones(200, 3), log_likelihood=0.0)
     >>> [round(x, 1) for x in fit.posterior.mean.tolist()]
     [0.5, 0.5]
     """
@@ -51,6 +53,7 @@ class PublishedFit:
     prior: ModelBelief
     ensembles: Float[Tensor, "iterations members controls"]
     prediction: BubbleFrames
+    log_likelihood: float
 
     @property
     def posterior(self) -> ModelBelief:
@@ -116,23 +119,21 @@ def assimilate_published(
     """
     options = options or PublishedOptions()
     batch = ExperimentBatch((as_one_curve(experiment),), noise)
-    precision = 1.0 / (batch.sd(batch.mean).square() * len(experiment.times))
     return tuple(
-        _fit_model(part, batch, precision[0], simulator, options, seed, progress)
-        for part in belief.models
+        _fit_model(part, batch, simulator, options, seed, progress) for part in belief.models
     )
 
 
 def _fit_model(
     part: ModelBelief,
     batch: ExperimentBatch,
-    precision: Tensor,
     simulator: Simulator,
     options: PublishedOptions,
     seed: int,
     progress: Progress | None,
 ) -> PublishedFit:
-    """All cycles of one model; ``precision`` is the weight of each squared residual."""
+    """All cycles of one model."""
+    precision = 1.0 / (batch.sd(batch.mean).square() * batch.mean.shape[1])[0]
     members = part.controls(options.members, seed=child(seed, "ensemble", part.model))
     history = []
     curves = members
@@ -142,7 +143,13 @@ def _fit_model(
         transform = torch.eye(len(members), dtype=members.dtype)
         for iteration in range(options.iterations):
             history.append(centre + transform @ start)
-            curves = _predict_ensemble(part, history[-1], batch, simulator, options.simulated)
+            curves = predict(simulator, part.parameters(history[-1]), batch)[:, 0]
+            good = int(torch.isfinite(curves).all(1).sum())
+            if good < options.simulated * len(curves):
+                raise ConvergenceError(
+                    f"{part.model}: {good} of {len(curves)} members could be simulated; check the "
+                    "prior and the design."
+                )
             step, transform = _step_ensemble(
                 curves, transform, start, first - centre, batch.mean[0], precision
             )
@@ -157,23 +164,22 @@ def _fit_model(
             ratio = start.std(0) / deviation.std(0)
             deviation = deviation * (1.0 + options.relaxation * (ratio - 1.0))
         members = centre + deviation
-    return PublishedFit(part, torch.stack((*history, members)), curves)
+    seen = curves[torch.isfinite(curves).all(1)]
+    misfit = ((batch.mean - seen) / batch.sd(batch.mean)).square().sum(1)
+    likelihood = float(torch.logsumexp(-0.5 * misfit, 0)) - math.log(len(seen))
+    return PublishedFit(part, torch.stack((*history, members)), curves, likelihood)
 
 
-def published_probabilities(
-    fits: Sequence[PublishedFit], experiment: Experiment, noise: Noise
-) -> Float[Tensor, "models"]:
+def published_probabilities(fits: Sequence[PublishedFit]) -> Float[Tensor, "models"]:
     """Probability of each model from one experiment alone, without its prior probability.
 
-    The log likelihood of each member is *averaged* over repeats, the likelihood then over the
-    members of the posterior, so a hundred repeats say no more than one; and a wide prior is not
-    penalised, since the members have been fitted to the data. Evidence is in
-    :mod:`imr_torch.select.evidence`.
+    The log likelihood of each member is *averaged* over repeats (whose scatter about their mean is
+    common to all), the likelihood then over the members of the posterior, so a hundred repeats say
+    no more than one; and a wide prior is not penalised, since the members have been fitted to the
+    data. Evidence is in :mod:`imr_torch.select.evidence`.
 
     Args:
         fits: of all models to this experiment.
-        experiment: cut to the window that was assimilated.
-        noise: of one curve; its correlation is left out, as published.
 
     Returns:
         ``M`` tensor.
@@ -188,37 +194,11 @@ def published_probabilities(
     >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=1)
     >>> options = PublishedOptions(members=16, cycles=1)
     >>> fits = assimilate_published(case.prior, shot, Noise(), simulator, seed=0, options=options)
-    >>> round(float(published_probabilities(fits, shot, Noise()).sum()), 6)
+    >>> round(float(published_probabilities(fits).sum()), 6)
     1.0
     """
-    batch = ExperimentBatch((as_one_curve(experiment),), noise)
-    sd = batch.sd(batch.mean)[0]
-    logs = []
-    for fit in fits:
-        good = fit.prediction[torch.isfinite(fit.prediction).all(1)]
-        misfit = (
-            ((batch.mean[0] - good) / sd).square().sum(1)
-        )  # the scatter of the repeats about their mean is common to all
-        logs.append(torch.logsumexp(-0.5 * misfit, 0) - math.log(len(good)))
-    return torch.softmax(torch.stack(logs), 0)
-
-
-def _predict_ensemble(
-    part: ModelBelief,
-    members: Tensor,
-    batch: ExperimentBatch,
-    simulator: Simulator,
-    least: float,
-) -> Tensor:
-    """Curves ``N x T`` of an ensemble, of which a share of ``least`` must be simulated."""
-    curves = predict(simulator, part.parameters(members), batch)[:, 0]
-    good = int(torch.isfinite(curves).all(1).sum())
-    if good < least * len(curves):
-        raise ConvergenceError(
-            f"{part.model}: {good} of {len(curves)} members could be simulated; check the prior "
-            "and the design."
-        )
-    return curves
+    logs = torch.tensor([fit.log_likelihood for fit in fits], dtype=torch.float64)
+    return torch.softmax(logs, 0)
 
 
 def _step_ensemble(

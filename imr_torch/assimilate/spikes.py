@@ -15,7 +15,6 @@ from torch import Tensor
 
 from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.observe import Experiment, ExperimentBatch
-from imr_torch.types import FrameMask
 
 
 def bends(batch: ExperimentBatch, radius: Tensor) -> Tensor:
@@ -39,25 +38,60 @@ def lagrange_weights(times: Float[Tensor, "windows 5"]) -> Float[Tensor, "window
     """Weights of the frames of each window: 1 for the centre, minus Lagrange's basis at its time
     for the neighbours.
     """
-    weights = torch.ones_like(times)
-    centre = times.shape[1] // 2
-    others = [i for i in range(times.shape[1]) if i != centre]
-    for i in others:
-        factors = [
-            (times[:, centre] - times[:, j]) / (times[:, i] - times[:, j]) for j in others if j != i
-        ]
-        weights[:, i] = -torch.stack(factors).prod(0)
-    return weights
+    others = times[:, [0, 1, 3, 4]]
+    ratios = (times[:, 2, None, None] - others[:, None]) / (others[:, :, None] - others[:, None])
+    ratios.diagonal(dim1=1, dim2=2).fill_(1.0)
+    left, right = (-ratios.prod(2)).split(2, 1)
+    return torch.cat((left, torch.ones_like(times[:, :1]), right), 1)
 
 
-def without_spoilt_frames(near: Neighbourhood) -> ExperimentBatch:
+def without_spoilt_frames(
+    near: Neighbourhood,
+    *,
+    spike: float = 6.5 * 1.482602,
+    around: int = 15,
+    most: float = 0.05,
+    fewest: int = 12,
+) -> ExperimentBatch:
     """The batch of a fitted point without frames that single errors of the camera have spoilt; the
     same where there are none, and where designs are repeated, which says what is usual.
+
+    A frame is left out where the residual stands off the cubic through its neighbours by more than
+    6.5 standard deviations of what is usual (in R* about that time, and over the law of the batch
+    in the whole curve), by more than the fitted curve bends there, and farther than any other
+    frame; then the next one is looked for.
+
+    Args:
+        near: a fitted point.
+        spike: times the median distance of a frame from its neighbours, beyond which it is spoilt:
+            6.5 standard deviations of a Gaussian.
+        around: frames on either side that say what is usual.
+        most: share of the frames of a curve that may be spoilt.
+        fewest: frames that a curve needs to be asked.
     """
     batch = near.posterior.batch
     if any(e.repeats > 1 for e in batch.curves):
         return batch
-    kept = without_spikes(near)
+    law = batch.sd(near.centre)
+    bent = bends(batch, near.centre)
+    kept = batch.mask.clone()
+    for row in range(len(kept)):
+        for _ in range(max(1, int(most * float(batch.mask[row].sum())))):
+            frames = torch.nonzero(kept[row])[:, 0]
+            if len(frames) < fewest:
+                break
+            residual = (batch.mean - near.centre)[row, frames].unfold(0, 5, 1)
+            weights = lagrange_weights(batch.times[row, frames].unfold(0, 5, 1))
+            off = (weights * residual).sum(1).abs()
+            over_law = off / (weights * law[row, frames].unfold(0, 5, 1)).norm(dim=1)
+            own = torch.minimum(
+                off / _running_median(off, around), over_law / over_law.median().clamp_min(1e-300)
+            )
+            own = torch.where(off > bent[row, frames][2:-2], own, 0.0)
+            worst = int(own.argmax())
+            if float(own[worst]) < spike:
+                break
+            kept[row, frames[worst + 2]] = False
     if bool((kept == batch.mask).all()):
         return batch
     rows = zip(batch.experiments, kept, strict=True)
@@ -84,53 +118,6 @@ def spoilt_sentence(frames: Mapping[str, Sequence[int]]) -> str:
     """
     parts = "; ".join(f"{', '.join(map(str, x))} of {label}" for label, x in frames.items())
     return f"Frames that stand alone, far off their neighbours, were left out: {parts}."
-
-
-def without_spikes(
-    near: Neighbourhood,
-    *,
-    spike: float = 6.5 * 1.482602,
-    around: int = 15,
-    most: float = 0.05,
-    fewest: int = 12,
-) -> FrameMask:
-    """Frames without those that single errors of the camera have spoilt.
-
-    A frame is left out where the residual stands off the cubic through its neighbours by more than
-    6.5 standard deviations of what is usual (in R* about that time, and over the law of the batch
-    in the whole curve), by more than the fitted curve bends there, and farther than any other
-    frame; then the next one is looked for.
-
-    Args:
-        near: a fitted point; its batch holds curves of one repeat.
-        spike: times the median distance of a frame from its neighbours, beyond which it is spoilt:
-            6.5 standard deviations of a Gaussian.
-        around: frames on either side that say what is usual.
-        most: share of the frames of a curve that may be spoilt.
-        fewest: frames that a curve needs to be asked.
-    """
-    batch = near.posterior.batch
-    law = batch.sd(near.centre)
-    bent = bends(batch, near.centre)
-    kept = batch.mask.clone()
-    for row in range(len(kept)):
-        for _ in range(max(1, int(most * float(batch.mask[row].sum())))):
-            frames = torch.nonzero(kept[row])[:, 0]
-            if len(frames) < fewest:
-                break
-            residual = (batch.mean - near.centre)[row, frames].unfold(0, 5, 1)
-            weights = lagrange_weights(batch.times[row, frames].unfold(0, 5, 1))
-            off = (weights * residual).sum(1).abs()
-            over_law = off / (weights * law[row, frames].unfold(0, 5, 1)).norm(dim=1)
-            own = torch.minimum(
-                off / _running_median(off, around), over_law / over_law.median().clamp_min(1e-300)
-            )
-            own = torch.where(off > bent[row, frames][2:-2], own, 0.0)
-            worst = int(own.argmax())
-            if float(own[worst]) < spike:
-                break
-            kept[row, frames[worst + 2]] = False
-    return kept
 
 
 def _running_median(values: Tensor, around: int) -> Tensor:

@@ -1,14 +1,21 @@
 """Starting points of a multistart search: the best of many prior draws, given points, or points
-about an earlier optimum.
+about an earlier optimum; and the posterior that it begins with, without the frames next to
+collapses.
 
 Starts of a model are apart from each other, so that their agreement is evidence of convergence.
+
+At a collapse R(t) has a cusp, so a frame next to it sees the same radius before the collapse and
+after. A model whose collapse lies on the wrong side of such a frame has a local minimum there, a
+hundredth of the prior's width from the right one and tens of nats above it. Without those frames it
+has none. Searches mask them at first, and use all frames near a minimum.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from imr_torch.assimilate.fit import ModelFit
@@ -16,6 +23,7 @@ from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.options import SearchOptions
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.errors import ConvergenceError, ShapeError
+from imr_torch.observe import collapse_time
 from imr_torch.types import ControlMatrix, Controls
 
 ENOUGH = 8
@@ -35,8 +43,22 @@ def best_prior_draws(
     batch = posterior.batch
     some = batch.experiments[:: -(-len(batch.experiments) // ENOUGH)]
     few = replace(posterior, batch=replace(batch, experiments=some))
-    points = Point(draws, few.mean_nuisances(options.raw_samples))
-    chosen = _choose_distinct(few, draws, points, options)
+    cost = -few.coarse.log_joint(Point(draws, few.mean_nuisances(options.raw_samples)))
+    order = torch.argsort(cost)
+    order = order[torch.isfinite(cost[order])].tolist()
+    if len(order) < 2:
+        raise ConvergenceError(
+            f"{posterior.prior.model}: {len(order)} of {len(cost)} prior draws could be simulated; "
+            "check units and bounds of the prior and the designs."
+        )
+    picked: list[int] = []
+    for row in order:
+        if all((draws[row] - draws[other]).norm() > options.descent.apart for other in picked):
+            picked.append(row)
+        if len(picked) == options.starts:
+            break
+    picked += [row for row in order if row not in picked]
+    chosen = (picked * options.starts)[: options.starts]
     return Point(draws[chosen], posterior.mean_nuisances(options.starts))
 
 
@@ -93,25 +115,27 @@ def draw_perturbation(
     return step * (longest * noise.norm() / step.norm().clamp_min(1e-300)).clamp_max(1.0)
 
 
-def _choose_distinct(
-    posterior: Posterior, draws: Tensor, points: Point, options: SearchOptions
-) -> Tensor:
-    """Rows of the best draws of a model (``n x d``), by coarse bubbles, each apart from the ones
-    before.
+def without_collapses(posterior: Posterior) -> Posterior:
+    """The posterior of all frames but those next to collapses."""
+    batch = posterior.batch
+    kept = tuple(e.at(away_from_collapses(e.times, e.mean)) for e in batch.experiments)
+    return replace(posterior, batch=replace(batch, experiments=kept))
+
+
+def away_from_collapses(
+    times: Float[Tensor, "*#batch frames"], radius: Float[Tensor, "*#batch frames"]
+) -> Bool[Tensor, "*#batch frames"]:
+    """Frames that are neither a minimum nor next to one (the record may end at one).
+
+    All, if those are less than half.
     """
-    cost = -posterior.coarse.log_joint(points)
-    order = torch.argsort(cost)
-    order = order[torch.isfinite(cost[order])].tolist()
-    if len(order) < 2:
-        raise ConvergenceError(
-            f"{posterior.prior.model}: {len(order)} of {len(cost)} prior draws could be simulated; "
-            "check units and bounds of the prior and the designs."
-        )
-    picked: list[int] = []
-    for row in order:
-        if all((draws[row] - draws[other]).norm() > options.descent.apart for other in picked):
-            picked.append(row)
-        if len(picked) == options.starts:
-            break
-    picked += [row for row in order if row not in picked]
-    return torch.tensor((picked * options.starts)[: options.starts])
+    times = torch.cat((times, times[-1:] + 1.0))
+    radius = torch.cat((radius, radius.amax(0, keepdim=True)))
+    keep = torch.ones_like(times, dtype=torch.bool)
+    number = 1
+    while (at := collapse_time(times, radius, number)) < math.inf:
+        frame = int(torch.nonzero(times == at))
+        keep[max(1, frame - 1) : frame + 2] = False
+        number += 1
+    keep = keep[:-1]
+    return keep if 2 * int(keep.sum()) >= len(keep) else torch.ones_like(keep)

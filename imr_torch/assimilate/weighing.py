@@ -289,7 +289,7 @@ def _draw_round(state: _State, samples: int, seed: int, options: WeighingOptions
     centre = fit.nuisances_at(controls)
     chol = fit.nuisance_chol.expand(samples, -1, -1, -1)
     if number:
-        centre, chol = state.posterior.fit_nuisances(Point(controls, centre), chol)
+        centre, chol = state.posterior.fit_nuisances(Point(controls, centre))
     deviation = torch.linalg.solve_triangular(chol.mT[:, None], noise[..., None], upper=True)[
         ..., 0
     ]

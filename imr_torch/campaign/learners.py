@@ -257,7 +257,7 @@ class PaperLearner:
                 options=self.options,
                 progress=progress,
             )
-            here = published_probabilities(fits, experiment, batch.noise)
+            here = published_probabilities(fits)
             so_far = belief.log_probabilities.exp() if number > 1 else torch.zeros_like(here)
             parts = tuple(multiply_gaussians(fit.prior, fit.posterior) for fit in fits)
             belief = Belief(parts, ((so_far * (number - 1) + here) / number).log())

@@ -41,7 +41,6 @@ SIMULATORS: dict[str, AnySimulator] = {
 METHODS: dict[str, FitOptions] = {
     "map": SearchOptions(),
     "en4dvar": En4DVarOptions(),
-    "en4dvar-tempered": En4DVarOptions(tempered=True),
 }
 """Methods that fit a gel, by name."""
 

@@ -3,9 +3,13 @@ designs.
 """
 
 from imr_torch.design.acquisition import ExpectedInformationGain, expected_information_gain
-from imr_torch.design.estimator import InformationEstimator
-from imr_torch.design.gain import ErrorParts, InformationGain, Target, separate_errors
-from imr_torch.design.importance import ImportanceSampling
+from imr_torch.design.gain import (
+    ErrorParts,
+    InformationEstimator,
+    InformationGain,
+    Target,
+    separate_errors,
+)
 from imr_torch.design.laplace import Laplace
 from imr_torch.design.nested import NestedMonteCarlo, PriorContrastive, PublishedEstimator
 from imr_torch.design.optimizer import DesignOptimizer, Recommendation, Strategy
@@ -23,7 +27,6 @@ __all__ = [
     "DesignSpace",
     "ErrorParts",
     "ExpectedInformationGain",
-    "ImportanceSampling",
     "InformationEstimator",
     "InformationGain",
     "Laplace",

@@ -3,7 +3,7 @@ parameters and model, and the same as a BoTorch acquisition function over design
 
 Nested Monte Carlo with one sample set is bounded by ``log N`` and saturates where experiments are
 most informative, which is where a search for designs looks. The estimators that do not saturate,
-and bounds from either side, are objects (:mod:`~imr_torch.design.estimator`). In all of them
+and bounds from either side, are objects (:mod:`~imr_torch.design.gain`). In all of them
 
     I(y; theta, m) = I(y; theta | m) + I(y; m),
 
@@ -19,8 +19,7 @@ from botorch.utils.transforms import t_batch_mode_transform
 from jaxtyping import Real
 from torch import Tensor
 
-from imr_torch.design.estimator import InformationEstimator
-from imr_torch.design.gain import InformationGain, Target
+from imr_torch.design.gain import InformationEstimator, InformationGain, Target
 from imr_torch.design.laplace import Laplace
 from imr_torch.design.plan import Plan
 from imr_torch.design.response import Shot
@@ -160,23 +159,14 @@ class ExpectedInformationGain(AcquisitionFunction):
         """The joint gain of designs and pending designs, with its Monte Carlo error.
 
         Args:
-            designs: ``q x 2`` tensor.
+            designs: ``q x 2`` tensor; with none of them (``q = 0``) the gain is that of the pending
+                ones.
             seed: of the draws; that of the acquisition if None.
 
         Raises:
             InputDataError: for a design outside the space.
         """
         self.space.check_inside(designs)
-        return self._joint_gain(designs, seed)
-
-    def estimate_pending(self, *, seed: int | None = None) -> InformationGain | None:
-        """The joint gain of the pending designs alone, with the draws of :meth:`estimate`.
-
-        None if none is pending.
-        """
-        return None if self.X_pending is None else self._joint_gain(self.X_pending[:0], seed)
-
-    def _joint_gain(self, designs: Tensor, seed: int | None) -> InformationGain:
         if self.X_pending is not None:
             designs = torch.cat((designs, self.X_pending.to(designs)))
         gain = expected_information_gain(

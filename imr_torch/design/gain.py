@@ -1,5 +1,17 @@
-"""An information gain with its Monte Carlo error, and how estimates of several strata (one per
-model) are combined.
+"""An information gain with its Monte Carlo error, what estimates it, and how estimates of several
+strata (one per model) are combined.
+
+An estimator is a callable object, so that one of your own needs no change of the package. Four
+estimators of the information about one gel come with it (and one about a population of gels:
+:class:`~imr_torch.design.population.PopulationInformation`). They agree for many samples; what
+differs is how many that takes.
+
+| estimator | evidence of each datum | expected value |
+|---|---|---|
+| `Laplace` | Gaussian, linearised | exact for linear-Gaussian models |
+| `NestedMonteCarlo` | fresh draws of the prior, shared by all data | above the gain |
+| `PriorContrastive` | the same, the datum's own gel among them | below the gain, at most ``log(inner)`` per model |
+| `PublishedEstimator` | the data's own gels, used again | below ``log`` of the number of draws |
 
 The error is kept draw by draw: the *influence* of a draw on an estimate is its share of the
 deviation from the expected value, so the variance is the sum of squares of the influences, and the
@@ -8,6 +20,7 @@ takes from the errors of many designs the part that all of them share.
 """
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
@@ -16,6 +29,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from imr_torch.design.response import Shot
+from imr_torch.errors import InputDataError
 from imr_torch.types import DatasetValues
 
 Target = Literal["parameters", "model", "both"]
@@ -32,9 +47,7 @@ class InformationGain:
         variance: Monte Carlo variance of the sum of the two.
         counted: draws that could be simulated.
         drawn: draws asked for.
-        bias: how far finite inner sums raise the value, to first order; None for other methods. It
-            grows with the curvature of posteriors that the samples did not see, so compare two
-            sizes of ``inner``.
+        bias: how far the value is above the gain on average, where an estimator says so.
         influence: influence of each draw on ``(parameters, model)``, nats; empty if the estimator
             does not say.
 
@@ -100,30 +113,24 @@ class Terms:
         parameters: gain about the parameters from each datum.
         model: ``m`` tensor with ``m <= n``, gain about the model from the first ``m`` data.
         order: the numbers of all draws, those that gave a datum first and in the order of the data.
-        control: ``drawn`` tensor with mean zero in that order, added to the parameters' gain to
-            reduce its variance.
     """
 
     weight: float
     parameters: DatasetValues
     model: Float[Tensor, "shown"]
     order: Int[Tensor, "drawn"]
-    control: Float[Tensor, "drawn"] | None = None
 
     def mean_gain(self) -> tuple[float, float]:
         """Mean gain about parameters and about the model; 0 without data."""
         if len(self.parameters) == 0:
             return 0.0, 0.0
-        control = 0.0 if self.control is None else float(self.control.mean())
-        return float(self.parameters.mean()) + control, float(self.model.mean())
+        return float(self.parameters.mean()), float(self.model.mean())
 
     def draw_influence(self) -> Float[Tensor, "drawn 2"]:
         """Influence of each draw, in the order drawn, on the weighted means."""
         found = torch.zeros(len(self.order), 2, dtype=torch.float64)
         found[self.order[: len(self.parameters)], 0] = mean_deviations(self.parameters)
         found[self.order[: len(self.model)], 1] = mean_deviations(self.model)
-        if self.control is not None:
-            found[self.order, 0] += mean_deviations(self.control)
         return self.weight * found
 
 
@@ -145,14 +152,12 @@ def summarise_terms(
     terms: Sequence[Terms],
     *,
     shared: Float[Tensor, "samples 2"] | None = None,
-    bias: float | None = None,
 ) -> InformationGain:
     """The gain of independent strata, one per model.
 
     Args:
         terms: one per model.
         shared: influence of samples that all data share.
-        bias: of the whole.
     """
     means = torch.tensor([t.mean_gain() for t in terms], dtype=torch.float64)
     weights = torch.tensor([t.weight for t in terms], dtype=torch.float64)
@@ -160,9 +165,7 @@ def summarise_terms(
     parts = [t.draw_influence() for t in terms] + ([] if shared is None else [shared])
     counted = sum(len(t.parameters) for t in terms)
     drawn = sum(len(t.order) for t in terms)
-    return with_influence(
-        InformationGain(parameters, model, 0.0, counted, drawn, bias), torch.cat(parts)
-    )
+    return with_influence(InformationGain(parameters, model, 0.0, counted, drawn), torch.cat(parts))
 
 
 def with_influence(gain: InformationGain, influence: Float[Tensor, "draws 2"]) -> InformationGain:
@@ -214,3 +217,45 @@ def separate_errors(gains: Sequence[InformationGain]) -> ErrorParts:
     mean = influence.mean(0)
     own = (influence - mean).square().sum(1) * (len(gains) / (len(gains) - 1))
     return ErrorParts(own, float(mean.square().sum()))
+
+
+class InformationEstimator(ABC):
+    """Estimates the information gain of designs shot with one belief; best a frozen dataclass,
+    which a journal can record.
+
+    >>> from dataclasses import dataclass
+    >>> @dataclass(frozen=True)
+    ... class Constant(InformationEstimator):
+    ...     nats: float = 1.0
+    ...
+    ...     def __call__(self, shot, generator):
+    ...         return InformationGain(self.nats, 0.0, variance=0.0, counted=1, drawn=1)
+    >>> Constant(2.0)(None, torch.Generator()).value
+    2.0
+    """
+
+    @abstractmethod
+    def __call__(self, shot: Shot, generator: torch.Generator) -> InformationGain:
+        """The gain.
+
+        Args:
+            shot: belief, designs, simulator and how the designs are observed.
+            generator: of all random numbers; the same state must give the same estimate.
+        """
+
+
+def check_at_least(estimator: object, least: int, *names: str) -> None:
+    """Raise unless the named integer fields of an estimator are large enough.
+
+    Raises:
+        InputDataError: naming the field, its value and what is needed.
+    """
+    for name in names:
+        value = getattr(estimator, name)
+        if value < least:
+            why = (
+                "at least 2 are needed for an error estimate"
+                if least == 2
+                else f"expected {least} or more"
+            )
+            raise InputDataError(f"{type(estimator).__name__}.{name} is {value}; {why}.")

@@ -18,21 +18,22 @@ import math
 from dataclasses import dataclass, replace
 
 import torch
+from jaxtyping import Int
 from torch import Tensor
 
-from imr_torch.design.drawing import (
-    Drawn,
-    cloud_controls,
-    draw_data,
-    mixture_evidence,
-    model_weights,
+from imr_torch.assimilate.options import CheckedOptions
+from imr_torch.design.drawing import Gels, draw_cloud_controls, simulate_gels
+from imr_torch.design.gain import (
+    InformationEstimator,
+    InformationGain,
+    Terms,
+    check_at_least,
+    summarise_terms,
 )
-from imr_torch.design.estimator import InformationEstimator, check_at_least
-from imr_torch.design.gain import InformationGain, Terms, summarise_terms
 from imr_torch.design.likelihood import Data, Linear, infer_linear
-from imr_torch.design.refine import best_starts, refine_gels
-from imr_torch.design.response import Response, Shot
+from imr_torch.design.response import Response, Shot, simulate_response
 from imr_torch.material import ModelBelief
+from imr_torch.types import DatasetValues, DrawnValues
 
 
 @dataclass(frozen=True)
@@ -69,72 +70,61 @@ class Laplace(InformationEstimator):
             check_at_least(self, 2, "rivals")
 
     def __call__(self, shot: Shot, generator: torch.Generator) -> InformationGain:
-        """See :class:`~imr_torch.design.estimator.InformationEstimator`."""
-        drawn, own, logs = self.compare_models(shot, generator)
-        total = mixture_evidence(logs, shot)
-        terms = []
-        for i, (weight, rows) in enumerate(zip(model_weights(shot), drawn.rows, strict=True)):
-            gained = _local_information(shot.belief.models[i], drawn.parts[i], own[i])
-            compared = slice(
-                rows.start, rows.start + min(self._rival_count, rows.stop - rows.start)
-            )
-            terms.append(
-                Terms(weight, gained, logs[i][compared] - total[compared], drawn.orders[i])
-            )
-        return summarise_terms(terms)
+        """See :class:`~imr_torch.design.gain.InformationEstimator`."""
+        gels, rows, own, logs = self.compare_models(shot, generator)
+        log_prior = shot.belief.log_probabilities
+        total = torch.logsumexp(torch.stack(logs) + log_prior[:, None], dim=0)
+        return summarise_terms(
+            [
+                Terms(
+                    weight,
+                    _local_information(shot.belief.models[i], gels.parts[i], own[i]),
+                    (logs[i] - total)[rows[i]][: self._rival_count],
+                    gels.orders[i],
+                )
+                for i, weight in enumerate(log_prior.exp().tolist())
+            ]
+        )
 
     def compare_models(
         self, shot: Shot, generator: torch.Generator
-    ) -> tuple[Drawn, list[Linear], list[Tensor]]:
-        """Data of every model, their linearised posteriors under it, and for each model the log
-        evidence of all data, NaN for those that are not compared.
+    ) -> tuple[Gels, tuple[slice, ...], list[Linear], list[Tensor]]:
+        """Gels of every model, which of the data are of each, their linearised posteriors under it,
+        and for each model the log evidence of all data, NaN for those that are not compared.
         """
-        drawn = draw_data(shot, cloud_controls(shot, self.draws, generator), generator)
+        gels = simulate_gels(shot, draw_cloud_controls(shot, self.draws, generator))
+        data, rows = gels.observe(shot, generator)
         own = [
-            infer_linear(drawn.data[rows], part, shot.plan)
-            for rows, part in zip(drawn.rows, drawn.parts, strict=True)
+            infer_linear(data[some], part, shot.plan)
+            for some, part in zip(rows, gels.parts, strict=True)
         ]
-        evidences = [self._log_evidences(drawn, i, own, shot) for i in range(len(own))]
-        return drawn, own, evidences
+        best = torch.cat([linear.log_evidence for linear in own])
+        compared = [torch.arange(len(data))[some][: self._rival_count] for some in rows]
+        logs = []
+        for i, part in enumerate(gels.parts):
+            if len(part) == 0:
+                logs.append(torch.full_like(best, -math.inf))
+                continue
+            log = torch.full_like(best, math.nan)
+            log[rows[i]] = best[rows[i]]
+            others = torch.cat([*compared[:i], compared[i][:0], *compared[i + 1 :]])
+            if len(others):
+                seen, start, short = _cut_to_window(data[others], part, shot)
+                at = refine_gels(
+                    seen,
+                    start[best_starts(seen, start, short)],
+                    short,
+                    shot.belief.models[i],
+                    self.refinements,
+                    floor=best[others] - self.behind,
+                )
+                log[others] = infer_linear(seen, at, short.plan).log_evidence
+            logs.append(log)
+        return gels, rows, own, logs
 
     @property
     def _rival_count(self) -> int:
         return max(6, self.draws // 4) if self.rivals is None else self.rivals
-
-    def _log_evidences(self, drawn: Drawn, model: int, own: list[Linear], shot: Shot) -> Tensor:
-        """Log evidence of all data under one model; NaN for data that are not compared."""
-        if len(own[model].mean) == 0:
-            return torch.full((len(drawn.data),), -math.inf, dtype=torch.float64)
-        logs = torch.full((len(drawn.data),), math.nan, dtype=torch.float64)
-        logs[drawn.rows[model]] = own[model].log_evidence
-        others = [
-            torch.arange(r.stop - r.start)[: self._rival_count] + r.start
-            for i, r in enumerate(drawn.rows)
-            if i != model
-        ]
-        if others and len(rows := torch.cat(others)):
-            best = torch.cat([linear.log_evidence for linear in own])[rows]
-            logs[rows] = self._rival_evidence(
-                drawn.data[rows], best, drawn.parts[model], shot, shot.belief.models[model]
-            )
-        return logs
-
-    def _rival_evidence(
-        self, data: Data, own: Tensor, gels: Response, shot: Shot, part: ModelBelief
-    ) -> Tensor:
-        """Log evidence of data of other models under one model.
-
-        Args:
-            data: ``n`` data.
-            own: ``n`` tensor, log evidence under the model of each datum.
-            gels: draws of the model.
-            shot: designs and how they are observed.
-            part: the model.
-        """
-        data, gels, shot = _cut_to_window(data, gels, shot)
-        start = best_starts(data, gels, shot)
-        at = refine_gels(data, gels[start], shot, part, self.refinements, floor=own - self.behind)
-        return infer_linear(data, at, shot.plan).log_evidence
 
 
 def _cut_to_window(data: Data, gels: Response, shot: Shot) -> tuple[Data, Response, Shot]:
@@ -169,3 +159,102 @@ def _local_information(part: ModelBelief, gels: Response, linear: Linear) -> Ten
     before = part.chol.mT @ part.cloud.precisions[closest] @ part.chol
     after = torch.linalg.slogdet(before + linear.fisher).logabsdet
     return 0.5 * (after - torch.linalg.slogdet(before).logabsdet)
+
+
+@dataclass(frozen=True)
+class RefinementOptions(CheckedOptions):
+    """How far and how long a gel is refined.
+
+    Args:
+        close: distance from the linearised optimum, posterior standard deviations, at which
+            evidence linearised there is as good as at the optimum.
+        longest: most standard deviations of the belief in one step.
+        shorter: factor on the next step where one did not raise the posterior density.
+        shortest: factor below which no further one is tried.
+        start_behind: nats below the floor at which not even a first step is made.
+
+    >>> from imr_torch.design.laplace import RefinementOptions
+    >>> RefinementOptions().longest
+    4.0
+    """
+
+    close: float = 0.5
+    longest: float = 4.0
+    shorter: float = 0.3
+    shortest: float = 0.01
+    start_behind: float = 150.0
+
+
+def best_starts(
+    data: Data, gels: Response, shot: Shot, *, per_distance: float = 20.0
+) -> Int[Tensor, "data"]:
+    """The gel to start a refinement of each datum from.
+
+    It is the one of largest linearised evidence, less a penalty for the distance to the linearised
+    optimum, which would have to be travelled. The distance alone chooses local minima: there the
+    optimum is near whatever the misfit.
+
+    Args:
+        data: ``n`` data.
+        gels: candidates.
+        shot: how they are observed.
+        per_distance: penalty, nats per square of a standard deviation of the belief.
+    """
+    scores = []
+    for k in range(len(gels)):
+        linear = infer_linear(data, gels[k : k + 1], shot.plan)
+        distance = (linear.mean - gels.controls[k]).square().sum(-1)
+        scores.append(linear.log_evidence - per_distance * distance)
+    return torch.stack(scores).argmax(0)
+
+
+def refine_gels(
+    data: Data,
+    at: Response,
+    shot: Shot,
+    part: ModelBelief,
+    iterations: int,
+    *,
+    floor: DatasetValues | None = None,
+    options: RefinementOptions | None = None,
+) -> Response:
+    """Gauss-Newton steps towards the maximum of the posterior density of each datum.
+
+    Args:
+        data: ``n`` data.
+        at: ``n`` gels to start from.
+        shot: designs and how they are observed.
+        part: the model.
+        iterations: steps of each datum; where one failed, the next is shorter.
+        floor: data whose linearised evidence falls below this are not refined further; far below
+            it, not at all.
+        options: how far each goes.
+    """
+    options = options or RefinementOptions()
+    length = torch.ones(len(data), 1, dtype=torch.float64)
+    for iteration in range(iterations):
+        here = infer_linear(data, at, shot.plan)
+        step = here.mean - at.controls
+        distance = (step[:, None] @ here.chol).norm(dim=-1)[:, 0]
+        active = (distance > options.close) & (length[:, 0] > options.shortest)
+        if floor is not None:
+            active &= here.log_evidence > (floor if iteration else floor - options.start_behind)
+        moving = torch.nonzero(active)[:, 0]
+        if len(moving) == 0:
+            break
+        longest = step.norm(dim=-1, keepdim=True).clamp_min(options.longest)
+        tried = (at.controls + length * step * (options.longest / longest))[moving]
+        moved = simulate_response(shot, part, tried)
+        rows = moving[moved.good]
+        moved = moved[moved.good]
+        there = infer_linear(data[rows], moved, shot.plan)
+        gains = _log_posterior(there, moved) > _log_posterior(here, at)[rows]
+        at = at.replace_rows(rows[gains], moved[gains])
+        length *= options.shorter
+        length[rows[gains]] = 1.0
+    return at
+
+
+def _log_posterior(linear: Linear, at: Response) -> DrawnValues:
+    """``n`` log densities of each datum and of its gel."""
+    return linear.log_likelihood - 0.5 * at.controls.square().sum(-1)

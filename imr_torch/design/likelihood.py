@@ -144,14 +144,6 @@ class Linear:
         """``n x d x d`` tensor ``J^T C^-1 J``, what the data add to the precision."""
         return self.chol @ self.chol.mT - torch.eye(self.chol.shape[-1], dtype=self.chol.dtype)
 
-    @property
-    def averaging(self) -> Float[Tensor, "draws controls controls"]:
-        """``n x d x d`` tensor ``G (1 + G)^-1`` with ``G = J^T C^-1 J``: share of the posterior
-        that is from the data.
-        """
-        eye = torch.eye(self.chol.shape[-1], dtype=self.chol.dtype)
-        return eye - torch.cholesky_inverse(self.chol)
-
 
 def infer_linear(data: Data, at: Response, plan: Plan) -> Linear:
     """Bayesian inference with the model linearised at a gel: ``f(v) = f + J (v - v_at)``, ``v``

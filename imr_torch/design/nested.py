@@ -14,17 +14,23 @@ respect to the draw's weight, wherever the draw is used (the infinitesimal jackk
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
-from imr_torch.design.drawing import Drawn, Gels, draw_data, normal_controls, simulate_gels
-from imr_torch.design.estimator import InformationEstimator, check_at_least
-from imr_torch.design.gain import InformationGain, mean_deviations, with_influence
-from imr_torch.design.likelihood import log_likelihood, pairwise_log_likelihood
+from imr_torch.design.drawing import Gels, draw_normal_controls, simulate_gels
+from imr_torch.design.gain import (
+    InformationEstimator,
+    InformationGain,
+    check_at_least,
+    mean_deviations,
+    with_influence,
+)
+from imr_torch.design.likelihood import Data, log_likelihood, pairwise_log_likelihood
 from imr_torch.design.plan import Plan
 from imr_torch.design.response import Shot
 
@@ -52,16 +58,19 @@ class NestedMonteCarlo(InformationEstimator):
         check_at_least(self, 2, "draws", "inner")
 
     def __call__(self, shot: Shot, generator: torch.Generator) -> InformationGain:
-        """See :class:`~imr_torch.design.estimator.InformationEstimator`."""
+        """See :class:`~imr_torch.design.gain.InformationEstimator`."""
+        models = len(shot.belief.models)
+
+        def draw_gels(count: int) -> Gels:
+            controls = draw_normal_controls(shot, [count] * models, generator)
+            return simulate_gels(shot, controls, gel=False)
+
+        gels = draw_gels(self.draws)
+        data = gels.observe(shot, generator)
         log_weights = shot.belief.log_probabilities
-        models = len(log_weights)
-        drawn = draw_data(
-            shot, normal_controls(shot, [self.draws] * models, generator), generator, gel=False
+        return _estimate_gain(
+            gels, *data, draw_gels(self.inner), log_weights, shot.plan, contrastive=self.contrastive
         )
-        inner = simulate_gels(
-            shot, normal_controls(shot, [self.inner] * models, generator), gel=False
-        )
-        return _estimate_gain(drawn, inner, log_weights, shot.plan, contrastive=self.contrastive)
 
 
 @dataclass(frozen=True)
@@ -100,17 +109,20 @@ class PublishedEstimator(InformationEstimator):
         check_at_least(self, 2, "draws")
 
     def __call__(self, shot: Shot, generator: torch.Generator) -> InformationGain:
-        """See :class:`~imr_torch.design.estimator.InformationEstimator`."""
+        """See :class:`~imr_torch.design.gain.InformationEstimator`."""
         probabilities = shot.belief.log_probabilities.exp()
         wanted = (self.draws * len(shot.belief.models) * probabilities).round()
         counts = torch.where(probabilities > self.improbable, wanted, 0.0).long().tolist()
-        drawn = draw_data(shot, normal_controls(shot, counts, generator), generator, gel=False)
-        sizes = torch.tensor([len(part) for part in drawn.parts], dtype=torch.float64)
-        return _estimate_gain(drawn, drawn, (sizes / sizes.sum().clamp_min(1.0)).log(), shot.plan)
+        gels = simulate_gels(shot, draw_normal_controls(shot, counts, generator), gel=False)
+        sizes = torch.tensor([len(part) for part in gels.parts], dtype=torch.float64)
+        log_weights = (sizes / sizes.sum().clamp_min(1.0)).log()
+        return _estimate_gain(gels, *gels.observe(shot, generator), gels, log_weights, shot.plan)
 
 
 def _estimate_gain(
-    drawn: Drawn,
+    gels: Gels,
+    data: Data,
+    rows: Sequence[slice],
     inner: Gels,
     log_weights: Float[Tensor, "models"],
     plan: Plan,
@@ -120,20 +132,22 @@ def _estimate_gain(
     """The gain, from mean likelihoods over gels.
 
     Args:
-        drawn: data and their gels.
-        inner: gels that evidences are summed over; may be ``drawn``.
+        gels: gels that data were made of.
+        data: one of each.
+        rows: which are of each model.
+        inner: gels that evidences are summed over; may be ``gels``.
         log_weights: log probability of each model.
         plan: how the data were observed.
         contrastive: whether a datum's own gel takes the place of the first inner gel of its model.
     """
     likelihoods = [
-        log_likelihood(drawn.data[rows], part.radius, part.by_nuisance, plan)
-        for rows, part in zip(drawn.rows, drawn.parts, strict=True)
+        log_likelihood(data[own], part.radius, part.by_nuisance, plan)
+        for own, part in zip(rows, gels.parts, strict=True)
     ]
-    blocks = [pairwise_log_likelihood(drawn.data, part, plan) for part in inner.parts]
+    blocks = [pairwise_log_likelihood(data, part, plan) for part in inner.parts]
     if contrastive:
-        for block, rows, likelihood in zip(blocks, drawn.rows, likelihoods, strict=True):
-            block[rows, :1] = likelihood[:, None]
+        for block, own, likelihood in zip(blocks, rows, likelihoods, strict=True):
+            block[own, :1] = likelihood[:, None]
     models = len(blocks)
 
     def mean_gains(*weights: Float[Tensor, "_"]) -> Float[Tensor, "2"]:
@@ -144,32 +158,26 @@ def _estimate_gain(
         ]
         total = torch.logsumexp(torch.stack(logs) + log_weights[:, None], 0)
         both = torch.zeros(2, dtype=torch.float64)
-        for i, rows in enumerate(drawn.rows):
-            own = logs[i][rows]
-            mean = torch.stack((likelihoods[i] - own, own - total[rows])) @ weights[i]
+        for i, some in enumerate(rows):
+            own = logs[i][some]
+            mean = torch.stack((likelihoods[i] - own, own - total[some])) @ weights[i]
             both = both + mean * log_weights[i].exp() / max(len(own), 1)
         return both
 
-    samples = [drawn] if inner is drawn else [drawn, inner]
+    samples = [gels] if inner is gels else [gels, inner]
     parts = [part for sample in samples for part in sample.parts]
     weights = tuple(torch.ones(len(part), dtype=torch.float64) for part in parts)
     slopes = torch.autograd.functional.jacobian(mean_gains, weights)
     influence = []
     for place, order in enumerate(order for sample in samples for order in sample.orders):
-        replaced = int(contrastive and place >= models)
-        influence.append(_slope_influence(slopes[place].mT, order, replaced))
+        first = int(
+            contrastive and place >= models
+        )  # a datum's own gel is in the place of this one
+        own = slopes[place].mT[first:]
+        found = torch.zeros(len(order), 2, dtype=torch.float64)
+        found[order[first : first + len(own)]] = mean_deviations(len(own) * own)
+        influence.append(found)
     parameters, model = mean_gains(*weights).tolist()
-    asked = sum(map(len, drawn.orders))
-    gain = InformationGain(parameters, model, 0.0, len(drawn.data), asked)
+    asked = sum(map(len, gels.orders))
+    gain = InformationGain(parameters, model, 0.0, len(data), asked)
     return with_influence(gain, torch.cat(influence))
-
-
-def _slope_influence(
-    slopes: Float[Tensor, "simulated 2"], order: Int[Tensor, "drawn"], first: int
-) -> Float[Tensor, "drawn 2"]:
-    """Deviations from the mean of the slopes of draws from the ``first`` on; others have none."""
-    found = torch.zeros(len(order), 2, dtype=torch.float64)
-    slopes = slopes[first:]
-    count = len(slopes)
-    found[order[first : first + count]] = mean_deviations(count * slopes)
-    return found

@@ -27,10 +27,10 @@ from imr_torch.design.space import DesignSpace
 from imr_torch.errors import InputDataError
 from imr_torch.random import child
 
-Strategy = Literal["qLogNEI", "qEI", "paper"]
-"""How the next design is chosen, and the last: by ``qLogNEI`` (Ament et al., NeurIPS 2023) or ``qEI``
-and the maximum of the posterior mean, or as in arXiv 2409.00011 (``paper``): by ``qEI`` over the best
-observed value, which is recommended, and a least improvement."""
+Strategy = Literal["qLogNEI", "paper"]
+"""How the next design is chosen, and the last: by ``qLogNEI`` (Ament et al., NeurIPS 2023) and the
+maximum of the posterior mean, or as in arXiv 2409.00011 (``paper``): by expected improvement over the
+best observed value, which is recommended, and a least improvement."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ class DesignOptimizer:
             pending: designs that were asked and are not told, because they are still being
                 evaluated or because their evaluation failed.
         """
-        waiting = torch.empty(0, 2, dtype=torch.float64) if pending is None else pending
+        waiting = self.train_X[:0] if pending is None else pending
         self.space.check_inside(waiting)
         done = len(self.train_X) + len(waiting)
         if done < self.initial or len(self.train_X) < 2:
@@ -143,17 +143,16 @@ class DesignOptimizer:
                 f"tell expects X n x 2, Y n x 1 and Yvar n x 1; got {tuple(X.shape)}, "
                 f"{tuple(Y.shape)}, {tuple(Yvar.shape)}."
             )
-        for name, values, good in (
-            ("Y", Y, torch.isfinite(Y)),
-            ("Yvar", Yvar, torch.isfinite(Yvar) & (Yvar > 0.0)),
+        for name, values, least, wanted in (
+            ("Y", Y, -torch.inf, "number"),
+            ("Yvar", Yvar, 0.0, "positive variance"),
         ):
-            if not bool(good.all()):
-                row = int(torch.nonzero(~good)[0, 0])
+            bad = torch.nonzero(~((least < values) & (values < torch.inf)))
+            if len(bad):
+                row = int(bad[0, 0])
                 raise InputDataError(
                     f"{name}[{row}] is {float(values[row])} at design {X[row].tolist()}; expected "
-                    "a finite "
-                    f"{'positive variance' if name == 'Yvar' else 'number'}. Leave failed "
-                    "evaluations out and record them."
+                    f"a finite {wanted}. Leave failed evaluations out and record them."
                 )
         self.train_X = torch.cat((self.train_X, X.to(self.train_X)))
         self.train_Y = torch.cat((self.train_Y, Y.to(self.train_Y)))
@@ -203,9 +202,6 @@ class DesignOptimizer:
                 model, X_baseline=self.train_X, prune_baseline=True, X_pending=waiting
             )
         best = self.train_Y.amax() + 0.01  # nats, the least improvement that counts there
-        if self.strategy == "qEI":
-            with torch.no_grad():
-                best = model.posterior(self.train_X[:, None]).mean.amax()
         return qExpectedImprovement(model, best_f=best, X_pending=waiting)
 
     def _maximise_acquisition(self, acquisition: AcquisitionFunction, q: int) -> Tensor:

@@ -21,8 +21,14 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.distributions import MultivariateNormal
 
-from imr_torch.design.estimator import InformationEstimator, check_at_least
-from imr_torch.design.gain import InformationGain, Terms, mean_deviations, summarise_terms
+from imr_torch.design.gain import (
+    InformationEstimator,
+    InformationGain,
+    Terms,
+    check_at_least,
+    mean_deviations,
+    summarise_terms,
+)
 from imr_torch.design.likelihood import infer_linear, observe_gels
 from imr_torch.design.response import Shot, simulate_response
 from imr_torch.errors import InputDataError
@@ -67,7 +73,7 @@ class PopulationInformation(InformationEstimator):
         check_at_least(self, 2, "draws", "data")
 
     def __call__(self, shot: Shot, generator: torch.Generator) -> InformationGain:
-        """See :class:`~imr_torch.design.estimator.InformationEstimator`.
+        """See :class:`~imr_torch.design.gain.InformationEstimator`.
 
         Raises:
             InputDataError: for a belief in several models: the medians of two models are not the
@@ -109,10 +115,7 @@ class PopulationInformation(InformationEstimator):
         normals = []
         for e in range(q):
             one = replace(shot, designs=shot.designs[e : e + 1])
-            controls = torch.linalg.solve_triangular(
-                part.chol, (gels[:, e] - part.mean).mT, upper=False
-            ).mT
-            seen = simulate_response(one, part, controls)
+            seen = simulate_response(one, part, part.whitened(gels[:, e]))
             good = seen.good
             normal = torch.full((self.draws, *part.chol.shape), torch.nan, dtype=torch.float64)
             data = observe_gels(seen[good], shot.plan, source)
@@ -149,8 +152,7 @@ class PopulationInformation(InformationEstimator):
 
     def _data_covariances(self, roots: Tensor) -> Float[Tensor, "hyper size size"]:
         """Of the data about the median's, given each scatter: scatter of each shot, and its noise."""
-        (q, d, _), hyper = roots.shape, len(self.scatter)
         moved = roots * self.scatter[:, None, None, :]
-        blocks = torch.zeros(hyper, q, d, q, d, dtype=torch.float64)
-        blocks[:, range(q), :, range(q)] = (moved @ moved.mT).movedim(1, 0)
-        return blocks.reshape(hyper, q * d, q * d) + torch.eye(q * d, dtype=torch.float64)
+        apart = torch.eye(len(roots), dtype=torch.float64)
+        blocks = torch.einsum("hqab,qr->hqarb", moved @ moved.mT, apart).flatten(3).flatten(1, 2)
+        return blocks + torch.eye(blocks.shape[1], dtype=torch.float64)

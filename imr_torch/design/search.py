@@ -15,7 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.design.acquisition import ExpectedInformationGain
-from imr_torch.design.gain import InformationGain, separate_errors
+from imr_torch.design.gain import ErrorParts, InformationGain, separate_errors
 from imr_torch.design.optimizer import DesignOptimizer, Recommendation, Strategy
 from imr_torch.design.space import DesignSpace
 from imr_torch.errors import ConvergenceError, InputDataError
@@ -183,17 +183,15 @@ class SearchSettings:
         if not counted:
             return optimizer, 0.0
         kept = [gains[i] for i in counted]
-        own = torch.tensor([gain.variance for gain in kept], dtype=torch.float64)
-        common = 0.0
-        if self.common:
-            errors = separate_errors(kept)
-            own = errors.own
-            common = errors.common
         base = pending.value if pending else 0.0
-        values = torch.tensor([gain.value - base for gain in kept], dtype=torch.float64)
-        own = own.clamp_min(1e-8)  # draws may agree exactly, and a known noise of 0 is none
+        values, variances = torch.tensor(
+            [(gain.value - base, gain.variance) for gain in kept], dtype=torch.float64
+        ).mT
+        errors = separate_errors(kept) if self.common else ErrorParts(variances, 0.0)
+        # draws may agree exactly, and a known noise of 0 is none
+        own = errors.own.clamp_min(1e-8)
         optimizer.tell(designs[counted], values[:, None], own[:, None])
-        return optimizer, common
+        return optimizer, errors.common
 
     def finish_search(
         self,
@@ -231,14 +229,15 @@ def _search_one(
         progress: called with one line per evaluation.
     """
     space = acquisition.space
-    pending = acquisition.estimate_pending(seed=child(seed, "eig", 0))
-    if pending is not None and pending.failed:
-        raise ConvergenceError(
-            f"{pending.counted} of {pending.drawn} draws could be simulated at the pending designs "
-            f"{[] if acquisition.X_pending is None else acquisition.X_pending.tolist()}; "
-            "choose others."
-        )
     designs = torch.empty(0, 2, dtype=torch.float64)
+    pending = None
+    if acquisition.X_pending is not None:
+        pending = acquisition.estimate(designs, seed=child(seed, "eig", 0))
+        if pending.failed:
+            raise ConvergenceError(
+                f"{pending.counted} of {pending.drawn} draws could be simulated at the pending "
+                f"designs {acquisition.X_pending.tolist()}; choose others."
+            )
     gains: list[InformationGain] = []
     while len(gains) < evaluations:
         optimizer, _ = settings.make_optimizer(space, designs, gains, pending)

@@ -264,11 +264,9 @@ def _most_probable(posterior: Posterior, fit: ModelFit) -> Float[Tensor, "1 nuis
         moved[1:, 0, len(NUISANCES) :] = own
     gels = fit.mean.expand(len(moved), -1)
     moved = deeper_nuisances(posterior, Point(gels, moved))
-    width = moved.shape[-1]
-    chol = torch.eye(width, dtype=torch.float64).expand(len(moved), 1, width, width)
     tried = [moved]
     for _ in range(_STEPS if len(posterior.uncertain) else 0):
-        moved, chol = posterior.fit_nuisances(Point(gels, moved), chol)
+        moved, _ = posterior.fit_nuisances(Point(gels, moved))
         tried.append(moved)
     every = torch.cat(tried)
     cost = -posterior.log_joint(Point(fit.mean.expand(len(every), -1), every))

@@ -221,7 +221,7 @@ def fit_hypotheses(
 
     Where the gap is large, the null fit's collapses lie on the wrong side of frames, each a local
     minimum. Hypotheses are then also fitted by searches that begin without the frames next to
-    collapses (:mod:`imr_torch.assimilate.masking`), and the lower of the two fits counts, or one
+    collapses (:mod:`imr_torch.assimilate.starts`), and the lower of the two fits counts, or one
     that has not converged and may get lower.
 
     Args:

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from imr_torch.assimilate import ModelFit, Posterior, infer_frame_noise
 from imr_torch.assimilate.noise_estimation import determines_noise
@@ -143,7 +142,9 @@ def check_fit(
             None,
             reason=f"the fit of {fit.model} did not converge, and such a fit looks like a misfit.",
         )
-    left = _scaled_residual(line)
+    # of a linear refit, over the noise of the mean
+    left = (batch.mean - line.prediction) / (line.sd / batch.counts.sqrt())
+    left = torch.where(batch.mask, left, 0.0)
     row, column = divmod(int(left.abs().argmax()), left.shape[1])
     return FitTest(
         fit.model,
@@ -183,13 +184,3 @@ def _move_to_noise(
             )
             return moved, own
     return fit, line
-
-
-def _scaled_residual(line: Linearisation) -> Tensor:
-    """Residual of a linear refit at every frame over the noise of the mean, ``E x T``.
-
-    0 in the padding.
-    """
-    batch = line.batch
-    residual = (batch.mean - line.prediction) / (line.sd / batch.counts.sqrt())
-    return torch.where(batch.mask, residual, 0.0)

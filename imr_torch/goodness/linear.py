@@ -108,7 +108,7 @@ def predict_changed(
     posterior = Posterior(fit.prior, batch, simulator)
     flat = posterior.coordinates_of(fit.point).expand(len(changes), -1)
     point = posterior.point_at(flat if shift is None else flat + shift)
-    parameters = posterior.to_si(point.gel).clone()
+    parameters = fit.prior.to_si(point.gel).clone()
     for row, change in zip(parameters, changes, strict=True):
         for name, value in change.items():
             row[PARAMETERS.index([name])[0]] = value

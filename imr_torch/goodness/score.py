@@ -119,9 +119,7 @@ def effect_directions(
     """
     starts = [(effect, start) for effect in effects for start in effect.starts]
     changes = [dict(zip(effect.names, start, strict=True)) for effect, start in starts]
-    rows = line.whiten(
-        (predict_changed(fit, batch, simulator, changes) - line.prediction).nan_to_num(nan=math.inf)
-    )
+    rows = line.whiten(predict_changed(fit, batch, simulator, changes) - line.prediction)
     rows = torch.where(torch.isfinite(rows).all(1, keepdim=True), rows, 0.0)
     parts = rows.split([len(effect.starts) for effect in effects])
     return {effect.name: part for effect, part in zip(effects, parts, strict=True)}
@@ -201,17 +199,17 @@ def generic_rows(
     experiments = len(batch.experiments)
     times = batch.times
     last = float(times[batch.mask].max())
-    changes = [*pulse_changes(batch).values(), *law_steps()]
+    laws = [{name: step} for name, step in LAW_STEPS]
+    changes = [*pulse_changes(batch), *laws]
     rows = line.whiten(
         (predict_changed(fit, batch, simulator, changes) - line.prediction).nan_to_num()
     )
-    pulses = rows[: -len(LAW_STEPS)]
-    laws = rows[-len(LAW_STEPS) :]
+    pulses = rows[: -len(laws)]
     data = times.numel()
     gel = line.pad_rows(line.fitted[:data, : len(fit.mean)].mT)
     early = line.pad_rows((times < 0.5 * last).flatten().to(gel))
     found = {
-        STATE_LAW: laws,
+        STATE_LAW: rows[-len(laws) :],
         PULSES: pulses,
         "parameters early against late": gel * early,
         SHAPE: shape_rows(line),
@@ -224,17 +222,12 @@ def generic_rows(
     return found
 
 
-def law_steps() -> list[dict[str, float]]:
-    """Parameter -> value of each row of the block ``STATE_LAW``, in order."""
-    return [{name: step} for name, step in LAW_STEPS]
-
-
-def pulse_changes(batch: ExperimentBatch, count: int = 8) -> dict[float, dict[str, float]]:
-    """Small pressure pulses side by side over the records: moment ``t*`` -> parameters."""
+def pulse_changes(batch: ExperimentBatch, count: int = 8) -> list[dict[str, float]]:
+    """Parameters of small pressure pulses side by side over the records."""
     last = float(batch.times[batch.mask].max())
     width = math.log(0.5 * last / count)
     centres = torch.linspace(0.1, 0.9, count, dtype=torch.float64) * last
-    return {t: {"pulse": 0.01, "pulse_time": t, "pulse_width": width} for t in centres.tolist()}
+    return [{"pulse": 0.01, "pulse_time": t, "pulse_width": width} for t in centres.tolist()]
 
 
 def shape_rows(line: Linearisation) -> Float[Tensor, "3 rows"]:
@@ -288,7 +281,7 @@ def gap_test(blocks: Sequence[Block], line: Linearisation, *, seed: int) -> GapT
         BlockResult(
             name,
             rank,
-            math.exp(_mean_log_survival(square[0], rank, scales)),
+            float(log_survival(square[0] / scales, rank).exp().mean()),
             _detection_power(size, rank, threshold),
         )
         for name, size, rank, square, scales in entries
@@ -331,12 +324,6 @@ def _drawn_residuals(
     largest = frames * math.exp(2.0 * sure * laws.log_scale_sd)
     square = min(float(line.residual.square().sum()), largest)
     return rows * (square / rows.square().sum(1, keepdim=True)).sqrt()
-
-
-def _mean_log_survival(statistic: Tensor, rank: int, scales: Tensor) -> float:
-    """Log of the upper tail of ``scale`` times chi-square, averaged over scales."""
-    logs = log_survival(statistic / scales, rank)
-    return float(logs.logsumexp(0)) - math.log(len(scales))
 
 
 def _detection_power(size: float, rank: int, level: float) -> float:

@@ -13,6 +13,7 @@ them; effects of the gel act through a stress term, effects of the camera throug
 import inspect
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 from imr_torch.elementary import Law, obstacle_of
@@ -129,7 +130,7 @@ class Effect:
         """Whether it acts on the bubble by a law of its own."""
         return any(getattr(self, label) is not None for label in _LAWS)
 
-    @property
+    @cached_property
     def compilable(self) -> bool:
         """Whether the laws that are evaluated at every step are written with
         :mod:`imr_torch.elementary`.

@@ -190,6 +190,11 @@ class ModelBelief:
         """Controls at coordinates in which this belief is a standard normal."""
         return self.mean + whitened @ self.chol.mT
 
+    def whitened(self, controls: DrawnControls) -> DrawnControls:
+        """Inverse of :meth:`unwhitened`."""
+        away = (controls - self.mean).mT
+        return torch.linalg.solve_triangular(self.chol, away, upper=False).mT
+
     def to_si(self, whitened: BatchControls) -> BatchParameters:
         """Shared parameter vectors at coordinates in which this belief is a standard normal, SI."""
         return self.parameters(self.unwhitened(whitened))

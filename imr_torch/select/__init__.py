@@ -2,7 +2,7 @@
 them.
 """
 
-from imr_torch.select.evidence import Evidence, evidences, log_evidence
+from imr_torch.select.evidence import Evidence, evidences, log_evidence, probability_errors, update
 from imr_torch.select.identifiability import Bound, Identifiability, identifiability
 from imr_torch.select.predictive import (
     PredictiveScore,
@@ -10,7 +10,6 @@ from imr_torch.select.predictive import (
     default_folds,
     sum_over_folds,
 )
-from imr_torch.select.probabilities import probability_errors, update
 
 __all__ = [
     "Bound",

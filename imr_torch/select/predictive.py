@@ -137,7 +137,12 @@ def cross_validate(
                 again, simulator, seed=child(seed, "weigh", number), samples=samples, noise=noise
             )
             for i, fit in zip(poor, again.fits, strict=True):
-                found[i] = _score_refit(found[i][0], assimilation.fits[i], fit), True
+                # evidence of all experiments over evidence of the others
+                joint = log_evidence(assimilation.fits[i])
+                rest = log_evidence(fit)
+                value = joint.value - rest.value
+                error = math.hypot(joint.error, rest.error)
+                found[i] = replace(found[i][0], value=value, error=error, refitted=True), True
         scores += [score for score, _ in found]
         if progress:
             progress(f"scores: held out {', '.join(scores[-1].held_out)}")
@@ -154,9 +159,7 @@ def sum_over_folds(scores: Sequence[PredictiveScore]) -> tuple[PredictiveScore, 
     >>> total.value, total.error
     (190.0, 0.5)
     """
-    by_model: dict[str, list[PredictiveScore]] = {}
-    for score in scores:
-        by_model.setdefault(score.model, []).append(score)
+    by_model = {score.model: [s for s in scores if s.model == score.model] for score in scores}
     return tuple(
         PredictiveScore(
             model,
@@ -211,15 +214,3 @@ def _log_ratio(weights: Tensor, log_values: Tensor) -> tuple[float, float]:
     joint = weights.log() + torch.where(weights > 0.0, log_values, 0.0)
     tilted = torch.softmax(joint, dim=0)
     return float(torch.logsumexp(joint, dim=0)), float((tilted - weights).norm())
-
-
-def _score_refit(score: PredictiveScore, whole: ModelFit, without: ModelFit) -> PredictiveScore:
-    """Score as evidence of all experiments over evidence of the others."""
-    joint = log_evidence(whole)
-    rest = log_evidence(without)
-    return replace(
-        score,
-        value=joint.value - rest.value,
-        error=math.hypot(joint.error, rest.error),
-        refitted=True,
-    )

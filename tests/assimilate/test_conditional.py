@@ -43,8 +43,7 @@ def test_that_one_step_is_exact_where_nuisances_are_linear(noise, start):
     part = prior(("nhkv",)).models[0]
     gels = part.controls(4, seed=0)
     guess = torch.full((4, 3, 3), start, dtype=torch.float64) * (batch.nuisance_sds > 0.0)
-    chol = torch.eye(3, dtype=torch.float64).expand(4, 3, 3, 3)
-    found, root = Posterior(part, batch, simulator).fit_nuisances(Point(gels, guess), chol)
+    found, root = Posterior(part, batch, simulator).fit_nuisances(Point(gels, guess))
     for i in range(4):
         mean, hessian = closed_form(part.to_si(gels[i]), batch, simulator)
         torch.testing.assert_close(found[i], mean, rtol=1e-5, atol=1e-6)
@@ -56,14 +55,13 @@ def test_that_what_cannot_be_simulated_keeps_its_guess():
     part = prior(("nhkv",)).models[0]
     gels = part.controls(3, seed=0)
     guess = torch.full((3, 2, 3), 0.3, dtype=torch.float64)
-    chol = 2.0 * torch.eye(3, dtype=torch.float64).expand(3, 2, 3, 3)
     guess[1, 0, 1] = -1e3  # a clock that is so early that there is no bubble yet
-    found, root = Posterior(part, batch, LinearSimulator()).fit_nuisances(Point(gels, guess), chol)
+    found, root = Posterior(part, batch, LinearSimulator()).fit_nuisances(Point(gels, guess))
     assert torch.equal(found[1, 0], guess[1, 0])
-    assert torch.equal(root[1, 0], chol[1, 0])
+    assert torch.equal(root[1, 0], torch.eye(3, dtype=torch.float64))  # of the prior
     assert not torch.equal(found[1, 1], guess[1, 1])
     failed, _ = Posterior(part, batch, LinearSimulator(fails=True)).fit_nuisances(
-        Point(gels, guess), chol
+        Point(gels, guess)
     )
     assert torch.equal(failed, guess)
 

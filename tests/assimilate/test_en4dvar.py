@@ -73,25 +73,6 @@ def test_that_one_update_is_two_updates_in_turn() -> None:
     )
 
 
-def test_that_a_tempered_likelihood_is_that_of_the_mean_curve_divided_by_its_frames() -> None:
-    """Of 12 frames and 3 repeats: intervals are wider by the root of 36 where the data outweigh the
-    prior.
-    """
-    batch = experiments(1)
-    count, frames = batch.experiments[0].radius.shape
-    wide = assimilate_en4dvar(
-        prior(("newtonian",)),
-        batch,
-        LinearSimulator(),
-        seed=0,
-        options=En4DVarOptions(tempered=True),
-    )
-    sharp = assimilate_en4dvar(prior(("newtonian",)), batch, LinearSimulator(), seed=0)
-    precisions = [float(r.fits[0].chol[0, 0]) ** -2 - 1.0 for r in (sharp, wide)]
-    assert precisions[0] / precisions[1] == pytest.approx(count * frames, rel=1e-3)
-    assert wide.batch.experiments[0].repeats == 1
-
-
 def test_that_members_that_fail_leave_the_answer_and_too_many_are_an_error() -> None:
     belief = prior(("nhkv",))
     batch = experiments(3)

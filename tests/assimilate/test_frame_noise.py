@@ -13,7 +13,7 @@ from imr_torch.assimilate import FrameNoisePrior, Posterior, infer_frame_noise
 from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.matern import MATERN, matern_whitened
 from imr_torch.assimilate.posterior import Neighbourhood
-from imr_torch.assimilate.spikes import without_spikes
+from imr_torch.assimilate.spikes import frames_left_out, without_spoilt_frames
 from imr_torch.gap import LIBRARY
 from imr_torch.gap.adequacy import adequacy_test
 from imr_torch.goodness.linear import whiten_rows
@@ -184,12 +184,11 @@ def test_that_spoilt_frames_are_left_out_and_no_others():
     first = batch.curves[0].radius.clone()
     first[0, [12, 34]] += tensor(0.15, -0.3)
     spoilt = replace(batch, experiments=(replace(batch.curves[0], radius=first), *batch.curves[1:]))
-    kept = without_spikes(near(spoilt))
-    assert torch.nonzero(~kept).tolist() == [[0, 12], [0, 34]]
-    assert bool(without_spikes(near(batch)).all())
-    assert bool(
-        without_spikes(near(curves(Noise(scale=0.2), {"clock": 0.04}))).all()
-    )  # collapses at the wrong time are no spikes
+    kept = without_spoilt_frames(near(spoilt))
+    assert frames_left_out(spoilt.curves, kept.curves) == {batch.curves[0].label: [12, 34]}
+    assert without_spoilt_frames(near(batch)) is batch
+    late = curves(Noise(scale=0.2), {"clock": 0.04})
+    assert without_spoilt_frames(near(late)) is late  # collapses at the wrong time are no spikes
 
 
 def test_that_a_handful_of_frames_is_not_taken_for_quiet():

@@ -414,7 +414,10 @@ def test_that_a_simulator_that_always_fails_is_a_convergence_error() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"basin_rounds": -1}, r"SearchOptions.basin_rounds is -1; expected 0 or more"),
+        (
+            {"basin_rounds": -1},
+            r"SearchOptions.basin_rounds is -1; expected 0 or more",
+        ),
         ({"starts": 1}, r"2 <= starts <= raw_samples, got 1"),
         ({"starts": 5, "raw_samples": 4}, r"2 <= starts <= raw_samples, got 5 and 4"),
         ({"iterations": 0}, r"SearchOptions.iterations is 0; expected at least 1"),

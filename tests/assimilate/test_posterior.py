@@ -48,7 +48,10 @@ def test_that_the_log_joint_is_likelihood_times_priors(noise) -> None:
     point = points(posterior, 4)
     batch = posterior.batch
     prediction = predict(
-        posterior.simulator, posterior.to_si(point.gel), batch, point.nuisances * batch.nuisance_sds
+        posterior.simulator,
+        posterior.prior.to_si(point.gel),
+        batch,
+        point.nuisances * batch.nuisance_sds,
     )
     normal = torch.distributions.Normal(tensor(0.0), tensor(1.0))
     constants = (point.gel[0].numel() + point.nuisances[0].numel()) * float(
@@ -62,10 +65,10 @@ def test_that_the_log_joint_is_likelihood_times_priors(noise) -> None:
 
 def test_that_whitened_coordinates_are_standard_deviations_of_the_prior() -> None:
     posterior = linear(experiments(1))
-    assert posterior.to_si(tensor(0.0, 0.0))[:2].tolist() == pytest.approx(
+    assert posterior.prior.to_si(tensor(0.0, 0.0))[:2].tolist() == pytest.approx(
         [MEANS["G"], MEANS["mu"]]
     )
-    assert float(posterior.to_si(tensor(1.0, 0.0))[0]) == pytest.approx(MEANS["G"] + SDS["G"])
+    assert float(posterior.prior.to_si(tensor(1.0, 0.0))[0]) == pytest.approx(MEANS["G"] + SDS["G"])
 
 
 def test_that_a_newton_step_from_anywhere_ends_at_the_exact_posterior_of_a_linear_simulator() -> (

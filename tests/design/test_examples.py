@@ -13,9 +13,7 @@ MODULES = [
 ]
 SHOWN = {
     "acquisition",
-    "estimator",
     "gain",
-    "importance",
     "laplace",
     "nested",
     "search",

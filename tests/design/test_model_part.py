@@ -6,7 +6,6 @@ import pytest
 import torch
 
 from imr_torch.design import (
-    ImportanceSampling,
     Laplace,
     NestedMonteCarlo,
     Plan,
@@ -46,9 +45,8 @@ def brute(design):
     [
         (Laplace(draws=32, rivals=32), 8),
         (Laplace(draws=32), 24),
-        (ImportanceSampling(draws=128, inner=32), 1),
     ],
-    ids=["Laplace, all data", "Laplace, a quarter of the data", "ImportanceSampling"],
+    ids=["Laplace, all data", "Laplace, a quarter of the data"],
 )
 def test_that_the_gain_about_the_model_is_that_of_brute_nested_monte_carlo(
     design, estimator, seeds

@@ -53,9 +53,8 @@ def told(space, utility, *, points=None, sd=1e-3, strategy="qLogNEI"):
     return optimizer
 
 
-@pytest.mark.parametrize("strategy", ["qLogNEI", "qEI"])
-def test_the_recommendation_finds_the_maximum_of_a_noisy_utility(strategy):
-    best = run(strategy, 12).recommend()
+def test_the_recommendation_finds_the_maximum_of_a_noisy_utility():
+    best = run("qLogNEI", 12).recommend()
     assert float(utility(best.design[None])) > 4.9
     assert abs(best.mean - float(utility(best.design[None]))) < 5.0 * best.sd + 0.02
 
@@ -204,7 +203,7 @@ class PartlyFailing(LinearCamera):
 
 
 def test_an_unknown_strategy_is_refused():
-    with pytest.raises(InputDataError, match="'thompson'; expected one of qLogNEI, qEI, paper"):
+    with pytest.raises(InputDataError, match="'thompson'; expected one of qLogNEI, paper"):
         DesignOptimizer(SPACE, seed=0, strategy="thompson")
 
 

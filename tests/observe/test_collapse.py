@@ -10,7 +10,6 @@ import torch
 
 from imr_torch import PolytropicSimulator, characterize, wide_prior
 from imr_torch.assimilate import SearchOptions
-from imr_torch.assimilate.en4dvar import temper_batch
 from imr_torch.errors import InputDataError
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import (
@@ -309,8 +308,6 @@ def test_that_what_holds_curves_out_is_refused_beside_times() -> None:
         fitted(data, population=True)
     with pytest.raises(InputDataError, match="No curve or collapse time"):
         fitted(())
-    with pytest.raises(InputDataError, match="tempered likelihood is one of curves"):
-        temper_batch(ExperimentBatch((CollapseTime("a", (240.0, 0.13), 0.91, 0.001),)))
 
 
 @pytest.mark.parametrize(

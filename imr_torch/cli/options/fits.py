@@ -93,9 +93,7 @@ def add_characterize(parser: argparse.ArgumentParser) -> None:
         choices=METHODS,
         default="map",
         help="the most probable gel by multistart Gauss-Newton (default), or hybrid ensemble "
-        "4D-Var, with the data's own "
-        "likelihood or with the tempered one of arXiv 2409.00011; draws are weighted by the "
-        "posterior after either",
+        "4D-Var; draws are weighted by the posterior after either",
     )
     parser.add_argument(
         "--effort",

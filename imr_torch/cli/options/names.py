@@ -42,10 +42,10 @@ MEDIA = (
 
 PHYSICS = ("polytropic", "transport")
 ENGINES = ("compiled", "torchdiffeq")
-METHODS = ("map", "en4dvar", "en4dvar-tempered")
+METHODS = ("map", "en4dvar")
 EFFORTS = ("normal", "thorough")
 TARGETS = ("parameters", "model", "both")
-STRATEGIES = ("qLogNEI", "qEI", "paper")
+STRATEGIES = ("qLogNEI", "paper")
 FORMATS = ("png", "pdf", "svg")
 
 DEFAULT_MODELS = "newtonian,nhkv,gen_qkv"
