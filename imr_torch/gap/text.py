@@ -509,9 +509,10 @@ def _shift(document: Document) -> tuple[str, ...]:
         lines.append(f"With {' and '.join(map(in_words, document['selected']))}:")
         for name, values in shift.items():
             (_, before, _), after = values["base"], values["with_cause"]
+            more = f", {100.0 * (after[1] / before - 1.0):+.1f} %"
             lines.append(
-                f"{name}: {shown(name, before)} becomes {PARAMETERS[name].interval(*after)}, "
-                f"{100.0 * (after[1] / before - 1.0):+.1f} %."
+                f"{name}: {shown(name, before)} becomes {PARAMETERS[name].interval(*after)}"
+                f"{more if PARAMETERS[name].dimension != 'ratio' else ''}."
             )
     if document["gels"] is not None:
         for name, values in document["gels"].items():

@@ -7,6 +7,7 @@ in the order of registration. All entries of the package are in the tables below
 gives them their meaning; users register their own.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -20,7 +21,7 @@ from imr_torch.material.marginals import LogNormal, Marginal, TruncatedNormal
 from imr_torch.types import BatchParameters, BroadcastValues
 from imr_torch.units import Surroundings
 
-Dimension = Literal["pressure", "viscosity", "time", "rate", "length", "drag", "none"]
+Dimension = Literal["pressure", "viscosity", "time", "rate", "length", "drag", "ratio", "none"]
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,9 @@ class Parameter:
         >>> PARAMETERS["G"].interval(8100.0, 8310.0, 8500.0)
         '8.31 kPa (90 %: 8.1 to 8.5)'
         """
+        if self.dimension == "ratio":
+            low, middle, high = map(math.exp, (low, middle, high))
+            return f"{middle:.4g} times the stated one (90 %: {low:.4g} to {high:.4g})"
         unit = self.display_unit or self.unit
         shown = "" if unit in ("", "1") else f" {'µ' + unit[1:] if unit in ('us', 'um') else unit}"
         low, middle, high = (self.display_scale * x for x in (low, middle, high))
@@ -205,6 +209,7 @@ _QUOTED: dict[Dimension, tuple[str, float, str]] = {
     "rate": ("1/s", 1e-3, "1/ms"),
     "length": ("m", 1e6, "um"),
     "drag": ("Pa s/m^2", 1e-6, "MPa s/m^2"),
+    "ratio": ("1", 1.0, ""),
     "none": ("1", 1.0, ""),
 }
 """Dimension -> SI unit, and the factor to the unit in which people quote it."""
@@ -308,15 +313,27 @@ for _entry in (
         "rinf_drift", "relative rate at which the gas's rest radius grows", -1e5, 1e5, "rate"
     ),
     # of the medium
-    _make_entry("density", "log of the medium's density over the stated one", -2.0, 2.0),
+    _make_entry("density", "log of the medium's density over the stated one", -2.0, 2.0, "ratio"),
     _make_entry(
-        "medium_tension", "log of the medium's surface tension over the stated one", -3.0, 3.0
+        "medium_tension",
+        "log of the medium's surface tension over the stated one",
+        -3.0,
+        3.0,
+        "ratio",
     ),
     _make_entry(
-        "medium_pressure", "log of the medium's far-field pressure over the stated one", -2.0, 2.0
+        "medium_pressure",
+        "log of the medium's far-field pressure over the stated one",
+        -2.0,
+        2.0,
+        "ratio",
     ),
     _make_entry(
-        "medium_temperature", "log of the medium's temperature in K over the stated one", -0.2, 0.2
+        "medium_temperature",
+        "log of the medium's temperature in K over the stated one",
+        -0.2,
+        0.2,
+        "ratio",
     ),
     # of the camera
     _make_entry("missed_maximum", "true Rmax over the measured one, less 1", -0.2, 0.2),
@@ -363,6 +380,7 @@ def dimensionless(
         "rate": time,
         "length": 1.0 / max_radius,
         "drag": max_radius**2 / (pressure * time),
+        "ratio": 1.0,
         "none": 1.0,
     }
     return {
