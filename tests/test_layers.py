@@ -37,6 +37,7 @@ BASE = (
     "random",
     "files",
     "types",
+    "progress",
     "threads",
     "elementary",
     "labels",

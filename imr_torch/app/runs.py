@@ -6,7 +6,7 @@ status), ``output.txt`` and ``messages.txt``. A folder whose run has no exit sta
 running was interrupted with the application.
 """
 
-import io
+import json
 import re
 import shlex
 import shutil
@@ -24,8 +24,7 @@ from pathlib import Path
 from imr_torch.errors import InputDataError
 from imr_torch.files import read_json, write_json
 
-_COMMAND = "import sys; from imr_torch.cli import main; sys.exit(main(sys.argv[1:], live=True))"
-_PART = re.compile(r"(\d+) %")
+_COMMAND = "import sys; from imr_torch.cli import main; sys.exit(main(sys.argv[1:], events=True))"
 _PATIENCE = 10.0  # seconds that a stopped command has to end by itself
 _ANSWERED = (0, 2, 130)  # exit statuses of a command that ends by itself, or answers a stop
 _STATUS = {
@@ -95,7 +94,8 @@ def command_line(arguments: tuple[str, ...] | list[str]) -> str:
 
 
 class Run:
-    """A command that is running.
+    """A command that is running: its state in one ``line``, and the ``part`` of the work that is
+    done, None as long as it is not known.
 
     Args:
         result: its folder and arguments.
@@ -105,6 +105,7 @@ class Run:
     def __init__(self, result: Result, home: Path) -> None:
         self.result = result
         self.line = "starting"
+        self.part: float | None = None
         self._stopping = False
         with open(result.folder / "output.txt", "wb") as output:
             self._process = subprocess.Popen(
@@ -115,6 +116,8 @@ class Run:
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.PIPE,
+                encoding="utf-8",
+                errors="replace",
                 creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
             )
         self._end = threading.Thread(target=self._follow, daemon=True)
@@ -124,12 +127,6 @@ class Run:
     def running(self) -> bool:
         """Whether it has not ended, or its files are not complete."""
         return self._end.is_alive()
-
-    @property
-    def part(self) -> float | None:
-        """Part of the work that is done, roughly; None as long as it is not known."""
-        found = _PART.search(self.line)
-        return int(found[1]) / 100 if found else None
 
     def stop(self) -> None:
         """Stop it; what was written stays."""
@@ -149,19 +146,17 @@ class Run:
             self._process.kill()
 
     def _follow(self) -> None:
-        """Read standard error to its end, where a line that ends with a carriage return is progress
-        and any other a message, and keep the messages and how the command ended.
+        """Read standard error to its end, where a JSON object is an event of progress and any other
+        line a message, and keep the messages and how the command ended.
         """
         assert self._process.stderr is not None
-        stream = io.TextIOWrapper(
-            self._process.stderr, encoding="utf-8", errors="replace", newline=""
-        )
         messages = []
-        for line in stream:
-            text = line.strip()
-            if line.endswith("\r"):
-                self.line = text or self.line
-            elif text:
+        for text in filter(None, map(str.strip, self._process.stderr)):
+            if text.startswith('{"line": '):
+                event = json.loads(text)
+                self.line = event["line"]
+                self.part = event["part"]
+            else:
                 messages.append(text)
         status = self._process.wait()
         if self._stopping and status not in _ANSWERED:

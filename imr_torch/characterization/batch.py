@@ -37,7 +37,7 @@ from imr_torch.observe import Layout, Statement, TraceSet, find_files, load_trac
 from imr_torch.results import document_report
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Progress
+from imr_torch.types import Progress, ProgressLine
 
 SHOTS = "shots"
 """Folder of the results, below that of the run."""
@@ -257,7 +257,8 @@ def run_batch(
             for number, (shot, document) in enumerate(finished, 1):
                 keep(shot, document)
                 if progress:
-                    progress(f"{number} of {len(wanted)}: {shot.name} {rows[shot.name]['status']}")
+                    text = f"{number} of {len(wanted)}: {shot.name} {rows[shot.name]['status']}"
+                    progress(ProgressLine(text, done=number, of=len(wanted)))
     finally:
         summary = BatchSummary(tuple(rows[name] for name in order if name in rows))
         if summary.rows:

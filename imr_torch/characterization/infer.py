@@ -60,7 +60,7 @@ from imr_torch.select import (
 )
 from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Progress
+from imr_torch.types import Progress, ProgressLine
 
 
 @one_torch_thread()
@@ -296,7 +296,8 @@ def _scores(method: _Method, weighted: Assimilation, seed: int) -> tuple[Predict
 def _fit_test(method: _Method, found: _Found, seed: int) -> FitTest:
     """Whether the most probable model explains the curves."""
     if method.progress:
-        method.progress("fit test: does the model explain the curves?")
+        text = "fit test: does the model explain the curves?"
+        method.progress(ProgressLine(text, stage="fit test"))
     return check_fit(*found.best, method.simulator, seed=seed)
 
 

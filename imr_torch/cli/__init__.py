@@ -76,12 +76,12 @@ def parser() -> argparse.ArgumentParser:
     return top
 
 
-def main(argv: Sequence[str] | None = None, *, live: bool | None = None) -> int:
+def main(argv: Sequence[str] | None = None, *, events: bool = False) -> int:
     """Run the command line.
 
     Args:
         argv: the arguments; those of this process by default.
-        live: whether progress is one line that rewrites itself; on a terminal by default.
+        events: whether progress is printed as events (:class:`imr_torch.cli.progress.Terminal`).
 
     Returns:
         The exit status.
@@ -94,7 +94,9 @@ def main(argv: Sequence[str] | None = None, *, live: bool | None = None) -> int:
     try:
         args = parser().parse_args(argv)
         args.argv = list(sys.argv[1:] if argv is None else argv)
-        args.terminal = Terminal(args.command, quiet=args.quiet, verbose=args.verbose, live=live)
+        args.terminal = Terminal(
+            args.command, quiet=args.quiet, verbose=args.verbose, events=events
+        )
         _check_targets(args)
         with args.terminal, warnings.catch_warnings():
             warnings.simplefilter(

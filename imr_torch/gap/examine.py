@@ -24,7 +24,7 @@ from imr_torch.observe import Experiment
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Progress
+from imr_torch.types import Progress, ProgressLine
 
 _SURE = 0.95  # probability of the leading cause from which on no shot is designed
 
@@ -98,7 +98,7 @@ def examine(
     if not report.found:
         return parts
     if progress:
-        progress("location, shrinkage, next design")
+        progress(ProgressLine("location, shrinkage, next design", stage="location"))
     alone = report.alone or fit_alone(
         report.null, report.batch, simulator, seed=child(seed, "alone")
     )

@@ -29,7 +29,7 @@ from imr_torch.observe.noise import FEWEST_RESIDUALS
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Progress
+from imr_torch.types import Progress, ProgressLine
 
 _OPTIONS = SearchOptions(starts=2)
 _GRADIENT, _AGREEMENT = (
@@ -108,7 +108,9 @@ def fit_shots(
             )
             if progress:
                 done = number * len(labels) + len(found)
-                progress(f"shots: {experiment.label}, {done}/{steps}, round {number + 1}")
+                text = f"shots: {experiment.label}, {done}/{steps}, round {number + 1}"
+                step = f"shots: {experiment.label}"
+                progress(ProgressLine(text, stage="shots", step=step, done=done, of=steps))
         fits = found
         if not last:
             current = shared_noise(fits, law, simulator, widen=number + 1 == rounds)
@@ -119,7 +121,8 @@ def fit_shots(
         weighted.append(weigh(fit, simulator, seed=child(seed, "weigh", label), samples=samples))
         if progress:
             done = steps - len(labels) + len(weighted)
-            progress(f"draws: {label}, {done}/{steps}, {weighted[-1].fits[0].trust}")
+            text = f"draws: {label}, {done}/{steps}, {weighted[-1].fits[0].trust}"
+            progress(ProgressLine(text, step=f"draws: {label}", done=done, of=steps))
     return tuple(weighted)
 
 
