@@ -15,10 +15,12 @@ import sys
 import warnings
 from collections.abc import Sequence
 from inspect import cleandoc
+from itertools import chain
 from pathlib import Path
+from typing import Any
 
-from imr_torch.cli.options import COMMANDS, WITHOUT
-from imr_torch.cli.options.shared import InRange, add_engine_arguments
+from imr_torch.cli.options import COMMANDS
+from imr_torch.cli.options.shared import COMMON, ONE_OF, WITHOUT
 from imr_torch.cli.progress import Terminal
 from imr_torch.errors import ConvergenceError, ConvergenceWarning, ImrError, InputDataError
 from imr_torch.files import check_target
@@ -35,44 +37,23 @@ def parser() -> argparse.ArgumentParser:
     )
     top.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for name, (summary, add_options) in COMMANDS.items():
+    for name, (summary, list_options) in COMMANDS.items():
         sub = commands.add_parser(
             name,
             help=summary,
-            description=cleandoc(add_options.__doc__ or ""),
+            description=cleandoc(list_options.__doc__ or ""),
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
-        add_options(sub)
-        left_out = WITHOUT.get(name, ())
-        if "seed" not in left_out:
-            sub.add_argument(
-                "--seed",
-                action=InRange,
-                low=0,
-                high=2**63 - 1,
-                type=int,
-                default=0,
-                help="seed of everything random, from 0 on (default 0)",
-            )
-        if "json" not in left_out:
-            sub.add_argument("--json", metavar="FILE", help="write the result as JSON")
-        if "import" not in left_out:
-            sub.add_argument(
-                "--import",
-                action="append",
-                default=[],
-                dest="imports",
-                metavar="FILE.py",
-                help="a Python file that adds models, effects or file formats; may be repeated",
-            )
-        if "engine" not in left_out:
-            add_engine_arguments(sub)
-        sub.add_argument("--quiet", action="store_true", help="no progress on the terminal")
-        sub.add_argument(
-            "--verbose",
-            action="store_true",
-            help="every step of the fits, instead of one line of progress",
-        )
+        common = [options for kind, options in COMMON.items() if kind not in WITHOUT.get(name, ())]
+        places: dict[str, Any] = {"": sub}
+        for group, option, settings in chain(list_options(), *common):
+            if group not in places:
+                places[group] = (
+                    sub.add_mutually_exclusive_group()
+                    if group == ONE_OF
+                    else sub.add_argument_group(group)
+                )
+            places[group].add_argument(option, **settings)
     return top
 
 
