@@ -15,7 +15,7 @@ _LEAST = 0.05  # probability from which on a model has profiles; the most probab
 _FEWEST = 2  # free parameters: with one the posterior is the profile
 
 
-def profiles_of(
+def make_profiles(
     result: Assimilation,
     posterior: Belief,
     simulator: Simulator,
@@ -49,7 +49,7 @@ def profiles_of(
     return found
 
 
-def profiles_document(found: Mapping[str, tuple[Profile, ...]] | None) -> dict[str, Any] | None:
+def document_profiles(found: Mapping[str, tuple[Profile, ...]] | None) -> dict[str, Any] | None:
     """Model -> parameter -> its profile, JSON-ready; None where none was asked for."""
     if found is None:
         return None

@@ -18,7 +18,7 @@ from imr_torch.characterization.bands import curves_document
 from imr_torch.characterization.checks import EFFORTS
 from imr_torch.characterization.collapse import collapse_rows, patterns
 from imr_torch.characterization.medium import medium_document
-from imr_torch.characterization.profiles import profiles_document
+from imr_torch.characterization.profiles import document_profiles
 from imr_torch.characterization.saved import SavedCharacterization, draws_to_dict
 from imr_torch.document import header
 from imr_torch.files import without_nonfinite, write_json
@@ -191,7 +191,7 @@ class Characterization:
             "fit_test": tested
             and tested.to_dict() | {"command": command, "sentence": tested.sentence(command)},
             "population": self.population and self.population.to_dict(),
-            "profiles": profiles_document(self.profiles),
+            "profiles": document_profiles(self.profiles),
             "prior": self.assimilation.prior.to_dict(),
             "belief": self.posterior.to_dict(),
             "weighted_draws": draws_to_dict(self.assimilation),
