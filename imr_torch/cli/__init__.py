@@ -115,6 +115,7 @@ def _run(args: argparse.Namespace) -> None:
     )  # of tensor operators, which are small; the engine has its own threads
     extensions = importlib.import_module("imr_torch.cli.extensions")  # slow to import for help
     args.extensions = extensions.load_extensions(getattr(args, "imports", ()))
+    importlib.import_module("imr_torch.cli.common").read_options(args)
     module.run(args)
 
 

@@ -15,9 +15,7 @@ from imr_torch.cli.common import (
     layout_of,
     prior_of,
     progress_of,
-    rest_radius_of,
     show_result,
-    statement_of,
     with_engine,
     write_result,
 )
@@ -49,10 +47,10 @@ def run(args: argparse.Namespace) -> None:
         sort=args.sort,
         each=args.each,
         collapses=args.collapses,
-        rest_radius=rest_radius_of(args),
+        rest_radius=args.rest_radius,
         estimate_noise=args.noise == "estimated",
         options=METHODS[args.method],
-        medium=statement_of(args),
+        medium=args.medium,
         seed=args.seed,
         code=tuple(Path(file).read_bytes() for file in args.imports),
     )

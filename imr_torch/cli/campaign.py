@@ -11,17 +11,21 @@ import torch
 from imr_torch.campaign import Campaign, CampaignSettings, Journal, Proposal
 from imr_torch.campaign.admission import check_whole
 from imr_torch.characterization import medium_of
-from imr_torch.cli.campaign_settings import check_goal, hidden, one_model, scatter, settings_of
+from imr_torch.cli.campaign_settings import (
+    check_goal,
+    one_model,
+    read_hidden,
+    read_scatter,
+    settings_of,
+)
 from imr_torch.cli.common import (
     layout_of,
     prior_of,
     progress_of,
-    rest_radius_of,
-    show_result,
+    refuse_options,
+    report_result,
     simulator_of,
-    statement_of,
     with_medium,
-    write_result,
 )
 from imr_torch.errors import InputDataError
 from imr_torch.files import remove_temporaries
@@ -36,7 +40,7 @@ from imr_torch.observe import (
 )
 from imr_torch.observe.medium import label
 from imr_torch.random import child, generator
-from imr_torch.results import campaign_document, document_report
+from imr_torch.results import campaign_document
 from imr_torch.simulate import Simulator
 
 
@@ -52,12 +56,9 @@ def run(args: argparse.Namespace) -> None:
             "--tell gives real experiments and --case simulates them; give one of the two."
         )
     check_goal(args)
-    for option in ("layout", "rest_radius"):
-        if getattr(args, option) is not None and not args.tell:
-            raise InputDataError(
-                f"--{option.replace('_', '-')} is about told files and has no effect without "
-                "--tell."
-            )
+    if not args.tell:
+        why = "is about told files and has no effect without --tell."
+        refuse_options(args, ("layout", "rest_radius"), why)
     settings = settings_of(args)
     prior = prior_of(args) if begun is None else begun
     simulator, prior, medium = with_medium(args, simulator_of(args), prior)
@@ -118,8 +119,8 @@ def _open(
         )
     note = (
         {"case": args.case}
-        | ({"hidden": hidden(args)} if args.hide is not None else {})
-        | ({"scatter": scatter(args)} if args.scatter is not None else {})
+        | ({"hidden": read_hidden(args)} if args.hide is not None else {})
+        | ({"scatter": read_scatter(args)} if args.scatter is not None else {})
         | ({"medium": args.gel_medium.to_dict()} if args.medium else {})
     )
     return Campaign(folder, prior, simulator, settings=settings, seed=args.seed, note=note)
@@ -133,7 +134,7 @@ def _simulated(
     No proposals, and why it ended early.
     """
     progress = progress_of(args)
-    spread = scatter(args)
+    spread = read_scatter(args)
 
     def gel(number: int) -> dict[str, float]:
         source = generator(child(args.seed, "gel", number))
@@ -150,7 +151,7 @@ def _simulated(
                 f"{campaign.settings.space.describe(design, campaign.simulator.conditions.surroundings)}"
             )
         plan = campaign.settings.plan
-        gels = PARAMETERS.pack({**gel(number), **hidden(args)})
+        gels = PARAMETERS.pack({**gel(number), **read_hidden(args)})
         laboratory = SimulatedLaboratory(
             campaign.simulator, gels, noise=plan.noise, repeats=plan.repeats
         )
@@ -172,9 +173,9 @@ def _real(campaign: Campaign, args: argparse.Namespace) -> tuple[Sequence[Propos
         try:
             traces = load_traces(path, layout=layout_of(args), sort=args.sort)
             print(traces.report())
-            medium = medium_of(traces, statement_of(args))
+            medium = medium_of(traces, args.medium)
             surroundings = campaign.simulator.conditions.surroundings
-            prepared = prepare(traces, surroundings, rest_radius=rest_radius_of(args))
+            prepared = prepare(traces, surroundings, rest_radius=args.rest_radius)
             print(prepared.report())
             for experiment in prepared.experiments:
                 marks = prepared.landmarks[experiment.label]
@@ -232,8 +233,5 @@ def _report(
         means = dict(zip(part.names, part.means.tolist(), strict=True))
         errors = {name: abs(means[name] / true - 1.0) for name, true in truth.items()}
     document = campaign_document(campaign, proposals=proposals, stopped=stopped, truth=truth)
-    document |= {"relative_error": errors, "cpu_seconds": seconds}
-    document = write_result(args, document)  # before any figure, so that nothing is lost
-    print(document_report(document))
-    show_result(args, document)
+    report_result(args, document | {"relative_error": errors, "cpu_seconds": seconds})
     print(f"figures and journal in {campaign.journal.folder}")

@@ -5,13 +5,11 @@ import argparse
 from imr_torch.campaign import Optimal
 from imr_torch.cli.common import (
     belief_cautions,
-    parse_pair,
     prior_of,
     progress_of,
-    show_result,
+    report_result,
     simulator_of,
     with_medium,
-    write_result,
 )
 from imr_torch.cli.progress import DESIGN
 from imr_torch.design import (
@@ -23,7 +21,6 @@ from imr_torch.design import (
 )
 from imr_torch.errors import InputDataError
 from imr_torch.observe import Nuisance
-from imr_torch.results import document_report
 from imr_torch.results.plot import search_document
 from imr_torch.simulate import coarser
 
@@ -36,16 +33,11 @@ _MEASURED = Nuisance(
 
 def space_of(args: argparse.Namespace) -> DesignSpace:
     """The design space that the options name."""
-    weber = parse_pair(args.we_range, "--we-range")
-    rest = parse_pair(args.rinf_range, "--rinf-range")
-    assert weber is not None
-    assert rest is not None
     try:
-        return DesignSpace(weber, rest)
+        return DesignSpace(args.we_range, args.rinf_range)
     except InputDataError as error:
-        raise InputDataError(
-            f"--we-range {args.we_range} --rinf-range {args.rinf_range}: {error}"
-        ) from None
+        given = f"--we-range {args.given['we_range']} --rinf-range {args.given['rinf_range']}"
+        raise InputDataError(f"{given}: {error}") from None
 
 
 def plan_of(args: argparse.Namespace) -> Plan:
@@ -87,7 +79,4 @@ def run(args: argparse.Namespace) -> None:
         for step in (*search.earlier, search)
     )
     together = {"joint_eig": search.joint, "further": further} if further else {}
-    document = first | together | {"cautions": belief_cautions(args)}
-    document = write_result(args, document)  # before any figure, so that nothing is lost
-    print(document_report(document))
-    show_result(args, document)
+    report_result(args, first | together | {"cautions": belief_cautions(args)})

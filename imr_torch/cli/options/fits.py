@@ -207,7 +207,7 @@ def list_diagnose_options() -> Options:
             f"model that is put to the test, of {', '.join(MODELS)} (default nhkv)",
             default="nhkv",
         ),
-        text("--known", "NAME=VALUE,...", "independently measured parameters in SI", default=""),
+        text("--known", "NAME=VALUE,...", "independently measured parameters in SI"),
         *group_options(
             ONE_OF,
             text(

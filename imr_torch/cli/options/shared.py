@@ -101,7 +101,6 @@ PRIOR = group_options(
         "--known",
         "NAME=VALUE,...",
         "independently measured parameters in SI, which are not inferred (qkv needs G=...)",
-        default="",
     ),
 )
 """Options that choose the prior belief."""
@@ -225,7 +224,7 @@ def window_options(*, sets: bool = False) -> Options:
     return (
         number(
             "--collapses",
-            None if sets else COLLAPSES,
+            None,
             f"collapses in the fitted window of a curve (default {COLLAPSES})",
         ),
         choice(
