@@ -16,9 +16,6 @@ from imr_torch.material import Belief
 from imr_torch.material.intervals import intervals
 from imr_torch.results.plot import design_document, search_document
 
-_REPEATS = 12  # curves of one experiment that are drawn
-_POINTS = 400  # of a predictive band
-
 
 def campaign_document(
     campaign: Campaign,
@@ -142,7 +139,7 @@ def _curves(campaign: Campaign) -> list[dict[str, Any]]:
     shot = last.assimilation.batch.experiments
     ends = [(float(x.times[0]), float(x.times[-1])) for x in shot]
     drawn = torch.stack(
-        [torch.linspace(*end, _POINTS, dtype=torch.float64) for end in ends]
+        [torch.linspace(*end, 400, dtype=torch.float64) for end in ends]
     )  # frames do not show a collapse
     band = predictive_band(last.assimilation, last.belief, campaign.simulator, best, times=drawn)
     found = []
@@ -157,7 +154,7 @@ def _curves(campaign: Campaign) -> list[dict[str, Any]]:
                 "Rmax_m": size,
                 "time_scale_s": float(outer.time_scale(size)),
                 "t_star": experiment.times.tolist(),
-                "R_star": [drawn_numbers(row) for row in experiment.radius[:_REPEATS]],
+                "R_star": [drawn_numbers(row) for row in experiment.radius[:12]],
                 "repeats": experiment.repeats,
                 "band": band_document(best, drawn, band, e),
             }

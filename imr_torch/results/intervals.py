@@ -26,11 +26,11 @@ from imr_torch.drawing import (
 from imr_torch.labels import parameter_label, plain, symbol
 from imr_torch.material import PARAMETERS, Belief, ModelBelief
 
-_NAMED = 40  # shots whose names stand beside a plot in full size
-_NARROW = 5.0  # ratio of the ends of an axis of ratios or shots from which on it is logarithmic
-_TOP = 4.2  # nats of a profile that are drawn
-_COLUMNS = 2
-_REACH = 3.0  # standard deviations of the posterior that are drawn
+MANY_SHOTS = 40
+"""Shots from which on their names do not fit beside a plot in full size."""
+
+NARROW = 5.0
+"""Ratio of the ends of an axis of ratios or shots from which on it is logarithmic."""
 
 
 def usable(row: Mapping[str, Any]) -> bool:
@@ -71,8 +71,8 @@ def plot_shots(rows: Sequence[Mapping[str, Any]], name: str, *, ax: Axes | None 
     if len(quoted) > 1:
         ax.axhline(np.median(quoted), color=DATA, lw=1, ls="--")
     if len(quoted):
-        set_scale(ax, "y", quoted.min(), quoted.max(), ratio=_NARROW)
-    if len(rows) <= _NAMED:
+        set_scale(ax, "y", quoted.min(), quoted.max(), ratio=NARROW)
+    if len(rows) <= MANY_SHOTS:
         names = [plain(row["shot"]) for row in rows]
         ax.set_xticks(places, names, rotation=60, ha="right", fontsize=7)
     ax.set(xlabel="shot", ylabel=parameter_label(PARAMETERS[name]))
@@ -92,7 +92,7 @@ def plot_ratios(document: Mapping[str, Any]) -> Axes:
     draw_intervals(ax, places, values, capsize=3, color=MODEL)
     ax.axvline(1.0, color=DATA, lw=0.8, ls="--")
     ax.set_yticks(places, [symbol(row["parameter"]) for row in rows])
-    set_scale(ax, "x", values.min(), values.max(), ratio=_NARROW)
+    set_scale(ax, "x", values.min(), values.max(), ratio=NARROW)
     ax.set(xlabel="a / b", ylim=(len(rows) - 0.5, -0.5))
     return ax
 
@@ -128,13 +128,13 @@ def population_figure(found: Mapping[str, Any]) -> Figure:
             style = {"color": dot, "ecolor": line, "elinewidth": width, "ms": 3.5}
             draw_intervals(ax, np.arange(len(shots)) + shift, values, **style)
             ends += [values.min(), values.max()]
-        set_scale(ax, "x", min(ends), max(ends), ratio=_NARROW)
+        set_scale(ax, "x", min(ends), max(ends), ratio=NARROW)
         ax.set_xlabel(parameter_label(PARAMETERS[name]))
         if "scatter" in entry:
             title = "scatter {1:.2f} ({0:.2f} to {2:.2f})".format(*entry["scatter"])
             ax.set_title(title, fontsize=9)
     labels = [plain(shot["id"], 24) for shot in shots]
-    axes[0, 0].set_yticks(range(len(shots)), labels, fontsize=8 if len(shots) <= _NAMED else 5)
+    axes[0, 0].set_yticks(range(len(shots)), labels, fontsize=8 if len(shots) <= MANY_SHOTS else 5)
     axes[0, 0].set_ylim(len(shots) - 0.5, -0.5)
     return figure
 
@@ -148,7 +148,7 @@ def profile_figure(document: Mapping[str, Any], key: str) -> Figure:
     """
     found = document["profiles"][key]
     prior, posterior = (Belief.from_dict(document[name])[key] for name in ("prior", "belief"))
-    columns = min(_COLUMNS, len(found))
+    columns = min(2, len(found))
     rows = -(-len(found) // columns)
     size = (0.6 + 2.7 * columns, 0.9 + 2.3 * rows)
     figure, axes = plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False)
@@ -175,7 +175,7 @@ def _plot_profile(
     scale = PARAMETERS[name].display_scale
     values = scale * floats(entry["values"])
     lost = floats(entry["nats_lost"])
-    z = torch.linspace(-_REACH, _REACH, 121, dtype=torch.float64)
+    z = torch.linspace(-3.0, 3.0, 121, dtype=torch.float64)
     believed, learnt = (
         scale * part.quantile(torch.special.ndtr(z))[:, part.names.index(name)].numpy()
         for part in (prior, posterior)
@@ -188,20 +188,11 @@ def _plot_profile(
         ax.plot(at, 0.5 * z.square(), color=color, lw=1.2, label=label)
     ax.plot(*_between(values, lost, wide), color=MODEL, lw=1.4, label="profile", zorder=3)
     for x, y, converged in zip(values, lost, entry["converged"], strict=True):
-        ax.plot(
-            x,
-            y,
-            "o",
-            ms=3 if converged else 4.5,
-            mfc=MODEL if converged else "white",
-            mec=MODEL,
-            zorder=4,
-        )
-    lower, upper = entry["limits_95"]
-    for limit in (lower, upper):
-        if limit is not None:
-            ax.vlines(scale * limit, 0.0, FALL, color=MODEL, lw=0.9, ls=":")
-    ax.set(xlim=(low, high), ylim=(0.0, _TOP), xlabel=parameter_label(PARAMETERS[name]))
+        dot = {"ms": 3, "mfc": MODEL} if converged else {"ms": 4.5, "mfc": "white"}
+        ax.plot(x, y, "o", mec=MODEL, zorder=4, **dot)
+    for limit in filter(None, entry["limits_95"]):
+        ax.vlines(scale * limit, 0.0, FALL, color=MODEL, lw=0.9, ls=":")
+    ax.set(xlim=(low, high), ylim=(0.0, 4.2), xlabel=parameter_label(PARAMETERS[name]))
     ax.set_title("bounded " + entry["bounded"], fontsize=9)
 
 
