@@ -3,30 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from imr_torch.cli.options.names import COLLAPSES, DEFAULT_MODELS, EFFECTS_ADDED, EVALUATIONS
-
-DEFAULTS: dict[str, Any] = {
-    "models": DEFAULT_MODELS.split(","),
-    "known": "",
-    "physics": "transport",
-    "collapses": COLLAPSES,
-    "rest_radius": "",
-    "population": False,
-    "profile": False,
-    "scores": False,
-    "experiments": [],
-    "base": "nhkv",
-    "most": EFFECTS_ADDED,
-    "belief": "",
-    "we_range": "100:1000",
-    "rinf_range": "0.14:0.30",
-    "target": "both",
-    "q": 1,
-    "evaluations": EVALUATIONS,
-    "layout": "",
-    "medium": "",
-}
-"""Option -> what the command takes where it is not given."""
+from imr_torch.cli.options import COMMANDS
+from imr_torch.cli.options.names import COLLAPSES, DEFAULT_MODELS
 
 FORMS: dict[str, tuple[tuple[str, ...], ...]] = {
     "characterize": (
@@ -46,6 +24,20 @@ FORMS: dict[str, tuple[tuple[str, ...], ...]] = {
     ),
 }
 """Command -> the rows of its form."""
+
+
+SETTINGS: dict[str, dict[str, Any]] = {
+    name.removeprefix("--").replace("-", "_"): settings
+    for command in FORMS
+    for _, name, settings in COMMANDS[command][1]()
+}
+"""Option of these commands -> what the command line says about it."""
+
+DEFAULTS: dict[str, Any] = {
+    name: settings.get("default") or (settings.get("action") != "store_true" and "")
+    for name, settings in SETTINGS.items()
+} | {"models": DEFAULT_MODELS.split(","), "experiments": [], "collapses": COLLAPSES}
+"""Option -> what the command takes where it is not given."""
 
 
 def command_arguments(

@@ -25,8 +25,6 @@ from imr_torch.errors import InputDataError
 from imr_torch.files import read_json, write_json
 
 _COMMAND = "import sys; from imr_torch.cli import main; sys.exit(main(sys.argv[1:], events=True))"
-_PATIENCE = 10.0  # seconds that a stopped command has to end by itself
-_ANSWERED = (0, 2, 130)  # exit statuses of a command that ends by itself, or answers a stop
 _STATUS = {
     0: "done",
     1: "not converged, or a file could not be written",
@@ -76,12 +74,12 @@ class Result:
             return f"ended by the system (signal {-self.status}); it may have run out of memory"
         return _STATUS.get(self.status, f"exit status {self.status}")
 
-    def text(self, name: str) -> str:
+    def read_text_of(self, name: str) -> str:
         """``output.txt`` or ``messages.txt``; empty where nothing was written."""
         path = self.folder / name
         return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
 
-    def archive(self) -> bytes:
+    def zip_files(self) -> bytes:
         """All files of the run as a zip file."""
         with tempfile.TemporaryDirectory() as place:
             path = shutil.make_archive(f"{place}/all", "zip", self.folder.parent, self.folder.name)
@@ -120,7 +118,7 @@ class Run:
                 errors="replace",
                 creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
             )
-        self._end = threading.Thread(target=self._follow, daemon=True)
+        self._end = threading.Thread(target=self._read_messages, daemon=True)
         self._end.start()
 
     @property
@@ -133,19 +131,20 @@ class Run:
         if self._process.poll() is None:
             self._stopping = True
             self._process.send_signal(getattr(signal, "CTRL_BREAK_EVENT", signal.SIGINT))
-            threading.Thread(target=self._insist, daemon=True).start()
+            threading.Thread(target=self._kill_late, daemon=True).start()
 
     def wait(self, seconds: float | None = None) -> None:
         """Wait until it has ended."""
         self._end.join(seconds)
 
-    def _insist(self) -> None:
+    def _kill_late(self, patience: float = 10.0) -> None:
+        """Kill it if it has not ended by itself after some seconds."""
         try:
-            self._process.wait(_PATIENCE)
+            self._process.wait(patience)
         except subprocess.TimeoutExpired:
             self._process.kill()
 
-    def _follow(self) -> None:
+    def _read_messages(self) -> None:
         """Read standard error to its end, where a JSON object is an event of progress and any other
         line a message, and keep the messages and how the command ended.
         """
@@ -159,8 +158,8 @@ class Run:
             else:
                 messages.append(text)
         status = self._process.wait()
-        if self._stopping and status not in _ANSWERED:
-            status = 130  # before Python could answer, or killed since it did not
+        if self._stopping and status not in (0, 2, 130):
+            status = 130  # stopped before Python could answer, or killed since it did not
             messages.clear()
         (self.result.folder / "messages.txt").write_text("\n".join(messages), encoding="utf-8")
         _write_record(self.result, status)
@@ -190,7 +189,7 @@ class Runs:
         ]
         return f"results/{max(taken, default=0) + 1:03d}_{kind}"
 
-    def start(self, arguments: Callable[[str], list[str]], kind: str) -> Run:
+    def start_run(self, arguments: Callable[[str], list[str]], kind: str) -> Run:
         """Start a command.
 
         Args:
@@ -210,7 +209,7 @@ class Runs:
         self.current = Run(result, self.home)
         return self.current
 
-    def results(self) -> list[Result]:
+    def list_results(self) -> list[Result]:
         """All runs that have ended, the latest first."""
         running = self.current.result.folder if self.busy and self.current else None
         found = [
@@ -220,16 +219,16 @@ class Runs:
         ]
         return sorted(found, key=lambda result: result.name, reverse=True)
 
-    def result(self, name: str) -> Result:
+    def find_result(self, name: str) -> Result:
         """A run by its name.
 
         Raises:
             InputDataError: if there is none of that name.
         """
-        for result in self.results():
-            if result.name == name:
-                return result
-        raise InputDataError(f"There is no result {name!r}.")
+        found = {result.name: result for result in self.list_results()}
+        if name not in found:
+            raise InputDataError(f"There is no result {name!r}.")
+        return found[name]
 
 
 def _write_record(result: Result, status: int | None) -> None:

@@ -22,7 +22,7 @@ class MediumView:
         self.workspace = workspace
 
     @ui.refreshable_method
-    def show(self) -> None:
+    def draw_tab(self) -> None:
         """Draw it."""
         text = self.workspace.settings["medium"]
         said = Statement.from_text(text) if text else Statement()
@@ -46,18 +46,18 @@ class MediumView:
                 )
         ui.button(
             "State it",
-            on_click=lambda: self._set(
+            on_click=lambda: self._set_medium(
                 name.value, {key: (a.value, b.value) for key, (a, b) in fields.items()}
             ),
         ).props("no-caps")
         with problems_shown():
-            ui.label(self.workspace.medium().report()).style("white-space: pre-wrap")
+            ui.label(self.workspace.find_medium().report()).style("white-space: pre-wrap")
 
-    def _set(self, name: str, values: dict[str, tuple[float | None, float | None]]) -> None:
+    def _set_medium(self, name: str, values: dict[str, tuple[float | None, float | None]]) -> None:
         with problems_notified():
             self.workspace.set_medium(medium_text(name, values))
             ui.notify("Stated; it counts in every command that is run from now on.")
-            self.show.refresh()
+            self.draw_tab.refresh()
 
 
 def medium_text(name: str, values: dict[str, tuple[float | None, float | None]]) -> str:

@@ -83,7 +83,4 @@ def _curve(curve: Mapping[str, Any]) -> dict[str, Any]:
 def _struct_array(rows: Sequence[Mapping[str, Any]]) -> np.ndarray:
     """Rows as a struct array, which a list of dictionaries is not."""
     names = list(rows[0]) if rows else ["id"]
-    array = np.empty(len(rows), dtype=[(name, object) for name in names])
-    for number, row in enumerate(rows):
-        array[number] = tuple(row.values())
-    return array
+    return np.array([tuple(row.values()) for row in rows], dtype=[(name, object) for name in names])
