@@ -12,6 +12,9 @@ from typing import IO, Any
 
 from imr_torch.errors import InputDataError
 
+Document = dict[str, Any]
+"""A JSON object: a result document, or a part of one."""
+
 _LONGEST_NAME = 200  # bytes; file systems take 255, and temporary files have longer names
 _TEMPORARY = ".tmp"
 _DIGITS = 7  # after the decimal point, of numbers that are only drawn
@@ -172,17 +175,21 @@ def without_nonfinite(document: Any) -> tuple[Any, list[str]]:
     """
     places: list[str] = []
 
-    def finite(value: Any, place: tuple[str, ...]) -> Any:
+    def replace_nonfinite(value: Any, place: tuple[str, ...]) -> Any:
         if isinstance(value, Mapping):
-            return {name: finite(own, (*place, str(name))) for name, own in value.items()}
+            return {
+                name: replace_nonfinite(own, (*place, str(name))) for name, own in value.items()
+            }
         if isinstance(value, (list, tuple)):
-            return [finite(own, (*place, str(number))) for number, own in enumerate(value)]
+            return [
+                replace_nonfinite(own, (*place, str(number))) for number, own in enumerate(value)
+            ]
         if isinstance(value, float) and not math.isfinite(value):
             places.append(".".join(place))
             return None
         return value
 
-    return finite(document, ()), places
+    return replace_nonfinite(document, ()), places
 
 
 def drawn_numbers(values: Any) -> list[float | None]:
@@ -220,7 +227,7 @@ def read_json(path: str | Path, *, expected: str = "expected JSON") -> Any:
     {'G': 5000.0}
     """
     try:
-        return json.loads(Path(path).read_text(encoding="utf-8-sig"), object_pairs_hook=_once)
+        return json.loads(Path(path).read_text(encoding="utf-8-sig"), object_pairs_hook=_read_once)
     except (OSError, ValueError, RecursionError) as error:
         why = (
             "its values are nested too deep"
@@ -232,7 +239,7 @@ def read_json(path: str | Path, *, expected: str = "expected JSON") -> Any:
         ) from None
 
 
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _read_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found = dict(pairs)
     if len(found) < len(pairs):
         names = [name for name, _ in pairs]

@@ -17,7 +17,7 @@ from imr_torch.labels import shown_unit
 
 
 @cache
-def _environment() -> Environment:
+def _make_environment() -> Environment:
     environment = Environment(
         loader=PackageLoader("imr_torch"),
         autoescape=select_autoescape(("html",)),
@@ -44,7 +44,7 @@ def render(template: str, **values: Any) -> str:
     >>> text.count("Gel &lt;7&gt;")
     2
     """
-    return _environment().get_template(template).render(**values)
+    return _make_environment().get_template(template).render(**values)
 
 
 def write(text: str, path: str | Path) -> Path:

@@ -14,7 +14,7 @@ import imr_torch
 from imr_torch import example_gel
 from imr_torch.campaign import Journal, Optimal
 from imr_torch.characterization import EFFORTS
-from imr_torch.cli import demo, main, parser
+from imr_torch.cli import build_parser, demo, main
 from imr_torch.cli.common import METHODS, SIMULATORS
 from imr_torch.cli.options import COMMANDS, names
 from imr_torch.design import Strategy, Target
@@ -111,7 +111,7 @@ def test_that_the_demo_passes_options_on_resumes_and_keeps_other_files(
     out = tmp_path / "first look"
     kept = tmp_path / "first look" / "notes.txt"
     words = ["demo", "--out", str(out), "--threads", "1", "--quiet"]
-    args = parser().parse_args(words)
+    args = build_parser().parse_args(words)
     args.argv = words
     demo.run(args)
     assert [command[0] for command in ran] == ["characterize", "campaign"]

@@ -38,7 +38,7 @@ def terminal(stages=(), *, live=False, **options):
     stream = io.StringIO()
     clock = Clock()
     made = Terminal("characterize", stream=stream, live=live, clock=clock, **options)
-    made.plan(stages)
+    made.plan_stages(stages)
     return made, stream, clock
 
 
@@ -49,14 +49,14 @@ def test_that_stage_step_and_time_left_are_said():
     made(stage("noise", "noise 0.09 x the published law"))
     made(iteration(2))
     assert (
-        made.line()
+        made.describe_state()
         == "characterize, stage 2 of 4, 0:20, 19 %, about 1:28 left: fit with the estimated noise (round 1 of 2), iteration 2"
     )
     clock.now = 50.0
-    assert "about 0:58 left" in made.line()  # less, though nothing was counted meanwhile
+    assert "about 0:58 left" in made.describe_state()  # less, though nothing was counted meanwhile
     made(stage("noise", "noise 0.06 x the published law"))
     made(stage("fit test", "fit test: does the model explain the curves?"))
-    assert "stage 4 of 4, " in made.line()
+    assert "stage 4 of 4, " in made.describe_state()
     assert max(map(len, stream.getvalue().splitlines())) <= 116
     assert "cost" not in stream.getvalue()
 
@@ -67,7 +67,7 @@ def test_that_counted_steps_give_the_time_left():
     text = "design 5/25: We  300.0  R_inf* 0.200  EIG 1.0 +- 0.1 nats"
     made(ProgressLine(text, step="design", done=5, of=25))
     assert (
-        made.line()
+        made.describe_state()
         == "characterize, 0:10, 20 %, about 0:40 left: search of designs, design 5 of 25"
     )
 
@@ -75,7 +75,7 @@ def test_that_counted_steps_give_the_time_left():
 def test_that_a_stage_that_is_skipped_is_passed_over():
     made, *_ = terminal(DIAGNOSE)
     made(stage("location", "location, shrinkage, next design"))
-    assert "stage 3 of 3" in made.line()
+    assert "stage 3 of 3" in made.describe_state()
 
 
 def test_that_a_log_gets_a_line_per_stage_and_one_every_half_minute():
@@ -130,7 +130,7 @@ def test_that_a_program_gets_events_with_the_part_that_is_done():
     made(ProgressLine("design 5/25: We  300.0", step="design", done=5, of=25))
     first, second = map(json.loads, stream.getvalue().splitlines())
     assert first["part"] is None
-    assert second == {"line": made.line(), "part": 0.2}
+    assert second == {"line": made.describe_state(), "part": 0.2}
 
 
 @pytest.mark.parametrize(("option", "shown"), [([], False), (["--verbose"], True)])

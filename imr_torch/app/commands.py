@@ -1,10 +1,10 @@
 """The forms of the application, and what they say as the arguments of the commands."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from imr_torch.cli.options import COMMANDS
 from imr_torch.cli.options.names import COLLAPSES, DEFAULT_MODELS
+from imr_torch.files import Document
 
 FORMS: dict[str, tuple[tuple[str, ...], ...]] = {
     "characterize": (
@@ -26,14 +26,14 @@ FORMS: dict[str, tuple[tuple[str, ...], ...]] = {
 """Command -> the rows of its form."""
 
 
-SETTINGS: dict[str, dict[str, Any]] = {
+SETTINGS: dict[str, Document] = {
     name.removeprefix("--").replace("-", "_"): settings
     for command in FORMS
     for _, name, settings in COMMANDS[command][1]()
 }
 """Option of these commands -> what the command line says about it."""
 
-DEFAULTS: dict[str, Any] = {
+DEFAULTS: Document = {
     name: settings.get("default") or (settings.get("action") != "store_true" and "")
     for name, settings in SETTINGS.items()
 } | {"models": DEFAULT_MODELS.split(","), "experiments": [], "collapses": COLLAPSES}
@@ -41,7 +41,7 @@ DEFAULTS: dict[str, Any] = {
 
 
 def command_arguments(
-    command: str, values: Mapping[str, Any], folder: str, *, files: Sequence[str] = ()
+    command: str, values: Document, folder: str, *, files: Sequence[str] = ()
 ) -> list[str]:
     """The arguments of a command; options that say what it does anyhow are left out.
 

@@ -2,13 +2,14 @@
 that can be moved.
 """
 
-from typing import Any
+from dataclasses import dataclass
 
 from nicegui import events, ui
 
 from imr_torch.app.problems import problems_notified, problems_shown
 from imr_torch.app.workspace import CurveView, Workspace
 from imr_torch.cli.options.names import COLLAPSES
+from imr_torch.files import Document
 from imr_torch.reading.sidecar import OVERRIDES
 
 _FITTED = "#0072b2"
@@ -33,17 +34,19 @@ _LINES = {
 _PAIRS = {"Rmax_m": "Rmax_sd_m", "Rinf_m": "Rinf_sd_m"}
 
 
+@dataclass(eq=False)
 class CurvesView:
     """The tab.
 
     Args:
         workspace: the folder.
+        name: of the curve that is shown.
+        collapses: that the fitted window holds.
     """
 
-    def __init__(self, workspace: Workspace) -> None:
-        self.workspace = workspace
-        self.name = ""
-        self.collapses = COLLAPSES
+    workspace: Workspace
+    name: str = ""
+    collapses: int = COLLAPSES
 
     @ui.refreshable_method
     def draw_tab(self) -> None:
@@ -149,7 +152,7 @@ def found_values(view: CurveView) -> dict[str, float | None]:
     }
 
 
-def moved_line(change: dict[str, Any]) -> tuple[str, float] | None:
+def moved_line(change: Document) -> tuple[str, float] | None:
     """Which line was moved where, from what the figure reports; in SI units; None for any other
     change.
 
@@ -169,7 +172,7 @@ def moved_line(change: dict[str, Any]) -> tuple[str, float] | None:
     return None
 
 
-def curve_figure(view: CurveView) -> dict[str, Any]:
+def curve_figure(view: CurveView) -> Document:
     """The frames in us and um with the lines, as plotly takes it."""
     time = (MICRO * view.trace.time_s).tolist()
     radius = (MICRO * view.trace.radius_m).tolist()
@@ -205,11 +208,11 @@ def curve_figure(view: CurveView) -> dict[str, Any]:
     return {"data": data, "layout": layout, "config": config}
 
 
-def _draw_line(key: str, value: float | None) -> dict[str, Any]:
+def _draw_line(key: str, value: float | None) -> Document:
     """A line that can be moved; one of a value that is not known is not seen."""
     name, colour, dash = _LINES[key]
     at = 0.0 if value is None else MICRO * value
-    label: dict[str, Any] = {"text": name, "font": {"size": 11, "color": colour}}
+    label: Document = {"text": name, "font": {"size": 11, "color": colour}}
     if key.endswith("_s"):
         place = {"x0": at, "x1": at, "y0": 0, "y1": 1, "yref": "paper"}
         side = "left" if key == "t_Rmax_s" else "right"  # towards the frames between the two

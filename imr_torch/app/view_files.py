@@ -1,6 +1,7 @@
 """The tab of files: drop them, see which can be used and why not, say how they are to be read."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from nicegui import events, ui
 
@@ -15,6 +16,7 @@ _HELP = (
 )
 
 
+@dataclass(eq=False)
 class FilesView:
     """The tab.
 
@@ -23,9 +25,8 @@ class FilesView:
         go: opens another tab.
     """
 
-    def __init__(self, workspace: Workspace, go: Callable[[str], object]) -> None:
-        self.workspace = workspace
-        self.go = go
+    workspace: Workspace
+    go: Callable[[str], object]
 
     @ui.refreshable_method
     def draw_tab(self) -> None:

@@ -2,6 +2,8 @@
 files and statements.
 """
 
+from dataclasses import dataclass
+
 from nicegui import ui
 
 from imr_torch.app.problems import problems_notified, problems_shown
@@ -11,6 +13,7 @@ from imr_torch.observe import Statement
 from imr_torch.observe.medium import PROPERTIES
 
 
+@dataclass(eq=False)
 class MediumView:
     """The tab.
 
@@ -18,8 +21,7 @@ class MediumView:
         workspace: the folder.
     """
 
-    def __init__(self, workspace: Workspace) -> None:
-        self.workspace = workspace
+    workspace: Workspace
 
     @ui.refreshable_method
     def draw_tab(self) -> None:

@@ -2,21 +2,24 @@
 files to download.
 """
 
+from dataclasses import dataclass
+
 from nicegui import ui
 
 from imr_torch.app.runs import Result, Runs
 
 
+@dataclass(eq=False)
 class ResultsView:
     """The tab.
 
     Args:
         runs: all runs of the folder.
+        name: of the result that is shown.
     """
 
-    def __init__(self, runs: Runs) -> None:
-        self.runs = runs
-        self.name = ""
+    runs: Runs
+    name: str = ""
 
     @ui.refreshable_method
     def draw_tab(self) -> None:

@@ -4,14 +4,13 @@ measured frames, curves of the models, residuals, and the predictive band.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from imr_torch.assimilate import Assimilation, ModelFit
 from imr_torch.assimilate.dense import dense_curve
-from imr_torch.files import drawn_numbers
+from imr_torch.files import Document, drawn_numbers
 from imr_torch.material import Belief
 from imr_torch.material.intervals import LEVELS
 from imr_torch.observe import ExperimentBatch, Prepared, TraceSet, predict
@@ -83,7 +82,7 @@ def predictive_band(
     return low, middle, high
 
 
-def band_document(model: str, times: Tensor, band: Sequence[Tensor], e: int) -> dict[str, Any]:
+def band_document(model: str, times: Tensor, band: Sequence[Tensor], e: int) -> Document:
     """The predictive band of one experiment, JSON-ready.
 
     Args:
@@ -108,7 +107,7 @@ def curves_document(
     *,
     draws: int,
     seed: int,
-) -> list[dict[str, Any]]:
+) -> list[Document]:
     """Every curve with its measured frames, the curves of the models and the predictive band of the
     most probable one.
 
@@ -158,16 +157,18 @@ def curves_document(
                     if trace.asphericity is None
                     else {"asphericity": drawn_numbers(trace.asphericity)}
                 ),
-                "models": {fit.model: _model(fit, batch, e, drawn[fit.model]) for fit in fits},
+                "models": {
+                    fit.model: _document_model(fit, batch, e, drawn[fit.model]) for fit in fits
+                },
                 "band": band_document(best, drawn[best][0], band, e),
             }
         )
     return curves
 
 
-def _model(
+def _document_model(
     fit: ModelFit, batch: ExperimentBatch, e: int, drawn: tuple[Tensor, Tensor]
-) -> dict[str, Any]:
+) -> Document:
     """The curve of one model in one experiment, and its residuals at the fitted frames."""
     seen = batch.mask[e]
     residual = (batch.mean - fit.prediction)[e][seen]

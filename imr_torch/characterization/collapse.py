@@ -2,12 +2,12 @@
 residuals.
 """
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import torch
 
 from imr_torch.assimilate import ModelFit
+from imr_torch.files import Document
 from imr_torch.observe import CollapseTime, ExperimentBatch
 from imr_torch.observe.collapse import serial_correlation
 from imr_torch.units import Surroundings
@@ -18,7 +18,7 @@ _PATTERN = 2.6  # standard deviations; one such set in 200 by chance
 
 def collapse_rows(
     fit: ModelFit, batch: ExperimentBatch, surroundings: Surroundings
-) -> list[dict[str, Any]]:
+) -> list[Document]:
     """Each shot of which the collapse time alone is known: measured and, by a fit, predicted, over
     t*.
     """
@@ -38,7 +38,7 @@ def collapse_rows(
     ]
 
 
-def patterns(shots: Sequence[Mapping[str, Any]]) -> list[str]:
+def find_patterns(shots: Sequence[Document]) -> list[str]:
     """Where residuals of collapse times follow the size or the stretch of a bubble: they are no
     independent errors.
 

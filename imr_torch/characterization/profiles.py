@@ -3,9 +3,9 @@ of them.
 """
 
 from collections.abc import Mapping
-from typing import Any
 
 from imr_torch.assimilate import Assimilation, Profile, profile
+from imr_torch.files import Document
 from imr_torch.material import Belief
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
@@ -49,14 +49,17 @@ def make_profiles(
     return found
 
 
-def document_profiles(found: Mapping[str, tuple[Profile, ...]] | None) -> dict[str, Any] | None:
+def document_profiles(found: Mapping[str, tuple[Profile, ...]] | None) -> Document | None:
     """Model -> parameter -> its profile, JSON-ready; None where none was asked for."""
     if found is None:
         return None
-    return {key: {own.name: _entry(own) for own in profiles} for key, profiles in found.items()}
+    return {
+        key: {own.name: _document_profile(own) for own in profiles}
+        for key, profiles in found.items()
+    }
 
 
-def _entry(found: Profile) -> dict[str, Any]:
+def _document_profile(found: Profile) -> Document:
     return {
         "values": list(found.values),
         "nats_lost": list(found.fall),

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from imr_torch.assimilate import (
     Assimilation,
@@ -16,12 +16,12 @@ from imr_torch.assimilate import (
 )
 from imr_torch.characterization.bands import curves_document
 from imr_torch.characterization.checks import EFFORTS
-from imr_torch.characterization.collapse import collapse_rows, patterns
+from imr_torch.characterization.collapse import collapse_rows, find_patterns
 from imr_torch.characterization.medium import medium_document
 from imr_torch.characterization.profiles import document_profiles
 from imr_torch.characterization.saved import SavedCharacterization, draws_to_dict
 from imr_torch.document import header
-from imr_torch.files import without_nonfinite, write_json
+from imr_torch.files import Document, without_nonfinite, write_json
 from imr_torch.gap import MediumSensitivity
 from imr_torch.goodness import FitTest
 from imr_torch.material import Belief
@@ -147,7 +147,7 @@ class Characterization:
             if chances[fit.model] >= _COUNTS
         )
 
-    def to_dict(self, command: str = "imr-torch diagnose") -> dict[str, Any]:
+    def to_dict(self, command: str = "imr-torch diagnose") -> Document:
         """JSON-ready summary: intervals in SI units, probabilities, residuals, certificates.
 
         Args:
@@ -165,15 +165,15 @@ class Characterization:
                 }
                 for e in self.experiments
             ],
-            "cautions": [*self.prepared.cautions, *patterns(shots)],
+            "cautions": [*self.prepared.cautions, *find_patterns(shots)],
             **medium_document(self.medium, self.sensitivities, self.posterior.best),
             "medium_inferred": list(self.medium.priors),
             "collapse_times": shots,
-            "collapse_patterns": patterns(shots),
+            "collapse_patterns": find_patterns(shots),
             "model_probabilities": self.posterior.probabilities,
             "model_probability_errors": probability_errors(self.assimilation.prior, self.evidence),
             "models": {
-                fit.model: self._model(fit, evidence)
+                fit.model: self._document_model(fit, evidence)
                 for fit, evidence in zip(self.assimilation.fits, self.evidence, strict=True)
             },
             "scores": {
@@ -198,7 +198,7 @@ class Characterization:
             "cpu_seconds": self.seconds,
         }
 
-    def _model(self, fit: ModelFit, evidence: Evidence) -> dict[str, Any]:
+    def _document_model(self, fit: ModelFit, evidence: Evidence) -> Document:
         """What is known of one model, JSON-ready."""
         certificate = fit.certificate
         profiles = (self.profiles or {}).get(fit.model, ())
@@ -212,13 +212,13 @@ class Characterization:
             "log_evidence_error": evidence.error,
             "effective_samples": evidence.effective_samples,
             "draws": fit.trust,
-            "advice": self._advice(fit),
+            "advice": self._advise_more_draws(fit),
             "verdict": fit.verdict.name.lower(),
             "certificate": vars(certificate)
             | {"agreement": min(certificate.agreement, 1e300), "sentence": str(certificate)},
         }
 
-    def _advice(self, fit: ModelFit) -> str:
+    def _advise_more_draws(self, fit: ModelFit) -> str:
         """What can be done where the intervals of a model are not reliable."""
         if fit.verdict is not Verdict.REFUSED:
             return ""
@@ -232,7 +232,7 @@ class Characterization:
 
     def to_document(
         self, command: str = "imr-torch diagnose", *, draws: int = 100, seed: int = 0
-    ) -> dict[str, Any]:
+    ) -> Document:
         """:meth:`to_dict` with the measured frames, the curves of the models and the residuals, from
         which figures and page are made (:func:`imr_torch.results.draw_figures`).
 
@@ -264,7 +264,7 @@ class Characterization:
             "curves": curves,
         }
 
-    def to_result_document(self) -> dict[str, Any]:
+    def to_result_document(self) -> Document:
         """:meth:`to_document` with its header."""
         files = list({trace.source: None for trace in self.traces})
         return header("characterize", files=files, medium=self.medium) | self.to_document()

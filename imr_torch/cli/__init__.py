@@ -26,7 +26,7 @@ from imr_torch.errors import ConvergenceError, ConvergenceWarning, ImrError, Inp
 from imr_torch.files import check_target
 
 
-def parser() -> argparse.ArgumentParser:
+def build_parser() -> argparse.ArgumentParser:
     """The command line, with every subcommand's own help."""
     top = argparse.ArgumentParser(
         prog="imr-torch",
@@ -73,7 +73,7 @@ def main(argv: Sequence[str] | None = None, *, events: bool = False) -> int:
                 errors="backslashreplace"
             )  # names of experiments on a terminal that lacks their letters
     try:
-        args = parser().parse_args(argv)
+        args = build_parser().parse_args(argv)
         args.argv = list(sys.argv[1:] if argv is None else argv)
         args.terminal = Terminal(
             args.command, quiet=args.quiet, verbose=args.verbose, events=events
@@ -89,25 +89,25 @@ def main(argv: Sequence[str] | None = None, *, events: bool = False) -> int:
             warnings.filterwarnings(
                 "ignore", "A not p.d., added jitter", RuntimeWarning
             )  # of a search's surrogate
-            _run(args)
+            _run_named(args)
         sys.stdout.flush()
     except ConvergenceError as error:
-        return _ended(f"not converged: {error}", 1)
+        return _report_end(f"not converged: {error}", 1)
     except ImrError as error:
-        return _ended(str(error), 2)
+        return _report_end(str(error), 2)
     except BrokenPipeError:  # what reads the output has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     except OSError as error:  # a full disk, a folder without permission
-        return _ended(
+        return _report_end(
             f"{error.filename or 'a file'} cannot be read or written: {error.strerror or error}", 1
         )
     except KeyboardInterrupt as error:
-        return _ended(str(error) or "stopped; what was written is complete", 130)
+        return _report_end(str(error) or "stopped; what was written is complete", 130)
     return 0
 
 
-def _run(args: argparse.Namespace) -> None:
+def _run_named(args: argparse.Namespace) -> None:
     """Import extensions and what the subcommand runs, and run it."""
     module = importlib.import_module(f"imr_torch.cli.{args.command}")
     importlib.import_module("torch").set_num_threads(
@@ -116,7 +116,7 @@ def _run(args: argparse.Namespace) -> None:
     extensions = importlib.import_module("imr_torch.cli.extensions")  # slow to import for help
     args.extensions = extensions.load_extensions(getattr(args, "imports", ()))
     importlib.import_module("imr_torch.cli.common").read_options(args)
-    module.run(args)
+    module.run_command(args)
 
 
 class _Version(argparse.Action):
@@ -129,7 +129,7 @@ class _Version(argparse.Action):
         parser.exit()
 
 
-def _ended(message: str, status: int) -> int:
+def _report_end(message: str, status: int) -> int:
     """Say in one line why a command ended; returns the exit status."""
     print(f"imr-torch: {message}", file=sys.stderr)
     return status

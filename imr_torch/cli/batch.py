@@ -1,6 +1,6 @@
 """Runs ``imr-torch batch``."""
 
-import argparse
+from argparse import Namespace
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
@@ -31,9 +31,9 @@ _PER_CLUSTER = 512  # shots handed to a cluster at a time
 Pool = Executor | Callable[[], Executor] | None
 
 
-def run(args: argparse.Namespace) -> None:
+def run_command(args: Namespace) -> None:
     """Check all options, characterise what is missing, write the summary."""
-    _check(args)
+    _check_options(args)
     files = find_files(*args.files)
     folder = Path(args.out)
     workers = args.workers or cores()
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> None:
         seed=args.seed,
         code=tuple(Path(file).read_bytes() for file in args.imports),
     )
-    with _pool(args, workers) as executor:
+    with _open_pool(args, workers) as executor:
         window = _PER_CLUSTER if args.cluster else workers
         progress = progress_of(args)
         summary = run_batch(
@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> None:
         )
 
 
-def _check(args: argparse.Namespace) -> None:
+def _check_options(args: Namespace) -> None:
     if args.workers is not None and args.cluster is not None:
         raise InputDataError(
             "--workers and --cluster both say who does the work; give one of them."
@@ -96,7 +96,7 @@ def _check(args: argparse.Namespace) -> None:
 
 
 @contextmanager
-def _pool(args: argparse.Namespace, workers: int) -> Iterator[Pool]:
+def _open_pool(args: Namespace, workers: int) -> Iterator[Pool]:
     """What does the work: nothing but this process, processes, or the workers of a cluster."""
     if args.cluster is None:
         yield partial(process_pool, workers, args.extensions) if workers > 1 else None

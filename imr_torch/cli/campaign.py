@@ -1,8 +1,8 @@
 """Runs ``imr-torch campaign``."""
 
-import argparse
 import math
 import time
+from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -44,7 +44,7 @@ from imr_torch.results import campaign_document
 from imr_torch.simulate import Simulator
 
 
-def run(args: argparse.Namespace) -> None:
+def run_command(args: Namespace) -> None:
     """Run a simulated campaign, or one step of a real one.
 
     Raises:
@@ -73,12 +73,16 @@ def run(args: argparse.Namespace) -> None:
     case = reference_case(args.case) if args.case else None
     if args.goal != "gel":
         prior = one_model(prior, case, args.goal)
-    campaign = _open(args, simulator, prior, settings)
+    campaign = _open_campaign(args, simulator, prior, settings)
     try:
         with campaign.journal.hold_lock():
             remove_temporaries(campaign.journal.folder, f"{args.command}.json", "*.png")
-            proposals, stopped = _simulated(campaign, case, args) if case else _real(campaign, args)
-            _report(campaign, case, args, time.process_time() - started, proposals, stopped)
+            proposals, stopped = (
+                _run_simulated(campaign, case, args) if case else _run_real(campaign, args)
+            )
+            _report_campaign(
+                campaign, case, args, time.process_time() - started, proposals, stopped
+            )
     except KeyboardInterrupt:
         kept = (
             f"; what was finished is in {campaign.journal.path}, continue with --resume"
@@ -88,7 +92,7 @@ def run(args: argparse.Namespace) -> None:
         raise KeyboardInterrupt(f"interrupted{kept}") from None
 
 
-def _begun_with(args: argparse.Namespace) -> Belief | None:
+def _begun_with(args: Namespace) -> Belief | None:
     """The prior of the campaign that is resumed, where no option names one; its case is as if it
     was given.
     """
@@ -101,8 +105,8 @@ def _begun_with(args: argparse.Namespace) -> Belief | None:
     return None if args.case else Belief.from_dict(start["prior"])
 
 
-def _open(
-    args: argparse.Namespace, simulator: Simulator, prior: Belief, settings: CampaignSettings
+def _open_campaign(
+    args: Namespace, simulator: Simulator, prior: Belief, settings: CampaignSettings
 ) -> Campaign:
     """The campaign in ``--out``, if that is the one which the options mean to begin or to continue."""
     folder = Path(args.out)
@@ -126,8 +130,8 @@ def _open(
     return Campaign(folder, prior, simulator, settings=settings, seed=args.seed, note=note)
 
 
-def _simulated(
-    campaign: Campaign, case: ReferenceCase, args: argparse.Namespace
+def _run_simulated(
+    campaign: Campaign, case: ReferenceCase, args: Namespace
 ) -> tuple[Sequence[Proposal], str | None]:
     """Shoot the secret gel of a reference case, or gels scattered about it.
 
@@ -136,7 +140,7 @@ def _simulated(
     progress = progress_of(args)
     spread = read_scatter(args)
 
-    def gel(number: int) -> dict[str, float]:
+    def scatter_gel(number: int) -> dict[str, float]:
         source = generator(child(args.seed, "gel", number))
         factors = {
             name: math.exp(sd * float(torch.randn(1, generator=source, dtype=torch.float64)))
@@ -144,14 +148,14 @@ def _simulated(
         }
         return {name: value * factors.get(name, 1.0) for name, value in case.truth.items()}
 
-    def shoot(design: torch.Tensor, number: int) -> Experiment:
+    def shoot_gel(design: torch.Tensor, number: int) -> Experiment:
         if progress:
             progress(
                 f"experiment {number}: "
                 f"{campaign.settings.space.describe(design, campaign.simulator.conditions.surroundings)}"
             )
         plan = campaign.settings.plan
-        gels = PARAMETERS.pack({**gel(number), **read_hidden(args)})
+        gels = PARAMETERS.pack({**scatter_gel(number), **read_hidden(args)})
         laboratory = SimulatedLaboratory(
             campaign.simulator, gels, noise=plan.noise, repeats=plan.repeats
         )
@@ -159,12 +163,12 @@ def _simulated(
 
     if args.forget is not None:
         campaign.forget(args.forget, progress=progress)
-    campaign.run(shoot, args.designs, q=args.q, progress=progress)
+    campaign.run(shoot_gel, args.designs, q=args.q, progress=progress)
     ended = campaign.journal.find_event("stop", campaign.told)
     return (), ended["reason"] if ended else None
 
 
-def _real(campaign: Campaign, args: argparse.Namespace) -> tuple[Sequence[Proposal], str | None]:
+def _run_real(campaign: Campaign, args: Namespace) -> tuple[Sequence[Proposal], str | None]:
     """Learn from told files, then say what to shoot next: the proposals, or why it is enough."""
     progress = progress_of(args)
     experiments: list[Experiment] = []
@@ -200,7 +204,7 @@ def _real(campaign: Campaign, args: argparse.Namespace) -> tuple[Sequence[Propos
     return campaign.ask_several(args.q, progress=progress), None
 
 
-def _check_medium(told: GelMedium, args: argparse.Namespace) -> None:
+def _check_medium(told: GelMedium, args: Namespace) -> None:
     """The medium of a campaign is stated when it begins: told files may say the same, or be
     overruled by --medium, said.
     """
@@ -216,10 +220,10 @@ def _check_medium(told: GelMedium, args: argparse.Namespace) -> None:
         print(note)
 
 
-def _report(
+def _report_campaign(
     campaign: Campaign,
     case: ReferenceCase | None,
-    args: argparse.Namespace,
+    args: Namespace,
     seconds: float,
     proposals: Sequence[Proposal],
     stopped: str | None,

@@ -1,7 +1,7 @@
 """What the options of ``imr-torch campaign`` say of choosing, learning and ending."""
 
-import argparse
 import math
+from argparse import Namespace
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -37,7 +37,7 @@ _BASELINES: dict[str, Callable[[], DesignPolicy]] = {
 }
 
 
-def settings_of(args: argparse.Namespace) -> CampaignSettings:
+def settings_of(args: Namespace) -> CampaignSettings:
     """What the options say of choosing, learning and ending."""
     base = CampaignSettings.paper() if args.method == "paper" else CampaignSettings()
     if args.method != "paper":
@@ -73,7 +73,7 @@ def settings_of(args: argparse.Namespace) -> CampaignSettings:
 _OF_GOAL = {"cause": ("effects", "hide"), "population": ("scatter",)}
 
 
-def check_goal(args: argparse.Namespace) -> None:
+def check_goal(args: Namespace) -> None:
     """Raise for options that do not suit the goal."""
     for goal, options in _OF_GOAL.items():
         if args.goal != goal:
@@ -105,7 +105,7 @@ def check_goal(args: argparse.Namespace) -> None:
     library(args.effects)
 
 
-def read_scatter(args: argparse.Namespace) -> dict[str, float]:
+def read_scatter(args: Namespace) -> dict[str, float]:
     """Standard deviation between simulated shots of the logarithm of each parameter."""
     if args.scatter is None:
         return {}
@@ -133,7 +133,7 @@ def read_scatter(args: argparse.Namespace) -> dict[str, float]:
     return found
 
 
-def read_hidden(args: argparse.Namespace) -> dict[str, float]:
+def read_hidden(args: Namespace) -> dict[str, float]:
     """Parameters of the effect that a simulated gel has, SI."""
     if args.hide is None:
         return {}
@@ -163,7 +163,7 @@ def one_model(prior: Belief, case: ReferenceCase | None, goal: str) -> Belief:
     return prior
 
 
-def _make_optimal(args: argparse.Namespace) -> Optimal:
+def _make_optimal(args: Namespace) -> Optimal:
     """The search for the most informative design, of the size that the options ask for."""
     search = PAPER_OPTIMAL if args.method == "paper" else Optimal()
     return replace(

@@ -1,7 +1,7 @@
 """Runs ``imr-torch characterize``."""
 
-import argparse
 import shlex
+from argparse import Namespace
 from pathlib import Path
 
 from imr_torch.assimilate import NOISE_ROUNDS
@@ -36,11 +36,11 @@ from imr_torch.reading.readers import is_shot_file
 from imr_torch.results import document_report
 
 
-def run(args: argparse.Namespace) -> None:
+def run_command(args: Namespace) -> None:
     """Load, infer, report."""
     if not args.population:
         refuse_options(args, ["scatter_scale"], "is about --population; add that, or leave it out.")
-    traces, shots = _load(args)
+    traces, shots = _load_data(args)
     read = [traces.report()] if len(traces) else []
     if shots:
         names = ", ".join({shot.source: 0 for shot in shots})
@@ -103,7 +103,7 @@ def run(args: argparse.Namespace) -> None:
         )
 
 
-def _load(args: argparse.Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]:
+def _load_data(args: Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]:
     """Curves and shots of collapse times in the files that are named, those of ``--experiments`` if
     it is given.
     """
@@ -139,7 +139,7 @@ def _load(args: argparse.Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]
     return chosen, tuple(shot for shot in shots if shot.experiment_id in wanted)
 
 
-def diagnose_command(args: argparse.Namespace, best: ModelBelief) -> str:
+def diagnose_command(args: Namespace, best: ModelBelief) -> str:
     """The command that looks for what the most probable model lacks, on the same curves."""
     parts = ["imr-torch", "diagnose", *args.files, "--base", best.material.key.split("+")[0]]
     if best.known:

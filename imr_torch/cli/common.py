@@ -2,10 +2,10 @@
 results go.
 """
 
-import argparse
 import math
 import shlex
 import sys
+from argparse import Namespace
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +19,7 @@ from imr_torch.cli.figures import save_figures
 from imr_torch.cli.options.names import COLLAPSES, DEFAULT_MODELS
 from imr_torch.cli.progress import Stage
 from imr_torch.errors import InputDataError
-from imr_torch.files import read_json, without_nonfinite, write_json
+from imr_torch.files import Document, read_json, without_nonfinite, write_json
 from imr_torch.material import PARAMETERS, Belief, reference_case, wide_prior
 from imr_torch.observe import CollapseShot, GelMedium, Layout, Statement, TraceSet
 from imr_torch.reading import load_driving
@@ -46,7 +46,7 @@ METHODS: dict[str, FitOptions] = {
 """Methods that fit a gel, by name."""
 
 
-def read_options(args: argparse.Namespace) -> None:
+def read_options(args: Namespace) -> None:
     """Read the texts of options that hold more than a name, before any work.
 
     ``args.given`` keeps all options as they were given.
@@ -58,7 +58,7 @@ def read_options(args: argparse.Namespace) -> None:
             setattr(args, name, read(args.given[name], f"--{name.replace('_', '-')}"))
 
 
-def refuse_options(args: argparse.Namespace, names: Iterable[str], why: str) -> None:
+def refuse_options(args: Namespace, names: Iterable[str], why: str) -> None:
     """Raise if one of some options is given, with a sentence that begins with its name."""
     for name in names:
         if args.given[name] not in (None, False):
@@ -66,7 +66,7 @@ def refuse_options(args: argparse.Namespace, names: Iterable[str], why: str) -> 
 
 
 def with_medium(
-    args: argparse.Namespace,
+    args: Namespace,
     simulator: Simulator,
     prior: Belief,
     traces: TraceSet | None = None,
@@ -82,7 +82,7 @@ def with_medium(
     return medium.applied(simulator), medium.believed(prior), medium
 
 
-def with_engine(simulator: AnySimulator, args: argparse.Namespace) -> AnySimulator:
+def with_engine(simulator: AnySimulator, args: Namespace) -> AnySimulator:
     """A simulator with the engine, threads and driving that the options name."""
     simulator = replace(simulator, engine=args.engine, threads=args.threads)
     if not getattr(args, "driving", None):
@@ -91,12 +91,12 @@ def with_engine(simulator: AnySimulator, args: argparse.Namespace) -> AnySimulat
     return replace(simulator, conditions=driven)
 
 
-def simulator_of(args: argparse.Namespace) -> AnySimulator:
+def simulator_of(args: Namespace) -> AnySimulator:
     """The simulator that ``--physics`` names, with what other options say about it."""
     return with_engine(SIMULATORS[args.physics], args)
 
 
-def prior_of(args: argparse.Namespace) -> Belief:
+def prior_of(args: Namespace) -> Belief:
     """The prior that the options name: a saved belief, a case, or the wide prior over ``--models``."""
     if args.belief and args.case:
         raise InputDataError("--belief and --case both name a prior; give one of them.")
@@ -108,7 +108,7 @@ def prior_of(args: argparse.Namespace) -> Belief:
     return wide_prior(args.models or DEFAULT_MODELS.split(","), known=args.known)
 
 
-def belief_cautions(args: argparse.Namespace) -> list[str]:
+def belief_cautions(args: Namespace) -> list[str]:
     """What is to be known of the result whose belief ``--belief`` names."""
     document = read_json(args.belief) if args.belief else {}
     if (document.get("fit_test") or {}).get("explained") is not False:
@@ -174,7 +174,7 @@ def parse_rest_radius(text: str, option: str) -> tuple[float, float]:
     return ratio, sd
 
 
-def layout_of(args: argparse.Namespace) -> Layout | None:
+def layout_of(args: Namespace) -> Layout | None:
     """What ``--layout`` says."""
     return None if args.layout is None else Layout.from_text(args.layout)
 
@@ -190,7 +190,7 @@ _READ: dict[str, Callable[[str, str], Any]] = {
 }
 
 
-def progress_of(args: argparse.Namespace, stages: Sequence[Stage] = ()) -> Progress | None:
+def progress_of(args: Namespace, stages: Sequence[Stage] = ()) -> Progress | None:
     """Where a command reports its steps, or None with ``--quiet``.
 
     Args:
@@ -199,11 +199,11 @@ def progress_of(args: argparse.Namespace, stages: Sequence[Stage] = ()) -> Progr
     """
     if args.quiet:
         return None
-    args.terminal.plan(stages)
+    args.terminal.plan_stages(stages)
     return args.terminal
 
 
-def header_of(args: argparse.Namespace) -> dict[str, Any]:
+def header_of(args: Namespace) -> Document:
     """What the result of a command says of itself: schema, software, date, command, files, medium,
     physics, seed.
     """
@@ -224,7 +224,7 @@ def header_of(args: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def write_result(args: argparse.Namespace, document: dict[str, Any]) -> dict[str, Any]:
+def write_result(args: Namespace, document: Document) -> Document:
     """Write ``document`` with its header to ``--json`` and into ``--out``, where given; returns it.
 
     A number that is not finite is written as null, and its place is said: what was computed is not
@@ -243,8 +243,8 @@ def write_result(args: argparse.Namespace, document: dict[str, Any]) -> dict[str
 
 
 def show_result(
-    args: argparse.Namespace,
-    document: dict[str, Any],
+    args: Namespace,
+    document: Document,
     *,
     report: str = "",
 ) -> None:
@@ -262,7 +262,7 @@ def show_result(
         write_page(document, args.html, report=report)
 
 
-def report_result(args: argparse.Namespace, document: dict[str, Any]) -> None:
+def report_result(args: Namespace, document: Document) -> None:
     """Write a result, print its report, and show its figures and its page.
 
     It is written before any figure is drawn, so that nothing is lost.

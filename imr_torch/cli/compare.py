@@ -1,13 +1,13 @@
 """Runs ``imr-torch compare``."""
 
-import argparse
+from argparse import Namespace
 
 from imr_torch.characterization.compare import compare
 from imr_torch.characterization.saved import SavedCharacterization
 from imr_torch.cli.common import report_result
 
 
-def run(args: argparse.Namespace) -> None:
+def run_command(args: Namespace) -> None:
     """Read both, compare, report."""
     first, second = (SavedCharacterization.load(path) for path in (args.a, args.b))
     found = compare(first, second, model=args.model)

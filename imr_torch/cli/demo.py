@@ -1,7 +1,7 @@
 """Runs ``imr-torch demo``."""
 
-import argparse
 import shlex
+from argparse import Namespace
 from pathlib import Path
 
 from imr_torch.errors import ConvergenceError, InputDataError
@@ -11,7 +11,7 @@ from imr_torch.files import write_atomically
 _CAMPAIGN = "campaign"
 
 
-def run(args: argparse.Namespace) -> None:
+def run_command(args: Namespace) -> None:
     """Copy the example into the folder, run the two commands on it, say what to open.
 
     Raises:
@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> None:
         write_atomically(
             folder / source.name, lambda stream, source=source: stream.write(source.read_bytes())
         )
-    commands = _commands(folder, args)
+    commands = _list_commands(folder, args)
     for number, command in enumerate(commands, start=1):
         print(f"\n--- {number} of {len(commands)}: imr-torch {shlex.join(command)}\n", flush=True)
         if main([*command, *_passed_on(args)]) != 0:
@@ -52,7 +52,7 @@ def _check_folder(folder: Path, *, again: bool) -> None:
         )
 
 
-def _commands(folder: Path, args: argparse.Namespace) -> tuple[list[str], list[str]]:
+def _list_commands(folder: Path, args: Namespace) -> tuple[list[str], list[str]]:
     """The arguments of the two commands of the demo."""
     from imr_torch.campaign import Journal
 
@@ -78,7 +78,7 @@ def _commands(folder: Path, args: argparse.Namespace) -> tuple[list[str], list[s
     )
 
 
-def _passed_on(args: argparse.Namespace) -> list[str]:
+def _passed_on(args: Namespace) -> list[str]:
     """Options of the demo that its commands take as well."""
     threads = [] if args.threads is None else ["--threads", str(args.threads)]
     shown = [f"--{name}" for name in ("quiet", "verbose") if getattr(args, name)]

@@ -1,6 +1,6 @@
 """Runs ``imr-torch design``."""
 
-import argparse
+from argparse import Namespace
 
 from imr_torch.campaign import Optimal
 from imr_torch.cli.common import (
@@ -31,7 +31,7 @@ _MEASURED = Nuisance(
 )  # of curves filmed in a laboratory
 
 
-def space_of(args: argparse.Namespace) -> DesignSpace:
+def space_of(args: Namespace) -> DesignSpace:
     """The design space that the options name."""
     try:
         return DesignSpace(args.we_range, args.rinf_range)
@@ -40,7 +40,7 @@ def space_of(args: argparse.Namespace) -> DesignSpace:
         raise InputDataError(f"{given}: {error}") from None
 
 
-def plan_of(args: argparse.Namespace) -> Plan:
+def plan_of(args: Namespace) -> Plan:
     """How experiments will be observed: a reference case as published, a gel of one's own as
     laboratories measure.
     """
@@ -49,7 +49,7 @@ def plan_of(args: argparse.Namespace) -> Plan:
     return Plan(repeats=_REPEATS if args.repeats is None else args.repeats, nuisance=_MEASURED)
 
 
-def run(args: argparse.Namespace) -> None:
+def run_command(args: Namespace) -> None:
     """Search and report."""
     simulator = simulator_of(args)
     space = space_of(args)

@@ -1,7 +1,7 @@
 """Runs ``imr-torch diagnose``."""
 
-import argparse
 import time
+from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -33,13 +33,13 @@ from imr_torch.record import ALL_ALIKE, RecordOptions, describe_record
 from imr_torch.simulate import Simulator
 
 
-def run(args: argparse.Namespace) -> None:
+def run_command(args: Namespace) -> None:
     """Check everything that was asked for, diagnose, report."""
     started = time.perf_counter()
     simulator = simulator_of(args)
-    effects = _effects(args)
+    effects = _choose_effects(args)
     base = wide_prior((args.base,), known=args.known).models[0]
-    experiments, medium, traces = _experiments(args, simulator)
+    experiments, medium, traces = _load_experiments(args, simulator)
     simulator = medium.applied(simulator)
     base = medium.believed_of(base)
     effects = _beside_medium(effects, medium, args)
@@ -91,7 +91,7 @@ def run(args: argparse.Namespace) -> None:
         raise ConvergenceError("a fit that the verdict rests on has not converged (see above).")
 
 
-def _effects(args: argparse.Namespace) -> tuple[Effect, ...]:
+def _choose_effects(args: Namespace) -> tuple[Effect, ...]:
     """The library less what was left out.
 
     An effect that was asked for by name must fit the base model.
@@ -113,7 +113,7 @@ def _effects(args: argparse.Namespace) -> tuple[Effect, ...]:
 
 
 def _beside_medium(
-    effects: tuple[Effect, ...], medium: GelMedium, args: argparse.Namespace
+    effects: tuple[Effect, ...], medium: GelMedium, args: Namespace
 ) -> tuple[Effect, ...]:
     """The effects less those whose parameter is inferred already, as a property of the medium with
     a standard deviation.
@@ -127,8 +127,8 @@ def _beside_medium(
     return tuple(effect for effect in effects if effect.name not in held)
 
 
-def _experiments(
-    args: argparse.Namespace, simulator: Simulator
+def _load_experiments(
+    args: Namespace, simulator: Simulator
 ) -> tuple[list[Experiment], GelMedium, TraceSet]:
     """Sets or curves as experiments, their medium, and the records of curves; what was read and
     left out is printed.
@@ -183,7 +183,7 @@ def _select_named(
     return [e for e in experiments if e.label in chosen]
 
 
-def _estimates_noise(args: argparse.Namespace) -> bool:
+def _estimates_noise(args: Namespace) -> bool:
     """Whether the noise is inferred from the data, as was asked for or as suits them."""
     known = "published" if _is_set(args.files[0]) else "estimated"
     return (args.noise or known) == "estimated"

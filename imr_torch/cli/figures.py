@@ -32,7 +32,7 @@ def formats_of(text: str) -> list[str]:
     return found
 
 
-def _save(figure: Figure, folder: Path, name: str, formats: Sequence[str]) -> None:
+def _save_figure(figure: Figure, folder: Path, name: str, formats: Sequence[str]) -> None:
     """Save a figure in each format, atomically; its layout is that of the first one."""
     for kind in formats:
         with plt.rc_context({"pdf.fonttype": 42, "svg.fonttype": "none"}):  # text stays text
@@ -54,7 +54,7 @@ def save_figures(
     failed = []
     for item in figures:
         try:
-            _save(item.draw(), folder, item.name, formats)
+            _save_figure(item.draw(), folder, item.name, formats)
         except OSError:  # a full disk, a folder without permission: no figure can be written
             raise
         except Exception as error:  # whatever fails in drawing, the numbers are kept

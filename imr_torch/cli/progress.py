@@ -93,7 +93,7 @@ class Terminal:
     >>> from imr_torch.progress import ProgressLine
     >>> stream = io.StringIO()
     >>> with Terminal("diagnose", stream=stream, clock=lambda: 0.0) as terminal:
-    ...     terminal.plan(DIAGNOSE)
+    ...     terminal.plan_stages(DIAGNOSE)
     ...     terminal(ProgressLine("assimilation: iteration 3, nhkv cost -606.92", step="iteration 3"))
     >>> print(stream.getvalue().strip())
     diagnose, stage 1 of 3, 0:00: fit of the base model and test for a gap, iteration 3
@@ -118,10 +118,10 @@ class Terminal:
         self._lock = threading.RLock()
         self._stop = threading.Event()
         self._open = ExitStack()
-        self.plan(())
+        self.plan_stages(())
         self._begun = False
 
-    def plan(self, stages: Sequence[Stage]) -> None:
+    def plan_stages(self, stages: Sequence[Stage]) -> None:
         """Name the stages to come, from the first."""
         with self._lock:
             self.stages = tuple(stages)
@@ -147,9 +147,9 @@ class Terminal:
                 self._show_state()
             elif now >= self._due:
                 self._due = now + self.log_every
-                print(self.line(), file=self.stream, flush=True)
+                print(self.describe_state(), file=self.stream, flush=True)
 
-    def line(self) -> str:
+    def describe_state(self) -> str:
         """The state in one line, what matters most first, since a narrow terminal cuts the end off."""
         elapsed = self.clock() - self.started
         done = self._part_done()
@@ -195,10 +195,10 @@ class Terminal:
         """Rewrite the line, or print an event."""
         if self.events:
             part = self._part_done()
-            state = {"line": self.line(), "part": part if part >= self.early else None}
+            state = {"line": self.describe_state(), "part": part if part >= self.early else None}
             print(json.dumps(state), file=self.stream, flush=True)
         else:
-            self._draw_line(self.line())
+            self._draw_line(self.describe_state())
 
     def _draw_line(self, text: str) -> None:
         width = max(20, shutil.get_terminal_size().columns - 1)
@@ -206,7 +206,7 @@ class Terminal:
         self.stream.flush()
         self._drawn = len(text[:width])
 
-    def clear(self) -> None:
+    def wipe_line(self) -> None:
         """Wipe the line, so that something else can be printed."""
         with self._lock:
             if self._drawn:
@@ -225,7 +225,7 @@ class Terminal:
     def __exit__(self, *_: object) -> None:
         self._stop.set()
         self._open.close()
-        self.clear()
+        self.wipe_line()
 
     def _show_steadily(self) -> None:
         """Show the state while nothing is reported, so that a long step is no silence."""
@@ -235,19 +235,19 @@ class Terminal:
                     self._show_state()
 
 
+@dataclass(eq=False)
 class _Clearing:
     """Standard output that wipes the progress line before anything is printed."""
 
-    def __init__(self, stream: TextIO, terminal: Terminal) -> None:
-        self._stream = stream
-        self._terminal = terminal
+    stream: TextIO
+    terminal: Terminal
 
     def write(self, text: str) -> int:
-        self._terminal.clear()
-        return self._stream.write(text)
+        self.terminal.wipe_line()
+        return self.stream.write(text)
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
+        return getattr(self.stream, name)
 
 
 def _format_clock(seconds: float) -> str:

@@ -1,6 +1,6 @@
 """Runs ``imr-torch simulate``."""
 
-import argparse
+from argparse import Namespace
 
 import torch
 
@@ -16,7 +16,7 @@ from imr_torch.observe import TraceSet
 from imr_torch.simulate import ACCURACIES, STEPPINGS, PolytropicSimulator, TransportSimulator
 
 
-def run(args: argparse.Namespace) -> None:
+def run_command(args: Namespace) -> None:
     """Simulate and write."""
     kind = material(args.model)
     values = args.set

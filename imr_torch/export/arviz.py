@@ -79,7 +79,7 @@ def to_arviz(
     datasets = {}
     for path, variables in groups.items():
         sizes = {str(dim): n for each in variables.values() for dim, n in each.sizes.items()}
-        axes = {name: _variable(name, labels.get(name, range(n))) for name, n in sizes.items()}
+        axes = {name: _make_variable(name, labels.get(name, range(n))) for name, n in sizes.items()}
         datasets[f"/{path}"] = Dataset(axes | variables)
     return DataTree.from_dict(datasets, name="imr_torch")
 
@@ -97,8 +97,8 @@ def _list_groups(
         }
         return branches | {
             "models": {
-                "model": _variable("model", list(source.keys)),
-                "log_probability": _variable("model", source.log_probabilities, "nat"),
+                "model": _make_variable("model", list(source.keys)),
+                "log_probability": _make_variable("model", source.log_probabilities, "nat"),
             }
         }
     if not isinstance(source, Assimilation):
@@ -114,7 +114,7 @@ def _list_groups(
     }
 
 
-def _variable(dims: str, values: Any, units: str = "", long_name: str = "") -> "Variable":
+def _make_variable(dims: str, values: Any, units: str = "", long_name: str = "") -> "Variable":
     """A variable with its dimensions, separated by blanks, and its attributes."""
     from xarray import Variable
 
@@ -127,7 +127,7 @@ def _list_parameters(part: ModelBelief, controls: Tensor) -> Variables:
     """Free parameters in SI at ``n x d`` controls ``z``."""
     values = part.physical(controls)
     return {
-        name: _variable(
+        name: _make_variable(
             "chain draw",
             values[None, :, i],
             PARAMETERS[name].unit,
@@ -159,19 +159,19 @@ def _list_fit_groups(
     return {
         "posterior": posterior
         | {
-            "nuisances": _variable(
+            "nuisances": _make_variable(
                 "chain draw experiment nuisance", sample.nuisances[chosen][None], "prior sd"
             )
         },
         "sample_stats": {
-            "lp": _variable("chain draw", density, "nat"),
-            "pareto_k": _variable("", sample.pareto_k, long_name=tail),
-            "effective_samples": _variable("", sample.effective_samples),
-            "log_evidence": _variable("", sample.log_evidence, "nat"),
-            "log_evidence_error": _variable("", sample.log_evidence_error, "nat"),
+            "lp": _make_variable("chain draw", density, "nat"),
+            "pareto_k": _make_variable("", sample.pareto_k, long_name=tail),
+            "effective_samples": _make_variable("", sample.effective_samples),
+            "log_evidence": _make_variable("", sample.log_evidence, "nat"),
+            "log_evidence_error": _make_variable("", sample.log_evidence_error, "nat"),
         },
         "log_likelihood": {
-            "radius": _variable(
+            "radius": _make_variable(
                 "chain draw experiment",
                 likelihood[None],
                 "nat",
@@ -200,14 +200,14 @@ def _list_frame_groups(
     dims = "chain draw observation"
     return {
         "frames/posterior": _list_parameters(fit.prior, fit.prior.unwhitened(controls)),
-        "frames/posterior_predictive": {"radius": _variable(dims, drawn[None], "R/Rmax")},
-        "frames/log_likelihood": {"radius": _variable(dims, likelihood[None], "nat")},
+        "frames/posterior_predictive": {"radius": _make_variable(dims, drawn[None], "R/Rmax")},
+        "frames/log_likelihood": {"radius": _make_variable(dims, likelihood[None], "nat")},
         "frames/observed_data": {
-            "radius": _variable("observation", batch.mean[batch.mask], "R/Rmax")
+            "radius": _make_variable("observation", batch.mean[batch.mask], "R/Rmax")
         },
         "frames/constant_data": {
-            "experiment": _variable("observation", labels),
-            "time": _variable("observation", batch.times[batch.mask], "t U_c/Rmax"),
+            "experiment": _make_variable("observation", labels),
+            "time": _make_variable("observation", batch.times[batch.mask], "t U_c/Rmax"),
         },
     }
 
@@ -216,7 +216,9 @@ def _list_observed(batch: ExperimentBatch) -> Variables:
     """Mean curves; NaN where an experiment has fewer frames than the longest."""
     mean = torch.where(batch.mask, batch.mean, torch.nan)
     return {
-        "radius": _variable("experiment frame", mean, "R/Rmax", long_name="mean of the repeats")
+        "radius": _make_variable(
+            "experiment frame", mean, "R/Rmax", long_name="mean of the repeats"
+        )
     }
 
 
@@ -224,11 +226,11 @@ def _list_constant(batch: ExperimentBatch) -> Variables:
     """Designs, times, repeats and prior spreads of the nuisances."""
     times = torch.where(batch.mask, batch.times, torch.nan)
     return {
-        "time": _variable("experiment frame", times, "t U_c/Rmax"),
-        "weber": _variable("experiment", batch.designs[:, 0], "1", long_name="Weber number"),
-        "rest_radius": _variable("experiment", batch.designs[:, 1], "R_inf/Rmax"),
-        "repeats": _variable("experiment", [e.repeats for e in batch.experiments]),
-        "nuisance_sd": _variable(
+        "time": _make_variable("experiment frame", times, "t U_c/Rmax"),
+        "weber": _make_variable("experiment", batch.designs[:, 0], "1", long_name="Weber number"),
+        "rest_radius": _make_variable("experiment", batch.designs[:, 1], "R_inf/Rmax"),
+        "repeats": _make_variable("experiment", [e.repeats for e in batch.experiments]),
+        "nuisance_sd": _make_variable(
             "experiment nuisance", batch.nuisance_sds, "relative, t*, relative"
         ),
     }

@@ -3,7 +3,6 @@ are pale.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -24,12 +23,13 @@ from imr_torch.drawing import (
     floats,
     mark_zero,
 )
+from imr_torch.files import Document
 from imr_torch.labels import R_STAR, T_STAR, plain
 from imr_torch.material import material
 from imr_torch.results.plot import draw_curves, fill_band
 
 
-def radius_chart(document: Mapping[str, Any]) -> Axes:
+def radius_chart(document: Document) -> Axes:
     """The curve of a simulated bubble, in t* and R* with us and um as second axes."""
     ax = axes_or_new(None, (5.8, 3.6))
     ax.plot(document["t_star"], document["R_star"], color=MODEL, lw=1.5)
@@ -39,7 +39,7 @@ def radius_chart(document: Mapping[str, Any]) -> Axes:
     return ax
 
 
-def campaign_curve(curve: Mapping[str, Any]) -> Axes:
+def campaign_curve(curve: Document) -> Axes:
     """The curves of one experiment of a campaign with the predictive band."""
     ax = axes_or_new(None, (5.8, 3.8))
     draw_curves(ax, curve["t_star"], curve["R_star"], curve["band"])
@@ -48,7 +48,7 @@ def campaign_curve(curve: Mapping[str, Any]) -> Axes:
     return ax
 
 
-def curve_figure(curve: Mapping[str, Any], document: Mapping[str, Any]) -> Figure:
+def curve_figure(curve: Document, document: Document) -> Figure:
     """One measured curve with the fitted models, the predictive band, and the residuals below.
 
     Args:
@@ -56,7 +56,7 @@ def curve_figure(curve: Mapping[str, Any], document: Mapping[str, Any]) -> Figur
         document: the whole document.
     """
     figure, ax, below = curve_panels(curve["id"])
-    t, r, fitted = _measured(curve)
+    t, r, fitted = _measured_frames(curve)
     fill_band(ax, curve["band"])
     _plot_models(curve, document["model_probabilities"], ax)
     for chosen, color, label, order in (
@@ -89,11 +89,11 @@ def curve_figure(curve: Mapping[str, Any], document: Mapping[str, Any]) -> Figur
     return figure
 
 
-def _plot_models(curve: Mapping[str, Any], probabilities: Mapping[str, float], ax: Axes) -> None:
+def _plot_models(curve: Document, probabilities: Mapping[str, float], ax: Axes) -> None:
     """The most probable model, and dashed those that are not improbable."""
     colors = iter(CYCLE[1:])
     for key in sorted(curve["models"], key=lambda key: -probabilities[key]):
-        style: dict[str, Any] = {"color": MODEL, "lw": 1.5}
+        style: Document = {"color": MODEL, "lw": 1.5}
         if key != curve["band"]["model"]:
             if probabilities[key] < 0.02:  # too improbable to be drawn
                 continue
@@ -102,14 +102,14 @@ def _plot_models(curve: Mapping[str, Any], probabilities: Mapping[str, float], a
         ax.plot(times, radius, label=material(key).title, zorder=3, **style)
 
 
-def residuals_figure(document: Mapping[str, Any]) -> Figure:
+def residuals_figure(document: Document) -> Figure:
     """Standardised residuals of the most probable model over t* and R*, their autocorrelation, and
     their quantiles.
     """
     figure, axes = plt.subplots(2, 2, figsize=(5.8, 5.0), layout="constrained")
     rows = []
     for curve in document["curves"]:
-        t, r, fitted = _measured(curve)
+        t, r, fitted = _measured_frames(curve)
         model = curve["models"][curve["band"]["model"]]
         predicted = r[fitted] - floats(model["residual"])
         rows.append((t[fitted], predicted, floats(model["residual_over_sd"])))
@@ -163,7 +163,7 @@ def _plot_quantiles(values: np.ndarray, ax: Axes) -> None:
     ax.set(xlabel="quantile of the standard normal", ylabel="residual / noise")
 
 
-def collapse_figure(document: Mapping[str, Any]) -> Figure:
+def collapse_figure(document: Document) -> Figure:
     """Measured less predicted collapse time of each shot, over its maximum radius and over its
     stretch.
 
@@ -188,7 +188,7 @@ def collapse_figure(document: Mapping[str, Any]) -> Figure:
     return figure
 
 
-def causes_chart(findings: Sequence[Mapping[str, Any]]) -> Axes:
+def causes_chart(findings: Sequence[Document]) -> Axes:
     """The probability of each cause after each experiment; a cross where no test found a gap."""
     ax = axes_or_new(None, (5.8, 3.6))
     steps = [found["step"] for found in findings]
@@ -197,7 +197,7 @@ def causes_chart(findings: Sequence[Mapping[str, Any]]) -> Axes:
     shown = sorted((n for n in largest if largest[n] >= 0.02), key=lambda n: -largest[n])
     for name, marker in zip(shown, "osD^vP", strict=False):
         values = [row.get(name, 0.0) if row else np.nan for row in rows]
-        style: dict[str, Any] = {"ls": "--", "color": "0.5"} if name in ("none", "other") else {}
+        style: Document = {"ls": "--", "color": "0.5"} if name in ("none", "other") else {}
         label = plain(name.replace("_", " "))
         ax.plot(steps, values, marker=marker, ms=5, label=label, **style)
     without = [step for step, row in zip(steps, rows, strict=True) if not row]
@@ -208,6 +208,6 @@ def causes_chart(findings: Sequence[Mapping[str, Any]]) -> Axes:
     return ax
 
 
-def _measured(curve: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _measured_frames(curve: Document) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     seen = curve["measured"]
     return floats(seen["t_star"]), floats(seen["R_star"]), np.asarray(seen["fitted"], dtype=bool)

@@ -4,12 +4,12 @@
 each is drawn on its own, so that one that fails costs no other.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
-from typing import Any
 
 from imr_torch.drawing import NamedFigure
 from imr_torch.errors import InputDataError, in_one_line
+from imr_torch.files import Document
 from imr_torch.gap.figures import gap_figures
 from imr_torch.labels import file_name
 from imr_torch.material import Belief, material
@@ -37,7 +37,7 @@ from imr_torch.results.plot import (
 )
 
 
-def draw_figures(document: Mapping[str, Any]) -> list[NamedFigure]:
+def draw_figures(document: Document) -> list[NamedFigure]:
     """The figures of a result document.
 
     Args:
@@ -68,7 +68,7 @@ def draw_figures(document: Mapping[str, Any]) -> list[NamedFigure]:
         ) from None
 
 
-def _characterization_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
+def _characterization_figures(document: Document) -> Iterator[NamedFigure]:
     if not document["curves"] and not document.get("collapse_times"):
         raise ValueError("curves is empty")
     for curve in document["curves"]:
@@ -140,7 +140,7 @@ def _characterization_figures(document: Mapping[str, Any]) -> Iterator[NamedFigu
         )
 
 
-def _population_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
+def _population_figures(document: Document) -> Iterator[NamedFigure]:
     if document.get("population"):
         yield NamedFigure(
             "population",
@@ -151,10 +151,10 @@ def _population_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
         )
 
 
-def _campaign_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
+def _campaign_figures(document: Document) -> Iterator[NamedFigure]:
     """Model probabilities and parameters step by step, the maps of the searches, and the curves."""
-    findings = document.get("findings")
-    if any(found["probabilities"] for found in findings or ()):
+    findings = document.get("findings") or []
+    if any(found["probabilities"] for found in findings):
         yield NamedFigure(
             "causes",
             "Probability of each cause of the gap after each experiment.",
@@ -202,7 +202,7 @@ def _campaign_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
         )
 
 
-def _design_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
+def _design_figures(document: Document) -> Iterator[NamedFigure]:
     for number, step in enumerate([document, *document.get("further", ())], start=1):
         design = step["design"]
         yield NamedFigure(
@@ -213,12 +213,12 @@ def _design_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
         )
 
 
-def _simulation_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
+def _simulation_figures(document: Document) -> Iterator[NamedFigure]:
     draw = partial(radius_chart, document)
     yield NamedFigure("radius", "Radius over time.", "Line chart of R over t.", draw)
 
 
-def _shots_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
+def _shots_figures(document: Document) -> Iterator[NamedFigure]:
     rows = document["shots"]
     for name in parameters_of(rows):
         yield NamedFigure(
@@ -229,7 +229,7 @@ def _shots_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
         )
 
 
-def _compared_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
+def _compared_figures(document: Document) -> Iterator[NamedFigure]:
     yield NamedFigure(
         "ratios",
         f"Each parameter of {document['a']} over that of {document['b']}, with its 90 % interval.",
@@ -238,7 +238,7 @@ def _compared_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
     )
 
 
-_KINDS: tuple[tuple[set[str], Callable[[Mapping[str, Any]], Iterable[NamedFigure]]], ...] = (
+_KINDS: tuple[tuple[set[str], Callable[[Document], Iterable[NamedFigure]]], ...] = (
     ({"history", "searches"}, _campaign_figures),
     ({"curves", "belief"}, _characterization_figures),
     ({"curves", "verdict"}, gap_figures),

@@ -2,8 +2,7 @@
 gels, and profile likelihoods.
 """
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -23,6 +22,7 @@ from imr_torch.drawing import (
     floats,
     set_scale,
 )
+from imr_torch.files import Document
 from imr_torch.labels import parameter_label, plain, symbol
 from imr_torch.material import PARAMETERS, Belief, ModelBelief
 
@@ -33,7 +33,7 @@ NARROW = 5.0
 """Ratio of the ends of an axis of ratios or shots from which on it is logarithmic."""
 
 
-def usable(row: Mapping[str, Any]) -> bool:
+def is_usable(row: Document) -> bool:
     """Whether the intervals of a shot may be quoted: its fit converged, its intervals are reliable,
     and the model explains its curves or that was not tested.
     """
@@ -44,12 +44,12 @@ def usable(row: Mapping[str, Any]) -> bool:
     )
 
 
-def parameters_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+def parameters_of(rows: Sequence[Document]) -> list[str]:
     """Parameters that some shot has."""
     return [name for name in PARAMETERS.names if any(row.get(name) is not None for row in rows)]
 
 
-def plot_shots(rows: Sequence[Mapping[str, Any]], name: str, *, ax: Axes | None = None) -> Axes:
+def plot_shots(rows: Sequence[Document], name: str, *, ax: Axes | None = None) -> Axes:
     """A parameter with its 90 % interval over the shots that have it; those that are not to be
     quoted are orange.
 
@@ -62,7 +62,7 @@ def plot_shots(rows: Sequence[Mapping[str, Any]], name: str, *, ax: Axes | None 
     rows = [row for row in rows if row.get(name) is not None]
     ax = axes_or_new(ax, (min(4.0 + 0.22 * len(rows), 12.0), 3.4))
     values = scale * floats([[row[f"{name}_low"], row[name], row[f"{name}_high"]] for row in rows])
-    good = np.array([usable(row) for row in rows])
+    good = np.array([is_usable(row) for row in rows])
     places = np.arange(len(rows))
     for color, chosen in ((MODEL, good), (TRUTH, ~good)):
         style = {"ms": 4, "capsize": 2, "color": color}
@@ -79,7 +79,7 @@ def plot_shots(rows: Sequence[Mapping[str, Any]], name: str, *, ax: Axes | None 
     return ax
 
 
-def plot_ratios(document: Mapping[str, Any]) -> Axes:
+def plot_ratios(document: Document) -> Axes:
     """Ratio of every parameter of two gels with its 90 % interval.
 
     Args:
@@ -97,7 +97,7 @@ def plot_ratios(document: Mapping[str, Any]) -> Axes:
     return ax
 
 
-def population_figure(found: Mapping[str, Any]) -> Figure:
+def population_figure(found: Document) -> Figure:
     """Every shot alone and given all, a panel a parameter, beside the population's median and the
     shots to come.
 
@@ -139,7 +139,7 @@ def population_figure(found: Mapping[str, Any]) -> Figure:
     return figure
 
 
-def profile_figure(document: Mapping[str, Any], key: str) -> Figure:
+def profile_figure(document: Document, key: str) -> Figure:
     """The profile likelihoods of the parameters of one model, a panel a parameter.
 
     Args:
@@ -169,7 +169,7 @@ def profile_figure(document: Mapping[str, Any], key: str) -> Figure:
 
 
 def _plot_profile(
-    ax: Axes, name: str, entry: Mapping[str, Any], prior: ModelBelief, posterior: ModelBelief
+    ax: Axes, name: str, entry: Document, prior: ModelBelief, posterior: ModelBelief
 ) -> None:
     """The profile of one parameter, with the line of 95 % and what posterior and prior would lose."""
     scale = PARAMETERS[name].display_scale
@@ -186,7 +186,9 @@ def _plot_profile(
     ax.axhline(FALL, color=DATA, ls="--", lw=1.0, label="95 %")
     for at, color, label in ((believed, PALE, "prior"), (learnt, SECOND, "posterior")):
         ax.plot(at, 0.5 * z.square(), color=color, lw=1.2, label=label)
-    ax.plot(*_between(values, lost, wide), color=MODEL, lw=1.4, label="profile", zorder=3)
+    ax.plot(
+        *_interpolate_profile(values, lost, wide), color=MODEL, lw=1.4, label="profile", zorder=3
+    )
     for x, y, converged in zip(values, lost, entry["converged"], strict=True):
         dot = {"ms": 3, "mfc": MODEL} if converged else {"ms": 4.5, "mfc": "white"}
         ax.plot(x, y, "o", mec=MODEL, zorder=4, **dot)
@@ -196,7 +198,9 @@ def _plot_profile(
     ax.set_title("bounded " + entry["bounded"], fontsize=9)
 
 
-def _between(values: np.ndarray, lost: np.ndarray, wide: bool) -> tuple[np.ndarray, np.ndarray]:
+def _interpolate_profile(
+    values: np.ndarray, lost: np.ndarray, wide: bool
+) -> tuple[np.ndarray, np.ndarray]:
     """Points of a smooth line: the root of the nats lost, signed by the side, is nearly straight
     between fits.
     """

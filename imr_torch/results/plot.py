@@ -31,6 +31,7 @@ from imr_torch.drawing import (
     floats,
     set_scale,
 )
+from imr_torch.files import Document
 from imr_torch.labels import (
     R_STAR,
     REST_RADIUS,
@@ -61,7 +62,7 @@ def plot_solution(
     return ax
 
 
-def draw_curves(ax: Axes, times: Any, curves: Any, band: Mapping[str, Any] | None = None) -> None:
+def draw_curves(ax: Axes, times: Any, curves: Any, band: Document | None = None) -> None:
     """Draw repeated curves of one experiment and, if given, the predictive band.
 
     Args:
@@ -80,7 +81,7 @@ def draw_curves(ax: Axes, times: Any, curves: Any, band: Mapping[str, Any] | Non
     ax.set(xlabel=T_STAR, ylabel=R_STAR, ylim=(0.0, None))
 
 
-def fill_band(ax: Axes, band: Mapping[str, Any]) -> None:
+def fill_band(ax: Axes, band: Document) -> None:
     """Draw a 90 % predictive band: ``t_star``, ``low`` and ``high``."""
     times, low, high = (floats(band[name]) for name in ("t_star", "low", "high"))
     ax.fill_between(times, low, high, color=MODEL, alpha=0.22, lw=0, label="90 % predictive")
@@ -109,7 +110,7 @@ def plot_parameter(
     logarithmic = set_scale(ax, "x", low, high)
     colors = (SECOND, MODEL, TRUTH, DATA)
     for (label, _), values, color in zip(beliefs, rows, colors, strict=False):
-        ax.plot(*_density(values, logarithmic), color=color, label=plain(label))
+        ax.plot(*_scale_density(values, logarithmic), color=color, label=plain(label))
     ax.set(yticks=[], ylabel="density (scaled)", xlabel=parameter_label(entry), ylim=(0.0, 1.45))
     add_legend(ax, loc="upper left", ncols=2)
     last = rows[-1]
@@ -119,7 +120,7 @@ def plot_parameter(
     if final - first < 0.06 * (right - left):  # a line, which is drawn again in an inset
         on_the_right = 0.5 * (first + final) > 0.5 * (left + right)
         inset = ax.inset_axes((0.08 if on_the_right else 0.62, 0.36, 0.32, 0.36))
-        inset.plot(*_density(last, False), color=colors[len(rows) - 1])
+        inset.plot(*_scale_density(last, False), color=colors[len(rows) - 1])
         inset.set(yticks=[], ylim=(0.0, 1.1), xlim=(float(last[0]), float(last[-1])))
         inset.locator_params(axis="x", nbins=2)
         inset.tick_params(labelsize=7)
@@ -130,7 +131,7 @@ def plot_parameter(
     return ax
 
 
-def _density(values: Tensor, logarithmic: bool) -> tuple[Tensor, Tensor]:
+def _scale_density(values: Tensor, logarithmic: bool) -> tuple[Tensor, Tensor]:
     """Points of a density, at most 1, from its quantiles.
 
     Of the logarithm of the parameter on a logarithmic axis.
@@ -172,7 +173,7 @@ def draw_parameters(belief: ModelBelief, *, draws: int = 1500, seed: int = 0) ->
         wide = set_scale(ax, "x", first, last)
         if i == j:
             low, middle, high = intervals[j]
-            ax.plot(*_density(spans[j], wide), color=MODEL)
+            ax.plot(*_scale_density(spans[j], wide), color=MODEL)
             ax.axvspan(low, high, color=MODEL, alpha=0.12, lw=0)
             ax.set(yticks=[], ylim=(0.0, 1.1))
             title = f"{symbol(names[j])} = {middle:.3g} ({low:.3g} to {high:.3g})"
@@ -215,7 +216,7 @@ def plot_probabilities(beliefs: Sequence[tuple[str, Belief]], *, ax: Axes | None
     return ax
 
 
-def search_document(search: DesignSearch, surroundings: Surroundings) -> dict[str, Any]:
+def search_document(search: DesignSearch, surroundings: Surroundings) -> Document:
     """A search for a design, JSON-ready: the chosen design, the evaluated ones with their gains, and
     the map of the surrogate's expected information gain (We, R_inf*, and rows of nats over We).
 
@@ -241,9 +242,9 @@ def design_document(design: Float[Tensor, "2"], surroundings: Surroundings) -> d
     return {"We": weber, "R_inf*": rest, "Rmax_m": size, "R_inf_m": rest * size}
 
 
-def _information_map(search: DesignSearch) -> dict[str, Any]:
+def _information_map(search: DesignSearch) -> Document:
     bounds = search.optimizer.space.bounds.mT.tolist()
-    weber, rest = (torch.linspace(*ends, 60, dtype=torch.float64) for ends in bounds)
+    weber, rest = (torch.linspace(low, high, 60, dtype=torch.float64) for low, high in bounds)
     grid = torch.stack(torch.meshgrid(weber, rest, indexing="xy"), dim=-1)
     model = search.optimizer.model()
     with torch.no_grad():
@@ -266,7 +267,7 @@ def plot_information(
     return draw_information(search_document(search, surroundings or Surroundings()), ax=ax)
 
 
-def draw_information(found: Mapping[str, Any], *, ax: Axes | None = None) -> Axes:
+def draw_information(found: Document, *, ax: Axes | None = None) -> Axes:
     """The same from the numbers of a result document.
 
     Args:

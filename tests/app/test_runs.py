@@ -15,7 +15,7 @@ import pytest
 from imr_torch.app.commands import DEFAULTS, FORMS, command_arguments
 from imr_torch.app.runs import Run, Runs
 from imr_torch.app.workspace import Workspace
-from imr_torch.cli import parser
+from imr_torch.cli import build_parser
 from imr_torch.errors import InputDataError
 
 
@@ -168,7 +168,7 @@ def test_that_a_run_that_ended_with_the_application_is_known_as_interrupted(tmp_
 def test_that_a_form_makes_arguments_that_the_command_takes(command: str, values: dict) -> None:
     files = [] if command == "design" else ["files/a.csv", "files/b.csv"]
     words = command_arguments(command, DEFAULTS | values, "results/001", files=files)
-    read = vars(parser().parse_args(words))
+    read = vars(build_parser().parse_args(words))
     assert (read["html"], read["out"]) == ("results/001/page.html", "results/001")
     assert read.get("files", files) == files
     for name, value in values.items():
@@ -180,6 +180,8 @@ def test_that_options_left_out_are_those_that_say_what_the_command_does_anyhow(
     command: str,
 ) -> None:
     files = [] if command == "design" else ["files/a.csv"]
-    read = vars(parser().parse_args(command_arguments(command, {}, "results/001", files=files)))
+    read = vars(
+        build_parser().parse_args(command_arguments(command, {}, "results/001", files=files))
+    )
     for name in {name for row in FORMS[command] for name in row} - {"models", "collapses"}:
         assert (read[name] or "") == (DEFAULTS[name] or "")

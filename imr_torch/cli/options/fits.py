@@ -20,11 +20,11 @@ from imr_torch.cli.options.shared import (
     PRIOR,
     READING,
     Options,
-    choice,
-    flag,
+    choice_option,
+    flag_option,
     group_options,
-    number,
-    text,
+    number_option,
+    text_option,
     window_options,
 )
 
@@ -56,21 +56,21 @@ def list_characterize_options() -> Options:
     the model explains the curves, which rows were left out, which frames were fitted, and why.
     """
     return (
-        text(
+        text_option(
             "files",
             "FILE",
             "files (CSV, text, .xlsx, MATLAB, .npz), folders or patterns",
             nargs="+",
         ),
         *READING,
-        text("--experiments", "ID,...", "fit only these experiments"),
-        text("--exclude", "ID,...", "leave these experiments out"),
-        flag(
+        text_option("--experiments", "ID,...", "fit only these experiments"),
+        text_option("--exclude", "ID,...", "leave these experiments out"),
+        flag_option(
             "--population",
             "also fit every curve by itself and infer how much the gel differs from shot to shot: "
             "median, scatter, evidence",
         ),
-        text(
+        text_option(
             "--scatter-scale",
             "SD",
             "scale of the half-normal prior of the scatters of ln G, ln mu, ... (default "
@@ -78,11 +78,11 @@ def list_characterize_options() -> Options:
             type=float,
         ),
         *window_options(),
-        flag(
+        flag_option(
             "--scores",
             "also hold curves out and score how well each model predicts them from the others",
         ),
-        flag(
+        flag_option(
             "--profile",
             "also make the profile likelihood of every parameter of the models with .05 of the "
             "probability or more: is it "
@@ -90,7 +90,7 @@ def list_characterize_options() -> Options:
             "fit's time for each parameter "
             "(four curves: 7 to 13 s on one core)",
         ),
-        choice(
+        choice_option(
             "--method",
             METHODS,
             "map",
@@ -99,7 +99,7 @@ def list_characterize_options() -> Options:
             "likelihood or with the tempered one of arXiv 2409.00011; draws are weighted by the "
             "posterior after either",
         ),
-        choice(
+        choice_option(
             "--effort",
             EFFORTS,
             "normal",
@@ -108,7 +108,7 @@ def list_characterize_options() -> Options:
         ),
         COUNT_ALL_SHOTS,
         *OUTPUT,
-        text(
+        text_option(
             "--mat",
             "FILE",
             "write parameters, intervals, curves and residuals for MATLAB, which plots a curve in "
@@ -139,19 +139,21 @@ def list_batch_options() -> Options:
     state its own.
     """
     return (
-        text("files", "FOLDER", "folders, files or patterns, as for characterize", nargs="+"),
-        text(
+        text_option(
+            "files", "FOLDER", "folders, files or patterns, as for characterize", nargs="+"
+        ),
+        text_option(
             "--out",
             "DIR",
             "folder for the results; that of an earlier run to resume",
             required=True,
         ),
-        flag("--each", "every curve of a file is a shot of its own"),
+        flag_option("--each", "every curve of a file is a shot of its own"),
         *READING,
         *window_options(),
-        choice("--method", METHODS, "map", "as for characterize"),
-        number("--workers", None, "processes (default: one per core)", metavar="N"),
-        text(
+        choice_option("--method", METHODS, "map", "as for characterize"),
+        number_option("--workers", None, "processes (default: one per core)", metavar="N"),
+        text_option(
             "--cluster",
             "ADDRESS",
             "Dask scheduler whose workers do it, such as tcp://scheduler:8786",
@@ -175,9 +177,9 @@ def list_compare_options() -> Options:
     probability of 97.5 %.
     """
     return (
-        text("a", "A.json", "result of the first gel"),
-        text("b", "B.json", "result of the second gel"),
-        text(
+        text_option("a", "A.json", "result of the first gel"),
+        text_option("b", "B.json", "result of the second gel"),
+        text_option(
             "--model",
             None,
             "model whose parameters are compared (default: the most probable of both together)",
@@ -200,32 +202,34 @@ def list_diagnose_options() -> Options:
     library may. No cause is named without converged fits, nor where no effect of the library is enough.
     """
     return (
-        text("files", "FILE", "curves (CSV, text, MATLAB) or sets (.npz), not both", nargs="+"),
-        text(
+        text_option(
+            "files", "FILE", "curves (CSV, text, MATLAB) or sets (.npz), not both", nargs="+"
+        ),
+        text_option(
             "--base",
             None,
             f"model that is put to the test, of {', '.join(MODELS)} (default nhkv)",
             default="nhkv",
         ),
-        text("--known", "NAME=VALUE,...", "independently measured parameters in SI"),
+        text_option("--known", "NAME=VALUE,...", "independently measured parameters in SI"),
         *group_options(
             ONE_OF,
-            text(
+            text_option(
                 "--effects",
                 "NAME,...",
                 "effects that may be the cause (default: the whole library)",
             ),
-            text("--without", "NAME,...", "effects of the library that are left out"),
+            text_option("--without", "NAME,...", "effects of the library that are left out"),
         ),
-        text(
+        text_option(
             "--heldout",
             "ID,...",
             "experiments that no fit may see (of a set: design 0, design 1, ...)",
         ),
-        text("--experiments", "ID,...", "use only these experiments"),
+        text_option("--experiments", "ID,...", "use only these experiments"),
         *READING,
         *window_options(sets=True),
-        number(
+        number_option(
             "--most",
             EFFECTS_ADDED,
             f"effects that are added one after the other (default {EFFECTS_ADDED})",
@@ -250,12 +254,12 @@ def list_plot_options() -> Options:
     JSON file, or into --out.
     """
     return (
-        text("file", "RESULT.json", "a result that --json or --out wrote"),
-        text("--out", "DIR", "folder of the figures (default: that of the JSON file)"),
-        text(
+        text_option("file", "RESULT.json", "a result that --json or --out wrote"),
+        text_option("--out", "DIR", "folder of the figures (default: that of the JSON file)"),
+        text_option(
             "--format", "NAME,...", f"of {', '.join(FORMATS)} (default png,pdf)", default="png,pdf"
         ),
-        text(
+        text_option(
             "--html",
             "FILE",
             "write the page too (of characterize, campaign, design, batch, compare)",

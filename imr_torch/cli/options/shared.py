@@ -49,22 +49,22 @@ class InRange(argparse.Action):
         setattr(namespace, self.dest, value)
 
 
-def text(name: str, metavar: str | None, help: str, **settings: Any) -> Option:
+def text_option(name: str, metavar: str | None, help: str, **settings: Any) -> Option:
     """An option that takes a text, None if not given and no ``default`` is said."""
     return "", name, {"metavar": metavar, "help": help, **settings}
 
 
-def flag(name: str, help: str) -> Option:
+def flag_option(name: str, help: str) -> Option:
     """An option that is there or not."""
     return "", name, {"action": "store_true", "help": help}
 
 
-def choice(name: str, choices: tuple[str, ...], default: str | None, help: str) -> Option:
+def choice_option(name: str, choices: tuple[str, ...], default: str | None, help: str) -> Option:
     """An option that takes one of several names."""
     return "", name, {"choices": choices, "default": default, "help": help}
 
 
-def number(
+def number_option(
     name: str,
     default: float | None,
     help: str,
@@ -76,7 +76,7 @@ def number(
     """An option that takes a number in a range, a whole one unless its default is another."""
     kind = float if isinstance(default, float) else int
     limits = {"action": InRange, "low": low, "high": high}
-    return text(name, metavar, help, default=default, type=kind, **limits)
+    return text_option(name, metavar, help, default=default, type=kind, **limits)
 
 
 def group_options(heading: str, *options: Option) -> Options:
@@ -86,18 +86,18 @@ def group_options(heading: str, *options: Option) -> Options:
 
 PRIOR = group_options(
     "what is believed before",
-    choice("--case", CASES, None, "prior of a reference gel of the literature"),
-    text(
+    choice_option("--case", CASES, None, "prior of a reference gel of the literature"),
+    text_option(
         "--belief",
         "FILE",
         "a saved belief (the 'belief' of an earlier --json, or Belief.save)",
     ),
-    text(
+    text_option(
         "--models",
         None,
         f"candidate models, of {', '.join(MODELS)} (default {DEFAULT_MODELS})",
     ),
-    text(
+    text_option(
         "--known",
         "NAME=VALUE,...",
         "independently measured parameters in SI, which are not inferred (qkv needs G=...)",
@@ -105,19 +105,22 @@ PRIOR = group_options(
 )
 """Options that choose the prior belief."""
 
-OUT_OPTION = text("--out", "DIR", "folder for figures and JSON")
-OUTPUT = (OUT_OPTION, text("--html", "FILE", "write the result with its figures as one HTML file"))
+OUT_OPTION = text_option("--out", "DIR", "folder for figures and JSON")
+OUTPUT = (
+    OUT_OPTION,
+    text_option("--html", "FILE", "write the result with its figures as one HTML file"),
+)
 """Options for where figures and the page go."""
 
 READING = (
-    text(
+    text_option(
         "--layout",
         "TEXT",
         "how to read the files: name=value pairs (radius=R,radius_unit=um,time=t,...), as "
         "imr-torch characterize --help says",
     ),
-    text("--rest-radius", "VALUE:SD", "assumed R_inf/Rmax, for records without a tail"),
-    flag(
+    text_option("--rest-radius", "VALUE:SD", "assumed R_inf/Rmax, for records without a tail"),
+    flag_option(
         "--sort",
         "put the rows of every curve in the order of their times, as digitised curves need it",
     ),
@@ -125,36 +128,38 @@ READING = (
 """Options that say what files of curves do not."""
 
 SPACE = (
-    text("--we-range", "LOW:HIGH", "Weber numbers (default 100:1000)", default="100:1000"),
-    text("--rinf-range", "LOW:HIGH", "R_inf/Rmax (default 0.14:0.30)", default="0.14:0.30"),
-    number(
+    text_option("--we-range", "LOW:HIGH", "Weber numbers (default 100:1000)", default="100:1000"),
+    text_option("--rinf-range", "LOW:HIGH", "R_inf/Rmax (default 0.14:0.30)", default="0.14:0.30"),
+    number_option(
         "--repeats",
         None,
         "curves per design (default 100 with --case, as in the literature, else 10)",
     ),
-    number("--evaluations", EVALUATIONS, "designs evaluated in each search (default %(default)s)"),
+    number_option(
+        "--evaluations", EVALUATIONS, "designs evaluated in each search (default %(default)s)"
+    ),
 )
 """Options for the designs a laboratory can shoot and how it will observe them."""
 
-COUNT_ALL_SHOTS = flag(
+COUNT_ALL_SHOTS = flag_option(
     "--count-all-shots",
     "a shot that stands out from its set by its record alone counts as much as the others "
     "(else little)",
 )
-PHYSICS_OPTION = choice(
+PHYSICS_OPTION = choice_option(
     "--physics",
     PHYSICS,
     "transport",
     "transport of heat and vapour, as in real bubbles (default), or polytropic gas, some "
     "20 times faster and biased",
 )
-DRIVING = text(
+DRIVING = text_option(
     "--driving",
     "FILE",
     "pressure on top of the ambient one, such as a hydrophone's: a table with units in "
     'its header ("time (us),p (kPa)"), time zero at the maximum radius',
 )
-MEDIUM = text(
+MEDIUM = text_option(
     "--medium",
     "TEXT",
     "the medium: a name and values in SI, each with an optional standard deviation, for example "
@@ -164,14 +169,14 @@ MEDIUM = text(
     "kg/m^3), what else is not stated is assumed",
 )
 ENGINE = (
-    choice(
+    choice_option(
         "--engine",
         ENGINES,
         "compiled",
         "what integrates the bubbles: compiled code (default), or tensors through "
         "torchdiffeq; same results, slower",
     ),
-    number(
+    number_option(
         "--threads",
         None,
         "processor threads of the compiled engine (default: all cores)",
@@ -182,13 +187,13 @@ ENGINE = (
 
 COMMON: dict[str, Options] = {
     "seed": (
-        number(
+        number_option(
             "--seed", 0, "seed of everything random, from 0 on (default 0)", low=0, high=2**63 - 1
         ),
     ),
-    "json": (text("--json", "FILE", "write the result as JSON"),),
+    "json": (text_option("--json", "FILE", "write the result as JSON"),),
     "import": (
-        text(
+        text_option(
             "--import",
             "FILE.py",
             "a Python file that adds models, effects or file formats; may be repeated",
@@ -199,8 +204,8 @@ COMMON: dict[str, Options] = {
     ),
     "engine": ENGINE,
     "": (
-        flag("--quiet", "no progress on the terminal"),
-        flag("--verbose", "every step of the fits, instead of one line of progress"),
+        flag_option("--quiet", "no progress on the terminal"),
+        flag_option("--verbose", "every step of the fits, instead of one line of progress"),
     ),
 }
 """Options of all subcommands, but those that :data:`WITHOUT` takes out."""
@@ -222,12 +227,12 @@ def window_options(*, sets: bool = False) -> Options:
         sets: whether the command takes sets too, whose noise is known and whose window is their own.
     """
     return (
-        number(
+        number_option(
             "--collapses",
             None,
             f"collapses in the fitted window of a curve (default {COLLAPSES})",
         ),
-        choice(
+        choice_option(
             "--noise",
             ("estimated", "published"),
             None if sets else "estimated",

@@ -17,10 +17,10 @@ from imr_torch.cli.options.shared import (
     READING,
     SPACE,
     Options,
-    choice,
-    flag,
-    number,
-    text,
+    choice_option,
+    flag_option,
+    number_option,
+    text_option,
 )
 
 
@@ -36,18 +36,18 @@ def list_demo_options() -> Options:
     compiles the bubble solver, which takes about a minute.
     """
     return (
-        text(
+        text_option(
             "--out",
             "DIR",
             "a new folder for the results (default %(default)s)",
             default="imr_torch_demo",
         ),
-        flag(
+        flag_option(
             "--again",
             "write into the folder of an earlier demo: its files are made anew, other files are "
             "kept",
         ),
-        flag(
+        flag_option(
             "--short",
             "one model, two curves, one polytropic experiment: only to test an installation",
         ),
@@ -67,16 +67,16 @@ def list_app_options() -> Options:
     "imr-torch[app]".
     """
     return (
-        text(
+        text_option(
             "--out",
             "DIR",
             "folder of files and results (default %(default)s)",
             default="imr_torch_app",
         ),
-        number(
+        number_option(
             "--port", 0, "where to listen (default: a free port)", low=0, high=65535, metavar="N"
         ),
-        flag("--no-browser", "print the address and open no browser"),
+        flag_option("--no-browser", "print the address and open no browser"),
     )
 
 
@@ -90,18 +90,18 @@ def list_simulate_options() -> Options:
     temperature and ambient pressure.
     """
     return (
-        text(
+        text_option(
             "--model",
             None,
             f"constitutive model, of {', '.join(MODELS)} (default nhkv)",
             default="nhkv",
         ),
-        text("--set", "NAME=VALUE,...", "parameters of the model in SI units", default=""),
-        number("--we", 300.0, "Weber number (default 300: Rmax 332 um)", low=1e-3, high=1e5),
-        text("--rinf", None, "R_inf/Rmax (default 0.2)", type=float, default=0.2),
-        number("--until", 4.0, "last time, in Rmax/U_c (default 4)", low=1e-3, high=1e3),
-        number("--frames", 161, "number of output times (default 161)", low=2, high=10**6),
-        choice("--accuracy", ("fast", "default", "reference"), "default", "named setting"),
+        text_option("--set", "NAME=VALUE,...", "parameters of the model in SI units", default=""),
+        number_option("--we", 300.0, "Weber number (default 300: Rmax 332 um)", low=1e-3, high=1e5),
+        text_option("--rinf", None, "R_inf/Rmax (default 0.2)", type=float, default=0.2),
+        number_option("--until", 4.0, "last time, in Rmax/U_c (default 4)", low=1e-3, high=1e3),
+        number_option("--frames", 161, "number of output times (default 161)", low=2, high=10**6),
+        choice_option("--accuracy", ("fast", "default", "reference"), "default", "named setting"),
         MEDIUM,
         DRIVING,
         PHYSICS_OPTION,
@@ -119,17 +119,19 @@ def list_design_options() -> Options:
     """
     return (
         *SPACE,
-        number(
+        number_option(
             "--q", 1, "designs to prepare together, each chosen beside those before it (default 1)"
         ),
-        choice("--target", TARGETS, "both", "what the information is to be about (default both)"),
-        choice(
+        choice_option(
+            "--target", TARGETS, "both", "what the information is to be about (default both)"
+        ),
+        choice_option(
             "--strategy",
             STRATEGIES,
             "qLogNEI",
             "how designs to evaluate are chosen (default qLogNEI)",
         ),
-        number("--draws", 16, "draws per model of each estimate (default 16)"),
+        number_option("--draws", 16, "draws per model of each estimate (default 16)"),
         *OUTPUT,
         MEDIUM,
         PHYSICS_OPTION,
@@ -180,7 +182,7 @@ def list_campaign_options() -> Options:
       imr-torch campaign --case soft-pa --designs 5 --policy random --stop sd=0.01,probability=0.99 --out baseline
     """
     return (
-        choice(
+        choice_option(
             "--goal",
             ("gel", "cause", "population"),
             "gel",
@@ -188,32 +190,32 @@ def list_campaign_options() -> Options:
             "one model lacks, or median "
             "and scatter of one model's parameters where the gel differs from shot to shot",
         ),
-        text(
+        text_option(
             "--effects",
             "NAME,...",
             "with --goal cause: effects that may be the cause (default: all)",
         ),
-        text(
+        text_option(
             "--hide",
             "NAME[=VALUE]",
             "with --goal cause and --case: the effect that the simulated gel has, of typical size "
             "if no value (SI) is given",
         ),
-        text(
+        text_option(
             "--scatter",
             "NAME=SD,...",
             "with --goal population and --case: standard deviation between shots of the logarithm "
             "of parameters, as G=.2",
         ),
-        number("--designs", 2, "experiments of a simulated campaign (default 2)"),
-        text(
+        number_option("--designs", 2, "experiments of a simulated campaign (default 2)"),
+        text_option(
             "--policy",
             "NAME",
             "optimal (default), random, space-filling, or a list of designs "
             "We:R_inf*,We:R_inf*,...",
             default="optimal",
         ),
-        text(
+        text_option(
             "--stop",
             "RULE",
             "end early: sd=.01 (every parameter), probability=.99 (of a model), cause=.9 (with "
@@ -224,7 +226,7 @@ def list_campaign_options() -> Options:
             action="append",
             default=[],
         ),
-        choice(
+        choice_option(
             "--method",
             ("exact", "en4dvar", "paper"),
             "exact",
@@ -232,11 +234,13 @@ def list_campaign_options() -> Options:
             "4D-Var, or search and learn "
             "as in arXiv 2409.00011, to compare with",
         ),
-        text("--out", "DIR", "folder of the journal, figures and JSON", required=True),
-        number("--q", 1, "designs to choose together, shoot and learn from at once (default 1)"),
-        flag("--resume", "continue the journal in --out"),
-        text("--tell", "FILE", "files of an experiment you made", nargs="+"),
-        text(
+        text_option("--out", "DIR", "folder of the journal, figures and JSON", required=True),
+        number_option(
+            "--q", 1, "designs to choose together, shoot and learn from at once (default 1)"
+        ),
+        flag_option("--resume", "continue the journal in --out"),
+        text_option("--tell", "FILE", "files of an experiment you made", nargs="+"),
+        text_option(
             "--forget",
             "N",
             "take experiment N, in the order of telling, out of the belief; the journal keeps it "
@@ -244,7 +248,9 @@ def list_campaign_options() -> Options:
             type=int,
         ),
         *READING,
-        text("--html", "FILE", "write the state of the campaign with its figures as one HTML file"),
+        text_option(
+            "--html", "FILE", "write the state of the campaign with its figures as one HTML file"
+        ),
         *SPACE,
         MEDIUM,
         PHYSICS_OPTION,
