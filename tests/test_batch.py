@@ -391,7 +391,7 @@ def test_that_bad_options_end_with_a_message_before_any_work(
 
 def test_that_a_scheduler_that_does_not_answer_is_named(shots, tmp_path, capsys, monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("imr_torch.cli.batch._ANSWER_WITHIN", 1)
+    monkeypatch.setattr("imr_torch.cli.batch.ANSWER_WITHIN", 1)
     assert (
         main(
             [

@@ -130,7 +130,10 @@ def test_that_every_command_that_computes_takes_it():
         name, *options = command.split()
         files = ["gel.csv"] if name in ("batch", "characterize", "diagnose") else []
         given = ["--import", "a.py", "--import", "b.py"]
-        assert build_parser().parse_args([name, *files, *options, *given]).imports == ["a.py", "b.py"]
+        assert build_parser().parse_args([name, *files, *options, *given]).imports == [
+            "a.py",
+            "b.py",
+        ]
 
 
 def test_that_a_result_of_a_batch_depends_on_the_code_of_its_extensions():

@@ -17,8 +17,6 @@ from imr_torch.observe import ExperimentBatch, Prepared, TraceSet, predict
 from imr_torch.observe.frames import FrameUse
 from imr_torch.simulate import Simulator
 
-_NOISE_LEVELS = 21  # quantiles of the noise in a predictive band
-
 
 def predictive_band(
     result: Assimilation,
@@ -29,6 +27,7 @@ def predictive_band(
     draws: int = 100,
     seed: int = 0,
     times: Tensor,
+    noise_levels: int = 21,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Posterior predictive quantiles (5, 50, 95 %) of single frames, over gel and noise: three ``E
     x T`` tensors, R/Rmax.
@@ -41,6 +40,7 @@ def predictive_band(
         draws: posterior draws.
         seed: of the draws.
         times: ``E x T`` tensor, dimensionless, increasing.
+        noise_levels: quantiles of the noise that are taken with each draw.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, reference_case
@@ -63,9 +63,8 @@ def predictive_band(
     shifts = (fit.nuisances * batch.nuisance_sds).expand(draws, -1, -1)
     prediction = predict(simulator, part.parameters(controls), batch, shifts, times=times)
     # noise at its quantiles, not at random numbers, so that the band is smooth
-    noise = torch.special.ndtri(
-        (torch.arange(_NOISE_LEVELS, dtype=torch.float64) + 0.5) / _NOISE_LEVELS
-    )
+    levels = (torch.arange(noise_levels, dtype=torch.float64) + 0.5) / noise_levels
+    noise = torch.special.ndtri(levels)
     laws = None if fit.sample is None else fit.sample.noise_laws(draws)
     if laws is None:
         sd = batch.noise.of_frames.sd(prediction, times)
@@ -74,10 +73,10 @@ def predictive_band(
             [law.of_frames.sd(curves, times) for law, curves in zip(laws, prediction, strict=True)]
         )
     levels = torch.tensor(LEVELS, dtype=prediction.dtype)
-    rows = []
-    for e in range(prediction.shape[1]):
-        seen = prediction[:, e] + sd[:, e] * noise[:, None, None]
-        rows.append(torch.nanquantile(seen.flatten(0, 1), levels, dim=0))
+    rows = [
+        torch.nanquantile((own + of_own * noise[:, None, None]).flatten(0, 1), levels, dim=0)
+        for own, of_own in zip(prediction.unbind(1), sd.unbind(1), strict=True)
+    ]
     low, middle, high = torch.stack(rows, 1)
     return low, middle, high
 

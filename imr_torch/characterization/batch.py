@@ -38,13 +38,15 @@ from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress, ProgressLine
 
+Pool = Executor | Callable[[], Executor]
+"""What shots are handed to, or a function that makes it."""
+
 SHOTS = "shots"
 """Folder of the results, below that of the run."""
 
 DONE = "done"
 NOT_CONVERGED = "not converged"
 FAILED = "failed"
-_WINDOW = 64  # shots handed to an executor at a time
 _NOT_OF_FIT = ("layout", "sort", "each", "code")  # options that characterize does not take
 _COLUMNS = (
     "shot",
@@ -180,8 +182,8 @@ def run_batch(
     *paths: str | Path,
     folder: str | Path,
     options: BatchOptions,
-    executor: Executor | Callable[[], Executor] | None = None,
-    window: int = _WINDOW,
+    executor: Pool | None = None,
+    window: int = 64,
     progress: Progress | None = None,
 ) -> BatchSummary:
     """Characterise every file, and go on where an earlier run into the same folder was cut off.
@@ -286,13 +288,13 @@ def characterize_shot(traces: TraceSet | None, options: BatchOptions) -> Documen
         return {"error": in_one_line(error)}
 
 
-Results = Generator[tuple[Shot, Document], None, list[Shot]]
+_Results = Generator[tuple[Shot, Document], None, list[Shot]]
 
 
 def _spread_shots(
     shots: Sequence[Shot],
     options: BatchOptions,
-    executor: Executor | Callable[[], Executor],
+    executor: Pool,
     window: int,
 ) -> Generator[tuple[Shot, Document], None, None]:
     """Results as they come from an executor.
@@ -308,11 +310,11 @@ def _spread_shots(
 
 
 def _run_until_broken(
-    executor: Executor | Callable[[], Executor],
+    executor: Pool,
     waiting: list[Shot],
     options: BatchOptions,
     window: int,
-) -> Results:
+) -> _Results:
     """Results as they come from a pool, from the end of a list; returns what the pool had in hand
     when it broke. A pool that is made here is shut down here.
     """

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 CLEAR = 0.975
 """Probability from which a parameter is called larger where there is no Bayes factor."""
 
-_IMPROBABLE = 30.0  # nats below the others, from which on a model is passed over
-
 
 @dataclass(frozen=True)
 class ParameterComparison:
@@ -248,7 +246,7 @@ def _log_bayes_factor(
         weight = 0.0
         if every:
             weight = of_a[key] + of_b[key] - before[key]
-            if weight < -_IMPROBABLE:
+            if weight < -30.0:  # nats; too improbable to count
                 continue
         wrong = next((x for x in (a, b) if x.verdict(key) != "trusted"), None)
         if wrong is not None:

@@ -11,15 +11,13 @@ from imr_torch.random import child
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
-_LEAST = 0.05  # probability from which on a model has profiles; the most probable one always
-_FEWEST = 2  # free parameters: with one the posterior is the profile
-
 
 def make_profiles(
     result: Assimilation,
     posterior: Belief,
     simulator: Simulator,
     *,
+    least: float = 0.05,
     seed: int,
     progress: Progress | None = None,
 ) -> dict[str, tuple[Profile, ...]]:
@@ -30,6 +28,7 @@ def make_profiles(
         result: the fits of all models.
         posterior: belief after the data, for the probabilities.
         simulator: makes the bubbles.
+        least: probability from which on a model has profiles; the most probable one always.
         seed: of the second starts of the fits.
         progress: called with one line per fit.
 
@@ -38,11 +37,11 @@ def make_profiles(
     """
     found: dict[str, tuple[Profile, ...]] = {}
     for key, probability in sorted(posterior.probabilities.items(), key=lambda item: -item[1]):
-        if found and probability < _LEAST:
+        if found and probability < least:
             break
         fit = result[key]
         found[key] = ()
-        if len(fit.prior.names) >= _FEWEST:
+        if len(fit.prior.names) > 1:  # with one the posterior is the profile
             found[key] = profile(
                 fit, result.batch, simulator, seed=child(seed, key), progress=progress
             )

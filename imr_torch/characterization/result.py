@@ -42,9 +42,6 @@ if TYPE_CHECKING:
     import pandas
 
 
-_COUNTS = 0.01  # probability from which on a model whose fit failed makes the result doubtful
-
-
 @dataclass(frozen=True)
 class Characterization:
     """Parameters, model probabilities and fits inferred from curves of one gel.
@@ -144,7 +141,7 @@ class Characterization:
         return all(
             fit.certificate.converged
             for fit in self.assimilation.fits
-            if chances[fit.model] >= _COUNTS
+            if chances[fit.model] >= 0.01
         )
 
     def to_dict(self, command: str = "imr-torch diagnose") -> Document:

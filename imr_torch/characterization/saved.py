@@ -21,7 +21,6 @@ from imr_torch.types import DrawnControls, DrawnValues
 if TYPE_CHECKING:
     import pandas
 
-_GAUSSIAN_DRAWS = 400
 _EXPECTED = "expected a result of imr-torch characterize (--json or --out)"
 
 
@@ -150,8 +149,9 @@ class SavedCharacterization:
     def _model(self, model: str | None) -> Document:
         return self.document["models"][self.posterior[model or self.best].model]
 
-    def draws(self, model: str | None = None, *, seed: int = 0) -> WeightedDraws:
-        """Weighted draws of a model; of its Gaussian approximation where the file holds none.
+    def draws(self, model: str | None = None, *, count: int = 400, seed: int = 0) -> WeightedDraws:
+        """Weighted draws of a model; ``count`` of its Gaussian approximation where the file holds
+        none.
 
         Raises:
             InputDataError: if the model is not part of the result, or its draws are incomplete.
@@ -159,7 +159,7 @@ class SavedCharacterization:
         part = self.posterior[model or self.best]
         entry = self.document.get("weighted_draws", {}).get(part.model)
         if entry is None:
-            values = part.physical(part.controls(_GAUSSIAN_DRAWS, seed=seed))
+            values = part.physical(part.controls(count, seed=seed))
             equal = torch.full((len(values),), 1.0 / len(values), dtype=values.dtype)
             return WeightedDraws(part.names, values, equal, False)
         try:

@@ -1,20 +1,18 @@
 """Runs ``imr-torch batch``."""
 
 from argparse import Namespace
-from collections.abc import Callable, Iterator
-from concurrent.futures import Executor
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from imr_torch.characterization.batch import FAILED, NOT_CONVERGED, BatchOptions, run_batch
+from imr_torch.characterization.batch import FAILED, NOT_CONVERGED, BatchOptions, Pool, run_batch
 from imr_torch.cli.common import (
     METHODS,
     SIMULATORS,
     layout_of,
     prior_of,
-    progress_of,
     show_result,
     with_engine,
     write_result,
@@ -25,10 +23,8 @@ from imr_torch.results import document_report
 from imr_torch.simulate import process_pool
 from imr_torch.threads import cores
 
-_ANSWER_WITHIN = 15  # seconds in which a scheduler answers
-_PER_CLUSTER = 512  # shots handed to a cluster at a time
-
-Pool = Executor | Callable[[], Executor] | None
+ANSWER_WITHIN = 15
+"""Seconds in which a scheduler of a cluster answers."""
 
 
 def run_command(args: Namespace) -> None:
@@ -55,15 +51,13 @@ def run_command(args: Namespace) -> None:
         code=tuple(Path(file).read_bytes() for file in args.imports),
     )
     with _open_pool(args, workers) as executor:
-        window = _PER_CLUSTER if args.cluster else workers
-        progress = progress_of(args)
         summary = run_batch(
             *files,
             folder=folder,
             options=options,
             executor=executor,
-            window=window,
-            progress=progress,
+            window=512 if args.cluster else workers,
+            progress=args.terminal.plan_stages(),
         )
     document = write_result(args, summary.to_dict())
     print(document_report(document))
@@ -96,7 +90,7 @@ def _check_options(args: Namespace) -> None:
 
 
 @contextmanager
-def _open_pool(args: Namespace, workers: int) -> Iterator[Pool]:
+def _open_pool(args: Namespace, workers: int) -> Iterator[Pool | None]:
     """What does the work: nothing but this process, processes, or the workers of a cluster."""
     if args.cluster is None:
         yield partial(process_pool, workers, args.extensions) if workers > 1 else None
@@ -108,7 +102,7 @@ def _open_pool(args: Namespace, workers: int) -> Iterator[Pool]:
             "--cluster needs Dask: pip install 'imr_torch[cluster]'; or use --workers."
         ) from None
     try:
-        client = Client(args.cluster, timeout=_ANSWER_WITHIN)
+        client = Client(args.cluster, timeout=ANSWER_WITHIN)
     except (OSError, ValueError, TimeoutError) as error:
         raise InputDataError(
             f"--cluster: no scheduler answers at {args.cluster!r} "

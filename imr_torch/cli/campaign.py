@@ -21,7 +21,6 @@ from imr_torch.cli.campaign_settings import (
 from imr_torch.cli.common import (
     layout_of,
     prior_of,
-    progress_of,
     refuse_options,
     report_result,
     simulator_of,
@@ -137,7 +136,7 @@ def _run_simulated(
 
     No proposals, and why it ended early.
     """
-    progress = progress_of(args)
+    progress = args.terminal.plan_stages()
     spread = read_scatter(args)
 
     def scatter_gel(number: int) -> dict[str, float]:
@@ -149,11 +148,8 @@ def _run_simulated(
         return {name: value * factors.get(name, 1.0) for name, value in case.truth.items()}
 
     def shoot_gel(design: torch.Tensor, number: int) -> Experiment:
-        if progress:
-            progress(
-                f"experiment {number}: "
-                f"{campaign.settings.space.describe(design, campaign.simulator.conditions.surroundings)}"
-            )
+        surroundings = campaign.simulator.conditions.surroundings
+        progress(f"experiment {number}: {campaign.settings.space.describe(design, surroundings)}")
         plan = campaign.settings.plan
         gels = PARAMETERS.pack({**scatter_gel(number), **read_hidden(args)})
         laboratory = SimulatedLaboratory(
@@ -170,7 +166,7 @@ def _run_simulated(
 
 def _run_real(campaign: Campaign, args: Namespace) -> tuple[Sequence[Proposal], str | None]:
     """Learn from told files, then say what to shoot next: the proposals, or why it is enough."""
-    progress = progress_of(args)
+    progress = args.terminal.plan_stages()
     experiments: list[Experiment] = []
     failed: list[tuple[str, InputDataError]] = []
     for path in find_files(*args.tell) if args.tell else ():

@@ -10,7 +10,6 @@ from imr_torch.cli.common import (
     METHODS,
     layout_of,
     prior_of,
-    progress_of,
     refuse_options,
     show_result,
     simulator_of,
@@ -81,7 +80,7 @@ def run_command(args: Namespace) -> None:
         scatter_scale=SCALE if args.scatter_scale is None else args.scatter_scale,
         profile=args.profile,
         seed=args.seed,
-        progress=progress_of(args, stages),
+        progress=args.terminal.plan_stages(stages),
     )
     command = diagnose_command(args, result.posterior.best)
     # before any figure, so that nothing is lost

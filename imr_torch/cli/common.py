@@ -17,7 +17,6 @@ from imr_torch.assimilate import En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.characterization import medium_of
 from imr_torch.cli.figures import save_figures
 from imr_torch.cli.options.names import COLLAPSES, DEFAULT_MODELS
-from imr_torch.cli.progress import Stage
 from imr_torch.errors import InputDataError
 from imr_torch.files import Document, read_json, without_nonfinite, write_json
 from imr_torch.material import PARAMETERS, Belief, reference_case, wide_prior
@@ -30,7 +29,6 @@ from imr_torch.simulate import (
     Simulator,
     TransportSimulator,
 )
-from imr_torch.types import Progress
 
 AnySimulator = PolytropicSimulator | TransportSimulator
 SIMULATORS: dict[str, AnySimulator] = {
@@ -188,19 +186,6 @@ _READ: dict[str, Callable[[str, str], Any]] = {
         ("models", "experiments", "exclude", "effects", "without", "heldout"), parse_names
     ),
 }
-
-
-def progress_of(args: Namespace, stages: Sequence[Stage] = ()) -> Progress | None:
-    """Where a command reports its steps, or None with ``--quiet``.
-
-    Args:
-        args: the options.
-        stages: the stages to come.
-    """
-    if args.quiet:
-        return None
-    args.terminal.plan_stages(stages)
-    return args.terminal
 
 
 def header_of(args: Namespace) -> Document:

@@ -6,7 +6,6 @@ from imr_torch.campaign import Optimal
 from imr_torch.cli.common import (
     belief_cautions,
     prior_of,
-    progress_of,
     report_result,
     simulator_of,
     with_medium,
@@ -24,8 +23,6 @@ from imr_torch.observe import Nuisance
 from imr_torch.results.plot import search_document
 from imr_torch.simulate import coarser
 
-_PUBLISHED_REPEATS = 100
-_REPEATS = 10
 _MEASURED = Nuisance(
     max_radius=0.01, time_zero=0.01, rest_radius=0.03
 )  # of curves filmed in a laboratory
@@ -45,8 +42,8 @@ def plan_of(args: Namespace) -> Plan:
     laboratories measure.
     """
     if args.case:
-        return Plan(repeats=_PUBLISHED_REPEATS if args.repeats is None else args.repeats)
-    return Plan(repeats=_REPEATS if args.repeats is None else args.repeats, nuisance=_MEASURED)
+        return Plan(repeats=args.repeats or 100)
+    return Plan(repeats=args.repeats or 10, nuisance=_MEASURED)
 
 
 def run_command(args: Namespace) -> None:
@@ -71,7 +68,7 @@ def run_command(args: Namespace) -> None:
         initial=min(Optimal.initial, args.evaluations),
         batch=Optimal.batch,
         strategy=args.strategy,
-        progress=progress_of(args, DESIGN),
+        progress=args.terminal.plan_stages(DESIGN),
     )
     first, *further = (
         search_document(step, simulator.conditions.surroundings)

@@ -9,7 +9,6 @@ from pathlib import Path
 from imr_torch.characterization import medium_document, medium_of
 from imr_torch.cli.common import (
     layout_of,
-    progress_of,
     refuse_options,
     show_result,
     simulator_of,
@@ -57,7 +56,7 @@ def run_command(args: Namespace) -> None:
         raise InputDataError(
             f"--heldout leaves none of the {len(experiments)} experiments to fit; hold out fewer."
         )
-    progress = progress_of(args, DIAGNOSE)
+    progress = args.terminal.plan_stages(DIAGNOSE)
     report = diagnose(
         fitted,
         base=base,

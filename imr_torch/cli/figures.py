@@ -15,7 +15,6 @@ from imr_torch.results import NamedFigure
 matplotlib.use("Agg")  # commands write files and open no window
 
 WRITTEN = ("png", "pdf")  # where a command is not asked for others
-_DPI = 150
 
 
 def formats_of(text: str) -> list[str]:
@@ -38,7 +37,7 @@ def _save_figure(figure: Figure, folder: Path, name: str, formats: Sequence[str]
         with plt.rc_context({"pdf.fonttype": 42, "svg.fonttype": "none"}):  # text stays text
             write_atomically(
                 folder / f"{name}.{kind}",
-                lambda stream, kind=kind: figure.savefig(stream, format=kind, dpi=_DPI),
+                lambda stream, kind=kind: figure.savefig(stream, format=kind, dpi=150),
             )
         figure.set_layout_engine("none")  # else made anew for each format
 

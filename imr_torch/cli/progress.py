@@ -118,11 +118,11 @@ class Terminal:
         self._lock = threading.RLock()
         self._stop = threading.Event()
         self._open = ExitStack()
-        self.plan_stages(())
+        self.plan_stages()
         self._begun = False
 
-    def plan_stages(self, stages: Sequence[Stage]) -> None:
-        """Name the stages to come, from the first."""
+    def plan_stages(self, stages: Sequence[Stage] = ()) -> "Terminal":
+        """Name the stages to come, from the first; returns itself."""
         with self._lock:
             self.stages = tuple(stages)
             self.at = 0
@@ -131,6 +131,7 @@ class Terminal:
             self.counted = 0.0
             self.started = self._due = self.clock()
             self._begun = True
+        return self
 
     def __call__(self, text: str) -> None:
         """Report one line of detail."""
