@@ -21,10 +21,8 @@ from imr_torch.assimilate import (
 from imr_torch.assimilate.spikes import frames_left_out
 from imr_torch.characterization.checks import (
     EFFORTS,
-    check_choices,
-    check_data,
-    check_population,
     check_profile,
+    check_request,
 )
 from imr_torch.characterization.medium import medium_of
 from imr_torch.characterization.profiles import make_profiles
@@ -147,11 +145,16 @@ def characterize(
     [1.0, 1.0]
     """
     started = time.process_time()
-    check_data(traces, shots, scores=scores, population=population)
-    check_choices(effort=effort, scatter_scale=scatter_scale)
     prior = prior or wide_prior()
-    if population:
-        check_population(prior)
+    check_request(
+        traces,
+        shots,
+        prior,
+        scores=scores,
+        population=population,
+        effort=effort,
+        scatter_scale=scatter_scale,
+    )
     simulator = simulator or TransportSimulator(accuracy=ACCURACIES["search"])
     medium = medium_of(traces, medium, simulator.conditions.surroundings, shots)
     simulator = medium.applied(simulator)

@@ -120,12 +120,12 @@ def _open_campaign(
         raise InputDataError(
             f"{folder} holds no journal to resume; leave {option} away to start one."
         )
-    note = (
-        {"case": args.case}
-        | ({"hidden": read_hidden(args)} if args.hide is not None else {})
-        | ({"scatter": read_scatter(args)} if args.scatter is not None else {})
-        | ({"medium": args.gel_medium.to_dict()} if args.medium else {})
-    )
+    stated = {
+        "hidden": read_hidden(args),
+        "scatter": read_scatter(args),
+        "medium": args.medium and args.gel_medium.to_dict(),
+    }
+    note = {"case": args.case} | {name: value for name, value in stated.items() if value}
     return Campaign(folder, prior, simulator, settings=settings, seed=args.seed, note=note)
 
 

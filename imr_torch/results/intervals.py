@@ -192,8 +192,9 @@ def _plot_profile(
     for x, y, converged in zip(values, lost, entry["converged"], strict=True):
         dot = {"ms": 3, "mfc": MODEL} if converged else {"ms": 4.5, "mfc": "white"}
         ax.plot(x, y, "o", mec=MODEL, zorder=4, **dot)
-    for limit in filter(None, entry["limits_95"]):
-        ax.vlines(scale * limit, 0.0, FALL, color=MODEL, lw=0.9, ls=":")
+    for limit in entry["limits_95"]:
+        if limit is not None:
+            ax.vlines(scale * limit, 0.0, FALL, color=MODEL, lw=0.9, ls=":")
     ax.set(xlim=(low, high), ylim=(0.0, 4.2), xlabel=parameter_label(PARAMETERS[name]))
     ax.set_title("bounded " + entry["bounded"], fontsize=9)
 
