@@ -12,6 +12,7 @@ from dataclasses import replace
 
 from imr_torch.assimilate import (
     NOISE_ROUNDS,
+    Assimilation,
     FitOptions,
     SearchOptions,
     assimilate_estimating_noise,
@@ -21,6 +22,7 @@ from imr_torch.assimilate import (
 from imr_torch.assimilate.spikes import frames_left_out
 from imr_torch.characterization.checks import (
     EFFORTS,
+    Effort,
     check_profile,
     check_request,
 )
@@ -170,26 +172,12 @@ def characterize(
     traces = prepared.traces
     data = (*prepared.experiments, *(shot.to_experiment(surroundings) for shot in shots))
     rounds = NOISE_ROUNDS if estimate_noise else 0
-    fits = assimilate_estimating_noise(
-        prior,
-        ExperimentBatch(data, Noise()),
-        simulator,
-        rounds=rounds,
-        seed=child(seed, "fit"),
-        options=options,
-        progress=progress,
-    )
     searched = options if isinstance(options, SearchOptions) else None
-    behind = None if searched is None else searched.drop_behind
-    weighted = weigh(
-        fits,
-        simulator,
-        seed=child(seed, "weigh"),
-        rounds=EFFORTS[effort].rounds,
-        drop_behind=EFFORTS[effort].behind if behind is None else behind,
-        noise=noise_nodes(fits, simulator),
-        progress=progress,
-    )
+    spent = EFFORTS[effort]
+    if searched is not None and searched.drop_behind is not None:
+        spent = replace(spent, behind=searched.drop_behind)
+    batch = ExperimentBatch(data, Noise())
+    weighted = _fit_models(prior, batch, simulator, rounds, options, spent, seed, progress)
     evidence = evidences(weighted)
     posterior = update(weighted, evidence)
     best = posterior.best.model
@@ -257,4 +245,35 @@ def characterize(
         traces,
         simulator,
         record,
+    )
+
+
+def _fit_models(
+    prior: Belief,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    noise_rounds: int,
+    options: FitOptions | None,
+    effort: Effort,
+    seed: int,
+    progress: Progress | None,
+) -> Assimilation:
+    """All models fitted to data, with weighted draws."""
+    fits = assimilate_estimating_noise(
+        prior,
+        batch,
+        simulator,
+        rounds=noise_rounds,
+        seed=child(seed, "fit"),
+        options=options,
+        progress=progress,
+    )
+    return weigh(
+        fits,
+        simulator,
+        seed=child(seed, "weigh"),
+        rounds=effort.rounds,
+        drop_behind=effort.behind,
+        noise=noise_nodes(fits, simulator),
+        progress=progress,
     )

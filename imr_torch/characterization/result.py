@@ -152,6 +152,7 @@ class Characterization:
         """
         tested = self.fit_test
         shots = self.collapse_times()
+        patterns = find_patterns(shots)
         return {
             "experiments": [
                 {
@@ -162,11 +163,11 @@ class Characterization:
                 }
                 for e in self.experiments
             ],
-            "cautions": [*self.prepared.cautions, *find_patterns(shots)],
+            "cautions": [*self.prepared.cautions, *patterns],
             **medium_document(self.medium, self.sensitivities, self.posterior.best),
             "medium_inferred": list(self.medium.priors),
             "collapse_times": shots,
-            "collapse_patterns": find_patterns(shots),
+            "collapse_patterns": patterns,
             "model_probabilities": self.posterior.probabilities,
             "model_probability_errors": probability_errors(self.assimilation.prior, self.evidence),
             "models": {
