@@ -58,6 +58,20 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
         raise
 
 
+def write_bytes(path: str | Path, content: bytes) -> None:
+    """Write a file, atomically.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from imr_torch.files import write_bytes
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_bytes(f"{folder}/gel.html", b"<title>Gel</title>")
+    ...     [path.name for path in Path(folder).iterdir()]
+    ['gel.html']
+    """
+    write_atomically(Path(path), lambda stream: stream.write(content))
+
+
 def check_target(path: str | Path, option: str, *, folder: bool = False) -> None:
     """Refuse a path that could not be written to, before any work is done.
 
@@ -163,7 +177,7 @@ def write_json(path: str | Path, document: Any) -> None:
     ['{', '"G":', '5000.0', '}']
     """
     text = json.dumps(document, indent=1, allow_nan=False) + "\n"
-    write_atomically(Path(path), lambda stream: stream.write(text.encode()))
+    write_bytes(path, text.encode())
 
 
 def without_nonfinite(document: Any) -> tuple[Any, list[str]]:

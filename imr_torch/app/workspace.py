@@ -17,7 +17,7 @@ from pathlib import Path
 from imr_torch.characterization import medium_of
 from imr_torch.errors import ImrError, InputDataError
 from imr_torch.example import example_gel
-from imr_torch.files import read_json, write_atomically, write_json
+from imr_torch.files import read_json, write_bytes, write_json
 from imr_torch.observe import (
     SUFFIXES,
     GelMedium,
@@ -124,7 +124,7 @@ class Workspace:
             if target.read_bytes() == content:
                 return f"{name} is there already."
             before = f"; the earlier one is {self._set_aside(name)}"
-        write_atomically(target, lambda stream: stream.write(content))
+        write_bytes(target, content)
         return f"{name} was added{before}."
 
     def add_example(self) -> str:

@@ -30,7 +30,7 @@ from imr_torch.characterization import characterize
 from imr_torch.characterization.saved import SavedCharacterization, write_xlsx
 from imr_torch.document import header
 from imr_torch.errors import ImrError, InputDataError, in_one_line
-from imr_torch.files import Document, read_json, write_atomically, write_json
+from imr_torch.files import Document, read_json, write_bytes, write_json
 from imr_torch.material import PARAMETERS, Belief
 from imr_torch.observe import Layout, Statement, TraceSet, find_files, load_traces
 from imr_torch.results import document_report
@@ -263,8 +263,7 @@ def run_batch(
     finally:
         summary = BatchSummary(tuple(rows[name] for name in order if name in rows))
         if summary.rows:
-            text = summary.to_csv().encode()
-            write_atomically(home / "summary.csv", lambda stream: stream.write(text))
+            write_bytes(home / "summary.csv", summary.to_csv().encode())
             write_xlsx(summary.rows, summary.columns, home / "summary.xlsx")
     return summary
 

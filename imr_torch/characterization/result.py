@@ -4,9 +4,11 @@ table and a report.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from torch import Tensor
 
 from imr_torch.assimilate import (
     Assimilation,
@@ -14,19 +16,20 @@ from imr_torch.assimilate import (
     Profile,
     Verdict,
 )
-from imr_torch.characterization.bands import curves_document
+from imr_torch.assimilate.dense import dense_curve
+from imr_torch.characterization.bands import band_document, predictive_band
 from imr_torch.characterization.checks import EFFORTS
 from imr_torch.characterization.collapse import collapse_rows, find_patterns
 from imr_torch.characterization.medium import medium_document
 from imr_torch.characterization.profiles import document_profiles
 from imr_torch.characterization.saved import SavedCharacterization, draws_to_dict
 from imr_torch.document import header
-from imr_torch.files import Document, without_nonfinite, write_json
+from imr_torch.files import Document, drawn_numbers, without_nonfinite, write_json
 from imr_torch.gap import MediumSensitivity
 from imr_torch.goodness import FitTest
 from imr_torch.material import Belief
 from imr_torch.material.intervals import intervals
-from imr_torch.observe import Experiment, GelMedium, Noise, Prepared, TraceSet
+from imr_torch.observe import Experiment, ExperimentBatch, GelMedium, Noise, Prepared, TraceSet
 from imr_torch.observe.frames import FrameUse
 from imr_torch.population import Population
 from imr_torch.record import Record
@@ -239,18 +242,6 @@ class Characterization:
             draws: posterior draws behind the predictive band.
             seed: of these draws.
         """
-        curves = []
-        if len(self.traces):
-            curves = curves_document(
-                self.assimilation,
-                self.posterior,
-                self.prepared,
-                self.frames,
-                self.traces,
-                self.simulator,
-                draws=draws,
-                seed=seed,
-            )
         left_out = [
             {"file": x.file, "experiment": x.experiment_id, "rows": str(x.rows), "reason": x.reason}
             for x in self.traces.left_out
@@ -259,8 +250,64 @@ class Characterization:
             "rows_left_out": left_out,
             "notes": list(self.traces.notes),
             "record": self.record.to_dict(),
-            "curves": curves,
+            "curves": self._document_curves(draws, seed),
         }
+
+    def _document_curves(self, draws: int, seed: int) -> list[Document]:
+        """Every curve with its measured frames, the curves of the models and the predictive band of
+        the most probable one.
+        """
+        if not len(self.traces):
+            return []
+        best = self.posterior.best.model
+        pairs = [fit.of_curves(self.assimilation.batch) for fit in self.assimilation.fits]
+        fits = tuple(fit for fit, _ in pairs)
+        batch = pairs[0][1]
+        drawn = {fit.model: dense_curve(fit, batch, self.simulator) for fit in fits}
+        curves_only = replace(self.assimilation, batch=batch, fits=fits)
+        band = predictive_band(
+            curves_only,
+            self.posterior,
+            self.simulator,
+            best,
+            draws=draws,
+            seed=seed,
+            times=drawn[best][0],
+        )
+        scale = self.simulator.conditions.surroundings
+        curves = []
+        for e, (trace, use, experiment) in enumerate(
+            zip(self.traces, self.frames, self.prepared.experiments, strict=True)
+        ):
+            marks = self.prepared.landmarks[trace.experiment_id]
+            curves.append(
+                {
+                    "id": trace.experiment_id,
+                    "source": trace.source.rsplit("/", 1)[-1],
+                    "We": experiment.design[0],
+                    "R_inf*": experiment.design[1],
+                    "Rmax_m": marks.max_radius_m,
+                    "R_inf_m": marks.max_radius_m * experiment.design[1],
+                    "time_of_max_s": marks.time_of_max_s,
+                    "time_scale_s": float(scale.time_scale(marks.max_radius_m)),
+                    "frames": use.to_dict(),
+                    "measured": {
+                        "t_star": use.t_star,
+                        "R_star": (trace.radius_m / marks.max_radius_m).tolist(),
+                        "fitted": use.fitted,
+                    }
+                    | (
+                        {}
+                        if trace.asphericity is None
+                        else {"asphericity": drawn_numbers(trace.asphericity)}
+                    ),
+                    "models": {
+                        fit.model: _document_curve(fit, batch, e, drawn[fit.model]) for fit in fits
+                    },
+                    "band": band_document(best, drawn[best][0], band, e),
+                }
+            )
+        return curves
 
     def to_result_document(self) -> Document:
         """:meth:`to_document` with its header."""
@@ -302,3 +349,18 @@ class Characterization:
         from imr_torch.results import document_report  # which draws, and needs matplotlib
 
         return document_report(header("characterize") | self.to_dict())
+
+
+def _document_curve(
+    fit: ModelFit, batch: ExperimentBatch, e: int, drawn: tuple[Tensor, Tensor]
+) -> Document:
+    """The curve of one model in one experiment, and its residuals at the fitted frames."""
+    seen = batch.mask[e]
+    residual = (batch.mean - fit.prediction)[e][seen]
+    noise = (batch.of_frames.sd(fit.prediction) / batch.counts.sqrt())[e][seen]
+    return {
+        "t_star": drawn_numbers(drawn[0][e]),
+        "R_star": drawn_numbers(drawn[1][e]),
+        "residual": drawn_numbers(residual),
+        "residual_over_sd": drawn_numbers(residual / noise),
+    }

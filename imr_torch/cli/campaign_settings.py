@@ -40,8 +40,8 @@ _BASELINES: dict[str, Callable[[], DesignPolicy]] = {
 def settings_of(args: Namespace) -> CampaignSettings:
     """What the options say of choosing, learning and ending."""
     base = CampaignSettings.paper() if args.method == "paper" else CampaignSettings()
+    rounds = 0 if args.case else NOISE_ROUNDS  # nobody knows the noise of a camera before
     if args.method != "paper":
-        rounds = 0 if args.case else NOISE_ROUNDS  # nobody knows the noise of a camera before
         options = METHODS["map" if args.method == "exact" else args.method]
         base = replace(base, learner=ExactLearner(options=options, noise_rounds=rounds))
     policy = _make_optimal(args) if args.policy == "optimal" else _read_baseline(args.policy)
@@ -53,7 +53,7 @@ def settings_of(args: Namespace) -> CampaignSettings:
         policy = TellCausesApart(learner) if args.policy == "optimal" else policy
         plan = replace(plan, collapses=None) if args.case else plan
     if args.goal == "population":
-        learner = PopulationLearner(noise_rounds=0 if args.case else NOISE_ROUNDS)
+        learner = PopulationLearner(noise_rounds=rounds)
         base = replace(base, learner=learner)
         policy = LearnPopulation(_make_optimal(args)) if args.policy == "optimal" else policy
         plan = (

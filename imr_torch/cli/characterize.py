@@ -20,7 +20,7 @@ from imr_torch.cli.options.names import COLLAPSES
 from imr_torch.cli.progress import characterize_stages
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.export import write_mat
-from imr_torch.files import write_atomically
+from imr_torch.files import write_bytes
 from imr_torch.material import ModelBelief
 from imr_torch.observe import (
     CollapseShot,
@@ -89,8 +89,7 @@ def run_command(args: Namespace) -> None:
     print("\n" + said)
     report = "\n\n".join((*read, said)) + "\n"
     if args.out:
-        target = Path(args.out) / "report.txt"
-        write_atomically(target, lambda stream: stream.write(report.encode()))
+        write_bytes(Path(args.out) / "report.txt", report.encode())
     show_result(args, document, report=report)
     if args.mat:
         write_mat(document, args.mat)

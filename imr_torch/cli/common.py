@@ -192,20 +192,16 @@ def header_of(args: Namespace) -> Document:
     """What the result of a command says of itself: schema, software, date, command, files, medium,
     physics, seed.
     """
-    belief = getattr(args, "belief", None)
-    files = [
-        *(getattr(args, "files", None) or ()),
-        *(getattr(args, "tell", None) or ()),
-        *([belief] if belief else []),
-    ]
-    physics = getattr(args, "physics", None)
-    medium = getattr(args, "gel_medium", None) or (
-        SIMULATORS[physics].conditions.surroundings if physics else None
-    )
+    given = vars(args)
+    read = [*(given.get("files") or ()), *(given.get("tell") or ()), given.get("belief")]
+    physics = given.get("physics")
+    assumed = SIMULATORS[physics].conditions.surroundings if physics else None
+    medium = given.get("gel_medium") or assumed
     command = shlex.join(["imr-torch", *args.argv])
+    files = [path for path in read if path]
     return header(args.command, files=files, medium=medium, command=command) | {
         "physics": physics,
-        "seed": getattr(args, "seed", None),
+        "seed": given.get("seed"),
     }
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.example import example_gel
-from imr_torch.files import write_atomically
+from imr_torch.files import write_bytes
 
 _CAMPAIGN = "campaign"
 
@@ -24,9 +24,7 @@ def run_command(args: Namespace) -> None:
     folder = Path(args.out)
     _check_folder(folder, again=args.again)
     for source in (example_gel(), example_gel().with_suffix(".json")):
-        write_atomically(
-            folder / source.name, lambda stream, source=source: stream.write(source.read_bytes())
-        )
+        write_bytes(folder / source.name, source.read_bytes())
     commands = _list_commands(folder, args)
     for number, command in enumerate(commands, start=1):
         print(f"\n--- {number} of {len(commands)}: imr-torch {shlex.join(command)}\n", flush=True)

@@ -12,8 +12,8 @@ from imr_torch import gap
 from imr_torch.assimilate.spikes import spoilt_sentence
 from imr_torch.drawing import NamedFigure
 from imr_torch.errors import InputDataError, in_one_line
-from imr_torch.files import Document
-from imr_torch.html import render, write
+from imr_torch.files import Document, write_bytes
+from imr_torch.html import render
 from imr_torch.labels import model_probability
 from imr_torch.material import PARAMETERS, material
 from imr_torch.observe import Noise, noise_sentences
@@ -102,7 +102,7 @@ def write_page(document: Document, path: str | Path, *, report: str = "") -> Non
         facts = [*provenance_rows(document), *facts]
         gap.write_page(document, path, facts=facts, footer=footer_line(document))
     else:
-        write(document_page(document, report=report), path)
+        write_bytes(path, document_page(document, report=report).encode())
     print(f"wrote {path}")
 
 
