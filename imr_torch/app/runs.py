@@ -151,7 +151,7 @@ class Run:
         assert self._process.stderr is not None
         messages = []
         for text in filter(None, map(str.strip, self._process.stderr)):
-            if text.startswith('{"line": '):
+            if text.startswith('{"line": ') and text.endswith("}"):
                 event = json.loads(text)
                 self.line = event["line"]
                 self.part = event["part"]
