@@ -12,6 +12,7 @@ from imr_torch import example_gel
 from imr_torch.campaign import Journal
 from imr_torch.cli import COMMANDS, build_parser, main
 from imr_torch.cli.campaign_settings import settings_of
+from imr_torch.cli.common import read_options
 from imr_torch.cli.design import plan_of
 from imr_torch.material import PARAMETERS, wide_prior
 from imr_torch.observe import Nuisance
@@ -545,8 +546,9 @@ def test_that_a_reference_case_is_observed_as_published_and_a_gel_of_ones_own_as
 def test_that_the_noise_of_told_files_is_estimated_and_that_of_a_simulated_camera_known(
     about, rounds
 ):
-    learner = settings_of(build_parser().parse_args(["campaign", *about, "--out", "x"])).learner
-    assert learner.noise_rounds == rounds
+    args = build_parser().parse_args(["campaign", *about, "--out", "x"])
+    read_options(args)
+    assert settings_of(args).learner.noise_rounds == rounds
 
 
 CURVE = "".join(f"a,{i}e-6,{(300 - 9 * i if i < 30 else 10 + i) * 1e-6}\n" for i in range(40))
