@@ -93,7 +93,7 @@ class Terminal:
     >>> from imr_torch.progress import ProgressLine
     >>> stream = io.StringIO()
     >>> with Terminal("diagnose", stream=stream, clock=lambda: 0.0) as terminal:
-    ...     terminal.plan_stages(DIAGNOSE)
+    ...     _ = terminal.plan_stages(DIAGNOSE)
     ...     terminal(ProgressLine("assimilation: iteration 3, nhkv cost -606.92", step="iteration 3"))
     >>> print(stream.getvalue().strip())
     diagnose, stage 1 of 3, 0:00: fit of the base model and test for a gap, iteration 3
