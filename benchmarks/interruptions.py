@@ -35,8 +35,7 @@ from unittest import mock
 
 from imr_torch import example_gel
 from imr_torch.assimilate import SearchOptions
-from imr_torch.cli import campaign as command
-from imr_torch.cli import main
+from imr_torch.cli import common, main
 from imr_torch.cli.common import METHODS
 
 WATCHED = ("journal", ".journal", "experiment_", ".experiment_", "campaign.json", ".campaign.json")
@@ -293,7 +292,7 @@ class RealCampaign:
 
         def act() -> int:
             with (
-                mock.patch.object(command, "show_result"),
+                mock.patch.object(common, "show_result"),
                 mock.patch.dict(METHODS, {"map": QUICK}),
             ):
                 return main(arguments)

@@ -13,7 +13,7 @@ from typing import Any
 import torch
 
 from imr_torch.errors import InputDataError
-from imr_torch.files import read_json
+from imr_torch.files import Document, read_json
 from imr_torch.observe import GelMedium
 from imr_torch.units import Surroundings
 
@@ -39,7 +39,7 @@ def header(
     medium: GelMedium | Surroundings | None = None,
     command: str = "",
     now: datetime | None = None,
-) -> dict[str, Any]:
+) -> Document:
     """The keys that every result document begins with.
 
     Args:
@@ -56,7 +56,7 @@ def header(
     >>> document["schema"], document["medium"]["density"]["value"]
     ({'name': 'imr_torch characterize', 'version': 1}, 998.0)
     """
-    document: dict[str, Any] = {
+    document: Document = {
         "schema": {"name": f"imr_torch {kind}", "version": SCHEMA_VERSION},
         "software": {
             "imr_torch": version("imr-torch"),
@@ -65,7 +65,7 @@ def header(
         },
         "created": (now or datetime.now(UTC)).isoformat(timespec="seconds"),
         "command": command,
-        "files": [_file(path) for path in _with_companions(files)],
+        "files": [_describe_file(path) for path in _with_companions(files)],
         "units": UNITS,
     }
     if medium is not None:
@@ -83,12 +83,12 @@ def _with_companions(files: Sequence[str | Path]) -> list[Path]:
     return found
 
 
-def _file(path: Path) -> dict[str, Any]:
+def _describe_file(path: Path) -> Document:
     content = path.read_bytes()
     return {"name": path.name, "bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
 
 
-def read_document(path: str | Path) -> dict[str, Any]:
+def read_document(path: str | Path) -> Document:
     """Read a result document and check it.
 
     Raises:

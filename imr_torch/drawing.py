@@ -33,8 +33,6 @@ NOISE_BAND: dict[str, Any] = {"color": "#E2E2E2", "lw": 0}
 WIDE = 30.0
 """Ratio of the largest to the smallest value from which on an axis is logarithmic."""
 
-_DECADES = 1e3  # ratio from which on powers of ten are enough ticks
-
 floats = partial(np.asarray, dtype=float)
 """Numbers of a document as an array; None is NaN."""
 
@@ -95,12 +93,22 @@ def curve_panels(title: str) -> tuple[Figure, Axes, Axes]:
     return figure, ax, below
 
 
+def add_legend(ax: Axes, *, fontsize: int = 8, **style: Any) -> None:
+    """Add a legend without a frame, in the size of small print."""
+    ax.legend(frameon=False, fontsize=fontsize, **style)
+
+
+def mark_zero(ax: Axes) -> None:
+    """Draw the line of no residual."""
+    ax.axhline(0.0, color=DATA, lw=0.6)
+
+
 def set_scale(ax: Axes, axis: str, low: float, high: float, *, ratio: float = WIDE) -> bool:
     """Make an axis logarithmic where its values span more than a ratio; whether it is."""
     if not (low > 0.0 and high > ratio * low):
         return False
     ax.set(**{f"{axis}scale": "log"})
-    if high < _DECADES * low:
+    if high < 1e3 * low:  # powers of ten alone would be too few ticks
         scale = getattr(ax, f"{axis}axis")
         scale.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         scale.set_major_formatter("{x:g}")

@@ -12,6 +12,9 @@ from typing import IO, Any
 
 from imr_torch.errors import InputDataError
 
+Document = dict[str, Any]
+"""A JSON object: a result document, or a part of one."""
+
 _LONGEST_NAME = 200  # bytes; file systems take 255, and temporary files have longer names
 _TEMPORARY = ".tmp"
 _DIGITS = 7  # after the decimal point, of numbers that are only drawn
@@ -53,6 +56,20 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
         ):  # such as a full disk
             raise OSError(error.errno, error.strerror, str(path)) from error
         raise
+
+
+def write_bytes(path: str | Path, content: bytes) -> None:
+    """Write a file, atomically.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from imr_torch.files import write_bytes
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_bytes(f"{folder}/gel.html", b"<title>Gel</title>")
+    ...     [path.name for path in Path(folder).iterdir()]
+    ['gel.html']
+    """
+    write_atomically(Path(path), lambda stream: stream.write(content))
 
 
 def check_target(path: str | Path, option: str, *, folder: bool = False) -> None:
@@ -160,7 +177,7 @@ def write_json(path: str | Path, document: Any) -> None:
     ['{', '"G":', '5000.0', '}']
     """
     text = json.dumps(document, indent=1, allow_nan=False) + "\n"
-    write_atomically(Path(path), lambda stream: stream.write(text.encode()))
+    write_bytes(path, text.encode())
 
 
 def without_nonfinite(document: Any) -> tuple[Any, list[str]]:
@@ -172,17 +189,21 @@ def without_nonfinite(document: Any) -> tuple[Any, list[str]]:
     """
     places: list[str] = []
 
-    def finite(value: Any, place: tuple[str, ...]) -> Any:
+    def replace_nonfinite(value: Any, place: tuple[str, ...]) -> Any:
         if isinstance(value, Mapping):
-            return {name: finite(own, (*place, str(name))) for name, own in value.items()}
+            return {
+                name: replace_nonfinite(own, (*place, str(name))) for name, own in value.items()
+            }
         if isinstance(value, (list, tuple)):
-            return [finite(own, (*place, str(number))) for number, own in enumerate(value)]
+            return [
+                replace_nonfinite(own, (*place, str(number))) for number, own in enumerate(value)
+            ]
         if isinstance(value, float) and not math.isfinite(value):
             places.append(".".join(place))
             return None
         return value
 
-    return finite(document, ()), places
+    return replace_nonfinite(document, ()), places
 
 
 def drawn_numbers(values: Any) -> list[float | None]:
@@ -220,7 +241,7 @@ def read_json(path: str | Path, *, expected: str = "expected JSON") -> Any:
     {'G': 5000.0}
     """
     try:
-        return json.loads(Path(path).read_text(encoding="utf-8-sig"), object_pairs_hook=_once)
+        return json.loads(Path(path).read_text(encoding="utf-8-sig"), object_pairs_hook=_read_once)
     except (OSError, ValueError, RecursionError) as error:
         why = (
             "its values are nested too deep"
@@ -232,7 +253,7 @@ def read_json(path: str | Path, *, expected: str = "expected JSON") -> Any:
         ) from None
 
 
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _read_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found = dict(pairs)
     if len(found) < len(pairs):
         names = [name for name, _ in pairs]

@@ -7,17 +7,15 @@ texts. The page is readable on a screen 400 pixels wide.
 """
 
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
-from imr_torch.files import write_atomically
 from imr_torch.labels import shown_unit
 
 
 @cache
-def _environment() -> Environment:
+def _make_environment() -> Environment:
     environment = Environment(
         loader=PackageLoader("imr_torch"),
         autoescape=select_autoescape(("html",)),
@@ -44,18 +42,4 @@ def render(template: str, **values: Any) -> str:
     >>> text.count("Gel &lt;7&gt;")
     2
     """
-    return _environment().get_template(template).render(**values)
-
-
-def write(text: str, path: str | Path) -> Path:
-    """Write a page, atomically.
-
-    >>> import tempfile
-    >>> from pathlib import Path
-    >>> from imr_torch.html import write
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     write("<title>Gel</title>", Path(folder) / "gel.html").name
-    'gel.html'
-    """
-    write_atomically(Path(path), lambda stream: stream.write(text.encode()))
-    return Path(path)
+    return _make_environment().get_template(template).render(**values)

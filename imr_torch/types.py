@@ -10,13 +10,11 @@ considered together, ``p`` the length of the parameter vector, ``d`` the free pa
 model, ``E`` experiments, ``T`` or ``n_t`` frames.
 """
 
-from collections.abc import Callable
-
 from jaxtyping import Bool, Float, Inexact, Real
 from torch import Tensor
 
-Progress = Callable[[str], None]
-"""Called with one line of text per step of long work."""
+from imr_torch.progress import Progress as Progress
+from imr_torch.progress import ProgressLine as ProgressLine
 
 Members = Inexact[Tensor, "*#batch"]
 """A number of each member of a batch, which may be complex."""

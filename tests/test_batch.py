@@ -28,7 +28,7 @@ from imr_torch.errors import InputDataError, UnsupportedError
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Statement, load_traces
 from imr_torch.results import document_page, header
-from imr_torch.results.intervals import plot_shots, usable
+from imr_torch.results.intervals import is_usable, plot_shots
 from imr_torch.simulate import process_pool
 from imr_torch.units import Surroundings
 from tests import float64
@@ -298,8 +298,8 @@ def test_that_the_page_has_a_line_a_shot_and_a_plot_a_parameter() -> None:
 
 def test_that_shots_whose_curves_the_model_does_not_explain_are_not_to_be_quoted() -> None:
     misfit = ROWS[0] | {"explained": "no"}
-    assert usable(ROWS[0])
-    assert not usable(misfit)
+    assert is_usable(ROWS[0])
+    assert not is_usable(misfit)
     summary = BatchSummary((misfit,))
     said = "the model does not explain the curves of 1, whose numbers are not to be quoted"
     assert said in summary.report()
@@ -391,7 +391,7 @@ def test_that_bad_options_end_with_a_message_before_any_work(
 
 def test_that_a_scheduler_that_does_not_answer_is_named(shots, tmp_path, capsys, monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("imr_torch.cli.batch._ANSWER_WITHIN", 1)
+    monkeypatch.setattr("imr_torch.cli.batch.ANSWER_WITHIN", 1)
     assert (
         main(
             [

@@ -10,8 +10,9 @@ import torch
 from benchmarks.interruptions import Disk
 from imr_torch import example_gel
 from imr_torch.campaign import Journal
-from imr_torch.cli import COMMANDS, main, parser
+from imr_torch.cli import COMMANDS, build_parser, main
 from imr_torch.cli.campaign_settings import settings_of
+from imr_torch.cli.common import read_options
 from imr_torch.cli.design import plan_of
 from imr_torch.material import PARAMETERS, wide_prior
 from imr_torch.observe import Nuisance
@@ -530,13 +531,13 @@ def test_a_saved_belief_is_the_prior_of_the_next_design(tmp_path):
 
 
 def test_that_a_reference_case_is_observed_as_published_and_a_gel_of_ones_own_as_in_a_laboratory():
-    published = plan_of(parser().parse_args(["design", "--case", "soft-pa"]))
+    published = plan_of(build_parser().parse_args(["design", "--case", "soft-pa"]))
     assert (published.repeats, published.nuisance) == (100, Nuisance())
-    own = plan_of(parser().parse_args(["design", "--models", "nhkv"]))
+    own = plan_of(build_parser().parse_args(["design", "--models", "nhkv"]))
     assert own.repeats == 10
     assert bool((own.nuisance.sds() > 0.0).all())
     for gel in (["--case", "soft-pa"], ["--models", "nhkv"]):
-        assert plan_of(parser().parse_args(["design", *gel, "--repeats", "3"])).repeats == 3
+        assert plan_of(build_parser().parse_args(["design", *gel, "--repeats", "3"])).repeats == 3
 
 
 @pytest.mark.parametrize(
@@ -545,8 +546,9 @@ def test_that_a_reference_case_is_observed_as_published_and_a_gel_of_ones_own_as
 def test_that_the_noise_of_told_files_is_estimated_and_that_of_a_simulated_camera_known(
     about, rounds
 ):
-    learner = settings_of(parser().parse_args(["campaign", *about, "--out", "x"])).learner
-    assert learner.noise_rounds == rounds
+    args = build_parser().parse_args(["campaign", *about, "--out", "x"])
+    read_options(args)
+    assert settings_of(args).learner.noise_rounds == rounds
 
 
 CURVE = "".join(f"a,{i}e-6,{(300 - 9 * i if i < 30 else 10 + i) * 1e-6}\n" for i in range(40))

@@ -10,7 +10,7 @@ import pytest
 
 from imr_torch import PolytropicSimulator, wide_prior
 from imr_torch.characterization.batch import BatchOptions
-from imr_torch.cli import main, parser
+from imr_torch.cli import build_parser, main
 from imr_torch.cli.extensions import load_extensions
 from imr_torch.errors import InputDataError
 from imr_torch.reading import READERS
@@ -130,12 +130,15 @@ def test_that_every_command_that_computes_takes_it():
         name, *options = command.split()
         files = ["gel.csv"] if name in ("batch", "characterize", "diagnose") else []
         given = ["--import", "a.py", "--import", "b.py"]
-        assert parser().parse_args([name, *files, *options, *given]).imports == ["a.py", "b.py"]
+        assert build_parser().parse_args([name, *files, *options, *given]).imports == [
+            "a.py",
+            "b.py",
+        ]
 
 
 def test_that_a_result_of_a_batch_depends_on_the_code_of_its_extensions():
     options = BatchOptions(wide_prior(["nhkv"]), PolytropicSimulator())
-    keys = {replace(options, code=code).key() for code in ((), (b"G = 1",), (b"G = 2",))}
+    keys = {replace(options, code=code).make_key() for code in ((), (b"G = 1",), (b"G = 2",))}
     assert len(keys) == 3
 
 

@@ -14,7 +14,7 @@ import imr_torch
 from imr_torch import example_gel
 from imr_torch.campaign import Journal, Optimal
 from imr_torch.characterization import EFFORTS
-from imr_torch.cli import demo, main, parser
+from imr_torch.cli import build_parser, demo, main
 from imr_torch.cli.common import METHODS, SIMULATORS
 from imr_torch.cli.options import COMMANDS, names
 from imr_torch.design import Strategy, Target
@@ -84,7 +84,7 @@ def test_that_names_written_out_for_help_are_those_of_the_registries(written, me
 
 def test_that_every_subcommand_has_options_and_a_run():
     for name in COMMANDS:
-        assert callable(__import__(f"imr_torch.cli.{name}", fromlist=["run"]).run)
+        assert callable(__import__(f"imr_torch.cli.{name}", fromlist=["run_command"]).run_command)
 
 
 def test_that_public_names_of_the_package_are_what_their_modules_define():
@@ -111,9 +111,9 @@ def test_that_the_demo_passes_options_on_resumes_and_keeps_other_files(
     out = tmp_path / "first look"
     kept = tmp_path / "first look" / "notes.txt"
     words = ["demo", "--out", str(out), "--threads", "1", "--quiet"]
-    args = parser().parse_args(words)
+    args = build_parser().parse_args(words)
     args.argv = words
-    demo.run(args)
+    demo.run_command(args)
     assert [command[0] for command in ran] == ["characterize", "campaign"]
     assert all(command[-5:] == ["--seed", "0", "--threads", "1", "--quiet"] for command in ran)
     assert (out / "example_gel.csv").read_bytes() == example_gel().read_bytes()
@@ -122,7 +122,7 @@ def test_that_the_demo_passes_options_on_resumes_and_keeps_other_files(
     kept.write_text("mine")
     Journal(out / "campaign").append("begin")
     args.again = True
-    demo.run(args)
+    demo.run_command(args)
     assert "--resume" in ran[3]
     assert kept.read_text() == "mine"
     assert "gel.html" in capsys.readouterr().out

@@ -38,6 +38,7 @@ BASE = (
     "random",
     "files",
     "types",
+    "progress",
     "threads",
     "elementary",
     "labels",

@@ -3,6 +3,7 @@ for.
 """
 
 import io
+import json
 import re
 import sys
 
@@ -10,10 +11,19 @@ import pytest
 
 from imr_torch.cli import main
 from imr_torch.cli.progress import DESIGN, DIAGNOSE, Terminal, characterize_stages
+from imr_torch.progress import ProgressLine
 
-LONG = "assimilation: iteration 4, " + ", ".join(
-    f"model{i} cost -606.92 gradient 5.6e+01" for i in range(30)
-)
+
+def iteration(number: int, detail: str = "nhkv cost 1") -> ProgressLine:
+    step = f"iteration {number}"
+    return ProgressLine(f"assimilation: {step}, {detail}", step=step)
+
+
+def stage(key: str, text: str) -> ProgressLine:
+    return ProgressLine(text, stage=key)
+
+
+LONG = iteration(4, ", ".join(f"model{i} cost -606.92 gradient 5.6e+01" for i in range(30)))
 
 
 class Clock:
@@ -28,7 +38,7 @@ def terminal(stages=(), *, live=False, **options):
     stream = io.StringIO()
     clock = Clock()
     made = Terminal("characterize", stream=stream, live=live, clock=clock, **options)
-    made.plan(stages)
+    made.plan_stages(stages)
     return made, stream, clock
 
 
@@ -36,17 +46,17 @@ def test_that_stage_step_and_time_left_are_said():
     made, stream, clock = terminal(characterize_stages(2))
     made(LONG)
     clock.now = 20.0
-    made("noise 0.09 x the published law")
-    made("assimilation: iteration 2, nhkv cost 1")
+    made(stage("noise", "noise 0.09 x the published law"))
+    made(iteration(2))
     assert (
-        made.line()
+        made.describe_state()
         == "characterize, stage 2 of 4, 0:20, 19 %, about 1:28 left: fit with the estimated noise (round 1 of 2), iteration 2"
     )
     clock.now = 50.0
-    assert "about 0:58 left" in made.line()  # less, though nothing was counted meanwhile
-    made("noise 0.06 x the published law")
-    made("fit test: does the model explain the curves?")
-    assert "stage 4 of 4, " in made.line()
+    assert "about 0:58 left" in made.describe_state()  # less, though nothing was counted meanwhile
+    made(stage("noise", "noise 0.06 x the published law"))
+    made(stage("fit test", "fit test: does the model explain the curves?"))
+    assert "stage 4 of 4, " in made.describe_state()
     assert max(map(len, stream.getvalue().splitlines())) <= 116
     assert "cost" not in stream.getvalue()
 
@@ -54,25 +64,26 @@ def test_that_stage_step_and_time_left_are_said():
 def test_that_counted_steps_give_the_time_left():
     made, _, clock = terminal(DESIGN)
     clock.now = 10.0
-    made("design 5/25: We  300.0  R_inf* 0.200  EIG 1.0 +- 0.1 nats")
+    text = "design 5/25: We  300.0  R_inf* 0.200  EIG 1.0 +- 0.1 nats"
+    made(ProgressLine(text, step="design", done=5, of=25))
     assert (
-        made.line()
+        made.describe_state()
         == "characterize, 0:10, 20 %, about 0:40 left: search of designs, design 5 of 25"
     )
 
 
 def test_that_a_stage_that_is_skipped_is_passed_over():
     made, *_ = terminal(DIAGNOSE)
-    made("location, shrinkage, next design")
-    assert "stage 3 of 3" in made.line()
+    made(stage("location", "location, shrinkage, next design"))
+    assert "stage 3 of 3" in made.describe_state()
 
 
 def test_that_a_log_gets_a_line_per_stage_and_one_every_half_minute():
     made, stream, clock = terminal(characterize_stages(1))
     for second in range(65):
         clock.now = float(second)
-        made(f"assimilation: iteration {second + 1}, nhkv cost 1")
-    made("noise 1")
+        made(iteration(second + 1))
+    made(stage("noise", "noise 1"))
     assert len(stream.getvalue().splitlines()) == 4  # at 0, 30, 60 s, and the second stage
 
 
@@ -90,8 +101,8 @@ def test_that_the_line_rewrites_itself_and_is_wiped_before_results(monkeypatch):
     monkeypatch.setattr(sys, "stdout", out)
     made, stream, _ = terminal(DIAGNOSE, live=True)
     with made:
-        made("assimilation: iteration 1, nhkv cost 1")
-        made("assimilation: iteration 12, nhkv cost 1")
+        made(iteration(1))
+        made(iteration(12))
         print("result")
         assert stream.getvalue().endswith(" \r")
     assert sys.stdout is out
@@ -100,17 +111,26 @@ def test_that_the_line_rewrites_itself_and_is_wiped_before_results(monkeypatch):
     assert len(re.findall("\riteration|\rcharacterize", stream.getvalue())) >= 2
 
 
-def test_that_the_line_moves_while_nothing_is_reported(monkeypatch):
-    monkeypatch.setattr("imr_torch.cli.progress._EVERY", 0.01)
-    made, stream, clock = terminal(DIAGNOSE, live=True)
+def test_that_the_line_moves_while_nothing_is_reported():
+    made, stream, clock = terminal(DIAGNOSE, live=True, every=0.01)
     with made:
-        made("assimilation: iteration 1, nhkv cost 1")
+        made(iteration(1))
         clock.now = 61.0
         for _ in range(200):
             if "1:01" in stream.getvalue():
                 break
             made._stop.wait(0.01)
     assert "stage 1 of 3, 1:01: fit" in stream.getvalue()
+
+
+def test_that_a_program_gets_events_with_the_part_that_is_done():
+    made, stream, clock = terminal(DESIGN, events=True)
+    made("evidence of each model")
+    clock.now = 10.0
+    made(ProgressLine("design 5/25: We  300.0", step="design", done=5, of=25))
+    first, second = map(json.loads, stream.getvalue().splitlines())
+    assert first["part"] is None
+    assert second == {"line": made.describe_state(), "part": 0.2}
 
 
 @pytest.mark.parametrize(("option", "shown"), [([], False), (["--verbose"], True)])

@@ -38,8 +38,7 @@ from benchmarks.bad_inputs.options import options
 from benchmarks.bad_inputs.sets import archive, sets
 from benchmarks.bad_inputs.targets import targets
 from benchmarks.bad_inputs.trial import SMALL, Outcome, tried
-from imr_torch.cli import campaign as campaign_command
-from imr_torch.cli import main
+from imr_torch.cli import common, main
 from imr_torch.cli.common import METHODS
 from imr_torch.files import write_json
 from imr_torch.material import wide_prior
@@ -74,7 +73,7 @@ def prepared(folder: Path) -> None:
         "--json",
         str(folder / "fit.json"),
     ]
-    with mock.patch.object(campaign_command, "show_result"), mock.patch.dict(METHODS, SMALL):
+    with mock.patch.object(common, "show_result"), mock.patch.dict(METHODS, SMALL):
         for arguments in (told, [*told, "--resume", "--tell", str(folder / "gel.csv")], fit):
             with contextlib.redirect_stdout(io.StringIO()):
                 if main(arguments) not in (0, 1):

@@ -45,6 +45,7 @@ PACKAGES = {
     "random": "Seeds",
     "threads": "Threads of tensor operators",
     "types": "Shapes and protocols",
+    "progress": "Progress of long work",
     "errors": "Errors and warnings",
 }
 """Module below ``imr_torch`` -> its question; an object belongs to the first that has it."""

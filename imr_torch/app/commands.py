@@ -1,32 +1,10 @@
 """The forms of the application, and what they say as the arguments of the commands."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
-from imr_torch.cli.options.names import COLLAPSES, DEFAULT_MODELS, EFFECTS_ADDED, EVALUATIONS
-
-DEFAULTS: dict[str, Any] = {
-    "models": DEFAULT_MODELS.split(","),
-    "known": "",
-    "physics": "transport",
-    "collapses": COLLAPSES,
-    "rest_radius": "",
-    "population": False,
-    "profile": False,
-    "scores": False,
-    "experiments": [],
-    "base": "nhkv",
-    "most": EFFECTS_ADDED,
-    "belief": "",
-    "we_range": "100:1000",
-    "rinf_range": "0.14:0.30",
-    "target": "both",
-    "q": 1,
-    "evaluations": EVALUATIONS,
-    "layout": "",
-    "medium": "",
-}
-"""Option -> what the command takes where it is not given."""
+from imr_torch.cli.options import COMMANDS
+from imr_torch.cli.options.names import COLLAPSES, DEFAULT_MODELS
+from imr_torch.files import Document
 
 FORMS: dict[str, tuple[tuple[str, ...], ...]] = {
     "characterize": (
@@ -48,8 +26,22 @@ FORMS: dict[str, tuple[tuple[str, ...], ...]] = {
 """Command -> the rows of its form."""
 
 
+SETTINGS: dict[str, Document] = {
+    name.removeprefix("--").replace("-", "_"): settings
+    for command in FORMS
+    for _, name, settings in COMMANDS[command][1]()
+}
+"""Option of these commands -> what the command line says about it."""
+
+DEFAULTS: Document = {
+    name: settings.get("default") or (settings.get("action") != "store_true" and "")
+    for name, settings in SETTINGS.items()
+} | {"models": DEFAULT_MODELS.split(","), "experiments": [], "collapses": COLLAPSES}
+"""Option -> what the command takes where it is not given."""
+
+
 def command_arguments(
-    command: str, values: Mapping[str, Any], folder: str, *, files: Sequence[str] = ()
+    command: str, values: Document, folder: str, *, files: Sequence[str] = ()
 ) -> list[str]:
     """The arguments of a command; options that say what it does anyhow are left out.
 

@@ -77,11 +77,11 @@ def _with_headers(send: Send) -> Send:
     A policy that is set already stays.
     """
 
-    async def sent(message: Message) -> None:
+    async def send_headed(message: Message) -> None:
         if message["type"] == "http.response.start":
             headers = MutableHeaders(scope=message)
             for name, value in _HEADERS.items():
                 headers.setdefault(name, value)
         await send(message)
 
-    return sent
+    return send_headed

@@ -6,7 +6,7 @@ status), ``output.txt`` and ``messages.txt``. A folder whose run has no exit sta
 running was interrupted with the application.
 """
 
-import io
+import json
 import re
 import shlex
 import shutil
@@ -24,10 +24,7 @@ from pathlib import Path
 from imr_torch.errors import InputDataError
 from imr_torch.files import read_json, write_json
 
-_COMMAND = "import sys; from imr_torch.cli import main; sys.exit(main(sys.argv[1:], live=True))"
-_PART = re.compile(r"(\d+) %")
-_PATIENCE = 10.0  # seconds that a stopped command has to end by itself
-_ANSWERED = (0, 2, 130)  # exit statuses of a command that ends by itself, or answers a stop
+_COMMAND = "import sys; from imr_torch.cli import main; sys.exit(main(sys.argv[1:], events=True))"
 _STATUS = {
     0: "done",
     1: "not converged, or a file could not be written",
@@ -77,12 +74,12 @@ class Result:
             return f"ended by the system (signal {-self.status}); it may have run out of memory"
         return _STATUS.get(self.status, f"exit status {self.status}")
 
-    def text(self, name: str) -> str:
+    def read_text_of(self, name: str) -> str:
         """``output.txt`` or ``messages.txt``; empty where nothing was written."""
         path = self.folder / name
         return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
 
-    def archive(self) -> bytes:
+    def zip_files(self) -> bytes:
         """All files of the run as a zip file."""
         with tempfile.TemporaryDirectory() as place:
             path = shutil.make_archive(f"{place}/all", "zip", self.folder.parent, self.folder.name)
@@ -95,7 +92,8 @@ def command_line(arguments: tuple[str, ...] | list[str]) -> str:
 
 
 class Run:
-    """A command that is running.
+    """A command that is running: its state in one ``line``, and the ``part`` of the work that is
+    done, None as long as it is not known.
 
     Args:
         result: its folder and arguments.
@@ -105,6 +103,7 @@ class Run:
     def __init__(self, result: Result, home: Path) -> None:
         self.result = result
         self.line = "starting"
+        self.part: float | None = None
         self._stopping = False
         with open(result.folder / "output.txt", "wb") as output:
             self._process = subprocess.Popen(
@@ -115,9 +114,11 @@ class Run:
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.PIPE,
+                encoding="utf-8",
+                errors="replace",
                 creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
             )
-        self._end = threading.Thread(target=self._follow, daemon=True)
+        self._end = threading.Thread(target=self._read_messages, daemon=True)
         self._end.start()
 
     @property
@@ -125,47 +126,40 @@ class Run:
         """Whether it has not ended, or its files are not complete."""
         return self._end.is_alive()
 
-    @property
-    def part(self) -> float | None:
-        """Part of the work that is done, roughly; None as long as it is not known."""
-        found = _PART.search(self.line)
-        return int(found[1]) / 100 if found else None
-
     def stop(self) -> None:
         """Stop it; what was written stays."""
         if self._process.poll() is None:
             self._stopping = True
             self._process.send_signal(getattr(signal, "CTRL_BREAK_EVENT", signal.SIGINT))
-            threading.Thread(target=self._insist, daemon=True).start()
+            threading.Thread(target=self._kill_late, daemon=True).start()
 
     def wait(self, seconds: float | None = None) -> None:
         """Wait until it has ended."""
         self._end.join(seconds)
 
-    def _insist(self) -> None:
+    def _kill_late(self, patience: float = 10.0) -> None:
+        """Kill it if it has not ended by itself after some seconds."""
         try:
-            self._process.wait(_PATIENCE)
+            self._process.wait(patience)
         except subprocess.TimeoutExpired:
             self._process.kill()
 
-    def _follow(self) -> None:
-        """Read standard error to its end, where a line that ends with a carriage return is progress
-        and any other a message, and keep the messages and how the command ended.
+    def _read_messages(self) -> None:
+        """Read standard error to its end, where a JSON object is an event of progress and any other
+        line a message, and keep the messages and how the command ended.
         """
         assert self._process.stderr is not None
-        stream = io.TextIOWrapper(
-            self._process.stderr, encoding="utf-8", errors="replace", newline=""
-        )
         messages = []
-        for line in stream:
-            text = line.strip()
-            if line.endswith("\r"):
-                self.line = text or self.line
-            elif text:
+        for text in filter(None, map(str.strip, self._process.stderr)):
+            if text.startswith('{"line": ') and text.endswith("}"):
+                event = json.loads(text)
+                self.line = event["line"]
+                self.part = event["part"]
+            else:
                 messages.append(text)
         status = self._process.wait()
-        if self._stopping and status not in _ANSWERED:
-            status = 130  # before Python could answer, or killed since it did not
+        if self._stopping and status not in (0, 2, 130):
+            status = 130  # stopped before Python could answer, or killed since it did not
             messages.clear()
         (self.result.folder / "messages.txt").write_text("\n".join(messages), encoding="utf-8")
         _write_record(self.result, status)
@@ -195,7 +189,7 @@ class Runs:
         ]
         return f"results/{max(taken, default=0) + 1:03d}_{kind}"
 
-    def start(self, arguments: Callable[[str], list[str]], kind: str) -> Run:
+    def start_run(self, arguments: Callable[[str], list[str]], kind: str) -> Run:
         """Start a command.
 
         Args:
@@ -215,7 +209,7 @@ class Runs:
         self.current = Run(result, self.home)
         return self.current
 
-    def results(self) -> list[Result]:
+    def list_results(self) -> list[Result]:
         """All runs that have ended, the latest first."""
         running = self.current.result.folder if self.busy and self.current else None
         found = [
@@ -225,16 +219,16 @@ class Runs:
         ]
         return sorted(found, key=lambda result: result.name, reverse=True)
 
-    def result(self, name: str) -> Result:
+    def find_result(self, name: str) -> Result:
         """A run by its name.
 
         Raises:
             InputDataError: if there is none of that name.
         """
-        for result in self.results():
-            if result.name == name:
-                return result
-        raise InputDataError(f"There is no result {name!r}.")
+        found = {result.name: result for result in self.list_results()}
+        if name not in found:
+            raise InputDataError(f"There is no result {name!r}.")
+        return found[name]
 
 
 def _write_record(result: Result, status: int | None) -> None:

@@ -69,14 +69,14 @@ def serve(
         runs = Runs(folder.resolve())
         app.add_middleware(Guard, token=token, port=number)
         _add_routes(runs)
-        app.on_shutdown(lambda: _end(runs))
+        app.on_shutdown(lambda: _stop_running(runs))
         address = f"http://{HOST}:{number}/?token={token}"
         waiting = threading.Thread(
-            target=_announce, args=(address, number, folder, say, browser), daemon=True
+            target=_announce_address, args=(address, number, folder, say, browser), daemon=True
         )
         app.on_startup(waiting.start)
         ui.run(
-            lambda: _page(workspace, runs),
+            lambda: _draw_page(workspace, runs),
             host=HOST,
             port=number,
             title="imr_torch",
@@ -104,7 +104,7 @@ def _free_port(port: int) -> int:
         return probe.getsockname()[1]
 
 
-def _announce(
+def _announce_address(
     address: str, port: int, folder: Path, say: Callable[[str], None], browser: bool
 ) -> None:
     """Say the address as soon as the server answers, and open it."""
@@ -117,7 +117,7 @@ def _announce(
         webbrowser.open(address)
 
 
-def _end(runs: Runs) -> None:
+def _stop_running(runs: Runs) -> None:
     """Stop what is running, so that nothing goes on unseen."""
     if runs.busy and runs.current:
         runs.current.stop()
@@ -128,8 +128,8 @@ def _add_routes(runs: Runs) -> None:
     """Pages of results, which may run nothing and load nothing, and their files as an archive."""
 
     @app.get("/result/{name}/page")
-    def page(name: str) -> Response:
-        path = runs.result(name).page
+    def send_page(name: str) -> Response:
+        path = runs.find_result(name).page
         if path is None:
             raise InputDataError("There is no such page.")
         policy = (
@@ -143,19 +143,19 @@ def _add_routes(runs: Runs) -> None:
         )
 
     @app.get("/result/{name}/archive")
-    def archive(name: str) -> Response:
+    def send_archive(name: str) -> Response:
         return Response(
-            runs.result(name).archive(),
+            runs.find_result(name).zip_files(),
             media_type="application/zip",
             headers={"Content-Disposition": f'attachment; filename="{name}.zip"'},
         )
 
     @app.exception_handler(InputDataError)
-    def refuse(_: Request, error: InputDataError) -> Response:
+    def refuse_request(_: Request, error: InputDataError) -> Response:
         return Response(str(error), 404, media_type="text/plain")
 
 
-def _page(workspace: Workspace, runs: Runs) -> None:
+def _draw_page(workspace: Workspace, runs: Runs) -> None:
     """The page: a header and five tabs; a tab is made anew whenever it is opened."""
     ui.colors(primary=_COLOUR)
     ui.add_css(_STYLE)
@@ -178,10 +178,10 @@ def _page(workspace: Workspace, runs: Runs) -> None:
     }
     content = ui.column().classes("w-full q-pt-md")
 
-    def draw(name: str) -> None:
+    def draw_view(name: str) -> None:
         content.clear()
         with content:
-            views[name].show()
+            views[name].draw_tab()
 
-    tabs.on_value_change(lambda event: draw(str(event.value)))
+    tabs.on_value_change(lambda event: draw_view(str(event.value)))
     tabs.set_value("Files")

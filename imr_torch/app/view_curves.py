@@ -2,18 +2,20 @@
 that can be moved.
 """
 
-from typing import Any
+from dataclasses import dataclass
 
 from nicegui import events, ui
 
 from imr_torch.app.problems import problems_notified, problems_shown
 from imr_torch.app.workspace import CurveView, Workspace
 from imr_torch.cli.options.names import COLLAPSES
+from imr_torch.files import Document
 from imr_torch.reading.sidecar import OVERRIDES
 
 _FITTED = "#0072b2"
 _OUTSIDE = "#9a9a9a"
-_MICRO = 1e6
+MICRO = 1e6
+"""Micrometres in a metre, microseconds in a second."""
 _FIELDS = {
     "Rmax_m": "Rmax (um)",
     "Rmax_sd_m": "its sd (um)",
@@ -32,56 +34,58 @@ _LINES = {
 _PAIRS = {"Rmax_m": "Rmax_sd_m", "Rinf_m": "Rinf_sd_m"}
 
 
+@dataclass(eq=False)
 class CurvesView:
     """The tab.
 
     Args:
         workspace: the folder.
+        name: of the curve that is shown.
+        collapses: that the fitted window holds.
     """
 
-    def __init__(self, workspace: Workspace) -> None:
-        self.workspace = workspace
-        self.name = ""
-        self.collapses = COLLAPSES
+    workspace: Workspace
+    name: str = ""
+    collapses: int = COLLAPSES
 
     @ui.refreshable_method
-    def show(self) -> None:
+    def draw_tab(self) -> None:
         """Draw it."""
         with problems_shown():
-            names = list(self.workspace.traces().ids)
+            names = list(self.workspace.load_curves().ids)
             if names:
-                self._curve(names)
+                self._draw_curve(names)
             else:
                 ui.label("There are no curves yet; add files first.").classes("quiet")
 
-    def _curve(self, names: list[str]) -> None:
+    def _draw_curve(self, names: list[str]) -> None:
         """One of the curves."""
         self.name = self.name if self.name in names else names[0]
         with ui.row().classes("items-center"):
-            ui.select(names, value=self.name, label="Curve", on_change=self._choose).style(
+            ui.select(names, value=self.name, label="Curve", on_change=self._choose_curve).style(
                 "min-width: 12rem"
             )
-            ui.button(icon="chevron_left", on_click=lambda: self._step(names, -1)).props(
+            ui.button(icon="chevron_left", on_click=lambda: self._step_curves(names, -1)).props(
                 'flat round aria-label="Previous curve"'
             )
-            ui.button(icon="chevron_right", on_click=lambda: self._step(names, +1)).props(
+            ui.button(icon="chevron_right", on_click=lambda: self._step_curves(names, +1)).props(
                 'flat round aria-label="Next curve"'
             )
             ui.label(f"{names.index(self.name) + 1} of {len(names)}").classes("quiet")
-        view = self.workspace.curve(self.name, self.collapses)
+        view = self.workspace.view_curve(self.name, self.collapses)
         ui.label(
             "Move the lines with the mouse or type values. Empty fields are found in the frames; "
             "what is stated is written "
             "into the JSON file beside the table and counts in every command."
         ).classes("quiet")
-        plot = ui.plotly(figure(view)).classes("w-full").style("height: min(26rem, 70vh)")
-        plot.on("plotly_relayout", lambda event: self._moved(view, event))
-        self._fields(view)
+        plot = ui.plotly(curve_figure(view)).classes("w-full").style("height: min(26rem, 70vh)")
+        plot.on("plotly_relayout", lambda event: self._take_moved(view, event))
+        self._draw_fields(view)
         ui.label(view.report).classes("problem" if view.fitted is None else "").style(
             "white-space: pre-wrap; overflow-wrap: anywhere"
         )
 
-    def _fields(self, view: CurveView) -> None:
+    def _draw_fields(self, view: CurveView) -> None:
         stated = stated_values(view)
         with ui.row().classes("w-full"):
             for key, label in _FIELDS.items():
@@ -89,33 +93,33 @@ class CurvesView:
                 value = stated.get(key)
                 ui.number(
                     label,
-                    value=None if value is None else float(f"{_MICRO * value:.5g}"),
-                    placeholder="" if found is None else f"{_MICRO * found:.4g}",
+                    value=None if value is None else float(f"{MICRO * value:.5g}"),
+                    placeholder="" if found is None else f"{MICRO * found:.4g}",
                 ).props("clearable debounce=700 stack-label").style("width: 10rem").on_value_change(
-                    lambda event, key=key: self._typed(view, key, event.value)
+                    lambda event, key=key: self._take_typed(view, key, event.value)
                 )
-            ui.button("As found", on_click=lambda: self._state(view, {})).props(
+            ui.button("As found", on_click=lambda: self._state_values(view, {})).props(
                 "outline no-caps"
             ).set_enabled(bool(stated))
 
-    def _choose(self, event: events.ValueChangeEventArguments) -> None:
+    def _choose_curve(self, event: events.ValueChangeEventArguments) -> None:
         self.name = event.value
-        self.show.refresh()
+        self.draw_tab.refresh()
 
-    def _step(self, names: list[str], by: int) -> None:
+    def _step_curves(self, names: list[str], by: int) -> None:
         self.name = names[(names.index(self.name) + by) % len(names)]
-        self.show.refresh()
+        self.draw_tab.refresh()
 
-    def _typed(self, view: CurveView, key: str, value: float | None) -> None:
+    def _take_typed(self, view: CurveView, key: str, value: float | None) -> None:
         values = stated_values(view)
         if value is None:
             values.pop(key, None)
             values.pop(_PAIRS.get(key, ""), None)
         else:
-            values[key] = value / _MICRO
-        self._state(view, values)
+            values[key] = value / MICRO
+        self._state_values(view, values)
 
-    def _moved(self, view: CurveView, event: events.GenericEventArguments) -> None:
+    def _take_moved(self, view: CurveView, event: events.GenericEventArguments) -> None:
         """A line was moved: state its value, with the standard deviation that stood beside it."""
         if (change := moved_line(event.args)) is None:
             return
@@ -124,12 +128,12 @@ class CurvesView:
         sd = _PAIRS.get(key)
         if sd is not None and sd not in values and (known := found_values(view)[sd]) is not None:
             values[sd] = known
-        self._state(view, values)
+        self._state_values(view, values)
 
-    def _state(self, view: CurveView, values: dict[str, float]) -> None:
+    def _state_values(self, view: CurveView, values: dict[str, float]) -> None:
         with problems_notified():
-            self.workspace.state(view, values)
-        self.show.refresh()
+            self.workspace.state_values(view, values)
+        self.draw_tab.refresh()
 
 
 def stated_values(view: CurveView) -> dict[str, float]:
@@ -148,7 +152,7 @@ def found_values(view: CurveView) -> dict[str, float | None]:
     }
 
 
-def moved_line(change: dict[str, Any]) -> tuple[str, float] | None:
+def moved_line(change: Document) -> tuple[str, float] | None:
     """Which line was moved where, from what the figure reports; in SI units; None for any other
     change.
 
@@ -164,14 +168,14 @@ def moved_line(change: dict[str, Any]) -> tuple[str, float] | None:
             if f"shapes[{number}].{axis}{end}" in change
         ]
         if ends:
-            return key, round(sum(ends) / len(ends), 4) / _MICRO
+            return key, round(sum(ends) / len(ends), 4) / MICRO
     return None
 
 
-def figure(view: CurveView) -> dict[str, Any]:
+def curve_figure(view: CurveView) -> Document:
     """The frames in us and um with the lines, as plotly takes it."""
-    time = (_MICRO * view.trace.time_s).tolist()
-    radius = (_MICRO * view.trace.radius_m).tolist()
+    time = (MICRO * view.trace.time_s).tolist()
+    radius = (MICRO * view.trace.radius_m).tolist()
     first, last = view.fitted or (len(time), len(time) - 1)
     found = found_values(view)
     stretches = {
@@ -194,7 +198,7 @@ def figure(view: CurveView) -> dict[str, Any]:
         "xaxis": {"title": {"text": "time (us)"}},
         "yaxis": {"title": {"text": "R (um)"}, "rangemode": "tozero"},
         "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom"},
-        "shapes": [_line(key, found[key]) for key in _LINES],
+        "shapes": [_draw_line(key, found[key]) for key in _LINES],
     }
     config = {
         "displaylogo": False,
@@ -204,11 +208,11 @@ def figure(view: CurveView) -> dict[str, Any]:
     return {"data": data, "layout": layout, "config": config}
 
 
-def _line(key: str, value: float | None) -> dict[str, Any]:
+def _draw_line(key: str, value: float | None) -> Document:
     """A line that can be moved; one of a value that is not known is not seen."""
     name, colour, dash = _LINES[key]
-    at = 0.0 if value is None else _MICRO * value
-    label: dict[str, Any] = {"text": name, "font": {"size": 11, "color": colour}}
+    at = 0.0 if value is None else MICRO * value
+    label: Document = {"text": name, "font": {"size": 11, "color": colour}}
     if key.endswith("_s"):
         place = {"x0": at, "x1": at, "y0": 0, "y1": 1, "yref": "paper"}
         side = "left" if key == "t_Rmax_s" else "right"  # towards the frames between the two

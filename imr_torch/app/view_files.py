@@ -1,6 +1,7 @@
 """The tab of files: drop them, see which can be used and why not, say how they are to be read."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from nicegui import events, ui
 
@@ -15,6 +16,7 @@ _HELP = (
 )
 
 
+@dataclass(eq=False)
 class FilesView:
     """The tab.
 
@@ -23,12 +25,11 @@ class FilesView:
         go: opens another tab.
     """
 
-    def __init__(self, workspace: Workspace, go: Callable[[str], object]) -> None:
-        self.workspace = workspace
-        self.go = go
+    workspace: Workspace
+    go: Callable[[str], object]
 
     @ui.refreshable_method
-    def show(self) -> None:
+    def draw_tab(self) -> None:
         """Draw it."""
         ui.label(_HELP).classes("quiet")
         with ui.row().classes("w-full items-start"):
@@ -37,30 +38,30 @@ class FilesView:
                 multiple=True,
                 auto_upload=True,
                 max_file_size=LARGEST_FILE,
-                on_upload=self._take,
-                on_multi_upload=lambda _: self.show.refresh(),
+                on_upload=self._take_upload,
+                on_multi_upload=lambda _: self.draw_tab.refresh(),
                 on_rejected=lambda _: ui.notify(
                     f"Files of curves end in {', '.join(ENDINGS)}.", type="warning"
                 ),
             ).props(f'accept="{",".join(ENDINGS)}" flat bordered').classes("w-full").style(
                 "max-width: 34rem"
             )
-            ui.button("Take the example gel", on_click=self._example).props("outline no-caps")
-        files = self.workspace.files()
+            ui.button("Take the example gel", on_click=self._take_example).props("outline no-caps")
+        files = self.workspace.list_files()
         if files:
             ui.label("Files").classes("text-subtitle1")
         for file in files:
-            self._row(file)
-        self._layout()
+            self._draw_file(file)
+        self._draw_layout()
         with problems_shown():
-            traces = self.workspace.traces()
+            traces = self.workspace.load_curves()
             if len(traces):
                 read = f"What was read: {len(traces)} curve(s)"
                 with ui.expansion(read, icon="list").classes("w-full"):
                     ui.label(traces.report()).style("white-space: pre-wrap").classes("text-body2")
                 ui.button("Look at the curves", on_click=lambda: self.go("Curves")).props("no-caps")
 
-    def _row(self, file: FileState) -> None:
+    def _draw_file(self, file: FileState) -> None:
         with ui.row().classes("w-full items-center no-wrap"):
             ui.button(icon="close", on_click=lambda: self._take_out(file.name)).props(
                 f'flat dense round aria-label="Set {file.name} aside"'
@@ -76,7 +77,7 @@ class FilesView:
                     "problem" if file.problem else "quiet"
                 ).style("overflow-wrap: anywhere")
 
-    def _layout(self) -> None:
+    def _draw_layout(self) -> None:
         """How the files are to be read, where their names do not say it."""
         text = self.workspace.settings["layout"]
         with ui.expansion(
@@ -89,19 +90,19 @@ class FilesView:
                 "Read the files again", on_click=lambda: self._set_layout(field.value or "")
             ).props("outline no-caps")
 
-    async def _take(self, event: events.UploadEventArguments) -> None:
+    async def _take_upload(self, event: events.UploadEventArguments) -> None:
         with problems_notified():
-            ui.notify(self.workspace.add(event.file.name, await event.file.read()))
+            ui.notify(self.workspace.add_file(event.file.name, await event.file.read()))
 
-    def _example(self) -> None:
+    def _take_example(self) -> None:
         ui.notify(self.workspace.add_example())
-        self.show.refresh()
+        self.draw_tab.refresh()
 
     def _take_out(self, name: str) -> None:
         ui.notify(self.workspace.take_out(name))
-        self.show.refresh()
+        self.draw_tab.refresh()
 
     def _set_layout(self, text: str) -> None:
         with problems_notified():
             self.workspace.set_layout(text)
-            self.show.refresh()
+            self.draw_tab.refresh()

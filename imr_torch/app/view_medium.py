@@ -2,6 +2,8 @@
 files and statements.
 """
 
+from dataclasses import dataclass
+
 from nicegui import ui
 
 from imr_torch.app.problems import problems_notified, problems_shown
@@ -11,6 +13,7 @@ from imr_torch.observe import Statement
 from imr_torch.observe.medium import PROPERTIES
 
 
+@dataclass(eq=False)
 class MediumView:
     """The tab.
 
@@ -18,11 +21,10 @@ class MediumView:
         workspace: the folder.
     """
 
-    def __init__(self, workspace: Workspace) -> None:
-        self.workspace = workspace
+    workspace: Workspace
 
     @ui.refreshable_method
-    def show(self) -> None:
+    def draw_tab(self) -> None:
         """Draw it."""
         text = self.workspace.settings["medium"]
         said = Statement.from_text(text) if text else Statement()
@@ -46,18 +48,18 @@ class MediumView:
                 )
         ui.button(
             "State it",
-            on_click=lambda: self._set(
+            on_click=lambda: self._set_medium(
                 name.value, {key: (a.value, b.value) for key, (a, b) in fields.items()}
             ),
         ).props("no-caps")
         with problems_shown():
-            ui.label(self.workspace.medium().report()).style("white-space: pre-wrap")
+            ui.label(self.workspace.find_medium().report()).style("white-space: pre-wrap")
 
-    def _set(self, name: str, values: dict[str, tuple[float | None, float | None]]) -> None:
+    def _set_medium(self, name: str, values: dict[str, tuple[float | None, float | None]]) -> None:
         with problems_notified():
             self.workspace.set_medium(medium_text(name, values))
             ui.notify("Stated; it counts in every command that is run from now on.")
-            self.show.refresh()
+            self.draw_tab.refresh()
 
 
 def medium_text(name: str, values: dict[str, tuple[float | None, float | None]]) -> str:

@@ -2,26 +2,29 @@
 files to download.
 """
 
+from dataclasses import dataclass
+
 from nicegui import ui
 
 from imr_torch.app.runs import Result, Runs
 
 
+@dataclass(eq=False)
 class ResultsView:
     """The tab.
 
     Args:
         runs: all runs of the folder.
+        name: of the result that is shown.
     """
 
-    def __init__(self, runs: Runs) -> None:
-        self.runs = runs
-        self.name = ""
+    runs: Runs
+    name: str = ""
 
     @ui.refreshable_method
-    def show(self) -> None:
+    def draw_tab(self) -> None:
         """Draw it; the latest result is shown first."""
-        results = {result.name: result for result in self.runs.results()}
+        results = {result.name: result for result in self.runs.list_results()}
         if not results:
             ui.label("There are no results yet; run a command first.").classes("quiet")
             return
@@ -33,31 +36,31 @@ class ResultsView:
                 names,
                 value=result.name,
                 label="Result",
-                on_change=lambda event: self._choose(event.value),
+                on_change=lambda event: self._choose_result(event.value),
             ).style("min-width: min(24rem, 100%)")
             ui.link("Download everything (zip)", f"/result/{result.name}/archive")
             if result.page:
                 ui.link("Open the page by itself", f"/result/{result.name}/page", new_tab=True)
         ui.label(result.command).classes("command")
         ui.label(f"Started {result.started}").classes("quiet")
-        self._content(result)
+        self._draw_content(result)
 
-    def _content(self, result: Result) -> None:
+    def _draw_content(self, result: Result) -> None:
         if result.status != 0:
-            ui.label(f"{result.outcome}. {result.text('messages.txt')}").classes("problem").style(
-                "white-space: pre-wrap"
-            )
+            ui.label(f"{result.outcome}. {result.read_text_of('messages.txt')}").classes(
+                "problem"
+            ).style("white-space: pre-wrap")
         if result.page:
             ui.element("iframe").props(
                 f'src="/result/{result.name}/page" title="Page of {result.name}" sandbox=""'
             ).classes("page")
-        output = result.text("output.txt")
+        output = result.read_text_of("output.txt")
         if output:
             with ui.expansion("What the command printed", icon="notes").classes("w-full"):
                 ui.label(output).style("white-space: pre-wrap; overflow-wrap: anywhere").classes(
                     "text-body2"
                 )
 
-    def _choose(self, name: str) -> None:
+    def _choose_result(self, name: str) -> None:
         self.name = name
-        self.show.refresh()
+        self.draw_tab.refresh()

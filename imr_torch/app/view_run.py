@@ -7,11 +7,11 @@ from typing import Any
 
 from nicegui import ui
 
-from imr_torch.app.commands import DEFAULTS, FORMS, command_arguments
+from imr_torch.app.commands import DEFAULTS, FORMS, SETTINGS, command_arguments
 from imr_torch.app.problems import problems_notified, problems_shown
 from imr_torch.app.runs import Run, Runs, command_line
 from imr_torch.app.workspace import Workspace
-from imr_torch.cli.options.names import MODELS, PHYSICS, TARGETS
+from imr_torch.cli.options.names import MODELS
 
 _KINDS = {"characterize": "Characterise", "diagnose": "Diagnose", "design": "Next design"}
 _LABELS = {
@@ -32,12 +32,6 @@ _LABELS = {
     "rinf_range": "R_inf/Rmax, LOW:HIGH",
     "q": "Designs to prepare together",
     "evaluations": "Designs evaluated",
-}
-_CHOICES: dict[str, Any] = {
-    "models": list(MODELS),
-    "base": list(MODELS),
-    "physics": list(PHYSICS),
-    "target": list(TARGETS),
 }
 
 
@@ -62,34 +56,36 @@ class RunView:
         self._seen_ended = False
 
     @ui.refreshable_method
-    def show(self) -> None:
+    def draw_tab(self) -> None:
         """Draw it."""
-        ui.toggle(_KINDS, value=self.kind, on_change=lambda event: self._choose(event.value)).props(
-            "no-caps"
-        )
+        ui.toggle(
+            _KINDS, value=self.kind, on_change=lambda event: self._choose_command(event.value)
+        ).props("no-caps")
         for row in FORMS[self.kind]:
             with ui.row().classes("w-full"), problems_shown():
                 for key in row:
-                    self._field(key)
+                    self._draw_field(key)
         ui.label("The command, which does the same on a command line in this folder:").classes(
             "quiet q-mt-sm"
         )
-        self._line()
-        ui.button("Run", icon="play_arrow", on_click=self._start).props("no-caps")
-        self._progress()
-        ui.timer(0.5, self._tick)
+        self._draw_command()
+        ui.button("Run", icon="play_arrow", on_click=self._start_run).props("no-caps")
+        self._draw_progress()
+        ui.timer(0.5, self._follow_run)
 
-    def _field(self, key: str) -> None:
+    def _draw_field(self, key: str) -> None:
         """The element of the form that sets an option."""
         if key == "models" and self.kind == "design" and self.values["belief"]:
             return  # with an earlier result, there are no models to choose
         default = DEFAULTS[key]
         label = _LABELS[key]
-        choices = _CHOICES.get(key)
+        choices: Any = list(SETTINGS[key].get("choices", ())) or None
+        if key in ("models", "base"):
+            choices = list(MODELS)
         if key == "belief":
-            choices = self._earlier()
+            choices = self._list_earlier()
         if key == "experiments":
-            choices = list(self.workspace.traces().ids)
+            choices = list(self.workspace.load_curves().ids)
             self.values[key] = [name for name in self.values[key] if name in choices]
         if isinstance(default, bool):
             field = ui.checkbox(label)
@@ -104,13 +100,13 @@ class RunView:
             field = ui.input(label).style("width: min(20rem, 100%)")
         field.bind_value(self.values, key)
         # an earlier result shows or hides the models
-        field.on_value_change((self.show if key == "belief" else self._line).refresh)
+        field.on_value_change((self.draw_tab if key == "belief" else self._draw_command).refresh)
 
-    def _earlier(self) -> dict[str, str]:
+    def _list_earlier(self) -> dict[str, str]:
         """The results that a design can build on; the latest is chosen first."""
         earlier = {"": "no earlier result: the wide prior"} | {
             f"results/{result.name}/characterize.json": f"what {result.name} learnt"
-            for result in self.runs.results()
+            for result in self.runs.list_results()
             if (result.folder / "characterize.json").is_file()
         }
         if self.values["belief"] not in earlier:
@@ -118,13 +114,13 @@ class RunView:
         return earlier
 
     @ui.refreshable_method
-    def _line(self) -> None:
+    def _draw_command(self) -> None:
         with problems_shown():
-            text = command_line(self._arguments(self.runs.next_folder(self.kind)))
+            text = command_line(self._list_arguments(self.runs.next_folder(self.kind)))
             ui.label(text).classes("command")
 
     @ui.refreshable_method
-    def _progress(self) -> None:
+    def _draw_progress(self) -> None:
         run = self.shown
         if run is None:
             return
@@ -138,35 +134,35 @@ class RunView:
                 ui.label(run.line).style("overflow-wrap: anywhere")
                 ui.button("Stop", icon="stop", on_click=run.stop).props("outline no-caps")
                 return
-            result = self.runs.result(run.result.name)
+            result = self.runs.find_result(run.result.name)
             said = [f"{result.name}: {result.outcome}"]
-            said += [result.text("messages.txt")] if result.status else []
+            said += [result.read_text_of("messages.txt")] if result.status else []
             ui.label("\n".join(said)).classes("problem" if result.status else "").style(
                 "white-space: pre-wrap; overflow-wrap: anywhere"
             )
             ui.button("See the result", on_click=lambda: self.go("Results")).props("no-caps")
 
-    def _tick(self) -> None:
+    def _follow_run(self) -> None:
         """Show how a run goes on, and once how it ended."""
         if self.shown is None and self.runs.busy:
             self.shown = self.runs.current
         if self.shown is not None and not self._seen_ended:
             self._seen_ended = not self.shown.running
-            self._progress.refresh()
+            self._draw_progress.refresh()
 
-    def _choose(self, kind: str) -> None:
+    def _choose_command(self, kind: str) -> None:
         self.kind = kind
-        self.show.refresh()
+        self.draw_tab.refresh()
 
-    def _start(self) -> None:
+    def _start_run(self) -> None:
         with problems_notified():
-            self.shown = self.runs.start(self._arguments, self.kind)
+            self.shown = self.runs.start_run(self._list_arguments, self.kind)
             self._seen_ended = False
-            self._progress.refresh()
-            self._line.refresh()
+            self._draw_progress.refresh()
+            self._draw_command.refresh()
 
-    def _arguments(self, folder: str) -> list[str]:
+    def _list_arguments(self, folder: str) -> list[str]:
         """The arguments of the chosen command as the form says them."""
         values = self.values | self.workspace.settings
-        files = [] if self.kind == "design" else self.workspace.usable()
+        files = [] if self.kind == "design" else self.workspace.list_usable()
         return command_arguments(self.kind, values, folder, files=files)

@@ -17,7 +17,7 @@ from pathlib import Path
 from imr_torch.characterization import medium_of
 from imr_torch.errors import ImrError, InputDataError
 from imr_torch.example import example_gel
-from imr_torch.files import read_json, write_atomically, write_json
+from imr_torch.files import read_json, write_bytes, write_json
 from imr_torch.observe import (
     SUFFIXES,
     GelMedium,
@@ -38,8 +38,8 @@ from imr_torch.reading.readers import is_shot_file
 LARGEST_FILE = 2**30
 """Bytes of an uploaded file."""
 ENDINGS = (*SUFFIXES, ".json")
-_LONGEST_NAME = 120
-_SETTINGS = ("layout", "medium")
+LONGEST_NAME = 120
+"""Bytes of the name of an uploaded file."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class Workspace:
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     workspace = Workspace(Path(folder))
     ...     _ = workspace.add_example()
-    ...     [(file.name, file.curves) for file in workspace.files()]
+    ...     [(file.name, file.curves) for file in workspace.list_files()]
     [('example_gel.csv', 4)]
     """
 
@@ -103,7 +103,7 @@ class Workspace:
         for path in (self.files_folder, self.results_folder):
             path.mkdir(parents=True, exist_ok=True)
 
-    def add(self, name: str, content: bytes) -> str:
+    def add_file(self, name: str, content: bytes) -> str:
         """Take a file; one of the same name is set aside.
 
         Args:
@@ -124,13 +124,13 @@ class Workspace:
             if target.read_bytes() == content:
                 return f"{name} is there already."
             before = f"; the earlier one is {self._set_aside(name)}"
-        write_atomically(target, lambda stream: stream.write(content))
+        write_bytes(target, content)
         return f"{name} was added{before}."
 
     def add_example(self) -> str:
         """Take the example gel that ships with the package."""
         for path in (example_gel().with_suffix(".json"), example_gel()):
-            said = self.add(path.name, path.read_bytes())
+            said = self.add_file(path.name, path.read_bytes())
         return said
 
     def take_out(self, name: str) -> str:
@@ -158,12 +158,9 @@ class Workspace:
         Empty where nothing is stated.
         """
         path = self.folder / "settings.json"
-        found = (
-            read_json(path, expected="expected the settings of an application")
-            if path.exists()
-            else {}
-        )
-        return {name: str(found.get(name, "")) for name in _SETTINGS}
+        expected = "expected the settings of an application"
+        found = read_json(path, expected=expected) if path.exists() else {}
+        return {name: str(found.get(name, "")) for name in ("layout", "medium")}
 
     def set_layout(self, text: str) -> None:
         """State how all files are to be read; empty: as their names say.
@@ -173,7 +170,7 @@ class Workspace:
         """
         if text.strip():
             Layout.from_text(text)
-        write_json(self.folder / "settings.json", self.settings | {"layout": text.strip()})
+        self._write_settings(layout=text.strip())
 
     def set_medium(self, text: str) -> GelMedium:
         """State the medium of all curves; empty: as the files say.
@@ -182,25 +179,29 @@ class Workspace:
             InputDataError: if the text cannot be used.
         """
         medium = gel_medium(Statement.from_text(text)) if text.strip() else gel_medium()
-        write_json(self.folder / "settings.json", self.settings | {"medium": text.strip()})
+        self._write_settings(medium=text.strip())
         return medium
 
-    def medium(self) -> GelMedium:
+    def _write_settings(self, **changed: str) -> None:
+        write_json(self.folder / "settings.json", self.settings | changed)
+
+    def find_medium(self) -> GelMedium:
         """The medium of all curves, from what is stated here and beside the files.
 
         Raises:
             InputDataError: if statements contradict each other.
         """
-        return medium_of(self.traces(), self.settings["medium"] or None)
+        return medium_of(self.load_curves(), self.settings["medium"] or None)
 
     @property
     def _paths(self) -> list[Path]:
-        inside = sorted(self.files_folder.iterdir())
         return [
-            p for p in inside if p.suffix.lower() in SUFFIXES and not p.name.startswith((".", "~$"))
+            path
+            for path in sorted(self.files_folder.iterdir())
+            if path.suffix.lower() in SUFFIXES and not path.name.startswith((".", "~$"))
         ]
 
-    def files(self) -> list[FileState]:
+    def list_files(self) -> list[FileState]:
         """The files of curves and collapse times, each with whether it can be used."""
         return [self._file_state(path) for path in self._paths]
 
@@ -208,7 +209,7 @@ class Workspace:
         try:
             if is_shot_file(path):
                 return FileState(path.name, shots=len(load_collapse_times(path)))
-            return FileState(path.name, curves=len(self._load(path)))
+            return FileState(path.name, curves=len(self._load_file(path)))
         except ImrError as error:
             return FileState(path.name, problem=self._without_folder(error))
 
@@ -216,33 +217,35 @@ class Workspace:
         """A message with names relative to the folder."""
         return str(error).replace(f"{self.folder}", "").lstrip("/\\")
 
-    def _load(self, path: Path) -> TraceSet:
+    def _load_file(self, path: Path) -> TraceSet:
         beside = path.with_suffix(".json")
         stamps = tuple(
             (p.stat().st_mtime_ns, p.stat().st_size) if p.exists() else None for p in (path, beside)
         )
         return _load_once(path, stamps, self.settings["layout"])
 
-    def usable(self) -> list[str]:
+    def list_usable(self) -> list[str]:
         """Names of the files that can be used, relative to the folder, as the commands are given
         them.
         """
-        return [f"files/{file.name}" for file in self.files() if not file.problem]
+        return [f"files/{file.name}" for file in self.list_files() if not file.problem]
 
-    def traces(self) -> TraceSet:
+    def load_curves(self) -> TraceSet:
         """The curves of all files that can be used, named as the commands name them."""
         return TraceSet.join(
-            self._load(self.files_folder / file.name) for file in self.files() if file.curves
+            self._load_file(self.files_folder / file.name)
+            for file in self.list_files()
+            if file.curves
         )
 
-    def curve(self, name: str, collapses: int) -> CurveView:
+    def view_curve(self, name: str, collapses: int) -> CurveView:
         """A curve with what is found in it and what will be fitted."""
-        traces = self.traces()
+        traces = self.load_curves()
         trace = traces[name]
-        alone = len(self._load(Path(trace.source))) == 1
+        alone = len(self._load_file(Path(trace.source))) == 1
         marks = find_landmarks(trace)
         try:
-            surroundings = self.medium().surroundings
+            surroundings = self.find_medium().surroundings
             prepared = prepare(traces.select([name]), surroundings, collapses=collapses)
         except ImrError as error:
             return CurveView(trace, marks, None, None, self._without_folder(error), alone)
@@ -251,7 +254,7 @@ class Workspace:
         said = "\n".join(line.strip() for line in prepared.report().splitlines()[1:])
         return CurveView(trace, marks, (before, last), float(trace.time_s[last]), said, alone)
 
-    def state(self, view: CurveView, values: Mapping[str, float | None]) -> None:
+    def state_values(self, view: CurveView, values: Mapping[str, float | None]) -> None:
         """Write what a person states about a curve (:func:`imr_torch.observe.state`).
 
         Raises:
@@ -276,7 +279,7 @@ def check_name(name: str, size: int) -> str:
         not base
         or base.startswith((".", "~"))
         or not base.isprintable()
-        or len(base.encode()) > _LONGEST_NAME
+        or len(base.encode()) > LONGEST_NAME
     ):
         raise InputDataError(
             f"{name[:80]!r} is no name of a file that can be kept; rename it and drop it again."

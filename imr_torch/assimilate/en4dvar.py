@@ -33,7 +33,7 @@ from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Progress
+from imr_torch.types import Progress, ProgressLine
 
 
 @one_torch_thread()
@@ -137,10 +137,9 @@ def _fit_model(
             length = float(step[: posterior.size].norm())
             mean = _shorten_step(posterior, mean, chol @ step, options)
             if progress:
-                progress(
-                    f"ensemble 4D-Var: {posterior.prior.model}, cycle {cycle + 1}, "
-                    f"iteration {iteration + 1}, step {length:.1e} sd"
-                )
+                place = f"cycle {cycle + 1}, iteration {iteration + 1}"
+                text = f"ensemble 4D-Var: {posterior.prior.model}, {place}, step {length:.1e} sd"
+                progress(ProgressLine(text, step=place))
         costs.append(-float(posterior.log_joint(posterior.point_at(mean))))
     assert equations is not None
     agreement = abs(costs[-1] - costs[-2])

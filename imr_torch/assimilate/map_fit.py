@@ -32,7 +32,7 @@ from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Progress
+from imr_torch.types import Progress, ProgressLine
 
 
 @one_torch_thread()
@@ -108,10 +108,12 @@ def assimilate(
 
     def report_iteration(end: Descent) -> None:
         if progress:
-            progress(
-                f"assimilation: iteration {next(number)}, {end.near.posterior.prior.model} "
+            step = f"iteration {next(number)}"
+            text = (
+                f"assimilation: {step}, {end.near.posterior.prior.model} "
                 f"cost {end.cost:.2f} gradient {end.gradient:.1e}"
             )
+            progress(ProgressLine(text, step=step))
 
     searches = [
         ModelSearch(

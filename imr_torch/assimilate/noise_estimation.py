@@ -26,7 +26,7 @@ from imr_torch.observe.noise import FEWEST_RESIDUALS
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Progress
+from imr_torch.types import Progress, ProgressLine
 
 NOISE_ROUNDS = 2
 """How often the noise of measured curves is estimated: from fits with the given law, and from fits with the first estimate."""
@@ -113,7 +113,7 @@ def assimilate_estimating_noise(
         scattered = replace(result.batch, experiments=with_scatter(result))
         batch = with_inferred_noise(scattered, result, law, simulator, widen=number == rounds)
         if progress:
-            progress(f"noise {batch.noise}")
+            progress(ProgressLine(f"noise {batch.noise}", stage="noise"))
         result = fit_models(batch, number, result)
     return result
 

@@ -24,7 +24,7 @@ from imr_torch.material import ModelBelief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
-from imr_torch.types import Progress
+from imr_torch.types import Progress, ProgressLine
 
 FALL = 1.920729
 """Nats that the best fit loses at the end of a 95 % interval."""
@@ -192,7 +192,8 @@ def _profile_parameter(
             found[held] = (last.cost, last.certificate.converged)
             lowest = min(cost for cost, _ in found.values())
             if progress:
-                progress(f"profile of {name}: {side * step:+.1f} sd, {last.cost - lowest:.2f} nats")
+                text = f"profile of {name}: {side * step:+.1f} sd, {last.cost - lowest:.2f} nats"
+                progress(ProgressLine(text, stage="profile"))
             if last.cost - lowest > options.fall:
                 break
     places = torch.tensor(sorted(found), dtype=torch.float64)

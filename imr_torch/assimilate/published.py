@@ -26,7 +26,7 @@ from imr_torch.material import Belief, ModelBelief
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, predict
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
-from imr_torch.types import BubbleFrames, Progress
+from imr_torch.types import BubbleFrames, Progress, ProgressLine
 
 
 @dataclass(frozen=True)
@@ -155,10 +155,8 @@ def _fit_model(
             )
             centre = centre + step
             if progress:
-                progress(
-                    f"published assimilation: {part.model}, cycle {cycle + 1}, "
-                    f"iteration {iteration + 1}"
-                )
+                place = f"cycle {cycle + 1}, iteration {iteration + 1}"
+                progress(ProgressLine(f"published assimilation: {part.model}, {place}", step=place))
         deviation = transform @ start
         if cycle < options.cycles - 1:
             ratio = start.std(0) / deviation.std(0)

@@ -39,7 +39,7 @@ from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Progress
+from imr_torch.types import Progress, ProgressLine
 
 
 @dataclass(frozen=True)
@@ -191,10 +191,9 @@ def weigh(
             state.drawn += 1
             state.fit = replace(state.fit, sample=sample)
         if progress:
-            progress(
-                f"draws: round {number}, "
-                + ", ".join(f"{c.fit.model} {c.fit.trust}" for c in waiting)
-            )
+            trusts = ", ".join(f"{c.fit.model} {c.fit.trust}" for c in waiting)
+            step = f"round {number}"
+            progress(ProgressLine(f"draws: {step}, {trusts}", step=step))
         _fit_again(waiting, states, options, child(seed, "refit", number), progress)
         ahead = _models_ahead([state.fit for state in states], drop_behind)
         waiting = [

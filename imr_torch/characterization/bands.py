@@ -1,24 +1,16 @@
-"""The curves of a characterisation as JSON-ready values, from which its figures are drawn again:
-measured frames, curves of the models, residuals, and the predictive band.
-"""
+"""Posterior predictive bands of curves, and as JSON-ready values from which they are drawn again."""
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
 
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import Assimilation, ModelFit
-from imr_torch.assimilate.dense import dense_curve
-from imr_torch.files import drawn_numbers
+from imr_torch.assimilate import Assimilation
+from imr_torch.files import Document, drawn_numbers
 from imr_torch.material import Belief
 from imr_torch.material.model_belief import LEVELS
-from imr_torch.observe import ExperimentBatch, Prepared, TraceSet, predict
-from imr_torch.observe.convert import FrameUse
+from imr_torch.observe import predict
 from imr_torch.simulate import Simulator
-
-_NOISE_LEVELS = 21  # quantiles of the noise in a predictive band
 
 
 def predictive_band(
@@ -30,6 +22,7 @@ def predictive_band(
     draws: int = 100,
     seed: int = 0,
     times: Tensor,
+    noise_levels: int = 21,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Posterior predictive quantiles (5, 50, 95 %) of single frames, over gel and noise: three ``E
     x T`` tensors, R/Rmax.
@@ -42,6 +35,7 @@ def predictive_band(
         draws: posterior draws.
         seed: of the draws.
         times: ``E x T`` tensor, dimensionless, increasing.
+        noise_levels: quantiles of the noise that are taken with each draw.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, reference_case
@@ -64,9 +58,8 @@ def predictive_band(
     shifts = (fit.nuisances * batch.nuisance_sds).expand(draws, -1, -1)
     prediction = predict(simulator, part.parameters(controls), batch, shifts, times=times)
     # noise at its quantiles, not at random numbers, so that the band is smooth
-    noise = torch.special.ndtri(
-        (torch.arange(_NOISE_LEVELS, dtype=torch.float64) + 0.5) / _NOISE_LEVELS
-    )
+    levels = (torch.arange(noise_levels, dtype=torch.float64) + 0.5) / noise_levels
+    noise = torch.special.ndtri(levels)
     laws = None if fit.sample is None else fit.sample.noise_laws(draws)
     if laws is None:
         sd = batch.noise.of_frames.sd(prediction, times)
@@ -75,15 +68,15 @@ def predictive_band(
             [law.of_frames.sd(curves, times) for law, curves in zip(laws, prediction, strict=True)]
         )
     levels = torch.tensor(LEVELS, dtype=prediction.dtype)
-    rows = []
-    for e in range(prediction.shape[1]):
-        seen = prediction[:, e] + sd[:, e] * noise[:, None, None]
-        rows.append(torch.nanquantile(seen.flatten(0, 1), levels, dim=0))
+    rows = [
+        torch.nanquantile((own + of_own * noise[:, None, None]).flatten(0, 1), levels, dim=0)
+        for own, of_own in zip(prediction.unbind(1), sd.unbind(1), strict=True)
+    ]
     low, middle, high = torch.stack(rows, 1)
     return low, middle, high
 
 
-def band_document(model: str, times: Tensor, band: Sequence[Tensor], e: int) -> dict[str, Any]:
+def band_document(model: str, times: Tensor, band: Sequence[Tensor], e: int) -> Document:
     """The predictive band of one experiment, JSON-ready.
 
     Args:
@@ -95,86 +88,4 @@ def band_document(model: str, times: Tensor, band: Sequence[Tensor], e: int) -> 
     rows = zip(("t_star", "low", "median", "high"), (times, *band), strict=True)
     return {"model": model, "levels": LEVELS} | {
         name: drawn_numbers(values[e]) for name, values in rows
-    }
-
-
-def curves_document(
-    whole: Assimilation,
-    posterior: Belief,
-    prepared: Prepared,
-    frames: Sequence[FrameUse],
-    traces: TraceSet,
-    simulator: Simulator,
-    *,
-    draws: int,
-    seed: int,
-) -> list[dict[str, Any]]:
-    """Every curve with its measured frames, the curves of the models and the predictive band of the
-    most probable one.
-
-    Args:
-        whole: the fits.
-        posterior: belief after the data.
-        prepared: the curves as they were fitted.
-        frames: which frames were fitted.
-        traces: the records.
-        simulator: makes the bubbles, in the medium of the curves.
-        draws: posterior draws behind the predictive band.
-        seed: of these draws.
-    """
-    best = posterior.best.model
-    pairs = [fit.of_curves(whole.batch) for fit in whole.fits]
-    fits = tuple(fit for fit, _ in pairs)
-    batch = pairs[0][1]
-    drawn = {fit.model: dense_curve(fit, batch, simulator) for fit in fits}
-    curves_only = replace(whole, batch=batch, fits=fits)
-    band = predictive_band(
-        curves_only, posterior, simulator, best, draws=draws, seed=seed, times=drawn[best][0]
-    )
-    scale = simulator.conditions.surroundings
-    curves = []
-    for e, (trace, use, experiment) in enumerate(
-        zip(traces, frames, prepared.experiments, strict=True)
-    ):
-        marks = prepared.landmarks[trace.experiment_id]
-        curves.append(
-            {
-                "id": trace.experiment_id,
-                "source": trace.source.rsplit("/", 1)[-1],
-                "We": experiment.design[0],
-                "R_inf*": experiment.design[1],
-                "Rmax_m": marks.max_radius_m,
-                "R_inf_m": marks.max_radius_m * experiment.design[1],
-                "time_of_max_s": marks.time_of_max_s,
-                "time_scale_s": float(scale.time_scale(marks.max_radius_m)),
-                "frames": use.to_dict(),
-                "measured": {
-                    "t_star": use.t_star,
-                    "R_star": (trace.radius_m / marks.max_radius_m).tolist(),
-                    "fitted": use.fitted,
-                }
-                | (
-                    {}
-                    if trace.asphericity is None
-                    else {"asphericity": drawn_numbers(trace.asphericity)}
-                ),
-                "models": {fit.model: _model(fit, batch, e, drawn[fit.model]) for fit in fits},
-                "band": band_document(best, drawn[best][0], band, e),
-            }
-        )
-    return curves
-
-
-def _model(
-    fit: ModelFit, batch: ExperimentBatch, e: int, drawn: tuple[Tensor, Tensor]
-) -> dict[str, Any]:
-    """The curve of one model in one experiment, and its residuals at the fitted frames."""
-    seen = batch.mask[e]
-    residual = (batch.mean - fit.prediction)[e][seen]
-    noise = (batch.of_frames.sd(fit.prediction) / batch.counts.sqrt())[e][seen]
-    return {
-        "t_star": drawn_numbers(drawn[0][e]),
-        "R_star": drawn_numbers(drawn[1][e]),
-        "residual": drawn_numbers(residual),
-        "residual_over_sd": drawn_numbers(residual / noise),
     }

@@ -12,7 +12,7 @@ import io
 import json
 import re
 from collections import Counter
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -24,20 +24,22 @@ from contextlib import closing
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 from imr_torch.assimilate import FitOptions
 from imr_torch.characterization import characterize
 from imr_torch.characterization.saved import SavedCharacterization, write_xlsx
 from imr_torch.document import header
 from imr_torch.errors import ImrError, InputDataError, in_one_line
-from imr_torch.files import read_json, write_atomically, write_json
+from imr_torch.files import Document, read_json, write_bytes, write_json
 from imr_torch.material import PARAMETERS, Belief
 from imr_torch.observe import Layout, Statement, TraceSet, find_files, load_traces
 from imr_torch.results import document_report
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Progress
+from imr_torch.types import Progress, ProgressLine
+
+Pool = Executor | Callable[[], Executor]
+"""What shots are handed to, or a function that makes it."""
 
 SHOTS = "shots"
 """Folder of the results, below that of the run."""
@@ -45,7 +47,6 @@ SHOTS = "shots"
 DONE = "done"
 NOT_CONVERGED = "not converged"
 FAILED = "failed"
-_WINDOW = 64  # shots handed to an executor at a time
 _NOT_OF_FIT = ("layout", "sort", "each", "code")  # options that characterize does not take
 _COLUMNS = (
     "shot",
@@ -105,10 +106,10 @@ class BatchOptions:
     seed: int = 0
     code: tuple[bytes, ...] = ()
 
-    def key(self) -> str:
+    def make_key(self) -> str:
         """Hash of everything that has a say in a result."""
         parts = vars(self) | {"prior": self.prior.to_dict(), "version": version("imr-torch")}
-        return _hash(json.dumps(parts, sort_keys=True, default=repr))
+        return _hash_parts(json.dumps(parts, sort_keys=True, default=repr))
 
 
 @dataclass(frozen=True)
@@ -148,7 +149,7 @@ class BatchSummary:
     (1, ('shot', 'status', 'G', 'error'))
     """
 
-    rows: tuple[Mapping[str, Any], ...]
+    rows: tuple[Document, ...]
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -160,7 +161,7 @@ class BatchSummary:
         """Shots of a status."""
         return sum(row["status"] == status for row in self.rows)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """JSON-ready values, from which page and report are made."""
         return {"shots": [dict(row) for row in self.rows]}
 
@@ -181,8 +182,8 @@ def run_batch(
     *paths: str | Path,
     folder: str | Path,
     options: BatchOptions,
-    executor: Executor | Callable[[], Executor] | None = None,
-    window: int = _WINDOW,
+    executor: Pool | None = None,
+    window: int = 64,
     progress: Progress | None = None,
 ) -> BatchSummary:
     """Characterise every file, and go on where an earlier run into the same folder was cut off.
@@ -218,29 +219,29 @@ def run_batch(
         raise InputDataError(f"run_batch: window is {window}; expected at least 1.")
     files = find_files(*paths)
     home = Path(folder)
-    old = _results(home / SHOTS)
-    rows: dict[str, Mapping[str, Any]] = {}
+    old = _read_results(home / SHOTS)
+    rows: dict[str, Document] = {}
     order = []
     wanted = []
 
-    def keep(shot: Shot, document: Mapping[str, Any]) -> None:
+    def keep_result(shot: Shot, document: Document) -> None:
         """Write a result and its row."""
         target = home / SHOTS / f"{shot.name}.json"
         if document.get("error"):
             target.unlink(missing_ok=True)  # of an earlier state of the file
         else:
             write_json(target, {**document, "shot": shot.name, "file": shot.file, "key": shot.key})
-        rows[shot.name] = _row(shot, document)
+        rows[shot.name] = _make_row(shot, document)
 
-    for shot in _shots(files, options):
+    for shot in _list_shots(files, options):
         order.append(shot.name)
         earlier = old.get(shot.key)
         if shot.traces is None:
-            keep(shot, {"error": shot.error})
+            keep_result(shot, {"error": shot.error})
         elif earlier is not None and earlier.get("shot") == shot.name:
-            rows[shot.name] = _row(shot, earlier)
+            rows[shot.name] = _make_row(shot, earlier)
         elif earlier is not None:  # under another name
-            keep(shot, earlier)
+            keep_result(shot, earlier)
         else:
             wanted.append(shot)
     if progress:
@@ -251,24 +252,24 @@ def run_batch(
     if executor is None:
         finished = ((shot, characterize_shot(shot.traces, options)) for shot in wanted)
     else:
-        finished = _spread(wanted, options, executor, window)
+        finished = _spread_shots(wanted, options, executor, window)
     try:
         with closing(finished):
             for number, (shot, document) in enumerate(finished, 1):
-                keep(shot, document)
+                keep_result(shot, document)
                 if progress:
-                    progress(f"{number} of {len(wanted)}: {shot.name} {rows[shot.name]['status']}")
+                    text = f"{number} of {len(wanted)}: {shot.name} {rows[shot.name]['status']}"
+                    progress(ProgressLine(text, done=number, of=len(wanted)))
     finally:
         summary = BatchSummary(tuple(rows[name] for name in order if name in rows))
         if summary.rows:
-            text = summary.to_csv().encode()
-            write_atomically(home / "summary.csv", lambda stream: stream.write(text))
+            write_bytes(home / "summary.csv", summary.to_csv().encode())
             write_xlsx(summary.rows, summary.columns, home / "summary.xlsx")
     return summary
 
 
 @one_torch_thread()
-def characterize_shot(traces: TraceSet | None, options: BatchOptions) -> dict[str, Any]:
+def characterize_shot(traces: TraceSet | None, options: BatchOptions) -> Document:
     """The result of one shot as a document, or ``{"error": ...}``: what a worker does."""
     try:
         assert traces is not None
@@ -286,38 +287,38 @@ def characterize_shot(traces: TraceSet | None, options: BatchOptions) -> dict[st
         return {"error": in_one_line(error)}
 
 
-Results = Generator[tuple[Shot, dict[str, Any]], None, list[Shot]]
+_Results = Generator[tuple[Shot, Document], None, list[Shot]]
 
 
-def _spread(
+def _spread_shots(
     shots: Sequence[Shot],
     options: BatchOptions,
-    executor: Executor | Callable[[], Executor],
+    executor: Pool,
     window: int,
-) -> Generator[tuple[Shot, dict[str, Any]], None, None]:
+) -> Generator[tuple[Shot, Document], None, None]:
     """Results as they come from an executor.
 
     Shots that a pool had in hand when it broke are tried again, each in a pool of its own.
     """
     waiting = list(reversed(shots))
     while waiting:
-        in_hand = yield from _until_broken(executor, waiting, options, window)
+        in_hand = yield from _run_until_broken(executor, waiting, options, window)
         for shot in in_hand:
-            if (yield from _until_broken(executor, [shot], options, window)):
+            if (yield from _run_until_broken(executor, [shot], options, window)):
                 yield shot, {"error": "the worker that had it ended; give it more memory"}
 
 
-def _until_broken(
-    executor: Executor | Callable[[], Executor],
+def _run_until_broken(
+    executor: Pool,
     waiting: list[Shot],
     options: BatchOptions,
     window: int,
-) -> Results:
+) -> _Results:
     """Results as they come from a pool, from the end of a list; returns what the pool had in hand
     when it broke. A pool that is made here is shut down here.
     """
     pool = executor if isinstance(executor, Executor) else executor()
-    running: dict[Future[dict[str, Any]], Shot] = {}
+    running: dict[Future[Document], Shot] = {}
     in_hand: list[Shot] = []
     try:
         while running or (waiting and not in_hand):
@@ -342,14 +343,14 @@ def _until_broken(
     return in_hand
 
 
-def _shots(files: Sequence[Path], options: BatchOptions) -> Iterator[Shot]:
+def _list_shots(files: Sequence[Path], options: BatchOptions) -> Iterator[Shot]:
     """The shots of all files, read one after the other."""
-    of_options = options.key()
+    of_options = options.make_key()
     names = _unique_names([p.stem for p in files], [f"{p.parent.name}_{p.name}" for p in files])
     for path, name in zip(files, names, strict=True):
         try:
             traces = load_traces(path, layout=options.layout, sort=options.sort)
-            key = _key(path, of_options)
+            key = _hash_file(path, of_options)
         except (ImrError, OSError) as error:
             yield Shot(name, str(path), None, "", str(error))
             continue
@@ -359,17 +360,17 @@ def _shots(files: Sequence[Path], options: BatchOptions) -> Iterator[Shot]:
         for label, each in zip(
             traces.ids, _unique_names([f"{name}_{x}" for x in traces.ids], traces.ids), strict=True
         ):
-            yield Shot(each, str(path), traces.select([label]), _hash(key, label))
+            yield Shot(each, str(path), traces.select([label]), _hash_parts(key, label))
 
 
-def _key(path: Path, of_options: str) -> str:
+def _hash_file(path: Path, of_options: str) -> str:
     """Hash of a file by name and content, of the JSON file beside it, and of the options."""
     beside = path.with_suffix(".json")
     told = beside.read_bytes() if beside.is_file() and beside != path else b""
-    return _hash(of_options, path.name, _hash(path.read_bytes()), _hash(told))
+    return _hash_parts(of_options, path.name, _hash_parts(path.read_bytes()), _hash_parts(told))
 
 
-def _hash(*parts: str | bytes) -> str:
+def _hash_parts(*parts: str | bytes) -> str:
     whole = b"\n".join(part.encode() if isinstance(part, str) else part for part in parts)
     return hashlib.sha256(whole).hexdigest()
 
@@ -387,7 +388,7 @@ def _unique_names(names: Sequence[str], longer: Sequence[str]) -> list[str]:
     return found
 
 
-def _results(folder: Path) -> dict[str, dict[str, Any]]:
+def _read_results(folder: Path) -> dict[str, Document]:
     """Results of earlier runs by their keys; files that cannot be read are made anew."""
     found = {}
     for path in sorted(folder.glob("*.json")) if folder.is_dir() else ():
@@ -400,9 +401,9 @@ def _results(folder: Path) -> dict[str, dict[str, Any]]:
     return found
 
 
-def _row(shot: Shot, document: Mapping[str, Any]) -> dict[str, Any]:
+def _make_row(shot: Shot, document: Document) -> Document:
     """The line of a shot in the summary."""
-    row: dict[str, Any] = {"shot": shot.name, "file": shot.file}
+    row: Document = {"shot": shot.name, "file": shot.file}
     if document.get("error"):
         return {**row, "status": FAILED, "error": document["error"]}
     saved = SavedCharacterization.from_dict(document, source=shot.name)

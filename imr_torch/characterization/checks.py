@@ -32,40 +32,41 @@ class Effort:
 EFFORTS = {"normal": Effort(4, 3.0), "thorough": Effort(8, 7.0)}
 
 
-def check_data(
-    traces: TraceSet, shots: Sequence[CollapseShot], *, scores: bool, population: bool
+def check_request(
+    traces: TraceSet,
+    shots: Sequence[CollapseShot],
+    prior: Belief,
+    *,
+    scores: bool,
+    population: bool,
+    effort: str,
+    scatter_scale: float,
 ) -> None:
-    """Raise unless there are as many data, and of the kind, that what is asked for needs."""
+    """Raise unless each choice is a known one, and there are as many data, and of the kind, that
+    what is asked for needs.
+    """
     if len(traces) == 0 and not shots:
         raise InputDataError("No curve or collapse time to characterise; load at least one.")
-    asked = "Scores hold curves out" if scores else "A population is inferred from curves"
-    if shots and (scores or population):
-        raise InputDataError(
-            f"{asked}, and {len(shots)} shot(s) of collapse times are given; leave one of the two "
-            "out."
-        )
-    if len(traces) == 1 and (scores or population):
-        raise InputDataError(f"{asked}, and there is 1; give at least two, or leave this out.")
-
-
-def check_choices(*, effort: str, scatter_scale: float) -> None:
-    """Raise unless each choice is a known one."""
+    if scores or population:
+        asked = "Scores hold curves out" if scores else "A population is inferred from curves"
+        if shots:
+            raise InputDataError(
+                f"{asked}, and {len(shots)} shot(s) of collapse times are given; leave one of the "
+                "two out."
+            )
+        if len(traces) == 1:
+            raise InputDataError(f"{asked}, and there is 1; give at least two, or leave this out.")
     if not 0.0 < scatter_scale < math.inf:
         raise InputDataError(
             f"scatter_scale is {scatter_scale}; expected a positive number, for example {SCALE:g}."
         )
     if effort not in EFFORTS:
         raise InputDataError(f"effort is {effort!r}; expected one of {', '.join(EFFORTS)}.")
-
-
-def check_population(prior: Belief) -> None:
-    """Raise unless the models have few enough parameters to differ between shots."""
-    large = next((part for part in prior.models if len(part.of_gel) > MOST), None)
-    if large is not None:
+    large = [part for part in prior.models if len(part.of_gel) > MOST]
+    if population and large:
         raise InputDataError(
-            f"{large.model} has {len(large.of_gel)} parameters of the gel, and at most {MOST} can "
-            "differ between shots; leave "
-            "the model out, or give some of them as known."
+            f"{large[0].model} has {len(large[0].of_gel)} parameters of the gel, and at most "
+            f"{MOST} can differ between shots; leave the model out, or give some of them as known."
         )
 
 

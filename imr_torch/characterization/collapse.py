@@ -2,23 +2,20 @@
 residuals.
 """
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import torch
 
 from imr_torch.assimilate import ModelFit
+from imr_torch.files import Document
 from imr_torch.observe import CollapseTime, ExperimentBatch
 from imr_torch.observe.collapse import serial_correlation
 from imr_torch.units import Surroundings
 
-_FEWEST_SHOTS = 12  # from which on a pattern of residuals is looked for
-_PATTERN = 2.6  # standard deviations; one such set in 200 by chance
-
 
 def collapse_rows(
     fit: ModelFit, batch: ExperimentBatch, surroundings: Surroundings
-) -> list[dict[str, Any]]:
+) -> list[Document]:
     """Each shot of which the collapse time alone is known: measured and, by a fit, predicted, over
     t*.
     """
@@ -38,21 +35,26 @@ def collapse_rows(
     ]
 
 
-def patterns(shots: Sequence[Mapping[str, Any]]) -> list[str]:
+def find_patterns(
+    shots: Sequence[Document], *, fewest: int = 12, largest: float = 2.6
+) -> list[str]:
     """Where residuals of collapse times follow the size or the stretch of a bubble: they are no
     independent errors.
 
     Args:
         shots: from :func:`collapse_rows`.
+        fewest: shots from which on a pattern is looked for.
+        largest: correlation that is none yet, in standard deviations; one set in 200 has more by
+            chance.
     """
     said = []
-    if len(shots) < _FEWEST_SHOTS:
+    if len(shots) < fewest:
         return []
     left = torch.tensor([x["t_star"] - x["predicted"] for x in shots], dtype=torch.float64)
     for key, words in (("Rmax_m", "maximum radius"), ("R_inf*", "stretch")):
         order = torch.tensor([x[key] for x in shots], dtype=torch.float64)
         found = serial_correlation(left, order)
-        if found > _PATTERN:
+        if found > largest:
             said.append(
                 f"Residuals of the collapse times are correlated in the order of {words} "
                 f"({found:.1f} standard "

@@ -9,7 +9,7 @@ where the weighted draws confirm both Gaussians.
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 from torch.distributions import MultivariateNormal
@@ -18,6 +18,7 @@ from imr_torch.assimilate.importance import weighted_quantiles
 from imr_torch.characterization.saved import SavedCharacterization, WeightedDraws, to_dataframe
 from imr_torch.document import header
 from imr_torch.errors import InputDataError
+from imr_torch.files import Document
 from imr_torch.material import ModelBelief
 from imr_torch.material.model_belief import LEVELS
 from imr_torch.population.result import DECISIVE
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
 
 CLEAR = 0.975
 """Probability from which a parameter is called larger where there is no Bayes factor."""
-
-_IMPROBABLE = 30.0  # nats below the others, from which on a model is passed over
 
 
 @dataclass(frozen=True)
@@ -115,7 +114,7 @@ class Comparison:
         """The comparison as text."""
         return document_report(header("compare") | self.to_dict())
 
-    def rows(self) -> list[dict[str, Any]]:
+    def rows(self) -> list[Document]:
         """One row per parameter."""
         return [asdict(parameter) for parameter in self.parameters]
 
@@ -123,7 +122,7 @@ class Comparison:
         """:meth:`rows` as a table; needs pandas."""
         return to_dataframe(self.rows())
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """JSON-ready values."""
         return {
             "a": self.names[0],
@@ -173,15 +172,15 @@ def compare(
         raise InputDataError(f"--model is {model!r}; both results have {', '.join(common)}.")
     chosen = model or max(common, key=lambda key: a.probabilities[key] * b.probabilities[key])
     draws = a.draws(chosen), b.draws(chosen, seed=1)
-    parameters = tuple(_parameter(name, *draws) for name in a.posterior[chosen].of_gel)
+    parameters = tuple(_compare_parameter(name, *draws) for name in a.posterior[chosen].of_gel)
     value, reason = _log_bayes_factor(a, b, common if model is None else [chosen])
-    cautions = tuple(_cautions(a, b, chosen))
+    cautions = tuple(_list_cautions(a, b, chosen))
     misfits = tuple(result.source for result in (a, b) if result.explained is False)
     names = (a.source, b.source)
     return Comparison(names, chosen, parameters, value, reason, cautions, misfits)
 
 
-def _parameter(name: str, a: WeightedDraws, b: WeightedDraws) -> ParameterComparison:
+def _compare_parameter(name: str, a: WeightedDraws, b: WeightedDraws) -> ParameterComparison:
     """A parameter over all pairs of draws."""
     first, second = (draws.values[:, draws.names.index(name)] for draws in (a, b))
     weights = (a.weights[:, None] * b.weights).flatten()
@@ -193,7 +192,7 @@ def _parameter(name: str, a: WeightedDraws, b: WeightedDraws) -> ParameterCompar
     return ParameterComparison(name, min(greater, 1.0), *torch.cat(quantiles).tolist())
 
 
-def _cautions(a: SavedCharacterization, b: SavedCharacterization, model: str) -> list[str]:
+def _list_cautions(a: SavedCharacterization, b: SavedCharacterization, model: str) -> list[str]:
     found = []
     for result in (a, b):
         name = result.source
@@ -247,7 +246,7 @@ def _log_bayes_factor(
         weight = 0.0
         if every:
             weight = of_a[key] + of_b[key] - before[key]
-            if weight < -_IMPROBABLE:
+            if weight < -30.0:  # nats; too improbable to count
                 continue
         wrong = next((x for x in (a, b) if x.verdict(key) != "trusted"), None)
         if wrong is not None:

@@ -8,13 +8,12 @@ Posterior and evidence integrate over the noise.
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from imr_torch.assimilate import (
     NOISE_ROUNDS,
     Assimilation,
     FitOptions,
-    ModelFit,
     SearchOptions,
     assimilate_estimating_noise,
     noise_nodes,
@@ -24,20 +23,17 @@ from imr_torch.assimilate.spikes import frames_left_out
 from imr_torch.characterization.checks import (
     EFFORTS,
     Effort,
-    check_choices,
-    check_data,
-    check_population,
     check_profile,
+    check_request,
 )
 from imr_torch.characterization.medium import medium_of
-from imr_torch.characterization.profiles import profiles_of
+from imr_torch.characterization.profiles import make_profiles
 from imr_torch.characterization.result import Characterization
 from imr_torch.gap import medium_sensitivities
-from imr_torch.goodness import FitTest, check_fit
+from imr_torch.goodness import check_fit
 from imr_torch.material import Belief, wide_prior
 from imr_torch.observe import (
     CollapseShot,
-    CollapseTime,
     Experiment,
     ExperimentBatch,
     GelMedium,
@@ -47,11 +43,10 @@ from imr_torch.observe import (
     prepare,
 )
 from imr_torch.observe.convert import find_frame_use
-from imr_torch.population import SCALE, Population, fit_shots, infer_population
+from imr_torch.population import SCALE, fit_shots, infer_population
 from imr_torch.random import child
 from imr_torch.record import ALL_ALIKE, RecordOptions, describe_record
 from imr_torch.select import (
-    Evidence,
     PredictiveScore,
     cross_validate,
     evidences,
@@ -60,7 +55,7 @@ from imr_torch.select import (
 )
 from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Progress
+from imr_torch.types import Progress, ProgressLine
 
 
 @one_torch_thread()
@@ -152,11 +147,16 @@ def characterize(
     [1.0, 1.0]
     """
     started = time.process_time()
-    check_data(traces, shots, scores=scores, population=population)
-    check_choices(effort=effort, scatter_scale=scatter_scale)
     prior = prior or wide_prior()
-    if population:
-        check_population(prior)
+    check_request(
+        traces,
+        shots,
+        prior,
+        scores=scores,
+        population=population,
+        effort=effort,
+        scatter_scale=scatter_scale,
+    )
     simulator = simulator or TransportSimulator(accuracy=ACCURACIES["search"])
     medium = medium_of(traces, medium, simulator.conditions.surroundings, shots)
     simulator = medium.applied(simulator)
@@ -171,27 +171,46 @@ def characterize(
     prepared = replace(prepared, experiments=record.weighted(prepared.experiments))
     traces = prepared.traces
     data = (*prepared.experiments, *(shot.to_experiment(surroundings) for shot in shots))
-    spent = EFFORTS[effort]
-    if isinstance(options, SearchOptions) and options.drop_behind is not None:
-        spent = replace(spent, behind=options.drop_behind)
     rounds = NOISE_ROUNDS if estimate_noise else 0
-    method = _Method(prior, simulator, rounds, options, spent, progress)
-    found = method.fitted(data, None, seed)
-    weighted = found.assimilation
-    evidence = found.evidence
-    posterior = found.posterior
+    searched = options if isinstance(options, SearchOptions) else None
+    spent = EFFORTS[effort]
+    if searched is not None and searched.drop_behind is not None:
+        spent = replace(spent, behind=searched.drop_behind)
+    batch = ExperimentBatch(data, Noise())
+    weighted = _fit_models(prior, batch, simulator, rounds, options, spent, seed, progress)
+    evidence = evidences(weighted)
+    posterior = update(weighted, evidence)
+    best = posterior.best.model
     fitted = prepared.experiments
     prepared = replace(
         prepared,
         experiments=tuple(e for e in weighted.batch.experiments if isinstance(e, Experiment)),
     )
-    scored = _scores(method, weighted, child(seed, "scores")) if scores else ()
-    tested = _fit_test(method, found, child(seed, "check")) if check and len(traces) else None
-    gels = (
-        _population(method, found, prepared.experiments, scatter_scale, child(seed, "population"))
-        if population
-        else None
-    )
+    held_out = tuple[PredictiveScore, ...]()
+    if scores:
+        own = child(seed, "scores")
+        folds = cross_validate(weighted, simulator, seed=own, options=searched, progress=progress)
+        held_out = sum_over_folds(folds)
+    tested = None
+    if check and len(traces):
+        if progress:
+            text = "fit test: does the model explain the curves?"
+            progress(ProgressLine(text, stage="fit test"))
+        curves = weighted[best].of_curves(weighted.batch)
+        tested = check_fit(*curves, simulator, seed=child(seed, "check"))
+    gels = None
+    if population:
+        own = child(seed, "population")
+        alone = fit_shots(
+            prior[best],
+            prepared.experiments,
+            simulator,
+            noise=Noise(),
+            rounds=rounds,
+            seed=own,
+            progress=progress,
+        )
+        gels = infer_population(alone, scale=scatter_scale, seed=own)
     used = tuple(
         find_frame_use(
             trace,
@@ -202,21 +221,20 @@ def characterize(
         )
         for trace, experiment in zip(traces, prepared.experiments, strict=True)
     )
-    moved = medium_sensitivities(weighted[posterior.best.model], weighted.batch, simulator, medium)
+    moved = medium_sensitivities(weighted[best], weighted.batch, simulator, medium)
     own = child(seed, "profile")
     followed = (
-        profiles_of(weighted, posterior, simulator, seed=own, progress=progress)
+        make_profiles(weighted, posterior, simulator, seed=own, progress=progress)
         if profile
         else None
     )
-    seconds = time.process_time() - started
     return Characterization(
         prepared,
         weighted,
         evidence,
         posterior,
-        seconds,
-        scored,
+        time.process_time() - started,
+        held_out,
         used,
         tested,
         medium,
@@ -230,87 +248,32 @@ def characterize(
     )
 
 
-@dataclass(frozen=True)
-class _Found:
-    """Fits with weighted draws, and what follows from them."""
-
-    assimilation: Assimilation
-    evidence: tuple[Evidence, ...]
-    posterior: Belief
-
-    @property
-    def best(self) -> tuple[ModelFit, ExperimentBatch]:
-        """The fit of the most probable model to the curves alone, and these."""
-        fit = self.assimilation[self.posterior.best.model]
-        return fit.of_curves(self.assimilation.batch)
-
-
-@dataclass(frozen=True)
-class _Method:
-    """How data are fitted: everything that is the same for all of them."""
-
-    prior: Belief
-    simulator: Simulator
-    noise_rounds: int
-    options: FitOptions | None
-    effort: Effort
-    progress: Progress | None
-
-    def fitted(
-        self, data: Sequence[Experiment | CollapseTime], near: Assimilation | None, seed: int
-    ) -> _Found:
-        """All models fitted to data, with weighted draws; from fits nearby where they are given."""
-        fits = assimilate_estimating_noise(
-            self.prior,
-            ExperimentBatch(tuple(data), Noise()),
-            self.simulator,
-            rounds=self.noise_rounds,
-            seed=child(seed, "fit"),
-            options=self.options,
-            near=near,
-            progress=self.progress,
-        )
-        weighted = weigh(
-            fits,
-            self.simulator,
-            seed=child(seed, "weigh"),
-            rounds=self.effort.rounds,
-            drop_behind=self.effort.behind,
-            noise=noise_nodes(fits, self.simulator),
-            progress=self.progress,
-        )
-        evidence = evidences(weighted)
-        return _Found(weighted, evidence, update(weighted, evidence))
-
-
-def _scores(method: _Method, weighted: Assimilation, seed: int) -> tuple[PredictiveScore, ...]:
-    """How well each model predicts curves that were held out."""
-    options = method.options if isinstance(method.options, SearchOptions) else None
-    return sum_over_folds(
-        cross_validate(
-            weighted, method.simulator, seed=seed, options=options, progress=method.progress
-        )
+def _fit_models(
+    prior: Belief,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    noise_rounds: int,
+    options: FitOptions | None,
+    effort: Effort,
+    seed: int,
+    progress: Progress | None,
+) -> Assimilation:
+    """All models fitted to data, with weighted draws."""
+    fits = assimilate_estimating_noise(
+        prior,
+        batch,
+        simulator,
+        rounds=noise_rounds,
+        seed=child(seed, "fit"),
+        options=options,
+        progress=progress,
     )
-
-
-def _fit_test(method: _Method, found: _Found, seed: int) -> FitTest:
-    """Whether the most probable model explains the curves."""
-    if method.progress:
-        method.progress("fit test: does the model explain the curves?")
-    return check_fit(*found.best, method.simulator, seed=seed)
-
-
-def _population(
-    method: _Method, found: _Found, experiments: tuple[Experiment, ...], scale: float, seed: int
-) -> Population:
-    """How much the gel differs between curves, under the most probable model."""
-    alone = fit_shots(
-        method.prior[found.posterior.best.model],
-        experiments,
-        method.simulator,
-        noise=Noise(),
-        rounds=method.noise_rounds,
-        seed=seed,
-        progress=method.progress,
+    return weigh(
+        fits,
+        simulator,
+        seed=child(seed, "weigh"),
+        rounds=effort.rounds,
+        drop_behind=effort.behind,
+        noise=noise_nodes(fits, simulator),
+        progress=progress,
     )
-    return infer_population(alone, scale=scale, seed=seed)

@@ -3,23 +3,21 @@ of them.
 """
 
 from collections.abc import Mapping
-from typing import Any
 
 from imr_torch.assimilate import Assimilation, Profile, profile
+from imr_torch.files import Document
 from imr_torch.material import Belief
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
-_LEAST = 0.05  # probability from which on a model has profiles; the most probable one always
-_FEWEST = 2  # free parameters: with one the posterior is the profile
 
-
-def profiles_of(
+def make_profiles(
     result: Assimilation,
     posterior: Belief,
     simulator: Simulator,
     *,
+    least: float = 0.05,
     seed: int,
     progress: Progress | None = None,
 ) -> dict[str, tuple[Profile, ...]]:
@@ -30,6 +28,7 @@ def profiles_of(
         result: the fits of all models.
         posterior: belief after the data, for the probabilities.
         simulator: makes the bubbles.
+        least: probability from which on a model has profiles; the most probable one always.
         seed: of the second starts of the fits.
         progress: called with one line per fit.
 
@@ -38,25 +37,28 @@ def profiles_of(
     """
     found: dict[str, tuple[Profile, ...]] = {}
     for key, probability in sorted(posterior.probabilities.items(), key=lambda item: -item[1]):
-        if found and probability < _LEAST:
+        if found and probability < least:
             break
         fit = result[key]
         found[key] = ()
-        if len(fit.prior.names) >= _FEWEST:
+        if len(fit.prior.names) > 1:  # with one the posterior is the profile
             found[key] = profile(
                 fit, result.batch, simulator, seed=child(seed, key), progress=progress
             )
     return found
 
 
-def profiles_document(found: Mapping[str, tuple[Profile, ...]] | None) -> dict[str, Any] | None:
+def document_profiles(found: Mapping[str, tuple[Profile, ...]] | None) -> Document | None:
     """Model -> parameter -> its profile, JSON-ready; None where none was asked for."""
     if found is None:
         return None
-    return {key: {own.name: _entry(own) for own in profiles} for key, profiles in found.items()}
+    return {
+        key: {own.name: _document_profile(own) for own in profiles}
+        for key, profiles in found.items()
+    }
 
 
-def _entry(found: Profile) -> dict[str, Any]:
+def _document_profile(found: Profile) -> Document:
     return {
         "values": list(found.values),
         "nats_lost": list(found.fall),

@@ -4,9 +4,11 @@ table and a report.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from torch import Tensor
 
 from imr_torch.assimilate import (
     Assimilation,
@@ -14,19 +16,20 @@ from imr_torch.assimilate import (
     Profile,
     Verdict,
 )
-from imr_torch.characterization.bands import curves_document
+from imr_torch.assimilate.dense import dense_curve
+from imr_torch.characterization.bands import band_document, predictive_band
 from imr_torch.characterization.checks import EFFORTS
-from imr_torch.characterization.collapse import collapse_rows, patterns
+from imr_torch.characterization.collapse import collapse_rows, find_patterns
 from imr_torch.characterization.medium import medium_document
-from imr_torch.characterization.profiles import profiles_document
+from imr_torch.characterization.profiles import document_profiles
 from imr_torch.characterization.saved import SavedCharacterization, draws_to_dict
 from imr_torch.document import header
-from imr_torch.files import without_nonfinite, write_json
+from imr_torch.files import Document, drawn_numbers, without_nonfinite, write_json
 from imr_torch.gap import MediumSensitivity
 from imr_torch.goodness import FitTest
 from imr_torch.material import Belief
 from imr_torch.material.model_belief import intervals
-from imr_torch.observe import Experiment, GelMedium, Noise, Prepared, TraceSet
+from imr_torch.observe import Experiment, ExperimentBatch, GelMedium, Noise, Prepared, TraceSet
 from imr_torch.observe.convert import FrameUse
 from imr_torch.population import Population
 from imr_torch.record import Record
@@ -40,9 +43,6 @@ from imr_torch.simulate import Simulator
 
 if TYPE_CHECKING:
     import pandas
-
-
-_COUNTS = 0.01  # probability from which on a model whose fit failed makes the result doubtful
 
 
 @dataclass(frozen=True)
@@ -144,10 +144,10 @@ class Characterization:
         return all(
             fit.certificate.converged
             for fit in self.assimilation.fits
-            if chances[fit.model] >= _COUNTS
+            if chances[fit.model] >= 0.01
         )
 
-    def to_dict(self, command: str = "imr-torch diagnose") -> dict[str, Any]:
+    def to_dict(self, command: str = "imr-torch diagnose") -> Document:
         """JSON-ready summary: intervals in SI units, probabilities, residuals, certificates.
 
         Args:
@@ -155,6 +155,7 @@ class Characterization:
         """
         tested = self.fit_test
         shots = self.collapse_times()
+        patterns = find_patterns(shots)
         return {
             "experiments": [
                 {
@@ -165,15 +166,15 @@ class Characterization:
                 }
                 for e in self.experiments
             ],
-            "cautions": [*self.prepared.cautions, *patterns(shots)],
+            "cautions": [*self.prepared.cautions, *patterns],
             **medium_document(self.medium, self.sensitivities, self.posterior.best),
             "medium_inferred": list(self.medium.priors),
             "collapse_times": shots,
-            "collapse_patterns": patterns(shots),
+            "collapse_patterns": patterns,
             "model_probabilities": self.posterior.probabilities,
             "model_probability_errors": probability_errors(self.assimilation.prior, self.evidence),
             "models": {
-                fit.model: self._model(fit, evidence)
+                fit.model: self._document_model(fit, evidence)
                 for fit, evidence in zip(self.assimilation.fits, self.evidence, strict=True)
             },
             "scores": {
@@ -191,14 +192,14 @@ class Characterization:
             "fit_test": tested
             and tested.to_dict() | {"command": command, "sentence": tested.sentence(command)},
             "population": self.population and self.population.to_dict(),
-            "profiles": profiles_document(self.profiles),
+            "profiles": document_profiles(self.profiles),
             "prior": self.assimilation.prior.to_dict(),
             "belief": self.posterior.to_dict(),
             "weighted_draws": draws_to_dict(self.assimilation),
             "cpu_seconds": self.seconds,
         }
 
-    def _model(self, fit: ModelFit, evidence: Evidence) -> dict[str, Any]:
+    def _document_model(self, fit: ModelFit, evidence: Evidence) -> Document:
         """What is known of one model, JSON-ready."""
         certificate = fit.certificate
         profiles = (self.profiles or {}).get(fit.model, ())
@@ -212,13 +213,13 @@ class Characterization:
             "log_evidence_error": evidence.error,
             "effective_samples": evidence.effective_samples,
             "draws": fit.trust,
-            "advice": self._advice(fit),
+            "advice": self._advise_more_draws(fit),
             "verdict": fit.verdict.name.lower(),
             "certificate": vars(certificate)
             | {"agreement": min(certificate.agreement, 1e300), "sentence": str(certificate)},
         }
 
-    def _advice(self, fit: ModelFit) -> str:
+    def _advise_more_draws(self, fit: ModelFit) -> str:
         """What can be done where the intervals of a model are not reliable."""
         if fit.verdict is not Verdict.REFUSED:
             return ""
@@ -232,7 +233,7 @@ class Characterization:
 
     def to_document(
         self, command: str = "imr-torch diagnose", *, draws: int = 100, seed: int = 0
-    ) -> dict[str, Any]:
+    ) -> Document:
         """:meth:`to_dict` with the measured frames, the curves of the models and the residuals, from
         which figures and page are made (:func:`imr_torch.results.draw_figures`).
 
@@ -241,18 +242,6 @@ class Characterization:
             draws: posterior draws behind the predictive band.
             seed: of these draws.
         """
-        curves = []
-        if len(self.traces):
-            curves = curves_document(
-                self.assimilation,
-                self.posterior,
-                self.prepared,
-                self.frames,
-                self.traces,
-                self.simulator,
-                draws=draws,
-                seed=seed,
-            )
         left_out = [
             {"file": x.file, "experiment": x.experiment_id, "rows": str(x.rows), "reason": x.reason}
             for x in self.traces.left_out
@@ -261,10 +250,66 @@ class Characterization:
             "rows_left_out": left_out,
             "notes": list(self.traces.notes),
             "record": self.record.to_dict(),
-            "curves": curves,
+            "curves": self._document_curves(draws, seed),
         }
 
-    def to_result_document(self) -> dict[str, Any]:
+    def _document_curves(self, draws: int, seed: int) -> list[Document]:
+        """Every curve with its measured frames, the curves of the models and the predictive band of
+        the most probable one.
+        """
+        if not len(self.traces):
+            return []
+        best = self.posterior.best.model
+        pairs = [fit.of_curves(self.assimilation.batch) for fit in self.assimilation.fits]
+        fits = tuple(fit for fit, _ in pairs)
+        batch = pairs[0][1]
+        drawn = {fit.model: dense_curve(fit, batch, self.simulator) for fit in fits}
+        curves_only = replace(self.assimilation, batch=batch, fits=fits)
+        band = predictive_band(
+            curves_only,
+            self.posterior,
+            self.simulator,
+            best,
+            draws=draws,
+            seed=seed,
+            times=drawn[best][0],
+        )
+        scale = self.simulator.conditions.surroundings
+        curves = []
+        for e, (trace, use, experiment) in enumerate(
+            zip(self.traces, self.frames, self.prepared.experiments, strict=True)
+        ):
+            marks = self.prepared.landmarks[trace.experiment_id]
+            curves.append(
+                {
+                    "id": trace.experiment_id,
+                    "source": trace.source.rsplit("/", 1)[-1],
+                    "We": experiment.design[0],
+                    "R_inf*": experiment.design[1],
+                    "Rmax_m": marks.max_radius_m,
+                    "R_inf_m": marks.max_radius_m * experiment.design[1],
+                    "time_of_max_s": marks.time_of_max_s,
+                    "time_scale_s": float(scale.time_scale(marks.max_radius_m)),
+                    "frames": use.to_dict(),
+                    "measured": {
+                        "t_star": use.t_star,
+                        "R_star": (trace.radius_m / marks.max_radius_m).tolist(),
+                        "fitted": use.fitted,
+                    }
+                    | (
+                        {}
+                        if trace.asphericity is None
+                        else {"asphericity": drawn_numbers(trace.asphericity)}
+                    ),
+                    "models": {
+                        fit.model: _document_curve(fit, batch, e, drawn[fit.model]) for fit in fits
+                    },
+                    "band": band_document(best, drawn[best][0], band, e),
+                }
+            )
+        return curves
+
+    def to_result_document(self) -> Document:
         """:meth:`to_document` with its header."""
         files = list({trace.source: None for trace in self.traces})
         return header("characterize", files=files, medium=self.medium) | self.to_document()
@@ -304,3 +349,18 @@ class Characterization:
         from imr_torch.results import document_report  # which draws, and needs matplotlib
 
         return document_report(header("characterize") | self.to_dict())
+
+
+def _document_curve(
+    fit: ModelFit, batch: ExperimentBatch, e: int, drawn: tuple[Tensor, Tensor]
+) -> Document:
+    """The curve of one model in one experiment, and its residuals at the fitted frames."""
+    seen = batch.mask[e]
+    residual = (batch.mean - fit.prediction)[e][seen]
+    noise = (batch.of_frames.sd(fit.prediction) / batch.counts.sqrt())[e][seen]
+    return {
+        "t_star": drawn_numbers(drawn[0][e]),
+        "R_star": drawn_numbers(drawn[1][e]),
+        "residual": drawn_numbers(residual),
+        "residual_over_sd": drawn_numbers(residual / noise),
+    }

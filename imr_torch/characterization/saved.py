@@ -5,7 +5,7 @@ A result file holds all that is needed to compare gels and to go on from a poste
 themselves.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,14 +14,13 @@ import torch
 
 from imr_torch.assimilate import Assimilation
 from imr_torch.errors import InputDataError, UnsupportedError
-from imr_torch.files import read_json, write_atomically
+from imr_torch.files import Document, read_json, write_atomically
 from imr_torch.material import PARAMETERS, Belief
 from imr_torch.types import DrawnControls, DrawnValues
 
 if TYPE_CHECKING:
     import pandas
 
-_GAUSSIAN_DRAWS = 400
 _EXPECTED = "expected a result of imr-torch characterize (--json or --out)"
 
 
@@ -43,7 +42,7 @@ class WeightedDraws:
     weighted: bool
 
 
-def draws_to_dict(assimilation: Assimilation) -> dict[str, Any]:
+def draws_to_dict(assimilation: Assimilation) -> Document:
     """The weighted draws of each model that has some, JSON-ready: ``weights`` and one list of SI
     values per parameter.
     """
@@ -76,7 +75,7 @@ class SavedCharacterization:
     [('G', 2.0), ('mu', 0.2)]
     """
 
-    document: Mapping[str, Any]
+    document: Document
     posterior: Belief
     prior: Belief | None = None
     source: str = "result"
@@ -147,11 +146,12 @@ class SavedCharacterization:
         """Whether the fit of a model has converged."""
         return bool(self._model(model).get("certificate", {}).get("converged", False))
 
-    def _model(self, model: str | None) -> Mapping[str, Any]:
+    def _model(self, model: str | None) -> Document:
         return self.document["models"][self.posterior[model or self.best].model]
 
-    def draws(self, model: str | None = None, *, seed: int = 0) -> WeightedDraws:
-        """Weighted draws of a model; of its Gaussian approximation where the file holds none.
+    def draws(self, model: str | None = None, *, count: int = 400, seed: int = 0) -> WeightedDraws:
+        """Weighted draws of a model; ``count`` of its Gaussian approximation where the file holds
+        none.
 
         Raises:
             InputDataError: if the model is not part of the result, or its draws are incomplete.
@@ -159,7 +159,7 @@ class SavedCharacterization:
         part = self.posterior[model or self.best]
         entry = self.document.get("weighted_draws", {}).get(part.model)
         if entry is None:
-            values = part.physical(part.controls(_GAUSSIAN_DRAWS, seed=seed))
+            values = part.physical(part.controls(count, seed=seed))
             equal = torch.full((len(values),), 1.0 / len(values), dtype=values.dtype)
             return WeightedDraws(part.names, values, equal, False)
         try:
@@ -176,7 +176,7 @@ class SavedCharacterization:
             ) from None
         return WeightedDraws(part.names, values, weights / weights.sum(), True)
 
-    def rows(self) -> list[dict[str, Any]]:
+    def rows(self) -> list[Document]:
         """One row per model and parameter: SI quantiles, probability and certificate of the model."""
         return [
             {
@@ -201,7 +201,7 @@ class SavedCharacterization:
         return to_dataframe(self.rows())
 
 
-def write_xlsx(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], path: Path) -> bool:
+def write_xlsx(rows: Sequence[Document], columns: Sequence[str], path: Path) -> bool:
     """Write rows as a workbook, atomically; whether openpyxl is there to do it.
 
     Args:
@@ -228,7 +228,7 @@ def write_xlsx(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], path: 
     return True
 
 
-def to_dataframe(rows: Sequence[Mapping[str, Any]]) -> "pandas.DataFrame":
+def to_dataframe(rows: Sequence[Document]) -> "pandas.DataFrame":
     """Rows as a table.
 
     Raises:

@@ -15,16 +15,18 @@ import sys
 import warnings
 from collections.abc import Sequence
 from inspect import cleandoc
+from itertools import chain
 from pathlib import Path
+from typing import Any
 
-from imr_torch.cli.options import COMMANDS, WITHOUT
-from imr_torch.cli.options.shared import InRange, add_engine_arguments
+from imr_torch.cli.options import COMMANDS
+from imr_torch.cli.options.shared import COMMON, ONE_OF, WITHOUT
 from imr_torch.cli.progress import Terminal
 from imr_torch.errors import ConvergenceError, ConvergenceWarning, ImrError, InputDataError
 from imr_torch.files import check_target
 
 
-def parser() -> argparse.ArgumentParser:
+def build_parser() -> argparse.ArgumentParser:
     """The command line, with every subcommand's own help."""
     top = argparse.ArgumentParser(
         prog="imr-torch",
@@ -35,53 +37,32 @@ def parser() -> argparse.ArgumentParser:
     )
     top.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for name, (summary, add_options) in COMMANDS.items():
+    for name, (summary, list_options) in COMMANDS.items():
         sub = commands.add_parser(
             name,
             help=summary,
-            description=cleandoc(add_options.__doc__ or ""),
+            description=cleandoc(list_options.__doc__ or ""),
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
-        add_options(sub)
-        left_out = WITHOUT.get(name, ())
-        if "seed" not in left_out:
-            sub.add_argument(
-                "--seed",
-                action=InRange,
-                low=0,
-                high=2**63 - 1,
-                type=int,
-                default=0,
-                help="seed of everything random, from 0 on (default 0)",
-            )
-        if "json" not in left_out:
-            sub.add_argument("--json", metavar="FILE", help="write the result as JSON")
-        if "import" not in left_out:
-            sub.add_argument(
-                "--import",
-                action="append",
-                default=[],
-                dest="imports",
-                metavar="FILE.py",
-                help="a Python file that adds models, effects or file formats; may be repeated",
-            )
-        if "engine" not in left_out:
-            add_engine_arguments(sub)
-        sub.add_argument("--quiet", action="store_true", help="no progress on the terminal")
-        sub.add_argument(
-            "--verbose",
-            action="store_true",
-            help="every step of the fits, instead of one line of progress",
-        )
+        common = [options for kind, options in COMMON.items() if kind not in WITHOUT.get(name, ())]
+        places: dict[str, Any] = {"": sub}
+        for group, option, settings in chain(list_options(), *common):
+            if group not in places:
+                places[group] = (
+                    sub.add_mutually_exclusive_group()
+                    if group == ONE_OF
+                    else sub.add_argument_group(group)
+                )
+            places[group].add_argument(option, **settings)
     return top
 
 
-def main(argv: Sequence[str] | None = None, *, live: bool | None = None) -> int:
+def main(argv: Sequence[str] | None = None, *, events: bool = False) -> int:
     """Run the command line.
 
     Args:
         argv: the arguments; those of this process by default.
-        live: whether progress is one line that rewrites itself; on a terminal by default.
+        events: whether progress is printed as events (:class:`imr_torch.cli.progress.Terminal`).
 
     Returns:
         The exit status.
@@ -92,9 +73,11 @@ def main(argv: Sequence[str] | None = None, *, live: bool | None = None) -> int:
                 errors="backslashreplace"
             )  # names of experiments on a terminal that lacks their letters
     try:
-        args = parser().parse_args(argv)
+        args = build_parser().parse_args(argv)
         args.argv = list(sys.argv[1:] if argv is None else argv)
-        args.terminal = Terminal(args.command, quiet=args.quiet, verbose=args.verbose, live=live)
+        args.terminal = Terminal(
+            args.command, quiet=args.quiet, verbose=args.verbose, events=events
+        )
         _check_targets(args)
         with args.terminal, warnings.catch_warnings():
             warnings.simplefilter(
@@ -106,25 +89,25 @@ def main(argv: Sequence[str] | None = None, *, live: bool | None = None) -> int:
             warnings.filterwarnings(
                 "ignore", "A not p.d., added jitter", RuntimeWarning
             )  # of a search's surrogate
-            _run(args)
+            _run_named(args)
         sys.stdout.flush()
     except ConvergenceError as error:
-        return _ended(f"not converged: {error}", 1)
+        return _report_end(f"not converged: {error}", 1)
     except ImrError as error:
-        return _ended(str(error), 2)
+        return _report_end(str(error), 2)
     except BrokenPipeError:  # what reads the output has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     except OSError as error:  # a full disk, a folder without permission
-        return _ended(
+        return _report_end(
             f"{error.filename or 'a file'} cannot be read or written: {error.strerror or error}", 1
         )
     except KeyboardInterrupt as error:
-        return _ended(str(error) or "stopped; what was written is complete", 130)
+        return _report_end(str(error) or "stopped; what was written is complete", 130)
     return 0
 
 
-def _run(args: argparse.Namespace) -> None:
+def _run_named(args: argparse.Namespace) -> None:
     """Import extensions and what the subcommand runs, and run it."""
     module = importlib.import_module(f"imr_torch.cli.{args.command}")
     importlib.import_module("torch").set_num_threads(
@@ -132,7 +115,8 @@ def _run(args: argparse.Namespace) -> None:
     )  # of tensor operators, which are small; the engine has its own threads
     extensions = importlib.import_module("imr_torch.cli.extensions")  # slow to import for help
     args.extensions = extensions.load_extensions(getattr(args, "imports", ()))
-    module.run(args)
+    importlib.import_module("imr_torch.cli.common").read_options(args)
+    module.run_command(args)
 
 
 class _Version(argparse.Action):
@@ -145,7 +129,7 @@ class _Version(argparse.Action):
         parser.exit()
 
 
-def _ended(message: str, status: int) -> int:
+def _report_end(message: str, status: int) -> int:
     """Say in one line why a command ended; returns the exit status."""
     print(f"imr-torch: {message}", file=sys.stderr)
     return status

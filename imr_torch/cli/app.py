@@ -1,13 +1,13 @@
 """Runs ``imr-torch app``."""
 
-import argparse
+from argparse import Namespace
 from functools import partial
 from pathlib import Path
 
 from imr_torch.errors import InputDataError
 
 
-def run(args: argparse.Namespace) -> None:
+def run_command(args: Namespace) -> None:
     """Serve the application until it is interrupted.
 
     Raises:
@@ -19,7 +19,7 @@ def run(args: argparse.Namespace) -> None:
         raise InputDataError(
             f'{error.name} is missing; install the extra: pip install "imr-torch[app]"'
         ) from None
-    args.terminal.clear()
+    args.terminal.wipe_line()
     serve(
         Path(args.out), port=args.port, browser=not args.no_browser, say=partial(print, flush=True)
     )

@@ -1,23 +1,19 @@
 """Runs ``imr-torch batch``."""
 
-import argparse
-from collections.abc import Callable, Iterator
-from concurrent.futures import Executor
+from argparse import Namespace
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from imr_torch.characterization.batch import FAILED, NOT_CONVERGED, BatchOptions, run_batch
+from imr_torch.characterization.batch import FAILED, NOT_CONVERGED, BatchOptions, Pool, run_batch
 from imr_torch.cli.common import (
     METHODS,
     SIMULATORS,
     layout_of,
     prior_of,
-    progress_of,
-    rest_radius_of,
     show_result,
-    statement_of,
     with_engine,
     write_result,
 )
@@ -27,15 +23,13 @@ from imr_torch.results import document_report
 from imr_torch.simulate import process_pool
 from imr_torch.threads import cores
 
-_ANSWER_WITHIN = 15  # seconds in which a scheduler answers
-_PER_CLUSTER = 512  # shots handed to a cluster at a time
-
-Pool = Executor | Callable[[], Executor] | None
+ANSWER_WITHIN = 15
+"""Seconds in which a scheduler of a cluster answers."""
 
 
-def run(args: argparse.Namespace) -> None:
+def run_command(args: Namespace) -> None:
     """Check all options, characterise what is missing, write the summary."""
-    _check(args)
+    _check_options(args)
     files = find_files(*args.files)
     folder = Path(args.out)
     workers = args.workers or cores()
@@ -49,23 +43,21 @@ def run(args: argparse.Namespace) -> None:
         sort=args.sort,
         each=args.each,
         collapses=args.collapses,
-        rest_radius=rest_radius_of(args),
+        rest_radius=args.rest_radius,
         estimate_noise=args.noise == "estimated",
         options=METHODS[args.method],
-        medium=statement_of(args),
+        medium=args.medium,
         seed=args.seed,
         code=tuple(Path(file).read_bytes() for file in args.imports),
     )
-    with _pool(args, workers) as executor:
-        window = _PER_CLUSTER if args.cluster else workers
-        progress = progress_of(args)
+    with _open_pool(args, workers) as executor:
         summary = run_batch(
             *files,
             folder=folder,
             options=options,
             executor=executor,
-            window=window,
-            progress=progress,
+            window=512 if args.cluster else workers,
+            progress=args.terminal.plan_stages(),
         )
     document = write_result(args, summary.to_dict())
     print(document_report(document))
@@ -84,7 +76,7 @@ def run(args: argparse.Namespace) -> None:
         )
 
 
-def _check(args: argparse.Namespace) -> None:
+def _check_options(args: Namespace) -> None:
     if args.workers is not None and args.cluster is not None:
         raise InputDataError(
             "--workers and --cluster both say who does the work; give one of them."
@@ -98,7 +90,7 @@ def _check(args: argparse.Namespace) -> None:
 
 
 @contextmanager
-def _pool(args: argparse.Namespace, workers: int) -> Iterator[Pool]:
+def _open_pool(args: Namespace, workers: int) -> Iterator[Pool | None]:
     """What does the work: nothing but this process, processes, or the workers of a cluster."""
     if args.cluster is None:
         yield partial(process_pool, workers, args.extensions) if workers > 1 else None
@@ -110,7 +102,7 @@ def _pool(args: argparse.Namespace, workers: int) -> Iterator[Pool]:
             "--cluster needs Dask: pip install 'imr_torch[cluster]'; or use --workers."
         ) from None
     try:
-        client = Client(args.cluster, timeout=_ANSWER_WITHIN)
+        client = Client(args.cluster, timeout=ANSWER_WITHIN)
     except (OSError, ValueError, TimeoutError) as error:
         raise InputDataError(
             f"--cluster: no scheduler answers at {args.cluster!r} "

@@ -1,8 +1,8 @@
 """Runs ``imr-torch campaign``."""
 
-import argparse
 import math
 import time
+from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,17 +11,20 @@ import torch
 from imr_torch.campaign import Campaign, CampaignSettings, Journal, Proposal
 from imr_torch.campaign.admission import check_whole
 from imr_torch.characterization import medium_of
-from imr_torch.cli.campaign_settings import check_goal, hidden, one_model, scatter, settings_of
+from imr_torch.cli.campaign_settings import (
+    check_goal,
+    one_model,
+    read_hidden,
+    read_scatter,
+    settings_of,
+)
 from imr_torch.cli.common import (
     layout_of,
     prior_of,
-    progress_of,
-    rest_radius_of,
-    show_result,
+    refuse_options,
+    report_result,
     simulator_of,
-    statement_of,
     with_medium,
-    write_result,
 )
 from imr_torch.errors import InputDataError
 from imr_torch.files import remove_temporaries
@@ -36,11 +39,11 @@ from imr_torch.observe import (
 )
 from imr_torch.observe.medium import label
 from imr_torch.random import child, generator
-from imr_torch.results import campaign_document, document_report
+from imr_torch.results import campaign_document
 from imr_torch.simulate import Simulator
 
 
-def run(args: argparse.Namespace) -> None:
+def run_command(args: Namespace) -> None:
     """Run a simulated campaign, or one step of a real one.
 
     Raises:
@@ -52,12 +55,9 @@ def run(args: argparse.Namespace) -> None:
             "--tell gives real experiments and --case simulates them; give one of the two."
         )
     check_goal(args)
-    for option in ("layout", "rest_radius"):
-        if getattr(args, option) is not None and not args.tell:
-            raise InputDataError(
-                f"--{option.replace('_', '-')} is about told files and has no effect without "
-                "--tell."
-            )
+    if not args.tell:
+        why = "is about told files and has no effect without --tell."
+        refuse_options(args, ("layout", "rest_radius"), why)
     settings = settings_of(args)
     prior = prior_of(args) if begun is None else begun
     simulator, prior, medium = with_medium(args, simulator_of(args), prior)
@@ -72,12 +72,16 @@ def run(args: argparse.Namespace) -> None:
     case = reference_case(args.case) if args.case else None
     if args.goal != "gel":
         prior = one_model(prior, case, args.goal)
-    campaign = _open(args, simulator, prior, settings)
+    campaign = _open_campaign(args, simulator, prior, settings)
     try:
         with campaign.journal.hold_lock():
             remove_temporaries(campaign.journal.folder, f"{args.command}.json", "*.png")
-            proposals, stopped = _simulated(campaign, case, args) if case else _real(campaign, args)
-            _report(campaign, case, args, time.process_time() - started, proposals, stopped)
+            proposals, stopped = (
+                _run_simulated(campaign, case, args) if case else _run_real(campaign, args)
+            )
+            _report_campaign(
+                campaign, case, args, time.process_time() - started, proposals, stopped
+            )
     except KeyboardInterrupt:
         kept = (
             f"; what was finished is in {campaign.journal.path}, continue with --resume"
@@ -87,7 +91,7 @@ def run(args: argparse.Namespace) -> None:
         raise KeyboardInterrupt(f"interrupted{kept}") from None
 
 
-def _begun_with(args: argparse.Namespace) -> Belief | None:
+def _begun_with(args: Namespace) -> Belief | None:
     """The prior of the campaign that is resumed, where no option names one; its case is as if it
     was given.
     """
@@ -100,8 +104,8 @@ def _begun_with(args: argparse.Namespace) -> Belief | None:
     return None if args.case else Belief.from_dict(start["prior"])
 
 
-def _open(
-    args: argparse.Namespace, simulator: Simulator, prior: Belief, settings: CampaignSettings
+def _open_campaign(
+    args: Namespace, simulator: Simulator, prior: Belief, settings: CampaignSettings
 ) -> Campaign:
     """The campaign in ``--out``, if that is the one which the options mean to begin or to continue."""
     folder = Path(args.out)
@@ -116,26 +120,26 @@ def _open(
         raise InputDataError(
             f"{folder} holds no journal to resume; leave {option} away to start one."
         )
-    note = (
-        {"case": args.case}
-        | ({"hidden": hidden(args)} if args.hide is not None else {})
-        | ({"scatter": scatter(args)} if args.scatter is not None else {})
-        | ({"medium": args.gel_medium.to_dict()} if args.medium else {})
-    )
+    stated = {
+        "hidden": read_hidden(args),
+        "scatter": read_scatter(args),
+        "medium": args.medium and args.gel_medium.to_dict(),
+    }
+    note = {"case": args.case} | {name: value for name, value in stated.items() if value}
     return Campaign(folder, prior, simulator, settings=settings, seed=args.seed, note=note)
 
 
-def _simulated(
-    campaign: Campaign, case: ReferenceCase, args: argparse.Namespace
+def _run_simulated(
+    campaign: Campaign, case: ReferenceCase, args: Namespace
 ) -> tuple[Sequence[Proposal], str | None]:
     """Shoot the secret gel of a reference case, or gels scattered about it.
 
     No proposals, and why it ended early.
     """
-    progress = progress_of(args)
-    spread = scatter(args)
+    progress = args.terminal.plan_stages()
+    spread = read_scatter(args)
 
-    def gel(number: int) -> dict[str, float]:
+    def scatter_gel(number: int) -> dict[str, float]:
         source = generator(child(args.seed, "gel", number))
         factors = {
             name: math.exp(sd * float(torch.randn(1, generator=source, dtype=torch.float64)))
@@ -143,14 +147,11 @@ def _simulated(
         }
         return {name: value * factors.get(name, 1.0) for name, value in case.truth.items()}
 
-    def shoot(design: torch.Tensor, number: int) -> Experiment:
-        if progress:
-            progress(
-                f"experiment {number}: "
-                f"{campaign.settings.space.describe(design, campaign.simulator.conditions.surroundings)}"
-            )
+    def shoot_gel(design: torch.Tensor, number: int) -> Experiment:
+        surroundings = campaign.simulator.conditions.surroundings
+        progress(f"experiment {number}: {campaign.settings.space.describe(design, surroundings)}")
         plan = campaign.settings.plan
-        gels = PARAMETERS.pack({**gel(number), **hidden(args)})
+        gels = PARAMETERS.pack({**scatter_gel(number), **read_hidden(args)})
         laboratory = SimulatedLaboratory(
             campaign.simulator, gels, noise=plan.noise, repeats=plan.repeats
         )
@@ -158,23 +159,23 @@ def _simulated(
 
     if args.forget is not None:
         campaign.forget(args.forget, progress=progress)
-    campaign.run(shoot, args.designs, q=args.q, progress=progress)
+    campaign.run(shoot_gel, args.designs, q=args.q, progress=progress)
     ended = campaign.journal.find_event("stop", campaign.told)
     return (), ended["reason"] if ended else None
 
 
-def _real(campaign: Campaign, args: argparse.Namespace) -> tuple[Sequence[Proposal], str | None]:
+def _run_real(campaign: Campaign, args: Namespace) -> tuple[Sequence[Proposal], str | None]:
     """Learn from told files, then say what to shoot next: the proposals, or why it is enough."""
-    progress = progress_of(args)
+    progress = args.terminal.plan_stages()
     experiments: list[Experiment] = []
     failed: list[tuple[str, InputDataError]] = []
     for path in find_files(*args.tell) if args.tell else ():
         try:
             traces = load_traces(path, layout=layout_of(args), sort=args.sort)
             print(traces.report())
-            medium = medium_of(traces, statement_of(args))
+            medium = medium_of(traces, args.medium)
             surroundings = campaign.simulator.conditions.surroundings
-            prepared = prepare(traces, surroundings, rest_radius=rest_radius_of(args))
+            prepared = prepare(traces, surroundings, rest_radius=args.rest_radius)
             print(prepared.report())
             for experiment in prepared.experiments:
                 marks = prepared.landmarks[experiment.label]
@@ -199,7 +200,7 @@ def _real(campaign: Campaign, args: argparse.Namespace) -> tuple[Sequence[Propos
     return campaign.ask_several(args.q, progress=progress), None
 
 
-def _check_medium(told: GelMedium, args: argparse.Namespace) -> None:
+def _check_medium(told: GelMedium, args: Namespace) -> None:
     """The medium of a campaign is stated when it begins: told files may say the same, or be
     overruled by --medium, said.
     """
@@ -215,10 +216,10 @@ def _check_medium(told: GelMedium, args: argparse.Namespace) -> None:
         print(note)
 
 
-def _report(
+def _report_campaign(
     campaign: Campaign,
     case: ReferenceCase | None,
-    args: argparse.Namespace,
+    args: Namespace,
     seconds: float,
     proposals: Sequence[Proposal],
     stopped: str | None,
@@ -232,8 +233,5 @@ def _report(
         means = dict(zip(part.names, part.means.tolist(), strict=True))
         errors = {name: abs(means[name] / true - 1.0) for name, true in truth.items()}
     document = campaign_document(campaign, proposals=proposals, stopped=stopped, truth=truth)
-    document |= {"relative_error": errors, "cpu_seconds": seconds}
-    document = write_result(args, document)  # before any figure, so that nothing is lost
-    print(document_report(document))
-    show_result(args, document)
+    report_result(args, document | {"relative_error": errors, "cpu_seconds": seconds})
     print(f"figures and journal in {campaign.journal.folder}")

@@ -1,7 +1,7 @@
 """What the options of ``imr-torch campaign`` say of choosing, learning and ending."""
 
-import argparse
 import math
+from argparse import Namespace
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -21,14 +21,15 @@ from imr_torch.campaign import (
     SpaceFilling,
     stopping_rule,
 )
-from imr_torch.cli.common import METHODS, names_of, parse_pair, parse_values
+from imr_torch.cli.common import METHODS, parse_pair, parse_values, refuse_options
 from imr_torch.cli.design import plan_of, space_of
 from imr_torch.errors import InputDataError
 from imr_torch.gap import CauseLearner, TellCausesApart
 from imr_torch.material import PARAMETERS, Belief, ReferenceCase, library, reference_case
 from imr_torch.material.belief import even_belief
 
-_LARGEST = 2.0  # scatter of a logarithm
+LARGEST_SCATTER = 2.0
+"""Of a logarithm, between simulated shots."""
 _CAUSE_SURE = "cause=0.9"  # when a campaign for a cause ends, if nothing else is asked for
 _BASELINES: dict[str, Callable[[], DesignPolicy]] = {
     "random": Random,
@@ -36,25 +37,25 @@ _BASELINES: dict[str, Callable[[], DesignPolicy]] = {
 }
 
 
-def settings_of(args: argparse.Namespace) -> CampaignSettings:
+def settings_of(args: Namespace) -> CampaignSettings:
     """What the options say of choosing, learning and ending."""
     base = CampaignSettings.paper() if args.method == "paper" else CampaignSettings()
+    rounds = 0 if args.case else NOISE_ROUNDS  # nobody knows the noise of a camera before
     if args.method != "paper":
-        rounds = 0 if args.case else NOISE_ROUNDS  # nobody knows the noise of a camera before
         options = METHODS["map" if args.method == "exact" else args.method]
         base = replace(base, learner=ExactLearner(options=options, noise_rounds=rounds))
-    policy = _optimal(args) if args.policy == "optimal" else _baseline(args.policy)
+    policy = _make_optimal(args) if args.policy == "optimal" else _read_baseline(args.policy)
     space = space_of(args)
     plan = plan_of(args)
     if args.goal == "cause":
-        learner = CauseLearner(_effect_names(args), estimate_noise=not args.case)
+        learner = CauseLearner(tuple(args.effects or ()), estimate_noise=not args.case)
         base = replace(base, learner=learner)
         policy = TellCausesApart(learner) if args.policy == "optimal" else policy
         plan = replace(plan, collapses=None) if args.case else plan
     if args.goal == "population":
-        learner = PopulationLearner(noise_rounds=0 if args.case else NOISE_ROUNDS)
+        learner = PopulationLearner(noise_rounds=rounds)
         base = replace(base, learner=learner)
-        policy = LearnPopulation(_optimal(args)) if args.policy == "optimal" else policy
+        policy = LearnPopulation(_make_optimal(args)) if args.policy == "optimal" else policy
         plan = (
             replace(plan, repeats=1) if args.repeats is None else plan
         )  # a repeat would be of the same gel
@@ -69,14 +70,14 @@ def settings_of(args: argparse.Namespace) -> CampaignSettings:
     return replace(base, space=space, plan=plan, policy=policy, stop=stopping_rule(*rules))
 
 
-_OF_GOAL = {"effects": "cause", "hide": "cause", "scatter": "population"}
+_OF_GOAL = {"cause": ("effects", "hide"), "population": ("scatter",)}
 
 
-def check_goal(args: argparse.Namespace) -> None:
+def check_goal(args: Namespace) -> None:
     """Raise for options that do not suit the goal."""
-    for option, goal in _OF_GOAL.items():
-        if args.goal != goal and getattr(args, option) is not None:
-            raise InputDataError(f"--{option} has no effect without --goal {goal}.")
+    for goal, options in _OF_GOAL.items():
+        if args.goal != goal:
+            refuse_options(args, options, f"has no effect without --goal {goal}.")
     if args.goal != "cause" and any(
         part.strip().startswith("cause=") for text in args.stop for part in text.split(",")
     ):
@@ -95,18 +96,16 @@ def check_goal(args: argparse.Namespace) -> None:
             f"--method is {args.method!r}; --goal {args.goal} learns with the exact likelihood: "
             "leave --method out."
         )
-    for option, what in (
-        ("hide", "puts an effect into a simulated gel"),
-        ("scatter", "is of simulated gels"),
-    ):
-        if getattr(args, option) is not None and not args.case:
-            raise InputDataError(f"--{option} {what}, and has no effect without --case.")
-    hidden(args)
-    scatter(args)
-    _effect_names(args)
+    if not args.case:
+        why = "and has no effect without --case."
+        refuse_options(args, ["hide"], f"puts an effect into a simulated gel, {why}")
+        refuse_options(args, ["scatter"], f"is of simulated gels, {why}")
+    read_hidden(args)
+    read_scatter(args)
+    library(args.effects)
 
 
-def scatter(args: argparse.Namespace) -> dict[str, float]:
+def read_scatter(args: Namespace) -> dict[str, float]:
     """Standard deviation between simulated shots of the logarithm of each parameter."""
     if args.scatter is None:
         return {}
@@ -114,12 +113,16 @@ def scatter(args: argparse.Namespace) -> dict[str, float]:
     found = {}
     for part in args.scatter.split(","):
         name, _, text = part.partition("=")
-        value = parse_number(text)
-        name = PARAMETERS[name.strip()].name if value is not None else name
-        if value is None or not 0.0 <= value <= _LARGEST or name in found:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not math.isnan(value):
+            name = PARAMETERS[name.strip()].name
+        if not 0.0 <= value <= LARGEST_SCATTER or name in found:
             raise InputDataError(
                 f"--scatter is {args.scatter!r}; expected NAME=SD, each parameter once and SD "
-                f"from 0 to {_LARGEST:g}, as G=.2."
+                f"from 0 to {LARGEST_SCATTER:g}, as G=.2."
             )
         if truth.get(name, 0.0) <= 0.0:
             raise InputDataError(
@@ -130,16 +133,7 @@ def scatter(args: argparse.Namespace) -> dict[str, float]:
     return found
 
 
-def parse_number(text: str) -> float | None:
-    """A finite number, or None."""
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None
-
-
-def hidden(args: argparse.Namespace) -> dict[str, float]:
+def read_hidden(args: Namespace) -> dict[str, float]:
     """Parameters of the effect that a simulated gel has, SI."""
     if args.hide is None:
         return {}
@@ -169,14 +163,7 @@ def one_model(prior: Belief, case: ReferenceCase | None, goal: str) -> Belief:
     return prior
 
 
-def _effect_names(args: argparse.Namespace) -> tuple[str, ...]:
-    """The effects that may be the cause; none for the whole library."""
-    names = () if args.effects is None else tuple(names_of(args.effects, "--effects"))
-    library(names or None)
-    return names
-
-
-def _optimal(args: argparse.Namespace) -> Optimal:
+def _make_optimal(args: Namespace) -> Optimal:
     """The search for the most informative design, of the size that the options ask for."""
     search = PAPER_OPTIMAL if args.method == "paper" else Optimal()
     return replace(
@@ -184,7 +171,7 @@ def _optimal(args: argparse.Namespace) -> Optimal:
     )
 
 
-def _baseline(text: str) -> DesignPolicy:
+def _read_baseline(text: str) -> DesignPolicy:
     """The policy of a name, or of a list of designs."""
     if text in _BASELINES:
         return _BASELINES[text]()
@@ -193,8 +180,4 @@ def _baseline(text: str) -> DesignPolicy:
             f"--policy is {text!r}; expected optimal, {', '.join(_BASELINES)}, or designs "
             "We:R_inf*,..."
         )
-    return Fixed(
-        tuple(
-            pair for part in text.split(",") if (pair := parse_pair(part, "--policy")) is not None
-        )
-    )
+    return Fixed(tuple(parse_pair(part, "--policy") for part in text.split(",")))

@@ -1,8 +1,7 @@
 """Runs ``imr-torch characterize``."""
 
-import argparse
 import shlex
-from collections.abc import Sequence
+from argparse import Namespace
 from pathlib import Path
 
 from imr_torch.assimilate import NOISE_ROUNDS
@@ -10,13 +9,10 @@ from imr_torch.characterization import characterize
 from imr_torch.cli.common import (
     METHODS,
     layout_of,
-    names_of,
     prior_of,
-    progress_of,
-    rest_radius_of,
+    refuse_options,
     show_result,
     simulator_of,
-    statement_of,
     with_medium,
     write_result,
 )
@@ -24,7 +20,7 @@ from imr_torch.cli.options.names import COLLAPSES
 from imr_torch.cli.progress import characterize_stages
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.export import write_mat
-from imr_torch.files import write_atomically
+from imr_torch.files import write_bytes
 from imr_torch.material import ModelBelief
 from imr_torch.observe import (
     CollapseShot,
@@ -39,12 +35,11 @@ from imr_torch.reading.readers import is_shot_file
 from imr_torch.results import document_report
 
 
-def run(args: argparse.Namespace) -> None:
+def run_command(args: Namespace) -> None:
     """Load, infer, report."""
-    if args.scatter_scale is not None and not args.population:
-        raise InputDataError("--scatter-scale is about --population; add that, or leave it out.")
-    statement_of(args)  # checked before any work
-    traces, shots = _load(args)
+    if not args.population:
+        refuse_options(args, ["scatter_scale"], "is about --population; add that, or leave it out.")
+    traces, shots = _load_data(args)
     read = [traces.report()] if len(traces) else []
     if shots:
         names = ", ".join({shot.source: 0 for shot in shots})
@@ -52,10 +47,12 @@ def run(args: argparse.Namespace) -> None:
             f"{len(shots)} shot(s) of which the collapse time alone is known, from {names}."
         )
     print("\n".join(read))
-    rest_radius = rest_radius_of(args)
     simulator, prior, medium = with_medium(args, simulator_of(args), prior_of(args), traces, shots)
     prepared = prepare(
-        traces, simulator.conditions.surroundings, collapses=args.collapses, rest_radius=rest_radius
+        traces,
+        simulator.conditions.surroundings,
+        collapses=args.collapses,
+        rest_radius=args.rest_radius,
     )
     if len(traces):
         read.append(prepared.report(frames=False))
@@ -72,7 +69,7 @@ def run(args: argparse.Namespace) -> None:
         simulator=simulator,
         estimate_noise=args.noise == "estimated",
         collapses=args.collapses,
-        rest_radius=rest_radius,
+        rest_radius=args.rest_radius,
         options=METHODS[args.method],
         scores=args.scores,
         effort=args.effort,
@@ -83,7 +80,7 @@ def run(args: argparse.Namespace) -> None:
         scatter_scale=SCALE if args.scatter_scale is None else args.scatter_scale,
         profile=args.profile,
         seed=args.seed,
-        progress=progress_of(args, stages),
+        progress=args.terminal.plan_stages(stages),
     )
     command = diagnose_command(args, result.posterior.best)
     # before any figure, so that nothing is lost
@@ -92,8 +89,7 @@ def run(args: argparse.Namespace) -> None:
     print("\n" + said)
     report = "\n\n".join((*read, said)) + "\n"
     if args.out:
-        target = Path(args.out) / "report.txt"
-        write_atomically(target, lambda stream: stream.write(report.encode()))
+        write_bytes(Path(args.out) / "report.txt", report.encode())
     show_result(args, document, report=report)
     if args.mat:
         write_mat(document, args.mat)
@@ -105,7 +101,7 @@ def run(args: argparse.Namespace) -> None:
         )
 
 
-def _load(args: argparse.Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]:
+def _load_data(args: Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]:
     """Curves and shots of collapse times in the files that are named, those of ``--experiments`` if
     it is given.
     """
@@ -113,17 +109,15 @@ def _load(args: argparse.Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]
     tables = [path for path in files if is_shot_file(path)]
     curves = [path for path in files if path not in tables]
     shots = load_collapse_times(*tables) if tables else ()
-    for option in ("scores", "population") if shots else ():
-        if getattr(args, option):
-            raise InputDataError(
-                f"--{option} is about curves, and {tables[0]} holds collapse times; leave one of "
-                "them out."
-            )
-    if not curves:
-        _check_no_curves(args, tables)
-    traces = (
-        load_traces(*curves, layout=layout_of(args), sort=args.sort) if curves else TraceSet(())
-    )
+    why = f"is about curves, and {tables[0]} holds collapse times" if shots else ""
+    if shots:
+        refuse_options(args, ("scores", "population"), f"{why}; leave one of them out.")
+    if curves:
+        traces = load_traces(*curves, layout=layout_of(args), sort=args.sort)
+    else:
+        about_curves = ("layout", "rest_radius", "collapses", "count_all_shots")
+        refuse_options(args, about_curves, f"{why} alone; leave it out.")
+        traces = TraceSet(())
     double = {trace.experiment_id for trace in traces} & {shot.experiment_id for shot in shots}
     if double:
         raise InputDataError(
@@ -133,35 +127,17 @@ def _load(args: argparse.Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]
     if args.experiments is None and args.exclude is None:
         return traces, shots
     known = [shot.experiment_id for shot in shots]
-    wanted = [*traces.ids, *known]
-    if args.experiments is not None:
-        wanted = names_of(args.experiments, "--experiments")
-    if args.exclude is not None:
-        left_out = names_of(args.exclude, "--exclude")
-        traces.select([name for name in left_out if name not in known])  # which must be there
-        wanted = [name for name in wanted if name not in left_out]
-        args.experiments = ",".join(wanted)  # what a diagnosis is to take
+    wanted = args.experiments or [*traces.ids, *known]
+    if args.exclude:
+        traces.select([name for name in args.exclude if name not in known])  # which must be there
+        wanted = [name for name in wanted if name not in args.exclude]
+        args.given["experiments"] = ",".join(wanted)  # what a diagnosis is to take
     of_curves = [name for name in wanted if name not in known]
     chosen = traces.select(of_curves) if of_curves else TraceSet(())
     return chosen, tuple(shot for shot in shots if shot.experiment_id in wanted)
 
 
-def _check_no_curves(args: argparse.Namespace, tables: Sequence[Path]) -> None:
-    """Refuse options about curves where there are collapse times alone."""
-    for option, given in (
-        ("layout", args.layout is not None),
-        ("rest-radius", args.rest_radius is not None),
-        ("collapses", args.collapses != COLLAPSES),
-        ("count-all-shots", args.count_all_shots),
-    ):
-        if given:
-            raise InputDataError(
-                f"--{option} is about curves, and {tables[0]} holds collapse times alone; leave "
-                "it out."
-            )
-
-
-def diagnose_command(args: argparse.Namespace, best: ModelBelief) -> str:
+def diagnose_command(args: Namespace, best: ModelBelief) -> str:
     """The command that looks for what the most probable model lacks, on the same curves."""
     parts = ["imr-torch", "diagnose", *args.files, "--base", best.material.key.split("+")[0]]
     if best.known:
@@ -176,7 +152,7 @@ def diagnose_command(args: argparse.Namespace, best: ModelBelief) -> str:
         "driving",
         "physics",
     ):
-        value = getattr(args, name)
+        value = args.given[name]
         if value and value != usual.get(name):
             parts += [f"--{name.replace('_', '-')}", f"{value}"]
     parts += ["--sort"] if args.sort else []

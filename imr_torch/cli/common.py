@@ -2,11 +2,11 @@
 results go.
 """
 
-import argparse
 import math
 import shlex
 import sys
-from collections.abc import Sequence
+from argparse import Namespace
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,21 +16,19 @@ import torch
 from imr_torch.assimilate import En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.characterization import medium_of
 from imr_torch.cli.figures import save_figures
-from imr_torch.cli.options.names import DEFAULT_MODELS
-from imr_torch.cli.progress import Stage
+from imr_torch.cli.options.names import COLLAPSES, DEFAULT_MODELS
 from imr_torch.errors import InputDataError
-from imr_torch.files import read_json, without_nonfinite, write_json
+from imr_torch.files import Document, read_json, without_nonfinite, write_json
 from imr_torch.material import PARAMETERS, Belief, reference_case, wide_prior
 from imr_torch.observe import CollapseShot, GelMedium, Layout, Statement, TraceSet
 from imr_torch.reading import load_driving
-from imr_torch.results import draw_figures, header, write_page
+from imr_torch.results import document_report, draw_figures, header, write_page
 from imr_torch.simulate import (
     ACCURACIES,
     PolytropicSimulator,
     Simulator,
     TransportSimulator,
 )
-from imr_torch.types import Progress
 
 AnySimulator = PolytropicSimulator | TransportSimulator
 SIMULATORS: dict[str, AnySimulator] = {
@@ -45,13 +43,27 @@ METHODS: dict[str, FitOptions] = {
 """Methods that fit a gel, by name."""
 
 
-def statement_of(args: argparse.Namespace) -> Statement | None:
-    """What ``--medium`` states; None where it is not given."""
-    return None if args.medium is None else Statement.from_text(args.medium)
+def read_options(args: Namespace) -> None:
+    """Read the texts of options that hold more than a name, before any work.
+
+    ``args.given`` keeps all options as they were given.
+    """
+    args.given = dict(vars(args))
+    args.collapses = args.given.get("collapses") or COLLAPSES
+    for name, read in _READ.items():
+        if args.given.get(name) is not None:
+            setattr(args, name, read(args.given[name], f"--{name.replace('_', '-')}"))
+
+
+def refuse_options(args: Namespace, names: Iterable[str], why: str) -> None:
+    """Raise if one of some options is given, with a sentence that begins with its name."""
+    for name in names:
+        if args.given[name] not in (None, False):
+            raise InputDataError(f"--{name.replace('_', '-')} {why}")
 
 
 def with_medium(
-    args: argparse.Namespace,
+    args: Namespace,
     simulator: Simulator,
     prior: Belief,
     traces: TraceSet | None = None,
@@ -61,14 +73,13 @@ def with_medium(
 
     The header of results will say it.
     """
-    medium = medium_of(
-        traces or TraceSet(()), statement_of(args), simulator.conditions.surroundings, shots
-    )
+    surroundings = simulator.conditions.surroundings
+    medium = medium_of(traces or TraceSet(()), args.medium, surroundings, shots)
     args.gel_medium = medium
     return medium.applied(simulator), medium.believed(prior), medium
 
 
-def with_engine(simulator: AnySimulator, args: argparse.Namespace) -> AnySimulator:
+def with_engine(simulator: AnySimulator, args: Namespace) -> AnySimulator:
     """A simulator with the engine, threads and driving that the options name."""
     simulator = replace(simulator, engine=args.engine, threads=args.threads)
     if not getattr(args, "driving", None):
@@ -77,31 +88,24 @@ def with_engine(simulator: AnySimulator, args: argparse.Namespace) -> AnySimulat
     return replace(simulator, conditions=driven)
 
 
-def simulator_of(args: argparse.Namespace) -> AnySimulator:
+def simulator_of(args: Namespace) -> AnySimulator:
     """The simulator that ``--physics`` names, with what other options say about it."""
     return with_engine(SIMULATORS[args.physics], args)
 
 
-def prior_of(args: argparse.Namespace) -> Belief:
+def prior_of(args: Namespace) -> Belief:
     """The prior that the options name: a saved belief, a case, or the wide prior over ``--models``."""
     if args.belief and args.case:
         raise InputDataError("--belief and --case both name a prior; give one of them.")
-    for option in ("models", "known"):
-        if getattr(args, option) not in (None, "") and (args.belief or args.case):
-            other = "--belief" if args.belief else "--case"
-            raise InputDataError(
-                f"--{option} has no effect beside {other}, which names models and priors; leave "
-                "one of them out."
-            )
-    if args.belief:
-        return Belief.load(args.belief)
-    if args.case:
-        return reference_case(args.case).prior
-    models = names_of(DEFAULT_MODELS if args.models is None else args.models, "--models")
-    return wide_prior(models, known=parse_values(args.known, "--known"))
+    if args.belief or args.case:
+        other = "--belief" if args.belief else "--case"
+        why = f"has no effect beside {other}, which names models and priors; leave one of them out."
+        refuse_options(args, ("models", "known"), why)
+        return Belief.load(args.belief) if args.belief else reference_case(args.case).prior
+    return wide_prior(args.models or DEFAULT_MODELS.split(","), known=args.known)
 
 
-def belief_cautions(args: argparse.Namespace) -> list[str]:
+def belief_cautions(args: Namespace) -> list[str]:
     """What is to be known of the result whose belief ``--belief`` names."""
     document = read_json(args.belief) if args.belief else {}
     if (document.get("fit_test") or {}).get("explained") is not False:
@@ -133,7 +137,7 @@ def parse_values(text: str, option: str) -> dict[str, float]:
     return values
 
 
-def names_of(text: str, option: str) -> list[str]:
+def parse_names(text: str, option: str) -> list[str]:
     """``"a,b"`` as names; there must be one, and none twice."""
     names = [name.strip() for name in text.split(",") if name.strip()]
     if not names or len(set(names)) < len(names):
@@ -143,10 +147,8 @@ def names_of(text: str, option: str) -> list[str]:
     return names
 
 
-def parse_pair(text: str | None, option: str) -> tuple[float, float] | None:
-    """``"0.2:0.1"`` as two numbers; None stays None."""
-    if text is None:
-        return None
+def parse_pair(text: str, option: str) -> tuple[float, float]:
+    """``"0.2:0.1"`` as two numbers."""
     try:
         first, second = (float(x) for x in text.split(":"))
         if not (math.isfinite(first) and math.isfinite(second)):
@@ -158,58 +160,51 @@ def parse_pair(text: str | None, option: str) -> tuple[float, float] | None:
     return first, second
 
 
-def rest_radius_of(args: argparse.Namespace) -> tuple[float, float] | None:
-    """``--rest-radius`` as R_inf/Rmax and its standard deviation."""
-    pair = parse_pair(args.rest_radius, "--rest-radius")
-    if pair is not None and not (0.0 < pair[0] < 1.0 and pair[1] >= 0.0):
+def parse_rest_radius(text: str, option: str) -> tuple[float, float]:
+    """R_inf/Rmax and its standard deviation."""
+    ratio, sd = parse_pair(text, option)
+    if not (0.0 < ratio < 1.0 and sd >= 0.0):
         raise InputDataError(
-            f"--rest-radius is {args.rest_radius!r}; expected R_inf/Rmax between 0 and 1 and a "
-            "standard deviation >= 0, for "
-            "example 0.2:0.1."
+            f"{option} is {text!r}; expected R_inf/Rmax between 0 and 1 and a standard deviation "
+            ">= 0, for example 0.2:0.1."
         )
-    return pair
+    return ratio, sd
 
 
-def layout_of(args: argparse.Namespace) -> Layout | None:
+def layout_of(args: Namespace) -> Layout | None:
     """What ``--layout`` says."""
     return None if args.layout is None else Layout.from_text(args.layout)
 
 
-def progress_of(args: argparse.Namespace, stages: Sequence[Stage] = ()) -> Progress | None:
-    """Where a command reports its steps, or None with ``--quiet``.
-
-    Args:
-        args: the options.
-        stages: the stages to come.
-    """
-    if args.quiet:
-        return None
-    args.terminal.plan(stages)
-    return args.terminal
+_READ: dict[str, Callable[[str, str], Any]] = {
+    "medium": Statement.from_text,
+    "rest_radius": parse_rest_radius,
+    **dict.fromkeys(("we_range", "rinf_range"), parse_pair),
+    **dict.fromkeys(("known", "set"), parse_values),
+    **dict.fromkeys(
+        ("models", "experiments", "exclude", "effects", "without", "heldout"), parse_names
+    ),
+}
 
 
-def header_of(args: argparse.Namespace) -> dict[str, Any]:
+def header_of(args: Namespace) -> Document:
     """What the result of a command says of itself: schema, software, date, command, files, medium,
     physics, seed.
     """
-    belief = getattr(args, "belief", None)
-    files = [
-        *(getattr(args, "files", None) or ()),
-        *(getattr(args, "tell", None) or ()),
-        *([belief] if belief else []),
-    ]
-    physics = getattr(args, "physics", None)
-    medium = getattr(args, "gel_medium", None) or (
-        SIMULATORS[physics].conditions.surroundings if physics else None
-    )
+    given = vars(args)
+    read = [*(given.get("files") or ()), *(given.get("tell") or ()), given.get("belief")]
+    physics = given.get("physics")
+    assumed = SIMULATORS[physics].conditions.surroundings if physics else None
+    medium = given.get("gel_medium") or assumed
     command = shlex.join(["imr-torch", *args.argv])
+    files = [path for path in read if path]
     return header(args.command, files=files, medium=medium, command=command) | {
         "physics": physics,
-        "seed": getattr(args, "seed", None),
+        "seed": given.get("seed"),
     }
 
 
-def write_result(args: argparse.Namespace, document: dict[str, Any]) -> dict[str, Any]:
+def write_result(args: Namespace, document: Document) -> Document:
     """Write ``document`` with its header to ``--json`` and into ``--out``, where given; returns it.
 
     A number that is not finite is written as null, and its place is said: what was computed is not
@@ -228,8 +223,8 @@ def write_result(args: argparse.Namespace, document: dict[str, Any]) -> dict[str
 
 
 def show_result(
-    args: argparse.Namespace,
-    document: dict[str, Any],
+    args: Namespace,
+    document: Document,
     *,
     report: str = "",
 ) -> None:
@@ -245,3 +240,13 @@ def show_result(
             print(f"imr-torch: {failure}", file=sys.stderr)
     if getattr(args, "html", None):
         write_page(document, args.html, report=report)
+
+
+def report_result(args: Namespace, document: Document) -> None:
+    """Write a result, print its report, and show its figures and its page.
+
+    It is written before any figure is drawn, so that nothing is lost.
+    """
+    document = write_result(args, document)
+    print(document_report(document))
+    show_result(args, document)

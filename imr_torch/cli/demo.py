@@ -1,17 +1,17 @@
 """Runs ``imr-torch demo``."""
 
-import argparse
 import shlex
+from argparse import Namespace
 from pathlib import Path
 
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.example import example_gel
-from imr_torch.files import write_atomically
+from imr_torch.files import write_bytes
 
 _CAMPAIGN = "campaign"
 
 
-def run(args: argparse.Namespace) -> None:
+def run_command(args: Namespace) -> None:
     """Copy the example into the folder, run the two commands on it, say what to open.
 
     Raises:
@@ -24,10 +24,8 @@ def run(args: argparse.Namespace) -> None:
     folder = Path(args.out)
     _check_folder(folder, again=args.again)
     for source in (example_gel(), example_gel().with_suffix(".json")):
-        write_atomically(
-            folder / source.name, lambda stream, source=source: stream.write(source.read_bytes())
-        )
-    commands = _commands(folder, args)
+        write_bytes(folder / source.name, source.read_bytes())
+    commands = _list_commands(folder, args)
     for number, command in enumerate(commands, start=1):
         print(f"\n--- {number} of {len(commands)}: imr-torch {shlex.join(command)}\n", flush=True)
         if main([*command, *_passed_on(args)]) != 0:
@@ -52,7 +50,7 @@ def _check_folder(folder: Path, *, again: bool) -> None:
         )
 
 
-def _commands(folder: Path, args: argparse.Namespace) -> tuple[list[str], list[str]]:
+def _list_commands(folder: Path, args: Namespace) -> tuple[list[str], list[str]]:
     """The arguments of the two commands of the demo."""
     from imr_torch.campaign import Journal
 
@@ -78,7 +76,7 @@ def _commands(folder: Path, args: argparse.Namespace) -> tuple[list[str], list[s
     )
 
 
-def _passed_on(args: argparse.Namespace) -> list[str]:
+def _passed_on(args: Namespace) -> list[str]:
     """Options of the demo that its commands take as well."""
     threads = [] if args.threads is None else ["--threads", str(args.threads)]
     shown = [f"--{name}" for name in ("quiet", "verbose") if getattr(args, name)]

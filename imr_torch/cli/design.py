@@ -1,17 +1,14 @@
 """Runs ``imr-torch design``."""
 
-import argparse
+from argparse import Namespace
 
 from imr_torch.campaign import Optimal
 from imr_torch.cli.common import (
     belief_cautions,
-    parse_pair,
     prior_of,
-    progress_of,
-    show_result,
+    report_result,
     simulator_of,
     with_medium,
-    write_result,
 )
 from imr_torch.cli.progress import DESIGN
 from imr_torch.design import (
@@ -23,41 +20,33 @@ from imr_torch.design import (
 )
 from imr_torch.errors import InputDataError
 from imr_torch.observe import Nuisance
-from imr_torch.results import document_report
 from imr_torch.results.plot import search_document
 from imr_torch.simulate import coarser
 
-_PUBLISHED_REPEATS = 100
-_REPEATS = 10
 _MEASURED = Nuisance(
     max_radius=0.01, time_zero=0.01, rest_radius=0.03
 )  # of curves filmed in a laboratory
 
 
-def space_of(args: argparse.Namespace) -> DesignSpace:
+def space_of(args: Namespace) -> DesignSpace:
     """The design space that the options name."""
-    weber = parse_pair(args.we_range, "--we-range")
-    rest = parse_pair(args.rinf_range, "--rinf-range")
-    assert weber is not None
-    assert rest is not None
     try:
-        return DesignSpace(weber, rest)
+        return DesignSpace(args.we_range, args.rinf_range)
     except InputDataError as error:
-        raise InputDataError(
-            f"--we-range {args.we_range} --rinf-range {args.rinf_range}: {error}"
-        ) from None
+        given = f"--we-range {args.given['we_range']} --rinf-range {args.given['rinf_range']}"
+        raise InputDataError(f"{given}: {error}") from None
 
 
-def plan_of(args: argparse.Namespace) -> Plan:
+def plan_of(args: Namespace) -> Plan:
     """How experiments will be observed: a reference case as published, a gel of one's own as
     laboratories measure.
     """
     if args.case:
-        return Plan(repeats=_PUBLISHED_REPEATS if args.repeats is None else args.repeats)
-    return Plan(repeats=_REPEATS if args.repeats is None else args.repeats, nuisance=_MEASURED)
+        return Plan(repeats=args.repeats or 100)
+    return Plan(repeats=args.repeats or 10, nuisance=_MEASURED)
 
 
-def run(args: argparse.Namespace) -> None:
+def run_command(args: Namespace) -> None:
     """Search and report."""
     simulator = simulator_of(args)
     space = space_of(args)
@@ -79,7 +68,7 @@ def run(args: argparse.Namespace) -> None:
         initial=min(Optimal.initial, args.evaluations),
         batch=Optimal.batch,
         strategy=args.strategy,
-        progress=progress_of(args, DESIGN),
+        progress=args.terminal.plan_stages(DESIGN),
     )
     first, *further = (
         search_document(step, simulator.conditions.surroundings)
@@ -87,7 +76,4 @@ def run(args: argparse.Namespace) -> None:
         for step in (*search.earlier, search)
     )
     together = {"joint_eig": search.joint, "further": further} if further else {}
-    document = first | together | {"cautions": belief_cautions(args)}
-    document = write_result(args, document)  # before any figure, so that nothing is lost
-    print(document_report(document))
-    show_result(args, document)
+    report_result(args, first | together | {"cautions": belief_cautions(args)})

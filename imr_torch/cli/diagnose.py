@@ -1,7 +1,7 @@
 """Runs ``imr-torch diagnose``."""
 
-import argparse
 import time
+from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,13 +9,9 @@ from pathlib import Path
 from imr_torch.characterization import medium_document, medium_of
 from imr_torch.cli.common import (
     layout_of,
-    names_of,
-    parse_values,
-    progress_of,
-    rest_radius_of,
+    refuse_options,
     show_result,
     simulator_of,
-    statement_of,
     write_result,
 )
 from imr_torch.cli.progress import DIAGNOSE
@@ -36,31 +32,31 @@ from imr_torch.record import ALL_ALIKE, RecordOptions, describe_record
 from imr_torch.simulate import Simulator
 
 
-def run(args: argparse.Namespace) -> None:
+def run_command(args: Namespace) -> None:
     """Check everything that was asked for, diagnose, report."""
     started = time.perf_counter()
     simulator = simulator_of(args)
-    effects = _effects(args)
-    base = wide_prior((args.base,), known=parse_values(args.known, "--known")).models[0]
-    experiments, medium, traces = _experiments(args, simulator)
+    effects = _choose_effects(args)
+    base = wide_prior((args.base,), known=args.known).models[0]
+    experiments, medium, traces = _load_experiments(args, simulator)
     simulator = medium.applied(simulator)
     base = medium.believed_of(base)
     effects = _beside_medium(effects, medium, args)
     if args.experiments is not None:
-        experiments = _named(experiments, args.experiments, "--experiments")
+        experiments = _select_named(experiments, args.experiments, "--experiments")
     labels = [experiment.label for experiment in experiments]
     chosen = [trace for trace in traces if trace.experiment_id in labels]
     record = describe_record(
         chosen, medium.surroundings, options=ALL_ALIKE if args.count_all_shots else RecordOptions()
     )
     experiments = list(record.weighted(experiments))
-    held_out = [] if args.heldout is None else _named(experiments, args.heldout, "--heldout")
+    held_out = [] if args.heldout is None else _select_named(experiments, args.heldout, "--heldout")
     fitted = [e for e in experiments if e not in held_out]
     if not fitted:
         raise InputDataError(
             f"--heldout leaves none of the {len(experiments)} experiments to fit; hold out fewer."
         )
-    progress = progress_of(args, DIAGNOSE)
+    progress = args.terminal.plan_stages(DIAGNOSE)
     report = diagnose(
         fitted,
         base=base,
@@ -94,7 +90,7 @@ def run(args: argparse.Namespace) -> None:
         raise ConvergenceError("a fit that the verdict rests on has not converged (see above).")
 
 
-def _effects(args: argparse.Namespace) -> tuple[Effect, ...]:
+def _choose_effects(args: Namespace) -> tuple[Effect, ...]:
     """The library less what was left out.
 
     An effect that was asked for by name must fit the base model.
@@ -103,10 +99,8 @@ def _effects(args: argparse.Namespace) -> tuple[Effect, ...]:
         raise InputDataError(
             f"--base: unknown model {args.base!r}; known are {', '.join(MATERIALS)}."
         )
-    asked = None if args.effects is None else names_of(args.effects, "--effects")
-    without = [] if args.without is None else names_of(args.without, "--without")
-    chosen = library(asked, without=without, base=args.base)
-    lost = [name for name in asked or [] if name not in {effect.name for effect in chosen}]
+    chosen = library(args.effects, without=args.without or [], base=args.base)
+    lost = [name for name in args.effects or [] if name not in {effect.name for effect in chosen}]
     if lost:
         raise InputDataError(
             f"--effects: {lost[0]!r} cannot be put on the base model {args.base!r}, which has it "
@@ -118,13 +112,13 @@ def _effects(args: argparse.Namespace) -> tuple[Effect, ...]:
 
 
 def _beside_medium(
-    effects: tuple[Effect, ...], medium: GelMedium, args: argparse.Namespace
+    effects: tuple[Effect, ...], medium: GelMedium, args: Namespace
 ) -> tuple[Effect, ...]:
     """The effects less those whose parameter is inferred already, as a property of the medium with
     a standard deviation.
     """
     held = [effect.name for effect in effects if set(effect.names) & set(medium.priors)]
-    if held and args.effects is not None and held[0] in names_of(args.effects, "--effects"):
+    if held and held[0] in (args.effects or []):
         raise InputDataError(
             f"--effects: {held[0]!r} is inferred already, since its value is stated with a "
             "standard deviation; leave one out."
@@ -132,25 +126,23 @@ def _beside_medium(
     return tuple(effect for effect in effects if effect.name not in held)
 
 
-def _experiments(
-    args: argparse.Namespace, simulator: Simulator
+def _load_experiments(
+    args: Namespace, simulator: Simulator
 ) -> tuple[list[Experiment], GelMedium, TraceSet]:
     """Sets or curves as experiments, their medium, and the records of curves; what was read and
     left out is printed.
     """
-    statement = statement_of(args)
     assumed = simulator.conditions.surroundings
     sets = [name for name in args.files if _is_set(name)]
     if not sets:
         traces = load_traces(*args.files, layout=layout_of(args), sort=args.sort)
         print(traces.report() + "\n")
-        rest = rest_radius_of(args)
-        medium = medium_of(traces, statement, assumed)
+        medium = medium_of(traces, args.medium, assumed)
         prepared = prepare(
             traces,
             medium.surroundings,
-            collapses=2 if args.collapses is None else args.collapses,
-            rest_radius=rest,
+            collapses=args.collapses,
+            rest_radius=args.rest_radius,
         )
         print(prepared.report() + "\n")
         return list(prepared.experiments), medium, traces
@@ -158,13 +150,9 @@ def _experiments(
         raise InputDataError(
             "Sets (.npz) and files of curves cannot be mixed: their noise is known differently."
         )
-    for option in ("layout", "rest_radius", "collapses"):
-        if getattr(args, option) is not None:
-            raise InputDataError(
-                f"--{option.replace('_', '-')} is about files of curves, and has no effect on "
-                "sets; leave it out."
-            )
-    medium = medium_of(TraceSet(()), statement, assumed)
+    why = "is about files of curves, and has no effect on sets; leave it out."
+    refuse_options(args, ("layout", "rest_radius", "collapses"), why)
+    medium = medium_of(TraceSet(()), args.medium, assumed)
     loaded = {name: load_set(name, surroundings=medium.surroundings) for name in sets}
     if len(loaded) == 1:
         return next(iter(loaded.values())), medium, TraceSet(())
@@ -180,10 +168,11 @@ def _is_set(name: str) -> bool:
     return name.lower().endswith(".npz")
 
 
-def _named(experiments: Sequence[Experiment], text: str, option: str) -> list[Experiment]:
+def _select_named(
+    experiments: Sequence[Experiment], chosen: Sequence[str], option: str
+) -> list[Experiment]:
     """The experiments of given labels."""
     labels = [e.label for e in experiments]
-    chosen = names_of(text, option)
     for name in chosen:
         if name not in labels:
             raise InputDataError(
@@ -193,7 +182,7 @@ def _named(experiments: Sequence[Experiment], text: str, option: str) -> list[Ex
     return [e for e in experiments if e.label in chosen]
 
 
-def _estimates_noise(args: argparse.Namespace) -> bool:
+def _estimates_noise(args: Namespace) -> bool:
     """Whether the noise is inferred from the data, as was asked for or as suits them."""
     known = "published" if _is_set(args.files[0]) else "estimated"
     return (args.noise or known) == "estimated"

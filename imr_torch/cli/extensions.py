@@ -29,14 +29,14 @@ def load_extensions(files: Sequence[str]) -> tuple[str, ...]:
             run; the message says where.
     """
     installed = entry_points(group="imr_torch")
-    modules = [_import(entry.module, f"extension {entry.name!r}") for entry in installed]
+    modules = [_import_module(entry.module, f"extension {entry.name!r}") for entry in installed]
     for path in map(Path, files):
         if path.suffix != ".py" or not path.is_file():
             raise InputDataError(
                 f"--import {path}: no such Python file; name one that ends in .py."
             )
         sys.path.append(str(path.resolve().parent))
-        module = _import(path.stem, f"--import {path}")
+        module = _import_module(path.stem, f"--import {path}")
         if Path(getattr(module, "__file__", None) or "").resolve() != path.resolve():
             raise InputDataError(
                 f"--import {path}: {path.stem!r} is the name of another module; rename the file, "
@@ -46,7 +46,7 @@ def load_extensions(files: Sequence[str]) -> tuple[str, ...]:
     return tuple(module.__name__ for module in modules)
 
 
-def _import(name: str, place: str) -> ModuleType:
+def _import_module(name: str, place: str) -> ModuleType:
     try:
         return import_module(name)
     except Exception as error:  # of the code of others

@@ -15,7 +15,6 @@ from imr_torch.results import NamedFigure
 matplotlib.use("Agg")  # commands write files and open no window
 
 WRITTEN = ("png", "pdf")  # where a command is not asked for others
-_DPI = 150
 
 
 def formats_of(text: str) -> list[str]:
@@ -32,13 +31,13 @@ def formats_of(text: str) -> list[str]:
     return found
 
 
-def _save(figure: Figure, folder: Path, name: str, formats: Sequence[str]) -> None:
+def _save_figure(figure: Figure, folder: Path, name: str, formats: Sequence[str]) -> None:
     """Save a figure in each format, atomically; its layout is that of the first one."""
     for kind in formats:
         with plt.rc_context({"pdf.fonttype": 42, "svg.fonttype": "none"}):  # text stays text
             write_atomically(
                 folder / f"{name}.{kind}",
-                lambda stream, kind=kind: figure.savefig(stream, format=kind, dpi=_DPI),
+                lambda stream, kind=kind: figure.savefig(stream, format=kind, dpi=150),
             )
         figure.set_layout_engine("none")  # else made anew for each format
 
@@ -54,7 +53,7 @@ def save_figures(
     failed = []
     for item in figures:
         try:
-            _save(item.draw(), folder, item.name, formats)
+            _save_figure(item.draw(), folder, item.name, formats)
         except OSError:  # a full disk, a folder without permission: no figure can be written
             raise
         except Exception as error:  # whatever fails in drawing, the numbers are kept

@@ -1,6 +1,6 @@
 """Runs ``imr-torch plot``."""
 
-import argparse
+from argparse import Namespace
 from pathlib import Path
 
 from imr_torch.cli.figures import formats_of, save_figures
@@ -8,7 +8,7 @@ from imr_torch.errors import InputDataError
 from imr_torch.results import draw_figures, read_document, write_page
 
 
-def run(args: argparse.Namespace) -> None:
+def run_command(args: Namespace) -> None:
     """Read, check, draw.
 
     Raises:

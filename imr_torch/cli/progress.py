@@ -1,28 +1,23 @@
 """Progress for people: the stage, the step within it and the time left, on one line that rewrites
 itself on a terminal.
 
-The stages of the package report lines of detail (:data:`imr_torch.types.Progress`). ``--verbose``
-prints them as they are. Else they are condensed: on a terminal into one line that is rewritten,
-also while nothing is reported, elsewhere (a log file) into a short line whenever the stage changes
-and every half minute.
+The stages of the package report lines of detail (:class:`imr_torch.progress.ProgressLine`).
+``--verbose`` prints them as they are. Else they are condensed: on a terminal into one line that is
+rewritten, also while nothing is reported, elsewhere (a log file) into a short line whenever the
+stage changes and every half minute, and for a program into events, each a line of JSON.
 """
 
-import re
+import json
 import shutil
 import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, redirect_stdout
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, TextIO
 
-_EVERY = 0.5  # seconds between lines on a terminal
-_LOG_EVERY = 30.0  # seconds between lines in a log
-_EARLY = 0.1  # part of the work before which no time left is said
-_LONGEST = 140
-_OF = re.compile(r"(.*?)(\d+)\s*/\s*(\d+)")
-_STEP = re.compile(r"(cycle \d+, )?(iteration|round) \d+")
+from imr_torch.progress import ProgressLine
 
 
 @dataclass(frozen=True)
@@ -32,13 +27,12 @@ class Stage:
     Args:
         name: what is done.
         share: of the command's time, roughly.
-        begins: regular expression of the reported line with which it begins; the first begins at
-            once.
+        key: stage of the reported line with which it begins; the first begins at once.
     """
 
     name: str
     share: float
-    begins: str = ""
+    key: str = ""
 
 
 def characterize_stages(
@@ -52,36 +46,32 @@ def characterize_stages(
     ['fit of all models', 'fit with the estimated noise, and draws', 'fit test and figures']
     """
     # measured on the example gel, with one model and three, and on long records
-    stages = [
-        Stage(
-            "fit of all models" + ("" if noise_rounds else ", and draws"),
-            0.5 if noise_rounds else 2.0,
-        )
-    ]
-    for number in range(1, noise_rounds + 1):
+    stages = []
+    for number in range(noise_rounds + 1):
+        last = number == noise_rounds
         again = f" (round {number} of {noise_rounds})" if noise_rounds > 1 else ""
-        draws = ", and draws" if number == noise_rounds else ""
-        share = 1.5 if number == noise_rounds else 0.4
-        stages.append(Stage(f"fit with the estimated noise{again}{draws}", share, r"^noise "))
+        name = f"fit with the estimated noise{again}" if number else "fit of all models"
+        share = (1.5 if last else 0.4) if number else (2.0 if last else 0.5)
+        stages.append(Stage(name + ", and draws" * last, share, "noise"))
     figures = "" if population or profile else " and figures"
-    for wanted, stage in (
-        (scores, Stage("scores of held-out curves", 2.0, r"^scores")),
-        (True, Stage(f"fit test{figures}", 0.3, r"^fit test")),
-        (population, Stage("each shot by itself, and the population", 3.0, r"^shots: ")),
-        (profile, Stage("profile likelihoods, and figures", 0.5, r"^profile of")),
-    ):
-        stages += [stage] if wanted else []
-    return tuple(stages)
+    further = (
+        (scores, Stage("scores of held-out curves", 2.0, "scores")),
+        (True, Stage(f"fit test{figures}", 0.3, "fit test")),
+        (population, Stage("each shot by itself, and the population", 3.0, "shots")),
+        (profile, Stage("profile likelihoods, and figures", 0.5, "profile")),
+    )
+    return (*stages, *(stage for wanted, stage in further if wanted))
 
 
 DIAGNOSE = (
     Stage("fit of the base model and test for a gap", 0.3),
-    Stage("fits of the effects", 0.4, r"^(gap test|attribution)"),
-    Stage("location, reduction, next design", 0.3, r"^location"),
+    Stage("fits of the effects", 0.4, "effects"),
+    Stage("location, reduction, next design", 0.3, "location"),
 )
 DESIGN = (Stage("search of designs", 1.0),)
 
 
+@dataclass(eq=False)
 class Terminal:
     """Where a command reports its progress; a context manager that ends the line.
 
@@ -89,54 +79,59 @@ class Terminal:
         command: its name.
         quiet: whether to say nothing.
         verbose: whether to print every reported line as it is.
+        events: whether to print the state as events: ``line``, and ``part`` of the work that is
+            done, null as long as it is not known.
         stream: where to; standard error by default.
         live: whether the line is rewritten; if the stream is a terminal, by default.
         clock: seconds, for tests.
+        every: seconds between two lines or events while nothing is reported.
+        log_every: seconds between two lines in a log.
+        early: part of the work before which no time left is said.
 
     >>> import io
     >>> from imr_torch.cli.progress import DIAGNOSE, Terminal
+    >>> from imr_torch.progress import ProgressLine
     >>> stream = io.StringIO()
     >>> with Terminal("diagnose", stream=stream, clock=lambda: 0.0) as terminal:
-    ...     terminal.plan(DIAGNOSE)
-    ...     terminal("assimilation: iteration 3, nhkv cost -606.92 gradient 5.6e+01")
+    ...     _ = terminal.plan_stages(DIAGNOSE)
+    ...     terminal(ProgressLine("assimilation: iteration 3, nhkv cost -606.92", step="iteration 3"))
     >>> print(stream.getvalue().strip())
     diagnose, stage 1 of 3, 0:00: fit of the base model and test for a gap, iteration 3
     """
 
-    def __init__(
-        self,
-        command: str,
-        *,
-        quiet: bool = False,
-        verbose: bool = False,
-        stream: TextIO | None = None,
-        live: bool | None = None,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self.command = command
-        self.quiet = quiet
-        self.verbose = verbose
-        self.stream = stream or sys.stderr
-        self.clock = clock
-        self.live = (self.stream.isatty() if live is None else live) and not quiet and not verbose
+    command: str
+    _: KW_ONLY
+    quiet: bool = False
+    verbose: bool = False
+    events: bool = False
+    stream: TextIO = field(default_factory=lambda: sys.stderr)
+    live: bool | None = None
+    clock: Callable[[], float] = time.monotonic
+    every: float = 0.5
+    log_every: float = 30.0
+    early: float = 0.1
+
+    def __post_init__(self) -> None:
+        wanted = self.stream.isatty() if self.live is None else self.live
+        self.live = (wanted or self.events) and not (self.quiet or self.verbose)
         self._drawn = 0
         self._lock = threading.RLock()
         self._stop = threading.Event()
         self._open = ExitStack()
-        self.plan(())
+        self.plan_stages()
         self._begun = False
 
-    def plan(self, stages: Sequence[Stage]) -> None:
-        """Name the stages to come, from the first."""
+    def plan_stages(self, stages: Sequence[Stage] = ()) -> "Terminal":
+        """Name the stages to come, from the first; returns itself."""
         with self._lock:
             self.stages = tuple(stages)
             self.at = 0
             self.step = ""
             self.part = 0.0
             self.counted = 0.0
-            self.started = self.said = self.clock()
-            self._said_stage = -1
+            self.started = self._due = self.clock()
             self._begun = True
+        return self
 
     def __call__(self, text: str) -> None:
         """Report one line of detail."""
@@ -144,34 +139,34 @@ class Terminal:
             return
         with self._lock:
             self._begun = True
+            now = self.clock()
             if self.verbose:
-                print(
-                    f"[{self.clock() - self.started:6.1f} s] {text}", file=self.stream, flush=True
-                )
+                print(f"[{now - self.started:6.1f} s] {text}", file=self.stream, flush=True)
                 return
-            self._read(text)
+            self._take_step(text if isinstance(text, ProgressLine) else ProgressLine(text))
             if self.live:
-                self._draw(self.line())
-            else:
-                self._log()
+                self._show_state()
+            elif now >= self._due:
+                self._due = now + self.log_every
+                print(self.describe_state(), file=self.stream, flush=True)
 
-    def line(self) -> str:
+    def describe_state(self) -> str:
         """The state in one line, what matters most first, since a narrow terminal cuts the end off."""
         elapsed = self.clock() - self.started
-        done = self._done()
+        done = self._part_done()
         parts = [self.command]
         if len(self.stages) > 1:
             parts.append(f"stage {self.at + 1} of {len(self.stages)}")
-        parts.append(_clock(elapsed))
-        if done >= _EARLY:
+        parts.append(_format_clock(elapsed))
+        if done >= self.early:
             # since the last step that counts the time left has become less
-            left = self.counted / done - elapsed
-            parts.append(f"{100 * done:.0f} %, about {_clock(max(left, 0.0))} left")
+            left = max(self.counted / done - elapsed, 0.0)
+            parts.append(f"{100 * done:.0f} %, about {_format_clock(left)} left")
         stage = self.stages[self.at].name if self.stages else ""
         doing = ", ".join(filter(None, (stage, self.step)))
         return ", ".join(parts) + (f": {doing}" if doing else "")
 
-    def _done(self) -> float:
+    def _part_done(self) -> float:
         """Part of the work that is done, roughly.
 
         Of the step that counts, where no stages are planned.
@@ -179,52 +174,51 @@ class Terminal:
         shares = [stage.share for stage in self.stages] or [1.0]
         return (sum(shares[: self.at]) + self.part * shares[self.at]) / sum(shares)
 
-    def _read(self, text: str) -> None:
+    def _take_step(self, line: ProgressLine) -> None:
         """Take stage and step from a reported line."""
-        before = self._done()
+        before = self._part_done()
         following = range(self.at + 1, len(self.stages))
-        new = next((i for i in following if re.search(self.stages[i].begins, text)), None)
+        new = next((i for i in following if self.stages[i].key == line.stage), None)
         if new is not None:
             self.at = new
             self.part = 0.0
             self.step = ""
-        counted = _OF.match(text)
-        if counted and int(counted[3]) > 0:
-            self.part = min(1.0, int(counted[2]) / int(counted[3]))
-            self.step = f"{counted[1].strip(' :,')} {counted[2]} of {counted[3]}".strip()
-        elif step := _STEP.search(text):
-            self.step = step[0]
-        elif new is None:
-            self.step = text.partition(":")[0][:40]
-        if self._done() != before:
+            self._due = self.clock()
+        if line.of:
+            self.part = min(1.0, line.done / line.of)
+            self.step = f"{line.step} {line.done} of {line.of}".strip()
+        elif line.step or new is None:
+            self.step = line.step or line.partition(":")[0][:40]
+        if self._part_done() != before:
             self.counted = self.clock() - self.started
 
-    def _log(self) -> None:
-        """A line for a log: when the stage has changed, else seldom."""
-        now = self.clock()
-        if self._said_stage != self.at or now - self.said >= _LOG_EVERY:
-            self._said_stage = self.at
-            self.said = now
-            print(self.line()[:_LONGEST], file=self.stream, flush=True)
+    def _show_state(self) -> None:
+        """Rewrite the line, or print an event."""
+        if self.events:
+            part = self._part_done()
+            state = {"line": self.describe_state(), "part": part if part >= self.early else None}
+            print(json.dumps(state), file=self.stream, flush=True)
+        else:
+            self._draw_line(self.describe_state())
 
-    def _draw(self, text: str) -> None:
+    def _draw_line(self, text: str) -> None:
         width = max(20, shutil.get_terminal_size().columns - 1)
         self.stream.write("\r" + text[:width].ljust(self._drawn))
         self.stream.flush()
         self._drawn = len(text[:width])
 
-    def clear(self) -> None:
+    def wipe_line(self) -> None:
         """Wipe the line, so that something else can be printed."""
         with self._lock:
             if self._drawn:
-                self._draw("")
+                self._draw_line("")
                 self.stream.write("\r")
                 self.stream.flush()
 
     def __enter__(self) -> "Terminal":
         if self.live:
             self._open.enter_context(redirect_stdout(_Clearing(sys.stdout, self)))  # type: ignore[type-var]
-            beat = threading.Thread(target=self._beat, daemon=True)
+            beat = threading.Thread(target=self._show_steadily, daemon=True)
             beat.start()
             self._open.callback(beat.join)
         return self
@@ -232,36 +226,36 @@ class Terminal:
     def __exit__(self, *_: object) -> None:
         self._stop.set()
         self._open.close()
-        self.clear()
+        self.wipe_line()
 
-    def _beat(self) -> None:
-        """Rewrite the line while nothing is reported, so that a long step is no silence."""
-        while not self._stop.wait(_EVERY):
+    def _show_steadily(self) -> None:
+        """Show the state while nothing is reported, so that a long step is no silence."""
+        while not self._stop.wait(self.every):
             with self._lock:
                 if self._begun:
-                    self._draw(self.line())
+                    self._show_state()
 
 
+@dataclass(eq=False)
 class _Clearing:
     """Standard output that wipes the progress line before anything is printed."""
 
-    def __init__(self, stream: TextIO, terminal: Terminal) -> None:
-        self._stream = stream
-        self._terminal = terminal
+    stream: TextIO
+    terminal: Terminal
 
     def write(self, text: str) -> int:
-        self._terminal.clear()
-        return self._stream.write(text)
+        self.terminal.wipe_line()
+        return self.stream.write(text)
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
+        return getattr(self.stream, name)
 
 
-def _clock(seconds: float) -> str:
+def _format_clock(seconds: float) -> str:
     """``1:05`` of 65 seconds.
 
-    >>> from imr_torch.cli.progress import _clock
-    >>> _clock(65.0), _clock(3671.0)
+    >>> from imr_torch.cli.progress import _format_clock
+    >>> _format_clock(65.0), _format_clock(3671.0)
     ('1:05', '1:01:11')
     """
     minutes, rest = divmod(round(seconds), 60)

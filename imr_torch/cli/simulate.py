@@ -1,14 +1,12 @@
 """Runs ``imr-torch simulate``."""
 
-import argparse
+from argparse import Namespace
 
 import torch
 
 from imr_torch.characterization import medium_of
 from imr_torch.cli.common import (
-    parse_values,
     show_result,
-    statement_of,
     with_engine,
     write_result,
 )
@@ -18,10 +16,10 @@ from imr_torch.observe import TraceSet
 from imr_torch.simulate import ACCURACIES, STEPPINGS, PolytropicSimulator, TransportSimulator
 
 
-def run(args: argparse.Namespace) -> None:
+def run_command(args: Namespace) -> None:
     """Simulate and write."""
     kind = material(args.model)
-    values = parse_values(args.set, "--set")
+    values = args.set
     if set(values) != set(kind.names):
         raise InputDataError(
             f"--set: model {kind.key!r} has the parameters {', '.join(kind.names)}; got "
@@ -32,16 +30,14 @@ def run(args: argparse.Namespace) -> None:
     else:
         bubbles = TransportSimulator(accuracy=ACCURACIES[args.accuracy])
     bubbles = with_engine(bubbles, args)
-    statement = statement_of(args)
-    uncertain = (
-        [name for name, (_, sd) in statement.values.items() if sd is not None] if statement else []
-    )
+    stated = args.medium.values if args.medium else {}
+    uncertain = [name for name, (_, sd) in stated.items() if sd is not None]
     if uncertain:
         raise InputDataError(
             f"--medium gives {uncertain[0]} a standard deviation, and simulate makes one bubble; "
             "leave it out."
         )
-    args.gel_medium = medium_of(TraceSet(()), statement)
+    args.gel_medium = medium_of(TraceSet(()), args.medium)
     simulator = args.gel_medium.applied(bubbles)
     surroundings = simulator.conditions.surroundings
     times = torch.linspace(0.0, args.until, args.frames, dtype=torch.float64)

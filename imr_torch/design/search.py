@@ -21,7 +21,7 @@ from imr_torch.design.space import DesignSpace
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.random import child
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Progress
+from imr_torch.types import Progress, ProgressLine
 
 
 @dataclass(frozen=True)
@@ -250,9 +250,10 @@ def _search_one(
             designs = torch.cat((designs, design[None]))
             gains.append(gain)
             if progress:
-                progress(
+                text = (
                     f"design {len(gains)}/{evaluations}: We {float(design[0]):6.1f}  R_inf* "
                     f"{float(design[1]):.3f}  "
                     f"EIG {gain.value:.3f} +- {gain.variance**0.5:.3f} nats"
                 )
+                progress(ProgressLine(text, step="design", done=len(gains), of=evaluations))
     return settings.finish_search(space, designs, gains, pending)

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from imr_torch.assimilate import Assimilation, ModelFit
 from imr_torch.errors import InputDataError, UnsupportedError
-from imr_torch.export.frames import frame_predictions
+from imr_torch.export.frames import predict_frames
 from imr_torch.material import PARAMETERS, Belief, ModelBelief
 from imr_torch.observe import NUISANCES, ExperimentBatch
 from imr_torch.random import child, generator
@@ -72,24 +72,35 @@ def to_arviz(
         ) from None
     if draws < 1:
         raise InputDataError(f"to_arviz: draws is {draws}; at least 1 is needed.")
-    groups = _groups(source, seed, draws, simulator)
-    return DataTree.from_dict(
-        {f"/{path}": Dataset(variables) for path, variables in groups.items()}, name="imr_torch"
-    )
+    groups = _list_groups(source, seed, draws, simulator)
+    labels: dict[str, Any] = {"nuisance": list(NUISANCES)}
+    if isinstance(source, Assimilation):
+        labels["experiment"] = [e.label for e in source.batch.experiments]
+    datasets = {}
+    for path, variables in groups.items():
+        sizes = {str(dim): n for each in variables.values() for dim, n in each.sizes.items()}
+        axes = {name: _make_variable(name, labels.get(name, range(n))) for name, n in sizes.items()}
+        datasets[f"/{path}"] = Dataset(axes | variables)
+    return DataTree.from_dict(datasets, name="imr_torch")
 
 
-def _groups(
+def _list_groups(
     source: Assimilation | Belief, seed: int, draws: int, simulator: Simulator | None
 ) -> dict[str, Variables]:
-    """Path of each group and its variables."""
+    """Path of each group and its variables, but for the labels of its dimensions."""
     if isinstance(source, Belief):
         branches = {
-            f"{part.model}/posterior": _parameters(
+            f"{part.model}/posterior": _list_parameters(
                 part, part.controls(draws, seed=child(seed, "arviz", part.model))
             )
             for part in source.models
         }
-        return branches | {"models": _probabilities(source)}
+        return branches | {
+            "models": {
+                "model": _make_variable("model", list(source.keys)),
+                "log_probability": _make_variable("model", source.log_probabilities, "nat"),
+            }
+        }
     if not isinstance(source, Assimilation):
         raise InputDataError(
             f"to_arviz takes an Assimilation or a Belief; got {type(source).__name__}."
@@ -97,13 +108,13 @@ def _groups(
     return {
         f"{fit.model}/{group}": variables
         for fit in source.fits
-        for group, variables in _fit_groups(
+        for group, variables in _list_fit_groups(
             fit, source.batch, child(seed, "arviz", fit.model), draws, simulator
         ).items()
     }
 
 
-def _variable(dims: str, values: Any, units: str = "", long_name: str = "") -> "Variable":
+def _make_variable(dims: str, values: Any, units: str = "", long_name: str = "") -> "Variable":
     """A variable with its dimensions, separated by blanks, and its attributes."""
     from xarray import Variable
 
@@ -112,15 +123,11 @@ def _variable(dims: str, values: Any, units: str = "", long_name: str = "") -> "
     return Variable(dims.split(), array, {k: v for k, v in attributes.items() if v})
 
 
-def _draw_axes(count: int) -> Variables:
-    return {"chain": _variable("chain", [0]), "draw": _variable("draw", range(count))}
-
-
-def _parameters(part: ModelBelief, controls: Tensor) -> Variables:
+def _list_parameters(part: ModelBelief, controls: Tensor) -> Variables:
     """Free parameters in SI at ``n x d`` controls ``z``."""
     values = part.physical(controls)
-    variables = {
-        name: _variable(
+    return {
+        name: _make_variable(
             "chain draw",
             values[None, :, i],
             PARAMETERS[name].unit,
@@ -128,54 +135,54 @@ def _parameters(part: ModelBelief, controls: Tensor) -> Variables:
         )
         for i, name in enumerate(part.names)
     }
-    return _draw_axes(len(controls)) | variables
 
 
-def _fit_groups(
+def _list_fit_groups(
     fit: ModelFit, batch: ExperimentBatch, seed: int, draws: int, simulator: Simulator | None
 ) -> dict[str, Variables]:
     """All groups of one model's fit."""
-    data = {"observed_data": _observed(batch), "constant_data": _constant(batch)}
+    data = {"observed_data": _list_observed(batch), "constant_data": _list_constant(batch)}
     sample = fit.sample
     source = generator(seed)
     if sample is None:
         noise = torch.randn(draws, len(fit.mean), generator=source, dtype=torch.float64)
         controls = fit.mean + noise @ fit.chol.mT
-        return {"posterior": _parameters(fit.prior, fit.prior.unwhitened(controls))} | data
+        return {"posterior": _list_parameters(fit.prior, fit.prior.unwhitened(controls))} | data
     chosen = sample.resample_draws(draws, source)
-    posterior = _parameters(fit.prior, fit.prior.unwhitened(sample.controls[chosen]))
-    posterior |= _experiments(batch) | {"nuisance": _variable("nuisance", list(NUISANCES))}
-    sds = _variable(
-        "chain draw experiment nuisance",
-        sample.nuisances[chosen][None],
-        "prior sd",
-    )
-    posterior["nuisances"] = sds
+    posterior = _list_parameters(fit.prior, fit.prior.unwhitened(sample.controls[chosen]))
     likelihood = sample.by_experiment[chosen]
-    stats = _draw_axes(draws) | {
-        "lp": _variable("chain draw", (likelihood.sum(1) + sample.log_prior[chosen])[None], "nat"),
-        "pareto_k": _variable(
-            "", sample.pareto_k, long_name="shape of the tail of the importance weights"
-        ),
-        "effective_samples": _variable("", sample.effective_samples),
-        "log_evidence": _variable("", sample.log_evidence, "nat"),
-        "log_evidence_error": _variable("", sample.log_evidence_error, "nat"),
-    }
-    seen = _variable(
-        "chain draw experiment",
-        likelihood[None],
-        "nat",
-        long_name="of all repeats and frames",
-    )
+    tail = "shape of the tail of the importance weights"
+    density = (likelihood.sum(1) + sample.log_prior[chosen])[None]
+    frames = {}
+    if simulator is not None:
+        frames = _list_frame_groups(fit, batch, simulator, chosen, seed)
     return {
-        "posterior": posterior,
-        "sample_stats": stats,
-        "log_likelihood": _draw_axes(draws) | _experiments(batch) | {"radius": seen},
-        **(_frame_groups(fit, batch, simulator, chosen, seed) if simulator is not None else {}),
+        "posterior": posterior
+        | {
+            "nuisances": _make_variable(
+                "chain draw experiment nuisance", sample.nuisances[chosen][None], "prior sd"
+            )
+        },
+        "sample_stats": {
+            "lp": _make_variable("chain draw", density, "nat"),
+            "pareto_k": _make_variable("", sample.pareto_k, long_name=tail),
+            "effective_samples": _make_variable("", sample.effective_samples),
+            "log_evidence": _make_variable("", sample.log_evidence, "nat"),
+            "log_evidence_error": _make_variable("", sample.log_evidence_error, "nat"),
+        },
+        "log_likelihood": {
+            "radius": _make_variable(
+                "chain draw experiment",
+                likelihood[None],
+                "nat",
+                long_name="of all repeats and frames",
+            )
+        },
+        **frames,
     } | data
 
 
-def _frame_groups(
+def _list_frame_groups(
     fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, chosen: Tensor, seed: int
 ) -> dict[str, Variables]:
     """The branch of single frames, one after the other in one dimension, since curves differ in
@@ -185,61 +192,45 @@ def _frame_groups(
     assert sample is not None
     controls = sample.controls[chosen]
     nuisances = sample.nuisances[chosen]
-    drawn, likelihood = frame_predictions(
+    drawn, likelihood = predict_frames(
         fit.prior, batch, simulator, controls, nuisances, seed=child(seed, "frames")
     )
-    experiment, frame = torch.nonzero(batch.mask, as_tuple=True)
-    labels = [e.label for e in batch.experiments]
-    where = {"observation": _variable("observation", range(len(frame)))}
-    known = {
-        "experiment": _variable("observation", [labels[i] for i in experiment.tolist()]),
-        "time": _variable("observation", batch.times[batch.mask], "t U_c/Rmax"),
-    }
-    axes = _draw_axes(len(chosen)) | where
+    where = torch.nonzero(batch.mask)[:, 0].tolist()
+    labels = [batch.experiments[i].label for i in where]
     dims = "chain draw observation"
     return {
-        "frames/posterior": _parameters(fit.prior, fit.prior.unwhitened(controls)),
-        "frames/posterior_predictive": axes | {"radius": _variable(dims, drawn[None], "R/Rmax")},
-        "frames/log_likelihood": axes | {"radius": _variable(dims, likelihood[None], "nat")},
-        "frames/observed_data": where
-        | {"radius": _variable("observation", batch.mean[batch.mask], "R/Rmax")},
-        "frames/constant_data": where | known,
+        "frames/posterior": _list_parameters(fit.prior, fit.prior.unwhitened(controls)),
+        "frames/posterior_predictive": {"radius": _make_variable(dims, drawn[None], "R/Rmax")},
+        "frames/log_likelihood": {"radius": _make_variable(dims, likelihood[None], "nat")},
+        "frames/observed_data": {
+            "radius": _make_variable("observation", batch.mean[batch.mask], "R/Rmax")
+        },
+        "frames/constant_data": {
+            "experiment": _make_variable("observation", labels),
+            "time": _make_variable("observation", batch.times[batch.mask], "t U_c/Rmax"),
+        },
     }
 
 
-def _experiments(batch: ExperimentBatch) -> Variables:
-    return {"experiment": _variable("experiment", [e.label for e in batch.experiments])}
-
-
-def _frames(batch: ExperimentBatch) -> Variables:
-    return _experiments(batch) | {"frame": _variable("frame", range(batch.times.shape[1]))}
-
-
-def _observed(batch: ExperimentBatch) -> Variables:
+def _list_observed(batch: ExperimentBatch) -> Variables:
     """Mean curves; NaN where an experiment has fewer frames than the longest."""
     mean = torch.where(batch.mask, batch.mean, torch.nan)
-    return _frames(batch) | {
-        "radius": _variable("experiment frame", mean, "R/Rmax", long_name="mean of the repeats")
+    return {
+        "radius": _make_variable(
+            "experiment frame", mean, "R/Rmax", long_name="mean of the repeats"
+        )
     }
 
 
-def _constant(batch: ExperimentBatch) -> Variables:
+def _list_constant(batch: ExperimentBatch) -> Variables:
     """Designs, times, repeats and prior spreads of the nuisances."""
     times = torch.where(batch.mask, batch.times, torch.nan)
-    return _frames(batch) | {
-        "time": _variable("experiment frame", times, "t U_c/Rmax"),
-        "weber": _variable("experiment", batch.designs[:, 0], "1", long_name="Weber number"),
-        "rest_radius": _variable("experiment", batch.designs[:, 1], "R_inf/Rmax"),
-        "repeats": _variable("experiment", [e.repeats for e in batch.experiments]),
-        "nuisance": _variable("nuisance", list(NUISANCES)),
-        "nuisance_sd": _variable(
+    return {
+        "time": _make_variable("experiment frame", times, "t U_c/Rmax"),
+        "weber": _make_variable("experiment", batch.designs[:, 0], "1", long_name="Weber number"),
+        "rest_radius": _make_variable("experiment", batch.designs[:, 1], "R_inf/Rmax"),
+        "repeats": _make_variable("experiment", [e.repeats for e in batch.experiments]),
+        "nuisance_sd": _make_variable(
             "experiment nuisance", batch.nuisance_sds, "relative, t*, relative"
         ),
-    }
-
-
-def _probabilities(belief: Belief) -> Variables:
-    return {
-        "model": _variable("model", list(belief.keys)),
-        "log_probability": _variable("model", belief.log_probabilities, "nat"),
     }

@@ -9,11 +9,10 @@ with ``C`` the precision matrix and ``g = C (y - mu)``). With independent frames
 ones.
 """
 
-import math
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.distributions import Normal
 
 from imr_torch.assimilate import Point, Posterior
 from imr_torch.material import ModelBelief
@@ -22,7 +21,7 @@ from imr_torch.random import generator
 from imr_torch.simulate import Simulator
 
 
-def frame_predictions(
+def predict_frames(
     prior: ModelBelief,
     batch: ExperimentBatch,
     simulator: Simulator,
@@ -58,10 +57,6 @@ def frame_predictions(
         middle = z - torch.einsum("...et,ets->...es", z, precision) / diagonal
         spread = diagonal.rsqrt().expand_as(z)
     noise = torch.randn(z.shape, generator=generator(seed), dtype=z.dtype)
-    drawn = seen + sd * (middle + spread * noise)
-    likelihood = (
-        -0.5 * ((z - middle) / spread).square()
-        - (spread * sd).log()
-        - 0.5 * math.log(2.0 * math.pi)
-    )
-    return drawn[:, batch.mask], likelihood[:, batch.mask]
+    law = Normal(seen + sd * middle, sd * spread, validate_args=False)
+    drawn = law.loc + law.scale * noise
+    return drawn[:, batch.mask], law.log_prob(batch.mean)[:, batch.mask]

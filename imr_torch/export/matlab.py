@@ -6,18 +6,17 @@ Two lines plot a curve with its fit:
     plot(curves(1).time_us, curves(1).radius_um, '.', curves(1).model_time_us, curves(1).model_radius_um)
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.io import savemat
 
-from imr_torch.files import write_atomically
+from imr_torch.files import Document, write_atomically
 from imr_torch.material import PARAMETERS
 
 
-def write_mat(document: Mapping[str, Any], path: str | Path) -> None:
+def write_mat(document: Document, path: str | Path) -> None:
     """Write a result of ``characterize`` as a MATLAB file, atomically.
 
     It holds ``model`` (the most probable), ``probabilities``, ``parameters`` (one struct a model
@@ -42,7 +41,7 @@ def write_mat(document: Mapping[str, Any], path: str | Path) -> None:
     """
     chances = document["model_probabilities"]
     names: tuple[str, ...] = ("model", "name", "unit", "low", "median", "high")
-    parameters: list[dict[str, Any]] = [
+    parameters: list[Document] = [
         dict(zip(names, (key, name, PARAMETERS[name].unit, *interval), strict=True))
         for key, entry in document["models"].items()
         for name, interval in entry["intervals"].items()
@@ -51,12 +50,12 @@ def write_mat(document: Mapping[str, Any], path: str | Path) -> None:
         "model": max(chances, key=chances.__getitem__),
         "probabilities": dict(chances),
         "parameters": _struct_array(parameters),
-        "curves": _struct_array([_curve(curve) for curve in document["curves"]]),
+        "curves": _struct_array([_convert_curve(curve) for curve in document["curves"]]),
     }
     write_atomically(Path(path), lambda stream: savemat(stream, content, oned_as="column"))
 
 
-def _curve(curve: Mapping[str, Any]) -> dict[str, Any]:
+def _convert_curve(curve: Document) -> Document:
     """One curve in us and um, with the most probable model."""
     measured = curve["measured"]
     band = curve["band"]
@@ -80,10 +79,7 @@ def _curve(curve: Mapping[str, Any]) -> dict[str, Any]:
     return {"id": curve["id"], "We": curve["We"], "rinf_star": curve["R_inf*"]} | arrays
 
 
-def _struct_array(rows: Sequence[Mapping[str, Any]]) -> np.ndarray:
+def _struct_array(rows: Sequence[Document]) -> np.ndarray:
     """Rows as a struct array, which a list of dictionaries is not."""
     names = list(rows[0]) if rows else ["id"]
-    array = np.empty(len(rows), dtype=[(name, object) for name in names])
-    for number, row in enumerate(rows):
-        array[number] = tuple(row.values())
-    return array
+    return np.array([tuple(row.values()) for row in rows], dtype=[(name, object) for name in names])

@@ -8,6 +8,7 @@ so that is what comes out; inside, everything is float64.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -18,7 +19,7 @@ from torch.distributions import Distribution, constraints
 from imr_torch.errors import InputDataError, ShapeError
 from imr_torch.material import ModelBelief
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, predict
-from imr_torch.random import generator
+from imr_torch.random import SeedLike, generator
 from imr_torch.simulate import Simulator
 from imr_torch.types import BatchControls, Controls, Values
 
@@ -63,7 +64,7 @@ class ModelPrior(Distribution):
     def support(self) -> constraints.Constraint:
         """The bounds of each parameter."""
         bounds = [(m.lower, m.upper) for m in self.belief.marginals]
-        each = [_interval(lower, upper) for lower, upper in bounds]
+        each = [_bound_parameter(lower, upper) for lower, upper in bounds]
         return constraints.independent(constraints.cat(each, dim=-1, lengths=[1] * len(each)), 1)
 
     @property
@@ -86,7 +87,7 @@ class ModelPrior(Distribution):
         return self.belief.log_prob(value.to(torch.float64)).to(self.dtype)
 
 
-def _interval(lower: float, upper: float) -> constraints.Constraint:
+def _bound_parameter(lower: float, upper: float) -> constraints.Constraint:
     """The constraint of a parameter between two bounds, either of which may be infinite."""
     if lower == -torch.inf and upper == torch.inf:
         return constraints.real
@@ -97,6 +98,7 @@ def _interval(lower: float, upper: float) -> constraints.Constraint:
     )
 
 
+@dataclass(eq=False)
 class SbiSimulator:
     """Noisy curves of one model: ``theta`` (``n x d``, SI) to ``x`` (``n x (q T)``), one draw of
     noise and nuisances each.
@@ -118,20 +120,14 @@ class SbiSimulator:
     (True, torch.Size([1, 11]))
     """
 
-    def __init__(
-        self,
-        belief: ModelBelief,
-        simulator: Simulator,
-        batch: ExperimentBatch,
-        *,
-        seed: int,
-        dtype: torch.dtype,
-    ) -> None:
-        self.belief = belief
-        self.simulator = simulator
-        self.batch = batch
-        self.dtype = dtype
-        self._source = generator(seed)
+    belief: ModelBelief
+    simulator: Simulator
+    batch: ExperimentBatch
+    seed: SeedLike
+    dtype: torch.dtype
+
+    def __post_init__(self) -> None:
+        self.seed = generator(self.seed)
 
     def __call__(self, theta: BatchControls) -> Float[Tensor, "*batch data"]:
         """Simulate; a row of a failed solve is all NaN.
@@ -146,20 +142,18 @@ class SbiSimulator:
             )
         values = torch.atleast_2d(theta).to(torch.float64)
         parameters = self.belief.parameters(self.belief.to_controls(values))
-        shape = (len(values), *self.batch.times.shape)
-        shifts = (
-            torch.randn(*shape[:2], 3, generator=self._source, dtype=torch.float64)
-            * self.batch.nuisance_sds
-        )
-        clean = predict(
-            self.simulator, parameters, self.batch, shifts if bool((shifts != 0.0).any()) else None
-        )
-        noise = torch.randn(shape, generator=self._source, dtype=torch.float64)
-        sd = self.batch.noise.sd(clean, self.batch.times) * self.batch.noise_factors
-        noise = self.batch.noise.correlated(noise, self.batch.times, self.batch.mask)
-        seen = clean + sd * noise
-        seen = torch.where(torch.isnan(seen).flatten(1).any(1)[:, None, None], torch.nan, seen)
-        return seen.flatten(1).to(self.dtype).reshape(*theta.shape[:-1], -1)
+        batch = self.batch
+        source = generator(self.seed)
+        shape = (len(values), *batch.times.shape)
+        shifts = torch.randn(*shape[:2], 3, generator=source, dtype=torch.float64)
+        shifts = shifts * batch.nuisance_sds
+        moved = shifts if bool((shifts != 0.0).any()) else None
+        clean = predict(self.simulator, parameters, batch, moved)
+        noise = torch.randn(shape, generator=source, dtype=torch.float64)
+        sd = batch.noise.sd(clean, batch.times) * batch.noise_factors
+        seen = (clean + sd * batch.noise.correlated(noise, batch.times, batch.mask)).flatten(1)
+        seen = torch.where(seen.isnan().any(1, keepdim=True), torch.nan, seen)
+        return seen.to(self.dtype).reshape(*theta.shape[:-1], -1)
 
 
 def sbi_simulator(

@@ -38,7 +38,7 @@ from imr_torch.material import Effect, ModelBelief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
-from imr_torch.types import Progress
+from imr_torch.types import Progress, ProgressLine
 
 _SCALES_OF_NOISE = 9  # over which probabilities are averaged where the noise was inferred
 _MOST_LEFT_OUT = (
@@ -208,7 +208,7 @@ def attribute(
     if not alone:
         longer.pop(GEL_SCATTER, None)
     if progress:
-        progress(f"attribution: {len(longer)} hypotheses")
+        progress(ProgressLine(f"attribution: {len(longer)} hypotheses", stage="effects"))
     alike = [h for h in longer.values() if h.gels_differ is held.gels_differ]
     fits = {held.name: null} | fit_hypotheses(
         alike,

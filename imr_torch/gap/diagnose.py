@@ -29,7 +29,7 @@ from imr_torch.observe import Experiment, ExperimentBatch, Noise
 from imr_torch.random import child
 from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator, fewer_steps
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Progress
+from imr_torch.types import Progress, ProgressLine
 
 _NOISE_ROUNDS = 2  # times that the noise is inferred and the base model fitted with it
 
@@ -154,7 +154,8 @@ def diagnose(
     left = adequacy_test(null, effects, batch, simulator, seed=child(seed, "gap"))
     gap = left.test
     if progress:
-        progress(f"gap test: {p_value(gap.p_value)}, leading block {gap.blocks[0].name}")
+        text = f"gap test: {p_value(gap.p_value)}, leading block {gap.blocks[0].name}"
+        progress(ProgressLine(text, stage="effects"))
 
     alone = tuple[ModelFit, ...]()
     reason = "No block of the gap test rejects the base model."

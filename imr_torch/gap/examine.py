@@ -24,7 +24,7 @@ from imr_torch.observe import Experiment
 from imr_torch.random import child
 from imr_torch.simulate import Simulator, fewer_steps
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Progress
+from imr_torch.types import Progress, ProgressLine
 from imr_torch.unknown import Unknown, infer_unknown
 
 _SURE = 0.95  # probability of the leading cause from which on no shot is designed
@@ -101,7 +101,7 @@ def examine(
     if not report.found:
         return parts
     if progress:
-        progress("location, shrinkage, next design")
+        progress(ProgressLine("location, shrinkage, next design", stage="location"))
     alone = report.alone or fit_alone(
         report.null, report.batch, simulator, seed=child(seed, "alone")
     )
@@ -124,7 +124,7 @@ def _unknown(report: GapReport, simulator: Simulator, progress: Progress | None)
     if report.verdict in ("effect", "class"):
         return None
     if progress:
-        progress("what is missing")
+        progress(ProgressLine("what is missing", step="what is missing"))
     return infer_unknown(report.null, report.batch, fewer_steps(simulator))
 
 

@@ -20,6 +20,7 @@ from imr_torch.drawing import (
     SECOND,
     TRUTH,
     NamedFigure,
+    add_legend,
     axes_or_new,
     curve_panels,
     draw_intervals,
@@ -208,7 +209,7 @@ def curve_figure(curve: Mapping[str, Any], selected: str) -> Figure:
         ax.plot(times, floats(drawn["R_star"]), color=color, ls=style, lw=1.3, label=plain(label))
         below.plot(t, (r - floats(curve[name])) / sd, color=color, ls=style, lw=1.2)
     ax.set(ylim=(0.0, None))
-    ax.legend(frameon=False, fontsize=8)
+    add_legend(ax)
     return figure
 
 
@@ -264,7 +265,7 @@ def plot_onset(found: Mapping[str, Any], *, ax: Axes | None = None) -> Axes:
     ax.set_yscale("symlog", linthresh=_LINEAR)
     ax.set(xlabel="frames up to $t^*$", ylabel="$-\\log_{10} p$")
     ax.set(ylim=(0.0, 2.0 * max(*strength, _LINEAR)))
-    ax.legend(frameon=False, fontsize=8)
+    add_legend(ax)
     return ax
 
 
@@ -353,7 +354,7 @@ def plot_shrinkage(found: Mapping[str, Any], *, ax: Axes | None = None) -> Axes:
         ax.axvline(at, color=DATA, lw=0.8)
     ax.set_yticks(places, list(rows), fontsize=8)
     ax.set(xlabel="part of the gap that is gone", ylim=(-0.5, len(rows) - 0.5))
-    ax.legend(frameon=False, fontsize=7, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    add_legend(ax, fontsize=7, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     return ax
 
 
@@ -374,5 +375,5 @@ def plot_intervals(document: Document, *, ax: Axes | None = None) -> Axes:
     ax.axvline(1.0, color=DATA, lw=0.8)
     ax.set_yticks(places, [PARAMETERS[name].label for name in right], fontsize=8)
     ax.set(xlabel="over the median of the fit", ylim=(-0.5, len(right) - 0.5))
-    ax.legend(frameon=False, fontsize=8, ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    add_legend(ax, ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     return ax

@@ -8,10 +8,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from imr_torch.files import write_bytes
 from imr_torch.gap.figures import gap_figures
 from imr_torch.gap.hypotheses import in_words
 from imr_torch.gap.text import CURVES, HIDDEN, VERDICT, Document, hidden_row, sections
-from imr_torch.html import render, write
+from imr_torch.html import render
 from imr_torch.material import PARAMETERS
 
 _CURVES = 6
@@ -76,7 +77,8 @@ def write_page(
         next_step=document["next_step"],
         footer=footer,
     )
-    return write(text, path)
+    write_bytes(path, text.encode())
+    return Path(path)
 
 
 def _gel(document: Document) -> tuple[tuple[str, ...], ...]:

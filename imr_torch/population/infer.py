@@ -129,7 +129,9 @@ def fit_shots(
             )
             if progress:
                 done = number * len(labels) + len(found)
-                progress(f"shots: {experiment.label}, {done}/{steps}, round {number + 1}")
+                text = f"shots: {experiment.label}, {done}/{steps}, round {number + 1}"
+                step = f"shots: {experiment.label}"
+                progress(ProgressLine(text, stage="shots", step=step, done=done, of=steps))
         fits = found
         if not last:
             current = share_noise(fits, law, simulator, widen=number + 1 == rounds)
@@ -140,7 +142,8 @@ def fit_shots(
         weighted.append(weigh(fit, simulator, seed=child(seed, "weigh", label), samples=samples))
         if progress:
             done = steps - len(labels) + len(weighted)
-            progress(f"draws: {label}, {done}/{steps}, {weighted[-1].fits[0].trust}")
+            text = f"draws: {label}, {done}/{steps}, {weighted[-1].fits[0].trust}"
+            progress(ProgressLine(text, step=f"draws: {label}", done=done, of=steps))
     return tuple(weighted)
 
 

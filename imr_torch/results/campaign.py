@@ -4,20 +4,16 @@ from again.
 
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any
 
 import torch
 
 from imr_torch.campaign import Campaign, PopulationLearner, Proposal
 from imr_torch.characterization.bands import band_document, predictive_band
-from imr_torch.files import drawn_numbers
+from imr_torch.files import Document, drawn_numbers
 from imr_torch.goodness import check_fit
 from imr_torch.material import Belief
 from imr_torch.material.model_belief import intervals
 from imr_torch.results.plot import design_document, search_document
-
-_REPEATS = 12  # curves of one experiment that are drawn
-_POINTS = 400  # of a predictive band
 
 
 def campaign_document(
@@ -26,7 +22,7 @@ def campaign_document(
     proposals: Sequence[Proposal] = (),
     stopped: str | None = None,
     truth: dict[str, float] | None = None,
-) -> dict[str, Any]:
+) -> Document:
     """JSON-ready state of a campaign.
 
     Args:
@@ -60,7 +56,7 @@ def campaign_document(
         "relative_error": {},
         "model_probabilities": belief.probabilities,
         "intervals": {
-            part.model: intervals(part) if population is None else _medians(population)
+            part.model: intervals(part) if population is None else _list_medians(population)
             for part in belief.models
         },
         "noise": vars(noise),
@@ -70,19 +66,19 @@ def campaign_document(
         "findings": [{"step": s.number} | asdict(s.finding) for s in campaign.steps if s.finding],
         "goal": "population" if isinstance(campaign.settings.learner, PopulationLearner) else "gel",
         "population": population,
-        "proposals": [_proposal(campaign, proposal) for proposal in proposals],
+        "proposals": [_document_proposal(campaign, proposal) for proposal in proposals],
         "stopped": stopped,
         "failed_shots": [
             {"step": event["step"], "file": event["label"], "reason": event["reason"]}
             for event in campaign.failures
         ],
         "fit_test": _fit_test(campaign),
-        "searches": _searches(campaign),
-        "curves": _curves(campaign),
+        "searches": _document_searches(campaign),
+        "curves": _document_curves(campaign),
     }
 
 
-def _fit_test(campaign: Campaign) -> dict[str, Any] | None:
+def _fit_test(campaign: Campaign) -> Document | None:
     """Whether the most probable model explains the curves, where the last step was made in this
     run.
     """
@@ -95,12 +91,12 @@ def _fit_test(campaign: Campaign) -> dict[str, Any] | None:
     return tested.to_dict() | {"sentence": tested.sentence(command)}
 
 
-def _medians(population: dict[str, Any]) -> dict[str, list[float]]:
+def _list_medians(population: Document) -> dict[str, list[float]]:
     """Intervals of the medians of a population."""
     return {name: entry["median"] for name, entry in population["parameters"].items()}
 
 
-def _without_cloud(belief: Belief) -> dict[str, Any]:
+def _without_cloud(belief: Belief) -> Document:
     """A belief as JSON without its draws, which its densities do not need."""
     document = belief.to_dict()
     return document | {
@@ -108,7 +104,7 @@ def _without_cloud(belief: Belief) -> dict[str, Any]:
     }
 
 
-def _proposal(campaign: Campaign, proposal: Proposal) -> dict[str, Any]:
+def _document_proposal(campaign: Campaign, proposal: Proposal) -> Document:
     surroundings = campaign.simulator.conditions.surroundings
     return {
         "step": proposal.step,
@@ -119,7 +115,7 @@ def _proposal(campaign: Campaign, proposal: Proposal) -> dict[str, Any]:
     } | design_document(proposal.design, surroundings)
 
 
-def _searches(campaign: Campaign) -> list[dict[str, Any]]:
+def _document_searches(campaign: Campaign) -> list[Document]:
     """Map, evaluated designs and chosen design of each step that was searched for."""
     surroundings = campaign.simulator.conditions.surroundings
     searches = ((number, campaign.search(number)) for number in range(1, campaign.told + 2))
@@ -130,7 +126,7 @@ def _searches(campaign: Campaign) -> list[dict[str, Any]]:
     ]
 
 
-def _curves(campaign: Campaign) -> list[dict[str, Any]]:
+def _document_curves(campaign: Campaign) -> list[Document]:
     """Curves of each experiment with the predictive band of the best model, where the last step was
     made in this run.
     """
@@ -142,7 +138,7 @@ def _curves(campaign: Campaign) -> list[dict[str, Any]]:
     shot = last.assimilation.batch.experiments
     ends = [(float(x.times[0]), float(x.times[-1])) for x in shot]
     drawn = torch.stack(
-        [torch.linspace(*end, _POINTS, dtype=torch.float64) for end in ends]
+        [torch.linspace(*end, 400, dtype=torch.float64) for end in ends]
     )  # frames do not show a collapse
     band = predictive_band(last.assimilation, last.belief, campaign.simulator, best, times=drawn)
     found = []
@@ -157,7 +153,7 @@ def _curves(campaign: Campaign) -> list[dict[str, Any]]:
                 "Rmax_m": size,
                 "time_scale_s": float(outer.time_scale(size)),
                 "t_star": experiment.times.tolist(),
-                "R_star": [drawn_numbers(row) for row in experiment.radius[:_REPEATS]],
+                "R_star": [drawn_numbers(row) for row in experiment.radius[:12]],
                 "repeats": experiment.repeats,
                 "band": band_document(best, drawn, band, e),
             }

@@ -3,7 +3,6 @@ are pale.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -17,23 +16,20 @@ from imr_torch.drawing import (
     MODEL,
     NOISE_BAND,
     PALE,
+    add_legend,
     add_lengths,
     axes_or_new,
     curve_panels,
     floats,
+    mark_zero,
 )
+from imr_torch.files import Document
 from imr_torch.labels import R_STAR, T_STAR, plain
 from imr_torch.material import material
 from imr_torch.results.plot import draw_curves, fill_band
 
-_FARTHER = 2.0  # fitted windows that a figure shows of a record
-_OTHERS = 0.02  # probability from which on the curve of another model is drawn
-_LAGS = 20
-_LEAST_SHOWN = 0.02  # probability that a cause must reach once
-_MARKERS = "osD^vP"  # of the causes that are drawn
 
-
-def radius_chart(document: Mapping[str, Any]) -> Axes:
+def radius_chart(document: Document) -> Axes:
     """The curve of a simulated bubble, in t* and R* with us and um as second axes."""
     ax = axes_or_new(None, (5.8, 3.6))
     ax.plot(document["t_star"], document["R_star"], color=MODEL, lw=1.5)
@@ -43,7 +39,7 @@ def radius_chart(document: Mapping[str, Any]) -> Axes:
     return ax
 
 
-def campaign_curve(curve: Mapping[str, Any]) -> Axes:
+def campaign_curve(curve: Document) -> Axes:
     """The curves of one experiment of a campaign with the predictive band."""
     ax = axes_or_new(None, (5.8, 3.8))
     draw_curves(ax, curve["t_star"], curve["R_star"], curve["band"])
@@ -52,7 +48,7 @@ def campaign_curve(curve: Mapping[str, Any]) -> Axes:
     return ax
 
 
-def curve_figure(curve: Mapping[str, Any], document: Mapping[str, Any]) -> Figure:
+def curve_figure(curve: Document, document: Document) -> Figure:
     """One measured curve with the fitted models, the predictive band, and the residuals below.
 
     Args:
@@ -60,7 +56,7 @@ def curve_figure(curve: Mapping[str, Any], document: Mapping[str, Any]) -> Figur
         document: the whole document.
     """
     figure, ax, below = curve_panels(curve["id"])
-    t, r, fitted = _measured(curve)
+    t, r, fitted = _measured_frames(curve)
     fill_band(ax, curve["band"])
     _plot_models(curve, document["model_probabilities"], ax)
     for chosen, color, label, order in (
@@ -74,53 +70,53 @@ def curve_figure(curve: Mapping[str, Any], document: Mapping[str, Any]) -> Figur
         shape.plot(t, floats(curve["measured"]["asphericity"]), "x", ms=3, color=CYCLE[1])
         shape.set_ylabel("asphericity $a/b - 1$", color=CYCLE[1])
     end = float(t[fitted].max())
-    last = min(float(t.max()), _FARTHER * end)
+    last = min(float(t.max()), 2.0 * end)  # as long again as the fitted window
     first = max(min(float(t.min()), 0.0), -0.25 * end)
     if hidden := int(((t > last + 1e-12) | (t < first - 1e-12)).sum()):
         text = f"{hidden} more frames not shown"
         ax.annotate(text, (0.99, 0.03), xycoords="axes fraction", ha="right", fontsize=7)
     margin = 0.02 * (last - first)
     ax.set(ylim=(0.0, 1.08 * max(1.0, float(r.max()))), xlim=(first - margin, last + margin))
-    ax.legend(frameon=False, fontsize=8, ncols=2, loc="upper right")
+    add_legend(ax, ncols=2, loc="upper right")
     if last > 1.02 * end:
         for panel in (ax, below):
             panel.axvspan(end, last + margin, color="#F4F4F4", lw=0, zorder=0)
     add_lengths(ax, curve["Rmax_m"], curve["time_scale_s"])
     left = floats(curve["models"][curve["band"]["model"]]["residual_over_sd"])
-    below.axhline(0.0, color=DATA, lw=0.6)
+    mark_zero(below)
     below.vlines(t[fitted], 0.0, left, color=MODEL, lw=0.8)
     below.plot(t[fitted], left, ".", ms=4, color=MODEL)
     return figure
 
 
-def _plot_models(curve: Mapping[str, Any], probabilities: Mapping[str, float], ax: Axes) -> None:
+def _plot_models(curve: Document, probabilities: Mapping[str, float], ax: Axes) -> None:
     """The most probable model, and dashed those that are not improbable."""
     colors = iter(CYCLE[1:])
     for key in sorted(curve["models"], key=lambda key: -probabilities[key]):
-        style: dict[str, Any] = {"color": MODEL, "lw": 1.5}
+        style: Document = {"color": MODEL, "lw": 1.5}
         if key != curve["band"]["model"]:
-            if probabilities[key] < _OTHERS:
+            if probabilities[key] < 0.02:  # too improbable to be drawn
                 continue
             style = {"color": next(colors, PALE), "lw": 1.0, "ls": "--"}
         times, radius = (floats(curve["models"][key][name]) for name in ("t_star", "R_star"))
         ax.plot(times, radius, label=material(key).title, zorder=3, **style)
 
 
-def residuals_figure(document: Mapping[str, Any]) -> Figure:
+def residuals_figure(document: Document) -> Figure:
     """Standardised residuals of the most probable model over t* and R*, their autocorrelation, and
     their quantiles.
     """
     figure, axes = plt.subplots(2, 2, figsize=(5.8, 5.0), layout="constrained")
     rows = []
     for curve in document["curves"]:
-        t, r, fitted = _measured(curve)
+        t, r, fitted = _measured_frames(curve)
         model = curve["models"][curve["band"]["model"]]
         predicted = r[fitted] - floats(model["residual"])
         rows.append((t[fitted], predicted, floats(model["residual_over_sd"])))
     for column, label in ((0, T_STAR), (1, f"{R_STAR} of the model")):
         ax = axes[0][column]
         ax.axhspan(-2.0, 2.0, **NOISE_BAND)
-        ax.axhline(0.0, color=DATA, lw=0.6)
+        mark_zero(ax)
         ax.set_prop_cycle(color=CYCLE)
         for row in rows:
             ax.plot(row[column], row[2], ".", ms=4, alpha=0.7)
@@ -134,17 +130,17 @@ def _plot_autocorrelation(
     rows: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], memory: float, ax: Axes
 ) -> None:
     """Autocorrelation over lags in frames, pooled over curves, with what the noise law assumes."""
-    count = min(_LAGS, max(len(row[0]) for row in rows) - 2)
-    values = np.zeros(count + 1)
-    pairs = np.ones(count + 1)
-    for lag in range(count + 1):
-        products = np.concatenate([z[lag:] * z[: max(len(z) - lag, 0)] for _, _, z in rows])
-        pairs[lag] = max(np.isfinite(products).sum(), 1)
-        values[lag] = np.nansum(products) / pairs[lag]
+    count = min(20, max(len(row[0]) for row in rows) - 2)
+    products = [
+        np.concatenate([z[lag:] * z[: max(len(z) - lag, 0)] for _, _, z in rows])
+        for lag in range(count + 1)
+    ]
+    pairs = np.array([max(np.isfinite(own).sum(), 1) for own in products])
+    values = np.array([np.nansum(own) for own in products]) / pairs
     values /= max(values[0], 1e-300)
     lags = np.arange(1, count + 1)
     width = 1.96 / np.sqrt(pairs[1:])
-    ax.axhline(0.0, color=DATA, lw=0.6)
+    mark_zero(ax)
     ax.fill_between(lags, -width, width, label="95 % if independent", **NOISE_BAND)
     ax.vlines(lags, 0.0, values[1:], color=MODEL, lw=1.2)
     ax.plot(lags, values[1:], ".", color=MODEL, ms=6, label="residuals")
@@ -153,7 +149,7 @@ def _plot_autocorrelation(
         assumed = f"noise law, {memory:.3g} in $t^*$"
         ax.plot(lags, np.exp(-lags * step / memory), color=CYCLE[1], ls="--", lw=1.2, label=assumed)
     ax.set(xlabel="lag (frames)", ylabel="autocorrelation", ylim=(-1.0, 1.05))
-    ax.legend(frameon=False, fontsize=7)
+    add_legend(ax, fontsize=7)
 
 
 def _plot_quantiles(values: np.ndarray, ax: Axes) -> None:
@@ -167,7 +163,7 @@ def _plot_quantiles(values: np.ndarray, ax: Axes) -> None:
     ax.set(xlabel="quantile of the standard normal", ylabel="residual / noise")
 
 
-def collapse_figure(document: Mapping[str, Any]) -> Figure:
+def collapse_figure(document: Document) -> Figure:
     """Measured less predicted collapse time of each shot, over its maximum radius and over its
     stretch.
 
@@ -185,33 +181,33 @@ def collapse_figure(document: Mapping[str, Any]) -> Figure:
         (axes[0], [1e6 * x["Rmax_m"] for x in shots], r"$R_\mathrm{max}$ (µm)"),
         (axes[1], [1.0 / x["R_inf*"] for x in shots], r"$R_\mathrm{max}/R_\infty$"),
     ):
-        ax.axhline(0.0, color=DATA, lw=0.6)
+        mark_zero(ax)
         ax.errorbar(values, left, sd, fmt=".", ms=5, color=MODEL, elinewidth=0.7)
         ax.set_xlabel(label)
     axes[0].set_ylabel(f"collapse time, measured less\nmodel ({T_STAR})")
     return figure
 
 
-def causes_chart(findings: Sequence[Mapping[str, Any]]) -> Axes:
+def causes_chart(findings: Sequence[Document]) -> Axes:
     """The probability of each cause after each experiment; a cross where no test found a gap."""
     ax = axes_or_new(None, (5.8, 3.6))
     steps = [found["step"] for found in findings]
     rows = [found["probabilities"] for found in findings]
     largest = {name: max(row.get(name, 0.0) for row in rows) for row in rows for name in row}
-    shown = sorted((n for n in largest if largest[n] >= _LEAST_SHOWN), key=lambda n: -largest[n])
-    for name, marker in zip(shown, _MARKERS, strict=False):
+    shown = sorted((n for n in largest if largest[n] >= 0.02), key=lambda n: -largest[n])
+    for name, marker in zip(shown, "osD^vP", strict=False):
         values = [row.get(name, 0.0) if row else np.nan for row in rows]
-        style: dict[str, Any] = {"ls": "--", "color": "0.5"} if name in ("none", "other") else {}
+        style: Document = {"ls": "--", "color": "0.5"} if name in ("none", "other") else {}
         label = plain(name.replace("_", " "))
         ax.plot(steps, values, marker=marker, ms=5, label=label, **style)
     without = [step for step, row in zip(steps, rows, strict=True) if not row]
     if without:
         ax.plot(without, np.zeros(len(without)), "kx", label="no gap found")
     ax.set(xlabel="experiments", ylabel="probability", ylim=(-0.03, 1.03), xticks=steps)
-    ax.legend(frameon=False, fontsize=8)
+    add_legend(ax)
     return ax
 
 
-def _measured(curve: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _measured_frames(curve: Document) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     seen = curve["measured"]
     return floats(seen["t_star"]), floats(seen["R_star"]), np.asarray(seen["fitted"], dtype=bool)

@@ -4,11 +4,12 @@
 each is drawn on its own, so that one that fails costs no other.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 
 from imr_torch.drawing import NamedFigure
 from imr_torch.errors import InputDataError, in_one_line
+from imr_torch.files import Document
 from imr_torch.gap.figures import gap_figures
 from imr_torch.labels import file_name
 from imr_torch.material import Belief, material
@@ -35,10 +36,8 @@ from imr_torch.results.plot import (
     plot_probabilities,
 )
 
-_STEPS = 3  # beliefs beside the prior in the figure of a parameter
 
-
-def draw_figures(document: Mapping[str, Any]) -> list[NamedFigure]:
+def draw_figures(document: Document) -> list[NamedFigure]:
     """The figures of a result document.
 
     Args:
@@ -69,7 +68,7 @@ def draw_figures(document: Mapping[str, Any]) -> list[NamedFigure]:
         ) from None
 
 
-def _characterization_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
+def _characterization_figures(document: Document) -> Iterator[NamedFigure]:
     if not document["curves"] and not document.get("collapse_times"):
         raise ValueError("curves is empty")
     for curve in document["curves"]:
@@ -80,7 +79,7 @@ def _characterization_figures(document: Mapping[str, Any]) -> Iterator[NamedFigu
             f"noise (grey: up to 2). {frames['fitted']} of {frames['recorded']} frames were "
             "fitted; the others are pale.",
             f"Line chart of radius over time of {curve['id']} with its residuals.",
-            lambda curve=curve: curve_figure(curve, document),
+            partial(curve_figure, curve, document),
         )
     if document["curves"]:
         yield NamedFigure(
@@ -88,7 +87,7 @@ def _characterization_figures(document: Mapping[str, Any]) -> Iterator[NamedFigu
             "Residuals over the noise of the fit: over time, over radius, their autocorrelation "
             "and their quantiles. A model that explains the curves leaves no pattern.",
             "Four charts of standardised residuals.",
-            lambda: residuals_figure(document),
+            partial(residuals_figure, document),
         )
     if document.get("record"):
         yield named_record_figure(document["record"])
@@ -99,7 +98,7 @@ def _characterization_figures(document: Mapping[str, Any]) -> Iterator[NamedFigu
             "model, over maximum radius and stretch; bars: its error with the estimated scatter. A "
             "model that explains them leaves no trend.",
             "Two scatter charts of the residuals of collapse times.",
-            lambda: collapse_figure(document),
+            partial(collapse_figure, document),
         )
     prior, belief = (Belief.from_dict(document[name]) for name in ("prior", "belief"))
     chances = document["model_probabilities"]
@@ -110,9 +109,7 @@ def _characterization_figures(document: Mapping[str, Any]) -> Iterator[NamedFigu
             f"parameter_{name}",
             f"Density of {name} before and after the data.",
             f"Line chart of the densities of {name}.",
-            lambda name=name: plot_parameter(
-                (("prior", prior[best]), ("posterior", belief[best])), name
-            ),
+            partial(plot_parameter, (("prior", prior[best]), ("posterior", belief[best])), name),
         )
     if len(names) > 1:
         yield NamedFigure(
@@ -120,7 +117,7 @@ def _characterization_figures(document: Mapping[str, Any]) -> Iterator[NamedFigu
             f"Posterior of the parameters of {material(best).title} together; contours hold 50 % "
             "and 90 %.",
             "Scatter plots of every pair of parameters.",
-            lambda: draw_parameters(belief[best]),
+            partial(draw_parameters, belief[best]),
         )
     for key, found in (document.get("profiles") or {}).items():
         if document["models"][key] and found:
@@ -131,7 +128,7 @@ def _characterization_figures(document: Mapping[str, Any]) -> Iterator[NamedFigu
                 "posterior and prior. Below the dashed line: 95 %. A side on which it stays below "
                 "is open: the data do not bound the parameter there.",
                 f"Line charts of the profile likelihood of {', '.join(found)}.",
-                lambda key=key: profile_figure(document, key),
+                partial(profile_figure, document, key),
             )
     yield from _population_figures(document)
     if len(belief.keys) > 1:
@@ -139,30 +136,30 @@ def _characterization_figures(document: Mapping[str, Any]) -> Iterator[NamedFigu
             "models",
             "Probability of each model before and after the data.",
             "Bar chart of model probabilities.",
-            lambda: plot_probabilities((("prior", prior), ("posterior", belief))),
+            partial(plot_probabilities, (("prior", prior), ("posterior", belief))),
         )
 
 
-def _population_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
+def _population_figures(document: Document) -> Iterator[NamedFigure]:
     if document.get("population"):
         yield NamedFigure(
             "population",
             "Each shot alone (grey) and given all shots (blue), 90 % intervals; line and band: the "
             "median of all; dotted: 90 % of the shots to come.",
             "Interval charts of every parameter by shot, beside the population's median.",
-            lambda: population_figure(document["population"]),
+            partial(population_figure, document["population"]),
         )
 
 
-def _campaign_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
+def _campaign_figures(document: Document) -> Iterator[NamedFigure]:
     """Model probabilities and parameters step by step, the maps of the searches, and the curves."""
-    findings = document.get("findings")
-    if any(found["probabilities"] for found in findings or ()):
+    findings = document.get("findings") or []
+    if any(found["probabilities"] for found in findings):
         yield NamedFigure(
             "causes",
             "Probability of each cause of the gap after each experiment.",
             "Line chart of the probabilities of the causes over the number of experiments.",
-            lambda: causes_chart(document["findings"]),
+            partial(causes_chart, findings),
         )
     yield from _population_figures(document)
     history = [(step["label"], Belief.from_dict(step["belief"])) for step in document["history"]]
@@ -174,16 +171,17 @@ def _campaign_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
             "models",
             "Probability of each model before the first experiment and after each.",
             "Bar chart of model probabilities.",
-            lambda: plot_probabilities(history),
+            partial(plot_probabilities, history),
         )
-    shown = [(label, belief[best.model]) for label, belief in (history[0], *history[1:][-_STEPS:])]
+    # of a parameter the prior and the last three beliefs
+    shown = [(label, belief[best.model]) for label, belief in (history[0], *history[1:][-3:])]
     for name in best.names:
         yield NamedFigure(
             f"parameter_{name}",
             f"Density of {name} before the first experiment and after the last ones."
             + " Dashed: the truth." * (name in truth),
             f"Line chart of the densities of {name}.",
-            lambda name=name: plot_parameter(shown, name, truth=truth.get(name)),
+            partial(plot_parameter, shown, name, truth=truth.get(name)),
         )
     for search in document["searches"]:
         yield NamedFigure(
@@ -192,7 +190,7 @@ def _campaign_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
             "was chosen.",
             f"Map over We and R_inf/Rmax; chosen is We {search['design']['We']:.0f}, "
             f"{search['design']['R_inf*']:.3f}.",
-            lambda search=search: draw_information(search),
+            partial(draw_information, search),
         )
     for curve in document["curves"]:
         yield NamedFigure(
@@ -200,47 +198,47 @@ def _campaign_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
             f"Experiment {curve['number']} ({curve['id']}): {curve['repeats']} curve(s), and the "
             f"90 % predictive band of {material(curve['band']['model']).title}.",
             f"Line chart of radius over time of experiment {curve['number']}.",
-            lambda curve=curve: campaign_curve(curve),
+            partial(campaign_curve, curve),
         )
 
 
-def _design_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
+def _design_figures(document: Document) -> Iterator[NamedFigure]:
     for number, step in enumerate([document, *document.get("further", ())], start=1):
         design = step["design"]
         yield NamedFigure(
             "information" if number == 1 else f"information_{number}",
             "Expected information gain over designs; dots: evaluated, star: chosen.",
             f"Map; the star is at We {design['We']:.0f}, R_inf* {design['R_inf*']:.3f}.",
-            lambda step=step: draw_information(step),
+            partial(draw_information, step),
         )
 
 
-def _simulation_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
-    draw = lambda: radius_chart(document)  # noqa: E731
+def _simulation_figures(document: Document) -> Iterator[NamedFigure]:
+    draw = partial(radius_chart, document)
     yield NamedFigure("radius", "Radius over time.", "Line chart of R over t.", draw)
 
 
-def _shots_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
+def _shots_figures(document: Document) -> Iterator[NamedFigure]:
     rows = document["shots"]
     for name in parameters_of(rows):
         yield NamedFigure(
             f"shots_{name}",
             f"{name} of each shot with its 90 % interval; dashed: the median of those to be quoted.",
             f"{name} of each shot with its 90 % interval; the table gives the numbers.",
-            lambda name=name: plot_shots(rows, name),
+            partial(plot_shots, rows, name),
         )
 
 
-def _compared_figures(document: Mapping[str, Any]) -> Iterator[NamedFigure]:
+def _compared_figures(document: Document) -> Iterator[NamedFigure]:
     yield NamedFigure(
         "ratios",
         f"Each parameter of {document['a']} over that of {document['b']}, with its 90 % interval.",
         "Interval chart of the ratios; the table gives the numbers.",
-        lambda: plot_ratios(document),
+        partial(plot_ratios, document),
     )
 
 
-_KINDS: tuple[tuple[set[str], Callable[[Mapping[str, Any]], Iterable[NamedFigure]]], ...] = (
+_KINDS: tuple[tuple[set[str], Callable[[Document], Iterable[NamedFigure]]], ...] = (
     ({"history", "searches"}, _campaign_figures),
     ({"curves", "belief"}, _characterization_figures),
     ({"curves", "verdict"}, gap_figures),

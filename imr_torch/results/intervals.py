@@ -2,8 +2,7 @@
 gels, and profile likelihoods.
 """
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -23,17 +22,18 @@ from imr_torch.drawing import (
     floats,
     set_scale,
 )
+from imr_torch.files import Document
 from imr_torch.labels import parameter_label, plain, symbol
 from imr_torch.material import PARAMETERS, Belief, ModelBelief
 
-_NAMED = 40  # shots whose names stand beside a plot in full size
-_NARROW = 5.0  # ratio of the ends of an axis of ratios or shots from which on it is logarithmic
-_TOP = 4.2  # nats of a profile that are drawn
-_COLUMNS = 2
-_REACH = 3.0  # standard deviations of the posterior that are drawn
+MANY_SHOTS = 40
+"""Shots from which on their names do not fit beside a plot in full size."""
+
+NARROW = 5.0
+"""Ratio of the ends of an axis of ratios or shots from which on it is logarithmic."""
 
 
-def usable(row: Mapping[str, Any]) -> bool:
+def is_usable(row: Document) -> bool:
     """Whether the intervals of a shot may be quoted: its fit converged, its intervals are reliable,
     and the model explains its curves or that was not tested.
     """
@@ -44,12 +44,12 @@ def usable(row: Mapping[str, Any]) -> bool:
     )
 
 
-def parameters_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+def parameters_of(rows: Sequence[Document]) -> list[str]:
     """Parameters that some shot has."""
     return [name for name in PARAMETERS.names if any(row.get(name) is not None for row in rows)]
 
 
-def plot_shots(rows: Sequence[Mapping[str, Any]], name: str, *, ax: Axes | None = None) -> Axes:
+def plot_shots(rows: Sequence[Document], name: str, *, ax: Axes | None = None) -> Axes:
     """A parameter with its 90 % interval over the shots that have it; those that are not to be
     quoted are orange.
 
@@ -62,7 +62,7 @@ def plot_shots(rows: Sequence[Mapping[str, Any]], name: str, *, ax: Axes | None 
     rows = [row for row in rows if row.get(name) is not None]
     ax = axes_or_new(ax, (min(4.0 + 0.22 * len(rows), 12.0), 3.4))
     values = scale * floats([[row[f"{name}_low"], row[name], row[f"{name}_high"]] for row in rows])
-    good = np.array([usable(row) for row in rows])
+    good = np.array([is_usable(row) for row in rows])
     places = np.arange(len(rows))
     for color, chosen in ((MODEL, good), (TRUTH, ~good)):
         style = {"ms": 4, "capsize": 2, "color": color}
@@ -71,15 +71,15 @@ def plot_shots(rows: Sequence[Mapping[str, Any]], name: str, *, ax: Axes | None 
     if len(quoted) > 1:
         ax.axhline(np.median(quoted), color=DATA, lw=1, ls="--")
     if len(quoted):
-        set_scale(ax, "y", quoted.min(), quoted.max(), ratio=_NARROW)
-    if len(rows) <= _NAMED:
+        set_scale(ax, "y", quoted.min(), quoted.max(), ratio=NARROW)
+    if len(rows) <= MANY_SHOTS:
         names = [plain(row["shot"]) for row in rows]
         ax.set_xticks(places, names, rotation=60, ha="right", fontsize=7)
     ax.set(xlabel="shot", ylabel=parameter_label(PARAMETERS[name]))
     return ax
 
 
-def plot_ratios(document: Mapping[str, Any]) -> Axes:
+def plot_ratios(document: Document) -> Axes:
     """Ratio of every parameter of two gels with its 90 % interval.
 
     Args:
@@ -92,12 +92,12 @@ def plot_ratios(document: Mapping[str, Any]) -> Axes:
     draw_intervals(ax, places, values, capsize=3, color=MODEL)
     ax.axvline(1.0, color=DATA, lw=0.8, ls="--")
     ax.set_yticks(places, [symbol(row["parameter"]) for row in rows])
-    set_scale(ax, "x", values.min(), values.max(), ratio=_NARROW)
+    set_scale(ax, "x", values.min(), values.max(), ratio=NARROW)
     ax.set(xlabel="a / b", ylim=(len(rows) - 0.5, -0.5))
     return ax
 
 
-def population_figure(found: Mapping[str, Any]) -> Figure:
+def population_figure(found: Document) -> Figure:
     """Every shot alone and given all, a panel a parameter, beside the population's median and the
     shots to come.
 
@@ -128,18 +128,18 @@ def population_figure(found: Mapping[str, Any]) -> Figure:
             style = {"color": dot, "ecolor": line, "elinewidth": width, "ms": 3.5}
             draw_intervals(ax, np.arange(len(shots)) + shift, values, **style)
             ends += [values.min(), values.max()]
-        set_scale(ax, "x", min(ends), max(ends), ratio=_NARROW)
+        set_scale(ax, "x", min(ends), max(ends), ratio=NARROW)
         ax.set_xlabel(parameter_label(PARAMETERS[name]))
         if "scatter" in entry:
             title = "scatter {1:.2f} ({0:.2f} to {2:.2f})".format(*entry["scatter"])
             ax.set_title(title, fontsize=9)
     labels = [plain(shot["id"], 24) for shot in shots]
-    axes[0, 0].set_yticks(range(len(shots)), labels, fontsize=8 if len(shots) <= _NAMED else 5)
+    axes[0, 0].set_yticks(range(len(shots)), labels, fontsize=8 if len(shots) <= MANY_SHOTS else 5)
     axes[0, 0].set_ylim(len(shots) - 0.5, -0.5)
     return figure
 
 
-def profile_figure(document: Mapping[str, Any], key: str) -> Figure:
+def profile_figure(document: Document, key: str) -> Figure:
     """The profile likelihoods of the parameters of one model, a panel a parameter.
 
     Args:
@@ -148,7 +148,7 @@ def profile_figure(document: Mapping[str, Any], key: str) -> Figure:
     """
     found = document["profiles"][key]
     prior, posterior = (Belief.from_dict(document[name])[key] for name in ("prior", "belief"))
-    columns = min(_COLUMNS, len(found))
+    columns = min(2, len(found))
     rows = -(-len(found) // columns)
     size = (0.6 + 2.7 * columns, 0.9 + 2.3 * rows)
     figure, axes = plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False)
@@ -169,13 +169,13 @@ def profile_figure(document: Mapping[str, Any], key: str) -> Figure:
 
 
 def _plot_profile(
-    ax: Axes, name: str, entry: Mapping[str, Any], prior: ModelBelief, posterior: ModelBelief
+    ax: Axes, name: str, entry: Document, prior: ModelBelief, posterior: ModelBelief
 ) -> None:
     """The profile of one parameter, with the line of 95 % and what posterior and prior would lose."""
     scale = PARAMETERS[name].display_scale
     values = scale * floats(entry["values"])
     lost = floats(entry["nats_lost"])
-    z = torch.linspace(-_REACH, _REACH, 121, dtype=torch.float64)
+    z = torch.linspace(-3.0, 3.0, 121, dtype=torch.float64)
     believed, learnt = (
         scale * part.quantile(torch.special.ndtr(z))[:, part.names.index(name)].numpy()
         for part in (prior, posterior)
@@ -186,26 +186,22 @@ def _plot_profile(
     ax.axhline(FALL, color=DATA, ls="--", lw=1.0, label="95 %")
     for at, color, label in ((believed, PALE, "prior"), (learnt, SECOND, "posterior")):
         ax.plot(at, 0.5 * z.square(), color=color, lw=1.2, label=label)
-    ax.plot(*_between(values, lost, wide), color=MODEL, lw=1.4, label="profile", zorder=3)
+    ax.plot(
+        *_interpolate_profile(values, lost, wide), color=MODEL, lw=1.4, label="profile", zorder=3
+    )
     for x, y, converged in zip(values, lost, entry["converged"], strict=True):
-        ax.plot(
-            x,
-            y,
-            "o",
-            ms=3 if converged else 4.5,
-            mfc=MODEL if converged else "white",
-            mec=MODEL,
-            zorder=4,
-        )
-    lower, upper = entry["limits_95"]
-    for limit in (lower, upper):
+        dot = {"ms": 3, "mfc": MODEL} if converged else {"ms": 4.5, "mfc": "white"}
+        ax.plot(x, y, "o", mec=MODEL, zorder=4, **dot)
+    for limit in entry["limits_95"]:
         if limit is not None:
             ax.vlines(scale * limit, 0.0, FALL, color=MODEL, lw=0.9, ls=":")
-    ax.set(xlim=(low, high), ylim=(0.0, _TOP), xlabel=parameter_label(PARAMETERS[name]))
+    ax.set(xlim=(low, high), ylim=(0.0, 4.2), xlabel=parameter_label(PARAMETERS[name]))
     ax.set_title("bounded " + entry["bounded"], fontsize=9)
 
 
-def _between(values: np.ndarray, lost: np.ndarray, wide: bool) -> tuple[np.ndarray, np.ndarray]:
+def _interpolate_profile(
+    values: np.ndarray, lost: np.ndarray, wide: bool
+) -> tuple[np.ndarray, np.ndarray]:
     """Points of a smooth line: the root of the nats lost, signed by the side, is nearly straight
     between fits.
     """

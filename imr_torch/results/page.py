@@ -2,7 +2,7 @@
 and the figures that are drawn from it.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +12,14 @@ from imr_torch import gap
 from imr_torch.assimilate.spikes import spoilt_sentence
 from imr_torch.drawing import NamedFigure
 from imr_torch.errors import InputDataError, in_one_line
-from imr_torch.html import render, write
+from imr_torch.files import Document, write_bytes
+from imr_torch.html import render
 from imr_torch.labels import model_probability
 from imr_torch.material import PARAMETERS, material
 from imr_torch.observe import Noise, noise_sentences
 from imr_torch.population import BayesFactor
 from imr_torch.results.figures import draw_figures
-from imr_torch.results.intervals import parameters_of, usable
+from imr_torch.results.intervals import is_usable, parameters_of
 from imr_torch.select import Bound
 
 TITLES = {
@@ -31,7 +32,7 @@ TITLES = {
 """Results that have a report and a page, and the title of the page."""
 
 
-def document_report(document: Mapping[str, Any]) -> str:
+def document_report(document: Document) -> str:
     """A result as text.
 
     Args:
@@ -43,10 +44,10 @@ def document_report(document: Mapping[str, Any]) -> str:
     Shoot We = 400, R_inf* = 0.200 (Rmax = 570 um, R_inf = 114 um)
     expected information gain 3.200 +- 0.100 nats
     """
-    return _filled(f"{_kind(document)}.txt", **_names(document)).strip("\n")
+    return _fill_template(f"{_kind_of(document)}.txt", **_list_names(document)).strip("\n")
 
 
-def document_page(document: Mapping[str, Any], *, title: str = "", report: str = "") -> str:
+def document_page(document: Document, *, title: str = "", report: str = "") -> str:
     """A result as a page of HTML, with its figures.
 
     Args:
@@ -64,22 +65,22 @@ def document_page(document: Mapping[str, Any], *, title: str = "", report: str =
     >>> "Shoot We 400, R_inf* 0.200: Rmax 570 um, R_inf 114 um" in document_page(document)
     True
     """
-    kind = _kind(document)
-    names = _names(document)
-    return _filled(
+    kind = _kind_of(document)
+    names = _list_names(document)
+    return _fill_template(
         f"{kind}.html",
         **names,
-        title=title or TITLES[kind].format(files=_files(document) or "the given curves"),
-        drawn=_drawn(draw_figures(document) if document.get("map", True) else ()),
-        report=report or _filled(f"{kind}.txt", **names),
-        footer=footer(document),
+        title=title or TITLES[kind].format(files=_name_files(document) or "the given curves"),
+        drawn=_draw_pictures(draw_figures(document) if document.get("map", True) else ()),
+        report=report or _fill_template(f"{kind}.txt", **names),
+        footer=footer_line(document),
         provenance_rows=provenance_rows(document),
         warning=False,
         next_step="",
     )
 
 
-def write_page(document: Mapping[str, Any], path: str | Path, *, report: str = "") -> None:
+def write_page(document: Document, path: str | Path, *, report: str = "") -> None:
     """Write a result as a page of HTML, atomically, and say so.
 
     Args:
@@ -99,13 +100,13 @@ def write_page(document: Mapping[str, Any], path: str | Path, *, report: str = "
         moved = document.get("medium_sensitivities", ())
         facts = [("What was not stated", found["sentence"]) for found in moved]
         facts = [*provenance_rows(document), *facts]
-        gap.write_page(document, path, facts=facts, footer=footer(document))
+        gap.write_page(document, path, facts=facts, footer=footer_line(document))
     else:
-        write(document_page(document, report=report), path)
+        write_bytes(path, document_page(document, report=report).encode())
     print(f"wrote {path}")
 
 
-def _filled(template: str, **names: Any) -> str:
+def _fill_template(template: str, **names: Any) -> str:
     """A template filled in; what the document lacks is named."""
     try:
         return render(template, **names)
@@ -115,7 +116,7 @@ def _filled(template: str, **names: Any) -> str:
         ) from None
 
 
-def _kind(document: Mapping[str, Any]) -> str:
+def _kind_of(document: Document) -> str:
     kind = str(document.get("schema", {}).get("name", "")).removeprefix("imr_torch ")
     if kind not in TITLES:
         raise InputDataError(
@@ -125,7 +126,7 @@ def _kind(document: Mapping[str, Any]) -> str:
     return kind
 
 
-def _names(document: Mapping[str, Any]) -> dict[str, Any]:
+def _list_names(document: Document) -> Document:
     """What templates may use: the document, what is read off it, and the words for its numbers."""
     chances = document.get("model_probabilities")
     return {
@@ -141,12 +142,12 @@ def _names(document: Mapping[str, Any]) -> dict[str, Any]:
         "spoilt_sentence": spoilt_sentence,
         "BayesFactor": BayesFactor,
         "Noise": Noise,
-        "usable": usable,
+        "usable": is_usable,
         "document_parameters": parameters_of(document.get("shots", ())),
     }
 
 
-def _drawn(figures: Iterable[NamedFigure]) -> dict[str, list[Any]]:
+def _draw_pictures(figures: Iterable[NamedFigure]) -> dict[str, list[Any]]:
     """Figures as pictures of a page, and a sentence for each that could not be drawn."""
     pictures = []
     failed = []
@@ -161,7 +162,7 @@ def _drawn(figures: Iterable[NamedFigure]) -> dict[str, list[Any]]:
     return {"pictures": pictures, "failed": failed}
 
 
-def provenance_rows(document: Mapping[str, Any]) -> list[tuple[str, str]]:
+def provenance_rows(document: Document) -> list[tuple[str, str]]:
     """Files with their hashes, medium, software, date and command: names and values."""
     rows = [
         (entry["name"], f"{entry['bytes']} bytes, SHA-256 {entry['sha256']}")
@@ -175,7 +176,7 @@ def provenance_rows(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     return [*rows, ("Command", document["command"])] if document.get("command") else rows
 
 
-def footer(document: Mapping[str, Any]) -> str:
+def footer_line(document: Document) -> str:
     """Software, version, date and files in one line."""
     if "software" not in document:
         return ""
@@ -184,6 +185,6 @@ def footer(document: Mapping[str, Any]) -> str:
     return f"{made}, from {names}" if names else made
 
 
-def _files(document: Mapping[str, Any]) -> str:
+def _name_files(document: Document) -> str:
     names = [entry["name"] for entry in document.get("files", ())]
     return ", ".join(name for name in names if not name.endswith(".json"))

@@ -26,10 +26,12 @@ from imr_torch.drawing import (
     SECOND,
     TRUTH,
     add_axis,
+    add_legend,
     axes_or_new,
     floats,
     set_scale,
 )
+from imr_torch.files import Document
 from imr_torch.labels import (
     R_STAR,
     REST_RADIUS,
@@ -43,11 +45,6 @@ from imr_torch.material import PARAMETERS, Belief, ModelBelief
 from imr_torch.simulate import Solution
 from imr_torch.units import Surroundings
 
-_CURVES_SHOWN = 12
-_LINE = 0.06  # part of an axis below which a density is a line, and is drawn again in an inset
-_DRAWS = 1500  # of a joint plot
-_GRID = 60
-_SMOOTH = 1.5  # times the width of Scott's rule, so that contours of draws are no coast lines
 _LEVELS = torch.linspace(0.002, 0.998, 400, dtype=torch.float64)  # of a density
 
 
@@ -61,11 +58,11 @@ def plot_solution(
         ax.plot(times, radius, lw=1.5, label=plain(labels[i]) if labels else None)
     ax.set(xlabel=T_STAR, ylabel=R_STAR, ylim=(0.0, None))
     if labels:
-        ax.legend(frameon=False, fontsize=8)
+        add_legend(ax)
     return ax
 
 
-def draw_curves(ax: Axes, times: Any, curves: Any, band: Mapping[str, Any] | None = None) -> None:
+def draw_curves(ax: Axes, times: Any, curves: Any, band: Document | None = None) -> None:
     """Draw repeated curves of one experiment and, if given, the predictive band.
 
     Args:
@@ -75,16 +72,16 @@ def draw_curves(ax: Axes, times: Any, curves: Any, band: Mapping[str, Any] | Non
         band: ``t_star``, ``low``, ``median`` and ``high``.
     """
     alpha = 0.5 if len(curves) == 1 else 0.15
-    ax.plot(times, floats(curves[:_CURVES_SHOWN]).T, ".", ms=3, color=DATA, alpha=alpha)
+    ax.plot(times, floats(curves[:12]).T, ".", ms=3, color=DATA, alpha=alpha)
     if band is not None:
         fill_band(ax, band)
         at, median = floats(band["t_star"]), floats(band["median"])
         ax.plot(at, median, color=MODEL, lw=1.5, label="median")
-        ax.legend(frameon=False, fontsize=8)
+        add_legend(ax)
     ax.set(xlabel=T_STAR, ylabel=R_STAR, ylim=(0.0, None))
 
 
-def fill_band(ax: Axes, band: Mapping[str, Any]) -> None:
+def fill_band(ax: Axes, band: Document) -> None:
     """Draw a 90 % predictive band: ``t_star``, ``low`` and ``high``."""
     times, low, high = (floats(band[name]) for name in ("t_star", "low", "high"))
     ax.fill_between(times, low, high, color=MODEL, alpha=0.22, lw=0, label="90 % predictive")
@@ -113,17 +110,17 @@ def plot_parameter(
     logarithmic = set_scale(ax, "x", low, high)
     colors = (SECOND, MODEL, TRUTH, DATA)
     for (label, _), values, color in zip(beliefs, rows, colors, strict=False):
-        ax.plot(*_density(values, logarithmic), color=color, label=plain(label))
+        ax.plot(*_scale_density(values, logarithmic), color=color, label=plain(label))
     ax.set(yticks=[], ylabel="density (scaled)", xlabel=parameter_label(entry), ylim=(0.0, 1.45))
-    ax.legend(frameon=False, fontsize=8, loc="upper left", ncols=2)
+    add_legend(ax, loc="upper left", ncols=2)
     last = rows[-1]
     panels = [ax]
     ends = torch.stack((last[0], last[-1], torch.tensor(low), torch.tensor(high)))
     first, final, left, right = (ends.log() if logarithmic else ends).tolist()
-    if final - first < _LINE * (right - left):
+    if final - first < 0.06 * (right - left):  # a line, which is drawn again in an inset
         on_the_right = 0.5 * (first + final) > 0.5 * (left + right)
         inset = ax.inset_axes((0.08 if on_the_right else 0.62, 0.36, 0.32, 0.36))
-        inset.plot(*_density(last, False), color=colors[len(rows) - 1])
+        inset.plot(*_scale_density(last, False), color=colors[len(rows) - 1])
         inset.set(yticks=[], ylim=(0.0, 1.1), xlim=(float(last[0]), float(last[-1])))
         inset.locator_params(axis="x", nbins=2)
         inset.tick_params(labelsize=7)
@@ -134,7 +131,7 @@ def plot_parameter(
     return ax
 
 
-def _density(values: Tensor, logarithmic: bool) -> tuple[Tensor, Tensor]:
+def _scale_density(values: Tensor, logarithmic: bool) -> tuple[Tensor, Tensor]:
     """Points of a density, at most 1, from its quantiles.
 
     Of the logarithm of the parameter on a logarithmic axis.
@@ -145,12 +142,13 @@ def _density(values: Tensor, logarithmic: bool) -> tuple[Tensor, Tensor]:
     return (middle.exp() if logarithmic else middle), density / density.max()
 
 
-def draw_parameters(belief: ModelBelief, *, seed: int = 0) -> Figure:
+def draw_parameters(belief: ModelBelief, *, draws: int = 1500, seed: int = 0) -> Figure:
     """Joint plot of the parameters of a belief: a density of each, and draws with contours of every
     pair.
 
     Args:
         belief: of one model.
+        draws: how many are shown.
         seed: of the draws.
     """
     names = belief.names
@@ -164,7 +162,7 @@ def draw_parameters(belief: ModelBelief, *, seed: int = 0) -> Figure:
     )
     labels = [parameter_label(PARAMETERS[name]) for name in names]
     scales = torch.tensor([PARAMETERS[name].display_scale for name in names], dtype=torch.float64)
-    draws = belief.physical(belief.controls(_DRAWS, seed=seed)) * scales
+    drawn = belief.physical(belief.controls(draws, seed=seed)) * scales
     spans = (belief.quantile(_LEVELS) * scales).mT
     intervals = (belief.quantile([0.05, 0.5, 0.95]) * scales).mT.tolist()
     for (i, j), ax in np.ndenumerate(axes):
@@ -175,13 +173,13 @@ def draw_parameters(belief: ModelBelief, *, seed: int = 0) -> Figure:
         wide = set_scale(ax, "x", first, last)
         if i == j:
             low, middle, high = intervals[j]
-            ax.plot(*_density(spans[j], wide), color=MODEL)
+            ax.plot(*_scale_density(spans[j], wide), color=MODEL)
             ax.axvspan(low, high, color=MODEL, alpha=0.12, lw=0)
             ax.set(yticks=[], ylim=(0.0, 1.1))
             title = f"{symbol(names[j])} = {middle:.3g} ({low:.3g} to {high:.3g})"
             ax.set_title(title, fontsize=8)
         else:
-            _plot_pair(ax, draws[:, j], draws[:, i])
+            _plot_pair(ax, drawn[:, j], drawn[:, i])
             bottom, top = spans[i, [0, -1]].tolist()
             set_scale(ax, "y", bottom, top)
             ax.set(ylim=(bottom, top), ylabel=labels[i] if j == 0 else "")
@@ -193,10 +191,11 @@ def _plot_pair(ax: Axes, x: Tensor, y: Tensor) -> None:
     """Draws of two parameters with smoothed contours that hold half and nine tenths of them."""
     ax.plot(x, y, ".", ms=1.5, color=MODEL, alpha=0.25)
     points = torch.stack((x, y)).numpy()
-    density = gaussian_kde(points, bw_method=_SMOOTH * len(x) ** (-1.0 / 6.0))
+    # 1.5 times the width of Scott's rule, so that contours of draws are no coast lines
+    density = gaussian_kde(points, bw_method=1.5 * len(x) ** (-1.0 / 6.0))
     levels = np.quantile(density(points), (0.1, 0.5))
-    grid = np.meshgrid(*np.linspace(points.min(1), points.max(1), _GRID).T)
-    height = density(np.reshape(grid, (2, -1))).reshape(_GRID, _GRID)
+    grid = np.array(np.meshgrid(*np.linspace(points.min(1), points.max(1), 60).T))
+    height = density(grid.reshape(2, -1)).reshape(grid.shape[1:])
     ax.contour(*grid, height, levels=levels, colors=[DATA], linewidths=0.9)
 
 
@@ -213,11 +212,11 @@ def plot_probabilities(beliefs: Sequence[tuple[str, Belief]], *, ax: Axes | None
         ax.bar(at, heights, width, color=CYCLE[i % len(CYCLE)], label=label)
     ax.set_xticks(places, [plain(label) for label, _ in beliefs])
     ax.set(ylim=(0, 1.02), ylabel="probability")
-    ax.legend(frameon=False, fontsize=8)
+    add_legend(ax)
     return ax
 
 
-def search_document(search: DesignSearch, surroundings: Surroundings) -> dict[str, Any]:
+def search_document(search: DesignSearch, surroundings: Surroundings) -> Document:
     """A search for a design, JSON-ready: the chosen design, the evaluated ones with their gains, and
     the map of the surrogate's expected information gain (We, R_inf*, and rows of nats over We).
 
@@ -243,15 +242,13 @@ def design_document(design: Float[Tensor, "2"], surroundings: Surroundings) -> d
     return {"We": weber, "R_inf*": rest, "Rmax_m": size, "R_inf_m": rest * size}
 
 
-def _information_map(search: DesignSearch) -> dict[str, Any]:
-    low, high = search.optimizer.space.bounds
-    weber, rest = (
-        torch.linspace(float(low[i]), float(high[i]), _GRID, dtype=torch.float64) for i in (0, 1)
-    )
+def _information_map(search: DesignSearch) -> Document:
+    bounds = search.optimizer.space.bounds.mT.tolist()
+    weber, rest = (torch.linspace(low, high, 60, dtype=torch.float64) for low, high in bounds)
     grid = torch.stack(torch.meshgrid(weber, rest, indexing="xy"), dim=-1)
     model = search.optimizer.model()
     with torch.no_grad():
-        mean = model.posterior(grid.reshape(-1, 2)).mean.reshape(_GRID, _GRID)
+        mean = model.posterior(grid.reshape(-1, 2)).mean.reshape(grid.shape[:2])
     return {"We": weber.tolist(), "R_inf*": rest.tolist(), "nats": mean.tolist()}
 
 
@@ -270,7 +267,7 @@ def plot_information(
     return draw_information(search_document(search, surroundings or Surroundings()), ax=ax)
 
 
-def draw_information(found: Mapping[str, Any], *, ax: Axes | None = None) -> Axes:
+def draw_information(found: Document, *, ax: Axes | None = None) -> Axes:
     """The same from the numbers of a result document.
 
     Args:
@@ -292,7 +289,7 @@ def draw_information(found: Mapping[str, Any], *, ax: Axes | None = None) -> Axe
     ax.use_sticky_edges = False
     ax.set(xlabel=WEBER, ylabel=REST_RADIUS)
     below = {"loc": "upper left", "bbox_to_anchor": (0.0, -0.16), "borderaxespad": 0.0}
-    ax.legend(frameon=False, fontsize=8, ncols=2, **below)
+    add_legend(ax, ncols=2, **below)
     add_axis(ax, "top", 1e6 * chosen["Rmax_m"] / chosen["We"], r"$R_\mathrm{max}$ (µm)")
     return ax
 
@@ -316,5 +313,5 @@ def plot_places(places: Mapping[str, Sequence[float]], *, ax: Axes | None = None
         xlabel="place of the truth in its posterior",
         ylabel="share below, less uniform",
     )
-    ax.legend(frameon=False, fontsize=8)
+    add_legend(ax)
     return ax

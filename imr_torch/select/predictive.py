@@ -24,7 +24,7 @@ from imr_torch.random import child
 from imr_torch.select.evidence import log_evidence
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Progress
+from imr_torch.types import Progress, ProgressLine
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,8 @@ def cross_validate(
                 found[i] = replace(found[i][0], value=value, error=error, refitted=True), True
         scores += [score for score, _ in found]
         if progress:
-            progress(f"scores: held out {', '.join(scores[-1].held_out)}")
+            text = f"scores: held out {', '.join(scores[-1].held_out)}"
+            progress(ProgressLine(text, stage="scores"))
     return tuple(scores)
 
 

@@ -15,7 +15,7 @@ import pytest
 from imr_torch.app.commands import DEFAULTS, FORMS, command_arguments
 from imr_torch.app.runs import Run, Runs
 from imr_torch.app.workspace import Workspace
-from imr_torch.cli import parser
+from imr_torch.cli import build_parser
 from imr_torch.errors import InputDataError
 
 
@@ -49,58 +49,61 @@ def finished(run: Run) -> None:
 
 def test_that_a_run_leaves_its_files_output_and_record(tmp_path: Path) -> None:
     all_runs = runs(tmp_path)
-    run = all_runs.start(simulate, "simulate")
+    run = all_runs.start_run(simulate, "simulate")
     finished(run)
-    (result,) = all_runs.results()
+    (result,) = all_runs.list_results()
     assert (result.name, result.status, result.outcome) == ("001_simulate", 0, "done")
-    assert "smallest sampled R*" in result.text("output.txt")
+    assert "smallest sampled R*" in result.read_text_of("output.txt")
     assert result.command.startswith("imr-torch simulate --model nhkv")
-    with zipfile.ZipFile(io.BytesIO(result.archive())) as file:
+    with zipfile.ZipFile(io.BytesIO(result.zip_files())) as file:
         assert {"001_simulate/simulate.json", "001_simulate/run.json"} <= set(file.namelist())
         assert json.loads(file.read("001_simulate/simulate.json"))["model"] == "nhkv"
 
 
 def test_that_a_refused_command_keeps_its_message(tmp_path: Path) -> None:
     all_runs = runs(tmp_path)
-    finished(all_runs.start(lambda _: ["characterize", "files/none.csv"], "characterize"))
-    (result,) = all_runs.results()
+    finished(all_runs.start_run(lambda _: ["characterize", "files/none.csv"], "characterize"))
+    (result,) = all_runs.list_results()
     assert (result.status, result.outcome) == (2, "the input cannot be used")
-    assert "none.csv" in result.text("messages.txt")
+    assert "none.csv" in result.read_text_of("messages.txt")
 
 
 def test_that_a_run_shows_progress_and_can_be_stopped_and_only_one_runs(tmp_path: Path) -> None:
     all_runs = runs(tmp_path)
-    run = all_runs.start(slow, "design")
+    run = all_runs.start_run(slow, "design")
     until = time.monotonic() + 120.0
     while run.part is None and run.running and time.monotonic() < until:
         time.sleep(0.1)
     assert run.part is not None
     assert 0.0 < run.part < 1.0
     with pytest.raises(InputDataError, match="A command is running"):
-        all_runs.start(simulate, "simulate")
-    assert all_runs.results() == []
+        all_runs.start_run(simulate, "simulate")
+    assert all_runs.list_results() == []
     run.stop()
     finished(run)
-    (result,) = all_runs.results()
+    (result,) = all_runs.list_results()
     assert (result.status, result.outcome) == (130, "stopped")
 
 
 def test_that_a_run_stopped_before_it_began_leaves_no_trace_of_its_code(tmp_path: Path) -> None:
     all_runs = runs(tmp_path)
-    run = all_runs.start(slow, "design")
+    run = all_runs.start_run(slow, "design")
     run.stop()
     finished(run)
-    (result,) = all_runs.results()
-    assert (result.outcome, "Traceback" in result.text("messages.txt")) == ("stopped", False)
+    (result,) = all_runs.list_results()
+    assert (result.outcome, "Traceback" in result.read_text_of("messages.txt")) == (
+        "stopped",
+        False,
+    )
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs a system with signals")
 def test_that_a_run_that_the_system_ended_is_not_called_stopped(tmp_path: Path) -> None:
     all_runs = runs(tmp_path)
-    run = all_runs.start(slow, "design")
+    run = all_runs.start_run(slow, "design")
     os.kill(run._process.pid, signal.SIGKILL)
     finished(run)
-    (result,) = all_runs.results()
+    (result,) = all_runs.list_results()
     assert result.outcome == "ended by the system (signal 9); it may have run out of memory"
 
 
@@ -111,7 +114,7 @@ def test_that_a_run_that_ended_with_the_application_is_known_as_interrupted(tmp_
         '{"arguments": ["diagnose"], "started": "2026-01-01", "status": null}'
     )
     all_runs = runs(tmp_path)
-    assert [result.outcome for result in all_runs.results()] == ["interrupted"]
+    assert [result.outcome for result in all_runs.list_results()] == ["interrupted"]
     assert all_runs.next_folder("design") == "results/008_design"
 
 
@@ -165,7 +168,7 @@ def test_that_a_run_that_ended_with_the_application_is_known_as_interrupted(tmp_
 def test_that_a_form_makes_arguments_that_the_command_takes(command: str, values: dict) -> None:
     files = [] if command == "design" else ["files/a.csv", "files/b.csv"]
     words = command_arguments(command, DEFAULTS | values, "results/001", files=files)
-    read = vars(parser().parse_args(words))
+    read = vars(build_parser().parse_args(words))
     assert (read["html"], read["out"]) == ("results/001/page.html", "results/001")
     assert read.get("files", files) == files
     for name, value in values.items():
@@ -177,6 +180,8 @@ def test_that_options_left_out_are_those_that_say_what_the_command_does_anyhow(
     command: str,
 ) -> None:
     files = [] if command == "design" else ["files/a.csv"]
-    read = vars(parser().parse_args(command_arguments(command, {}, "results/001", files=files)))
+    read = vars(
+        build_parser().parse_args(command_arguments(command, {}, "results/001", files=files))
+    )
     for name in {name for row in FORMS[command] for name in row} - {"models", "collapses"}:
         assert (read[name] or "") == (DEFAULTS[name] or "")

@@ -36,8 +36,8 @@ def test_that_names_and_sizes_are_checked(name: str, size: int, text: str) -> No
 
 def test_that_no_name_leaves_the_folder(tmp_path: Path) -> None:
     made = workspace(tmp_path)
-    made.add("../../elsewhere/a.csv", b"x")
-    made.add("C:\\gels\\b.csv", b"x")
+    made.add_file("../../elsewhere/a.csv", b"x")
+    made.add_file("C:\\gels\\b.csv", b"x")
     assert {path.name for path in made.files_folder.iterdir()} == {
         "example_gel.csv",
         "example_gel.json",
@@ -49,20 +49,20 @@ def test_that_no_name_leaves_the_folder(tmp_path: Path) -> None:
 
 def test_that_a_file_that_cannot_be_used_is_named_and_costs_no_other(tmp_path: Path) -> None:
     made = workspace(tmp_path)
-    made.add("bad.csv", b"time,radius\n0,1\n")
-    bad, good = made.files()
+    made.add_file("bad.csv", b"time,radius\n0,1\n")
+    bad, good = made.list_files()
     assert (bad.name, good.name, good.curves) == ("bad.csv", "example_gel.csv", 4)
     assert "bad.csv" in bad.problem
     assert str(tmp_path) not in bad.problem
-    assert made.usable() == ["files/example_gel.csv"]
-    assert len(made.traces()) == 4
+    assert made.list_usable() == ["files/example_gel.csv"]
+    assert len(made.load_curves()) == 4
 
 
 def test_that_a_replaced_file_is_set_aside(tmp_path: Path) -> None:
     made = workspace(tmp_path)
     before = (made.files_folder / "example_gel.csv").read_bytes()
-    assert made.add("example_gel.csv", before) == "example_gel.csv is there already."
-    said = made.add("example_gel.csv", before + b"\n")
+    assert made.add_file("example_gel.csv", before) == "example_gel.csv is there already."
+    said = made.add_file("example_gel.csv", before + b"\n")
     (kept,) = (made.folder / "set_aside").iterdir()
     assert kept.name in said
     assert kept.read_bytes() == before
@@ -81,7 +81,7 @@ def test_that_a_folder_is_found_again_as_it_was_left(tmp_path: Path) -> None:
     made.set_layout("")
     again = Workspace(made.folder)
     assert again.settings == {"layout": "", "medium": "water,temperature=310"}
-    assert again.medium().surroundings.temperature == 310.0
+    assert again.find_medium().surroundings.temperature == 310.0
 
 
 def test_that_wrong_statements_change_nothing(tmp_path: Path) -> None:
@@ -95,7 +95,7 @@ def test_that_wrong_statements_change_nothing(tmp_path: Path) -> None:
 
 def test_that_a_curve_is_shown_as_the_commands_fit_it(tmp_path: Path) -> None:
     made = workspace(tmp_path)
-    view = made.curve("shot_2", 2)
+    view = made.view_curve("shot_2", 2)
     prepared = prepare(load_traces(example_gel()).select(["shot_2"]))
     assert view.fitted is not None
     assert view.fitted[1] - view.fitted[0] + 1 == len(prepared.experiments[0].times)
@@ -104,9 +104,9 @@ def test_that_a_curve_is_shown_as_the_commands_fit_it(tmp_path: Path) -> None:
 
 def test_that_what_is_stated_is_what_the_commands_read(tmp_path: Path) -> None:
     made = workspace(tmp_path)
-    view = made.curve("shot_2", 2)
-    made.state(view, {"Rinf_m": 6e-5, "Rinf_sd_m": 1e-6})
-    assert made.curve("shot_2", 2).landmarks.rest_method == "as stated"
+    view = made.view_curve("shot_2", 2)
+    made.state_values(view, {"Rinf_m": 6e-5, "Rinf_sd_m": 1e-6})
+    assert made.view_curve("shot_2", 2).landmarks.rest_method == "as stated"
     (entry,) = [
         e
         for e in json.loads((made.files_folder / "example_gel.json").read_text())["experiments"]
@@ -116,7 +116,7 @@ def test_that_what_is_stated_is_what_the_commands_read(tmp_path: Path) -> None:
         "shot_2",
         {"Rinf_m": 6e-5, "Rinf_sd_m": 1e-6},
     )
-    made.state(made.curve("shot_2", 2), {"window_end_s": 1e-9})
-    broken = made.curve("shot_2", 2)
+    made.state_values(made.view_curve("shot_2", 2), {"window_end_s": 1e-9})
+    broken = made.view_curve("shot_2", 2)
     assert broken.fitted is None
     assert "State a later window_end_s" in broken.report

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import imr_torch
-from imr_torch.cli import parser
+from imr_torch.cli import build_parser
 from imr_torch.material import LIBRARY, MATERIALS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -94,7 +94,7 @@ def commands() -> list[tuple[str, str]]:
 
 @pytest.mark.parametrize(("page", "line"), [x for x in commands() if "--version" not in x[1]])
 def test_that_a_command_of_the_documentation_has_options_that_exist(page, line):
-    parser().parse_args(shlex.split(line, comments=True)[1:])
+    build_parser().parse_args(shlex.split(line, comments=True)[1:])
 
 
 def examples() -> list:

@@ -9,7 +9,7 @@ from torch.distributions import MultivariateNormal
 
 from imr_torch.assimilate import Assimilation, Point, Posterior, SearchOptions, assimilate, weigh
 from imr_torch.export import to_arviz
-from imr_torch.export.frames import frame_predictions
+from imr_torch.export.frames import predict_frames
 from imr_torch.observe import Experiment, ExperimentBatch, Noise
 from imr_torch.random import generator
 from tests import float64
@@ -35,7 +35,7 @@ def test_that_the_likelihood_of_a_frame_is_that_of_the_normal_given_the_others(
 ):
     batch, controls, nuisances = sets(noise)
     part = prior(("nhkv",))["nhkv"]
-    _, found = frame_predictions(part, batch, LinearSimulator(), controls, nuisances, seed=0)
+    _, found = predict_frames(part, batch, LinearSimulator(), controls, nuisances, seed=0)
     seen = Posterior(part, batch, LinearSimulator()).predict(Point(controls, nuisances))
     expected = []
     for e, shot in enumerate(batch.experiments):
@@ -66,7 +66,7 @@ def test_that_predictive_draws_have_the_moments_of_that_normal(noise):
     batch, controls, nuisances = sets(noise)
     part = prior(("nhkv",))["nhkv"]
     many = 40_000
-    drawn, _ = frame_predictions(
+    drawn, _ = predict_frames(
         part,
         batch,
         LinearSimulator(),
@@ -74,7 +74,7 @@ def test_that_predictive_draws_have_the_moments_of_that_normal(noise):
         nuisances[:1].expand(many, -1, -1),
         seed=1,
     )
-    _, likelihood = frame_predictions(
+    _, likelihood = predict_frames(
         part, batch, LinearSimulator(), controls[:1], nuisances[:1], seed=1
     )
     middle = drawn.mean(0)

@@ -9,7 +9,7 @@ import pytest
 from imr_torch import characterize, wide_prior
 from imr_torch.cli import main
 from imr_torch.errors import InputDataError
-from imr_torch.html import _environment
+from imr_torch.html import _make_environment
 from imr_torch.material import PARAMETERS
 from imr_torch.population import BayesFactor
 from imr_torch.results import draw_figures
@@ -54,7 +54,7 @@ def test_that_every_shot_is_drawn_twice_beside_the_median() -> None:
 
 def page_part(found: dict) -> str:
     names = {"parameters": PARAMETERS, "BayesFactor": BayesFactor}
-    module = _environment().get_template("population.html").make_module(names)
+    module = _make_environment().get_template("population.html").make_module(names)
     return str(module.population_part(found))
 
 

@@ -5,30 +5,27 @@ answer at once; what a subcommand computes is in the module of its name in :mod:
 imported when it runs.
 """
 
-import argparse
 from collections.abc import Callable
 
 from imr_torch.cli.options import fits, shots
+from imr_torch.cli.options.shared import Options
 
-COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
-    "demo": ("the example gel and a simulated campaign; start here", shots.add_demo),
-    "app": ("the same in the browser, on this machine", shots.add_app),
-    "simulate": ("R(t) of one bubble in a gel", shots.add_simulate),
-    "characterize": ("properties of a gel from measured R(t) files", fits.add_characterize),
-    "batch": ("characterise every file of a folder, in processes; resumes", fits.add_batch),
-    "compare": ("whether two gels differ, and by how much", fits.add_compare),
-    "design": ("the most informative next experiment", shots.add_design),
-    "campaign": ("design, shoot, learn, and again", shots.add_campaign),
-    "diagnose": ("where the model fails, and which effect it lacks", fits.add_diagnose),
-    "plot": ("the figures of a result, from its JSON", fits.add_plot),
+COMMANDS: dict[str, tuple[str, Callable[[], Options]]] = {
+    "demo": ("the example gel and a simulated campaign; start here", shots.list_demo_options),
+    "app": ("the same in the browser, on this machine", shots.list_app_options),
+    "simulate": ("R(t) of one bubble in a gel", shots.list_simulate_options),
+    "characterize": (
+        "properties of a gel from measured R(t) files",
+        fits.list_characterize_options,
+    ),
+    "batch": (
+        "characterise every file of a folder, in processes; resumes",
+        fits.list_batch_options,
+    ),
+    "compare": ("whether two gels differ, and by how much", fits.list_compare_options),
+    "design": ("the most informative next experiment", shots.list_design_options),
+    "campaign": ("design, shoot, learn, and again", shots.list_campaign_options),
+    "diagnose": ("where the model fails, and which effect it lacks", fits.list_diagnose_options),
+    "plot": ("the figures of a result, from its JSON", fits.list_plot_options),
 }
-"""Name -> summary, and the function that adds its options and whose docstring is its help."""
-
-WITHOUT = {
-    "demo": ("import",),
-    "app": ("seed", "engine", "json", "import"),
-    "simulate": ("seed",),
-    "compare": ("seed", "engine"),
-    "plot": ("seed", "engine", "json"),
-}
-"""Of the options of all subcommands, those that would do nothing."""
+"""Name -> summary, and the function that lists its options and whose docstring is its help."""

@@ -2,8 +2,6 @@
 is the help.
 """
 
-import argparse
-
 from imr_torch.cli.options.names import (
     EFFECTS_ADDED,
     EFFORTS,
@@ -13,19 +11,25 @@ from imr_torch.cli.options.names import (
     SCATTER_SCALE,
 )
 from imr_torch.cli.options.shared import (
-    InRange,
-    add_driving_argument,
-    add_medium_argument,
-    add_odd_shots_argument,
-    add_output_arguments,
-    add_physics_argument,
-    add_prior_arguments,
-    add_reading_arguments,
-    add_window_arguments,
+    COUNT_ALL_SHOTS,
+    DRIVING,
+    MEDIUM,
+    ONE_OF,
+    OUTPUT,
+    PHYSICS_OPTION,
+    PRIOR,
+    READING,
+    Options,
+    choice_option,
+    flag_option,
+    group_options,
+    number_option,
+    text_option,
+    window_options,
 )
 
 
-def add_characterize(parser: argparse.ArgumentParser) -> None:
+def list_characterize_options() -> Options:
     """Infer a gel's properties from measured R(t): intervals, model probabilities, and figures of the
     fit.
 
@@ -51,73 +55,73 @@ def add_characterize(parser: argparse.ArgumentParser) -> None:
     whether they agree, and --population says how much the gel differs between them, by evidence. The report says whether
     the model explains the curves, which rows were left out, which frames were fitted, and why.
     """
-    parser.add_argument(
-        "files",
-        nargs="+",
-        metavar="FILE",
-        help="files (CSV, text, .xlsx, MATLAB, .npz), folders or patterns",
+    return (
+        text_option(
+            "files",
+            "FILE",
+            "files (CSV, text, .xlsx, MATLAB, .npz), folders or patterns",
+            nargs="+",
+        ),
+        *READING,
+        text_option("--experiments", "ID,...", "fit only these experiments"),
+        text_option("--exclude", "ID,...", "leave these experiments out"),
+        flag_option(
+            "--population",
+            "also fit every curve by itself and infer how much the gel differs from shot to shot: "
+            "median, scatter, evidence",
+        ),
+        text_option(
+            "--scatter-scale",
+            "SD",
+            "scale of the half-normal prior of the scatters of ln G, ln mu, ... (default "
+            f"{SCATTER_SCALE:g})",
+            type=float,
+        ),
+        *window_options(),
+        flag_option(
+            "--scores",
+            "also hold curves out and score how well each model predicts them from the others",
+        ),
+        flag_option(
+            "--profile",
+            "also make the profile likelihood of every parameter of the models with .05 of the "
+            "probability or more: is it "
+            "bounded by the data on both sides, on one, or flat? It takes a tenth to a fifth of the "
+            "fit's time for each parameter "
+            "(four curves: 7 to 13 s on one core)",
+        ),
+        choice_option(
+            "--method",
+            METHODS,
+            "map",
+            "the most probable gel by multistart Gauss-Newton (default), or hybrid ensemble "
+            "4D-Var; draws are weighted "
+            "by the posterior after either",
+        ),
+        choice_option(
+            "--effort",
+            EFFORTS,
+            "normal",
+            "how many posterior draws are made of a model whose first ones do not settle its "
+            "intervals: up to 4 rounds (normal, default) or 8 (thorough)",
+        ),
+        COUNT_ALL_SHOTS,
+        *OUTPUT,
+        text_option(
+            "--mat",
+            "FILE",
+            "write parameters, intervals, curves and residuals for MATLAB, which plots a curve in "
+            "two lines: load FILE; plot(curves(1).time_us, curves(1).radius_um, '.', "
+            "curves(1).model_time_us, curves(1).model_radius_um)",
+        ),
+        MEDIUM,
+        DRIVING,
+        PHYSICS_OPTION,
+        *PRIOR,
     )
-    add_reading_arguments(parser)
-    parser.add_argument("--experiments", metavar="ID,...", help="fit only these experiments")
-    parser.add_argument("--exclude", metavar="ID,...", help="leave these experiments out")
-    parser.add_argument(
-        "--population",
-        action="store_true",
-        help="also fit every curve by itself and infer how much the gel differs from shot to shot: "
-        "median, scatter, evidence",
-    )
-    parser.add_argument(
-        "--scatter-scale",
-        type=float,
-        metavar="SD",
-        help="scale of the half-normal prior of the scatters of ln G, ln mu, ... (default "
-        f"{SCATTER_SCALE:g})",
-    )
-    add_window_arguments(parser)
-    parser.add_argument(
-        "--scores",
-        action="store_true",
-        help="also hold curves out and score how well each model predicts them from the others",
-    )
-    parser.add_argument(
-        "--profile",
-        action="store_true",
-        help="also make the profile likelihood of every parameter of the models with .05 of the "
-        "probability or more: is it "
-        "bounded by the data on both sides, on one, or flat? It takes a tenth to a fifth of the "
-        "fit's time for each parameter "
-        "(four curves: 7 to 13 s on one core)",
-    )
-    parser.add_argument(
-        "--method",
-        choices=METHODS,
-        default="map",
-        help="the most probable gel by multistart Gauss-Newton (default), or hybrid ensemble "
-        "4D-Var; draws are weighted by the posterior after either",
-    )
-    parser.add_argument(
-        "--effort",
-        choices=EFFORTS,
-        default="normal",
-        help="how many posterior draws are made of a model whose first ones do not settle its "
-        "intervals: up to 4 rounds (normal, default) or 8 (thorough)",
-    )
-    add_odd_shots_argument(parser)
-    add_output_arguments(parser)
-    parser.add_argument(
-        "--mat",
-        metavar="FILE",
-        help="write parameters, intervals, curves and residuals for MATLAB, which plots a curve in "
-        "two lines: load FILE; plot(curves(1).time_us, curves(1).radius_um, '.', "
-        "curves(1).model_time_us, curves(1).model_radius_um)",
-    )
-    add_medium_argument(parser)
-    add_driving_argument(parser)
-    add_physics_argument(parser)
-    add_prior_arguments(parser)
 
 
-def add_batch(parser: argparse.ArgumentParser) -> None:
+def list_batch_options() -> Options:
     """Characterise many shots: every file by itself, in several processes, with a summary over all.
 
       imr-torch batch day1/ --out day1_results
@@ -133,35 +137,33 @@ def add_batch(parser: argparse.ArgumentParser) -> None:
     imr_torch, not the files. --medium states the medium of all shots; without it each file's JSON may
     state its own.
     """
-    parser.add_argument(
-        "files", nargs="+", metavar="FOLDER", help="folders, files or patterns, as for characterize"
+    return (
+        text_option(
+            "files", "FOLDER", "folders, files or patterns, as for characterize", nargs="+"
+        ),
+        text_option(
+            "--out",
+            "DIR",
+            "folder for the results; that of an earlier run to resume",
+            required=True,
+        ),
+        flag_option("--each", "every curve of a file is a shot of its own"),
+        *READING,
+        *window_options(),
+        choice_option("--method", METHODS, "map", "as for characterize"),
+        number_option("--workers", None, "processes (default: one per core)", metavar="N"),
+        text_option(
+            "--cluster",
+            "ADDRESS",
+            "Dask scheduler whose workers do it, such as tcp://scheduler:8786",
+        ),
+        MEDIUM,
+        PHYSICS_OPTION,
+        *PRIOR,
     )
-    parser.add_argument(
-        "--out",
-        metavar="DIR",
-        required=True,
-        help="folder for the results; that of an earlier run to resume",
-    )
-    parser.add_argument(
-        "--each", action="store_true", help="every curve of a file is a shot of its own"
-    )
-    add_reading_arguments(parser)
-    add_window_arguments(parser)
-    parser.add_argument("--method", choices=METHODS, default="map", help="as for characterize")
-    parser.add_argument(
-        "--workers", action=InRange, type=int, metavar="N", help="processes (default: one per core)"
-    )
-    parser.add_argument(
-        "--cluster",
-        metavar="ADDRESS",
-        help="Dask scheduler whose workers do it, such as tcp://scheduler:8786",
-    )
-    add_medium_argument(parser)
-    add_physics_argument(parser)
-    add_prior_arguments(parser)
 
 
-def add_compare(parser: argparse.ArgumentParser) -> None:
+def list_compare_options() -> Options:
     """Compare two gels from their results: do they differ, in which parameter, and by how much.
 
       imr-torch compare gel_a/characterize.json gel_b/characterize.json
@@ -173,16 +175,19 @@ def add_compare(parser: argparse.ArgumentParser) -> None:
     had the same prior. Without it, gels are said to differ if one has more of a parameter with a
     probability of 97.5 %.
     """
-    parser.add_argument("a", metavar="A.json", help="result of the first gel")
-    parser.add_argument("b", metavar="B.json", help="result of the second gel")
-    parser.add_argument(
-        "--model",
-        help="model whose parameters are compared (default: the most probable of both together)",
+    return (
+        text_option("a", "A.json", "result of the first gel"),
+        text_option("b", "B.json", "result of the second gel"),
+        text_option(
+            "--model",
+            None,
+            "model whose parameters are compared (default: the most probable of both together)",
+        ),
+        *OUTPUT,
     )
-    add_output_arguments(parser)
 
 
-def add_diagnose(parser: argparse.ArgumentParser) -> None:
+def list_diagnose_options() -> Options:
     """Find where the model fails: is there a gap to the data, where does it lie, which unmodelled
     effect causes it.
 
@@ -195,56 +200,49 @@ def add_diagnose(parser: argparse.ArgumentParser) -> None:
     scatter. --effects and --without choose what may be the cause; by default every effect of the
     library may. No cause is named without converged fits, nor where no effect of the library is enough.
     """
-    parser.add_argument(
-        "files",
-        nargs="+",
-        metavar="FILE",
-        help="curves (CSV, text, MATLAB) or sets (.npz), not both",
+    return (
+        text_option(
+            "files", "FILE", "curves (CSV, text, MATLAB) or sets (.npz), not both", nargs="+"
+        ),
+        text_option(
+            "--base",
+            None,
+            f"model that is put to the test, of {', '.join(MODELS)} (default nhkv)",
+            default="nhkv",
+        ),
+        text_option("--known", "NAME=VALUE,...", "independently measured parameters in SI"),
+        *group_options(
+            ONE_OF,
+            text_option(
+                "--effects",
+                "NAME,...",
+                "effects that may be the cause (default: the whole library)",
+            ),
+            text_option("--without", "NAME,...", "effects of the library that are left out"),
+        ),
+        text_option(
+            "--heldout",
+            "ID,...",
+            "experiments that no fit may see (of a set: design 0, design 1, ...)",
+        ),
+        text_option("--experiments", "ID,...", "use only these experiments"),
+        *READING,
+        *window_options(sets=True),
+        number_option(
+            "--most",
+            EFFECTS_ADDED,
+            f"effects that are added one after the other (default {EFFECTS_ADDED})",
+            metavar="N",
+        ),
+        COUNT_ALL_SHOTS,
+        *OUTPUT,
+        MEDIUM,
+        DRIVING,
+        PHYSICS_OPTION,
     )
-    parser.add_argument(
-        "--base",
-        default="nhkv",
-        help=f"model that is put to the test, of {', '.join(MODELS)} (default nhkv)",
-    )
-    parser.add_argument(
-        "--known",
-        default="",
-        metavar="NAME=VALUE,...",
-        help="independently measured parameters in SI",
-    )
-    which = parser.add_mutually_exclusive_group()
-    which.add_argument(
-        "--effects",
-        metavar="NAME,...",
-        help="effects that may be the cause (default: the whole library)",
-    )
-    which.add_argument(
-        "--without", metavar="NAME,...", help="effects of the library that are left out"
-    )
-    parser.add_argument(
-        "--heldout",
-        metavar="ID,...",
-        help="experiments that no fit may see (of a set: design 0, design 1, ...)",
-    )
-    parser.add_argument("--experiments", metavar="ID,...", help="use only these experiments")
-    add_reading_arguments(parser)
-    add_window_arguments(parser, sets=True)
-    parser.add_argument(
-        "--most",
-        action=InRange,
-        type=int,
-        default=EFFECTS_ADDED,
-        metavar="N",
-        help=f"effects that are added one after the other (default {EFFECTS_ADDED})",
-    )
-    add_odd_shots_argument(parser)
-    add_output_arguments(parser)
-    add_medium_argument(parser)
-    add_driving_argument(parser)
-    add_physics_argument(parser)
 
 
-def add_plot(parser: argparse.ArgumentParser) -> None:
+def list_plot_options() -> Options:
     """Draw the figures and the page of a result again, from its JSON alone.
 
       imr-torch plot result/characterize.json
@@ -254,18 +252,15 @@ def add_plot(parser: argparse.ArgumentParser) -> None:
     design, campaign, batch, compare and simulate hold what their figures need. Figures go beside the
     JSON file, or into --out.
     """
-    parser.add_argument("file", metavar="RESULT.json", help="a result that --json or --out wrote")
-    parser.add_argument(
-        "--out", metavar="DIR", help="folder of the figures (default: that of the JSON file)"
-    )
-    parser.add_argument(
-        "--format",
-        default="png,pdf",
-        metavar="NAME,...",
-        help=f"of {', '.join(FORMATS)} (default png,pdf)",
-    )
-    parser.add_argument(
-        "--html",
-        metavar="FILE",
-        help="write the page too (of characterize, campaign, design, batch, compare)",
+    return (
+        text_option("file", "RESULT.json", "a result that --json or --out wrote"),
+        text_option("--out", "DIR", "folder of the figures (default: that of the JSON file)"),
+        text_option(
+            "--format", "NAME,...", f"of {', '.join(FORMATS)} (default png,pdf)", default="png,pdf"
+        ),
+        text_option(
+            "--html",
+            "FILE",
+            "write the page too (of characterize, campaign, design, batch, compare)",
+        ),
     )
