@@ -34,7 +34,7 @@ from imr_torch.elementary import Law
 from imr_torch.files import write_atomically
 from imr_torch.material import PARAMETERS, Effect, StressTerm
 from imr_torch.simulate.bubbles import Numbers
-from imr_torch.simulate.compiled import polytropic, transport, vectors
+from imr_torch.simulate.compiled import algebra, polytropic, transport
 
 
 @dataclass(frozen=True)
@@ -308,7 +308,7 @@ def _hash(registry: Registry) -> str:
     digest = hashlib.sha256()
     for version in (sys.version, numba.__version__, llvmlite.__version__, np.__version__):
         digest.update(version.encode())
-    for file in (__file__, elementary.__file__, vectors.__file__):  # how functions are compiled
+    for file in (__file__, elementary.__file__, algebra.__file__):  # how functions are compiled
         digest.update(Path(file).read_bytes())
     for function in (
         transport.solve_block,

@@ -21,8 +21,8 @@ from imr_torch.material import LIBRARY, TERMS, StressTerm
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import memory_share
 from imr_torch.simulate.compiled import polytropic, step
+from imr_torch.simulate.compiled.algebra import pad_matrix
 from imr_torch.simulate.compiled.build import Registry, announced, engine, switches
-from imr_torch.simulate.compiled.vectors import as_rows
 from imr_torch.simulate.conditions import Conditions, Stepping
 from imr_torch.simulate.driving import TabulatedDriving
 from imr_torch.simulate.gas import polytropic as polytropic_law
@@ -243,7 +243,7 @@ def _space(resolution: Resolution) -> tuple[np.ndarray, ...]:
 
     def operators(grid: Any) -> np.ndarray:
         parts = (grid.first[1:], grid.laplacian, grid.first[:1])
-        return np.concatenate([as_rows(part.T.numpy()) for part in parts], 1)
+        return np.concatenate([pad_matrix(part.T.numpy()) for part in parts], 1)
 
     matrices = (
         operators(inside),
@@ -256,7 +256,7 @@ def _space(resolution: Resolution) -> tuple[np.ndarray, ...]:
     )
     y = outside.nodes
     return (
-        *(as_rows(matrix) for matrix in matrices),
+        *(pad_matrix(matrix) for matrix in matrices),
         inside.nodes.contiguous().numpy(),
         (y**-2 - y).numpy(),
         (y**-6).numpy(),

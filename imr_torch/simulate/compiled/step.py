@@ -17,7 +17,6 @@ from typing import NamedTuple
 import numpy as np
 
 from imr_torch.elementary import kernel
-from imr_torch.simulate.compiled.vectors import WIDTH, load, padded, rows, spread, store
 from imr_torch.simulate.contents import (
     Node,
     Wall,
@@ -40,7 +39,18 @@ from imr_torch.simulate.rosenbrock import COUPLING, MOMENTS, TIME_INCREMENTS
 from imr_torch.simulate.rosenbrock import STAGES as ROWS
 
 from . import laws
-from .algebra import apply, dot, invert, multiply
+from .algebra import (
+    WIDTH,
+    apply_columns,
+    invert_matrix,
+    load,
+    make_rows,
+    multiply_columns,
+    multiply_rows,
+    padded_size,
+    spread,
+    store,
+)
 from .wall import gas_loss, motion, motion_slopes, vapour_factor
 
 HEAD = 8  # where the fields begin in a state: after R, U, ln P, tau_w and zeros
@@ -163,38 +173,38 @@ def work_for(nodes: int, outer_nodes: int, states: int, width: int) -> tuple[np.
     """The entries of :class:`Work` for grids of so many nodes, memory states and members of a
     bundle.
     """
-    n = padded(nodes)
-    m = padded(outer_nodes)
+    n = padded_size(nodes)
+    m = padded_size(outer_nodes)
     border = _BORDER + states
     fields = 2 * n + m
-    size = HEAD + fields + padded(states)
+    size = HEAD + fields + padded_size(states)
     work = Work(
-        state=rows(width, size),
-        fresh=rows(width, size),
+        state=make_rows(width, size),
+        fresh=make_rows(width, size),
         clock=np.zeros(width),
         nodes=np.zeros((width, 2, 6)),
         counts=np.zeros((2, width), np.int64),
-        inner=rows(2, 2 * n + 1),
-        outer=rows(1, 2 * m + 1),
-        profile=rows(3, n),
-        heat=rows(nodes, nodes + 2),
-        vapour=rows(nodes, nodes + 1),
-        gel=rows(outer_nodes, outer_nodes + 1),
-        edges=rows(_BORDER, fields),
-        factors=rows(9, max(n, m)),
-        coupling=rows(2, n),
-        functionals=rows(2, fields),
-        border=rows(border, border),
-        increments=rows(STAGES, size),
-        argument=rows(size),
-        right=rows(size),
-        rate=rows(size),
-        slopes=rows(border),
-        memory_slopes=rows(2 + states, states),
+        inner=make_rows(2, 2 * n + 1),
+        outer=make_rows(1, 2 * m + 1),
+        profile=make_rows(3, n),
+        heat=make_rows(nodes, nodes + 2),
+        vapour=make_rows(nodes, nodes + 1),
+        gel=make_rows(outer_nodes, outer_nodes + 1),
+        edges=make_rows(_BORDER, fields),
+        factors=make_rows(9, max(n, m)),
+        coupling=make_rows(2, n),
+        functionals=make_rows(2, fields),
+        border=make_rows(border, border),
+        increments=make_rows(STAGES, size),
+        argument=make_rows(size),
+        right=make_rows(size),
+        rate=make_rows(size),
+        slopes=make_rows(border),
+        memory_slopes=make_rows(2 + states, states),
         moved=np.zeros((2, states), np.complex128),
-        wall_rows=rows(2, 8),
-        drive=rows(fields),
-        small=rows(2, max(n, border)),
+        wall_rows=make_rows(2, 8),
+        drive=make_rows(fields),
+        small=make_rows(2, max(n, border)),
     )
     return tuple(work)
 
@@ -231,9 +241,9 @@ def point_at(state, space, work, member, setup):
     factor, trapped = vapour_factor(pressure / b.start, member)
     wall = wall_of(pressure, conductivity, factor, trapped, b, c)
     vapours, gel, _ = parts_of(space)
-    apply(space.inside, state[3], state[HEAD:], work.inner[0])
-    apply(space.inside, wall.vapour, state[vapours:], work.inner[1])
-    apply(space.outside, wall.temperature - 1.0, state[gel:], work.outer[0])
+    apply_columns(space.inside, state[3], state[HEAD:], work.inner[0])
+    apply_columns(space.inside, wall.vapour, state[vapours:], work.inner[1])
+    apply_columns(space.outside, wall.temperature - 1.0, state[gel:], work.outer[0])
     for i in range(n):
         conductive = conductivity_of(state[HEAD + i], c)
         work.profile[0, i] = conductive
@@ -400,19 +410,9 @@ def linearise(state, time, space, work, member, setup):
     wall = point.wall
     pressure = point.pressure
     log_rate = point.rate / point.pressure
+    memory_rates = work.rate[memory : memory + states]
     acceleration = motion_slopes(
-        time,
-        point.radius,
-        point.velocity,
-        pressure + b.constant_vapour,
-        point.rate,
-        state[memory : memory + states],
-        member,
-        setup,
-        work.slopes,
-        work.memory_slopes,
-        work.moved,
-        work.rate[memory : memory + states],
+        time, point, state[memory : memory + states], member, setup, work, memory_rates
     )
     rates_at(point, acceleration, space, work, member, setup, work.rate)
     field_slopes(point, space, work, member, setup)
@@ -470,19 +470,19 @@ def factorise(shift, space, work):
     shifted(factors[6:9], space.outer_first, space.outer_laplacian, shift, gel)
     for j in range(inner):
         vapour[j, inner] = space.inside[1 + j, 2 * n]
-    invert(vapour)
+    invert_matrix(vapour)
     through = work.small[0]
     slope = work.small[1, :n]
     for j in range(inner):  # the slope of C at the wall hangs on tau through C_t
         through[j] = vapour[j, inner] * coupling[1, j]
-    multiply(space.rows, through, slope)
+    multiply_columns(space.rows, through, slope)
     for j in range(inner):
         heat[j, inner] = space.inside[1 + j, 2 * n]
         heat[j, inner + 1] = slope[j] + vapour[j, inner] * coupling[0, j]
-    invert(heat)
+    invert_matrix(heat)
     for j in range(outer):
         gel[j, outer] = space.outside[1 + j, 2 * m]
-    invert(gel)
+    invert_matrix(gel)
     for k in range(2):
         row = work.wall_rows[k]
         line = work.functionals[k]
@@ -496,7 +496,7 @@ def factorise(shift, space, work):
     for j in range(outer):
         gel[j, outer] = 0.0
     _border(shift, space, work)
-    invert(work.border)
+    invert_matrix(work.border)
 
 
 @kernel
@@ -514,7 +514,7 @@ def _border(shift, space, work):
     for row in range(2):
         for k in range(_BORDER):
             columns[k, 3 + row] = (
-                -dot(work.functionals[row], work.edges[k]) - work.wall_rows[row, k]
+                -multiply_rows(work.functionals[row], work.edges[k]) - work.wall_rows[row, k]
             )
     columns[3, 3] += 1.0
     for k in range(states):
@@ -539,12 +539,12 @@ def solve(right, space, work, out):
     inputs = work.small[1]
     z = work.small[0, : work.border.shape[1]]
     for k in range(2):
-        inputs[3 + k] = dot(work.functionals[k], right[HEAD:])
+        inputs[3 + k] = multiply_rows(work.functionals[k], right[HEAD:])
     inputs[0], inputs[1], inputs[2] = right[0], right[1], right[2]
     inputs[4] += right[3]
     for k in range(states):
         inputs[_BORDER + k] = right[memory + k]
-    multiply(work.border, inputs, z)
+    multiply_columns(work.border, inputs, z)
     out[0], out[1], out[2], out[3] = z[0], z[1], z[2], z[4]
     for k in range(states):
         out[memory + k] = z[_BORDER + k]
@@ -555,13 +555,13 @@ def solve(right, space, work, out):
         store(drive, i, load(right, HEAD + i) + change)
     warm = out[HEAD:vapours]
     slope = work.small[0, :n]
-    multiply(work.heat, drive, warm)
-    multiply(space.first, warm, slope)
+    multiply_columns(work.heat, drive, warm)
+    multiply_columns(space.first, warm, slope)
     for i in range(0, n, WIDTH):
         change = load(coupling[1], i) * load(slope, i) + load(coupling[0], i) * load(warm, i)
         store(drive, n + i, load(drive, n + i) + change)
-    multiply(work.vapour, drive[n:], out[vapours:gels])
-    multiply(work.gel, drive[2 * n :], out[gels:memory])
+    multiply_columns(work.vapour, drive[n:], out[vapours:gels])
+    multiply_columns(work.gel, drive[2 * n :], out[gels:memory])
 
 
 @kernel

@@ -18,7 +18,8 @@ from imr_torch.simulate.driving import spline
 
 from . import laws
 
-_STEP = 1e-30
+TINY = 1e-30
+"""Imaginary step of derivatives; nothing is lost to rounding, however small it is."""
 
 
 class Setup(NamedTuple):
@@ -113,104 +114,69 @@ def motion(time, radius, velocity, pressure, rate, memory, memory_rates, member,
 
 
 @partial(kernel, inline="never")
-def motion_slopes(
-    time,
-    radius,
-    velocity,
-    pressure,
-    rate,
-    memory,
-    member,
-    setup,
-    slopes,
-    memory_slopes,
-    moved,
-    spare,
-):
-    """Derivatives of :func:`motion`.
+def motion_slopes(time, point, memory, member, setup, work, memory_rates):
+    """``U'`` and its derivatives, and those of the rates of memory.
 
     Args:
         time: dimensionless.
-        radius: ``R``.
-        velocity: ``U``.
-        pressure: of all contents.
-        rate: its time derivative.
+        point: what holds at the state (:class:`imr_torch.simulate.compiled.step.Point`).
         memory: ``K`` memory states.
         member: the bubble.
         setup: what the batch shares.
-        slopes: ``5 + K``; receives the derivatives of ``U'`` in (R, U, P, dP/dt, t) and in memory.
-        memory_slopes: ``(2 + K) x K``; receives those of the rates of memory in (R, U, memory), by
-            rows.
-        moved: ``2 x K`` complex numbers to spare.
-        spare: ``K``; receives the rates of memory.
-
-    Returns:
-        ``U'``.
+        work: ``slopes``, ``5 + K``, receives the derivatives of ``U'`` in (R, U, P, dP/dt, t) and in
+            memory; ``memory_slopes``, ``(2 + K) x K``, those of the rates of memory in (R, U,
+            memory), by rows; ``moved`` are ``2 x K`` complex numbers to spare.
+        memory_rates: ``K``; receives the rates of memory.
     """
     far, far_rate, far_bend = far_field(time, member, setup)
     states = len(memory)
-    rates = moved[1]
-    moved = moved[0]
-    b = member.b
+    moved = work.moved[0]
+    rates = work.moved[1]
     nothing = complex(0.0, 0.0)
-    imaginary = complex(0.0, _STEP)
+    imaginary = complex(0.0, TINY)
     for k in range(states):
         moved[k] = memory[k]
-    for direction in range(2 + states):
-        r = radius + nothing
-        u = velocity + nothing
+    stress = (nothing, nothing, nothing)
+    force = nothing
+    for direction in range(5 + states):
+        r = point.radius + nothing
+        u = point.velocity + nothing
+        p = point.pressure + member.b.constant_vapour + nothing
+        q = point.rate + nothing
+        f = far + nothing
+        g = far_rate + nothing
         if direction == 0:
             r += imaginary
         elif direction == 1:
             u += imaginary
-        else:
-            moved[direction - 2] += imaginary
-        stress = laws.stress(r, u, b.rest_radius, member.terms, member.theta, moved, rates)
-        force = balance(
-            r,
-            u,
-            pressure + nothing,
-            rate + nothing,
-            stress,
-            far + nothing,
-            far_rate + nothing,
-            member,
-            setup,
-        )
-        slopes[direction if direction < 2 else direction + 3] = force.imag / _STEP
-        for k in range(states):
-            memory_slopes[direction, k] = rates[k].imag / _STEP
-        if direction >= 2:
-            moved[direction - 2] = memory[direction - 2]
-    value, stress_rate, inertia = laws.stress(
-        radius, velocity, b.rest_radius, member.terms, member.theta, memory, spare
-    )
-    stress = (value + nothing, stress_rate + nothing, inertia + nothing)
-    for direction in range(2, 5):
-        p = pressure + nothing
-        q = rate + nothing
-        f = far + nothing
-        g = far_rate + nothing
-        if direction == 2:
+        elif direction == 2:
             p += imaginary
         elif direction == 3:
             q += imaginary
-        else:
+        elif direction == 4:
             f += far_rate * imaginary
             g += far_bend * imaginary
-        force = balance(radius + nothing, velocity + nothing, p, q, stress, f, g, member, setup)
-        slopes[direction] = force.imag / _STEP
-    return balance(
-        radius,
-        velocity,
-        pressure,
-        rate,
-        (value, stress_rate, inertia),
-        far,
-        far_rate,
-        member,
-        setup,
-    )
+        else:
+            moved[direction - 5] += imaginary
+        if direction < 2 or direction >= 5:  # the gel feels R, U and its memory
+            stress = laws.stress(
+                r, u, member.b.rest_radius, member.terms, member.theta, moved, rates
+            )
+            row = direction if direction < 2 else direction - 3
+            for k in range(states):
+                work.memory_slopes[row, k] = rates[k].imag / TINY
+                memory_rates[k] = rates[k].real
+        else:
+            stress = (
+                stress[0].real + nothing,
+                stress[1].real + nothing,
+                stress[2].real + nothing,
+            )
+        force = balance(r, u, p, q, stress, f, g, member, setup)
+        work.slopes[direction] = force.imag / TINY
+        if direction >= 5:
+            moved[direction - 5] = memory[direction - 5]
+    return force.real
 
 
 @kernel
@@ -219,14 +185,14 @@ def gas_loss(radius, velocity, member):
     if not member.affected:
         return 0.0, 0.0, 0.0
     rest = member.b.rest_radius
-    imaginary = complex(0.0, _STEP)
+    imaginary = complex(0.0, TINY)
     by_radius = laws.gas_loss(
         radius + imaginary, velocity + 0.0 * imaginary, rest, member.effects, member.theta
     )
     by_velocity = laws.gas_loss(
         radius + 0.0 * imaginary, velocity + imaginary, rest, member.effects, member.theta
     )
-    return by_radius.real, by_radius.imag / _STEP, by_velocity.imag / _STEP
+    return by_radius.real, by_radius.imag / TINY, by_velocity.imag / TINY
 
 
 @kernel
@@ -234,5 +200,5 @@ def vapour_factor(compression, member):
     """Factor on the saturation pressure and its logarithmic derivative in the compression."""
     if not member.affected:
         return 1.0, 0.0
-    moved = laws.vapour(complex(compression, _STEP), member.effects, member.theta)
-    return moved.real, moved.imag / _STEP * compression / moved.real
+    moved = laws.vapour(complex(compression, TINY), member.effects, member.theta)
+    return moved.real, moved.imag / TINY * compression / moved.real
