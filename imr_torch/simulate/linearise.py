@@ -18,14 +18,12 @@ from imr_torch.simulate.contents import (
     wall_balance_slopes,
 )
 from imr_torch.simulate.grids import Grid
-from imr_torch.simulate.rhs import HEAD, Equations, Fields
+from imr_torch.simulate.rhs import HEAD, WALL, Equations, Fields
 from imr_torch.simulate.wall import gas_loss_slopes, motion_slopes
 from imr_torch.types import BubbleValues
 
-_WALL = HEAD - 1
 
-
-def linearise(
+def linearise_equations(
     equations: Equations, f: Fields
 ) -> tuple[Float[Tensor, "state state members"], BubbleValues]:
     """The Jacobian at a state (rates by rows), and the derivative of ``U'`` in time."""
@@ -40,7 +38,7 @@ def linearise(
     jacobian[moving, memory] = slopes[5:].transpose(0, 1)
     by_rate[moving] = slopes[3]
     by_rate[2] = 1.0 / f.pressure
-    _fill_balances(equations, f, rate_row, jacobian[_WALL])
+    _fill_balances(equations, f, rate_row, jacobian[WALL])
     _fill_inside(equations, f, jacobian, by_rate)
     _fill_gel(equations, f, jacobian)
     jacobian.addcmul_(by_rate[:, None], rate_row[None])
@@ -75,7 +73,7 @@ def _fill_inside(equations: Equations, f: Fields, jacobian: Tensor, by_rate: Ten
     grid = equations.inside
     heat = equations.heat
     vapour = equations.vapour
-    with_wall = slice(_WALL, heat.stop)
+    with_wall = slice(WALL, heat.stop)
     s = node_slopes(f.node, f.radius, f.velocity, f.pressure, f.rate, b, c)
     jacobian[heat, with_wall] = _apply_operators(grid, s.heat_first, s.heat_second)
     jacobian[heat, heat].diagonal().add_(s.heat_self.T)
@@ -88,7 +86,7 @@ def _fill_inside(equations: Equations, f: Fields, jacobian: Tensor, by_rate: Ten
     jacobian[vapour, vapour].diagonal().add_(s.vapour_self.T)
     jacobian[vapour, with_wall] = s.coupling_slope[:, None] * grid.first[1:, :, None]
     jacobian[vapour, heat].diagonal().add_(s.coupling.T)
-    jacobian[vapour, _WALL] += by_field[:, 0] * f.wall.vapour_heat
+    jacobian[vapour, WALL] += by_field[:, 0] * f.wall.vapour_heat
     jacobian[vapour, 0] = s.vapour_radius
     jacobian[vapour, 1] = s.vapour_velocity
     jacobian[vapour, 2] = s.vapour_pressure + by_field[:, 0] * f.wall.vapour_pressure
@@ -104,7 +102,7 @@ def _fill_gel(equations: Equations, f: Fields, jacobian: Tensor) -> None:
     s = gel_slopes(*at_nodes, f.radius, f.velocity, f.wall, b, c)
     by_field = _apply_operators(equations.outside, s.first, s.second)
     jacobian[gel, gel] = by_field[:, 1:]
-    jacobian[gel, _WALL] = s.wall + by_field[:, 0] / f.wall.conductivity
+    jacobian[gel, WALL] = s.wall + by_field[:, 0] / f.wall.conductivity
     jacobian[gel, 0] = s.radius
     jacobian[gel, 1] = s.velocity
     jacobian[gel, 2] = s.pressure

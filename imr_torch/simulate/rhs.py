@@ -31,11 +31,13 @@ from imr_torch.simulate.contents import (
     warm_profile,
 )
 from imr_torch.simulate.grids import Grid
-from imr_torch.simulate.wall import Head, gas_loss, motion, vapour_factor
+from imr_torch.simulate.wall import Head, gas_loss, move_wall, vapour_factor
 from imr_torch.types import BubbleStates, BubbleValues
 
 HEAD = 4
 """Rows of the state before the fields: R, U, ln P, tau_w."""
+WALL = HEAD - 1
+"""Row of tau_w."""
 
 
 @dataclass(frozen=True)
@@ -175,7 +177,7 @@ class Equations:
         """``f(x)`` at a state, ``(4+2n+m+K) x B``."""
         b = self.bubbles.numbers
         c = self.bubbles.constants
-        acceleration, memory_rate = motion(self.bubbles, f.head)
+        acceleration, memory_rate = move_wall(self.bubbles, f.head)
         balance = wall_balance(f.wall, f.heat, f.vapour, f.outer_slope[0], b, c)
         head = torch.stack((f.velocity, acceleration, f.rate / f.pressure, balance))
         warmer, wetter = node_rates(f.node, f.radius, f.velocity, f.pressure, f.rate, b, c)

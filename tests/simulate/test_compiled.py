@@ -447,7 +447,7 @@ def test_that_damaged_code_is_compiled_anew(
         spec = importlib.util.spec_from_file_location("engine", path)
         module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
-        return build.announced(
+        return build.call_announced(
             module, "solve", (1,)
         ), "compiled solve in" in capsys.readouterr().err
 
@@ -462,7 +462,7 @@ def test_that_a_folder_that_cannot_be_written_is_no_obstacle(
 ) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("IMR_TORCH_CACHE", str(tmp_path / "file" / "cache"))
-    module = build.engine.__wrapped__(
+    module = build.load_engine.__wrapped__(
         registry_of(Conditions(), None)
     )  # not the one that other tests share; nothing is compiled
     assert (

@@ -26,7 +26,7 @@ from imr_torch.simulate import (
     TransportSimulator,
 )
 from imr_torch.simulate.bubbles import Bubbles
-from imr_torch.simulate.clock import bracket, ends_of, hermite_cubic
+from imr_torch.simulate.clock import bracket_times, ends_of, hermite_cubic
 from imr_torch.simulate.controller import scaled_error, step_factor
 from imr_torch.simulate.engines import ENGINES
 from imr_torch.simulate.rhs import HEAD, Equations
@@ -248,7 +248,7 @@ def test_that_values_between_steps_are_a_cubic_and_before_the_first_a_line():
         CubicHermiteSpline(*(x[0].numpy() for x in (nodes, values, rates)))(times.numpy())
     )
     expected[0, 0] = 1.0 - 0.2 * 3.0
-    end, step, share = bracket(nodes, times)
+    end, step, share = bracket_times(nodes, times)
     found = hermite_cubic(share, step, ends_of(values, end), ends_of(rates, end))
     torch.testing.assert_close(found, expected, rtol=0.0, atol=1e-12)
 
@@ -260,7 +260,7 @@ def test_that_values_between_steps_are_a_cubic_and_before_the_first_a_line():
         (lambda: GasMixture(heat_ratio=1.0), "expected above 1"),
         (lambda: GasMixture(diffusivity=-1.0), "GasMixture.diffusivity is -1.0"),
         (lambda: Medium(heat_capacity=math.nan), "Medium.heat_capacity is nan"),
-        (lambda: Medium(capacity_of="air"), "expected 'medium' or 'gas_wall'"),
+        (lambda: Medium(capacity_of="air"), "expected one of medium, gas_wall"),
         (lambda: Accuracy(tolerance=0.0), "expected 1e-12 to 0.1"),
         (lambda: Accuracy(max_steps=0), "max_steps is 0; expected at least 1"),
         (

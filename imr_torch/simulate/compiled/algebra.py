@@ -2,7 +2,7 @@
 
 Compilers turn a plain loop over a row of 16 numbers into tests (whether rows overlap, what is left
 over) that take as long as the arithmetic: with plain loops a bubble takes 1.9 times as long. With
-:func:`load`, :func:`store`, :func:`spread` and the operators ``+``, ``-`` and ``*`` there is
+:func:`load_eight`, :func:`store_eight`, :func:`spread_number` and the operators ``+``, ``-`` and ``*`` there is
 nothing to test. Rows have lengths of a multiple of eight (:func:`padded_size`), with zeros at the
 end. On processors with shorter vector instructions LLVM splits the value; the order of sums, and so
 the result, is the same on all.
@@ -65,7 +65,7 @@ def _point_at_eight(context: Any, builder: Any, kind: Any, row: Any, first: Any)
 
 
 @_typed_intrinsic
-def load(typing: Any, row: Any, first: Any) -> Any:
+def load_eight(typing: Any, row: Any, first: Any) -> Any:
     """``row[first : first + 8]``; bounds are not looked at."""
 
     def lower_load(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -75,7 +75,7 @@ def load(typing: Any, row: Any, first: Any) -> Any:
 
 
 @_typed_intrinsic
-def store(typing: Any, row: Any, first: Any, value: Any) -> Any:
+def store_eight(typing: Any, row: Any, first: Any, value: Any) -> Any:
     """``row[first : first + 8] = value``; bounds are not looked at."""
 
     def lower_store(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -87,7 +87,7 @@ def store(typing: Any, row: Any, first: Any, value: Any) -> Any:
 
 
 @_typed_intrinsic
-def spread(typing: Any, number: Any) -> Any:
+def spread_number(typing: Any, number: Any) -> Any:
     """Eight times the same number."""
 
     def lower_spread(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -115,10 +115,10 @@ def apply_columns(columns, first, values, out):
     There may be other columns beside the matrix; ``out`` has its padded length.
     """
     for i in range(0, len(out), WIDTH):
-        sums = spread(first) * load(columns[0], i)
+        sums = spread_number(first) * load_eight(columns[0], i)
         for j in range(1, len(columns)):
-            sums = sums + spread(values[j - 1]) * load(columns[j], i)
-        store(out, i, sums)
+            sums = sums + spread_number(values[j - 1]) * load_eight(columns[j], i)
+        store_eight(out, i, sums)
 
 
 @kernel
@@ -138,13 +138,15 @@ def invert_matrix(a):
         pivots = a[k]
         scale = 1.0 / pivots[k]
         for j in range(0, a.shape[1], WIDTH):
-            store(pivots, j, spread(scale) * load(pivots, j))
+            store_eight(pivots, j, spread_number(scale) * load_eight(pivots, j))
         for i in range(len(a)):
             if i != k:
                 row = a[i]
                 factor = row[k]
                 for j in range(0, a.shape[1], WIDTH):
-                    store(row, j, load(row, j) - spread(factor) * load(pivots, j))
+                    store_eight(
+                        row, j, load_eight(row, j) - spread_number(factor) * load_eight(pivots, j)
+                    )
                 row[k] = -factor * scale
         pivots[k] = scale
 

@@ -17,6 +17,18 @@ from typing import NamedTuple
 import numpy as np
 
 from imr_torch.elementary import kernel
+from imr_torch.simulate.compiled.algebra import (
+    WIDTH,
+    apply_columns,
+    invert_matrix,
+    load_eight,
+    make_rows,
+    multiply_columns,
+    multiply_rows,
+    padded_size,
+    spread_number,
+    store_eight,
+)
 from imr_torch.simulate.contents import (
     Node,
     Wall,
@@ -39,22 +51,10 @@ from imr_torch.simulate.rosenbrock import COUPLING, MOMENTS, TIME_INCREMENTS
 from imr_torch.simulate.rosenbrock import STAGES as ROWS
 
 from . import laws
-from .algebra import (
-    WIDTH,
-    apply_columns,
-    invert_matrix,
-    load,
-    make_rows,
-    multiply_columns,
-    multiply_rows,
-    padded_size,
-    spread,
-    store,
-)
-from .wall import gas_loss, motion, motion_slopes, vapour_factor
+from .wall import gas_loss, motion_slopes, move_wall, vapour_factor
 
 HEAD = 8  # where the fields begin in a state: after R, U, ln P, tau_w and zeros
-_BORDER = 5
+BORDER = 5  # R, U, ln P, q, tau_w, and then memory
 STAGES = len(MOMENTS)
 
 
@@ -99,7 +99,7 @@ class Space(NamedTuple):
 
 
 @kernel
-def parts_of(space):
+def locate_parts(space):
     """Where ``C``, ``theta`` and the memory begin in a state; ``tau`` begins at ``HEAD``."""
     n = space.first.shape[1]
     m = space.outer_first.shape[1]
@@ -124,7 +124,7 @@ class Work(NamedTuple):
             ``outer`` likewise of ``theta``.
         profile: ``3 x n``: conductivity, temperature and ``R_mix`` at the inner nodes.
         heat: ``n x (n+2)'``, the block of ``tau`` by columns, then its inverse, with two columns
-            beside it; ``vapour`` and ``gel`` likewise with one: see :func:`factorise`.
+            beside it; ``vapour`` and ``gel`` likewise with one: see :func:`factorise_system`.
         edges: ``5 x fields``: derivatives of the fields' rates in (R, U, ln P, q, tau_w).
         factors: ``9 x max(n', m')``: factors of slope, Laplacian and value in the rates of ``tau``,
             ``C`` and ``theta`` at each node.
@@ -169,16 +169,14 @@ class Work(NamedTuple):
     small: np.ndarray
 
 
-def work_for(nodes: int, outer_nodes: int, states: int, width: int) -> tuple[np.ndarray, ...]:
-    """The entries of :class:`Work` for grids of so many nodes, memory states and members of a
-    bundle.
-    """
+def work_for(nodes: int, outer_nodes: int, states: int, width: int) -> Work:
+    """Arrays for grids of so many nodes, memory states and members of a bundle."""
     n = padded_size(nodes)
     m = padded_size(outer_nodes)
-    border = _BORDER + states
+    border = BORDER + states
     fields = 2 * n + m
     size = HEAD + fields + padded_size(states)
-    work = Work(
+    return Work(
         state=make_rows(width, size),
         fresh=make_rows(width, size),
         clock=np.zeros(width),
@@ -190,7 +188,7 @@ def work_for(nodes: int, outer_nodes: int, states: int, width: int) -> tuple[np.
         heat=make_rows(nodes, nodes + 2),
         vapour=make_rows(nodes, nodes + 1),
         gel=make_rows(outer_nodes, outer_nodes + 1),
-        edges=make_rows(_BORDER, fields),
+        edges=make_rows(BORDER, fields),
         factors=make_rows(9, max(n, m)),
         coupling=make_rows(2, n),
         functionals=make_rows(2, fields),
@@ -206,7 +204,6 @@ def work_for(nodes: int, outer_nodes: int, states: int, width: int) -> tuple[np.
         drive=make_rows(fields),
         small=make_rows(2, max(n, border)),
     )
-    return tuple(work)
 
 
 class Point(NamedTuple):
@@ -240,7 +237,7 @@ def point_at(state, space, work, member, setup):
     conductivity = conductivity_of(state[3], c)
     factor, trapped = vapour_factor(pressure / b.start, member)
     wall = wall_of(pressure, conductivity, factor, trapped, b, c)
-    vapours, gel, _ = parts_of(space)
+    vapours, gel, _ = locate_parts(space)
     apply_columns(space.inside, state[3], state[HEAD:], work.inner[0])
     apply_columns(space.inside, wall.vapour, state[vapours:], work.inner[1])
     apply_columns(space.outside, wall.temperature - 1.0, state[gel:], work.outer[0])
@@ -297,7 +294,7 @@ def rates_at(point, acceleration, space, work, member, setup, out):
     velocity = point.velocity
     pressure = point.pressure
     rate = point.rate
-    vapours, gel, _ = parts_of(space)
+    vapours, gel, _ = locate_parts(space)
     out[0], out[1], out[2] = velocity, acceleration, rate / pressure
     out[3] = wall_balance(point.wall, point.heat, point.vapour, point.outer, b, c)
     for i in range(n):
@@ -379,7 +376,7 @@ def field_slopes(point, space, work, member, setup):
 
 
 @kernel
-def shifted(factors, first, laplacian, shift, out):
+def shift_operators(factors, first, laplacian, shift, out):
     """``out = shift - J`` of one field by columns, from the factors of value, slope and Laplacian
     at each node.
     """
@@ -391,20 +388,22 @@ def shifted(factors, first, laplacian, shift, out):
         slope = first[j]
         bend = laplacian[j]
         for i in range(0, first.shape[1], WIDTH):
-            change = load(by_bend, i) * load(bend, i) + load(by_slope, i) * load(slope, i)
-            store(column, i, spread(0.0) - change)
+            change = load_eight(by_bend, i) * load_eight(bend, i) + load_eight(
+                by_slope, i
+            ) * load_eight(slope, i)
+            store_eight(column, i, spread_number(0.0) - change)
         column[j] += shift - by_value[j]
 
 
 @partial(kernel, inline="source")
-def linearise(state, time, space, work, member, setup):
+def linearise_state(state, time, space, work, member, setup):
     """``f(x)`` at a state (``work.rate``) and all its derivatives, into ``work``.
 
     Returns ``d ln P/dt``.
     """
     b = member.b
     c = setup.c
-    memory = parts_of(space)[2]
+    memory = locate_parts(space)[2]
     states = work.moved.shape[1]
     point = point_at(state, space, work, member, setup)
     wall = point.wall
@@ -433,23 +432,23 @@ def linearise(state, time, space, work, member, setup):
         c,
     )
     w = wall_balance_slopes(pressure, wall, point.vapour, corner, outer_corner, b, c)
-    rows = work.wall_rows
-    rows[0, 0], rows[0, 1], rows[0, 3], rows[0, 4] = (
-        q.radius / pressure,
-        q.velocity / pressure,
-        q.rate,
-        q.wall / pressure,
-    )
-    rows[0, 2] = q.pressure + log_rate * q.rate - log_rate
-    rows[0, 5], rows[0, 6], rows[0, 7] = q.heat / pressure, q.vapour / pressure, q.outer / pressure
-    rows[1, 0], rows[1, 1], rows[1, 3], rows[1, 4] = w.radius, w.velocity, pressure * w.rate, w.wall
-    rows[1, 2] = pressure * (w.pressure + log_rate * w.rate)
-    rows[1, 5], rows[1, 6], rows[1, 7] = w.heat, w.vapour, w.outer
+    write_balance(q, pressure, log_rate, pressure, work.wall_rows[0])
+    work.wall_rows[0, 2] -= log_rate
+    write_balance(w, pressure, log_rate, 1.0, work.wall_rows[1])
     return log_rate
 
 
+@kernel
+def write_balance(slopes, pressure, log_rate, divisor, row):
+    """Derivatives in (R, U, ln P, q, ...) over a divisor from those in (R, U, P, dP/dt, ...)."""
+    for k in range(len(slopes)):
+        row[k] = slopes[k] / divisor
+    row[2] = pressure * (slopes.pressure + log_rate * slopes.rate) / divisor
+    row[3] = pressure * slopes.rate / divisor
+
+
 @partial(kernel, inline="source")
-def factorise(shift, space, work):
+def factorise_system(shift, space, work):
     """Invert ``shift - J``: the blocks of the fields, what they add to the rows of the wall, and
     what is left beside them.
 
@@ -465,9 +464,9 @@ def factorise(shift, space, work):
     m = space.outer_first.shape[1]
     inner = len(space.y)
     outer = len(space.shear)
-    shifted(factors[0:3], space.first, space.laplacian, shift, heat)
-    shifted(factors[3:6], space.first, space.laplacian, shift, vapour)
-    shifted(factors[6:9], space.outer_first, space.outer_laplacian, shift, gel)
+    shift_operators(factors[0:3], space.first, space.laplacian, shift, heat)
+    shift_operators(factors[3:6], space.first, space.laplacian, shift, vapour)
+    shift_operators(factors[6:9], space.outer_first, space.outer_laplacian, shift, gel)
     for j in range(inner):
         vapour[j, inner] = space.inside[1 + j, 2 * n]
     invert_matrix(vapour)
@@ -495,45 +494,45 @@ def factorise(shift, space, work):
         heat[j, inner], heat[j, inner + 1], vapour[j, inner] = 0.0, 0.0, 0.0
     for j in range(outer):
         gel[j, outer] = 0.0
-    _border(shift, space, work)
+    _fill_border(shift, space, work)
     invert_matrix(work.border)
 
 
 @kernel
-def _border(shift, space, work):
+def _fill_border(shift, space, work):
     """The system in (R, U, ln P, q, tau_w, memory) that is left when the fields are eliminated, by
     columns.
     """
     columns = work.border
     s = work.slopes
-    states = len(columns) - _BORDER
+    states = len(columns) - BORDER
     columns[:] = 0.0
     columns[0, 0], columns[1, 0] = shift, -1.0
     columns[0, 1], columns[1, 1], columns[2, 1], columns[3, 1] = -s[0], shift - s[1], -s[2], -s[3]
     columns[2, 2], columns[3, 2] = shift, -1.0
     for row in range(2):
-        for k in range(_BORDER):
+        for k in range(BORDER):
             columns[k, 3 + row] = (
                 -multiply_rows(work.functionals[row], work.edges[k]) - work.wall_rows[row, k]
             )
     columns[3, 3] += 1.0
     for k in range(states):
-        columns[_BORDER + k, 1] = -s[5 + k]
-        columns[0, _BORDER + k], columns[1, _BORDER + k] = (
+        columns[BORDER + k, 1] = -s[5 + k]
+        columns[0, BORDER + k], columns[1, BORDER + k] = (
             -work.memory_slopes[0, k],
             -work.memory_slopes[1, k],
         )
         for j in range(states):
-            columns[_BORDER + j, _BORDER + k] = -work.memory_slopes[2 + j, k]
-        columns[_BORDER + k, _BORDER + k] += shift
+            columns[BORDER + j, BORDER + k] = -work.memory_slopes[2 + j, k]
+        columns[BORDER + k, BORDER + k] += shift
 
 
 @kernel
-def solve(right, space, work, out):
+def solve_system(right, space, work, out):
     """``out = (shift - J)^-1 right`` in the layout of the state."""
-    vapours, gels, memory = parts_of(space)
+    vapours, gels, memory = locate_parts(space)
     n = vapours - HEAD
-    states = len(work.border) - _BORDER
+    states = len(work.border) - BORDER
     coupling = work.coupling
     drive = work.drive
     inputs = work.small[1]
@@ -543,23 +542,25 @@ def solve(right, space, work, out):
     inputs[0], inputs[1], inputs[2] = right[0], right[1], right[2]
     inputs[4] += right[3]
     for k in range(states):
-        inputs[_BORDER + k] = right[memory + k]
+        inputs[BORDER + k] = right[memory + k]
     multiply_columns(work.border, inputs, z)
     out[0], out[1], out[2], out[3] = z[0], z[1], z[2], z[4]
     for k in range(states):
-        out[memory + k] = z[_BORDER + k]
+        out[memory + k] = z[BORDER + k]
     for i in range(0, len(drive), WIDTH):
-        change = spread(z[0]) * load(work.edges[0], i)
-        for k in range(1, _BORDER):
-            change = change + spread(z[k]) * load(work.edges[k], i)
-        store(drive, i, load(right, HEAD + i) + change)
+        change = spread_number(z[0]) * load_eight(work.edges[0], i)
+        for k in range(1, BORDER):
+            change = change + spread_number(z[k]) * load_eight(work.edges[k], i)
+        store_eight(drive, i, load_eight(right, HEAD + i) + change)
     warm = out[HEAD:vapours]
     slope = work.small[0, :n]
     multiply_columns(work.heat, drive, warm)
     multiply_columns(space.first, warm, slope)
     for i in range(0, n, WIDTH):
-        change = load(coupling[1], i) * load(slope, i) + load(coupling[0], i) * load(warm, i)
-        store(drive, n + i, load(drive, n + i) + change)
+        change = load_eight(coupling[1], i) * load_eight(slope, i) + load_eight(
+            coupling[0], i
+        ) * load_eight(warm, i)
+        store_eight(drive, n + i, load_eight(drive, n + i) + change)
     multiply_columns(work.vapour, drive[n:], out[vapours:gels])
     multiply_columns(work.gel, drive[2 * n :], out[gels:memory])
 
@@ -568,20 +569,20 @@ def solve(right, space, work, out):
 def add_increments(weights, count, scale, increments, out):
     """``out += scale sum_k weights[k] increments[k]`` over the first increments."""
     for i in range(0, len(out), WIDTH):
-        sums = load(out, i)
+        sums = load_eight(out, i)
         for k in range(count):
-            sums = sums + spread(weights[k] * scale) * load(increments[k], i)
-        store(out, i, sums)
+            sums = sums + spread_number(weights[k] * scale) * load_eight(increments[k], i)
+        store_eight(out, i, sums)
 
 
 @partial(kernel, inline="source")
-def step(state, time, h, space, work, member, setup, out):
+def advance_state(state, time, h, space, work, member, setup, out):
     """One step of Rodas4P from a state whose rates and factors are in ``work``; ``out`` receives
     the new state.
 
     The last increment, the estimate of the error, is left in ``work.increments``.
     """
-    memory = parts_of(space)[2]
+    memory = locate_parts(space)[2]
     size = len(state)
     states = work.moved.shape[1]
     increments = work.increments
@@ -596,7 +597,7 @@ def step(state, time, h, space, work, member, setup, out):
                 argument[i] = state[i]
             add_increments(_ARGUMENT[stage], stage, 1.0, increments, argument)
             there = point_at(argument, space, work, member, setup)
-            force = motion(
+            force = move_wall(
                 time + _MOMENTS[stage] * h,
                 there.radius,
                 there.velocity,
@@ -612,15 +613,15 @@ def step(state, time, h, space, work, member, setup, out):
             add_increments(_COUPLING[stage], stage, 1.0 / h, increments, right)
             right[3] = balance  # tau_w is algebraic
         right[1] += work.slopes[4] * h * _TIME_INCREMENTS[stage]
-        solve(right, space, work, increments[stage])
+        solve_system(right, space, work, increments[stage])
     for i in range(size):
         out[i] = argument[i] + increments[STAGES - 1, i]
 
 
 @kernel
-def start(space, member, setup, state):
+def write_start(space, member, setup, state):
     """The state at time zero: the wall at the far temperature, vapour in equilibrium with it."""
-    b, n, (vapours, _, memory) = member.b, len(space.y), parts_of(space)
+    b, n, (vapours, _, memory) = member.b, len(space.y), locate_parts(space)
     state[:] = 0.0
     state[0], state[1], state[2] = 1.0, b.velocity, np.log(b.start)
     for i in range(n):
@@ -630,6 +631,6 @@ def start(space, member, setup, state):
 
 
 @kernel
-def pace(state):
+def time_scale_of(state):
     """A bubble's own time scale (as in :mod:`imr_torch.simulate.clock`)."""
     return state[0] / np.sqrt(REST + np.exp(state[2]) + state[1] * state[1])

@@ -14,7 +14,7 @@ import numpy as np
 from imr_torch.elementary import kernel
 from imr_torch.simulate.bubbles import Constants, Numbers
 from imr_torch.simulate.contents import radial_arguments
-from imr_torch.simulate.driving import spline
+from imr_torch.simulate.driving import evaluate_spline
 
 from . import laws
 
@@ -43,6 +43,33 @@ class Setup(NamedTuple):
     scale: float
 
 
+class Batch(NamedTuple):
+    """The bubbles of a batch, bundle after bundle, the leader first, and what is found of them.
+
+    Args:
+        width: members of a bundle.
+        numbers: ``B x N``.
+        theta: ``B x p``, dimensionless parameters.
+        terms: a row a bundle: which stress terms act.
+        effects: a row a bundle: which effects act.
+        times: ``B x n_t``.
+        curves: ``3 x B x n_t``, receives radius, velocity and pressure; NaN where a member did not
+            get.
+        status: of each bundle, receives its leader's status.
+        steps: of each bundle, receives the steps that its leader took to its own last time.
+    """
+
+    width: int
+    numbers: np.ndarray
+    theta: np.ndarray
+    terms: np.ndarray
+    effects: np.ndarray
+    times: np.ndarray
+    curves: np.ndarray
+    status: np.ndarray
+    steps: np.ndarray
+
+
 class Member(NamedTuple):
     """One bubble.
 
@@ -62,12 +89,15 @@ class Member(NamedTuple):
 
 
 @kernel
-def member_of(numbers, theta, terms, effects):
-    """One bubble from its rows of the batch's arrays."""
+def member_of(batch, i):
+    """One bubble of a batch."""
+    bundle = i // batch.width
+    effects = batch.effects[bundle]
     affected = False
     for acts in effects:
         affected |= acts
-    return Member(laws.numbers(numbers), theta, terms, effects, affected)
+    numbers = laws.numbers(batch.numbers[i])
+    return Member(numbers, batch.theta[i], batch.terms[bundle], effects, affected)
 
 
 @kernel
@@ -78,7 +108,7 @@ def far_field(time, member, setup):
     bend = 0.0
     if setup.driven:
         seconds = member.b.seconds
-        v, r, a = spline(time * seconds, setup.knots, setup.cubics)
+        v, r, a = evaluate_spline(time * seconds, setup.knots, setup.cubics)
         value += v * setup.scale
         rate += r * seconds * setup.scale
         bend += a * seconds * seconds * setup.scale
@@ -91,7 +121,7 @@ def far_field(time, member, setup):
 
 
 @kernel
-def balance(radius, velocity, pressure, rate, stress, far, far_rate, member, setup):
+def accelerate_wall(radius, velocity, pressure, rate, stress, far, far_rate, member, setup):
     """``U'`` from the contents' pressure and its rate, the gel's stress and the far field.
 
     All real or all complex.
@@ -104,13 +134,13 @@ def balance(radius, velocity, pressure, rate, stress, far, far_rate, member, set
 
 
 @kernel
-def motion(time, radius, velocity, pressure, rate, memory, memory_rates, member, setup):
+def move_wall(time, radius, velocity, pressure, rate, memory, memory_rates, member, setup):
     """``U'``; writes the rates of memory."""
     far, far_rate, _ = far_field(time, member, setup)
     stress = laws.stress(
         radius, velocity, member.b.rest_radius, member.terms, member.theta, memory, memory_rates
     )
-    return balance(radius, velocity, pressure, rate, stress, far, far_rate, member, setup)
+    return accelerate_wall(radius, velocity, pressure, rate, stress, far, far_rate, member, setup)
 
 
 @partial(kernel, inline="never")
@@ -172,7 +202,7 @@ def motion_slopes(time, point, memory, member, setup, work, memory_rates):
                 stress[1].real + nothing,
                 stress[2].real + nothing,
             )
-        force = balance(r, u, p, q, stress, f, g, member, setup)
+        force = accelerate_wall(r, u, p, q, stress, f, g, member, setup)
         work.slopes[direction] = force.imag / TINY
         if direction >= 5:
             moved[direction - 5] = memory[direction - 5]
