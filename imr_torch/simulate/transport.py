@@ -180,7 +180,9 @@ def _nodes_of(field: TransportField, path: Tensor) -> Tensor:
     states = path.movedim(0, 1).flatten(1)
     f = copies.fields(states[:-CONTROL], states[-CONTROL])
     rates = copies.rate(f)
-    rows = torch.stack((states[-CONTROL], f.radius, f.velocity, rates[1], states[2], rates[2]))
+    rows = torch.stack(
+        (states[-CONTROL], f.point.radius, f.point.velocity, rates[1], states[2], rates[2])
+    )
     return rows.unflatten(1, (count, size))
 
 

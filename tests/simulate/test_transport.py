@@ -120,7 +120,7 @@ def test_an_equilibrium_bubble_stays_put(conditions):
     pressure = 1.0 + 1.0 / (DESIGN[0] * DESIGN[1]) - equations.bubbles.numbers.constant_vapour
     state = equations.start()
     state[0], state[2] = DESIGN[1], pressure.log()
-    wall = equations.fields(state).wall.vapour
+    wall = equations.fields(state).point.wall.vapour
     state[HEAD + equations.n : HEAD + 2 * equations.n] = wall
     assert float(equations.rate(equations.fields(state)).abs().max()) < 1e-8
 
@@ -147,6 +147,7 @@ def test_air_is_neither_made_nor_lost():
 def air(equations, state):
     """Mass of air over 4 pi, by spectral quadrature of ``(1 - C) P/(R_mix T) R^3 y^2`` over ``y``."""
     f = equations.fields(state)
+    at = f.point
     n = equations.n
     stretch = Resolution().stretch
     y = np.concatenate(([1.0], equations.inside.nodes.numpy()))
@@ -158,10 +159,10 @@ def air(equations, state):
         return np.cos(2.0 * np.arange(n + 1) * np.arccos(np.clip(eta, -1.0, 1.0))[:, None])
 
     quadrature = (0.5 * weights * fine**2) @ basis(fine) @ np.linalg.inv(basis(y))
-    vapour = torch.cat((f.wall.vapour[None], state[HEAD + n : HEAD + 2 * n]))
-    mixture = torch.cat((f.wall.mixture[None], f.node.mixture))
-    temperature = torch.cat((f.wall.temperature[None], f.node.temperature))
-    density = ((1.0 - vapour) * f.pressure / (mixture * temperature) * f.radius**3)[:, 0].numpy()
+    vapour = torch.cat((at.wall.vapour[None], state[HEAD + n : HEAD + 2 * n]))
+    mixture = torch.cat((at.wall.mixture[None], f.node.mixture))
+    temperature = torch.cat((at.wall.temperature[None], f.node.temperature))
+    density = ((1.0 - vapour) * at.pressure / (mixture * temperature) * at.radius**3)[:, 0].numpy()
     return float(quadrature @ density)
 
 

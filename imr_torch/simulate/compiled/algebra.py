@@ -100,12 +100,14 @@ def spread_number(typing: Any, number: Any) -> Any:
 
 
 @partial(kernel, inline="never")
-def multiply_rows(one, other):
-    """Inner product of a row and the beginning of a longer one; padding adds nothing."""
-    total = 0.0
-    for i in range(len(one)):
-        total += one[i] * other[i]
-    return total
+def multiply_two_rows(rows, vector):
+    """Inner products of two rows with the beginning of a longer one; padding adds nothing."""
+    first = 0.0
+    second = 0.0
+    for i in range(rows.shape[1]):
+        first += rows[0, i] * vector[i]
+        second += rows[1, i] * vector[i]
+    return first, second
 
 
 @partial(kernel, inline="never")

@@ -258,21 +258,18 @@ def _space_of(resolution: Resolution) -> step.Space:
 
     def operators_of(grid: Any) -> np.ndarray:
         parts = (grid.first[1:], grid.laplacian, grid.first[:1])
-        return np.concatenate([pad_matrix(part.T.numpy()) for part in parts], 1)
+        return pad_matrix(np.concatenate([pad_matrix(part.T.numpy()) for part in parts], 1))
 
-    matrices = (
-        operators_of(inside),
-        operators_of(outside),
-        inside.first[1:, 1:].T.numpy(),
-        inside.laplacian[:, 1:].T.numpy(),
-        inside.first[1:, 1:].numpy(),
-        outside.first[1:, 1:].T.numpy(),
-        outside.laplacian[:, 1:].T.numpy(),
-    )
     y = outside.nodes
     return step.Space(
-        *(pad_matrix(matrix) for matrix in matrices),
-        inside.nodes.contiguous().numpy(),
-        (y**-2 - y).numpy(),
-        (y**-6).numpy(),
+        inside=operators_of(inside),
+        outside=operators_of(outside),
+        first=pad_matrix(inside.first[1:, 1:].T.numpy()),
+        laplacian=pad_matrix(inside.laplacian[:, 1:].T.numpy()),
+        rows=pad_matrix(inside.first[1:, 1:].numpy()),
+        outer_first=pad_matrix(outside.first[1:, 1:].T.numpy()),
+        outer_laplacian=pad_matrix(outside.laplacian[:, 1:].T.numpy()),
+        y=inside.nodes.contiguous().numpy(),
+        stretching=(y**-2 - y).numpy(),
+        shear=(y**-6).numpy(),
     )

@@ -24,14 +24,15 @@ from imr_torch.simulate.compiled.algebra import (
     load_eight,
     make_rows,
     multiply_columns,
-    multiply_rows,
+    multiply_two_rows,
     padded_size,
     spread_number,
     store_eight,
 )
 from imr_torch.simulate.contents import (
+    GelNode,
     Node,
-    Wall,
+    Point,
     conductivity_of,
     gel_rate,
     gel_slopes,
@@ -206,27 +207,11 @@ def work_for(nodes: int, outer_nodes: int, states: int, width: int) -> Work:
     )
 
 
-class Point(NamedTuple):
-    """What holds at one state: of the wall, pressure of the mixture, its rate, and the slopes of
-    the fields there.
-    """
-
-    wall: Wall
-    radius: float
-    velocity: float
-    pressure: float
-    rate: float
-    heat: float
-    vapour: float
-    outer: float
-    loss: tuple
-
-
 @kernel
 def point_at(state, space, work, member, setup):
     """Temperatures, slopes and the pressure's rate at a state, into ``work``.
 
-    Returns the :class:`Point`.
+    Returns the point, and the relative loss of gas with its derivatives in ``R`` and ``U``.
     """
     b = member.b
     c = setup.c
@@ -251,17 +236,8 @@ def point_at(state, space, work, member, setup):
     heat = work.inner[0, at_wall]
     vapour = work.inner[1, at_wall]
     rate = pressure_rate(radius, velocity, pressure, wall, heat, vapour, loss[0], b, c)
-    return Point(
-        wall,
-        radius,
-        velocity,
-        pressure,
-        rate,
-        heat,
-        vapour,
-        work.outer[0, 2 * space.outer_first.shape[1]],
-        loss,
-    )
+    outer_slope = work.outer[0, 2 * space.outer_first.shape[1]]
+    return Point(radius, velocity, pressure, rate, wall, heat, vapour, outer_slope), loss
 
 
 @kernel
@@ -290,29 +266,22 @@ def rates_at(point, acceleration, space, work, member, setup, out):
     c = setup.c
     n = len(space.y)
     m = len(space.shear)
-    radius = point.radius
-    velocity = point.velocity
-    pressure = point.pressure
-    rate = point.rate
     vapours, gel, _ = locate_parts(space)
-    out[0], out[1], out[2] = velocity, acceleration, rate / pressure
-    out[3] = wall_balance(point.wall, point.heat, point.vapour, point.outer, b, c)
+    out[0], out[1], out[2] = point.velocity, acceleration, point.rate / point.pressure
+    out[3] = wall_balance(point, b, c)
     for i in range(n):
         node = node_at(i, space, work)
-        out[HEAD + i], out[vapours + i] = node_rates(node, radius, velocity, pressure, rate, b, c)
-    slopes = work.outer[0]
-    bends = work.outer[0, space.outer_first.shape[1] :]
+        out[HEAD + i], out[vapours + i] = node_rates(node, point, b, c)
     for i in range(m):
-        out[gel + i] = gel_rate(
-            space.stretching[i],
-            space.shear[i],
-            slopes[i],
-            bends[i],
-            radius,
-            velocity,
-            point.wall,
-            b,
-        )
+        out[gel + i] = gel_rate(gel_node_at(i, space, work), point, b)
+
+
+@kernel
+def gel_node_at(i, space, work):
+    """What :func:`point_at` left of an outer node."""
+    slopes = work.outer[0]
+    bends = space.outer_first.shape[1]
+    return GelNode(space.stretching[i], space.shear[i], slopes[i], slopes[bends + i])
 
 
 @kernel
@@ -325,20 +294,17 @@ def field_slopes(point, space, work, member, setup):
     n = len(space.y)
     m = len(space.shear)
     wall = point.wall
-    radius = point.radius
-    velocity = point.velocity
     pressure = point.pressure
-    rate = point.rate
     factors = work.factors
     bends = space.first.shape[1]
     outer_bends = space.outer_first.shape[1]
     by_heat = work.edges
     by_vapour = work.edges[:, bends:]
     by_gel = work.edges[:, 2 * bends :]
-    log_rate = rate / pressure
+    log_rate = point.rate / pressure
     for i in range(n):
         node = node_at(i, space, work)
-        s = node_slopes(node, radius, velocity, pressure, rate, b, c)
+        s = node_slopes(node, point, b, c)
         factors[0, i], factors[1, i], factors[2, i] = s.heat_first, s.heat_second, s.heat_self
         factors[3, i], factors[4, i], factors[5, i] = s.vapour_first, s.vapour_second, s.vapour_self
         heat_wall = s.heat_second * space.inside[0, bends + i] + s.heat_first * space.inside[0, i]
@@ -354,19 +320,8 @@ def field_slopes(point, space, work, member, setup):
         by_heat[4, i] = heat_wall
         by_vapour[4, i] = vapour_wall * wall.vapour_heat + s.coupling_slope * space.inside[0, i]
         work.coupling[0, i], work.coupling[1, i] = s.coupling, s.coupling_slope
-    outer = work.outer[0]
     for i in range(m):
-        g = gel_slopes(
-            space.stretching[i],
-            space.shear[i],
-            outer[i],
-            outer[outer_bends + i],
-            radius,
-            velocity,
-            wall,
-            b,
-            c,
-        )
+        g = gel_slopes(gel_node_at(i, space, work), point, b, c)
         factors[6, i], factors[7, i], factors[8, i] = g.first, g.second, 0.0
         through = (
             g.second * space.outside[0, outer_bends + i] + g.first * space.outside[0, i]
@@ -405,10 +360,9 @@ def linearise_state(state, time, space, work, member, setup):
     c = setup.c
     memory = locate_parts(space)[2]
     states = work.moved.shape[1]
-    point = point_at(state, space, work, member, setup)
-    wall = point.wall
+    point, loss = point_at(state, space, work, member, setup)
     pressure = point.pressure
-    log_rate = point.rate / point.pressure
+    log_rate = point.rate / pressure
     memory_rates = work.rate[memory : memory + states]
     acceleration = motion_slopes(
         time, point, state[memory : memory + states], member, setup, work, memory_rates
@@ -419,19 +373,8 @@ def linearise_state(state, time, space, work, member, setup):
     corner = space.inside[0, 2 * space.first.shape[1]]
     outer_corner = space.outside[0, 2 * space.outer_first.shape[1]]
     s[2], s[3] = pressure * (s[2] + log_rate * s[3]), pressure * s[3]
-    q = pressure_rate_slopes(
-        point.radius,
-        point.velocity,
-        pressure,
-        wall,
-        point.heat,
-        point.vapour,
-        corner,
-        point.loss,
-        b,
-        c,
-    )
-    w = wall_balance_slopes(pressure, wall, point.vapour, corner, outer_corner, b, c)
+    q = pressure_rate_slopes(point, corner, loss, b, c)
+    w = wall_balance_slopes(point, corner, outer_corner, b, c)
     write_balance(q, pressure, log_rate, pressure, work.wall_rows[0])
     work.wall_rows[0, 2] -= log_rate
     write_balance(w, pressure, log_rate, 1.0, work.wall_rows[1])
@@ -510,11 +453,10 @@ def _fill_border(shift, space, work):
     columns[0, 0], columns[1, 0] = shift, -1.0
     columns[0, 1], columns[1, 1], columns[2, 1], columns[3, 1] = -s[0], shift - s[1], -s[2], -s[3]
     columns[2, 2], columns[3, 2] = shift, -1.0
-    for row in range(2):
-        for k in range(BORDER):
-            columns[k, 3 + row] = (
-                -multiply_rows(work.functionals[row], work.edges[k]) - work.wall_rows[row, k]
-            )
+    for k in range(BORDER):
+        rate, wall = multiply_two_rows(work.functionals, work.edges[k])
+        columns[k, 3] = -rate - work.wall_rows[0, k]
+        columns[k, 4] = -wall - work.wall_rows[1, k]
     columns[3, 3] += 1.0
     for k in range(states):
         columns[BORDER + k, 1] = -s[5 + k]
@@ -537,10 +479,9 @@ def solve_system(right, space, work, out):
     drive = work.drive
     inputs = work.small[1]
     z = work.small[0, : work.border.shape[1]]
-    for k in range(2):
-        inputs[3 + k] = multiply_rows(work.functionals[k], right[HEAD:])
     inputs[0], inputs[1], inputs[2] = right[0], right[1], right[2]
-    inputs[4] += right[3]
+    inputs[3], wall = multiply_two_rows(work.functionals, right[HEAD:])
+    inputs[4] = wall + right[3]
     for k in range(states):
         inputs[BORDER + k] = right[memory + k]
     multiply_columns(work.border, inputs, z)
@@ -596,7 +537,7 @@ def advance_state(state, time, h, space, work, member, setup, out):
             for i in range(size):
                 argument[i] = state[i]
             add_increments(_ARGUMENT[stage], stage, 1.0, increments, argument)
-            there = point_at(argument, space, work, member, setup)
+            there, _ = point_at(argument, space, work, member, setup)
             force = move_wall(
                 time + _MOMENTS[stage] * h,
                 there.radius,

@@ -149,7 +149,7 @@ def motion_slopes(time, point, memory, member, setup, work, memory_rates):
 
     Args:
         time: dimensionless.
-        point: what holds at the state (:class:`imr_torch.simulate.compiled.step.Point`).
+        point: what holds at the state (:class:`imr_torch.simulate.contents.Point`).
         memory: ``K`` memory states.
         member: the bubble.
         setup: what the batch shares.
