@@ -136,7 +136,7 @@ def source_of(registry: Registry) -> str:
     """The text of the generated module.
 
     >>> from imr_torch.simulate import Conditions
-    >>> from imr_torch.simulate.compiled.build import source
+    >>> from imr_torch.simulate.compiled.build import source_of
     >>> from imr_torch.simulate.compiled.run import registry_of
     >>> "if on[0]:  # newtonian" in source_of(registry_of(Conditions(), None))
     True
