@@ -99,15 +99,29 @@ def spread_number(typing: Any, number: Any) -> Any:
     return Eight()(types.float64), lower_spread
 
 
+@_typed_intrinsic
+def sum_eight(typing: Any, value: Any) -> Any:
+    """The sum of eight numbers: of the two halves, then of the quarters, then of two numbers."""
+
+    def lower_sum(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        places = [
+            builder.extract_element(args[0], ir.Constant(ir.IntType(32), i)) for i in range(WIDTH)
+        ]
+        while len(places) > 1:
+            half = len(places) // 2
+            places = [builder.fadd(places[i], places[half + i]) for i in range(half)]
+        return places[0]
+
+    return types.float64(value), lower_sum
+
+
 @partial(kernel, inline="never")
-def multiply_two_rows(rows, vector):
-    """Inner products of two rows with the beginning of a longer one; padding adds nothing."""
-    first = 0.0
-    second = 0.0
-    for i in range(rows.shape[1]):
-        first += rows[0, i] * vector[i]
-        second += rows[1, i] * vector[i]
-    return first, second
+def multiply_rows(one, other):
+    """Inner product of a row and the beginning of a longer one; padding adds nothing."""
+    sums = spread_number(0.0)
+    for i in range(0, len(one), WIDTH):
+        sums = sums + load_eight(one, i) * load_eight(other, i)
+    return sum_eight(sums)
 
 
 @partial(kernel, inline="never")

@@ -24,7 +24,7 @@ from imr_torch.simulate.compiled.algebra import (
     load_eight,
     make_rows,
     multiply_columns,
-    multiply_two_rows,
+    multiply_rows,
     padded_size,
     spread_number,
     store_eight,
@@ -454,9 +454,9 @@ def _fill_border(shift, space, work):
     columns[0, 1], columns[1, 1], columns[2, 1], columns[3, 1] = -s[0], shift - s[1], -s[2], -s[3]
     columns[2, 2], columns[3, 2] = shift, -1.0
     for k in range(BORDER):
-        rate, wall = multiply_two_rows(work.functionals, work.edges[k])
-        columns[k, 3] = -rate - work.wall_rows[0, k]
-        columns[k, 4] = -wall - work.wall_rows[1, k]
+        for row in range(2):
+            through_fields = multiply_rows(work.functionals[row], work.edges[k])
+            columns[k, 3 + row] = -through_fields - work.wall_rows[row, k]
     columns[3, 3] += 1.0
     for k in range(states):
         columns[BORDER + k, 1] = -s[5 + k]
@@ -480,8 +480,9 @@ def solve_system(right, space, work, out):
     inputs = work.small[1]
     z = work.small[0, : work.border.shape[1]]
     inputs[0], inputs[1], inputs[2] = right[0], right[1], right[2]
-    inputs[3], wall = multiply_two_rows(work.functionals, right[HEAD:])
-    inputs[4] = wall + right[3]
+    for k in range(2):
+        inputs[3 + k] = multiply_rows(work.functionals[k], right[HEAD:])
+    inputs[4] += right[3]
     for k in range(states):
         inputs[BORDER + k] = right[memory + k]
     multiply_columns(work.border, inputs, z)
