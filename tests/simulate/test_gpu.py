@@ -80,7 +80,7 @@ def test_sensitivities() -> None:
 
 
 def test_the_change_of_engine_is_said() -> None:
-    engines._say.cache_clear()
+    engines._warn_once.cache_clear()
     parameters, designs = bubbles(1)
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
