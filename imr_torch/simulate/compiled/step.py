@@ -365,7 +365,15 @@ def linearise_state(state, time, space, work, member, setup):
     log_rate = point.rate / pressure
     memory_rates = work.rate[memory : memory + states]
     acceleration = motion_slopes(
-        time, point, state[memory : memory + states], member, setup, work, memory_rates
+        time,
+        point,
+        state[memory : memory + states],
+        member,
+        setup,
+        work.slopes,
+        work.memory_slopes,
+        work.moved,
+        memory_rates,
     )
     rates_at(point, acceleration, space, work, member, setup, work.rate)
     field_slopes(point, space, work, member, setup)

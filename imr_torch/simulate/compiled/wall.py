@@ -144,7 +144,7 @@ def move_wall(time, radius, velocity, pressure, rate, memory, memory_rates, memb
 
 
 @partial(kernel, inline="never")
-def motion_slopes(time, point, memory, member, setup, work, memory_rates):
+def motion_slopes(time, point, memory, member, setup, slopes, memory_slopes, spare, memory_rates):
     """``U'`` and its derivatives, and those of the rates of memory.
 
     Args:
@@ -153,15 +153,16 @@ def motion_slopes(time, point, memory, member, setup, work, memory_rates):
         memory: ``K`` memory states.
         member: the bubble.
         setup: what the batch shares.
-        work: ``slopes``, ``5 + K``, receives the derivatives of ``U'`` in (R, U, P, dP/dt, t) and in
-            memory; ``memory_slopes``, ``(2 + K) x K``, those of the rates of memory in (R, U,
-            memory), by rows; ``moved`` are ``2 x K`` complex numbers to spare.
+        slopes: ``5 + K``; receives the derivatives of ``U'`` in (R, U, P, dP/dt, t) and in memory.
+        memory_slopes: ``(2 + K) x K``; receives those of the rates of memory in (R, U, memory), by
+            rows.
+        spare: ``2 x K`` complex numbers to spare.
         memory_rates: ``K``; receives the rates of memory.
     """
     far, far_rate, far_bend = far_field(time, member, setup)
     states = len(memory)
-    moved = work.moved[0]
-    rates = work.moved[1]
+    moved = spare[0]
+    rates = spare[1]
     nothing = complex(0.0, 0.0)
     imaginary = complex(0.0, TINY)
     for k in range(states):
@@ -194,7 +195,7 @@ def motion_slopes(time, point, memory, member, setup, work, memory_rates):
             )
             row = direction if direction < 2 else direction - 3
             for k in range(states):
-                work.memory_slopes[row, k] = rates[k].imag / TINY
+                memory_slopes[row, k] = rates[k].imag / TINY
                 memory_rates[k] = rates[k].real
         else:
             stress = (
@@ -203,7 +204,7 @@ def motion_slopes(time, point, memory, member, setup, work, memory_rates):
                 stress[2].real + nothing,
             )
         force = accelerate_wall(r, u, p, q, stress, f, g, member, setup)
-        work.slopes[direction] = force.imag / TINY
+        slopes[direction] = force.imag / TINY
         if direction >= 5:
             moved[direction - 5] = memory[direction - 5]
     return force.real
