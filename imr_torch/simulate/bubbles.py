@@ -70,7 +70,7 @@ class Constants(NamedTuple):
         medium = conditions.medium
         speed_squared = outer.velocity_scale**2
         gas = mixture.gas_constant * outer.temperature / speed_squared
-        far = far_conductivity(conditions)
+        far = conductivity_at(outer.temperature, conditions)
         return cls(
             heat_ratio=mixture.heat_ratio,
             slope=mixture.conductivity_slope * outer.temperature / far,
@@ -89,11 +89,6 @@ def conductivity_at(temperature: Number, conditions: Conditions) -> Number:
     """``A T + B`` of the gas, W/(m K), at a temperature in K."""
     mixture = conditions.mixture
     return mixture.conductivity_slope * temperature + mixture.conductivity_offset
-
-
-def far_conductivity(conditions: Conditions) -> float:
-    """``K_inf = A T_inf + B`` of the gas, W/(m K)."""
-    return conductivity_at(conditions.surroundings.temperature, conditions)
 
 
 class Numbers(NamedTuple):

@@ -16,16 +16,6 @@ from imr_torch.elementary import Scalar, sqrt, where
 from imr_torch.simulate.bubbles import Numbers
 from imr_torch.types import BubbleFrames
 
-_REST = 0.3  # keeps g finite where nothing moves: about the frequency of the slow phase near Rmax
-_PRESSURE = 0.5
-_FALL = 0.5
-_VISCOUS = 0.05  # keeps step * rate below the stability limit 2.8 of RK4 for overdamped bubbles
-# resolves memory that fades faster than the bubble moves: shorter steps are no more accurate, only
-# slower
-_MEMORY = 0.07
-# step * rate that such memory may reach where steps are so long that the limit of RK4 rules instead
-_STABLE = 2.2
-
 
 def time_per_tick(
     radius: Scalar,
@@ -34,6 +24,10 @@ def time_per_tick(
     pressure: Scalar,
     fading: Scalar,
     b: Numbers,
+    resting: float = 0.3,
+    springing: float = 0.5,
+    falling: float = 0.5,
+    viscosity: float = 0.05,
 ) -> Scalar:
     """``g = dt/d tau``: the shortest of the bubble's own time scales, blended smoothly; a law of
     scalars.
@@ -46,6 +40,12 @@ def time_per_tick(
             the gas spring.
         fading: rate of the fastest memory of the gel times :func:`memory_share`; 0 without memory.
         b: numbers of the bubble; the gel's damping gives the viscous time ``R^2 Re/4``.
+        resting: keeps ``g`` finite where nothing moves: about the frequency of the slow phase near
+            Rmax.
+        springing: weight of the gas spring.
+        falling: weight of the fall time.
+        viscosity: weight of the viscous time; keeps step times rate below the stability limit 2.8
+            of RK4 for overdamped bubbles.
 
     Returns:
         Dimensionless time per unit of ``tau``.
@@ -54,19 +54,27 @@ def time_per_tick(
     fading = radius * fading
     viscous = b.damping / radius
     rates = (
-        _REST
-        + _PRESSURE * (pressure + b.spring)
-        + _FALL * where(fall < 0.0, -fall, fall)
+        resting
+        + springing * (pressure + b.spring)
+        + falling * where(fall < 0.0, -fall, fall)
         + velocity * velocity
-        + _VISCOUS * viscous * viscous
+        + viscosity * viscous * viscous
         + fading * fading
     )
     return radius / sqrt(rates)
 
 
-def memory_share(step: float) -> float:
-    """Weight of the gel's memory: steps of this length must stay stable where memory fades fast."""
-    return max(_MEMORY, step / _STABLE)
+def memory_share(step: float, least: float = 0.07, stable: float = 2.2) -> float:
+    """Weight of the gel's memory: steps of this length must stay stable where memory fades fast.
+
+    Args:
+        step: of stretched time.
+        least: resolves memory that fades faster than the bubble moves: shorter steps are no more
+            accurate, only slower.
+        stable: step times rate that such memory may reach where steps are so long that the limit of
+            RK4 rules instead.
+    """
+    return max(least, step / stable)
 
 
 def hermite_quintic(
@@ -118,7 +126,7 @@ def hermite_cubic(
     return values[0] + share * (r0 + share * (bend + share * twist))
 
 
-def bracket(
+def bracket_times(
     nodes: Float[Tensor, "members steps"], times: BubbleFrames
 ) -> tuple[Int[Tensor, "members frames"], BubbleFrames, Tensor]:
     """The step that holds each time.
@@ -139,11 +147,11 @@ def bracket(
 def ends_of(
     values: Float[Tensor, "members steps"], end: Int[Tensor, "members frames"]
 ) -> tuple[BubbleFrames, BubbleFrames]:
-    """Values at the nodes before and after each time; ``end`` as :func:`bracket` gives it."""
+    """Values at the nodes before and after each time; ``end`` as :func:`bracket_times` gives it."""
     return values.gather(1, end - 1), values.gather(1, end)
 
 
-def interpolate(
+def interpolate_radius(
     nodes: Float[Tensor, "members steps"],
     radius: Float[Tensor, "members steps"],
     velocity: Float[Tensor, "members steps"],
@@ -157,8 +165,8 @@ def interpolate(
         radius: ``B x n`` tensor at the nodes.
         velocity: ``B x n`` tensor.
         acceleration: ``B x n`` tensor.
-        times: see :func:`bracket`.
+        times: see :func:`bracket_times`.
     """
-    end, step, share = bracket(nodes, times)
+    end, step, share = bracket_times(nodes, times)
     knots = (ends_of(values, end) for values in (radius, velocity, acceleration))
     return hermite_quintic(share, step, *knots)

@@ -11,8 +11,6 @@ from imr_torch.simulate.polytropic import PolytropicSimulator
 from imr_torch.simulate.simulator import Simulator
 from imr_torch.simulate.transport import ACCURACIES, TransportSimulator
 
-_STEPS = 600  # of a polytropic bubble: a relaxation time of .3 us takes 480, most gels 200
-
 
 def coarser(simulator: Simulator) -> Simulator:
     """A simulator of the full physics at the accuracy ``"coarse"``, if its own is finer; any other
@@ -34,12 +32,12 @@ def coarser(simulator: Simulator) -> Simulator:
     return replace(simulator, accuracy=coarse)
 
 
-def fewer_steps(simulator: Simulator) -> Simulator:
-    """A polytropic simulator that gives a bubble up after 600 steps, if its own limit is higher;
+def fewer_steps(simulator: Simulator, most: int = 600) -> Simulator:
+    """A polytropic simulator that gives a bubble up after ``most`` steps, if its own limit is higher;
     any other as it is.
 
-    Its explicit steps become very short where the relaxation time of a gel is short, and good fits
-    do not end there.
+    A relaxation time of .3 us takes 480 steps, most gels 200. Explicit steps become very short
+    where the relaxation time of a gel is short, and good fits do not end there.
 
     >>> from imr_torch.simulate import PolytropicSimulator, fewer_steps
     >>> fewer_steps(PolytropicSimulator()).stepping.max_steps
@@ -48,4 +46,4 @@ def fewer_steps(simulator: Simulator) -> Simulator:
     if not isinstance(simulator, PolytropicSimulator):
         return simulator
     stepping = simulator.stepping
-    return replace(simulator, stepping=replace(stepping, max_steps=min(stepping.max_steps, _STEPS)))
+    return replace(simulator, stepping=replace(stepping, max_steps=min(stepping.max_steps, most)))

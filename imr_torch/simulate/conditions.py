@@ -10,7 +10,7 @@ from typing import ClassVar, Literal
 from imr_torch.elementary import Law
 from imr_torch.errors import InputDataError
 from imr_torch.simulate.driving import TabulatedDriving
-from imr_torch.simulate.gas import polytropic
+from imr_torch.simulate.gas import polytropic_pressure
 from imr_torch.simulate.radial import KellerMiksis, RadialEquation
 from imr_torch.units import Surroundings
 
@@ -39,7 +39,7 @@ class PolytropicGas:
         vapour: whether the bubble holds vapour at its saturation pressure.
 
     A subclass may put another law of the same arguments in place of
-    :func:`imr_torch.simulate.gas.polytropic`.
+    :func:`imr_torch.simulate.gas.polytropic_pressure`.
 
     >>> from imr_torch.simulate import Conditions, PolytropicGas, PolytropicSimulator
     >>> simulator = PolytropicSimulator(Conditions(gas=PolytropicGas(exponent=1.0, vapour=False)))
@@ -47,7 +47,7 @@ class PolytropicGas:
     1.0
     """
 
-    law: ClassVar[Law] = staticmethod(polytropic)
+    law: ClassVar[Law] = staticmethod(polytropic_pressure)
 
     exponent: float = 1.3
     reference: Literal["maximum", "rest"] = "maximum"
@@ -59,10 +59,7 @@ class PolytropicGas:
                 f"PolytropicGas.exponent is {self.exponent}; expected 1 (isothermal) to 5/3 "
                 "(monatomic adiabatic)."
             )
-        if self.reference not in ("maximum", "rest"):
-            raise InputDataError(
-                f"PolytropicGas.reference is {self.reference!r}; expected 'maximum' or 'rest'."
-            )
+        _require_choice(self, "reference", ("maximum", "rest"))
 
 
 @dataclass(frozen=True)
@@ -142,16 +139,12 @@ class GasMixture:
     vapour: Literal["transported", "constant", "frozen", "absent"] = "transported"
 
     def __post_init__(self) -> None:
-        known = ("transported", "constant", "frozen", "absent")
-        if self.vapour not in known:
-            raise InputDataError(
-                f"GasMixture.vapour is {self.vapour!r}; expected one of {', '.join(known)}."
-            )
+        _require_choice(self, "vapour", ("transported", "constant", "frozen", "absent"))
         if not 1.0 < self.heat_ratio <= 5.0 / 3.0:
             raise InputDataError(
                 f"GasMixture.heat_ratio is {self.heat_ratio}; expected above 1 and at most 5/3."
             )
-        _positive(
+        _require_positive(
             self,
             "conductivity_slope conductivity_offset diffusivity gas_constant vapour_mass air_mass",
         )
@@ -184,14 +177,19 @@ class Medium:
     capacity_of: Literal["medium", "gas_wall"] = "medium"
 
     def __post_init__(self) -> None:
-        if self.capacity_of not in ("medium", "gas_wall"):
-            raise InputDataError(
-                f"Medium.capacity_of is {self.capacity_of!r}; expected 'medium' or 'gas_wall'."
-            )
-        _positive(self, "conductivity heat_capacity latent_heat")
+        _require_choice(self, "capacity_of", ("medium", "gas_wall"))
+        _require_positive(self, "conductivity heat_capacity latent_heat")
 
 
-def _positive(options: object, names: str) -> None:
+def _require_choice(options: object, name: str, known: tuple[str, ...]) -> None:
+    value = getattr(options, name)
+    if value not in known:
+        raise InputDataError(
+            f"{type(options).__name__}.{name} is {value!r}; expected one of {', '.join(known)}."
+        )
+
+
+def _require_positive(options: object, names: str) -> None:
     for name in names.split():
         if not 0.0 < getattr(options, name) < math.inf:
             kind = type(options).__name__

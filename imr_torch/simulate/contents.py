@@ -167,18 +167,36 @@ def pressure_rate(
     return 3.0 / radius * (source / radius - c.heat_ratio * pressure * velocity) - pressure * lost
 
 
-def wall_balance(
-    wall: Wall, heat: Scalar, vapour: Scalar, outer: Scalar, b: Numbers, c: Constants
-) -> Scalar:
-    """Heat into the wall less heat into the gel, which must vanish (Estrada et al. 2018, eq. 16).
+class Point(NamedTuple):
+    """What holds at one state of the contents.
 
-    ``heat``, ``vapour`` and ``outer`` are the slopes of ``tau``, ``C`` and ``theta = T_m - 1`` at
-    the wall.
+    Args:
+        radius: ``R``.
+        velocity: ``U``.
+        pressure: ``P`` of the mixture.
+        rate: ``q``.
+        wall: what holds at the wall.
+        heat: slope of ``tau`` there.
+        vapour: slope of ``C`` there.
+        outer: slope of ``theta = T_m - 1`` there.
     """
+
+    radius: Scalar
+    velocity: Scalar
+    pressure: Scalar
+    rate: Scalar
+    wall: Wall
+    heat: Scalar
+    vapour: Scalar
+    outer: Scalar
+
+
+def wall_balance(at: Point, b: Numbers, c: Constants) -> Scalar:
+    """Heat into the wall less heat into the gel, which must vanish (Estrada et al. 2018, eq. 16)."""
     if not c.warm:
-        return 1.0 - wall.temperature
-    evaporation = c.latent_heat * wall.flux_factor * vapour / wall.temperature
-    return b.chi_gas * heat - b.chi * c.conductivity * outer + evaporation
+        return 1.0 - at.wall.temperature
+    evaporation = c.latent_heat * at.wall.flux_factor * at.vapour / at.wall.temperature
+    return b.chi_gas * at.heat - b.chi * c.conductivity * at.outer + evaporation
 
 
 class Balance(NamedTuple):
@@ -196,75 +214,62 @@ class Balance(NamedTuple):
     outer: Scalar
 
 
-def flux_slopes(
-    pressure: Scalar, wall: Wall, vapour: Scalar, corner: Scalar, c: Constants
-) -> tuple[Scalar, Scalar]:
+def flux_slopes(at: Point, corner: Scalar, c: Constants) -> tuple[Scalar, Scalar]:
     """Derivatives of the vapour's flux, ``flux_factor C'``, in ``P`` and ``tau_w``.
 
     ``corner`` is ``dC'/dC`` at the wall.
     """
-    flux = wall.flux_factor * vapour
+    flux = at.wall.flux_factor * at.vapour
     by_vapour = flux * (
-        1.0 / (1.0 - wall.vapour) - (c.vapour_constant - c.air_constant) / wall.mixture
+        1.0 / (1.0 - at.wall.vapour) - (c.vapour_constant - c.air_constant) / at.wall.mixture
     )
-    by_vapour = by_vapour + wall.flux_factor * corner
-    return flux / pressure + by_vapour * wall.vapour_pressure, by_vapour * wall.vapour_heat
+    by_vapour = by_vapour + at.wall.flux_factor * corner
+    return flux / at.pressure + by_vapour * at.wall.vapour_pressure, by_vapour * at.wall.vapour_heat
 
 
 def pressure_rate_slopes(
-    radius: Scalar,
-    velocity: Scalar,
-    pressure: Scalar,
-    wall: Wall,
-    heat: Scalar,
-    vapour: Scalar,
-    corner: Scalar,
-    loss: tuple[Scalar, Scalar, Scalar],
-    b: Numbers,
-    c: Constants,
+    at: Point, corner: Scalar, loss: tuple[Scalar, Scalar, Scalar], b: Numbers, c: Constants
 ) -> Balance:
     """Derivatives of :func:`pressure_rate`.
 
     ``loss`` is the relative loss of gas and its derivatives in ``R`` and ``U``.
     """
-    by_pressure, by_wall = flux_slopes(pressure, wall, vapour, corner, c)
+    by_pressure, by_wall = flux_slopes(at, corner, c)
     k = c.heat_ratio
     gain = k * c.vapour_constant
-    scale = 3.0 / (radius * radius)
+    scale = 3.0 / (at.radius * at.radius)
     conduction = scale * (k - 1.0) * b.chi_gas
-    source = conduction * heat + scale * gain * wall.flux_factor * vapour
-    work = 3.0 * k / radius
+    source = conduction * at.heat + scale * gain * at.wall.flux_factor * at.vapour
+    work = 3.0 * k / at.radius
     return Balance(
-        work * pressure * velocity / radius - 2.0 * source / radius - pressure * loss[1],
-        -work * pressure - pressure * loss[2],
-        -work * velocity + scale * gain * by_pressure - loss[0],
-        0.0 * radius,
+        work * at.pressure * at.velocity / at.radius
+        - 2.0 * source / at.radius
+        - at.pressure * loss[1],
+        -work * at.pressure - at.pressure * loss[2],
+        -work * at.velocity + scale * gain * by_pressure - loss[0],
+        0.0 * at.radius,
         conduction * corner + scale * gain * by_wall,
         conduction,
-        scale * gain * wall.flux_factor,
-        0.0 * radius,
+        scale * gain * at.wall.flux_factor,
+        0.0 * at.radius,
     )
 
 
 def wall_balance_slopes(
-    pressure: Scalar,
-    wall: Wall,
-    vapour: Scalar,
-    corner: Scalar,
-    outer_corner: float,
-    b: Numbers,
-    c: Constants,
+    at: Point, corner: Scalar, outer_corner: float, b: Numbers, c: Constants
 ) -> Balance:
     """Derivatives of :func:`wall_balance`; ``outer_corner`` is ``d theta'/d theta`` at the wall."""
-    zero = 0.0 * pressure
+    zero = 0.0 * at.pressure
     if not c.warm:
-        return Balance(zero, zero, zero, zero, -1.0 / wall.conductivity, zero, zero, zero)
-    by_pressure, by_wall = flux_slopes(pressure, wall, vapour, corner, c)
-    latent = c.latent_heat / wall.temperature
+        return Balance(zero, zero, zero, zero, -1.0 / at.wall.conductivity, zero, zero, zero)
+    by_pressure, by_wall = flux_slopes(at, corner, c)
+    latent = c.latent_heat / at.wall.temperature
     outer = b.chi * c.conductivity
-    cooling = wall.flux_factor * vapour / (wall.temperature * wall.conductivity)
+    cooling = at.wall.flux_factor * at.vapour / (at.wall.temperature * at.wall.conductivity)
     by_wall = (
-        b.chi_gas * corner + latent * (by_wall - cooling) - outer * outer_corner / wall.conductivity
+        b.chi_gas * corner
+        + latent * (by_wall - cooling)
+        - outer * outer_corner / at.wall.conductivity
     )
     return Balance(
         zero,
@@ -273,7 +278,7 @@ def wall_balance_slopes(
         zero,
         by_wall,
         b.chi_gas,
-        latent * wall.flux_factor,
+        latent * at.wall.flux_factor,
         -outer,
     )
 
@@ -302,26 +307,18 @@ class Node(NamedTuple):
     vapour_bend: Scalar
 
 
-def node_rates(
-    node: Node,
-    radius: Scalar,
-    velocity: Scalar,
-    pressure: Scalar,
-    rate: Scalar,
-    b: Numbers,
-    c: Constants,
-) -> tuple[Scalar, Scalar]:
+def node_rates(node: Node, at: Point, b: Numbers, c: Constants) -> tuple[Scalar, Scalar]:
     """``tau_t`` and ``C_t``."""
-    square = 1.0 / (radius * radius)
+    square = 1.0 / (at.radius * at.radius)
     share = 1.0 - 1.0 / c.heat_ratio
-    drift = b.chi_gas * share * square / pressure * node.heat - node.y * (
-        rate / (3.0 * c.heat_ratio * pressure) + velocity / radius
+    drift = b.chi_gas * share * square / at.pressure * node.heat - node.y * (
+        at.rate / (3.0 * c.heat_ratio * at.pressure) + at.velocity / at.radius
     )  # (v - y U)/R
     product = node.conductivity * node.temperature
-    capacity = product * (share / pressure)
+    capacity = product * (share / at.pressure)
     mixing = node.vapour * (c.vapour_constant - c.air_constant) / node.mixture
     warming = node.heat / product
-    warmer = (b.chi_gas * square * node.heat_bend + rate) * capacity - drift * node.heat
+    warmer = (b.chi_gas * square * node.heat_bend + at.rate) * capacity - drift * node.heat
     wetter = (
         b.fom * square * (node.vapour_bend - node.vapour * (2.0 * mixing + warming))
         - drift * node.vapour
@@ -355,37 +352,29 @@ class NodeSlopes(NamedTuple):
     vapour_rate: Scalar
 
 
-def node_slopes(
-    node: Node,
-    radius: Scalar,
-    velocity: Scalar,
-    pressure: Scalar,
-    rate: Scalar,
-    b: Numbers,
-    c: Constants,
-) -> NodeSlopes:
+def node_slopes(node: Node, at: Point, b: Numbers, c: Constants) -> NodeSlopes:
     """Derivatives of :func:`node_rates`."""
-    inverse = 1.0 / radius
+    inverse = 1.0 / at.radius
     square = inverse * inverse
     share = 1.0 - 1.0 / c.heat_ratio
-    heat_drift = b.chi_gas * share * square / pressure  # the factor of tau' in the drift
-    squeeze = node.y / (3.0 * c.heat_ratio * pressure)  # less its derivative in q
-    advection = node.y * velocity * inverse
+    heat_drift = b.chi_gas * share * square / at.pressure  # the factor of tau' in the drift
+    squeeze = node.y / (3.0 * c.heat_ratio * at.pressure)  # less its derivative in q
+    advection = node.y * at.velocity * inverse
     conduction = heat_drift * node.heat
-    drift = conduction - squeeze * rate - advection
+    drift = conduction - squeeze * at.rate - advection
     product = node.conductivity * node.temperature
-    capacity = product * (share / pressure)
+    capacity = product * (share / at.pressure)
     mixing = node.vapour * (c.vapour_constant - c.air_constant) / node.mixture
     warming = node.heat / product
     product_slope = (
         c.slope / node.conductivity + 1.0 / node.temperature
     ) / node.conductivity  # d ln(K T)/d tau
     diffusivity = b.fom * square
-    heating = b.chi_gas * square * node.heat_bend + rate
+    heating = b.chi_gas * square * node.heat_bend + at.rate
     diffusion = node.vapour_bend - node.vapour * (2.0 * mixing + warming)
     by_radius = inverse * (2.0 * conduction - advection)
     by_velocity = node.y * inverse
-    by_pressure = (conduction - rate * squeeze) / pressure
+    by_pressure = (conduction - at.rate * squeeze) / at.pressure
     return NodeSlopes(
         heat_self=heating * capacity * product_slope,
         heat_first=-drift - conduction,
@@ -395,9 +384,9 @@ def node_slopes(
         vapour_second=diffusivity,
         coupling=diffusivity * node.vapour * warming * product_slope,
         coupling_slope=-node.vapour * (diffusivity / product + heat_drift),
-        heat_radius=by_radius * node.heat - 2.0 * inverse * (heating - rate) * capacity,
+        heat_radius=by_radius * node.heat - 2.0 * inverse * (heating - at.rate) * capacity,
         heat_velocity=by_velocity * node.heat,
-        heat_pressure=by_pressure * node.heat - heating * capacity / pressure,
+        heat_pressure=by_pressure * node.heat - heating * capacity / at.pressure,
         heat_rate=squeeze * node.heat + capacity,
         vapour_radius=by_radius * node.vapour - 2.0 * inverse * diffusivity * diffusion,
         vapour_velocity=by_velocity * node.vapour,
@@ -406,34 +395,30 @@ def node_slopes(
     )
 
 
-def gel_rate(
-    stretching: Scalar,
-    shear: Scalar,
-    slope: Scalar,
-    bend: Scalar,
-    radius: Scalar,
-    velocity: Scalar,
-    wall: Wall,
-    b: Numbers,
-) -> Scalar:
-    """``theta_t`` at one node outside: conduction, advection and viscous heating.
+class GelNode(NamedTuple):
+    """``theta`` at one node outside.
 
     Args:
         stretching: ``1/y^2 - y``.
         shear: ``1/y^6``.
         slope: ``theta'``.
         bend: Laplacian of ``theta``.
-        radius: ``R``.
-        velocity: ``U``.
-        wall: what holds at the wall.
-        b: numbers of the bubble.
     """
-    strain = velocity / radius
-    conduction = b.foh / (wall.capacity * radius * radius) * bend
+
+    stretching: Scalar
+    shear: Scalar
+    slope: Scalar
+    bend: Scalar
+
+
+def gel_rate(node: GelNode, at: Point, b: Numbers) -> Scalar:
+    """``theta_t`` at one node outside: conduction, advection and viscous heating."""
+    strain = at.velocity / at.radius
+    conduction = b.foh / (at.wall.capacity * at.radius * at.radius) * node.bend
     return (
         conduction
-        - strain * stretching * slope
-        + b.heating / wall.capacity * strain * strain * shear
+        - strain * node.stretching * node.slope
+        + b.heating / at.wall.capacity * strain * strain * node.shear
     )
 
 
@@ -450,32 +435,24 @@ class GelSlopes(NamedTuple):
     wall: Scalar
 
 
-def gel_slopes(
-    stretching: Scalar,
-    shear: Scalar,
-    slope: Scalar,
-    bend: Scalar,
-    radius: Scalar,
-    velocity: Scalar,
-    wall: Wall,
-    b: Numbers,
-    c: Constants,
-) -> GelSlopes:
-    """Derivatives of :func:`gel_rate`; arguments as there."""
-    inverse = 1.0 / radius
-    strain = velocity * inverse
-    second = b.foh / wall.capacity * inverse * inverse
-    heat = b.heating / wall.capacity * strain * inverse * shear  # viscous heating over U
-    conduction = second * bend
-    advection = stretching * slope * inverse
-    thinned = (c.vapour_constant - c.air_constant) / wall.mixture * (conduction + velocity * heat)
+def gel_slopes(node: GelNode, at: Point, b: Numbers, c: Constants) -> GelSlopes:
+    """Derivatives of :func:`gel_rate`."""
+    inverse = 1.0 / at.radius
+    strain = at.velocity * inverse
+    second = b.foh / at.wall.capacity * inverse * inverse
+    heat = b.heating / at.wall.capacity * strain * inverse * node.shear  # viscous heating over U
+    conduction = second * node.bend
+    advection = node.stretching * node.slope * inverse
+    thinned = (
+        (c.vapour_constant - c.air_constant) / at.wall.mixture * (conduction + at.velocity * heat)
+    )
     if not c.gas_capacity:
         thinned = 0.0 * thinned
     return GelSlopes(
-        first=-strain * stretching,
+        first=-strain * node.stretching,
         second=second,
-        radius=inverse * (velocity * advection - 2.0 * (conduction + velocity * heat)),
+        radius=inverse * (at.velocity * advection - 2.0 * (conduction + at.velocity * heat)),
         velocity=2.0 * heat - advection,
-        pressure=-thinned * wall.vapour_pressure,
-        wall=-thinned * wall.vapour_heat,
+        pressure=-thinned * at.wall.vapour_pressure,
+        wall=-thinned * at.wall.vapour_heat,
     )

@@ -54,9 +54,9 @@ def scaled_error(
             error[0].abs() / radius,
             error[1].abs() / speed,
             error[2].abs(),
-            HEAT_WEIGHT * _rms(heat) / hottest,
-            _rms(vapour),
-            HEAT_WEIGHT * _rms(gel) / warmest,
+            HEAT_WEIGHT * _rms_of(heat) / hottest,
+            _rms_of(vapour),
+            HEAT_WEIGHT * _rms_of(gel) / warmest,
             *(memory.abs() / (after[len(after) - len(memory) :].abs() + 0.1 * pressure)),
         )
     )
@@ -70,5 +70,5 @@ def step_factor(error: BubbleValues) -> BubbleValues:
     return torch.where(torch.isfinite(error), factor.clamp(SHRINK, GROW), SHRINK)
 
 
-def _rms(values: Tensor) -> Tensor:
+def _rms_of(values: Tensor) -> Tensor:
     return values.square().mean(0).sqrt()

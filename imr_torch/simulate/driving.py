@@ -19,7 +19,7 @@ from imr_torch.errors import InputDataError
 from imr_torch.types import Values
 
 
-def spline(time: Scalar, knots: Scalar, cubics: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+def evaluate_spline(time: Scalar, knots: Scalar, cubics: Scalar) -> tuple[Scalar, Scalar, Scalar]:
     """A cubic a piece (``cubics``, ``4 x n-1``, highest power first) between ``n`` knots, constant
     outside; with its first two derivatives.
     """
@@ -86,4 +86,4 @@ class TabulatedDriving:
     def __call__(self, time: Values) -> tuple[Values, Values, Values]:
         """``p_ac`` (Pa) and its first two time derivatives (Pa/s, Pa/s^2) at times in seconds."""
         knots, cubics = self.pieces
-        return spline(time, knots.to(time), cubics.to(time))
+        return evaluate_spline(time, knots.to(time), cubics.to(time))

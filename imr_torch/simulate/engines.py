@@ -22,10 +22,10 @@ from imr_torch.simulate.sensitivity import differentiable
 from imr_torch.simulate.simulator import (
     Solution,
     in_transform,
+    is_tracked,
+    members_together,
     solve_batch,
     solve_bundles,
-    together,
-    tracked,
 )
 from imr_torch.types import DesignVectors, FrameTimes, ParameterVectors
 
@@ -76,9 +76,9 @@ class EngineSimulator:
             InputDataError: if a design is impossible, or times are not increasing and finite.
         """
         inputs = (parameters, designs, times)
-        if in_transform(*inputs) or tracked(*inputs):
+        if in_transform(*inputs) or is_tracked(*inputs):
             return differentiable(self, *inputs)
-        size = together(parameters, self.members, self.member_bytes)
+        size = members_together(parameters, self.members, self.member_bytes)
         return solve_batch(self._solve, size, inputs)
 
     def bundle(
@@ -88,7 +88,7 @@ class EngineSimulator:
         times: FrameTimes,
     ) -> Solution:
         """Simulate bundles in lock step; see :meth:`imr_torch.simulate.Simulator.bundle`."""
-        size = together(parameters, self.members, self.member_bytes)
+        size = members_together(parameters, self.members, self.member_bytes)
         with torch.no_grad():
             return solve_bundles(self._solve, size, (parameters, designs, times))
 
@@ -99,33 +99,33 @@ class EngineSimulator:
         raise NotImplementedError
 
 
-def compiles(engine: Engine, bubbles: Bubbles) -> bool:
+def can_compile(engine: Engine, bubbles: Bubbles) -> bool:
     """Whether the compiled engine integrates a batch.
 
     If it was asked for and cannot, the reason is given once.
     """
     if engine != "compiled":
         return False
-    reason = _obstacle(bubbles)
+    reason = _find_obstacle(bubbles)
     if reason is not None:
-        _say(
+        _warn_once(
             f"Bubbles are integrated by the torchdiffeq engine, since {reason}; results are the "
             "same and take longer."
         )
     return reason is None
 
 
-def _obstacle(bubbles: Bubbles) -> str | None:
+def _find_obstacle(bubbles: Bubbles) -> str | None:
     parameters = bubbles.parameters
     if parameters.device.type != "cpu":
         return f"the compiled engine does not run on {parameters.device}"
     if str(parameters.dtype) != "torch.float64":
         return f"the compiled engine computes in float64, not in {parameters.dtype}"
-    from imr_torch.simulate.compiled.run import obstacle
+    from imr_torch.simulate.compiled.run import find_obstacle
 
-    return obstacle(bubbles)
+    return find_obstacle(bubbles)
 
 
 @functools.cache
-def _say(message: str) -> None:
+def _warn_once(message: str) -> None:
     warnings.warn(message, EngineWarning, stacklevel=5)

@@ -10,7 +10,7 @@ def compression_of(radius: Scalar, exponent: Scalar) -> Scalar:
     return power(radius, -3.0 * exponent)
 
 
-def polytropic(
+def polytropic_pressure(
     radius: Scalar,
     velocity: Scalar,
     left: Scalar,

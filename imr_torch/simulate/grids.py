@@ -87,11 +87,11 @@ def chebyshev_inside(n: int, stretch: float) -> Grid:
         n: nodes.
         stretch: ``beta`` of ``y = tanh(beta eta)/tanh(beta)``.
     """
-    eta, slope = _chebyshev(2 * n + 1)
+    eta, slope = _chebyshev_nodes(2 * n + 1)
     curvature = slope @ slope
     half = slice(0, n + 1)
     slope, curvature = (m[half, half] + m[half, n + 1 :].flip(1) for m in (slope, curvature))
-    return _grid(*_crowd(eta[half], slope, curvature, stretch))
+    return _make_grid(*_crowd_nodes(eta[half], slope, curvature, stretch))
 
 
 def chebyshev_outside(m: int, reach: float) -> Grid:
@@ -101,11 +101,11 @@ def chebyshev_outside(m: int, reach: float) -> Grid:
         m: nodes.
         reach: ``L`` of ``y = 1 + L (1 - xi)/(1 + xi)``.
     """
-    xi, slope = _chebyshev(m + 1)
-    return _outer(xi, slope, slope @ slope, reach)
+    xi, slope = _chebyshev_nodes(m + 1)
+    return _map_outside(xi, slope, slope @ slope, reach)
 
 
-def _crowd(
+def _crowd_nodes(
     eta: Tensor, slope: Tensor, curvature: Tensor, stretch: float
 ) -> tuple[Tensor, Tensor, Tensor]:
     """``y = tanh(beta eta)/tanh(beta)``, and derivatives in ``eta`` turned into derivatives in
@@ -121,7 +121,7 @@ def _crowd(
     )
 
 
-def _outer(xi: Tensor, slope: Tensor, curvature: Tensor, reach: float) -> Grid:
+def _map_outside(xi: Tensor, slope: Tensor, curvature: Tensor, reach: float) -> Grid:
     """Map derivatives in ``xi`` to ``y``, and drop infinity."""
     keep = slice(0, len(xi) - 1)
     xi = xi[keep]
@@ -133,15 +133,15 @@ def _outer(xi: Tensor, slope: Tensor, curvature: Tensor, reach: float) -> Grid:
         -(1.0 + xi) / reach,
     )  # d xi/dy, and its derivative in xi
     first = rate[:, None] * slope
-    return _grid(y, first, rate[:, None] * (bend[:, None] * slope + rate[:, None] * curvature))
+    return _make_grid(y, first, rate[:, None] * (bend[:, None] * slope + rate[:, None] * curvature))
 
 
-def _grid(y: Tensor, first: Tensor, second: Tensor) -> Grid:
+def _make_grid(y: Tensor, first: Tensor, second: Tensor) -> Grid:
     laplacian = second + 2.0 / y[:, None] * first
     return Grid(y[1:].clone(), first.contiguous(), laplacian[1:].contiguous())
 
 
-def _chebyshev(count: int) -> tuple[Tensor, Tensor]:
+def _chebyshev_nodes(count: int) -> tuple[Tensor, Tensor]:
     """The ``count + 1`` Chebyshev extrema from 1 to -1 and their derivative (Trefethen 2000, eqs.
 
     6.3-6.5).

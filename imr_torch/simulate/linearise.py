@@ -18,18 +18,16 @@ from imr_torch.simulate.contents import (
     wall_balance_slopes,
 )
 from imr_torch.simulate.grids import Grid
-from imr_torch.simulate.rhs import HEAD, Equations, Fields
+from imr_torch.simulate.rhs import HEAD, WALL, Equations, Fields
 from imr_torch.simulate.wall import gas_loss_slopes, motion_slopes
 from imr_torch.types import BubbleValues
 
-_WALL = HEAD - 1
 
-
-def linearise(
+def linearise_equations(
     equations: Equations, f: Fields
 ) -> tuple[Float[Tensor, "state state members"], BubbleValues]:
     """The Jacobian at a state (rates by rows), and the derivative of ``U'`` in time."""
-    jacobian = f.radius.new_zeros(equations.rows, equations.rows, len(f.radius))
+    jacobian = f.point.radius.new_zeros(equations.rows, equations.rows, len(f.point.radius))
     by_rate = torch.zeros_like(jacobian[0])
     rate_row = torch.zeros_like(jacobian[0])
     memory = slice(equations.gel.stop, equations.rows)
@@ -39,13 +37,13 @@ def linearise(
     jacobian[moving, :3] = slopes[:3].transpose(0, 1)
     jacobian[moving, memory] = slopes[5:].transpose(0, 1)
     by_rate[moving] = slopes[3]
-    by_rate[2] = 1.0 / f.pressure
-    _fill_balances(equations, f, rate_row, jacobian[_WALL])
+    by_rate[2] = 1.0 / f.point.pressure
+    _fill_balances(equations, f, rate_row, jacobian[WALL])
     _fill_inside(equations, f, jacobian, by_rate)
     _fill_gel(equations, f, jacobian)
     jacobian.addcmul_(by_rate[:, None], rate_row[None])
-    jacobian[:, 2] *= f.pressure
-    jacobian[2, 2] -= f.rate / f.pressure
+    jacobian[:, 2] *= f.point.pressure
+    jacobian[2, 2] -= f.point.rate / f.point.pressure
     return jacobian, slopes[4, 0]
 
 
@@ -56,11 +54,9 @@ def _fill_balances(equations: Equations, f: Fields, rate_row: Tensor, wall_row: 
     by_inner = equations.inside.first[0, :, None]
     by_outer = equations.outside.first[0, :, None]
     corner = float(by_inner[0])
-    loss = gas_loss_slopes(equations.bubbles, f.radius, f.velocity)
-    q = pressure_rate_slopes(
-        f.radius, f.velocity, f.pressure, f.wall, f.heat, f.vapour, corner, loss, b, c
-    )
-    w = wall_balance_slopes(f.pressure, f.wall, f.vapour, corner, float(by_outer[0]), b, c)
+    loss = gas_loss_slopes(equations.bubbles, f.point.radius, f.point.velocity)
+    q = pressure_rate_slopes(f.point, corner, loss, b, c)
+    w = wall_balance_slopes(f.point, corner, float(by_outer[0]), b, c)
     for row, s in ((rate_row, q), (wall_row, w)):
         row[:HEAD] = torch.stack((s.radius, s.velocity, s.pressure, s.wall))
         row[equations.heat] = s.heat * by_inner[1:]
@@ -75,8 +71,8 @@ def _fill_inside(equations: Equations, f: Fields, jacobian: Tensor, by_rate: Ten
     grid = equations.inside
     heat = equations.heat
     vapour = equations.vapour
-    with_wall = slice(_WALL, heat.stop)
-    s = node_slopes(f.node, f.radius, f.velocity, f.pressure, f.rate, b, c)
+    with_wall = slice(WALL, heat.stop)
+    s = node_slopes(f.node, f.point, b, c)
     jacobian[heat, with_wall] = _apply_operators(grid, s.heat_first, s.heat_second)
     jacobian[heat, heat].diagonal().add_(s.heat_self.T)
     jacobian[heat, 0] = s.heat_radius
@@ -88,10 +84,10 @@ def _fill_inside(equations: Equations, f: Fields, jacobian: Tensor, by_rate: Ten
     jacobian[vapour, vapour].diagonal().add_(s.vapour_self.T)
     jacobian[vapour, with_wall] = s.coupling_slope[:, None] * grid.first[1:, :, None]
     jacobian[vapour, heat].diagonal().add_(s.coupling.T)
-    jacobian[vapour, _WALL] += by_field[:, 0] * f.wall.vapour_heat
+    jacobian[vapour, WALL] += by_field[:, 0] * f.point.wall.vapour_heat
     jacobian[vapour, 0] = s.vapour_radius
     jacobian[vapour, 1] = s.vapour_velocity
-    jacobian[vapour, 2] = s.vapour_pressure + by_field[:, 0] * f.wall.vapour_pressure
+    jacobian[vapour, 2] = s.vapour_pressure + by_field[:, 0] * f.point.wall.vapour_pressure
     by_rate[vapour] = s.vapour_rate
 
 
@@ -100,11 +96,10 @@ def _fill_gel(equations: Equations, f: Fields, jacobian: Tensor) -> None:
     b = equations.bubbles.numbers
     c = equations.bubbles.constants
     gel = equations.gel
-    at_nodes = (equations.stretching, equations.shear, f.outer_slope[1:], f.outer_laplacian)
-    s = gel_slopes(*at_nodes, f.radius, f.velocity, f.wall, b, c)
+    s = gel_slopes(f.gel, f.point, b, c)
     by_field = _apply_operators(equations.outside, s.first, s.second)
     jacobian[gel, gel] = by_field[:, 1:]
-    jacobian[gel, _WALL] = s.wall + by_field[:, 0] / f.wall.conductivity
+    jacobian[gel, WALL] = s.wall + by_field[:, 0] / f.point.wall.conductivity
     jacobian[gel, 0] = s.radius
     jacobian[gel, 1] = s.velocity
     jacobian[gel, 2] = s.pressure

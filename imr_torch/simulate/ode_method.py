@@ -103,7 +103,7 @@ class TransportField:
         """The state after one more step of every member."""
         x, (time, step, before) = state[:-CONTROL], state[-CONTROL:]
         lead = slice(None, None, self.width)
-        length = step if self.width == 1 else self._lengths(x, step)
+        length = step if self.width == 1 else self._step_lengths(x, step)
         after, change = rosenbrock_step(self.equations, x, length, time)
         error = scaled_error(
             x[:, lead], after[:, lead], change[:, lead], self.equations, self.tolerance
@@ -113,20 +113,20 @@ class TransportField:
             before[lead] == ACCEPTED, factor, factor.clamp_max(1.0)
         )  # no growth after a failure
         ended = torch.where(error <= 1.0, ACCEPTED, REJECTED)
-        ended = self._each(torch.where(torch.isfinite(error), ended, NOT_FINITE))
+        ended = self._repeat_in_bundles(torch.where(torch.isfinite(error), ended, NOT_FINITE))
         accepted = ended == ACCEPTED
         time = torch.where(accepted, time + length, time)
-        control = torch.stack((time, step * self._each(factor), ended.to(time)))
+        control = torch.stack((time, step * self._repeat_in_bundles(factor), ended.to(time)))
         return torch.cat((torch.where(accepted, after, x), control))
 
-    def _each(self, values: Tensor) -> Tensor:
+    def _repeat_in_bundles(self, values: Tensor) -> Tensor:
         """What holds for leaders, for each of their bundle."""
         return values.repeat_interleave(self.width) if self.width > 1 else values
 
-    def _lengths(self, x: Tensor, step: Tensor) -> Tensor:
+    def _step_lengths(self, x: Tensor, step: Tensor) -> Tensor:
         """The leaders' steps, for each member in proportion to its time scale (as in
         :mod:`imr_torch.simulate.clock`).
         """
         radius, velocity, log_pressure = x[:3]
         pace = radius * torch.rsqrt(REST + torch.exp(log_pressure) + velocity * velocity)
-        return step * (pace / self._each(pace[:: self.width]))
+        return step * (pace / self._repeat_in_bundles(pace[:: self.width]))

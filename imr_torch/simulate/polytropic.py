@@ -15,14 +15,18 @@ from torchdiffeq import odeint
 
 from imr_torch.material import StressTerm
 from imr_torch.simulate.bubbles import Bubbles
-from imr_torch.simulate.clock import bracket, ends_of, interpolate, memory_share, time_per_tick
+from imr_torch.simulate.clock import (
+    bracket_times,
+    ends_of,
+    interpolate_radius,
+    memory_share,
+    time_per_tick,
+)
 from imr_torch.simulate.conditions import Conditions, Stepping
-from imr_torch.simulate.engines import Engine, EngineSimulator, compiles
+from imr_torch.simulate.engines import Engine, EngineSimulator, can_compile
 from imr_torch.simulate.gas import compression_of
 from imr_torch.simulate.simulator import RUNAWAY, Status
-from imr_torch.simulate.wall import Head, gas_loss, motion, vapour_factor
-
-_BLOCK = 32  # steps between two checks of which members are done
+from imr_torch.simulate.wall import Head, gas_loss, move_wall, vapour_factor
 
 
 @dataclass(frozen=True)
@@ -65,33 +69,36 @@ class PolytropicSimulator(EngineSimulator):
         """
         bubbles = Bubbles.of(parameters, designs, self.conditions, self.terms)
         stepping = self.stepping
-        if compiles(self.engine, bubbles):
+        if can_compile(self.engine, bubbles):
             from imr_torch.simulate.compiled.run import solve_polytropic
 
             return solve_polytropic(bubbles, self.terms, times, width, stepping, self.threads)
-        results = _march(bubbles, times, stepping, width)
+        results = _integrate_batch(bubbles, times, stepping, width)
         for _ in range(stepping.retries):
-            status = _leaders(results[3], width)
+            status = _leader_status(results[3], width)
             failed = torch.nonzero((status != Status.DONE) & (status != Status.TOO_MANY_STEPS))[
                 :, 0
             ]
             if not len(failed):
                 break
             stepping = replace(stepping, step=0.5 * stepping.step)
-            again = _march(bubbles.take(failed), times[failed], stepping, width)
+            again = _integrate_batch(bubbles.take(failed), times[failed], stepping, width)
             results = [
                 old.index_copy(0, failed, new) for old, new in zip(results, again, strict=True)
             ]
-        return *results[:3], _leaders(results[3], width), results[4]
+        return *results[:3], _leader_status(results[3], width), results[4]
 
 
-def _leaders(status: Tensor, width: int) -> Tensor:
+def _leader_status(status: Tensor, width: int) -> Tensor:
     """The status of each member's leader."""
     return status[::width].repeat_interleave(width)
 
 
-def _march(bubbles: Bubbles, times: Tensor, stepping: Stepping, width: int = 1) -> Sequence[Tensor]:
-    """Integrate until every member is past its last time.
+def _integrate_batch(
+    bubbles: Bubbles, times: Tensor, stepping: Stepping, width: int = 1, block: int = 32
+) -> Sequence[Tensor]:
+    """Integrate until every member is past its last time; which are is looked at after each block of
+    steps.
 
     Radius, velocity, pressure, status, steps.
     """
@@ -104,17 +111,17 @@ def _march(bubbles: Bubbles, times: Tensor, stepping: Stepping, width: int = 1) 
     limits = torch.full_like(steps, 2 * stepping.max_steps)  # a follower may need a little longer
     limits[::width] = stepping.max_steps
     active = torch.arange(count, device=times.device)
-    ticks = stepping.step * torch.arange(_BLOCK + 1, dtype=times.dtype, device=times.device)
+    ticks = stepping.step * torch.arange(block + 1, dtype=times.dtype, device=times.device)
     while len(active):
         moving = bubbles if active.numel() == count else bubbles.take(active)
-        path = odeint(_field(moving, stepping.step), state[:, active], ticks, method="rk4")
+        path = odeint(_field_of(moving, stepping.step), state[:, active], ticks, method="rk4")
         assert isinstance(path, Tensor)  # a tuple only for tuple states
-        history.append(state.expand(_BLOCK, *state.shape).index_copy(2, active, path[1:]))
+        history.append(state.expand(block, *state.shape).index_copy(2, active, path[1:]))
         state = history[-1][-1]
-        steps[active] += _BLOCK
-        status[active] = _judge(path, last[active])
+        steps[active] += block
+        status[active] = _judge_members(path, last[active])
         active = torch.nonzero((status == Status.TOO_MANY_STEPS) & (steps < limits))[:, 0]
-    return *_read(bubbles, torch.cat(history), times, status), status, steps
+    return *_read_curves(bubbles, torch.cat(history), times, status), status, steps
 
 
 def start_of(bubbles: Bubbles) -> Float[Tensor, "rows *#members"]:
@@ -148,14 +155,14 @@ def rate_of(
     bubbles: Bubbles, head: Head, state: Float[Tensor, "rows *#members"]
 ) -> Float[Tensor, "rows *#members"]:
     """Time derivative of a state as in :func:`start_of`."""
-    force, memory_rate = motion(bubbles, head)
+    force, memory_rate = move_wall(bubbles, head)
     rows = [torch.stack((head.velocity, force, torch.ones_like(force))), memory_rate]
     if bubbles.acting("gas_loss"):
         rows.append(-state[-1:] * gas_loss(bubbles, head.radius, head.velocity))
     return torch.cat(rows)
 
 
-def _field(bubbles: Bubbles, step: float):
+def _field_of(bubbles: Bubbles, step: float):
     """Right-hand side in stretched time, cut into steps of one length."""
     fading = bubbles.fastest_relaxation() * memory_share(step)
 
@@ -169,7 +176,7 @@ def _field(bubbles: Bubbles, step: float):
     return rate
 
 
-def _judge(path: Tensor, last: Tensor) -> Tensor:
+def _judge_members(path: Tensor, last: Tensor) -> Tensor:
     """Status of each member after a block of steps; ``path`` is ``n x (3 + K) x B``."""
     radius = path[:, 0]
     end = path[-1, 2]
@@ -179,7 +186,7 @@ def _judge(path: Tensor, last: Tensor) -> Tensor:
     return torch.where(finite, verdict, int(Status.NON_FINITE))
 
 
-def _read(
+def _read_curves(
     bubbles: Bubbles, history: Tensor, times: Tensor, status: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Radius, velocity and pressure at ``times``.
@@ -194,12 +201,12 @@ def _read(
     nodes = torch.where(good, nodes, reached).cummax(0).values
     state = torch.where(good, history.movedim(1, 0), 0.0)
     state = torch.cat((torch.where(good, radius, 1.0)[None], state[1:2], nodes[None], state[3:]))
-    force = motion(bubbles, head_of(bubbles, state))[0]
+    force = move_wall(bubbles, head_of(bubbles, state))[0]
     nodes = nodes.T.contiguous()
-    at, speed = interpolate(nodes, state[0].T, state[1].T, force.T, times)
+    at, speed = interpolate_radius(nodes, state[0].T, state[1].T, force.T, times)
     known = (status == Status.DONE)[:, None] | (times < reached[:, None])
     nan = torch.full_like(times, torch.nan)
-    end, _, share = bracket(nodes, times)
+    end, _, share = bracket_times(nodes, times)
     rest = [torch.lerp(*ends_of(row.T, end), share).T for row in state[3:].unbind(0)]
     pressure = head_of(bubbles, torch.stack((at.T, speed.T, times.T, *rest))).pressure.T
     return (

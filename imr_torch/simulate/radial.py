@@ -26,7 +26,7 @@ from imr_torch.elementary import Law, Scalar, expm1, log1p, power
 from imr_torch.errors import InputDataError
 
 
-def _acceleration(
+def _wall_acceleration(
     radius: Scalar,
     velocity: Scalar,
     enthalpy: Scalar,
@@ -61,7 +61,7 @@ def rayleigh_plesset(
     image: Scalar,
 ) -> Scalar:
     """An incompressible liquid: the speed of sound plays no part."""
-    return _acceleration(
+    return _wall_acceleration(
         radius, velocity, pressure - far, rate - far_rate, inertia, 0.0 * slowness, 1.0, image
     )
 
@@ -78,22 +78,22 @@ def keller_miksis(
     image: Scalar,
 ) -> Scalar:
     """Compressible to first order in the Mach number, in pressure."""
-    return _acceleration(
+    return _wall_acceleration(
         radius, velocity, pressure - far, rate - far_rate, inertia, slowness, 1.0, image
     )
 
 
-def _compression(pressure: Scalar, stiffness: Scalar) -> Scalar:
+def _compression_of(pressure: Scalar, stiffness: Scalar) -> Scalar:
     """``(p + B)/(1 + B)``."""
     return (pressure + stiffness) / (1.0 + stiffness)
 
 
-def _volume(pressure: Scalar, exponent: Scalar, stiffness: Scalar) -> Scalar:
+def _specific_volume(pressure: Scalar, exponent: Scalar, stiffness: Scalar) -> Scalar:
     """``w = dh/dp`` of a Tait liquid, 1 at ``p_inf``."""
-    return power(_compression(pressure, stiffness), -1.0 / exponent)
+    return power(_compression_of(pressure, stiffness), -1.0 / exponent)
 
 
-def _enthalpy(pressure: Scalar, exponent: Scalar, stiffness: Scalar) -> Scalar:
+def _enthalpy_at(pressure: Scalar, exponent: Scalar, stiffness: Scalar) -> Scalar:
     """``h`` above that at ``p_inf``.
 
     ``expm1`` and ``log1p`` keep it exact near there and for a stiff liquid.
@@ -102,7 +102,7 @@ def _enthalpy(pressure: Scalar, exponent: Scalar, stiffness: Scalar) -> Scalar:
     return (1.0 + stiffness) / share * expm1(share * log1p((pressure - 1.0) / (1.0 + stiffness)))
 
 
-def _tait(
+def _tait_liquid(
     pressure: Scalar,
     rate: Scalar,
     far: Scalar,
@@ -113,9 +113,9 @@ def _tait(
     """``h`` between the wall and the far field, the part of its rate without ``U'``, and ``w`` at
     the wall.
     """
-    near = _volume(pressure, exponent, stiffness)
-    beyond = _volume(far, exponent, stiffness)
-    enthalpy = _enthalpy(pressure, exponent, stiffness) - _enthalpy(far, exponent, stiffness)
+    near = _specific_volume(pressure, exponent, stiffness)
+    beyond = _specific_volume(far, exponent, stiffness)
+    enthalpy = _enthalpy_at(pressure, exponent, stiffness) - _enthalpy_at(far, exponent, stiffness)
     return enthalpy, near * rate - beyond * far_rate, near
 
 
@@ -133,8 +133,10 @@ def keller_miksis_enthalpy(
     stiffness: Scalar,
 ) -> Scalar:
     """Compressible to first order in the Mach number, in the enthalpy of a Tait liquid."""
-    enthalpy, change, near = _tait(pressure, rate, far, far_rate, exponent, stiffness)
-    return _acceleration(radius, velocity, enthalpy, change, near * inertia, slowness, 1.0, image)
+    enthalpy, change, near = _tait_liquid(pressure, rate, far, far_rate, exponent, stiffness)
+    return _wall_acceleration(
+        radius, velocity, enthalpy, change, near * inertia, slowness, 1.0, image
+    )
 
 
 def gilmore(
@@ -153,9 +155,9 @@ def gilmore(
     """The enthalpy form with the sound speed of the Tait liquid at the wall, ``1/c = (1/c_0)
     q^(-(n-1)/(2n))``.
     """
-    enthalpy, change, near = _tait(pressure, rate, far, far_rate, exponent, stiffness)
-    slower = slowness * power(_compression(pressure, stiffness), -0.5 * (1.0 - 1.0 / exponent))
-    return _acceleration(
+    enthalpy, change, near = _tait_liquid(pressure, rate, far, far_rate, exponent, stiffness)
+    slower = slowness * power(_compression_of(pressure, stiffness), -0.5 * (1.0 - 1.0 / exponent))
+    return _wall_acceleration(
         radius, velocity, enthalpy, change, near * inertia, slower, 1.0 - slower * velocity, image
     )
 

@@ -13,13 +13,14 @@ et al. (J. Mech. Phys. Solids 112, 2018), eqs. 4-18 and appendix A.
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from torch import Tensor
 
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.contents import (
+    GelNode,
     Node,
-    Wall,
+    Point,
     conductivity_of,
     gel_rate,
     mixture_of,
@@ -31,11 +32,13 @@ from imr_torch.simulate.contents import (
     warm_profile,
 )
 from imr_torch.simulate.grids import Grid
-from imr_torch.simulate.wall import Head, gas_loss, motion, vapour_factor
+from imr_torch.simulate.wall import Head, gas_loss, move_wall, vapour_factor
 from imr_torch.types import BubbleStates, BubbleValues
 
 HEAD = 4
 """Rows of the state before the fields: R, U, ln P, tau_w."""
+WALL = HEAD - 1
+"""Row of tau_w."""
 
 
 @dataclass(frozen=True)
@@ -44,25 +47,15 @@ class Fields:
 
     Args:
         head: time, radius, velocity, pressure of all contents and its rate, memory.
-        radius: ``velocity``, ``pressure`` (of the mixture) and ``rate`` (``q = dP/dt``) likewise.
+        point: radius, velocity, pressure of the mixture and its rate, and what holds at the wall.
         node: temperatures and slopes at the inner nodes, ``n x B``.
-        wall: what holds at the wall; ``heat`` and ``vapour`` the slopes of ``tau`` and ``C`` there,
-            ``B``.
-        outer_slope: ``d theta/dy``, the wall first.
-        outer_laplacian: ``m x B`` tensor.
+        gel: slopes at the outer nodes, ``m x B``.
     """
 
     head: Head
-    radius: BubbleValues
-    velocity: BubbleValues
-    pressure: BubbleValues
-    rate: BubbleValues
+    point: Point
     node: Node
-    wall: Wall
-    heat: BubbleValues
-    vapour: BubbleValues
-    outer_slope: Float[Tensor, "wall_and_outside members"]
-    outer_laplacian: Float[Tensor, "outside members"]
+    gel: GelNode
 
 
 class Equations:
@@ -157,37 +150,19 @@ class Equations:
         )
         moment = radius if time is None else time
         whole = Head(moment, radius, velocity, pressure + b.constant_vapour, rate, memory)
-        return Fields(
-            whole,
-            radius,
-            velocity,
-            pressure,
-            rate,
-            node,
-            wall,
-            heat[0],
-            wet[0],
-            outer_slope,
-            outer_laplacian,
-        )
+        point = Point(radius, velocity, pressure, rate, wall, heat[0], wet[0], outer_slope[0])
+        gel = GelNode(self.stretching, self.shear, outer_slope[1:], outer_laplacian)
+        return Fields(whole, point, node, gel)
 
     def rate(self, f: Fields) -> BubbleStates:
         """``f(x)`` at a state, ``(4+2n+m+K) x B``."""
         b = self.bubbles.numbers
         c = self.bubbles.constants
-        acceleration, memory_rate = motion(self.bubbles, f.head)
-        balance = wall_balance(f.wall, f.heat, f.vapour, f.outer_slope[0], b, c)
-        head = torch.stack((f.velocity, acceleration, f.rate / f.pressure, balance))
-        warmer, wetter = node_rates(f.node, f.radius, f.velocity, f.pressure, f.rate, b, c)
-        gel = gel_rate(
-            self.stretching,
-            self.shear,
-            f.outer_slope[1:],
-            f.outer_laplacian,
-            f.radius,
-            f.velocity,
-            f.wall,
-            b,
-        )
+        acceleration, memory_rate = move_wall(self.bubbles, f.head)
+        at = f.point
+        balance = wall_balance(at, b, c)
+        head = torch.stack((at.velocity, acceleration, at.rate / at.pressure, balance))
+        warmer, wetter = node_rates(f.node, at, b, c)
+        gel = gel_rate(f.gel, at, b)
         parts = (head, warmer, wetter, gel)
         return torch.cat((*parts, memory_rate) if self.memory else parts)

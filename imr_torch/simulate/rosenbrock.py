@@ -10,7 +10,7 @@ parabolic equations with boundary values that change (Steinebach, preprint 1741,
 
 import torch
 
-from imr_torch.simulate.linearise import linearise
+from imr_torch.simulate.linearise import linearise_equations
 from imr_torch.simulate.rhs import Equations
 from imr_torch.types import BubbleStates, BubbleValues
 
@@ -79,7 +79,7 @@ def rosenbrock_step(
     """
     moment = torch.zeros_like(step) if time is None else time
     fields = equations.fields(state, moment)
-    jacobian, velocity_time = linearise(equations, fields)
+    jacobian, velocity_time = linearise_equations(equations, fields)
     inverse_step = (1.0 / step).repeat(equations.rows, 1)
     inverse_step[3] = 0.0  # tau_w is algebraic
     matrix = jacobian.permute(2, 0, 1).neg()

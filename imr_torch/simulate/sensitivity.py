@@ -26,9 +26,6 @@ from imr_torch.units import Surroundings
 DESIGN = ("weber", "rest_radius")
 """Names of the design's entries, beside those of ``PARAMETERS``."""
 
-_INCREMENT = 3e-7  # error then 1e-6 of the largest sensitivity: curvature and rounding balance
-_SMALL = 0.1  # dimensionless size below which increments of a material parameter no longer shrink
-
 
 def sensitivities(
     simulator: Simulator,
@@ -37,6 +34,8 @@ def sensitivities(
     times: FrameTimes,
     *,
     names: Sequence[str] | None = None,
+    increment: float = 3e-7,
+    floor: float = 0.1,
 ) -> tuple[Solution, Float[Tensor, "*#batch frames entries"]]:
     """Simulate a batch together with the derivatives of its radii.
 
@@ -49,6 +48,9 @@ def sensitivities(
         times: ``n_t`` or ``batch_shape x n_t`` tensor, dimensionless.
         names: ``k`` names of ``PARAMETERS`` or ``DESIGN``; all when not given. Each costs one more
             member a bubble.
+        increment: relative; the error is then 1e-6 of the largest sensitivity: curvature and
+            rounding balance.
+        floor: dimensionless size below which increments of a material parameter no longer shrink.
 
     Returns:
         The solution, and a ``batch_shape x n_t x k`` tensor: dR* per unit (SI) of each entry. At
@@ -69,17 +71,17 @@ def sensitivities(
     [0.444, -0.136]
     """
     names = (*PARAMETERS.names, *DESIGN) if names is None else tuple(names)
-    columns = [_column(name) for name in names]
+    columns = [_column_of(name) for name in names]
     with torch.no_grad():
         shape, parameters, designs, times = broadcast_batch(parameters, designs, times)
         values = torch.cat((parameters, designs.to(parameters)), 1)
-        moved = _moved(values, simulator.conditions.surroundings)
+        moved = _move_values(values, simulator.conditions.surroundings, increment, floor)
         bundles = values[:, None].repeat(1, 1 + len(columns), 1)
         for row, column in enumerate(columns, start=1):
             bundles[:, row, column] = moved[:, column]
         gels, shots = bundles.split((len(PARAMETERS), len(DESIGN)), -1)
         result = simulator.bundle(gels, shots, times[:, None])
-        increments = torch.where(_singular(values), torch.nan, moved - values)[:, columns]
+        increments = torch.where(_mask_singular(values), torch.nan, moved - values)[:, columns]
         jacobian = (result.radius[:, 1:] - result.radius[:, :1]) / increments[..., None]
     leaders = {
         name: value[:, 0].reshape((*shape, *value.shape[2:]))
@@ -88,7 +90,7 @@ def sensitivities(
     return Solution(**leaders), jacobian.mT.reshape(*shape, times.shape[-1], len(columns))
 
 
-def _column(name: str) -> int:
+def _column_of(name: str) -> int:
     """Place of an entry in parameters and design side by side."""
     if name in DESIGN:
         return len(PARAMETERS) + DESIGN.index(name)
@@ -98,7 +100,9 @@ def _column(name: str) -> int:
     return PARAMETERS.index([name])[0]
 
 
-def _moved(values: Tensor, surroundings: Surroundings) -> Tensor:
+def _move_values(
+    values: Tensor, surroundings: Surroundings, increment: float, floor: float
+) -> Tensor:
     """Parameters and design side by side, ``B x (p + 2)``, each moved by its increment and still
     within its bounds.
     """
@@ -106,18 +110,15 @@ def _moved(values: Tensor, surroundings: Surroundings) -> Tensor:
     scales = dimensionless(
         torch.ones_like(gels), surroundings.max_radius(designs[:, 0]), surroundings
     )
-    floor = torch.cat(
-        (_SMALL / torch.stack(list(scales.values()), 1), torch.zeros_like(designs)), 1
-    )
-    increment = max(_INCREMENT, torch.finfo(values.dtype).eps ** 0.5) * torch.maximum(
-        values.abs(), floor
-    )
+    least = torch.cat((floor / torch.stack(list(scales.values()), 1), torch.zeros_like(designs)), 1)
+    relative = max(increment, torch.finfo(values.dtype).eps ** 0.5)
+    change = relative * torch.maximum(values.abs(), least)
     upper = values.new_tensor([entry.upper for entry in PARAMETERS] + [torch.inf, 1.0])
-    moved = torch.where(values + increment < upper, values + increment, values - increment)
-    return torch.where(_singular(values), values, moved)
+    moved = torch.where(values + change < upper, values + change, values - change)
+    return torch.where(_mask_singular(values), values, moved)
 
 
-def _singular(values: Tensor) -> Tensor:
+def _mask_singular(values: Tensor) -> Tensor:
     """Which of parameters and design side by side, ``B x (p + 2)``, are time scales of 0."""
     times = [entry.dimension == "time" for entry in PARAMETERS] + [False] * len(DESIGN)
     return torch.tensor(times, device=values.device) & (values == 0.0)
@@ -148,7 +149,7 @@ def differentiable(
     >>> round(float((slopes[-1] * gel)[PARAMETERS.index(["G"])[0]]), 3)  # dR*/dlnG
     0.444
     """
-    if len(_derivatives(parameters, designs, times)) > 1:
+    if len(_derivative_levels(parameters, designs, times)) > 1:
         raise UnsupportedError(
             "Second derivatives of a bubble cannot be taken: its first ones are finite "
             "differences. Take differences of "
@@ -163,7 +164,7 @@ def differentiable(
     return Solution(times.reshape(*shape, -1), *fields)
 
 
-def _derivatives(*tensors: Tensor) -> set[int]:
+def _derivative_levels(*tensors: Tensor) -> set[int]:
     """Levels of nested derivatives that are to be taken: of each transform of ``torch.func``, and 0
     for autograd itself.
     """
@@ -198,7 +199,7 @@ class _Radius(torch.autograd.Function):
         solution, jacobian = sensitivities(simulator, parameters, designs, times, names=names)
         if by_gel:
             gels = torch.cat((parameters, designs.to(parameters)), 1)
-            jacobian = torch.where(_singular(gels)[:, None, : len(names)], 0.0, jacobian)
+            jacobian = torch.where(_mask_singular(gels)[:, None, : len(names)], 0.0, jacobian)
         others = (solution.velocity, solution.bubble_pressure, solution.status, solution.steps)
         return solution.radius, *others, jacobian
 

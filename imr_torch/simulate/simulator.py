@@ -323,12 +323,12 @@ def described(simulator: Simulator) -> str:
     return re.sub(r" at 0x[0-9a-fA-F]+", "", f"{type(simulator).__name__} {simulator!r}")
 
 
-def tracked(*tensors: Tensor) -> bool:
+def is_tracked(*tensors: Tensor) -> bool:
     """Whether autograd follows what is computed from one of them."""
     return torch.is_grad_enabled() and any(x.requires_grad for x in tensors)
 
 
-def together(values: Tensor, most: int, size: int) -> int:
+def members_together(values: Tensor, most: int, size: int) -> int:
     """Members integrated together: ``most`` on a processor, whose cache they are to fit; on a GPU
     as many as memory holds.
 
@@ -402,11 +402,13 @@ def solve_batch(
     designs = designs.to(parameters)
     times = times.to(parameters)
     blocks = zip(parameters.split(size), designs.split(size), times.split(size), strict=True)
-    with torch.inference_mode(not tracked(parameters, designs, times)):
+    with torch.inference_mode(not is_tracked(parameters, designs, times)):
         parts = [solve(*block) for block in blocks]
     fields = [torch.cat(columns) for columns in zip(*parts, strict=True)]  # ordinary tensors again
     radius, velocity, pressure = (x.reshape(*shape, -1) for x in _bubbles_only(*fields[:3]))
-    status, steps = (x.reshape(shape) for x in (_explain(fields[3], parameters), fields[4]))
+    status, steps = (
+        x.reshape(shape) for x in (_explain_failures(fields[3], parameters), fields[4])
+    )
     return Solution(times.reshape(*shape, -1), radius, velocity, pressure, status, steps)
 
 
@@ -421,7 +423,7 @@ def _bubbles_only(radius: Tensor, velocity: Tensor, pressure: Tensor) -> tuple[T
     return tuple(torch.where(lost, torch.nan, curve) for curve in (radius, velocity, pressure))
 
 
-def _explain(status: Tensor, parameters: Tensor) -> Tensor:
+def _explain_failures(status: Tensor, parameters: Tensor) -> Tensor:
     """Failures by the gel's parameters: where a term's energy has no lower bound, it may pull a
     collapse inwards.
     """

@@ -16,17 +16,17 @@ from torchdiffeq import odeint
 from imr_torch.errors import InputDataError
 from imr_torch.material import StressTerm
 from imr_torch.simulate.bubbles import Bubbles
-from imr_torch.simulate.clock import bracket, ends_of, hermite_cubic, interpolate
+from imr_torch.simulate.clock import bracket_times, ends_of, hermite_cubic, interpolate_radius
 from imr_torch.simulate.conditions import Conditions
 from imr_torch.simulate.controller import FIRST_STEP, PATIENCE, UNDERFLOW
-from imr_torch.simulate.engines import Engine, EngineSimulator, compiles
+from imr_torch.simulate.engines import Engine, EngineSimulator, can_compile
 from imr_torch.simulate.grids import Resolution
 from imr_torch.simulate.ode_method import ACCEPTED, CONTROL, NOT_FINITE, TransportField
 from imr_torch.simulate.rhs import Equations
 from imr_torch.simulate.simulator import RUNAWAY, Status
 
-_BLOCK = 32  # steps between two checks of which members are done
-_RUNNING = -1
+RUNNING = -1
+"""Status of a bundle that is not done."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class TransportSimulator(EngineSimulator):
         """One block of members, bundle after bundle: radius, velocity, pressure, status, steps."""
         settings = self.accuracy
         bubbles = Bubbles.of(parameters, designs, self.conditions, self.terms)
-        if compiles(self.engine, bubbles):
+        if can_compile(self.engine, bubbles):
             from imr_torch.simulate.compiled.run import solve_transport
 
             limits = (settings.tolerance, settings.max_steps, FIRST_STEP)
@@ -118,44 +118,47 @@ class TransportSimulator(EngineSimulator):
             )
         inside, outside = (grid.to(parameters) for grid in settings.resolution.grids())
         field = TransportField(Equations(bubbles, inside, outside), width, settings.tolerance)
-        return _march(field, times, settings.max_steps)
+        return _integrate_bundles(field, times, settings.max_steps)
 
 
-def _march(whole: TransportField, times: Tensor, max_steps: int) -> tuple[Tensor, ...]:
-    """Integrate until every bundle is done or given up.
+def _integrate_bundles(
+    whole: TransportField, times: Tensor, max_steps: int, block: int = 32
+) -> tuple[Tensor, ...]:
+    """Integrate until every bundle is done or given up; which are is looked at after each block of
+    steps.
 
     Radius, velocity, pressure, status, steps.
     """
     width = whole.width
     last = times[:, -1].unflatten(0, (-1, width)).amax(1)
     state = whole.start()
-    nodes = [_nodes(whole, state[None])]
+    nodes = [_nodes_of(whole, state[None])]
     fresh = [torch.ones_like(times[None, :, 0], dtype=torch.bool)]
-    status = torch.full_like(last, _RUNNING, dtype=torch.long)
+    status = torch.full_like(last, RUNNING, dtype=torch.long)
     running = torch.arange(len(last), device=last.device)
-    for tried in range(0, max_steps, _BLOCK):
+    for tried in range(0, max_steps, block):
         members = (running[:, None] * width + torch.arange(width, device=last.device)).flatten()
         moving = whole if len(members) == len(whole) else whole.take(members)
-        count = min(_BLOCK, max_steps - tried)
+        count = min(block, max_steps - tried)
         ticks = torch.arange(count + 1, dtype=times.dtype, device=times.device)
         path = odeint(moving, state[:, members], ticks, method="euler")
         assert isinstance(path, Tensor)  # a tuple only for tuple states
         new = nodes[-1][:, -1:].expand(-1, count, -1).clone()
-        new[:, :, members] = _nodes(moving, path[1:])
+        new[:, :, members] = _nodes_of(moving, path[1:])
         nodes.append(new)
         accepted = fresh[0].new_zeros(count, len(whole))
         accepted[:, members] = (path[1:, -1] == ACCEPTED) & torch.isfinite(path[1:]).all(1)
         fresh.append(accepted)
         state[:, members] = path[-1]
-        status[running] = _judge(path.unflatten(2, (-1, width)), last[running])
-        running = torch.nonzero(status == _RUNNING)[:, 0]
+        status[running] = _judge_bundles(path.unflatten(2, (-1, width)), last[running])
+        running = torch.nonzero(status == RUNNING)[:, 0]
         if not len(running):
             break
-    status = torch.where(status == _RUNNING, int(Status.TOO_MANY_STEPS), status)
-    path, steps = _accepted(torch.cat(nodes, 1), torch.cat(fresh), times[:, -1])
+    status = torch.where(status == RUNNING, int(Status.TOO_MANY_STEPS), status)
+    path, steps = _keep_accepted(torch.cat(nodes, 1), torch.cat(fresh), times[:, -1])
     vapour = whole.equations.bubbles.numbers.constant_vapour
-    radius, velocity = interpolate(path[0], path[1], path[2], path[3], times)
-    end, step, share = bracket(path[0], times)
+    radius, velocity = interpolate_radius(path[0], path[1], path[2], path[3], times)
+    end, step, share = bracket_times(path[0], times)
     logarithm = hermite_cubic(share, step, ends_of(path[4], end), ends_of(path[5], end))
     pressure = torch.exp(logarithm) + vapour[:, None]
     known = times <= path[0, :, -1:]
@@ -163,7 +166,7 @@ def _march(whole: TransportField, times: Tensor, max_steps: int) -> tuple[Tensor
     return *curves, status.repeat_interleave(width), steps[::width].repeat_interleave(width)
 
 
-def _nodes(field: TransportField, path: Tensor) -> Tensor:
+def _nodes_of(field: TransportField, path: Tensor) -> Tensor:
     """What output needs of some states ``n x rows x B``: t, R, U, U', ln P, d ln P/dt, a ``6 x n x
     B`` tensor.
     """
@@ -177,18 +180,20 @@ def _nodes(field: TransportField, path: Tensor) -> Tensor:
     states = path.movedim(0, 1).flatten(1)
     f = copies.fields(states[:-CONTROL], states[-CONTROL])
     rates = copies.rate(f)
-    rows = torch.stack((states[-CONTROL], f.radius, f.velocity, rates[1], states[2], rates[2]))
+    rows = torch.stack(
+        (states[-CONTROL], f.point.radius, f.point.velocity, rates[1], states[2], rates[2])
+    )
     return rows.unflatten(1, (count, size))
 
 
-def _judge(path: Tensor, last: Tensor) -> Tensor:
+def _judge_bundles(path: Tensor, last: Tensor) -> Tensor:
     """Which bundles are done, and which are given up, after a block of ticks.
 
     ``path`` is ``n x rows x bundles x width``.
     """
     time, step, ended = path[-1, -CONTROL:]
     leader = time[:, 0]
-    verdict = torch.full_like(last, _RUNNING, dtype=torch.long)
+    verdict = torch.full_like(last, RUNNING, dtype=torch.long)
     stuck = step[:, 0] < UNDERFLOW * (1.0 + leader)
     verdict[stuck] = int(Status.STEP_UNDERFLOW)
     verdict[stuck & (ended[:, 0] == NOT_FINITE)] = int(Status.NON_FINITE)
@@ -199,7 +204,7 @@ def _judge(path: Tensor, last: Tensor) -> Tensor:
     return verdict
 
 
-def _accepted(nodes: Tensor, fresh: Tensor, last: Tensor) -> tuple[Tensor, Tensor]:
+def _keep_accepted(nodes: Tensor, fresh: Tensor, last: Tensor) -> tuple[Tensor, Tensor]:
     """Nodes of accepted steps only, ``6 x B x n`` with the last repeated, and how many each member
     took to its last time.
     """

@@ -40,10 +40,10 @@ class Head:
     memory: States
 
 
-def motion(bubbles: Bubbles, head: Head) -> tuple[Members, States]:
+def move_wall(bubbles: Bubbles, head: Head) -> tuple[Members, States]:
     """``U'``, a ``B`` tensor, and ``d memory/dt``, ``K x B``."""
     far, far_rate, _ = far_field(bubbles, head.time)
-    return _motion(bubbles, head, far, far_rate)
+    return _move_wall_in(bubbles, head, far, far_rate)
 
 
 def motion_slopes(bubbles: Bubbles, head: Head) -> Inexact[Tensor, "entries accelerations *#batch"]:
@@ -63,7 +63,7 @@ def motion_slopes(bubbles: Bubbles, head: Head) -> Inexact[Tensor, "entries acce
         """``U'`` and ``d memory/dt``; ``beyond`` is a time by which the far field moves on."""
         states = torch.stack(memory) if memory else radius.new_zeros(0, *radius.shape)
         moved = Head(head.time, radius, velocity, pressure, rate, states)
-        force, changes = _motion(
+        force, changes = _move_wall_in(
             bubbles, moved, far + far_rate * beyond, far_rate + far_bend * beyond
         )
         return torch.cat((force[None], changes))
@@ -79,7 +79,9 @@ def motion_slopes(bubbles: Bubbles, head: Head) -> Inexact[Tensor, "entries acce
     return derivatives(rows, point, analytic=bubbles.analytic)
 
 
-def _motion(bubbles: Bubbles, head: Head, far: Tensor, far_rate: Tensor) -> tuple[Tensor, Tensor]:
+def _move_wall_in(
+    bubbles: Bubbles, head: Head, far: Tensor, far_rate: Tensor
+) -> tuple[Tensor, Tensor]:
     numbers = bubbles.numbers
     radius = head.radius
     velocity = head.velocity

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.simulate import Resolution
-from imr_torch.simulate.grids import Grid, _crowd, _outer
+from imr_torch.simulate.grids import Grid, _crowd_nodes, _map_outside
 
 
 @dataclass(frozen=True)
@@ -17,7 +17,7 @@ class DifferenceResolution(Resolution):
 
     def grids(self) -> tuple[Grid, Grid]:
         nodes, first, second = _even_differences(self.inside)
-        inside = _with_centre(*_crowd(nodes, first, second, self.stretch))
+        inside = _with_centre(*_crowd_nodes(nodes, first, second, self.stretch))
         return inside, _outside(self.outside, self.reach)
 
 
@@ -32,7 +32,7 @@ class AuthorsResolution(Resolution):
 def _outside(nodes: int, reach: float) -> Grid:
     xi = torch.linspace(1.0, -1.0, nodes, dtype=torch.float64)
     first, second = _central(nodes, xi[0] - xi[1])
-    return _outer(xi, first, second, reach)
+    return _map_outside(xi, first, second, reach)
 
 
 def _even_differences(nodes: int) -> tuple[Tensor, Tensor, Tensor]:

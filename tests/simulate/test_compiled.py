@@ -336,7 +336,7 @@ def torch_only(
 
 @SIMULATORS
 def test_that_a_law_without_a_compiled_form_runs_on_tensors_and_is_named_once(kind) -> None:
-    engines._say.cache_clear()
+    engines._warn_once.cache_clear()
     simulator = kind(terms=(StressTerm(torch_only, switch="mu"),))
     designs = DESIGNS[:1]
     times = TIMES[:12]
@@ -365,7 +365,7 @@ def test_that_a_law_without_a_compiled_form_is_no_obstacle_where_it_does_not_act
 
 @pytest.mark.filterwarnings("ignore::imr_torch.errors.PrecisionWarning")
 def test_that_float32_runs_on_tensors_and_says_why() -> None:
-    engines._say.cache_clear()
+    engines._warn_once.cache_clear()
     times = TIMES[:20]
     with pytest.warns(EngineWarning, match="computes in float64, not in torch.float32"):
         short = PolytropicSimulator()(gel(mu=0.1).float(), DESIGNS.float(), times.float())
@@ -447,7 +447,7 @@ def test_that_damaged_code_is_compiled_anew(
         spec = importlib.util.spec_from_file_location("engine", path)
         module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
-        return build.announced(
+        return build.call_announced(
             module, "solve", (1,)
         ), "compiled solve in" in capsys.readouterr().err
 
@@ -462,7 +462,7 @@ def test_that_a_folder_that_cannot_be_written_is_no_obstacle(
 ) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("IMR_TORCH_CACHE", str(tmp_path / "file" / "cache"))
-    module = build.engine.__wrapped__(
+    module = build.load_engine.__wrapped__(
         registry_of(Conditions(), None)
     )  # not the one that other tests share; nothing is compiled
     assert (

@@ -9,7 +9,7 @@ from imr_torch import PolytropicSimulator, TransportSimulator
 from imr_torch.errors import EngineWarning
 from imr_torch.material import PARAMETERS, reference_case
 from imr_torch.simulate import engines, sensitivities
-from imr_torch.simulate.simulator import Simulator, Status, together
+from imr_torch.simulate.simulator import Simulator, Status, members_together
 
 pytestmark = [
     pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU"),
@@ -40,8 +40,8 @@ def test_bubbles_agree_with_a_processor(simulator: Simulator) -> None:
 
 def test_large_batches_are_not_cut() -> None:
     values = torch.zeros(1, dtype=torch.float64)
-    assert together(values, 1000, 150_000) == 1000
-    assert together(values.cuda(), 1000, 150_000) == max(
+    assert members_together(values, 1000, 150_000) == 1000
+    assert members_together(values.cuda(), 1000, 150_000) == max(
         1000, torch.cuda.mem_get_info()[0] // 300_000
     )
 
@@ -80,7 +80,7 @@ def test_sensitivities() -> None:
 
 
 def test_the_change_of_engine_is_said() -> None:
-    engines._say.cache_clear()
+    engines._warn_once.cache_clear()
     parameters, designs = bubbles(1)
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")

@@ -17,7 +17,7 @@ from imr_torch.simulate import (
     RadialEquation,
     TabulatedDriving,
 )
-from imr_torch.simulate.driving import spline
+from imr_torch.simulate.driving import evaluate_spline
 from imr_torch.simulate.gas import compression_of
 from tests.laws import assert_alike
 
@@ -176,7 +176,7 @@ def test_that_a_table_is_its_compiled_self() -> None:
     driving = TabulatedDriving((0.0, 1e-5, 3e-5, 6e-5), (1e3, 2e4, -5e4, 1e4))
     values = []
     for time in (-1e-5, 0.0, 4e-6, 1e-5, 2.2e-5, 5.9e-5, 6e-5, 1e-3):
-        values.append(assert_alike(spline, [time, *driving.pieces], [0], slopes=False))
+        values.append(assert_alike(evaluate_spline, [time, *driving.pieces], [0], slopes=False))
         given = torch.stack(driving(torch.tensor(time, dtype=torch.float64)))
         torch.testing.assert_close(values[-1], given, rtol=1e-15, atol=0.0)
     assert bool((torch.stack(values).abs().amax(0) > 0.0).all())

@@ -54,7 +54,7 @@ def test_that_nothing_changes_at_rest(vapour: str, warm: bool, motion) -> None:
     state = equations.start()
     state[0] = 0.22
     state[2] = torch.log(1.0 + 1.0 / (550.0 * 0.22) - equations.bubbles.numbers.constant_vapour)
-    state[HEAD + equations.n : HEAD + 2 * equations.n] = equations.fields(state).wall.vapour
+    state[HEAD + equations.n : HEAD + 2 * equations.n] = equations.fields(state).point.wall.vapour
     state[HEAD + 2 * equations.n + equations.m :] = 0.0
     assert float(equations.rate(equations.fields(state)).abs().max()) < 1e-8
 
@@ -224,7 +224,7 @@ def test_that_energy_is_kept_when_the_heat_that_leaves_is_counted(vapour: str) -
     states = path[accepted & (times <= 2.0), :-CONTROL]
     times = times[accepted & (times <= 2.0)]
     assert 1.9 < float(times[-1]) < float(path[-1, -CONTROL])
-    fields = field.equations.fields(states.T)
+    fields = field.equations.fields(states.T).point
     b, l = field.equations.bubbles, fields.radius / 0.45  # noqa: E741
     vapour_work = float(b.numbers.constant_vapour) * fields.radius**3 / 3.0
     stored = fields.pressure * fields.radius**3 / (3.0 * 0.4) - vapour_work

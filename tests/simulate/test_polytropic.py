@@ -326,7 +326,7 @@ def test_that_autograd_through_the_tensor_solver_is_the_finite_difference(model:
     )
     base = [parameters.requires_grad_(), designs.requires_grad_()]
     bubbles = Bubbles.of(*(x[None] for x in base), Conditions())
-    total = (polytropic._march(bubbles, times[None], stepping)[0] * weight).sum()
+    total = (polytropic._integrate_batch(bubbles, times[None], stepping)[0] * weight).sum()
     slopes = torch.cat(torch.autograd.grad(total, base))
     point = torch.cat(base).detach()
     columns = [*PARAMETERS.index(MATERIALS[model].names), -2, -1]

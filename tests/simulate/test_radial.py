@@ -24,7 +24,7 @@ from imr_torch.simulate import (
     RadialEquation,
     RayleighPlesset,
 )
-from imr_torch.simulate.radial import _enthalpy, _volume
+from imr_torch.simulate.radial import _enthalpy_at, _specific_volume
 from imr_torch.units import Surroundings
 from tests.simulate.bubble import FINE, gel, grid, tensor
 
@@ -71,9 +71,13 @@ def drive(motion: RadialEquation, wall: dict[str, Tensor]) -> tuple[Tensor, Tens
     if not isinstance(motion, KellerMiksisEnthalpy):
         return near - far, wall["rate"] - wall["far_rate"], wall["inertia"]
     liquid = (motion.exponent, motion.stiffness)
-    volume = _volume(near, *liquid)
-    change = volume * wall["rate"] - _volume(far, *liquid) * wall["far_rate"]
-    return _enthalpy(near, *liquid) - _enthalpy(far, *liquid), change, volume * wall["inertia"]
+    volume = _specific_volume(near, *liquid)
+    change = volume * wall["rate"] - _specific_volume(far, *liquid) * wall["far_rate"]
+    return (
+        _enthalpy_at(near, *liquid) - _enthalpy_at(far, *liquid),
+        change,
+        volume * wall["inertia"],
+    )
 
 
 def local_slowness(motion: RadialEquation, wall: dict[str, Tensor]) -> Tensor:
@@ -182,7 +186,7 @@ def test_that_the_sound_speed_at_the_wall_is_that_of_the_tait_liquid() -> None:
     slowness = torch.full_like(p, 0.007)
     velocity = torch.full_like(p, 2.0)
     force = motion.acceleration(one, velocity, p, zero, zero, one, zero, slowness, zero)
-    enthalpy = _enthalpy(p, motion.exponent, motion.stiffness) - _enthalpy(
+    enthalpy = _enthalpy_at(p, motion.exponent, motion.stiffness) - _enthalpy_at(
         one, motion.exponent, motion.stiffness
     )
     square = velocity * velocity

@@ -97,7 +97,7 @@ def test_that_polytropic_ones_are_those_of_autograd() -> None:
         """By the tensor solver, all of whose operators autograd follows."""
         moved = gel.index_copy(0, columns, values)
         bubbles = Bubbles.of(moved[None], design[None], Conditions())
-        return polytropic._march(bubbles, times[None], Stepping())[0][0]
+        return polytropic._integrate_batch(bubbles, times[None], Stepping())[0][0]
 
     by_gel, by_design = torch.autograd.functional.jacobian(radius, (gel[columns], shot))  # pyright: ignore
     assert relative(jacobian, torch.cat((by_gel, by_design), 1)) < 1e-5

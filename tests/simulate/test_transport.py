@@ -26,7 +26,7 @@ from imr_torch.simulate import (
     TransportSimulator,
 )
 from imr_torch.simulate.bubbles import Bubbles
-from imr_torch.simulate.clock import bracket, ends_of, hermite_cubic
+from imr_torch.simulate.clock import bracket_times, ends_of, hermite_cubic
 from imr_torch.simulate.controller import scaled_error, step_factor
 from imr_torch.simulate.engines import ENGINES
 from imr_torch.simulate.rhs import HEAD, Equations
@@ -120,7 +120,7 @@ def test_an_equilibrium_bubble_stays_put(conditions):
     pressure = 1.0 + 1.0 / (DESIGN[0] * DESIGN[1]) - equations.bubbles.numbers.constant_vapour
     state = equations.start()
     state[0], state[2] = DESIGN[1], pressure.log()
-    wall = equations.fields(state).wall.vapour
+    wall = equations.fields(state).point.wall.vapour
     state[HEAD + equations.n : HEAD + 2 * equations.n] = wall
     assert float(equations.rate(equations.fields(state)).abs().max()) < 1e-8
 
@@ -147,6 +147,7 @@ def test_air_is_neither_made_nor_lost():
 def air(equations, state):
     """Mass of air over 4 pi, by spectral quadrature of ``(1 - C) P/(R_mix T) R^3 y^2`` over ``y``."""
     f = equations.fields(state)
+    at = f.point
     n = equations.n
     stretch = Resolution().stretch
     y = np.concatenate(([1.0], equations.inside.nodes.numpy()))
@@ -158,10 +159,10 @@ def air(equations, state):
         return np.cos(2.0 * np.arange(n + 1) * np.arccos(np.clip(eta, -1.0, 1.0))[:, None])
 
     quadrature = (0.5 * weights * fine**2) @ basis(fine) @ np.linalg.inv(basis(y))
-    vapour = torch.cat((f.wall.vapour[None], state[HEAD + n : HEAD + 2 * n]))
-    mixture = torch.cat((f.wall.mixture[None], f.node.mixture))
-    temperature = torch.cat((f.wall.temperature[None], f.node.temperature))
-    density = ((1.0 - vapour) * f.pressure / (mixture * temperature) * f.radius**3)[:, 0].numpy()
+    vapour = torch.cat((at.wall.vapour[None], state[HEAD + n : HEAD + 2 * n]))
+    mixture = torch.cat((at.wall.mixture[None], f.node.mixture))
+    temperature = torch.cat((at.wall.temperature[None], f.node.temperature))
+    density = ((1.0 - vapour) * at.pressure / (mixture * temperature) * at.radius**3)[:, 0].numpy()
     return float(quadrature @ density)
 
 
@@ -248,7 +249,7 @@ def test_that_values_between_steps_are_a_cubic_and_before_the_first_a_line():
         CubicHermiteSpline(*(x[0].numpy() for x in (nodes, values, rates)))(times.numpy())
     )
     expected[0, 0] = 1.0 - 0.2 * 3.0
-    end, step, share = bracket(nodes, times)
+    end, step, share = bracket_times(nodes, times)
     found = hermite_cubic(share, step, ends_of(values, end), ends_of(rates, end))
     torch.testing.assert_close(found, expected, rtol=0.0, atol=1e-12)
 
@@ -260,7 +261,7 @@ def test_that_values_between_steps_are_a_cubic_and_before_the_first_a_line():
         (lambda: GasMixture(heat_ratio=1.0), "expected above 1"),
         (lambda: GasMixture(diffusivity=-1.0), "GasMixture.diffusivity is -1.0"),
         (lambda: Medium(heat_capacity=math.nan), "Medium.heat_capacity is nan"),
-        (lambda: Medium(capacity_of="air"), "expected 'medium' or 'gas_wall'"),
+        (lambda: Medium(capacity_of="air"), "expected one of medium, gas_wall"),
         (lambda: Accuracy(tolerance=0.0), "expected 1e-12 to 0.1"),
         (lambda: Accuracy(max_steps=0), "max_steps is 0; expected at least 1"),
         (

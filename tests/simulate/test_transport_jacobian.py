@@ -15,7 +15,7 @@ from imr_torch.simulate import (
     Resolution,
 )
 from imr_torch.simulate.bubbles import Bubbles
-from imr_torch.simulate.linearise import linearise
+from imr_torch.simulate.linearise import linearise_equations
 from imr_torch.simulate.rhs import HEAD, Equations
 from imr_torch.simulate.rosenbrock import rosenbrock_step
 from tests.simulate.bubble import sine
@@ -118,7 +118,7 @@ def assert_jacobian_is_automatic(equations, vapour=True):
     """At a rough state, relative to each row."""
     state = rough_state(equations, vapour)
     time = torch.tensor([0.3, 0.7, 1.1], dtype=torch.float64)
-    jacobian, _ = linearise(equations, equations.fields(state, time))
+    jacobian, _ = linearise_equations(equations, equations.fields(state, time))
     for i in range(3):
         member = equations.take(torch.tensor([i]))
         dense = dense_jacobian(member, state[:, i].clone(), time[i : i + 1])
@@ -166,7 +166,7 @@ def test_the_slope_in_time_is_that_of_the_acceleration(motion):
     )
     state = rough_state(equations)
     time = torch.tensor([0.3, 0.7, 1.1], dtype=torch.float64)
-    _, slope = linearise(equations, equations.fields(state, time))
+    _, slope = linearise_equations(equations, equations.fields(state, time))
 
     def acceleration(time):
         return equations.rate(equations.fields(state, time))[1]

@@ -34,7 +34,7 @@ from imr_torch.elementary import Law
 from imr_torch.files import write_atomically
 from imr_torch.material import PARAMETERS, Effect, StressTerm
 from imr_torch.simulate.bubbles import Numbers
-from imr_torch.simulate.compiled import polytropic, transport, vectors
+from imr_torch.simulate.compiled import algebra, polytropic, transport
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Registry:
 
 
 @functools.cache
-def switches(registry: Registry) -> tuple[list[int], list[int]]:
+def switch_columns(registry: Registry) -> tuple[list[int], list[int]]:
     """Columns of the parameters that switch each term and each effect on."""
     return PARAMETERS.index([t.switch for t in registry.terms]), PARAMETERS.index(
         [e.names[0] for e in registry.effects]
@@ -76,11 +76,11 @@ def switches(registry: Registry) -> tuple[list[int], list[int]]:
 
 
 @functools.cache
-def engine(registry: Registry) -> types.ModuleType:
+def load_engine(registry: Registry) -> types.ModuleType:
     """The generated module of a registry, with ``solve_transport`` and ``solve_polytropic``."""
-    folder = _folder(registry)
+    folder = _cache_folder(registry)
     path = folder / "laws.py"
-    text = source(registry)
+    text = source_of(registry)
     if not path.exists() or path.read_text() != text:
         write_atomically(path, lambda stream: stream.write(text.encode()))
     package = types.ModuleType(f"imr_torch_engine_{folder.name}")
@@ -96,20 +96,20 @@ def engine(registry: Registry) -> types.ModuleType:
     return module
 
 
-def _cached(module: types.ModuleType, entry: str) -> list[Path]:
+def _cached_files(module: types.ModuleType, entry: str) -> list[Path]:
     """The files in which an entry point of an engine is kept in compiled form."""
     assert module.__file__ is not None
     path = Path(module.__file__)
     return list((path.parent / "__pycache__").glob(f"{path.stem}.{entry}-*.nb?"))
 
 
-def announced(module: types.ModuleType, entry: str, arguments: Sequence[Any]) -> Any:
+def call_announced(module: types.ModuleType, entry: str, arguments: Sequence[Any]) -> Any:
     """Call an entry point that has not run in this process.
 
     Where it has to be compiled, say so and how long it took.
     """
     function = getattr(module, entry)
-    if cached := _cached(module, entry):
+    if cached := _cached_files(module, entry):
         try:
             return function(*arguments)
         # whatever unpickling half a file raises; what is wrong with the arguments is raised again
@@ -132,25 +132,25 @@ def announced(module: types.ModuleType, entry: str, arguments: Sequence[Any]) ->
     return result
 
 
-def source(registry: Registry) -> str:
+def source_of(registry: Registry) -> str:
     """The text of the generated module.
 
     >>> from imr_torch.simulate import Conditions
-    >>> from imr_torch.simulate.compiled.build import source
+    >>> from imr_torch.simulate.compiled.build import source_of
     >>> from imr_torch.simulate.compiled.run import registry_of
-    >>> "if on[0]:  # newtonian" in source(registry_of(Conditions(), None))
+    >>> "if on[0]:  # newtonian" in source_of(registry_of(Conditions(), None))
     True
     """
     parts = [
         _HEAD,
-        _stress(registry.terms),
-        _memory(registry.terms),
-        _effects(registry.effects),
-        _choice("radial", registry.radial),
-        _choice("gas", registry.gases),
-        _numbers(),
-        _entry("transport", transport.solve_block),
-        _entry("polytropic", polytropic.solve_block),
+        _write_stress(registry.terms),
+        _write_memory(registry.terms),
+        _write_effects(registry.effects),
+        _write_choice("radial", registry.radial),
+        _write_choice("gas", registry.gases),
+        _write_numbers(),
+        _write_entry("transport", transport.solve_block),
+        _write_entry("polytropic", polytropic.solve_block),
     ]
     return "\n\n\n".join(parts) + "\n"
 
@@ -163,7 +163,7 @@ from imr_torch.elementary import kernel
 from imr_torch.simulate.bubbles import Numbers'''
 
 
-def _entry(physics: str, block: Any) -> str:
+def _write_entry(physics: str, block: Any) -> str:
     """An entry point that is kept in compiled form."""
     arguments = ", ".join(inspect.signature(block).parameters)
     return f"""from .{physics} import solve_block as {physics}_block
@@ -174,11 +174,11 @@ def solve_{physics}({arguments}):
     {physics}_block({arguments})"""
 
 
-def _columns(names: Sequence[str]) -> str:
+def _theta_columns(names: Sequence[str]) -> str:
     return "".join(f", theta[{i}]" for i in PARAMETERS.index(list(names)))
 
 
-def _stress(terms: Sequence[StressTerm]) -> str:
+def _write_stress(terms: Sequence[StressTerm]) -> str:
     """The sum of the terms that act, and the rates of their memory."""
     lines = ["@kernel", "def stress(radius, velocity, rest_radius, on, theta, memory, rates):"]
     lines += [
@@ -193,7 +193,7 @@ def _stress(terms: Sequence[StressTerm]) -> str:
         lines += [
             f"    if on[{i}]:  # {term.name}",
             f"        v, r, a{changes} = law_{i}(radius, velocity, "
-            f"rest_radius{states}{_columns(term.names)})",
+            f"rest_radius{states}{_theta_columns(term.names)})",
             "        value += v",
             "        rate += r",
             "        acceleration += a",
@@ -203,7 +203,7 @@ def _stress(terms: Sequence[StressTerm]) -> str:
     return "\n".join([*lines, "    return value, rate, acceleration"])
 
 
-def _memory(terms: Sequence[StressTerm]) -> str:
+def _write_memory(terms: Sequence[StressTerm]) -> str:
     """Where memory states start, and how fast they fade."""
     begin = ["@kernel", "def start(rest_radius, on, theta, memory):", "    k = 0"]
     fade = ["@kernel", "def fastest(on, theta):", "    rate = 0.0"]
@@ -215,11 +215,11 @@ def _memory(terms: Sequence[StressTerm]) -> str:
             begin += [f"        memory[k + {j}] = 0.0" for j in range(term.states)]
         else:
             names = "".join(f"z{j}, " for j in range(term.states))
-            begin += [f"        {names[:-1]} = start_{i}(rest_radius{_columns(term.names)})"]
+            begin += [f"        {names[:-1]} = start_{i}(rest_radius{_theta_columns(term.names)})"]
             begin += [f"        memory[k + {j}] = z{j}" for j in range(term.states)]
         begin += [f"        k += {term.states}"]
         if term.fastest is not None:
-            arguments = _columns(term.names)[2:]
+            arguments = _theta_columns(term.names)[2:]
             fade += [f"    if on[{i}]:", f"        rate = max(rate, fastest_{i}({arguments}))"]
     return "\n\n\n".join("\n".join(x) for x in (begin, [*fade, "    return rate"]))
 
@@ -232,7 +232,7 @@ _EFFECTS = {
 """Kind of law -> its arguments beside parameters, its value where none acts, and how several add up."""
 
 
-def _effects(effects: Sequence[Effect]) -> str:
+def _write_effects(effects: Sequence[Effect]) -> str:
     """The laws of effects, each kind put together."""
     functions = []
     for kind, (arguments, nothing, operator) in _EFFECTS.items():
@@ -240,7 +240,7 @@ def _effects(effects: Sequence[Effect]) -> str:
         for i, effect in enumerate(effects):
             if getattr(effect, kind) is None:
                 continue
-            call = f"{kind}_{i}({arguments}{_columns(effect.names)})"
+            call = f"{kind}_{i}({arguments}{_theta_columns(effect.names)})"
             lines += [f"    if on[{i}]:  # {effect.name}"]
             if kind == "far_field":
                 lines += [
@@ -253,7 +253,7 @@ def _effects(effects: Sequence[Effect]) -> str:
     return "\n\n\n".join(functions)
 
 
-def _choice(kind: str, laws: Sequence[Law]) -> str:
+def _write_choice(kind: str, laws: Sequence[Law]) -> str:
     """One function that calls the law of a number.
 
     Arguments that the shortest law lacks come out of one array.
@@ -274,12 +274,12 @@ def _entries(count: int) -> str:
     return "".join(f", constants[{j}]" for j in range(count))
 
 
-def _numbers() -> str:
+def _write_numbers() -> str:
     values = ", ".join(f"row[{i}]" for i in range(len(Numbers._fields)))
     return f"@kernel\ndef numbers(row):\n    return Numbers({values})"
 
 
-def _folder(registry: Registry) -> Path:
+def _cache_folder(registry: Registry) -> Path:
     """Where the code of a registry is kept; made if need be."""
     root = os.environ.get("IMR_TORCH_CACHE")
     if root is None:
@@ -289,7 +289,7 @@ def _folder(registry: Registry) -> Path:
             or Path.home() / ".cache"
         )
         root = Path(home) / "imr_torch"
-    folder = Path(root) / _hash(registry)
+    folder = Path(root) / _hash_of(registry)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -303,12 +303,12 @@ def _folder(registry: Registry) -> Path:
         return Path(tempfile.mkdtemp(prefix="imr_torch_"))
 
 
-def _hash(registry: Registry) -> str:
+def _hash_of(registry: Registry) -> str:
     """What the compiled code depends on."""
     digest = hashlib.sha256()
     for version in (sys.version, numba.__version__, llvmlite.__version__, np.__version__):
         digest.update(version.encode())
-    for file in (__file__, elementary.__file__, vectors.__file__):  # how functions are compiled
+    for file in (__file__, elementary.__file__, algebra.__file__):  # how functions are compiled
         digest.update(Path(file).read_bytes())
     for function in (
         transport.solve_block,
@@ -317,5 +317,5 @@ def _hash(registry: Registry) -> str:
     ):
         for part in elementary.code_of(function):
             digest.update(part)
-    digest.update(source(registry).encode())
+    digest.update(source_of(registry).encode())
     return digest.hexdigest()[:20]

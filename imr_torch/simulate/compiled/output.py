@@ -12,7 +12,7 @@ TIME, RADIUS, VELOCITY, ACCELERATION, PRESSURE, PRESSURE_RATE = range(6)
 
 
 @kernel
-def fill(before, after, begin, times, radius, velocity):
+def fill_curves(before, after, begin, times, radius, velocity):
     """Radius and velocity at all times up to a node.
 
     Args:
@@ -42,7 +42,7 @@ def fill(before, after, begin, times, radius, velocity):
 def fill_pressure(before, after, begin, end, times, pressure):
     """Pressure at some times before a node, by cubic Hermite interpolation of its logarithm.
 
-    Arguments as :func:`fill`.
+    Arguments as :func:`fill_curves`.
     """
     start = before[TIME]
     step = max(after[TIME] - start, 1e-300)
@@ -53,7 +53,7 @@ def fill_pressure(before, after, begin, end, times, pressure):
 
 
 @kernel
-def record(node, nodes, begin, second, times, curves):
+def record_node(node, nodes, begin, second, times, curves):
     """Make a node the last of two, and fill the output up to it unless it is the first.
 
     Returns the next time to be filled.
@@ -64,6 +64,6 @@ def record(node, nodes, begin, second, times, curves):
         before[i], after[i] = after[i], node[i]
     if not second:
         return begin
-    end = fill(before, after, begin, times, curves[0], curves[1])
+    end = fill_curves(before, after, begin, times, curves[0], curves[1])
     fill_pressure(before, after, begin, end, times, curves[2])
     return end

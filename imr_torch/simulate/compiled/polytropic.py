@@ -16,8 +16,8 @@ from imr_torch.simulate.gas import compression_of
 from imr_torch.simulate.simulator import RUNAWAY, Status
 
 from . import laws
-from .output import ACCELERATION, RADIUS, TIME, VELOCITY, fill
-from .wall import Setup, gas_loss, member_of, motion, vapour_factor
+from .output import ACCELERATION, RADIUS, TIME, VELOCITY, fill_curves
+from .wall import gas_loss, member_of, move_wall, vapour_factor
 
 _DONE = int(Status.DONE)
 _TOO_MANY = int(Status.TOO_MANY_STEPS)
@@ -25,7 +25,7 @@ _NON_FINITE = int(Status.NON_FINITE)
 _RUNAWAY = int(Status.RUNAWAY)
 # the 3/8 rule: rows weigh the earlier rates in the argument of the next stage
 _STAGES = np.array([[1.0 / 3.0, 0.0, 0.0], [-1.0 / 3.0, 1.0, 0.0], [1.0, -1.0, 1.0]])
-_HEAD = 3  # R, U, t, then memory, then gas left
+HEAD = 3  # R, U, t, then memory, then gas left
 
 
 class Work(NamedTuple):
@@ -39,14 +39,14 @@ class Work(NamedTuple):
     nodes: np.ndarray
 
 
-def work_for(states: int, width: int) -> tuple[np.ndarray, ...]:
-    """The entries of :class:`Work` for so many memory states, in bundles of any width."""
-    size = _HEAD + states + 1
-    return tuple(Work(np.zeros(size), np.zeros(size), np.zeros((4, size)), np.zeros((2, 6))))
+def work_for(states: int, width: int) -> Work:
+    """Arrays for so many memory states, in bundles of any width."""
+    size = HEAD + states + 1
+    return Work(np.zeros(size), np.zeros(size), np.zeros((4, size)), np.zeros((2, 6)))
 
 
 @kernel
-def contents(radius, velocity, left, member, setup):
+def contents_at(radius, velocity, left, member, setup):
     """Pressure inside, its rate, and the relative rate at which gas is lost."""
     b = member.b
     compression = compression_of(radius, b.exponent)
@@ -75,46 +75,43 @@ def rates_at(state, fading, member, setup, out):
     radius = state[0]
     velocity = state[1]
     last = len(state) - 1
-    pressure, rate, lost = contents(radius, velocity, state[last], member, setup)
-    force = motion(
+    pressure, rate, lost = contents_at(radius, velocity, state[last], member, setup)
+    force = move_wall(
         state[2],
         radius,
         velocity,
         pressure,
         rate,
-        state[_HEAD:last],
-        out[_HEAD:last],
+        state[HEAD:last],
+        out[HEAD:last],
         member,
         setup,
     )
     tick = time_per_tick(radius, velocity, force, pressure, fading, member.b)
     out[0], out[1], out[2] = tick * velocity, tick * force, tick
-    for k in range(_HEAD, last):
+    for k in range(HEAD, last):
         out[k] *= tick
     out[last] = -tick * lost * state[last]
     return force
 
 
 @partial(kernel, inline="source")
-def march(numbers, theta, terms, effects, setup, h, share, max_steps, last, times, curves, work):
+def integrate_bubble(batch, i, setup, h, share, max_steps, work):
     """Integrate one bubble to its last time; returns status and steps taken.
 
     Args:
-        numbers: ``N``.
-        theta: ``p``.
-        terms: which stress terms act; ``effects`` likewise.
-        effects: see ``terms``.
+        batch: the bubbles.
+        i: number of the bubble.
         setup: what the batch shares.
         h: length of a step of stretched time.
         share: weight of the gel's memory in the time scale.
         max_steps: steps after which it is given up.
-        last: time to reach.
-        times: ``n_t``.
-        curves: ``3 x n_t``, receives radius, velocity and pressure; NaN where it did not get.
         work: arrays to spare.
     """
-    member = member_of(numbers, theta, terms, effects)
-    fading = laws.fastest(terms, theta) * share
+    member = member_of(batch, i)
+    times = batch.times[i]
+    curves = batch.curves[:, i]
+    fading = laws.fastest(member.terms, member.theta) * share
     state = work.state
     stage = work.stage
     rates = work.rates
@@ -122,7 +119,7 @@ def march(numbers, theta, terms, effects, setup, h, share, max_steps, last, time
     size = len(state)
     gas = size - 1
     state[0], state[1], state[2], state[gas] = 1.0, member.b.velocity, 0.0, 1.0
-    laws.start(member.b.rest_radius, terms, theta, state[_HEAD:gas])
+    laws.start(member.b.rest_radius, member.terms, member.theta, state[HEAD:gas])
     curves[:] = np.nan
     filled = 0
     step = 0
@@ -130,15 +127,15 @@ def march(numbers, theta, terms, effects, setup, h, share, max_steps, last, time
     while True:
         force = rates_at(state, fading, member, setup, rates[0])
         finite = np.isfinite(force) and state[0] > 0.0
-        for i in range(size):
-            finite = finite and np.isfinite(state[i])
+        for value in state:
+            finite = finite and np.isfinite(value)
         if not finite:
             return _NON_FINITE, step
         if state[0] > RUNAWAY:
             return _RUNAWAY, step
         node = nodes[1]
-        for i in range(len(node)):
-            nodes[0, i] = node[i]
+        for k in range(len(node)):
+            nodes[0, k] = node[k]
         node[TIME], node[RADIUS], node[VELOCITY], node[ACCELERATION] = (
             state[2],
             state[0],
@@ -147,88 +144,54 @@ def march(numbers, theta, terms, effects, setup, h, share, max_steps, last, time
         )
         if step > 0:
             begin = filled
-            filled = fill(nodes[0], node, filled, times, curves[0], curves[1])
+            filled = fill_curves(nodes[0], node, filled, times, curves[0], curves[1])
             for j in range(begin, filled):
                 share_after = (times[j] - nodes[0, TIME]) / max(node[TIME] - nodes[0, TIME], 1e-300)
                 left = gas_before + share_after * (state[gas] - gas_before)
-                curves[2, j] = contents(curves[0, j], curves[1, j], left, member, setup)[0]
+                curves[2, j] = contents_at(curves[0, j], curves[1, j], left, member, setup)[0]
             gas_before = state[gas]
-        if state[2] >= last and step > 0:  # output takes two nodes
+        if state[2] >= times[-1] and step > 0:  # output takes two nodes
             return _DONE, step
         if step >= max_steps:
             return _TOO_MANY, step
         for number in range(1, 4):
-            for i in range(size):
+            for k in range(size):
                 change = 0.0
                 for earlier in range(number):
-                    change += _STAGES[number - 1, earlier] * rates[earlier, i]
-                stage[i] = state[i] + h * change
+                    change += _STAGES[number - 1, earlier] * rates[earlier, k]
+                stage[k] = state[k] + h * change
             rates_at(stage, fading, member, setup, rates[number])
-        for i in range(size):
-            change = rates[0, i] + 3.0 * (rates[1, i] + rates[2, i]) + rates[3, i]
-            state[i] += change * h * 0.125
+        for k in range(size):
+            change = rates[0, k] + 3.0 * (rates[1, k] + rates[2, k]) + rates[3, k]
+            state[k] += change * h * 0.125
         step += 1
 
 
 @partial(kernel, inline="source")
-def solve_block(
-    which,
-    width,
-    rows,
-    theta,
-    terms,
-    effects,
-    shared,
-    settings,
-    times,
-    curves,
-    status,
-    steps,
-    arrays,
-):
+def solve_block(which, batch, setup, settings, work):
     """Integrate some bundles of a batch, one by one.
 
     Args:
         which: numbers of the bundles.
-        width: members of a bundle.
-        rows: ``B x N``, the bubbles' numbers, bundle after bundle.
-        theta: ``B x p``.
-        terms: a row a bundle: which stress terms act; ``effects`` likewise.
-        effects: see ``terms``.
-        shared: the entries of :class:`imr_torch.simulate.compiled.wall.Setup`.
+        batch: the bubbles.
+        setup: what they share.
         settings: for each attempt, the length of a step of stretched time and the weight of the
             gel's memory; and steps at most.
-        times: ``B x n_t``.
-        curves: ``3 x B x n_t``, receives radius, velocity and pressure.
-        status: of each bundle's leader; ``steps`` likewise.
-        steps: see ``status``.
-        arrays: of :func:`work_for`, for the memory states that these bundles have.
+        work: arrays for the memory states that these bundles have.
     """
     attempts, max_steps = settings
-    setup = Setup(*shared)
-    work = Work(*arrays)
     for bundle in which:
         chosen = 0
-        member = bundle * width
-        while member < (bundle + 1) * width:
-            leads = member == bundle * width
-            outcome, taken = march(
-                rows[member],
-                theta[member],
-                terms[bundle],
-                effects[bundle],
-                setup,
-                attempts[chosen, 0],
-                attempts[chosen, 1],
-                max_steps if leads else 2 * max_steps,  # a follower may need a little longer
-                times[member, -1],
-                times[member],
-                curves[:, member],
-                work,
-            )
+        member = bundle * batch.width
+        while member < (bundle + 1) * batch.width:
+            leads = member == bundle * batch.width
+            limit = max_steps if leads else 2 * max_steps  # a follower may need a little longer
+            step = attempts[chosen, 0]
+            share = attempts[chosen, 1]
+            outcome, taken = integrate_bubble(batch, member, setup, step, share, limit, work)
             if leads:
-                status[bundle] = outcome
-                steps[bundle] = taken
+                batch.status[bundle] = outcome
+                batch.steps[bundle] = taken
                 if outcome != _DONE and outcome != _TOO_MANY and chosen + 1 < len(attempts):
                     chosen += 1
                     continue

@@ -21,22 +21,20 @@ from imr_torch.material import LIBRARY, TERMS, StressTerm
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import memory_share
 from imr_torch.simulate.compiled import polytropic, step
-from imr_torch.simulate.compiled.build import Registry, announced, engine, switches
-from imr_torch.simulate.compiled.vectors import as_rows
+from imr_torch.simulate.compiled.algebra import pad_matrix
+from imr_torch.simulate.compiled.build import Registry, call_announced, load_engine, switch_columns
+from imr_torch.simulate.compiled.wall import Batch, Setup
 from imr_torch.simulate.conditions import Conditions, Stepping
 from imr_torch.simulate.driving import TabulatedDriving
-from imr_torch.simulate.gas import polytropic as polytropic_law
+from imr_torch.simulate.gas import polytropic_pressure
 from imr_torch.simulate.grids import Resolution
 from imr_torch.simulate.radial import RADIAL_EQUATIONS
 from imr_torch.threads import cores
 
 _NO_DRIVING = TabulatedDriving((0.0, 1.0, 2.0), (0.0, 0.0, 0.0))
-_CHUNK = 64  # bundles between two looks at the keyboard, at most
-_KEPT = 64  # sets of arrays that are kept for the next call
-_SHARES = 8  # chunks a thread, at least, so that none waits long for the last
 
 
-def obstacle(bubbles: Bubbles) -> str | None:
+def find_obstacle(bubbles: Bubbles) -> str | None:
     """What keeps a batch from the compiled engine, in words.
 
     None if nothing does. Laws that do not act are no obstacle.
@@ -53,19 +51,19 @@ def obstacle(bubbles: Bubbles) -> str | None:
 def registry_of(conditions: Conditions, terms: Sequence[StressTerm] | None) -> Registry:
     """All laws that are registered and have a compiled form, and those of a simulator beside them."""
     return Registry(
-        terms=tuple(term for term in _all(TERMS, terms or ()) if term.compilable),
+        terms=tuple(term for term in _with_more(TERMS, terms or ()) if term.compilable),
         effects=tuple(
             e for e in LIBRARY.values() if e.compilable and (e.gas_loss or e.vapour or e.far_field)
         ),
-        radial=_all(
+        radial=_with_more(
             [type(motion).law for motion in RADIAL_EQUATIONS.values()],
             [type(conditions.motion).law],
         ),
-        gases=_all([polytropic_law], [type(conditions.gas).law]),
+        gases=_with_more([polytropic_pressure], [type(conditions.gas).law]),
     )
 
 
-def _all(known: Sequence[Any], more: Sequence[Any]) -> tuple[Any, ...]:
+def _with_more(known: Sequence[Any], more: Sequence[Any]) -> tuple[Any, ...]:
     return (*known, *(x for x in more if x not in known))
 
 
@@ -78,7 +76,7 @@ def solve_transport(
     limits: tuple[float, int, float],
     threads: int | None,
 ) -> tuple[Tensor, ...]:
-    """Integrate bubbles with heat and vapour transport; see :func:`_solve` for arguments and
+    """Integrate bubbles with heat and vapour transport; see :func:`_solve_bundles` for arguments and
     results.
 
     Args:
@@ -90,10 +88,10 @@ def solve_transport(
         limits: tolerance, steps at most, and length of the first step.
         threads: that share the bubbles; all cores if None.
     """
-    space = _space(resolution)
-    work = (step.work_for, len(space[-3]), len(space[-1]))
+    space = _space_of(resolution)
+    work = (step.work_for, len(space.y), len(space.shear))
     settings = (space, *limits)
-    return _solve("solve_transport", bubbles, terms, times, width, settings, work, threads)
+    return _solve_bundles("solve_transport", bubbles, terms, times, width, settings, work, threads)
 
 
 def solve_polytropic(
@@ -104,16 +102,16 @@ def solve_polytropic(
     stepping: Stepping,
     threads: int | None,
 ) -> tuple[Tensor, ...]:
-    """Integrate bubbles of polytropic gas; see :func:`_solve` for arguments and results."""
+    """Integrate bubbles of polytropic gas; see :func:`_solve_bundles` for arguments and results."""
     steps = [stepping.step * 0.5**attempt for attempt in range(stepping.retries + 1)]
     attempts = np.array([(step, memory_share(step)) for step in steps])
     settings = (attempts, stepping.max_steps)
     work = (polytropic.work_for,)
-    return _solve("solve_polytropic", bubbles, terms, times, width, settings, work, threads)
+    return _solve_bundles("solve_polytropic", bubbles, terms, times, width, settings, work, threads)
 
 
-@functools.lru_cache(maxsize=_KEPT)
-def _arrays(work_for: Callable[..., tuple[Any, ...]], *sizes: int) -> tuple[Any, ...]:
+@functools.lru_cache(maxsize=64)
+def _own_arrays(work_for: Callable[..., Any], *sizes: int) -> Any:
     """What the entry point works in.
 
     The last number is the thread whose arrays these are, which nothing else uses.
@@ -121,7 +119,7 @@ def _arrays(work_for: Callable[..., tuple[Any, ...]], *sizes: int) -> tuple[Any,
     return work_for(*sizes[:-1])
 
 
-def _solve(
+def _solve_bundles(
     entry: str,
     bubbles: Bubbles,
     terms: Sequence[StressTerm] | None,
@@ -149,30 +147,33 @@ def _solve(
         leaders).
     """
     registry = registry_of(bubbles.conditions, terms)
-    module = engine(registry)
+    module = load_engine(registry)
     count = len(times) // width
-    rows = torch.stack(torch.broadcast_tensors(*bubbles.numbers), 1).numpy()
     theta = bubbles.parameters.T.contiguous().numpy()
-    curves = np.empty((3, *times.shape))
-    status = np.empty(count, np.int64)
-    steps = np.empty(count, np.int64)
-    of_terms, of_effects = switches(registry)
-    on = _acting(theta[:, of_terms], registry.terms, bubbles.terms, width)
-    acting = _acting(theta[:, of_effects], registry.effects, bubbles.effects, width)
-    moments = times.contiguous().numpy()
-    shared = _shared(bubbles, registry)
-    arguments = (width, rows, theta, on, acting, shared, settings, moments, curves, status, steps)
-    states = on @ np.array([term.states for term in registry.terms])
+    of_terms, of_effects = switch_columns(registry)
+    batch = Batch(
+        width=width,
+        numbers=torch.stack(bubbles.numbers, 1).numpy(),
+        theta=theta,
+        terms=_acting_parts(theta[:, of_terms], registry.terms, bubbles.terms, width),
+        effects=_acting_parts(theta[:, of_effects], registry.effects, bubbles.effects, width),
+        times=times.contiguous().numpy(),
+        curves=np.empty((3, *times.shape)),
+        status=np.empty(count, np.int64),
+        steps=np.empty(count, np.int64),
+    )
+    arguments = (batch, _setup_of(bubbles, registry), settings)
+    states = batch.terms @ np.array([term.states for term in registry.terms])
 
     for number in np.unique(states):
         bundles = np.flatnonzero(states == number)
         sizes = (*work, int(number), width)
         _share_out(module, entry, bundles, arguments, sizes, threads or cores())
-    every = (torch.from_numpy(x).repeat_interleave(width) for x in (status, steps))
-    return *torch.from_numpy(curves).unbind(0), *every
+    every = (torch.from_numpy(x).repeat_interleave(width) for x in (batch.status, batch.steps))
+    return *torch.from_numpy(batch.curves).unbind(0), *every
 
 
-def _acting(
+def _acting_parts(
     switches: np.ndarray, known: Sequence[Any], chosen: Sequence[Any], width: int
 ) -> np.ndarray:
     """Which of the engine's terms or effects act in each bundle, ``bundles x known``.
@@ -183,11 +184,11 @@ def _acting(
     return np.ascontiguousarray(acts.reshape(len(acts) // width, width, len(known)).any(1))
 
 
-def _shared(bubbles: Bubbles, registry: Registry) -> tuple[Any, ...]:
-    """The entries of :class:`imr_torch.simulate.compiled.wall.Setup`."""
+def _setup_of(bubbles: Bubbles, registry: Registry) -> Setup:
+    """What all bubbles of a batch share."""
     conditions = bubbles.conditions
     knots, cubics = (conditions.driving or _NO_DRIVING).pieces
-    return (
+    return Setup(
         bubbles.constants,
         registry.radial.index(type(conditions.motion).law),
         np.array([*conditions.motion.constants, 0.0]),
@@ -206,58 +207,69 @@ def _share_out(
     arguments: tuple[Any, ...],
     work: tuple[Any, ...],
     threads: int,
+    *,
+    chunk: int = 64,
+    shares: int = 8,
 ) -> None:
-    """Call an entry point for some bundles, in chunks, on some threads."""
+    """Call an entry point for some bundles, in chunks, on some threads.
+
+    Args:
+        module: the engine.
+        entry: name of the entry point.
+        bundles: their numbers.
+        arguments: what the entry point takes beside bundles and arrays to work in.
+        work: see :func:`_own_arrays`.
+        threads: how many.
+        chunk: bundles between two looks at the keyboard, at most.
+        shares: chunks a thread, at least, so that none waits long for the last.
+    """
     threads = min(threads, len(bundles))
-    size = _CHUNK if threads == 1 else max(1, min(_CHUNK, len(bundles) // (_SHARES * threads)))
+    size = chunk if threads == 1 else max(1, min(chunk, len(bundles) // (shares * threads)))
     chunks = [bundles[first : first + size] for first in range(0, len(bundles), size)]
-    own = _arrays(*work, get_ident())
+    own = _own_arrays(*work, get_ident())
     function = getattr(module, entry)
     if not function.overloads:  # is compiled before threads begin
-        announced(module, entry, (chunks.pop(0), *arguments, own))
+        call_announced(module, entry, (chunks.pop(0), *arguments, own))
     if threads == 1 or len(chunks) == 1:
-        for chunk in chunks:
-            function(chunk, *arguments, own)
+        for part in chunks:
+            function(part, *arguments, own)
     else:
-        for _ in _pool(threads).map(
-            lambda chunk: function(chunk, *arguments, _arrays(*work, get_ident())), chunks
+        for _ in _thread_pool(threads).map(
+            lambda part: function(part, *arguments, _own_arrays(*work, get_ident())), chunks
         ):
             pass
 
 
 @functools.cache
-def _pool(threads: int) -> ThreadPoolExecutor:
+def _thread_pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="imr_torch")
 
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(
-        after_in_child=_pool.cache_clear
+        after_in_child=_thread_pool.cache_clear
     )  # threads do not survive a fork, and waiting for them never ends
 
 
 @functools.cache
-def _space(resolution: Resolution) -> tuple[np.ndarray, ...]:
-    """Grids as :class:`imr_torch.simulate.compiled.step.Space` has them; read only."""
+def _space_of(resolution: Resolution) -> step.Space:
+    """The grids; read only."""
     inside, outside = resolution.grids()
 
-    def operators(grid: Any) -> np.ndarray:
+    def operators_of(grid: Any) -> np.ndarray:
         parts = (grid.first[1:], grid.laplacian, grid.first[:1])
-        return np.concatenate([as_rows(part.T.numpy()) for part in parts], 1)
+        return pad_matrix(np.concatenate([pad_matrix(part.T.numpy()) for part in parts], 1))
 
-    matrices = (
-        operators(inside),
-        operators(outside),
-        inside.first[1:, 1:].T.numpy(),
-        inside.laplacian[:, 1:].T.numpy(),
-        inside.first[1:, 1:].numpy(),
-        outside.first[1:, 1:].T.numpy(),
-        outside.laplacian[:, 1:].T.numpy(),
-    )
     y = outside.nodes
-    return (
-        *(as_rows(matrix) for matrix in matrices),
-        inside.nodes.contiguous().numpy(),
-        (y**-2 - y).numpy(),
-        (y**-6).numpy(),
+    return step.Space(
+        inside=operators_of(inside),
+        outside=operators_of(outside),
+        first=pad_matrix(inside.first[1:, 1:].T.numpy()),
+        laplacian=pad_matrix(inside.laplacian[:, 1:].T.numpy()),
+        rows=pad_matrix(inside.first[1:, 1:].numpy()),
+        outer_first=pad_matrix(outside.first[1:, 1:].T.numpy()),
+        outer_laplacian=pad_matrix(outside.laplacian[:, 1:].T.numpy()),
+        y=inside.nodes.contiguous().numpy(),
+        stretching=(y**-2 - y).numpy(),
+        shear=(y**-6).numpy(),
     )

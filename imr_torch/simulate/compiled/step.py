@@ -17,10 +17,22 @@ from typing import NamedTuple
 import numpy as np
 
 from imr_torch.elementary import kernel
-from imr_torch.simulate.compiled.vectors import WIDTH, load, padded, rows, spread, store
+from imr_torch.simulate.compiled.algebra import (
+    WIDTH,
+    apply_columns,
+    invert_matrix,
+    load_eight,
+    make_rows,
+    multiply_columns,
+    multiply_rows,
+    padded_size,
+    spread_number,
+    store_eight,
+)
 from imr_torch.simulate.contents import (
+    GelNode,
     Node,
-    Wall,
+    Point,
     conductivity_of,
     gel_rate,
     gel_slopes,
@@ -40,11 +52,10 @@ from imr_torch.simulate.rosenbrock import COUPLING, MOMENTS, TIME_INCREMENTS
 from imr_torch.simulate.rosenbrock import STAGES as ROWS
 
 from . import laws
-from .algebra import apply, dot, invert, multiply
-from .wall import gas_loss, motion, motion_slopes, vapour_factor
+from .wall import gas_loss, motion_slopes, move_wall, vapour_factor
 
 HEAD = 8  # where the fields begin in a state: after R, U, ln P, tau_w and zeros
-_BORDER = 5
+BORDER = 5  # R, U, ln P, q, tau_w, and then memory
 STAGES = len(MOMENTS)
 
 
@@ -89,7 +100,7 @@ class Space(NamedTuple):
 
 
 @kernel
-def parts_of(space):
+def locate_parts(space):
     """Where ``C``, ``theta`` and the memory begin in a state; ``tau`` begins at ``HEAD``."""
     n = space.first.shape[1]
     m = space.outer_first.shape[1]
@@ -114,7 +125,7 @@ class Work(NamedTuple):
             ``outer`` likewise of ``theta``.
         profile: ``3 x n``: conductivity, temperature and ``R_mix`` at the inner nodes.
         heat: ``n x (n+2)'``, the block of ``tau`` by columns, then its inverse, with two columns
-            beside it; ``vapour`` and ``gel`` likewise with one: see :func:`factorise`.
+            beside it; ``vapour`` and ``gel`` likewise with one: see :func:`factorise_system`.
         edges: ``5 x fields``: derivatives of the fields' rates in (R, U, ln P, q, tau_w).
         factors: ``9 x max(n', m')``: factors of slope, Laplacian and value in the rates of ``tau``,
             ``C`` and ``theta`` at each node.
@@ -159,67 +170,48 @@ class Work(NamedTuple):
     small: np.ndarray
 
 
-def work_for(nodes: int, outer_nodes: int, states: int, width: int) -> tuple[np.ndarray, ...]:
-    """The entries of :class:`Work` for grids of so many nodes, memory states and members of a
-    bundle.
-    """
-    n = padded(nodes)
-    m = padded(outer_nodes)
-    border = _BORDER + states
+def work_for(nodes: int, outer_nodes: int, states: int, width: int) -> Work:
+    """Arrays for grids of so many nodes, memory states and members of a bundle."""
+    n = padded_size(nodes)
+    m = padded_size(outer_nodes)
+    border = BORDER + states
     fields = 2 * n + m
-    size = HEAD + fields + padded(states)
-    work = Work(
-        state=rows(width, size),
-        fresh=rows(width, size),
+    size = HEAD + fields + padded_size(states)
+    return Work(
+        state=make_rows(width, size),
+        fresh=make_rows(width, size),
         clock=np.zeros(width),
         nodes=np.zeros((width, 2, 6)),
         counts=np.zeros((2, width), np.int64),
-        inner=rows(2, 2 * n + 1),
-        outer=rows(1, 2 * m + 1),
-        profile=rows(3, n),
-        heat=rows(nodes, nodes + 2),
-        vapour=rows(nodes, nodes + 1),
-        gel=rows(outer_nodes, outer_nodes + 1),
-        edges=rows(_BORDER, fields),
-        factors=rows(9, max(n, m)),
-        coupling=rows(2, n),
-        functionals=rows(2, fields),
-        border=rows(border, border),
-        increments=rows(STAGES, size),
-        argument=rows(size),
-        right=rows(size),
-        rate=rows(size),
-        slopes=rows(border),
-        memory_slopes=rows(2 + states, states),
+        inner=make_rows(2, 2 * n + 1),
+        outer=make_rows(1, 2 * m + 1),
+        profile=make_rows(3, n),
+        heat=make_rows(nodes, nodes + 2),
+        vapour=make_rows(nodes, nodes + 1),
+        gel=make_rows(outer_nodes, outer_nodes + 1),
+        edges=make_rows(BORDER, fields),
+        factors=make_rows(9, max(n, m)),
+        coupling=make_rows(2, n),
+        functionals=make_rows(2, fields),
+        border=make_rows(border, border),
+        increments=make_rows(STAGES, size),
+        argument=make_rows(size),
+        right=make_rows(size),
+        rate=make_rows(size),
+        slopes=make_rows(border),
+        memory_slopes=make_rows(2 + states, states),
         moved=np.zeros((2, states), np.complex128),
-        wall_rows=rows(2, 8),
-        drive=rows(fields),
-        small=rows(2, max(n, border)),
+        wall_rows=make_rows(2, 8),
+        drive=make_rows(fields),
+        small=make_rows(2, max(n, border)),
     )
-    return tuple(work)
-
-
-class Point(NamedTuple):
-    """What holds at one state: of the wall, pressure of the mixture, its rate, and the slopes of
-    the fields there.
-    """
-
-    wall: Wall
-    radius: float
-    velocity: float
-    pressure: float
-    rate: float
-    heat: float
-    vapour: float
-    outer: float
-    loss: tuple
 
 
 @kernel
 def point_at(state, space, work, member, setup):
     """Temperatures, slopes and the pressure's rate at a state, into ``work``.
 
-    Returns the :class:`Point`.
+    Returns the point, and the relative loss of gas with its derivatives in ``R`` and ``U``.
     """
     b = member.b
     c = setup.c
@@ -230,10 +222,10 @@ def point_at(state, space, work, member, setup):
     conductivity = conductivity_of(state[3], c)
     factor, trapped = vapour_factor(pressure / b.start, member)
     wall = wall_of(pressure, conductivity, factor, trapped, b, c)
-    vapours, gel, _ = parts_of(space)
-    apply(space.inside, state[3], state[HEAD:], work.inner[0])
-    apply(space.inside, wall.vapour, state[vapours:], work.inner[1])
-    apply(space.outside, wall.temperature - 1.0, state[gel:], work.outer[0])
+    vapours, gel, _ = locate_parts(space)
+    apply_columns(space.inside, state[3], state[HEAD:], work.inner[0])
+    apply_columns(space.inside, wall.vapour, state[vapours:], work.inner[1])
+    apply_columns(space.outside, wall.temperature - 1.0, state[gel:], work.outer[0])
     for i in range(n):
         conductive = conductivity_of(state[HEAD + i], c)
         work.profile[0, i] = conductive
@@ -244,17 +236,8 @@ def point_at(state, space, work, member, setup):
     heat = work.inner[0, at_wall]
     vapour = work.inner[1, at_wall]
     rate = pressure_rate(radius, velocity, pressure, wall, heat, vapour, loss[0], b, c)
-    return Point(
-        wall,
-        radius,
-        velocity,
-        pressure,
-        rate,
-        heat,
-        vapour,
-        work.outer[0, 2 * space.outer_first.shape[1]],
-        loss,
-    )
+    outer_slope = work.outer[0, 2 * space.outer_first.shape[1]]
+    return Point(radius, velocity, pressure, rate, wall, heat, vapour, outer_slope), loss
 
 
 @kernel
@@ -283,29 +266,22 @@ def rates_at(point, acceleration, space, work, member, setup, out):
     c = setup.c
     n = len(space.y)
     m = len(space.shear)
-    radius = point.radius
-    velocity = point.velocity
-    pressure = point.pressure
-    rate = point.rate
-    vapours, gel, _ = parts_of(space)
-    out[0], out[1], out[2] = velocity, acceleration, rate / pressure
-    out[3] = wall_balance(point.wall, point.heat, point.vapour, point.outer, b, c)
+    vapours, gel, _ = locate_parts(space)
+    out[0], out[1], out[2] = point.velocity, acceleration, point.rate / point.pressure
+    out[3] = wall_balance(point, b, c)
     for i in range(n):
         node = node_at(i, space, work)
-        out[HEAD + i], out[vapours + i] = node_rates(node, radius, velocity, pressure, rate, b, c)
-    slopes = work.outer[0]
-    bends = work.outer[0, space.outer_first.shape[1] :]
+        out[HEAD + i], out[vapours + i] = node_rates(node, point, b, c)
     for i in range(m):
-        out[gel + i] = gel_rate(
-            space.stretching[i],
-            space.shear[i],
-            slopes[i],
-            bends[i],
-            radius,
-            velocity,
-            point.wall,
-            b,
-        )
+        out[gel + i] = gel_rate(gel_node_at(i, space, work), point, b)
+
+
+@kernel
+def gel_node_at(i, space, work):
+    """What :func:`point_at` left of an outer node."""
+    slopes = work.outer[0]
+    bends = space.outer_first.shape[1]
+    return GelNode(space.stretching[i], space.shear[i], slopes[i], slopes[bends + i])
 
 
 @kernel
@@ -318,20 +294,17 @@ def field_slopes(point, space, work, member, setup):
     n = len(space.y)
     m = len(space.shear)
     wall = point.wall
-    radius = point.radius
-    velocity = point.velocity
     pressure = point.pressure
-    rate = point.rate
     factors = work.factors
     bends = space.first.shape[1]
     outer_bends = space.outer_first.shape[1]
     by_heat = work.edges
     by_vapour = work.edges[:, bends:]
     by_gel = work.edges[:, 2 * bends :]
-    log_rate = rate / pressure
+    log_rate = point.rate / pressure
     for i in range(n):
         node = node_at(i, space, work)
-        s = node_slopes(node, radius, velocity, pressure, rate, b, c)
+        s = node_slopes(node, point, b, c)
         factors[0, i], factors[1, i], factors[2, i] = s.heat_first, s.heat_second, s.heat_self
         factors[3, i], factors[4, i], factors[5, i] = s.vapour_first, s.vapour_second, s.vapour_self
         heat_wall = s.heat_second * space.inside[0, bends + i] + s.heat_first * space.inside[0, i]
@@ -347,19 +320,8 @@ def field_slopes(point, space, work, member, setup):
         by_heat[4, i] = heat_wall
         by_vapour[4, i] = vapour_wall * wall.vapour_heat + s.coupling_slope * space.inside[0, i]
         work.coupling[0, i], work.coupling[1, i] = s.coupling, s.coupling_slope
-    outer = work.outer[0]
     for i in range(m):
-        g = gel_slopes(
-            space.stretching[i],
-            space.shear[i],
-            outer[i],
-            outer[outer_bends + i],
-            radius,
-            velocity,
-            wall,
-            b,
-            c,
-        )
+        g = gel_slopes(gel_node_at(i, space, work), point, b, c)
         factors[6, i], factors[7, i], factors[8, i] = g.first, g.second, 0.0
         through = (
             g.second * space.outside[0, outer_bends + i] + g.first * space.outside[0, i]
@@ -369,7 +331,7 @@ def field_slopes(point, space, work, member, setup):
 
 
 @kernel
-def shifted(factors, first, laplacian, shift, out):
+def shift_operators(factors, first, laplacian, shift, out):
     """``out = shift - J`` of one field by columns, from the factors of value, slope and Laplacian
     at each node.
     """
@@ -381,38 +343,37 @@ def shifted(factors, first, laplacian, shift, out):
         slope = first[j]
         bend = laplacian[j]
         for i in range(0, first.shape[1], WIDTH):
-            change = load(by_bend, i) * load(bend, i) + load(by_slope, i) * load(slope, i)
-            store(column, i, spread(0.0) - change)
+            change = load_eight(by_bend, i) * load_eight(bend, i) + load_eight(
+                by_slope, i
+            ) * load_eight(slope, i)
+            store_eight(column, i, spread_number(0.0) - change)
         column[j] += shift - by_value[j]
 
 
 @partial(kernel, inline="source")
-def linearise(state, time, space, work, member, setup):
+def linearise_state(state, time, space, work, member, setup):
     """``f(x)`` at a state (``work.rate``) and all its derivatives, into ``work``.
 
     Returns ``d ln P/dt``.
     """
     b = member.b
     c = setup.c
-    memory = parts_of(space)[2]
+    memory = locate_parts(space)[2]
     states = work.moved.shape[1]
-    point = point_at(state, space, work, member, setup)
-    wall = point.wall
+    point, loss = point_at(state, space, work, member, setup)
     pressure = point.pressure
-    log_rate = point.rate / point.pressure
+    log_rate = point.rate / pressure
+    memory_rates = work.rate[memory : memory + states]
     acceleration = motion_slopes(
         time,
-        point.radius,
-        point.velocity,
-        pressure + b.constant_vapour,
-        point.rate,
+        point,
         state[memory : memory + states],
         member,
         setup,
         work.slopes,
         work.memory_slopes,
         work.moved,
-        work.rate[memory : memory + states],
+        memory_rates,
     )
     rates_at(point, acceleration, space, work, member, setup, work.rate)
     field_slopes(point, space, work, member, setup)
@@ -420,36 +381,25 @@ def linearise(state, time, space, work, member, setup):
     corner = space.inside[0, 2 * space.first.shape[1]]
     outer_corner = space.outside[0, 2 * space.outer_first.shape[1]]
     s[2], s[3] = pressure * (s[2] + log_rate * s[3]), pressure * s[3]
-    q = pressure_rate_slopes(
-        point.radius,
-        point.velocity,
-        pressure,
-        wall,
-        point.heat,
-        point.vapour,
-        corner,
-        point.loss,
-        b,
-        c,
-    )
-    w = wall_balance_slopes(pressure, wall, point.vapour, corner, outer_corner, b, c)
-    rows = work.wall_rows
-    rows[0, 0], rows[0, 1], rows[0, 3], rows[0, 4] = (
-        q.radius / pressure,
-        q.velocity / pressure,
-        q.rate,
-        q.wall / pressure,
-    )
-    rows[0, 2] = q.pressure + log_rate * q.rate - log_rate
-    rows[0, 5], rows[0, 6], rows[0, 7] = q.heat / pressure, q.vapour / pressure, q.outer / pressure
-    rows[1, 0], rows[1, 1], rows[1, 3], rows[1, 4] = w.radius, w.velocity, pressure * w.rate, w.wall
-    rows[1, 2] = pressure * (w.pressure + log_rate * w.rate)
-    rows[1, 5], rows[1, 6], rows[1, 7] = w.heat, w.vapour, w.outer
+    q = pressure_rate_slopes(point, corner, loss, b, c)
+    w = wall_balance_slopes(point, corner, outer_corner, b, c)
+    write_balance(q, pressure, log_rate, pressure, work.wall_rows[0])
+    work.wall_rows[0, 2] -= log_rate
+    write_balance(w, pressure, log_rate, 1.0, work.wall_rows[1])
     return log_rate
 
 
+@kernel
+def write_balance(slopes, pressure, log_rate, divisor, row):
+    """Derivatives in (R, U, ln P, q, ...) over a divisor from those in (R, U, P, dP/dt, ...)."""
+    for k in range(len(slopes)):
+        row[k] = slopes[k] / divisor
+    row[2] = pressure * (slopes.pressure + log_rate * slopes.rate) / divisor
+    row[3] = pressure * slopes.rate / divisor
+
+
 @partial(kernel, inline="source")
-def factorise(shift, space, work):
+def factorise_system(shift, space, work):
     """Invert ``shift - J``: the blocks of the fields, what they add to the rows of the wall, and
     what is left beside them.
 
@@ -465,24 +415,24 @@ def factorise(shift, space, work):
     m = space.outer_first.shape[1]
     inner = len(space.y)
     outer = len(space.shear)
-    shifted(factors[0:3], space.first, space.laplacian, shift, heat)
-    shifted(factors[3:6], space.first, space.laplacian, shift, vapour)
-    shifted(factors[6:9], space.outer_first, space.outer_laplacian, shift, gel)
+    shift_operators(factors[0:3], space.first, space.laplacian, shift, heat)
+    shift_operators(factors[3:6], space.first, space.laplacian, shift, vapour)
+    shift_operators(factors[6:9], space.outer_first, space.outer_laplacian, shift, gel)
     for j in range(inner):
         vapour[j, inner] = space.inside[1 + j, 2 * n]
-    invert(vapour)
+    invert_matrix(vapour)
     through = work.small[0]
     slope = work.small[1, :n]
     for j in range(inner):  # the slope of C at the wall hangs on tau through C_t
         through[j] = vapour[j, inner] * coupling[1, j]
-    multiply(space.rows, through, slope)
+    multiply_columns(space.rows, through, slope)
     for j in range(inner):
         heat[j, inner] = space.inside[1 + j, 2 * n]
         heat[j, inner + 1] = slope[j] + vapour[j, inner] * coupling[0, j]
-    invert(heat)
+    invert_matrix(heat)
     for j in range(outer):
         gel[j, outer] = space.outside[1 + j, 2 * m]
-    invert(gel)
+    invert_matrix(gel)
     for k in range(2):
         row = work.wall_rows[k]
         line = work.functionals[k]
@@ -495,93 +445,94 @@ def factorise(shift, space, work):
         heat[j, inner], heat[j, inner + 1], vapour[j, inner] = 0.0, 0.0, 0.0
     for j in range(outer):
         gel[j, outer] = 0.0
-    _border(shift, space, work)
-    invert(work.border)
+    _fill_border(shift, space, work)
+    invert_matrix(work.border)
 
 
 @kernel
-def _border(shift, space, work):
+def _fill_border(shift, space, work):
     """The system in (R, U, ln P, q, tau_w, memory) that is left when the fields are eliminated, by
     columns.
     """
     columns = work.border
     s = work.slopes
-    states = len(columns) - _BORDER
+    states = len(columns) - BORDER
     columns[:] = 0.0
     columns[0, 0], columns[1, 0] = shift, -1.0
     columns[0, 1], columns[1, 1], columns[2, 1], columns[3, 1] = -s[0], shift - s[1], -s[2], -s[3]
     columns[2, 2], columns[3, 2] = shift, -1.0
-    for row in range(2):
-        for k in range(_BORDER):
-            columns[k, 3 + row] = (
-                -dot(work.functionals[row], work.edges[k]) - work.wall_rows[row, k]
-            )
+    for k in range(BORDER):
+        for row in range(2):
+            through_fields = multiply_rows(work.functionals[row], work.edges[k])
+            columns[k, 3 + row] = -through_fields - work.wall_rows[row, k]
     columns[3, 3] += 1.0
     for k in range(states):
-        columns[_BORDER + k, 1] = -s[5 + k]
-        columns[0, _BORDER + k], columns[1, _BORDER + k] = (
+        columns[BORDER + k, 1] = -s[5 + k]
+        columns[0, BORDER + k], columns[1, BORDER + k] = (
             -work.memory_slopes[0, k],
             -work.memory_slopes[1, k],
         )
         for j in range(states):
-            columns[_BORDER + j, _BORDER + k] = -work.memory_slopes[2 + j, k]
-        columns[_BORDER + k, _BORDER + k] += shift
+            columns[BORDER + j, BORDER + k] = -work.memory_slopes[2 + j, k]
+        columns[BORDER + k, BORDER + k] += shift
 
 
 @kernel
-def solve(right, space, work, out):
+def solve_system(right, space, work, out):
     """``out = (shift - J)^-1 right`` in the layout of the state."""
-    vapours, gels, memory = parts_of(space)
+    vapours, gels, memory = locate_parts(space)
     n = vapours - HEAD
-    states = len(work.border) - _BORDER
+    states = len(work.border) - BORDER
     coupling = work.coupling
     drive = work.drive
     inputs = work.small[1]
     z = work.small[0, : work.border.shape[1]]
-    for k in range(2):
-        inputs[3 + k] = dot(work.functionals[k], right[HEAD:])
     inputs[0], inputs[1], inputs[2] = right[0], right[1], right[2]
+    for k in range(2):
+        inputs[3 + k] = multiply_rows(work.functionals[k], right[HEAD:])
     inputs[4] += right[3]
     for k in range(states):
-        inputs[_BORDER + k] = right[memory + k]
-    multiply(work.border, inputs, z)
+        inputs[BORDER + k] = right[memory + k]
+    multiply_columns(work.border, inputs, z)
     out[0], out[1], out[2], out[3] = z[0], z[1], z[2], z[4]
     for k in range(states):
-        out[memory + k] = z[_BORDER + k]
+        out[memory + k] = z[BORDER + k]
     for i in range(0, len(drive), WIDTH):
-        change = spread(z[0]) * load(work.edges[0], i)
-        for k in range(1, _BORDER):
-            change = change + spread(z[k]) * load(work.edges[k], i)
-        store(drive, i, load(right, HEAD + i) + change)
+        change = spread_number(z[0]) * load_eight(work.edges[0], i)
+        for k in range(1, BORDER):
+            change = change + spread_number(z[k]) * load_eight(work.edges[k], i)
+        store_eight(drive, i, load_eight(right, HEAD + i) + change)
     warm = out[HEAD:vapours]
     slope = work.small[0, :n]
-    multiply(work.heat, drive, warm)
-    multiply(space.first, warm, slope)
+    multiply_columns(work.heat, drive, warm)
+    multiply_columns(space.first, warm, slope)
     for i in range(0, n, WIDTH):
-        change = load(coupling[1], i) * load(slope, i) + load(coupling[0], i) * load(warm, i)
-        store(drive, n + i, load(drive, n + i) + change)
-    multiply(work.vapour, drive[n:], out[vapours:gels])
-    multiply(work.gel, drive[2 * n :], out[gels:memory])
+        change = load_eight(coupling[1], i) * load_eight(slope, i) + load_eight(
+            coupling[0], i
+        ) * load_eight(warm, i)
+        store_eight(drive, n + i, load_eight(drive, n + i) + change)
+    multiply_columns(work.vapour, drive[n:], out[vapours:gels])
+    multiply_columns(work.gel, drive[2 * n :], out[gels:memory])
 
 
 @kernel
 def add_increments(weights, count, scale, increments, out):
     """``out += scale sum_k weights[k] increments[k]`` over the first increments."""
     for i in range(0, len(out), WIDTH):
-        sums = load(out, i)
+        sums = load_eight(out, i)
         for k in range(count):
-            sums = sums + spread(weights[k] * scale) * load(increments[k], i)
-        store(out, i, sums)
+            sums = sums + spread_number(weights[k] * scale) * load_eight(increments[k], i)
+        store_eight(out, i, sums)
 
 
 @partial(kernel, inline="source")
-def step(state, time, h, space, work, member, setup, out):
+def advance_state(state, time, h, space, work, member, setup, out):
     """One step of Rodas4P from a state whose rates and factors are in ``work``; ``out`` receives
     the new state.
 
     The last increment, the estimate of the error, is left in ``work.increments``.
     """
-    memory = parts_of(space)[2]
+    memory = locate_parts(space)[2]
     size = len(state)
     states = work.moved.shape[1]
     increments = work.increments
@@ -595,8 +546,8 @@ def step(state, time, h, space, work, member, setup, out):
             for i in range(size):
                 argument[i] = state[i]
             add_increments(_ARGUMENT[stage], stage, 1.0, increments, argument)
-            there = point_at(argument, space, work, member, setup)
-            force = motion(
+            there, _ = point_at(argument, space, work, member, setup)
+            force = move_wall(
                 time + _MOMENTS[stage] * h,
                 there.radius,
                 there.velocity,
@@ -612,15 +563,15 @@ def step(state, time, h, space, work, member, setup, out):
             add_increments(_COUPLING[stage], stage, 1.0 / h, increments, right)
             right[3] = balance  # tau_w is algebraic
         right[1] += work.slopes[4] * h * _TIME_INCREMENTS[stage]
-        solve(right, space, work, increments[stage])
+        solve_system(right, space, work, increments[stage])
     for i in range(size):
         out[i] = argument[i] + increments[STAGES - 1, i]
 
 
 @kernel
-def start(space, member, setup, state):
+def write_start(space, member, setup, state):
     """The state at time zero: the wall at the far temperature, vapour in equilibrium with it."""
-    b, n, (vapours, _, memory) = member.b, len(space.y), parts_of(space)
+    b, n, (vapours, _, memory) = member.b, len(space.y), locate_parts(space)
     state[:] = 0.0
     state[0], state[1], state[2] = 1.0, b.velocity, np.log(b.start)
     for i in range(n):
@@ -630,6 +581,6 @@ def start(space, member, setup, state):
 
 
 @kernel
-def pace(state):
+def time_scale_of(state):
     """A bubble's own time scale (as in :mod:`imr_torch.simulate.clock`)."""
     return state[0] / np.sqrt(REST + np.exp(state[2]) + state[1] * state[1])

@@ -16,20 +16,18 @@ from imr_torch.simulate.rosenbrock import GAMMA, ORDER
 from imr_torch.simulate.simulator import RUNAWAY, Status
 
 from . import laws
-from .output import record
+from .output import record_node
 from .step import (
     HEAD,
     STAGES,
-    Space,
-    Work,
-    factorise,
-    linearise,
-    pace,
-    parts_of,
-    start,
-    step,
+    advance_state,
+    factorise_system,
+    linearise_state,
+    locate_parts,
+    time_scale_of,
+    write_start,
 )
-from .wall import Setup, member_of
+from .wall import member_of
 
 _DONE = int(Status.DONE)
 _TOO_MANY = int(Status.TOO_MANY_STEPS)
@@ -41,7 +39,7 @@ _UNDERFLOW = int(Status.STEP_UNDERFLOW)
 @kernel
 def scaled_error(before, after, error, space, tolerance):
     """As :func:`imr_torch.simulate.controller.scaled_error`, of one bubble."""
-    n, m, (vapours, gels, memory) = len(space.y), len(space.shear), parts_of(space)
+    n, m, (vapours, gels, memory) = len(space.y), len(space.shear), locate_parts(space)
     radius = after[0]
     if not radius > 0.0:
         return np.inf
@@ -69,21 +67,7 @@ def scaled_error(before, after, error, space, tolerance):
 
 
 @partial(kernel, inline="source")
-def solve_block(
-    which,
-    width,
-    rows,
-    theta,
-    terms,
-    effects,
-    shared,
-    settings,
-    times,
-    curves,
-    status,
-    steps,
-    arrays,
-):
+def solve_block(which, batch, setup, settings, work):
     """Integrate some bundles of a batch, one by one: a leader and its followers, which take its
     steps in proportion to their time scales.
 
@@ -91,27 +75,16 @@ def solve_block(
 
     Args:
         which: numbers of the bundles.
-        width: members of a bundle.
-        rows: ``B x N``, the bubbles' numbers, bundle after bundle, the leader first.
-        theta: ``B x p``, dimensionless parameters.
-        terms: a row a bundle: which stress terms act; ``effects`` likewise.
-        effects: see ``terms``.
-        shared: the entries of :class:`imr_torch.simulate.compiled.wall.Setup`.
-        settings: the entries of :class:`Space`; relative error of a step, attempted steps after
-            which a bundle is given up, and length of the first step.
-        times: ``B x n_t``.
-        curves: ``3 x B x n_t``, receives radius, velocity and pressure; NaN where a member did not
-            get.
-        status: of each bundle, receives its leader's status; ``steps`` how many nodes the leader's
-            path has up to its own last time.
-        steps: see ``status``.
-        arrays: of :func:`imr_torch.simulate.compiled.step.work_for`, for the memory states that
-            these bundles have.
+        batch: the bubbles.
+        setup: what they share.
+        settings: the grids; relative error of a step, attempted steps after which a bundle is given
+            up, and length of the first step.
+        work: arrays for the memory states that these bundles have.
     """
-    grids, tolerance, max_steps, first_step = settings
-    setup = Setup(*shared)
-    space = Space(*grids)
-    work = Work(*arrays)
+    space, tolerance, max_steps, first_step = settings
+    width = batch.width
+    times = batch.times
+    curves = batch.curves
     state = work.state
     fresh = work.fresh
     clock = work.clock
@@ -126,15 +99,15 @@ def solve_block(
             i = leader + k
             last = max(last, times[i, -1])
             curves[:, i] = np.nan
-            member = member_of(rows[i], theta[i], terms[bundle], effects[bundle])
-            start(space, member, setup, state[k])
+            member = member_of(batch, i)
+            write_start(space, member, setup, state[k])
         h = first_step
         error = 0.0
         grow = True
         count = 1
         own = 1
         tries = 0
-        paced = pace(state[0])
+        paced = time_scale_of(state[0])
         ended = -1
         while ended == -1:
             behind = False
@@ -153,19 +126,19 @@ def solve_block(
             tries += 1
             for k in range(width):
                 i = leader + k
-                member = member_of(rows[i], theta[i], terms[bundle], effects[bundle])
+                member = member_of(batch, i)
                 if recorded[k] < count:  # a state at which no step was tried yet
-                    log_rate = linearise(state[k], clock[k], space, work, member, setup)
+                    log_rate = linearise_state(state[k], clock[k], space, work, member, setup)
                     node = (clock[k], state[k, 0], state[k, 1], work.rate[1], state[k, 2], log_rate)
-                    filled[k] = record(
+                    filled[k] = record_node(
                         node, work.nodes[k], filled[k], recorded[k] > 0, times[i], curves[:, i]
                     )
                     recorded[k] = count
                 if ended != -1:
                     continue
-                length = h if k == 0 else h * (pace(state[k]) / paced)
-                factorise(1.0 / (GAMMA * length), space, work)
-                step(state[k], clock[k], length, space, work, member, setup, fresh[k])
+                length = h if k == 0 else h * (time_scale_of(state[k]) / paced)
+                factorise_system(1.0 / (GAMMA * length), space, work)
+                advance_state(state[k], clock[k], length, space, work, member, setup, fresh[k])
                 if k == 0:
                     change = work.increments[STAGES - 1]
                     error = scaled_error(state[0], fresh[0], change, space, tolerance)
@@ -177,19 +150,19 @@ def solve_block(
             if accepted:
                 own += clock[0] < times[leader, -1]
                 for k in range(width):
-                    clock[k] += h if k == 0 else h * (pace(state[k]) / paced)
+                    clock[k] += h if k == 0 else h * (time_scale_of(state[k]) / paced)
                     for i in range(state.shape[1]):
                         state[k, i] = fresh[k, i]
                 count += 1
-                paced = pace(state[0])
+                paced = time_scale_of(state[0])
             factor = SHRINK
             if np.isfinite(error):
                 factor = min(max(SAFETY * error ** (-1.0 / ORDER), SHRINK), GROW)
             h *= factor if grow or factor < 1.0 else 1.0
             grow = accepted
         for i in range(leader, leader + width):
-            beside = laws.numbers(rows[i]).constant_vapour
+            beside = laws.numbers(batch.numbers[i]).constant_vapour
             for j in range(times.shape[1]):
                 curves[2, i, j] += beside
-        status[bundle] = ended
-        steps[bundle] = own
+        batch.status[bundle] = ended
+        batch.steps[bundle] = own

@@ -14,11 +14,12 @@ import numpy as np
 from imr_torch.elementary import kernel
 from imr_torch.simulate.bubbles import Constants, Numbers
 from imr_torch.simulate.contents import radial_arguments
-from imr_torch.simulate.driving import spline
+from imr_torch.simulate.driving import evaluate_spline
 
 from . import laws
 
-_STEP = 1e-30
+TINY = 1e-30
+"""Imaginary step of derivatives; nothing is lost to rounding, however small it is."""
 
 
 class Setup(NamedTuple):
@@ -42,6 +43,33 @@ class Setup(NamedTuple):
     scale: float
 
 
+class Batch(NamedTuple):
+    """The bubbles of a batch, bundle after bundle, the leader first, and what is found of them.
+
+    Args:
+        width: members of a bundle.
+        numbers: ``B x N``.
+        theta: ``B x p``, dimensionless parameters.
+        terms: a row a bundle: which stress terms act.
+        effects: a row a bundle: which effects act.
+        times: ``B x n_t``.
+        curves: ``3 x B x n_t``, receives radius, velocity and pressure; NaN where a member did not
+            get.
+        status: of each bundle, receives its leader's status.
+        steps: of each bundle, receives the steps that its leader took to its own last time.
+    """
+
+    width: int
+    numbers: np.ndarray
+    theta: np.ndarray
+    terms: np.ndarray
+    effects: np.ndarray
+    times: np.ndarray
+    curves: np.ndarray
+    status: np.ndarray
+    steps: np.ndarray
+
+
 class Member(NamedTuple):
     """One bubble.
 
@@ -61,12 +89,15 @@ class Member(NamedTuple):
 
 
 @kernel
-def member_of(numbers, theta, terms, effects):
-    """One bubble from its rows of the batch's arrays."""
+def member_of(batch, i):
+    """One bubble of a batch."""
+    bundle = i // batch.width
+    effects = batch.effects[bundle]
     affected = False
     for acts in effects:
         affected |= acts
-    return Member(laws.numbers(numbers), theta, terms, effects, affected)
+    numbers = laws.numbers(batch.numbers[i])
+    return Member(numbers, batch.theta[i], batch.terms[bundle], effects, affected)
 
 
 @kernel
@@ -77,7 +108,7 @@ def far_field(time, member, setup):
     bend = 0.0
     if setup.driven:
         seconds = member.b.seconds
-        v, r, a = spline(time * seconds, setup.knots, setup.cubics)
+        v, r, a = evaluate_spline(time * seconds, setup.knots, setup.cubics)
         value += v * setup.scale
         rate += r * seconds * setup.scale
         bend += a * seconds * seconds * setup.scale
@@ -90,7 +121,7 @@ def far_field(time, member, setup):
 
 
 @kernel
-def balance(radius, velocity, pressure, rate, stress, far, far_rate, member, setup):
+def accelerate_wall(radius, velocity, pressure, rate, stress, far, far_rate, member, setup):
     """``U'`` from the contents' pressure and its rate, the gel's stress and the far field.
 
     All real or all complex.
@@ -103,114 +134,80 @@ def balance(radius, velocity, pressure, rate, stress, far, far_rate, member, set
 
 
 @kernel
-def motion(time, radius, velocity, pressure, rate, memory, memory_rates, member, setup):
+def move_wall(time, radius, velocity, pressure, rate, memory, memory_rates, member, setup):
     """``U'``; writes the rates of memory."""
     far, far_rate, _ = far_field(time, member, setup)
     stress = laws.stress(
         radius, velocity, member.b.rest_radius, member.terms, member.theta, memory, memory_rates
     )
-    return balance(radius, velocity, pressure, rate, stress, far, far_rate, member, setup)
+    return accelerate_wall(radius, velocity, pressure, rate, stress, far, far_rate, member, setup)
 
 
 @partial(kernel, inline="never")
-def motion_slopes(
-    time,
-    radius,
-    velocity,
-    pressure,
-    rate,
-    memory,
-    member,
-    setup,
-    slopes,
-    memory_slopes,
-    moved,
-    spare,
-):
-    """Derivatives of :func:`motion`.
+def motion_slopes(time, point, memory, member, setup, slopes, memory_slopes, spare, memory_rates):
+    """``U'`` and its derivatives, and those of the rates of memory.
 
     Args:
         time: dimensionless.
-        radius: ``R``.
-        velocity: ``U``.
-        pressure: of all contents.
-        rate: its time derivative.
+        point: what holds at the state (:class:`imr_torch.simulate.contents.Point`).
         memory: ``K`` memory states.
         member: the bubble.
         setup: what the batch shares.
         slopes: ``5 + K``; receives the derivatives of ``U'`` in (R, U, P, dP/dt, t) and in memory.
         memory_slopes: ``(2 + K) x K``; receives those of the rates of memory in (R, U, memory), by
             rows.
-        moved: ``2 x K`` complex numbers to spare.
-        spare: ``K``; receives the rates of memory.
-
-    Returns:
-        ``U'``.
+        spare: ``2 x K`` complex numbers to spare.
+        memory_rates: ``K``; receives the rates of memory.
     """
     far, far_rate, far_bend = far_field(time, member, setup)
     states = len(memory)
-    rates = moved[1]
-    moved = moved[0]
-    b = member.b
+    moved = spare[0]
+    rates = spare[1]
     nothing = complex(0.0, 0.0)
-    imaginary = complex(0.0, _STEP)
+    imaginary = complex(0.0, TINY)
     for k in range(states):
         moved[k] = memory[k]
-    for direction in range(2 + states):
-        r = radius + nothing
-        u = velocity + nothing
+    stress = (nothing, nothing, nothing)
+    force = nothing
+    for direction in range(5 + states):
+        r = point.radius + nothing
+        u = point.velocity + nothing
+        p = point.pressure + member.b.constant_vapour + nothing
+        q = point.rate + nothing
+        f = far + nothing
+        g = far_rate + nothing
         if direction == 0:
             r += imaginary
         elif direction == 1:
             u += imaginary
-        else:
-            moved[direction - 2] += imaginary
-        stress = laws.stress(r, u, b.rest_radius, member.terms, member.theta, moved, rates)
-        force = balance(
-            r,
-            u,
-            pressure + nothing,
-            rate + nothing,
-            stress,
-            far + nothing,
-            far_rate + nothing,
-            member,
-            setup,
-        )
-        slopes[direction if direction < 2 else direction + 3] = force.imag / _STEP
-        for k in range(states):
-            memory_slopes[direction, k] = rates[k].imag / _STEP
-        if direction >= 2:
-            moved[direction - 2] = memory[direction - 2]
-    value, stress_rate, inertia = laws.stress(
-        radius, velocity, b.rest_radius, member.terms, member.theta, memory, spare
-    )
-    stress = (value + nothing, stress_rate + nothing, inertia + nothing)
-    for direction in range(2, 5):
-        p = pressure + nothing
-        q = rate + nothing
-        f = far + nothing
-        g = far_rate + nothing
-        if direction == 2:
+        elif direction == 2:
             p += imaginary
         elif direction == 3:
             q += imaginary
-        else:
+        elif direction == 4:
             f += far_rate * imaginary
             g += far_bend * imaginary
-        force = balance(radius + nothing, velocity + nothing, p, q, stress, f, g, member, setup)
-        slopes[direction] = force.imag / _STEP
-    return balance(
-        radius,
-        velocity,
-        pressure,
-        rate,
-        (value, stress_rate, inertia),
-        far,
-        far_rate,
-        member,
-        setup,
-    )
+        else:
+            moved[direction - 5] += imaginary
+        if direction < 2 or direction >= 5:  # the gel feels R, U and its memory
+            stress = laws.stress(
+                r, u, member.b.rest_radius, member.terms, member.theta, moved, rates
+            )
+            row = direction if direction < 2 else direction - 3
+            for k in range(states):
+                memory_slopes[row, k] = rates[k].imag / TINY
+                memory_rates[k] = rates[k].real
+        else:
+            stress = (
+                stress[0].real + nothing,
+                stress[1].real + nothing,
+                stress[2].real + nothing,
+            )
+        force = accelerate_wall(r, u, p, q, stress, f, g, member, setup)
+        slopes[direction] = force.imag / TINY
+        if direction >= 5:
+            moved[direction - 5] = memory[direction - 5]
+    return force.real
 
 
 @kernel
@@ -219,14 +216,14 @@ def gas_loss(radius, velocity, member):
     if not member.affected:
         return 0.0, 0.0, 0.0
     rest = member.b.rest_radius
-    imaginary = complex(0.0, _STEP)
+    imaginary = complex(0.0, TINY)
     by_radius = laws.gas_loss(
         radius + imaginary, velocity + 0.0 * imaginary, rest, member.effects, member.theta
     )
     by_velocity = laws.gas_loss(
         radius + 0.0 * imaginary, velocity + imaginary, rest, member.effects, member.theta
     )
-    return by_radius.real, by_radius.imag / _STEP, by_velocity.imag / _STEP
+    return by_radius.real, by_radius.imag / TINY, by_velocity.imag / TINY
 
 
 @kernel
@@ -234,5 +231,5 @@ def vapour_factor(compression, member):
     """Factor on the saturation pressure and its logarithmic derivative in the compression."""
     if not member.affected:
         return 1.0, 0.0
-    moved = laws.vapour(complex(compression, _STEP), member.effects, member.theta)
-    return moved.real, moved.imag / _STEP * compression / moved.real
+    moved = laws.vapour(complex(compression, TINY), member.effects, member.theta)
+    return moved.real, moved.imag / TINY * compression / moved.real
