@@ -31,7 +31,7 @@ from imr_torch.simulate import Simulator, fewer_steps
 from imr_torch.unknown import NOTHING_KNOWN, MissingPressure, infer_unknown
 from imr_torch.unknown.shot import SPACING
 
-PLACES = {
+PLACES: dict[str, set[str]] = {
     "material": {"material"},
     "gas": {"contents"},
     "driving": {"drive"},
@@ -56,6 +56,7 @@ def infer_set(task: Task) -> Line:
     if found is None:
         return line
     line |= {
+        "kind": found.kind,
         "kinds": found.probabilities,
         "explained": found.explained,
         "terms": dict(list(found.terms.items())[:3]),
@@ -155,7 +156,7 @@ def stress_along(
 
 def kinds_of(effect: str) -> set[str]:
     """Kinds that are right for an effect."""
-    return OWN_KINDS.get(effect, PLACES[LIBRARY[effect].place])
+    return OWN_KINDS[effect] if effect in OWN_KINDS else PLACES[LIBRARY[effect].place]
 
 
 def write_scores(lines: list[Line]) -> str:
@@ -164,7 +165,7 @@ def write_scores(lines: list[Line]) -> str:
     strong = [x for x in acting if max(x["signal"].values()) > 8.0]
     quiet = [x for x in lines if not x["truth"] and x["explained"] is not None]
     sure = [x for x in acting if max(x["kinds"].values()) > SURE and x["explained"] > 3.0]
-    right = [x for x in sure if max(x["kinds"], key=x["kinds"].get) in kinds_of(x["truth"][0])]
+    right = [x for x in sure if x["kind"] in kinds_of(x["truth"][0])]
     compared = [x for x in strong if "inside" in x and not math.isnan(x["correlation"])]
     named = [(x, *next(iter(x["terms"].items()))) for x in acting if x["terms"]]
     named = [(x, name) for x, name, p in named if p > SURE and name != NOTHING_KNOWN]

@@ -212,7 +212,7 @@ def _shrinkage(found: Shrinkage, report: GapReport) -> dict[str, Any]:
     }
 
 
-def _missing(found: Unknown, *, thinned: int = 4) -> dict[str, Any]:
+def _missing(found: Unknown) -> dict[str, Any]:
     """Kinds and terms with their probabilities, and the missing pressure of each shot: us, kPa, 1/s."""
     units = {
         "t_us": ("times", 1e6),
@@ -230,7 +230,7 @@ def _missing(found: Unknown, *, thinned: int = 4) -> dict[str, Any]:
         "shots": [
             {"id": shot.label}
             | {
-                label: drawn_numbers(scale * getattr(shot, name)[::thinned])
+                label: drawn_numbers(scale * getattr(shot, name)[::4])
                 for label, (name, scale) in units.items()
             }
             for shot in found.shots

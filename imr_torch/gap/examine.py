@@ -101,7 +101,9 @@ def examine(
     if not report.found:
         return parts
     if progress:
-        progress(ProgressLine("location, shrinkage, next design", stage="location"))
+        progress(
+            ProgressLine("location, shrinkage, next design, what is missing", stage="location")
+        )
     alone = report.alone or fit_alone(
         report.null, report.batch, simulator, seed=child(seed, "alone")
     )
@@ -115,17 +117,10 @@ def examine(
             report, simulator, judging, seed=child(seed, "shrinkage"), progress=progress
         ),
         next_design=_next(report, simulator, seed, progress),
-        unknown=_unknown(report, simulator, progress),
+        unknown=None
+        if report.verdict in ("effect", "class")
+        else infer_unknown(report.null, report.batch, fewer_steps(simulator)),
     )
-
-
-def _unknown(report: GapReport, simulator: Simulator, progress: Progress | None) -> Unknown | None:
-    """What the base model misses; None where causes are named."""
-    if report.verdict in ("effect", "class"):
-        return None
-    if progress:
-        progress(ProgressLine("what is missing", step="what is missing"))
-    return infer_unknown(report.null, report.batch, fewer_steps(simulator))
 
 
 def _acts(report: GapReport, simulator: Simulator, seed: int) -> dict[str, list[float]] | None:

@@ -434,26 +434,22 @@ def _missing(document: Document) -> tuple[str, ...]:
     """The missing pressure: its kind, its size, what it looks like."""
     found = document["missing"]
     if found is None:
-        if document["verdict"] in ("effect", "class"):
-            return ("Not inferred, because a cause is named.",)
-        return (
-            "Not inferred, because no gap was found." if not document["gap"] else "Not inferred.",
-        )
-    kinds = sorted(found["kinds"].items(), key=lambda item: -item[1])
-    kind, share = kinds[0]
-    told = share >= _TOLD_APART
-    said = f"Most like {_KINDS[kind]} (probability {share:.2f}"
-    if not told:
-        others = "; ".join(f"{_KINDS[name]}, {p:.2f}" for name, p in kinds[1:] if p > MEMBER)
-        said = f"These data do not tell its kind: {_KINDS[kind]}, {share:.2f}; {others}"
+        return ("Not inferred: that is done where there is a gap without a named cause.",)
+    kind = found["kind"]
+    share = found["kinds"][kind]
+    said = f"Most like {_KINDS[kind]} (probability {share:.2f})."
+    if share < _TOLD_APART:
+        likely = [f"{_KINDS[k]}, {p:.2f}" for k, p in found["kinds"].items() if p > MEMBER]
+        said = f"These data do not tell its kind: {'; '.join(likely)}."
     sentences = [
-        said + (f" of {len(kinds)} kinds)." if told else "."),
+        said,
         f"It explains the curves {found['explained_nats']:.0f} nats better than the base model.",
     ]
-    shots = found["shots"]
     if kind != "camera":
-        largest = max(abs(p) for shot in shots for p in shot["kPa"])
-        own = max(abs(p) for shot in shots for p in shot["own_kPa"])
+        largest, own = (
+            max(abs(p) for shot in found["shots"] for p in shot[name])
+            for name in ("kPa", "own_kPa")
+        )
         sentences.append(
             f"The missing pressure is up to {largest:.3g} kPa, where the base model's stress is up "
             f"to {own:.3g} kPa."

@@ -51,7 +51,7 @@ from imr_torch.population.sampling import (
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Controls, Progress
+from imr_torch.types import Controls, Progress, ProgressLine
 
 SCALE = 0.3
 """Scale of the half-normal prior of each scatter: of ln G, ln mu, and of the control of other parameters."""

@@ -4,8 +4,7 @@ from imr_torch.unknown.infer import (
     NOTHING_KNOWN,
     MissingPressure,
     Unknown,
-    UnknownOptions,
     infer_unknown,
 )
 
-__all__ = ["NOTHING_KNOWN", "MissingPressure", "Unknown", "UnknownOptions", "infer_unknown"]
+__all__ = ["NOTHING_KNOWN", "MissingPressure", "Unknown", "infer_unknown"]

@@ -14,6 +14,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import attrgetter
 
 import torch
 from jaxtyping import Float
@@ -27,12 +28,10 @@ from imr_torch.types import Controls, Values
 from imr_torch.unknown.kinds import (
     Columns,
     camera_errors,
-    contents_scale,
     contents_state,
     flux_kernel,
     function_of_state,
     function_of_time,
-    material_scale,
     material_state,
 )
 from imr_torch.unknown.shot import Path, Response, Shot
@@ -44,36 +43,18 @@ TERMS: Mapping[str, Callable[[Path], Tensor]] = {
     "viscous, U/R": lambda path: path.rate,
     "drag, R U": lambda path: path.size * path.radius * path.velocity,
     "drag, R^2 U": lambda path: (path.size * path.radius).square() * path.velocity,
-    "drag, U": lambda path: path.velocity,
     "quadratic drag, U|U|": lambda path: path.velocity * path.velocity.abs(),
-    "quadratic viscosity, (U/R)|U/R|": lambda path: path.rate * path.rate.abs(),
     "yield stress, sign U": lambda path: torch.tanh(path.velocity / 0.02),
     "spring, R/R_inf": lambda path: path.radius / path.rest_radius,
     "stiffening, (R/R_inf)^2": lambda path: (path.radius / path.rest_radius).square(),
     "compression, (R_inf/R)^4": lambda path: (path.rest_radius / path.radius) ** 4,
-    "contents, their own pressure": lambda path: path.contents,
     "softening with strain": lambda path: path.own_stress * path.strain,
 }
 """Plain terms that an unknown pressure is compared with, each with one size for all shots."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class UnknownOptions:
-    """How an unknown is inferred.
-
-    Args:
-        sizes: of what may be missing, over its usual size; the evidence averages over them.
-        rounds: trajectories that are simulated again, at most.
-        settled: nats that a further round must gain.
-        shortest: part of a step that is tried, at least.
-        fitted_terms: plain terms that are fitted; the others are compared to first order.
-    """
-
-    sizes: tuple[float, ...] = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
-    rounds: int = 8
-    settled: float = 1.0
-    shortest: float = 0.02
-    fitted_terms: int = 3
+SIZES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
+"""Sizes of what may be missing, over its usual size."""
 
 
 @dataclass(frozen=True)
@@ -154,39 +135,30 @@ class _System:
     fitted: Float[Tensor, "rows coordinates"]
     unknown: Float[Tensor, "rows weights"]
 
-    def solve(self, sizes: Sequence[float]) -> tuple[Values, list[tuple[Tensor, Tensor]]]:
-        """Log evidence at each size, nats without the constants that all unknowns share; and each
-        size's solution, its weights at that size, with the Cholesky factor of its precision.
+    def solve(self, size: float) -> tuple[Values, Tensor, Tensor]:
+        """Log evidence at a size, nats without the constants that all unknowns share; the solution,
+        its weights at that size; the Cholesky factor of its precision.
         """
-        logs = []
-        solved = []
-        for size in sizes:
-            columns = torch.cat((self.fitted, size * self.unknown), 1)
-            free = torch.zeros(columns.shape[1], dtype=torch.float64)
-            free[self.fitted.shape[1] :] = 1.0
-            chol = torch.linalg.cholesky(columns.mT @ columns + free.diag())
-            seen = columns.mT @ self.residual
-            solution = torch.cholesky_solve(seen[:, None], chol)[:, 0]
-            misfit = self.residual.square().sum() - seen @ solution
-            logs.append(-chol.diagonal().log().sum() - 0.5 * misfit)
-            solved.append((solution, chol))
-        return torch.stack(logs), solved
-
-    def log_evidence(self, sizes: Sequence[float]) -> float:
-        """Nats, averaged over sizes."""
-        logs, _ = self.solve(sizes)
-        return float(logs.logsumexp(0)) - math.log(len(sizes))
+        columns = torch.cat((self.fitted, size * self.unknown), 1)
+        free = torch.zeros(columns.shape[1], dtype=torch.float64)
+        free[self.fitted.shape[1] :] = 1.0
+        chol = torch.linalg.cholesky(columns.mT @ columns + free.diag())
+        seen = columns.mT @ self.residual
+        solution = torch.cholesky_solve(seen[:, None], chol)[:, 0]
+        misfit = self.residual.square().sum() - seen @ solution
+        return -chol.diagonal().log().sum() - 0.5 * misfit, solution, chol
 
 
 @dataclass(frozen=True)
 class _Fit:
-    """The fit of one kind: its state, the responses there, its system and the best size."""
+    """A kind about a state: responses there, the system with its best size, and where that aims."""
 
     state: _State
     responses: tuple[Response, ...]
     system: _System
     size: float
     log_evidence: float
+    aim: _State
 
 
 def infer_unknown(
@@ -194,7 +166,8 @@ def infer_unknown(
     batch: ExperimentBatch,
     simulator: Simulator,
     *,
-    options: UnknownOptions | None = None,
+    sizes: Sequence[float] = SIZES,
+    rounds: int = 8,
 ) -> Unknown | None:
     """What a fitted base model misses.
 
@@ -202,7 +175,8 @@ def infer_unknown(
         fit: of the base model to the batch.
         batch: the data, curves only.
         simulator: makes the bubbles.
-        options: sizes and rounds.
+        sizes: that the evidence averages over.
+        rounds: trajectories that are simulated again for a kind, at most.
 
     Returns:
         None where a bubble of the fit cannot be simulated, or the data are not curves.
@@ -223,7 +197,6 @@ def infer_unknown(
     >>> unknown.explained > 10.0, unknown.probabilities["camera"] < 0.01
     (True, True)
     """
-    options = options or UnknownOptions()
     if bool(batch.collapse.any()):
         return None
     shots = tuple(
@@ -236,32 +209,30 @@ def infer_unknown(
         torch.zeros(0, dtype=torch.float64),
         tuple(torch.zeros(len(shot.moments), dtype=torch.float64) for shot in shots),
     )
-    responses = _respond(shots, still, inside=True)
-    if not all(bool(torch.isfinite(response.path.radius).all()) for response in responses):
+    search = _Search(shots, still, _respond(shots, still), sizes, rounds)
+    paths = [response.path for response in search.responses]
+    if not all(bool(torch.isfinite(path.radius).all()) for path in paths):
         return None
-    paths = [response.path for response in responses]
-    free = _fit_kind(function_of_time(paths), shots, still, responses, options)
-    fits = {"drive": free}
     kinds: dict[str, Columns] = {
-        "material": function_of_state(material_state, material_scale, paths),
-        "contents": function_of_state(contents_state, contents_scale, paths),
+        "drive": function_of_time(paths),
+        "material": function_of_state(material_state, attrgetter("own_stress"), paths),
+        "contents": function_of_state(contents_state, attrgetter("contents"), paths),
         "sample": flux_kernel(),
     }
-    fits |= {
-        name: _fit_kind(columns, shots, still, responses, options, lead=free)
-        for name, columns in kinds.items()
-    }
-    kinds["drive"] = function_of_time(paths)
-    fits[CAMERA] = _fit_kind(camera_errors, shots, still, responses, options, inside=False)
-    base = _assemble(shots, still, responses, ()).log_evidence((1.0,))
+    # a pressure in time follows any curve; what else can, begins where it ends
+    fits = {"drive": search.fit(kinds["drive"])}
+    for name in ("material", "contents", "sample"):
+        fits[name] = search.fit(kinds[name], lead=fits["drive"])
+    fits[CAMERA] = search.fit(camera_errors, inside=False)
+    base, *_ = _assemble(shots, still, search.responses, ()).solve(1.0)
     logs = {name: found.log_evidence for name, found in fits.items()}
     probabilities = torch.tensor(list(logs.values()), dtype=torch.float64).softmax(0).tolist()
     best = max(logs, key=logs.__getitem__)
     inside = max(kinds, key=logs.__getitem__)
     return Unknown(
         dict(zip(logs, probabilities, strict=True)),
-        logs[best] - base,
-        {} if best == CAMERA else _compare_terms(shots, fits[inside], still, responses, options),
+        logs[best] - float(base),
+        {} if best == CAMERA else _compare_terms(search, fits[inside]),
         _missing_pressures(fit, shots, fits[inside], kinds[inside]),
     )
 
@@ -276,67 +247,104 @@ def _at_state(
     return [(shot.reread(made), own, torch.zeros_like(shot.moments)) for shot, own, made in rows]
 
 
-def _respond(shots: Sequence[Shot], state: _State, *, inside: bool) -> tuple[Response, ...]:
+def _respond(shots: Sequence[Shot], state: _State, *, inside: bool = True) -> tuple[Response, ...]:
     """Responses at a state."""
     return tuple(
         shot.respond(state.gel, *own) for shot, *own in _at_state(shots, state, inside=inside)
     )
 
 
-def _fit_kind(
-    columns: Columns,
-    shots: Sequence[Shot],
-    still: _State,
-    responses: tuple[Response, ...],
-    options: UnknownOptions,
-    *,
-    inside: bool = True,
-    lead: _Fit | None = None,
-) -> _Fit:
-    """Gauss-Newton of one kind, each step halved until it descends.
+@dataclass(frozen=True)
+class _Search:
+    """Gauss-Newton of any kind.
 
-    It begins at the trajectories of a fit that explains the data, if the kind can make them, else at
-    those of the base model.
+    Args:
+        shots: the data.
+        still: the base model's fit, where nothing is missing.
+        responses: there.
+        sizes: that the evidence averages over.
+        rounds: trajectories that are simulated again, at most.
     """
-    own = _columns_of(columns, shots, responses)
-    weights = torch.zeros(own[0].shape[1], dtype=torch.float64)
-    state = replace(still, weights=weights, made=tuple(x @ weights for x in own))
-    if lead is not None:
-        there = _columns_of(columns, shots, lead.responses)
-        system = _assemble(shots, lead.state, lead.responses, there)
-        logs, solved = system.solve(options.sizes)
-        best = int(logs.argmax())
-        aim = _aim(shots, lead.state, solved[best][0], options.sizes[best], there)
-        if _cost(shots, aim, options.sizes[best]) < _cost(shots, state, options.sizes[best]):
-            state = aim
-            responses = _respond(shots, state, inside=True)
-            own = _columns_of(columns, shots, responses)
-    for number in range(options.rounds):
-        system = _assemble(shots, state, responses, own, inside=inside)
-        logs, solved = system.solve(options.sizes)
-        best = int(logs.argmax())
-        size = options.sizes[best]
-        evidence = float(logs.logsumexp(0)) - math.log(len(logs))
-        found = _Fit(state, responses, system, size, evidence)
-        if number == options.rounds - 1:
-            break
-        aim = _aim(shots, state, solved[best][0], size, own)
-        before = _cost(shots, state, size, inside=inside)
-        share = 1.0
-        while share > options.shortest:
-            moved = state.towards(aim, share)
-            gain = before - _cost(shots, moved, size, inside=inside)
-            if gain > 0.0:  # not where a bubble failed: NaN is not larger
+
+    shots: Sequence[Shot]
+    still: _State
+    responses: tuple[Response, ...]
+    sizes: Sequence[float]
+    rounds: int
+
+    def fit(
+        self,
+        columns: Columns,
+        *,
+        inside: bool = True,
+        lead: _Fit | None = None,
+        settled: float = 1.0,
+        halvings: int = 6,
+    ) -> _Fit:
+        """A kind, each step halved until it descends.
+
+        Args:
+            columns: of the kind.
+            inside: whether it acts in the equation of motion.
+            lead: a fit that explains the data, at whose trajectories it begins if it can make them,
+                else at those of the base model.
+            settled: nats that a further round must gain.
+            halvings: lengths of a step that are tried.
+        """
+        still = self.still
+        if not inside:
+            frames = [shot.batch.times.shape[1] for shot in self.shots]
+            still = replace(still, made=tuple(torch.zeros(2 * n).double() for n in frames))
+        found = self.linearise(columns, still, self.responses, inside=inside)
+        found = replace(found, state=replace(still, weights=0.0 * found.aim.weights))
+        if lead is not None:
+            led = self.linearise(columns, lead.state, lead.responses)
+            if self._cost(led.aim, led.size) < self._cost(found.state, led.size):
+                found = self.linearise(columns, led.aim, _respond(self.shots, led.aim))
+        for _ in range(self.rounds - 1):
+            before = self._cost(found.state, found.size, inside=inside)
+            for number in range(halvings):
+                moved = found.state.towards(found.aim, 0.5**number)
+                gain = before - self._cost(moved, found.size, inside=inside)
+                if gain > 0.0:  # not where a bubble failed: NaN is not larger
+                    break
+            else:
                 break
-            share *= 0.5
-        else:
-            break
-        state = moved
-        responses = _respond(shots, state, inside=inside)
-        own = _columns_of(columns, shots, responses)
-        if gain < options.settled:
-            break
-    return found
+            there = _respond(self.shots, moved, inside=inside)
+            found = self.linearise(columns, moved, there, inside=inside)
+            if gain < settled:
+                break
+        return found
+
+    def linearise(
+        self,
+        columns: Columns,
+        state: _State,
+        responses: tuple[Response, ...],
+        *,
+        inside: bool = True,
+    ) -> _Fit:
+        """A kind about a state that another may have made."""
+        own = _columns_of(columns, self.shots, responses)
+        system = _assemble(self.shots, state, responses, own, inside=inside)
+        solved = {size: system.solve(size) for size in self.sizes}
+        logs = torch.stack([log for log, _, _ in solved.values()])
+        size = self.sizes[int(logs.argmax())]
+        evidence = float(logs.logsumexp(0)) - math.log(len(logs))
+        aim = _aim(self.shots, state, solved[size][1], size, own)
+        return _Fit(state, responses, system, size, evidence, aim)
+
+    def _cost(self, state: _State, size: float, *, inside: bool = True) -> float:
+        """Negative log of likelihood x priors, nats; infinite where frames would change order."""
+        priors = (state.gel, state.nuisances, state.weights / size)
+        total = 0.5 * sum(float(x.square().sum()) for x in priors)
+        try:
+            seen = _at_state(self.shots, state, inside=inside)
+        except InputDataError:
+            return math.inf
+        for shot, *own in seen:
+            total -= float(shot.batch.log_likelihood(shot.predict(state.gel, *own)[None]).sum())
+        return total
 
 
 def _columns_of(
@@ -404,19 +412,6 @@ def _aim(
     return _State(state.gel + solution[: len(state.gel)], nuisances, weights, made)
 
 
-def _cost(shots: Sequence[Shot], state: _State, size: float, *, inside: bool = True) -> float:
-    """Negative log of likelihood x priors, nats; infinite where frames would change their order."""
-    priors = (state.gel, state.nuisances, state.weights / size)
-    total = 0.5 * sum(float(x.square().sum()) for x in priors)
-    try:
-        seen = _at_state(shots, state, inside=inside)
-    except InputDataError:
-        return math.inf
-    for shot, *own in seen:
-        total -= float(shot.batch.log_likelihood(shot.predict(state.gel, *own)[None]).sum())
-    return total
-
-
 def _columns_of_term(term: Callable[[Path], Tensor], responses: Sequence[Response]) -> Columns:
     """A plain term, of root mean square p_inf over the trajectories at unit size."""
     usual = torch.cat([term(response.path) for response in responses]).square().mean().sqrt()
@@ -428,27 +423,19 @@ def _columns_of_term(term: Callable[[Path], Tensor], responses: Sequence[Respons
     return columns
 
 
-def _compare_terms(
-    shots: Sequence[Shot],
-    found: _Fit,
-    still: _State,
-    responses: tuple[Response, ...],
-    options: UnknownOptions,
-) -> dict[str, float]:
+def _compare_terms(search: _Search, found: _Fit, *, fitted: int = 3) -> dict[str, float]:
     """Probability of each plain term in place of the unknown function; half of the prior is for
     nothing known.
 
     All are compared about the trajectories of the unknown function; the best are then fitted.
     """
     columns = {name: _columns_of_term(term, found.responses) for name, term in TERMS.items()}
-    logs = {}
-    for name, own in columns.items():
-        made = _columns_of(own, shots, found.responses)
-        system = _assemble(shots, found.state, found.responses, made)
-        logs[name] = system.log_evidence(options.sizes)
-    for name in sorted(logs, key=lambda name: -logs[name])[: options.fitted_terms]:
-        fitted = _fit_kind(columns[name], shots, still, responses, options, lead=found)
-        logs[name] = fitted.log_evidence
+    logs = {
+        name: search.linearise(own, found.state, found.responses).log_evidence
+        for name, own in columns.items()
+    }
+    for name in sorted(logs, key=lambda name: -logs[name])[:fitted]:
+        logs[name] = search.fit(columns[name], lead=found).log_evidence
     logs = {name: log - math.log(len(TERMS)) for name, log in logs.items()}
     logs[NOTHING_KNOWN] = found.log_evidence
     shares = torch.tensor(list(logs.values()), dtype=torch.float64).softmax(0).tolist()
@@ -466,7 +453,7 @@ def _missing_pressures(
         residual=found.system.residual - found.system.fitted[:, :gel] @ away,
         fitted=found.system.fitted[:, gel:],
     )
-    _, [(solution, chol)] = held.solve((found.size,))
+    _, solution, chol = held.solve(found.size)
     place = held.fitted.shape[1]
     root = torch.linalg.solve_triangular(
         chol.mT, torch.eye(len(solution), dtype=torch.float64), upper=True

@@ -26,8 +26,6 @@ Columns = Callable[[int, Shot, Response], Float[Tensor, "values weights"]]
 """Number of a shot, the shot, its response -> what each weight makes there: a pressure over p_inf in each pulse, or errors
 of radius and time in each frame, as of :meth:`Shot.reread`."""
 
-Scale = Callable[[Path], Float[Tensor, "fine"]]
-
 BACKGROUND = 0.3
 """Size of what may be missing where the gel or the contents have no pressure of their own, p_inf."""
 
@@ -85,25 +83,16 @@ def contents_state(path: Path) -> Float[Tensor, "fine 3"]:
     return torch.stack((path.radius.log() / 0.7, torch.asinh(path.velocity), path.strain / 8.0), -1)
 
 
-def material_scale(path: Path) -> Float[Tensor, "fine"]:
-    """What may be missing of a stress, over p_inf: in proportion to the gel's own."""
-    return (BACKGROUND**2 + path.own_stress.square()).sqrt()
-
-
-def contents_scale(path: Path) -> Float[Tensor, "fine"]:
-    """What may be missing of the contents' pressure, over p_inf: in proportion to it."""
-    return (BACKGROUND**2 + path.contents.square()).sqrt()
-
-
 def function_of_state(
-    state: Callable[[Path], Tensor], scale: Scale, paths: Sequence[Path]
+    state: Callable[[Path], Tensor], own: Callable[[Path], Tensor], paths: Sequence[Path]
 ) -> Columns:
-    """One function of a state for all shots."""
+    """One function of a state for all shots, in proportion to what the model has of its own there."""
     basis = NystroemBasis.through(torch.cat([state(path) for path in paths]))
 
     def columns(number: int, shot: Shot, response: Response) -> Tensor:
         path = response.path
-        return shot.average_pressure(path.times) @ (basis(state(path)) * scale(path)[:, None])
+        scale = (BACKGROUND**2 + own(path).square()).sqrt()
+        return shot.average_pressure(path.times) @ (basis(state(path)) * scale[:, None])
 
     return columns
 

@@ -9,7 +9,7 @@ responses can be taken about it again: nothing here is limited to small pressure
 """
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
@@ -103,13 +103,13 @@ class Shot:
     prior: ModelBelief
     batch: ExperimentBatch
     simulator: Simulator
-    moments: Float[Tensor, "pulses"] = field(init=False)
 
-    def __post_init__(self) -> None:
-        last = float(self._experiment.times.max())
+    @cached_property
+    def moments(self) -> Float[Tensor, "pulses"]:
+        """Centres of the pulses, t*."""
         beyond = 3.0 * SPACING
-        moments = torch.arange(-beyond, last + beyond, SPACING, dtype=torch.float64)
-        object.__setattr__(self, "moments", moments)
+        last = float(self._experiment.times.max())
+        return torch.arange(-beyond, last + beyond, SPACING, dtype=torch.float64)
 
     @property
     def _experiment(self) -> Experiment:
@@ -164,7 +164,7 @@ class Shot:
         simulator = self.driven(pressure)
         posterior = Posterior(self.prior, self.batch, simulator)
         near = posterior.neighbourhood(Point(gel, nuisances[None]))
-        parameters = posterior.to_si(gel)
+        parameters = self.prior.to_si(gel)
         shifts = nuisances[None] * self.batch.nuisance_sds
         moved = parameters.repeat(1 + len(self.moments), 1)
         names = PARAMETERS.index(["pulse", "pulse_time", "pulse_width"])

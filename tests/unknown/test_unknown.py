@@ -8,7 +8,7 @@ import torch
 from imr_torch.material import PARAMETERS, TERMS, dimensionless, gel_response
 from imr_torch.observe import Nuisance, predict
 from imr_torch.simulate import PolytropicSimulator, TabulatedDriving
-from imr_torch.unknown import NOTHING_KNOWN, UnknownOptions, infer_unknown
+from imr_torch.unknown import NOTHING_KNOWN, infer_unknown
 from imr_torch.unknown.kinds import NystroemBasis, flux_kernel
 from imr_torch.unknown.shot import Shot
 from tests.gap.synthetic import BASE, DESIGNS, GEL, SIMULATOR, fit, shoot
@@ -169,9 +169,9 @@ def test_that_a_bubble_that_fails_has_no_answer() -> None:
     assert infer_unknown(fit(batch), batch, short) is None
 
 
-def test_that_options_are_obeyed() -> None:
+def test_that_sizes_and_rounds_are_obeyed() -> None:
     batch = shoot({"alpha": 0.4}, DESIGNS[:2], repeats=10)
     base = fit(batch)
-    one = infer_unknown(base, batch, SIMULATOR, options=UnknownOptions(rounds=1, sizes=(1e-6,)))
+    one = infer_unknown(base, batch, SIMULATOR, rounds=1, sizes=(1e-6,))
     assert one is not None
     assert abs(one.explained) < 1.0  # nothing may be missing
