@@ -60,11 +60,11 @@ def infer_set(task: Task) -> Line:
         "kinds": found.probabilities,
         "explained": found.explained,
         "terms": dict(list(found.terms.items())[:3]),
-        "largest_kPa": max(float(shot.pressure.abs().max()) for shot in found.shots) / 1e3,
-        "sure_nonzero": _share_nonzero(found.shots),
+        "largest_kPa": max((float(s.pressure.abs().max()) for s in found.shots), default=0.0) / 1e3,
+        "sure_nonzero": _share_nonzero(found.shots) if found.shots else 0.0,
         "seconds": time.process_time() - started,
     }
-    if data.truth and found.kind != "camera" and _is_stress(data.truth[0]):
+    if data.truth and found.shots and _is_stress(data.truth[0]):
         fitted = null.prior.to_si(null.mean)
         line |= compare_pressures(data, found.shots, fitted, task.simulator(fine=True))
     return line
@@ -168,7 +168,11 @@ def write_scores(lines: list[Line]) -> str:
     right = [x for x in sure if x["kind"] in kinds_of(x["truth"][0])]
     compared = [x for x in strong if "inside" in x and not math.isnan(x["correlation"])]
     named = [(x, *next(iter(x["terms"].items()))) for x in acting if x["terms"]]
-    named = [(x, name) for x, name, p in named if p > SURE and name != NOTHING_KNOWN]
+    named = [
+        (x, name)
+        for x, name, p in named
+        if p > SURE and name != NOTHING_KNOWN and x["explained"] > 3.0
+    ]
 
     def middle(name: str) -> str:
         values = sorted(x[name] for x in compared)

@@ -83,20 +83,20 @@ def gap_figures(document: Document, *, curves: int | None = None) -> Iterator[Na
         yield from _of_place(document)
     if document["posterior"]:
         yield _of_causes(document)
-    if document["missing"]:
+    if (missing := document.get("missing")) and missing["shots"]:
         yield NamedFigure(
             "missing",
             "The missing pressure beside the base model's gel as fitted, with its 90 % band; "
             "dashed: the base model's own stress.",
             "A band over time for each shot; the sentences above give its size and kind.",
-            partial(plot_missing_pressure, document["missing"]["shots"]),
+            partial(plot_missing_pressure, missing["shots"]),
             section=MISSING,
         )
         yield NamedFigure(
             "missing states",
             "The same over stretch and strain rate, along the paths of all shots.",
             "Points coloured by pressure; the sentences above give its size and kind.",
-            partial(plot_missing_states, document["missing"]["shots"]),
+            partial(plot_missing_states, missing["shots"]),
             section=MISSING,
         )
     if document["shrinkage"] and document["shrinkage"]["share"]:

@@ -9,12 +9,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from imr_torch.assimilate.spikes import spoilt_sentence
-from imr_torch.gap.hypotheses import GEL_SCATTER, in_words
+from imr_torch.gap.hypotheses import EXPLAINS, GEL_SCATTER, in_words
 from imr_torch.gap.verdict import MEMBER, NONE, OTHER, SLOW_NOISE
 from imr_torch.goodness.score import ADEQUATE, LEVEL
 from imr_torch.labels import p_value
 from imr_torch.material import LIBRARY, PARAMETERS
-from imr_torch.unknown import NOTHING_KNOWN
 
 Document = Mapping[str, Any]
 """A diagnosis as :func:`imr_torch.gap.to_json` makes it."""
@@ -132,7 +131,7 @@ def sections(document: Document) -> list[Section]:
         Section(HIDDEN, _hidden(document)),
         Section(PLACE, _where(document), folded=not document["examined"]),
         Section(CAUSES, _causes(document), folded=no_cause),
-        Section(MISSING, _missing(document), folded=document["missing"] is None),
+        Section(MISSING, _missing(document), folded=document.get("missing") is None),
         Section(SHRINKS, _shrinkage(document), folded=document["shrinkage"] is None),
         Section(
             "What does it do to the parameters?",
@@ -432,9 +431,11 @@ def _checks(document: Document) -> list[str]:
 
 def _missing(document: Document) -> tuple[str, ...]:
     """The missing pressure: its kind, its size, what it looks like."""
-    found = document["missing"]
+    found = document.get("missing")
     if found is None:
         return ("Not inferred: that is done where there is a gap without a named cause.",)
+    if found["explained_nats"] < EXPLAINS:
+        return ("Nothing that is smooth in a state of the bubble or in time explains it.",)
     kind = found["kind"]
     share = found["kinds"][kind]
     said = f"Most like {_KINDS[kind]} (probability {share:.2f})."
@@ -445,7 +446,7 @@ def _missing(document: Document) -> tuple[str, ...]:
         said,
         f"It explains the curves {found['explained_nats']:.0f} nats better than the base model.",
     ]
-    if kind != "camera":
+    if found["shots"]:
         largest, own = (
             max(abs(p) for shot in found["shots"] for p in shot[name])
             for name in ("kPa", "own_kPa")
@@ -454,13 +455,9 @@ def _missing(document: Document) -> tuple[str, ...]:
             f"The missing pressure is up to {largest:.3g} kPa, where the base model's stress is up "
             f"to {own:.3g} kPa."
         )
-    if found["terms"]:
-        term, p = next(iter(found["terms"].items()))
-        sentences.append(
-            f"It looks like {term} (probability {p:.2f})."
-            if term != NOTHING_KNOWN and p >= _TOLD_APART
-            else "No plain term looks like it."
-        )
+    term, p = next(iter(found["terms"].items()), ("", 0.0))
+    if p >= _TOLD_APART:
+        sentences.append(f"It looks like {term} (probability {p:.2f}).")
     return tuple(sentences)
 
 

@@ -89,7 +89,7 @@ class Unknown:
         explained: nats by which the most probable kind explains the data better than the base model.
         terms: plain term, or ``"nothing known"``, -> probability; empty where the camera is most
             probable.
-        shots: the missing pressure in each shot by the most probable kind in the equation of motion.
+        shots: the missing pressure in each shot by the most probable kind; none likewise.
     """
 
     probabilities: dict[str, float]
@@ -228,12 +228,12 @@ def infer_unknown(
     logs = {name: found.log_evidence for name, found in fits.items()}
     probabilities = torch.tensor(list(logs.values()), dtype=torch.float64).softmax(0).tolist()
     best = max(logs, key=logs.__getitem__)
-    inside = max(kinds, key=logs.__getitem__)
+    outside = best == CAMERA
     return Unknown(
         dict(zip(logs, probabilities, strict=True)),
         logs[best] - float(base),
-        {} if best == CAMERA else _compare_terms(search, fits[inside]),
-        _missing_pressures(fit, shots, fits[inside], kinds[inside]),
+        {} if outside else _compare_terms(search, fits[best]),
+        () if outside else _missing_pressures(fit, shots, fits[best], kinds[best]),
     )
 
 

@@ -213,8 +213,7 @@ class Shot:
     ) -> Float[Tensor, "rows frames"]:
         """Changes of the curve in R* in units of its noise."""
         sd = self.batch.sd(prediction[None])
-        seen = torch.where(self.batch.mask, rows[:, None], 0.0)
-        return self.batch.whiten(seen, sd).nan_to_num()[:, 0]
+        return self.batch.whiten(rows[:, None], sd).nan_to_num()[:, 0]
 
     def _path(self, simulator: Simulator, parameters: Tensor, shifts: Tensor) -> Path:
         experiment = self._experiment

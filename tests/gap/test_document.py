@@ -194,7 +194,8 @@ def contradictions(document: dict) -> list[str]:
         "something is missing beside a named cause": named and document["missing"] is not None,
         "what is missing is not said": verdict == "other"
         and document["missing"] is not None
-        and "better than the base model" not in text,
+        and "better than the base model" not in text
+        and "explains it" not in text,
         "closed by what is not named": "the gap is closed" in text and verdict == "other",
         "a shot that is not designed": ("Shoot We" in document["next_step"])
         != bool(document["next_design"] and document["next_design"]["helps"]),
