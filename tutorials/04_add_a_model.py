@@ -22,6 +22,7 @@ from imr_torch.material import (
     Parameter,
     StressTerm,
     derivatives,
+    gel_response,
     register,
     register_term,
     wide_prior,
@@ -107,13 +108,15 @@ print(register(Material("mooney", "Mooney-Rivlin KV", reference, springs)))
 one = torch.tensor([0.7, 0.3, 0.1], dtype=torch.float64)
 theta = {"G_mooney": torch.tensor(1.0, dtype=torch.float64)}
 rest, velocity = torch.full_like(one, 0.25), torch.tensor([-1.0, 2.0, -5.0], dtype=torch.float64)
-stress = MOONEY(one, velocity, rest, theta)
+stress, _ = gel_response([MOONEY], one, velocity, rest, theta)
 for stretch, value in zip((one / rest).tolist(), stress.value.tolist(), strict=True):
     expected = -quad(lambda b: 0.5 * (4.0 * b**3 - 4.0 * b**-3) / (b**3 - 1.0), 1.0, stretch)[0]
     print(f"l = {stretch:.2f}: S = {value:+.6f}, by quadrature {expected:+.6f}")
     assert abs(value - expected) < 1e-9
 (by_radius,) = derivatives(
-    lambda radius: MOONEY(radius, velocity, rest, theta).value, (one,), analytic=MOONEY.compilable
+    lambda radius: gel_response([MOONEY], radius, velocity, rest, theta)[0].value,
+    (one,),
+    analytic=MOONEY.compilable,
 )
 assert torch.allclose(stress.rate, by_radius * velocity)
 

@@ -27,6 +27,7 @@ from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.ode_method import ACCEPTED, CONTROL, TransportField
 from imr_torch.simulate.rhs import HEAD, Equations
 from imr_torch.units import Surroundings
+from tests.material.gels import stress_of_term
 from tests.simulate.bubble import FINE, gel, gel_of, grid, tensor
 
 VAPOUR = ("transported", "constant", "frozen", "absent")
@@ -254,7 +255,7 @@ def test_that_the_spring_of_the_energy_balance_is_the_neo_hookean_stress() -> No
     (slope,) = torch.autograd.grad(spring.sum(), radius)
     theta = {"G": torch.tensor(0.05, dtype=torch.float64)}
     (neo_hookean,) = MATERIALS["nhe"].terms
-    stress = neo_hookean(
-        radius.detach(), 0.0 * radius.detach(), torch.full((9,), 0.45, dtype=torch.float64), theta
-    )
+    at = radius.detach()
+    rest = torch.full((9,), 0.45, dtype=torch.float64)
+    stress = stress_of_term(neo_hookean, at, 0.0 * at, rest, theta)
     torch.testing.assert_close(slope, -stress.value * radius.detach() ** 2, rtol=1e-12, atol=1e-15)
