@@ -117,10 +117,18 @@ def examine(
             report, simulator, judging, seed=child(seed, "shrinkage"), progress=progress
         ),
         next_design=_next(report, simulator, seed, progress),
-        unknown=None
-        if report.verdict in ("effect", "class")
-        else infer_unknown(report.null, report.batch, fewer_steps(simulator)),
+        unknown=_unknown(report, simulator),
     )
+
+
+def _unknown(report: GapReport, simulator: Simulator) -> Unknown | None:
+    """What is missing where no cause is named, and its equations can be solved."""
+    if report.verdict in ("effect", "class"):
+        return None
+    try:
+        return infer_unknown(report.null, report.batch, fewer_steps(simulator))
+    except RuntimeError:  # a matrix that is not positive definite
+        return None
 
 
 def _acts(report: GapReport, simulator: Simulator, seed: int) -> dict[str, list[float]] | None:

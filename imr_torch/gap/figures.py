@@ -93,7 +93,7 @@ def gap_figures(document: Document, *, curves: int | None = None) -> Iterator[Na
             section=MISSING,
         )
         yield NamedFigure(
-            "missing states",
+            "missing_states",
             "The same over stretch and strain rate, along the paths of all shots.",
             "Points coloured by pressure; the sentences above give its size and kind.",
             partial(plot_missing_states, missing["shots"]),

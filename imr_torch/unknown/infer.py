@@ -12,7 +12,7 @@ terms are then tried in place of the function, about the same trajectory.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, is_dataclass, replace
 from functools import partial
 from operator import attrgetter
 
@@ -47,7 +47,6 @@ TERMS: Mapping[str, Callable[[Path], Tensor]] = {
     "yield stress, sign U": lambda path: torch.tanh(path.velocity / 0.02),
     "spring, R/R_inf": lambda path: path.radius / path.rest_radius,
     "stiffening, (R/R_inf)^2": lambda path: (path.radius / path.rest_radius).square(),
-    "compression, (R_inf/R)^4": lambda path: (path.rest_radius / path.radius) ** 4,
     "softening with strain": lambda path: path.own_stress * path.strain,
 }
 """Plain terms that an unknown pressure is compared with, each with one size for all shots."""
@@ -179,7 +178,8 @@ def infer_unknown(
         rounds: trajectories that are simulated again for a kind, at most.
 
     Returns:
-        None where a bubble of the fit cannot be simulated, or the data are not curves.
+        None where a bubble of the fit cannot be simulated, the data are not curves, or the
+        simulator is no dataclass, to which a driving can be given.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, wide_prior
@@ -197,7 +197,7 @@ def infer_unknown(
     >>> unknown.explained > 10.0, unknown.probabilities["camera"] < 0.01
     (True, True)
     """
-    if bool(batch.collapse.any()):
+    if bool(batch.collapse.any()) or not is_dataclass(simulator):
         return None
     shots = tuple(
         Shot(fit.prior, replace(batch, experiments=(experiment,)), simulator)

@@ -111,8 +111,10 @@ def function_of_time(paths: Sequence[Path], *, length: float = 0.25) -> Columns:
     return columns
 
 
-def flux_kernel(*, longest: float = 1.4, width: float = 0.1) -> Columns:
-    """A causal kernel on the flux of the bubble, in steps of twice a width, beside a resistance."""
+def flux_kernel(*, width: float = 0.1) -> Columns:
+    """A causal kernel on the flux of the bubble beside a resistance; over 1.4 t* of a bubble of 200 um
+    in steps of twice a width.
+    """
 
     def columns(number: int, shot: Shot, response: Response) -> Tensor:
         path = response.path
@@ -121,7 +123,7 @@ def flux_kernel(*, longest: float = 1.4, width: float = 0.1) -> Columns:
         change = torch.gradient(flux, spacing=(times,))[0]
         size = 2 * len(flux)
         step = float(times[1] - times[0])
-        delays = torch.arange(0.0, longest + width, 2.0 * width, dtype=torch.float64)
+        delays = torch.arange(0.0, 1.5, 2.0 * width, dtype=torch.float64)
         kernels = (-0.5 * ((times - delays[:, None]) / width).square()).exp()
         echoes = torch.fft.irfft(torch.fft.rfft(change, size) * torch.fft.rfft(kernels, size), size)
         terms = torch.cat((flux[None], step * echoes[:, : len(flux)])).mT
