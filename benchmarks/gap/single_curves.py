@@ -268,7 +268,9 @@ def _give_noise(batch: ExperimentBatch, laws: Sequence[Noise]) -> ExperimentBatc
 
 def characterize_traces(traces: TraceSet, truth: Line, seed: int) -> Line:
     """P-value and whether intervals hold G and mu, by ``characterize`` with one model."""
-    result = characterize(traces, prior=wide_prior(["nhkv"]), simulator=FITS, seed=seed)
+    result = characterize(
+        traces, prior=wide_prior(["nhkv"]), simulator=FITS, medium="density=1060", seed=seed
+    )
     test = result.fit_test
     intervals = result.to_dict()["models"]["nhkv"]["intervals"]  # type: ignore[index,call-overload]
     return {
