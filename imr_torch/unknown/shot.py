@@ -23,7 +23,8 @@ from imr_torch.simulate import Simulator, TabulatedDriving
 from imr_torch.types import Controls, FrameValues
 
 SPACING = 0.04
-"""Width and spacing of the pulses in t*: about a frame."""
+"""Width and spacing of the pulses in t*: about a frame. Half of it changes the log evidence of two test sets by .2 and .7 nats,
+and their pressures by .1 and .4 standard deviations (median)."""
 
 USUAL_SIZE = 200e-6
 """Rmax in m to which sizes are referred."""
