@@ -3,12 +3,14 @@
   python -m benchmarks.gap.unknown run OUT.jsonl [--sets 40] [--physics transport] [--seed 0]
   python -m benchmarks.gap.unknown table OUT.jsonl
 
-Each effect of the library acts in turn; the base model alone is fitted, and what it misses is
+An effect of the library acts in two sets of three; the base model alone is fitted, and what it misses is
 inferred without the library. A kind is right if it is that of the effect's place: effects of the gel
 and drags of the wall are a stress (the drag that sound between walls makes is one of the sample as
 well), those of the gas a pressure of the contents, those of the drive a pressure in time, those of the
 measurement the camera's; other effects of the liquid have no kind, and count as told apart wrongly
-where one is sure. For stress laws the true missing pressure is known: the stress of the true law less
+where one is sure. Two kinds count as right for four effects (``OWN_KINDS``, ``PLACES``): a bias of R_inf and
+an energy loss (contents or material), a drag k R U (sample or material), a velocity at time zero (camera or
+drive). For stress laws the true missing pressure is known: the stress of the true law less
 that of the fitted base model, along the inferred bubble (the true one has shifts of its own), with the
 law's memory integrated there. It is compared with the inferred one where the bubble was, weighted by
 the inverse square of the stated error (correlation) or by its own square (share inside the 90 % band).

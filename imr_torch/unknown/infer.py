@@ -67,7 +67,8 @@ class MissingPressure:
         rate: strain rate, 1/s.
         pressure: Pa; positive pushes the wall outwards.
         sd: its standard deviation, Pa.
-        own_stress: the base model's own stress, Pa.
+        own_stress: stress of the base model's gel beside the unknown, whose values may be others
+            than those of the base model's fit, Pa.
     """
 
     label: str
@@ -364,8 +365,7 @@ def _assemble(
 ) -> _System:
     """Rows of all shots, and of the priors of gel and nuisances; without columns nothing is unknown."""
     gel = len(state.gel)
-    uncertain = [torch.nonzero(shot.batch.nuisance_sds[0] > 0.0)[:, 0] for shot in shots]
-    own = [row[chosen] for row, chosen in zip(state.nuisances, uncertain, strict=True)]
+    own = [row[shot.uncertain] for row, shot in zip(state.nuisances, shots, strict=True)]
     coordinates = torch.cat((state.gel, *own))
     residuals = []
     fitted = []
@@ -403,9 +403,8 @@ def _aim(
     place = len(state.gel)
     nuisances = state.nuisances.clone()
     for row, shot in zip(nuisances, shots, strict=True):
-        uncertain = shot.batch.nuisance_sds[0] > 0.0
-        count = int(uncertain.sum())
-        row[uncertain] += solution[place : place + count]
+        count = len(shot.uncertain)
+        row[shot.uncertain] += solution[place : place + count]
         place += count
     weights = size * solution[place:]
     made = tuple(own @ weights for own in columns)

@@ -169,7 +169,7 @@ def test_that_a_bubble_that_fails_has_no_answer() -> None:
     assert infer_unknown(fit(batch), batch, short) is None
 
 
-def test_that_sizes_and_rounds_are_obeyed() -> None:
+def test_that_nothing_is_explained_by_an_unknown_of_no_size() -> None:
     batch = shoot({"alpha": 0.4}, DESIGNS[:2], repeats=10)
     base = fit(batch)
     one = infer_unknown(base, batch, SIMULATOR, rounds=1, sizes=(1e-6,))
