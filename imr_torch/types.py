@@ -13,6 +13,7 @@ model, ``E`` experiments, ``T`` or ``n_t`` frames.
 from jaxtyping import Bool, Float, Inexact, Real
 from torch import Tensor
 
+# commands import imr_torch.progress itself, which loads no torch
 from imr_torch.progress import Progress as Progress
 from imr_torch.progress import ProgressLine as ProgressLine
 
