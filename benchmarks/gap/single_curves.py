@@ -273,16 +273,22 @@ def characterize_traces(traces: TraceSet, truth: Line, seed: int) -> Line:
     )
     test = result.fit_test
     intervals = result.to_dict()["models"]["nhkv"]["intervals"]  # type: ignore[index,call-overload]
+    parts = result.parts
     return {
+        "parts": None if parts is None else {"agree": parts.agree, "shifts": parts.compared},
         "p_fit": None if test is None else test.p_value,
         "held": {name: intervals[name][0] <= truth[name] <= intervals[name][2] for name in GEL},
         "verdict_fit": result.assimilation.fits[0].verdict.value,
     }
 
 
-def judge_simulated(number: int, kind: str, *, stated: bool, fit: bool, seed: int) -> Line:
-    """The line of a simulated set; with ``fit`` it is characterised too."""
+def judge_simulated(
+    number: int, kind: str, *, stated: bool, fit: bool, diagnosed: bool, seed: int
+) -> Line:
+    """The line of a simulated set; with ``fit`` it is characterised too, or that alone."""
     traces, laws, truth = simulate_set(number, kind, stated=stated, seed=seed)
+    if not diagnosed:
+        return {"kind": kind, "truth": truth} | characterize_traces(traces, truth, number)
     line = diagnose_traces(f"{kind}/{number}", traces, laws, truth)
     if fit and "refused" not in line:
         line |= characterize_traces(traces, truth, number)
@@ -305,7 +311,13 @@ def list_jobs(args: argparse.Namespace) -> Mapping[str, Job]:
         kind = kinds[place]
         fit = kind not in ("effect", "slow", "gels") and args.every and turn % args.every == 0
         jobs[f"{kind}/{number}"] = partial(
-            judge_simulated, number, kind, stated=args.stated, fit=bool(fit), seed=args.seed
+            judge_simulated,
+            number,
+            kind,
+            stated=args.stated,
+            fit=bool(fit),
+            diagnosed=not args.fits_only,
+            seed=args.seed,
         )
     return jobs
 
@@ -326,14 +338,32 @@ def write_scores(lines: Sequence[Line]) -> str:
         "verdicts",
         "no answer",
     )
-    rows = [(kind, *_cells(own)) for kind, own in groups.items()]
-    pages = [write_table(head, rows)]
+    rows = [(kind, *_cells(own)) for kind, own in groups.items() if any("p" in x for x in own)]
+    pages = [write_table(head, rows)] if any("p" in x for x in quiet) else []
     checked = [x for x in quiet if x.get("held")]
     if checked:
         p = kstest([x["p_fit"] for x in checked if x["p_fit"] is not None], "uniform").pvalue
         shares = {name: float(np.mean([x["held"][name] for x in checked])) for name in GEL}
         pages.append(f"characterize, {len(checked)} sets: KS p {p:.2f}; intervals hold {shares}.")
+    if any(x.get("parts") for x in lines):
+        pages.append(_write_parts(lines))
     return "\n".join([*pages, _write_named([x for x in lines if x not in quiet and "p" in x])])
+
+
+def _write_parts(lines: Sequence[Line]) -> str:
+    """How often the parts of records agree, without and with an effect."""
+    told = []
+    for name, of_kind in (("no effect", True), ("an effect", False)):
+        own = [x for x in lines if x.get("parts") and of_kind == (x["truth"]["effect"] == "none")]
+        shifts = np.array([z for x in own for z, *_ in x["parts"]["shifts"]])
+        seen = [x for x in own if x["p_fit"] is not None and x["p_fit"] < 0.04]
+        apart = [x for x in own if not x["parts"]["agree"]]
+        told.append(
+            f"{name}, {len(own)} sets: {(shifts < 2.0).mean():.3f} of {len(shifts)} shifts within "
+            f"2 sd, parts disagree in {len(apart)}; the fit test rejects {len(seen)}, both "
+            f"{sum(x in seen for x in apart)}"
+        )
+    return "Parts of records. " + "; ".join(told) + "."
 
 
 def _kinds(lines: Sequence[Line]) -> list[str]:
@@ -379,6 +409,7 @@ def main() -> None:
     runs.add_argument("--sets", type=int, default=275)
     runs.add_argument("--seed", type=int, default=SEED, help="other sets by another one")
     runs.add_argument("--every", type=int, default=5, help="is characterised too; 0: none")
+    runs.add_argument("--fits-only", action="store_true", help="characterise, and no diagnosis")
     labelled = commands.add_parser("labelled", help="diagnose sets of a separate program")
     labelled.add_argument("folder", type=Path)
     for command in (runs, labelled):

@@ -30,7 +30,7 @@ from imr_torch.characterization.medium import medium_of
 from imr_torch.characterization.profiles import make_profiles
 from imr_torch.characterization.result import Characterization
 from imr_torch.gap import medium_sensitivities
-from imr_torch.goodness import check_fit
+from imr_torch.goodness import check_fit, compare_parts
 from imr_torch.material import Belief, wide_prior
 from imr_torch.observe import (
     CollapseShot,
@@ -97,7 +97,8 @@ def characterize(
         scores: whether the prediction of held-out curves is scored too (each alone up to five, more
             in four parts), with the noise that was estimated from all.
         check: whether to test if the most probable model explains the curves
-            (:func:`imr_torch.gap.check_fit`).
+            (:func:`imr_torch.goodness.check_fit`), and if the parts of the records agree
+            (:func:`imr_torch.goodness.compare_parts`).
         effort: how far draws are weighted where they do not settle the intervals: ``"normal"`` or
             ``"thorough"``, see ``EFFORTS``.
         medium: density, sound speed, surface tension, temperature and ambient pressure of the gel,
@@ -192,12 +193,14 @@ def characterize(
         folds = cross_validate(weighted, simulator, seed=own, options=searched, progress=progress)
         held_out = sum_over_folds(folds)
     tested = None
+    parts = None
     if check and len(traces):
         if progress:
             text = "fit test: does the model explain the curves?"
             progress(ProgressLine(text, stage="fit test"))
         curves = weighted[best].of_curves(weighted.batch)
         tested = check_fit(*curves, simulator, seed=child(seed, "check"))
+        parts = compare_parts(*curves, simulator)
     gels = None
     if population:
         own = child(seed, "population")
@@ -237,6 +240,7 @@ def characterize(
         held_out,
         used,
         tested,
+        parts,
         medium,
         moved,
         frames_left_out(fitted, prepared.experiments),

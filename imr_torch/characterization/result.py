@@ -26,7 +26,7 @@ from imr_torch.characterization.saved import SavedCharacterization, draws_to_dic
 from imr_torch.document import header
 from imr_torch.files import Document, drawn_numbers, without_nonfinite, write_json
 from imr_torch.gap import MediumSensitivity
-from imr_torch.goodness import FitTest
+from imr_torch.goodness import FitTest, PartsTest
 from imr_torch.material import Belief
 from imr_torch.material.model_belief import intervals
 from imr_torch.observe import Experiment, ExperimentBatch, GelMedium, Noise, Prepared, TraceSet
@@ -61,6 +61,7 @@ class Characterization:
         frames: which frames of each record were fitted.
         fit_test: whether the most probable model explains the curves; None where that was not asked
             for.
+        parts: whether the parts of the records agree; None where that was not asked for.
         medium: the liquid side, with what was stated and what was assumed.
         sensitivities: what assumed values of the medium would change in the most probable model.
         spoilt: label of a curve -> numbers of the frames that single errors of the camera have spoilt,
@@ -103,6 +104,7 @@ class Characterization:
     scores: tuple[PredictiveScore, ...]
     frames: tuple[FrameUse, ...]
     fit_test: FitTest | None
+    parts: PartsTest | None
     medium: GelMedium
     sensitivities: tuple[MediumSensitivity, ...]
     spoilt: Mapping[str, Sequence[int]]
@@ -191,6 +193,7 @@ class Characterization:
             "frame_lines": [line for use in self.frames for line in use.lines()],
             "fit_test": tested
             and tested.to_dict() | {"command": command, "sentence": tested.sentence(command)},
+            "parts": self.parts and self.parts.to_dict(),
             "population": self.population and self.population.to_dict(),
             "profiles": document_profiles(self.profiles),
             "prior": self.assimilation.prior.to_dict(),

@@ -24,6 +24,7 @@ from imr_torch.results.charts import (
 )
 from imr_torch.results.intervals import (
     parameters_of,
+    parts_figure,
     plot_ratios,
     plot_shots,
     population_figure,
@@ -91,6 +92,14 @@ def _characterization_figures(document: Document) -> Iterator[NamedFigure]:
         )
     if document.get("record"):
         yield named_record_figure(document["record"])
+    if document.get("parts") and document["parts"]["parts"]:
+        yield NamedFigure(
+            "parts",
+            "The gel by all frames and without each part of the records, 90 % intervals. Those of a "
+            "model that is right move little beyond the band.",
+            "Interval charts of every parameter.",
+            partial(parts_figure, document["parts"]),
+        )
     if document.get("collapse_times"):
         yield NamedFigure(
             "collapse_times",

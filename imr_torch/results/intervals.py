@@ -97,6 +97,28 @@ def plot_ratios(document: Document) -> Axes:
     return ax
 
 
+def parts_figure(parts: Document) -> Figure:
+    """Each parameter by all frames, and without each part of the records, 90 % intervals.
+
+    Args:
+        parts: of :meth:`imr_torch.goodness.PartsTest.to_dict`.
+    """
+    rows = [("all frames", parts["whole"])]
+    rows += [(f"without {part['name']}", part["without"]) for part in parts["parts"]]
+    names = list(parts["whole"])
+    size = (5.8, 0.9 + 0.3 * len(rows))
+    figure, axes = plt.subplots(
+        1, len(names), figsize=size, sharey=True, squeeze=False, layout="constrained"
+    )
+    for ax, name in zip(axes[0], names, strict=True):
+        values = PARAMETERS[name].display_scale * floats([row[name] for _, row in rows])
+        draw_intervals(ax, range(len(rows)), values, capsize=3, color=MODEL)
+        ax.axvspan(*values[0, [0, 2]], color=PALE, alpha=0.3, lw=0)
+        ax.set(xlabel=parameter_label(PARAMETERS[name]), ylim=(len(rows) - 0.5, -0.5))
+    axes[0, 0].set_yticks(range(len(rows)), [label for label, _ in rows])
+    return figure
+
+
 def population_figure(found: Document) -> Figure:
     """Every shot alone and given all, a panel a parameter, beside the population's median and the
     shots to come.

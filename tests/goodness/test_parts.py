@@ -1,0 +1,112 @@
+"""The parts of records: how far the gel moves without one, against what noise makes of it, and
+which frames tell of it.
+"""
+
+import numpy as np
+import pytest
+import torch
+from scipy.stats import chi2
+from torch import Tensor
+
+from imr_torch import PolytropicSimulator, wide_prior
+from imr_torch.assimilate import ModelFit, SearchOptions, assimilate
+from imr_torch.goodness import PartsTest, compare_parts
+from imr_torch.goodness.parts import PARTS, Part
+from imr_torch.material import PARAMETERS
+from imr_torch.observe import Experiment, ExperimentBatch, Noise
+from imr_torch.random import generator
+
+SIMULATOR = PolytropicSimulator()
+TIMES = torch.linspace(0.0, 2.6, 80, dtype=torch.float64)
+DESIGN = (400.0, 0.22)
+GEL = {"G": 8e3, "mu": 0.08}
+NOISE = Noise(scale=0.003, slope=0.0, drift=0.0, floor=1.0)
+
+
+def simulate_curve(gel: dict[str, float]) -> Tensor:
+    design = torch.tensor(DESIGN, dtype=torch.float64)
+    return SIMULATOR(PARAMETERS.pack(gel), design, TIMES).radius.reshape(-1)
+
+
+def fit_curve(clean: Tensor, seed: int, last: float = 2.6) -> tuple[ModelFit, ExperimentBatch]:
+    seen = clean + NOISE.sd(clean, TIMES) * torch.randn(80, generator=generator(seed)).double()
+    shot = Experiment("shot 1", DESIGN, TIMES, seen[None]).until(last)
+    batch = ExperimentBatch((shot,), NOISE)
+    options = SearchOptions(raw_samples=16, starts=2)
+    prior = wide_prior(["nhkv"])
+    return assimilate(prior, batch, SIMULATOR, seed=0, options=options, warn=False)["nhkv"], batch
+
+
+def test_that_shifts_have_unit_variance_where_the_model_is_right() -> None:
+    clean = simulate_curve(GEL)
+    tests = [compare_parts(*fit_curve(clean, seed), SIMULATOR) for seed in range(25)]
+    assert all({part.name for part in found.parts} == set(PARTS) for found in tests)
+    for name in PARTS:
+        shifts = [
+            part.shifts[x]
+            for found in tests
+            for part in found.parts
+            for x in GEL
+            if part.name == name and x in part.shifts
+        ]
+        assert len(shifts) >= 20
+        low, high = chi2.ppf((1e-4, 1.0 - 1e-4), 25) / 25  # two parameters of one curve depend
+        assert low < np.mean(np.square(shifts)) < high
+    assert sum(not found.agree for found in tests) <= 5
+
+
+def test_that_a_gel_that_softens_after_the_first_collapse_is_seen() -> None:
+    stiff, soft = (simulate_curve({"G": G, "mu": 0.08}) for G in (8e3, 6e3))
+    first = int(stiff[:40].argmin())
+    other = int(soft[:40].argmin())
+    clean = stiff.clone()
+    rest = len(clean) - max(first, other)
+    clean[first : first + rest] = soft[other : other + rest]
+    found = compare_parts(*fit_curve(clean, 0), SIMULATOR)
+    assert not found.agree
+    assert found.compared[-1][0] > 10.0
+    assert found.sentences()[0].startswith("Parts of the records disagree: without the first")
+
+
+def test_that_what_a_refit_gives_is_the_fit_of_the_other_frames() -> None:
+    clean = simulate_curve(GEL)
+    fit, batch = fit_curve(clean, 3)
+    later = next(p for p in compare_parts(fit, batch, SIMULATOR).parts if p.name == "later cycles")
+    alone, _ = fit_curve(clean, 3, last=float(TIMES[len(TIMES) - later.frames - 1]))
+    for name, quantiles in zip(
+        ("G", "mu"), alone.posterior.quantile((0.05, 0.5, 0.95)).T, strict=True
+    ):
+        assert later.without[name] == pytest.approx(quantiles.tolist(), rel=2e-3)
+
+
+def test_that_frames_that_tell_are_counted() -> None:
+    fit, batch = fit_curve(simulate_curve(GEL), 1)
+    told = compare_parts(fit, batch, SIMULATOR).telling["shot 1"]
+    assert all(1 <= count <= 80 for count, _ in told.values())
+    # of four times the frames about four times as many tell, but for single ones at a collapse
+    dense = torch.linspace(0.0, 2.6, 317, dtype=torch.float64)
+    radius = SIMULATOR(PARAMETERS.pack(GEL), torch.tensor(DESIGN).double(), dense).radius
+    more = ExperimentBatch((Experiment("shot 1", DESIGN, dense, radius.reshape(1, -1)),), NOISE)
+    options = SearchOptions(raw_samples=16, starts=2)
+    again = assimilate(wide_prior(["nhkv"]), more, SIMULATOR, seed=0, options=options)["nhkv"]
+    many = compare_parts(again, more, SIMULATOR).telling["shot 1"]
+    for name in GEL:
+        assert 1.5 < many[name][0] / told[name][0] < 8.0
+
+
+def test_that_a_record_of_one_part_is_not_compared() -> None:
+    found = compare_parts(*fit_curve(simulate_curve(GEL), 2, last=0.7), SIMULATOR)
+    assert found.agree
+    assert not found.compared
+    assert found.sentences() == [
+        "The records have no second part that tells of the gel, so parts were not compared."
+    ]
+
+
+def test_that_the_limit_counts_how_many_shifts_are_compared() -> None:
+    whole = {"G": [7e3, 8e3, 9e3]}
+    parts = tuple(Part(name, 9, whole, {"G": 2.2}) for name in PARTS)
+    assert not PartsTest(whole, parts[:1], {}).agree
+    assert PartsTest(whole, parts[:1], {}).limit == pytest.approx(2.0, abs=1e-3)
+    assert PartsTest(whole, parts, {}).agree
+    assert PartsTest(whole, parts, {}).limit == pytest.approx(2.43, abs=0.01)
