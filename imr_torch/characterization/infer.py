@@ -54,6 +54,7 @@ from imr_torch.select import (
     update,
 )
 from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
+from imr_torch.simulate.growth import check_reversible
 from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress, ProgressLine
 
@@ -67,6 +68,7 @@ def characterize(
     estimate_noise: bool = True,
     collapses: int = 2,
     rest_radius: tuple[float, float] | None = None,
+    growth: float | None = None,
     options: FitOptions | None = None,
     scores: bool = False,
     check: bool = True,
@@ -91,6 +93,8 @@ def characterize(
             than ten degrees of freedom are left. Else it is the published one.
         collapses: collapses that the fitted window holds.
         rest_radius: assumed R_inf/Rmax and its standard deviation, for records that do not hold it.
+        growth: R/Rmax above which frames before the maximum are fitted too
+            (:mod:`imr_torch.simulate.growth`); none when not given.
         options: how gels are fitted, and by which method:
             :class:`imr_torch.assimilate.SearchOptions` or
             :class:`imr_torch.assimilate.En4DVarOptions`.
@@ -123,6 +127,7 @@ def characterize(
         progress: called with one line per step.
 
     Raises:
+        UnsupportedError: for growth of a gel that remembers.
         InputDataError: as in :func:`imr_torch.observe.prepare`, without a trace, for scores or a
             population of only one, or for profiles of models with one parameter.
 
@@ -165,7 +170,11 @@ def characterize(
     if profile:
         check_profile(prior)
     surroundings = simulator.conditions.surroundings
-    prepared = prepare(traces, surroundings, collapses=collapses, rest_radius=rest_radius)
+    for part in prior.models if growth is not None else ():
+        check_reversible(part.model, part.material.names)
+    prepared = prepare(
+        traces, surroundings, collapses=collapses, rest_radius=rest_radius, growth=growth
+    )
     record = describe_record(
         traces, surroundings, options=RecordOptions() if weigh_odd_shots else ALL_ALIKE
     )

@@ -53,6 +53,7 @@ def run_command(args: Namespace) -> None:
         simulator.conditions.surroundings,
         collapses=args.collapses,
         rest_radius=args.rest_radius,
+        growth=args.growth,
     )
     if len(traces):
         read.append(prepared.report(frames=False))
@@ -70,6 +71,7 @@ def run_command(args: Namespace) -> None:
         estimate_noise=args.noise == "estimated",
         collapses=args.collapses,
         rest_radius=args.rest_radius,
+        growth=args.growth,
         options=METHODS[args.method],
         scores=args.scores,
         effort=args.effort,
@@ -115,7 +117,7 @@ def _load_data(args: Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]:
     if curves:
         traces = load_traces(*curves, layout=layout_of(args), sort=args.sort)
     else:
-        about_curves = ("layout", "rest_radius", "collapses", "count_all_shots")
+        about_curves = ("layout", "rest_radius", "collapses", "growth", "count_all_shots")
         refuse_options(args, about_curves, f"{why} alone; leave it out.")
         traces = TraceSet(())
     double = {trace.experiment_id for trace in traces} & {shot.experiment_id for shot in shots}

@@ -28,7 +28,8 @@ from imr_torch.simulate import Simulator
 from imr_torch.types import FrameMask
 
 PARTS = {
-    "first collapse": (-1.0, 1.0),
+    "growth": (-math.inf, -1e-9),
+    "first collapse": (-1e-9, 1.0),
     "first rebound": (1.0, 2.0),
     "later cycles": (2.0, math.inf),
 }

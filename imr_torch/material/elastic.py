@@ -123,8 +123,8 @@ def exponential_fung(
     return G * span * mean, G * _exponential_density(stretch, alpha_fung) * velocity / radius, 0.0
 
 
-NEO_HOOKEAN = StressTerm(neo_hookean, switch="G")
-STIFFENING = StressTerm(stiffening, switch="alpha", unbounded=_has_no_bound)
-LINEAR_ELASTIC = StressTerm(linear_elastic, switch="G_lin")
-SECOND_ORDER_FUNG = StressTerm(second_order_fung, switch="alpha_fung2")
-EXPONENTIAL_FUNG = StressTerm(exponential_fung, switch="alpha_fung")
+NEO_HOOKEAN = StressTerm(neo_hookean, switch="G", odd=())
+STIFFENING = StressTerm(stiffening, switch="alpha", unbounded=_has_no_bound, odd=())
+LINEAR_ELASTIC = StressTerm(linear_elastic, switch="G_lin", odd=())
+SECOND_ORDER_FUNG = StressTerm(second_order_fung, switch="alpha_fung2", odd=())
+EXPONENTIAL_FUNG = StressTerm(exponential_fung, switch="alpha_fung", odd=())

@@ -93,6 +93,8 @@ class StressTerm:
             explicit solvers must resolve; None if it follows the bubble's motion.
         unbounded: ``unbounded(*parameters)``, on tensors: where the energy of the term has no lower
             bound, which excuses a solve that fails.
+        odd: parameters that change their sign where time runs backwards; None where that is not the
+            law in reversed time.
         names: parameters that the law reads, from its signature.
 
     >>> from imr_torch.material import TERMS
@@ -107,6 +109,7 @@ class StressTerm:
     start: Law | None = None
     fastest: Law | None = None
     unbounded: Law | None = None
+    odd: tuple[str, ...] | None = None
     names: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:

@@ -61,5 +61,5 @@ def carreau(
     )
 
 
-NEWTONIAN = StressTerm(newtonian, switch="mu")
-CARREAU = StressTerm(carreau, switch="thinning")
+NEWTONIAN = StressTerm(newtonian, switch="mu", odd=("mu",))
+CARREAU = StressTerm(carreau, switch="thinning", odd=("mu",))

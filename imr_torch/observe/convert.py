@@ -27,9 +27,10 @@ def to_experiment(
     surroundings: Surroundings,
     *,
     rest_radius: tuple[float, float] | None = None,
+    growth: float | None = None,
     widest: float = 0.5,
 ) -> Experiment:
-    """Make a trace dimensionless, from its maximum radius on.
+    """Make a trace dimensionless, from its maximum radius on, or from its growth.
 
     Args:
         trace: the curve.
@@ -37,10 +38,11 @@ def to_experiment(
         surroundings: the liquid side, for the scales.
         rest_radius: assumed R_inf/Rmax and its standard deviation, in place of what the record
             says.
+        growth: R/Rmax above which frames before the maximum are kept too; none when not given.
         widest: largest standard deviation of a nuisance, beyond which a normal law means nothing.
 
     Returns:
-        The experiment, one repeat, all frames from the maximum on.
+        The experiment, one repeat.
 
     Raises:
         InputDataError: if R_inf is neither in the record nor given, or not below Rmax.
@@ -64,6 +66,9 @@ def to_experiment(
     scale = surroundings.time_scale(top)
     times = landmarks.dimensionless_time(trace.time_s, surroundings)
     kept = times >= 0.0
+    if growth is not None:
+        below = times[~kept & (trace.radius_m < growth * top)]
+        kept = times > (below[-1] if len(below) else -torch.inf)
     nuisance = Nuisance(
         max_radius=min(math.hypot(landmarks.max_radius_sd_m / top, FLOOR.max_radius), widest),
         time_zero=min(math.hypot(landmarks.time_of_max_sd_s / scale, FLOOR.time_zero), widest),

@@ -167,7 +167,7 @@ def turning_points(
 
 
 def collapse_time(times: FrameValues, radius: FrameValues, number: int) -> float:
-    """Time of collapse ``number`` (1 is the first) of a curve that starts at its maximum; infinity
+    """Time of collapse ``number`` (1 is the first) of a curve whose maximum is at time zero; infinity
     when not reached.
 
     A minimum counts when the curve climbs from it by a tenth of its range, so frame noise makes
@@ -185,7 +185,7 @@ def collapse_time(times: FrameValues, radius: FrameValues, number: int) -> float
     [3.1, 9.4, inf]
     """
     depth = 0.1 * float(radius.amax() - radius.amin())
-    turns = turning_points(radius.tolist(), [depth] * len(radius))
+    turns = turning_points(radius.tolist(), [depth] * len(radius), int((times < 0.0).sum()))
     minima = [k for k, sign in turns if sign < 0]
     return float(times[minima[number - 1]]) if len(minima) >= number else math.inf
 

@@ -23,6 +23,7 @@ from imr_torch.observe.distortion import Distortion
 from imr_torch.observe.experiments import ExperimentBatch, Film
 from imr_torch.observe.nuisance import NUISANCES, displaced, find_impossible, with_own
 from imr_torch.simulate import EARLIEST, Simulator
+from imr_torch.simulate.growth import AT_MAXIMUM, WithGrowth
 from imr_torch.types import BroadcastValues, ExperimentFrames, Frames
 
 
@@ -63,6 +64,8 @@ def predict(
     """
     designs = film.designs
     times = film.times if times is None else times
+    if bool((film.times < AT_MAXIMUM).any()):
+        simulator = WithGrowth(simulator)
     if isinstance(film, Film):
         return _predict_radii(simulator, parameters, designs, times, shifts, bundled)
     parts = []
@@ -146,12 +149,13 @@ def _find_truth(
     exposures: Tensor | None = None,
     *,
     earliest_filmed: float = -0.4,
+    earliest_grown: float = -1.5,
 ) -> _Truth:
     """True designs and times of what was measured with ``shifts`` and the errors among the
     parameters.
 
     ``earliest_filmed``: time to which a first frame may be taken where an exposure reaches on from
-    it, or the clock is wrong.
+    it, or the clock is wrong. ``earliest_grown``: the same of a bubble with its growth.
     """
     shifts = designs.new_zeros(*designs.shape[:-1], 3) if shifts is None else shifts
     beyond = shifts[..., :1]
@@ -161,7 +165,10 @@ def _find_truth(
             designs, simulator.conditions.surroundings.max_radius(designs[:, 0])
         )
         shifts = shifts + errors
-    lost = find_impossible(times, shifts, EARLIEST if distortion is None else earliest_filmed)
+    earliest = EARLIEST if distortion is None else earliest_filmed
+    if isinstance(simulator, WithGrowth):
+        earliest = earliest_grown
+    lost = find_impossible(times, shifts, earliest)
     shifts = torch.where(lost[..., None], 0.0, shifts)
     designs, times, scale = displaced(designs, times, shifts)
     if distortion is not None:

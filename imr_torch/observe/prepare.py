@@ -89,6 +89,7 @@ def prepare(
     *,
     collapses: int = 2,
     rest_radius: tuple[float, float] | None = None,
+    growth: float | None = None,
     most_frames: int = 1000,
 ) -> Prepared:
     """Dimensionless experiments of a set of traces, cut after ``collapses`` collapses or at the
@@ -101,6 +102,7 @@ def prepare(
         surroundings: the liquid side, for the scales; water at 1 atm by default.
         collapses: collapses that the window holds.
         rest_radius: assumed R_inf/Rmax and its standard deviation, for records that do not hold it.
+        growth: R/Rmax above which frames before the maximum are kept too; none when not given.
         most_frames: of one record; no frame is left out that would leave a gap of t* = 0.02.
 
     Raises:
@@ -142,7 +144,7 @@ def prepare(
                 f"{len(trace)} of the {len(record)} frames of '{name}' are used, evenly spread: "
                 "so many more would change little."
             )
-        whole = to_experiment(trace, marks, outer, rest_radius=rest_radius)
+        whole = to_experiment(trace, marks, outer, rest_radius=rest_radius, growth=growth)
         first = _first_collapse(whole, marks, outer)
         cautions += check_experiment(whole, trace.where, first=first)
         window = _cut_window(trace, whole, marks, outer, collapses)
@@ -188,7 +190,8 @@ def _first_collapse(whole: Experiment, marks: Landmarks, surroundings: Surroundi
     first = _collapse_frame(whole, marks, surroundings, 1)
     radius = whole.radius[0]
     latest = LIMITS.first_collapse.possible[1]
-    came_down = whole.times[(radius < 0.5 * (radius.max() + radius.min())).double().argmax()]
+    low = (radius < 0.5 * (radius.max() + radius.min())) & (whole.times > 0.0)
+    came_down = whole.times[low.double().argmax()]
     return math.inf if first > latest >= 2.0 * float(came_down) else first
 
 

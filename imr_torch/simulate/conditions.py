@@ -213,6 +213,7 @@ class Conditions:
         initial_velocity: of the wall at time zero, m/s; 0 at the maximum radius.
         stress_acceleration: whether the part of ``dS/dt`` that is proportional to ``dU/dt`` acts in
             the radial equation. The published code leaves it out; for parity with it only.
+        backwards: whether time runs backwards (:mod:`imr_torch.simulate.growth`).
 
     >>> from imr_torch.simulate import Conditions, PolytropicGas, PolytropicSimulator
     >>> conditions = Conditions(gas=PolytropicGas(exponent=1.4))
@@ -228,6 +229,7 @@ class Conditions:
     driving: TabulatedDriving | None = None
     initial_velocity: float = 0.0
     stress_acceleration: bool = True
+    backwards: bool = False
 
     def __post_init__(self) -> None:
         if not isinstance(self.motion, RadialEquation):

@@ -155,7 +155,7 @@ def shape_modes(
     return value, -2.0 * value * radius * velocity / total, -share * (square / speed + speed)
 
 
-register_term(StressTerm(shape_modes, switch="energy_loss"))
+register_term(StressTerm(shape_modes, switch="energy_loss", odd=("energy_loss",)))
 
 
 def drag_of_size(
@@ -174,7 +174,7 @@ def drag_of_size(
     return value, value * velocity / radius, -size_drag * radius
 
 
-register_term(StressTerm(drag_of_size, switch="size_drag"))
+register_term(StressTerm(drag_of_size, switch="size_drag", odd=("size_drag",)))
 
 
 # --- driving ---

@@ -56,6 +56,7 @@ class Setting(NamedTuple):
         """The setting of ``B x 2`` designs without effects."""
         outer = conditions.surroundings
         weber, rest = designs.unbind(1)
+        sense = -1.0 if conditions.backwards else 1.0
 
         def all_at(value: float) -> Tensor:
             return torch.full_like(weber, value)
@@ -63,10 +64,10 @@ class Setting(NamedTuple):
         return cls(
             rest_radius=rest,
             tension=1.0 / weber,
-            slowness=all_at(outer.velocity_scale / outer.sound_speed),
+            slowness=all_at(sense * outer.velocity_scale / outer.sound_speed),
             far=all_at(1.0),
             image=all_at(0.0),
-            velocity=all_at(conditions.initial_velocity / outer.velocity_scale),
+            velocity=all_at(sense * conditions.initial_velocity / outer.velocity_scale),
             saturation=all_at(conditions.saturation),
             conduction=all_at(1.0),
             exponent=all_at(conditions.gas.exponent),

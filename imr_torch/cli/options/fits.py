@@ -19,6 +19,7 @@ from imr_torch.cli.options.shared import (
     PHYSICS_OPTION,
     PRIOR,
     READING,
+    InRange,
     Options,
     choice_option,
     flag_option,
@@ -78,6 +79,17 @@ def list_characterize_options() -> Options:
             type=float,
         ),
         *window_options(),
+        text_option(
+            "--growth",
+            "SHARE",
+            "also fit the frames before the maximum at which R is above this share of Rmax (0.6, for "
+            "example): growth tells viscosity, which feeds it in reversed time, from elasticity; not "
+            "of gels that remember",
+            type=float,
+            action=InRange,
+            low=0.3,
+            high=0.99,
+        ),
         flag_option(
             "--scores",
             "also hold curves out and score how well each model predicts them from the others",
