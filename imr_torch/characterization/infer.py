@@ -30,7 +30,7 @@ from imr_torch.characterization.medium import medium_of
 from imr_torch.characterization.profiles import make_profiles
 from imr_torch.characterization.result import Characterization
 from imr_torch.gap import medium_sensitivities
-from imr_torch.goodness import check_fit, compare_parts
+from imr_torch.goodness import check_fit, compare_parts, follow_gel
 from imr_torch.material import Belief, wide_prior
 from imr_torch.observe import (
     CollapseShot,
@@ -78,6 +78,7 @@ def characterize(
     weigh_odd_shots: bool = True,
     population: bool = False,
     profile: bool = False,
+    over_time: bool = False,
     scatter_scale: float = SCALE,
     seed: int = 0,
     progress: Progress | None = None,
@@ -119,6 +120,8 @@ def characterize(
             little in the fits (:meth:`imr_torch.record.Record.weighted`), or as much as the others.
         population: whether each curve is also fitted by itself, under the most probable model, and
             how much the gel differs between them is inferred (:mod:`imr_torch.population`).
+        over_time: whether the gel of one stretch of the event after another is fitted too
+            (:func:`imr_torch.goodness.follow_gel`), under the most probable model.
         scatter_scale: of the half-normal prior of the scatters between curves.
         profile: whether the profile likelihood of each parameter is made too
             (:func:`imr_torch.assimilate.profile`), for models with .05 of the probability or more:
@@ -210,6 +213,9 @@ def characterize(
         curves = weighted[best].of_curves(weighted.batch)
         tested = check_fit(*curves, simulator, seed=child(seed, "check"))
         parts = compare_parts(*curves, simulator)
+    stretches = None
+    if over_time and len(traces):
+        stretches = follow_gel(*weighted[best].of_curves(weighted.batch), simulator)
     gels = None
     if population:
         own = child(seed, "population")
@@ -250,6 +256,7 @@ def characterize(
         used,
         tested,
         parts,
+        stretches,
         medium,
         moved,
         frames_left_out(fitted, prepared.experiments),

@@ -81,6 +81,7 @@ def run_command(args: Namespace) -> None:
         population=args.population,
         scatter_scale=SCALE if args.scatter_scale is None else args.scatter_scale,
         profile=args.profile,
+        over_time=args.over_time,
         seed=args.seed,
         progress=args.terminal.plan_stages(stages),
     )

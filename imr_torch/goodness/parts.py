@@ -10,6 +10,7 @@ show. A parameter is compared where a part tells of it: leaving it out widens it
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import torch
@@ -19,8 +20,8 @@ from torch import Tensor
 from imr_torch.assimilate import ModelFit, Posterior
 from imr_torch.assimilate.fit import NEARLY
 from imr_torch.assimilate.local_minimum import descend_from
-from imr_torch.goodness.linear import Linearisation, whiten_rows
-from imr_torch.goodness.phases import PHASES, phase_clock, phase_numbers
+from imr_torch.goodness.linear import whiten_rows
+from imr_torch.goodness.phases import phase_clock
 from imr_torch.material import PARAMETERS
 from imr_torch.material.model_belief import intervals
 from imr_torch.observe import ExperimentBatch
@@ -61,7 +62,7 @@ class PartsTest:
     Args:
         whole: parameter -> [5, 50, 95 %] of all frames, SI.
         parts: what is left without each.
-        telling: shot -> parameter -> number of frames that tell of it, and the phase that tells
+        telling: shot -> parameter -> number of frames that tell of it, and the part that tells
             most.
         chance: probability of a largest shift beyond the limit where the parts agree.
 
@@ -139,7 +140,6 @@ def compare_parts(
     *,
     fewest: int = 3,
     widened: float = 1.02,
-    iterations: int = 20,
 ) -> PartsTest:
     """Compare the gel of all frames with that of all but one part.
 
@@ -150,7 +150,6 @@ def compare_parts(
         fewest: frames below which a part is none.
         widened: factor by which leaving a part out widens an interval, below which the part does
             not tell of the parameter.
-        iterations: most of a refit; one that does not converge compares nothing.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, wide_prior
@@ -167,53 +166,126 @@ def compare_parts(
     """
     line = whiten_rows(fit.linearise(batch, simulator))
     clock = phase_clock(batch.times, line.prediction, batch.mask)
+    inside = {
+        name: (clock > begin) & (clock <= last) & batch.mask
+        for name, (begin, last) in PARTS.items()
+    }
     names = fit.prior.of_gel
     columns = torch.tensor([fit.prior.names.index(name) for name in names])
 
-    def fit_frames(frames: FrameMask) -> tuple[Tensor, Tensor, dict[str, list[float]], bool]:
-        """Optimum, linear variances, intervals, and whether the descent converged."""
-        kept = [e.at(f[m]) for e, f, m in zip(batch.curves, frames, batch.mask, strict=True)]
-        end = descend_from(
-            Posterior(fit.prior, replace(batch, experiments=tuple(kept)), simulator),
-            fit.point,
-            fit.point,
-            gradient=0.1 * NEARLY,
-            iterations=iterations,
-        )
-        chol = end.equations.posterior_chol
-        found = replace(fit, mean=end.point.gel, chol=chol, sample=None).posterior
+    def find_variances(frames: FrameMask) -> Tensor:
         used = line.pad_rows(frames.flatten().double(), 1.0)[:, None] * line.fitted
-        variance = torch.linalg.inv(used.mT @ used).diagonal()[columns]
-        return end.point.gel[columns], variance, intervals(found), end.gradient < NEARLY
+        return torch.linalg.inv(used.mT @ used).diagonal()[columns]
 
-    centre, variance, whole, converged = fit_frames(batch.mask)
+    whole = fit_frames(fit, batch, simulator, batch.mask)
     parts = []
-    for name, (begin, last) in PARTS.items():
-        inside = (clock > begin) & (clock <= last) & batch.mask
-        left = batch.mask & ~inside
-        if min(int(inside.sum()), int(left.sum(1).min())) < fewest:
+    for name, frames in inside.items():
+        left = batch.mask & ~frames
+        if min(int(frames.sum()), int(left.sum(1).min())) < fewest:
             continue
-        moved, wider, without, ended = fit_frames(left)
-        z = (moved - centre) / (wider - variance).clamp_min(1e-300).sqrt()
-        tells = (wider > widened**2 * variance) & torch.tensor(converged and ended)
+        other = fit_frames(fit, batch, simulator, left)
+        variance, wider = find_variances(batch.mask), find_variances(left)
+        z = (other.mean - whole.mean)[columns] / (wider - variance).clamp_min(1e-300).sqrt()
+        tells = (wider > widened**2 * variance) & torch.tensor(whole.converged and other.converged)
         shifts = {x: float(z[i]) for i, x in enumerate(names) if tells[i]}
-        parts.append(Part(name, int(inside.sum()), {x: without[x] for x in names}, shifts))
-    return PartsTest({x: whole[x] for x in names}, tuple(parts), _count_telling(line, clock, fit))
+        parts.append(Part(name, int(frames.sum()), other.intervals, shifts))
+    influence = line.to_shift[columns, : batch.mask.numel()].square().unflatten(1, batch.mask.shape)
+    telling = {
+        experiment.label: {
+            name: _describe_telling(influence[i, e], {part: own[e] for part, own in inside.items()})
+            for i, name in enumerate(names)
+        }
+        for e, experiment in enumerate(batch.curves)
+    }
+    return PartsTest(whole.intervals, tuple(parts), telling)
 
 
-def _count_telling(
-    line: Linearisation, clock: Tensor, fit: ModelFit
-) -> dict[str, dict[str, tuple[int, str]]]:
-    """Shot -> parameter -> effective number of frames behind its estimate, and the phase of most."""
-    batch = line.batch
-    influence = line.to_shift[:, : batch.mask.numel()].square().unflatten(1, batch.mask.shape)
-    phase = phase_numbers(batch.times, line.prediction, batch.mask)
-    told = {}
-    for e, experiment in enumerate(batch.curves):
-        told[experiment.label] = own = {}
-        for name in fit.prior.of_gel:
-            squares = influence[fit.prior.names.index(name), e]
-            count = float(squares.sum().square() / squares.square().sum().clamp_min(1e-300))
-            shares = torch.zeros(len(PHASES), dtype=torch.float64).index_add(0, phase[e], squares)
-            own[name] = (round(count), PHASES[int(shares.argmax())])
-    return told
+def _describe_telling(squares: Tensor, inside: Mapping[str, Tensor]) -> tuple[int, str]:
+    """Effective number of frames behind an estimate, of squared influences, and the part of most."""
+    count = float(squares.sum().square() / squares.square().sum().clamp_min(1e-300))
+    return round(count), max(inside, key=lambda name: float(squares[inside[name]].sum()))
+
+
+@dataclass(frozen=True)
+class FramesFit:
+    """The gel of some of the frames, from where that of all is.
+
+    Args:
+        mean: most probable controls.
+        intervals: parameter of the gel -> [5, 50, 95 %], SI.
+        converged: whether the descent has.
+    """
+
+    mean: Tensor
+    intervals: dict[str, list[float]]
+    converged: bool
+
+
+def fit_frames(
+    fit: ModelFit,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    frames: FrameMask,
+    *,
+    iterations: int = 20,
+) -> FramesFit:
+    """Fit some of the frames, with the solver steps of the fit of all.
+
+    Args:
+        fit: that of all.
+        batch: its data, curves only.
+        simulator: makes the bubbles.
+        frames: which frames; two or more of each curve that has any.
+        iterations: most.
+    """
+    kept = [e.at(f[m]) for e, f, m in zip(batch.curves, frames, batch.mask, strict=True)]
+    end = descend_from(
+        Posterior(fit.prior, replace(batch, experiments=tuple(kept)), simulator),
+        fit.point,
+        fit.point,
+        gradient=0.1 * NEARLY,
+        iterations=iterations,
+    )
+    found = replace(fit, mean=end.point.gel, chol=end.equations.posterior_chol, sample=None)
+    quantiles = intervals(found.posterior)
+    own = {name: quantiles[name] for name in fit.prior.of_gel}
+    return FramesFit(end.point.gel, own, end.gradient < NEARLY)
+
+
+def follow_gel(
+    fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, windows: int = 8
+) -> list[dict[str, Any]]:
+    """The gel of one stretch of the event after another, each fitted alone, under the same prior.
+
+    What the field draws as G(t) and mu(t). A value that drifts says that one gel does not explain
+    all stretches; it does not say that the gel changes, since whatever the model lacks drifts too.
+
+    Args:
+        fit: that of all frames.
+        batch: its data, curves only.
+        simulator: makes the bubbles.
+        windows: stretches, with about as many frames each.
+
+    Returns:
+        Of each: ``t_star`` from and to, number of ``frames``, ``intervals`` and ``converged``.
+    """
+    near = fit.linearise(batch, simulator)
+    clock = phase_clock(batch.times, near.centre, batch.mask)
+    levels = torch.linspace(0.0, 1.0, windows + 1, dtype=torch.float64)
+    ends = clock[batch.mask].quantile(levels)
+    rows = []
+    for low, high in pairwise(ends):
+        frames = (clock >= low) & (clock <= high) & batch.mask
+        if int(frames.sum(1).min()) < 2:
+            continue
+        found = fit_frames(fit, batch, simulator, frames)
+        times = batch.times[frames]
+        rows.append(
+            {
+                "t_star": [float(times.min()), float(times.max())],
+                "frames": int(frames.sum()),
+                "intervals": found.intervals,
+                "converged": found.converged,
+            }
+        )
+    return rows

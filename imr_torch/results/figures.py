@@ -23,6 +23,7 @@ from imr_torch.results.charts import (
     residuals_figure,
 )
 from imr_torch.results.intervals import (
+    over_time_figure,
     parameters_of,
     parts_figure,
     plot_ratios,
@@ -100,6 +101,17 @@ def _characterization_figures(document: Document) -> Iterator[NamedFigure]:
             "Interval charts of every parameter.",
             partial(parts_figure, document["parts"]),
         )
+    chances = document["model_probabilities"]
+    best = max(chances, key=chances.__getitem__)
+    if document.get("over_time"):
+        yield NamedFigure(
+            "over_time",
+            "The gel of one stretch of the event after another, each fitted alone under the same "
+            "prior (90 %), and of all frames (grey). A drift says that one gel does not explain all "
+            "stretches. It does not say that the gel changes: whatever the model lacks drifts too.",
+            "Interval charts of every parameter over time.",
+            partial(over_time_figure, document["over_time"], document["models"][best]["intervals"]),
+        )
     if document.get("collapse_times"):
         yield NamedFigure(
             "collapse_times",
@@ -110,8 +122,6 @@ def _characterization_figures(document: Document) -> Iterator[NamedFigure]:
             partial(collapse_figure, document),
         )
     prior, belief = (Belief.from_dict(document[name]) for name in ("prior", "belief"))
-    chances = document["model_probabilities"]
-    best = max(chances, key=chances.__getitem__)
     names = belief[best].names
     for name in names:
         yield NamedFigure(

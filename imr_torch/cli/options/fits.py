@@ -102,6 +102,11 @@ def list_characterize_options() -> Options:
             "fit's time for each parameter "
             "(four curves: 7 to 13 s on one core)",
         ),
+        flag_option(
+            "--over-time",
+            "also fit one stretch of the event after another by itself: G(t), mu(t) with intervals, "
+            "whose drift shows where one gel does not explain all",
+        ),
         choice_option(
             "--method",
             METHODS,
