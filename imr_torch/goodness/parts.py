@@ -22,7 +22,6 @@ from imr_torch.assimilate.fit import NEARLY
 from imr_torch.assimilate.local_minimum import descend_from
 from imr_torch.goodness.linear import whiten_rows
 from imr_torch.goodness.phases import phase_clock
-from imr_torch.material import PARAMETERS
 from imr_torch.material.model_belief import intervals
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
@@ -69,7 +68,7 @@ class PartsTest:
     >>> from imr_torch.goodness.parts import Part, PartsTest
     >>> part = Part("later cycles", 20, {"G": [8e3, 9e3, 1e4]}, {"G": 3.1})
     >>> PartsTest({"G": [7e3, 7.2e3, 7.4e3]}, (part,), {}).sentences()[0][:80]
-    'Parts of the records disagree: without the later cycles G is 9 kPa (90 %: 8 to 1'
+    'Parts of the records disagree: without the later cycles G would be 25 % higher, '
     """
 
     whole: Mapping[str, list[float]]
@@ -102,19 +101,18 @@ class PartsTest:
             ]
         shift, name, parameter = self.compared[-1]
         part = next(part for part in self.parts if part.name == name)
-        entry = PARAMETERS[parameter]
+        change = 100.0 * (part.without[parameter][1] / self.whole[parameter][1] - 1.0)
+        moved = (
+            f"without the {name} {parameter} would be {abs(change):.0f} % "
+            f"{'higher' if change > 0.0 else 'lower'}, {shift:.1f} sd of such a change, and noise "
+            f"alone leaves {self.limit:.1f}"
+        )
         if self.agree:
-            first = (
-                f"The parts of the records agree: without the {name}, where most moves, {parameter} "
-                f"is {entry.interval(*part.without[parameter])}, {shift:.1f} sd from that of all "
-                f"(limit {self.limit:.1f})."
-            )
+            first = f"The parts of the records agree: {moved}."
         else:
             first = (
-                f"Parts of the records disagree: without the {name} {parameter} is "
-                f"{entry.interval(*part.without[parameter])}, not "
-                f"{entry.interval(*self.whole[parameter])}: {shift:.1f} sd apart, where noise leaves "
-                f"{self.limit:.1f}. The model lacks something that residuals need not show."
+                f"Parts of the records disagree: {moved}. The model lacks something that residuals "
+                "need not show."
             )
         told = [
             f"{shot}: frames that tell of "
