@@ -6,7 +6,6 @@ says and shows the same again.
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict
 from statistics import median
 from typing import Any
 
@@ -198,7 +197,6 @@ def _where(parts: Parts) -> dict[str, Any]:
     return {
         "onset": when and vars(when) | {"sentence": str(when)},
         "acts": acts and {"shares": acts, "sentence": acts_sentence(acts)},
-        "experiments": parts.by_experiment and asdict(parts.by_experiment),
     }
 
 

@@ -11,7 +11,7 @@ from typing import Any
 from imr_torch.assimilate.spikes import spoilt_sentence
 from imr_torch.gap.hypotheses import EXPLAINS, GEL_SCATTER, in_words
 from imr_torch.gap.verdict import MEMBER, NONE, OTHER, SLOW_NOISE
-from imr_torch.goodness.score import ADEQUATE, LEVEL
+from imr_torch.goodness.score import ADEQUATE
 from imr_torch.labels import p_value
 from imr_torch.material import LIBRARY, PARAMETERS
 
@@ -344,16 +344,6 @@ def _where(document: Document) -> tuple[str, ...]:
     lines = [document["onset"]["sentence"]]
     if document["acts"] is not None:
         lines.append(document["acts"]["sentence"])
-    which = document["experiments"]
-    if which is not None:
-        loud = [f"{label} ({p_value(p)})" for label, p in which["p_values"].items() if p < LEVEL]
-        lines.append(
-            f"Experiments that the base model does not describe even by themselves: "
-            f"{', '.join(loud) or 'none'}."
-        )
-        lines.append(which["reading"])
-        if not which["converged"]:
-            lines.append("The fit of an experiment by itself did not converge.")
     return tuple(lines)
 
 
