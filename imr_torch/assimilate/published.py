@@ -22,6 +22,7 @@ from torch import Tensor
 
 from imr_torch.assimilate.options import PublishedOptions
 from imr_torch.errors import ConvergenceError
+from imr_torch.float64 import tensor
 from imr_torch.material import Belief, ModelBelief
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, predict
 from imr_torch.random import child
@@ -195,7 +196,7 @@ def published_probabilities(fits: Sequence[PublishedFit]) -> Float[Tensor, "mode
     >>> round(float(published_probabilities(fits).sum()), 6)
     1.0
     """
-    logs = torch.tensor([fit.log_likelihood for fit in fits], dtype=torch.float64)
+    logs = tensor([fit.log_likelihood for fit in fits])
     return torch.softmax(logs, 0)
 
 

@@ -26,6 +26,7 @@ from imr_torch.assimilate import (
 )
 from imr_torch.design import Plan
 from imr_torch.errors import ConvergenceError, ShapeError
+from imr_torch.float64 import rand, randn, tensor
 from imr_torch.material import Belief
 from imr_torch.observe import Experiment, ExperimentBatch, SimulatedLaboratory
 from imr_torch.random import child, generator
@@ -196,9 +197,7 @@ def _rank_draws(arrangement: Arrangement, truth: _Truth, seed: int, infer: Infer
             f"{len(part.names)} finite "
             f"numbers in the order {', '.join(part.names)}, SI."
         )
-    uniforms = torch.rand(
-        len(part.names), generator=generator(child(seed, "lots")), dtype=torch.float64
-    )
+    uniforms = rand(len(part.names), generator=generator(child(seed, "lots")))
     below = (draws < part.physical(part.unwhitened(truth.gel))).double().sum(0)
     places = (below + uniforms) / (len(draws) + 1.0)
     return Replicate(
@@ -229,9 +228,7 @@ def _infer_replicate(
         return Replicate(0, truth.model, failure=str(error))
     fit = result[truth.model]
     reported = fit.posterior
-    uniforms = torch.rand(
-        len(truth.gel), generator=generator(child(seed, "lots")), dtype=torch.float64
-    )
+    uniforms = rand(len(truth.gel), generator=generator(child(seed, "lots")))
     z = (truth.gel - fit.mean) / torch.linalg.norm(fit.chol, dim=1)
     away = fit.prior.unwhitened(truth.gel) - reported.mean
     z_reported = away / torch.linalg.norm(reported.chol, dim=1)
@@ -262,9 +259,7 @@ def _draw_truth(arrangement: Arrangement, seed: int, simulator: Simulator) -> _T
     )
     part = prior.models[int(chosen)]
     for attempt in range(arrangement.attempts):
-        gel = torch.randn(
-            len(part.names), generator=generator(child(seed, "gel", attempt)), dtype=torch.float64
-        )
+        gel = randn(len(part.names), generator=generator(child(seed, "gel", attempt)))
         laboratory = SimulatedLaboratory(
             simulator,
             part.to_si(gel),
@@ -291,7 +286,7 @@ def _seeded_shots(arrangement: Arrangement, seed: int) -> Iterator[tuple[Tensor,
     """Each design with the seed of its noise."""
     for number, design in enumerate(arrangement.designs):
         yield (
-            torch.tensor(design, dtype=torch.float64),
+            tensor(design),
             child(seed, "shoot", number) if number else child(seed, "shoot"),
         )
 

@@ -29,6 +29,7 @@ from imr_torch.campaign.stopping import CampaignState
 from imr_torch.design import DesignSearch, InformationGain, Plan, SearchSettings
 from imr_torch.errors import ImrError, InputDataError
 from imr_torch.files import without_nonfinite
+from imr_torch.float64 import tensor
 from imr_torch.material import Belief
 from imr_torch.observe import Experiment, ExperimentBatch
 from imr_torch.simulate import Simulator, described
@@ -270,7 +271,7 @@ class Campaign:
             return None
         record = known.event
         rows = [dict(row) for row in record["evaluations"]]
-        designs = torch.tensor([row.pop("design") for row in rows], dtype=torch.float64)
+        designs = tensor([row.pop("design") for row in rows])
         gains = [InformationGain.from_dict(row) for row in rows]
         pending = InformationGain.from_dict(record["pending"]) if record["pending"] else None
         settings = SearchSettings(**record["search"])

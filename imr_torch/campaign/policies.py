@@ -9,7 +9,6 @@ same one. Baselines cost nothing and estimate no gain.
 from dataclasses import dataclass, field
 from typing import Protocol
 
-import torch
 from botorch.utils.sampling import draw_sobol_samples
 from jaxtyping import Float
 from torch import Tensor
@@ -27,6 +26,7 @@ from imr_torch.design import (
     search_design,
 )
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import rand, tensor
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.population import GaussianShots
@@ -216,7 +216,7 @@ class Random:
         space = situation.space
         source = generator(child(situation.seed, "random design", situation.number))
         low, high = space.bounds
-        drawn = low + (high - low) * torch.rand(1, 2, generator=source, dtype=torch.float64)
+        drawn = low + (high - low) * rand(1, 2, generator=source)
         return Proposal(situation.number, drawn[0])
 
 
@@ -262,7 +262,7 @@ class Fixed:
     def __post_init__(self) -> None:
         if not self.designs:
             raise InputDataError("Fixed.designs is empty; name at least one (We, R_inf*).")
-        check_designs(torch.tensor(self.designs, dtype=torch.float64))
+        check_designs(tensor(self.designs))
 
     def choose_design(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
         """See :class:`DesignPolicy`.
@@ -276,6 +276,6 @@ class Fixed:
                 "asked for; "
                 "ask for fewer experiments, or start a campaign with a longer list."
             )
-        design = torch.tensor(self.designs[situation.number - 1], dtype=torch.float64)
+        design = tensor(self.designs[situation.number - 1])
         situation.space.check_inside(design)
         return Proposal(situation.number, design)

@@ -19,6 +19,7 @@ from torch import Tensor
 from imr_torch.assimilate import ModelFit, Point, Posterior, SearchOptions
 from imr_torch.assimilate.basins import deeper_nuisances
 from imr_torch.assimilate.map_fit import assimilate_model
+from imr_torch.float64 import randn
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.hypotheses import (
@@ -209,9 +210,7 @@ def _train(
     source = generator(seed)
     fits = {}
     for name, (hypothesis, fit) in known.items():
-        beside = _APART * torch.randn(
-            _OPTIONS.starts - 1, len(fit.mean), generator=source, dtype=torch.float64
-        )
+        beside = _APART * randn(_OPTIONS.starts - 1, len(fit.mean), generator=source)
         fits[name] = assimilate_model(
             Posterior(fit.prior, hypothesis.seen(training), simulator),
             Point(torch.cat((fit.mean[None], fit.mean + beside)), fit.nuisances[list(kept)]),

@@ -20,6 +20,7 @@ from torch import Tensor
 from imr_torch.assimilate import Assimilation, ModelFit, Point, Posterior, SearchOptions, assimilate
 from imr_torch.assimilate.fit import NEARLY, ONE_MINIMUM, PROMISED
 from imr_torch.assimilate.starts import draw_perturbation
+from imr_torch.float64 import tensor
 from imr_torch.material import Belief, Effect, ModelBelief
 from imr_torch.material.belief import even_belief
 from imr_torch.material.model_belief import add_parameters
@@ -117,7 +118,7 @@ class Hypothesis:
         rows = []
         for start in given.get(last.name, last.starts):
             for (name, prior), value in zip(last.priors.items(), start, strict=True):
-                known[name] = prior.to_control(torch.tensor(value, dtype=torch.float64))
+                known[name] = prior.to_control(tensor(value))
             rows.append(torch.stack([known[name] for name in belief.names]))
         return torch.stack(rows)
 

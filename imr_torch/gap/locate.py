@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
+from imr_torch.float64 import randn, tensor, zeros
 from imr_torch.gap.adequacy import Adequacy
 from imr_torch.goodness.linear import Linearisation, predict_changed
 from imr_torch.goodness.phases import PHASES, phase_clock, phase_name, phase_numbers
@@ -84,9 +85,7 @@ def onset(left: Adequacy, *, seed: SeedLike) -> Onset:
     pulses = {f"pulse {i}": row[None] for i, row in enumerate(left.generic[PULSES])}
     tests = pulses | {"shape": left.generic[SHAPE][:2]} | left.directions
     clock = phase_clock(batch.times, line.prediction, batch.mask)
-    drawn = torch.randn(
-        BOOTSTRAP, line.residual.shape[0], generator=generator(seed), dtype=torch.float64
-    )
+    drawn = randn(BOOTSTRAP, line.residual.shape[0], generator=generator(seed))
     ends: list[float] = []
     times: list[float] = []
     found = []
@@ -127,14 +126,14 @@ def where_it_acts(
         seed: of the draws.
     """
     batch = line.batch
-    noise = torch.randn(_DRAWS, len(fit.mean), generator=generator(seed), dtype=torch.float64)
+    noise = randn(_DRAWS, len(fit.mean), generator=generator(seed))
     nuisances = int((batch.nuisance_sds > 0.0).any(0).sum()) * len(batch.experiments)
     shift = torch.nn.functional.pad(noise @ fit.chol.mT, (0, nuisances)).repeat(2, 1)
     off = {effect.names[0]: PARAMETERS[effect.names[0]].neutral for effect in effects}
     made = predict_changed(fit, batch, simulator, [{}] * _DRAWS + [off] * _DRAWS, shift)
     signal = line.whiten(made[:_DRAWS] - made[_DRAWS:])
     phase = phase_numbers(batch.times, line.prediction, batch.mask)
-    reached = [torch.zeros(_DRAWS, dtype=torch.float64)]
+    reached = [zeros(_DRAWS)]
     for last in range(len(PHASES)):
         frames = (phase <= last) & batch.mask
         rows = signal * _kept_rows(line, frames).to(signal)
@@ -144,7 +143,7 @@ def where_it_acts(
     shares = shares[torch.isfinite(shares).all(1)]
     if not len(shares):
         return None
-    levels = shares.quantile(torch.tensor(LEVELS, dtype=torch.float64), dim=0)
+    levels = shares.quantile(tensor(LEVELS), dim=0)
     return dict(zip(PHASES, levels.mT.tolist(), strict=True))
 
 
@@ -193,7 +192,7 @@ def _log_p(
     if freedom > 0:
         tests.append((rows.square().sum(1), freedom))
     if not tests:
-        return torch.zeros(0, dtype=torch.float64), torch.zeros(0, len(drawn), dtype=torch.float64)
+        return zeros(0), zeros(0, len(drawn))
     logs = torch.stack([log_survival(statistic, k) for statistic, k in tests])
     return logs[:, 0], logs[:, 1:]
 

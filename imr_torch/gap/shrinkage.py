@@ -24,6 +24,7 @@ from jaxtyping import Float
 from scipy.special import chdtrc
 from torch import Tensor
 
+from imr_torch.float64 import arange, eye, randn, tensor, zeros
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.held_out import Judged, judge_designs
 from imr_torch.gap.hypotheses import EXPLAINS
@@ -39,7 +40,7 @@ from imr_torch.types import FrameValues, Progress
 _DRAWS = 2000  # of the interval
 _MANY = 5  # curves from which on they are drawn anew; of fewer, the phases of each
 _WIDEST = 2.0  # size of S beyond which the base leaves almost no gap to reduce
-_KNOTS = torch.arange(0.0, 5.0, 0.15, dtype=torch.float64)  # of a random function of the phase
+_KNOTS = arange(0.0, 5.0, 0.15)  # of a random function of the phase
 _SMOOTH = 0.3  # its length on the phase clock
 
 
@@ -72,7 +73,7 @@ class Shrinkage:
     @property
     def placebo_high(self) -> float:
         """95th percentile over random libraries."""
-        return round(float(torch.tensor(self.placebo, dtype=torch.float64).quantile(0.95)), 6)
+        return round(float(tensor(self.placebo).quantile(0.95)), 6)
 
     def word(self, adequacy: float) -> str:
         """``"closed"``, ``"partly closed"``, ``"not closed"`` or ``"no gap left"``.
@@ -165,7 +166,7 @@ class _Compared:
         return ((self.beside @ residual).square() - expected) / self.pair.base.line.batch.counts[0]
 
     def _by_phase(self, squares: Tensor) -> Tensor:
-        return torch.zeros(len(PHASES), dtype=torch.float64).index_add(0, self.phase, squares)
+        return zeros(len(PHASES)).index_add(0, self.phase, squares)
 
 
 def _compared(pair: Judged) -> _Compared:
@@ -180,7 +181,7 @@ def beside_nuisances(pair: Judged) -> Float[Tensor, "frames frames"]:
     directions = torch.cat((pair.base.by_nuisance, pair.effect.by_nuisance), 1)
     basis, size, _ = torch.linalg.svd(directions, full_matrices=False)
     kept = basis[:, size > 1e-6 * size[:1]]
-    return torch.eye(len(directions), dtype=torch.float64) - kept @ kept.mT
+    return eye(len(directions)) - kept @ kept.mT
 
 
 def _interval(
@@ -222,7 +223,7 @@ def _placebo(
     shares = []
     for number in range(count):
         source = generator(child(seed, number))
-        weights = torch.randn(offered, len(_KNOTS), generator=source, dtype=torch.float64)
+        weights = randn(offered, len(_KNOTS), generator=source)
         fitted = {
             key: _select_random(line, weights, rounds, of_frame) for key, line in trainings.items()
         }
@@ -261,7 +262,7 @@ def _select_random(
     rows = _random_rows(line, weights)
     size = of_frame * float(line.batch.mask.sum().sqrt())
     scale = size / rows.norm(dim=1, keepdim=True).clamp_min(1e-300)
-    columns = torch.cat((rows * scale, -torch.eye(offered, dtype=torch.float64)), 1)
+    columns = torch.cat((rows * scale, -eye(offered)), 1)
     padded = torch.nn.functional.pad
     here = replace(
         line,
@@ -281,6 +282,6 @@ def _select_random(
         here = replace(here, fitted=torch.cat((here.fitted, columns[best][:, None]), 1))
     shift = here.to_shift @ here.residual
     before = line.fitted.shape[1]
-    amplitudes = torch.zeros(offered, dtype=torch.float64)
+    amplitudes = zeros(offered)
     amplitudes[chosen] = shift[before:] * scale[chosen, 0]
     return shift[:before], amplitudes

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit, Neighbourhood, Posterior
+from imr_torch.float64 import eye
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.simulate import Simulator
@@ -127,7 +128,7 @@ def whiten_rows(near: Neighbourhood) -> Linearisation:
     batch = near.posterior.batch
     sd = batch.sd(near.centre)
     data = batch.whiten(near.jacobian, sd).nan_to_num().flatten(1).mT
-    fitted = torch.cat((data, -torch.eye(data.shape[1], dtype=torch.float64)))
+    fitted = torch.cat((data, -eye(data.shape[1])))
     observed = batch.whiten(batch.mean - near.centre, sd).flatten()
     residual = torch.cat((observed, near.coordinates))
     return Linearisation(residual, fitted, near.centre, sd, batch)

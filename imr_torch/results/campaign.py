@@ -10,6 +10,7 @@ import torch
 from imr_torch.campaign import Campaign, PopulationLearner, Proposal
 from imr_torch.characterization.bands import band_document, predictive_band
 from imr_torch.files import Document, drawn_numbers
+from imr_torch.float64 import linspace
 from imr_torch.goodness import check_fit
 from imr_torch.material import Belief
 from imr_torch.material.model_belief import intervals
@@ -137,9 +138,7 @@ def _document_curves(campaign: Campaign) -> list[Document]:
     outer = campaign.simulator.conditions.surroundings
     shot = last.assimilation.batch.experiments
     ends = [(float(x.times[0]), float(x.times[-1])) for x in shot]
-    drawn = torch.stack(
-        [torch.linspace(*end, 400, dtype=torch.float64) for end in ends]
-    )  # frames do not show a collapse
+    drawn = torch.stack([linspace(*end, 400) for end in ends])  # frames do not show a collapse
     band = predictive_band(last.assimilation, last.belief, campaign.simulator, best, times=drawn)
     found = []
     for e, (number, experiment) in enumerate(zip(campaign.numbers, shot, strict=True)):

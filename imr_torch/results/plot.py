@@ -32,6 +32,7 @@ from imr_torch.drawing import (
     set_scale,
 )
 from imr_torch.files import Document
+from imr_torch.float64 import arange, linspace, tensor
 from imr_torch.labels import (
     R_STAR,
     REST_RADIUS,
@@ -45,7 +46,7 @@ from imr_torch.material import PARAMETERS, Belief, ModelBelief
 from imr_torch.simulate import Solution
 from imr_torch.units import Surroundings
 
-_LEVELS = torch.linspace(0.002, 0.998, 400, dtype=torch.float64)  # of a density
+_LEVELS = linspace(0.002, 0.998, 400)  # of a density
 
 
 def plot_solution(
@@ -161,7 +162,7 @@ def draw_parameters(belief: ModelBelief, *, draws: int = 1500, seed: int = 0) ->
         squeeze=False,
     )
     labels = [parameter_label(PARAMETERS[name]) for name in names]
-    scales = torch.tensor([PARAMETERS[name].display_scale for name in names], dtype=torch.float64)
+    scales = tensor([PARAMETERS[name].display_scale for name in names])
     drawn = belief.physical(belief.controls(draws, seed=seed)) * scales
     spans = (belief.quantile(_LEVELS) * scales).mT
     intervals = (belief.quantile([0.05, 0.5, 0.95]) * scales).mT.tolist()
@@ -244,7 +245,7 @@ def design_document(design: Float[Tensor, "2"], surroundings: Surroundings) -> d
 
 def _information_map(search: DesignSearch) -> Document:
     bounds = search.optimizer.space.bounds.mT.tolist()
-    weber, rest = (torch.linspace(low, high, 60, dtype=torch.float64) for low, high in bounds)
+    weber, rest = (linspace(low, high, 60) for low, high in bounds)
     grid = torch.stack(torch.meshgrid(weber, rest, indexing="xy"), dim=-1)
     model = search.optimizer.model()
     with torch.no_grad():
@@ -303,7 +304,7 @@ def plot_places(places: Mapping[str, Sequence[float]], *, ax: Axes | None = None
     ax.set_prop_cycle(color=CYCLE)
     for name, values in places.items():
         at = torch.as_tensor(sorted(values), dtype=torch.float64)
-        share = torch.arange(1, len(at) + 1, dtype=torch.float64) / len(at)
+        share = arange(1, len(at) + 1) / len(at)
         ax.step(at, share - at, where="post", lw=1.2, label=f"{plain(name)} ({len(at)})")
     if places:
         width = envelope(min(len(values) for values in places.values()))

@@ -17,6 +17,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from imr_torch.assimilate import Point, Posterior
+from imr_torch.float64 import arange
 from imr_torch.material import PARAMETERS, TERMS, ModelBelief, dimensionless, gel_response
 from imr_torch.observe import Experiment, ExperimentBatch, predict
 from imr_torch.simulate import Simulator, TabulatedDriving
@@ -110,7 +111,7 @@ class Shot:
         """Centres of the pulses, t*."""
         beyond = 3.0 * SPACING
         last = float(self._experiment.times.max())
-        return torch.arange(-beyond, last + beyond, SPACING, dtype=torch.float64)
+        return arange(-beyond, last + beyond, SPACING)
 
     @cached_property
     def uncertain(self) -> Int[Tensor, "columns"]:
@@ -142,7 +143,7 @@ class Shot:
         surroundings = conditions.surroundings
         weber = self.batch.designs[0, 0]
         seconds = surroundings.time_scale(surroundings.max_radius(weber))
-        times = torch.arange(0.0, float(self.moments[-1]), SPACING / 4.0, dtype=torch.float64)
+        times = arange(0.0, float(self.moments[-1]), SPACING / 4.0)
         pascals = -surroundings.far_field_pressure * (pressure @ self.shape_pressure(times))
         if conditions.driving is not None:
             pascals = pascals + conditions.driving(times * seconds)[0]
@@ -223,7 +224,7 @@ class Shot:
 
     def _path(self, simulator: Simulator, parameters: Tensor, shifts: Tensor) -> Path:
         experiment = self._experiment
-        times = torch.arange(0.0, float(experiment.times.max()), _FINE, dtype=torch.float64)
+        times = arange(0.0, float(experiment.times.max()), _FINE)
         seen = replace(experiment, times=times, radius=torch.ones(1, len(times)).double())
         fine = replace(self.batch, experiments=(seen,))
         radius = predict(simulator, parameters, fine, shifts)[0]
