@@ -50,19 +50,16 @@ def make_profiles(
 
 def document_profiles(found: Mapping[str, tuple[Profile, ...]] | None) -> Document | None:
     """Model -> parameter -> its profile, JSON-ready; None where none was asked for."""
-    if found is None:
-        return None
-    return {
-        key: {own.name: _document_profile(own) for own in profiles}
+    return None if found is None else {
+        key: {
+            own.name: {
+                "values": list(own.values),
+                "nats_lost": list(own.fall),
+                "converged": list(own.converged),
+                "limits_95": list(own.limits),
+                "bounded": own.bounded,
+            }
+            for own in profiles
+        }
         for key, profiles in found.items()
-    }
-
-
-def _document_profile(found: Profile) -> Document:
-    return {
-        "values": list(found.values),
-        "nats_lost": list(found.fall),
-        "converged": list(found.converged),
-        "limits_95": list(found.limits),
-        "bounded": found.bounded,
     }

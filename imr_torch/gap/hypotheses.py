@@ -191,10 +191,7 @@ def lower(one: ModelFit, other: ModelFit, options: SearchOptions) -> ModelFit:
 
 
 def _reach(fit: ModelFit) -> float:
-    """The cost that a fit has or may get down to.
-
-    One that has no gradient is not iterated further.
-    """
+    """The cost that a fit has or may get down to."""
     return fit.cost - promised(fit) if math.isfinite(fit.certificate.gradient) else fit.cost
 
 
@@ -416,7 +413,5 @@ def laplace_evidence(fit: ModelFit) -> float:
 
 def overdispersion(fit: ModelFit, batch: ExperimentBatch) -> float:
     """Chi squared per degree of freedom of a fit to the mean curves, at least 1."""
-    residual = torch.where(batch.mask, batch.mean - fit.prediction, 0.0)
-    square = batch.whiten(residual, batch.sd(fit.prediction)).square().sum()
     fitted = len(fit.mean) + fit.nuisances.numel()
-    return max(1.0, float(square) / max(1, int(batch.mask.sum()) - fitted))
+    return max(1.0, batch.square(fit.prediction) / max(1, int(batch.mask.sum()) - fitted))

@@ -4,7 +4,7 @@ The text is a template, as those of all results are. It is a list of sections, e
 sentences; the page shows the same list.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -68,16 +68,6 @@ def title(name: str) -> str:
     return " and ".join(said)
 
 
-def title_all(names: Iterable[str]) -> list[str]:
-    """:func:`title` of several causes.
-
-    >>> from imr_torch.gap.text import title_all
-    >>> title_all(["none", "other"])
-    ['nothing is missing', 'an effect that the library does not hold']
-    """
-    return list(map(title, names))
-
-
 def shown(parameter: str, value: float) -> str:
     """A value in display units.
 
@@ -94,7 +84,7 @@ def _fill_template(name: str, document: Document) -> str:
         document=document,
         parameters=PARAMETERS,
         entries=_ENTRIES,
-        titles=title_all,
+        titles=lambda names: list(map(title, names)),
         shown=shown,
         in_words=in_words,
         p_value=p_value,

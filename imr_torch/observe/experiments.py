@@ -370,6 +370,11 @@ class ExperimentBatch:
         own, before = self.innovations
         return (own * scaled - before * previous(scaled)) * self.counts.sqrt()
 
+    def square(self, prediction: ExperimentFrames) -> float:
+        """Whitened squared residual of a prediction; NaN where it is."""
+        left = self.whiten(self.mean - prediction, self.sd(prediction))
+        return float(left.square().sum())
+
     def terms(
         self,
         prediction: Frames,

@@ -6,7 +6,6 @@ or saved here.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -61,25 +60,6 @@ def plot_solution(
     if labels:
         add_legend(ax)
     return ax
-
-
-def draw_curves(ax: Axes, times: Any, curves: Any, band: Document | None = None) -> None:
-    """Draw repeated curves of one experiment and, if given, the predictive band.
-
-    Args:
-        ax: the axes.
-        times: of the frames, dimensionless.
-        curves: a row of R/Rmax a curve.
-        band: ``t_star``, ``low``, ``median`` and ``high``.
-    """
-    alpha = 0.5 if len(curves) == 1 else 0.15
-    ax.plot(times, floats(curves[:12]).T, ".", ms=3, color=DATA, alpha=alpha)
-    if band is not None:
-        fill_band(ax, band)
-        at, median = floats(band["t_star"]), floats(band["median"])
-        ax.plot(at, median, color=MODEL, lw=1.5, label="median")
-        add_legend(ax)
-    ax.set(xlabel=T_STAR, ylabel=R_STAR, ylim=(0.0, None))
 
 
 def fill_band(ax: Axes, band: Document) -> None:

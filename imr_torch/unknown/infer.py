@@ -327,7 +327,8 @@ class _Search:
         inside: bool = True,
     ) -> _Fit:
         """A kind about a state that another may have made."""
-        own = _columns_of(columns, self.shots, responses)
+        pairs = zip(self.shots, responses, strict=True)
+        own = tuple(columns(number, *pair) for number, pair in enumerate(pairs))
         system = _assemble(self.shots, state, responses, own, inside=inside)
         solved = {size: system.solve(size) for size in self.sizes}
         logs = torch.stack([log for log, _, _ in solved.values()])
@@ -347,13 +348,6 @@ class _Search:
         for shot, *own in seen:
             total -= float(shot.batch.log_likelihood(shot.predict(state.gel, *own)[None]).sum())
         return total
-
-
-def _columns_of(
-    columns: Columns, shots: Sequence[Shot], responses: Sequence[Response]
-) -> tuple[Tensor, ...]:
-    pairs = zip(shots, responses, strict=True)
-    return tuple(columns(number, *pair) for number, pair in enumerate(pairs))
 
 
 def _assemble(
