@@ -46,7 +46,7 @@ def assimilate_en4dvar(
     seed: int,
     options: En4DVarOptions | None = None,
     near: Assimilation | None = None,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> Assimilation:
     """Fit every model of a belief to a batch of experiments by hybrid ensemble 4D-Var.
 
@@ -102,7 +102,7 @@ def _fit_model(
     chol: Tensor,
     options: En4DVarOptions,
     seed: int,
-    progress: Progress | None,
+    progress: Progress,
 ) -> ModelFit:
     """All cycles of one model.
 

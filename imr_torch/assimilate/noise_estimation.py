@@ -46,7 +46,7 @@ def assimilate_estimating_noise(
     agreement: float = 1.0,
     near: Assimilation | None = None,
     warn: bool = True,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> Assimilation:
     """Fit all models, infer the noise about the best one, and fit again.
 

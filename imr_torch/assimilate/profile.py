@@ -97,7 +97,7 @@ def profile(
     names: tuple[str, ...] = (),
     options: ProfileOptions | None = None,
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> tuple[Profile, ...]:
     """The profile likelihood of parameters at a fit.
 
@@ -158,7 +158,7 @@ def _profile_parameter(
     i: int,
     options: ProfileOptions,
     seed: int,
-    progress: Progress | None,
+    progress: Progress,
 ) -> Profile:
     """The profile of one parameter, followed to both sides until it has fallen by enough."""
     prior = fit.prior

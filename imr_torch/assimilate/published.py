@@ -86,7 +86,7 @@ def assimilate_published(
     *,
     seed: int,
     options: PublishedOptions | None = None,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> tuple[PublishedFit, ...]:
     """Fit an ensemble of every model to one experiment by the published method.
 
@@ -131,7 +131,7 @@ def _fit_model(
     simulator: Simulator,
     options: PublishedOptions,
     seed: int,
-    progress: Progress | None,
+    progress: Progress,
 ) -> PublishedFit:
     """All cycles of one model."""
     precision = 1.0 / (batch.sd(batch.mean).square() * batch.mean.shape[1])[0]

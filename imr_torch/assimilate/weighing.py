@@ -113,7 +113,7 @@ def weigh(
     drop_behind: float | None = None,
     options: WeighingOptions | None = None,
     noise: NoiseNodes | None = None,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> Assimilation:
     """Weigh draws about every fit by the exact posterior.
 
@@ -210,7 +210,7 @@ def _fit_again(
     states: list[_State],
     options: WeighingOptions,
     seed: int,
-    progress: Progress | None,
+    progress: Progress,
 ) -> None:
     """Replace fits by fits to lower minima that draws of the last round found."""
     best = min(state.fit.cost for state in states)

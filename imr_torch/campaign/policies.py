@@ -113,7 +113,7 @@ class DesignPolicy(Protocol):
     >>> policy: DesignPolicy = Largest()
     """
 
-    def choose_design(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
+    def choose_design(self, situation: Situation, *, progress: Progress = None) -> Proposal:
         """The next design, a function of the situation alone."""
         ...
 
@@ -161,7 +161,7 @@ class Optimal:
         if self.batch < 1:
             raise InputDataError(f"Optimal.batch is {self.batch}; expected at least 1.")
 
-    def choose_design(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
+    def choose_design(self, situation: Situation, *, progress: Progress = None) -> Proposal:
         """See :class:`DesignPolicy`."""
         acquisition = ExpectedInformationGain(
             situation.belief,
@@ -211,7 +211,7 @@ class Random:
     (True, None)
     """
 
-    def choose_design(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
+    def choose_design(self, situation: Situation, *, progress: Progress = None) -> Proposal:
         """See :class:`DesignPolicy`."""
         space = situation.space
         source = generator(child(situation.seed, "random design", situation.number))
@@ -234,7 +234,7 @@ class SpaceFilling:
     (True, None)
     """
 
-    def choose_design(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
+    def choose_design(self, situation: Situation, *, progress: Progress = None) -> Proposal:
         """See :class:`DesignPolicy`."""
         seed = child(situation.seed, "space-filling") % 2**31
         points = draw_sobol_samples(situation.space.bounds, n=situation.number, q=1, seed=seed)
@@ -264,7 +264,7 @@ class Fixed:
             raise InputDataError("Fixed.designs is empty; name at least one (We, R_inf*).")
         check_designs(tensor(self.designs))
 
-    def choose_design(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
+    def choose_design(self, situation: Situation, *, progress: Progress = None) -> Proposal:
         """See :class:`DesignPolicy`.
 
         Raises:

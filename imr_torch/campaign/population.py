@@ -71,7 +71,7 @@ class PopulationLearner:
             )
 
     def infer_belief(
-        self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None
+        self, observations: Observations, simulator: Simulator, *, progress: Progress = None
     ) -> Inference:
         """See :class:`imr_torch.campaign.Learner`.
 
@@ -136,7 +136,7 @@ class LearnPopulation:
 
     search: Optimal = field(default_factory=Optimal)
 
-    def choose_design(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
+    def choose_design(self, situation: Situation, *, progress: Progress = None) -> Proposal:
         """See :class:`imr_torch.campaign.DesignPolicy`.
 
         Raises:

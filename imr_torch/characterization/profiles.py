@@ -19,7 +19,7 @@ def make_profiles(
     *,
     least: float = 0.05,
     seed: int,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> dict[str, tuple[Profile, ...]]:
     """The profiles of each model that holds .05 of the probability or more, at the estimated noise;
     the most probable first.
@@ -50,16 +50,20 @@ def make_profiles(
 
 def document_profiles(found: Mapping[str, tuple[Profile, ...]] | None) -> Document | None:
     """Model -> parameter -> its profile, JSON-ready; None where none was asked for."""
-    return None if found is None else {
-        key: {
-            own.name: {
-                "values": list(own.values),
-                "nats_lost": list(own.fall),
-                "converged": list(own.converged),
-                "limits_95": list(own.limits),
-                "bounded": own.bounded,
+    return (
+        None
+        if found is None
+        else {
+            key: {
+                own.name: {
+                    "values": list(own.values),
+                    "nats_lost": list(own.fall),
+                    "converged": list(own.converged),
+                    "limits_95": list(own.limits),
+                    "bounded": own.bounded,
+                }
+                for own in profiles
             }
-            for own in profiles
+            for key, profiles in found.items()
         }
-        for key, profiles in found.items()
-    }
+    )

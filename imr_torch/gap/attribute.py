@@ -186,7 +186,7 @@ def attribute(
     seed: int,
     alone: Sequence[ModelFit] = (),
     masked: float = 1.0,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> Attribution:
     """Fit all hypotheses with one part more and compute their probabilities.
 
@@ -303,7 +303,7 @@ class _Round:
         self.null = self.fits[self.held.name]
         self.batch = self.held.seen(self.inquiry.batch)
 
-    def conclude(self, seed: int, progress: Progress | None = None) -> Attribution:
+    def conclude(self, seed: int, progress: Progress = None) -> Attribution:
         """What the evidence of the fits and the winner's adequacy say."""
         inquiry = self.inquiry
         self._find_winner((), seed, progress)
@@ -357,7 +357,7 @@ class _Round:
         longer = [name for name in self.evidence if name != self.held.name]
         return max(longer, key=lambda name: self.evidence[name])
 
-    def _find_winner(self, sampled: Collection[str], seed: int, progress: Progress | None) -> None:
+    def _find_winner(self, sampled: Collection[str], seed: int, progress: Progress) -> None:
         """Continue the fit of the leader until the leader's has converged.
 
         One that does not converge loses its evidence and is left out; evidence that was ``sampled``

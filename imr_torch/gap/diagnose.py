@@ -102,7 +102,7 @@ def diagnose(
     simulator: Simulator | None = None,
     most: int = 2,
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> GapReport:
     """Diagnose the gap between a base model and data.
 
@@ -182,7 +182,7 @@ def _with_inferred_noise(
     simulator: Simulator,
     *,
     seed: int,
-    progress: Progress | None,
+    progress: Progress,
 ) -> tuple[ModelFit, ExperimentBatch]:
     """The base model's fit under the noise that is inferred about it, and the data with that noise."""
     for number in range(_NOISE_ROUNDS):

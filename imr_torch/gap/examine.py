@@ -57,7 +57,7 @@ def examine(
     *,
     unseen: Sequence[Experiment] = (),
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> Parts:
     """All parts that a report allows; none where the base model's fit has not converged.
 
@@ -129,7 +129,7 @@ def _acts(report: GapReport, simulator: Simulator, seed: int) -> dict[str, list[
 
 
 def _next(
-    report: GapReport, simulator: Simulator, seed: int, progress: Progress | None
+    report: GapReport, simulator: Simulator, seed: int, progress: Progress
 ) -> NextDesign | None:
     """The design that tells causes apart, by the data's own plan, where the leading one is not
     sure and a shot can.

@@ -93,7 +93,7 @@ def judge_designs(
     unseen: ExperimentBatch | None = None,
     *,
     seed: int,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> list[Judged]:
     """Predictions of designs by fits that did not see them, without and with what was selected.
 

@@ -156,7 +156,7 @@ def fit_null(
     *,
     seed: int,
     near: ModelFit | None = None,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> ModelFit:
     """The base model with nuisances, from several starts, with its certificate, which the caller
     must check.
@@ -213,7 +213,7 @@ def fit_hypotheses(
     starts: Mapping[str, Sequence[Sequence[float]]] | None = None,
     options: SearchOptions | None = None,
     twice: int = LEADING,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> dict[str, ModelFit]:
     """Fit hypotheses that have the same nuisances in one batch, from the null fit.
 
@@ -283,7 +283,7 @@ def _descend(
     starts: Sequence[Tensor],
     nuisances: Sequence[Tensor],
     twice: int,
-    progress: Progress | None,
+    progress: Progress,
 ) -> list[ModelFit]:
     """Fits by coarse bubbles, then, of those not far behind, by the simulator's own from where
     these ended.
@@ -364,7 +364,7 @@ def finish(
     *,
     seed: int,
     options: SearchOptions | None = None,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> ModelFit:
     """Continue a fit that was cut short, from where it ended and from a point beside it.
 

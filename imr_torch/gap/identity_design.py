@@ -138,7 +138,7 @@ def identity_design(
     space: DesignSpace | None = None,
     designs: int = 16,
     draws: int = 16,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> NextDesign:
     """The design that best tells the remaining causes apart.
 

@@ -62,7 +62,7 @@ def select_causes(
     *,
     alone: Sequence[ModelFit],
     seed: int,
-    progress: Progress | None,
+    progress: Progress,
 ) -> Finding:
     """Forward selection of parts until an unknown effect is improbable, and the verdict that
     follows.

@@ -99,7 +99,7 @@ def shrinkage(
     *,
     placebos: int = 20,
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> Shrinkage | None:
     """Judge what a diagnosis selected on curves that neither fits nor selection saw.
 

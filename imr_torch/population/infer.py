@@ -70,7 +70,7 @@ def fit_shots(
     seed: int = 0,
     options: SearchOptions | None = None,
     early: tuple[float, float] = (0.3, 1.0),
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> tuple[Assimilation, ...]:
     """Fit a model to every experiment by itself.
 

@@ -35,7 +35,7 @@ from imr_torch.unknown.kinds import (
     function_of_time,
     material_state,
 )
-from imr_torch.unknown.shot import Path, Response, Shot
+from imr_torch.unknown.shot import Fine, Path, Response, Shot
 
 CAMERA = "camera"
 NOTHING_KNOWN = "nothing known"
@@ -73,12 +73,12 @@ class MissingPressure:
     """
 
     label: str
-    times: Float[Tensor, "fine"]
-    stretch: Float[Tensor, "fine"]
-    rate: Float[Tensor, "fine"]
-    pressure: Float[Tensor, "fine"]
-    sd: Float[Tensor, "fine"]
-    own_stress: Float[Tensor, "fine"]
+    times: Fine
+    stretch: Fine
+    rate: Fine
+    pressure: Fine
+    sd: Fine
+    own_stress: Fine
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,8 @@ from imr_torch.observe import Experiment, ExperimentBatch, predict
 from imr_torch.simulate import Simulator, TabulatedDriving
 from imr_torch.types import Controls, FrameValues
 
+Fine = Float[Tensor, "fine"]
+"""A number at each of the fine times of a trajectory."""
 SPACING = 0.04
 """Width and spacing of the pulses in t*: about a frame. Half of it changes the log evidence of two test sets by .2 and .7 nats,
 and their pressures by .1 and .4 standard deviations (median)."""
@@ -48,26 +50,26 @@ class Path:
         own_stress: stress of the base model's gel over p_inf.
     """
 
-    times: Float[Tensor, "fine"]
-    radius: Float[Tensor, "fine"]
-    velocity: Float[Tensor, "fine"]
+    times: Fine
+    radius: Fine
+    velocity: Fine
     rest_radius: float
     size: float
-    own_stress: Float[Tensor, "fine"]
+    own_stress: Fine
 
     @property
-    def rate(self) -> Float[Tensor, "fine"]:
+    def rate(self) -> Fine:
         """Strain rate ``U/R``, in ``U_c`` over 200 um."""
         return self.velocity / self.radius / self.size
 
     @cached_property
-    def strain(self) -> Float[Tensor, "fine"]:
+    def strain(self) -> Fine:
         """Strain that the gel has gone through, ``int |U|/R dt``: the memory variable."""
         step = float(self.times[1] - self.times[0])
         return torch.cumsum((self.velocity / self.radius).abs(), 0) * step
 
     @property
-    def contents(self) -> Float[Tensor, "fine"]:
+    def contents(self) -> Fine:
         """Pressure of the contents over p_inf, about: gas of ``R_inf`` that follows a polytrope."""
         return self.rest_radius**3 * self.radius**-3.9
 
