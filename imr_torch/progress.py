@@ -2,8 +2,9 @@
 
 from collections.abc import Callable
 
-Progress = Callable[[str], None]
-"""Called with one line of text per step of long work, perhaps a :class:`ProgressLine`."""
+Progress = Callable[[str], None] | None
+"""Called with one line of text per step of long work, perhaps a :class:`ProgressLine`; None: work is
+silent."""
 
 
 class ProgressLine(str):

@@ -38,6 +38,7 @@ BASE = (
     "random",
     "files",
     "types",
+    "float64",
     "progress",
     "threads",
     "elementary",

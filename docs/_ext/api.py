@@ -43,6 +43,7 @@ PACKAGES = {
     "labels": "Names in files and figures",
     "html": "Pages of results",
     "random": "Seeds",
+    "float64": "Tensors in double precision",
     "threads": "Threads of tensor operators",
     "types": "Shapes and protocols",
     "progress": "Progress of long work",

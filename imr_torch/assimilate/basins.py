@@ -17,6 +17,7 @@ from imr_torch.assimilate.fit import ONE_MINIMUM
 from imr_torch.assimilate.forward import STEP, Point
 from imr_torch.assimilate.options import BasinOptions
 from imr_torch.assimilate.posterior import Neighbourhood, Posterior
+from imr_torch.float64 import eye, linspace
 from imr_torch.observe import NUISANCES, predict
 from imr_torch.simulate import EARLIEST
 
@@ -89,7 +90,7 @@ def _reachable_shifts(posterior: Posterior, nuisances: Tensor, options: BasinOpt
     shifts = nuisances * batch.nuisance_sds
     first = EARLIEST * (1.0 + shifts[..., 0]) - batch.times[:, 0] - shifts[..., _TIME_ZERO]
     reach = (
-        torch.linspace(-options.reach, options.reach, options.places, dtype=torch.float64)[:, None]
+        linspace(-options.reach, options.reach, options.places)[:, None]
         * batch.nuisance_sds[:, _TIME_ZERO]
     )
     # a margin against rounding
@@ -117,7 +118,7 @@ def _predict_moved(posterior: Posterior, point: Point, reach: Tensor) -> Tensor:
     batch = posterior.batch
     uncertain = posterior.uncertain.tolist()
     columns = [column for column in uncertain if column != _TIME_ZERO]
-    sides = STEP * torch.eye(batch.nuisance_sds.shape[1], dtype=torch.float64)[columns]
+    sides = STEP * eye(batch.nuisance_sds.shape[1])[columns]
     points = torch.cat((point.nuisances[:, None], point.nuisances[:, None] + sides[:, None]), 1)
     times, order = (batch.times[:, None] + reach.mT[..., None]).flatten(1).sort(1)
     # places may be apart by what frames are apart by

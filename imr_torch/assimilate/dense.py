@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate.fit import ModelFit
+from imr_torch.float64 import linspace
 from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.simulate import Simulator
 
@@ -33,13 +34,13 @@ def dense_curve(
     """
     last = torch.where(batch.mask, batch.times, 0.0).amax(1, keepdim=True)
     first = batch.times[:, :1].clamp_max(0.0)
-    share = torch.linspace(0.0, 1.0, refinement * points, dtype=torch.float64)
+    share = linspace(0.0, 1.0, refinement * points)
     times = first + (last - first) * share
     shifts = fit.nuisances * batch.nuisance_sds
     curve = predict(simulator, fit.parameters(fit.mean), batch, shifts, times=times)
     rises = curve.nan_to_num().diff(dim=1)
     length = torch.nn.functional.pad(torch.hypot(rises, share.diff()).cumsum(1), (1, 0))
-    wanted = length[:, -1:] * torch.linspace(0.0, 1.0, points, dtype=torch.float64)
+    wanted = length[:, -1:] * linspace(0.0, 1.0, points)
     chosen = torch.searchsorted(length, wanted).clamp_max(len(share) - 1)
     # strictly increasing also where a collapse takes less than one of the times computed
     apart = 1e-9 * torch.arange(points)

@@ -28,6 +28,7 @@ from imr_torch.assimilate.gauss_newton import NormalEquations, inverse_chol
 from imr_torch.assimilate.options import En4DVarOptions
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.errors import ConvergenceError
+from imr_torch.float64 import eye, randn, tensor, zeros
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
@@ -45,7 +46,7 @@ def assimilate_en4dvar(
     seed: int,
     options: En4DVarOptions | None = None,
     near: Assimilation | None = None,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> Assimilation:
     """Fit every model of a belief to a batch of experiments by hybrid ensemble 4D-Var.
 
@@ -84,8 +85,8 @@ def assimilate_en4dvar(
         posterior = Posterior(part, batch, simulator)
         if near is None:
             size = posterior.size + len(posterior.uncertain) * len(batch.experiments)
-            mean = torch.zeros(size, dtype=torch.float64)
-            chol = torch.eye(size, dtype=torch.float64)
+            mean = zeros(size)
+            chol = eye(size)
         else:
             fit = near[part.model]
             mean = posterior.coordinates_of(fit.point)
@@ -101,7 +102,7 @@ def _fit_model(
     chol: Tensor,
     options: En4DVarOptions,
     seed: int,
-    progress: Progress | None,
+    progress: Progress,
 ) -> ModelFit:
     """All cycles of one model.
 
@@ -125,9 +126,7 @@ def _fit_model(
         widening = 1.0 + options.relaxation * (before / spread - 1.0)
         before = spread
         for iteration in range(options.iterations):
-            white = torch.randn(
-                options.members // 2, len(chol), generator=source, dtype=torch.float64
-            )
+            white = randn(options.members // 2, len(chol), generator=source)
             half = white @ chol.mT * widening
             deviations = torch.cat((half, -half))
             widening = torch.ones_like(widening)
@@ -169,7 +168,7 @@ def _shorten_step(
 ) -> Tensor:
     """Where the exact cost is lowest along a step, the point itself included."""
     longest = min(1.0, options.longest / max(float(step[: posterior.size].norm()), 1e-300))
-    tried = mean + longest * torch.tensor(options.lengths, dtype=torch.float64)[:, None] * step
+    tried = mean + longest * tensor(options.lengths)[:, None] * step
     return tried[int(posterior.log_joint(posterior.point_at(tried)).argmax())]
 
 

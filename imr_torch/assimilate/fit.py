@@ -16,6 +16,7 @@ from torch import Tensor
 from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.importance import ImportanceSample, weighted_quantiles
 from imr_torch.assimilate.posterior import Neighbourhood, Posterior
+from imr_torch.float64 import tensor
 from imr_torch.material import Belief, Cloud, ModelBelief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
@@ -259,7 +260,7 @@ class ModelFit:
             return belief
         chosen = sample.space_draws(CLOUD_DRAWS)
         unscale = torch.linalg.inv(self.prior.chol)
-        levels = torch.special.ndtr(torch.tensor(Cloud.SCORES, dtype=torch.float64))
+        levels = torch.special.ndtr(tensor(Cloud.SCORES))
         columns = self.prior.unwhitened(sample.controls).unbind(1)
         marginals = torch.stack(
             [weighted_quantiles(column, sample.weights, levels) for column in columns], 1

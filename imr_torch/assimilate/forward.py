@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from imr_torch.float64 import eye, zeros
 from imr_torch.material import ModelBelief
 from imr_torch.observe import ExperimentBatch, Film, predict
 from imr_torch.simulate import Simulator
@@ -98,7 +99,7 @@ class ForwardModel:
 
     def mean_nuisances(self, *batch_shape: int) -> Float[Tensor, "*batch experiments nuisances"]:
         """Nuisances at their prior means, ``batch_shape x E x w``."""
-        return torch.zeros(*batch_shape, *self.batch.nuisance_sds.shape, dtype=torch.float64)
+        return zeros(*batch_shape, *self.batch.nuisance_sds.shape)
 
     def predict(self, point: Point, *, bundled: bool = False) -> BatchFrames:
         """What the camera would see: ``batch_shape x E x T``, R/Rmax; 0 beyond the last frame, NaN
@@ -129,8 +130,8 @@ class ForwardModel:
             The predictions of the point, of gels moved, of each uncertain nuisance moved.
         """
         width = point.nuisances.shape[-1]
-        moves = STEP * torch.eye(self.size, dtype=torch.float64)[: self.size * moves_gel]
-        shifts = STEP * torch.eye(width, dtype=torch.float64)[self.uncertain]
+        moves = STEP * eye(self.size)[: self.size * moves_gel]
+        shifts = STEP * eye(width)[self.uncertain]
         steps = Point(
             torch.nn.functional.pad(moves, (0, 0, 1, len(shifts))),
             torch.nn.functional.pad(shifts, (0, 0, 1 + len(moves), 0)).unsqueeze(-2),

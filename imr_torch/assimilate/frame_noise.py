@@ -42,6 +42,7 @@ from imr_torch.assimilate.noise_law import (
 )
 from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.assimilate.spikes import bends
+from imr_torch.float64 import ones, tensor
 from imr_torch.observe import CollapseTime, Experiment, ExperimentBatch, Noise, NoiseLaws
 
 
@@ -202,7 +203,7 @@ def infer_frame_noise(
         alike = (1.0,) * len(curves), (0.0,) * len(curves)
         return FrameNoise(law, laws, *alike, *_of_all_residuals(fits, law, prior.missed))
     grid = _Grid.of(fits, prior)
-    factors = torch.ones(len(curves), dtype=torch.float64)
+    factors = ones(len(curves))
     sds = torch.zeros_like(factors)
     found = grid.weigh_combinations(factors)
     for _ in curves[1:]:
@@ -318,9 +319,7 @@ class _Grid:
             (*_balance_law(prior.law, balance), floor, weight)
             for (balance, weight), floor in itertools.product(prior.balances, prior.floors)
         ]
-        of_laws, of_deviations = (
-            torch.tensor(rows, dtype=torch.float64) for rows in (laws, _deviations(fits, prior))
-        )
+        of_laws, of_deviations = (tensor(rows) for rows in (laws, _deviations(fits, prior)))
         shares = of_laws[:, 3:] * of_deviations[:, 3] / len(prior.floors)
         curves = _Curves.of(fits, prior.frames)
         return cls(curves, prior, of_laws[:, :3], of_deviations[:, :3], shares.log().flatten())
@@ -446,7 +445,7 @@ def _of_all_residuals(
     white = replace(law, correlation_time=0.0)
     log_scale, sd = best_scales([LocalNoise.of(near, (white,)) for near in fits])
     independent = replace(white, scale=math.exp(float(log_scale)))
-    laws = NoiseLaws((independent,), torch.ones(1, dtype=torch.float64), sd, of_residuals=False)
+    laws = NoiseLaws((independent,), ones(1), sd, of_residuals=False)
     return (independent, laws), interval_factor(fits, independent)
 
 

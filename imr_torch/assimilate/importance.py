@@ -19,6 +19,7 @@ from torch import Tensor
 from torch.distributions import MultivariateNormal, kl_divergence
 
 from imr_torch.assimilate.noise_posterior import NoiseNodes
+from imr_torch.float64 import arange, rand
 from imr_torch.observe import Noise
 from imr_torch.types import ControlMatrix, Controls, DrawnControls, DrawnValues
 
@@ -341,10 +342,10 @@ class ImportanceSample:
         """Indices of ``count`` draws of equal weight, each within one of its expected number, the
         same whenever asked for (systematic resampling).
         """
-        positions = (torch.arange(count, dtype=torch.float64) + start) / count
+        positions = (arange(count) + start) / count
         return torch.searchsorted(self.weights.cumsum(0), positions).clamp_max(len(self) - 1)
 
     def resample_draws(self, count: int, source: torch.Generator) -> Int[Tensor, "count"]:
         """The same from a random start and in random order."""
-        start = float(torch.rand((), generator=source, dtype=torch.float64))
+        start = float(rand((), generator=source))
         return self.space_draws(count, start)[torch.randperm(count, generator=source)]

@@ -59,7 +59,7 @@ def lower_minimum(
     options: WeighingOptions,
     *,
     seed: int,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> ModelFit | None:
     """Fit a model again from a point below its minimum.
 

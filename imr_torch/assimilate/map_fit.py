@@ -47,7 +47,7 @@ def assimilate(
     starts: Sequence[Float[Tensor, "starts _"]] | None = None,
     nuisances: Sequence[Float[Tensor, "*starts experiments nuisances"]] | None = None,
     warn: bool = True,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> Assimilation:
     """Fit every model of a belief to a batch of experiments.
 
@@ -149,7 +149,7 @@ def assimilate_model(
     *,
     seed: int,
     options: SearchOptions | None = None,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> ModelFit:
     """The fit of one model from given points, as :func:`assimilate` makes it; the caller reads its
     certificate.

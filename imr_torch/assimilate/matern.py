@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from imr_torch.float64 import zeros
 from imr_torch.types import ExperimentFrames, FrameMask
 
 MATERN = 2.146193
@@ -42,12 +43,12 @@ def matern_whitened(
     count, experiments, frames = noise.shape
     variance, rate = (x[:, None].expand(count, experiments) for x in (smooth, rates))
     bent = variance * rate.square()  # of the process's derivative
-    value = torch.zeros(count, len(columns), experiments, dtype=torch.float64)
+    value = zeros(count, len(columns), experiments)
     slope = torch.zeros_like(value)
     p00 = variance
     p01 = torch.zeros_like(variance)
     p11 = bent
-    seen = torch.zeros(count, len(columns), experiments, frames, dtype=torch.float64)
+    seen = zeros(count, len(columns), experiments, frames)
     log_det = torch.zeros_like(variance)
     gaps = torch.nn.functional.pad(times.diff(dim=1), (1, 0))
     for k in range(frames):

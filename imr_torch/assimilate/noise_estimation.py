@@ -19,6 +19,7 @@ from imr_torch.assimilate.map_fit import assimilate
 from imr_torch.assimilate.noise_posterior import NoiseNodes
 from imr_torch.assimilate.options import En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.assimilate.spikes import without_spoilt_frames
+from imr_torch.float64 import tensor
 from imr_torch.material import Belief
 from imr_torch.observe import CollapseTime, Experiment, ExperimentBatch
 from imr_torch.observe.collapse import estimate_scatter
@@ -45,7 +46,7 @@ def assimilate_estimating_noise(
     agreement: float = 1.0,
     near: Assimilation | None = None,
     warn: bool = True,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> Assimilation:
     """Fit all models, infer the noise about the best one, and fit again.
 
@@ -188,8 +189,8 @@ def with_scatter(result: Assimilation) -> tuple[Experiment | CollapseTime, ...]:
     if not shots:
         return batch.experiments
     left = (batch.mean - best.prediction)[rows, 0]
-    square = torch.tensor([shot.whole_sd**2 for shot in shots], dtype=torch.float64)
-    stated = torch.tensor([shot.sd**2 for shot in shots], dtype=torch.float64)
+    square = tensor([shot.whole_sd**2 for shot in shots])
+    stated = tensor([shot.sd**2 for shot in shots])
     precision = best.nuisance_chol[rows].square().sum((-2, -1))  # trace, 3 without data
     slopes = square * (precision - 3.0).clamp_min(0.0)
     gel = len(best.mean) - float(best.chol.square().sum())

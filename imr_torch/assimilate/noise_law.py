@@ -24,6 +24,7 @@ from torch import Tensor
 from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.gauss_newton import NormalEquations, normal_equations
 from imr_torch.assimilate.posterior import Neighbourhood
+from imr_torch.float64 import eye, ones, zeros
 from imr_torch.observe import ExperimentBatch, Noise, NoiseLaws
 from imr_torch.observe.noise import TIE
 
@@ -167,13 +168,13 @@ def _variances(near: Neighbourhood, law: Noise, drifting: Noise) -> tuple[float,
     by_gel, by_nuisance = (
         torch.where(batch.mask, 1.0 / sd, 0.0)[..., None] * x for x in near.slopes
     )
-    nuisance = torch.eye(by_nuisance.shape[-1], dtype=torch.float64) + by_nuisance.mT @ by_nuisance
+    nuisance = eye(by_nuisance.shape[-1]) + by_nuisance.mT @ by_nuisance
     own = by_gel - by_nuisance @ torch.linalg.solve(nuisance, by_nuisance.mT @ by_gel)
     gaps = (batch.times[:, :, None] - batch.times[:, None, :]).abs()
     moved = (true_sd / sd)[..., None] * own
     scatter = (moved.mT @ torch.exp(-gaps / drifting.correlation_time) @ moved).sum(0)
     told = (own.mT @ own).sum(0)
-    inverse = torch.linalg.inv(torch.eye(len(told), dtype=torch.float64) + told)
+    inverse = torch.linalg.inv(eye(len(told)) + told)
     return float((inverse @ scatter).trace()), float((inverse @ told).trace())
 
 
@@ -207,7 +208,7 @@ def law_of_repeats(batches: Sequence[ExperimentBatch], law: Noise) -> tuple[Nois
             replace(law, scale=1.0, floor=ratio * law.floor, correlation_time=time, widened=1.0)
             for ratio in _FLOORS
         ]
-        square, normaliser = torch.zeros(2, len(laws), dtype=torch.float64)
+        square, normaliser = zeros(2, len(laws))
         for batch in batches:
             sds = torch.stack([one.sd(batch.mean, batch.times) for one in laws])
             sds = torch.where(batch.mask, sds * batch.noise_factors, 1.0)
@@ -221,5 +222,5 @@ def law_of_repeats(batches: Sequence[ExperimentBatch], law: Noise) -> tuple[Nois
         if float(value[row]) > best:
             best = float(value[row])
             found = replace(laws[row], scale=math.sqrt(float(square[row]) / repeats))
-    one = torch.ones(1, dtype=torch.float64)
+    one = ones(1)
     return found, NoiseLaws((found,), one, one / math.sqrt(2.0 * repeats), of_residuals=False)

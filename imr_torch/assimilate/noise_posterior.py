@@ -16,6 +16,7 @@ from torch import Tensor
 
 from imr_torch.assimilate.noise_law import LocalNoise
 from imr_torch.assimilate.posterior import Neighbourhood
+from imr_torch.float64 import arange, tensor
 from imr_torch.observe import ExperimentBatch, Noise, NoiseLaws
 from imr_torch.types import BatchFrames
 
@@ -60,11 +61,11 @@ class NoiseNodes:
         """
         kept = torch.nonzero(known.weights >= share * known.weights.max())[:, 0]
         laws = tuple(known.laws[i] for i in kept.tolist())
-        steps = torch.arange(-reach, reach + 1, dtype=torch.float64)
+        steps = arange(-reach, reach + 1)
         log_factors = known.log_scale_sds[kept, None] * steps
         shares = torch.log_softmax(-0.5 * steps.square(), 0) + known.weights[kept, None].log()
         shares = shares - shares.flatten().logsumexp(0)
-        scales = torch.tensor([[law.scale] for law in laws], dtype=torch.float64)
+        scales = tensor([[law.scale] for law in laws])
         marginal = LocalNoise.of(near, laws).marginal(scales.log() + log_factors)
         return cls(
             laws, log_factors, shares - marginal + (shares + marginal).flatten().logsumexp(0)

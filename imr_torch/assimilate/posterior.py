@@ -15,6 +15,7 @@ from torch import Tensor
 
 from imr_torch.assimilate.forward import ForwardModel, Point
 from imr_torch.assimilate.gauss_newton import NormalEquations, normal_equations
+from imr_torch.float64 import eye
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import coarser
 from imr_torch.types import BatchFrames, Values
@@ -182,7 +183,7 @@ class Neighbourhood:
         """
         by_gel, by_nuisance = self.slopes
         own = by_nuisance[..., self.posterior.uncertain].movedim(-1, 0)  # S x E x T
-        apart = own * torch.eye(own.shape[1], dtype=torch.float64)[:, None, :, None]
+        apart = own * eye(own.shape[1])[:, None, :, None]
         return torch.cat((by_gel.movedim(-1, 0), apart.flatten(0, 1)))
 
     @cached_property

@@ -20,6 +20,7 @@ from imr_torch.assimilate.map_fit import assimilate_model
 from imr_torch.assimilate.options import CheckedOptions, SearchOptions
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import tensor
 from imr_torch.material import ModelBelief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
@@ -96,7 +97,7 @@ def profile(
     names: tuple[str, ...] = (),
     options: ProfileOptions | None = None,
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> tuple[Profile, ...]:
     """The profile likelihood of parameters at a fit.
 
@@ -157,7 +158,7 @@ def _profile_parameter(
     i: int,
     options: ProfileOptions,
     seed: int,
-    progress: Progress | None,
+    progress: Progress,
 ) -> Profile:
     """The profile of one parameter, followed to both sides until it has fallen by enough."""
     prior = fit.prior
@@ -196,7 +197,7 @@ def _profile_parameter(
                 progress(ProgressLine(text, stage="profile"))
             if last.cost - lowest > options.fall:
                 break
-    places = torch.tensor(sorted(found), dtype=torch.float64)
+    places = tensor(sorted(found))
     costs, converged = zip(*(found[place] for place in places.tolist()), strict=True)
     values = prior.marginals[i].to_physical(places).tolist()
     fall = [cost - min(costs) for cost in costs]
@@ -212,7 +213,7 @@ def _hold_parameter(prior: ModelBelief, i: int, control: float) -> ModelBelief:
     whole = prior.chol @ prior.chol.mT
     slope = whole[rest, i] / whole[i, i]
     covariance = whole[rest][:, rest] - torch.outer(slope, whole[i, rest])
-    value = prior.marginals[i].to_physical(torch.tensor(control, dtype=torch.float64))
+    value = prior.marginals[i].to_physical(tensor(control))
     return replace(
         prior,
         marginals=tuple(prior.marginals[j] for j in rest),

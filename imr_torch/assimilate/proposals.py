@@ -14,6 +14,7 @@ from jaxtyping import Float, Real
 from torch import Tensor
 
 from imr_torch.assimilate.importance import effective_size
+from imr_torch.float64 import randn, tensor
 from imr_torch.types import ControlMatrix, Controls, DrawnControls, DrawnValues, Values
 
 
@@ -136,12 +137,8 @@ def student_draws(
     """Independent draws of the standard multivariate Student t, in as many dimensions as the last
     of ``shape``.
     """
-    normal = torch.randn(*shape, generator=source, dtype=torch.float64)
-    squares = (
-        torch.randn(*shape[:-1], freedom, generator=source, dtype=torch.float64)
-        .square()
-        .sum(-1, keepdim=True)
-    )
+    normal = randn(*shape, generator=source)
+    squares = randn(*shape[:-1], freedom, generator=source).square().sum(-1, keepdim=True)
     return normal * (freedom / squares).sqrt()
 
 
@@ -163,7 +160,7 @@ def mixture_log_prob(
     """Log density of all proposals together, each in proportion to its draws: ``n`` tensor at ``n x
     d`` points.
     """
-    shares = torch.tensor(counts, dtype=torch.float64).log() - math.log(sum(counts))
+    shares = tensor(counts).log() - math.log(sum(counts))
     return torch.logsumexp(
         torch.stack([p.log_prob(points) for p in proposals]) + shares[:, None], dim=0
     )

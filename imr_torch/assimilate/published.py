@@ -22,6 +22,7 @@ from torch import Tensor
 
 from imr_torch.assimilate.options import PublishedOptions
 from imr_torch.errors import ConvergenceError
+from imr_torch.float64 import tensor
 from imr_torch.material import Belief, ModelBelief
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, predict
 from imr_torch.random import child
@@ -85,7 +86,7 @@ def assimilate_published(
     *,
     seed: int,
     options: PublishedOptions | None = None,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> tuple[PublishedFit, ...]:
     """Fit an ensemble of every model to one experiment by the published method.
 
@@ -130,7 +131,7 @@ def _fit_model(
     simulator: Simulator,
     options: PublishedOptions,
     seed: int,
-    progress: Progress | None,
+    progress: Progress,
 ) -> PublishedFit:
     """All cycles of one model."""
     precision = 1.0 / (batch.sd(batch.mean).square() * batch.mean.shape[1])[0]
@@ -195,7 +196,7 @@ def published_probabilities(fits: Sequence[PublishedFit]) -> Float[Tensor, "mode
     >>> round(float(published_probabilities(fits).sum()), 6)
     1.0
     """
-    logs = torch.tensor([fit.log_likelihood for fit in fits], dtype=torch.float64)
+    logs = tensor([fit.log_likelihood for fit in fits])
     return torch.softmax(logs, 0)
 
 

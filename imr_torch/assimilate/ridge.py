@@ -25,6 +25,7 @@ from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.options import CheckedOptions
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.assimilate.proposals import Kernels
+from imr_torch.float64 import tensor
 from imr_torch.types import ControlMatrix, Controls
 
 
@@ -203,7 +204,7 @@ def _place_kernels(points: list[_RidgePoint], options: RidgeOptions) -> Kernels:
     flat = across @ inside @ across.mT
     line = ways[:, :, None] * ways[:, None, :]
     chols = torch.linalg.cholesky(flat + (options.overlap * spacing).square()[:, None, None] * line)
-    cost = torch.tensor([p.cost + 0.5 * p.nuisance_log_det for p in points], dtype=torch.float64)
+    cost = tensor([p.cost + 0.5 * p.nuisance_log_det for p in points])
     weights = torch.softmax(
         0.5 * torch.linalg.slogdet(inside).logabsdet + spacing.log() - cost, dim=0
     )

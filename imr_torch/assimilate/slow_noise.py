@@ -18,6 +18,7 @@ from torch.distributions import MultivariateNormal
 
 from imr_torch.assimilate.matern import MATERN
 from imr_torch.assimilate.posterior import Neighbourhood
+from imr_torch.float64 import tensor
 from imr_torch.observe import collapse_time
 
 
@@ -103,5 +104,5 @@ def _cycle_phases(near: Neighbourhood) -> Tensor:
     ends = [collapse_time(t[m], r[m], 1) for t, r, m in rows]
     if not all(math.isfinite(end) for end in ends):
         return batch.times
-    lengths = torch.tensor(ends, dtype=torch.float64)
+    lengths = tensor(ends)
     return batch.times * (lengths.mean() / lengths)[:, None]

@@ -23,6 +23,7 @@ from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.options import SearchOptions
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.errors import ConvergenceError, ShapeError
+from imr_torch.float64 import randn
 from imr_torch.observe import collapse_time
 from imr_torch.types import ControlMatrix, Controls
 
@@ -38,7 +39,7 @@ def best_prior_draws(
 
     The prior mean is among them.
     """
-    draws = torch.randn(options.raw_samples, posterior.size, generator=source, dtype=torch.float64)
+    draws = randn(options.raw_samples, posterior.size, generator=source)
     draws[0] = 0.0
     batch = posterior.batch
     some = batch.experiments[:: -(-len(batch.experiments) // ENOUGH)]
@@ -110,7 +111,7 @@ def draw_perturbation(
 
     Where the data are sharp, a step on the prior's scale would lead to another local minimum.
     """
-    noise = torch.randn(chol.shape[0], generator=source, dtype=torch.float64)
+    noise = randn(chol.shape[0], generator=source)
     step = away * (chol @ noise)
     return step * (longest * noise.norm() / step.norm().clamp_min(1e-300)).clamp_max(1.0)
 

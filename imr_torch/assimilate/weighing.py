@@ -36,6 +36,7 @@ from imr_torch.assimilate.proposals import (
 )
 from imr_torch.assimilate.ridge import trace_ridge
 from imr_torch.errors import ConvergenceError, InputDataError
+from imr_torch.float64 import zeros
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
@@ -112,7 +113,7 @@ def weigh(
     drop_behind: float | None = None,
     options: WeighingOptions | None = None,
     noise: NoiseNodes | None = None,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> Assimilation:
     """Weigh draws about every fit by the exact posterior.
 
@@ -209,7 +210,7 @@ def _fit_again(
     states: list[_State],
     options: WeighingOptions,
     seed: int,
-    progress: Progress | None,
+    progress: Progress,
 ) -> None:
     """Replace fits by fits to lower minima that draws of the last round found."""
     best = min(state.fit.cost for state in states)
@@ -275,7 +276,7 @@ def _draw_round(state: _State, samples: int, seed: int, options: WeighingOptions
     source = generator(child(seed, "weigh", fit.model, state.drawn))
     controls = state.proposals[-1].draw_points(samples, source)
     if sure:
-        still = torch.zeros(samples, 1, *uncertain.shape, dtype=torch.float64)
+        still = zeros(samples, 1, *uncertain.shape)
         return _Draws(controls, still, still[..., 0])
     last = fit.sample
     worth_half = last is not None and last.effective_samples > len(last) / 2

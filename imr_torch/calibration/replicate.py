@@ -18,7 +18,6 @@ from torch import Tensor
 
 from imr_torch.assimilate import (
     FitOptions,
-    ImportanceSample,
     SearchOptions,
     assimilate_estimating_noise,
     noise_nodes,
@@ -26,13 +25,13 @@ from imr_torch.assimilate import (
 )
 from imr_torch.design import Plan
 from imr_torch.errors import ConvergenceError, ShapeError
+from imr_torch.float64 import rand, randn, tensor
 from imr_torch.material import Belief
 from imr_torch.observe import Experiment, ExperimentBatch, SimulatedLaboratory
 from imr_torch.random import child, generator
 from imr_torch.select import evidences, update
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Controls
 
 Learn = Callable[[tuple[Experiment, ...]], ExperimentBatch]
 
@@ -149,11 +148,14 @@ def calibrate(
         own = child(seed, "replicate", number)
         started = time.process_time()
         truth = _draw_truth(arrangement, own, simulator)
-        judged = (
-            _infer_replicate(arrangement, truth, own, simulator)
-            if infer is None
-            else _rank_draws(arrangement, truth, own, infer)
-        )
+        try:
+            judged = (
+                _infer_replicate(arrangement, truth, own, simulator)
+                if infer is None
+                else _rank_draws(arrangement, truth, own, infer)
+            )
+        except ConvergenceError as error:
+            judged = Replicate(0, truth.model, failure=str(error))
         yield replace(
             judged,
             number=number,
@@ -182,10 +184,7 @@ def _prepare_data(arrangement: Arrangement, truth: _Truth) -> ExperimentBatch:
 def _rank_draws(arrangement: Arrangement, truth: _Truth, seed: int, infer: Infer) -> Replicate:
     """Where the truth lies among the draws of a function."""
     part = arrangement.prior[truth.model]
-    try:
-        draws = infer(_prepare_data(arrangement, truth), truth.model, child(seed, "infer"))
-    except ConvergenceError as error:
-        return Replicate(0, truth.model, failure=str(error))
+    draws = infer(_prepare_data(arrangement, truth), truth.model, child(seed, "infer"))
     if (
         draws.ndim != 2
         or draws.shape[1] != len(part.names)
@@ -196,9 +195,7 @@ def _rank_draws(arrangement: Arrangement, truth: _Truth, seed: int, infer: Infer
             f"{len(part.names)} finite "
             f"numbers in the order {', '.join(part.names)}, SI."
         )
-    uniforms = torch.rand(
-        len(part.names), generator=generator(child(seed, "lots")), dtype=torch.float64
-    )
+    uniforms = rand(len(part.names), generator=generator(child(seed, "lots")))
     below = (draws < part.physical(part.unwhitened(truth.gel))).double().sum(0)
     places = (below + uniforms) / (len(draws) + 1.0)
     return Replicate(
@@ -211,32 +208,31 @@ def _infer_replicate(
 ) -> Replicate:
     """Result of the toolkit's own inference on one gel."""
     batch = _prepare_data(arrangement, truth)
-    try:
-        fitted = assimilate_estimating_noise(
-            arrangement.prior,
-            batch,
-            simulator,
-            rounds=arrangement.noise_rounds,
-            seed=child(seed, "fit"),
-            options=arrangement.options,
-            warn=False,
-        )
-        noise = noise_nodes(fitted, simulator) if arrangement.noise_rounds > 0 else None
-        result = weigh(
-            fitted, simulator, seed=child(seed, "weigh"), samples=arrangement.samples, noise=noise
-        )
-    except ConvergenceError as error:
-        return Replicate(0, truth.model, failure=str(error))
+    fitted = assimilate_estimating_noise(
+        arrangement.prior,
+        batch,
+        simulator,
+        rounds=arrangement.noise_rounds,
+        seed=child(seed, "fit"),
+        options=arrangement.options,
+        warn=False,
+    )
+    noise = noise_nodes(fitted, simulator) if arrangement.noise_rounds > 0 else None
+    result = weigh(
+        fitted, simulator, seed=child(seed, "weigh"), samples=arrangement.samples, noise=noise
+    )
     fit = result[truth.model]
     reported = fit.posterior
-    uniforms = torch.rand(
-        len(truth.gel), generator=generator(child(seed, "lots")), dtype=torch.float64
-    )
+    uniforms = rand(len(truth.gel), generator=generator(child(seed, "lots")))
     z = (truth.gel - fit.mean) / torch.linalg.norm(fit.chol, dim=1)
     away = fit.prior.unwhitened(truth.gel) - reported.mean
     z_reported = away / torch.linalg.norm(reported.chol, dim=1)
-    assert fit.sample is not None
-    places = _rank_truth(fit.sample, truth.gel, uniforms)
+    sample = fit.sample
+    assert sample is not None
+    # the truth counts as one more effective draw, of whose weight a uniform part is below
+    count = sample.effective_samples
+    below = sample.weights @ (sample.controls < truth.gel).double()
+    places = (count * below + uniforms) / (count + 1.0)
 
     def by_name(values: Tensor) -> dict[str, float]:
         return dict(zip(fit.prior.names, values.tolist(), strict=True))
@@ -262,9 +258,7 @@ def _draw_truth(arrangement: Arrangement, seed: int, simulator: Simulator) -> _T
     )
     part = prior.models[int(chosen)]
     for attempt in range(arrangement.attempts):
-        gel = torch.randn(
-            len(part.names), generator=generator(child(seed, "gel", attempt)), dtype=torch.float64
-        )
+        gel = randn(len(part.names), generator=generator(child(seed, "gel", attempt)))
         laboratory = SimulatedLaboratory(
             simulator,
             part.to_si(gel),
@@ -275,8 +269,8 @@ def _draw_truth(arrangement: Arrangement, seed: int, simulator: Simulator) -> _T
         )
         try:
             shots = [
-                laboratory.shoot(design, seed=own)
-                for design, own in _seeded_shots(arrangement, seed)
+                laboratory.shoot(tensor(design), seed=child(seed, "shoot", *filter(None, [number])))
+                for number, design in enumerate(arrangement.designs)
             ]
         except ConvergenceError:
             continue
@@ -285,23 +279,3 @@ def _draw_truth(arrangement: Arrangement, seed: int, simulator: Simulator) -> _T
         f"None of {arrangement.attempts} gels of the prior of {part.model!r} could be simulated at "
         f"{arrangement.designs}."
     )
-
-
-def _seeded_shots(arrangement: Arrangement, seed: int) -> Iterator[tuple[Tensor, int]]:
-    """Each design with the seed of its noise."""
-    for number, design in enumerate(arrangement.designs):
-        yield (
-            torch.tensor(design, dtype=torch.float64),
-            child(seed, "shoot", number) if number else child(seed, "shoot"),
-        )
-
-
-def _rank_truth(sample: ImportanceSample, gel: Controls, uniforms: Controls) -> Controls:
-    """Rank of the truth in a posterior, between 0 and 1, uniform if the inference is calibrated.
-
-    The weight of the draws below the truth, with the truth counted as one more effective draw: the
-    fraction ``uniforms`` of its weight, a uniform random number, counts as below.
-    """
-    count = sample.effective_samples
-    below = sample.weights @ (sample.controls < gel).double()
-    return (count * below + uniforms) / (count + 1.0)

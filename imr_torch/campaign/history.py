@@ -8,13 +8,13 @@ from collections import defaultdict
 from dataclasses import dataclass, field
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from imr_torch.campaign.journal import REMEDY, Journal, differing_names
 from imr_torch.campaign.learners import Finding, Inference
 from imr_torch.campaign.policies import Proposal
 from imr_torch.errors import ImrError, InputDataError
+from imr_torch.float64 import tensor
 from imr_torch.material import Belief
 from imr_torch.observe import Experiment, Noise
 from imr_torch.population import GaussianShots
@@ -108,7 +108,7 @@ class History:
                 "reason": str(reason),
                 "evaluations": list(),
             }:
-                design = torch.tensor([weber, rest], dtype=torch.float64)
+                design = tensor([weber, rest])
                 self.asked[step] = Ask(event, Proposal(step, design, gain, sd, reason=reason))
             case {"event": "failed", "step": int(step), "label": str(), "reason": str()}:
                 if ask := self.asked.get(step):

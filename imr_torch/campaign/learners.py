@@ -142,7 +142,7 @@ class Learner(Protocol):
         ...
 
     def infer_belief(
-        self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None
+        self, observations: Observations, simulator: Simulator, *, progress: Progress = None
     ) -> Inference:
         """Infer the belief after all experiments; a function of the observations alone."""
         ...
@@ -181,7 +181,7 @@ class ExactLearner:
         """See :class:`Learner`; all are taken."""
 
     def infer_belief(
-        self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None
+        self, observations: Observations, simulator: Simulator, *, progress: Progress = None
     ) -> Inference:
         """See :class:`Learner`."""
         number = len(observations.batch.experiments)
@@ -238,7 +238,7 @@ class PaperLearner:
             )
 
     def infer_belief(
-        self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None
+        self, observations: Observations, simulator: Simulator, *, progress: Progress = None
     ) -> Inference:
         """See :class:`Learner`. Raises as :meth:`check_batch` does."""
         batch = observations.batch

@@ -29,6 +29,7 @@ from imr_torch.campaign.stopping import CampaignState
 from imr_torch.design import DesignSearch, InformationGain, Plan, SearchSettings
 from imr_torch.errors import ImrError, InputDataError
 from imr_torch.files import without_nonfinite
+from imr_torch.float64 import tensor
 from imr_torch.material import Belief
 from imr_torch.observe import Experiment, ExperimentBatch
 from imr_torch.simulate import Simulator, described
@@ -172,7 +173,7 @@ class Campaign:
             lost.pop(curve_hash(experiment), None)
         return tuple(lost.values())
 
-    def ask(self, *, progress: Progress | None = None) -> Proposal:
+    def ask(self, *, progress: Progress = None) -> Proposal:
         """The design that the policy chooses under the present belief.
 
         A design that was asked before and not yet told is given again without another search,
@@ -182,7 +183,7 @@ class Campaign:
         return self.ask_several(1, progress=progress)[0]
 
     @one_torch_thread()
-    def ask_several(self, q: int, *, progress: Progress | None = None) -> tuple[Proposal, ...]:
+    def ask_several(self, q: int, *, progress: Progress = None) -> tuple[Proposal, ...]:
         """Designs to prepare together: each chosen with those before it pending, all under the
         present belief.
 
@@ -221,7 +222,7 @@ class Campaign:
         return [event for event in self.journal.events if event["event"] == "failed"]
 
     def _propose_design(
-        self, number: int, before: Sequence[Proposal], progress: Progress | None
+        self, number: int, before: Sequence[Proposal], progress: Progress
     ) -> Proposal:
         """The proposal of one step beside those before it, from the journal if it was made already."""
         known = self._history.standing_ask(number)
@@ -270,14 +271,14 @@ class Campaign:
             return None
         record = known.event
         rows = [dict(row) for row in record["evaluations"]]
-        designs = torch.tensor([row.pop("design") for row in rows], dtype=torch.float64)
+        designs = tensor([row.pop("design") for row in rows])
         gains = [InformationGain.from_dict(row) for row in rows]
         pending = InformationGain.from_dict(record["pending"]) if record["pending"] else None
         settings = SearchSettings(**record["search"])
         return settings.finish_search(self.settings.space, designs, gains, pending)
 
     @one_torch_thread()
-    def tell(self, *experiments: Experiment, progress: Progress | None = None) -> Step:
+    def tell(self, *experiments: Experiment, progress: Progress = None) -> Step:
         """Record what was measured, with its achieved design, and update the belief.
 
         Experiments enter the journal together, by one line, once they are known to be new and could
@@ -318,7 +319,7 @@ class Campaign:
             self._record_event("observed", step=numbers[-1], experiments=records)
             return self.learn_outstanding(progress=progress)
 
-    def forget(self, number: int, *, progress: Progress | None = None) -> Step | None:
+    def forget(self, number: int, *, progress: Progress = None) -> Step | None:
         """Take an experiment out of the belief and learn from the others; its curve and its line in
         the journal stay.
 
@@ -364,7 +365,7 @@ class Campaign:
             self._catch_up(progress)
         return self.steps[-1] if self.steps else None
 
-    def _catch_up(self, progress: Progress | None) -> None:
+    def _catch_up(self, progress: Progress) -> None:
         """Learn from what was told and not learnt."""
         if waiting := self.outstanding:
             if progress:
@@ -372,7 +373,7 @@ class Campaign:
             self.learn_outstanding(progress=progress)
 
     @one_torch_thread()
-    def learn_outstanding(self, *, progress: Progress | None = None) -> Step:
+    def learn_outstanding(self, *, progress: Progress = None) -> Step:
         """Learn from all experiments so far and record the belief, unless that was done; what
         :meth:`tell` does last.
 
@@ -426,7 +427,7 @@ class Campaign:
         designs: int,
         *,
         q: int = 1,
-        progress: Progress | None = None,
+        progress: Progress = None,
     ) -> Sequence[Step]:
         """Ask and shoot until ``designs`` experiments are told, or the stopping rule has a reason
         to end.
@@ -456,7 +457,7 @@ class Campaign:
                 )
         return self.steps
 
-    def _end_campaign(self, reason: str, progress: Progress | None) -> Sequence[Step]:
+    def _end_campaign(self, reason: str, progress: Progress) -> Sequence[Step]:
         """Write down why the campaign is over, once."""
         if self.journal.find_event("stop", self.told) is None:
             self._record_event("stop", step=self.told, reason=reason)

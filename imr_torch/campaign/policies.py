@@ -9,7 +9,6 @@ same one. Baselines cost nothing and estimate no gain.
 from dataclasses import dataclass, field
 from typing import Protocol
 
-import torch
 from botorch.utils.sampling import draw_sobol_samples
 from jaxtyping import Float
 from torch import Tensor
@@ -27,6 +26,7 @@ from imr_torch.design import (
     search_design,
 )
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import rand, tensor
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.population import GaussianShots
@@ -113,7 +113,7 @@ class DesignPolicy(Protocol):
     >>> policy: DesignPolicy = Largest()
     """
 
-    def choose_design(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
+    def choose_design(self, situation: Situation, *, progress: Progress = None) -> Proposal:
         """The next design, a function of the situation alone."""
         ...
 
@@ -161,7 +161,7 @@ class Optimal:
         if self.batch < 1:
             raise InputDataError(f"Optimal.batch is {self.batch}; expected at least 1.")
 
-    def choose_design(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
+    def choose_design(self, situation: Situation, *, progress: Progress = None) -> Proposal:
         """See :class:`DesignPolicy`."""
         acquisition = ExpectedInformationGain(
             situation.belief,
@@ -211,12 +211,12 @@ class Random:
     (True, None)
     """
 
-    def choose_design(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
+    def choose_design(self, situation: Situation, *, progress: Progress = None) -> Proposal:
         """See :class:`DesignPolicy`."""
         space = situation.space
         source = generator(child(situation.seed, "random design", situation.number))
         low, high = space.bounds
-        drawn = low + (high - low) * torch.rand(1, 2, generator=source, dtype=torch.float64)
+        drawn = low + (high - low) * rand(1, 2, generator=source)
         return Proposal(situation.number, drawn[0])
 
 
@@ -234,7 +234,7 @@ class SpaceFilling:
     (True, None)
     """
 
-    def choose_design(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
+    def choose_design(self, situation: Situation, *, progress: Progress = None) -> Proposal:
         """See :class:`DesignPolicy`."""
         seed = child(situation.seed, "space-filling") % 2**31
         points = draw_sobol_samples(situation.space.bounds, n=situation.number, q=1, seed=seed)
@@ -262,9 +262,9 @@ class Fixed:
     def __post_init__(self) -> None:
         if not self.designs:
             raise InputDataError("Fixed.designs is empty; name at least one (We, R_inf*).")
-        check_designs(torch.tensor(self.designs, dtype=torch.float64))
+        check_designs(tensor(self.designs))
 
-    def choose_design(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
+    def choose_design(self, situation: Situation, *, progress: Progress = None) -> Proposal:
         """See :class:`DesignPolicy`.
 
         Raises:
@@ -276,6 +276,6 @@ class Fixed:
                 "asked for; "
                 "ask for fewer experiments, or start a campaign with a longer list."
             )
-        design = torch.tensor(self.designs[situation.number - 1], dtype=torch.float64)
+        design = tensor(self.designs[situation.number - 1])
         situation.space.check_inside(design)
         return Proposal(situation.number, design)

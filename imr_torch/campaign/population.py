@@ -18,6 +18,7 @@ from imr_torch.campaign.policies import Optimal, Proposal, Situation
 from imr_torch.design import PopulationInformation
 from imr_torch.errors import InputDataError
 from imr_torch.files import without_nonfinite
+from imr_torch.float64 import arange
 from imr_torch.material import Belief, ModelBelief
 from imr_torch.material.belief import even_belief
 from imr_torch.observe import Experiment, ExperimentBatch
@@ -70,7 +71,7 @@ class PopulationLearner:
             )
 
     def infer_belief(
-        self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None
+        self, observations: Observations, simulator: Simulator, *, progress: Progress = None
     ) -> Inference:
         """See :class:`imr_torch.campaign.Learner`.
 
@@ -135,7 +136,7 @@ class LearnPopulation:
 
     search: Optimal = field(default_factory=Optimal)
 
-    def choose_design(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
+    def choose_design(self, situation: Situation, *, progress: Progress = None) -> Proposal:
         """See :class:`imr_torch.campaign.DesignPolicy`.
 
         Raises:
@@ -171,7 +172,7 @@ def information_about(
         scatters: that the gain is averaged over.
     """
     grid = grid_scatters(shots, prior, scatter_scales(prior))
-    levels = (torch.arange(scatters, dtype=torch.float64) + 0.5) / scatters
+    levels = (arange(scatters) + 0.5) / scatters
     scatter = grid.middle[
         torch.searchsorted(grid.weights.cumsum(0), levels).clamp_max(len(grid.middle) - 1)
     ]

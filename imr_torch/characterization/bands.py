@@ -7,6 +7,7 @@ from torch import Tensor
 
 from imr_torch.assimilate import Assimilation
 from imr_torch.files import Document, drawn_numbers
+from imr_torch.float64 import arange
 from imr_torch.material import Belief
 from imr_torch.material.model_belief import LEVELS
 from imr_torch.observe import predict
@@ -58,7 +59,7 @@ def predictive_band(
     shifts = (fit.nuisances * batch.nuisance_sds).expand(draws, -1, -1)
     prediction = predict(simulator, part.parameters(controls), batch, shifts, times=times)
     # noise at its quantiles, not at random numbers, so that the band is smooth
-    levels = (torch.arange(noise_levels, dtype=torch.float64) + 0.5) / noise_levels
+    levels = (arange(noise_levels) + 0.5) / noise_levels
     noise = torch.special.ndtri(levels)
     laws = None if fit.sample is None else fit.sample.noise_laws(draws)
     if laws is None:

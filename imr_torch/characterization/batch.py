@@ -184,7 +184,7 @@ def run_batch(
     options: BatchOptions,
     executor: Pool | None = None,
     window: int = 64,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> BatchSummary:
     """Characterise every file, and go on where an earlier run into the same folder was cut off.
 

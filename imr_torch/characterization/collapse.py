@@ -4,10 +4,9 @@ residuals.
 
 from collections.abc import Sequence
 
-import torch
-
 from imr_torch.assimilate import ModelFit
 from imr_torch.files import Document
+from imr_torch.float64 import tensor
 from imr_torch.observe import CollapseTime, ExperimentBatch
 from imr_torch.observe.collapse import serial_correlation
 from imr_torch.units import Surroundings
@@ -50,9 +49,9 @@ def find_patterns(
     said = []
     if len(shots) < fewest:
         return []
-    left = torch.tensor([x["t_star"] - x["predicted"] for x in shots], dtype=torch.float64)
+    left = tensor([x["t_star"] - x["predicted"] for x in shots])
     for key, words in (("Rmax_m", "maximum radius"), ("R_inf*", "stretch")):
-        order = torch.tensor([x[key] for x in shots], dtype=torch.float64)
+        order = tensor([x[key] for x in shots])
         found = serial_correlation(left, order)
         if found > largest:
             said.append(

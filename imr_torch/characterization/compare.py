@@ -19,6 +19,7 @@ from imr_torch.characterization.saved import SavedCharacterization, WeightedDraw
 from imr_torch.document import header
 from imr_torch.errors import InputDataError
 from imr_torch.files import Document
+from imr_torch.float64 import tensor
 from imr_torch.material import ModelBelief
 from imr_torch.material.model_belief import LEVELS
 from imr_torch.population.result import DECISIVE
@@ -187,7 +188,7 @@ def _compare_parameter(name: str, a: WeightedDraws, b: WeightedDraws) -> Paramet
     difference = (first[:, None] - second).flatten()
     ratio = (first[:, None] / second).flatten()
     greater = float((weights * ((difference > 0.0).double() + 0.5 * (difference == 0.0))).sum())
-    levels = torch.tensor(LEVELS, dtype=torch.float64)
+    levels = tensor(LEVELS)
     quantiles = [weighted_quantiles(values, weights, levels) for values in (ratio, difference)]
     return ParameterComparison(name, min(greater, 1.0), *torch.cat(quantiles).tolist())
 
@@ -261,7 +262,7 @@ def _log_bayes_factor(
     if not terms:
         return None, "no model is probable for both gels"
     about = f"over {', '.join(models)}" if every else f"within {models[0]}"
-    return float(torch.logsumexp(torch.tensor(terms, dtype=torch.float64), 0)), about
+    return float(torch.logsumexp(tensor(terms), 0)), about
 
 
 def _gaussian_factor(a: ModelBelief, b: ModelBelief, prior: ModelBelief) -> float | None:

@@ -81,7 +81,7 @@ def characterize(
     over_time: bool = False,
     scatter_scale: float = SCALE,
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> Characterization:
     """Infer properties and model probabilities from measured curves of one gel.
 
@@ -276,7 +276,7 @@ def _fit_models(
     options: FitOptions | None,
     effort: Effort,
     seed: int,
-    progress: Progress | None,
+    progress: Progress,
 ) -> Assimilation:
     """All models fitted to data, with weighted draws."""
     fits = assimilate_estimating_noise(

@@ -19,7 +19,7 @@ def make_profiles(
     *,
     least: float = 0.05,
     seed: int,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> dict[str, tuple[Profile, ...]]:
     """The profiles of each model that holds .05 of the probability or more, at the estimated noise;
     the most probable first.
@@ -50,19 +50,20 @@ def make_profiles(
 
 def document_profiles(found: Mapping[str, tuple[Profile, ...]] | None) -> Document | None:
     """Model -> parameter -> its profile, JSON-ready; None where none was asked for."""
-    if found is None:
-        return None
-    return {
-        key: {own.name: _document_profile(own) for own in profiles}
-        for key, profiles in found.items()
-    }
-
-
-def _document_profile(found: Profile) -> Document:
-    return {
-        "values": list(found.values),
-        "nats_lost": list(found.fall),
-        "converged": list(found.converged),
-        "limits_95": list(found.limits),
-        "bounded": found.bounded,
-    }
+    return (
+        None
+        if found is None
+        else {
+            key: {
+                own.name: {
+                    "values": list(own.values),
+                    "nats_lost": list(own.fall),
+                    "converged": list(own.converged),
+                    "limits_95": list(own.limits),
+                    "bounded": own.bounded,
+                }
+                for own in profiles
+            }
+            for key, profiles in found.items()
+        }
+    )

@@ -15,6 +15,7 @@ import torch
 from imr_torch.assimilate import Assimilation
 from imr_torch.errors import InputDataError, UnsupportedError
 from imr_torch.files import Document, read_json, write_atomically
+from imr_torch.float64 import tensor
 from imr_torch.material import PARAMETERS, Belief
 from imr_torch.types import DrawnControls, DrawnValues
 
@@ -163,10 +164,8 @@ class SavedCharacterization:
             equal = torch.full((len(values),), 1.0 / len(values), dtype=values.dtype)
             return WeightedDraws(part.names, values, equal, False)
         try:
-            values = torch.tensor(
-                [entry["values"][name] for name in part.names], dtype=torch.float64
-            ).mT
-            weights = torch.tensor(entry["weights"], dtype=torch.float64)
+            values = tensor([entry["values"][name] for name in part.names]).mT
+            weights = tensor(entry["weights"])
             whole = weights.shape == values.shape[:1] and bool((weights >= 0.0).all())
             if not (whole and float(weights.sum()) > 0.0):
                 raise ValueError("no weights that fit them")

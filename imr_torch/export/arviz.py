@@ -18,6 +18,7 @@ from torch import Tensor
 from imr_torch.assimilate import Assimilation, ModelFit
 from imr_torch.errors import InputDataError, UnsupportedError
 from imr_torch.export.frames import predict_frames
+from imr_torch.float64 import randn
 from imr_torch.material import PARAMETERS, Belief, ModelBelief
 from imr_torch.observe import NUISANCES, ExperimentBatch
 from imr_torch.random import child, generator
@@ -145,7 +146,7 @@ def _list_fit_groups(
     sample = fit.sample
     source = generator(seed)
     if sample is None:
-        noise = torch.randn(draws, len(fit.mean), generator=source, dtype=torch.float64)
+        noise = randn(draws, len(fit.mean), generator=source)
         controls = fit.mean + noise @ fit.chol.mT
         return {"posterior": _list_parameters(fit.prior, fit.prior.unwhitened(controls))} | data
     chosen = sample.resample_draws(draws, source)

@@ -17,6 +17,7 @@ from torch import Tensor
 from torch.distributions import Distribution, constraints
 
 from imr_torch.errors import InputDataError, ShapeError
+from imr_torch.float64 import ones, randn
 from imr_torch.material import ModelBelief
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, predict
 from imr_torch.random import SeedLike, generator
@@ -79,7 +80,7 @@ class ModelPrior(Distribution):
 
     def sample(self, sample_shape: Sequence[int] = ()) -> Float[Tensor, "*sample controls"]:
         """``sample_shape x d`` draws, from torch's global generator as the contract has it."""
-        noise = torch.randn(*sample_shape, len(self.belief.names), dtype=torch.float64)
+        noise = randn(*sample_shape, len(self.belief.names))
         return self.belief.physical(self.belief.unwhitened(noise)).to(self.dtype)
 
     def log_prob(self, value: BatchControls) -> Values:
@@ -145,11 +146,11 @@ class SbiSimulator:
         batch = self.batch
         source = generator(self.seed)
         shape = (len(values), *batch.times.shape)
-        shifts = torch.randn(*shape[:2], 3, generator=source, dtype=torch.float64)
+        shifts = randn(*shape[:2], 3, generator=source)
         shifts = shifts * batch.nuisance_sds
         moved = shifts if bool((shifts != 0.0).any()) else None
         clean = predict(self.simulator, parameters, batch, moved)
-        noise = torch.randn(shape, generator=source, dtype=torch.float64)
+        noise = randn(shape, generator=source)
         sd = batch.noise.sd(clean, batch.times) * batch.noise_factors
         seen = (clean + sd * batch.noise.correlated(noise, batch.times, batch.mask)).flatten(1)
         seen = torch.where(seen.isnan().any(1, keepdim=True), torch.nan, seen)
@@ -202,7 +203,7 @@ def sbi_simulator(
         )
     if dtype not in (torch.float32, torch.float64):
         raise InputDataError(f"dtype is {dtype}; expected torch.float32 or torch.float64.")
-    blank = torch.ones(1, len(times), dtype=torch.float64)
+    blank = ones(1, len(times))
     shots = tuple(
         Experiment(
             f"design {i + 1}", (weber, rest), times.to(torch.float64), blank, nuisance or Nuisance()

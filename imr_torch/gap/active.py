@@ -62,7 +62,7 @@ class CauseLearner:
         """See :class:`imr_torch.campaign.Learner`; all are taken."""
 
     def infer_belief(
-        self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None
+        self, observations: Observations, simulator: Simulator, *, progress: Progress = None
     ) -> Inference:
         """See :class:`imr_torch.campaign.Learner`.
 
@@ -85,7 +85,7 @@ class CauseLearner:
         simulator: Simulator,
         seed: int,
         *,
-        progress: Progress | None = None,
+        progress: Progress = None,
     ) -> GapReport:
         """The diagnosis of all experiments so far; not made again if it is the last that this
         process made.
@@ -161,7 +161,7 @@ class TellCausesApart:
                 "more of each."
             )
 
-    def choose_design(self, situation: Situation, *, progress: Progress | None = None) -> Proposal:
+    def choose_design(self, situation: Situation, *, progress: Progress = None) -> Proposal:
         """See :class:`imr_torch.campaign.DesignPolicy`.
 
         Raises:
@@ -196,7 +196,7 @@ class TellCausesApart:
         report: GapReport,
         cause: Attribution,
         situation: Situation,
-        progress: Progress | None,
+        progress: Progress,
     ) -> Proposal:
         """The design that tells the remaining causes apart."""
         found = identity_design(

@@ -15,8 +15,6 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import accumulate
 
-import torch
-
 from imr_torch.assimilate import ModelFit, SearchOptions
 from imr_torch.assimilate.slow_noise import SmoothDeviations, smooth_deviations
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
@@ -188,7 +186,7 @@ def attribute(
     seed: int,
     alone: Sequence[ModelFit] = (),
     masked: float = 1.0,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> Attribution:
     """Fit all hypotheses with one part more and compute their probabilities.
 
@@ -305,7 +303,7 @@ class _Round:
         self.null = self.fits[self.held.name]
         self.batch = self.held.seen(self.inquiry.batch)
 
-    def conclude(self, seed: int, progress: Progress | None = None) -> Attribution:
+    def conclude(self, seed: int, progress: Progress = None) -> Attribution:
         """What the evidence of the fits and the winner's adequacy say."""
         inquiry = self.inquiry
         self._find_winner((), seed, progress)
@@ -336,7 +334,10 @@ class _Round:
         size = math.sqrt(max(2.0 * (self.null.cost - fit.cost), 0.0))
         like = self.before.likeness(size, seed=seed)
         bayes_factor = like.bayes_factor(left.test.p_value)
-        smooth = self._smooth_deviations()
+        laws = self.batch.noise_laws
+        smooth = None  # where the noise is known, slow noise included
+        if laws is not None and laws.of_residuals:
+            smooth = smooth_deviations(self.null.linearise(self.batch, inquiry.simulator))
         at_odds = {odds: self._posterior(odds, bayes_factor, smooth) for odds in ODDS}
         return Attribution(
             self.held,
@@ -356,7 +357,7 @@ class _Round:
         longer = [name for name in self.evidence if name != self.held.name]
         return max(longer, key=lambda name: self.evidence[name])
 
-    def _find_winner(self, sampled: Collection[str], seed: int, progress: Progress | None) -> None:
+    def _find_winner(self, sampled: Collection[str], seed: int, progress: Progress) -> None:
         """Continue the fit of the leader until the leader's has converged.
 
         One that does not converge loses its evidence and is left out; evidence that was ``sampled``
@@ -385,16 +386,6 @@ class _Round:
                 self.left_out += (leader,)
                 del self.evidence[leader]
 
-    def _smooth_deviations(self) -> SmoothDeviations | None:
-        """Evidence for smooth deviations of the curves beside what is held.
-
-        None where the noise is known, slow noise included.
-        """
-        laws = self.batch.noise_laws
-        if laws is None or not laws.of_residuals:
-            return None
-        return smooth_deviations(self.null.linearise(self.batch, self.inquiry.simulator))
-
     def _posterior(
         self, odds: float, bayes_factor: float, smooth: SmoothDeviations | None
     ) -> dict[str, float]:
@@ -403,7 +394,8 @@ class _Round:
         families = {h.name: kinds.get(part, part) for part, h in self.longer.items()}
         laws = self.batch.noise_laws
         log_scales = [0.0] if laws is None else laws.log_scales(_SCALES_OF_NOISE).tolist()
-        squares = {name: self._square(fit) for name, fit in self.fits.items()}
+        data = self.inquiry.batch
+        squares = {n: min(1e300, data.square(fit.prediction)) for n, fit in self.fits.items()}
         each = []
         for log_scale in log_scales:
             # nats that a larger noise gives back of each squared residual
@@ -423,10 +415,3 @@ class _Round:
                 )
             )
         return {name: sum(one[name] for one in each) / len(each) for name in each[0]}
-
-    def _square(self, fit: ModelFit) -> float:
-        """Whitened squared residual of a fit."""
-        batch = self.inquiry.batch
-        residual = torch.where(batch.mask, batch.mean - fit.prediction, 0.0).nan_to_num()
-        whitened = batch.whiten(residual, batch.sd(fit.prediction))
-        return float(whitened.square().sum().nan_to_num(1e300))

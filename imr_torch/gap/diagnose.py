@@ -44,7 +44,6 @@ class GapReport(Finding):
         null: the base model's fit.
         left: the gap test at that fit, with local sensitivities and what each effect changes.
         seconds: wall time.
-        alone: the base model's fit of each experiment by itself, where gels may differ.
         spoilt: label of a curve -> numbers of the frames that single errors of the camera have
             spoilt, which are left out.
 
@@ -64,7 +63,6 @@ class GapReport(Finding):
     null: ModelFit
     left: Adequacy
     seconds: float
-    alone: tuple[ModelFit, ...] = ()
     spoilt: Mapping[str, Sequence[int]] = field(default_factory=dict)
 
     @property
@@ -104,7 +102,7 @@ def diagnose(
     simulator: Simulator | None = None,
     most: int = 2,
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> GapReport:
     """Diagnose the gap between a base model and data.
 
@@ -157,15 +155,14 @@ def diagnose(
         text = f"gap test: {p_value(gap.p_value)}, leading block {gap.blocks[0].name}"
         progress(ProgressLine(text, stage="effects"))
 
-    alone = tuple[ModelFit, ...]()
     reason = "No block of the gap test rejects the base model."
     found = Finding("none", (), reason, Hypothesis(base), null)
     if not null.certificate.usable:
         reason = f"The base model's fit did not converge: {null.certificate}."
         found = replace(found, verdict="undecided", reason=reason)
     elif gap.found:
-        if may_differ(batch):
-            alone = fit_alone(null, batch, simulator, seed=child(seed, "alone"))
+        own = child(seed, "alone")
+        alone = fit_alone(null, batch, simulator, seed=own) if may_differ(batch) else ()
         inquiry = Inquiry(base, effects, batch, simulator)
         found = select_causes(inquiry, null, left, most, alone=alone, seed=seed, progress=progress)
     return GapReport(
@@ -174,7 +171,6 @@ def diagnose(
         null=null,
         left=left,
         seconds=time.perf_counter() - start,
-        alone=alone,
         spoilt=frames_left_out(experiments, batch.curves),
     )
 
@@ -186,7 +182,7 @@ def _with_inferred_noise(
     simulator: Simulator,
     *,
     seed: int,
-    progress: Progress | None,
+    progress: Progress,
 ) -> tuple[ModelFit, ExperimentBatch]:
     """The base model's fit under the noise that is inferred about it, and the data with that noise."""
     for number in range(_NOISE_ROUNDS):

@@ -11,6 +11,7 @@ from functools import partial
 import torch
 
 from imr_torch.assimilate import ModelFit, SearchOptions, assimilate
+from imr_torch.float64 import randn
 from imr_torch.gap.hypotheses import (
     Hypothesis,
     finish,
@@ -42,9 +43,7 @@ def fit_alone(
     found = []
     for e, experiment in enumerate(batch.experiments):
         seed_here = child(seed, "alone", experiment.label)
-        beside = _APART * torch.randn(
-            2, len(fit.mean), generator=generator(seed_here), dtype=torch.float64
-        )
+        beside = _APART * randn(2, len(fit.mean), generator=generator(seed_here))
         starts = [torch.cat((fit.mean[None], fit.mean + beside))]
         one = replace(batch, experiments=(experiment,), between={})
         nuisances = [fit.nuisances[e : e + 1, : len(NUISANCES)]]

@@ -6,12 +6,10 @@ says and shows the same again.
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict
 from statistics import median
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.assimilate.dense import dense_curve
@@ -57,6 +55,10 @@ def to_json(
     'none'
     """
     parts = parts or Parts()
+    base = report.base
+    test = report.gap
+    when = parts.onset
+    acts = parts.acts
     document = {
         "gap": report.found,
         "verdict": report.verdict,
@@ -66,14 +68,21 @@ def to_json(
         "expected_loss": report.choice and report.choice.loss,
         "converged": report.converged,
         "null_usable": report.null.certificate.usable,
-        "model": _model(report),
-        **_test(report),
+        "model": {"key": base.model, "title": base.material.title, "known": dict(base.known)},
+        "p_gap": test.p_value,
+        "test_rejects": test.found,
+        "bias_sigma": test.bias_sigma,
+        "bias_R": test.bias_radius,
+        "tests": [
+            vars(b) | {"power": None if math.isnan(b.power) else b.power} for b in test.blocks
+        ],
         **_causes(report.attribution),
         "selected": list(report.selected.parts),
         "adequacy_p": report.adequacy_p,
         **_values(report, parts),
         "hidden": [vars(row) | {"sentence": hidden_sentence(vars(row))} for row in parts.hidden],
-        **_where(parts),
+        "onset": when and vars(when) | {"sentence": str(when)},
+        "acts": acts and {"shares": acts, "sentence": acts_sentence(acts)},
         "shrinkage": parts.shrinkage and _shrinkage(parts.shrinkage, report),
         "next_design": parts.next_design and _design(parts.next_design),
         "missing": parts.unknown and _missing(parts.unknown),
@@ -85,24 +94,6 @@ def to_json(
         "seconds": report.seconds,
     }
     return document | {"headline": headline(document), "next_step": next_step(document)}
-
-
-def _model(report: GapReport) -> dict[str, Any]:
-    base = report.base
-    return {"key": base.model, "title": base.material.title, "known": dict(base.known)}
-
-
-def _test(report: GapReport) -> dict[str, Any]:
-    test = report.gap
-    return {
-        "p_gap": test.p_value,
-        "test_rejects": test.found,
-        "bias_sigma": test.bias_sigma,
-        "bias_R": test.bias_radius,
-        "tests": [
-            vars(b) | {"power": None if math.isnan(b.power) else b.power} for b in test.blocks
-        ],
-    }
 
 
 def odds_text(odds: float) -> str:
@@ -117,41 +108,28 @@ def odds_text(odds: float) -> str:
 
 def _causes(found: Attribution | None) -> dict[str, Any]:
     """Probabilities and evidence of all causes; null without an attribution."""
-    names = (
-        "leading",
-        "posterior",
-        "explained_nats",
-        "unconverged",
-        "given_up",
-        "posterior_at_odds",
-        "verdict_odds",
-        "unknown",
-        "evidence_checks",
-        "credible_set",
-        "leading_adequacy_p",
-    )
-    if found is None:
-        return dict.fromkeys(names)
-    like = found.likeness
-    values = (
-        found.winner.name,
-        found.posterior,
-        found.explained,
-        list(found.unconverged),
-        list(found.given_up),
-        {odds_text(odds): own for odds, own in found.at_odds.items()},
-        odds_text(VERDICT_ODDS),
-        {
+    like = found and found.likeness
+    return {
+        "leading": found and found.winner.name,
+        "posterior": found and found.posterior,
+        "explained_nats": found and found.explained,
+        "unconverged": found and list(found.unconverged),
+        "given_up": found and list(found.given_up),
+        "posterior_at_odds": found
+        and {odds_text(odds): own for odds, own in found.at_odds.items()},
+        "verdict_odds": found and odds_text(VERDICT_ODDS),
+        "unknown": found
+        and like
+        and {
             "size_sd": like.size,
             "chance_look_alike": like.chance,
             "standard_error": like.error,
             "bayes_factor": like.bayes_factor(found.adequacy.p_value),
         },
-        {name: vars(checked) for name, checked in found.checked.items()},
-        list(found.credible_set()),
-        found.adequacy.p_value,
-    )
-    return dict(zip(names, values, strict=True))
+        "evidence_checks": found and {name: vars(own) for name, own in found.checked.items()},
+        "credible_set": found and list(found.credible_set()),
+        "leading_adequacy_p": found and found.adequacy.p_value,
+    }
 
 
 def _values(report: GapReport, parts: Parts) -> dict[str, Any]:
@@ -189,17 +167,6 @@ def _cause_values(report: GapReport, named: ModelFit) -> dict[str, dict[str, lis
         if names and holding:
             values[part] = _intervals(holding[0], names)
     return values
-
-
-def _where(parts: Parts) -> dict[str, Any]:
-    """Location of the gap."""
-    when = parts.onset
-    acts = parts.acts
-    return {
-        "onset": when and vars(when) | {"sentence": str(when)},
-        "acts": acts and {"shares": acts, "sentence": acts_sentence(acts)},
-        "experiments": parts.by_experiment and asdict(parts.by_experiment),
-    }
 
 
 def _shrinkage(found: Shrinkage, report: GapReport) -> dict[str, Any]:
@@ -281,15 +248,13 @@ def _curves(report: GapReport, simulator: Simulator | None) -> list[dict[str, An
                 "base": None,
                 "selected": None,
                 **{name: fit.prediction[e][seen].tolist() for name, (_, fit) in fits.items()},
-                "drawn": {name: _drawn(t[e], r[e]) for name, (t, r) in dense.items()},
+                "drawn": {
+                    name: {"t_star": drawn_numbers(t[e]), "R_star": drawn_numbers(r[e])}
+                    for name, (t, r) in dense.items()
+                },
             }
         )
     return rows
-
-
-def _drawn(times: Tensor, radius: Tensor) -> dict[str, list[float | None]]:
-    """A curve for JSON, which has no NaN."""
-    return {"t_star": drawn_numbers(times), "R_star": drawn_numbers(radius)}
 
 
 def _noise(report: GapReport) -> dict[str, Any]:

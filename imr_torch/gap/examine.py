@@ -7,16 +7,9 @@ from dataclasses import dataclass, replace
 
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap.diagnose import GapReport
-from imr_torch.gap.differing import fit_alone
 from imr_torch.gap.hidden import Hidden, hidden_effects
 from imr_torch.gap.identity_design import NextDesign, identity_design, plan_of
-from imr_torch.gap.locate import (
-    ByExperiment,
-    Onset,
-    by_experiment,
-    onset,
-    where_it_acts,
-)
+from imr_torch.gap.locate import Onset, onset, where_it_acts
 from imr_torch.gap.model_error import ModelError, model_error
 from imr_torch.gap.shrinkage import Shrinkage, shrinkage
 from imr_torch.gap.verdict import OTHER
@@ -37,7 +30,6 @@ class Parts:
     Args:
         onset: from when on the gap can be detected.
         acts: phase -> 5, 50, 95 % of its share of the signal of the named effects.
-        by_experiment: which experiments it lies in.
         shrinkage: how far it shrinks on curves that no fit saw.
         next_design: what to shoot to tell the causes apart that are still possible.
         model_error: parameters with what the model may lack.
@@ -51,7 +43,6 @@ class Parts:
 
     onset: Onset | None = None
     acts: dict[str, list[float]] | None = None
-    by_experiment: ByExperiment | None = None
     shrinkage: Shrinkage | None = None
     next_design: NextDesign | None = None
     model_error: ModelError | None = None
@@ -66,7 +57,7 @@ def examine(
     *,
     unseen: Sequence[Experiment] = (),
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> Parts:
     """All parts that a report allows; none where the base model's fit has not converged.
 
@@ -104,15 +95,11 @@ def examine(
         progress(
             ProgressLine("location, shrinkage, next design, what is missing", stage="location")
         )
-    alone = report.alone or fit_alone(
-        report.null, report.batch, simulator, seed=child(seed, "alone")
-    )
     judging = replace(report.batch, experiments=tuple(unseen)) if unseen else None
     return replace(
         parts,
         onset=onset(report.left, seed=child(seed, "onset")),
         acts=_acts(report, simulator, child(seed, "acts")),
-        by_experiment=by_experiment(report, simulator, alone, seed=child(seed, "experiments")),
         shrinkage=shrinkage(
             report, simulator, judging, seed=child(seed, "shrinkage"), progress=progress
         ),
@@ -142,7 +129,7 @@ def _acts(report: GapReport, simulator: Simulator, seed: int) -> dict[str, list[
 
 
 def _next(
-    report: GapReport, simulator: Simulator, seed: int, progress: Progress | None
+    report: GapReport, simulator: Simulator, seed: int, progress: Progress
 ) -> NextDesign | None:
     """The design that tells causes apart, by the data's own plan, where the leading one is not
     sure and a shot can.

@@ -80,9 +80,42 @@ def gap_figures(document: Document, *, curves: int | None = None) -> Iterator[Na
         section=TESTED,
     )
     if document["examined"]:
-        yield from _of_place(document)
-    if document["posterior"]:
-        yield _of_causes(document)
+        yield NamedFigure(
+            "phases",
+            "Residual of the base model by experiment and phase; 1 is noise alone. Where a residual "
+            "sits is not where its cause acts, because the fit spreads it.",
+            f"Map of residuals over {len(document['curves'])} experiments and five phases.",
+            partial(plot_phase_residual, document),
+            section=PLACE,
+        )
+        yield NamedFigure(
+            "onset",
+            "Refits to the frames up to each moment: the first that rejects the model is the first "
+            "detection.",
+            f"Line chart. {document['onset']['sentence']}",
+            partial(plot_onset, document["onset"]),
+            section=PLACE,
+        )
+        if document["acts"]:
+            yield NamedFigure(
+                "acts",
+                "Share of the signal of the named effects by phase, with its 90 % interval.",
+                f"Bar chart. {document['acts']['sentence']}",
+                partial(plot_acts, document["acts"]["shares"]),
+                section=PLACE,
+            )
+    if posterior := document["posterior"]:
+        top = max(posterior, key=posterior.__getitem__)
+        caption = "Probability of each cause."
+        alt = f"Bar chart of probabilities; the largest is that of {top}."
+        plot = partial(plot_causes, posterior)
+        if posterior.get("other", 0.0) > _ALL:  # what each explains by itself
+            caption = (
+                "What one part more explains; none is enough. Light: its fit did not converge."
+            )
+            alt = "Bar chart of log evidence gained."
+            plot = partial(plot_explained, document["explained_nats"], document["unconverged"])
+        yield NamedFigure("causes", caption, alt, plot, section=CAUSES)
     if (missing := document.get("missing")) and missing["shots"]:
         yield NamedFigure(
             "missing",
@@ -117,55 +150,6 @@ def gap_figures(document: Document, *, curves: int | None = None) -> Iterator[Na
             partial(plot_intervals, document),
             section=VERDICT,
         )
-
-
-def _of_place(document: Document) -> Iterator[NamedFigure]:
-    """Where the gap lies."""
-    yield NamedFigure(
-        "phases",
-        "Residual of the base model by experiment and phase; 1 is noise alone. Where a residual "
-        "sits is not where its cause acts, because the fit spreads it.",
-        f"Map of residuals over {len(document['curves'])} experiments and five phases.",
-        partial(plot_phase_residual, document),
-        section=PLACE,
-    )
-    yield NamedFigure(
-        "onset",
-        "Refits to the frames up to each moment: the first that rejects the model is the first "
-        "detection.",
-        f"Line chart. {document['onset']['sentence']}",
-        partial(plot_onset, document["onset"]),
-        section=PLACE,
-    )
-    if document["acts"]:
-        yield NamedFigure(
-            "acts",
-            "Share of the signal of the named effects by phase, with its 90 % interval.",
-            f"Bar chart. {document['acts']['sentence']}",
-            partial(plot_acts, document["acts"]["shares"]),
-            section=PLACE,
-        )
-
-
-def _of_causes(document: Document) -> NamedFigure:
-    """Probability of each cause; where none is known to be likely, what each explains by itself."""
-    posterior = document["posterior"]
-    if posterior.get("other", 0.0) > _ALL:
-        return NamedFigure(
-            "causes",
-            "What one part more explains; none is enough. Light: its fit did not converge.",
-            "Bar chart of log evidence gained.",
-            partial(plot_explained, document["explained_nats"], document["unconverged"]),
-            section=CAUSES,
-        )
-    top = max(posterior, key=posterior.__getitem__)
-    return NamedFigure(
-        "causes",
-        "Probability of each cause.",
-        f"Bar chart of probabilities; the largest is that of {top}.",
-        partial(plot_causes, posterior),
-        section=CAUSES,
-    )
 
 
 def _strength(p_value: float) -> float:
@@ -343,17 +327,13 @@ def plot_missing_states(shots: Sequence[Mapping[str, Any]], *, ax: Axes | None =
 
 def plot_shrinkage(found: Mapping[str, Any], *, ax: Axes | None = None) -> Axes:
     """Part of the gap on unseen curves that is gone, beside what random effects close."""
-    rows = {"all frames": found["share"], "after the first\nrebound": found["later"]}
-    rows = {name: share for name, share in rows.items() if share is not None}
-    ax = axes_or_new(ax, (5.2, 1.2 + 0.45 * len(rows)))
+    ax = axes_or_new(ax, (5.2, 1.6))
     high = max(found["placebo_95"], 0.0)
     ax.axvspan(0.0, high, color="#DDDDDD", lw=0, label="95 % of random libraries")
-    places = range(len(rows) - 1, -1, -1)
-    draw_intervals(ax, places, list(rows.values()), color=MODEL, capsize=3)
+    draw_intervals(ax, [0.0], found["share"], color=MODEL, capsize=3)
     for at in (0.0, 1.0):
         ax.axvline(at, color=DATA, lw=0.8)
-    ax.set_yticks(places, list(rows), fontsize=8)
-    ax.set(xlabel="part of the gap that is gone", ylim=(-0.5, len(rows) - 0.5))
+    ax.set(xlabel="part of the gap that is gone", ylim=(-0.5, 0.5), yticks=[])
     add_legend(ax, fontsize=7, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     return ax
 

@@ -19,6 +19,7 @@ from torch import Tensor
 from imr_torch.assimilate import ModelFit, Point, Posterior, SearchOptions
 from imr_torch.assimilate.basins import deeper_nuisances
 from imr_torch.assimilate.map_fit import assimilate_model
+from imr_torch.float64 import randn
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.hypotheses import (
@@ -53,7 +54,6 @@ class HeldOut:
         residual: ``n_t`` tensor, data less prediction.
         by_nuisance: ``n_t x c`` tensor, change of the prediction by each nuisance of the design,
             deviations of its gel among them where it has one of its own.
-        nuisances: ``c`` tensor, their values, in prior standard deviations.
         by_gel: ``n_t x d`` tensor, change of the prediction by each control of the training fit.
         line: local sensitivities there.
         converged: whether the training fit did.
@@ -62,7 +62,6 @@ class HeldOut:
     hypothesis: Hypothesis
     residual: FrameValues
     by_nuisance: Float[Tensor, "frames nuisances"]
-    nuisances: Float[Tensor, "nuisances"]
     by_gel: Float[Tensor, "frames controls"]
     line: Linearisation
     converged: bool
@@ -94,7 +93,7 @@ def judge_designs(
     unseen: ExperimentBatch | None = None,
     *,
     seed: int,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> list[Judged]:
     """Predictions of designs by fits that did not see them, without and with what was selected.
 
@@ -211,9 +210,7 @@ def _train(
     source = generator(seed)
     fits = {}
     for name, (hypothesis, fit) in known.items():
-        beside = _APART * torch.randn(
-            _OPTIONS.starts - 1, len(fit.mean), generator=source, dtype=torch.float64
-        )
+        beside = _APART * randn(_OPTIONS.starts - 1, len(fit.mean), generator=source)
         fits[name] = assimilate_model(
             Posterior(fit.prior, hypothesis.seen(training), simulator),
             Point(torch.cat((fit.mean[None], fit.mean + beside)), fit.nuisances[list(kept)]),
@@ -245,7 +242,6 @@ def held_out(
         hypothesis,
         line.residual[:data],
         line.fitted[:data, size:],
-        nuisances[0, (batch.nuisance_sds > 0.0).any(0)],
         line.fitted[:data, :size],
         line,
         fit.certificate.converged,

@@ -20,6 +20,7 @@ from torch import Tensor
 from imr_torch.assimilate import Assimilation, ModelFit, Point, Posterior, SearchOptions, assimilate
 from imr_torch.assimilate.fit import NEARLY, ONE_MINIMUM, PROMISED
 from imr_torch.assimilate.starts import draw_perturbation
+from imr_torch.float64 import tensor
 from imr_torch.material import Belief, Effect, ModelBelief
 from imr_torch.material.belief import even_belief
 from imr_torch.material.model_belief import add_parameters
@@ -117,7 +118,7 @@ class Hypothesis:
         rows = []
         for start in given.get(last.name, last.starts):
             for (name, prior), value in zip(last.priors.items(), start, strict=True):
-                known[name] = prior.to_control(torch.tensor(value, dtype=torch.float64))
+                known[name] = prior.to_control(tensor(value))
             rows.append(torch.stack([known[name] for name in belief.names]))
         return torch.stack(rows)
 
@@ -155,7 +156,7 @@ def fit_null(
     *,
     seed: int,
     near: ModelFit | None = None,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> ModelFit:
     """The base model with nuisances, from several starts, with its certificate, which the caller
     must check.
@@ -190,10 +191,7 @@ def lower(one: ModelFit, other: ModelFit, options: SearchOptions) -> ModelFit:
 
 
 def _reach(fit: ModelFit) -> float:
-    """The cost that a fit has or may get down to.
-
-    One that has no gradient is not iterated further.
-    """
+    """The cost that a fit has or may get down to."""
     return fit.cost - promised(fit) if math.isfinite(fit.certificate.gradient) else fit.cost
 
 
@@ -215,7 +213,7 @@ def fit_hypotheses(
     starts: Mapping[str, Sequence[Sequence[float]]] | None = None,
     options: SearchOptions | None = None,
     twice: int = LEADING,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> dict[str, ModelFit]:
     """Fit hypotheses that have the same nuisances in one batch, from the null fit.
 
@@ -285,7 +283,7 @@ def _descend(
     starts: Sequence[Tensor],
     nuisances: Sequence[Tensor],
     twice: int,
-    progress: Progress | None,
+    progress: Progress,
 ) -> list[ModelFit]:
     """Fits by coarse bubbles, then, of those not far behind, by the simulator's own from where
     these ended.
@@ -366,7 +364,7 @@ def finish(
     *,
     seed: int,
     options: SearchOptions | None = None,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> ModelFit:
     """Continue a fit that was cut short, from where it ended and from a point beside it.
 
@@ -415,7 +413,5 @@ def laplace_evidence(fit: ModelFit) -> float:
 
 def overdispersion(fit: ModelFit, batch: ExperimentBatch) -> float:
     """Chi squared per degree of freedom of a fit to the mean curves, at least 1."""
-    residual = torch.where(batch.mask, batch.mean - fit.prediction, 0.0)
-    square = batch.whiten(residual, batch.sd(fit.prediction)).square().sum()
     fitted = len(fit.mean) + fit.nuisances.numel()
-    return max(1.0, float(square) / max(1, int(batch.mask.sum()) - fitted))
+    return max(1.0, batch.square(fit.prediction) / max(1, int(batch.mask.sum()) - fitted))

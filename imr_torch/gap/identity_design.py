@@ -20,6 +20,7 @@ from imr_torch.assimilate import ModelFit
 from imr_torch.design import DesignSpace, ExpectedInformationGain, Laplace, Plan, search_design
 from imr_torch.design.response import Shot
 from imr_torch.errors import ConvergenceError, InputDataError
+from imr_torch.float64 import linspace, tensor
 from imr_torch.material import LIBRARY, Belief
 from imr_torch.observe import ExperimentBatch, Nuisance
 from imr_torch.random import child, generator
@@ -86,9 +87,9 @@ def plan_of(batch: ExperimentBatch) -> Plan:
     (3, 41, 2.0)
     """
     rows = [(e.times[0], e.times[-1], len(e.times), e.repeats) for e in batch.curves]
-    first, last, frames, repeats = torch.tensor(rows, dtype=torch.float64).median(0).values.tolist()
+    first, last, frames, repeats = tensor(rows).median(0).values.tolist()
     return Plan(
-        times=torch.linspace(first, last, round(frames), dtype=torch.float64),
+        times=linspace(first, last, round(frames)),
         repeats=round(repeats),
         noise=batch.noise,
         nuisance=Nuisance(*batch.nuisance_sds.median(0).values.tolist()),
@@ -137,7 +138,7 @@ def identity_design(
     space: DesignSpace | None = None,
     designs: int = 16,
     draws: int = 16,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> NextDesign:
     """The design that best tells the remaining causes apart.
 
@@ -235,7 +236,7 @@ def _stratified(values: list[Tensor], weights: Tensor) -> tuple[float, float]:
 
 
 def _belief(causes: Mapping[str, float], fits: Mapping[str, ModelFit]) -> Belief:
-    probabilities = torch.tensor(list(causes.values()), dtype=torch.float64)
+    probabilities = tensor(list(causes.values()))
     return Belief(tuple(fits[name].posterior for name in causes), probabilities.log())
 
 

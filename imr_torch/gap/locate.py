@@ -1,5 +1,4 @@
-"""Location of the gap: from when in the event on it can be detected, where its cause acts, and in
-which experiments it lies.
+"""Location of the gap: from when in the event on it can be detected, and where its cause acts.
 
 *When*: refit on the frames up to a moment and test; frames before an effect acts are free of it,
 whereas the residual of a fit to all frames is spread over them by the fit. The first moment that
@@ -7,9 +6,7 @@ rejects is the first at which the gap can be detected: it comes earlier with mor
 the cause acts* does not: the named effect is switched off at its own fit, and what a refit of the
 gel to the frames up to the end of each phase leaves of the change is that phase's share. Both
 refits are linear: leaving frames out changes neither curves nor sensitivities, only which rows
-count. *Which experiments*: each is fitted by itself, and tested there; a drift of the parameters
-over We (which fixes the size and so the rate) points to rate or size, one over R_inf* to stretch or
-gas.
+count.
 """
 
 import math
@@ -21,21 +18,20 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
-from imr_torch.gap.adequacy import Adequacy, adequacy_test
-from imr_torch.gap.diagnose import GapReport
+from imr_torch.float64 import randn, tensor, zeros
+from imr_torch.gap.adequacy import Adequacy
 from imr_torch.goodness.linear import Linearisation, predict_changed
 from imr_torch.goodness.phases import PHASES, phase_clock, phase_name, phase_numbers
 from imr_torch.goodness.score import BOOTSTRAP, PULSES, SHAPE, log_survival, make_block
 from imr_torch.labels import p_value
 from imr_torch.material import PARAMETERS, Effect
 from imr_torch.material.model_belief import LEVELS
-from imr_torch.random import SeedLike, child, generator
+from imr_torch.random import SeedLike, generator
 from imr_torch.simulate import Simulator
 from imr_torch.types import Directions, FrameMask
 
 _GRID = (0.15, 0.3, 0.5, 0.75, 0.94, 1.06, 1.25, 1.5, 1.75, 1.94, 2.06, 2.25, 2.6, 3.2, math.inf)
-_LEVEL = 0.01  # of a false onset or trend; that there is a gap at all is not decided here
-_BESIDE = 4  # designs from which on the trends in We and R_inf* are told apart
+_LEVEL = 0.01  # of a false onset; that there is a gap at all is not decided here
 _DRAWS = 24  # posterior draws behind the shares of phases
 
 
@@ -89,9 +85,7 @@ def onset(left: Adequacy, *, seed: SeedLike) -> Onset:
     pulses = {f"pulse {i}": row[None] for i, row in enumerate(left.generic[PULSES])}
     tests = pulses | {"shape": left.generic[SHAPE][:2]} | left.directions
     clock = phase_clock(batch.times, line.prediction, batch.mask)
-    drawn = torch.randn(
-        BOOTSTRAP, line.residual.shape[0], generator=generator(seed), dtype=torch.float64
-    )
+    drawn = randn(BOOTSTRAP, line.residual.shape[0], generator=generator(seed))
     ends: list[float] = []
     times: list[float] = []
     found = []
@@ -113,135 +107,6 @@ def onset(left: Adequacy, *, seed: SeedLike) -> Onset:
     return Onset(times[first], phase_name(ends[first]), tuple(times), tuple(p_values), _LEVEL)
 
 
-@dataclass(frozen=True)
-class Trend:
-    """Drift of one fitted parameter over a coordinate of the design.
-
-    Args:
-        parameter: its name.
-        over: ``"We"`` or ``"R_inf*"``.
-        z: change of the parameter's control over the range of the coordinate that was shot, over its
-            standard deviation.
-    """
-
-    parameter: str
-    over: str
-    z: float
-
-
-@dataclass(frozen=True)
-class ByExperiment:
-    """Which experiments the gap lies in: each fitted by itself.
-
-    Args:
-        p_values: experiment -> that of the gap test at its own fit, times their number.
-        values: parameter -> its 5, 50, 95 % in each experiment by itself, SI.
-        trends: drift of each parameter over each coordinate of the design.
-        reading: one sentence on what the trends point to.
-        converged: whether all of these fits did.
-    """
-
-    p_values: dict[str, float]
-    values: dict[str, list[list[float]]]
-    trends: tuple[Trend, ...]
-    reading: str
-    converged: bool
-
-
-def by_experiment(
-    report: GapReport, simulator: Simulator, alone: Sequence[ModelFit], *, seed: int
-) -> ByExperiment:
-    """The gap test and the parameters of each experiment by itself, and the drift of the parameters
-    over designs.
-
-    Args:
-        report: the diagnosis.
-        simulator: makes the bubbles.
-        alone: the base model's fit of each experiment by itself
-            (:func:`imr_torch.gap.differing.fit_alone`).
-        seed: of the tests.
-    """
-    batch = report.batch
-    p_values = {}
-    for e, (fit, experiment) in enumerate(zip(alone, batch.experiments, strict=True)):
-        one = replace(batch, experiments=(experiment,), between={})
-        test = adequacy_test(fit, report.left.effects, one, simulator, seed=child(seed, e)).test
-        p_values[experiment.label] = min(1.0, len(alone) * test.p_value)
-    quantiles = torch.stack([fit.posterior.quantile(LEVELS) for fit in alone])
-    trends = drifts(alone, batch.designs)
-    return ByExperiment(
-        p_values,
-        {name: quantiles[:, :, i].tolist() for i, name in enumerate(report.base.names)},
-        trends,
-        _read(trends, len(alone)),
-        all(fit.certificate.nearly_converged for fit in alone),
-    )
-
-
-def drifts(alone: Sequence[ModelFit], designs: Float[Tensor, "experiments 2"]) -> tuple[Trend, ...]:
-    """Slopes of the parameters of single experiments over log We and R_inf*, by generalised least
-    squares with the covariance of each fit.
-
-    With fewer than four designs each coordinate is taken alone, so that one that goes with the
-    other shows in both.
-    """
-    coordinates = {"We": designs[:, 0].log(), "R_inf*": designs[:, 1]}
-    scaled = {
-        name: (x - x.mean()) / (x.max() - x.min())
-        for name, x in coordinates.items()
-        if float(x.max() - x.min()) > 1e-6
-    }
-    values = torch.cat([fit.mean for fit in alone])
-    precision = torch.block_diag(*[torch.cholesky_inverse(fit.chol) for fit in alone])
-    parameters = alone[0].prior.names
-    unit = torch.eye(len(parameters), dtype=torch.float64)
-    trends = []
-    for names in [list(scaled)] if len(alone) >= _BESIDE else [[name] for name in scaled]:
-        columns = [torch.ones_like(designs[:, 0]), *(scaled[name] for name in names)]
-        design = torch.kron(torch.stack(columns, 1), unit)
-        if design.shape[1] > len(values) or not names:
-            continue
-        covariance = torch.linalg.pinv(design.mT @ precision @ design)
-        slopes = covariance @ design.mT @ precision @ values
-        scores = slopes / covariance.diagonal().clamp_min(1e-300).sqrt()
-        places = [(parameter, name) for name in ("", *names) for parameter in parameters]
-        trends += [
-            Trend(*place, score)
-            for place, score in zip(places, scores.tolist(), strict=True)
-            if place[1]
-        ]
-    return tuple(trends)
-
-
-_MEANING = {"We": "rate or size", "R_inf*": "stretch or gas"}
-
-
-def _read(trends: Sequence[Trend], experiments: int) -> str:
-    if not trends:
-        return "All experiments share one design, so nothing can be said about trends."
-    level = torch.tensor(0.5 * _LEVEL / len(trends), dtype=torch.float64)
-    limit = -torch.special.ndtri(level).item()
-    found = {
-        name: [t.parameter for t in trends if t.over == name and abs(t.z) > limit]
-        for name in _MEANING
-    }
-    said = [
-        f"{', '.join(names)} over {over} (points to {_MEANING[over]})"
-        for over, names in found.items()
-        if names
-    ]
-    if len(said) > 1 and experiments < _BESIDE:
-        names = ", ".join(sorted({name for over in found.values() for name in over}))
-        return (
-            f"Parameters of single experiments differ: {names}. {experiments} experiments do not "
-            f"tell a drift over We ({_MEANING['We']}) from one over R_inf* "
-            f"({_MEANING['R_inf*']}); {_BESIDE} would."
-        )
-    if said:
-        return f"Parameters of single experiments drift: {'; '.join(said)}."
-    return "No parameter of single experiments drifts over We or R_inf*."
-
-
 def where_it_acts(
     fit: ModelFit,
     effects: Sequence[Effect],
@@ -261,14 +126,14 @@ def where_it_acts(
         seed: of the draws.
     """
     batch = line.batch
-    noise = torch.randn(_DRAWS, len(fit.mean), generator=generator(seed), dtype=torch.float64)
+    noise = randn(_DRAWS, len(fit.mean), generator=generator(seed))
     nuisances = int((batch.nuisance_sds > 0.0).any(0).sum()) * len(batch.experiments)
     shift = torch.nn.functional.pad(noise @ fit.chol.mT, (0, nuisances)).repeat(2, 1)
     off = {effect.names[0]: PARAMETERS[effect.names[0]].neutral for effect in effects}
     made = predict_changed(fit, batch, simulator, [{}] * _DRAWS + [off] * _DRAWS, shift)
     signal = line.whiten(made[:_DRAWS] - made[_DRAWS:])
     phase = phase_numbers(batch.times, line.prediction, batch.mask)
-    reached = [torch.zeros(_DRAWS, dtype=torch.float64)]
+    reached = [zeros(_DRAWS)]
     for last in range(len(PHASES)):
         frames = (phase <= last) & batch.mask
         rows = signal * _kept_rows(line, frames).to(signal)
@@ -278,7 +143,7 @@ def where_it_acts(
     shares = shares[torch.isfinite(shares).all(1)]
     if not len(shares):
         return None
-    levels = shares.quantile(torch.tensor(LEVELS, dtype=torch.float64), dim=0)
+    levels = shares.quantile(tensor(LEVELS), dim=0)
     return dict(zip(PHASES, levels.mT.tolist(), strict=True))
 
 
@@ -327,7 +192,7 @@ def _log_p(
     if freedom > 0:
         tests.append((rows.square().sum(1), freedom))
     if not tests:
-        return torch.zeros(0, dtype=torch.float64), torch.zeros(0, len(drawn), dtype=torch.float64)
+        return zeros(0), zeros(0, len(drawn))
     logs = torch.stack([log_survival(statistic, k) for statistic, k in tests])
     return logs[:, 0], logs[:, 1:]
 

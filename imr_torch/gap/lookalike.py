@@ -19,6 +19,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from imr_torch.float64 import full, ones, randn, tensor, zeros
 from imr_torch.goodness.linear import Linearisation
 from imr_torch.goodness.score import (
     ADEQUATE,
@@ -130,13 +131,10 @@ def likeness(
     beyond, every = _in_own_span(every, line)
     owners = [name for name, own in every.items() if name in rows for _ in own]
     if not owners:
-        return Likeness(size, torch.full((1, 1), -math.inf), torch.ones(1, dtype=torch.float64))
+        return Likeness(size, torch.full((1, 1), -math.inf), ones(1))
     known = torch.cat([own for name, own in every.items() if name in rows])
     laws = every.get(STATE_LAW, known[:0])
-    mixed = (
-        torch.randn(_LAWS if len(laws) else 0, len(laws), generator=source, dtype=torch.float64)
-        @ laws
-    )
+    mixed = randn(_LAWS if len(laws) else 0, len(laws), generator=source) @ laws
     reference = torch.cat((known, mixed / mixed.norm(dim=1, keepdim=True)))
     names = [*owners, *[STATE_LAW] * len(mixed)]
     families = {effect.name: effect.family for effect in effects}
@@ -144,14 +142,14 @@ def likeness(
     cosine, nearest = (reference @ known.mT).abs().masked_fill(same, -1.0).max(1)
     usable = cosine > 0.0
     cosine = cosine.clamp(1e-6, 1.0)
-    log_p = torch.full((len(reference), _NOISES), -math.inf, dtype=torch.float64)
+    log_p = full((len(reference), _NOISES), -math.inf)
     missing = size * (cosine.square().reciprocal() - 1.0).clamp_min(0.0).sqrt()
     obvious = usable & (missing > _OBVIOUS)
     log_p[obvious] = log_survival(missing[obvious].square(), _OBVIOUS_RANK)[:, None]
     null: Tensor | None = None
     for winner in nearest[usable & ~obvious].unique().tolist():
         own = torch.nonzero(usable & ~obvious & (nearest == winner))[:, 0]
-        empty = torch.zeros(len(known[0]), dtype=torch.float64)
+        empty = zeros(len(known[0]))
         here = replace(line, residual=empty, fitted=known[winner][:, None])
         tested = [make_block(n, own, here) for n, own in every.items() if n != owners[winner]]
         blocks = [b for b in tested if b.directions.shape[1]]
@@ -169,7 +167,7 @@ def likeness(
             log_p[place] = _calibrated(logs[offered, row].amin(0), null)
     # every effect counts as one, and so does every generic stress function
     weights = [(len(laws) if n == STATE_LAW else 1.0) / names.count(n) for n in names]
-    total = torch.tensor(weights, dtype=torch.float64)
+    total = tensor(weights)
     return Likeness(size, log_p, total / total.sum())
 
 
@@ -193,7 +191,7 @@ def _log_p_values(
         source: of the noise.
     """
     size = signals.shape[-1]
-    noise = torch.randn(len(signals), count, size + beyond, generator=source, dtype=torch.float64)
+    noise = randn(len(signals), count, size + beyond, generator=source)
     rows = line.project_out(signals + noise[..., :size])
     logs = [
         log_survival((rows @ b.directions).square().sum(-1), b.directions.shape[1]) for b in blocks

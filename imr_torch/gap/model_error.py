@@ -26,6 +26,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
+from imr_torch.float64 import arange, eye, randn, tensor
 from imr_torch.gap.adequacy import Adequacy
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
@@ -45,7 +46,7 @@ _CAMERA_TIME = 0.003  # of time, in t*
 # fifth of what is found has a wrong name
 _MISNAMED = 0.2
 _GENERIC = 30.0  # standard deviations that a stress law or pulse of usual size changes the data by
-_KNOTS = torch.arange(0.0, 3.6, 0.3, dtype=torch.float64)  # of a smooth error on the phase clock
+_KNOTS = arange(0.0, 3.6, 0.3)  # of a smooth error on the phase clock
 _DRAWS = 4000
 
 
@@ -103,14 +104,14 @@ def model_error(report: GapReport, *, seed: int = 0) -> ModelError:
             fit = found.fits[found.held.name if name == NONE else name]
             # the noise inflated to the misfit that is left
             spread = math.sqrt(overdispersion(fit, report.batch))
-            noise = torch.randn(count, len(fit.mean), generator=source, dtype=torch.float64)
+            noise = randn(count, len(fit.mean), generator=source)
             drawn.append((fit, fit.mean + spread * noise @ fit.chol.mT))
     names = report.base.names
     rows = []
     for fit, moved in drawn:
         physical = fit.prior.physical(fit.prior.unwhitened(moved))
         rows.append(physical[:, [fit.prior.names.index(name) for name in names]])
-    levels = torch.tensor(LEVELS, dtype=torch.float64)
+    levels = tensor(LEVELS)
     columns = torch.cat(rows).quantile(levels, dim=0).mT.tolist()
     line = report.left.line
     square = float(line.residual[: line.batch.mask.numel()].square().sum())
@@ -190,9 +191,7 @@ def error_budget(
     chol = torch.linalg.cholesky(columns.mT @ columns + free.diag())
     seen = (columns.mT @ line.residual)[:, None]
     half = torch.linalg.solve_triangular(chol, seen, upper=False)[:, 0]
-    root = torch.linalg.solve_triangular(
-        chol.mT, torch.eye(len(half), dtype=torch.float64), upper=True
-    )[:fitted]
+    root = torch.linalg.solve_triangular(chol.mT, eye(len(half)), upper=True)[:fitted]
     misfit = float(line.residual.square().sum() - half.square().sum())
     evidence = math.log(prior) - float(chol.diagonal().log().sum())
     return Budget(fit, root @ half, root, misfit, evidence)
@@ -206,14 +205,12 @@ def _with_unknown(
     Misfit that even the best of them leaves counts as noise.
     """
     least = max(1.0, min(one.misfit for one in budgets) / frames)
-    logs = torch.tensor(
-        [one.log_evidence - 0.5 * one.misfit / least for one in budgets], dtype=torch.float64
-    )
+    logs = tensor([one.log_evidence - 0.5 * one.misfit / least for one in budgets])
     picked = torch.multinomial(logs.softmax(0), count, replacement=True, generator=source)
     drawn = []
     for number, times in zip(*picked.unique(return_counts=True), strict=True):
         one = budgets[int(number)]
-        noise = torch.randn(int(times), one.root.shape[1], generator=source, dtype=torch.float64)
+        noise = randn(int(times), one.root.shape[1], generator=source)
         moved = one.mean + math.sqrt(least) * noise @ one.root.mT
         drawn.append((one.fit, one.fit.mean + moved[:, : len(one.fit.mean)]))
     return drawn
@@ -245,7 +242,7 @@ def _camera_rows(line: Linearisation) -> list[Float[Tensor, "unknowns rows"]]:
     alike = [size * rows for size, rows in zip(sizes, errors, strict=True)]
     if len(line.batch.experiments) == 1:
         return [line.whiten(rows) for rows in alike]
-    each = torch.eye(len(line.batch.experiments), dtype=torch.float64)[:, None, :, None]
+    each = eye(len(line.batch.experiments))[:, None, :, None]
     single = [(rows[None] * each).flatten(0, 1) for rows in alike]
     return [line.whiten(rows) for rows in (*alike, *single)]
 

@@ -6,17 +6,15 @@ Sections that have nothing to say are folded away. The words say all that the fi
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from imr_torch.files import write_bytes
 from imr_torch.gap.figures import gap_figures
 from imr_torch.gap.hypotheses import in_words
-from imr_torch.gap.text import CURVES, HIDDEN, VERDICT, Document, hidden_row, sections
+from imr_torch.gap.text import Document, hidden_row, sections
 from imr_torch.html import render
 from imr_torch.material import PARAMETERS
 
 _CURVES = 6
-_HIDDEN_HEAD = ("effect", "found with 90 % from", "a smaller one, unseen, may move")
 
 
 def write_page(
@@ -51,46 +49,24 @@ def write_page(
     ...     "<title>Gel 7</title>" in write_page(document, Path(folder) / "gap.html", name="Gel 7").read_text()
     True
     """
-    pictures: dict[str, list[dict[str, str]]] = {}
+    figures: dict[str, list[dict[str, str]]] = {}
     for figure in gap_figures(document, curves=_CURVES):
-        pictures.setdefault(figure.section, []).append(figure.picture())
+        figures.setdefault(figure.section, []).append(figure.picture())
     verdict, *others = sections(document)
-    blocks: list[tuple[str, Sequence[Any], bool]] = [
-        ("The gel", (((), _gel(document)), *pictures.get(VERDICT, ())), False),
-        (CURVES, pictures.get(CURVES, ()), False),
-    ]
-    for section in others:
-        said: tuple[Any, ...] = section.sentences
-        if section.heading == HIDDEN and document["hidden"]:
-            rows = [hidden_row(row) for row in document["hidden"]]
-            said = (section.sentences[0], (_HIDDEN_HEAD, rows))
-        content = (*said, *pictures.get(section.heading, ()))
-        blocks.append((section.heading, content, section.folded))
-    if facts:
-        blocks.append(("Files, medium and software", [((), facts)], True))
     text = render(
-        "blocks.html",
+        "diagnosis.html",
         title=name,
         verdict=verdict.sentences,
-        blocks=blocks,
+        others=others,
+        rows=list(map(hidden_row, document["hidden"])),
+        figures=figures,
+        document=document,
+        parameters=PARAMETERS,
+        in_words=in_words,
+        origin=facts,
         warning=document["verdict"] != "none",
         next_step=document["next_step"],
         footer=footer,
     )
     write_bytes(path, text.encode())
     return Path(path)
-
-
-def _gel(document: Document) -> tuple[tuple[str, ...], ...]:
-    """The model, what was known before, and the data."""
-    model = document["model"]
-    named = document["parameter_shift"] is not None
-    added = f" with {' and '.join(map(in_words, document['selected']))}" if named else ""
-    rows = [("Model", f"{model['title']}{added}")]
-    if model["known"]:
-        known = [f"{n} = {v:g} {PARAMETERS[n].unit}" for n, v in model["known"].items()]
-        rows.append(("Known before", ", ".join(known)))
-    frames = sum(len(curve["t_star"]) for curve in document["curves"])
-    rows.append(("Data", f"{len(document['curves'])} experiment(s), {frames} frames"))
-    rows.append(("Noise", document["noise_text"]))
-    return tuple(rows)

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import torch
 
 from imr_torch.assimilate import ModelFit
+from imr_torch.float64 import full
 from imr_torch.goodness.linear import Linearisation, predict_changed
 from imr_torch.material import Effect
 from imr_torch.observe import ExperimentBatch
@@ -57,7 +58,7 @@ def refitted_directions(
         return {}
     rows = torch.cat([directions[effect.name] for effect in effects])
     left = line.project_out(rows).norm(dim=1)
-    farthest = torch.full((line.fitted.shape[1],), _FARTHEST_NUISANCE, dtype=torch.float64)
+    farthest = full((line.fitted.shape[1],), _FARTHEST_NUISANCE)
     farthest[: len(fit.mean)] = _FARTHEST_GEL
     under_way = torch.nonzero(left > 0.0)[:, 0]  # a start that failed would only fail again, slowly
     for _ in range(_ROUNDS):

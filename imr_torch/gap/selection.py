@@ -14,7 +14,6 @@ from imr_torch.gap.adequacy import Adequacy
 from imr_torch.gap.attribute import Attribution, Inquiry, attribute, reconsider
 from imr_torch.gap.hypotheses import EXPLAINS, Hypothesis, in_words, laplace_evidence
 from imr_torch.gap.verdict import MEMBER, NONE, OTHER, SLOW_NOISE, Choice, choose
-from imr_torch.goodness.score import GapTest
 from imr_torch.labels import p_value
 from imr_torch.random import child
 from imr_torch.types import Progress
@@ -63,7 +62,7 @@ def select_causes(
     *,
     alone: Sequence[ModelFit],
     seed: int,
-    progress: Progress | None,
+    progress: Progress,
 ) -> Finding:
     """Forward selection of parts until an unknown effect is improbable, and the verdict that
     follows.
@@ -93,9 +92,24 @@ def select_causes(
         choice = choose(found.posterior)
         steps = (*steps, found)
         if not held.parts and found.posterior[NONE] >= _NO_GAP:
-            return replace(_conclude_none(found, null, left.test), choice=choice, steps=steps)
+            # by chance at the level of the test, and then no effect explains much
+            reason = (
+                f"A test rejects the base model ({p_value(left.test.p_value)}), but no effect of the "
+                "library explains enough: the base model alone keeps a probability of "
+                f"{found.posterior[NONE]:.2f}."
+            )
+            return Finding(NONE, (), reason, held, null, found, None, choice, steps)
         if _is_slow_noise(found):
-            return replace(_conclude_slow_noise(found, steps[0], choice, held, fit), steps=steps)
+            beside = (
+                f"Beside {' and '.join(map(in_words, held.parts))}, the" if held.parts else "The"
+            )
+            reason = (
+                f"{beside} curves differ from the model by slow noise of the camera (probability "
+                f"{found.posterior[SLOW_NOISE]:.2f}) or by an unknown effect that looks like it: "
+                "repeat a shot. Noise will differ from shot to shot, an effect will not."
+            )
+            p = found.adequacy.p_value
+            return Finding(OTHER, (), reason, held, fit, steps[0], p, choice, steps)
         held = found.winner
         fit = found.winner_fit
         named = _with_one_part(inquiry, left, steps, seed)
@@ -175,34 +189,6 @@ def _is_slow_noise(found: Attribution) -> bool:
     if slow is None or slow <= MEMBER or slow + found.posterior[OTHER] <= _UNKNOWN:
         return False
     return slow >= max(p for name, p in found.posterior.items() if name not in (OTHER, SLOW_NOISE))
-
-
-def _conclude_slow_noise(
-    found: Attribution, first: Attribution, choice: Choice, held: Hypothesis, fit: ModelFit
-) -> Finding:
-    """The verdict where deviations look like noise that lasts several frames, of each curve its
-    own.
-    """
-    beside = f"Beside {' and '.join(map(in_words, held.parts))}, the" if held.parts else "The"
-    slow = found.posterior[SLOW_NOISE]
-    reason = (
-        f"{beside} curves differ from the model by slow noise of the camera (probability "
-        f"{slow:.2f}) or by an unknown effect that looks like it: repeat a shot. Noise will differ "
-        "from shot to shot, an effect will not."
-    )
-    return Finding(OTHER, (), reason, held, fit, first, found.adequacy.p_value, choice)
-
-
-def _conclude_none(found: Attribution, null: ModelFit, test: GapTest) -> Finding:
-    """Verdict "none" although the test rejects: it does so by chance at its level, and then no
-    effect explains much.
-    """
-    reason = (
-        f"A test rejects the base model ({p_value(test.p_value)}), but no effect of the library "
-        "explains enough: the base model alone keeps a probability of "
-        f"{found.posterior[NONE]:.2f}."
-    )
-    return Finding(NONE, (), reason, found.held, null, found)
 
 
 def name_causes(found: Attribution, choice: Choice) -> Finding:

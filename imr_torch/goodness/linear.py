@@ -15,10 +15,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit, Neighbourhood, Posterior
+from imr_torch.float64 import eye
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.simulate import Simulator
 from imr_torch.types import BatchFrames, ExperimentFrames
+
+Rows = Float[Tensor, "*batch rows"]
+"""Whitened curves, and the priors behind them."""
 
 
 @dataclass(frozen=True)
@@ -62,26 +66,24 @@ class Linearisation:
         ratios = self.batch.log_noise_ratios(self.prediction, count, generator=generator).exp()
         return self.pad_rows(torch.where(self.batch.mask, ratios, 0.0).flatten(1), 1.0)
 
-    def pad_rows(
-        self, rows: Float[Tensor, "*batch data"], value: float = 0.0
-    ) -> Float[Tensor, "*batch rows"]:
+    def pad_rows(self, rows: Float[Tensor, "*batch data"], value: float = 0.0) -> Rows:
         """Rows of data with those of the priors, which have one value."""
         missing = len(self.residual) - rows.shape[-1]
         return torch.nn.functional.pad(rows, (0, missing), value=value)
 
-    def explained_rows(self, shift: Float[Tensor, "*batch fitted"]) -> Float[Tensor, "*batch rows"]:
+    def explained_rows(self, shift: Float[Tensor, "*batch fitted"]) -> Rows:
         """What shifts ``... x k`` of everything fitted change in the data, to first order: rows
         ``... x N``.
         """
         rows = shift @ self.fitted.mT
         return self.pad_rows(rows[..., : self.batch.mask.numel()])
 
-    def whiten(self, curves: BatchFrames) -> Float[Tensor, "*batch rows"]:
+    def whiten(self, curves: BatchFrames) -> Rows:
         """Curves ``... x E x T`` in R* as rows ``... x N``, with zeros for the priors."""
         seen = torch.where(self.batch.mask, curves, 0.0)
         return self.pad_rows(self.batch.whiten(seen, self.sd).flatten(-2))
 
-    def project_out(self, rows: Float[Tensor, "*batch rows"]) -> Float[Tensor, "*batch rows"]:
+    def project_out(self, rows: Rows) -> Rows:
         """What is left of rows ``... x N`` beside the fitted directions."""
         return rows - (rows @ self.basis) @ self.basis.mT
 
@@ -127,7 +129,7 @@ def whiten_rows(near: Neighbourhood) -> Linearisation:
     batch = near.posterior.batch
     sd = batch.sd(near.centre)
     data = batch.whiten(near.jacobian, sd).nan_to_num().flatten(1).mT
-    fitted = torch.cat((data, -torch.eye(data.shape[1], dtype=torch.float64)))
+    fitted = torch.cat((data, -eye(data.shape[1])))
     observed = batch.whiten(batch.mean - near.centre, sd).flatten()
     residual = torch.cat((observed, near.coordinates))
     return Linearisation(residual, fitted, near.centre, sd, batch)

@@ -16,6 +16,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.special import chdtri
 from torch import Tensor
 
+from imr_torch.float64 import tensor
 from imr_torch.observe import collapse_time
 from imr_torch.observe.plausibility import RAYLEIGH_TIME
 from imr_torch.types import ExperimentFrames, FrameMask
@@ -76,7 +77,7 @@ def phase_numbers(
     """Number of the phase of each frame in ``PHASES``: ``E x T`` integer tensor; arguments as of
     :func:`phase_clock`.
     """
-    ends = torch.tensor(PHASE_ENDS, dtype=torch.float64) + 1e-9
+    ends = tensor(PHASE_ENDS) + 1e-9
     return torch.searchsorted(ends, phase_clock(times, radius, mask).contiguous())
 
 

@@ -20,6 +20,7 @@ from scipy.special import chdtri, chndtr
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
+from imr_torch.float64 import eye, linspace, ones, randn, tensor
 from imr_torch.goodness.linear import Linearisation, predict_changed
 from imr_torch.goodness.phases import noise_shares, phase_numbers
 from imr_torch.material import Effect
@@ -215,7 +216,7 @@ def generic_rows(
         SHAPE: shape_rows(line),
     }
     if experiments > 1:
-        one = torch.eye(experiments, dtype=torch.float64)
+        one = eye(experiments)
         masks = line.pad_rows(one.repeat_interleave(times.shape[1], 1))
         found["parameters between designs"] = (masks[:, None] * gel).flatten(0, 1)
         found["pulses in single experiments"] = (masks[:, None] * pulses).flatten(0, 1)
@@ -226,7 +227,7 @@ def pulse_changes(batch: ExperimentBatch, count: int = 8) -> list[dict[str, floa
     """Parameters of small pressure pulses side by side over the records."""
     last = float(batch.times[batch.mask].max())
     width = math.log(0.5 * last / count)
-    centres = torch.linspace(0.1, 0.9, count, dtype=torch.float64) * last
+    centres = linspace(0.1, 0.9, count) * last
     return [{"pulse": 0.01, "pulse_time": t, "pulse_width": width} for t in centres.tolist()]
 
 
@@ -272,7 +273,7 @@ def gap_test(blocks: Sequence[Block], line: Linearisation, *, seed: int) -> GapT
     if line.batch.noise_laws is None or not tested:
         # as many degrees of freedom as frames, since every fitted direction has a prior
         frames = int(line.batch.mask.sum())
-        one = torch.ones(1, dtype=torch.float64)
+        one = ones(1)
         entries.append((EVERYTHING, math.nan, frames, rows.square().sum(1), one))
     logs = torch.stack([log_survival(square, rank) for _, _, rank, square, _ in entries])
     smallest = logs.amin(0)
@@ -297,7 +298,7 @@ def gap_test(blocks: Sequence[Block], line: Linearisation, *, seed: int) -> GapT
 
 def log_survival(statistic: Values, rank: int) -> Values:
     """Log of the upper tail of chi-square."""
-    tail = torch.special.gammaincc(torch.tensor(0.5 * rank, dtype=torch.float64), 0.5 * statistic)
+    tail = torch.special.gammaincc(tensor(0.5 * rank), 0.5 * statistic)
     # far out the leading term of the asymptotic series keeps the order of the blocks
     x = 0.5 * statistic
     a = 0.5 * rank
@@ -315,7 +316,7 @@ def _drawn_residuals(
     the scale of the noise. A mean square that is larger than the uncertainty of the scale allows is
     a misfit, and counts as no larger than that: ``sure`` standard deviations.
     """
-    drawn = torch.randn(ratios.shape, generator=source, dtype=torch.float64)
+    drawn = randn(ratios.shape, generator=source)
     laws = line.batch.noise_laws
     rows = line.project_out(drawn * ratios)
     if laws is None or not laws.of_residuals:

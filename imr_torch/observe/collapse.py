@@ -23,6 +23,7 @@ from scipy.special import ndtri, stdtrit
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import tensor
 from imr_torch.observe.nuisance import FLOOR, Nuisance
 from imr_torch.reading.content import Content
 from imr_torch.reading.matlab import read_matlab
@@ -152,7 +153,7 @@ class CollapseTime:
     scatter: float = 0.0
 
     def __post_init__(self) -> None:
-        check_designs(torch.tensor([self.design], dtype=torch.float64))
+        check_designs(tensor([self.design]))
         if not (
             0.0 < self.time < math.inf
             and 0.0 < self.sd < math.inf
@@ -171,7 +172,7 @@ class CollapseTime:
     @cached_property
     def times(self) -> Float[Tensor, "1"]:
         """A tensor of one number, the measured time."""
-        return torch.tensor([self.time], dtype=torch.float64)
+        return tensor([self.time])
 
     @property
     def mean(self) -> Float[Tensor, "1"]:

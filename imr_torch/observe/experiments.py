@@ -17,6 +17,7 @@ from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
 from imr_torch.errors import InputDataError, ShapeError
+from imr_torch.float64 import randn, tensor
 from imr_torch.material import PARAMETERS
 from imr_torch.observe.collapse import CollapseTime
 from imr_torch.observe.noise import Noise, NoiseLaws, previous
@@ -76,7 +77,7 @@ class Experiment:
                 f"Experiment {self.label!r}: expected radius n_repeats x n_t and times n_t, "
                 f"got {tuple(self.radius.shape)} and {tuple(self.times.shape)}."
             )
-        check_designs(torch.tensor([self.design], dtype=torch.float64))
+        check_designs(tensor([self.design]))
         infinite = torch.isinf(self.radius).nonzero().tolist()
         if infinite:
             repeat, frame = infinite[0]
@@ -239,17 +240,17 @@ class ExperimentBatch:
     def _collapse_sds(self) -> Float[Tensor, "experiments 1"]:
         """Errors of collapse times; 1 for curves."""
         sds = [[getattr(e, "whole_sd", 1.0)] for e in self.experiments]
-        return torch.tensor(sds, dtype=torch.float64)
+        return tensor(sds)
 
     @cached_property
     def designs(self) -> Float[Tensor, "experiments 2"]:
         """``E x 2`` tensor, measured (We, R_inf*)."""
-        return torch.tensor([e.design for e in self.experiments], dtype=torch.float64)
+        return tensor([e.design for e in self.experiments])
 
     @cached_property
     def exposures(self) -> Float[Tensor, "experiments"]:
         """``E`` tensor, known exposure of a frame, dimensionless."""
-        return torch.tensor([e.exposure for e in self.experiments], dtype=torch.float64)
+        return tensor([e.exposure for e in self.experiments])
 
     @cached_property
     def noise_factors(self) -> Float[Tensor, "experiments 1"]:
@@ -257,7 +258,7 @@ class ExperimentBatch:
         often as its weight says; 1 for collapse times.
         """
         factors = [[e.noise_factor / math.sqrt(e.weight)] for e in self.experiments]
-        return torch.tensor(factors, dtype=torch.float64)
+        return tensor(factors)
 
     @property
     def of_frames(self) -> "ExperimentBatch":
@@ -287,8 +288,8 @@ class ExperimentBatch:
         logs = self.noise_laws.log_ratios(
             self.noise, prediction, self.times, count, generator=generator
         )
-        sds = torch.tensor([e.noise_factor_sd for e in self.experiments], dtype=torch.float64)
-        own = sds * torch.randn(count, len(sds), generator=generator, dtype=torch.float64)
+        sds = tensor([e.noise_factor_sd for e in self.experiments])
+        own = sds * randn(count, len(sds), generator=generator)
         return torch.where(self.mask, logs + own[..., None], 0.0)
 
     def noise_interval(self, prediction: ExperimentFrames) -> list[float]:
@@ -347,7 +348,7 @@ class ExperimentBatch:
         Columns as in ``NUISANCES``, then in ``between``.
         """
         sds = [scatter.relative for scatter in self.between.values()]
-        own = torch.tensor(sds, dtype=torch.float64).expand(len(self.experiments), -1)
+        own = tensor(sds).expand(len(self.experiments), -1)
         return torch.cat((torch.stack([e.nuisance.sds() for e in self.experiments]), own), 1)
 
     def sd(self, prediction: BatchFrames) -> BatchFrames:
@@ -368,6 +369,11 @@ class ExperimentBatch:
         scaled = torch.where(self.mask, values / sd, 0.0)
         own, before = self.innovations
         return (own * scaled - before * previous(scaled)) * self.counts.sqrt()
+
+    def square(self, prediction: ExperimentFrames) -> float:
+        """Whitened squared residual of a prediction; NaN where it is."""
+        left = self.whiten(self.mean - prediction, self.sd(prediction))
+        return float(left.square().sum())
 
     def terms(
         self,

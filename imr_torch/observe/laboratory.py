@@ -7,6 +7,7 @@ from jaxtyping import Float, Real
 from torch import Tensor
 
 from imr_torch.errors import ConvergenceError, InputDataError
+from imr_torch.float64 import linspace, ones, randn, tensor
 from imr_torch.observe.experiments import Experiment, ExperimentBatch
 from imr_torch.observe.noise import Noise
 from imr_torch.observe.nuisance import Nuisance
@@ -45,9 +46,7 @@ class SimulatedLaboratory:
     truth: Float[Tensor, "parameters"]
     noise: Noise = field(default_factory=Noise)
     repeats: int = 100
-    times: FrameValues = field(
-        default_factory=lambda: torch.linspace(0.0, 4.0, 81, dtype=torch.float64)
-    )
+    times: FrameValues = field(default_factory=lambda: linspace(0.0, 4.0, 81))
     scatter: tuple[float, float] = (0.0, 0.0)
     nuisance: Nuisance = field(default_factory=Nuisance)
 
@@ -65,11 +64,9 @@ class SimulatedLaboratory:
             ConvergenceError: if the truth itself cannot be simulated at this design.
         """
         source = generator(child(seed, "laboratory"))
-        wobble = torch.randn(2, generator=source, dtype=torch.float64) * torch.tensor(
-            self.scatter, dtype=torch.float64
-        )
+        wobble = randn(2, generator=source) * tensor(self.scatter)
         true = design * torch.exp(wobble)
-        shifts = torch.randn(3, generator=source, dtype=torch.float64) * self.nuisance.sds()
+        shifts = randn(3, generator=source) * self.nuisance.sds()
         scale = 1.0 + float(shifts[0])
         rest = 1.0 + float(shifts[2])
         measured = (float(true[0]) / scale, float(true[1]) * scale / rest)
@@ -78,7 +75,7 @@ class SimulatedLaboratory:
             name,
             measured,
             self.times,
-            torch.ones(1, len(self.times), dtype=torch.float64),
+            ones(1, len(self.times)),
             self.nuisance,
         )
         clean = predict(self.simulator, self.truth, ExperimentBatch((blank,)), shifts[None])[0]

@@ -16,6 +16,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import arange, randn
 from imr_torch.types import BroadcastValues, ExperimentFrames, FrameMask, Frames, FrameValues
 
 FEWEST_RESIDUALS = 10
@@ -196,9 +197,7 @@ class NoiseLaws:
         at every frame.
         """
         rows = torch.multinomial(self.weights, count, replacement=True, generator=generator)
-        scales = self.log_scale_sds[rows] * torch.randn(
-            count, generator=generator, dtype=torch.float64
-        )
+        scales = self.log_scale_sds[rows] * randn(count, generator=generator)
         base = law.sd(radius, times).log()
         shapes = torch.stack([one.sd(radius, times).log() - base for one in self.laws])
         return shapes[rows] + scales[:, None, None]
@@ -212,9 +211,7 @@ class NoiseLaws:
         """Equally probable logarithms of a factor on the scale, by which the noise may differ from
         its central law.
         """
-        return self.log_scale_sd * torch.special.ndtri(
-            (torch.arange(count, dtype=torch.float64) + 0.5) / count
-        )
+        return self.log_scale_sd * torch.special.ndtri((arange(count) + 0.5) / count)
 
 
 def noise_sentences(noise: Noise, interval: Sequence[float] | None) -> list[str]:

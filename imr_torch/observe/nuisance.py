@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import tensor
 from imr_torch.material import PARAMETERS
 from imr_torch.types import BroadcastValues, Frames
 
@@ -52,7 +53,7 @@ class Nuisance:
 
     def sds(self) -> Float[Tensor, "3"]:
         """The three standard deviations in the order of ``NUISANCES``."""
-        return torch.tensor(list(vars(self).values()), dtype=torch.float64)
+        return tensor(list(vars(self).values()))
 
 
 FLOOR = Nuisance(max_radius=0.003, time_zero=0.004, rest_radius=0.01)

@@ -19,6 +19,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from imr_torch.float64 import tensor
 from imr_torch.observe.distortion import Distortion
 from imr_torch.observe.experiments import ExperimentBatch, Film
 from imr_torch.observe.nuisance import NUISANCES, displaced, find_impossible, with_own
@@ -323,7 +324,7 @@ def _interpolate_collapses(
     The range of (ln We, R_inf*) is rounded to ``steps``, so that nodes stay.
     """
     places = torch.stack((designs[..., 0].log(), designs[..., 1]), -1)
-    step = torch.tensor(steps, dtype=torch.float64)
+    step = tensor(steps)
     low = torch.floor(places.reshape(-1, 2).amin(0) / step) * step
     half = 0.5 * (torch.ceil(places.reshape(-1, 2).amax(0) / step) * step - low)
     unit = torch.cartesian_prod(

@@ -17,6 +17,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.distributions import HalfNormal
 
+from imr_torch.float64 import linspace, tensor, zeros
 from imr_torch.material import ModelBelief
 from imr_torch.types import ControlMatrix, Controls, DrawnControls, DrawnValues
 
@@ -50,9 +51,9 @@ class GaussianShots:
     def none(cls, size: int) -> "GaussianShots":
         """No shot yet, of gels with ``size`` controls."""
         return cls(
-            torch.zeros(0, size, size, dtype=torch.float64),
-            torch.zeros(0, size, dtype=torch.float64),
-            torch.zeros(0, dtype=torch.float64),
+            zeros(0, size, size),
+            zeros(0, size),
+            zeros(0),
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -62,7 +63,7 @@ class GaussianShots:
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> "GaussianShots":
         """Inverse of :meth:`to_dict`."""
-        return cls(**{k: torch.tensor(v, dtype=torch.float64) for k, v in values.items()})
+        return cls(**{k: tensor(v) for k, v in values.items()})
 
     def given(
         self,
@@ -196,14 +197,14 @@ def grid_scatters(
     """
     varying = torch.nonzero(scale)[:, 0]
     count = len(varying)
-    ends = torch.linspace(0.0, 1.0, steps[count] + 1, dtype=torch.float64).square() * top
-    low = width = torch.zeros(1, 0, dtype=torch.float64)
+    ends = linspace(0.0, 1.0, steps[count] + 1).square() * top
+    low = width = zeros(1, 0)
     if count:
         low, width = (
             torch.cartesian_prod(*[x] * count).reshape(-1, count) * scale[varying]
             for x in (ends[:-1], ends.diff())
         )
-    middle = torch.zeros(len(low), len(scale), dtype=torch.float64)
+    middle = zeros(len(low), len(scale))
     middle[:, varying] = low + 0.5 * width
     log_prior = HalfNormal(scale[varying]).log_prob(middle[:, varying]).sum(1) + width.log().sum(1)
     parts = [shots.given(x, prior.mean, prior.precision).evidence for x in middle.split(chunk)]

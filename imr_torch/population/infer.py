@@ -35,6 +35,7 @@ from imr_torch.assimilate import (
 )
 from imr_torch.assimilate.noise_estimation import freedom_of
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import tensor, zeros
 from imr_torch.material import LogNormal, ModelBelief
 from imr_torch.material.belief import even_belief
 from imr_torch.observe import Experiment, ExperimentBatch, Noise
@@ -69,7 +70,7 @@ def fit_shots(
     seed: int = 0,
     options: SearchOptions | None = None,
     early: tuple[float, float] = (0.3, 1.0),
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> tuple[Assimilation, ...]:
     """Fit a model to every experiment by itself.
 
@@ -216,7 +217,7 @@ def infer_population(
     columns = [names.index(name) for name in (varying or prior.of_gel)]
 
     def pose_problem(which: Sequence[int], width: float) -> Problem:
-        scales = torch.zeros(len(names), dtype=torch.float64)
+        scales = zeros(len(names))
         scales[list(which)] = width / units[list(which)]
         return Problem(shots, prior, scales)
 
@@ -262,7 +263,7 @@ def coordinate_units(prior: ModelBelief) -> Controls:
     [1.61, 1.1, 1.0]
     """
     values = [math.log(m.factor) if isinstance(m, LogNormal) else 1.0 for m in prior.marginals]
-    return torch.tensor(values, dtype=torch.float64)
+    return tensor(values)
 
 
 def _check_shots(

@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from imr_torch.float64 import randn
 from imr_torch.html import render
 from imr_torch.labels import plain
 from imr_torch.material import PARAMETERS, LogNormal, ModelBelief, material
@@ -196,9 +197,7 @@ class Population:
 
     def next_shot(self, name: str) -> Interval:
         """5, 50, 95 % quantile of a parameter of a shot still to be made, SI."""
-        noise = torch.randn(
-            self.found.centre.shape, generator=generator(child(0, "next shot")), dtype=torch.float64
-        )
+        noise = randn(self.found.centre.shape, generator=generator(child(0, "next shot")))
         return self._find_interval(self.found.centre + self.found.scatter * noise, name)
 
     def error(self, name: str) -> tuple[float, float]:

@@ -24,6 +24,7 @@ from imr_torch.assimilate.importance import (
     weighted_quantiles,
 )
 from imr_torch.assimilate.proposals import student_draws, student_log_prob
+from imr_torch.float64 import rand, randn, tensor, zeros
 from imr_torch.material import ModelBelief
 from imr_torch.material.model_belief import LEVELS
 from imr_torch.population.closed_form import GaussianShots, grid_scatters, positive_part
@@ -52,7 +53,7 @@ class Problem:
         return GaussianShots(
             torch.stack([s.precision for s in self.shots]),
             torch.stack([s.linear for s in self.shots]),
-            torch.tensor([s.constant for s in self.shots], dtype=torch.float64),
+            tensor([s.constant for s in self.shots]),
         )
 
 
@@ -114,7 +115,7 @@ class WeightedPopulation:
 
     def take_quantiles(self, values: DrawnValues) -> Float[Tensor, "3"]:
         """5, 50 and 95 % quantile of ``n`` values."""
-        return weighted_quantiles(values, self.weights, torch.tensor(LEVELS, dtype=torch.float64))
+        return weighted_quantiles(values, self.weights, tensor(LEVELS))
 
     def mean_error(self, values: DrawnValues) -> tuple[float, float]:
         """Mean of ``n`` values and its Monte Carlo standard error, by these draws and by those of
@@ -179,13 +180,13 @@ def _draw_scatters(
     """
     scale = problem.scale
     varying = torch.nonzero(scale)[:, 0]
-    scatter = torch.zeros(draws, len(scale), dtype=torch.float64)
+    scatter = zeros(draws, len(scale))
     if not len(varying):
         return scatter, scatter.sum(1)
     grid = grid_scatters(gaussian, problem.prior, scale)
     chance = (1.0 - defensive) * grid.weights + defensive * torch.softmax(grid.log_prior, 0)
     cell = torch.multinomial(chance, draws, replacement=True, generator=source)
-    within = torch.rand(draws, len(varying), generator=source, dtype=torch.float64)
+    within = rand(draws, len(varying), generator=source)
     values = grid.low[cell] + within * grid.width[cell]
     scatter[:, varying] = values
     log_proposal = chance[cell].log() - grid.width[cell].log().sum(1)
@@ -221,7 +222,7 @@ def _draw_gels(
     shots = []
     missed = []
     for e, shot in enumerate(problem.shots):
-        half = torch.randn(count, each // 2, size, generator=source, dtype=torch.float64)
+        half = randn(count, each // 2, size, generator=source)
         noise = torch.cat((half, -half), 1)
         gels = means[:, e, None] + noise @ given.factor[:, e].mT
         gaussian_part = quadratic_form(gels, gaussian.precision[e], gaussian.linear[e])
@@ -256,7 +257,7 @@ def _refit_gaussians(problem: Problem, found: WeightedPopulation) -> GaussianSho
         x = (gels - mean) / unit
         basis = torch.cat((torch.ones_like(x[:, :1]), x, x[:, rows] * x[:, columns]), 1)
         solved = solve_weighted(basis, shot.log_prob(gels), root)
-        curve = torch.zeros(size, size, dtype=torch.float64)
+        curve = zeros(size, size)
         curve[rows, columns] = -solved[1 + size :]
         A = positive_part(curve + curve.mT) / (unit[:, None] * unit)
         slope = solved[1 : 1 + size] / unit

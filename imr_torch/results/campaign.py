@@ -10,6 +10,7 @@ import torch
 from imr_torch.campaign import Campaign, PopulationLearner, Proposal
 from imr_torch.characterization.bands import band_document, predictive_band
 from imr_torch.files import Document, drawn_numbers
+from imr_torch.float64 import linspace
 from imr_torch.goodness import check_fit
 from imr_torch.material import Belief
 from imr_torch.material.model_belief import intervals
@@ -42,7 +43,7 @@ def campaign_document(
     'prior'
     """
     belief = campaign.belief
-    noise = campaign.plan.noise
+    outer = campaign.simulator.conditions.surroundings
     population = campaign.now.population
     history = [
         ("prior", campaign.prior),
@@ -56,24 +57,40 @@ def campaign_document(
         "relative_error": {},
         "model_probabilities": belief.probabilities,
         "intervals": {
-            part.model: intervals(part) if population is None else _list_medians(population)
+            part.model: intervals(part)
+            if population is None
+            else {name: entry["median"] for name, entry in population["parameters"].items()}
             for part in belief.models
         },
-        "noise": vars(noise),
+        "noise": vars(campaign.plan.noise),
         "belief": belief.to_dict(),
         "history": [{"label": label, "belief": _without_cloud(step)} for label, step in history],
         "truth": truth,
         "findings": [{"step": s.number} | asdict(s.finding) for s in campaign.steps if s.finding],
         "goal": "population" if isinstance(campaign.settings.learner, PopulationLearner) else "gel",
         "population": population,
-        "proposals": [_document_proposal(campaign, proposal) for proposal in proposals],
+        "proposals": [
+            {
+                "step": proposal.step,
+                "gain": proposal.gain,
+                "gain_sd": proposal.gain_sd,
+                "reason": proposal.reason,
+                "stop": campaign.reason_to_stop(proposal),
+            }
+            | design_document(proposal.design, outer)
+            for proposal in proposals
+        ],
         "stopped": stopped,
         "failed_shots": [
             {"step": event["step"], "file": event["label"], "reason": event["reason"]}
             for event in campaign.failures
         ],
         "fit_test": _fit_test(campaign),
-        "searches": _document_searches(campaign),
+        "searches": [
+            {"step": number} | search_document(search, outer)
+            for number in range(1, campaign.told + 2)
+            if (search := campaign.search(number)) is not None
+        ],
         "curves": _document_curves(campaign),
     }
 
@@ -91,39 +108,12 @@ def _fit_test(campaign: Campaign) -> Document | None:
     return tested.to_dict() | {"sentence": tested.sentence(command)}
 
 
-def _list_medians(population: Document) -> dict[str, list[float]]:
-    """Intervals of the medians of a population."""
-    return {name: entry["median"] for name, entry in population["parameters"].items()}
-
-
 def _without_cloud(belief: Belief) -> Document:
     """A belief as JSON without its draws, which its densities do not need."""
     document = belief.to_dict()
     return document | {
         "models": [{k: v for k, v in part.items() if k != "cloud"} for part in document["models"]]
     }
-
-
-def _document_proposal(campaign: Campaign, proposal: Proposal) -> Document:
-    surroundings = campaign.simulator.conditions.surroundings
-    return {
-        "step": proposal.step,
-        "gain": proposal.gain,
-        "gain_sd": proposal.gain_sd,
-        "reason": proposal.reason,
-        "stop": campaign.reason_to_stop(proposal),
-    } | design_document(proposal.design, surroundings)
-
-
-def _document_searches(campaign: Campaign) -> list[Document]:
-    """Map, evaluated designs and chosen design of each step that was searched for."""
-    surroundings = campaign.simulator.conditions.surroundings
-    searches = ((number, campaign.search(number)) for number in range(1, campaign.told + 2))
-    return [
-        {"step": number} | search_document(search, surroundings)
-        for number, search in searches
-        if search is not None
-    ]
 
 
 def _document_curves(campaign: Campaign) -> list[Document]:
@@ -137,9 +127,7 @@ def _document_curves(campaign: Campaign) -> list[Document]:
     outer = campaign.simulator.conditions.surroundings
     shot = last.assimilation.batch.experiments
     ends = [(float(x.times[0]), float(x.times[-1])) for x in shot]
-    drawn = torch.stack(
-        [torch.linspace(*end, 400, dtype=torch.float64) for end in ends]
-    )  # frames do not show a collapse
+    drawn = torch.stack([linspace(*end, 400) for end in ends])  # frames do not show a collapse
     band = predictive_band(last.assimilation, last.belief, campaign.simulator, best, times=drawn)
     found = []
     for e, (number, experiment) in enumerate(zip(campaign.numbers, shot, strict=True)):

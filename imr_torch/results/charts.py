@@ -26,7 +26,7 @@ from imr_torch.drawing import (
 from imr_torch.files import Document
 from imr_torch.labels import R_STAR, T_STAR, plain
 from imr_torch.material import material
-from imr_torch.results.plot import draw_curves, fill_band
+from imr_torch.results.plot import fill_band
 
 
 def radius_chart(document: Document) -> Axes:
@@ -42,7 +42,14 @@ def radius_chart(document: Document) -> Axes:
 def campaign_curve(curve: Document) -> Axes:
     """The curves of one experiment of a campaign with the predictive band."""
     ax = axes_or_new(None, (5.8, 3.8))
-    draw_curves(ax, curve["t_star"], curve["R_star"], curve["band"])
+    rows = floats(curve["R_star"])
+    alpha = 0.5 if len(rows) == 1 else 0.15
+    ax.plot(curve["t_star"], rows.T, ".", ms=3, color=DATA, alpha=alpha)
+    band = curve["band"]
+    fill_band(ax, band)
+    ax.plot(floats(band["t_star"]), floats(band["median"]), color=MODEL, lw=1.5, label="median")
+    add_legend(ax)
+    ax.set(xlabel=T_STAR, ylabel=R_STAR, ylim=(0.0, None))
     add_lengths(ax, curve["Rmax_m"], curve["time_scale_s"])
     ax.set_title(plain(f"{curve['number']}: {curve['id']}"), fontsize=10)
     return ax

@@ -23,6 +23,7 @@ from imr_torch.drawing import (
     set_scale,
 )
 from imr_torch.files import Document
+from imr_torch.float64 import linspace
 from imr_torch.labels import T_STAR, parameter_label, plain, symbol
 from imr_torch.material import PARAMETERS, Belief, ModelBelief
 
@@ -224,7 +225,7 @@ def _plot_profile(
     scale = PARAMETERS[name].display_scale
     values = scale * floats(entry["values"])
     lost = floats(entry["nats_lost"])
-    z = torch.linspace(-3.0, 3.0, 121, dtype=torch.float64)
+    z = linspace(-3.0, 3.0, 121)
     believed, learnt = (
         scale * part.quantile(torch.special.ndtr(z))[:, part.names.index(name)].numpy()
         for part in (prior, posterior)

@@ -6,7 +6,6 @@ or saved here.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -32,6 +31,7 @@ from imr_torch.drawing import (
     set_scale,
 )
 from imr_torch.files import Document
+from imr_torch.float64 import arange, linspace, tensor
 from imr_torch.labels import (
     R_STAR,
     REST_RADIUS,
@@ -45,7 +45,7 @@ from imr_torch.material import PARAMETERS, Belief, ModelBelief
 from imr_torch.simulate import Solution
 from imr_torch.units import Surroundings
 
-_LEVELS = torch.linspace(0.002, 0.998, 400, dtype=torch.float64)  # of a density
+_LEVELS = linspace(0.002, 0.998, 400)  # of a density
 
 
 def plot_solution(
@@ -60,25 +60,6 @@ def plot_solution(
     if labels:
         add_legend(ax)
     return ax
-
-
-def draw_curves(ax: Axes, times: Any, curves: Any, band: Document | None = None) -> None:
-    """Draw repeated curves of one experiment and, if given, the predictive band.
-
-    Args:
-        ax: the axes.
-        times: of the frames, dimensionless.
-        curves: a row of R/Rmax a curve.
-        band: ``t_star``, ``low``, ``median`` and ``high``.
-    """
-    alpha = 0.5 if len(curves) == 1 else 0.15
-    ax.plot(times, floats(curves[:12]).T, ".", ms=3, color=DATA, alpha=alpha)
-    if band is not None:
-        fill_band(ax, band)
-        at, median = floats(band["t_star"]), floats(band["median"])
-        ax.plot(at, median, color=MODEL, lw=1.5, label="median")
-        add_legend(ax)
-    ax.set(xlabel=T_STAR, ylabel=R_STAR, ylim=(0.0, None))
 
 
 def fill_band(ax: Axes, band: Document) -> None:
@@ -161,7 +142,7 @@ def draw_parameters(belief: ModelBelief, *, draws: int = 1500, seed: int = 0) ->
         squeeze=False,
     )
     labels = [parameter_label(PARAMETERS[name]) for name in names]
-    scales = torch.tensor([PARAMETERS[name].display_scale for name in names], dtype=torch.float64)
+    scales = tensor([PARAMETERS[name].display_scale for name in names])
     drawn = belief.physical(belief.controls(draws, seed=seed)) * scales
     spans = (belief.quantile(_LEVELS) * scales).mT
     intervals = (belief.quantile([0.05, 0.5, 0.95]) * scales).mT.tolist()
@@ -244,7 +225,7 @@ def design_document(design: Float[Tensor, "2"], surroundings: Surroundings) -> d
 
 def _information_map(search: DesignSearch) -> Document:
     bounds = search.optimizer.space.bounds.mT.tolist()
-    weber, rest = (torch.linspace(low, high, 60, dtype=torch.float64) for low, high in bounds)
+    weber, rest = (linspace(low, high, 60) for low, high in bounds)
     grid = torch.stack(torch.meshgrid(weber, rest, indexing="xy"), dim=-1)
     model = search.optimizer.model()
     with torch.no_grad():
@@ -303,7 +284,7 @@ def plot_places(places: Mapping[str, Sequence[float]], *, ax: Axes | None = None
     ax.set_prop_cycle(color=CYCLE)
     for name, values in places.items():
         at = torch.as_tensor(sorted(values), dtype=torch.float64)
-        share = torch.arange(1, len(at) + 1, dtype=torch.float64) / len(at)
+        share = arange(1, len(at) + 1) / len(at)
         ax.step(at, share - at, where="post", lw=1.2, label=f"{plain(name)} ({len(at)})")
     if places:
         width = envelope(min(len(values) for values in places.values()))

@@ -15,6 +15,7 @@ import torch
 from imr_torch.assimilate import Assimilation, ImportanceSample, ModelFit, Verdict
 from imr_torch.assimilate.importance import are_reliable
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import eye, tensor
 from imr_torch.material import Belief
 
 
@@ -154,9 +155,7 @@ def update(assimilation: Assimilation, evidence: Sequence[Evidence]) -> Belief:
     'nhkv'
     """
     _check_models(assimilation.prior, evidence)
-    logs = assimilation.prior.log_probabilities + torch.tensor(
-        [e.value for e in evidence], dtype=torch.float64
-    )
+    logs = assimilation.prior.log_probabilities + tensor([e.value for e in evidence])
     return Belief(tuple(fit.posterior for fit in assimilation.fits), logs)
 
 
@@ -186,9 +185,9 @@ def probability_errors(prior: Belief, evidence: Sequence[Evidence]) -> dict[str,
     {'newtonian': 0.028, 'nhkv': 0.028}
     """
     _check_models(prior, evidence)
-    values = torch.tensor([(e.value, e.error) for e in evidence], dtype=torch.float64)
+    values = tensor([(e.value, e.error) for e in evidence])
     after = torch.softmax(prior.log_probabilities + values[:, 0], dim=0)
-    slopes = after[:, None] * (torch.eye(len(after), dtype=torch.float64) - after)
+    slopes = after[:, None] * (eye(len(after)) - after)
     errors = (slopes.square() @ values[:, 1].square()).sqrt()
     errors = errors.minimum(
         torch.maximum(after, 1.0 - after)

@@ -76,7 +76,7 @@ def cross_validate(
     folds: Sequence[Sequence[int]] | None = None,
     samples: int = 256,
     options: SearchOptions | None = None,
-    progress: Progress | None = None,
+    progress: Progress = None,
 ) -> tuple[PredictiveScore, ...]:
     """Score every model on each fold of the experiments, learning from the others.
 

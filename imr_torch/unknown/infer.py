@@ -22,6 +22,7 @@ from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import eye, tensor, zeros
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
 from imr_torch.types import Controls, Values
@@ -34,7 +35,7 @@ from imr_torch.unknown.kinds import (
     function_of_time,
     material_state,
 )
-from imr_torch.unknown.shot import Path, Response, Shot
+from imr_torch.unknown.shot import Fine, Path, Response, Shot
 
 CAMERA = "camera"
 NOTHING_KNOWN = "nothing known"
@@ -72,12 +73,12 @@ class MissingPressure:
     """
 
     label: str
-    times: Float[Tensor, "fine"]
-    stretch: Float[Tensor, "fine"]
-    rate: Float[Tensor, "fine"]
-    pressure: Float[Tensor, "fine"]
-    sd: Float[Tensor, "fine"]
-    own_stress: Float[Tensor, "fine"]
+    times: Fine
+    stretch: Fine
+    rate: Fine
+    pressure: Fine
+    sd: Fine
+    own_stress: Fine
 
 
 @dataclass(frozen=True)
@@ -140,7 +141,7 @@ class _System:
         its weights at that size; the Cholesky factor of its precision.
         """
         columns = torch.cat((self.fitted, size * self.unknown), 1)
-        free = torch.zeros(columns.shape[1], dtype=torch.float64)
+        free = zeros(columns.shape[1])
         free[self.fitted.shape[1] :] = 1.0
         chol = torch.linalg.cholesky(columns.mT @ columns + free.diag())
         seen = columns.mT @ self.residual
@@ -207,8 +208,8 @@ def infer_unknown(
     still = _State(
         fit.mean,
         fit.nuisances,
-        torch.zeros(0, dtype=torch.float64),
-        tuple(torch.zeros(len(shot.moments), dtype=torch.float64) for shot in shots),
+        zeros(0),
+        tuple(zeros(len(shot.moments)) for shot in shots),
     )
     search = _Search(shots, still, _respond(shots, still), sizes, rounds)
     paths = [response.path for response in search.responses]
@@ -227,7 +228,7 @@ def infer_unknown(
     fits[CAMERA] = search.fit(camera_errors, inside=False)
     base, *_ = _assemble(shots, still, search.responses, ()).solve(1.0)
     logs = {name: found.log_evidence for name, found in fits.items()}
-    probabilities = torch.tensor(list(logs.values()), dtype=torch.float64).softmax(0).tolist()
+    probabilities = tensor(list(logs.values())).softmax(0).tolist()
     best = max(logs, key=logs.__getitem__)
     outside = best == CAMERA
     return Unknown(
@@ -326,7 +327,8 @@ class _Search:
         inside: bool = True,
     ) -> _Fit:
         """A kind about a state that another may have made."""
-        own = _columns_of(columns, self.shots, responses)
+        pairs = zip(self.shots, responses, strict=True)
+        own = tuple(columns(number, *pair) for number, pair in enumerate(pairs))
         system = _assemble(self.shots, state, responses, own, inside=inside)
         solved = {size: system.solve(size) for size in self.sizes}
         logs = torch.stack([log for log, _, _ in solved.values()])
@@ -348,13 +350,6 @@ class _Search:
         return total
 
 
-def _columns_of(
-    columns: Columns, shots: Sequence[Shot], responses: Sequence[Response]
-) -> tuple[Tensor, ...]:
-    pairs = zip(shots, responses, strict=True)
-    return tuple(columns(number, *pair) for number, pair in enumerate(pairs))
-
-
 def _assemble(
     shots: Sequence[Shot],
     state: _State,
@@ -372,7 +367,7 @@ def _assemble(
     unknown = []
     place = gel
     for number, (shot, response) in enumerate(zip(shots, responses, strict=True)):
-        rows = torch.zeros(len(coordinates), len(response.residual), dtype=torch.float64)
+        rows = zeros(len(coordinates), len(response.residual))
         rows[:gel] = response.fitted[:gel]
         rows[place : place + len(own[number])] = response.fitted[gel:]
         place += len(own[number])
@@ -387,7 +382,7 @@ def _assemble(
     weights = torch.cat(unknown, 1).mT
     return _System(
         torch.cat((*residuals, coordinates)),
-        torch.cat((data, -torch.eye(len(coordinates), dtype=torch.float64))),
+        torch.cat((data, -eye(len(coordinates)))),
         torch.nn.functional.pad(weights, (0, 0, 0, len(coordinates))),
     )
 
@@ -437,7 +432,7 @@ def _compare_terms(search: _Search, found: _Fit, *, fitted: int = 3) -> dict[str
         logs[name] = search.fit(columns[name], lead=found).log_evidence
     logs = {name: log - math.log(len(TERMS)) for name, log in logs.items()}
     logs[NOTHING_KNOWN] = found.log_evidence
-    shares = torch.tensor(list(logs.values()), dtype=torch.float64).softmax(0).tolist()
+    shares = tensor(list(logs.values())).softmax(0).tolist()
     return dict(sorted(zip(logs, shares, strict=True), key=lambda item: -item[1]))
 
 
@@ -454,9 +449,7 @@ def _missing_pressures(
     )
     _, solution, chol = held.solve(found.size)
     place = held.fitted.shape[1]
-    root = torch.linalg.solve_triangular(
-        chol.mT, torch.eye(len(solution), dtype=torch.float64), upper=True
-    )[place:]
+    root = torch.linalg.solve_triangular(chol.mT, eye(len(solution)), upper=True)[place:]
     surroundings = shots[0].simulator.conditions.surroundings
     scale = surroundings.far_field_pressure
     missing = []

@@ -20,6 +20,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from imr_torch.float64 import arange, eye
 from imr_torch.unknown.shot import Path, Response, Shot
 
 Columns = Callable[[int, Shot, Response], Float[Tensor, "values weights"]]
@@ -59,7 +60,7 @@ class NystroemBasis:
             chosen.append(int(distance.argmax()))
             distance = torch.minimum(distance, (states - states[chosen[-1]]).square().sum(1))
         nodes = states[chosen]
-        jitter = 1e-6 * torch.eye(len(nodes), dtype=torch.float64)
+        jitter = 1e-6 * eye(len(nodes))
         return cls(nodes, torch.linalg.cholesky(_covariance(nodes, nodes) + jitter))
 
     def __call__(self, states: Float[Tensor, "points state"]) -> Float[Tensor, "points weights"]:
@@ -123,7 +124,7 @@ def flux_kernel(*, width: float = 0.1) -> Columns:
         change = torch.gradient(flux, spacing=(times,))[0]
         size = 2 * len(flux)
         step = float(times[1] - times[0])
-        delays = torch.arange(0.0, 1.5, 2.0 * width, dtype=torch.float64)
+        delays = arange(0.0, 1.5, 2.0 * width)
         kernels = (-0.5 * ((times - delays[:, None]) / width).square()).exp()
         echoes = torch.fft.irfft(torch.fft.rfft(change, size) * torch.fft.rfft(kernels, size), size)
         terms = torch.cat((flux[None], step * echoes[:, : len(flux)])).mT

@@ -17,11 +17,14 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from imr_torch.assimilate import Point, Posterior
+from imr_torch.float64 import arange
 from imr_torch.material import PARAMETERS, TERMS, ModelBelief, dimensionless, gel_response
 from imr_torch.observe import Experiment, ExperimentBatch, predict
 from imr_torch.simulate import Simulator, TabulatedDriving
 from imr_torch.types import Controls, FrameValues
 
+Fine = Float[Tensor, "fine"]
+"""A number at each of the fine times of a trajectory."""
 SPACING = 0.04
 """Width and spacing of the pulses in t*: about a frame. Half of it changes the log evidence of two test sets by .2 and .7 nats,
 and their pressures by .1 and .4 standard deviations (median)."""
@@ -47,26 +50,26 @@ class Path:
         own_stress: stress of the base model's gel over p_inf.
     """
 
-    times: Float[Tensor, "fine"]
-    radius: Float[Tensor, "fine"]
-    velocity: Float[Tensor, "fine"]
+    times: Fine
+    radius: Fine
+    velocity: Fine
     rest_radius: float
     size: float
-    own_stress: Float[Tensor, "fine"]
+    own_stress: Fine
 
     @property
-    def rate(self) -> Float[Tensor, "fine"]:
+    def rate(self) -> Fine:
         """Strain rate ``U/R``, in ``U_c`` over 200 um."""
         return self.velocity / self.radius / self.size
 
     @cached_property
-    def strain(self) -> Float[Tensor, "fine"]:
+    def strain(self) -> Fine:
         """Strain that the gel has gone through, ``int |U|/R dt``: the memory variable."""
         step = float(self.times[1] - self.times[0])
         return torch.cumsum((self.velocity / self.radius).abs(), 0) * step
 
     @property
-    def contents(self) -> Float[Tensor, "fine"]:
+    def contents(self) -> Fine:
         """Pressure of the contents over p_inf, about: gas of ``R_inf`` that follows a polytrope."""
         return self.rest_radius**3 * self.radius**-3.9
 
@@ -110,7 +113,7 @@ class Shot:
         """Centres of the pulses, t*."""
         beyond = 3.0 * SPACING
         last = float(self._experiment.times.max())
-        return torch.arange(-beyond, last + beyond, SPACING, dtype=torch.float64)
+        return arange(-beyond, last + beyond, SPACING)
 
     @cached_property
     def uncertain(self) -> Int[Tensor, "columns"]:
@@ -142,7 +145,7 @@ class Shot:
         surroundings = conditions.surroundings
         weber = self.batch.designs[0, 0]
         seconds = surroundings.time_scale(surroundings.max_radius(weber))
-        times = torch.arange(0.0, float(self.moments[-1]), SPACING / 4.0, dtype=torch.float64)
+        times = arange(0.0, float(self.moments[-1]), SPACING / 4.0)
         pascals = -surroundings.far_field_pressure * (pressure @ self.shape_pressure(times))
         if conditions.driving is not None:
             pascals = pascals + conditions.driving(times * seconds)[0]
@@ -223,7 +226,7 @@ class Shot:
 
     def _path(self, simulator: Simulator, parameters: Tensor, shifts: Tensor) -> Path:
         experiment = self._experiment
-        times = torch.arange(0.0, float(experiment.times.max()), _FINE, dtype=torch.float64)
+        times = arange(0.0, float(experiment.times.max()), _FINE)
         seen = replace(experiment, times=times, radius=torch.ones(1, len(times)).double())
         fine = replace(self.batch, experiments=(seen,))
         radius = predict(simulator, parameters, fine, shifts)[0]

@@ -3,14 +3,13 @@ import math
 import pytest
 import torch
 
-from imr_torch.gap import diagnose, library, locate
+from imr_torch.gap import locate
 from imr_torch.gap.adequacy import adequacy_test
-from imr_torch.gap.differing import fit_alone
-from imr_torch.gap.locate import Trend, by_experiment, drifts, onset, restrict
+from imr_torch.gap.locate import onset, restrict
 from imr_torch.goodness.linear import linearise_fit
 from imr_torch.goodness.phases import PHASES, phase_clock, phase_name
 from imr_torch.observe import Nuisance
-from tests.gap.synthetic import DESIGNS, SIMULATOR, fit, shoot
+from tests.gap.synthetic import SIMULATOR, fit, shoot
 
 CASES = {
     "matched": ({}, "none"),
@@ -93,68 +92,3 @@ def test_that_calibrated_p_values_are_those_of_the_smallest_of_all_tests() -> No
     assert float(p_values[0]) == pytest.approx(1.0 - 0.98**3, abs=0.01)
     assert float(p_values[1]) == pytest.approx(3e-9)
     assert float(locate._calibrate([torch.zeros(0), observed[1]], [drawn[:0], drawn])[0]) == 1.0
-
-
-@pytest.fixture(scope="module")
-def reports():
-    """Name -> a diagnosis with one effect to choose from, and the fits of single experiments."""
-    found = {}
-    for name in ("matched", "collapse"):
-        batch = shoot(CASES[name][0], DESIGNS)
-        report = diagnose(batch.experiments, effects=library(["wall"]), simulator=SIMULATOR)
-        found[name] = report, fit_alone(report.null, report.batch, SIMULATOR, seed=0)
-    return found
-
-
-def test_that_designs_are_silent_and_parameters_steady_on_matched_data(reports) -> None:
-    report, alone = reports["matched"]
-    found = by_experiment(report, SIMULATOR, alone, seed=1)
-    assert min(found.p_values.values()) > 0.05
-    assert max(abs(t.z) for t in found.trends) < 3.0
-    assert found.converged
-    assert found.reading == "No parameter of single experiments drifts over We or R_inf*."
-    for name, truth in (("G", 8e3), ("mu", 0.08)):
-        for low, middle, high in found.values[name]:
-            assert abs(truth - middle) < 2.2 * (high - low) / 2.0
-
-
-def test_that_an_effect_of_the_rate_shows_as_a_drift_of_viscosity_over_we(reports) -> None:
-    report, alone = reports["collapse"]
-    found = by_experiment(report, SIMULATOR, alone, seed=1)
-    assert min(found.p_values.values()) < 1e-6
-    assert any(t.parameter == "mu" and t.over == "We" and abs(t.z) > 5.0 for t in found.trends)
-    assert "rate or size" in found.reading
-    assert "do not tell" in found.reading  # three designs differ in both coordinates at once
-
-
-def test_that_drifts_are_those_of_weighted_least_squares(reports) -> None:
-    """Two designs that differ in one coordinate: the slope is their difference."""
-    _, alone = reports["collapse"]
-    designs = torch.tensor([[200.0, 0.2], [700.0, 0.2]], dtype=torch.float64)
-    trends = drifts(alone[:2], designs)
-    assert [(t.parameter, t.over) for t in trends] == [("G", "We"), ("mu", "We")]
-    difference = alone[1].mean - alone[0].mean
-    variance = sum(fit.chol @ fit.chol.mT for fit in alone[:2]).diagonal()
-    for trend, slope, square in zip(trends, difference.tolist(), variance.tolist(), strict=True):
-        assert trend.z == pytest.approx(slope / square**0.5, rel=1e-6)
-
-
-def test_that_a_drift_over_one_coordinate_or_over_enough_designs_is_called_by_its_name() -> None:
-    steady = Trend("G", "R_inf*", 0.5)
-    over_weber = Trend("mu", "We", 9.0)
-    over_rest = Trend("G", "R_inf*", 9.0)
-    assert (
-        locate._read((over_weber, steady), 2)
-        == "Parameters of single experiments drift: mu over We (points to rate or size)."
-    )
-    both = locate._read((over_weber, over_rest), 4)
-    assert "mu over We" in both
-    assert "G over R_inf*" in both
-    assert "2 experiments do not tell" in locate._read((over_weber, over_rest), 2)
-
-
-def test_that_one_design_shows_no_trends(reports) -> None:
-    _, alone = reports["matched"]
-    designs = torch.tensor([[200.0, 0.2]], dtype=torch.float64)
-    assert drifts(alone[:1], designs) == ()
-    assert "one design" in locate._read((), 1)
