@@ -327,13 +327,17 @@ def plot_missing_states(shots: Sequence[Mapping[str, Any]], *, ax: Axes | None =
 
 def plot_shrinkage(found: Mapping[str, Any], *, ax: Axes | None = None) -> Axes:
     """Part of the gap on unseen curves that is gone, beside what random effects close."""
-    ax = axes_or_new(ax, (5.2, 1.6))
+    rows = {"all frames": found["share"], "after the first\nrebound": found["later"]}
+    rows = {name: share for name, share in rows.items() if share is not None}
+    ax = axes_or_new(ax, (5.2, 1.2 + 0.45 * len(rows)))
     high = max(found["placebo_95"], 0.0)
     ax.axvspan(0.0, high, color="#DDDDDD", lw=0, label="95 % of random libraries")
-    draw_intervals(ax, [0.0], found["share"], color=MODEL, capsize=3)
+    places = range(len(rows) - 1, -1, -1)
+    draw_intervals(ax, places, list(rows.values()), color=MODEL, capsize=3)
     for at in (0.0, 1.0):
         ax.axvline(at, color=DATA, lw=0.8)
-    ax.set(xlabel="part of the gap that is gone", ylim=(-0.5, 0.5), yticks=[])
+    ax.set_yticks(places, list(rows), fontsize=8)
+    ax.set(xlabel="part of the gap that is gone", ylim=(-0.5, len(rows) - 0.5))
     add_legend(ax, fontsize=7, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     return ax
 

@@ -54,6 +54,7 @@ class HeldOut:
         residual: ``n_t`` tensor, data less prediction.
         by_nuisance: ``n_t x c`` tensor, change of the prediction by each nuisance of the design,
             deviations of its gel among them where it has one of its own.
+        nuisances: ``c`` tensor, their values, in prior standard deviations.
         by_gel: ``n_t x d`` tensor, change of the prediction by each control of the training fit.
         line: local sensitivities there.
         converged: whether the training fit did.
@@ -62,6 +63,7 @@ class HeldOut:
     hypothesis: Hypothesis
     residual: FrameValues
     by_nuisance: Float[Tensor, "frames nuisances"]
+    nuisances: Float[Tensor, "nuisances"]
     by_gel: Float[Tensor, "frames controls"]
     line: Linearisation
     converged: bool
@@ -242,6 +244,7 @@ def held_out(
         hypothesis,
         line.residual[:data],
         line.fitted[:data, size:],
+        nuisances[0, (batch.nuisance_sds > 0.0).any(0)],
         line.fitted[:data, :size],
         line,
         fit.certificate.converged,

@@ -7,7 +7,8 @@ With whitened residual ``r``, single-shot variances and the projector ``P`` besi
 
     D = sum(|P r|^2 - tr P) / n,        S = 1 - D_effect / D_base,
 
-so freedom earns nothing.
+so freedom earns nothing. A second figure fits what is the curve's own to the frames before the
+first rebound's maximum alone and takes ``S`` over the frames after it.
 
 What the procedure says where there is nothing to find is its placebo: a library of as many random
 smooth errors of radius and of time, alike in all curves and of the size of the effects' priors,
@@ -26,17 +27,19 @@ from torch import Tensor
 
 from imr_torch.float64 import arange, eye, randn, tensor, zeros
 from imr_torch.gap.diagnose import GapReport
-from imr_torch.gap.held_out import Judged, judge_designs
+from imr_torch.gap.held_out import HeldOut, Judged, judge_designs
 from imr_torch.gap.hypotheses import EXPLAINS
 from imr_torch.gap.model_error import smooth_errors
 from imr_torch.goodness.linear import Linearisation
-from imr_torch.goodness.phases import PHASES, noise_shares, phase_numbers
+from imr_torch.goodness.phases import PHASES, noise_shares, phase_clock, phase_numbers
 from imr_torch.goodness.score import ADEQUATE
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.types import FrameValues, Progress
 
+TURN = 1.5
+"""Reading of the phase clock at the first rebound's maximum."""
 _DRAWS = 2000  # of the interval
 _MANY = 5  # curves from which on they are drawn anew; of fewer, the phases of each
 _WIDEST = 2.0  # size of S beyond which the base leaves almost no gap to reduce
@@ -51,6 +54,8 @@ class Shrinkage:
     Args:
         share: 5, 50, 95 % of ``S``, by the scatter between curves (between phases of a curve where
             there are fewer than five); None where the directions that are removed leave no gap.
+        later: the same over the frames after the first rebound's maximum, with what is the curve's
+            own fitted before it.
         placebo: ``S`` of each random library, sorted.
         base_gap: ``D`` of the base model, in single-shot variances.
         base_p: that the base model's residuals beside the directions that are removed are noise.
@@ -58,12 +63,13 @@ class Shrinkage:
         converged: whether every training fit did.
 
     >>> from imr_torch.gap.shrinkage import Shrinkage
-    >>> found = Shrinkage((0.7, 0.9, 0.95), tuple(0.02 * i for i in range(20)), 4.0, 1e-9, (("clock",),), True)
+    >>> found = Shrinkage((0.7, 0.9, 0.95), None, tuple(0.02 * i for i in range(20)), 4.0, 1e-9, (("clock",),), True)
     >>> found.placebo_high, found.word(adequacy=0.4)
     (0.361, 'closed')
     """
 
     share: tuple[float, float, float] | None
+    later: tuple[float, float, float] | None
     placebo: tuple[float, ...]
     base_gap: float
     base_p: float
@@ -129,8 +135,12 @@ def shrinkage(
     squares = [(pair.beside @ pair.pair.base.residual).square().sum() for pair in pairs]
     base_p = float(chdtrc(freedom, float(sum(squares))))
     left = base_p < ADEQUATE and base_gap > 0.0
+    later = [squares for pair in pairs if (squares := pair.later) is not None]
+    later_base = [squares[0] for squares in later]
+    turned = left and later and float(torch.cat(later_base).sum()) > 0.0
     return Shrinkage(
         share=_interval(base, [pair.effect for pair in pairs], source) if left else None,
+        later=_interval(later_base, [x[1] for x in later], source) if turned else None,
         placebo=_placebo(report, pairs, placebos, child(seed, "placebo")) if left else (),
         base_gap=base_gap / count,
         base_p=base_p,
@@ -142,13 +152,14 @@ def shrinkage(
 @dataclass(frozen=True)
 class _Compared:
     """A design judged: the projector beside the directions that are removed, and how much of the
-    law's variance counts in each frame, with its phase.
+    law's variance counts in each frame, with its phase and its reading of the phase clock.
     """
 
     pair: Judged
     beside: Tensor
     share: Tensor
     phase: Tensor
+    clock: Tensor
 
     @property
     def base(self) -> Float[Tensor, "phases"]:
@@ -160,10 +171,32 @@ class _Compared:
         """The same with it."""
         return self._by_phase(self.excess(self.pair.effect.residual))
 
+    @property
+    def later(self) -> tuple[Float[Tensor, "phases"], Float[Tensor, "phases"]] | None:
+        """Both over the frames after the turn, with what is the curve's own fitted before it."""
+        early = self.clock <= TURN
+        if not early.any() or early.all():
+            return None
+        base, effect = (self._later(one, early) for one in (self.pair.base, self.pair.effect))
+        return base, effect
+
     def excess(self, residual: Tensor) -> FrameValues:
         """Squares of a residual beyond noise, in single-shot variances."""
         expected = self.share * self.beside.square().sum(1)
-        return ((self.beside @ residual).square() - expected) / self.pair.base.line.batch.counts[0]
+        return ((self.beside @ residual).square() - expected) / self._counts
+
+    def _later(self, own: HeldOut, early: Tensor) -> Tensor:
+        centred = own.residual + own.by_nuisance @ own.nuisances
+        before = own.by_nuisance[early]
+        precision = torch.eye(before.shape[1], dtype=torch.float64) + before.mT @ before
+        fitted = torch.linalg.solve(precision, before.mT @ centred[early])
+        spread = (own.by_nuisance @ torch.linalg.inv(precision) * own.by_nuisance).sum(1)
+        square = (centred - own.by_nuisance @ fitted).square() - self.share - spread
+        return self._by_phase(torch.where(early, 0.0, square / self._counts))
+
+    @property
+    def _counts(self) -> Tensor:
+        return self.pair.base.line.batch.counts[0]
 
     def _by_phase(self, squares: Tensor) -> Tensor:
         return zeros(len(PHASES)).index_add(0, self.phase, squares)
@@ -173,7 +206,8 @@ def _compared(pair: Judged) -> _Compared:
     batch = pair.base.line.batch
     phase = phase_numbers(batch.times, batch.mean, batch.mask)[0]
     share = noise_shares([own.residual.square() for own in (pair.base, pair.effect)], phase)
-    return _Compared(pair, beside_nuisances(pair), share, phase)
+    clock = phase_clock(batch.times, batch.mean, batch.mask)[0]
+    return _Compared(pair, beside_nuisances(pair), share, phase, clock)
 
 
 def beside_nuisances(pair: Judged) -> Float[Tensor, "frames frames"]:

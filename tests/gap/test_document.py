@@ -105,11 +105,12 @@ ANSWERS = {
 }
 """Verdict, cause and members of a document."""
 SHARED = {
-    "closed": {"share": [0.8, 0.9, 0.95], "word": "closed"},
-    "partly": {"share": [0.1, 0.4, 0.6], "word": "partly closed"},
-    "not": {"share": [-1.0, -0.2, 0.3], "word": "not closed"},
+    "closed": {"share": [0.8, 0.9, 0.95], "later": [0.7, 0.9, 1.0], "word": "closed"},
+    "partly": {"share": [0.1, 0.4, 0.6], "later": None, "word": "partly closed"},
+    "not": {"share": [-1.0, -0.2, 0.3], "later": None, "word": "not closed"},
     "no gap": {
         "share": None,
+        "later": None,
         "word": "no gap left",
         "placebo_median": None,
         "placebo_95": None,

@@ -37,6 +37,7 @@ def test_that_the_right_effect_closes_the_gap_and_random_ones_do_not(right) -> N
     assert low <= middle <= high
     assert low > 0.85
     assert abs(middle - 1.0) < 0.1
+    assert found.later[1] > 0.85
     assert found.selected == (("gas_loss",),) * 3
     assert found.converged
     assert len(found.placebo) == 20
@@ -92,7 +93,8 @@ def pair(bias: float, freedom: int, seed: int) -> Judged:
     def held(by_nuisance: torch.Tensor) -> HeldOut:
         fitted = torch.linalg.lstsq(by_nuisance, residual).solution if by_nuisance.numel() else None
         left = residual if fitted is None else residual - by_nuisance @ fitted
-        return HeldOut(Hypothesis(BASE), left, by_nuisance, nothing, line, True)
+        values = torch.zeros(0, dtype=torch.float64) if fitted is None else fitted
+        return HeldOut(Hypothesis(BASE), left, by_nuisance, values, nothing, line, True)
 
     return Judged(held(nothing), held(smooth), line)
 
@@ -128,7 +130,7 @@ def test_that_the_interval_covers_the_mean_over_curves() -> None:
 
 
 def test_that_words_need_more_than_random_effects_close() -> None:
-    found = Shrinkage((0.7, 0.8, 0.9), (0.1,) * 19 + (0.2,), 1.0, 0.0, (("wall",),), True)
+    found = Shrinkage((0.7, 0.8, 0.9), None, (0.1,) * 19 + (0.2,), 1.0, 0.0, (("wall",),), True)
     assert found.word(0.5) == "closed"
     assert found.word(0.01) == "partly closed"
     assert replace(found, placebo=(0.75,) * 20).word(0.5) == "partly closed"
