@@ -26,7 +26,7 @@ from imr_torch.simulate.conditions import Conditions, Stepping
 from imr_torch.simulate.engines import Engine, EngineSimulator, can_compile
 from imr_torch.simulate.gas import compression_of
 from imr_torch.simulate.simulator import RUNAWAY, Status
-from imr_torch.simulate.wall import Head, gas_loss, move_wall, vapour_factor
+from imr_torch.simulate.wall import Head, gas_loss, move_wall, name_sonic, vapour_factor
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,16 @@ def _integrate_batch(
         steps[active] += block
         status[active] = _judge_members(path, last[active])
         active = torch.nonzero((status == Status.TOO_MANY_STEPS) & (steps < limits))[:, 0]
-    return *_read_curves(bubbles, torch.cat(history), times, status), status, steps
+    whole = torch.cat(history)
+    curves = _read_curves(bubbles, whole, times, status)
+    return *curves, name_sonic(bubbles, status, _last_velocity(whole)), steps
+
+
+def _last_velocity(history: Tensor) -> Tensor:
+    """The last finite velocity of each member; ``history`` is ``n x (3 + K) x B``."""
+    finite = torch.isfinite(history).all(1)
+    last = (finite * torch.arange(len(finite), device=finite.device)[:, None]).argmax(0)
+    return history[:, 1].gather(0, last[None])[0]
 
 
 def start_of(bubbles: Bubbles) -> Float[Tensor, "rows *#members"]:

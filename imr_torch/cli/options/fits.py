@@ -11,12 +11,12 @@ from imr_torch.cli.options.names import (
     SCATTER_SCALE,
 )
 from imr_torch.cli.options.shared import (
+    BUBBLE,
     COUNT_ALL_SHOTS,
     DRIVING,
     MEDIUM,
     ONE_OF,
     OUTPUT,
-    PHYSICS_OPTION,
     PRIOR,
     READING,
     Options,
@@ -116,7 +116,7 @@ def list_characterize_options() -> Options:
         ),
         MEDIUM,
         DRIVING,
-        PHYSICS_OPTION,
+        *BUBBLE,
         *PRIOR,
     )
 
@@ -158,7 +158,7 @@ def list_batch_options() -> Options:
             "Dask scheduler whose workers do it, such as tcp://scheduler:8786",
         ),
         MEDIUM,
-        PHYSICS_OPTION,
+        *BUBBLE,
         *PRIOR,
     )
 
@@ -238,7 +238,7 @@ def list_diagnose_options() -> Options:
         *OUTPUT,
         MEDIUM,
         DRIVING,
-        PHYSICS_OPTION,
+        *BUBBLE,
     )
 
 
