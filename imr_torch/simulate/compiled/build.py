@@ -35,6 +35,7 @@ from imr_torch.files import write_atomically
 from imr_torch.material import PARAMETERS, Effect, StressTerm
 from imr_torch.simulate.bubbles import Numbers
 from imr_torch.simulate.compiled import algebra, polytropic, transport
+from imr_torch.simulate.radial import Form
 
 
 @dataclass(frozen=True)
@@ -149,7 +150,7 @@ def source_of(registry: Registry) -> str:
         _write_stress(registry.terms),
         _write_memory(registry.terms),
         _write_effects(registry.effects),
-        _write_choice("radial", registry.radial),
+        _write_choice("radial", registry.radial, len(Form._fields)),
         _write_choice("liquid", registry.liquids),
         _write_choice("gas", registry.gases),
         _write_numbers(),
@@ -257,13 +258,15 @@ def _write_effects(effects: Sequence[Effect]) -> str:
     return "\n\n\n".join(functions)
 
 
-def _write_choice(kind: str, laws: Sequence[Law]) -> str:
+def _write_choice(kind: str, laws: Sequence[Law], constants: int = 0) -> str:
     """One function that calls the law of a number.
 
-    Arguments that the shortest law lacks come out of one array.
+    The last arguments of the shortest law, ``constants`` in number, and all that it lacks come out
+    of one array.
     """
     signatures = [tuple(inspect.signature(law).parameters) for law in laws]
-    common = min(signatures, key=len)
+    shortest = min(signatures, key=len)
+    common = shortest[: len(shortest) - constants]
     arguments = ", ".join(common)
     lines = ["@kernel", f"def {kind}(kind, {arguments}, constants):"]
     for i, (law, own) in enumerate(zip(laws, signatures, strict=True)):
