@@ -34,7 +34,7 @@ from imr_torch.simulate.radial import (
     RayleighPlesset,
     SecondOrder,
 )
-from imr_torch.simulate.sensitivity import DESIGN, sensitivities
+from imr_torch.simulate.sensitivity import DESIGN, explain_growth, sensitivities
 from imr_torch.simulate.simulator import (
     EARLIEST,
     Simulator,
@@ -90,6 +90,7 @@ __all__ = [
     "check_times",
     "coarser",
     "described",
+    "explain_growth",
     "fewer_steps",
     "process_pool",
     "sensitivities",

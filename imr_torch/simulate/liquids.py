@@ -40,13 +40,6 @@ def noble_abel(
     return enthalpy, volume, power(compression, -0.5 - 0.5 / exponent) / volume
 
 
-def tait(
-    pressure: Scalar, slowness: Scalar, exponent: Scalar, stiffness: Scalar
-) -> tuple[Scalar, Scalar, Scalar]:
-    """``(p + B) w^n`` is constant."""
-    return noble_abel(pressure, slowness, exponent, stiffness, 0.0)
-
-
 def mie_gruneisen(
     pressure: Scalar, slowness: Scalar, slope: Scalar, bend: Scalar
 ) -> tuple[Scalar, Scalar, Scalar]:
@@ -124,7 +117,12 @@ class Tait(Liquid):
     stiffness: float = 304.913e6 / ATMOSPHERE
 
     key = "tait"
-    law = staticmethod(tait)
+    law = staticmethod(noble_abel)
+
+    @property
+    def constants(self) -> tuple[float, ...]:
+        """Those of a Noble-Abel liquid without covolume."""
+        return self.exponent, self.stiffness, 0.0
 
     def __post_init__(self) -> None:
         self._require(

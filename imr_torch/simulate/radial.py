@@ -100,46 +100,25 @@ def accelerate_wall(
 
 
 def drive_wall(
-    radius: Scalar,
-    velocity: Scalar,
-    pressure: Scalar,
-    rate: Scalar,
-    inertia: Scalar,
-    far: Scalar,
-    far_rate: Scalar,
-    slowness: Scalar,
-    image: Scalar,
-    beyond: Scalar,
+    state: tuple[Scalar, ...],
     near: tuple[Scalar, Scalar, Scalar],
     away: tuple[Scalar, Scalar, Scalar],
 ) -> tuple[Scalar, ...]:
     """The arguments of a law up to ``beyond`` from pressures.
 
     Args:
-        radius: ``R``.
-        velocity: ``U``.
-        pressure: ``p_w`` in the liquid at the wall.
-        rate: the part of its rate without ``U'``.
-        inertia: the factor of ``U'`` in its rate.
-        far: far-field pressure.
-        far_rate: its time derivative.
-        slowness: 1/c of the undisturbed liquid.
-        image: strength of a mirror bubble.
-        beyond: share of the terms of second order.
-        near: the liquid at ``p_w``.
+        state: radius, velocity, pressure in the liquid at the wall, the part of its rate without
+            ``U'``, the factor of ``U'`` in it, far-field pressure and its rate, slowness, image,
+            beyond.
+        near: the liquid at the pressure at the wall.
         away: the liquid at the far-field pressure.
     """
-    return (
-        radius,
-        velocity,
-        near[0] - away[0],
-        near[1] * rate - away[1] * far_rate,
-        near[1] * inertia,
-        slowness,
-        slowness * near[2],
-        image,
-        beyond,
-    )
+    radius, velocity, _, rate, inertia, _, far_rate, slowness, image, beyond = state
+    change = near[1] * rate - away[1] * far_rate
+    inertia = near[1] * inertia
+    local = slowness * near[2]
+    enthalpy = near[0] - away[0]
+    return radius, velocity, enthalpy, change, inertia, slowness, local, image, beyond
 
 
 @dataclass(frozen=True)
@@ -171,9 +150,10 @@ class RadialEquation:
         return (*self.form, *own)
 
     def acceleration(self, *state: Scalar) -> Scalar:
-        """``U'``; the arguments are those of :func:`drive_wall` up to ``beyond``."""
-        near, away = (self.liquid.at(pressure, state[7]) for pressure in (state[2], state[5]))
-        return type(self).law(*drive_wall(*state, near, away), *self.constants)
+        """``U'``; ``state`` is that of :func:`drive_wall`."""
+        near = self.liquid.at(state[2], state[7])
+        away = self.liquid.at(state[5], state[7])
+        return type(self).law(*drive_wall(state, near, away), *self.constants)
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,9 @@ EARLIEST = -0.5
 
 
 class Status(IntEnum):
-    """How the solve of one bubble ended.
+    """How the solve of one bubble ended, or what is to be known of it.
+
+    Of a solve that is done, :func:`imr_torch.simulate.explain_growth` says ``ILL_CONDITIONED``.
 
     >>> from imr_torch.simulate import Status
     >>> Status(1).name
@@ -49,6 +51,7 @@ class Status(IntEnum):
     STEP_UNDERFLOW = 4
     UNBOUNDED_ENERGY = 5
     SONIC_WALL = 6
+    ILL_CONDITIONED = 7
 
     @property
     def sentence(self) -> str:
@@ -93,6 +96,10 @@ _MEANINGS = {
         "The wall reached the Mach number at which the radial equation is singular.",
         "Take an equation without one (second_order), a milder design, or check the velocity at "
         "time zero and the sound speed.",
+    ),
+    Status.ILL_CONDITIONED: (
+        "A small change of what the bubble was made from grows too large to trust the end of it.",
+        "Ask for an earlier last time or a milder design.",
     ),
 }
 """What each status means, and what to do about it."""

@@ -141,7 +141,7 @@ def accelerate_wall(radius, velocity, pressure, rate, stress, far, far_rate, mem
     )
     near = laws.liquid(setup.liquid, arguments[2], arguments[7], setup.liquid_constants)
     away = laws.liquid(setup.liquid, arguments[5], arguments[7], setup.liquid_constants)
-    drive = drive_wall(*arguments, near, away)
+    drive = drive_wall(arguments, near, away)
     return laws.radial(setup.motion, *drive, setup.motion_constants) * b.pace * b.pace
 
 
