@@ -18,7 +18,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ import torch
 from scipy.integrate import solve_ivp
 from torchdiffeq import odeint
 
+from imr_torch.elementary import Scalar
 from imr_torch.material import PARAMETERS
 from imr_torch.simulate import (
     ACCURACIES,
@@ -45,6 +46,7 @@ from imr_torch.simulate import (
     Tait,
     TransportSimulator,
 )
+from imr_torch.simulate.liquids import mie_gruneisen
 from imr_torch.units import Surroundings
 from tests.conformance.imrv2 import WholeRateGilmore
 
@@ -145,6 +147,22 @@ def solve_torchdiffeq(bubbles: Bubbles) -> np.ndarray:
     )
     assert isinstance(path, torch.Tensor)
     return path[:, 0].T.numpy()
+
+
+def from_zero(
+    pressure: Scalar, slowness: Scalar, slope: Scalar, bend: Scalar
+) -> tuple[Scalar, Scalar, Scalar]:
+    """The density of the undisturbed liquid is that at no pressure."""
+    return mie_gruneisen(pressure + 1.0, slowness, slope, bend)
+
+
+@dataclass(frozen=True)
+class FromZero(MieGruneisen):
+    """PyIMR's Mie-Gruneisen liquid, with its constants."""
+
+    slope: float = 2.65
+    bend: float = 0.5 * (7.15 - 1.0)
+    law = staticmethod(from_zero)
 
 
 class Peer:
@@ -272,25 +290,27 @@ def compare_trajectories(peer: Peer) -> list[dict[str, Any]]:
     bubbles = draw_bubbles(4, 7)
     own_speed = (7.15 * (OUTER.far_field_pressure + TAIT) / OUTER.density) ** 0.5
     tait = Tait()
-    steep = MieGruneisen(slope=2.65, bend=0.5 * (7.15 - 1.0))
+    steep = MieGruneisen(slope=FromZero.slope, bend=FromZero.bend)
+    outer = OUTER.sound_speed
     cases: dict[str, tuple[RadialEquation, int, float]] = {
-        "Rayleigh-Plesset": (RayleighPlesset(), 1, OUTER.sound_speed),
-        "Keller-Miksis": (KellerMiksis(), 2, OUTER.sound_speed),
-        "Keller-Miksis, enthalpy, Tait": (KellerMiksisEnthalpy(tait), 3, OUTER.sound_speed),
-        "Keller-Miksis, enthalpy, Mie-Gruneisen": (
-            KellerMiksisEnthalpy(steep),
+        "Rayleigh-Plesset": (RayleighPlesset(), 1, outer),
+        "Keller-Miksis": (KellerMiksis(), 2, outer),
+        "Keller-Miksis, enthalpy, Tait": (KellerMiksisEnthalpy(tait), 3, outer),
+        "Keller-Miksis, enthalpy, Mie-Gruneisen, from zero": (
+            KellerMiksisEnthalpy(FromZero()),
             5,
-            OUTER.sound_speed,
+            outer,
         ),
+        "Keller-Miksis, enthalpy, Mie-Gruneisen": (KellerMiksisEnthalpy(steep), 5, outer),
         "Gilmore, Tait, whole rate": (WholeRateGilmore(tait), 4, own_speed),
         "Gilmore, Tait": (Gilmore(tait), 4, own_speed),
-        "Gilmore, Mie-Gruneisen, whole rate": (WholeRateGilmore(steep), 6, OUTER.sound_speed),
-        "Gilmore, Mie-Gruneisen": (Gilmore(steep), 6, OUTER.sound_speed),
+        "Gilmore, Mie-Gruneisen, whole rate, from zero": (WholeRateGilmore(FromZero()), 6, outer),
+        "Gilmore, Mie-Gruneisen": (Gilmore(steep), 6, outer),
     }
     rows = []
     for name, (motion, radial, speed) in cases.items():
-        outer = replace(OUTER, sound_speed=speed)
-        conditions = replace(POLYTROPIC, surroundings=outer, motion=motion)
+        beside = replace(OUTER, sound_speed=speed)
+        conditions = replace(POLYTROPIC, surroundings=beside, motion=motion)
         ours = solve_here(
             PolytropicSimulator(conditions, Stepping(0.02, max_steps=10**6), threads=1), bubbles
         )

@@ -7,7 +7,7 @@ import shlex
 import sys
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -97,10 +97,9 @@ def motion_of(args: Namespace) -> RadialEquation:
     try:
         return replace(motion, liquid=LIQUIDS[args.liquid])
     except ValueError:
-        others = [key for key, x in RADIAL_EQUATIONS.items() if fields(x)[0].init]
         raise InputDataError(
             f"--liquid is {args.liquid}, and --radial {args.radial} is an equation in pressure; leave "
-            f"it out, or give --radial {', '.join(others)}."
+            "it out, or give --radial keller_miksis_enthalpy."
         ) from None
 
 

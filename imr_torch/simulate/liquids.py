@@ -6,8 +6,8 @@ returns ``h`` up to a constant, ``w = dh/dp`` (1 at ``p_inf``), and the slowness
 ``p_inf``; NaN where the liquid does not exist.
 """
 
-import math
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, fields
+from math import inf
 from typing import ClassVar
 
 from imr_torch.elementary import Law, Scalar, expm1, log1p, power, sqrt
@@ -71,6 +71,8 @@ class Liquid:
 
     key: ClassVar[str]
     law: ClassVar[Law]
+    bounds: ClassVar[tuple[tuple[float, float], ...]] = ()
+    """Between which each constant must be."""
 
     @property
     def constants(self) -> tuple[float, ...]:
@@ -81,9 +83,12 @@ class Liquid:
         """Enthalpy, specific volume, and slowness over that at ``p_inf``."""
         return type(self).law(pressure, slowness, *self.constants)
 
-    def _require(self, within: bool, expected: str) -> None:
-        if not (within and all(map(math.isfinite, self.constants))):
-            raise InputDataError(f"{self} cannot be: expected {expected}, all finite.")
+    def __post_init__(self) -> None:
+        for entry, (low, high) in zip(fields(self), self.bounds, strict=True):
+            if not low < getattr(self, entry.name) < high:
+                raise InputDataError(
+                    f"{self} cannot be: expected {entry.name} above {low:g} and below {high:g}."
+                )
 
 
 @dataclass(frozen=True)
@@ -117,18 +122,13 @@ class Tait(Liquid):
     stiffness: float = 304.913e6 / ATMOSPHERE
 
     key = "tait"
+    bounds = ((1.0, inf), (0.0, inf))
     law = staticmethod(noble_abel)
 
     @property
     def constants(self) -> tuple[float, ...]:
         """Those of a Noble-Abel liquid without covolume."""
         return self.exponent, self.stiffness, 0.0
-
-    def __post_init__(self) -> None:
-        self._require(
-            self.exponent > 1.0 and self.stiffness > 0.0,
-            "exponent > 1 and stiffness > 0 (B over p_inf)",
-        )
 
 
 @dataclass(frozen=True)
@@ -152,13 +152,8 @@ class NobleAbel(Liquid):
     covolume: float = 6.61e-4 * 997.0
 
     key = "noble_abel"
+    bounds = ((1.0, inf), (0.0, inf), (0.0, 1.0))
     law = staticmethod(noble_abel)
-
-    def __post_init__(self) -> None:
-        self._require(
-            self.exponent > 1.0 and self.stiffness > 0.0 and 0.0 <= self.covolume < 1.0,
-            "exponent > 1, stiffness > 0 (B over p_inf) and 0 <= covolume < 1",
-        )
 
 
 @dataclass(frozen=True)
@@ -182,10 +177,8 @@ class MieGruneisen(Liquid):
     bend: float = 1.0
 
     key = "mie_gruneisen"
+    bounds = ((1.0, inf), (0.0, inf))
     law = staticmethod(mie_gruneisen)
-
-    def __post_init__(self) -> None:
-        self._require(self.slope >= 1.0 and self.bend >= 0.0, "slope >= 1 and bend >= 0")
 
 
 LIQUIDS: dict[str, Liquid] = {

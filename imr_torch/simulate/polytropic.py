@@ -108,6 +108,7 @@ def _integrate_batch(
     history = [state[None]]
     status = torch.full((count,), int(Status.TOO_MANY_STEPS), device=times.device)
     steps = torch.zeros_like(status)
+    fastest = torch.zeros_like(last)
     limits = torch.full_like(steps, 2 * stepping.max_steps)  # a follower may need a little longer
     limits[::width] = stepping.max_steps
     active = torch.arange(count, device=times.device)
@@ -120,17 +121,10 @@ def _integrate_batch(
         state = history[-1][-1]
         steps[active] += block
         status[active] = _judge_members(path, last[active])
+        fastest[active] = path[:, 1].nan_to_num(-torch.inf).amax(0)
         active = torch.nonzero((status == Status.TOO_MANY_STEPS) & (steps < limits))[:, 0]
-    whole = torch.cat(history)
-    curves = _read_curves(bubbles, whole, times, status)
-    return *curves, name_sonic(bubbles, status, _last_velocity(whole)), steps
-
-
-def _last_velocity(history: Tensor) -> Tensor:
-    """The last finite velocity of each member; ``history`` is ``n x (3 + K) x B``."""
-    finite = torch.isfinite(history).all(1)
-    last = (finite * torch.arange(len(finite), device=finite.device)[:, None]).argmax(0)
-    return history[:, 1].gather(0, last[None])[0]
+    curves = _read_curves(bubbles, torch.cat(history), times, status)
+    return *curves, name_sonic(bubbles, status, fastest), steps
 
 
 def start_of(bubbles: Bubbles) -> Float[Tensor, "rows *#members"]:

@@ -145,15 +145,14 @@ class RadialEquation:
 
     @property
     def constants(self) -> tuple[float, ...]:
-        """What the law takes after ``beyond``."""
-        own = (getattr(self, x.name) for x in fields(self) if x.name != "liquid")
-        return (*self.form, *own)
+        """What the law takes after the form."""
+        return tuple(getattr(self, x.name) for x in fields(self) if x.name != "liquid")
 
     def acceleration(self, *state: Scalar) -> Scalar:
         """``U'``; ``state`` is that of :func:`drive_wall`."""
         near = self.liquid.at(state[2], state[7])
         away = self.liquid.at(state[5], state[7])
-        return type(self).law(*drive_wall(state, near, away), *self.constants)
+        return type(self).law(*drive_wall(state, near, away), *self.form, *self.constants)
 
 
 @dataclass(frozen=True)

@@ -100,7 +100,7 @@ def _move_wall_in(
 def name_sonic(bubbles: Bubbles, status: Tensor, velocity: Members) -> Tensor:
     """Statuses in which a failure at the Mach number where the equation is singular has its name.
 
-    ``velocity`` is the last one before the failure.
+    ``velocity`` is that just before the failure.
     """
     near = velocity * bubbles.numbers.slowness > NEARLY_SONIC * bubbles.conditions.motion.sonic
     return torch.where((status != Status.DONE) & near, int(Status.SONIC_WALL), status)

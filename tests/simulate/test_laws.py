@@ -41,7 +41,7 @@ def test_that_a_radial_equation_is_its_compiled_self(
         for p in (state[2], state[5])
     )
     driven = [float(x) for x in drive_wall(state, near, away)]
-    found = assert_alike(type(motion).law, [*driven, *motion.constants], range(5))
+    found = assert_alike(type(motion).law, [*driven, *motion.form, *motion.constants], range(5))
     assert float(found) == float(
         motion.acceleration(*(torch.tensor(x, dtype=torch.float64) for x in state))
     )

@@ -35,7 +35,6 @@ from imr_torch.files import write_atomically
 from imr_torch.material import PARAMETERS, Effect, StressTerm
 from imr_torch.simulate.bubbles import Numbers
 from imr_torch.simulate.compiled import algebra, polytropic, transport
-from imr_torch.simulate.radial import Form
 
 
 @dataclass(frozen=True)
@@ -150,7 +149,7 @@ def source_of(registry: Registry) -> str:
         _write_stress(registry.terms),
         _write_memory(registry.terms),
         _write_effects(registry.effects),
-        _write_choice("radial", registry.radial, len(Form._fields)),
+        _write_choice("radial", registry.radial),
         _write_choice("liquid", registry.liquids),
         _write_choice("gas", registry.gases),
         _write_numbers(),
@@ -258,15 +257,13 @@ def _write_effects(effects: Sequence[Effect]) -> str:
     return "\n\n\n".join(functions)
 
 
-def _write_choice(kind: str, laws: Sequence[Law], constants: int = 0) -> str:
+def _write_choice(kind: str, laws: Sequence[Law]) -> str:
     """One function that calls the law of a number.
 
-    The last arguments of the shortest law, ``constants`` in number, and all that it lacks come out
-    of one array.
+    Arguments that the shortest law lacks come out of one array.
     """
     signatures = [tuple(inspect.signature(law).parameters) for law in laws]
-    shortest = min(signatures, key=len)
-    common = shortest[: len(shortest) - constants]
+    common = min(signatures, key=len)
     arguments = ", ".join(common)
     lines = ["@kernel", f"def {kind}(kind, {arguments}, constants):"]
     for i, (law, own) in enumerate(zip(laws, signatures, strict=True)):

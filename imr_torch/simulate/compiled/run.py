@@ -198,6 +198,7 @@ def _setup_of(bubbles: Bubbles, registry: Registry) -> Setup:
     return Setup(
         bubbles.constants,
         registry.radial.index(type(motion).law),
+        tuple(motion.form),
         np.array([*motion.constants, 0.0]),
         registry.liquids.index(type(motion.liquid).law),
         np.array([*motion.liquid.constants, 0.0]),

@@ -31,7 +31,7 @@ class Setup(NamedTuple):
 
     Args:
         c: constants of the contents.
-        motion: number of the radial equation, and ``motion_constants``.
+        motion: number of the law of the radial equation, its ``form``, and ``motion_constants``.
         liquid: number of the liquid, and ``liquid_constants``.
         sonic: Mach number at which the radial equation is nearly singular.
         gas: number of the gas law.
@@ -41,6 +41,7 @@ class Setup(NamedTuple):
 
     c: Constants
     motion: int
+    form: tuple[float, ...]
     motion_constants: np.ndarray
     liquid: int
     liquid_constants: np.ndarray
@@ -141,7 +142,7 @@ def accelerate_wall(radius, velocity, pressure, rate, stress, far, far_rate, mem
     )
     near = laws.liquid(setup.liquid, arguments[2], arguments[7], setup.liquid_constants)
     away = laws.liquid(setup.liquid, arguments[5], arguments[7], setup.liquid_constants)
-    drive = drive_wall(arguments, near, away)
+    drive = drive_wall(arguments, near, away) + setup.form
     return laws.radial(setup.motion, *drive, setup.motion_constants) * b.pace * b.pace
 
 
