@@ -307,13 +307,12 @@ def compare_trajectories(peer: Peer) -> list[dict[str, Any]]:
         "Gilmore, Mie-Gruneisen, whole rate, from zero": (WholeRateGilmore(FromZero()), 6, outer),
         "Gilmore, Mie-Gruneisen": (Gilmore(steep), 6, outer),
     }
+    fine = Stepping(0.03, max_steps=10**5)  # by tensors: the peer's forms need not be compiled
     rows = []
     for name, (motion, radial, speed) in cases.items():
         beside = replace(OUTER, sound_speed=speed)
         conditions = replace(POLYTROPIC, surroundings=beside, motion=motion)
-        ours = solve_here(
-            PolytropicSimulator(conditions, Stepping(0.02, max_steps=10**6), threads=1), bubbles
-        )
+        ours = solve_here(PolytropicSimulator(conditions, fine, engine="torchdiffeq"), bubbles)
         theirs, _ = peer.solve(bubbles, FINE | {"radial": radial}, sound_speed_m_s=speed)
         rows.append({"key": f"same/{name}", "largest": largest_difference(ours, theirs)})
     few = bubbles[:2]

@@ -125,8 +125,8 @@ def explain_growth(
     >>> times = torch.tensor([0.0, 0.9])
     >>> explain_growth(PolytropicSimulator(), gel, design, times, ["G", "mu"])
     ''
-    >>> explain_growth(PolytropicSimulator(), gel, design, times, ["G", "mu"], limit=0.2)[-77:]
-    'A change of 1e-09 in G grows by 0.44. Ask for an earlier last time or a milder design.'
+    >>> explain_growth(PolytropicSimulator(), gel, design, times, ["G", "mu"], limit=0.2)[-48:]
+    'Ask for an earlier last time or a milder design.'
     """
     _, slopes = sensitivities(simulator, parameters, designs, times, names=names)
     values = torch.cat((parameters, designs.to(parameters)), -1)[[_column_of(x) for x in names]]

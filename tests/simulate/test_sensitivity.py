@@ -28,6 +28,7 @@ from imr_torch.simulate import (
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.engines import ENGINES
 from imr_torch.simulate.simulator import solve_bundles
+from tests.simulate.bubble import gel, grid, tensor
 
 TIMES = torch.linspace(0.0, 1.6, 33, dtype=torch.float64)
 NAMES = ("G", "mu", "alpha", *DESIGN)
