@@ -1,5 +1,6 @@
 """The command line as a user meets it: results, JSON, figures, and messages that say what to do."""
 
+import functools
 import json
 import re
 import shutil
@@ -17,7 +18,7 @@ from imr_torch.cli.design import plan_of
 from imr_torch.material import PARAMETERS, wide_prior
 from imr_torch.observe import Nuisance
 from imr_torch.results import draw_figures
-from imr_torch.simulate import PolytropicSimulator
+from imr_torch.simulate import PolytropicSimulator, Status, explain_growth
 from tests.journals import cut
 
 EXAMPLE = example_gel()
@@ -58,6 +59,45 @@ def test_that_an_option_that_would_do_nothing_is_refused(line, capsys):
         main(line.split())
     assert stop.value.code == 2
     assert f"unrecognized arguments: --{line.split(' --')[1]}" in capsys.readouterr().err
+
+
+def test_that_a_result_says_with_which_equation_and_liquid_it_was_made(tmp_path, capsys):
+    out = tmp_path / "bubble.json"
+    bubble = [
+        "simulate",
+        "--set",
+        "G=8310,mu=0.093",
+        "--physics",
+        "polytropic",
+        "--frames",
+        "41",
+        "--json",
+    ]
+    ends = {}
+    for motion in ((), ("--radial", "gilmore"), ("--radial", "gilmore", "--liquid", "noble_abel")):
+        assert main([*bubble, str(out), *motion]) == 0
+        made = json.loads(out.read_text())
+        ends[made["radial"], made["liquid"]] = made["R_star"][-1]
+    assert list(ends) == [
+        ("keller_miksis", "constant_density"),
+        ("gilmore", "tait"),
+        ("gilmore", "noble_abel"),
+    ]
+    assert len(set(ends.values())) == 3
+    assert "A change of" not in capsys.readouterr().out
+
+
+def test_that_an_ill_conditioned_bubble_says_so(monkeypatch, capsys):
+    """Bubbles in which a change grows a thousandfold are driven for long; here the limit is lower."""
+    bubble = ["simulate", "--set", "G=8310,mu=0.093", "--physics", "polytropic", "--frames", "41"]
+    assert main(bubble) == 0
+    assert "grows by" not in capsys.readouterr().out
+    low = functools.partial(explain_growth, limit=1.0)
+    monkeypatch.setattr("imr_torch.cli.simulate.explain_growth", low)
+    assert main(bubble) == 0
+    said = capsys.readouterr().out
+    assert Status.ILL_CONDITIONED.sentence in said
+    assert re.search(r"A change of 1e-09 in \w+ grows by .+\. Ask for an earlier last time", said)
 
 
 def test_simulate_writes_the_curve_and_a_figure(rendered, tmp_path, capsys):
@@ -234,6 +274,8 @@ def test_campaign_does_not_overwrite_and_resumes(simulated, capsys):
     before = (out / "campaign.json").read_text()
     assert main(arguments) == 2
     assert "give --resume to continue it, or another --out" in capsys.readouterr().err
+    assert main([*arguments, "--resume", "--radial", "herring"]) == 2
+    assert "simulator" in capsys.readouterr().err
     assert main([*arguments, "--resume"]) == 0
     after = json.loads((out / "campaign.json").read_text())
     first = json.loads(before)
@@ -594,6 +636,10 @@ CURVE = "".join(f"a,{i}e-6,{(300 - 9 * i if i < 30 else 10 + i) * 1e-6}\n" for i
             r"\(300, 1\): expected We > 0 and 0 < R_inf\* < 1",
         ),
         (["simulate", "--set", "G=1e4,mu=0.1", "--frames", "1"], "--frames is 1"),
+        (
+            ["simulate", "--set", "G=1e4,mu=0.1", "--liquid", "tait"],
+            "--liquid is tait, and --radial keller_miksis is an equation in pressure; leave it out",
+        ),
         (
             ["design", "--case", "soft-pa", "--we-range", "900:100"],
             r"weber is \(900.0, 100.0\); expected 0 < lower < upper",

@@ -22,7 +22,7 @@ from imr_torch.gap import diagnose
 from imr_torch.material import CASES, MATERIALS
 from imr_torch.material.media import NAMED
 from imr_torch.population import SCALE
-from imr_torch.simulate import ENGINES
+from imr_torch.simulate import ENGINES, LIQUIDS, RADIAL_EQUATIONS
 
 HEAVY = ("torch", "numpy", "botorch", "matplotlib", "numba", "scipy")
 BUILT_IN = [
@@ -68,6 +68,8 @@ def test_that_the_version_is_that_of_the_package(capsys):
         (names.MEDIA, NAMED),
         (names.PHYSICS, SIMULATORS),
         (names.ENGINES, ENGINES),
+        (names.RADIAL, RADIAL_EQUATIONS),
+        (names.LIQUIDS, LIQUIDS),
         (names.METHODS, METHODS),
         (names.EFFORTS, EFFORTS),
         (names.TARGETS, get_args(Target)),

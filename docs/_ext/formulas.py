@@ -84,6 +84,8 @@ EFFECTS = {
         r"\quad\text{while } R < R_\infty"
     ),
     "sound_speed": r"c \to c\,e^{x}",
+    "compressibility": r"\mathrm{KM} \to (1 - x)\,\mathrm{KM} + x\,\mathrm{KM}_2,"
+    r"\quad \mathrm{KM}_2 \text{ to order } \dot R^2/c^2",
     "surface_tension": r"\gamma \to \gamma\,e^{x} \quad\text{at the wall}",
     "far_field_pressure": r"p(\infty) \to p_\infty\,(1 + x)",
     "wall": r"w = \pm\frac{R_\mathrm{max}}{2d} \quad\text{at the distance } d",

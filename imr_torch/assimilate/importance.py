@@ -338,6 +338,20 @@ class ImportanceSample:
         deviation = self.controls - self.mean
         return (self.weights[:, None] * deviation).mT @ deviation
 
+    @property
+    def power_sensitivities(self) -> Float[Tensor, "2 controls"]:
+        """Standard deviations by which the mean of each control moves, or half the share by which its
+        variance does, per doubling of the power to which the prior, and the likelihood, is raised.
+
+        Power-scaling of Kallioinen, Paananen, Buerkner & Vehtari (Stat. Comput. 34, 2024); the
+        derivative of a mean in the power is a covariance with the logarithm.
+        """
+        scaled = (self.controls - self.mean) / self.covariance.diagonal().sqrt()
+        parts = torch.stack((self.log_prior, self.log_likelihood.nan_to_num(neginf=0.0)))
+        parts = self.weights * (parts - (parts @ self.weights)[:, None])
+        moved = torch.maximum((parts @ scaled).abs(), 0.5 * (parts @ scaled.square()).abs())
+        return math.log(2.0) * moved
+
     def space_draws(self, count: int, start: float = 0.5) -> Int[Tensor, "count"]:
         """Indices of ``count`` draws of equal weight, each within one of its expected number, the
         same whenever asked for (systematic resampling).

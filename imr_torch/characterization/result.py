@@ -45,6 +45,16 @@ if TYPE_CHECKING:
     import pandas
 
 
+SENSITIVE = 0.3
+"""Standard deviations per doubling of a power from which on a posterior is called sensitive: where
+Kallioinen et al. (2024) draw the line, on a normal."""
+_HANGS_ON_PRIOR = {
+    True: "prior and curves disagree, and the interval hangs on both; look at the prior",
+    False: "the curves say little, and the interval is mostly that of the prior",
+}
+"""Whether the likelihood matters too -> what it means that the prior does."""
+
+
 @dataclass(frozen=True)
 class Characterization:
     """Parameters, model probabilities and fits inferred from curves of one gel.
@@ -211,6 +221,10 @@ class Characterization:
         certificate = fit.certificate
         profiles = (self.profiles or {}).get(fit.model, ())
         found = identifiability(fit.prior, fit.posterior, profiles)
+        moved = (
+            fit.sample.power_sensitivities.T.tolist() if fit.sample and fit.sample.reliable else ()
+        )
+        moves = dict(zip(fit.posterior.names, moved, strict=False))
         return {
             "intervals": intervals(fit.posterior),
             "identifiability": {f.parameter.name: f.words for f in found},
@@ -221,6 +235,12 @@ class Characterization:
             "effective_samples": evidence.effective_samples,
             "draws": fit.trust,
             "advice": self._advise_more_draws(fit),
+            "power_sensitivities": moves,
+            "prior_sentences": [
+                f"{name}: {_HANGS_ON_PRIOR[pair[1] >= SENSITIVE]}"
+                for name, pair in moves.items()
+                if pair[0] >= SENSITIVE
+            ],
             "verdict": fit.verdict.name.lower(),
             "certificate": vars(certificate)
             | {"agreement": min(certificate.agreement, 1e300), "sentence": str(certificate)},

@@ -145,7 +145,7 @@ def diagnose_command(args: Namespace, best: ModelBelief) -> str:
     parts = ["imr-torch", "diagnose", *args.files, "--base", best.material.key.split("+")[0]]
     if best.known:
         parts += ["--known", ",".join(f"{name}={value:g}" for name, value in best.known.items())]
-    usual = {"collapses": COLLAPSES, "physics": "transport"}
+    usual = {"collapses": COLLAPSES, "physics": "transport", "radial": "keller_miksis"}
     for name in (
         "layout",
         "experiments",
@@ -154,6 +154,8 @@ def diagnose_command(args: Namespace, best: ModelBelief) -> str:
         "medium",
         "driving",
         "physics",
+        "radial",
+        "liquid",
     ):
         value = args.given[name]
         if value and value != usual.get(name):

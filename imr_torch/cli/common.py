@@ -25,7 +25,10 @@ from imr_torch.reading import load_driving
 from imr_torch.results import document_report, draw_figures, header, write_page
 from imr_torch.simulate import (
     ACCURACIES,
+    LIQUIDS,
+    RADIAL_EQUATIONS,
     PolytropicSimulator,
+    RadialEquation,
     Simulator,
     TransportSimulator,
 )
@@ -80,12 +83,24 @@ def with_medium(
 
 
 def with_engine(simulator: AnySimulator, args: Namespace) -> AnySimulator:
-    """A simulator with the engine, threads and driving that the options name."""
-    simulator = replace(simulator, engine=args.engine, threads=args.threads)
-    if not getattr(args, "driving", None):
-        return simulator
-    driven = replace(simulator.conditions, driving=load_driving(args.driving))
-    return replace(simulator, conditions=driven)
+    """A simulator with the engine, threads, radial equation and driving that the options name."""
+    driving = load_driving(args.driving) if getattr(args, "driving", None) else None
+    conditions = replace(simulator.conditions, motion=motion_of(args), driving=driving)
+    return replace(simulator, engine=args.engine, threads=args.threads, conditions=conditions)
+
+
+def motion_of(args: Namespace) -> RadialEquation:
+    """The radial equation that the options name, with its liquid."""
+    motion = RADIAL_EQUATIONS[args.radial]
+    if args.liquid is None:
+        return motion
+    try:
+        return replace(motion, liquid=LIQUIDS[args.liquid])
+    except ValueError:
+        raise InputDataError(
+            f"--liquid is {args.liquid}, and --radial {args.radial} is an equation in pressure; leave "
+            "it out, or give --radial keller_miksis_enthalpy."
+        ) from None
 
 
 def simulator_of(args: Namespace) -> AnySimulator:
@@ -189,7 +204,7 @@ _READ: dict[str, Callable[[str, str], Any]] = {
 
 def header_of(args: Namespace) -> Document:
     """What the result of a command says of itself: schema, software, date, command, files, medium,
-    physics, seed.
+    physics, radial equation, liquid, seed.
     """
     given = vars(args)
     read = [*(given.get("files") or ()), *(given.get("tell") or ()), given.get("belief")]
@@ -198,8 +213,11 @@ def header_of(args: Namespace) -> Document:
     medium = given.get("gel_medium") or assumed
     command = shlex.join(["imr-torch", *args.argv])
     files = [path for path in read if path]
+    motion = motion_of(args) if physics else None
     return header(args.command, files=files, medium=medium, command=command) | {
         "physics": physics,
+        "radial": motion and motion.key,
+        "liquid": motion and motion.liquid.key,
         "seed": given.get("seed"),
     }
 

@@ -13,7 +13,14 @@ from imr_torch.cli.common import (
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.material import PARAMETERS, material
 from imr_torch.observe import TraceSet
-from imr_torch.simulate import ACCURACIES, STEPPINGS, PolytropicSimulator, TransportSimulator
+from imr_torch.simulate import (
+    ACCURACIES,
+    DESIGN,
+    STEPPINGS,
+    PolytropicSimulator,
+    TransportSimulator,
+    explain_growth,
+)
 
 
 def run_command(args: Namespace) -> None:
@@ -41,8 +48,9 @@ def run_command(args: Namespace) -> None:
     simulator = args.gel_medium.applied(bubbles)
     surroundings = simulator.conditions.surroundings
     times = torch.linspace(0.0, args.until, args.frames, dtype=torch.float64)
-    design = torch.tensor([[args.we, args.rinf]], dtype=torch.float64)
-    solution = simulator(PARAMETERS.pack(values)[None], design, times)
+    design = torch.tensor([args.we, args.rinf], dtype=torch.float64)
+    gel = PARAMETERS.pack(values)
+    solution = simulator(gel[None], design, times)
     if not bool(solution.ok.all()):
         raise ConvergenceError(solution.summary())
     print(args.gel_medium.report())
@@ -54,6 +62,9 @@ def run_command(args: Namespace) -> None:
         f"{float(radius.min()):.4f}, largest sampled bubble "
         f"pressure {float(pressure.max()):.1f} p_inf, R* at the end {float(radius[-1]):.4f}"
     )
+    fragile = explain_growth(simulator, gel, design, times, (*kind.names, *DESIGN))
+    if fragile:
+        print(fragile)
     time_s = times * float(surroundings.time_scale(max_radius))
     document = {
         "model": kind.key,
@@ -65,5 +76,6 @@ def run_command(args: Namespace) -> None:
         "R_star": radius.tolist(),
         "U_star": solution.velocity[0].tolist(),
         "bubble_pressure_over_p_inf": pressure.tolist(),
+        "fragile": fragile,
     }
     show_result(args, write_result(args, document))

@@ -141,6 +141,14 @@ for _effect in (
         0.7,
     ),
     _amplitude_effect(
+        "compressibility",
+        "the liquid's compressibility matters beyond first order in the Mach number",
+        "liquid",
+        0.5,
+        lower=0.0,
+        upper=1.0,
+    ),
+    _amplitude_effect(
         "surface_tension",
         "surface tension differs",
         "liquid",

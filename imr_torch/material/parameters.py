@@ -288,6 +288,9 @@ for _entry in (
     _make_entry("condensation", "power with which trapped vapour follows compression", 0.0, 1.0),
     _make_entry("gas_loss", "share of gas lost per unit of strain below R_inf", 0.0, 5.0),
     _make_entry("sound_speed", "log factor of the sound speed", -3.0, 5.0),
+    _make_entry(
+        "compressibility", "share of the terms of second order in the Mach number", 0.0, 1.0
+    ),
     _make_entry("surface_tension", "log factor of the surface tension at the wall", -3.0, 3.0),
     _make_entry("far_field_pressure", "far-field pressure beyond p_inf, over p_inf", -0.5, 0.5),
     _make_entry("wall", "strength of a mirror bubble, Rmax over twice the distance", -0.5, 0.5),

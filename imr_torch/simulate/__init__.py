@@ -13,18 +13,28 @@ from imr_torch.simulate.conditions import (
 from imr_torch.simulate.driving import TabulatedDriving
 from imr_torch.simulate.engines import ENGINES, Engine
 from imr_torch.simulate.grids import Resolution
+from imr_torch.simulate.liquids import (
+    LIQUIDS,
+    ConstantDensity,
+    Liquid,
+    MieGruneisen,
+    NobleAbel,
+    Tait,
+)
 from imr_torch.simulate.ode_method import TransportField
 from imr_torch.simulate.parallel import process_pool
 from imr_torch.simulate.polytropic import PolytropicSimulator
 from imr_torch.simulate.radial import (
     RADIAL_EQUATIONS,
     Gilmore,
+    Herring,
     KellerMiksis,
     KellerMiksisEnthalpy,
     RadialEquation,
     RayleighPlesset,
+    SecondOrder,
 )
-from imr_torch.simulate.sensitivity import DESIGN, sensitivities
+from imr_torch.simulate.sensitivity import DESIGN, explain_growth, sensitivities
 from imr_torch.simulate.simulator import (
     EARLIEST,
     Simulator,
@@ -44,27 +54,35 @@ __all__ = [
     "DESIGN",
     "EARLIEST",
     "ENGINES",
+    "LIQUIDS",
     "PRESETS",
     "RADIAL_EQUATIONS",
     "STEPPINGS",
     "Accuracy",
     "Conditions",
+    "ConstantDensity",
     "Engine",
     "GasMixture",
     "Gilmore",
+    "Herring",
     "KellerMiksis",
     "KellerMiksisEnthalpy",
+    "Liquid",
     "Medium",
+    "MieGruneisen",
+    "NobleAbel",
     "PolytropicGas",
     "PolytropicSimulator",
     "RadialEquation",
     "RayleighPlesset",
     "Resolution",
+    "SecondOrder",
     "Simulator",
     "Solution",
     "Status",
     "Stepping",
     "TabulatedDriving",
+    "Tait",
     "TransportField",
     "TransportSimulator",
     "broadcast_batch",
@@ -72,6 +90,7 @@ __all__ = [
     "check_times",
     "coarser",
     "described",
+    "explain_growth",
     "fewer_steps",
     "process_pool",
     "sensitivities",

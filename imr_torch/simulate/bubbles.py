@@ -101,6 +101,7 @@ class Numbers(NamedTuple):
         slowness: ``1/c``.
         far: far-field pressure.
         image: strength of a mirror bubble.
+        beyond: share of the terms of second order in the Mach number.
         velocity: of the wall at time zero.
         seconds: ``Rmax/U_c``, s.
         gas: pressure of polytropic gas at ``R = 1``.
@@ -125,6 +126,7 @@ class Numbers(NamedTuple):
     slowness: Scalar
     far: Scalar
     image: Scalar
+    beyond: Scalar
     velocity: Scalar
     seconds: Scalar
     gas: Scalar
@@ -179,6 +181,7 @@ class Numbers(NamedTuple):
             slowness=setting.slowness,
             far=setting.far,
             image=setting.image,
+            beyond=setting.beyond,
             velocity=setting.velocity,
             seconds=seconds,
             gas=amount

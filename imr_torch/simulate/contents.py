@@ -53,6 +53,7 @@ def radial_arguments(
         far_rate / b.pace,
         b.slowness * b.pace,
         b.image,
+        b.beyond,
     )
 
 

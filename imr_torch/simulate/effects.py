@@ -114,6 +114,16 @@ def sound_speed(setting: Setting, factor: Scalar) -> Setting:
 give_physics("sound_speed", setting=sound_speed)
 
 
+def compressibility(setting: Setting, share: Scalar) -> Setting:
+    """The equation of Keller & Miksis moves towards that of second order in the Mach number, which
+    it is at 1 (Lezzi & Prosperetti, J. Fluid Mech. 185, 1987); other equations stay as they are.
+    """
+    return setting._replace(beyond=setting.beyond + share)
+
+
+give_physics("compressibility", setting=compressibility)
+
+
 def surface_tension(setting: Setting, factor: Scalar) -> Setting:
     """Surface tension differs while the bubble moves; the contents are those of the design."""
     return setting._replace(tension=setting.tension * torch.exp(factor))

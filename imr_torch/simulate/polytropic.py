@@ -26,7 +26,7 @@ from imr_torch.simulate.conditions import Conditions, Stepping
 from imr_torch.simulate.engines import Engine, EngineSimulator, can_compile
 from imr_torch.simulate.gas import compression_of
 from imr_torch.simulate.simulator import RUNAWAY, Status
-from imr_torch.simulate.wall import Head, gas_loss, move_wall, vapour_factor
+from imr_torch.simulate.wall import Head, gas_loss, move_wall, name_sonic, vapour_factor
 
 
 @dataclass(frozen=True)
@@ -108,6 +108,7 @@ def _integrate_batch(
     history = [state[None]]
     status = torch.full((count,), int(Status.TOO_MANY_STEPS), device=times.device)
     steps = torch.zeros_like(status)
+    fastest = torch.zeros_like(last)
     limits = torch.full_like(steps, 2 * stepping.max_steps)  # a follower may need a little longer
     limits[::width] = stepping.max_steps
     active = torch.arange(count, device=times.device)
@@ -120,8 +121,10 @@ def _integrate_batch(
         state = history[-1][-1]
         steps[active] += block
         status[active] = _judge_members(path, last[active])
+        fastest[active] = path[:, 1].nan_to_num(-torch.inf).amax(0)
         active = torch.nonzero((status == Status.TOO_MANY_STEPS) & (steps < limits))[:, 0]
-    return *_read_curves(bubbles, torch.cat(history), times, status), status, steps
+    curves = _read_curves(bubbles, torch.cat(history), times, status)
+    return *curves, name_sonic(bubbles, status, fastest), steps
 
 
 def start_of(bubbles: Bubbles) -> Float[Tensor, "rows *#members"]:

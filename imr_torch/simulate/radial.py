@@ -1,188 +1,158 @@
 """Radial equations: the acceleration of the bubble wall from the pressures on both sides of it.
 
-All four share one form. With ``s = 1/c``, ``M = s U``, the liquid's enthalpy ``h`` between the wall
-and the far field, and its specific volume ``w = dh/dp``,
+With ``s = 1/c``, ``M = s U`` and the liquid's enthalpy ``h`` between the wall and the far field
+(:mod:`imr_torch.simulate.liquids`), all share one form,
 
-``(1 - M) R U' + 3/2 (1 - M/3) U^2 = (1 + M) h + s R f dh/dt``.
+``(1 - (1 + l) M + b M^2) R U' + 3/2 (1 - (1/3 + l) M + 23/30 b M^2) U^2
+= (1 + (1 - l) M + 6/5 b M^2) h + s R f dh/dt - k b s^2 h^2``.
 
-Rayleigh-Plesset: ``s = 0``, ``h = p_w - p_far``. Keller-Miksis in pressure (Keller & Miksis, J.
-Acoust. Soc. Am. 68, 1980): ``h = p_w - p_far``, ``f = 1``. In enthalpy (Prosperetti & Lezzi, J.
-Fluid Mech. 168, 1986): ``h`` of a Tait liquid. Gilmore (Caltech report 26-4, 1952): the same with
-the sound speed at the wall and ``f = 1 - M``. ``dh/dt`` holds ``U'`` through viscous stress; that
-part is taken to the left. Pressures are over ``p_inf``, velocities over ``U_c``. A mirror bubble of
-strength ``b`` adds its pressure ``b d(R^2 U)/dt`` at the wall.
+Rayleigh-Plesset: ``s = 0``. First order in M, ``b = 0`` and ``f = 1`` (Prosperetti & Lezzi, J. Fluid
+Mech. 168, 1986): ``l = 0`` is Keller-Miksis (J. Acoust. Soc. Am. 68, 1980), in pressure or in
+enthalpy; ``l = 1`` is Herring's (OSRD report 236, 1941; Trilling, J. Appl. Phys. 23, 1952). Gilmore
+(Caltech report 26-4, 1952): ``l = 0``, ``s`` that of the liquid at the wall and ``f = 1 - M``.
 
-Each equation is one law of scalars (:mod:`imr_torch.elementary`) with the arguments ``radius`` R,
-``velocity`` U, ``pressure`` p_w in the liquid at the wall, ``rate`` (the part of dp_w/dt without
-U'), ``inertia`` (the factor of U' in it), ``far`` p_far and ``far_rate`` (its time derivative),
-``slowness`` 1/c of the undisturbed liquid, ``image`` b, and the constants of the liquid.
+Second order (Lezzi & Prosperetti, J. Fluid Mech. 185, 1987, find a family of equations that agree to
+that order): ``b = 1``, ``l = 0``, ``f = 1 - M``, ``k = 1``, the member that is Keller-Miksis at first
+order and has no derivative beyond U'. It follows from the inner potential ``-q/r + q'/c + (-q'' r/2 +
+q q'/r^2 - q^3/(10 r^5) - A/r)/c^2``, ``q = R^2 U``, with ``A`` from the velocity of the wall, and is to
+this order Tomita & Shima's (Bull. JSME 20, 1977). In pressure ``k = 3/2``, since ``h = p - s^2
+p^2/2``. Any other ``b`` lies between Keller-Miksis and that.
+
+``dh/dt`` holds ``U'`` through viscous stress; that part is taken to the left. Pressures are over
+``p_inf``, velocities over ``U_c``. A mirror bubble of strength ``image`` adds its pressure ``image
+d(R^2 U)/dt`` at the wall.
+
+It is one law of scalars (:mod:`imr_torch.elementary`) with the arguments ``radius`` R,
+``velocity`` U, ``enthalpy`` h, ``rate`` (the part of dh/dt without U'), ``inertia`` (the factor of U'
+in it), ``slowness`` 1/c of the undisturbed liquid, ``local`` 1/c at the wall, ``image``, ``beyond`` b,
+and the numbers of its :class:`Form`.
 """
 
-import math
-from dataclasses import astuple, dataclass
-from typing import ClassVar
+from dataclasses import dataclass, field, fields
+from math import inf, nan
+from typing import ClassVar, NamedTuple
 
-from imr_torch.elementary import Law, Scalar, expm1, log1p, power
-from imr_torch.errors import InputDataError
+from imr_torch.elementary import Law, Scalar, real, where
+from imr_torch.simulate.liquids import LIQUIDS, Liquid
+
+SINGULAR = 1e-3
+"""Share of the inertia of an incompressible liquid below which an equation is singular."""
+NEARLY_SONIC = 0.9
+"""Share of that Mach number from which on a bubble that fails is said to have failed there."""
 
 
-def _wall_acceleration(
+class Form(NamedTuple):
+    """What makes one equation of the common form.
+
+    Args:
+        speed: 1, or 0 where the speed of sound plays no part.
+        at_wall: 1 where it is that at the wall, and ``f = 1 - M``.
+        lag: ``l``.
+        whole: ``b``.
+        blend: factor on a bubble's own share of second order, which is added to ``b``.
+        quadratic: ``k``.
+    """
+
+    speed: float = 1.0
+    at_wall: float = 0.0
+    lag: float = 0.0
+    whole: float = 0.0
+    blend: float = 0.0
+    quadratic: float = 1.0
+
+
+def accelerate_wall(
     radius: Scalar,
     velocity: Scalar,
     enthalpy: Scalar,
     rate: Scalar,
     inertia: Scalar,
     slowness: Scalar,
-    weight: Scalar,
+    local: Scalar,
     image: Scalar,
+    beyond: Scalar,
+    speed: Scalar,
+    at_wall: Scalar,
+    lag: Scalar,
+    whole: Scalar,
+    blend: Scalar,
+    quadratic: Scalar,
 ) -> Scalar:
-    """``U'`` from ``h``, the part of ``dh/dt`` without ``U'``, the factor of ``U'`` in it, and
-    ``f`` (``weight``).
-    """
-    mach = slowness * velocity
-    delay = slowness * radius * weight
+    """``U'``; NaN where the factor of ``U'`` vanishes."""
+    slower = speed * (slowness + at_wall * (local - slowness))
+    mach = slower * velocity
+    order = whole + blend * beyond
+    second = order * mach * mach
+    share = 1.0 + (1.0 - lag) * mach
+    delay = slower * radius * (1.0 - (at_wall + order) * mach)
     square = velocity * velocity
-    pull = image * radius * (1.0 + mach)
+    pull = image * radius * share
+    excess = slower * enthalpy
     force = (
-        (1.0 + mach) * enthalpy + delay * rate - (1.5 - 0.5 * mach) * square - 2.0 * pull * square
+        (share + 1.2 * second) * enthalpy
+        + delay * rate
+        - (1.5 - (0.5 + 1.5 * lag) * mach + 1.15 * second) * square
+        - quadratic * order * excess * excess
+        - 2.0 * pull * square
     )
-    return force / ((1.0 - mach) * radius - delay * inertia + pull * radius)
+    mass = (1.0 - (1.0 + lag) * mach + second) * radius - delay * inertia + pull * radius
+    return where(real(mass) > SINGULAR * real(radius), force / mass, nan)
 
 
-def rayleigh_plesset(
-    radius: Scalar,
-    velocity: Scalar,
-    pressure: Scalar,
-    rate: Scalar,
-    inertia: Scalar,
-    far: Scalar,
-    far_rate: Scalar,
-    slowness: Scalar,
-    image: Scalar,
-) -> Scalar:
-    """An incompressible liquid: the speed of sound plays no part."""
-    return _wall_acceleration(
-        radius, velocity, pressure - far, rate - far_rate, inertia, 0.0 * slowness, 1.0, image
-    )
+def drive_wall(
+    state: tuple[Scalar, ...],
+    near: tuple[Scalar, Scalar, Scalar],
+    away: tuple[Scalar, Scalar, Scalar],
+) -> tuple[Scalar, ...]:
+    """The arguments of a law up to ``beyond`` from pressures.
 
-
-def keller_miksis(
-    radius: Scalar,
-    velocity: Scalar,
-    pressure: Scalar,
-    rate: Scalar,
-    inertia: Scalar,
-    far: Scalar,
-    far_rate: Scalar,
-    slowness: Scalar,
-    image: Scalar,
-) -> Scalar:
-    """Compressible to first order in the Mach number, in pressure."""
-    return _wall_acceleration(
-        radius, velocity, pressure - far, rate - far_rate, inertia, slowness, 1.0, image
-    )
-
-
-def _compression_of(pressure: Scalar, stiffness: Scalar) -> Scalar:
-    """``(p + B)/(1 + B)``."""
-    return (pressure + stiffness) / (1.0 + stiffness)
-
-
-def _specific_volume(pressure: Scalar, exponent: Scalar, stiffness: Scalar) -> Scalar:
-    """``w = dh/dp`` of a Tait liquid, 1 at ``p_inf``."""
-    return power(_compression_of(pressure, stiffness), -1.0 / exponent)
-
-
-def _enthalpy_at(pressure: Scalar, exponent: Scalar, stiffness: Scalar) -> Scalar:
-    """``h`` above that at ``p_inf``.
-
-    ``expm1`` and ``log1p`` keep it exact near there and for a stiff liquid.
+    Args:
+        state: radius, velocity, pressure in the liquid at the wall, the part of its rate without
+            ``U'``, the factor of ``U'`` in it, far-field pressure and its rate, slowness, image,
+            beyond.
+        near: the liquid at the pressure at the wall.
+        away: the liquid at the far-field pressure.
     """
-    share = 1.0 - 1.0 / exponent
-    return (1.0 + stiffness) / share * expm1(share * log1p((pressure - 1.0) / (1.0 + stiffness)))
-
-
-def _tait_liquid(
-    pressure: Scalar,
-    rate: Scalar,
-    far: Scalar,
-    far_rate: Scalar,
-    exponent: Scalar,
-    stiffness: Scalar,
-) -> tuple[Scalar, Scalar, Scalar]:
-    """``h`` between the wall and the far field, the part of its rate without ``U'``, and ``w`` at
-    the wall.
-    """
-    near = _specific_volume(pressure, exponent, stiffness)
-    beyond = _specific_volume(far, exponent, stiffness)
-    enthalpy = _enthalpy_at(pressure, exponent, stiffness) - _enthalpy_at(far, exponent, stiffness)
-    return enthalpy, near * rate - beyond * far_rate, near
-
-
-def keller_miksis_enthalpy(
-    radius: Scalar,
-    velocity: Scalar,
-    pressure: Scalar,
-    rate: Scalar,
-    inertia: Scalar,
-    far: Scalar,
-    far_rate: Scalar,
-    slowness: Scalar,
-    image: Scalar,
-    exponent: Scalar,
-    stiffness: Scalar,
-) -> Scalar:
-    """Compressible to first order in the Mach number, in the enthalpy of a Tait liquid."""
-    enthalpy, change, near = _tait_liquid(pressure, rate, far, far_rate, exponent, stiffness)
-    return _wall_acceleration(
-        radius, velocity, enthalpy, change, near * inertia, slowness, 1.0, image
-    )
-
-
-def gilmore(
-    radius: Scalar,
-    velocity: Scalar,
-    pressure: Scalar,
-    rate: Scalar,
-    inertia: Scalar,
-    far: Scalar,
-    far_rate: Scalar,
-    slowness: Scalar,
-    image: Scalar,
-    exponent: Scalar,
-    stiffness: Scalar,
-) -> Scalar:
-    """The enthalpy form with the sound speed of the Tait liquid at the wall, ``1/c = (1/c_0)
-    q^(-(n-1)/(2n))``.
-    """
-    enthalpy, change, near = _tait_liquid(pressure, rate, far, far_rate, exponent, stiffness)
-    slower = slowness * power(_compression_of(pressure, stiffness), -0.5 * (1.0 - 1.0 / exponent))
-    return _wall_acceleration(
-        radius, velocity, enthalpy, change, near * inertia, slower, 1.0 - slower * velocity, image
-    )
+    radius, velocity, _, rate, inertia, _, far_rate, slowness, image, beyond = state
+    change = near[1] * rate - away[1] * far_rate
+    inertia = near[1] * inertia
+    local = slowness * near[2]
+    enthalpy = near[0] - away[0]
+    return radius, velocity, enthalpy, change, inertia, slowness, local, image, beyond
 
 
 @dataclass(frozen=True)
 class RadialEquation:
-    """One member of the family; a subclass names its law and has the liquid's constants as fields,
-    in the law's order.
+    """One member of the family; a subclass says its form, or has a law of its own with the same
+    arguments, and may have constants as further fields, which the law takes last.
+
+    Args:
+        liquid: gives the enthalpy, see :data:`~imr_torch.simulate.LIQUIDS`; equations in pressure take
+            none.
 
     >>> from imr_torch.simulate import RADIAL_EQUATIONS
-    >>> list(RADIAL_EQUATIONS)
-    ['rayleigh_plesset', 'keller_miksis', 'keller_miksis_enthalpy', 'gilmore']
+    >>> list(RADIAL_EQUATIONS)[:4]
+    ['rayleigh_plesset', 'keller_miksis', 'keller_miksis_enthalpy', 'herring']
     """
 
     key: ClassVar[str]
-    law: ClassVar[Law]
+    law: ClassVar[Law] = staticmethod(accelerate_wall)
+    form: ClassVar[Form] = Form()
+    sonic: ClassVar[float] = inf
+    """Mach number of the wall at which it is singular."""
+
+    liquid: Liquid = field(default=LIQUIDS["constant_density"], init=False, repr=False)
 
     @property
     def constants(self) -> tuple[float, ...]:
-        """What the law takes after ``image``."""
-        return astuple(self)
+        """What the law takes after the form."""
+        return tuple(getattr(self, x.name) for x in fields(self) if x.name != "liquid")
 
     def acceleration(self, *state: Scalar) -> Scalar:
-        """``U'``; the arguments are those of the law up to ``image``."""
-        return type(self).law(*state, *self.constants)
+        """``U'``; ``state`` is that of :func:`drive_wall`."""
+        near = self.liquid.at(state[2], state[7])
+        away = self.liquid.at(state[5], state[7])
+        return type(self).law(*drive_wall(state, near, away), *self.form, *self.constants)
 
 
 @dataclass(frozen=True)
@@ -195,7 +165,7 @@ class RayleighPlesset(RadialEquation):
     """
 
     key = "rayleigh_plesset"
-    law = staticmethod(rayleigh_plesset)
+    form = Form(speed=0.0)
 
 
 @dataclass(frozen=True)
@@ -208,53 +178,83 @@ class KellerMiksis(RadialEquation):
     """
 
     key = "keller_miksis"
-    law = staticmethod(keller_miksis)
+    form = Form(blend=1.0, quadratic=1.5)
+    sonic = 1.0
 
 
 @dataclass(frozen=True)
 class KellerMiksisEnthalpy(RadialEquation):
-    """Compressible to first order in the Mach number, in the enthalpy of a Tait liquid.
+    """Compressible to first order in the Mach number, in the enthalpy of a liquid.
 
-    Args:
-        exponent: ``n`` of ``(p + B)/(p_inf + B) = (rho/rho_inf)^n``.
-        stiffness: ``B`` over ``p_inf``.
-
-    >>> from imr_torch.simulate import KellerMiksisEnthalpy
-    >>> KellerMiksisEnthalpy(exponent=7.0).exponent
+    >>> from imr_torch.simulate import KellerMiksisEnthalpy, Tait
+    >>> KellerMiksisEnthalpy(Tait(exponent=7.0)).liquid.exponent
     7.0
     """
 
-    exponent: float = 7.15
-    stiffness: float = 304.913e6 / 101325.0
+    liquid: Liquid = LIQUIDS["tait"]
 
     key = "keller_miksis_enthalpy"
-    law = staticmethod(keller_miksis_enthalpy)
-
-    def __post_init__(self) -> None:
-        if not (1.0 < self.exponent < math.inf and 0.0 < self.stiffness < math.inf):
-            raise InputDataError(
-                f"{type(self).__name__} has exponent {self.exponent} and stiffness "
-                f"{self.stiffness}; expected exponent > 1 "
-                "and stiffness > 0 (B over p_inf), both finite."
-            )
+    form = Form(blend=1.0)
+    sonic = 1.0
 
 
 @dataclass(frozen=True)
-class Gilmore(KellerMiksisEnthalpy):
-    """The enthalpy form with the sound speed of the Tait liquid at the wall, scaled to ``c`` of the
-    undisturbed liquid.
+class Herring(RadialEquation):
+    """Compressible to first order in the Mach number, as Herring and Trilling have it.
 
-    >>> from imr_torch.simulate import Conditions, Gilmore, PolytropicSimulator
-    >>> PolytropicSimulator(Conditions(motion=Gilmore())).conditions.motion.key
-    'gilmore'
+    >>> from imr_torch.simulate import Herring
+    >>> Herring().sonic
+    0.5
     """
 
+    liquid: Liquid = LIQUIDS["constant_density"]
+
+    key = "herring"
+    form = Form(lag=1.0)
+    sonic = 0.5
+
+
+@dataclass(frozen=True)
+class Gilmore(RadialEquation):
+    """The enthalpy form with the sound speed of the liquid at the wall, scaled to ``c`` of the
+    undisturbed liquid.
+
+    >>> from imr_torch.simulate import Conditions, Gilmore, NobleAbel, PolytropicSimulator
+    >>> PolytropicSimulator(Conditions(motion=Gilmore(NobleAbel()))).conditions.motion.liquid.key
+    'noble_abel'
+    """
+
+    liquid: Liquid = LIQUIDS["tait"]
+
     key = "gilmore"
-    law = staticmethod(gilmore)
+    form = Form(at_wall=1.0)
+    sonic = 1.0
+
+
+@dataclass(frozen=True)
+class SecondOrder(RadialEquation):
+    """Compressible to second order in the Mach number, in the enthalpy of a liquid.
+
+    >>> from imr_torch.simulate import SecondOrder
+    >>> SecondOrder().liquid.key
+    'tait'
+    """
+
+    liquid: Liquid = LIQUIDS["tait"]
+
+    key = "second_order"
+    form = Form(whole=1.0)
 
 
 RADIAL_EQUATIONS: dict[str, RadialEquation] = {
     equation.key: equation
-    for equation in (RayleighPlesset(), KellerMiksis(), KellerMiksisEnthalpy(), Gilmore())
+    for equation in (
+        RayleighPlesset(),
+        KellerMiksis(),
+        KellerMiksisEnthalpy(),
+        Herring(),
+        Gilmore(),
+        SecondOrder(),
+    )
 }
-"""Key -> radial equation, with the Tait constants of water at 1 atm (Fujikawa & Akamatsu, J. Fluid Mech. 97, 1980)."""
+"""Key -> radial equation, each with its usual liquid."""

@@ -19,7 +19,13 @@ from torch.autograd.function import once_differentiable
 
 from imr_torch.errors import InputDataError, UnsupportedError
 from imr_torch.material import PARAMETERS, dimensionless
-from imr_torch.simulate.simulator import Simulator, Solution, broadcast_batch, in_transform
+from imr_torch.simulate.simulator import (
+    Simulator,
+    Solution,
+    Status,
+    broadcast_batch,
+    in_transform,
+)
 from imr_torch.types import DesignVectors, FrameTimes, ParameterVectors
 from imr_torch.units import Surroundings
 
@@ -88,6 +94,49 @@ def sensitivities(
         for name, value in vars(result).items()
     }
     return Solution(**leaders), jacobian.mT.reshape(*shape, times.shape[-1], len(columns))
+
+
+def explain_growth(
+    simulator: Simulator,
+    parameters: ParameterVectors,
+    designs: DesignVectors,
+    times: FrameTimes,
+    names: Sequence[str],
+    *,
+    change: float = 1e-9,
+    limit: float = 1e3,
+) -> str:
+    """Whether the curve of one bubble hangs so much on what it was made from that it is not to be
+    trusted, in words; empty where it does not.
+
+    Args:
+        simulator: makes the bubble.
+        parameters: SI, in the order of ``PARAMETERS``.
+        designs: (We, R_inf*).
+        times: dimensionless.
+        names: of ``PARAMETERS`` or ``DESIGN``; what may change.
+        change: relative, of which the growth is said.
+        limit: growth from the relative change to that of R* from which on it is said.
+
+    >>> import torch
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.simulate import PolytropicSimulator, explain_growth
+    >>> gel, design = PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), torch.tensor([400.0, 0.22])
+    >>> times = torch.tensor([0.0, 0.9])
+    >>> explain_growth(PolytropicSimulator(), gel, design, times, ["G", "mu"])
+    ''
+    >>> explain_growth(PolytropicSimulator(), gel, design, times, ["G", "mu"], limit=0.2)[-48:]
+    'Ask for an earlier last time or a milder design.'
+    """
+    _, slopes = sensitivities(simulator, parameters, designs, times, names=names)
+    values = torch.cat((parameters, designs.to(parameters)), -1)[[_column_of(x) for x in names]]
+    growth = (slopes * values).abs().nan_to_num().amax(0)
+    worst = int(growth.argmax())
+    if growth[worst] <= limit:
+        return ""
+    status = Status.ILL_CONDITIONED
+    grows = f"A change of {change:g} in {names[worst]} grows by {float(growth[worst]):.2g}."
+    return f"{status.sentence} {grows} {status.remedy}"
 
 
 def _column_of(name: str) -> int:

@@ -21,6 +21,7 @@ class Setting(NamedTuple):
         slowness: ``1/c``.
         far: far-field pressure.
         image: strength of a mirror bubble.
+        beyond: share of the terms of second order in the Mach number.
         velocity: of the wall at time zero.
         saturation: vapour pressure at the far temperature.
         conduction: factor on the conductivity of the contents.
@@ -39,6 +40,7 @@ class Setting(NamedTuple):
     slowness: BubbleValues
     far: BubbleValues
     image: BubbleValues
+    beyond: BubbleValues
     velocity: BubbleValues
     saturation: BubbleValues
     conduction: BubbleValues
@@ -67,6 +69,7 @@ class Setting(NamedTuple):
             slowness=all_at(sense * outer.velocity_scale / outer.sound_speed),
             far=all_at(1.0),
             image=all_at(0.0),
+            beyond=all_at(0.0),
             velocity=all_at(sense * conditions.initial_velocity / outer.velocity_scale),
             saturation=all_at(conditions.saturation),
             conduction=all_at(1.0),

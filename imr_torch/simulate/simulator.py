@@ -33,13 +33,15 @@ EARLIEST = -0.5
 
 
 class Status(IntEnum):
-    """How the solve of one bubble ended.
+    """How the solve of one bubble ended, or what is to be known of it.
+
+    Of a solve that is done, :func:`imr_torch.simulate.explain_growth` says ``ILL_CONDITIONED``.
 
     >>> from imr_torch.simulate import Status
     >>> Status(1).name
     'TOO_MANY_STEPS'
-    >>> Status.DONE.advice
-    'The solve reached its last time.'
+    >>> Status.STEP_UNDERFLOW.sentence
+    'No step was small enough to meet the tolerance.'
     """
 
     DONE = 0
@@ -48,31 +50,59 @@ class Status(IntEnum):
     RUNAWAY = 3
     STEP_UNDERFLOW = 4
     UNBOUNDED_ENERGY = 5
+    SONIC_WALL = 6
+    ILL_CONDITIONED = 7
+
+    @property
+    def sentence(self) -> str:
+        """What happened."""
+        return _MEANINGS[self][0]
+
+    @property
+    def remedy(self) -> str:
+        """What to do about it; empty where nothing is to be done."""
+        return _MEANINGS[self][1]
 
     @property
     def advice(self) -> str:
-        """One sentence for the user."""
-        return _ADVICE[self]
+        """Both."""
+        return f"{self.sentence} {self.remedy}".rstrip()
 
 
-_ADVICE = {
-    Status.DONE: "The solve reached its last time.",
-    Status.TOO_MANY_STEPS: "The solve ran out of steps; raise "
-    "max_steps or ask for an earlier last time.",
-    Status.NON_FINITE: "The solve became non-finite; check "
-    "parameters and design, or step more finely.",
-    Status.RUNAWAY: "The radius grew beyond three times its maximum, which no free oscillation does; step "
-    "more finely.",
+_MEANINGS = {
+    Status.DONE: ("The solve reached its last time.", ""),
+    Status.TOO_MANY_STEPS: (
+        "The solve ran out of steps.",
+        "Raise max_steps or ask for an earlier last time.",
+    ),
+    Status.NON_FINITE: (
+        "A law left the domain in which it is a number.",
+        "Check parameters and design (a liquid holds no tension beyond its stiffness), or step "
+        "more finely.",
+    ),
+    Status.RUNAWAY: (
+        "The radius grew beyond three times its maximum, which no free oscillation does.",
+        "Step more finely.",
+    ),
     Status.STEP_UNDERFLOW: (
-        "No step was small enough to meet the tolerance; check parameters and design, or raise "
-        "the tolerance."
+        "No step was small enough to meet the tolerance.",
+        "Check parameters and design, or raise the tolerance.",
     ),
     Status.UNBOUNDED_ENERGY: (
-        "The strain energy has no lower bound at negative alpha, and the gel gave way at "
-        "collapse; use alpha >= 0 or a milder "
-        "design."
+        "The strain energy has no lower bound at negative alpha, and the gel gave way at collapse.",
+        "Use alpha >= 0 or a milder design.",
+    ),
+    Status.SONIC_WALL: (
+        "The wall reached the Mach number at which the radial equation is singular.",
+        "Take an equation without one (second_order), a milder design, or check the velocity at "
+        "time zero and the sound speed.",
+    ),
+    Status.ILL_CONDITIONED: (
+        "A small change of what the bubble was made from grows too large to trust the end of it.",
+        "Ask for an earlier last time or a milder design.",
     ),
 }
+"""What each status means, and what to do about it."""
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from imr_torch.simulate.grids import Resolution
 from imr_torch.simulate.ode_method import ACCEPTED, CONTROL, NOT_FINITE, TransportField
 from imr_torch.simulate.rhs import Equations
 from imr_torch.simulate.simulator import RUNAWAY, Status
+from imr_torch.simulate.wall import name_sonic
 
 RUNNING = -1
 """Status of a bundle that is not done."""
@@ -163,7 +164,12 @@ def _integrate_bundles(
     pressure = torch.exp(logarithm) + vapour[:, None]
     known = times <= path[0, :, -1:]
     curves = (torch.where(known, values, torch.nan) for values in (radius, velocity, pressure))
-    return *curves, status.repeat_interleave(width), steps[::width].repeat_interleave(width)
+    status = name_sonic(
+        whole.equations.bubbles,
+        status.repeat_interleave(width),
+        path[2, ::width, -1].repeat_interleave(width),
+    )
+    return *curves, status, steps[::width].repeat_interleave(width)
 
 
 def _nodes_of(field: TransportField, path: Tensor) -> Tensor:

@@ -16,6 +16,8 @@ from torch import Tensor
 from imr_torch.material import derivatives, gel_response
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.contents import radial_arguments
+from imr_torch.simulate.radial import NEARLY_SONIC
+from imr_torch.simulate.simulator import Status
 from imr_torch.types import Members, States
 
 
@@ -93,6 +95,15 @@ def _move_wall_in(
     arguments = radial_arguments(*state, parts, far, far_rate, numbers, bubbles.constants)
     acceleration = bubbles.conditions.motion.acceleration(*arguments)
     return acceleration * numbers.pace * numbers.pace, memory_rate
+
+
+def name_sonic(bubbles: Bubbles, status: Tensor, velocity: Members) -> Tensor:
+    """Statuses in which a failure at the Mach number where the equation is singular has its name.
+
+    ``velocity`` is that just before the failure.
+    """
+    near = velocity * bubbles.numbers.slowness > NEARLY_SONIC * bubbles.conditions.motion.sonic
+    return torch.where((status != Status.DONE) & near, int(Status.SONIC_WALL), status)
 
 
 def gas_loss(bubbles: Bubbles, radius: Members, velocity: Members) -> Members:

@@ -16,6 +16,7 @@ from imr_torch.assimilate.importance import (
     smooth_tail,
 )
 from imr_torch.assimilate.proposals import Kernels, mixture_log_prob
+from imr_torch.characterization.result import SENSITIVE
 from imr_torch.random import generator
 from tests.curved import mean_error, sd_error
 from tests.linear import tensor
@@ -316,3 +317,42 @@ def test_that_the_error_of_an_evidence_whose_draws_are_not_reliable_covers_it(va
     assert len(within) > 25
     assert sum(within) > 0.95 * len(within)
     assert sum(plain) < 0.8 * len(plain)
+
+
+@pytest.mark.parametrize(
+    ("datum", "noise", "hangs_on"),
+    [(0.5, 0.2, (False, True)), (4.0, 1.0, (True, True)), (1.0, 50.0, (True, False))],
+    ids=["informed", "in conflict", "uninformed"],
+)
+def test_that_power_sensitivities_are_those_of_a_conjugate_posterior(
+    datum: float, noise: float, hangs_on: tuple[bool, bool]
+) -> None:
+    """Prior N(0, 1) to the power a, likelihood N(datum, noise^2) to the power b: precision ``a + b/s^2``,
+    mean ``b y/s^2`` over it; derivatives in ln a and ln b at 1 are written out.
+    """
+    inverse = noise**-2
+    precision = 1.0 + inverse
+    mean = datum * inverse / precision
+    sd = precision**-0.5
+    levels = (torch.arange(4000, dtype=torch.float64) + 0.5) / 4000
+    controls = (mean + sd * torch.special.ndtri(levels))[:, None]
+    prior = torch.distributions.Normal(0.0, 1.0).log_prob(controls[:, 0])
+    likelihood = torch.distributions.Normal(datum, noise).log_prob(controls)
+    exact = torch.distributions.Normal(mean, sd).log_prob(controls[:, 0])
+    sample = ImportanceSample(
+        controls,
+        prior,
+        likelihood,
+        exact,
+        torch.zeros(4000, 1, 3),
+        torch.zeros(1),
+        torch.eye(1),
+        first_shape=0.0,
+        rounds=1,
+    )
+    by_prior = max(mean / precision / sd, 0.5 / precision)
+    by_data = max(datum * inverse / precision**2 / sd, 0.5 * inverse / precision)
+    found = sample.power_sensitivities[:, 0].tolist()
+    expected = [math.log(2.0) * by_prior, math.log(2.0) * by_data]
+    assert found == pytest.approx(expected, rel=2e-2)
+    assert tuple(x >= SENSITIVE for x in found) == hangs_on

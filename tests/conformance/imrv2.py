@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from imr_torch.elementary import Scalar, power
+from imr_torch.elementary import Scalar
 from imr_torch.errors import UnsupportedError
 from imr_torch.material import PARAMETERS, StressTerm
 from imr_torch.material.elastic import neo_hookean, stiffening
@@ -32,9 +32,10 @@ from imr_torch.simulate import (
     RadialEquation,
     RayleighPlesset,
     Resolution,
+    Tait,
     TransportSimulator,
 )
-from imr_torch.simulate.radial import keller_miksis_enthalpy
+from imr_torch.simulate.radial import accelerate_wall
 from imr_torch.units import Surroundings
 from tests import float64
 
@@ -79,22 +80,23 @@ class CompressedVapour(PolytropicGas):
 def whole_rate_gilmore(
     radius: Scalar,
     velocity: Scalar,
-    pressure: Scalar,
+    enthalpy: Scalar,
     rate: Scalar,
     inertia: Scalar,
-    far: Scalar,
-    far_rate: Scalar,
     slowness: Scalar,
+    local: Scalar,
     image: Scalar,
-    exponent: Scalar,
-    stiffness: Scalar,
+    beyond: Scalar,
+    speed: Scalar,
+    at_wall: Scalar,
+    lag: Scalar,
+    whole: Scalar,
+    blend: Scalar,
+    quadratic: Scalar,
 ) -> Scalar:
     """Without the factor ``1 - U/c`` on the rate of enthalpy."""
-    slower = slowness * power(
-        (pressure + stiffness) / (1.0 + stiffness), -0.5 * (1.0 - 1.0 / exponent)
-    )
-    state = (radius, velocity, pressure, rate, inertia, far, far_rate)
-    return keller_miksis_enthalpy(*state, slower, image, exponent, stiffness)
+    state = (radius, velocity, enthalpy, rate, inertia, local, local, image, beyond)
+    return accelerate_wall(*state, speed, 0.0 * at_wall, lag, whole, blend, quadratic)
 
 
 @dataclass(frozen=True)
@@ -177,8 +179,8 @@ def _conditions(config: Mapping[str, Any]) -> Conditions:
     motions: dict[str, RadialEquation] = {
         "rayleigh_plesset": RayleighPlesset(),
         "keller_miksis_pressure": KellerMiksis(),
-        "keller_miksis_enthalpy": KellerMiksisEnthalpy(n, tait / pressure),
-        "gilmore": WholeRateGilmore(n, tait / pressure),
+        "keller_miksis_enthalpy": KellerMiksisEnthalpy(Tait(n, tait / pressure)),
+        "gilmore": WholeRateGilmore(Tait(n, tait / pressure)),
     }
     if config["radial_equation"] not in motions:
         raise UnsupportedError(

@@ -4,7 +4,7 @@ written a second time.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import torch
@@ -12,7 +12,13 @@ from scipy.integrate import solve_ivp
 from torch import Tensor
 
 from imr_torch.material import MATERIALS, PARAMETERS
-from imr_torch.simulate import Conditions, Stepping, TabulatedDriving
+from imr_torch.simulate import (
+    LIQUIDS,
+    RADIAL_EQUATIONS,
+    Conditions,
+    Stepping,
+    TabulatedDriving,
+)
 
 FINE = Stepping(0.03, max_steps=100_000)
 GEL = {"G": 2770.0, "mu": 0.186, "alpha": 0.48}
@@ -30,6 +36,16 @@ SI = GEL | {
     "tau_ucm": 5e-6,
 }
 """A plausible value of every parameter of a registered model."""
+MOTIONS = [
+    motion
+    for equation in RADIAL_EQUATIONS.values()
+    for motion in (
+        [replace(equation, liquid=liquid) for liquid in LIQUIDS.values()]
+        if fields(equation)[0].init
+        else [equation]
+    )
+]
+"""Every radial equation in every liquid that it may have."""
 
 
 def tensor(*values) -> Tensor:

@@ -22,7 +22,6 @@ from imr_torch.material.viscous import newtonian
 from imr_torch.observe import predict  # noqa: F401 - the whole library of effects
 from imr_torch.simulate import (
     PRESETS,
-    RADIAL_EQUATIONS,
     Accuracy,
     Conditions,
     GasMixture,
@@ -40,7 +39,7 @@ from imr_torch.simulate import (
 from imr_torch.simulate.compiled import build
 from imr_torch.simulate.compiled.run import registry_of
 from tests.processes import Processes
-from tests.simulate.bubble import gel, gel_of, grid, sine, tensor
+from tests.simulate.bubble import MOTIONS, gel, gel_of, grid, sine, tensor
 
 SAME = 1e-9  # in R*, where both take the same steps; rounding grows at each collapse
 TIMES = grid(2.2, 45)
@@ -147,11 +146,11 @@ def test_that_every_other_term_is_the_same(kind, term: StressTerm) -> None:
 
 
 @SIMULATORS
-@pytest.mark.parametrize("motion", RADIAL_EQUATIONS.values(), ids=RADIAL_EQUATIONS)
+@pytest.mark.parametrize("motion", MOTIONS, ids=lambda x: f"{x.key}-{x.liquid.key}")
 def test_that_every_radial_equation_is_the_same(kind, motion) -> None:
     assert_same(
         kind,
-        gel(G=4e3, mu=0.08, wall=0.1),
+        gel(G=4e3, mu=0.08, wall=0.1, compressibility=0.4),
         conditions=Conditions(motion=motion, driving=sine(1e4, 2e4)),
     )
 

@@ -35,6 +35,7 @@ DESIGN = tensor(300.0, 0.3)
 TIMES = grid(1.5, 31)
 BEYOND = {
     "sound_speed": 0.5,
+    "compressibility": 1.0,
     "density": 0.1,
     "medium_tension": 0.5,
     "medium_pressure": 0.05,

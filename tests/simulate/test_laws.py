@@ -19,14 +19,15 @@ from imr_torch.simulate import (
 )
 from imr_torch.simulate.driving import evaluate_spline
 from imr_torch.simulate.gas import compression_of
+from imr_torch.simulate.radial import drive_wall
 from tests.laws import assert_alike
 
 STATES = (
-    # radius, velocity, pressure, rate, inertia, far, far_rate, slowness, image
-    (1.0, 0.0, 0.01, 0.0, 0.0, 1.0, 0.0, 0.00684, 0.0),
-    (0.6, -2.0, 0.3, 1.5, -0.02, 1.4, -3.0, 0.00684, -0.2),
-    (0.04, -170.0, 3000.0, 4e5, -1.3, 0.2, 20.0, 0.00684, 0.3),
-    (0.5, 3.0, -40.0, 60.0, -0.3, 6.0, 1.0, 0.05, 0.05),
+    # radius, velocity, pressure, rate, inertia, far, far_rate, slowness, image, beyond
+    (1.0, 0.0, 0.01, 0.0, 0.0, 1.0, 0.0, 0.00684, 0.0, 0.0),
+    (0.6, -2.0, 0.3, 1.5, -0.02, 1.4, -3.0, 0.00684, -0.2, 0.3),
+    (0.04, -170.0, 3000.0, 4e5, -1.3, 0.2, 20.0, 0.00684, 0.3, 1.0),
+    (0.5, 3.0, -40.0, 60.0, -0.3, 6.0, 1.0, 0.05, 0.05, 0.1),
 )
 
 
@@ -35,7 +36,12 @@ STATES = (
 def test_that_a_radial_equation_is_its_compiled_self(
     motion: RadialEquation, state: tuple[float, ...]
 ) -> None:
-    found = assert_alike(type(motion).law, [*state, *motion.constants], range(7))
+    near, away = (
+        motion.liquid.at(torch.tensor(p, dtype=torch.float64), state[7])
+        for p in (state[2], state[5])
+    )
+    driven = [float(x) for x in drive_wall(state, near, away)]
+    found = assert_alike(type(motion).law, [*driven, *motion.form, *motion.constants], range(5))
     assert float(found) == float(
         motion.acceleration(*(torch.tensor(x, dtype=torch.float64) for x in state))
     )

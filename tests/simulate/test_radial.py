@@ -1,35 +1,38 @@
-"""Radial equations: their derivatives, their liquid, the limits in which one is another, and what
-they do with energy.
+"""Radial equations: their derivatives, the limits in which one is another, and what they do with
+energy.
 """
 
 import math
-from collections.abc import Callable
+import time
 from dataclasses import replace
 
 import pytest
 import torch
-from scipy.integrate import quad
 from torch import Tensor
 
-from imr_torch.errors import InputDataError
 from imr_torch.material import derivatives
 from imr_torch.simulate import (
     RADIAL_EQUATIONS,
     Conditions,
+    ConstantDensity,
     Gilmore,
+    Herring,
     KellerMiksis,
     KellerMiksisEnthalpy,
     PolytropicGas,
     PolytropicSimulator,
     RadialEquation,
     RayleighPlesset,
+    SecondOrder,
+    Status,
+    TransportSimulator,
 )
-from imr_torch.simulate.radial import _enthalpy_at, _specific_volume
 from imr_torch.units import Surroundings
-from tests.simulate.bubble import FINE, gel, grid, tensor
+from tests.simulate.bubble import FINE, MOTIONS, gel, grid, tensor
 
-EQUATIONS = pytest.mark.parametrize("motion", RADIAL_EQUATIONS.values(), ids=RADIAL_EQUATIONS)
-TAIT = (KellerMiksisEnthalpy(), Gilmore())
+EQUATIONS = pytest.mark.parametrize(
+    "motion", MOTIONS, ids=lambda motion: f"{motion.key}-{motion.liquid.key}"
+)
 STATE = (
     "radius",
     "velocity",
@@ -40,11 +43,22 @@ STATE = (
     "far_rate",
     "slowness",
     "image",
+    "beyond",
 )
-NOT_FELT = {"rayleigh_plesset": ("rate", "inertia", "far_rate", "slowness")}
+BLENDED = ("keller_miksis", "keller_miksis_enthalpy")
 
 
-def states(*, mirror: bool = False, slowness: float = 0.00684) -> dict[str, Tensor]:
+def not_felt(motion: RadialEquation) -> set[str]:
+    """What the acceleration does not depend on."""
+    silent = set() if motion.key in BLENDED else {"beyond"}
+    if motion.key == "rayleigh_plesset":
+        silent |= {"rate", "inertia", "far_rate", "slowness"}
+    return silent
+
+
+def states(
+    *, mirror: bool = False, slowness: float = 0.00684, beyond: float = 0.0
+) -> dict[str, Tensor]:
     """At the maximum, falling, at collapse (supersonic, 3000 atm, a moving far field), in tension, growing."""
     rows = {
         "radius": (1.0, 0.6, 0.04, 0.5, 0.8),
@@ -56,6 +70,7 @@ def states(*, mirror: bool = False, slowness: float = 0.00684) -> dict[str, Tens
         "far_rate": (0.0, -3.0, 20.0, 1.0, 0.5),
         "slowness": (slowness,) * 5,
         "image": (0.1, -0.2, 0.3, 0.05, 0.0) if mirror else (0.0,) * 5,
+        "beyond": (beyond,) * 5,
     }
     return {name: tensor(*row) for name, row in rows.items()}
 
@@ -64,37 +79,23 @@ def acceleration(motion: RadialEquation, wall: dict[str, Tensor]) -> Tensor:
     return motion.acceleration(*(wall[name] for name in STATE))
 
 
-def drive(motion: RadialEquation, wall: dict[str, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
-    """``h``, the part of ``dh/dt`` without ``U'``, and the factor of ``U'`` in it."""
-    near = wall["pressure"]
-    far = wall["far"]
-    if not isinstance(motion, KellerMiksisEnthalpy):
-        return near - far, wall["rate"] - wall["far_rate"], wall["inertia"]
-    liquid = (motion.exponent, motion.stiffness)
-    volume = _specific_volume(near, *liquid)
-    change = volume * wall["rate"] - _specific_volume(far, *liquid) * wall["far_rate"]
-    return (
-        _enthalpy_at(near, *liquid) - _enthalpy_at(far, *liquid),
-        change,
-        volume * wall["inertia"],
-    )
+def drive(motion: RadialEquation, wall: dict[str, Tensor]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """``h``, the part of ``dh/dt`` without ``U'``, the factor of ``U'`` in it, and ``1/c`` of the
+    equation.
+    """
+    slowness = wall["slowness"]
+    near = motion.liquid.at(wall["pressure"], slowness)
+    far = motion.liquid.at(wall["far"], slowness)
+    local = {"rayleigh_plesset": 0.0, "gilmore": near[2]}.get(motion.key, 1.0)
+    change = near[1] * wall["rate"] - far[1] * wall["far_rate"]
+    return near[0] - far[0], change, near[1] * wall["inertia"], slowness * local
 
 
-def local_slowness(motion: RadialEquation, wall: dict[str, Tensor]) -> Tensor:
-    """``1/c`` at the wall; in Gilmore's by ``c^2 = dp/drho`` of the liquid there."""
-    if isinstance(motion, RayleighPlesset):
-        return 0.0 * wall["slowness"]
-    return (
-        wall["slowness"] / relative_sound_speed(motion, wall["pressure"])
-        if isinstance(motion, Gilmore)
-        else wall["slowness"]
-    )
-
-
-def relative_sound_speed(motion: Gilmore, pressure: Tensor) -> Tensor:
-    """``c^2 = dp/drho = n (p + B)/rho``, over that of the undisturbed liquid."""
-    density = ((pressure + motion.stiffness) / (1.0 + motion.stiffness)) ** (1.0 / motion.exponent)
-    return torch.sqrt((pressure + motion.stiffness) / density / (1.0 + motion.stiffness))
+def order_of(motion: RadialEquation, wall: dict[str, Tensor]) -> Tensor:
+    """How much of the second order an equation has."""
+    if motion.key in BLENDED:
+        return wall["beyond"]
+    return torch.full_like(wall["beyond"], float(motion.key == "second_order"))
 
 
 @EQUATIONS
@@ -102,7 +103,7 @@ def relative_sound_speed(motion: Gilmore, pressure: Tensor) -> Tensor:
 def test_that_slopes_are_those_of_automatic_differentiation(
     motion: RadialEquation, mirror: bool
 ) -> None:
-    wall = states(mirror=mirror)
+    wall = states(mirror=mirror, beyond=0.4)
     slopes = derivatives(motion.acceleration, tuple(wall[name] for name in STATE), analytic=True)
     for name, slope in zip(STATE, slopes, strict=True):
 
@@ -110,23 +111,33 @@ def test_that_slopes_are_those_of_automatic_differentiation(
             return acceleration(motion, wall | {name: value})
 
         jacobian = torch.func.jacfwd(moved)(wall[name])
-        torch.testing.assert_close(slope, jacobian.diagonal(), rtol=1e-12, atol=1e-13, msg=name)
-        assert bool(slope.any()) == (name not in NOT_FELT.get(motion.key, ()))
+        cancels = name == "slowness" and motion.liquid.key == "mie_gruneisen"  # in 1/s^2
+        rtol, atol = (1e-8, 1e-6) if cancels else (1e-11, 1e-13)
+        torch.testing.assert_close(slope, jacobian.diagonal(), rtol=rtol, atol=atol, msg=name)
+        if not cancels:
+            assert bool(slope.any()) == (name not in not_felt(motion))
 
 
 @EQUATIONS
-def test_that_the_common_form_is_the_one_written_down(motion: RadialEquation) -> None:
-    """``(1 - M) R U' + 3/2 (1 - M/3) U^2 = (1 + M) h + s R f dh/dt`` with the ``U'`` in ``dh/dt`` left where it is."""
-    wall = states()
+@pytest.mark.parametrize("beyond", [0.0, 0.4])
+def test_that_the_common_form_is_the_one_written_down(
+    motion: RadialEquation, beyond: float
+) -> None:
+    """With the ``U'`` in ``dh/dt`` left where it is."""
+    wall = states(beyond=beyond)
     force = acceleration(motion, wall)
-    s = local_slowness(motion, wall)
+    enthalpy, rate, inertia, s = drive(motion, wall)
     radius = wall["radius"]
     velocity = wall["velocity"]
-    mach = s * velocity
-    enthalpy, rate, inertia = drive(motion, wall)
-    f = 1.0 - mach if isinstance(motion, Gilmore) else 1.0
-    left = (1.0 - mach) * radius * force + 1.5 * (1.0 - mach / 3.0) * velocity**2
-    right = (1.0 + mach) * enthalpy + s * radius * f * (rate + inertia * force)
+    m = s * velocity
+    b = order_of(motion, wall)
+    lag = float(motion.key == "herring")
+    f = 1.0 - m if motion.key == "gilmore" else 1.0 - b * m
+    k = 1.5 if motion.key == "keller_miksis" else 1.0
+    left = (1.0 - (1.0 + lag) * m + b * m**2) * radius * force
+    left += 1.5 * (1.0 - (1.0 / 3.0 + lag) * m + 23.0 / 30.0 * b * m**2) * velocity**2
+    right = (1.0 + (1.0 - lag) * m + 1.2 * b * m**2) * enthalpy
+    right += s * radius * f * (rate + inertia * force) - k * b * (s * enthalpy) ** 2
     torch.testing.assert_close(left, right, rtol=1e-10, atol=1e-10)
 
 
@@ -136,100 +147,108 @@ def test_that_a_mirror_bubble_adds_its_pressure_at_the_wall(motion: RadialEquati
     wall = states(mirror=True)
     plain = states()
     force = acceleration(motion, wall)
-    s = local_slowness(motion, wall)
+    _, _, inertia, s = drive(motion, wall)
     radius = wall["radius"]
     velocity = wall["velocity"]
-    mach, (_, _, inertia) = s * velocity, drive(motion, wall)
-    f = 1.0 - mach if isinstance(motion, Gilmore) else 1.0
-    moved = (1.0 - mach) * radius - s * radius * f * inertia
+    m = s * velocity
+    b = order_of(motion, wall)
+    lag = float(motion.key == "herring")
+    f = 1.0 - m if motion.key == "gilmore" else 1.0 - b * m
+    moved = (1.0 - (1.0 + lag) * m + b * m**2) * radius - s * radius * f * inertia
     pull = wall["image"] * (radius**2 * force + 2.0 * radius * velocity**2)
-    expected = moved * acceleration(motion, plain) - (1.0 + mach) * pull
+    expected = moved * acceleration(motion, plain) - (1.0 + (1.0 - lag) * m) * pull
     torch.testing.assert_close(moved * force, expected, rtol=1e-10, atol=1e-10)
 
 
-@pytest.mark.parametrize("motion", TAIT, ids=["enthalpy", "gilmore"])
-def test_that_enthalpy_is_the_integral_of_the_specific_volume(motion: KellerMiksisEnthalpy) -> None:
-    """``h = int dp/rho`` with ``rho = ((p + B)/(1 + B))^(1/n)``; its rate is ``w p'`` at either
-    end.
-    """
-    wall = states()
-    b = motion.stiffness
-    n = motion.exponent
-    enthalpy, change, inertia = drive(motion, wall)
-
-    def volume(p: float) -> float:
-        return ((p + b) / (1.0 + b)) ** (-1.0 / n)
-
-    for i, (near, far) in enumerate(
-        zip(wall["pressure"].tolist(), wall["far"].tolist(), strict=True)
-    ):
-        assert float(enthalpy[i]) == pytest.approx(
-            quad(volume, far, near, epsrel=1e-13)[0], rel=1e-11
-        )
-        rate = volume(near) * float(wall["rate"][i]) - volume(far) * float(wall["far_rate"][i])
-        assert float(change[i]) == pytest.approx(rate, rel=1e-13, abs=1e-15)
-        assert float(inertia[i]) == pytest.approx(
-            volume(near) * float(wall["inertia"][i]), rel=1e-13
-        )
-
-
-def test_that_the_sound_speed_at_the_wall_is_that_of_the_tait_liquid() -> None:
-    """``c^2 = dp/drho``, relative to that of the undisturbed liquid: read off the inertia of the wall, ``(1 - M) R``.
-
-    With ``dh/dt = 0`` but for ``U'`` the equation is ``(1 - M) R U' = (1 + M) h - 3/2 (1 - M/3)
-    U^2``, solved for ``M``.
-    """
-    motion = Gilmore()
-    p = tensor(0.01, 1.0, 50.0, 3000.0)
-    zero = torch.zeros_like(p)
-    one = torch.ones_like(p)
-    slowness = torch.full_like(p, 0.007)
-    velocity = torch.full_like(p, 2.0)
-    force = motion.acceleration(one, velocity, p, zero, zero, one, zero, slowness, zero)
-    enthalpy = _enthalpy_at(p, motion.exponent, motion.stiffness) - _enthalpy_at(
-        one, motion.exponent, motion.stiffness
-    )
-    square = velocity * velocity
-    mach = (force - enthalpy + 1.5 * square) / (force + enthalpy + 0.5 * square)
-    expected = 0.007 * velocity / relative_sound_speed(motion, p)
-    torch.testing.assert_close(mach, expected, rtol=1e-13, atol=0.0)
-    assert float(relative_sound_speed(motion, p)[3]) > 1.3
-
-
-@pytest.mark.parametrize(
-    "motion", [KellerMiksis(), KellerMiksisEnthalpy(), Gilmore()], ids=lambda m: m.key
-)
+@EQUATIONS
 def test_that_all_equations_are_rayleigh_plesset_in_a_stiff_liquid(motion: RadialEquation) -> None:
-    """First order in ``1/c``, where the stiffness of a Tait liquid goes with ``c^2``."""
+    """First order in ``1/c``, where the stiffness of a liquid goes with ``c^2``."""
     exact = acceleration(RayleighPlesset(), states())
     errors = []
     for slowness in (1e-6, 5e-7):
         stiff = (
-            replace(motion, stiffness=1.0 / (7.15 * slowness**2))
-            if isinstance(motion, KellerMiksisEnthalpy)
+            replace(motion, liquid=replace(motion.liquid, stiffness=1.0 / (7.15 * slowness**2)))
+            if hasattr(motion.liquid, "stiffness")
             else motion
         )
         errors.append(acceleration(stiff, states(slowness=slowness)) - exact)
+    if motion.key == "rayleigh_plesset":
+        assert not bool(errors[0].any())
+        return
     torch.testing.assert_close(
         errors[0][2:] / errors[1][2:], tensor(2.0, 2.0, 2.0), rtol=1e-2, atol=0.0
     )
     assert float((errors[1] / (1.0 + exact.abs())).abs().max()) < 1e-4
 
 
-@pytest.mark.parametrize("motion", TAIT, ids=["enthalpy", "gilmore"])
-def test_that_the_enthalpy_forms_are_the_pressure_form_in_a_stiff_liquid(
+@pytest.mark.parametrize(
+    "motion",
+    [x for x in MOTIONS if hasattr(x.liquid, "stiffness")],
+    ids=lambda motion: f"{motion.key}-{motion.liquid.key}",
+)
+def test_that_the_enthalpy_forms_are_those_of_constant_density_in_a_stiff_liquid(
     motion: KellerMiksisEnthalpy,
 ) -> None:
-    """At one sound speed: what is left falls as ``1/B``. Gilmore's factor ``1 - M`` on the rate is
-    its own.
-    """
-    wall = states() | (
-        {"velocity": torch.zeros(5, dtype=torch.float64)} if isinstance(motion, Gilmore) else {}
-    )
-    exact = acceleration(KellerMiksis(), wall)
-    errors = [acceleration(replace(motion, stiffness=b), wall) - exact for b in (1e7, 2e7)]
+    """At one sound speed: what is left falls as ``1/B``."""
+    exact = acceleration(replace(motion, liquid=ConstantDensity()), states())
+    errors = [
+        acceleration(replace(motion, liquid=replace(motion.liquid, stiffness=b)), states()) - exact
+        for b in (1e7, 2e7)
+    ]
     torch.testing.assert_close(
         errors[0][1:4] / errors[1][1:4], tensor(2.0, 2.0, 2.0), rtol=1e-2, atol=0.0
+    )
+
+
+def test_that_equations_of_first_order_differ_by_the_second() -> None:
+    """Keller-Miksis, Herring and Gilmore: a quarter at half the Mach number."""
+    for other in (Herring(), Gilmore(ConstantDensity())):
+        differences = [
+            acceleration(other, states(slowness=s))
+            - acceleration(KellerMiksis(), states(slowness=s))
+            for s in (1e-6, 5e-7)
+        ]
+        torch.testing.assert_close(
+            differences[0][2:4] / differences[1][2:4], tensor(4.0, 4.0), rtol=1e-2, atol=0.0
+        )
+
+
+def tomita_shima(wall: dict[str, Tensor]) -> Tensor:
+    """The equation of second order of Tomita & Shima (Bull. JSME 20, 1977) in pressure, which has
+    other terms; at constant far-field pressure.
+    """
+    s = wall["slowness"]
+    radius = wall["radius"]
+    velocity = wall["velocity"]
+    m = s * velocity
+    p = wall["pressure"] - wall["far"]
+    delay = s * radius * (1.0 - 2.0 * m)
+    right = p + delay * wall["rate"] + s * s * (0.5 * p * velocity**2 - 1.5 * p * p)
+    right -= 1.5 * velocity**2 * (1.0 - 4.0 / 3.0 * m + 7.0 / 5.0 * m**2)
+    return right / (radius * (1.0 - 2.0 * m + 23.0 / 10.0 * m**2) - delay * wall["inertia"])
+
+
+def test_that_the_equation_of_second_order_is_tomitas_and_shimas_to_that_order() -> None:
+    """What is left is of third order, where the pressure's rate is that which the flow of lower
+    order allows; of Keller-Miksis it is of second.
+    """
+    gaps = {0.0: [], 1.0: []}
+    for s in (2e-4, 1e-4):
+        for beyond, found in gaps.items():
+            wall = states(slowness=s, beyond=beyond) | {"far_rate": torch.zeros(5).double()}
+            found.append(acceleration(KellerMiksis(), wall) - tomita_shima(wall))
+    falling = {beyond: (a / b)[1:4] for beyond, (a, b) in gaps.items()}
+    torch.testing.assert_close(falling[0.0], tensor(4.0, 4.0, 4.0), rtol=0.1, atol=0.0)
+    torch.testing.assert_close(falling[1.0], tensor(8.0, 8.0, 8.0), rtol=0.1, atol=0.0)
+
+
+def test_that_a_share_of_second_order_lies_between_keller_miksis_and_the_whole() -> None:
+    plain = acceleration(KellerMiksisEnthalpy(), states())
+    whole = acceleration(SecondOrder(), states())
+    assert torch.equal(acceleration(KellerMiksisEnthalpy(), states(beyond=1.0)), whole)
+    half = acceleration(KellerMiksisEnthalpy(), states(beyond=0.5))
+    assert bool(
+        ((half > torch.minimum(plain, whole)) & (half < torch.maximum(plain, whole)))[1:].all()
     )
 
 
@@ -247,10 +266,11 @@ def test_that_compressible_bubbles_lose_energy_and_an_incompressible_one_does_no
     assert peaks["rayleigh_plesset"] == pytest.approx(1.0, abs=1e-4)
     assert 0.5 < peaks["keller_miksis"] < 0.98
     assert peaks["keller_miksis_enthalpy"] == pytest.approx(peaks["keller_miksis"], abs=0.02)
+    assert peaks["herring"] < peaks["keller_miksis"] < peaks["second_order"] < peaks["gilmore"]
     assert peaks["gilmore"] == pytest.approx(peaks["keller_miksis"], abs=0.1)
 
 
-@EQUATIONS
+@pytest.mark.parametrize("motion", RADIAL_EQUATIONS.values(), ids=RADIAL_EQUATIONS)
 def test_that_small_oscillations_radiate_alike(motion: RadialEquation) -> None:
     """``(1 + b/c) R_e x'' + (b + R_e k/c) x' + k x = 0`` with ``1/c = 0`` in Rayleigh-Plesset: all
     agree to first order.
@@ -280,26 +300,27 @@ def test_that_equations_are_values() -> None:
         assert type(motion)() == motion
         assert repr(type(motion)()) == repr(motion)
         assert " at 0x" not in repr(motion)
-    assert len(set(RADIAL_EQUATIONS.values())) == 4
+    assert len(set(MOTIONS)) == len(MOTIONS) == 18
+    assert len({repr(motion) for motion in MOTIONS}) == 18
     assert Conditions() == Conditions()
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (
-            lambda: KellerMiksisEnthalpy(1.0),
-            r"KellerMiksisEnthalpy has exponent 1.0 .*expected exponent > 1",
-        ),
-        (
-            lambda: Gilmore(7.15, 0.0),
-            r"Gilmore has exponent 7.15 and stiffness 0.0; .*stiffness > 0 \(B over p_inf\)",
-        ),
-        (lambda: Gilmore(math.nan), r"Gilmore has exponent nan"),
-        (lambda: Gilmore(math.inf), r"Gilmore has exponent inf"),
-        (lambda: KellerMiksisEnthalpy(7.0, math.inf), r"stiffness inf"),
-    ],
-)
-def test_that_bad_options_are_named(call: Callable[[], object], message: str) -> None:
-    with pytest.raises(InputDataError, match=message):
-        call()
+@pytest.mark.parametrize("kind", [PolytropicSimulator, TransportSimulator])
+@pytest.mark.parametrize("engine", ["compiled", "torchdiffeq"])
+@pytest.mark.parametrize("motion", [KellerMiksis(), Herring(), Gilmore()], ids=lambda x: x.key)
+def test_that_a_wall_at_the_speed_of_sound_says_so_at_once(kind, engine: str, motion) -> None:
+    """Its liquid is so slow that a bubble begins there; Rayleigh-Plesset and the second order have
+    no such speed.
+    """
+    slow = Surroundings(sound_speed=30.0)
+    moving = Conditions(slow, motion=motion, initial_velocity=1.05 * motion.sonic * 30.0)
+    arguments = gel(G=4e3, mu=0.02), tensor(400.0, 0.2), grid(2.0, 21)
+    began = time.process_time()
+    solution = kind(moving, engine=engine)(*arguments)
+    assert time.process_time() - began < 60.0  # compiling included
+    assert int(solution.status) == Status.SONIC_WALL
+    assert "Mach number" in solution.summary()
+    assert "second_order" in solution.summary()
+    for other in (RayleighPlesset(), SecondOrder(ConstantDensity())):
+        free = kind(replace(moving, motion=other), engine=engine)(*arguments)
+        assert int(free.status) != Status.SONIC_WALL

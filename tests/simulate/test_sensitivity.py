@@ -21,12 +21,14 @@ from imr_torch.simulate import (
     Status,
     Stepping,
     TransportSimulator,
+    explain_growth,
     polytropic,
     sensitivities,
 )
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.engines import ENGINES
 from imr_torch.simulate.simulator import solve_bundles
+from tests.simulate.bubble import gel, grid, tensor
 
 TIMES = torch.linspace(0.0, 1.6, 33, dtype=torch.float64)
 NAMES = ("G", "mu", "alpha", *DESIGN)
@@ -398,3 +400,19 @@ def test_that_an_unknown_name_and_a_bundle_without_members_are_refused() -> None
     for simulator in (FAST, PolytropicSimulator()):
         with pytest.raises(ShapeError, match="A bundle needs a batch dimension"):
             simulator.bundle(parameters[0], designs[0], TIMES)
+
+
+def test_that_growth_is_said_from_its_limit_on_and_names_the_worst() -> None:
+    """The rest radius, of which the curve of a sharp collapse hangs most."""
+    simulator = PolytropicSimulator()
+    sharp = gel(G=2e3, mu=0.02), tensor(400.0, 0.12), grid(3.0, 31)
+    names = ("G", "mu", *DESIGN)
+    _, slopes = sensitivities(simulator, *sharp, names=names)
+    values = tensor(2e3, 0.02, 400.0, 0.12)
+    growth = (slopes * values).abs().amax(0)
+    worst = float(growth.max())
+    assert explain_growth(simulator, *sharp, names, limit=1.01 * worst) == ""
+    said = explain_growth(simulator, *sharp, names, limit=0.99 * worst, change=1e-6)
+    assert said.startswith(Status.ILL_CONDITIONED.sentence)
+    assert said.endswith(Status.ILL_CONDITIONED.remedy)
+    assert f"A change of 1e-06 in {names[int(growth.argmax())]} grows by {worst:.2g}." in said

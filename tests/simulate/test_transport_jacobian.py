@@ -66,6 +66,7 @@ ACTING = {
     "losing energy": {"energy_loss": (1.0, 0.0, 0.3)},
     "in other surroundings": {
         "sound_speed": (0.3, 0.0, -1.0),
+        "compressibility": (0.5, 0.0, 1.0),
         "heat_exchange": (0.5, 0.0, -0.5),
         "vapour_pressure": (0.05, 0.0, 0.01),
     },

@@ -11,12 +11,12 @@ from imr_torch.cli.options.names import (
     SCATTER_SCALE,
 )
 from imr_torch.cli.options.shared import (
+    BUBBLE,
     COUNT_ALL_SHOTS,
     DRIVING,
     MEDIUM,
     ONE_OF,
     OUTPUT,
-    PHYSICS_OPTION,
     PRIOR,
     READING,
     InRange,
@@ -133,7 +133,7 @@ def list_characterize_options() -> Options:
         ),
         MEDIUM,
         DRIVING,
-        PHYSICS_OPTION,
+        *BUBBLE,
         *PRIOR,
     )
 
@@ -175,7 +175,7 @@ def list_batch_options() -> Options:
             "Dask scheduler whose workers do it, such as tcp://scheduler:8786",
         ),
         MEDIUM,
-        PHYSICS_OPTION,
+        *BUBBLE,
         *PRIOR,
     )
 
@@ -255,7 +255,7 @@ def list_diagnose_options() -> Options:
         *OUTPUT,
         MEDIUM,
         DRIVING,
-        PHYSICS_OPTION,
+        *BUBBLE,
     )
 
 

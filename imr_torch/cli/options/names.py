@@ -41,6 +41,15 @@ MEDIA = (
 """Media whose properties are known."""
 
 PHYSICS = ("polytropic", "transport")
+RADIAL = (
+    "rayleigh_plesset",
+    "keller_miksis",
+    "keller_miksis_enthalpy",
+    "herring",
+    "gilmore",
+    "second_order",
+)
+LIQUIDS = ("constant_density", "tait", "noble_abel", "mie_gruneisen")
 ENGINES = ("compiled", "torchdiffeq")
 METHODS = ("map", "en4dvar")
 EFFORTS = ("normal", "thorough")

@@ -10,9 +10,11 @@ from imr_torch.cli.options.names import (
     DEFAULT_MODELS,
     ENGINES,
     EVALUATIONS,
+    LIQUIDS,
     MEDIA,
     MODELS,
     PHYSICS,
+    RADIAL,
 )
 from imr_torch.errors import InputDataError
 
@@ -146,13 +148,26 @@ COUNT_ALL_SHOTS = flag_option(
     "a shot that stands out from its set by its record alone counts as much as the others "
     "(else little)",
 )
-PHYSICS_OPTION = choice_option(
-    "--physics",
-    PHYSICS,
-    "transport",
-    "transport of heat and vapour, as in real bubbles (default), or polytropic gas, some "
-    "20 times faster and biased",
+BUBBLE = (
+    choice_option(
+        "--physics",
+        PHYSICS,
+        "transport",
+        "transport of heat and vapour, as in real bubbles (default), or polytropic gas, some "
+        "20 times faster and biased",
+    ),
+    choice_option(
+        "--radial", RADIAL, "keller_miksis", "the radial equation (default keller_miksis)"
+    ),
+    choice_option(
+        "--liquid",
+        LIQUIDS,
+        None,
+        "equation of state of the liquid, for radial equations in enthalpy (default tait; of herring "
+        "constant_density)",
+    ),
 )
+"""Options of the bubble's own physics."""
 DRIVING = text_option(
     "--driving",
     "FILE",

@@ -8,11 +8,11 @@ from imr_torch.cli.options.names import (
     TARGETS,
 )
 from imr_torch.cli.options.shared import (
+    BUBBLE,
     DRIVING,
     MEDIUM,
     OUT_OPTION,
     OUTPUT,
-    PHYSICS_OPTION,
     PRIOR,
     READING,
     SPACE,
@@ -104,7 +104,7 @@ def list_simulate_options() -> Options:
         choice_option("--accuracy", ("fast", "default", "reference"), "default", "named setting"),
         MEDIUM,
         DRIVING,
-        PHYSICS_OPTION,
+        *BUBBLE,
         OUT_OPTION,
     )
 
@@ -134,7 +134,7 @@ def list_design_options() -> Options:
         number_option("--draws", 16, "draws per model of each estimate (default 16)"),
         *OUTPUT,
         MEDIUM,
-        PHYSICS_OPTION,
+        *BUBBLE,
         *PRIOR,
     )
 
@@ -253,6 +253,6 @@ def list_campaign_options() -> Options:
         ),
         *SPACE,
         MEDIUM,
-        PHYSICS_OPTION,
+        *BUBBLE,
         *PRIOR,
     )

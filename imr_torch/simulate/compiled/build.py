@@ -45,12 +45,14 @@ class Registry:
         terms: stress terms.
         effects: effects with laws that act at every step.
         radial: laws of radial equations.
+        liquids: laws of liquids.
         gases: laws of polytropic gas.
     """
 
     terms: tuple[StressTerm, ...]
     effects: tuple[Effect, ...]
     radial: tuple[Law, ...]
+    liquids: tuple[Law, ...]
     gases: tuple[Law, ...]
 
     def named_laws(self) -> Iterator[tuple[str, Law]]:
@@ -61,6 +63,7 @@ class Registry:
             "fastest": [term.fastest for term in self.terms],
             **{kind: [getattr(effect, kind) for effect in self.effects] for kind in _EFFECTS},
             "radial": self.radial,
+            "liquid": self.liquids,
             "gas": self.gases,
         }
         for kind, group in groups.items():
@@ -147,6 +150,7 @@ def source_of(registry: Registry) -> str:
         _write_memory(registry.terms),
         _write_effects(registry.effects),
         _write_choice("radial", registry.radial),
+        _write_choice("liquid", registry.liquids),
         _write_choice("gas", registry.gases),
         _write_numbers(),
         _write_entry("transport", transport.solve_block),

@@ -17,7 +17,7 @@ from imr_torch.simulate.simulator import RUNAWAY, Status
 
 from . import laws
 from .output import ACCELERATION, RADIUS, TIME, VELOCITY, fill_curves
-from .wall import gas_loss, member_of, move_wall, vapour_factor
+from .wall import gas_loss, member_of, move_wall, name_sonic, vapour_factor
 
 _DONE = int(Status.DONE)
 _TOO_MANY = int(Status.TOO_MANY_STEPS)
@@ -64,7 +64,7 @@ def contents_at(radius, velocity, left, member, setup):
         b.gas,
         b.exponent,
         b.vapour,
-        setup.liquid,
+        setup.motion_constants,
     )
     return pressure, rate, lost
 
@@ -130,9 +130,10 @@ def integrate_bubble(batch, i, setup, h, share, max_steps, work):
         for value in state:
             finite = finite and np.isfinite(value)
         if not finite:
-            return _NON_FINITE, step
+            speed = state[1] if np.isfinite(state[1]) else nodes[1, VELOCITY]
+            return name_sonic(_NON_FINITE, speed, member, setup), step
         if state[0] > RUNAWAY:
-            return _RUNAWAY, step
+            return name_sonic(_RUNAWAY, state[1], member, setup), step
         node = nodes[1]
         for k in range(len(node)):
             nodes[0, k] = node[k]
@@ -153,7 +154,7 @@ def integrate_bubble(batch, i, setup, h, share, max_steps, work):
         if state[2] >= times[-1] and step > 0:  # output takes two nodes
             return _DONE, step
         if step >= max_steps:
-            return _TOO_MANY, step
+            return name_sonic(_TOO_MANY, state[1], member, setup), step
         for number in range(1, 4):
             for k in range(size):
                 change = 0.0

@@ -28,7 +28,8 @@ from imr_torch.simulate.conditions import Conditions, Stepping
 from imr_torch.simulate.driving import TabulatedDriving
 from imr_torch.simulate.gas import polytropic_pressure
 from imr_torch.simulate.grids import Resolution
-from imr_torch.simulate.radial import RADIAL_EQUATIONS
+from imr_torch.simulate.liquids import LIQUIDS
+from imr_torch.simulate.radial import NEARLY_SONIC, RADIAL_EQUATIONS
 from imr_torch.threads import cores
 
 _NO_DRIVING = TabulatedDriving((0.0, 1.0, 2.0), (0.0, 0.0, 0.0))
@@ -40,7 +41,8 @@ def find_obstacle(bubbles: Bubbles) -> str | None:
     None if nothing does. Laws that do not act are no obstacle.
     """
     conditions = bubbles.conditions
-    laws = [type(conditions.motion).law, type(conditions.gas).law]
+    motion = conditions.motion
+    laws = [type(part).law for part in (motion, motion.liquid, conditions.gas)]
     missing = [
         *(law.__qualname__ for law in laws if obstacle_of(law) is not None),
         *(part.name for part in (*bubbles.terms, *bubbles.effects) if not part.compilable),
@@ -58,6 +60,10 @@ def registry_of(conditions: Conditions, terms: Sequence[StressTerm] | None) -> R
         radial=_with_more(
             [type(motion).law for motion in RADIAL_EQUATIONS.values()],
             [type(conditions.motion).law],
+        ),
+        liquids=_with_more(
+            [type(liquid).law for liquid in LIQUIDS.values()],
+            [type(conditions.motion.liquid).law],
         ),
         gases=_with_more([polytropic_pressure], [type(conditions.gas).law]),
     )
@@ -187,11 +193,16 @@ def _acting_parts(
 def _setup_of(bubbles: Bubbles, registry: Registry) -> Setup:
     """What all bubbles of a batch share."""
     conditions = bubbles.conditions
+    motion = conditions.motion
     knots, cubics = (conditions.driving or _NO_DRIVING).pieces
     return Setup(
         bubbles.constants,
-        registry.radial.index(type(conditions.motion).law),
-        np.array([*conditions.motion.constants, 0.0]),
+        registry.radial.index(type(motion).law),
+        tuple(motion.form),
+        np.array([*motion.constants, 0.0]),
+        registry.liquids.index(type(motion.liquid).law),
+        np.array([*motion.liquid.constants, 0.0]),
+        NEARLY_SONIC * motion.sonic,
         registry.gases.index(type(conditions.gas).law),
         conditions.driving is not None,
         knots.numpy(),

@@ -27,7 +27,7 @@ from .step import (
     time_scale_of,
     write_start,
 )
-from .wall import member_of
+from .wall import member_of, name_sonic
 
 _DONE = int(Status.DONE)
 _TOO_MANY = int(Status.TOO_MANY_STEPS)
@@ -164,5 +164,7 @@ def solve_block(which, batch, setup, settings, work):
             beside = laws.numbers(batch.numbers[i]).constant_vapour
             for j in range(times.shape[1]):
                 curves[2, i, j] += beside
+        if ended != _DONE:
+            ended = name_sonic(ended, state[0, 1], member_of(batch, leader), setup)
         batch.status[bundle] = ended
         batch.steps[bundle] = own

@@ -15,11 +15,15 @@ from imr_torch.elementary import kernel
 from imr_torch.simulate.bubbles import Constants, Numbers
 from imr_torch.simulate.contents import radial_arguments
 from imr_torch.simulate.driving import evaluate_spline
+from imr_torch.simulate.radial import drive_wall
+from imr_torch.simulate.simulator import Status
 
 from . import laws
 
 TINY = 1e-30
 """Imaginary step of derivatives; nothing is lost to rounding, however small it is."""
+
+_SONIC = int(Status.SONIC_WALL)
 
 
 class Setup(NamedTuple):
@@ -27,7 +31,9 @@ class Setup(NamedTuple):
 
     Args:
         c: constants of the contents.
-        motion: number of the radial equation, and ``liquid``, its constants.
+        motion: number of the law of the radial equation, its ``form``, and ``motion_constants``.
+        liquid: number of the liquid, and ``liquid_constants``.
+        sonic: Mach number at which the radial equation is nearly singular.
         gas: number of the gas law.
         driven: whether there is a driving; ``knots`` and ``cubics`` are its table, ``scale`` is
             ``1/p_inf``.
@@ -35,7 +41,11 @@ class Setup(NamedTuple):
 
     c: Constants
     motion: int
-    liquid: np.ndarray
+    form: tuple[float, ...]
+    motion_constants: np.ndarray
+    liquid: int
+    liquid_constants: np.ndarray
+    sonic: float
     gas: int
     driven: bool
     knots: np.ndarray
@@ -130,7 +140,10 @@ def accelerate_wall(radius, velocity, pressure, rate, stress, far, far_rate, mem
     arguments = radial_arguments(
         radius, velocity, pressure, rate, stress, far, far_rate, b, setup.c
     )
-    return laws.radial(setup.motion, *arguments, setup.liquid) * b.pace * b.pace
+    near = laws.liquid(setup.liquid, arguments[2], arguments[7], setup.liquid_constants)
+    away = laws.liquid(setup.liquid, arguments[5], arguments[7], setup.liquid_constants)
+    drive = drive_wall(arguments, near, away) + setup.form
+    return laws.radial(setup.motion, *drive, setup.motion_constants) * b.pace * b.pace
 
 
 @kernel
@@ -208,6 +221,12 @@ def motion_slopes(time, point, memory, member, setup, slopes, memory_slopes, spa
         if direction >= 5:
             moved[direction - 5] = memory[direction - 5]
     return force.real
+
+
+@kernel
+def name_sonic(status, velocity, member, setup):
+    """As :func:`imr_torch.simulate.wall.name_sonic`, of a bubble that failed."""
+    return _SONIC if velocity * member.b.slowness > setup.sonic else status
 
 
 @kernel

@@ -1,0 +1,57 @@
+"""PyIMR's side of :mod:`benchmarks.peers`: a job of bubbles a line in, radii and CPU time a line
+out.
+
+Runs in PyIMR's own environment, which has neither torch nor this package, as ``python -c "import
+pyimr_worker; pyimr_worker.answer_jobs()"``. A job: ``bubbles`` (R0, Req in m, G in Pa, mu in Pa s,
+each), ``times`` (s), ``options`` of ``pyimr.SimulationConfig`` and of ``pyimr.PhysicalParameters``
+(``physics``), and ``batch``, whether they are solved together.
+"""
+
+import json
+import sys
+import time
+from typing import Any
+
+import numpy as np
+import pyimr  # pyright: ignore[reportMissingImports]
+
+PATHS = ("R0", "Req", "material.shear_modulus_pa", "material.viscosity_pa_s")
+PREPARED: dict[str, Any] = {}
+"""Settings -> the problem that solves batches with them."""
+
+
+def configuration_of(bubble: list[float], job: dict[str, Any]) -> Any:
+    """One bubble as PyIMR states it."""
+    size, rest, modulus, viscosity = bubble
+    return pyimr.SimulationConfig(
+        R0=size,
+        Req=rest,
+        material=pyimr.NeoHookeanKelvinVoigt(modulus, viscosity),
+        physics=pyimr.PhysicalParameters(**job["physics"]),
+        **job["options"],
+    )
+
+
+def solve_job(job: dict[str, Any]) -> np.ndarray:
+    """``R/R0`` of each bubble at each time."""
+    times = np.array(job["times"])
+    if job["batch"]:
+        settings = json.dumps([job["options"], job["physics"]])
+        if settings not in PREPARED:
+            PREPARED[settings] = pyimr.prepare(configuration_of(job["bubbles"][0], job))
+        return PREPARED[settings].solve_sweep(times, PATHS, np.array(job["bubbles"])).radius_ratio
+    return np.array(
+        [pyimr.simulate(times, configuration_of(x, job)).radius_ratio for x in job["bubbles"]]
+    )
+
+
+def answer_jobs() -> None:
+    """Answer until there are no more jobs."""
+    for line in sys.stdin:
+        job = json.loads(line)
+        begun = time.process_time()
+        try:
+            answer = {"radius": solve_job(job).tolist()}
+        except (pyimr.SimulationError, ValueError) as error:
+            answer = {"error": str(error)[:200]}
+        print(json.dumps(answer | {"cpu": time.process_time() - begun}), flush=True)
