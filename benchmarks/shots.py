@@ -1,0 +1,149 @@
+"""How many shots a target is predicted to need, against what simulated campaigns needed.
+
+  python -m benchmarks.shots OUT.jsonl [--setting soft] [--seeds 20] [--workers 2]
+
+The gel of each seed is drawn from the belief; polytropic bubbles, one curve a design with uncertain
+Rmax, time zero and R_inf. A campaign of searched designs ends by the rule of the target, or after
+20 shots. The prediction is made once of each target, before any shot, from 128 other draws.
+"""
+
+import argparse
+import math
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from statistics import median
+from tempfile import TemporaryDirectory
+
+import torch
+from torch import Tensor
+
+from benchmarks.records import Figure, Line, run_missing_jobs, write_figures, write_table
+from imr_torch.campaign import (
+    Campaign,
+    CampaignSettings,
+    ExactLearner,
+    Optimal,
+    forecast_shots,
+    stopping_rule,
+)
+from imr_torch.design import Laplace, Plan, optimal_measure
+from imr_torch.material import Belief, reference_case
+from imr_torch.material.belief import even_belief
+from imr_torch.observe import Experiment, Nuisance, SimulatedLaboratory
+from imr_torch.random import child
+from imr_torch.simulate import PolytropicSimulator
+
+MOST = 20
+DRAWS = 128
+UNCERTAIN = Nuisance(max_radius=0.01, time_zero=0.01, rest_radius=0.03)
+SIMULATOR = PolytropicSimulator()
+SEARCH = Optimal(Laplace(draws=16), evaluations=15)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A belief, how shots are observed, and the target."""
+
+    belief: Belief
+    target: str
+    plan: Plan
+
+
+SETTINGS = {
+    "soft": Setting(
+        even_belief((reference_case("soft-pa").prior["nhkv"],)),
+        "G:5%,mu:5%",
+        Plan(repeats=1, nuisance=UNCERTAIN),
+    ),
+    "stiff": Setting(
+        reference_case("stiff-pa").prior, "mu:3%,model:.99", Plan(repeats=1, nuisance=UNCERTAIN)
+    ),
+}
+
+
+def count_shots(name: str, seed: int) -> Line:
+    """Shots of one simulated campaign; more than ``MOST`` if that many were not enough."""
+    setting = SETTINGS[name]
+    gel = setting.belief.sample(1, seed=child(seed, "gel")).parameters[0]
+    laboratory = SimulatedLaboratory(
+        SIMULATOR,
+        gel,
+        noise=setting.plan.noise,
+        repeats=setting.plan.repeats,
+        nuisance=setting.plan.nuisance,
+    )
+    settings = CampaignSettings(
+        plan=setting.plan,
+        policy=SEARCH,
+        learner=ExactLearner(samples=128),
+        stop=stopping_rule(setting.target),
+    )
+
+    def shoot(design: Tensor, number: int) -> Experiment:
+        return laboratory.shoot(design, seed=child(seed, "shoot", number))
+
+    with TemporaryDirectory() as folder:
+        campaign = Campaign(folder, setting.belief, SIMULATOR, settings=settings, seed=seed)
+        campaign.run(shoot, MOST)
+        reason = campaign.reason_to_stop()
+        return {"shots": len(campaign.experiments), "reached": reason is not None}
+
+
+def predict_shots(name: str) -> Line:
+    """The prediction of a setting: shots of the draws, by chosen designs and by one repeated."""
+    setting = SETTINGS[name]
+    measure = optimal_measure(setting.belief, SIMULATOR, shots=MOST // 4, plan=setting.plan)
+    designs = measure.choose_sequence(MOST)
+    rule = stopping_rule(setting.target)
+    assert rule is not None
+    line: Line = {"designs": designs.tolist()}
+    for way, sequence in (("chosen", designs), ("repeated", designs[:1].expand(MOST, 2))):
+        found = forecast_shots(
+            setting.belief, sequence, SIMULATOR, setting.plan, rule, draws=DRAWS, seed=1
+        )
+        line[way] = [found.quantile(level / 100) for level in (5, 10, 25, 50, 75, 90, 95)]
+        line[f"{way} reached"] = found.reached
+    return line
+
+
+def write_shots(lines: list[Line], predicted: Line) -> str:
+    """Predicted and needed shots, and the ratio of each campaign."""
+    for way in ("chosen", "repeated"):
+        predicted[way] = [math.inf if n is None else n for n in predicted[way]]
+    needed = sorted(x["shots"] if x["reached"] else math.inf for x in lines)
+    count = len(needed)
+    quantiles = [needed[round(level * (count - 1))] for level in (0.1, 0.5, 0.9)]
+    rows = [
+        ("needed", *quantiles, sum(n < math.inf for n in needed) / count),
+        *(
+            (f"predicted, {way}", *predicted[way][1:6:2], predicted[f"{way} reached"])
+            for way in ("chosen", "repeated")
+        ),
+    ]
+    ratio = predicted["chosen"][3] / median(needed)
+    names = ("shots", "10 %", "median", "90 %", f"reached in {MOST}")
+    within = [predicted["chosen"][0] <= n <= predicted["chosen"][6] for n in needed]
+    figures = [Figure.of_share("needed within the predicted 90 %", within)]
+    return f"{write_table(names, rows)}\n\nratio of medians {ratio:.2f}\n{write_figures(figures)}"
+
+
+def main() -> None:
+    """Run and tabulate."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("out", type=Path, metavar="OUT.jsonl")
+    parser.add_argument("--setting", choices=SETTINGS, default="soft")
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--workers", type=int, default=1)
+    args = parser.parse_args()
+    name = args.setting
+    jobs = {f"{name}/predicted": partial(predict_shots, name)}
+    jobs |= {f"{name}/{seed}": partial(count_shots, name, seed) for seed in range(args.seeds)}
+    predicted, *lines = run_missing_jobs(args.out, jobs, workers=args.workers)
+    print(write_shots([line for line in lines if "error" not in line], predicted))
+
+
+if __name__ == "__main__":
+    main()
