@@ -15,7 +15,6 @@ from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
 
-import torch
 from torch import Tensor
 
 from benchmarks.records import Figure, Line, run_missing_jobs, write_figures, write_table
@@ -103,7 +102,7 @@ def predict_shots(name: str) -> Line:
             setting.belief, sequence, SIMULATOR, setting.plan, rule, draws=DRAWS, seed=1
         )
         line[way] = [found.quantile(level / 100) for level in (5, 10, 25, 50, 75, 90, 95)]
-        line[f"{way} reached"] = found.reached
+        line[f"{way} reached"] = found.to_dict()["reached"]
     return line
 
 

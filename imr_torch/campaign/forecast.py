@@ -45,33 +45,32 @@ class ShotForecast:
     Args:
         counts: of each draw, the fewest first; infinite where the sequence is too short.
         weights: of the draws; they sum to 1.
-        most: length of the sequence.
 
     >>> import torch
     >>> from imr_torch.campaign import ShotForecast
-    >>> found = ShotForecast(torch.tensor([1.0, 2.0, torch.inf]), torch.tensor([0.3, 0.3, 0.4]), most=20)
-    >>> found.quantile(0.5), found.quantile(0.9), round(found.reached, 1)
-    (2.0, inf, 0.6)
+    >>> found = ShotForecast(torch.tensor([1.0, 2.0, torch.inf]), torch.tensor([0.3, 0.3, 0.4]))
+    >>> found.quantile(0.5), found.quantile(0.9), found.to_dict()["high"]
+    (2.0, inf, None)
     """
 
     counts: DrawnValues
     weights: DrawnValues
-    most: int
 
     def quantile(self, level: float) -> float:
         """Shots that are enough for a share of the draws."""
         row = int(torch.searchsorted(self.weights.cumsum(0), level))
         return float(self.counts[min(row, len(self.counts) - 1)])
 
-    @property
-    def reached(self) -> float:
-        """Share of the draws that reach the target within the sequence."""
-        return float(self.weights[self.counts < math.inf].sum())
-
-    @property
-    def mean(self) -> float:
-        """Expected number of shots; infinite unless all draws reach the target."""
-        return float(self.weights @ self.counts) if self.reached > 1.0 - 1e-9 else math.inf
+    def to_dict(self) -> dict[str, float | None]:
+        """JSON-ready: the expected number, its quantiles of 10, 50 and 90 %, each None where it is
+        above the length of the sequence, and the share of the draws that reach the target.
+        """
+        mean = float(self.weights @ self.counts)
+        found = [mean, *map(self.quantile, (0.1, 0.5, 0.9))]
+        finite = [count if count < math.inf else None for count in found]
+        names = ("mean", "low", "median", "high")
+        reached = float(self.weights[self.counts < math.inf].sum())
+        return dict(zip(names, finite, strict=True)) | {"reached": reached}
 
 
 @one_torch_thread()
@@ -110,10 +109,9 @@ def forecast_shots(
     >>> 1 <= found.quantile(0.5) <= 8
     True
     """
-    about_models = _check_target(rule, belief)
-    most = len(designs)
+    about_models = check_target(rule, belief)
     if rule.find_reason(CampaignState(belief, ())):
-        return ShotForecast(torch.zeros(1), torch.ones(1), most)
+        return ShotForecast(torch.zeros(1), torch.ones(1))
     distinct, place = designs.unique(dim=0, return_inverse=True)
     shot = Shot(belief, distinct, simulator, plan)
     source = generator(seed)
@@ -122,7 +120,7 @@ def forecast_shots(
         seen = simulate_gels(shot, draw_cloud_controls(shot, draws, source))
         data, rows = _take_shots(seen, place).observe(shot, source)
         counts = torch.full((len(data),), math.inf, dtype=torch.float64)
-        for count in range(1, most + 1):
+        for count in range(1, len(designs) + 1):
             gels = _take_shots(seen, place[:count])
             told = Data(data.radius[:, :count], data.window[:, :count])
             if about_models:
@@ -156,13 +154,13 @@ def forecast_shots(
         ]
     )
     order = counts.argsort()
-    return ShotForecast(counts[order], (weights / weights.sum()).double()[order], most)
+    return ShotForecast(counts[order], (weights / weights.sum()).double()[order])
 
 
-def _check_target(rule: StoppingRule, belief: Belief) -> bool:
+def check_target(rule: StoppingRule, belief: Belief) -> bool:
     """Whether a target is about the probability of models."""
     if isinstance(rule, AnyOf | AllOf):
-        return max(_check_target(part, belief) for part in rule.rules)
+        return max(check_target(part, belief) for part in rule.rules)
     known = sorted({name for part in belief.models for name in part.names})
     if isinstance(rule, RelativeSd) and rule.name in (None, *known):
         return False
@@ -177,9 +175,7 @@ def _check_target(rule: StoppingRule, belief: Belief) -> bool:
 def _take_shots(seen: Gels, place: Int[Tensor, "shots"]) -> Gels:
     """Gels as they are seen in a sequence of designs that were simulated."""
     parts = [
-        Response(
-            gel.controls, gel.radius[:, place], gel.by_gel[:, place], gel.by_nuisance[:, place]
-        )
+        Response(gel.controls, *(x[:, place] for x in (gel.radius, gel.by_gel, gel.by_nuisance)))
         for gel in seen.parts
     ]
     return Gels(tuple(parts), seen.orders)
@@ -194,13 +190,13 @@ def camera_variants(plan: Plan) -> dict[str, Plan]:
     >>> from imr_torch.campaign import camera_variants
     >>> from imr_torch.design import Plan
     >>> [(what, len(plan.times), plan.repeats) for what, plan in camera_variants(Plan(repeats=5)).items()][0:2]
-    [('as planned', 81, 5), ('a camera twice as fast', 161, 5)]
+    [('designs chosen', 81, 5), ('a camera twice as fast', 161, 5)]
     """
     times = plan.times
     fast = replace(plan, times=torch.cat((times, 0.5 * (times[1:] + times[:-1]))).sort().values)
     dim = replace(fast, noise=replace(plan.noise, scale=math.sqrt(2.0) * plan.noise.scale))
     return {
-        "as planned": plan,
+        "designs chosen": plan,
         "a camera twice as fast": fast,
         "twice as fast at half the exposure, noise 1.4 times": dim,
         "a camera half as fast": replace(plan, times=times[::2]),

@@ -18,7 +18,7 @@ share of the information is worth, in shots where the belief before tells nothin
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -26,7 +26,6 @@ import torch
 from jaxtyping import Bool, Float, Int
 from scipy.optimize import LinearConstraint, minimize
 from torch import Tensor
-from torch.nn.functional import max_pool2d, pad
 
 from imr_torch.assimilate.options import CheckedOptions
 from imr_torch.design.drawing import draw_cloud_controls
@@ -40,10 +39,11 @@ from imr_torch.material import Belief, ModelBelief
 from imr_torch.random import generator
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import DrawnControls, DrawnValues
+from imr_torch.types import DrawnControls
 
 Candidates = Float[Tensor, "candidates 2"]
 Shares = Float[Tensor, "candidates"]
+Concave = Callable[[Shares], Float[Tensor, ""]]
 
 
 @dataclass(frozen=True)
@@ -60,6 +60,7 @@ class MeasureOptions(CheckedOptions):
         finer: how many times finer the grid is on which the bound holds.
         tolerance: bound at which it is done, as a share of the information.
         rounds: most rounds of optimisation.
+        near: designs whose sensitivity is below 1 by no more take part in the next round.
         least: share of the shots from which on a design is in the support.
         cost: cost of a shot at each design (``n x 2`` to ``n``) over that of an ordinary one.
         allowed: whether a laboratory can set each design (``n x 2`` to ``n``, boolean).
@@ -76,6 +77,7 @@ class MeasureOptions(CheckedOptions):
     finer: int = 2
     tolerance: float = 0.001
     rounds: int = 20
+    near: float = 0.01
     least: float = 0.002
     cost: Callable[[Candidates], Shares] = lambda designs: torch.ones_like(designs[:, 0])
     allowed: Callable[[Candidates], Bool[Tensor, "candidates"]] = lambda designs: (
@@ -115,114 +117,103 @@ def read_criterion(text: str, belief: Belief) -> dict[str, float] | None:
     )
 
 
-@dataclass(frozen=True)
-class Criterion:
-    """The criterion at draws of a belief, of candidates whose information is known.
+def _differentiate(evaluate: Callable[[Tensor], Tensor], at: Tensor) -> tuple[float, Tensor]:
+    """A function and its gradient."""
+    at = at.detach().clone().requires_grad_()
+    with torch.enable_grad():
+        value = evaluate(at)
+    return float(value.detach()), torch.autograd.grad(value, at)[0]
+
+
+def certify_shares(evaluate: Concave, shares: Shares) -> tuple[float, Shares, float]:
+    """A concave criterion, its derivative towards each candidate over the mean of that under the
+    measure, and the share of the information by which no measure of these candidates is better.
 
     Args:
-        prior: precision of the belief at each draw.
-        shots: information of the whole budget spent on each candidate.
-        weights: of the draws.
-        size: number of parameters, mean over the draws.
-        targets: ``W`` of each draw; None for D.
+        evaluate: the criterion of shares.
+        shares: the measure.
 
     >>> import torch
-    >>> from imr_torch.design.measure import Criterion
     >>> at = torch.tensor([[1.0, -1.0], [1.0, 0.0], [1.0, 1.0]]).double()  # a line seen at -1, 0 and 1
-    >>> shots = (at[:, :, None] * at[:, None, :])[None]
-    >>> line = Criterion(1e-9 * torch.eye(2).double()[None], shots, torch.ones(1).double(), size=2.0)
-    >>> [round(share, 3) for share in line.optimise(torch.ones(3).double() / 3).tolist()]
+    >>> _, sensitivity, bound = certify_shares(
+    ...     lambda shares: torch.logdet(at.mT * shares @ at) / 2.0, torch.tensor([0.5, 0.0, 0.5]).double()
+    ... )
+    >>> sensitivity.tolist(), bound
+    ([1.0, 0.5, 1.0], 0.0)
+    """
+    value, slopes = _differentiate(evaluate, shares)
+    mean = shares @ slopes
+    bound = math.expm1(float(slopes.max() - mean)) if mean > 0.0 else math.inf
+    return value, slopes / mean, bound
+
+
+def optimise_shares(
+    evaluate: Concave, shares: Shares, *, precision: float = 1e-12, iterations: int = 300
+) -> Shares:
+    """The measure of largest criterion, by SLSQP; :func:`certify_shares` judges it.
+
+    Args:
+        evaluate: the criterion of shares, concave.
+        shares: to start from.
+        precision: of the criterion, at which it ends.
+        iterations: most of them.
+
+    >>> import torch
+    >>> at = torch.tensor([[1.0, -1.0], [1.0, 0.0], [1.0, 1.0]]).double()  # a line seen at -1, 0 and 1
+    >>> best = optimise_shares(lambda shares: torch.logdet(at.mT * shares @ at), torch.ones(3).double() / 3)
+    >>> [round(share, 3) for share in best.tolist()]
     [0.5, 0.0, 0.5]
     """
 
-    prior: Float[Tensor, "draws controls controls"]
-    shots: Float[Tensor, "draws candidates controls controls"]
-    weights: DrawnValues
-    size: float
-    targets: Float[Tensor, "draws controls controls"] | None = None
+    def lose(x: Any) -> tuple[float, Any]:
+        value, slopes = _differentiate(evaluate, torch.as_tensor(x))
+        return -value, -slopes.numpy()
 
-    def evaluate(self, shares: Shares) -> Float[Tensor, ""]:
-        """``Phi`` of a measure."""
-        precision = self.prior + torch.einsum("k,nkij->nij", shares, self.shots)
-        if self.targets is None:
-            return self.weights @ torch.logdet(precision) / self.size
-        variance = torch.linalg.solve(precision, self.targets).diagonal(dim1=-2, dim2=-1).sum(-1)
-        return -self.weights @ variance.log()
-
-    def certify(self, shares: Shares) -> tuple[float, Shares, float]:
-        """``Phi`` of a measure, its derivative over the mean of that under the measure, and the share
-        of the information by which no measure of these candidates is better.
-        """
-        slopes, value = torch.func.grad_and_value(self.evaluate)(shares)
-        mean = shares @ slopes
-        bound = math.expm1(float(slopes.max() - mean)) if mean > 0.0 else math.inf
-        return float(value), slopes / mean, bound
-
-    def optimise(
-        self, shares: Shares, *, precision: float = 1e-12, iterations: int = 300
-    ) -> Shares:
-        """The measure of largest ``Phi``, by SLSQP, whose answer is judged by its derivatives alone.
-
-        Args:
-            shares: to start from.
-            precision: of ``Phi``, at which it ends.
-            iterations: most of them.
-        """
-
-        def lose(x: Any) -> tuple[float, Any]:
-            slopes, value = torch.func.grad_and_value(self.evaluate)(torch.as_tensor(x))
-            return -float(value), -slopes.numpy()
-
-        found = minimize(
-            lose,
-            shares.numpy(),
-            jac=True,
-            method="SLSQP",
-            bounds=[(0.0, 1.0)] * len(shares),
-            constraints=LinearConstraint([1.0] * len(shares), 1.0, 1.0),
-            options={"ftol": precision, "maxiter": iterations},
-        )
-        best = torch.as_tensor(found.x).clamp_min(0.0)
-        return best / best.sum()
-
-
-def _collect_information(
-    shot: Shot, factors: Mapping[str, float] | None, draws: int, seed: int
-) -> Criterion:
-    """The criterion of one shot of each design of ``shot``; a model without the parameters of the
-    criterion does not count.
-    """
-    controls = draw_cloud_controls(shot, draws, generator(seed))
-    chances = shot.belief.log_probabilities.exp().tolist()
-    largest = max(drawn.shape[1] for drawn in controls)
-    parts = []
-    for part, chance, drawn in zip(shot.belief.models, chances, controls, strict=True):
-        if not set(factors or ()) <= set(part.names):
-            continue
-        size = drawn.shape[1]
-        missing = (0, largest - size, 0, largest - size)  # known as before, whatever is shot
-        prior = pad(local_precision(part, drawn), missing)
-        prior += torch.diag((torch.arange(largest) >= size).double())
-        slopes = _find_slopes(part, drawn, factors)
-        weights = torch.full((draws,), chance, dtype=torch.float64)
-        parts.append(
-            (
-                prior,
-                pad(_inform_draws(shot, part, drawn), missing),
-                weights,
-                weights * size,
-                pad(slopes.mT @ slopes, missing),
-            )
-        )
-    prior, shots, weights, sizes, targets = map(torch.cat, zip(*parts, strict=True))
-    total = weights.sum()
-    return Criterion(
-        prior,
-        shots,
-        weights / total,
-        float(sizes.sum() / total),
-        None if factors is None else targets,
+    found = minimize(
+        lose,
+        shares.numpy(),
+        jac=True,
+        method="SLSQP",
+        bounds=[(0.0, 1.0)] * len(shares),
+        constraints=LinearConstraint([1.0] * len(shares), 1.0, 1.0),
+        options={"ftol": precision, "maxiter": iterations},
     )
+    best = torch.as_tensor(found.x).clamp_min(0.0)
+    return best / best.sum()
+
+
+def _make_criterion(
+    shot: Shot, factors: Mapping[str, float] | None, draws: int, seed: int
+) -> Concave:
+    """``Phi`` of how often each design of ``shot`` is shot; a model without the parameters that it is
+    about does not count.
+    """
+    chances = shot.belief.log_probabilities.exp()
+    controls = draw_cloud_controls(shot, draws, generator(seed))
+    parts = [
+        (
+            chance,
+            local_precision(part, drawn),
+            _inform_draws(shot, part, drawn),
+            _find_slopes(part, drawn, factors),
+        )
+        for part, chance, drawn in zip(shot.belief.models, chances, controls, strict=True)
+        if set(factors or ()) <= set(part.names)
+    ]
+
+    def evaluate(counts: Shares) -> Float[Tensor, ""]:
+        total = torch.zeros(counts.shape[:-1], dtype=torch.float64)
+        for chance, prior, information, slopes in parts:
+            precision = prior + torch.einsum("...k,nkij->...nij", counts, information)
+            if factors is None:
+                values = torch.logdet(precision) / prior.shape[-1]
+            else:
+                variance = slopes * torch.linalg.solve(precision, slopes.mT).mT
+                values = -variance.sum((-2, -1)).log()
+            total = total + chance * values.mean(-1)
+        return total / sum(chance for chance, *_ in parts)
+
+    return evaluate
 
 
 def _find_slopes(
@@ -237,7 +228,7 @@ def _find_slopes(
     def add_logarithms(controls: Tensor) -> Tensor:
         return (part.physical(part.unwhitened(controls))[:, columns].log() @ by).sum()
 
-    return torch.func.grad(add_logarithms)(drawn)[:, None]
+    return _differentiate(add_logarithms, drawn)[1][:, None]
 
 
 def _inform_draws(
@@ -269,7 +260,8 @@ class DesignMeasure:
         shots: ordinary shots that the budget pays for.
         value: of the criterion.
         options: what shots cost.
-        spend_budget: the criterion of designs on each of which a budget is spent.
+        evaluate: the criterion of designs (``k x 2``) on which as much is spent as on numbers
+            (``k``) of ordinary shots.
     """
 
     designs: Candidates
@@ -279,7 +271,7 @@ class DesignMeasure:
     shots: int
     value: float
     options: MeasureOptions = field(repr=False)
-    spend_budget: Callable[[Candidates, float], Criterion] = field(repr=False)
+    evaluate: Callable[[Candidates, Shares], Float[Tensor, ""]] = field(repr=False)
 
     @property
     def support(self) -> Int[Tensor, "support"]:
@@ -295,28 +287,26 @@ class DesignMeasure:
         shares = self.shares[self.support]
         numbers = self.shots * shares / shares.sum() / self.options.cost(designs)
         total = max(1, int(float(numbers.sum()) + 1e-9))
-        rounded = (
-            designs[apportion_shots(numbers[:kept], total)] for kept in range(1, len(designs) + 1)
-        )
+        kept = range(1, len(designs) + 1)
+        rounded = (designs[apportion_shots(numbers[:count], total)] for count in kept)
         return max(rounded, key=self.efficiency)
 
     def choose_sequence(self, count: int) -> Float[Tensor, "shots 2"]:
         """Designs one after the other, each the best beside those before it."""
-        known = self.spend_budget(self.designs, 1.0)
-        alone = torch.eye(len(self.designs), dtype=torch.float64)
+        further = torch.eye(len(self.designs), dtype=torch.float64)
         rows = []
         for _ in range(count):
-            rows.append(int(torch.func.vmap(known.evaluate)(alone).argmax()))
-            known = replace(known, prior=known.prior + known.shots[:, rows[-1]])
+            rows.append(int(self.evaluate(self.designs, further).argmax()))
+            further[:, rows[-1]] += 1.0
         return self.designs[rows]
 
     def efficiency(self, designs: Float[Tensor, "designs 2"]) -> float:
         """Information of designs (``q x 2``), repeated until the budget is spent, over that of the
         measure.
         """
-        shares = self.options.cost(designs)
-        of_designs = self.spend_budget(designs, self.shots)
-        return math.exp(float(of_designs.evaluate(shares / shares.sum())) - self.value)
+        cost = self.options.cost(designs)
+        value = self.evaluate(designs, self.shots * cost / cost.sum())
+        return math.exp(float(value) - self.value)
 
 
 def apportion_shots(shares: Float[Tensor, "support"], shots: int) -> Int[Tensor, "shots"]:
@@ -380,48 +370,37 @@ def optimal_measure(
     options = options or MeasureOptions()
     space = space or DesignSpace()
     factors = read_criterion(criterion, belief)
-    nodes = _make_grid(space, options.grid).flatten(0, 1)
-    steps = (space.bounds[1] / space.bounds[0]).log() / (torch.tensor(options.grid) - 1)
+    axes = [
+        torch.logspace(*side, options.finer * (count - 1) + 1, dtype=torch.float64)
+        for side, count in zip(space.bounds.T.log10().tolist(), options.grid, strict=True)
+    ]
+    grid = torch.stack(torch.meshgrid(*axes, indexing="ij"), -1)
+    nodes = grid[:: options.finer, :: options.finer]
+    steps = (nodes[1, 1] / nodes[0, 0]).log()
     widths = torch.maximum(torch.tensor(options.scatter), options.resolved * steps)
+    nodes, designs = nodes.flatten(0, 1), grid.flatten(0, 1)
     with torch.no_grad():
         shot = Shot(belief, nodes, simulator, plan or Plan())
-        known = _collect_information(shot, factors, options.draws, seed)
+        of_nodes = _make_criterion(shot, factors, options.draws, seed)
 
-    def spend_budget(designs: Candidates, budget: float) -> Criterion:
+    def evaluate(designs: Candidates, numbers: Shares) -> Float[Tensor, ""]:
         """On average over what is shot where a design is asked for."""
         away = (designs.log()[:, None] - nodes.log()) / widths
         kernel = torch.softmax(-0.5 * away.square().sum(-1), dim=1)
-        share = budget * options.allowed(designs) / options.cost(designs)
-        return replace(known, shots=torch.einsum("k,kg,ngij->nkij", share, kernel, known.shots))
+        return of_nodes(numbers * options.allowed(designs) / options.cost(designs) @ kernel)
 
-    grid = _make_grid(space, [options.finer * (count - 1) + 1 for count in options.grid])
-    designs = grid.flatten(0, 1)
-    of_grid = spend_budget(designs, shots)
-    tried = torch.zeros(grid.shape[:2], dtype=torch.bool)
-    tried[:: options.finer, :: options.finer] = True
-    tried = tried.flatten()
-    shares = tried / tried.sum(dtype=torch.float64)
+    shares = torch.full((len(designs),), 1.0 / len(designs), dtype=torch.float64)
     for _ in range(options.rounds):
-        optimised = replace(of_grid, shots=of_grid.shots[:, tried]).optimise(shares[tried])
-        shares = torch.zeros_like(shares).masked_scatter(tried, optimised)
-        value, sensitivity, bound = of_grid.certify(shares)
-        if bound <= options.tolerance:
+        value, sensitivity, bound = certify_shares(lambda x: evaluate(designs, shots * x), shares)
+        if not options.tolerance < bound < math.inf:
             break
-        slopes = sensitivity.reshape(1, *grid.shape[:2])
-        peaks = max_pool2d(slopes, 3, stride=1, padding=1).flatten() == sensitivity
-        tried = (shares > 0.0) | peaks
+        tried = sensitivity > 1.0 - options.near
+        start = shares[tried] / shares[tried].sum()
+        best = optimise_shares(lambda x, kept=designs[tried]: evaluate(kept, shots * x), start)
+        shares = torch.zeros_like(shares).masked_scatter(tried, best)
     if bound == math.inf:
         raise InputDataError(
             f"No design that is allowed tells anything about {criterion!r} under this belief; widen "
             "the space, or name another criterion."
         )
-    return DesignMeasure(designs, shares, sensitivity, bound, shots, value, options, spend_budget)
-
-
-def _make_grid(space: DesignSpace, counts: Sequence[int]) -> Float[Tensor, "webers radii 2"]:
-    """Designs of a grid, equal ratios apart along each axis."""
-    axes = [
-        torch.logspace(*side, count, dtype=torch.float64)
-        for side, count in zip(space.bounds.T.log10().tolist(), counts, strict=True)
-    ]
-    return torch.stack(torch.meshgrid(*axes, indexing="ij"), -1)
+    return DesignMeasure(designs, shares, sensitivity, bound, shots, value, options, evaluate)
