@@ -119,6 +119,7 @@ def forecast_shots(
     with torch.no_grad():
         seen = simulate_gels(shot, draw_cloud_controls(shot, draws, source))
         data, rows = _take_shots(seen, place).observe(shot, source)
+        chances = shot.belief.log_probabilities.expand(len(data), -1)
         counts = torch.full((len(data),), math.inf, dtype=torch.float64)
         for count in range(1, len(designs) + 1):
             gels = _take_shots(seen, place[:count])

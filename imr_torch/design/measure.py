@@ -371,8 +371,8 @@ def optimal_measure(
     space = space or DesignSpace()
     factors = read_criterion(criterion, belief)
     axes = [
-        torch.logspace(*side, options.finer * (count - 1) + 1, dtype=torch.float64)
-        for side, count in zip(space.bounds.T.log10().tolist(), options.grid, strict=True)
+        torch.logspace(low, high, options.finer * (count - 1) + 1, dtype=torch.float64)
+        for (low, high), count in zip(space.bounds.T.log10().tolist(), options.grid, strict=True)
     ]
     grid = torch.stack(torch.meshgrid(*axes, indexing="ij"), -1)
     nodes = grid[:: options.finer, :: options.finer]
@@ -390,14 +390,15 @@ def optimal_measure(
         return of_nodes(numbers * options.allowed(designs) / options.cost(designs) @ kernel)
 
     shares = torch.full((len(designs),), 1.0 / len(designs), dtype=torch.float64)
+    value, sensitivity, bound = certify_shares(lambda x: evaluate(designs, shots * x), shares)
     for _ in range(options.rounds):
-        value, sensitivity, bound = certify_shares(lambda x: evaluate(designs, shots * x), shares)
         if not options.tolerance < bound < math.inf:
             break
         tried = sensitivity > 1.0 - options.near
         start = shares[tried] / shares[tried].sum()
         best = optimise_shares(lambda x, kept=designs[tried]: evaluate(kept, shots * x), start)
         shares = torch.zeros_like(shares).masked_scatter(tried, best)
+        value, sensitivity, bound = certify_shares(lambda x: evaluate(designs, shots * x), shares)
     if bound == math.inf:
         raise InputDataError(
             f"No design that is allowed tells anything about {criterion!r} under this belief; widen "
