@@ -346,7 +346,7 @@ def stopping_rule(*texts: str) -> StoppingRule | None:
 
     >>> from imr_torch.campaign import stopping_rule
     >>> stopping_rule("sd=0.01,probability=0.99", "designs=5")
-    AnyOf(rules=(AllOf(rules=(RelativeSd(below=0.01), ModelProbability(above=0.99))),
+    AnyOf(rules=(AllOf(rules=(RelativeSd(below=0.01, name=None), ModelProbability(above=0.99))),
     Designs(count=5)))
     """
     rules = []
