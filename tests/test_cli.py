@@ -209,6 +209,45 @@ def test_design_recommends_inside_the_space_and_draws_its_map(rendered, tmp_path
     assert (out / "information.png").stat().st_size > 5000
 
 
+def test_design_says_which_shots_are_best_and_how_many_a_target_needs(rendered, tmp_path, capsys):
+    out = tmp_path / "shots"
+    page = tmp_path / "shots.html"
+    options = ["--evaluations", "2", "--draws", "2", "--shots", "4", "--until", "G:300%,mu:20%"]
+    assert (
+        main(
+            [
+                "design",
+                "--models",
+                "nhkv",
+                "--criterion",
+                "G",
+                *options,
+                *QUICK,
+                "--out",
+                str(out),
+                "--html",
+                str(page),
+            ]
+        )
+        == 0
+    )
+    result = json.loads((out / "design.json").read_text())
+    assert sum(row["share"] for row in result["measure"]["support"]) == pytest.approx(1.0, abs=0.02)
+    assert sum(row["shots"] for row in result["measure"]["whole"]) == 4
+    assert result["measure"]["bound"] <= 0.01
+    assert [row["what"] for row in result["forecast"]["rows"]][:2] == [
+        "one design repeated",
+        "designs chosen",
+    ]
+    said = capsys.readouterr().out
+    assert (
+        "By the criterion G, no design on this space gets more than 0.1 % more information" in said
+    )
+    assert "Shots until G:300%,mu:20%, predicted:\n  one design repeated: " in said
+    assert (out / "sensitivity.png").stat().st_size > 5000
+    assert "How many shots" in page.read_text()
+
+
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory):
     out = tmp_path_factory.mktemp("cli") / "demo"
@@ -649,6 +688,22 @@ CURVE = "".join(f"a,{i}e-6,{(300 - 9 * i if i < 30 else 10 + i) * 1e-6}\n" for i
             "--belief and --case both name a prior",
         ),
         (["design", "--case", "soft-pa", "--q", "0", *QUICK], "q is 0; expected at least 1"),
+        (
+            ["design", "--case", "soft-pa", "--criterion", "E", *QUICK],
+            "the criterion is 'E'; expected D, A, one of G, alpha, mu",
+        ),
+        (
+            ["design", "--case", "soft-pa", "--until", "G=5%"],
+            "'G=5%' is not a stopping rule; expected .* PARAMETER:PERCENT as G:5%",
+        ),
+        (
+            ["design", "--models", "nhkv", "--until", "alpha:5%"],
+            "is no target that shots are counted for; name one of G, mu, as G:5%",
+        ),
+        (
+            ["design", "--case", "soft-pa", "--delivered", "a"],
+            "--delivered: 'a' is not VALUE:VALUE",
+        ),
         (
             ["campaign", "--case", "soft-pa", "--out", "{folder}", "--q", "0"],
             "--q is 0; expected at least 1",

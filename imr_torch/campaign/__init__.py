@@ -1,5 +1,6 @@
 """Campaigns: sequences of choosing a design, measuring and inference, recorded in a journal."""
 
+from imr_torch.campaign.forecast import ShotForecast, camera_variants, forecast_shots
 from imr_torch.campaign.history import Step
 from imr_torch.campaign.journal import Journal
 from imr_torch.campaign.learners import (
@@ -64,9 +65,12 @@ __all__ = [
     "Proposal",
     "Random",
     "RelativeSd",
+    "ShotForecast",
     "Situation",
     "SpaceFilling",
     "Step",
     "StoppingRule",
+    "camera_variants",
+    "forecast_shots",
     "stopping_rule",
 ]

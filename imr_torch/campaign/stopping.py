@@ -16,7 +16,7 @@ from typing import Protocol
 
 from imr_torch.campaign.learners import Finding
 from imr_torch.errors import InputDataError
-from imr_torch.material import Belief
+from imr_torch.material import PARAMETERS, Belief
 from imr_torch.observe import Experiment
 
 
@@ -89,11 +89,12 @@ class Designs:
 
 @dataclass(frozen=True)
 class RelativeSd:
-    """Stop when every parameter of the most probable model is known well enough.
+    """Stop when every parameter of the most probable model, or one, is known well enough.
 
     Args:
         below: posterior standard deviation over posterior mean; a parameter of mean 0 is never
             known so well.
+        name: the parameter, never known if the model lacks it; every one if None.
 
     >>> from imr_torch import wide_prior
     >>> from imr_torch.campaign import RelativeSd, CampaignState
@@ -102,8 +103,11 @@ class RelativeSd:
     """
 
     below: float
+    name: str | None = None
 
     def __post_init__(self) -> None:
+        if self.name is not None:
+            PARAMETERS[self.name]
         if not 0.0 < self.below < math.inf:
             raise InputDataError(
                 f"RelativeSd.below is {self.below}; expected a positive number, such as 0.01."
@@ -112,12 +116,12 @@ class RelativeSd:
     def find_reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
         best = state.belief.best
-        means = best.means.tolist()
-        sds = best.sds.tolist()
-        if not all(sd < self.below * abs(mean) for mean, sd in zip(means, sds, strict=True)):
+        known = (best.sds < self.below * best.means.abs()).tolist()
+        reached = dict(zip(best.names, known, strict=True))
+        if not (all(known) if self.name is None else reached.get(self.name)):
             return None
         return (
-            f"every parameter of {best.model} is known within {100 * self.below:g} % (one "
+            f"{self.name or 'every parameter'} of {best.model} is known within {100 * self.below:g} % (one "
             "standard deviation)"
         )
 
@@ -332,6 +336,7 @@ def stopping_rule(*texts: str) -> StoppingRule | None:
 
     ``stopping_rule("sd=0.01,probability=0.99", "designs=5")`` stops after five designs, or once
     parameters *and* model are known. ``budget=TOTAL`` or ``budget=TOTAL:PER_DESIGN:PER_CURVE``.
+    ``"G:5%,model:.99"`` names parameters and how well they are to be known, or ``model``.
 
     Returns:
         The rule, or None without texts.
@@ -341,7 +346,7 @@ def stopping_rule(*texts: str) -> StoppingRule | None:
 
     >>> from imr_torch.campaign import stopping_rule
     >>> stopping_rule("sd=0.01,probability=0.99", "designs=5")
-    AnyOf(rules=(AllOf(rules=(RelativeSd(below=0.01), ModelProbability(above=0.99))),
+    AnyOf(rules=(AllOf(rules=(RelativeSd(below=0.01, name=None), ModelProbability(above=0.99))),
     Designs(count=5)))
     """
     rules = []
@@ -354,6 +359,10 @@ def stopping_rule(*texts: str) -> StoppingRule | None:
 def _parse_rule(text: str) -> StoppingRule:
     name, _, values = text.partition("=")
     try:
+        if not values:
+            name, _, goal = text.partition(":")
+            least = float(goal.removesuffix("%")) / (100.0 if goal.endswith("%") else 1.0)
+            return ModelProbability(least) if name == "model" else RelativeSd(least, name)
         number = int if name == "designs" else float
         return RULES[name](*map(number, values.split(":")))
     except InputDataError as error:
@@ -361,5 +370,5 @@ def _parse_rule(text: str) -> StoppingRule:
     except (KeyError, TypeError, ValueError):
         raise InputDataError(
             f"{text!r} is not a stopping rule; expected NAME=NUMBER with NAME of "
-            f"{', '.join(RULES)}."
+            f"{', '.join(RULES)}, PARAMETER:PERCENT as G:5%, or model:.99."
         ) from None

@@ -194,7 +194,7 @@ def layout_of(args: Namespace) -> Layout | None:
 _READ: dict[str, Callable[[str, str], Any]] = {
     "medium": Statement.from_text,
     "rest_radius": parse_rest_radius,
-    **dict.fromkeys(("we_range", "rinf_range"), parse_pair),
+    **dict.fromkeys(("we_range", "rinf_range", "delivered"), parse_pair),
     **dict.fromkeys(("known", "set"), parse_values),
     **dict.fromkeys(
         ("models", "experiments", "exclude", "effects", "without", "heldout"), parse_names

@@ -2,7 +2,8 @@
 
 from argparse import Namespace
 
-from imr_torch.campaign import Optimal
+from imr_torch.campaign import Optimal, camera_variants, forecast_shots, stopping_rule
+from imr_torch.campaign.forecast import check_target
 from imr_torch.cli.common import (
     belief_cautions,
     prior_of,
@@ -15,12 +16,15 @@ from imr_torch.design import (
     DesignSpace,
     ExpectedInformationGain,
     Laplace,
+    MeasureOptions,
     Plan,
+    optimal_measure,
     search_design,
 )
 from imr_torch.errors import InputDataError
+from imr_torch.files import Document
 from imr_torch.observe import Nuisance
-from imr_torch.results.plot import search_document
+from imr_torch.results.plot import measure_document, search_document
 from imr_torch.simulate import coarser
 
 _MEASURED = Nuisance(
@@ -52,12 +56,41 @@ def run_command(args: Namespace) -> None:
     space = space_of(args)
     simulator, prior, medium = with_medium(args, simulator, prior_of(args))
     print(medium.report())
+    rule = stopping_rule(*filter(None, [args.until]))
+    if rule:
+        check_target(rule, prior)
+    bubbles = coarser(simulator)
+    plan = plan_of(args)
+    measure = None
+    document: Document = {}
+    if args.criterion or rule:
+        measure = optimal_measure(
+            prior,
+            bubbles,
+            args.criterion or "D",
+            shots=args.shots,
+            plan=plan,
+            space=space,
+            options=MeasureOptions(scatter=args.delivered),
+            seed=args.seed,
+        )
+    if measure and rule:
+        chosen = measure.choose_sequence(args.shots)
+        ways = {"one design repeated": (chosen[:1].expand_as(chosen), plan)}
+        ways |= {what: (chosen, other) for what, other in camera_variants(plan).items()}
+        document["forecast"] = {"until": args.until, "most": args.shots} | {
+            "rows": [
+                {"what": what}
+                | forecast_shots(prior, designs, bubbles, other, rule, seed=args.seed).to_dict()
+                for what, (designs, other) in ways.items()
+            ]
+        }
     acquisition = ExpectedInformationGain(
         prior,
-        coarser(simulator),
+        bubbles,
         Laplace(args.draws),
         target=args.target,
-        plan=plan_of(args),
+        plan=plan,
         space=space,
     )
     search = search_design(
@@ -70,10 +103,15 @@ def run_command(args: Namespace) -> None:
         strategy=args.strategy,
         progress=args.terminal.plan_stages(DESIGN),
     )
+    surroundings = simulator.conditions.surroundings
     first, *further = (
-        search_document(step, simulator.conditions.surroundings)
+        search_document(step, surroundings)
         | {"eig": step.recommendation.mean, "eig_sd": step.recommendation.sd}
         for step in (*search.earlier, search)
     )
-    together = {"joint_eig": search.joint, "further": further} if further else {}
-    report_result(args, first | together | {"cautions": belief_cautions(args)})
+    document |= {"joint_eig": search.joint, "further": further} if further else {}
+    if measure:
+        document["measure"] = measure_document(measure, search.chosen, surroundings) | {
+            "criterion": args.criterion or "D"
+        }
+    report_result(args, first | document | {"cautions": belief_cautions(args)})

@@ -11,6 +11,12 @@ from imr_torch.design.gain import (
     separate_errors,
 )
 from imr_torch.design.laplace import Laplace
+from imr_torch.design.measure import (
+    DesignMeasure,
+    MeasureOptions,
+    apportion_shots,
+    optimal_measure,
+)
 from imr_torch.design.nested import NestedMonteCarlo, PriorContrastive, PublishedEstimator
 from imr_torch.design.optimizer import DesignOptimizer, Recommendation, Strategy
 from imr_torch.design.plan import PAPER_PLAN, Plan
@@ -22,6 +28,7 @@ from imr_torch.design.space import DESIGN_NAMES, DesignSpace
 __all__ = [
     "DESIGN_NAMES",
     "PAPER_PLAN",
+    "DesignMeasure",
     "DesignOptimizer",
     "DesignSearch",
     "DesignSpace",
@@ -30,6 +37,7 @@ __all__ = [
     "InformationEstimator",
     "InformationGain",
     "Laplace",
+    "MeasureOptions",
     "NestedMonteCarlo",
     "Plan",
     "PopulationInformation",
@@ -40,7 +48,9 @@ __all__ = [
     "Shot",
     "Strategy",
     "Target",
+    "apportion_shots",
     "expected_information_gain",
+    "optimal_measure",
     "radii",
     "search_design",
     "separate_errors",

@@ -18,7 +18,7 @@ import math
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from imr_torch.assimilate.options import CheckedOptions
@@ -33,7 +33,7 @@ from imr_torch.design.gain import (
 from imr_torch.design.likelihood import Data, Linear, infer_linear
 from imr_torch.design.response import Response, Shot, simulate_response
 from imr_torch.material import ModelBelief
-from imr_torch.types import DatasetValues, DrawnValues
+from imr_torch.types import DatasetValues, DrawnControls, DrawnValues
 
 
 @dataclass(frozen=True)
@@ -94,6 +94,12 @@ class Laplace(InformationEstimator):
         """
         gels = simulate_gels(shot, draw_cloud_controls(shot, self.draws, generator))
         data, rows = gels.observe(shot, generator)
+        return gels, rows, *self.weigh_models(shot, gels, data, rows)
+
+    def weigh_models(
+        self, shot: Shot, gels: Gels, data: Data, rows: tuple[slice, ...]
+    ) -> tuple[list[Linear], list[Tensor]]:
+        """The same of data that are given, one of each gel: linearised posteriors, log evidences."""
         own = [
             infer_linear(data[some], part, shot.plan)
             for some, part in zip(rows, gels.parts, strict=True)
@@ -120,7 +126,7 @@ class Laplace(InformationEstimator):
                 )
                 log[others] = infer_linear(seen, at, short.plan).log_evidence
             logs.append(log)
-        return gels, rows, own, logs
+        return own, logs
 
     @property
     def _rival_count(self) -> int:
@@ -146,19 +152,34 @@ def _cut_to_window(data: Data, gels: Response, shot: Shot) -> tuple[Data, Respon
 def _local_information(part: ModelBelief, gels: Response, linear: Linear) -> Tensor:
     """``1/2 log det(P + J^T J) - 1/2 log det P`` at each gel, with ``P`` the precision of the
     belief there: ``n``.
-
-    The belief's own Gaussian has ``P = 1``. Where the posterior is curved, that Gaussian is far
-    wider than the posterior is locally, and would count as information what is known already.
     """
     if part.cloud is None:
         return linear.information
-    at = part.unwhitened(gels.controls)
-    closest = torch.cdist(
-        at, part.cloud.controls, compute_mode="donot_use_mm_for_euclid_dist"
-    ).argmin(1)
-    before = part.chol.mT @ part.cloud.precisions[closest] @ part.chol
+    before = local_precision(part, gels.controls)
     after = torch.linalg.slogdet(before + linear.fisher).logabsdet
     return 0.5 * (after - torch.linalg.slogdet(before).logabsdet)
+
+
+def local_precision(
+    part: ModelBelief, controls: DrawnControls
+) -> Float[Tensor, "draws controls controls"]:
+    """Precision of a belief at gels, in the controls in which its Gaussian is a standard normal.
+
+    The Gaussian's own is the identity. Where the posterior is curved, that Gaussian is far wider
+    than the posterior is locally, and would count as information what is known already.
+
+    Args:
+        part: the model.
+        controls: of the gels.
+    """
+    if part.cloud is None:
+        return torch.eye(controls.shape[1], dtype=controls.dtype).expand(len(controls), -1, -1)
+    closest = torch.cdist(
+        part.unwhitened(controls),
+        part.cloud.controls,
+        compute_mode="donot_use_mm_for_euclid_dist",
+    ).argmin(1)
+    return part.chol.mT @ part.cloud.precisions[closest] @ part.chol
 
 
 @dataclass(frozen=True)

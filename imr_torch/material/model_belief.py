@@ -247,12 +247,12 @@ class ModelBelief:
         mean = weights @ values
         return mean, weights @ (values - mean).square()
 
-    @property
+    @cached_property
     def means(self) -> Controls:
         """Posterior mean of each free parameter (``d``), SI."""
         return self._integrate_values()[0]
 
-    @property
+    @cached_property
     def sds(self) -> Controls:
         """Standard deviation of each free parameter (``d``), SI."""
         return self._integrate_values()[1].sqrt()

@@ -34,6 +34,7 @@ from imr_torch.results.intervals import (
 from imr_torch.results.plot import (
     draw_information,
     draw_parameters,
+    draw_sensitivity,
     plot_parameter,
     plot_probabilities,
 )
@@ -229,6 +230,15 @@ def _design_figures(document: Document) -> Iterator[NamedFigure]:
             "Expected information gain over designs; dots: evaluated, star: chosen.",
             f"Map; the star is at We {design['We']:.0f}, R_inf* {design['R_inf*']:.3f}.",
             partial(draw_information, step),
+        )
+    if measure := document.get("measure"):
+        yield NamedFigure(
+            "sensitivity",
+            f"Optimal shares of shots by the criterion {measure['criterion']} (circles, by area) and "
+            f"the sensitivity: its largest value bounds what any design is better, "
+            f"{measure['bound']:.1%}.",
+            f"Map over We and R_inf/Rmax with {len(measure['support'])} circles.",
+            partial(draw_sensitivity, measure),
         )
 
 

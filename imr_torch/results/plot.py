@@ -17,7 +17,7 @@ from scipy.stats import gaussian_kde
 from torch import Tensor
 
 from imr_torch.calibration import envelope
-from imr_torch.design import DesignSearch
+from imr_torch.design import DesignMeasure, DesignSearch
 from imr_torch.drawing import (
     CYCLE,
     DATA,
@@ -214,6 +214,58 @@ def search_document(search: DesignSearch, surroundings: Surroundings) -> Documen
         rows.append(row)
     chosen = design_document(search.recommendation.design, surroundings)
     return {"design": chosen, "evaluations": rows, "map": _information_map(search)}
+
+
+def measure_document(
+    measure: DesignMeasure, chosen: Float[Tensor, "designs 2"], surroundings: Surroundings
+) -> Document:
+    """An optimal measure, JSON-ready: its support with shares, whole shots, bound, efficiencies, and
+    the sensitivity at the designs that it was optimised over.
+
+    Args:
+        measure: of shots.
+        chosen: designs (``q x 2``) whose efficiency is said.
+        surroundings: the liquid side, which fixes Rmax of a Weber number.
+    """
+    whole = measure.allocate_shots()
+    different, counts = whole.unique(dim=0, return_counts=True)
+
+    def list_designs(designs: Tensor, name: str, numbers: Tensor) -> list[Document]:
+        return [
+            design_document(design, surroundings) | {name: number}
+            for design, number in zip(designs, numbers.tolist(), strict=True)
+        ]
+
+    rows = measure.support
+    return {
+        "support": list_designs(measure.designs[rows], "share", measure.shares[rows]),
+        "whole": list_designs(different, "shots", counts),
+        "whole_efficiency": measure.efficiency(whole),
+        "chosen_efficiency": measure.efficiency(chosen),
+        "bound": measure.bound,
+        "shots": measure.shots,
+        "map": list_designs(measure.designs, "sensitivity", measure.sensitivity),
+    }
+
+
+def draw_sensitivity(found: Document, *, ax: Axes | None = None) -> Axes:
+    """Map of the sensitivity of a measure over designs, with its support: area is share.
+
+    Args:
+        found: from :func:`measure_document`.
+        ax: where to draw.
+    """
+    ax = axes_or_new(ax, (5.6, 4.2))
+    we, r, height = (
+        [row[name] for row in found["map"]] for name in ("We", "R_inf*", "sensitivity")
+    )
+    filled = ax.tricontourf(we, r, height, levels=15, cmap="viridis")
+    ax.figure.colorbar(filled, ax=ax, label="sensitivity, 1 where shots are")
+    for row in found["support"]:
+        size = 30.0 * row["share"] ** 0.5
+        ax.plot(row["We"], row["R_inf*"], "o", ms=size, color=TRUTH, mec="white", clip_on=False)
+    ax.set(xlabel=WEBER, ylabel=REST_RADIUS, xscale="log")
+    return ax
 
 
 def design_document(design: Float[Tensor, "2"], surroundings: Surroundings) -> dict[str, float]:

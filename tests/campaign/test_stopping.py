@@ -51,6 +51,12 @@ def standing(
     [
         (Designs(3), standing(), standing(repeats=(1, 1, 1)), "3 designs were shot"),
         (
+            RelativeSd(0.02, "mu"),
+            standing(sd=0.0401),
+            standing(sd=0.0399),
+            r"^mu of nhkv is known within 2 %",
+        ),
+        (
             RelativeSd(0.02),
             standing(sd=0.0201),
             standing(sd=0.0199),
@@ -122,6 +128,9 @@ def test_a_rule_about_the_gain_is_silent_until_it_is_known():
 def test_rules_are_read_from_text():
     assert stopping_rule() is None
     assert stopping_rule("designs=4") == Designs(4)
+    assert stopping_rule("G:5%, mu:.1,model:.99") == AllOf(
+        (RelativeSd(0.05, "G"), RelativeSd(0.1, "mu"), ModelProbability(0.99))
+    )
     assert stopping_rule("sd=0.01, probability=0.99", "gain=.2", "budget=10:2:.5") == AnyOf(
         (AllOf((RelativeSd(0.01), ModelProbability(0.99))), GainBelow(0.2), Budget(10.0, 2.0, 0.5))
     )
@@ -130,6 +139,10 @@ def test_rules_are_read_from_text():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        ("G:-5%", "RelativeSd.below is -0.05"),
+        ("H:5%", "Unknown parameter 'H'"),
+        ("G:five", "PARAMETER:PERCENT as G:5%, or model:.99"),
+        ("model:2", "ModelProbability.above is 2.0"),
         (
             "patience=3",
             "'patience=3' is not a stopping rule; expected NAME=NUMBER with NAME of designs, sd, probability",

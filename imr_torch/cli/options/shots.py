@@ -116,6 +116,12 @@ def list_design_options() -> Options:
     imr-torch design --case stiff-pa --out next
     imr-torch design --belief posterior.json --we-range 150:600 --rinf-range 0.15:0.25
     imr-torch design --models nhkv,gen_qkv --q 3        # what to prepare for a day in the laboratory
+
+    Which shots are best by a classical criterion, with a bound on how much better any others could be,
+    and how many a target needs, by these designs, by one repeated, and with other cameras:
+
+    imr-torch design --models nhkv --criterion D --shots 6
+    imr-torch design --models nhkv --until G:5%,mu:5%
     """
     return (
         *SPACE,
@@ -132,6 +138,26 @@ def list_design_options() -> Options:
             "how designs to evaluate are chosen (default qLogNEI)",
         ),
         number_option("--draws", 16, "draws per model of each estimate (default 16)"),
+        text_option(
+            "--criterion",
+            "NAME",
+            "shares of the shots that are optimal by D (all parameters together), A (their mean "
+            "variance), a parameter, or c:NAME=FACTOR,... (a sum of logarithms)",
+        ),
+        number_option("--shots", 12, "how many --criterion and --until count on (default 12)"),
+        text_option(
+            "--until",
+            "TARGET",
+            "predict the shots that are needed: G:5%%,mu:5%% (standard deviation over mean), "
+            "model:.99 (of several), or both with a comma; as in campaign --stop",
+        ),
+        text_option(
+            "--delivered",
+            "WE:RINF",
+            "relative standard deviations of We and R_inf* about what is asked for, which "
+            "--criterion and --until average over (default 0.1:0.05)",
+            default="0.1:0.05",
+        ),
         *OUTPUT,
         MEDIUM,
         *BUBBLE,
@@ -218,8 +244,8 @@ def list_campaign_options() -> Options:
         text_option(
             "--stop",
             "RULE",
-            "end early: sd=.01 (every parameter), probability=.99 (of a model), cause=.9 (with "
-            "--goal cause, its default), gain=.5 (nats), designs=5, "
+            "end early: G:5%%,mu:5%% (these parameters), sd=.01 (every parameter), "
+            "probability=.99 (of a model), cause=.9 (with --goal cause, its default), gain=.5 (nats), designs=5, "
             "budget=TOTAL:PER_DESIGN:PER_CURVE (forgotten experiments cost, and are no data); rules "
             "with commas must all hold, "
             "of several options any one",
