@@ -133,7 +133,7 @@ def simulate_set(
     What cannot be simulated is drawn again.
     """
     source = generator(child(seed, "single curves", kind, number))
-    names = list(LIBRARY)
+    names = [effect.name for effect in library()]
     times = torch.linspace(0.0, LENGTH, _DENSE, dtype=torch.float64)
     blank = torch.ones(1, _DENSE, dtype=torch.float64)
     while True:

@@ -60,6 +60,7 @@ class Effect:
             wall when the contents are compressed to ``P/P(0)``.
         far_field: ``far_field(time, *parameters)``, a far-field pressure over ``p_inf`` and its
             first two time derivatives.
+        offered: whether a diagnosis tries it though nobody names it.
 
     >>> from imr_torch.material import LIBRARY
     >>> effect = LIBRARY["stress_relaxation"]
@@ -80,6 +81,7 @@ class Effect:
     gas_loss: Law | None = None
     vapour: Law | None = None
     far_field: Law | None = None
+    offered: bool = True
     names: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -196,7 +198,7 @@ def give_physics(name: str, **laws: Law) -> None:
 def library(
     names: Sequence[str] | None = None, *, without: Sequence[str] = (), base: str = "nhkv"
 ) -> tuple[Effect, ...]:
-    """The effects of given names (all by default) that can be put on a base model.
+    """The effects of given names (all that are offered by default) that can be put on a base model.
 
     Raises:
         InputDataError: for an unknown name; the message lists the known ones.
@@ -210,7 +212,8 @@ def library(
     for name in (*(names or ()), *without):
         if name not in LIBRARY:
             raise InputDataError(f"Unknown effect {name!r}; known are {', '.join(LIBRARY)}.")
-    chosen = LIBRARY if names is None else dict.fromkeys(names)
+    offered = [name for name, effect in LIBRARY.items() if effect.offered]
+    chosen = offered if names is None else dict.fromkeys(names)
     return tuple(
         LIBRARY[name] for name in chosen if name not in without and LIBRARY[name].applies(base)
     )

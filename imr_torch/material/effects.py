@@ -140,13 +140,13 @@ for _effect in (
         "liquid",
         0.7,
     ),
-    _amplitude_effect(
+    # where named, since no labelled set has measured what one more rival of the sound speed does
+    Effect(
         "compressibility",
         "the liquid's compressibility matters beyond first order in the Mach number",
         "liquid",
-        0.5,
-        lower=0.0,
-        upper=1.0,
+        {"compressibility": TruncatedNormal(0.0, 0.5, lower=0.0, upper=1.0)},
+        offered=False,
     ),
     _amplitude_effect(
         "surface_tension",

@@ -233,7 +233,7 @@ def list_diagnose_options() -> Options:
             text_option(
                 "--effects",
                 "NAME,...",
-                "effects that may be the cause (default: the whole library)",
+                "effects that may be the cause (default: all that a diagnosis is offered)",
             ),
             text_option("--without", "NAME,...", "effects of the library that are left out"),
         ),
