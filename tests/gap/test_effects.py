@@ -37,6 +37,7 @@ NAMES = [
     "hot_contents",
     "rinf_drift",
     "sound_speed",
+    "compressibility",
     "surface_tension",
     "far_field_pressure",
     "density",
@@ -192,3 +193,8 @@ def test_that_an_amplitude_that_is_not_neutral_at_zero_is_named(
     monkeypatch.setattr(registry, "PARAMETERS", own)
     with pytest.raises(InputDataError, match="its amplitude 'slow' must be neutral at zero"):
         Effect("x", "a factor", "geometry", {"slow": TruncatedNormal(0.0, 0.1)})
+
+
+def test_that_what_is_not_offered_is_tried_where_it_is_named() -> None:
+    assert "compressibility" not in [effect.name for effect in library()]
+    assert [effect.name for effect in library(["compressibility"])] == ["compressibility"]
