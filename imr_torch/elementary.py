@@ -145,6 +145,18 @@ def kernel(
     return njit(cache=cache, inline=whole, forceinline=forced, **wrappers, **_OPTIONS)(function)
 
 
+def compile_pointer(function: Law, signature: Any) -> Any:
+    """Compile a function of a signature of C, which may call laws; kept beside its file as those of
+    :func:`kernel`. Its ``address`` is what others call.
+    """
+    from numba import cfunc
+
+    _teach_elementary()
+    for law in _laws_called_by(function):
+        _teach_law(law)
+    return cfunc(signature, cache=True, **_OPTIONS)(function)
+
+
 _OPTIONS: dict[str, Any] = {
     "error_model": "numpy",
     "nogil": True,

@@ -114,7 +114,7 @@ class TransportSimulator(EngineSimulator):
 
             limits = (settings.tolerance, settings.max_steps, FIRST_STEP)
             return solve_transport(
-                bubbles, self.terms, times, width, settings.resolution, limits, self.threads
+                bubbles, times, width, settings.resolution, limits, self.threads
             )
         inside, outside = (grid.to(parameters) for grid in settings.resolution.grids())
         field = TransportField(Equations(bubbles, inside, outside), width, settings.tolerance)
