@@ -29,6 +29,7 @@ sqrt = torch.sqrt
 sin = torch.sin
 cos = torch.cos
 cosh = torch.cosh
+sinh = torch.sinh
 asinh = torch.asinh
 expm1 = torch.expm1
 log1p = torch.log1p
@@ -73,6 +74,7 @@ _UNARY = {
     sin: np.sin,
     cos: np.cos,
     cosh: np.cosh,
+    sinh: np.sinh,
     asinh: np.arcsinh,
     expm1: np.expm1,
     log1p: np.log1p,

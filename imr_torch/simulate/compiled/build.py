@@ -1,8 +1,9 @@
 """From laws to compiled code: what is compiled, where it is kept, and when it is compiled anew.
 
-The common stress laws, and all effects, radial equations and gas laws, are put into one small
-generated module, ``laws``, each kind as one function that calls those that act; every other stress
-law is compiled by itself (:mod:`~imr_torch.simulate.compiled.address`). The modules of this folder whose functions are kernels are loaded beside it as a package of their own,
+The common stress laws, and all effects, radial equations and gas laws, are put
+into one small generated module, ``laws``, each kind as one function that calls those that act;
+every other stress law is a module by itself (:mod:`~imr_torch.simulate.compiled.address`). The
+modules of this folder whose functions are kernels are loaded beside it as a package of their own,
 so that a second registry gets kernels of its own. Numba compiles an entry point once and keeps the
 machine code next to the generated module. The folder is named by a hash of the code of the engine
 and of its laws, and of the versions of Python, Numba and NumPy; Numba itself tells processors

@@ -24,8 +24,8 @@ from imr_torch.material.viscous import NEWTONIAN
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import memory_share
 from imr_torch.simulate.compiled import polytropic, step
-from imr_torch.simulate.compiled.algebra import pad_matrix
 from imr_torch.simulate.compiled.address import locate_laws
+from imr_torch.simulate.compiled.algebra import pad_matrix
 from imr_torch.simulate.compiled.build import Registry, call_announced, load_engine
 from imr_torch.simulate.compiled.wall import Batch, Setup
 from imr_torch.simulate.conditions import Conditions, Stepping
