@@ -21,6 +21,7 @@ from torch import Tensor
 
 Scalar: TypeAlias = Any
 """What a law computes with: tensors of a common shape, or numbers, real or complex."""
+Scalars: TypeAlias = tuple[Scalar, ...]
 Law = Callable[..., Any]
 
 exp = torch.exp

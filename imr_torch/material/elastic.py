@@ -16,13 +16,11 @@ from math import inf
 
 from torch import Tensor
 
-from imr_torch.elementary import Law, Scalar, exp, expm1, log, real, where
+from imr_torch.elementary import Law, Scalar, Scalars, exp, expm1, log, real, where
 from imr_torch.material.stress import StressTerm, unit_rule
 
 
-def neo_hookean(
-    radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar
-) -> tuple[Scalar, ...]:
+def neo_hookean(radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar) -> Scalars:
     """``S = -(5 - 4/l - 1/l^4) / (2 Ca)`` with ``l = R/R_inf`` (Gaudron et al. 2015, eq. 2.22)."""
     inverse = rest_radius / radius
     cubed = inverse * inverse * inverse
@@ -33,7 +31,7 @@ def neo_hookean(
 
 def stiffening(
     radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, alpha: Scalar
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """The quadratic law of qKV, ``(alpha/Ca)(177/20 + 1/(4 l^8) + 2/(5 l^5) - 3/(2 l^4) + 2/l^2 -
     6/l - 4 l)``.
 
@@ -54,9 +52,7 @@ def _has_no_bound(G: Tensor, alpha: Tensor) -> Tensor:
     return (G > 0.0) & (alpha < 0.0)
 
 
-def linear_elastic(
-    radius: Scalar, velocity: Scalar, rest_radius: Scalar, G_lin: Scalar
-) -> tuple[Scalar, ...]:
+def linear_elastic(radius: Scalar, velocity: Scalar, rest_radius: Scalar, G_lin: Scalar) -> Scalars:
     """The small-strain limit, ``S = -(4/3) G (1 - 1/l^3)`` (Estrada et al. 2018, section 2.2)."""
     inverse = rest_radius / radius
     cubed = inverse * inverse * inverse
@@ -89,7 +85,7 @@ def integrate_over_gel(
     G: Scalar,
     excess: Law,
     *parameters: Scalar,
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """What a strain energy adds to the neo-Hookean stress: ``-2 G int (b^-2 + b^-5) excess(b) db``.
 
     ``excess(stretch, *parameters)`` is ``f - 1``: for an energy of the first invariant ``f = 2
@@ -112,7 +108,7 @@ def _second_order_excess(stretch: Scalar, alpha: Scalar) -> Scalar:
 
 def second_order_fung(
     radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, alpha_fung2: Scalar
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """The exponential law to second order: ``f = 1 + a x + a^2 x^2/2`` at ``x = I_1 - 3``."""
     return integrate_over_gel(radius, velocity, rest_radius, G, _second_order_excess, alpha_fung2)
 
@@ -124,7 +120,7 @@ def _exponential_excess(stretch: Scalar, alpha: Scalar) -> Scalar:
 
 def exponential_fung(
     radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, alpha_fung: Scalar
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """``W = G/(2 a) (exp(a (I_1 - 3)) - 1)`` (Fung 1967): ``f = exp(a x)``."""
     return integrate_over_gel(radius, velocity, rest_radius, G, _exponential_excess, alpha_fung)
 
@@ -135,7 +131,7 @@ def _second_invariant_excess(stretch: Scalar, mooney: Scalar) -> Scalar:
 
 def mooney_rivlin(
     radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, mooney: Scalar
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """``W = G/2 ((1 - m) (I_1 - 3) + m (I_2 - 3))`` (Mooney 1940, Rivlin 1948): ``f = 1 + m (b^2 -
     1)``.
     """
@@ -149,7 +145,7 @@ def _cubic_excess(stretch: Scalar, cubic: Scalar) -> Scalar:
 
 def cubic_stiffening(
     radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, cubic: Scalar
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """The cubic term of Yeoh (1993), ``G c/6 (I_1 - 3)^3``: ``f = 1 + c x^2``."""
     return integrate_over_gel(radius, velocity, rest_radius, G, _cubic_excess, cubic)
 
@@ -162,7 +158,7 @@ def _gent_excess(stretch: Scalar, gent: Scalar) -> Scalar:
 
 def gent_elastic(
     radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, gent: Scalar
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """``W = -G J/2 ln(1 - (I_1 - 3)/J)`` (Gent 1996): ``f = 1/(1 - x/J)``.
 
     The parameter is ``1/J``. Where the chains lock, in tension or compression, the stress is
@@ -185,7 +181,7 @@ def _chain_excess(stretch: Scalar, chain: Scalar) -> Scalar:
 
 def arruda_boyce(
     radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, chain: Scalar
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """Eight chains of ``N`` segments (Arruda & Boyce 1993): ``f`` is ``L^-1(y)/(3 y)`` at ``y^2 =
     I_1/(3 N)`` over its value at rest, so that ``G`` is the modulus at small strain.
 
@@ -208,7 +204,7 @@ def _ogden_excess(stretch: Scalar, ogden: Scalar) -> Scalar:
 
 def ogden_elastic(
     radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, ogden: Scalar
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """One term of Ogden (1972), ``W = 2 G/a^2 (l_1^a + l_2^a + l_3^a - 3)``; the parameter is ``a -
     2``.
     """

@@ -14,7 +14,7 @@ Charras & Kabla, Soft Matter 16, 2020) replace nothing: they stand beside all ot
 from math import e, pi
 from math import log as log_of
 
-from imr_torch.elementary import Scalar, exp, expm1, log, sin, where
+from imr_torch.elementary import Scalar, Scalars, exp, expm1, log, sin, where
 from imr_torch.material.elastic import linear_elastic
 from imr_torch.material.stress import StressTerm
 from imr_torch.material.viscous import newtonian
@@ -33,7 +33,7 @@ def maxwell(
     mu: Scalar,
     tau: Scalar,
     retardation: Scalar,
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """Viscous stress that relaxes: ``De Z' + Z = -4 (1 - s) R^2 U/Re``, ``S = Z/R^3 - 4 s U/(Re
     R)``.
 
@@ -63,7 +63,7 @@ def _relaxing_solid(
     stiffness: Scalar,
     time: Scalar,
     radius: Scalar,
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """A solid whose whole stress relaxes to its elastic one: ``S' = (S_e - S)/De - 4 U/(Re De R) -
     f(l) U/R``.
 
@@ -117,7 +117,7 @@ def standard_linear(
     mu: Scalar,
     G_lin: Scalar,
     tau_sls: Scalar,
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """A linear spring beside a linear Maxwell branch (Estrada et al. 2018, eq. 12)."""
     elastic, slope, stiffness = _linear_solid(rest_radius / radius, G_lin)
     return _relaxing_solid(
@@ -127,7 +127,7 @@ def standard_linear(
 
 def _standard_linear_start(
     rest_radius: Scalar, mu: Scalar, G_lin: Scalar, tau_sls: Scalar
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     return (where(tau_sls > 0.0, _linear_solid(rest_radius, G_lin)[0], 0.0),)
 
 
@@ -143,7 +143,7 @@ def standard_nonlinear(
     mu: Scalar,
     G: Scalar,
     tau_sns: Scalar,
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """A neo-Hookean spring beside a linear Maxwell branch (Estrada et al.
 
     2018, eq. 13; "nhzen" in the published code).
@@ -156,7 +156,7 @@ def standard_nonlinear(
 
 def _standard_nonlinear_start(
     rest_radius: Scalar, mu: Scalar, G: Scalar, tau_sns: Scalar
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     return (where(tau_sns > 0.0, _nonlinear_solid(rest_radius, G)[0], 0.0),)
 
 
@@ -169,7 +169,7 @@ def oldroyd_b(
     mu: Scalar,
     tau_ucm: Scalar,
     retardation: Scalar,
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """Upper-convected Maxwell branch with a solvent, its stress integral in closed form with two
     states.
 
@@ -207,12 +207,11 @@ def first_arm(
     memory: Scalar,
     G_arm: Scalar,
     tau_arm: Scalar,
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """A Maxwell arm beside all else: ``Z' = -Z/De - 4 G R^2 U``, ``S = Z/R^3``; it starts relaxed."""
-    relaxation = _relaxation_rate(tau_arm)
-    on = tau_arm > 0.0
-    change = where(on, _fade_arm(memory, relaxation, G_arm, velocity / radius), 0.0)
-    return where(on, memory, 0.0), change, 0.0, change
+    modulus = where(tau_arm > 0.0, G_arm, 0.0)
+    change = _fade_arm(memory, _relaxation_rate(tau_arm), modulus, velocity / radius)
+    return memory, change, 0.0, change
 
 
 def second_arm(
@@ -222,7 +221,7 @@ def second_arm(
     memory: Scalar,
     G_arm_slow: Scalar,
     tau_arm_slow: Scalar,
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """Another one, as :func:`first_arm`."""
     return first_arm(radius, velocity, rest_radius, memory, G_arm_slow, tau_arm_slow)
 
@@ -231,15 +230,20 @@ def _arm_fastest(modulus: Scalar, time: Scalar) -> Scalar:
     return _relaxation_rate(time)
 
 
-_HALF_DECADE = 0.5 * log_of(10.0)
-_ARMS = tuple(_HALF_DECADE * (k - 4) for k in range(11))  # logs of relaxation rates
-_RATES = tuple(10.0 ** (0.5 * k - 2.0) for k in range(11))
+_SPACING = 0.75 * log_of(10.0)
+"""Log of the ratio of the relaxation rates of neighbouring arms."""
 
 
-def _springpot_scale(G_frac: Scalar, fractional: Scalar, reference_rate: Scalar) -> Scalar:
-    """The modulus of an arm of the rate 1."""
-    strength = G_frac * exp(-fractional * log(reference_rate))
-    return strength * sin(pi * fractional) * (_HALF_DECADE / pi)
+def _springpot_modulus(number: float, G: Scalar, order: Scalar, reference: Scalar) -> Scalar:
+    """The modulus of an arm by its number: that of the rate ``U_c/Rmax`` is 0."""
+    return G * sin(pi * order) * (_SPACING / pi) * exp(order * (_SPACING * number - log(reference)))
+
+
+def _fade_springpot(
+    memory: Scalar, number: float, G: Scalar, order: Scalar, reference: Scalar, strain: Scalar
+) -> Scalar:
+    modulus = _springpot_modulus(number, G, order, reference)
+    return _fade_arm(memory, e ** (_SPACING * number), modulus, strain)
 
 
 def springpot(
@@ -253,67 +257,54 @@ def springpot(
     m4: Scalar,
     m5: Scalar,
     m6: Scalar,
-    m7: Scalar,
-    m8: Scalar,
-    m9: Scalar,
-    m10: Scalar,
     G_frac: Scalar,
     fractional: Scalar,
     reference_rate: Scalar,
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """A fractional element beside all else: the complex modulus ``G (i w/w_r)^a``, a spring at ``a =
     0`` and a dashpot at ``a = 1`` (Scott Blair 1947).
 
-    ``t^-a/Gamma(1 - a) = (sin(pi a)/pi) int e^(a y - t e^y) dy``: eleven Maxwell arms, two a decade
-    of rates from .01 to 1000 ``U_c/Rmax``, a linear spring for all slower ones and a dashpot for all
-    faster ones. The complex modulus is within 2 % from .1 to 300 ``U_c/Rmax``.
+    ``t^-a/Gamma(1 - a) = (sin(pi a)/pi) int e^(a y - t e^y) dy``: seven Maxwell arms, four in three
+    decades of rates from .03 to 1000 ``U_c/Rmax``, a linear spring for all slower ones and a dashpot
+    for all faster ones. The complex modulus is within 2 % from .1 to 300 ``U_c/Rmax``.
     """
-    on = G_frac > 0.0
-    scale = _springpot_scale(G_frac, fractional, reference_rate)
-    slow = scale * exp(-5.0 * _HALF_DECADE * fractional)
-    slow = slow / -expm1(-_HALF_DECADE * fractional)
-    fast = scale * exp(7.0 * _HALF_DECADE * (fractional - 1.0))
-    fast = fast / -expm1(_HALF_DECADE * (fractional - 1.0))
-    spring, spring_rate, _ = linear_elastic(radius, velocity, rest_radius, where(on, slow, 0.0))
-    dashpot, dashpot_rate, inertia = newtonian(radius, velocity, rest_radius, where(on, fast, 0.0))
+    slow = _springpot_modulus(-3.0, G_frac, fractional, reference_rate)
+    slow = slow / -expm1(-_SPACING * fractional)
+    fast = _springpot_modulus(5.0, G_frac, fractional, reference_rate) * e ** (-5.0 * _SPACING)
+    fast = fast / -expm1(_SPACING * (fractional - 1.0))
+    value, rate, _ = linear_elastic(radius, velocity, rest_radius, slow)
+    flow, flow_rate, inertia = newtonian(radius, velocity, rest_radius, fast)
     strain = velocity / radius
-    held = (m0, m1, m2, m3, m4, m5, m6, m7, m8, m9, m10)
     changes = (
-        _fade_arm(m0, _RATES[0], scale * exp(_ARMS[0] * fractional), strain),
-        _fade_arm(m1, _RATES[1], scale * exp(_ARMS[1] * fractional), strain),
-        _fade_arm(m2, _RATES[2], scale * exp(_ARMS[2] * fractional), strain),
-        _fade_arm(m3, _RATES[3], scale * exp(_ARMS[3] * fractional), strain),
-        _fade_arm(m4, _RATES[4], scale * exp(_ARMS[4] * fractional), strain),
-        _fade_arm(m5, _RATES[5], scale * exp(_ARMS[5] * fractional), strain),
-        _fade_arm(m6, _RATES[6], scale * exp(_ARMS[6] * fractional), strain),
-        _fade_arm(m7, _RATES[7], scale * exp(_ARMS[7] * fractional), strain),
-        _fade_arm(m8, _RATES[8], scale * exp(_ARMS[8] * fractional), strain),
-        _fade_arm(m9, _RATES[9], scale * exp(_ARMS[9] * fractional), strain),
-        _fade_arm(m10, _RATES[10], scale * exp(_ARMS[10] * fractional), strain),
+        _fade_springpot(m0, -2.0, G_frac, fractional, reference_rate, strain),
+        _fade_springpot(m1, -1.0, G_frac, fractional, reference_rate, strain),
+        _fade_springpot(m2, 0.0, G_frac, fractional, reference_rate, strain),
+        _fade_springpot(m3, 1.0, G_frac, fractional, reference_rate, strain),
+        _fade_springpot(m4, 2.0, G_frac, fractional, reference_rate, strain),
+        _fade_springpot(m5, 3.0, G_frac, fractional, reference_rate, strain),
+        _fade_springpot(m6, 4.0, G_frac, fractional, reference_rate, strain),
     )
-    value = spring + dashpot
-    rate = spring_rate + dashpot_rate
-    for k in range(11):
-        value = value + held[k]
-        rate = rate + changes[k]
-    return value, rate, inertia, *changes
+    for memory in (m0, m1, m2, m3, m4, m5, m6):
+        value = value + memory
+    for change in changes:
+        rate = rate + change
+    return value + flow, rate + flow_rate, inertia, *changes
 
 
 def _springpot_start(
     rest_radius: Scalar, G_frac: Scalar, fractional: Scalar, reference_rate: Scalar
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """Of a bubble whose volume grew evenly from ``R_inf`` within ``Rmax/U_c``."""
-    grown = (
-        4.0 / 3.0 * (1.0 - rest_radius**3) * _springpot_scale(G_frac, fractional, reference_rate)
-    )
-    shares = [(1.0 - e**-rate) / rate for rate in _RATES]
+    grown = -4.0 / 3.0 * (1.0 - rest_radius**3)
+    rates = [(k, e ** (_SPACING * k)) for k in range(-2, 5)]
     return tuple(
-        -grown * exp(arm * fractional) * share for arm, share in zip(_ARMS, shares, strict=True)
+        grown * _springpot_modulus(k, G_frac, fractional, reference_rate) * (1.0 - e**-rate) / rate
+        for k, rate in rates
     )
 
 
 def _springpot_fastest(G_frac: Scalar, fractional: Scalar, reference_rate: Scalar) -> Scalar:
-    return where(G_frac > 0.0, _RATES[-1], 0.0 * G_frac)
+    return where(G_frac > 0.0, e ** (4.0 * _SPACING), 0.0)
 
 
 MAXWELL = StressTerm(maxwell, switch="tau", states=1, fastest=_maxwell_fastest)
@@ -337,7 +328,7 @@ SECOND_ARM = StressTerm(second_arm, switch="G_arm_slow", states=1, fastest=_arm_
 SPRINGPOT = StressTerm(
     springpot,
     switch="G_frac",
-    states=11,
+    states=7,
     beside=("reference_rate",),
     start=_springpot_start,
     fastest=_springpot_fastest,

@@ -191,7 +191,7 @@ class Part:
         title: name in tables and figures.
         reference: where it is defined.
         terms: the stress terms that add up to it.
-        only: the parts of other kinds that it can stand beside; any if empty.
+        only: the parts that it can stand beside, of their kinds.
 
     >>> from imr_torch.material import PARTS
     >>> PARTS["gent"].title, [term.name for term in PARTS["gent"].terms]
@@ -209,6 +209,7 @@ _ESTRADA = "Estrada et al., J. Mech. Phys. Solids 112 (2018)"
 _GAUDRON = "Gaudron, Warnez & Johnsen, J. Fluid Mech. 766 (2015)"
 _WARNEZ = "Warnez & Johnsen, Phys. Fluids 27 (2015)"
 _YANG = "Yang, Cramer, Bremer, Buyukozturk, Estrada & Franck, Soft Matter 16 (2020)"
+_TSCHOEGL = "Tschoegl, Phenomenological Theory of Linear Viscoelastic Behavior, Springer (1989)"
 _YIELD = "Bingham, US Bur. Stand. Bull. 13 (1916)"
 
 
@@ -261,13 +262,9 @@ PARTS: dict[str, Part] = {
         POWER_LAW,
         YIELD_STRESS,
     ),
-    "maxwell": Part("memory", "Maxwell", _WARNEZ, (NEWTONIAN, MAXWELL)),
-    "two_maxwell": Part(
-        "memory",
-        "two Maxwell arms",
-        "Tschoegl, The Phenomenological Theory of Linear Viscoelastic Behavior (1989)",
-        (FIRST_ARM, SECOND_ARM),
-    ),
+    "jeffreys": Part("memory", "Jeffreys", _WARNEZ, (NEWTONIAN, MAXWELL), only=("newtonian",)),
+    "maxwell": Part("memory", "Maxwell", _TSCHOEGL, (FIRST_ARM,)),
+    "two_maxwell": Part("memory", "two Maxwell arms", _TSCHOEGL, (FIRST_ARM, SECOND_ARM)),
     "springpot": Part(
         "memory",
         "Springpot",
@@ -288,7 +285,9 @@ PARTS: dict[str, Part] = {
         (NEWTONIAN, NEO_HOOKEAN, STANDARD_NONLINEAR),
         only=("neo_hookean", "newtonian"),
     ),
-    "ucm": Part("memory", "Upper-convected Maxwell", _WARNEZ, (NEWTONIAN, OLDROYD_B)),
+    "ucm": Part(
+        "memory", "Upper-convected Maxwell", _WARNEZ, (NEWTONIAN, OLDROYD_B), only=("newtonian",)
+    ),
 }
 """Name -> part of a composed model."""
 
@@ -359,12 +358,12 @@ def _check_parts(key: str, model: Material, parts: list[Part]) -> None:
             )
         held[part.kind] = part
     for part in held.values():
-        beside = [x.title for x in held.values() if x not in (part, *(PARTS[n] for n in part.only))]
-        if part.only and beside:
-            raise InputDataError(
-                f"Model {key!r}: {part.title} does not go with {beside[0]}; it does with "
-                f"{', '.join(part.only)}."
-            )
+        for name in part.only:
+            other = held.get(PARTS[name].kind, PARTS[name])
+            if other is not PARTS[name]:
+                raise InputDataError(
+                    f"Model {key!r}: {part.title} goes with {name} alone, not with {other.title}."
+                )
 
 
 for _model in (

@@ -14,6 +14,7 @@ Armstrong & Cohen (Rheol. Acta 20, 1981); Cross (J. Colloid Sci. 20, 1965); Powe
 from imr_torch.elementary import (
     Law,
     Scalar,
+    Scalars,
     asinh,
     cosh,
     expm1,
@@ -27,9 +28,7 @@ from imr_torch.elementary import (
 from imr_torch.material.stress import SMOOTH, StressTerm, unit_rule
 
 
-def newtonian(
-    radius: Scalar, velocity: Scalar, rest_radius: Scalar, mu: Scalar
-) -> tuple[Scalar, ...]:
+def newtonian(radius: Scalar, velocity: Scalar, rest_radius: Scalar, mu: Scalar) -> Scalars:
     """``S = -4 U / (Re R)`` (Estrada et al. 2018, eq. 10)."""
     factor = -4.0 * mu / radius
     value = factor * velocity
@@ -39,21 +38,6 @@ def newtonian(
 _RULE = unit_rule(16, 2)
 WALL_SHEAR = 2.0 * 3.0**0.5
 """Shear rate at the wall over ``|U|/R``."""
-BRANCHES = ("tau", "tau_ucm", "tau_sls", "tau_sns", "retardation")
-"""Parameters by which a memory takes the Newtonian stress, or a part of it, for itself."""
-
-
-def _instant_viscosity(
-    mu: Scalar,
-    tau: Scalar,
-    tau_ucm: Scalar,
-    tau_sls: Scalar,
-    tau_sns: Scalar,
-    retardation: Scalar,
-) -> Scalar:
-    """The viscosity that acts at once, beside a branch that relaxes: that of the solvent."""
-    solvent = where(tau + tau_ucm > 0.0, retardation * mu, mu)
-    return where(tau_sls + tau_sns > 0.0, 0.0, solvent)
 
 
 def _lose_viscosity(
@@ -63,7 +47,7 @@ def _lose_viscosity(
     time: Scalar,
     lost: Law,
     *parameters: Scalar,
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """What shear takes off the Newtonian law where ``mu(g) = mu (1 - lost(t g, *parameters))``.
 
     The integral over the gel is taken by quadrature in the root of ``asinh`` of the shear rate: its
@@ -96,19 +80,12 @@ def carreau(
     mu: Scalar,
     thinning: Scalar,
     shear_time: Scalar,
-    tau: Scalar,
-    tau_ucm: Scalar,
-    tau_sls: Scalar,
-    tau_sns: Scalar,
-    retardation: Scalar,
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """What shear thinning takes off the Newtonian law: ``mu(g) = mu (1 + (t_s g)^2)^(-s/2)``,
     Carreau (1972).
 
-    ``s = 1 - n`` with the flow index ``n``; ``s = 0`` is Newtonian. Beside a branch that relaxes,
-    the solvent thins.
+    ``s = 1 - n`` with the flow index ``n``; ``s = 0`` is Newtonian.
     """
-    mu = _instant_viscosity(mu, tau, tau_ucm, tau_sls, tau_sns, retardation)
     return _lose_viscosity(radius, velocity, mu, shear_time, _carreau_loss, thinning)
 
 
@@ -125,16 +102,11 @@ def carreau_yasuda(
     yasuda: Scalar,
     shear_time: Scalar,
     plateau: Scalar,
-    tau: Scalar,
-    tau_ucm: Scalar,
-    tau_sls: Scalar,
-    tau_sns: Scalar,
-    retardation: Scalar,
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """``mu(g)/mu = p + (1 - p) (1 + (t_s g)^a)^(-s/a)`` (Yasuda, Armstrong & Cohen 1981); ``a = 2``
     is Carreau's, ``p`` the viscosity at the highest rates over that at rest.
     """
-    mu = _instant_viscosity(mu, tau, tau_ucm, tau_sls, tau_sns, retardation) * (1.0 - plateau)
+    mu = mu * (1.0 - plateau)
     return _lose_viscosity(radius, velocity, mu, shear_time, _yasuda_loss, thinning_yasuda, yasuda)
 
 
@@ -150,14 +122,9 @@ def cross(
     cross_time: Scalar,
     cross_exponent: Scalar,
     plateau: Scalar,
-    tau: Scalar,
-    tau_ucm: Scalar,
-    tau_sls: Scalar,
-    tau_sns: Scalar,
-    retardation: Scalar,
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """``mu(g)/mu = p + (1 - p)/(1 + (t g)^m)`` (Cross 1965)."""
-    mu = _instant_viscosity(mu, tau, tau_ucm, tau_sls, tau_sns, retardation) * (1.0 - plateau)
+    mu = mu * (1.0 - plateau)
     return _lose_viscosity(radius, velocity, mu, cross_time, _cross_loss, cross_exponent)
 
 
@@ -172,14 +139,9 @@ def powell_eyring(
     mu: Scalar,
     eyring_time: Scalar,
     plateau: Scalar,
-    tau: Scalar,
-    tau_ucm: Scalar,
-    tau_sls: Scalar,
-    tau_sns: Scalar,
-    retardation: Scalar,
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """``mu(g)/mu = p + (1 - p) asinh(t g)/(t g)`` (Powell & Eyring 1944)."""
-    mu = _instant_viscosity(mu, tau, tau_ucm, tau_sls, tau_sns, retardation) * (1.0 - plateau)
+    mu = mu * (1.0 - plateau)
     return _lose_viscosity(radius, velocity, mu, eyring_time, _eyring_loss)
 
 
@@ -190,19 +152,14 @@ def power_law(
     mu: Scalar,
     power_thinning: Scalar,
     reference_rate: Scalar,
-    tau: Scalar,
-    tau_ucm: Scalar,
-    tau_sls: Scalar,
-    tau_sns: Scalar,
-    retardation: Scalar,
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """``mu(g) = mu (g/g_r)^-s`` (Ostwald 1925, de Waele 1923), less the Newtonian law: ``S = -4
     mu(g_w)/(1 - s) U/R``.
 
     ``s = 1 - n`` with the flow index ``n``; ``mu`` is the viscosity at the rate ``g_r``. ``U`` is
     rounded off in ``mu(g)``, which has no bound at rest.
     """
-    factor = 4.0 * _instant_viscosity(mu, tau, tau_ucm, tau_sls, tau_sns, retardation)
+    factor = 4.0 * mu
     speed = velocity * velocity + SMOOTH * SMOOTH
     wall = WALL_SHEAR * sqrt(speed) / radius / reference_rate
     mean = power(wall, -power_thinning) / (1.0 - power_thinning)
@@ -213,8 +170,8 @@ def power_law(
 
 
 NEWTONIAN = StressTerm(newtonian, switch="mu")
-CARREAU = StressTerm(carreau, switch="thinning", beside=BRANCHES)
-CARREAU_YASUDA = StressTerm(carreau_yasuda, switch="thinning_yasuda", beside=("plateau", *BRANCHES))
-CROSS = StressTerm(cross, switch="cross_time", beside=("plateau", *BRANCHES))
-POWELL_EYRING = StressTerm(powell_eyring, switch="eyring_time", beside=("plateau", *BRANCHES))
-POWER_LAW = StressTerm(power_law, switch="power_thinning", beside=("reference_rate", *BRANCHES))
+CARREAU = StressTerm(carreau, switch="thinning")
+CARREAU_YASUDA = StressTerm(carreau_yasuda, switch="thinning_yasuda", beside=("plateau",))
+CROSS = StressTerm(cross, switch="cross_time", beside=("plateau",))
+POWELL_EYRING = StressTerm(powell_eyring, switch="eyring_time", beside=("plateau",))
+POWER_LAW = StressTerm(power_law, switch="power_thinning", beside=("reference_rate",))

@@ -7,7 +7,6 @@ from torch import Tensor
 
 import imr_torch.simulate  # noqa: F401 - which registers a term of its own
 from imr_torch.material import PARAMETERS, Material, Stress, StressTerm, gel_response
-from imr_torch.material.viscous import BRANCHES
 
 VALUES = {
     "G": 0.08,
@@ -64,7 +63,7 @@ VALUES = {
 def values_for(term: StressTerm) -> dict[str, float]:
     """A value of every parameter at which a term acts: nothing relaxes but by its own switch."""
     return VALUES | {
-        name: 0.0 for name in BRANCHES if name.startswith("tau") and name != term.switch
+        name: 0.0 for name in ("tau", "tau_sls", "tau_sns", "tau_ucm") if name != term.switch
     }
 
 

@@ -213,9 +213,8 @@ def _write_stress(terms: Sequence[StressTerm]) -> str:
     lines += [
         "    for i in range(len(others)):",
         f"        if on[{len(terms)} + i]:",
-        "            v, r, a = call_law(",
-        "                others, i, radius, velocity, rest_radius, theta, memory, rates, k",
-        "            )",
+        "            point = radius, velocity",
+        "            v, r, a = call_law(others[i], point, rest_radius, theta, memory, rates, k)",
         "            value += v",
         "            rate += r",
         "            acceleration += a",

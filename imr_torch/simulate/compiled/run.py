@@ -24,7 +24,7 @@ from imr_torch.material.viscous import NEWTONIAN
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import memory_share
 from imr_torch.simulate.compiled import polytropic, step
-from imr_torch.simulate.compiled.address import locate_laws
+from imr_torch.simulate.compiled.address import locate_law
 from imr_torch.simulate.compiled.algebra import pad_matrix
 from imr_torch.simulate.compiled.build import Registry, call_announced, load_engine
 from imr_torch.simulate.compiled.wall import Batch, Setup
@@ -32,7 +32,7 @@ from imr_torch.simulate.conditions import Conditions, Stepping
 from imr_torch.simulate.driving import TabulatedDriving
 from imr_torch.simulate.gas import polytropic_pressure
 from imr_torch.simulate.grids import Resolution
-from imr_torch.simulate.radial import RADIAL_EQUATIONS
+from imr_torch.simulate.radial import RADIAL_EQUATIONS, keller_miksis
 from imr_torch.threads import cores
 
 COMMON = (NEWTONIAN, NEO_HOOKEAN, STIFFENING, MAXWELL)
@@ -55,18 +55,17 @@ def find_obstacle(bubbles: Bubbles) -> str | None:
 
 
 def registry_of(conditions: Conditions) -> Registry:
-    """The common stress terms, and all other laws that are registered and have a compiled form, with
-    those of a simulator beside them.
+    """The common stress terms, the effects that have a compiled form, and the laws of a simulator's
+    conditions: all radial equations, or the usual one alone, which is compiled sooner.
     """
+    motion = type(conditions.motion).law
+    known = [type(motion).law for motion in RADIAL_EQUATIONS.values()]
     return Registry(
         terms=COMMON,
         effects=tuple(
             e for e in LIBRARY.values() if e.compilable and (e.gas_loss or e.vapour or e.far_field)
         ),
-        radial=_with_more(
-            [type(motion).law for motion in RADIAL_EQUATIONS.values()],
-            [type(conditions.motion).law],
-        ),
+        radial=(motion,) if motion is keller_miksis else _with_more(known, [motion]),
         gases=_with_more([polytropic_pressure], [type(conditions.gas).law]),
     )
 
@@ -200,20 +199,16 @@ def _memory_of(
     """What each member's memory starts from, in the order of its terms that act (``members x
     terms``), and the rate at which the fastest one relaxes.
     """
-    members = np.arange(len(acts))
-    states = np.array([term.states for term in terms])
-    memory = np.zeros((len(acts), int((acts @ states).max(initial=0))))
+    rest = bubbles.numbers.rest_radius
+    theta = bubbles.theta
+    start = torch.cat([term.memory_start(rest, theta) for term in terms]).T.numpy()
+    on = acts.repeat([term.states for term in terms], 1)
+    memory = np.take_along_axis(np.where(on, start, 0.0), (~on).argsort(1, kind="stable"), 1)
     fading = np.zeros(len(acts))
-    filled = np.zeros(len(acts), np.int64)
-    for term, on in zip(terms, acts.T, strict=True):
-        if not term.states or not on.any():
-            continue
-        for row in term.memory_start(bubbles.numbers.rest_radius, bubbles.theta).numpy():
-            memory[members[on], filled[on]] = row[on]
-            filled += on
-        rate = term.relaxation_rate(bubbles.theta)
+    for term, here in zip(terms, acts.T, strict=True):
+        rate = term.relaxation_rate(theta)
         if rate is not None:
-            fading = np.where(on, np.maximum(fading, rate.numpy()), fading)
+            fading = np.maximum(fading, np.where(here, rate.numpy(), 0.0))
     return memory, fading
 
 
@@ -230,7 +225,7 @@ def _setup_of(bubbles: Bubbles, registry: Registry, others: tuple[StressTerm, ..
         knots.numpy(),
         cubics.numpy(),
         1.0 / conditions.surroundings.far_field_pressure,
-        locate_laws(others),
+        np.array([locate_law(term) for term in others], np.int64).reshape(-1, 3),
     )
 
 
