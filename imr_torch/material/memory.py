@@ -25,6 +25,10 @@ def _relaxation_rate(time: Scalar) -> Scalar:
     return where(time > 0.0, 1.0 / where(time > 0.0, time, 1.0), 0.0)
 
 
+def _fastest_rate(strength: Scalar, time: Scalar, *others: Scalar) -> Scalar:
+    return _relaxation_rate(time)
+
+
 def maxwell(
     radius: Scalar,
     velocity: Scalar,
@@ -48,10 +52,6 @@ def maxwell(
     change = where(on, -relaxation * (memory + instant * strain) - 3.0 * strain * memory, 0.0)
     value = where(on, memory, 0.0) + instant * strain
     return value, change - instant * strain * strain, instant / radius, change
-
-
-def _maxwell_fastest(mu: Scalar, tau: Scalar, retardation: Scalar) -> Scalar:
-    return _relaxation_rate(tau)
 
 
 def _relaxing_solid(
@@ -191,10 +191,6 @@ def oldroyd_b(
     return value, rate, instant / radius, radial_change, hoop_change
 
 
-def _oldroyd_fastest(mu: Scalar, tau_ucm: Scalar, retardation: Scalar) -> Scalar:
-    return _relaxation_rate(tau_ucm)
-
-
 def _fade_arm(memory: Scalar, relaxation: Scalar, modulus: Scalar, strain: Scalar) -> Scalar:
     """The rate of ``Z/R^3`` where ``Z' = -Z/De - 4 G R^2 U``, in which ``relaxation`` is ``1/De``."""
     return -relaxation * memory - (4.0 * modulus + 3.0 * memory) * strain
@@ -224,10 +220,6 @@ def second_arm(
 ) -> Scalars:
     """Another one, as :func:`first_arm`."""
     return first_arm(radius, velocity, rest_radius, memory, G_arm_slow, tau_arm_slow)
-
-
-def _arm_fastest(modulus: Scalar, time: Scalar) -> Scalar:
-    return _relaxation_rate(time)
 
 
 _SPACING = 0.75 * log_of(10.0)
@@ -307,7 +299,7 @@ def _springpot_fastest(G_frac: Scalar, fractional: Scalar, reference_rate: Scala
     return where(G_frac > 0.0, e ** (4.0 * _SPACING), 0.0)
 
 
-MAXWELL = StressTerm(maxwell, switch="tau", states=1, fastest=_maxwell_fastest)
+MAXWELL = StressTerm(maxwell, switch="tau", states=1, fastest=_fastest_rate)
 STANDARD_LINEAR = StressTerm(
     standard_linear,
     switch="tau_sls",
@@ -322,9 +314,9 @@ STANDARD_NONLINEAR = StressTerm(
     start=_standard_nonlinear_start,
     fastest=_standard_fastest,
 )
-OLDROYD_B = StressTerm(oldroyd_b, switch="tau_ucm", states=2, fastest=_oldroyd_fastest)
-FIRST_ARM = StressTerm(first_arm, switch="G_arm", states=1, fastest=_arm_fastest)
-SECOND_ARM = StressTerm(second_arm, switch="G_arm_slow", states=1, fastest=_arm_fastest)
+OLDROYD_B = StressTerm(oldroyd_b, switch="tau_ucm", states=2, fastest=_fastest_rate)
+FIRST_ARM = StressTerm(first_arm, switch="G_arm", states=1, fastest=_fastest_rate)
+SECOND_ARM = StressTerm(second_arm, switch="G_arm_slow", states=1, fastest=_fastest_rate)
 SPRINGPOT = StressTerm(
     springpot,
     switch="G_frac",

@@ -191,7 +191,6 @@ class Part:
         title: name in tables and figures.
         reference: where it is defined.
         terms: the stress terms that add up to it.
-        only: the parts that it can stand beside, of their kinds.
 
     >>> from imr_torch.material import PARTS
     >>> PARTS["gent"].title, [term.name for term in PARTS["gent"].terms]
@@ -202,7 +201,6 @@ class Part:
     title: str
     reference: str
     terms: tuple[StressTerm, ...]
-    only: tuple[str, ...] = ()
 
 
 _ESTRADA = "Estrada et al., J. Mech. Phys. Solids 112 (2018)"
@@ -262,7 +260,7 @@ PARTS: dict[str, Part] = {
         POWER_LAW,
         YIELD_STRESS,
     ),
-    "jeffreys": Part("memory", "Jeffreys", _WARNEZ, (NEWTONIAN, MAXWELL), only=("newtonian",)),
+    "jeffreys": Part("memory", "Jeffreys", _WARNEZ, (NEWTONIAN, MAXWELL)),
     "maxwell": Part("memory", "Maxwell", _TSCHOEGL, (FIRST_ARM,)),
     "two_maxwell": Part("memory", "two Maxwell arms", _TSCHOEGL, (FIRST_ARM, SECOND_ARM)),
     "springpot": Part(
@@ -271,23 +269,9 @@ PARTS: dict[str, Part] = {
         "Bonfanti, Kaplan, Charras & Kabla, Soft Matter 16 (2020)",
         (SPRINGPOT,),
     ),
-    "sls": Part(
-        "memory",
-        "SLS",
-        _ESTRADA,
-        (NEWTONIAN, LINEAR_ELASTIC, STANDARD_LINEAR),
-        only=("linear", "newtonian"),
-    ),
-    "sns": Part(
-        "memory",
-        "SNS",
-        _ESTRADA,
-        (NEWTONIAN, NEO_HOOKEAN, STANDARD_NONLINEAR),
-        only=("neo_hookean", "newtonian"),
-    ),
-    "ucm": Part(
-        "memory", "Upper-convected Maxwell", _WARNEZ, (NEWTONIAN, OLDROYD_B), only=("newtonian",)
-    ),
+    "sls": Part("memory", "SLS", _ESTRADA, (NEWTONIAN, LINEAR_ELASTIC, STANDARD_LINEAR)),
+    "sns": Part("memory", "SNS", _ESTRADA, (NEWTONIAN, NEO_HOOKEAN, STANDARD_NONLINEAR)),
+    "ucm": Part("memory", "Upper-convected Maxwell", _WARNEZ, (NEWTONIAN, OLDROYD_B)),
 }
 """Name -> part of a composed model."""
 
@@ -312,25 +296,25 @@ def material(key: str) -> Material:
     ('G', 'mu', 'gent', 'power_thinning', 'G_arm', 'tau_arm', 'G_arm_slow', 'tau_arm_slow')
     """
     first, *rest = key.split("+")
-    if first not in MATERIALS and first not in PARTS:
+    if first in MATERIALS and not rest:
+        return MATERIALS[first]
+    begin = MATERIALS.get(first) or PARTS.get(first)
+    if begin is None:
         raise InputDataError(
             f"Unknown model {first!r}; known are {', '.join(MATERIALS)}; or parts of one, as in "
             f"gent+cross+ucm: {', '.join(PARTS)}. A model of your own is registered first (of "
             "commands: --import FILE.py)."
         )
-    if not rest and first in MATERIALS:
-        return MATERIALS[first]
-    parts = [PARTS[name] for name in rest if name in PARTS]
+    parts = [begin, *(PARTS[name] for name in rest if name in PARTS)]
     extra = tuple(name for name in rest if name not in PARTS)
-    if first in MATERIALS:
-        model = MATERIALS[first]
-    else:
-        model = Material("", PARTS[first].title, PARTS[first].reference, ())
-        parts = [PARTS[first], *parts]
-    _check_parts(key, model, parts)
-    terms = tuple(dict.fromkeys((*model.terms, *chain(*(part.terms for part in parts)))))
-    references = dict.fromkeys((model.reference, *(part.reference for part in parts)))
-    model = replace(model, terms=terms, reference="; ".join(references))
+    _check_parts(key, parts)
+    model = Material(
+        key,
+        " + ".join((begin.title, *(PARTS[x].title if x in PARTS else x for x in rest))),
+        "; ".join(dict.fromkeys(part.reference for part in parts)),
+        tuple(dict.fromkeys(chain(*(part.terms for part in parts)))),
+        begin.known if isinstance(begin, Material) else (),
+    )
     double = [
         name for name in extra if PARAMETERS[name].name in model.names or extra.count(name) > 1
     ]
@@ -339,17 +323,20 @@ def material(key: str) -> Material:
             f"Model {key!r} names {double[0]!r} twice, or {key.split('+' + double[0])[0]!r} has it "
             "already."
         )
-    titles = [PARTS[name].title if name in PARTS else name for name in rest]
-    terms = (*terms, *(term for term in TERMS if term.switch in extra))
-    title = " + ".join((model.title, *titles))
-    return replace(model, key=key, title=title, terms=terms, extra=extra)
+    terms = (*model.terms, *(term for term in TERMS if term.switch in extra))
+    return replace(model, terms=terms, extra=extra)
 
 
-def _check_parts(key: str, model: Material, parts: list[Part]) -> None:
-    """Raise where two laws of one kind, or parts that do not go together, are named."""
-    known = [part for part in PARTS.values() if set(part.terms) <= set(model.terms)]
-    held = {part.kind: part for part in sorted(known, key=lambda part: len(part.terms))}
+def _check_parts(key: str, parts: list[Material | Part]) -> None:
+    """Raise where two laws of one kind are named, or a memory that replaces the stress of others
+    than those that stand beside it.
+    """
+    held: dict[str, Part] = {}
     for part in parts:
+        if isinstance(part, Material):
+            known = [x for x in PARTS.values() if set(x.terms) <= set(part.terms)]
+            held |= {x.kind: x for x in sorted(known, key=lambda x: len(x.terms))}
+            continue
         other = held.get(part.kind, part)
         if other is not part and (other in parts or not set(other.terms) <= set(part.terms)):
             raise InputDataError(
@@ -357,13 +344,13 @@ def _check_parts(key: str, model: Material, parts: list[Part]) -> None:
                 "of them."
             )
         held[part.kind] = part
-    for part in held.values():
-        for name in part.only:
-            other = held.get(PARTS[name].kind, PARTS[name])
-            if other is not PARTS[name]:
-                raise InputDataError(
-                    f"Model {key!r}: {part.title} goes with {name} alone, not with {other.title}."
-                )
+    for name in ("newtonian", "neo_hookean", "linear"):
+        base, memory = PARTS[name], held.get("memory")
+        other = held.get(base.kind, base)
+        if memory and other is not base and set(base.terms) <= set(memory.terms):
+            raise InputDataError(
+                f"Model {key!r}: {memory.title} goes with {name} alone, not with {other.title}."
+            )
 
 
 for _model in (
