@@ -10,6 +10,7 @@ of its memory, and its value, rate and acceleration to ``out``.
 import functools
 from typing import Any
 
+from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
@@ -44,7 +45,7 @@ def call_law(
             out,
         ]
         kind = context.get_constant(types.intp, int(point.dtype == types.complex128))
-        form = cgutils.ir.FunctionType(cgutils.ir.VoidType(), [x.type for x in given])
+        form = ir.FunctionType(ir.VoidType(), [x.type for x in given])
         address = builder.inttoptr(builder.load(point_at(0, kind)), form.as_pointer())
         builder.call(address, given)
         return builder.load(out)
