@@ -106,8 +106,9 @@ def carreau_yasuda(
     """``mu(g)/mu = p + (1 - p) (1 + (t_s g)^a)^(-s/a)`` (Yasuda, Armstrong & Cohen 1981); ``a = 2``
     is Carreau's, ``p`` the viscosity at the highest rates over that at rest.
     """
-    mu = mu * (1.0 - plateau)
-    return _lose_viscosity(radius, velocity, mu, shear_time, _yasuda_loss, thinning_yasuda, yasuda)
+    return _lose_viscosity(
+        radius, velocity, mu * (1.0 - plateau), shear_time, _yasuda_loss, thinning_yasuda, yasuda
+    )
 
 
 def _cross_loss(shear: Scalar, cross_exponent: Scalar) -> Scalar:
@@ -124,8 +125,9 @@ def cross(
     plateau: Scalar,
 ) -> Scalars:
     """``mu(g)/mu = p + (1 - p)/(1 + (t g)^m)`` (Cross 1965)."""
-    mu = mu * (1.0 - plateau)
-    return _lose_viscosity(radius, velocity, mu, cross_time, _cross_loss, cross_exponent)
+    return _lose_viscosity(
+        radius, velocity, mu * (1.0 - plateau), cross_time, _cross_loss, cross_exponent
+    )
 
 
 def _eyring_loss(shear: Scalar) -> Scalar:
@@ -141,8 +143,7 @@ def powell_eyring(
     plateau: Scalar,
 ) -> Scalars:
     """``mu(g)/mu = p + (1 - p) asinh(t g)/(t g)`` (Powell & Eyring 1944)."""
-    mu = mu * (1.0 - plateau)
-    return _lose_viscosity(radius, velocity, mu, eyring_time, _eyring_loss)
+    return _lose_viscosity(radius, velocity, mu * (1.0 - plateau), eyring_time, _eyring_loss)
 
 
 def power_law(

@@ -394,7 +394,7 @@ def test_that_both_engines_integrate_a_composed_law_alike(key: str, kind) -> Non
     plain = kind()(
         PARAMETERS.pack({"G": GELS[key]["G"], "mu": GELS[key]["mu"]})[None], design, times
     )
-    assert float((ours.radius - plain.radius).abs().max()) > 1e-3
+    assert float((ours.radius - plain.radius).abs().max()) > 1e-4
 
 
 @pytest.mark.parametrize("key", GELS)
@@ -407,7 +407,7 @@ def test_that_a_composed_bubble_is_that_of_an_independent_solver(key: str) -> No
     ours = simulator(gel, tensor([400.0, 0.25]), times).radius[0].numpy()
     from imr_torch.simulate.bubbles import Bubbles
 
-    bubbles = Bubbles.of(gel, tensor([400.0, 0.25])[None], conditions)
+    bubbles = Bubbles.of(gel, tensor([400.0, 0.25]), conditions)
     b = {name: float(x[0]) for name, x in bubbles.numbers._asdict().items()}
     theta = {name: x[0] for name, x in bubbles.theta.items()}
     rest = torch.tensor(b["rest_radius"], dtype=torch.float64)
@@ -441,14 +441,14 @@ def test_that_a_composed_bubble_is_that_of_an_independent_solver(key: str) -> No
 @pytest.mark.parametrize(
     ("key", "name", "values"),
     [
-        ("gent+newtonian", "gent", (0.5, 0.02, 5e-3)),
-        ("arruda_boyce+newtonian", "chain", (0.5, 0.05, 0.02)),
+        ("gent+newtonian", "gent", (0.5, 0.0168)),
+        ("arruda_boyce+newtonian", "chain", (0.5, 0.048)),
     ],
 )
 def test_that_a_gel_that_locks_gives_a_status_soon(kind, key: str, name: str, values) -> None:
     """Locked from the start, and locking as the bubble collapses."""
     times = torch.linspace(0.0, 3.0, 31, dtype=torch.float64)
-    gels = torch.stack([PARAMETERS.pack({"G": 2e3, "mu": 0.02, name: x}) for x in values])
+    gels = torch.stack([PARAMETERS.pack({"G": 5e2, "mu": 1e-3, name: x}) for x in values])
     found = kind()(gels, tensor([700.0, 0.18]), times)
     assert (found.status != Status.DONE).all(), found.status
     assert int(found.steps.max()) < 5000

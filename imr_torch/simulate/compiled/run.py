@@ -157,14 +157,13 @@ def _solve_bundles(
     of_terms = PARAMETERS.index([term.switch for term in terms])
     of_effects = PARAMETERS.index([effect.names[0] for effect in registry.effects])
     acts = _acting_parts(theta[:, of_terms], terms, bubbles.terms, width)
-    memory, fading = _memory_of(bubbles, terms, acts.repeat(width, 0))
     batch = Batch(
         width=width,
         numbers=torch.stack(bubbles.numbers, 1).numpy(),
         theta=theta,
         terms=acts,
-        memory=memory,
-        fading=fading,
+        memory=_memory_of(bubbles, terms, acts.repeat(width, 0)),
+        fading=bubbles.fastest_relaxation().numpy(),
         effects=_acting_parts(theta[:, of_effects], registry.effects, bubbles.effects, width),
         times=times.contiguous().numpy(),
         curves=np.empty((3, *times.shape)),
@@ -193,23 +192,15 @@ def _acting_parts(
     return np.ascontiguousarray(acts.reshape(len(acts) // width, width, len(known)).any(1))
 
 
-def _memory_of(
-    bubbles: Bubbles, terms: Sequence[StressTerm], acts: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _memory_of(bubbles: Bubbles, terms: Sequence[StressTerm], acts: np.ndarray) -> np.ndarray:
     """What each member's memory starts from, in the order of its terms that act (``members x
-    terms``), and the rate at which the fastest one relaxes.
+    terms``).
     """
-    rest = bubbles.numbers.rest_radius
     theta = bubbles.theta
-    start = torch.cat([term.memory_start(rest, theta) for term in terms]).T.numpy()
+    parts = [term.memory_start(bubbles.numbers.rest_radius, theta) for term in terms]
     on = acts.repeat([term.states for term in terms], 1)
-    memory = np.take_along_axis(np.where(on, start, 0.0), (~on).argsort(1, kind="stable"), 1)
-    fading = np.zeros(len(acts))
-    for term, here in zip(terms, acts.T, strict=True):
-        rate = term.relaxation_rate(theta)
-        if rate is not None:
-            fading = np.maximum(fading, np.where(here, rate.numpy(), 0.0))
-    return memory, fading
+    start = np.where(on, torch.cat(parts).T.numpy(), 0.0)
+    return np.take_along_axis(start, (~on).argsort(1, kind="stable"), 1)
 
 
 def _setup_of(bubbles: Bubbles, registry: Registry, others: tuple[StressTerm, ...]) -> Setup:
