@@ -7,7 +7,6 @@ other one is two functions of C, for real and for complex numbers, of one signat
 of its memory, and its value, rate and acceleration to ``out``.
 """
 
-import functools
 from typing import Any
 
 from llvmlite import ir
@@ -25,7 +24,7 @@ _typed_intrinsic: Any = intrinsic  # takes the first argument away
 def call_law(
     typing: Any, law: Any, point: Any, rest: Any, theta: Any, memory: Any, rates: Any, first: Any
 ) -> Any:
-    """Value, rate and acceleration of a ``law`` (a row of :func:`locate_law`), whose memory begins at
+    """Value, rate and acceleration of a ``law`` (addresses for real and for complex numbers), whose memory begins at
     ``first``.
     """
 
@@ -83,13 +82,3 @@ def compile_call(call: Law) -> list[Any]:
     theta = types.CPointer(types.float64)
     numbers = [types.CPointer(kind) for kind in (types.float64, types.complex128)]
     return [compile_pointer(call, types.void(x, types.float64, theta, x, x, x)) for x in numbers]
-
-
-@functools.cache
-def locate_law(term: StressTerm) -> tuple[int, int, int]:
-    """Addresses of a law for real and complex numbers, and its memory states; compiled if need be."""
-    from imr_torch.simulate.compiled.build import load_generated
-
-    module = load_generated(write_law(term), {"law": term.law}, name="law")
-    real, imaginary = (pointer.address for pointer in module.pointers)
-    return real, imaginary, term.states

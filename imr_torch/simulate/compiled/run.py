@@ -24,9 +24,14 @@ from imr_torch.material.viscous import NEWTONIAN
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import memory_share
 from imr_torch.simulate.compiled import polytropic, step
-from imr_torch.simulate.compiled.address import locate_law
+from imr_torch.simulate.compiled.address import write_law
 from imr_torch.simulate.compiled.algebra import pad_matrix
-from imr_torch.simulate.compiled.build import Registry, call_announced, load_engine
+from imr_torch.simulate.compiled.build import (
+    Registry,
+    call_announced,
+    load_engine,
+    load_generated,
+)
 from imr_torch.simulate.compiled.wall import Batch, Setup
 from imr_torch.simulate.conditions import Conditions, Stepping
 from imr_torch.simulate.driving import TabulatedDriving
@@ -190,6 +195,14 @@ def _acting_parts(
     """
     acts = (switches != 0.0) & np.array([x in chosen for x in known], dtype=bool)
     return np.ascontiguousarray(acts.reshape(len(acts) // width, width, len(known)).any(1))
+
+
+@functools.cache
+def locate_law(term: StressTerm) -> tuple[int, int, int]:
+    """Addresses of a law for real and complex numbers, and its memory states; compiled if need be."""
+    module = load_generated(write_law(term), {"law": term.law}, name="law")
+    real, imaginary = (pointer.address for pointer in module.pointers)
+    return real, imaginary, term.states
 
 
 def _memory_of(bubbles: Bubbles, terms: Sequence[StressTerm], acts: np.ndarray) -> np.ndarray:

@@ -32,7 +32,7 @@ class Setup(NamedTuple):
         driven: whether there is a driving; ``knots`` and ``cubics`` are its table, ``scale`` is
             ``1/p_inf``.
         others: stress laws that the engine does not hold, see
-            :func:`imr_torch.simulate.compiled.address.locate_laws`.
+            :func:`imr_torch.simulate.compiled.run.locate_law`.
     """
 
     c: Constants
