@@ -444,7 +444,8 @@ def dimensionless(
         "ratio": 1.0,
         "none": 1.0,
     }
-    scales = [torch.as_tensor(scale).to(parameters) for scale in factor.values()]
+    like = {"dtype": parameters.dtype, "device": parameters.device}
+    scales = [torch.as_tensor(scale, **like) for scale in factor.values()]
     number = {dimension: i for i, dimension in enumerate(factor)}
     columns = [number[entry.dimension] for entry in PARAMETERS]
     values = parameters * torch.stack(torch.broadcast_tensors(*scales), -1)[..., columns]
