@@ -441,12 +441,8 @@ def dimensionless(
         "rate": time,
         "length": 1.0 / max_radius,
         "drag": max_radius**2 / (pressure * time),
-        "ratio": 1.0,
-        "none": 1.0,
     }
-    like = {"dtype": parameters.dtype, "device": parameters.device}
-    scales = [torch.as_tensor(scale, **like) for scale in factor.values()]
-    number = {dimension: i for i, dimension in enumerate(factor)}
-    columns = [number[entry.dimension] for entry in PARAMETERS]
-    values = parameters * torch.stack(torch.broadcast_tensors(*scales), -1)[..., columns]
-    return dict(zip(PARAMETERS.names, values.unbind(-1), strict=True))
+    return {
+        entry.name: column * factor[entry.dimension] if entry.dimension in factor else column
+        for entry, column in zip(PARAMETERS, parameters.unbind(-1), strict=True)
+    }
