@@ -337,8 +337,8 @@ def test_that_no_cycle_of_a_memory_creates_energy(key: str) -> None:
 
 
 GELS = {
-    "gent+newtonian": {"G": 4e3, "mu": 0.1, "gent": 5e-3},
-    "arruda_boyce+newtonian": {"G": 4e3, "mu": 0.1, "chain": 0.02},
+    "gent+newtonian": {"G": 2e3, "mu": 0.06, "gent": 1e-3},
+    "arruda_boyce+newtonian": {"G": 2e3, "mu": 0.06, "chain": 3e-3},
     "mooney_rivlin+cross": {
         "G": 2e3,
         "mu": 0.08,
