@@ -404,10 +404,10 @@ def test_that_a_composed_bubble_is_that_of_an_independent_solver(key: str) -> No
     simulator = PolytropicSimulator(conditions=conditions)
     times = torch.linspace(0.0, 2.0, 21, dtype=torch.float64)
     gel = PARAMETERS.pack(GELS[key])[None]
-    ours = simulator(gel, tensor([400.0, 0.25]), times).radius[0].numpy()
+    ours = simulator(gel, tensor([400.0, 0.4]), times).radius[0].numpy()
     from imr_torch.simulate.bubbles import Bubbles
 
-    bubbles = Bubbles.of(gel, tensor([400.0, 0.25]), conditions)
+    bubbles = Bubbles.of(gel, tensor([400.0, 0.4]), conditions)
     b = {name: float(x[0]) for name, x in bubbles.numbers._asdict().items()}
     theta = {name: x[0] for name, x in bubbles.theta.items()}
     rest = torch.tensor(b["rest_radius"], dtype=torch.float64)
