@@ -21,6 +21,7 @@ from torch import Tensor
 
 Scalar: TypeAlias = Any
 """What a law computes with: tensors of a common shape, or numbers, real or complex."""
+Scalars: TypeAlias = tuple[Scalar, ...]
 Law = Callable[..., Any]
 
 exp = torch.exp
@@ -29,6 +30,7 @@ sqrt = torch.sqrt
 sin = torch.sin
 cos = torch.cos
 cosh = torch.cosh
+sinh = torch.sinh
 asinh = torch.asinh
 expm1 = torch.expm1
 log1p = torch.log1p
@@ -73,6 +75,7 @@ _UNARY = {
     sin: np.sin,
     cos: np.cos,
     cosh: np.cosh,
+    sinh: np.sinh,
     asinh: np.arcsinh,
     expm1: np.expm1,
     log1p: np.log1p,
@@ -143,6 +146,18 @@ def kernel(
     forced = inline == "machine"
     wrappers = {} if cache else _NO_WRAPPERS
     return njit(cache=cache, inline=whole, forceinline=forced, **wrappers, **_OPTIONS)(function)
+
+
+def compile_pointer(function: Law, signature: Any) -> Any:
+    """Compile a function of a signature of C, which may call laws; kept beside its file as those of
+    :func:`kernel`. Its ``address`` is what others call.
+    """
+    from numba import cfunc
+
+    _teach_elementary()
+    for law in _laws_called_by(function):
+        _teach_law(law)
+    return cfunc(signature, cache=True, **_OPTIONS)(function)
 
 
 _OPTIONS: dict[str, Any] = {

@@ -19,7 +19,7 @@ from imr_torch.cli.common import METHODS, SIMULATORS
 from imr_torch.cli.options import COMMANDS, names
 from imr_torch.design import Strategy, Target
 from imr_torch.gap import diagnose
-from imr_torch.material import CASES, MATERIALS
+from imr_torch.material import CASES, MATERIALS, PARTS
 from imr_torch.material.media import NAMED
 from imr_torch.population import SCALE
 from imr_torch.simulate import ENGINES, LIQUIDS, RADIAL_EQUATIONS
@@ -64,6 +64,7 @@ def test_that_the_version_is_that_of_the_package(capsys):
     ("written", "meant"),
     [
         (names.MODELS, BUILT_IN),
+        (names.PARTS.replace(";", ",").split(", "), PARTS),
         (names.CASES, CASES),
         (names.MEDIA, NAMED),
         (names.PHYSICS, SIMULATORS),

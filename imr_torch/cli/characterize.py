@@ -142,7 +142,7 @@ def _load_data(args: Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]:
 
 def diagnose_command(args: Namespace, best: ModelBelief) -> str:
     """The command that looks for what the most probable model lacks, on the same curves."""
-    parts = ["imr-torch", "diagnose", *args.files, "--base", best.material.key.split("+")[0]]
+    parts = ["imr-torch", "diagnose", *args.files, "--base", best.material.base]
     if best.known:
         parts += ["--known", ",".join(f"{name}={value:g}" for name, value in best.known.items())]
     usual = {"collapses": COLLAPSES, "physics": "transport", "radial": "keller_miksis"}

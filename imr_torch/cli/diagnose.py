@@ -26,7 +26,7 @@ from imr_torch.gap import (
     medium_sensitivities,
     to_json,
 )
-from imr_torch.material import MATERIALS, wide_prior
+from imr_torch.material import material, wide_prior
 from imr_torch.observe import Experiment, GelMedium, TraceSet, load_traces, prepare
 from imr_torch.record import ALL_ALIKE, RecordOptions, describe_record
 from imr_torch.simulate import Simulator
@@ -95,10 +95,10 @@ def _choose_effects(args: Namespace) -> tuple[Effect, ...]:
 
     An effect that was asked for by name must fit the base model.
     """
-    if args.base not in MATERIALS:
-        raise InputDataError(
-            f"--base: unknown model {args.base!r}; known are {', '.join(MATERIALS)}."
-        )
+    try:
+        material(args.base)
+    except InputDataError as error:
+        raise InputDataError(f"--base: u{str(error)[1:]}") from error
     chosen = library(args.effects, without=args.without or [], base=args.base)
     lost = [name for name in args.effects or [] if name not in {effect.name for effect in chosen}]
     if lost:

@@ -8,8 +8,10 @@ from imr_torch.material.marginals import LogNormal, Marginal, Quantile, Truncate
 from imr_torch.material.model_belief import Cloud, ModelBelief
 from imr_torch.material.models import (
     MATERIALS,
+    PARTS,
     TERMS,
     Material,
+    Part,
     material,
     register,
     register_term,
@@ -22,6 +24,7 @@ __all__ = [
     "LIBRARY",
     "MATERIALS",
     "PARAMETERS",
+    "PARTS",
     "TERMS",
     "Belief",
     "Cloud",
@@ -32,6 +35,7 @@ __all__ = [
     "Material",
     "ModelBelief",
     "Parameter",
+    "Part",
     "Quantile",
     "ReferenceCase",
     "Stress",

@@ -13,7 +13,7 @@ Coefficients are pressures over ``p_inf``; each does nothing at zero. ``|U|`` is
 velocities.
 """
 
-from imr_torch.elementary import Scalar, log, sqrt, where
+from imr_torch.elementary import Scalar, Scalars, log, sqrt, where
 from imr_torch.material.elastic import neo_hookean, stiffening
 from imr_torch.material.stress import SMOOTH, StressTerm
 from imr_torch.material.viscous import newtonian
@@ -47,7 +47,7 @@ def damaged(
     alpha: Scalar,
     damage: Scalar,
     healing: Scalar,
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """Softening with accumulated strain: ``S_e (1 - D)``, ``D' = k (1 - D) |U|/R - D/t_h``. The
     state is ``D``.
 
@@ -76,7 +76,7 @@ def thinned_by_damage(
     tau_sns: Scalar,
     tau_ucm: Scalar,
     viscous_damage: Scalar,
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """Viscosity that falls with accumulated strain: ``S_v (1 - D)``, ``D' = k (1 - D) |U|/R``. The
     state is ``D``.
 
@@ -93,7 +93,7 @@ def thinned_by_damage(
 
 def yielding(
     radius: Scalar, velocity: Scalar, rest_radius: Scalar, yield_stress: Scalar
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """A yield stress: ``S = -2 tau_y sign(U) ln(r_y/R)``, with ``r_y`` where the shear rate falls
     to a slow one.
 
@@ -121,7 +121,7 @@ def yielding(
 
 def graded(
     radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, graded_modulus: Scalar
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """A modulus ``G (1 + g (R_inf/r_0)^3)`` of the gel at rest: harder (or softer) towards the
     bubble.
 
@@ -147,7 +147,7 @@ def stretched(
     G: Scalar,
     alpha: Scalar,
     permanent_set: Scalar,
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """A permanent set from the growth of the bubble: its elastic stress is referred to ``R_inf (1 +
     s (1/R_inf - 1))``.
 
@@ -173,16 +173,14 @@ def _signed_square(x: Scalar) -> tuple[Scalar, Scalar]:
     return x * size, size + x * x / size
 
 
-def stretch(
-    radius: Scalar, velocity: Scalar, rest_radius: Scalar, law_stretch: Scalar
-) -> tuple[Scalar, ...]:
+def stretch(radius: Scalar, velocity: Scalar, rest_radius: Scalar, law_stretch: Scalar) -> Scalars:
     """``lambda - 1``."""
     return -law_stretch * (radius / rest_radius - 1.0), -law_stretch * velocity / rest_radius, 0.0
 
 
 def squared_stretch(
     radius: Scalar, velocity: Scalar, rest_radius: Scalar, law_stretch_squared: Scalar
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """``(lambda - 1)^2``."""
     strain = radius / rest_radius - 1.0
     return (
@@ -194,7 +192,7 @@ def squared_stretch(
 
 def compression(
     radius: Scalar, velocity: Scalar, rest_radius: Scalar, law_compression: Scalar
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """``lambda^-3 - 1``."""
     inverse = rest_radius / radius
     cubed = inverse * inverse * inverse
@@ -203,7 +201,7 @@ def compression(
 
 def steep_compression(
     radius: Scalar, velocity: Scalar, rest_radius: Scalar, law_compression_steep: Scalar
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """``lambda^-6 - 1``."""
     inverse = rest_radius / radius
     cubed = inverse * inverse * inverse
@@ -215,16 +213,14 @@ def steep_compression(
     )
 
 
-def speed(
-    radius: Scalar, velocity: Scalar, rest_radius: Scalar, law_velocity: Scalar
-) -> tuple[Scalar, ...]:
+def speed(radius: Scalar, velocity: Scalar, rest_radius: Scalar, law_velocity: Scalar) -> Scalars:
     """``U``."""
     return -law_velocity * velocity, 0.0, -law_velocity
 
 
 def squared_speed(
     radius: Scalar, velocity: Scalar, rest_radius: Scalar, law_velocity_squared: Scalar
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """``U|U|``."""
     value, slope = _signed_square(velocity)
     return -law_velocity_squared * value, 0.0, -law_velocity_squared * slope
@@ -232,7 +228,7 @@ def squared_speed(
 
 def squared_rate(
     radius: Scalar, velocity: Scalar, rest_radius: Scalar, law_rate_squared: Scalar
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """``(U/R)|U/R|``."""
     rate = velocity / radius
     value, slope = _signed_square(rate)

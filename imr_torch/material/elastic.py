@@ -6,18 +6,21 @@ b^2``.
 
 Sources: Gaudron, Warnez & Johnsen (J. Fluid Mech. 766, 2015) for the neo-Hookean integral; Yang et
 al. (Soft Matter 16, 2020) for the quadratic (qKV) law; Fung (Am. J. Physiol. 213, 1967) for the
-exponential law, of which qKV is the first order.
+exponential law, of which qKV is the first order; Mooney (J. Appl. Phys. 11, 1940), Rivlin (Phil.
+Trans. R. Soc. A 241, 1948), Yeoh (Rubber Chem. Technol. 66, 1993), Gent (Rubber Chem. Technol. 69,
+1996), Arruda & Boyce (J. Mech. Phys. Solids 41, 1993) with the inverse Langevin function of Kroeger
+(J. Non-Newtonian Fluid Mech. 223, 2015), Ogden (Proc. R. Soc. A 326, 1972).
 """
+
+from math import inf
 
 from torch import Tensor
 
-from imr_torch.elementary import Scalar, exp, expm1, log, real, where
+from imr_torch.elementary import Law, Scalar, Scalars, exp, expm1, log, real, where
 from imr_torch.material.stress import StressTerm, unit_rule
 
 
-def neo_hookean(
-    radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar
-) -> tuple[Scalar, ...]:
+def neo_hookean(radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar) -> Scalars:
     """``S = -(5 - 4/l - 1/l^4) / (2 Ca)`` with ``l = R/R_inf`` (Gaudron et al. 2015, eq. 2.22)."""
     inverse = rest_radius / radius
     cubed = inverse * inverse * inverse
@@ -28,7 +31,7 @@ def neo_hookean(
 
 def stiffening(
     radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, alpha: Scalar
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """The quadratic law of qKV, ``(alpha/Ca)(177/20 + 1/(4 l^8) + 2/(5 l^5) - 3/(2 l^4) + 2/l^2 -
     6/l - 4 l)``.
 
@@ -49,18 +52,15 @@ def _has_no_bound(G: Tensor, alpha: Tensor) -> Tensor:
     return (G > 0.0) & (alpha < 0.0)
 
 
-def linear_elastic(
-    radius: Scalar, velocity: Scalar, rest_radius: Scalar, G_lin: Scalar
-) -> tuple[Scalar, ...]:
+def linear_elastic(radius: Scalar, velocity: Scalar, rest_radius: Scalar, G_lin: Scalar) -> Scalars:
     """The small-strain limit, ``S = -(4/3) G (1 - 1/l^3)`` (Estrada et al. 2018, section 2.2)."""
     inverse = rest_radius / radius
     cubed = inverse * inverse * inverse
     return -4.0 / 3.0 * G_lin * (1.0 - cubed), -4.0 * G_lin * cubed * velocity / radius, 0.0
 
 
-# nodes and weights of Gauss-Legendre in ``u`` of ``1 - (1 - u)^2``: dense at 1, where exponentials
-# vary most
-_RULE = tuple((1.0 - (1.0 - u) ** 2, 2.0 * w * (1.0 - u)) for u, w in unit_rule(32))
+# dense at the wall, where stiffening laws vary most
+_RULE = tuple((1.0 - u, w) for u, w in unit_rule(32, 3))
 STIFFEST_EXPONENT = 300.0
 """Exponent of the Fung law beyond which no bubble could tell a stiffer gel."""
 
@@ -71,56 +71,144 @@ def _find_invariant(stretch: Scalar) -> Scalar:
     return 1.0 / (square * square) + 2.0 * square - 3.0
 
 
-def _find_density(stretch: Scalar, excess: Scalar) -> Scalar:
-    """``dS/d ln b`` per modulus at a hoop stretch, of an ``excess`` ``f(I_1 - 3) - 1`` over the
-    neo-Hookean modulus.
-    """
+def _find_density(excess: Law, stretch: Scalar, *parameters: Scalar) -> Scalar:
+    """``dS/d ln b`` per modulus at a hoop stretch, of an ``excess`` over the neo-Hookean modulus."""
     inverse = 1.0 / stretch
     square = inverse * inverse
-    return -2.0 * (inverse + square * square) * excess
+    return -2.0 * (inverse + square * square) * excess(stretch, *parameters)
 
 
-def _second_order_density(stretch: Scalar, alpha: Scalar) -> Scalar:
+def integrate_over_gel(
+    radius: Scalar,
+    velocity: Scalar,
+    rest_radius: Scalar,
+    G: Scalar,
+    excess: Law,
+    *parameters: Scalar,
+) -> Scalars:
+    """What a strain energy adds to the neo-Hookean stress: ``-2 G int (b^-2 + b^-5) excess(b) db``.
+
+    ``excess(stretch, *parameters)`` is ``f - 1``: for an energy of the first invariant ``f = 2
+    W'(I_1)/G``, for any other ``f = dW/db / (2 G (b - b^-5))``. The quadrature's error is below
+    1e-11 of the integral for exponentials up to ``e^20`` and for poles that the wall is within 1 % of.
+    """
+    stretch = radius / rest_radius
+    span = log(stretch)
+    mean = 0.0 * span
+    for node, weight in _RULE:
+        mean = mean + weight * _find_density(excess, exp(node * span), *parameters)
+    slope = _find_density(excess, stretch, *parameters)
+    return G * span * mean, G * slope * velocity / radius, 0.0
+
+
+def _second_order_excess(stretch: Scalar, alpha: Scalar) -> Scalar:
     scaled = alpha * _find_invariant(stretch)
-    return _find_density(stretch, scaled * (1.0 + 0.5 * scaled))
-
-
-def _exponential_density(stretch: Scalar, alpha: Scalar) -> Scalar:
-    exponent = alpha * _find_invariant(stretch)
-    return _find_density(
-        stretch, expm1(where(real(exponent) > STIFFEST_EXPONENT, STIFFEST_EXPONENT, exponent))
-    )
+    return scaled * (1.0 + 0.5 * scaled)
 
 
 def second_order_fung(
     radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, alpha_fung2: Scalar
-) -> tuple[Scalar, ...]:
-    """The exponential law to second order, beyond neo-Hookean: ``f = 1 + a x + a^2 x^2/2`` at ``x =
-    I_1 - 3``.
+) -> Scalars:
+    """The exponential law to second order: ``f = 1 + a x + a^2 x^2/2`` at ``x = I_1 - 3``."""
+    return integrate_over_gel(radius, velocity, rest_radius, G, _second_order_excess, alpha_fung2)
 
-    ``2 (b^-2 + b^-5) G (f - 1)`` is integrated over ``ln b`` by quadrature; the error is below
-    1e-11 of the integral up to ``a x = 20`` and below 1e-6 up to 100.
-    """
-    stretch = radius / rest_radius
-    span = log(stretch)
-    mean = 0.0 * span
-    for node, weight in _RULE:
-        mean = mean + weight * _second_order_density(exp(node * span), alpha_fung2)
-    return G * span * mean, G * _second_order_density(stretch, alpha_fung2) * velocity / radius, 0.0
+
+def _exponential_excess(stretch: Scalar, alpha: Scalar) -> Scalar:
+    exponent = alpha * _find_invariant(stretch)
+    return expm1(where(real(exponent) > STIFFEST_EXPONENT, STIFFEST_EXPONENT, exponent))
 
 
 def exponential_fung(
     radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, alpha_fung: Scalar
-) -> tuple[Scalar, ...]:
-    """``W = G/(2 a) (exp(a (I_1 - 3)) - 1)`` (Fung 1967), beyond neo-Hookean: ``f = exp(a x)``;
-    quadrature as above.
+) -> Scalars:
+    """``W = G/(2 a) (exp(a (I_1 - 3)) - 1)`` (Fung 1967): ``f = exp(a x)``."""
+    return integrate_over_gel(radius, velocity, rest_radius, G, _exponential_excess, alpha_fung)
+
+
+def _second_invariant_excess(stretch: Scalar, mooney: Scalar) -> Scalar:
+    return mooney * (stretch * stretch - 1.0)
+
+
+def mooney_rivlin(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, mooney: Scalar
+) -> Scalars:
+    """``W = G/2 ((1 - m) (I_1 - 3) + m (I_2 - 3))`` (Mooney 1940, Rivlin 1948): ``f = 1 + m (b^2 -
+    1)``.
     """
-    stretch = radius / rest_radius
-    span = log(stretch)
-    mean = 0.0 * span
-    for node, weight in _RULE:
-        mean = mean + weight * _exponential_density(exp(node * span), alpha_fung)
-    return G * span * mean, G * _exponential_density(stretch, alpha_fung) * velocity / radius, 0.0
+    return integrate_over_gel(radius, velocity, rest_radius, G, _second_invariant_excess, mooney)
+
+
+def _cubic_excess(stretch: Scalar, cubic: Scalar) -> Scalar:
+    excess = _find_invariant(stretch)
+    return cubic * excess * excess
+
+
+def cubic_stiffening(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, cubic: Scalar
+) -> Scalars:
+    """The cubic term of Yeoh (1993), ``G c/6 (I_1 - 3)^3``: ``f = 1 + c x^2``."""
+    return integrate_over_gel(radius, velocity, rest_radius, G, _cubic_excess, cubic)
+
+
+def _gent_excess(stretch: Scalar, gent: Scalar) -> Scalar:
+    used = gent * _find_invariant(stretch)
+    locked = real(used) >= 1.0
+    return where(locked, inf, used / where(locked, 1.0, 1.0 - used))
+
+
+def gent_elastic(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, gent: Scalar
+) -> Scalars:
+    """``W = -G J/2 ln(1 - (I_1 - 3)/J)`` (Gent 1996): ``f = 1/(1 - x/J)``.
+
+    The parameter is ``1/J``. Where the chains lock, in tension or compression, the stress is
+    infinite: a bubble that gets there fails with a status.
+    """
+    return integrate_over_gel(radius, velocity, rest_radius, G, _gent_excess, gent)
+
+
+def _langevin_modulus(used: Scalar) -> Scalar:
+    """``L^-1(y)/(3 y)`` at ``used = y^2``, within 0.2 % (Kroeger 2015)."""
+    return (1.0 - used * (6.0 + used * (1.0 - 2.0 * used)) / 15.0) / (1.0 - used)
+
+
+def _chain_excess(stretch: Scalar, chain: Scalar) -> Scalar:
+    used = chain * (1.0 + _find_invariant(stretch) / 3.0)
+    locked = real(used) >= 1.0
+    stiffness = _langevin_modulus(where(locked, 0.0, used)) / _langevin_modulus(chain)
+    return where(locked, inf, stiffness - 1.0)
+
+
+def arruda_boyce(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, chain: Scalar
+) -> Scalars:
+    """Eight chains of ``N`` segments (Arruda & Boyce 1993): ``f`` is ``L^-1(y)/(3 y)`` at ``y^2 =
+    I_1/(3 N)`` over its value at rest, so that ``G`` is the modulus at small strain.
+
+    The parameter is ``1/N``; where the chains lock, as of :func:`gent_elastic`.
+    """
+    return integrate_over_gel(radius, velocity, rest_radius, G, _chain_excess, chain)
+
+
+def _ogden_excess(stretch: Scalar, ogden: Scalar) -> Scalar:
+    exponent = 2.0 + ogden
+    strain = log(stretch)
+    still = real(strain) == 0.0
+    spread = expm1(3.0 * where(still, 1.0, strain))
+    # (b^a - b^-2a)/(a (b^3 - 1)), to first order of ln b where it is 0/0
+    force = exp(-2.0 * exponent * strain) * expm1(3.0 * exponent * strain) / (exponent * spread)
+    force = where(still, 1.0 - 0.5 * (exponent + 3.0) * strain, force)
+    inverse = 1.0 / stretch
+    return where(ogden == 0.0, 0.0, 2.0 * force / (inverse + inverse**4) - 1.0)
+
+
+def ogden_elastic(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, ogden: Scalar
+) -> Scalars:
+    """One term of Ogden (1972), ``W = 2 G/a^2 (l_1^a + l_2^a + l_3^a - 3)``; the parameter is ``a -
+    2``.
+    """
+    return integrate_over_gel(radius, velocity, rest_radius, G, _ogden_excess, ogden)
 
 
 NEO_HOOKEAN = StressTerm(neo_hookean, switch="G", odd=())
@@ -128,3 +216,8 @@ STIFFENING = StressTerm(stiffening, switch="alpha", unbounded=_has_no_bound, odd
 LINEAR_ELASTIC = StressTerm(linear_elastic, switch="G_lin", odd=())
 SECOND_ORDER_FUNG = StressTerm(second_order_fung, switch="alpha_fung2", odd=())
 EXPONENTIAL_FUNG = StressTerm(exponential_fung, switch="alpha_fung", odd=())
+MOONEY_RIVLIN = StressTerm(mooney_rivlin, switch="mooney", odd=())
+CUBIC_STIFFENING = StressTerm(cubic_stiffening, switch="cubic", odd=())
+GENT = StressTerm(gent_elastic, switch="gent", odd=())
+ARRUDA_BOYCE = StressTerm(arruda_boyce, switch="chain", odd=())
+OGDEN = StressTerm(ogden_elastic, switch="ogden", odd=())

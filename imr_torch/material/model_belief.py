@@ -156,7 +156,7 @@ class ModelBelief:
         """Those of the constitutive model: not what is inferred of the medium, and not of effects
         beside it.
         """
-        own = material(self.model.split("+")[0]).free
+        own = material(self.material.base).free
         return tuple(name for name in self.names if name in own)
 
     def controls(self, count: int, *, seed: SeedLike) -> Float[Tensor, "count controls"]:

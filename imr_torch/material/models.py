@@ -1,13 +1,15 @@
 """Constitutive models: named sets of stress terms, in one registry that drives the same tests
-through every model.
+through every model; and the parts of which others are composed by name.
 
 To add a model, name its terms in a :class:`Material` and register it; a term of your own is
-registered first (:func:`register_term`).
+registered first (:func:`register_term`). A key such as ``"gent+carreau_yasuda+two_maxwell"`` names
+an elastic, a viscous and a memory part (:data:`PARTS`); its model is made when it is asked for.
 """
 
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
+from typing import Literal
 
 from imr_torch.errors import InputDataError
 from imr_torch.material.departures import (
@@ -19,16 +21,36 @@ from imr_torch.material.departures import (
     YIELD_STRESS,
 )
 from imr_torch.material.elastic import (
+    ARRUDA_BOYCE,
+    CUBIC_STIFFENING,
     EXPONENTIAL_FUNG,
+    GENT,
     LINEAR_ELASTIC,
+    MOONEY_RIVLIN,
     NEO_HOOKEAN,
+    OGDEN,
     SECOND_ORDER_FUNG,
     STIFFENING,
 )
-from imr_torch.material.memory import MAXWELL, OLDROYD_B, STANDARD_LINEAR, STANDARD_NONLINEAR
+from imr_torch.material.memory import (
+    FIRST_ARM,
+    MAXWELL,
+    OLDROYD_B,
+    SECOND_ARM,
+    SPRINGPOT,
+    STANDARD_LINEAR,
+    STANDARD_NONLINEAR,
+)
 from imr_torch.material.parameters import PARAMETERS
 from imr_torch.material.stress import StressTerm
-from imr_torch.material.viscous import CARREAU, NEWTONIAN
+from imr_torch.material.viscous import (
+    CARREAU,
+    CARREAU_YASUDA,
+    CROSS,
+    NEWTONIAN,
+    POWELL_EYRING,
+    POWER_LAW,
+)
 
 TERMS: list[StressTerm] = [
     NEWTONIAN,
@@ -48,6 +70,18 @@ TERMS: list[StressTerm] = [
     GRADED_MODULUS,
     PERMANENT_SET,
     *CLOSURE,
+    MOONEY_RIVLIN,
+    CUBIC_STIFFENING,
+    GENT,
+    ARRUDA_BOYCE,
+    OGDEN,
+    CARREAU_YASUDA,
+    CROSS,
+    POWELL_EYRING,
+    POWER_LAW,
+    FIRST_ARM,
+    SECOND_ARM,
+    SPRINGPOT,
 ]
 """Every term a batch may need. Simulators leave out those that are neutral in the whole batch."""
 
@@ -104,8 +138,12 @@ class Material:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """All parameters that the model reads, in the order of the parameter vector."""
-        own = [term.names for term in self.terms if term.switch not in self.extra]
+        """All parameters that the model has, in the order of the parameter vector."""
+        own = [
+            set(term.names).difference(term.beside)
+            for term in self.terms
+            if term.switch not in self.extra
+        ]
         used = {*chain(*own), *self.extra}
         return tuple(name for name in PARAMETERS.names if name in used)
 
@@ -113,6 +151,11 @@ class Material:
     def free(self) -> tuple[str, ...]:
         """The parameters that are inferred: ``names`` without ``known``."""
         return tuple(name for name in self.names if name not in self.known)
+
+    @cached_property
+    def base(self) -> str:
+        """The key without the further parameters."""
+        return "+".join(name for name in self.key.split("+") if name not in self.extra)
 
     def __repr__(self) -> str:
         return f"<{self.title}: {', '.join(self.names)}>"
@@ -139,58 +182,189 @@ def register(material: Material) -> Material:
     return material
 
 
+@dataclass(frozen=True)
+class Part:
+    """What a composed model may name, one of each kind at most.
+
+    Args:
+        kind: of what it is a law.
+        title: name in tables and figures.
+        reference: where it is defined.
+        terms: the stress terms that add up to it.
+
+    >>> from imr_torch.material import PARTS
+    >>> PARTS["gent"].title, [term.name for term in PARTS["gent"].terms]
+    ('Gent', ['neo_hookean', 'gent_elastic'])
+    """
+
+    kind: Literal["elastic", "viscous", "memory"]
+    title: str
+    reference: str
+    terms: tuple[StressTerm, ...]
+
+
+_ESTRADA = "Estrada et al., J. Mech. Phys. Solids 112 (2018)"
+_GAUDRON = "Gaudron, Warnez & Johnsen, J. Fluid Mech. 766 (2015)"
+_WARNEZ = "Warnez & Johnsen, Phys. Fluids 27 (2015)"
+_YANG = "Yang, Cramer, Bremer, Buyukozturk, Estrada & Franck, Soft Matter 16 (2020)"
+_TSCHOEGL = "Tschoegl, Phenomenological Theory of Linear Viscoelastic Behavior, Springer (1989)"
+_YIELD = "Bingham, US Bur. Stand. Bull. 13 (1916)"
+
+
+def _make_elastic(title: str, reference: str, *terms: StressTerm) -> Part:
+    return Part("elastic", title, reference, (NEO_HOOKEAN, *terms))
+
+
+def _make_viscous(title: str, reference: str, *terms: StressTerm) -> Part:
+    return Part("viscous", title, reference, (NEWTONIAN, *terms))
+
+
+PARTS: dict[str, Part] = {
+    "neo_hookean": _make_elastic("Neo-Hookean", _GAUDRON),
+    "quadratic": _make_elastic("Quadratic", _YANG, STIFFENING),
+    "fung2": _make_elastic("2nd-order Fung", _YANG, SECOND_ORDER_FUNG),
+    "fungexp": _make_elastic("Fung", "Fung, Am. J. Physiol. 213 (1967)", EXPONENTIAL_FUNG),
+    "linear": Part(
+        "elastic",
+        "Linear",
+        "Yang & Church, J. Acoust. Soc. Am. 118 (2005)",
+        (LINEAR_ELASTIC,),
+    ),
+    "mooney_rivlin": _make_elastic(
+        "Mooney-Rivlin",
+        "Mooney, J. Appl. Phys. 11 (1940); Rivlin, Phil. Trans. R. Soc. A 241 (1948)",
+        MOONEY_RIVLIN,
+    ),
+    "yeoh": _make_elastic(
+        "Yeoh", "Yeoh, Rubber Chem. Technol. 66 (1993)", STIFFENING, CUBIC_STIFFENING
+    ),
+    "gent": _make_elastic("Gent", "Gent, Rubber Chem. Technol. 69 (1996)", GENT),
+    "arruda_boyce": _make_elastic(
+        "Arruda-Boyce", "Arruda & Boyce, J. Mech. Phys. Solids 41 (1993)", ARRUDA_BOYCE
+    ),
+    "ogden": _make_elastic("Ogden", "Ogden, Proc. R. Soc. A 326 (1972)", OGDEN),
+    "newtonian": _make_viscous("Newtonian", _ESTRADA),
+    "carreau": _make_viscous("Carreau", "Carreau, Trans. Soc. Rheol. 16 (1972)", CARREAU),
+    "carreau_yasuda": _make_viscous(
+        "Carreau-Yasuda", "Yasuda, Armstrong & Cohen, Rheol. Acta 20 (1981)", CARREAU_YASUDA
+    ),
+    "cross": _make_viscous("Cross", "Cross, J. Colloid Sci. 20 (1965)", CROSS),
+    "powell_eyring": _make_viscous(
+        "Powell-Eyring", "Powell & Eyring, Nature 154 (1944)", POWELL_EYRING
+    ),
+    "power_law": _make_viscous("Power law", "Ostwald, Kolloid-Z. 36 (1925)", POWER_LAW),
+    "bingham": _make_viscous("Bingham", _YIELD, YIELD_STRESS),
+    "herschel_bulkley": _make_viscous(
+        "Herschel-Bulkley",
+        "Herschel & Bulkley, Kolloid-Z. 39 (1926)",
+        POWER_LAW,
+        YIELD_STRESS,
+    ),
+    "jeffreys": Part("memory", "Jeffreys", _WARNEZ, (NEWTONIAN, MAXWELL)),
+    "maxwell": Part("memory", "Maxwell", _TSCHOEGL, (FIRST_ARM,)),
+    "two_maxwell": Part("memory", "two Maxwell arms", _TSCHOEGL, (FIRST_ARM, SECOND_ARM)),
+    "springpot": Part(
+        "memory",
+        "Springpot",
+        "Bonfanti, Kaplan, Charras & Kabla, Soft Matter 16 (2020)",
+        (SPRINGPOT,),
+    ),
+    "sls": Part("memory", "SLS", _ESTRADA, (NEWTONIAN, LINEAR_ELASTIC, STANDARD_LINEAR)),
+    "sns": Part("memory", "SNS", _ESTRADA, (NEWTONIAN, NEO_HOOKEAN, STANDARD_NONLINEAR)),
+    "ucm": Part("memory", "Upper-convected Maxwell", _WARNEZ, (NEWTONIAN, OLDROYD_B)),
+}
+"""Name -> part of a composed model."""
+
+
 def material(key: str) -> Material:
-    """The model of a key: a registered one, or one with further parameters freed, as in
-    ``"nhkv+sound_speed"``.
+    """The model of a key: a registered one, one composed of parts, as in ``"gent+cross+ucm"``, or
+    either with further parameters freed, as in ``"nhkv+sound_speed"``.
+
+    Names are joined by ``+``. A registered model comes first; then parts, which stand beside the
+    model, and parameters may follow.
 
     Raises:
-        InputDataError: for an unknown key or parameter; the message lists the known ones.
+        InputDataError: for an unknown name, or parts that do not go together; the message lists the
+            known ones.
 
     >>> from imr_torch.material import material
     >>> material("nhkv").free
     ('G', 'mu')
     >>> material("nhkv+sound_speed").free  # a further parameter freed
     ('G', 'mu', 'sound_speed')
+    >>> material("gent+power_law+two_maxwell").free
+    ('G', 'mu', 'gent', 'power_thinning', 'G_arm', 'tau_arm', 'G_arm_slow', 'tau_arm_slow')
     """
-    base, *extra = key.split("+")
-    if base not in MATERIALS:
+    first, *rest = key.split("+")
+    if first in MATERIALS and not rest:
+        return MATERIALS[first]
+    begin = MATERIALS.get(first) or PARTS.get(first)
+    if begin is None:
         raise InputDataError(
-            f"Unknown model {base!r}; known are {', '.join(MATERIALS)}. A model of your own is "
-            "registered first (of commands: --import FILE.py)."
+            f"Unknown model {first!r}; known are {', '.join(MATERIALS)}; or parts of one, as in "
+            f"gent+cross+ucm: {', '.join(PARTS)}. A model of your own is registered first (of "
+            "commands: --import FILE.py)."
         )
-    if not extra:
-        return MATERIALS[base]
+    parts = [begin, *(PARTS[name] for name in rest if name in PARTS)]
+    extra = tuple(name for name in rest if name not in PARTS)
+    _check_parts(key, parts)
+    model = Material(
+        key,
+        " + ".join((begin.title, *(PARTS[x].title if x in PARTS else x for x in rest))),
+        "; ".join(dict.fromkeys(part.reference for part in parts)),
+        tuple(dict.fromkeys(chain(*(part.terms for part in parts)))),
+        begin.known if isinstance(begin, Material) else (),
+    )
     double = [
-        name
-        for name in extra
-        if PARAMETERS[name].name in MATERIALS[base].names or extra.count(name) > 1
+        name for name in extra if PARAMETERS[name].name in model.names or extra.count(name) > 1
     ]
     if double:
         raise InputDataError(
-            f"Model {key!r} names {double[0]!r} twice, or {base!r} has it already."
+            f"Model {key!r} names {double[0]!r} twice, or {key.split('+' + double[0])[0]!r} has it "
+            "already."
         )
-    model = MATERIALS[base]
-    title = " + ".join((model.title, *extra))
     terms = (*model.terms, *(term for term in TERMS if term.switch in extra))
-    return replace(model, key=key, title=title, terms=terms, extra=tuple(extra))
+    return replace(model, terms=terms, extra=extra)
+
+
+def _check_parts(key: str, parts: list[Material | Part]) -> None:
+    """Raise where two laws of one kind are named, or a memory that replaces the stress of others
+    than those that stand beside it.
+    """
+    held: dict[str, Part] = {}
+    for part in parts:
+        if isinstance(part, Material):
+            known = [x for x in PARTS.values() if set(x.terms) <= set(part.terms)]
+            held |= {x.kind: x for x in sorted(known, key=lambda x: len(x.terms))}
+            continue
+        other = held.get(part.kind, part)
+        if other is not part and (other in parts or not set(other.terms) <= set(part.terms)):
+            raise InputDataError(
+                f"Model {key!r} has two {part.kind} parts, {other.title} and {part.title}; name one "
+                "of them."
+            )
+        held[part.kind] = part
+    for name in ("newtonian", "neo_hookean", "linear"):
+        base, memory = PARTS[name], held.get("memory")
+        other = held.get(base.kind, base)
+        if memory and other is not base and set(base.terms) <= set(memory.terms):
+            raise InputDataError(
+                f"Model {key!r}: {memory.title} goes with {name} alone, not with {other.title}."
+            )
 
 
 for _model in (
     # A viscous liquid without elasticity.
-    Material(
-        "newtonian", "Newtonian", "Estrada et al., J. Mech. Phys. Solids 112 (2018)", (NEWTONIAN,)
-    ),
+    Material("newtonian", "Newtonian", _ESTRADA, (NEWTONIAN,)),
     # An elastic solid without viscosity.
-    Material("nhe", "NHE", "Gaudron, Warnez & Johnsen, J. Fluid Mech. 766 (2015)", (NEO_HOOKEAN,)),
+    Material("nhe", "NHE", _GAUDRON, (NEO_HOOKEAN,)),
     # A neo-Hookean spring beside a Newtonian dashpot: the model most gels are first tried with.
-    Material(
-        "nhkv", "NHKV", "Estrada et al., J. Mech. Phys. Solids 112 (2018)", (NEWTONIAN, NEO_HOOKEAN)
-    ),
+    Material("nhkv", "NHKV", _ESTRADA, (NEWTONIAN, NEO_HOOKEAN)),
     # NHKV with quadratic strain stiffening; its modulus is the known quasi-static one.
     Material(
         "qkv",
         "qKV",
-        "Yang, Cramer, Bremer, Buyukozturk, Estrada & Franck, Soft Matter 16 (2020)",
+        _YANG,
         (NEWTONIAN, NEO_HOOKEAN, STIFFENING),
         known=("G",),
     ),
@@ -212,7 +386,7 @@ for _model in (
     Material(
         "fung2",
         "2nd-order Fung",
-        "Yang, Cramer, Bremer, Buyukozturk, Estrada & Franck, Soft Matter 16 (2020)",
+        _YANG,
         (NEWTONIAN, NEO_HOOKEAN, SECOND_ORDER_FUNG),
     ),
     # Exponential stiffening beside a dashpot.
@@ -230,21 +404,21 @@ for _model in (
     Material(
         "zener",
         "Zener",
-        "Warnez & Johnsen, Phys. Fluids 27 (2015)",
+        _WARNEZ,
         (NEWTONIAN, NEO_HOOKEAN, MAXWELL),
     ),
     # The standard linear solid of the published code.
     Material(
         "sls",
         "SLS",
-        "Estrada et al., J. Mech. Phys. Solids 112 (2018)",
+        _ESTRADA,
         (NEWTONIAN, LINEAR_ELASTIC, STANDARD_LINEAR),
     ),
     # The standard nonlinear solid of the published code.
     Material(
         "sns",
         "SNS",
-        "Estrada et al., J. Mech. Phys. Solids 112 (2018)",
+        _ESTRADA,
         (NEWTONIAN, NEO_HOOKEAN, STANDARD_NONLINEAR),
     ),
     # A viscoelastic liquid whose stress is carried and stretched with it (with retardation:
@@ -252,7 +426,7 @@ for _model in (
     Material(
         "ucm",
         "Upper-convected Maxwell",
-        "Warnez & Johnsen, Phys. Fluids 27 (2015)",
+        _WARNEZ,
         (NEWTONIAN, OLDROYD_B),
     ),
     # NHKV whose viscosity falls with the shear rate.

@@ -222,10 +222,13 @@ def _make_entry(
     upper: float,
     dimension: Dimension = "none",
     prior: Marginal | None = None,
+    neutral: float = 0.0,
 ) -> Parameter:
-    """An entry that is neutral at 0; of one without a prior nothing is believed but as an effect."""
+    """An entry that is neutral at 0, or does nothing by itself whatever its value; of one without a
+    prior nothing is believed but as an effect.
+    """
     unit, scale, quoted = _QUOTED[dimension]
-    return Parameter(name, meaning, unit, dimension, lower, upper, 0.0, scale, quoted, prior=prior)
+    return Parameter(name, meaning, unit, dimension, lower, upper, neutral, scale, quoted, prior)
 
 
 def _make_modulus(name: str, meaning: str) -> Parameter:
@@ -268,9 +271,67 @@ for _entry in (
     _make_time("tau_sls", "relaxation time (standard linear solid)"),
     _make_time("tau_sns", "relaxation time (standard nonlinear solid)"),
     _make_time("tau_ucm", "relaxation time (upper-convected branch)"),
+    # of parts that few models have
+    _make_shape("mooney", "share of the second invariant (Mooney-Rivlin)", 0.0, 1.0, 0.3),
+    _make_shape("cubic", "stiffening, cubic (Yeoh)", 0.0, 10.0, 0.005),
+    _make_shape("gent", "1/J, inverse limit of I1 - 3 (Gent)", 0.0, 1.0, 0.01),
+    _make_shape("chain", "1/N, inverse segments of a chain (Arruda-Boyce)", 0.0, 0.9, 0.02),
+    _make_entry(
+        "ogden",
+        "exponent less 2 (Ogden)",
+        -1.5,
+        18.0,
+        prior=TruncatedNormal(0.0, 1.0, -1.5, 18.0),
+    ),
+    _make_shape("thinning_yasuda", "shear thinning 1 - n (Carreau-Yasuda)", 0.0, 1.0, 0.3),
+    _make_entry(
+        "yasuda",
+        "exponent of the onset (Carreau-Yasuda)",
+        0.3,
+        5.0,
+        neutral=2.0,
+        prior=TruncatedNormal(2.0, 0.7, 0.3, 5.0),
+    ),
+    _make_shape("plateau", "viscosity at infinite shear rate over mu", 0.0, 1.0, 0.1),
+    _make_time("cross_time", "time scale of shear thinning (Cross)"),
+    _make_entry(
+        "cross_exponent",
+        "exponent (Cross)",
+        0.3,
+        3.0,
+        neutral=1.0,
+        prior=TruncatedNormal(0.8, 0.2, 0.3, 3.0),
+    ),
+    _make_time("eyring_time", "time scale of shear thinning (Powell-Eyring)"),
+    _make_shape("power_thinning", "shear thinning 1 - n (power law)", -1.0, 0.95, 0.3),
+    _make_entry(
+        "reference_rate", "rate at which mu or G_frac holds", 1.0, 1e9, "rate", neutral=1e5
+    ),
+    _make_modulus("G_arm", "modulus of a Maxwell arm"),
+    _make_time("tau_arm", "its relaxation time"),
+    _make_modulus("G_arm_slow", "modulus of a second Maxwell arm"),
+    _make_entry(
+        "tau_arm_slow", "its relaxation time", 0.0, 1.0, "time", LogNormal(median=1e-4, factor=5.0)
+    ),
+    _make_modulus("G_frac", "modulus of a springpot at the reference rate"),
+    _make_entry(
+        "fractional",
+        "order of a springpot",
+        0.05,
+        0.95,
+        neutral=0.5,
+        prior=TruncatedNormal(0.3, 0.2, 0.05, 0.95),
+    ),
     # of the gel
     _make_entry("damage", "softening per unit of accumulated strain", 0.0, 10.0),
-    _make_entry("yield_stress", "yield stress", 0.0, 1e6, "pressure"),
+    _make_entry(
+        "yield_stress",
+        "yield stress",
+        0.0,
+        1e6,
+        "pressure",
+        TruncatedNormal(0.0, 3e3, lower=0.0),
+    ),
     _make_entry("graded_modulus", "excess modulus at the wall", -1.0, 10.0),
     _make_entry("permanent_set", "part of the stretch that stays", -0.5, 0.5),
     _make_entry("healing", "rate at which damage heals", 0.0, 1e7, "rate"),
@@ -383,10 +444,8 @@ def dimensionless(
         "rate": time,
         "length": 1.0 / max_radius,
         "drag": max_radius**2 / (pressure * time),
-        "ratio": 1.0,
-        "none": 1.0,
     }
     return {
-        entry.name: parameters[..., i] * factor[entry.dimension]
-        for i, entry in enumerate(PARAMETERS)
+        entry.name: column * factor[entry.dimension] if entry.dimension in factor else column
+        for entry, column in zip(PARAMETERS, parameters.unbind(-1), strict=True)
     }

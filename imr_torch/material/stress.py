@@ -31,15 +31,17 @@ SMOOTH = 0.02
 """Velocity, over ``U_c``, below which laws round off ``|U|`` and its sign."""
 
 
-def unit_rule(count: int) -> tuple[tuple[float, float], ...]:
-    """Gauss-Legendre nodes and weights on [0, 1].
+def unit_rule(count: int, power: int = 1) -> tuple[tuple[float, float], ...]:
+    """Nodes and weights on [0, 1]: Gauss-Legendre in the root of a ``power``, dense at 0 if above 1.
 
     >>> from imr_torch.material.stress import unit_rule
     >>> round(sum(weight * node**2 for node, weight in unit_rule(2)), 6)
     0.333333
     """
     nodes, weights = np.polynomial.legendre.leggauss(count)
-    return tuple(zip((0.5 + 0.5 * nodes).tolist(), (0.5 * weights).tolist(), strict=True))
+    roots = 0.5 + 0.5 * nodes
+    weights = 0.5 * weights * power * roots ** (power - 1)
+    return tuple(zip((roots**power).tolist(), weights.tolist(), strict=True))
 
 
 @dataclass(frozen=True)
@@ -87,9 +89,11 @@ class StressTerm:
         law: see above.
         switch: the parameter whose neutral value, 0, turns the term off.
         states: memory states of the law.
-        start: ``start(rest_radius, *parameters)``, a tuple of the memory at time zero, where ``R =
+        beside: those of its parameters that belong to other terms or are settings: a model that has
+            the term does not infer them.
+        start: ``start(rest_radius, *parameters)`` on tensors, a tuple of the memory at time zero, where ``R =
             1``; zeros by default.
-        fastest: ``fastest(*parameters)``, the rate at which the fastest state relaxes, which
+        fastest: ``fastest(*parameters)`` on tensors, the rate at which the fastest state relaxes, which
             explicit solvers must resolve; None if it follows the bubble's motion.
         unbounded: ``unbounded(*parameters)``, on tensors: where the energy of the term has no lower
             bound, which excuses a solve that fails.
@@ -106,6 +110,7 @@ class StressTerm:
     law: Law
     switch: str
     states: int = 0
+    beside: tuple[str, ...] = ()
     start: Law | None = None
     fastest: Law | None = None
     unbounded: Law | None = None
@@ -132,10 +137,10 @@ class StressTerm:
 
     @cached_property
     def compilable(self) -> bool:
-        """Whether the whole term is written with :mod:`imr_torch.elementary`."""
-        return all(
-            law is None or obstacle_of(law) is None for law in (self.law, self.start, self.fastest)
-        )
+        """Whether the law, which is evaluated at every step, is written with
+        :mod:`imr_torch.elementary`.
+        """
+        return obstacle_of(self.law) is None
 
     def memory_start(
         self,

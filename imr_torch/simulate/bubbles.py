@@ -309,10 +309,12 @@ class Bubbles:
 
     def fastest_relaxation(self) -> BubbleValues:
         """Rate of each member's fastest memory, a ``B`` tensor; 0 for those without."""
-        rates = [
-            rate for term in self.terms if (rate := term.relaxation_rate(self.theta)) is not None
-        ]
-        return torch.stack(rates).amax(0) if rates else torch.zeros_like(self.numbers.rest_radius)
+        fastest = torch.zeros_like(self.numbers.rest_radius)
+        for term in self.terms:
+            rate = term.relaxation_rate(self.theta)
+            if rate is not None:
+                fastest = fastest.maximum(torch.where(self.theta[term.switch] == 0.0, 0.0, rate))
+        return fastest
 
     def arguments(self, effect: Effect) -> list[BubbleValues]:
         """The parameters of an effect, each a ``B`` tensor."""

@@ -10,7 +10,7 @@ dP/dt``; primes are ``d/dy`` with ``y = r/R``. Equations: Estrada et al. (J. Mec
 
 from typing import NamedTuple
 
-from imr_torch.elementary import Scalar, exp, sqrt
+from imr_torch.elementary import Scalar, Scalars, exp, sqrt
 from imr_torch.simulate.bubbles import Constants, Numbers
 
 
@@ -24,7 +24,7 @@ def radial_arguments(
     far_rate: Scalar,
     b: Numbers,
     c: Constants,
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """What a radial equation (:mod:`imr_torch.simulate.radial`) takes, in units of the medium's own
     ``U_c``, in which it is that of any density.
 

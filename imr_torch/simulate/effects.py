@@ -8,7 +8,7 @@ each does nothing, exactly. Parameters and priors are in :mod:`imr_torch.materia
 
 import torch
 
-from imr_torch.elementary import Scalar, cos, exp, power, real, sin, sqrt, where
+from imr_torch.elementary import Scalar, Scalars, cos, exp, power, real, sin, sqrt, where
 from imr_torch.material import StressTerm, register_term
 from imr_torch.material.effect import give_physics
 from imr_torch.material.stress import SMOOTH
@@ -150,7 +150,7 @@ give_physics("wall", setting=wall)
 
 def shape_modes(
     radius: Scalar, velocity: Scalar, rest_radius: Scalar, energy_loss: Scalar
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """Energy that leaves into shape modes as the bubble shrinks below rest: ``-zeta U|U|
     R_inf^2/(R^2 + R_inf^2)``.
 
@@ -170,7 +170,7 @@ register_term(StressTerm(shape_modes, switch="energy_loss", odd=("energy_loss",)
 
 def drag_of_size(
     radius: Scalar, velocity: Scalar, rest_radius: Scalar, size_drag: Scalar
-) -> tuple[Scalar, ...]:
+) -> Scalars:
     """A drag pressure ``-k R U``, where viscosity gives ``-4 mu U/R``.
 
     Sound that spreads between two walls at the distance ``h`` meets the resistance ``rho omega/4``

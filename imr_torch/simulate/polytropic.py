@@ -72,7 +72,7 @@ class PolytropicSimulator(EngineSimulator):
         if can_compile(self.engine, bubbles):
             from imr_torch.simulate.compiled.run import solve_polytropic
 
-            return solve_polytropic(bubbles, self.terms, times, width, stepping, self.threads)
+            return solve_polytropic(bubbles, times, width, stepping, self.threads)
         results = _integrate_batch(bubbles, times, stepping, width)
         for _ in range(stepping.retries):
             status = _leader_status(results[3], width)

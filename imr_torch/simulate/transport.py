@@ -114,9 +114,7 @@ class TransportSimulator(EngineSimulator):
             from imr_torch.simulate.compiled.run import solve_transport
 
             limits = (settings.tolerance, settings.max_steps, FIRST_STEP)
-            return solve_transport(
-                bubbles, self.terms, times, width, settings.resolution, limits, self.threads
-            )
+            return solve_transport(bubbles, times, width, settings.resolution, limits, self.threads)
         inside, outside = (grid.to(parameters) for grid in settings.resolution.grids())
         field = TransportField(Equations(bubbles, inside, outside), width, settings.tolerance)
         return _integrate_bundles(field, times, settings.max_steps)

@@ -22,6 +22,25 @@ VALUES = {
     "tau_sls": 0.4,
     "tau_sns": 0.3,
     "tau_ucm": 0.6,
+    "mooney": 0.3,
+    "cubic": 1e-3,
+    "gent": 0.002,
+    "chain": 0.005,
+    "ogden": 0.7,
+    "thinning_yasuda": 0.5,
+    "yasuda": 0.8,
+    "plateau": 0.1,
+    "cross_time": 0.4,
+    "cross_exponent": 0.7,
+    "eyring_time": 0.5,
+    "power_thinning": 0.3,
+    "reference_rate": 2.0,
+    "G_arm": 0.04,
+    "tau_arm": 0.3,
+    "G_arm_slow": 0.03,
+    "tau_arm_slow": 2.0,
+    "G_frac": 0.05,
+    "fractional": 0.3,
     "damage": 0.3,
     "healing": 0.4,
     "viscous_damage": 0.3,
@@ -44,7 +63,7 @@ VALUES = {
 def values_for(term: StressTerm) -> dict[str, float]:
     """A value of every parameter at which a term acts: nothing relaxes but by its own switch."""
     return VALUES | {
-        name: 0.0 for name in term.names if name.startswith("tau") and name != term.switch
+        name: 0.0 for name in ("tau", "tau_sls", "tau_sns", "tau_ucm") if name != term.switch
     }
 
 

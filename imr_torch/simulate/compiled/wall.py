@@ -37,6 +37,8 @@ class Setup(NamedTuple):
         gas: number of the gas law.
         driven: whether there is a driving; ``knots`` and ``cubics`` are its table, ``scale`` is
             ``1/p_inf``.
+        others: stress laws that the engine does not hold, see
+            :func:`imr_torch.simulate.compiled.run.locate_law`.
     """
 
     c: Constants
@@ -51,6 +53,7 @@ class Setup(NamedTuple):
     knots: np.ndarray
     cubics: np.ndarray
     scale: float
+    others: np.ndarray
 
 
 class Batch(NamedTuple):
@@ -60,7 +63,9 @@ class Batch(NamedTuple):
         width: members of a bundle.
         numbers: ``B x N``.
         theta: ``B x p``, dimensionless parameters.
-        terms: a row a bundle: which stress terms act.
+        terms: a row a bundle: which stress terms act, those of the engine first.
+        memory: ``B x K``, what memory starts from, in the order of the terms that act.
+        fading: ``B``, the rate at which the fastest memory relaxes.
         effects: a row a bundle: which effects act.
         times: ``B x n_t``.
         curves: ``3 x B x n_t``, receives radius, velocity and pressure; NaN where a member did not
@@ -73,6 +78,8 @@ class Batch(NamedTuple):
     numbers: np.ndarray
     theta: np.ndarray
     terms: np.ndarray
+    memory: np.ndarray
+    fading: np.ndarray
     effects: np.ndarray
     times: np.ndarray
     curves: np.ndarray
@@ -87,6 +94,7 @@ class Member(NamedTuple):
         b: its numbers.
         theta: its dimensionless parameters.
         terms: which stress terms act.
+        memory: what its memory starts from.
         effects: which effects act.
         affected: whether any does.
     """
@@ -94,6 +102,7 @@ class Member(NamedTuple):
     b: Numbers
     theta: np.ndarray
     terms: np.ndarray
+    memory: np.ndarray
     effects: np.ndarray
     affected: bool
 
@@ -107,7 +116,8 @@ def member_of(batch, i):
     for acts in effects:
         affected |= acts
     numbers = laws.numbers(batch.numbers[i])
-    return Member(numbers, batch.theta[i], batch.terms[bundle], effects, affected)
+    terms = batch.terms[bundle]
+    return Member(numbers, batch.theta[i], terms, batch.memory[i], effects, affected)
 
 
 @kernel
@@ -147,12 +157,19 @@ def accelerate_wall(radius, velocity, pressure, rate, stress, far, far_rate, mem
 
 
 @kernel
+def stress_of(radius, velocity, memory, memory_rates, member, setup):
+    """The gel's stress; writes the rates of memory."""
+    b, on, theta = member.b, member.terms, member.theta
+    return laws.stress(
+        radius, velocity, b.rest_radius, on, theta, memory, memory_rates, setup.others
+    )
+
+
+@kernel
 def move_wall(time, radius, velocity, pressure, rate, memory, memory_rates, member, setup):
     """``U'``; writes the rates of memory."""
     far, far_rate, _ = far_field(time, member, setup)
-    stress = laws.stress(
-        radius, velocity, member.b.rest_radius, member.terms, member.theta, memory, memory_rates
-    )
+    stress = stress_of(radius, velocity, memory, memory_rates, member, setup)
     return accelerate_wall(radius, velocity, pressure, rate, stress, far, far_rate, member, setup)
 
 
@@ -203,9 +220,7 @@ def motion_slopes(time, point, memory, member, setup, slopes, memory_slopes, spa
         else:
             moved[direction - 5] += imaginary
         if direction < 2 or direction >= 5:  # the gel feels R, U and its memory
-            stress = laws.stress(
-                r, u, member.b.rest_radius, member.terms, member.theta, moved, rates
-            )
+            stress = stress_of(r, u, moved, rates, member, setup)
             row = direction if direction < 2 else direction - 3
             for k in range(states):
                 memory_slopes[row, k] = rates[k].imag / TINY
