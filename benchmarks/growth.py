@@ -61,9 +61,12 @@ def residual_of(
         standardise(shot, row[: len(shot.times)])[frames].square()
         for shot, row, frames in zip(shots, seen, judged, strict=True)
     ]
+    every = torch.cat(squares)
+    reached = every[every.isfinite()]
     return {
-        "rms": float(torch.cat(squares).mean().sqrt()),
-        "by_shot": [float(x.mean().sqrt()) for x in squares],
+        "frames": len(every),
+        "unpredicted": len(every) - len(reached),
+        "rms": float(reached.mean().sqrt()) if len(reached) else None,
         "gradient": fit.certificate.gradient,
         "converged": fit.certificate.usable,
     }
@@ -123,6 +126,14 @@ def list_jobs(folder: Path, most: int) -> dict[str, Job]:
     }
 
 
+def _write_rms(found: Line) -> str:
+    """The residual, and how many frames the fitted bubble does not reach."""
+    if found["rms"] is None:
+        return "-"
+    lost = f" ({found['unpredicted']} not reached)" if found["unpredicted"] else ""
+    return f"{found['rms']:.1f}{lost}"
+
+
 def write_page(lines: list[Line]) -> str:
     """A row a set and model, and the medians."""
     told = [x for x in lines if x.get("shots")]
@@ -130,22 +141,23 @@ def write_page(lines: list[Line]) -> str:
         (
             x["key"],
             x["shots"],
-            f"{x['growth']['rms']:.1f}",
+            _write_rms(x["growth"]),
             f"{np.sqrt(np.mean(np.square(x['mirrored']))):.1f}",
-            f"{x['later']['rms']:.1f}",
+            _write_rms(x["later"]),
         )
         for x in told
     ]
     page = write_table(("set", "shots", "growth", "growth by the mirror", "later cycles"), rows)
     for model in MODELS:
         own = [x for x in told if x["key"].endswith(f"/{model}")]
-        growth, mirrored, later = (
-            np.median([float(row[i]) for row, x in zip(rows, told, strict=True) if x in own])
-            for i in (2, 3, 4)
-        )
+        medians = {
+            name: np.median([x[name]["rms"] for x in own if x[name]["rms"] is not None])
+            for name in ("growth", "later")
+        }
+        mirrored = np.median([np.sqrt(np.mean(np.square(x["mirrored"]))) for x in own])
         page += (
-            f"\n{model}, {len(own)} sets, medians: growth {growth:.1f} (mirrored collapse "
-            f"{mirrored:.1f}), later cycles {later:.1f} standard deviations."
+            f"\n{model}, {len(own)} sets, medians: growth {medians['growth']:.1f} (mirrored "
+            f"collapse {mirrored:.1f}), later cycles {medians['later']:.1f} standard deviations."
         )
     return page
 
