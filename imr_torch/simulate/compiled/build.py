@@ -131,7 +131,7 @@ def call_announced(module: types.ModuleType, entry: str, arguments: Sequence[Any
             for path in cached:
                 path.unlink(missing_ok=True)
     print(
-        f"imr_torch: compiling {entry} (once on this machine, about a minute) ...",
+        f"imr_torch: compiling {entry} (once on this machine; a busy or slow one takes minutes) ...",
         file=sys.stderr,
         flush=True,
     )
