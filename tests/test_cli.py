@@ -156,16 +156,6 @@ def test_characterize_finds_the_gel_that_ships_with_the_project(tmp_path, capsys
     assert "converged" in capsys.readouterr().out
 
 
-def test_characterize_scores_models_by_held_out_curves(tmp_path, capsys):
-    arguments = ["characterize", str(EXAMPLE), "--models", "newtonian,nhkv", "--scores", *QUICK]
-    document = tmp_path / "result.json"
-    assert main([*arguments, "--experiments", "shot_1,shot_3", "--json", str(document)]) == 0
-    scores = json.loads(document.read_text())["scores"]
-    assert scores["nhkv"]["value"] > scores["newtonian"]["value"] + 10.0
-    said = capsys.readouterr().out.partition("log density relative to nhkv")[2]
-    assert said.index("nhkv: 0.0") < said.index("newtonian: -")
-
-
 def test_design_names_several_designs_and_what_each_adds(tmp_path, capsys):
     out = tmp_path / "day"
     options = [
@@ -661,8 +651,8 @@ CURVE = "".join(f"a,{i}e-6,{(300 - 9 * i if i < 30 else 10 + i) * 1e-6}\n" for i
         ),
         (["characterize", "{file}", "--belief", "{file}"], "not a saved belief"),
         (
-            ["characterize", "{file}", "--scores", "--rest-radius", "0.2:0.1"],
-            "Scores hold curves out, and there is 1; give at least two",
+            ["characterize", "{file}", "--population", "--rest-radius", "0.2:0.1"],
+            "A population is inferred from curves, and there is 1; give at least two",
         ),
         (["characterize", "{file}", "--known", "G"], "--known: 'G' is not NAME=NUMBER"),
         (["simulate", "--set", "G=1e4"], "model 'nhkv' has the parameters G, mu; got G"),

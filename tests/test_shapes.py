@@ -48,7 +48,6 @@ SLOW = (
     "of_scipys",
     "noise_estimation",
     "test_spikes",
-    "profile",
     "silent_on",
     "as_often_as",
     "stepwise",

@@ -1,10 +1,9 @@
 # %% [markdown]
 # # Which model?
-# You will be able to compare models by evidence and by held-out curves, and say what their probabilities do not say. Takes
-# about a minute on one core.
+# You will be able to compare models by evidence, and say what their probabilities do not say. Takes about a minute on one core.
 #
 # Two questions are easily confused: which of my models do the data support, and is any of them right? Here we fit three
-# constitutive models to the same curves, compare them by evidence and by held-out curves, and read the small print.
+# constitutive models to the same curves, compare them by evidence, and read the small print.
 
 # %%
 import os
@@ -14,7 +13,7 @@ import torch
 from imr_torch.assimilate import SearchOptions, assimilate, weigh
 from imr_torch.material import PARAMETERS, wide_prior
 from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
-from imr_torch.select import cross_validate, evidences, probability_errors, sum_over_folds, update
+from imr_torch.select import evidences, probability_errors, update
 from imr_torch.simulate import PolytropicSimulator
 
 SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
@@ -59,6 +58,9 @@ for fit in fits.fits:
 # ## Model probabilities
 # Evidence is the probability of all data under a model, averaged over its prior: a free parameter that is not needed costs.
 # Probabilities are prior odds times evidence, once. The error is that of the computation.
+#
+# Evidence leans on the prior: make it wider and the larger model loses. How well each model predicts a curve that it did not
+# see leans on it less: ArviZ leaves one curve out after the other (`imr_torch.export.to_arviz`).
 
 # %%
 found = evidences(fits)
@@ -68,21 +70,6 @@ for e in found:
         f"{e.model:10s} log evidence {e.value:9.2f} +- {e.error:.2f}  probability {posterior.probabilities[e.model]:.4f}"
     )
 print("errors of the probabilities:", {key: round(value, 4) for key, value in errors.items()})
-
-# %% [markdown]
-# ## How well each model predicts held-out curves
-# Evidence leans on the prior: make it wider and the larger model loses. A held-out score does not, much: how probable was
-# each experiment, given the others? Reweighing gives it without simulation where the weights allow, a new fit elsewhere.
-# (`imr-torch characterize --scores` does this for your files.)
-
-# %%
-scores = cross_validate(fits, simulator, seed=0, options=options, samples=64 if SMOKE else 256)
-for score in scores:
-    how = "fitted again" if score.refitted else "reweighted"
-    print(
-        f"{score.held_out[0]:24s} {score.model:10s} {score.value:9.2f} +- {score.error:.2f} nats ({how})"
-    )
-print("in all:", {total.model: round(total.value, 1) for total in sum_over_folds(scores)})
 
 # %% [markdown]
 # ## Is any of them right?

@@ -59,8 +59,7 @@ def collapse_tables() -> Iterator[Case]:
     }.items():
         yield Case("times", f"{name}", TIMED, "times.csv", written(lines))
     whole = written([HEAD, *plain])
-    for option in ("--scores", "--population"):
-        yield Case("times", f"{option}", (*TIMED, option), option, whole)
+    yield Case("times", "--population", (*TIMED, "--population"), "--population", whole)
     yield Case("times", "--experiments", (*TIMED, "--experiments=d"), "d", whole)
     yield Case("times", "of a medium", (*TIMED, "--medium=water,density=0"), "density", whole)
     for words in (

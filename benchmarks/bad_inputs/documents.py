@@ -72,34 +72,6 @@ def results(result: Path) -> Iterator[Case]:
         "curve measured of two lengths",
         document | {"curves": [curve | {"measured": curve["measured"] | {"R_star": [1.0]}}]},
     )
-    key = next(iter(document["models"]))
-    names = list(document["models"][key]["intervals"])
-    part = {
-        "values": [1.0, 2.0, 3.0],
-        "nats_lost": [1.0, 0.0, 1.0],
-        "converged": [True] * 3,
-        "limits_95": [None, 2.5],
-    }
-    part |= {"bounded": "from above"}
-    for name, profiles in {
-        "a number": 5,
-        "of another model": {"qkv": {}},
-        "of numbers": {key: 5},
-        "of another parameter": {key: {"tau": part}},
-        **{
-            f"without {x}": {key: {names[0]: {k: v for k, v in part.items() if k != x}}}
-            for x in part
-        },
-        **{f"{x} null": {key: {names[0]: part | {x: None}}} for x in part},
-        **{
-            f"{x} shorter": {key: {names[0]: part | {x: part[x][:2]}}}
-            for x in ("values", "nats_lost", "converged")
-        },
-        "values texts": {key: {names[0]: part | {"values": ["a", "b", "c"]}}},
-        "no values": {key: {names[0]: part | {"values": [], "nats_lost": [], "converged": []}}},
-        "three limits": {key: {names[0]: part | {"limits_95": [1.0, 2.0, 3.0]}}},
-    }.items():
-        yield case("plot", f"profiles {name}", document | {"profiles": profiles})
     for option, about in (
         ("--format=", "--format"),
         ("--format=gif", "--format"),

@@ -10,7 +10,7 @@ FORMS: dict[str, tuple[tuple[str, ...], ...]] = {
     "characterize": (
         ("experiments",),
         ("models", "physics", "collapses"),
-        ("population", "profile", "scores"),
+        ("population",),
         ("known", "rest_radius"),
     ),
     "diagnose": (
@@ -52,8 +52,8 @@ def command_arguments(
         files: what is read; how, ``layout`` says.
 
     >>> from imr_torch.app.commands import command_arguments
-    >>> command_arguments("characterize", {"collapses": 1, "profile": True}, "results/001", files=["files/gel.csv"])[:5]
-    ['characterize', 'files/gel.csv', '--collapses', '1', '--profile']
+    >>> command_arguments("characterize", {"collapses": 1, "population": True}, "results/001", files=["files/gel.csv"])[:5]
+    ['characterize', 'files/gel.csv', '--collapses', '1', '--population']
     """
     words = [command, *files]
     options = [name for row in FORMS[command] for name in row]

@@ -20,8 +20,6 @@ _LABELS = {
     "physics": "Bubble physics",
     "collapses": "Collapses in the window",
     "population": "does the gel differ from shot to shot?",
-    "profile": "profile likelihoods",
-    "scores": "predict held-out curves",
     "known": "Known parameters, SI, as G=2770",
     "rest_radius": "R_inf/Rmax without a tail, as 0.2:0.05",
     "base": "Model that is put to the test",

@@ -24,7 +24,6 @@ from imr_torch.assimilate.options import (
     WeighingOptions,
 )
 from imr_torch.assimilate.posterior import Neighbourhood, Posterior
-from imr_torch.assimilate.profile import Profile, ProfileOptions, profile
 from imr_torch.assimilate.published import (
     PublishedFit,
     as_one_curve,
@@ -50,8 +49,6 @@ __all__ = [
     "NormalEquations",
     "Point",
     "Posterior",
-    "Profile",
-    "ProfileOptions",
     "PublishedFit",
     "PublishedOptions",
     "SearchOptions",
@@ -65,7 +62,6 @@ __all__ = [
     "infer_frame_noise",
     "noise_nodes",
     "normal_equations",
-    "profile",
     "published_probabilities",
     "weigh",
 ]

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from imr_torch.assimilate.forward import Point
@@ -212,27 +212,16 @@ class ModelFit:
         rows = ~batch.collapse
         if bool(rows.all()):
             return self, batch
-        part = self.of_experiments(rows, int(batch.mask[rows].sum(1).max()))
-        return part, replace(batch, experiments=batch.curves)
-
-    def of_experiments(
-        self, rows: Bool[Tensor, "experiments"] | list[int], frames: int
-    ) -> "ModelFit":
-        """The fit as one of some experiments; no draws and no sensitivities.
-
-        Args:
-            rows: which experiments.
-            frames: most frames that any of them has.
-        """
-        return replace(
+        part = replace(
             self,
             nuisances=self.nuisances[rows],
             nuisance_response=self.nuisance_response[rows],
             nuisance_chol=self.nuisance_chol[rows],
-            prediction=self.prediction[rows, :frames],
+            prediction=self.prediction[rows, : int(batch.mask[rows].sum(1).max())],
             sample=None,
             near=None,
         )
+        return part, replace(batch, experiments=batch.curves)
 
     @property
     def nuisance_log_det(self) -> float:

@@ -8,7 +8,6 @@ Gabry, JMLR 25(72), 2024).
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -114,16 +113,10 @@ class NoiseSample:
     by_experiment: Float[Tensor, "draws laws experiments"]
     drawn: Int[Tensor, "draws"]
 
-    def likelihood_of(self, experiments: Sequence[int]) -> DrawnValues:
-        """Log likelihood of some experiments together, the noise integrated over its prior."""
-        return torch.logsumexp(
-            self.by_experiment[:, :, list(experiments)].sum(2) + self.nodes.log_prior.flatten(), 1
-        )
-
     @cached_property
     def log_likelihood(self) -> DrawnValues:
         """Log likelihood of all experiments, the noise integrated over its prior."""
-        return self.likelihood_of(range(self.by_experiment.shape[2]))
+        return torch.logsumexp(self.by_experiment.sum(2) + self.nodes.log_prior.flatten(), 1)
 
 
 @dataclass(frozen=True)
@@ -186,16 +179,6 @@ class ImportanceSample:
     def log_target(self) -> DrawnValues:
         """``n`` tensor, log of likelihood x prior of each draw, all else integrated out."""
         return self.log_likelihood + self.log_prior
-
-    def density_given_others(self, experiments: Sequence[int]) -> DrawnValues:
-        """Log density of some experiments given gel and all the others.
-
-        Nuisances and noise integrated out.
-        """
-        if self.noise is None:
-            return self.by_experiment[:, list(experiments)].sum(1)
-        others = [e for e in range(self.by_experiment.shape[1]) if e not in experiments]
-        return self.noise.log_likelihood - self.noise.likelihood_of(others)
 
     @property
     def log_weights(self) -> DrawnValues:

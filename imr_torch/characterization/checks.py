@@ -37,7 +37,6 @@ def check_request(
     shots: Sequence[CollapseShot],
     prior: Belief,
     *,
-    scores: bool,
     population: bool,
     effort: str,
     scatter_scale: float,
@@ -47,8 +46,8 @@ def check_request(
     """
     if len(traces) == 0 and not shots:
         raise InputDataError("No curve or collapse time to characterise; load at least one.")
-    if scores or population:
-        asked = "Scores hold curves out" if scores else "A population is inferred from curves"
+    if population:
+        asked = "A population is inferred from curves"
         if shots:
             raise InputDataError(
                 f"{asked}, and {len(shots)} shot(s) of collapse times are given; leave one of the "
@@ -67,14 +66,4 @@ def check_request(
         raise InputDataError(
             f"{large[0].model} has {len(large[0].of_gel)} parameters of the gel, and at most "
             f"{MOST} can differ between shots; leave the model out, or give some of them as known."
-        )
-
-
-def check_profile(prior: Belief) -> None:
-    """Raise unless some model has two free parameters, since with one the posterior is the profile."""
-    if all(len(part.names) == 1 for part in prior.models):
-        raise InputDataError(
-            "A profile likelihood needs a model with two free parameters or more, and "
-            f"{', '.join(prior.keys)} has one, whose "
-            "posterior says the same; ask for no profile, or for a model with more."
         )

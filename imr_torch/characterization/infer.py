@@ -20,14 +20,8 @@ from imr_torch.assimilate import (
     weigh,
 )
 from imr_torch.assimilate.spikes import frames_left_out
-from imr_torch.characterization.checks import (
-    EFFORTS,
-    Effort,
-    check_profile,
-    check_request,
-)
+from imr_torch.characterization.checks import EFFORTS, Effort, check_request
 from imr_torch.characterization.medium import medium_of
-from imr_torch.characterization.profiles import make_profiles
 from imr_torch.characterization.result import Characterization
 from imr_torch.gap import medium_sensitivities
 from imr_torch.goodness import check_fit, compare_parts, follow_gel
@@ -46,13 +40,7 @@ from imr_torch.observe.convert import find_frame_use
 from imr_torch.population import SCALE, fit_shots, infer_population
 from imr_torch.random import child
 from imr_torch.record import ALL_ALIKE, RecordOptions, describe_record
-from imr_torch.select import (
-    PredictiveScore,
-    cross_validate,
-    evidences,
-    sum_over_folds,
-    update,
-)
+from imr_torch.select import evidences, update
 from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
 from imr_torch.simulate.growth import check_reversible
 from imr_torch.threads import one_torch_thread
@@ -70,14 +58,12 @@ def characterize(
     rest_radius: tuple[float, float] | None = None,
     growth: float | None = None,
     options: FitOptions | None = None,
-    scores: bool = False,
     check: bool = True,
     effort: str = "normal",
     medium: GelMedium | Statement | str | None = None,
     shots: Sequence[CollapseShot] = (),
     weigh_odd_shots: bool = True,
     population: bool = False,
-    profile: bool = False,
     over_time: bool = False,
     scatter_scale: float = SCALE,
     seed: int = 0,
@@ -99,8 +85,6 @@ def characterize(
         options: how gels are fitted, and by which method:
             :class:`imr_torch.assimilate.SearchOptions` or
             :class:`imr_torch.assimilate.En4DVarOptions`.
-        scores: whether the prediction of held-out curves is scored too (each alone up to five, more
-            in four parts), with the noise that was estimated from all.
         check: whether to test if the most probable model explains the curves
             (:func:`imr_torch.goodness.check_fit`), and if the parts of the records agree
             (:func:`imr_torch.goodness.compare_parts`).
@@ -123,16 +107,13 @@ def characterize(
         over_time: whether the gel of one stretch of the event after another is fitted too
             (:func:`imr_torch.goodness.follow_gel`), under the most probable model.
         scatter_scale: of the half-normal prior of the scatters between curves.
-        profile: whether the profile likelihood of each parameter is made too
-            (:func:`imr_torch.assimilate.profile`), for models with .05 of the probability or more:
-            it says whether the data bound a parameter at all.
         seed: of everything random.
         progress: called with one line per step.
 
     Raises:
         UnsupportedError: for growth of a gel that remembers.
-        InputDataError: as in :func:`imr_torch.observe.prepare`, without a trace, for scores or a
-            population of only one, or for profiles of models with one parameter.
+        InputDataError: as in :func:`imr_torch.observe.prepare`, without a trace, or for a
+            population of only one.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, characterize, wide_prior
@@ -161,7 +142,6 @@ def characterize(
         traces,
         shots,
         prior,
-        scores=scores,
         population=population,
         effort=effort,
         scatter_scale=scatter_scale,
@@ -170,8 +150,6 @@ def characterize(
     medium = medium_of(traces, medium, simulator.conditions.surroundings, shots)
     simulator = medium.applied(simulator)
     prior = medium.believed(prior)
-    if profile:
-        check_profile(prior)
     surroundings = simulator.conditions.surroundings
     for part in prior.models if growth is not None else ():
         check_reversible(part.model, part.material.names)
@@ -185,10 +163,9 @@ def characterize(
     traces = prepared.traces
     data = (*prepared.experiments, *(shot.to_experiment(surroundings) for shot in shots))
     rounds = NOISE_ROUNDS if estimate_noise else 0
-    searched = options if isinstance(options, SearchOptions) else None
     spent = EFFORTS[effort]
-    if searched is not None and searched.drop_behind is not None:
-        spent = replace(spent, behind=searched.drop_behind)
+    if isinstance(options, SearchOptions) and options.drop_behind is not None:
+        spent = replace(spent, behind=options.drop_behind)
     batch = ExperimentBatch(data, Noise())
     weighted = _fit_models(prior, batch, simulator, rounds, options, spent, seed, progress)
     evidence = evidences(weighted)
@@ -199,11 +176,6 @@ def characterize(
         prepared,
         experiments=tuple(e for e in weighted.batch.experiments if isinstance(e, Experiment)),
     )
-    held_out = tuple[PredictiveScore, ...]()
-    if scores:
-        own = child(seed, "scores")
-        folds = cross_validate(weighted, simulator, seed=own, options=searched, progress=progress)
-        held_out = sum_over_folds(folds)
     tested = None
     parts = None
     if check and len(traces):
@@ -240,19 +212,12 @@ def characterize(
         for trace, experiment in zip(traces, prepared.experiments, strict=True)
     )
     moved = medium_sensitivities(weighted[best], weighted.batch, simulator, medium)
-    own = child(seed, "profile")
-    followed = (
-        make_profiles(weighted, posterior, simulator, seed=own, progress=progress)
-        if profile
-        else None
-    )
     return Characterization(
         prepared,
         weighted,
         evidence,
         posterior,
         time.process_time() - started,
-        held_out,
         used,
         tested,
         parts,
@@ -261,7 +226,6 @@ def characterize(
         moved,
         frames_left_out(fitted, prepared.experiments),
         gels,
-        followed,
         traces,
         simulator,
         record,

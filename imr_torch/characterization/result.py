@@ -10,18 +10,12 @@ from typing import TYPE_CHECKING
 
 from torch import Tensor
 
-from imr_torch.assimilate import (
-    Assimilation,
-    ModelFit,
-    Profile,
-    Verdict,
-)
+from imr_torch.assimilate import Assimilation, ModelFit, Verdict
 from imr_torch.assimilate.dense import dense_curve
 from imr_torch.characterization.bands import band_document, predictive_band
 from imr_torch.characterization.checks import EFFORTS
 from imr_torch.characterization.collapse import collapse_rows, find_patterns
 from imr_torch.characterization.medium import medium_document
-from imr_torch.characterization.profiles import document_profiles
 from imr_torch.characterization.saved import SavedCharacterization, draws_to_dict
 from imr_torch.document import header
 from imr_torch.files import Document, drawn_numbers, without_nonfinite, write_json
@@ -33,12 +27,7 @@ from imr_torch.observe import Experiment, ExperimentBatch, GelMedium, Noise, Pre
 from imr_torch.observe.convert import FrameUse
 from imr_torch.population import Population
 from imr_torch.record import Record
-from imr_torch.select import (
-    Evidence,
-    PredictiveScore,
-    identifiability,
-    probability_errors,
-)
+from imr_torch.select import Evidence, identifiability, probability_errors
 from imr_torch.simulate import Simulator
 
 if TYPE_CHECKING:
@@ -66,8 +55,6 @@ class Characterization:
         evidence: the evidence of each model.
         posterior: parameters and model probabilities after the data.
         seconds: processor time.
-        scores: held-out log density of each model, summed over all curves; empty if none was held
-            out.
         frames: which frames of each record were fitted.
         fit_test: whether the most probable model explains the curves; None where that was not asked
             for.
@@ -80,8 +67,6 @@ class Characterization:
             which are left out of the fit where the noise is inferred.
         population: how much the gel differs between curves, under the most probable model; None
             where not asked for.
-        profiles: model key -> the profile likelihoods of its parameters, of models with .05 of the
-            probability or more, at the estimated noise; None where not asked for.
         traces: the records that were fitted.
         simulator: makes the bubbles, in the medium of the curves.
         record: what the records show before any gel, and how much each shot counts.
@@ -113,7 +98,6 @@ class Characterization:
     evidence: tuple[Evidence, ...]
     posterior: Belief
     seconds: float
-    scores: tuple[PredictiveScore, ...]
     frames: tuple[FrameUse, ...]
     fit_test: FitTest | None
     parts: PartsTest | None
@@ -122,7 +106,6 @@ class Characterization:
     sensitivities: tuple[MediumSensitivity, ...]
     spoilt: Mapping[str, Sequence[int]]
     population: Population | None
-    profiles: Mapping[str, tuple[Profile, ...]] | None
     traces: TraceSet
     simulator: Simulator
     record: Record
@@ -192,11 +175,6 @@ class Characterization:
                 fit.model: self._document_model(fit, evidence)
                 for fit, evidence in zip(self.assimilation.fits, self.evidence, strict=True)
             },
-            "scores": {
-                s.model: {"value": s.value, "error": s.error, "refitted": s.refitted}
-                for s in self.scores
-            }
-            or None,
             "noise": vars(self.noise),
             "noise_interval": self.noise_interval,
             "noise_factors": {
@@ -209,7 +187,6 @@ class Characterization:
             "parts": self.parts and self.parts.to_dict(),
             "over_time": self.over_time,
             "population": self.population and self.population.to_dict(),
-            "profiles": document_profiles(self.profiles),
             "prior": self.assimilation.prior.to_dict(),
             "belief": self.posterior.to_dict(),
             "weighted_draws": draws_to_dict(self.assimilation),
@@ -219,8 +196,7 @@ class Characterization:
     def _document_model(self, fit: ModelFit, evidence: Evidence) -> Document:
         """What is known of one model, JSON-ready."""
         certificate = fit.certificate
-        profiles = (self.profiles or {}).get(fit.model, ())
-        found = identifiability(fit.prior, fit.posterior, profiles)
+        found = identifiability(fit.prior, fit.posterior)
         moved = (
             fit.sample.power_sensitivities.T.tolist() if fit.sample and fit.sample.reliable else ()
         )

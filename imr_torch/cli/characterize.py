@@ -58,12 +58,8 @@ def run_command(args: Namespace) -> None:
     if len(traces):
         read.append(prepared.report(frames=False))
         print(read[-1])
-    stages = characterize_stages(
-        NOISE_ROUNDS if args.noise == "estimated" else 0,
-        scores=args.scores,
-        population=args.population,
-        profile=args.profile,
-    )
+    rounds = NOISE_ROUNDS if args.noise == "estimated" else 0
+    stages = characterize_stages(rounds, population=args.population)
     result = characterize(
         traces,
         prior=prior,
@@ -73,14 +69,12 @@ def run_command(args: Namespace) -> None:
         rest_radius=args.rest_radius,
         growth=args.growth,
         options=METHODS[args.method],
-        scores=args.scores,
         effort=args.effort,
         medium=medium,
         shots=shots,
         weigh_odd_shots=not args.count_all_shots,
         population=args.population,
         scatter_scale=SCALE if args.scatter_scale is None else args.scatter_scale,
-        profile=args.profile,
         over_time=args.over_time,
         seed=args.seed,
         progress=args.terminal.plan_stages(stages),
@@ -114,7 +108,7 @@ def _load_data(args: Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]:
     shots = load_collapse_times(*tables) if tables else ()
     why = f"is about curves, and {tables[0]} holds collapse times" if shots else ""
     if shots:
-        refuse_options(args, ("scores", "population"), f"{why}; leave one of them out.")
+        refuse_options(args, ["population"], f"{why}; leave one of them out.")
     if curves:
         traces = load_traces(*curves, layout=layout_of(args), sort=args.sort)
     else:

@@ -35,11 +35,9 @@ class Stage:
     key: str = ""
 
 
-def characterize_stages(
-    noise_rounds: int, *, scores: bool = False, population: bool = False, profile: bool = False
-) -> tuple[Stage, ...]:
-    """The stages of ``characterize``: one fit per noise law, draws, the fit test and perhaps
-    scores, each shot alone, profiles.
+def characterize_stages(noise_rounds: int, *, population: bool = False) -> tuple[Stage, ...]:
+    """The stages of ``characterize``: one fit per noise law, draws, the fit test and perhaps each
+    shot alone.
 
     >>> from imr_torch.cli.progress import characterize_stages
     >>> [stage.name for stage in characterize_stages(1)]
@@ -53,14 +51,11 @@ def characterize_stages(
         name = f"fit with the estimated noise{again}" if number else "fit of all models"
         share = (1.5 if last else 0.4) if number else (2.0 if last else 0.5)
         stages.append(Stage(name + ", and draws" * last, share, "noise"))
-    figures = "" if population or profile else " and figures"
-    further = (
-        (scores, Stage("scores of held-out curves", 2.0, "scores")),
-        (True, Stage(f"fit test{figures}", 0.3, "fit test")),
-        (population, Stage("each shot by itself, and the population", 3.0, "shots")),
-        (profile, Stage("profile likelihoods, and figures", 0.5, "profile")),
-    )
-    return (*stages, *(stage for wanted, stage in further if wanted))
+    figures = "" if population else " and figures"
+    stages.append(Stage(f"fit test{figures}", 0.3, "fit test"))
+    if population:
+        stages.append(Stage("each shot by itself, and the population", 3.0, "shots"))
+    return tuple(stages)
 
 
 DIAGNOSE = (

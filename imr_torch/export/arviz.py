@@ -4,9 +4,7 @@ language reads.
 One branch per model, each with the groups of the ArviZ schema, so that ``tree["nhkv"]`` is what its
 functions take. Draws come from the weighted sample of a fit, resampled to equal weight; from its
 Gaussian where it has none. The log likelihood is that of whole experiments, so that ArviZ's
-leave-one-out leaves out an experiment. With a simulator there is a branch ``frames`` below each
-model, ``tree["nhkv/frames"]``, for LOO-PIT and predictive checks of single frames
-(:mod:`imr_torch.export.frames`). Needs the extra ``imr-torch[arviz]``.
+leave-one-out leaves out an experiment. Needs the extra ``imr-torch[arviz]``.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -17,12 +15,10 @@ from torch import Tensor
 
 from imr_torch.assimilate import Assimilation, ModelFit
 from imr_torch.errors import InputDataError, UnsupportedError
-from imr_torch.export.frames import predict_frames
 from imr_torch.float64 import randn
 from imr_torch.material import PARAMETERS, Belief, ModelBelief
 from imr_torch.observe import NUISANCES, ExperimentBatch
 from imr_torch.random import child, generator
-from imr_torch.simulate import Simulator
 
 if TYPE_CHECKING:
     from xarray import DataTree, Variable
@@ -31,13 +27,7 @@ Variables = dict[str, "Variable"]
 """The variables of one group, its coordinates among them."""
 
 
-def to_arviz(
-    source: Assimilation | Belief,
-    *,
-    seed: int,
-    draws: int = 1000,
-    simulator: Simulator | None = None,
-) -> "DataTree":
+def to_arviz(source: Assimilation | Belief, *, seed: int, draws: int = 1000) -> "DataTree":
     """The tree of an assimilation or a belief.
 
     Args:
@@ -47,9 +37,6 @@ def to_arviz(
             ``campaign.belief``.
         seed: of the draws.
         draws: draws per model.
-        simulator: the one that the posterior was made with, for the branch ``frames`` of each
-            weighted model: one bubble a draw and experiment (two engines give the same); None:
-            without it.
 
     Returns:
         A tree whose variables carry their units as attributes and whose dimensions are named.
@@ -73,7 +60,7 @@ def to_arviz(
         ) from None
     if draws < 1:
         raise InputDataError(f"to_arviz: draws is {draws}; at least 1 is needed.")
-    groups = _list_groups(source, seed, draws, simulator)
+    groups = _list_groups(source, seed, draws)
     labels: dict[str, Any] = {"nuisance": list(NUISANCES)}
     if isinstance(source, Assimilation):
         labels["experiment"] = [e.label for e in source.batch.experiments]
@@ -85,9 +72,7 @@ def to_arviz(
     return DataTree.from_dict(datasets, name="imr_torch")
 
 
-def _list_groups(
-    source: Assimilation | Belief, seed: int, draws: int, simulator: Simulator | None
-) -> dict[str, Variables]:
+def _list_groups(source: Assimilation | Belief, seed: int, draws: int) -> dict[str, Variables]:
     """Path of each group and its variables, but for the labels of its dimensions."""
     if isinstance(source, Belief):
         branches = {
@@ -110,7 +95,7 @@ def _list_groups(
         f"{fit.model}/{group}": variables
         for fit in source.fits
         for group, variables in _list_fit_groups(
-            fit, source.batch, child(seed, "arviz", fit.model), draws, simulator
+            fit, source.batch, child(seed, "arviz", fit.model), draws
         ).items()
     }
 
@@ -139,7 +124,7 @@ def _list_parameters(part: ModelBelief, controls: Tensor) -> Variables:
 
 
 def _list_fit_groups(
-    fit: ModelFit, batch: ExperimentBatch, seed: int, draws: int, simulator: Simulator | None
+    fit: ModelFit, batch: ExperimentBatch, seed: int, draws: int
 ) -> dict[str, Variables]:
     """All groups of one model's fit."""
     data = {"observed_data": _list_observed(batch), "constant_data": _list_constant(batch)}
@@ -154,9 +139,6 @@ def _list_fit_groups(
     likelihood = sample.by_experiment[chosen]
     tail = "shape of the tail of the importance weights"
     density = (likelihood.sum(1) + sample.log_prior[chosen])[None]
-    frames = {}
-    if simulator is not None:
-        frames = _list_frame_groups(fit, batch, simulator, chosen, seed)
     return {
         "posterior": posterior
         | {
@@ -179,38 +161,7 @@ def _list_fit_groups(
                 long_name="of all repeats and frames",
             )
         },
-        **frames,
     } | data
-
-
-def _list_frame_groups(
-    fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, chosen: Tensor, seed: int
-) -> dict[str, Variables]:
-    """The branch of single frames, one after the other in one dimension, since curves differ in
-    length.
-    """
-    sample = fit.sample
-    assert sample is not None
-    controls = sample.controls[chosen]
-    nuisances = sample.nuisances[chosen]
-    drawn, likelihood = predict_frames(
-        fit.prior, batch, simulator, controls, nuisances, seed=child(seed, "frames")
-    )
-    where = torch.nonzero(batch.mask)[:, 0].tolist()
-    labels = [batch.experiments[i].label for i in where]
-    dims = "chain draw observation"
-    return {
-        "frames/posterior": _list_parameters(fit.prior, fit.prior.unwhitened(controls)),
-        "frames/posterior_predictive": {"radius": _make_variable(dims, drawn[None], "R/Rmax")},
-        "frames/log_likelihood": {"radius": _make_variable(dims, likelihood[None], "nat")},
-        "frames/observed_data": {
-            "radius": _make_variable("observation", batch.mean[batch.mask], "R/Rmax")
-        },
-        "frames/constant_data": {
-            "experiment": _make_variable("observation", labels),
-            "time": _make_variable("observation", batch.times[batch.mask], "t U_c/Rmax"),
-        },
-    }
 
 
 def _list_observed(batch: ExperimentBatch) -> Variables:

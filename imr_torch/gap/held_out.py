@@ -31,7 +31,6 @@ from imr_torch.gap.hypotheses import (
 from imr_torch.goodness.linear import Linearisation, linearise_fit, whiten_rows
 from imr_torch.observe import NUISANCES, ExperimentBatch
 from imr_torch.random import child, generator
-from imr_torch.select import default_folds
 from imr_torch.simulate import Simulator
 from imr_torch.types import FrameValues, Progress
 
@@ -42,6 +41,19 @@ _CANDIDATES = 4  # hypotheses of a step that are fitted again without a design
 _STEPS = 4  # Gauss-Newton steps of the nuisances from the deepest basin that is found
 # .05 nats: below training noise
 _OPTIONS = SearchOptions(starts=2, iterations=20, gradient=0.3, basin_rounds=0)
+
+
+def default_folds(count: int, *, alone: int = 5, parts: int = 4) -> list[list[int]]:
+    """Which of ``count`` experiments are held out together: each alone up to five, else in four
+    parts.
+
+    >>> from imr_torch.gap.held_out import default_folds
+    >>> default_folds(3), default_folds(9)
+    ([[0], [1], [2]], [[0, 4, 8], [1, 5], [2, 6], [3, 7]])
+    """
+    if count <= alone:
+        return [[i] for i in range(count)]
+    return [list(range(start, count, parts)) for start in range(parts)]
 
 
 @dataclass(frozen=True)

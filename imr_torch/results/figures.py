@@ -29,7 +29,6 @@ from imr_torch.results.intervals import (
     plot_ratios,
     plot_shots,
     population_figure,
-    profile_figure,
 )
 from imr_torch.results.plot import (
     draw_information,
@@ -139,17 +138,6 @@ def _characterization_figures(document: Document) -> Iterator[NamedFigure]:
             "Scatter plots of every pair of parameters.",
             partial(draw_parameters, belief[best]),
         )
-    for key, found in (document.get("profiles") or {}).items():
-        if document["models"][key] and found:
-            yield NamedFigure(
-                "profile" if key == best else f"profile_{file_name(key)}",
-                f"Profile likelihood of the parameters of {material(key).title}: nats that the "
-                "best fit loses where one is held and all others are fitted again, beside "
-                "posterior and prior. Below the dashed line: 95 %. A side on which it stays below "
-                "is open: the data do not bound the parameter there.",
-                f"Line charts of the profile likelihood of {', '.join(found)}.",
-                partial(profile_figure, document, key),
-            )
     yield from _population_figures(document)
     if len(belief.keys) > 1:
         yield NamedFigure(

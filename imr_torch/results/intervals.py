@@ -1,21 +1,18 @@
-"""Charts of intervals, drawn from a result document: parameters over shots, of a population, of two
-gels, and profile likelihoods.
+"""Charts of intervals, drawn from a result document: parameters over shots, of a population and of
+two gels.
 """
 
 from collections.abc import Sequence
 
 import matplotlib.pyplot as plt
 import numpy as np
-import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from imr_torch.assimilate.profile import FALL
 from imr_torch.drawing import (
     DATA,
     MODEL,
     PALE,
-    SECOND,
     TRUTH,
     axes_or_new,
     draw_intervals,
@@ -23,9 +20,8 @@ from imr_torch.drawing import (
     set_scale,
 )
 from imr_torch.files import Document
-from imr_torch.float64 import linspace
 from imr_torch.labels import T_STAR, parameter_label, plain, symbol
-from imr_torch.material import PARAMETERS, Belief, ModelBelief
+from imr_torch.material import PARAMETERS
 
 MANY_SHOTS = 40
 """Shots from which on their names do not fit beside a plot in full size."""
@@ -187,75 +183,3 @@ def population_figure(found: Document) -> Figure:
     axes[0, 0].set_yticks(range(len(shots)), labels, fontsize=8 if len(shots) <= MANY_SHOTS else 5)
     axes[0, 0].set_ylim(len(shots) - 0.5, -0.5)
     return figure
-
-
-def profile_figure(document: Document, key: str) -> Figure:
-    """The profile likelihoods of the parameters of one model, a panel a parameter.
-
-    Args:
-        document: of ``characterize``.
-        key: the model.
-    """
-    found = document["profiles"][key]
-    prior, posterior = (Belief.from_dict(document[name])[key] for name in ("prior", "belief"))
-    columns = min(2, len(found))
-    rows = -(-len(found) // columns)
-    size = (0.6 + 2.7 * columns, 0.9 + 2.3 * rows)
-    figure, axes = plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False)
-    for ax in axes.flat[len(found) :]:
-        ax.set_axis_off()
-    for ax, (name, entry) in zip(axes.flat, found.items(), strict=False):
-        _plot_profile(ax, name, entry, prior, posterior)
-    for ax in axes[:, 0]:
-        ax.set_ylabel("nats lost")
-    figure.legend(
-        *axes.flat[0].get_legend_handles_labels(),
-        loc="outside lower center",
-        ncols=2 * columns,
-        frameon=False,
-        fontsize=8,
-    )
-    return figure
-
-
-def _plot_profile(
-    ax: Axes, name: str, entry: Document, prior: ModelBelief, posterior: ModelBelief
-) -> None:
-    """The profile of one parameter, with the line of 95 % and what posterior and prior would lose."""
-    scale = PARAMETERS[name].display_scale
-    values = scale * floats(entry["values"])
-    lost = floats(entry["nats_lost"])
-    z = linspace(-3.0, 3.0, 121)
-    believed, learnt = (
-        scale * part.quantile(torch.special.ndtr(z))[:, part.names.index(name)].numpy()
-        for part in (prior, posterior)
-    )
-    low = min(values.min(), learnt.min())
-    high = max(values.max(), learnt.max())
-    wide = set_scale(ax, "x", low, high)
-    ax.axhline(FALL, color=DATA, ls="--", lw=1.0, label="95 %")
-    for at, color, label in ((believed, PALE, "prior"), (learnt, SECOND, "posterior")):
-        ax.plot(at, 0.5 * z.square(), color=color, lw=1.2, label=label)
-    ax.plot(
-        *_interpolate_profile(values, lost, wide), color=MODEL, lw=1.4, label="profile", zorder=3
-    )
-    for x, y, converged in zip(values, lost, entry["converged"], strict=True):
-        dot = {"ms": 3, "mfc": MODEL} if converged else {"ms": 4.5, "mfc": "white"}
-        ax.plot(x, y, "o", mec=MODEL, zorder=4, **dot)
-    for limit in entry["limits_95"]:
-        if limit is not None:
-            ax.vlines(scale * limit, 0.0, FALL, color=MODEL, lw=0.9, ls=":")
-    ax.set(xlim=(low, high), ylim=(0.0, 4.2), xlabel=parameter_label(PARAMETERS[name]))
-    ax.set_title("bounded " + entry["bounded"], fontsize=9)
-
-
-def _interpolate_profile(
-    values: np.ndarray, lost: np.ndarray, wide: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """Points of a smooth line: the root of the nats lost, signed by the side, is nearly straight
-    between fits.
-    """
-    at = np.log(values) if wide else values
-    roots = np.sqrt(lost) * np.where(np.arange(len(lost)) < lost.argmin(), -1.0, 1.0)
-    dense = np.linspace(at[0], at[-1], 201)
-    return (np.exp(dense) if wide else dense), np.interp(dense, at, roots) ** 2

@@ -3,21 +3,19 @@
 The marginal likelihood of a parameter is its posterior over its prior. Between Gaussians of the
 coordinate in which the prior is a standard normal it is a Gaussian too, so how far it falls towards
 either end of the prior follows from two moments (Raue et al., Bioinformatics 25, 2009, call a
-profile that does not fall a practical non-identifiability). Where the profile likelihood itself was
-made, what is said follows from that.
+profile that does not fall a practical non-identifiability).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
 import torch
 
-from imr_torch.assimilate import Profile
-from imr_torch.assimilate.profile import FALL
 from imr_torch.material import PARAMETERS, ModelBelief, Parameter
 
-_FLAT = "not determined: the profile likelihood is flat, and the interval is that of the prior"
+FALL = 1.920729
+"""Nats that the likelihood falls at the end of a 95 % interval: half the 95 % quantile of chi-square
+with one degree of freedom."""
 
 
 class Bound(Enum):
@@ -42,8 +40,6 @@ class Identifiability:
         parameter: which.
         bound: on which sides.
         limit: the one-sided 95 % limit, SI; None where both sides are bounded, or neither.
-        profiled: whether this follows from the profile likelihood; the limit is then where that has
-            fallen by 1.92 nats.
 
     >>> from imr_torch import wide_prior
     >>> from imr_torch.select import identifiability
@@ -55,38 +51,28 @@ class Identifiability:
     parameter: Parameter
     bound: Bound
     limit: float | None
-    profiled: bool = False
 
     @property
     def words(self) -> str:
         """A phrase such as ``"only bounded from above: below 0.07 (95 %)"``."""
         if self.limit is None:
-            return _FLAT if self.profiled and self.bound is Bound.NEITHER else self.bound.value
+            return self.bound.value
         unit = self.parameter.display_unit or (
             "" if self.parameter.unit == "1" else self.parameter.unit
         )
         value = f"{self.parameter.display_scale * self.limit:.3g} {unit}".rstrip()
-        level = "95 %, profile likelihood" if self.profiled else "95 %"
-        return (
-            f"{self.bound.value}: {'below' if self.bound is Bound.ABOVE else 'above'} {value} "
-            f"({level})"
-        )
+        side = "below" if self.bound is Bound.ABOVE else "above"
+        return f"{self.bound.value}: {side} {value} (95 %)"
 
 
 def identifiability(
-    prior: ModelBelief,
-    posterior: ModelBelief,
-    profiles: Sequence[Profile] = (),
-    *,
-    end: float = 2.5,
+    prior: ModelBelief, posterior: ModelBelief, *, end: float = 2.5
 ) -> tuple[Identifiability, ...]:
     """What data say of each free parameter of a model.
 
     Args:
         prior: the model's belief before them.
         posterior: its belief after them.
-        profiles: profile likelihoods of its parameters, which count before what follows from prior
-            and posterior.
         end: prior standard deviations from the prior median to the ends of what was thought
             possible.
 
@@ -119,14 +105,8 @@ def identifiability(
         (False, False): Bound.NEITHER,
     }
     found = []
-    profiled = {own.name: own.limits for own in profiles}
     for i, name in enumerate(prior.names):
-        if name in profiled:
-            ends = profiled[name]
-            bound = kinds[ends[0] is not None, ends[1] is not None]
-        else:
-            ends = quantiles[i]
-            bound = kinds[bool(low[i]), bool(high[i])]
-        limit = {Bound.BELOW: ends[0], Bound.ABOVE: ends[1]}.get(bound)
-        found.append(Identifiability(PARAMETERS[name], bound, limit, name in profiled))
+        bound = kinds[bool(low[i]), bool(high[i])]
+        limit = {Bound.BELOW: quantiles[i][0], Bound.ABOVE: quantiles[i][1]}.get(bound)
+        found.append(Identifiability(PARAMETERS[name], bound, limit))
     return tuple(found)

@@ -134,8 +134,6 @@ def test_that_a_run_that_ended_with_the_application_is_known_as_interrupted(tmp_
                 "collapses": 1,
                 "rest_radius": "0.2:0.05",
                 "population": True,
-                "profile": True,
-                "scores": True,
             },
         ),
         (

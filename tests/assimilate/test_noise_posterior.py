@@ -21,7 +21,6 @@ from imr_torch.assimilate import (
 from imr_torch.assimilate.noise_law import LocalNoise
 from imr_torch.errors import InputDataError
 from imr_torch.observe import CollapseTime, Experiment, ExperimentBatch, Noise, NoiseLaws, Nuisance
-from imr_torch.select import cross_validate
 from tests.curved import mean_error, sd_error
 from tests.drifting import Slow, drifting
 from tests.linear import CORRELATED, NOISE, LinearSimulator, exact, experiments, prior, tensor
@@ -159,18 +158,6 @@ def test_that_intervals_over_the_noise_cover_where_plugged_in_ones_are_narrower(
     assert 0.82 <= share["integrated"] <= 0.98  # 120 intervals: .9 +- .027 by chance
     assert share["plugged"] <= share["integrated"]
     assert float(torch.stack(wider).median()) > 1.01
-
-
-def test_that_held_out_curves_are_scored_over_the_noise() -> None:
-    batch = experiments(3, noise=CORRELATED)
-    nodes = nodes_of(batch)
-    weighted = weigh(fitted(batch), SIMULATOR, seed=0, samples=1024, noise=nodes)
-    score = cross_validate(weighted, SIMULATOR, seed=0, folds=[[1]], options=OPTIONS)[0]
-    rest = ExperimentBatch((batch.experiments[0], batch.experiments[2]), batch.noise)
-    expected = float(
-        by_brute_force(batch, nodes)["evidence"] - by_brute_force(rest, nodes)["evidence"]
-    )
-    assert score.value == pytest.approx(expected, abs=4.0 * score.error + 0.05)
 
 
 def test_that_intervals_beside_residuals_that_drift_hold_and_those_of_independent_frames_do_not() -> (

@@ -2,6 +2,7 @@
 the curve that judges, and that the interval covers.
 """
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -9,7 +10,7 @@ import torch
 
 from imr_torch import example_gel, load_traces
 from imr_torch.gap import diagnose, library
-from imr_torch.gap.held_out import HeldOut, Judged, held_out, judge_designs
+from imr_torch.gap.held_out import HeldOut, Judged, default_folds, held_out, judge_designs
 from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.gap.shrinkage import Shrinkage, _compared, _interval, shrinkage
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, prepare
@@ -50,6 +51,13 @@ def test_that_what_was_selected_in_its_place_is_not_called_closed(withheld) -> N
     assert withheld.verdict == "other"
     assert found.share[0] < 0.85
     assert found.word(withheld.adequacy_p) != "closed"
+
+
+def test_that_each_experiment_is_held_out_once_and_at_most_a_quarter_of_many_at_a_time() -> None:
+    for count in (2, 5, 6, 10):
+        groups = default_folds(count)
+        assert sorted(i for group in groups for i in group) == list(range(count))
+        assert max(len(group) for group in groups) <= max(1, math.ceil(count / 4))
 
 
 def test_that_curves_held_out_before_the_fits_judge_what_was_selected_with_all(right) -> None:

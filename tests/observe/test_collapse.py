@@ -298,10 +298,8 @@ def test_that_curves_and_times_of_one_gel_tell_more_than_either() -> None:
     assert set(both.assimilation.rmse_by_experiment("nhkv")) == {"curve"}
 
 
-def test_that_what_holds_curves_out_is_refused_beside_times() -> None:
+def test_that_a_population_is_refused_beside_times() -> None:
     data = shots(3)
-    with pytest.raises(InputDataError, match=r"Scores hold curves out, and 3 shot\(s\)"):
-        fitted(data, scores=True)
     with pytest.raises(
         InputDataError, match=r"A population is inferred from curves, and 3 shot\(s\)"
     ):

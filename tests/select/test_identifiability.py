@@ -5,7 +5,6 @@ import torch
 from torch import Tensor
 
 from imr_torch import wide_prior
-from imr_torch.assimilate import Profile
 from imr_torch.material import ModelBelief
 from imr_torch.select import Bound, identifiability
 
@@ -51,36 +50,6 @@ def test_that_the_limit_is_the_quantile_of_the_posterior_in_si() -> None:
     (found, _) = identifiability(PRIOR, posterior)
     assert found.limit == pytest.approx(float(posterior.quantile([0.95])[0, 0]))
     assert found.words == f"only bounded from above: below {1e-3 * found.limit:.3g} kPa (95 %)"
-
-
-@pytest.mark.parametrize(
-    ("limits", "bound", "words"),
-    [
-        ((5e3, 9e3), Bound.BOTH, "bounded by the data on both sides"),
-        (
-            (None, 9e3),
-            Bound.ABOVE,
-            "only bounded from above: below 9 kPa (95 %, profile likelihood)",
-        ),
-        (
-            (5e3, None),
-            Bound.BELOW,
-            "only bounded from below: above 5 kPa (95 %, profile likelihood)",
-        ),
-        (
-            (None, None),
-            Bound.NEITHER,
-            "not determined: the profile likelihood is flat, and the interval is that of the prior",
-        ),
-    ],
-)
-def test_that_a_profile_counts_before_the_posterior(
-    limits: tuple, bound: Bound, words: str
-) -> None:
-    made = Profile("G", (1e3, 7e3, 2e4), (1.0, 0.0, 1.0), (True,) * 3, limits)
-    of_profile, of_posterior = identifiability(PRIOR, after(0.0, 0.1), (made,))
-    assert (of_profile.bound, of_profile.words) == (bound, words)
-    assert (of_posterior.bound, of_posterior.profiled) == (Bound.NEITHER, False)
 
 
 def test_that_correlated_priors_and_coordinates_do_not_matter() -> None:

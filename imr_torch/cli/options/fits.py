@@ -91,18 +91,6 @@ def list_characterize_options() -> Options:
             high=0.99,
         ),
         flag_option(
-            "--scores",
-            "also hold curves out and score how well each model predicts them from the others",
-        ),
-        flag_option(
-            "--profile",
-            "also make the profile likelihood of every parameter of the models with .05 of the "
-            "probability or more: is it "
-            "bounded by the data on both sides, on one, or flat? It takes a tenth to a fifth of the "
-            "fit's time for each parameter "
-            "(four curves: 7 to 13 s on one core)",
-        ),
-        flag_option(
             "--over-time",
             "also fit one stretch of the event after another by itself: G(t), mu(t) with intervals, "
             "whose drift shows where one gel does not explain all",
