@@ -146,6 +146,7 @@ def test_characterize_finds_the_gel_that_ships_with_the_project(tmp_path, capsys
         "curve_shot_1",
         "curve_shot_3",
         "residuals",
+        "parts",
         "parameters",
         "parameter_G",
         "parameter_mu",

@@ -192,7 +192,15 @@ def test_that_every_figure_is_drawn_from_the_file_alone_and_none_overwrites_anot
     )
     names = {path.stem for path in (tmp_path / "again").glob("*.png")}
     curves = {f"curve_{file_name(label)}" for label in documents.LABELS}
-    assert names == {*curves, "record", "residuals", "parameters", "parameter_G", "parameter_mu"}
+    assert names == {
+        *curves,
+        "record",
+        "residuals",
+        "parts",
+        "parameters",
+        "parameter_G",
+        "parameter_mu",
+    }
     assert len(curves) == 5
     assert {path.stem for path in (tmp_path / "again").glob("*.svg")} == names
     drawn = (tmp_path / "again" / f"curve_{file_name('$x_{bad$')}.svg").read_text()
