@@ -29,7 +29,6 @@ from imr_torch.errors import InputDataError
 from imr_torch.float64 import rand, tensor
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch
-from imr_torch.population import GaussianShots
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator, check_designs, coarser
 from imr_torch.types import Progress
@@ -50,7 +49,6 @@ class Situation:
             will be shot with this one.
         prior: belief before the first experiment; None where it is not kept.
         batch: all experiments so far, cut to the window that is assimilated; None before the first.
-        shots: likelihood of each shot's gel, where the learner infers a population.
 
     >>> from imr_torch import PolytropicSimulator, reference_case
     >>> from imr_torch.campaign import Situation
@@ -70,7 +68,6 @@ class Situation:
     pending: Float[Tensor, "pending 2"] | None = None
     prior: Belief | None = None
     batch: ExperimentBatch | None = None
-    shots: GaussianShots | None = None
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,6 @@ from imr_torch.design.measure import (
 from imr_torch.design.nested import NestedMonteCarlo, PriorContrastive, PublishedEstimator
 from imr_torch.design.optimizer import DesignOptimizer, Recommendation, Strategy
 from imr_torch.design.plan import PAPER_PLAN, Plan
-from imr_torch.design.population import PopulationInformation
 from imr_torch.design.response import Shot, radii
 from imr_torch.design.search import DesignSearch, SearchSettings, search_design
 from imr_torch.design.space import DESIGN_NAMES, DesignSpace
@@ -40,7 +39,6 @@ __all__ = [
     "MeasureOptions",
     "NestedMonteCarlo",
     "Plan",
-    "PopulationInformation",
     "PriorContrastive",
     "PublishedEstimator",
     "Recommendation",

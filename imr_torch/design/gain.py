@@ -2,9 +2,7 @@
 strata (one per model) are combined.
 
 An estimator is a callable object, so that one of your own needs no change of the package. Four
-estimators of the information about one gel come with it (and one about a population of gels:
-:class:`~imr_torch.design.population.PopulationInformation`). They agree for many samples; what
-differs is how many that takes.
+estimators come with it. They agree for many samples; what differs is how many that takes.
 
 | estimator | evidence of each datum | expected value |
 |---|---|---|

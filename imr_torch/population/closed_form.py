@@ -10,14 +10,13 @@ over on a grid, whose cells :mod:`imr_torch.population.sampling` proposes scatte
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.distributions import HalfNormal
 
-from imr_torch.float64 import linspace, tensor, zeros
+from imr_torch.float64 import linspace, zeros
 from imr_torch.material import ModelBelief
 from imr_torch.types import ControlMatrix, Controls, DrawnControls, DrawnValues
 
@@ -46,24 +45,6 @@ class GaussianShots:
     precision: Float[Tensor, "experiments controls controls"]
     linear: Float[Tensor, "experiments controls"]
     constant: Float[Tensor, "experiments"]
-
-    @classmethod
-    def none(cls, size: int) -> "GaussianShots":
-        """No shot yet, of gels with ``size`` controls."""
-        return cls(
-            zeros(0, size, size),
-            zeros(0, size),
-            zeros(0),
-        )
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-ready, without loss."""
-        return {name: values.tolist() for name, values in vars(self).items()}
-
-    @classmethod
-    def from_dict(cls, values: dict[str, Any]) -> "GaussianShots":
-        """Inverse of :meth:`to_dict`."""
-        return cls(**{k: tensor(v) for k, v in values.items()})
 
     def given(
         self,
