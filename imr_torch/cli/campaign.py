@@ -113,10 +113,7 @@ def _open_campaign(
         raise InputDataError(
             f"{folder} holds no journal to resume; leave {option} away to start one."
         )
-    stated = {
-        "hidden": read_hidden(args),
-        "medium": args.medium and args.gel_medium.to_dict(),
-    }
+    stated = {"hidden": read_hidden(args), "medium": args.medium and args.gel_medium.to_dict()}
     note = {"case": args.case} | {name: value for name, value in stated.items() if value}
     return Campaign(folder, prior, simulator, settings=settings, seed=args.seed, note=note)
 
@@ -129,15 +126,15 @@ def _run_simulated(
     No proposals, and why it ended early.
     """
     progress = args.terminal.plan_stages()
+    plan = campaign.settings.plan
     gels = PARAMETERS.pack({**case.truth, **read_hidden(args)})
+    laboratory = SimulatedLaboratory(
+        campaign.simulator, gels, noise=plan.noise, repeats=plan.repeats
+    )
 
     def shoot_gel(design: torch.Tensor, number: int) -> Experiment:
         surroundings = campaign.simulator.conditions.surroundings
         progress(f"experiment {number}: {campaign.settings.space.describe(design, surroundings)}")
-        plan = campaign.settings.plan
-        laboratory = SimulatedLaboratory(
-            campaign.simulator, gels, noise=plan.noise, repeats=plan.repeats
-        )
         return laboratory.shoot(design, seed=child(args.seed, "shoot", number))
 
     if args.forget is not None:
@@ -212,9 +209,9 @@ def _report_campaign(
     errors = {}
     if case:
         part = campaign.belief[case.truth_model]
-        truth = {name: case.truth[name] for name in part.names}
         means = dict(zip(part.names, part.means.tolist(), strict=True))
-        errors = {name: abs(means[name] / true - 1.0) for name, true in truth.items()}
+        truth = {name: case.truth[name] for name in means}
+        errors = {name: abs(mean / truth[name] - 1.0) for name, mean in means.items()}
     document = campaign_document(campaign, proposals=proposals, stopped=stopped, truth=truth)
     report_result(args, document | {"relative_error": errors, "cpu_seconds": seconds})
     print(f"figures and journal in {campaign.journal.folder}")

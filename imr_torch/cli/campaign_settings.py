@@ -4,8 +4,6 @@ from argparse import Namespace
 from collections.abc import Callable
 from dataclasses import replace
 
-import torch
-
 from imr_torch.assimilate import NOISE_ROUNDS
 from imr_torch.campaign import (
     PAPER_OPTIMAL,
@@ -13,7 +11,9 @@ from imr_torch.campaign import (
     DesignPolicy,
     ExactLearner,
     Fixed,
+    Learner,
     Optimal,
+    PaperLearner,
     Random,
     SpaceFilling,
     stopping_rule,
@@ -21,6 +21,7 @@ from imr_torch.campaign import (
 from imr_torch.cli.common import METHODS, parse_pair, parse_values, refuse_options
 from imr_torch.cli.design import plan_of, space_of
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import tensor
 from imr_torch.gap import CauseLearner, TellCausesApart
 from imr_torch.material import Belief, ReferenceCase, library
 from imr_torch.material.belief import even_belief
@@ -34,28 +35,28 @@ _BASELINES: dict[str, Callable[[], DesignPolicy]] = {
 
 def settings_of(args: Namespace) -> CampaignSettings:
     """What the options say of choosing, learning and ending."""
-    base = CampaignSettings.paper() if args.method == "paper" else CampaignSettings()
-    rounds = 0 if args.case else NOISE_ROUNDS  # nobody knows the noise of a camera before
+    learner: Learner = PaperLearner()
     if args.method != "paper":
+        rounds = 0 if args.case else NOISE_ROUNDS  # nobody knows the noise of a camera before
         options = METHODS["map" if args.method == "exact" else args.method]
-        base = replace(base, learner=ExactLearner(options=options, noise_rounds=rounds))
+        learner = ExactLearner(options=options, noise_rounds=rounds)
     policy = _make_optimal(args) if args.policy == "optimal" else _read_baseline(args.policy)
     space = space_of(args)
     plan = plan_of(args)
+    rules = args.stop
     if args.goal == "cause":
         learner = CauseLearner(tuple(args.effects or ()), estimate_noise=not args.case)
-        base = replace(base, learner=learner)
+        rules = rules or [_CAUSE_SURE]
         policy = TellCausesApart(learner) if args.policy == "optimal" else policy
         plan = replace(plan, collapses=None) if args.case else plan
     if isinstance(policy, Fixed):
-        space.check_inside(torch.tensor(policy.designs, dtype=torch.float64))
+        space.check_inside(tensor(policy.designs))
         if args.case and not args.stop and args.designs > len(policy.designs):
             raise InputDataError(
                 f"--policy lists {len(policy.designs)} designs and --designs is {args.designs}; "
                 "list as many."
             )
-    rules = args.stop or ([_CAUSE_SURE] if args.goal == "cause" else [])
-    return replace(base, space=space, plan=plan, policy=policy, stop=stopping_rule(*rules))
+    return CampaignSettings(space, plan, policy, learner, stopping_rule(*rules))
 
 
 def check_goal(args: Namespace) -> None:

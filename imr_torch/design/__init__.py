@@ -11,12 +11,7 @@ from imr_torch.design.gain import (
     separate_errors,
 )
 from imr_torch.design.laplace import Laplace
-from imr_torch.design.measure import (
-    DesignMeasure,
-    MeasureOptions,
-    apportion_shots,
-    optimal_measure,
-)
+from imr_torch.design.measure import DesignMeasure, MeasureOptions, apportion_shots, optimal_measure
 from imr_torch.design.nested import NestedMonteCarlo, PriorContrastive, PublishedEstimator
 from imr_torch.design.optimizer import DesignOptimizer, Recommendation, Strategy
 from imr_torch.design.plan import PAPER_PLAN, Plan

@@ -25,6 +25,7 @@ from torch import Tensor
 
 from imr_torch.design.space import DesignSpace
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import zeros
 from imr_torch.random import child
 
 Strategy = Literal["qLogNEI", "paper"]
@@ -91,9 +92,9 @@ class DesignOptimizer:
         self.seed = seed
         self.strategy = strategy
         self.initial = initial
-        self.train_X = torch.empty(0, 2, dtype=torch.float64)
-        self.train_Y = torch.empty(0, 1, dtype=torch.float64)
-        self.train_Yvar = torch.empty(0, 1, dtype=torch.float64)
+        self.train_X = zeros(0, 2)
+        self.train_Y = zeros(0, 1)
+        self.train_Yvar = zeros(0, 1)
 
     def ask(
         self, q: int = 1, *, pending: Real[Tensor, "pending 2"] | None = None

@@ -19,6 +19,7 @@ from imr_torch.design.gain import ErrorParts, InformationGain, separate_errors
 from imr_torch.design.optimizer import DesignOptimizer, Recommendation, Strategy
 from imr_torch.design.space import DesignSpace
 from imr_torch.errors import ConvergenceError, InputDataError
+from imr_torch.float64 import tensor, zeros
 from imr_torch.random import child
 from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress, ProgressLine
@@ -184,9 +185,7 @@ class SearchSettings:
             return optimizer, 0.0
         kept = [gains[i] for i in counted]
         base = pending.value if pending else 0.0
-        values, variances = torch.tensor(
-            [(gain.value - base, gain.variance) for gain in kept], dtype=torch.float64
-        ).mT
+        values, variances = tensor([(gain.value - base, gain.variance) for gain in kept]).mT
         errors = separate_errors(kept) if self.common else ErrorParts(variances, 0.0)
         # draws may agree exactly, and a known noise of 0 is none
         own = errors.own.clamp_min(1e-8)
@@ -229,7 +228,7 @@ def _search_one(
         progress: called with one line per evaluation.
     """
     space = acquisition.space
-    designs = torch.empty(0, 2, dtype=torch.float64)
+    designs = zeros(0, 2)
     pending = None
     if acquisition.X_pending is not None:
         pending = acquisition.estimate(designs, seed=child(seed, "eig", 0))

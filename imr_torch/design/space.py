@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 
-import torch
 from jaxtyping import Float, Real
 from torch import Tensor
 
 from imr_torch.errors import InputDataError, ShapeError
+from imr_torch.float64 import tensor
 from imr_torch.units import Surroundings
 
 DESIGN_NAMES = ("We", "R_inf*")
@@ -42,7 +42,7 @@ class DesignSpace:
     @property
     def bounds(self) -> Float[Tensor, "2 2"]:
         """``2 x 2`` tensor, lower row and upper row, in BoTorch's layout."""
-        return torch.tensor([self.weber, self.rest_radius], dtype=torch.float64).T.contiguous()
+        return tensor([self.weber, self.rest_radius]).T.contiguous()
 
     def check_inside(self, X: Real[Tensor, "*batch 2"]) -> None:
         """Raise unless every design of ``X`` (``... x 2``) lies in the box.

@@ -32,15 +32,7 @@ from imr_torch.drawing import (
 )
 from imr_torch.files import Document
 from imr_torch.float64 import arange, linspace, tensor
-from imr_torch.labels import (
-    R_STAR,
-    REST_RADIUS,
-    T_STAR,
-    WEBER,
-    parameter_label,
-    plain,
-    symbol,
-)
+from imr_torch.labels import R_STAR, REST_RADIUS, T_STAR, WEBER, parameter_label, plain, symbol
 from imr_torch.material import PARAMETERS, Belief, ModelBelief
 from imr_torch.simulate import Solution
 from imr_torch.units import Surroundings
@@ -278,10 +270,9 @@ def design_document(design: Float[Tensor, "2"], surroundings: Surroundings) -> d
 def _information_map(search: DesignSearch) -> Document:
     bounds = search.optimizer.space.bounds.mT.tolist()
     weber, rest = (linspace(low, high, 60) for low, high in bounds)
-    grid = torch.stack(torch.meshgrid(weber, rest, indexing="xy"), dim=-1)
     model = search.optimizer.model()
     with torch.no_grad():
-        mean = model.posterior(grid.reshape(-1, 2)).mean.reshape(grid.shape[:2])
+        mean = model.posterior(torch.cartesian_prod(weber, rest)).mean.reshape(60, 60).mT
     return {"We": weber.tolist(), "R_inf*": rest.tolist(), "nats": mean.tolist()}
 
 

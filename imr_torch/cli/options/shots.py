@@ -2,11 +2,7 @@
 function each, whose docstring is the help.
 """
 
-from imr_torch.cli.options.names import (
-    MODELS,
-    STRATEGIES,
-    TARGETS,
-)
+from imr_torch.cli.options.names import MODELS, STRATEGIES, TARGETS
 from imr_torch.cli.options.shared import (
     BUBBLE,
     DRIVING,
