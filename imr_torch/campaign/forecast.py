@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from torch import Tensor
 
 from imr_torch.assimilate.gauss_newton import inverse_chol
@@ -35,7 +35,7 @@ from imr_torch.material.belief import even_belief
 from imr_torch.random import generator
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import DrawnValues
+from imr_torch.types import Designs, DrawnValues
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class ShotForecast:
 @one_torch_thread()
 def forecast_shots(
     belief: Belief,
-    designs: Float[Tensor, "shots 2"],
+    designs: Designs,
     simulator: Simulator,
     plan: Plan,
     rule: StoppingRule,

@@ -10,8 +10,6 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from botorch.utils.sampling import draw_sobol_samples
-from jaxtyping import Float
-from torch import Tensor
 
 from imr_torch.design import (
     PAPER_PLAN,
@@ -31,7 +29,7 @@ from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator, check_designs, coarser
-from imr_torch.types import Progress
+from imr_torch.types import Design, Designs, Progress
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,7 @@ class Situation:
     space: DesignSpace
     plan: Plan
     seed: int
-    pending: Float[Tensor, "pending 2"] | None = None
+    pending: Designs | None = None
     prior: Belief | None = None
     batch: ExperimentBatch | None = None
 
@@ -90,7 +88,7 @@ class Proposal:
     """
 
     step: int
-    design: Float[Tensor, "2"]
+    design: Design
     gain: float | None = None
     gain_sd: float | None = None
     search: DesignSearch | None = None

@@ -133,19 +133,16 @@ def mean_deviations(values: Float[Tensor, "draws *columns"]) -> Float[Tensor, "d
     return (values - values.mean(0)) / math.sqrt(count * (count - 1))
 
 
-def summarise_terms(
-    terms: Sequence[Terms], *, shared: Float[Tensor, "samples 2"] | None = None
-) -> InformationGain:
+def summarise_terms(terms: Sequence[Terms]) -> InformationGain:
     """The gain of independent strata, one per model.
 
     Args:
         terms: one per model.
-        shared: influence of samples that all data share.
     """
     means = tensor([t.mean_gain() for t in terms])
     weights = tensor([t.weight for t in terms])
     parameters, model = (weights @ means).tolist()
-    parts = [t.draw_influence() for t in terms] + ([] if shared is None else [shared])
+    parts = [t.draw_influence() for t in terms]
     counted = sum(len(t.parameters) for t in terms)
     drawn = sum(len(t.order) for t in terms)
     return with_influence(InformationGain(parameters, model, 0.0, counted, drawn), torch.cat(parts))

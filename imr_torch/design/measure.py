@@ -40,7 +40,7 @@ from imr_torch.material import Belief, ModelBelief
 from imr_torch.random import generator
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import DrawnControls
+from imr_torch.types import Designs, DrawnControls
 
 Candidates = Float[Tensor, "candidates 2"]
 Shares = Float[Tensor, "candidates"]
@@ -272,7 +272,7 @@ class DesignMeasure:
         order = self.shares.argsort(descending=True)
         return order[self.shares[order] > self.options.least]
 
-    def allocate_shots(self) -> Float[Tensor, "shots 2"]:
+    def allocate_shots(self) -> Designs:
         """Whole shots that the budget pays for, by :func:`apportion_shots` to as many designs of the
         support as is best.
         """
@@ -284,7 +284,7 @@ class DesignMeasure:
         rounded = (designs[apportion_shots(numbers[:count], total)] for count in kept)
         return max(rounded, key=self.efficiency)
 
-    def choose_sequence(self, count: int) -> Float[Tensor, "shots 2"]:
+    def choose_sequence(self, count: int) -> Designs:
         """Designs one after the other, each the best beside those before it."""
         further = eye(len(self.designs))
         rows = []
@@ -293,7 +293,7 @@ class DesignMeasure:
             further[:, rows[-1]] += 1.0
         return self.designs[rows]
 
-    def efficiency(self, designs: Float[Tensor, "designs 2"]) -> float:
+    def efficiency(self, designs: Designs) -> float:
         """Information of designs (``q x 2``), repeated until the budget is spent, over that of the
         measure.
         """

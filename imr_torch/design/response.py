@@ -20,7 +20,7 @@ from imr_torch.design.plan import Plan
 from imr_torch.material import Belief, ModelBelief
 from imr_torch.observe import Film
 from imr_torch.simulate import Simulator
-from imr_torch.types import BatchControls, DrawnControls
+from imr_torch.types import BatchControls, Designs, DrawnControls
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Shot:
     """
 
     belief: Belief
-    designs: Float[Tensor, "designs 2"]
+    designs: Designs
     simulator: Simulator
     plan: Plan
     negligible: float = 1e-4

@@ -11,8 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from imr_torch.design.acquisition import ExpectedInformationGain
 from imr_torch.design.gain import ErrorParts, InformationGain, separate_errors
@@ -22,7 +20,7 @@ from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.float64 import tensor, zeros
 from imr_torch.random import child
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Progress, ProgressLine
+from imr_torch.types import Designs, Progress, ProgressLine
 
 
 @dataclass(frozen=True)
@@ -49,7 +47,7 @@ class DesignSearch:
     """
 
     recommendation: Recommendation
-    designs: Float[Tensor, "evaluated 2"]
+    designs: Designs
     gains: tuple[InformationGain, ...]
     optimizer: DesignOptimizer
     settings: "SearchSettings"
@@ -57,7 +55,7 @@ class DesignSearch:
     earlier: tuple["DesignSearch", ...] = ()
 
     @property
-    def chosen(self) -> Float[Tensor, "designs 2"]:
+    def chosen(self) -> Designs:
         """All designs to shoot, in the order found."""
         return torch.stack([step.recommendation.design for step in (*self.earlier, self)])
 
@@ -168,7 +166,7 @@ class SearchSettings:
     def make_optimizer(
         self,
         space: DesignSpace,
-        designs: Float[Tensor, "evaluated 2"],
+        designs: Designs,
         gains: Sequence[InformationGain],
         pending: InformationGain | None,
     ) -> tuple[DesignOptimizer, float]:
@@ -195,7 +193,7 @@ class SearchSettings:
     def finish_search(
         self,
         space: DesignSpace,
-        designs: Float[Tensor, "evaluated 2"],
+        designs: Designs,
         gains: Sequence[InformationGain],
         pending: InformationGain | None,
     ) -> DesignSearch:

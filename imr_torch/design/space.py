@@ -7,6 +7,7 @@ from torch import Tensor
 
 from imr_torch.errors import InputDataError, ShapeError
 from imr_torch.float64 import tensor
+from imr_torch.types import Design
 from imr_torch.units import Surroundings
 
 DESIGN_NAMES = ("We", "R_inf*")
@@ -62,7 +63,7 @@ class DesignSpace:
                 f"R_inf* {list(self.rest_radius)}; shoot inside, or widen the DesignSpace."
             )
 
-    def describe(self, design: Real[Tensor, "2"], surroundings: Surroundings) -> str:
+    def describe(self, design: Design, surroundings: Surroundings) -> str:
         """A design in laboratory units."""
         radius = float(surroundings.max_radius(design[0]))
         return (

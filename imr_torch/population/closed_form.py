@@ -123,14 +123,12 @@ class Cells:
     Args:
         low: lower corners, of the controls.
         width: ``n x k`` tensor.
-        middle: centres; 0 where a scatter does not vary.
         log_prior: log probability of each under half-normal priors.
         evidence: log density of all data in the middle of each, nats.
     """
 
     low: Float[Tensor, "cells varying"]
     width: Float[Tensor, "cells varying"]
-    middle: Float[Tensor, "cells controls"]
     log_prior: Float[Tensor, "cells"]
     evidence: Float[Tensor, "cells"]
 
@@ -189,7 +187,7 @@ def grid_scatters(
     middle[:, varying] = low + 0.5 * width
     log_prior = HalfNormal(scale[varying]).log_prob(middle[:, varying]).sum(1) + width.log().sum(1)
     parts = [shots.given(x, prior.mean, prior.precision).evidence for x in middle.split(chunk)]
-    return Cells(low, width, middle, log_prior, torch.cat(parts))
+    return Cells(low, width, log_prior, torch.cat(parts))
 
 
 def without_prior(

@@ -118,8 +118,8 @@ def _document_curves(campaign: Campaign) -> list[Document]:
         return []
     outer = campaign.simulator.conditions.surroundings
     shot = last.assimilation.batch.experiments
-    ends = [(float(x.times[0]), float(x.times[-1])) for x in shot]
-    drawn = torch.stack([linspace(*end, 400) for end in ends])  # frames do not show a collapse
+    # frames do not show a collapse
+    drawn = torch.stack([linspace(float(x.times[0]), float(x.times[-1]), 400) for x in shot])
     band = predictive_band(last.assimilation, last.belief, campaign.simulator, best, times=drawn)
     found = []
     for e, (number, experiment) in enumerate(zip(campaign.numbers, shot, strict=True)):

@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 import matplotlib.pyplot as plt
 import numpy as np
 import torch
-from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.stats import gaussian_kde
@@ -35,6 +34,7 @@ from imr_torch.float64 import arange, linspace, tensor
 from imr_torch.labels import R_STAR, REST_RADIUS, T_STAR, WEBER, parameter_label, plain, symbol
 from imr_torch.material import PARAMETERS, Belief, ModelBelief
 from imr_torch.simulate import Solution
+from imr_torch.types import Design, Designs
 from imr_torch.units import Surroundings
 
 _LEVELS = linspace(0.002, 0.998, 400)  # of a density
@@ -209,7 +209,7 @@ def search_document(search: DesignSearch, surroundings: Surroundings) -> Documen
 
 
 def measure_document(
-    measure: DesignMeasure, chosen: Float[Tensor, "designs 2"], surroundings: Surroundings
+    measure: DesignMeasure, chosen: Designs, surroundings: Surroundings
 ) -> Document:
     """An optimal measure, JSON-ready: its support with shares, whole shots, bound, efficiencies, and
     the sensitivity at the designs that it was optimised over.
@@ -260,7 +260,7 @@ def draw_sensitivity(found: Document, *, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def design_document(design: Float[Tensor, "2"], surroundings: Surroundings) -> dict[str, float]:
+def design_document(design: Design, surroundings: Surroundings) -> dict[str, float]:
     """A design (We, R_inf*), JSON-ready: dimensionless, and as sizes in m."""
     weber, rest = design.tolist()
     size = float(surroundings.max_radius(weber))
