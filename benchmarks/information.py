@@ -232,7 +232,7 @@ def bound_model_gain(design: tuple[float, float]) -> Line:
             )
             for s in range(seeds)
         ]
-        error = sum(g.model_variance for g in gains) ** 0.5 / seeds
+        error = sum(g.of_target("model").variance for g in gains) ** 0.5 / seeds
         line[name] = (statistics.fmean(g.model for g in gains), error)
     return line
 

@@ -44,7 +44,6 @@ OPTIONS = shlex.split(
 )
 GOALS = {
     "cause": shlex.split("--goal cause --effects sound_speed,surface_tension"),
-    "population": ["--goal", "population"],
 }
 QUICK = SearchOptions(raw_samples=12, starts=2)
 EXAMPLE = example_gel()
@@ -240,7 +239,6 @@ def compare(folder: Path, whole: Path) -> str | None:
     """How a resumed folder differs from the uninterrupted one; None if it does not."""
     for name in (
         "journal.jsonl",
-        "journal.head",
         *(path.name for path in whole.glob("experiment_*.npz")),
     ):
         if (folder / name).read_bytes() != (whole / name).read_bytes():

@@ -1,22 +1,17 @@
-"""Is the population's inference right on average, and do chosen designs help a campaign about one?
+"""Is the population's inference right on average?
 
   python -m benchmarks.population run OUT.jsonl [--populations 300] [--noise estimated] [--seed 5]
-  python -m benchmarks.population campaigns OUT.jsonl [--populations 24] [--scatter .2 .1]
 
 `run` simulates, with the polytropic simulator, populations of 4 to 10 shots of one curve each, at
 Weber numbers of 250 to 600, R_inf* of .18 to .28 and with uncertain Rmax, time zero and R_inf, and
 infers them with the noise that made them, or with one that is estimated from the residuals, as of
 measured curves. A third have their scatters drawn from the prior of the inference (coverage is then
 right if the inference is exact), a third have none (false alarms), and the others a scatter of .1,
-.2 or .4 in ln G and none in mu (power). `campaigns` runs simulated campaigns of four shots about
-populations of given scatters, each once with chosen and once with random designs, and compares what
-is known of median and scatter. A run goes on where it stopped.
+.2 or .4 in ln G and none in mu (power). A run goes on where it stopped.
 """
 
 import argparse
-import math
 import statistics
-import tempfile
 import time
 import warnings
 from collections import Counter
@@ -29,14 +24,6 @@ import torch
 from benchmarks.records import Figure, Line, run_missing_jobs, write_figures
 from imr_torch import PolytropicSimulator
 from imr_torch.assimilate import SearchOptions
-from imr_torch.campaign import (
-    Campaign,
-    CampaignSettings,
-    LearnPopulation,
-    PopulationLearner,
-    Random,
-)
-from imr_torch.design import Plan
 from imr_torch.errors import ImrError
 from imr_torch.material import PARAMETERS, Belief, LogNormal
 from imr_torch.observe import Experiment, Noise, Nuisance, SimulatedLaboratory
@@ -162,67 +149,6 @@ def score_populations(lines: list[Line]) -> str:
     return "\n".join(pages)
 
 
-def run_campaign(
-    policy: str, number: int, shots: int, scatters: tuple[float, ...], seed: int
-) -> Line:
-    """What is known after the last shot of a campaign about one population."""
-    truth = {"G": 8e3, "mu": 0.09}
-    scatter = dict(zip(NAMES, scatters, strict=True))
-
-    def shoot(design: torch.Tensor, shot: int) -> Experiment:
-        source = generator(child(seed, "campaign", number, shot))
-        spread = {
-            key: scatter[key] * float(torch.randn((), generator=source, dtype=torch.float64))
-            for key in NAMES
-        }
-        gel = PARAMETERS.pack({key: value * math.exp(spread[key]) for key, value in truth.items()})
-        laboratory = SimulatedLaboratory(
-            PolytropicSimulator(threads=1), gel, noise=NOISE, repeats=1
-        )
-        return laboratory.shoot(design, seed=child(seed, "noise", number, shot))
-
-    learner = PopulationLearner()
-    chosen = {"chosen": LearnPopulation(), "random": Random()}[policy]
-    settings = CampaignSettings(plan=Plan(repeats=1, noise=NOISE), policy=chosen, learner=learner)
-    prior = Belief((PRIOR,), torch.zeros(1, dtype=torch.float64))
-    with tempfile.TemporaryDirectory() as folder:
-        own = Campaign(
-            folder, prior, PolytropicSimulator(threads=1), settings=settings, seed=number
-        )
-        found = own.run(shoot, shots)[-1].population
-        designs = [experiment.design for experiment in own.experiments]
-    assert found is not None
-    line: Line = {"designs": designs, "verdict": found["verdict"], "inside": {}}
-    for name, value in truth.items():
-        known = found["parameters"][name]
-        (low, _, high), (least, _, most) = known["median"], known["scatter"]
-        line |= {
-            f"log_sd_median_{name}": math.log(math.log(high / low)),
-            f"log_width_scatter_{name}": math.log(most - least),
-        }
-        line["inside"] |= {
-            f"median {name}": low < value < high,
-            f"scatter {name}": least < scatter[name] < most,
-        }
-    return line
-
-
-def score_campaigns(lines: list[Line]) -> str:
-    """Ratios of widths, chosen over random, and coverage."""
-    widths = [name for name in lines[0] if name.startswith("log_")]
-    chosen, random = (
-        [line for line in lines if line["policy"] == policy] for policy in ("chosen", "random")
-    )
-    figures = [
-        Figure.of_mean(name, [a[name] - b[name] for a, b in zip(chosen, random, strict=True)])
-        for name in widths
-    ]
-    held = [inside for line in lines for inside in line["inside"].values()]
-    return "Chosen less random, negative is better:\n\n" + write_figures(
-        [*figures, Figure.of_share("truths in 90 % intervals", held)]
-    )
-
-
 def main() -> None:
     """Run and tabulate."""
     warnings.simplefilter("ignore")
@@ -233,30 +159,14 @@ def main() -> None:
     runs = commands.add_parser("run")
     runs.add_argument("--noise", choices=("known", "estimated"), default="known")
     runs.add_argument("--populations", type=int, default=300)
-    about = commands.add_parser("campaigns")
-    about.add_argument("--populations", type=int, default=24)
-    about.add_argument("--shots", type=int, default=4)
-    about.add_argument("--scatter", type=float, nargs=2, default=(0.2, 0.1), help="of ln G, ln mu")
-    for command in (runs, about):
-        command.add_argument("out", type=Path, metavar="OUT.jsonl")
-        command.add_argument("--seed", type=int, default=0)
-        command.add_argument("--workers", type=int, default=1)
+    runs.add_argument("out", type=Path, metavar="OUT.jsonl")
+    runs.add_argument("--seed", type=int, default=0)
+    runs.add_argument("--workers", type=int, default=1)
     args = parser.parse_args()
     numbers = range(args.populations)
-    if args.what == "run":
-        jobs = {f"{n}": partial(infer_one, n, args.seed, args.noise) for n in numbers}
-        notes = {f"{n}": {"kind": KINDS[n % len(KINDS)]} for n in numbers}
-        print(
-            score_populations(run_missing_jobs(args.out, jobs, about=notes, workers=args.workers))
-        )
-        return
-    pairs = [(n, policy) for n in numbers for policy in ("chosen", "random")]
-    jobs = {
-        f"{n}/{policy}": partial(run_campaign, policy, n, args.shots, args.scatter, args.seed)
-        for n, policy in pairs
-    }
-    notes = {f"{n}/{policy}": {"policy": policy} for n, policy in pairs}
-    print(score_campaigns(run_missing_jobs(args.out, jobs, about=notes, workers=args.workers)))
+    jobs = {f"{n}": partial(infer_one, n, args.seed, args.noise) for n in numbers}
+    notes = {f"{n}": {"kind": KINDS[n % len(KINDS)]} for n in numbers}
+    print(score_populations(run_missing_jobs(args.out, jobs, about=notes, workers=args.workers)))
 
 
 if __name__ == "__main__":

@@ -35,6 +35,12 @@ ParameterVectors = Real[Tensor, "*#batch parameters"]
 DesignVectors = Real[Tensor, "*#batch 2"]
 """Designs ``(We, R_inf*)``, as a simulator takes them."""
 
+Design = Real[Tensor, "2"]
+"""One design ``(We, R_inf*)``."""
+
+Designs = Real[Tensor, "designs 2"]
+"""Designs ``(We, R_inf*)``, one a row."""
+
 FrameTimes = Real[Tensor, "*#batch frames"]
 """Dimensionless times of frames, as a simulator takes them."""
 

@@ -1,6 +1,5 @@
 """Folders of campaigns as a kill leaves them, and journals that somebody changed."""
 
-import json
 import shutil
 from pathlib import Path
 
@@ -11,22 +10,15 @@ def cut(source: Path, target: Path, events: int, torn: float = 0.0) -> Path:
     """A copy of a campaign's folder that was killed after some events, with a share of the next line written."""
     shutil.copytree(source, target)
     path = target / "journal.jsonl"
-    head = target / "journal.head"
     lines = path.read_bytes().splitlines(keepends=True)
     tail = lines[events][: int(torn * len(lines[events]))] if events < len(lines) else b""
     path.write_bytes(b"".join(lines[:events]) + tail)
-    head.unlink()
-    if events:
-        head.write_text(
-            json.dumps({"lines": events, "check": json.loads(lines[events - 1])["check"]})
-        )
     return target
 
 
 def rewritten(folder: Path, events: list[dict]) -> Path:
     """A journal of other events in place of the one in a folder, with checksums that fit."""
-    for name in ("journal.jsonl", "journal.head"):
-        (folder / name).unlink(missing_ok=True)
+    (folder / "journal.jsonl").unlink(missing_ok=True)
     journal = Journal(folder)
     for event in events:
         journal.append(

@@ -77,7 +77,6 @@ def damaged(folder: Path, count: int) -> Iterator[Case]:
         "npz": (("diagnose", "set.npz", "--effects", "sound_speed", *QUICK), "set.npz", ""),
         "belief": (("design", "--belief", "belief.json", *QUICK), "belief.json", ""),
         "journal": (campaign, "gel/journal.jsonl", "journal"),
-        "head": (campaign, "gel/journal.head", "journal"),
         "curve": (campaign, "gel/experiment_001.npz", "experiment_001"),
         "compare": (("compare", "fit.json", "other.json", "--quiet"), "fit.json", ""),
         "plot": (

@@ -22,7 +22,6 @@ from imr_torch.campaign.policies import (
     Situation,
     SpaceFilling,
 )
-from imr_torch.campaign.population import LearnPopulation, PopulationLearner
 from imr_torch.campaign.settings import CampaignSettings
 from imr_torch.campaign.stopping import (
     AllOf,
@@ -55,13 +54,11 @@ __all__ = [
     "GainBelow",
     "Inference",
     "Journal",
-    "LearnPopulation",
     "Learner",
     "ModelProbability",
     "Observations",
     "Optimal",
     "PaperLearner",
-    "PopulationLearner",
     "Proposal",
     "Random",
     "RelativeSd",

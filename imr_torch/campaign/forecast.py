@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from torch import Tensor
 
 from imr_torch.assimilate.gauss_newton import inverse_chol
@@ -28,14 +28,14 @@ from imr_torch.design import Laplace, Plan, Shot
 from imr_torch.design.drawing import Gels, draw_cloud_controls, simulate_gels
 from imr_torch.design.laplace import local_precision
 from imr_torch.design.likelihood import Data, infer_linear
-from imr_torch.design.response import Response
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import full
 from imr_torch.material import Belief
 from imr_torch.material.belief import even_belief
 from imr_torch.random import generator
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import DrawnValues
+from imr_torch.types import Designs, DrawnValues
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class ShotForecast:
 @one_torch_thread()
 def forecast_shots(
     belief: Belief,
-    designs: Float[Tensor, "shots 2"],
+    designs: Designs,
     simulator: Simulator,
     plan: Plan,
     rule: StoppingRule,
@@ -120,7 +120,7 @@ def forecast_shots(
         seen = simulate_gels(shot, draw_cloud_controls(shot, draws, source))
         data, rows = _take_shots(seen, place).observe(shot, source)
         chances = shot.belief.log_probabilities.expand(len(data), -1)
-        counts = torch.full((len(data),), math.inf, dtype=torch.float64)
+        counts = full((len(data),), math.inf)
         for count in range(1, len(designs) + 1):
             gels = _take_shots(seen, place[:count])
             told = Data(data.radius[:, :count], data.window[:, :count])
@@ -146,16 +146,10 @@ def forecast_shots(
                         counts[row] = count
             if bool((counts < math.inf).all()):
                 break
-    shares = shot.belief.log_probabilities.exp()
-    weights = torch.cat(
-        [
-            torch.full((len(gel),), float(p) / len(gel))
-            for p, gel in zip(shares, seen.parts, strict=True)
-            if len(gel)
-        ]
-    )
+    drawn = torch.tensor([len(gel) for gel in seen.parts])
+    weights = (shot.belief.log_probabilities.exp() / drawn).repeat_interleave(drawn)
     order = counts.argsort()
-    return ShotForecast(counts[order], (weights / weights.sum()).double()[order])
+    return ShotForecast(counts[order], (weights / weights.sum())[order])
 
 
 def check_target(rule: StoppingRule, belief: Belief) -> bool:
@@ -175,10 +169,7 @@ def check_target(rule: StoppingRule, belief: Belief) -> bool:
 
 def _take_shots(seen: Gels, place: Int[Tensor, "shots"]) -> Gels:
     """Gels as they are seen in a sequence of designs that were simulated."""
-    parts = [
-        Response(gel.controls, *(x[:, place] for x in (gel.radius, gel.by_gel, gel.by_nuisance)))
-        for gel in seen.parts
-    ]
+    parts = [gel.take_seen(lambda seen: seen[:, place]) for gel in seen.parts]
     return Gels(tuple(parts), seen.orders)
 
 

@@ -17,7 +17,6 @@ from imr_torch.errors import ImrError, InputDataError
 from imr_torch.float64 import tensor
 from imr_torch.material import Belief
 from imr_torch.observe import Experiment, Noise
-from imr_torch.population import GaussianShots
 from imr_torch.select import Evidence
 
 
@@ -126,8 +125,6 @@ class History:
                 "evidence": list(rows),
                 "noise": noise,
                 "finding": finding,
-                "population": population,
-                "shots": shots,
             } if all(number in self.told for number in numbers):
                 self.steps.append(
                     Step(
@@ -137,8 +134,6 @@ class History:
                         finding=Finding(**finding | {"causes": tuple(finding["causes"])})
                         if finding
                         else None,
-                        population=population,
-                        shots=GaussianShots.from_dict(shots) if shots else None,
                         number=step,
                     )
                 )

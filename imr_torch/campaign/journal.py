@@ -1,9 +1,8 @@
 """An append-only journal: one JSON line per event, flushed to disk before the campaign goes on.
 
 Each line ends with a checksum of itself and of the checksum before it, so lines that were edited,
-added, removed or moved are found when the journal is opened. ``journal.head`` holds the number of
-lines and the last checksum: by it, lines removed at the end are found as well, unless the head is
-removed too. This finds mistakes, not a forger, who can compute checksums.
+added, removed or moved are found when the journal is opened; whole lines removed at its end are
+not. This finds mistakes, not a forger, who can compute checksums.
 
 An incomplete last line, as a kill, a power cut or a full disk leaves it, is left out, and cut off
 before the next event is written. Measured curves are stored beside the journal as ``.npz`` (no
@@ -24,7 +23,7 @@ import torch
 from filelock import FileLock, Timeout
 
 from imr_torch.errors import InputDataError
-from imr_torch.files import remove_temporaries, without_nonfinite, write_atomically
+from imr_torch.files import flush_folder, remove_temporaries, without_nonfinite, write_atomically
 from imr_torch.observe import Experiment, Nuisance
 
 REMEDY = "Restore it from a copy, or tell its curves to a campaign in a new folder."
@@ -93,17 +92,14 @@ class Journal:
         self.folder = Path(folder)
         self.path = self.folder / "journal.jsonl"
         self.events: list[dict[str, Any]] = []
-        self._head = self.folder / "journal.head"
-        self._checks: list[str] = []
+        self._check = ""  # of the last line
         self._known = b""  # all that the file holds
         self._kept = 0  # bytes that it should hold
-        self._headed = 0  # lines that the head knows of
         self._lock = FileLock(self.folder / ".journal.lock", timeout=0)
         self._owner = self.folder / ".journal.owner"
         self._read_journal()
 
     def _read_journal(self) -> None:
-        count, check = self._read_head()  # before the journal: a writer writes it after its line
         self._known = self._read_bytes()
         *lines, tail = self._known.split(b"\n")
         for line in lines:
@@ -113,37 +109,6 @@ class Journal:
             with suppress(InputDataError):  # an append that was cut off
                 self._accept_line(tail)
                 self._kept = len(self._known) + 1  # nothing but the end of the line is missing
-        self._headed = count
-        if count > len(self.events):
-            raise InputDataError(
-                f"{self.path} has {len(self.events)} whole lines and {self._head.name} says that "
-                f"{count} were written: lines "
-                f"at its end were removed or damaged. {REMEDY} To accept the loss, delete "
-                f"{self._head.name}."
-            )
-        if count and self._checks[count - 1] != check:
-            raise InputDataError(
-                f"{self.path}, line {count}: not the line that {self._head.name} says was "
-                f"written. {REMEDY} "
-                f"To accept the journal as it is, delete {self._head.name}."
-            )
-
-    def _read_head(self) -> tuple[int, str]:
-        """Number of lines that were written at least, and the checksum of the last of them.
-
-        0 where that is not known.
-        """
-        if not self._head.exists():
-            return 0, ""
-        try:
-            match json.loads(self._head.read_bytes()):
-                case {"lines": int(count), "check": str(check)} if count >= 0:
-                    return count, check
-            raise ValueError("expected 'lines' and 'check'")
-        except ValueError as error:
-            raise InputDataError(
-                f"{self._head}: cannot be read ({error}). Restore it from a copy, or delete it."
-            ) from None
 
     def _accept_line(self, line: bytes) -> None:
         """Add the event of a line, once it is known to be what was written there."""
@@ -166,13 +131,12 @@ class Journal:
                 f"{REMEDY}"
             )
         self.events.append(entry)
-        self._checks.append(check)
+        self._check = check
 
     def _encode_entry(self, entry: dict[str, Any]) -> tuple[bytes, str]:
         """The next line, of an entry, without its end, and its checksum."""
         body = json.dumps(entry)
-        previous = self._checks[-1] if self._checks else ""
-        check = hashlib.sha256((previous + body).encode()).hexdigest()
+        check = hashlib.sha256((self._check + body).encode()).hexdigest()
         return f'{body[:-1]}, "check": "{check}"}}'.encode(), check
 
     @contextmanager
@@ -223,27 +187,13 @@ class Journal:
         return self.path.read_bytes() if self.path.exists() else b""
 
     def _repair_end(self) -> None:
-        """Complete or cut off the last line, write the head if it lags, and remove files that an
-        interrupted write left.
-        """
-        remove_temporaries(self.folder, "journal.head", "experiment_*.npz")
+        """Complete or cut off the last line, and remove files that an interrupted write left."""
+        remove_temporaries(self.folder, "experiment_*.npz")
         if self._kept > len(self._known):
             self._write_bytes(b"\n")
         elif self._kept < len(self._known):
             os.truncate(self.path, self._kept)
             self._known = self._known[: self._kept]
-        if self._headed < len(self._checks):
-            self._write_head()
-
-    def _write_head(self) -> None:
-        """Note how far the journal has come.
-
-        A head that lags behind detects less, and stops nothing.
-        """
-        head = json.dumps({"lines": len(self._checks), "check": self._checks[-1]}) + "\n"
-        with suppress(OSError):
-            write_atomically(self._head, lambda stream: stream.write(head.encode()))
-            self._headed = len(self._checks)
 
     def append(self, event: str, **fields: Any) -> dict[str, Any]:
         """Add an event and flush it to disk.
@@ -261,8 +211,7 @@ class Journal:
         with self.hold_lock():
             self._write_bytes(line + b"\n")
             self.events.append(json.loads(json.dumps(entry)))
-            self._checks.append(check)
-            self._write_head()
+            self._check = check
         return self.events[-1]
 
     def _write_bytes(self, data: bytes) -> None:
@@ -273,6 +222,8 @@ class Journal:
                 while view:
                     view = view[stream.write(view) :]
                 os.fsync(stream.fileno())
+            if not self._known:
+                flush_folder(self.folder)
         except BaseException as error:
             # if this fails too, the incomplete line is cut off when the journal is opened again
             with suppress(OSError):

@@ -27,7 +27,6 @@ from imr_torch.errors import InputDataError
 from imr_torch.files import without_nonfinite
 from imr_torch.material import Belief, ModelBelief
 from imr_torch.observe import ExperimentBatch, Noise
-from imr_torch.population import GaussianShots
 from imr_torch.random import child
 from imr_torch.select import Evidence, evidences, update
 from imr_torch.simulate import Simulator
@@ -104,9 +103,6 @@ class Inference:
         assimilation: the fits; None if the method makes none to all experiments.
         noise: of one curve, as the residuals have it; None if the method takes it as planned.
         finding: of a learner that diagnoses a gap.
-        population: of a learner that infers one, as :meth:`imr_torch.population.Population.to_dict`
-            gives it.
-        shots: likelihood of each shot's gel, of a learner that infers a population.
 
     >>> from imr_torch import wide_prior
     >>> from imr_torch.campaign import Inference
@@ -121,8 +117,6 @@ class Inference:
     assimilation: Assimilation | None = None
     noise: Noise | None = None
     finding: Finding | None = None
-    population: dict[str, Any] | None = None
-    shots: GaussianShots | None = None
 
 
 class Learner(Protocol):

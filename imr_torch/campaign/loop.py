@@ -241,7 +241,6 @@ class Campaign:
             torch.stack(pending) if pending else None,
             self.prior,
             batch,
-            self.now.shots,
         )
         found = settings.policy.choose_design(situation, progress=progress)
         search = found.search
@@ -408,8 +407,6 @@ class Campaign:
                 evidence=without_nonfinite([asdict(e) for e in inference.evidence])[0],
                 noise=vars(inference.noise) if inference.noise else None,
                 finding=asdict(inference.finding) if inference.finding else None,
-                population=inference.population,
-                shots=inference.shots.to_dict() if inference.shots else None,
                 **inference.record,
             )
         self.steps[-1] = replace(self.now, assimilation=inference.assimilation)

@@ -10,8 +10,6 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from botorch.utils.sampling import draw_sobol_samples
-from jaxtyping import Float
-from torch import Tensor
 
 from imr_torch.design import (
     PAPER_PLAN,
@@ -29,10 +27,9 @@ from imr_torch.errors import InputDataError
 from imr_torch.float64 import rand, tensor
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch
-from imr_torch.population import GaussianShots
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator, check_designs, coarser
-from imr_torch.types import Progress
+from imr_torch.types import Design, Designs, Progress
 
 
 @dataclass(frozen=True)
@@ -50,7 +47,6 @@ class Situation:
             will be shot with this one.
         prior: belief before the first experiment; None where it is not kept.
         batch: all experiments so far, cut to the window that is assimilated; None before the first.
-        shots: likelihood of each shot's gel, where the learner infers a population.
 
     >>> from imr_torch import PolytropicSimulator, reference_case
     >>> from imr_torch.campaign import Situation
@@ -67,10 +63,9 @@ class Situation:
     space: DesignSpace
     plan: Plan
     seed: int
-    pending: Float[Tensor, "pending 2"] | None = None
+    pending: Designs | None = None
     prior: Belief | None = None
     batch: ExperimentBatch | None = None
-    shots: GaussianShots | None = None
 
 
 @dataclass(frozen=True)
@@ -93,7 +88,7 @@ class Proposal:
     """
 
     step: int
-    design: Float[Tensor, "2"]
+    design: Design
     gain: float | None = None
     gain_sd: float | None = None
     search: DesignSearch | None = None

@@ -1,6 +1,5 @@
 """Runs ``imr-torch campaign``."""
 
-import math
 import time
 from argparse import Namespace
 from collections.abc import Sequence
@@ -11,13 +10,7 @@ import torch
 from imr_torch.campaign import Campaign, CampaignSettings, Journal, Proposal
 from imr_torch.campaign.admission import check_whole
 from imr_torch.characterization import medium_of
-from imr_torch.cli.campaign_settings import (
-    check_goal,
-    one_model,
-    read_hidden,
-    read_scatter,
-    settings_of,
-)
+from imr_torch.cli.campaign_settings import check_goal, one_model, read_hidden, settings_of
 from imr_torch.cli.common import (
     layout_of,
     prior_of,
@@ -38,7 +31,7 @@ from imr_torch.observe import (
     prepare,
 )
 from imr_torch.observe.medium import label
-from imr_torch.random import child, generator
+from imr_torch.random import child
 from imr_torch.results import campaign_document
 from imr_torch.simulate import Simulator
 
@@ -70,8 +63,8 @@ def run_command(args: Namespace) -> None:
     print(medium.report())
     started = time.process_time()
     case = reference_case(args.case) if args.case else None
-    if args.goal != "gel":
-        prior = one_model(prior, case, args.goal)
+    if args.goal == "cause":
+        prior = one_model(prior, case)
     campaign = _open_campaign(args, simulator, prior, settings)
     try:
         with campaign.journal.hold_lock():
@@ -120,11 +113,7 @@ def _open_campaign(
         raise InputDataError(
             f"{folder} holds no journal to resume; leave {option} away to start one."
         )
-    stated = {
-        "hidden": read_hidden(args),
-        "scatter": read_scatter(args),
-        "medium": args.medium and args.gel_medium.to_dict(),
-    }
+    stated = {"hidden": read_hidden(args), "medium": args.medium and args.gel_medium.to_dict()}
     note = {"case": args.case} | {name: value for name, value in stated.items() if value}
     return Campaign(folder, prior, simulator, settings=settings, seed=args.seed, note=note)
 
@@ -132,29 +121,20 @@ def _open_campaign(
 def _run_simulated(
     campaign: Campaign, case: ReferenceCase, args: Namespace
 ) -> tuple[Sequence[Proposal], str | None]:
-    """Shoot the secret gel of a reference case, or gels scattered about it.
+    """Shoot the secret gel of a reference case.
 
     No proposals, and why it ended early.
     """
     progress = args.terminal.plan_stages()
-    spread = read_scatter(args)
-
-    def scatter_gel(number: int) -> dict[str, float]:
-        source = generator(child(args.seed, "gel", number))
-        factors = {
-            name: math.exp(sd * float(torch.randn(1, generator=source, dtype=torch.float64)))
-            for name, sd in spread.items()
-        }
-        return {name: value * factors.get(name, 1.0) for name, value in case.truth.items()}
+    plan = campaign.settings.plan
+    gels = PARAMETERS.pack({**case.truth, **read_hidden(args)})
+    laboratory = SimulatedLaboratory(
+        campaign.simulator, gels, noise=plan.noise, repeats=plan.repeats
+    )
 
     def shoot_gel(design: torch.Tensor, number: int) -> Experiment:
         surroundings = campaign.simulator.conditions.surroundings
         progress(f"experiment {number}: {campaign.settings.space.describe(design, surroundings)}")
-        plan = campaign.settings.plan
-        gels = PARAMETERS.pack({**scatter_gel(number), **read_hidden(args)})
-        laboratory = SimulatedLaboratory(
-            campaign.simulator, gels, noise=plan.noise, repeats=plan.repeats
-        )
         return laboratory.shoot(design, seed=child(args.seed, "shoot", number))
 
     if args.forget is not None:
@@ -229,9 +209,9 @@ def _report_campaign(
     errors = {}
     if case:
         part = campaign.belief[case.truth_model]
-        truth = {name: case.truth[name] for name in part.names}
         means = dict(zip(part.names, part.means.tolist(), strict=True))
-        errors = {name: abs(means[name] / true - 1.0) for name, true in truth.items()}
+        truth = {name: case.truth[name] for name in means}
+        errors = {name: abs(mean / truth[name] - 1.0) for name, mean in means.items()}
     document = campaign_document(campaign, proposals=proposals, stopped=stopped, truth=truth)
     report_result(args, document | {"relative_error": errors, "cpu_seconds": seconds})
     print(f"figures and journal in {campaign.journal.folder}")

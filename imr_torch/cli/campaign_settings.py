@@ -1,11 +1,8 @@
 """What the options of ``imr-torch campaign`` say of choosing, learning and ending."""
 
-import math
 from argparse import Namespace
 from collections.abc import Callable
 from dataclasses import replace
-
-import torch
 
 from imr_torch.assimilate import NOISE_ROUNDS
 from imr_torch.campaign import (
@@ -14,9 +11,9 @@ from imr_torch.campaign import (
     DesignPolicy,
     ExactLearner,
     Fixed,
-    LearnPopulation,
+    Learner,
     Optimal,
-    PopulationLearner,
+    PaperLearner,
     Random,
     SpaceFilling,
     stopping_rule,
@@ -24,12 +21,11 @@ from imr_torch.campaign import (
 from imr_torch.cli.common import METHODS, parse_pair, parse_values, refuse_options
 from imr_torch.cli.design import plan_of, space_of
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import tensor
 from imr_torch.gap import CauseLearner, TellCausesApart
-from imr_torch.material import PARAMETERS, Belief, ReferenceCase, library, reference_case
+from imr_torch.material import Belief, ReferenceCase, library
 from imr_torch.material.belief import even_belief
 
-LARGEST_SCATTER = 2.0
-"""Of a logarithm, between simulated shots."""
 _CAUSE_SURE = "cause=0.9"  # when a campaign for a cause ends, if nothing else is asked for
 _BASELINES: dict[str, Callable[[], DesignPolicy]] = {
     "random": Random,
@@ -39,98 +35,54 @@ _BASELINES: dict[str, Callable[[], DesignPolicy]] = {
 
 def settings_of(args: Namespace) -> CampaignSettings:
     """What the options say of choosing, learning and ending."""
-    base = CampaignSettings.paper() if args.method == "paper" else CampaignSettings()
-    rounds = 0 if args.case else NOISE_ROUNDS  # nobody knows the noise of a camera before
+    learner: Learner = PaperLearner()
     if args.method != "paper":
+        rounds = 0 if args.case else NOISE_ROUNDS  # nobody knows the noise of a camera before
         options = METHODS["map" if args.method == "exact" else args.method]
-        base = replace(base, learner=ExactLearner(options=options, noise_rounds=rounds))
+        learner = ExactLearner(options=options, noise_rounds=rounds)
     policy = _make_optimal(args) if args.policy == "optimal" else _read_baseline(args.policy)
     space = space_of(args)
     plan = plan_of(args)
+    rules = args.stop
     if args.goal == "cause":
         learner = CauseLearner(tuple(args.effects or ()), estimate_noise=not args.case)
-        base = replace(base, learner=learner)
+        rules = rules or [_CAUSE_SURE]
         policy = TellCausesApart(learner) if args.policy == "optimal" else policy
         plan = replace(plan, collapses=None) if args.case else plan
-    if args.goal == "population":
-        learner = PopulationLearner(noise_rounds=rounds)
-        base = replace(base, learner=learner)
-        policy = LearnPopulation(_make_optimal(args)) if args.policy == "optimal" else policy
-        plan = (
-            replace(plan, repeats=1) if args.repeats is None else plan
-        )  # a repeat would be of the same gel
     if isinstance(policy, Fixed):
-        space.check_inside(torch.tensor(policy.designs, dtype=torch.float64))
+        space.check_inside(tensor(policy.designs))
         if args.case and not args.stop and args.designs > len(policy.designs):
             raise InputDataError(
                 f"--policy lists {len(policy.designs)} designs and --designs is {args.designs}; "
                 "list as many."
             )
-    rules = args.stop or ([_CAUSE_SURE] if args.goal == "cause" else [])
-    return replace(base, space=space, plan=plan, policy=policy, stop=stopping_rule(*rules))
-
-
-_OF_GOAL = {"cause": ("effects", "hide"), "population": ("scatter",)}
+    return CampaignSettings(space, plan, policy, learner, stopping_rule(*rules))
 
 
 def check_goal(args: Namespace) -> None:
     """Raise for options that do not suit the goal."""
-    for goal, options in _OF_GOAL.items():
-        if args.goal != goal:
-            refuse_options(args, options, f"has no effect without --goal {goal}.")
-    if args.goal != "cause" and any(
-        part.strip().startswith("cause=") for text in args.stop for part in text.split(",")
-    ):
-        raise InputDataError(
-            f"--stop is {' '.join(args.stop)!r}: cause= has no effect without --goal cause."
-        )
     if args.goal == "gel":
+        refuse_options(args, ("effects", "hide"), "has no effect without --goal cause.")
+        if any(part.strip().startswith("cause=") for part in ",".join(args.stop).split(",")):
+            raise InputDataError(
+                f"--stop is {' '.join(args.stop)!r}: cause= has no effect without --goal cause."
+            )
         return
-    if args.q != 1 and args.goal == "cause":
+    if args.q != 1:
         raise InputDataError(
             f"--q is {args.q}; with --goal cause each shot depends on what the last one showed: "
             "leave --q out."
         )
     if args.method != "exact":
         raise InputDataError(
-            f"--method is {args.method!r}; --goal {args.goal} learns with the exact likelihood: "
+            f"--method is {args.method!r}; --goal cause learns with the exact likelihood: "
             "leave --method out."
         )
     if not args.case:
-        why = "and has no effect without --case."
-        refuse_options(args, ["hide"], f"puts an effect into a simulated gel, {why}")
-        refuse_options(args, ["scatter"], f"is of simulated gels, {why}")
+        why = "puts an effect into a simulated gel, and has no effect without --case."
+        refuse_options(args, ["hide"], why)
     read_hidden(args)
-    read_scatter(args)
     library(args.effects)
-
-
-def read_scatter(args: Namespace) -> dict[str, float]:
-    """Standard deviation between simulated shots of the logarithm of each parameter."""
-    if args.scatter is None:
-        return {}
-    truth = reference_case(args.case).truth
-    found = {}
-    for part in args.scatter.split(","):
-        name, _, text = part.partition("=")
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not math.isnan(value):
-            name = PARAMETERS[name.strip()].name
-        if not 0.0 <= value <= LARGEST_SCATTER or name in found:
-            raise InputDataError(
-                f"--scatter is {args.scatter!r}; expected NAME=SD, each parameter once and SD "
-                f"from 0 to {LARGEST_SCATTER:g}, as G=.2."
-            )
-        if truth.get(name, 0.0) <= 0.0:
-            raise InputDataError(
-                f"--scatter names {name}, which is zero in the gel of {args.case}; name one of "
-                f"{', '.join(truth)}."
-            )
-        found[name] = value
-    return found
 
 
 def read_hidden(args: Namespace) -> dict[str, float]:
@@ -149,15 +101,13 @@ def read_hidden(args: Namespace) -> dict[str, float]:
     return values
 
 
-def one_model(prior: Belief, case: ReferenceCase | None, goal: str) -> Belief:
-    """The one model of a campaign for a cause or about a population: that of the simulated gel, or
-    the only one named.
-    """
+def one_model(prior: Belief, case: ReferenceCase | None) -> Belief:
+    """The one model of a campaign for a cause: that of the simulated gel, or the only one named."""
     if case:
         return even_belief((prior[case.truth_model],))
     if len(prior.models) > 1:
         raise InputDataError(
-            f"--models names {len(prior.models)} ({', '.join(prior.keys)}); with --goal {goal} "
+            f"--models names {len(prior.models)} ({', '.join(prior.keys)}); with --goal cause "
             "name one, as nhkv."
         )
     return prior

@@ -11,14 +11,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from imr_torch.assimilate import En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.characterization import medium_of
 from imr_torch.cli.figures import save_figures
 from imr_torch.cli.options.names import COLLAPSES, DEFAULT_MODELS
 from imr_torch.errors import InputDataError
 from imr_torch.files import Document, read_json, without_nonfinite, write_json
+from imr_torch.float64 import tensor
 from imr_torch.material import PARAMETERS, Belief, reference_case, wide_prior
 from imr_torch.observe import CollapseShot, GelMedium, Layout, Statement, TraceSet
 from imr_torch.reading import load_driving
@@ -39,10 +38,7 @@ SIMULATORS: dict[str, AnySimulator] = {
     "transport": TransportSimulator(accuracy=ACCURACIES["search"]),
 }
 
-METHODS: dict[str, FitOptions] = {
-    "map": SearchOptions(),
-    "en4dvar": En4DVarOptions(),
-}
+METHODS: dict[str, FitOptions] = {"map": SearchOptions(), "en4dvar": En4DVarOptions()}
 """Methods that fit a gel, by name."""
 
 
@@ -147,7 +143,7 @@ def parse_values(text: str, option: str) -> dict[str, float]:
             raise InputDataError(
                 f"{option}: {name} is given twice, {values[name]:g} and {value:g}; give it once."
             )
-        PARAMETERS.check(name, torch.tensor(value, dtype=torch.float64))
+        PARAMETERS.check(name, tensor(value))
         values[name] = value
     return values
 
@@ -240,12 +236,7 @@ def write_result(args: Namespace, document: Document) -> Document:
     return document
 
 
-def show_result(
-    args: Namespace,
-    document: Document,
-    *,
-    report: str = "",
-) -> None:
+def show_result(args: Namespace, document: Document, *, report: str = "") -> None:
     """Draw the figures of a result into ``--out`` and its page into ``--html``, where given.
 
     Args:

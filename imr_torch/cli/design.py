@@ -4,13 +4,7 @@ from argparse import Namespace
 
 from imr_torch.campaign import Optimal, camera_variants, forecast_shots, stopping_rule
 from imr_torch.campaign.forecast import check_target
-from imr_torch.cli.common import (
-    belief_cautions,
-    prior_of,
-    report_result,
-    simulator_of,
-    with_medium,
-)
+from imr_torch.cli.common import belief_cautions, prior_of, report_result, simulator_of, with_medium
 from imr_torch.cli.progress import DESIGN
 from imr_torch.design import (
     DesignSpace,
@@ -86,12 +80,7 @@ def run_command(args: Namespace) -> None:
             ]
         }
     acquisition = ExpectedInformationGain(
-        prior,
-        bubbles,
-        Laplace(args.draws),
-        target=args.target,
-        plan=plan,
-        space=space,
+        prior, bubbles, Laplace(args.draws), target=args.target, plan=plan, space=space
     )
     search = search_design(
         acquisition,

@@ -7,13 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from imr_torch.characterization import medium_document, medium_of
-from imr_torch.cli.common import (
-    layout_of,
-    refuse_options,
-    show_result,
-    simulator_of,
-    write_result,
-)
+from imr_torch.cli.common import layout_of, refuse_options, show_result, simulator_of, write_result
 from imr_torch.cli.progress import DIAGNOSE
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap import (
@@ -139,10 +133,7 @@ def _load_experiments(
         print(traces.report() + "\n")
         medium = medium_of(traces, args.medium, assumed)
         prepared = prepare(
-            traces,
-            medium.surroundings,
-            collapses=args.collapses,
-            rest_radius=args.rest_radius,
+            traces, medium.surroundings, collapses=args.collapses, rest_radius=args.rest_radius
         )
         print(prepared.report() + "\n")
         return list(prepared.experiments), medium, traces

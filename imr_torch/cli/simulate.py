@@ -2,15 +2,10 @@
 
 from argparse import Namespace
 
-import torch
-
 from imr_torch.characterization import medium_of
-from imr_torch.cli.common import (
-    show_result,
-    with_engine,
-    write_result,
-)
+from imr_torch.cli.common import show_result, with_engine, write_result
 from imr_torch.errors import ConvergenceError, InputDataError
+from imr_torch.float64 import linspace, tensor
 from imr_torch.material import PARAMETERS, material
 from imr_torch.observe import TraceSet
 from imr_torch.simulate import (
@@ -47,8 +42,8 @@ def run_command(args: Namespace) -> None:
     args.gel_medium = medium_of(TraceSet(()), args.medium)
     simulator = args.gel_medium.applied(bubbles)
     surroundings = simulator.conditions.surroundings
-    times = torch.linspace(0.0, args.until, args.frames, dtype=torch.float64)
-    design = torch.tensor([args.we, args.rinf], dtype=torch.float64)
+    times = linspace(0.0, args.until, args.frames)
+    design = tensor([args.we, args.rinf])
     gel = PARAMETERS.pack(values)
     solution = simulator(gel[None], design, times)
     if not bool(solution.ok.all()):

@@ -11,16 +11,10 @@ from imr_torch.design.gain import (
     separate_errors,
 )
 from imr_torch.design.laplace import Laplace
-from imr_torch.design.measure import (
-    DesignMeasure,
-    MeasureOptions,
-    apportion_shots,
-    optimal_measure,
-)
+from imr_torch.design.measure import DesignMeasure, MeasureOptions, apportion_shots, optimal_measure
 from imr_torch.design.nested import NestedMonteCarlo, PriorContrastive, PublishedEstimator
 from imr_torch.design.optimizer import DesignOptimizer, Recommendation, Strategy
 from imr_torch.design.plan import PAPER_PLAN, Plan
-from imr_torch.design.population import PopulationInformation
 from imr_torch.design.response import Shot, radii
 from imr_torch.design.search import DesignSearch, SearchSettings, search_design
 from imr_torch.design.space import DESIGN_NAMES, DesignSpace
@@ -40,7 +34,6 @@ __all__ = [
     "MeasureOptions",
     "NestedMonteCarlo",
     "Plan",
-    "PopulationInformation",
     "PriorContrastive",
     "PublishedEstimator",
     "Recommendation",

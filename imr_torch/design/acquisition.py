@@ -28,12 +28,12 @@ from imr_torch.errors import InputDataError, ShapeError, UnsupportedError
 from imr_torch.material import Belief
 from imr_torch.random import SeedLike, generator
 from imr_torch.simulate import Simulator
-from imr_torch.types import Values
+from imr_torch.types import Designs, Values
 
 
 def expected_information_gain(
     belief: Belief,
-    designs: Real[Tensor, "designs 2"],
+    designs: Designs,
     simulator: Simulator,
     plan: Plan,
     *,
@@ -116,7 +116,7 @@ class ExpectedInformationGain(AcquisitionFunction):
         target: Target = "both",
         plan: Plan | None = None,
         space: DesignSpace | None = None,
-        X_pending: Real[Tensor, "pending 2"] | None = None,
+        X_pending: Designs | None = None,
         seed: int = 0,
     ) -> None:
         super().__init__(model=None)  # type: ignore[arg-type]  # the belief is the model
@@ -133,7 +133,7 @@ class ExpectedInformationGain(AcquisitionFunction):
         self.space = space or DesignSpace()
         self.set_X_pending(X_pending)
 
-    def set_X_pending(self, X_pending: Real[Tensor, "pending 2"] | None = None) -> None:
+    def set_X_pending(self, X_pending: Designs | None = None) -> None:
         """Designs (``m x 2``) that will be shot besides those asked about, or None.
 
         Raises:
@@ -145,17 +145,13 @@ class ExpectedInformationGain(AcquisitionFunction):
             )
         super().set_X_pending(X_pending)
 
-    def with_pending(
-        self, X_pending: Real[Tensor, "pending 2"] | None
-    ) -> "ExpectedInformationGain":
+    def with_pending(self, X_pending: Designs | None) -> "ExpectedInformationGain":
         """A copy with other pending designs (``m x 2`` or None); this one stays as it is."""
         other = copy(self)
         other.set_X_pending(X_pending)
         return other
 
-    def estimate(
-        self, designs: Real[Tensor, "designs 2"], *, seed: int | None = None
-    ) -> InformationGain:
+    def estimate(self, designs: Designs, *, seed: int | None = None) -> InformationGain:
         """The joint gain of designs and pending designs, with its Monte Carlo error.
 
         Args:

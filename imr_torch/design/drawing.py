@@ -12,6 +12,7 @@ from torch import Tensor
 
 from imr_torch.design.likelihood import Data, observe_gels
 from imr_torch.design.response import Response, Shot, simulate_response
+from imr_torch.float64 import randn
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ def draw_normal_controls(
 ) -> list[Float[Tensor, "draws _"]]:
     """Draws of the Gaussian of each model, as many as ``counts`` says: ``draws x d``."""
     return [
-        torch.randn(count, len(part.names), generator=source, dtype=torch.float64)
+        randn(count, len(part.names), generator=source)
         for part, count in zip(shot.belief.models, counts, strict=True)
     ]
 

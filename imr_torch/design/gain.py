@@ -2,9 +2,7 @@
 strata (one per model) are combined.
 
 An estimator is a callable object, so that one of your own needs no change of the package. Four
-estimators of the information about one gel come with it (and one about a population of gels:
-:class:`~imr_torch.design.population.PopulationInformation`). They agree for many samples; what
-differs is how many that takes.
+estimators come with it. They agree for many samples; what differs is how many that takes.
 
 | estimator | evidence of each datum | expected value |
 |---|---|---|
@@ -31,6 +29,7 @@ from torch import Tensor
 
 from imr_torch.design.response import Shot
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import tensor, zeros
 from imr_torch.types import DatasetValues
 
 Target = Literal["parameters", "model", "both"]
@@ -74,16 +73,6 @@ class InformationGain:
         """The whole gain; NaN when the evaluation failed."""
         return math.nan if self.failed else self.parameters + self.model
 
-    @property
-    def parameters_variance(self) -> float:
-        """Monte Carlo variance of the gain about the parameters alone, by the influences."""
-        return sum(parameters**2 for parameters, _ in self.influence)
-
-    @property
-    def model_variance(self) -> float:
-        """Monte Carlo variance of the gain about the model alone, by the influences."""
-        return sum(model**2 for _, model in self.influence)
-
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> "InformationGain":
         """Inverse of ``dataclasses.asdict``, after JSON."""
@@ -95,13 +84,9 @@ class InformationGain:
         if target == "both":
             return self
         parameters, model = float(target == "parameters"), float(target == "model")
-        return replace(
-            self,
-            parameters=parameters * self.parameters,
-            model=model * self.model,
-            variance=parameters * self.parameters_variance + model * self.model_variance,
-            influence=tuple((parameters * a, model * b) for a, b in self.influence),
-        )
+        about = replace(self, parameters=parameters * self.parameters, model=model * self.model)
+        influence = tensor(self.influence).reshape(-1, 2)
+        return with_influence(about, influence * tensor([parameters, model]))
 
 
 @dataclass(frozen=True)
@@ -128,7 +113,7 @@ class Terms:
 
     def draw_influence(self) -> Float[Tensor, "drawn 2"]:
         """Influence of each draw, in the order drawn, on the weighted means."""
-        found = torch.zeros(len(self.order), 2, dtype=torch.float64)
+        found = zeros(len(self.order), 2)
         found[self.order[: len(self.parameters)], 0] = mean_deviations(self.parameters)
         found[self.order[: len(self.model)], 1] = mean_deviations(self.model)
         return self.weight * found
@@ -148,21 +133,16 @@ def mean_deviations(values: Float[Tensor, "draws *columns"]) -> Float[Tensor, "d
     return (values - values.mean(0)) / math.sqrt(count * (count - 1))
 
 
-def summarise_terms(
-    terms: Sequence[Terms],
-    *,
-    shared: Float[Tensor, "samples 2"] | None = None,
-) -> InformationGain:
+def summarise_terms(terms: Sequence[Terms]) -> InformationGain:
     """The gain of independent strata, one per model.
 
     Args:
         terms: one per model.
-        shared: influence of samples that all data share.
     """
-    means = torch.tensor([t.mean_gain() for t in terms], dtype=torch.float64)
-    weights = torch.tensor([t.weight for t in terms], dtype=torch.float64)
+    means = tensor([t.mean_gain() for t in terms])
+    weights = tensor([t.weight for t in terms])
     parameters, model = (weights @ means).tolist()
-    parts = [t.draw_influence() for t in terms] + ([] if shared is None else [shared])
+    parts = [t.draw_influence() for t in terms]
     counted = sum(len(t.parameters) for t in terms)
     drawn = sum(len(t.order) for t in terms)
     return with_influence(InformationGain(parameters, model, 0.0, counted, drawn), torch.cat(parts))
@@ -212,8 +192,8 @@ def separate_errors(gains: Sequence[InformationGain]) -> ErrorParts:
     """
     sizes = {len(gain.influence) for gain in gains}
     if len(gains) < 2 or len(sizes) != 1 or 0 in sizes:
-        return ErrorParts(torch.tensor([gain.variance for gain in gains], dtype=torch.float64), 0.0)
-    influence = torch.tensor([gain.influence for gain in gains], dtype=torch.float64).sum(-1)
+        return ErrorParts(tensor([gain.variance for gain in gains]), 0.0)
+    influence = tensor([gain.influence for gain in gains]).sum(-1)
     mean = influence.mean(0)
     own = (influence - mean).square().sum(1) * (len(gains) / (len(gains) - 1))
     return ErrorParts(own, float(mean.square().sum()))

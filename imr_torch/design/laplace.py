@@ -32,6 +32,7 @@ from imr_torch.design.gain import (
 )
 from imr_torch.design.likelihood import Data, Linear, infer_linear
 from imr_torch.design.response import Response, Shot, simulate_response
+from imr_torch.float64 import ones
 from imr_torch.material import ModelBelief
 from imr_torch.types import DatasetValues, DrawnControls, DrawnValues
 
@@ -137,14 +138,8 @@ def _cut_to_window(data: Data, gels: Response, shot: Shot) -> tuple[Data, Respon
     """The same without the frames after the longest window, which count in no datum and need not be
     simulated.
     """
-    last = int(torch.nonzero(data.window.flatten(0, 1).any(0)).max()) + 1
-    last = max(last, 2)
-    kept = Response(
-        gels.controls,
-        gels.radius[..., :last],
-        gels.by_gel[..., :last, :],
-        gels.by_nuisance[..., :last, :],
-    )
+    last = max(2, int(torch.nonzero(data.window.flatten(0, 1).any(0)).max()) + 1)
+    kept = gels.take_seen(lambda seen: seen[:, :, :last])
     plan = replace(shot.plan, times=shot.plan.times[:last])
     return Data(data.radius[..., :last], data.window[..., :last]), kept, replace(shot, plan=plan)
 
@@ -175,9 +170,7 @@ def local_precision(
     if part.cloud is None:
         return torch.eye(controls.shape[1], dtype=controls.dtype).expand(len(controls), -1, -1)
     closest = torch.cdist(
-        part.unwhitened(controls),
-        part.cloud.controls,
-        compute_mode="donot_use_mm_for_euclid_dist",
+        part.unwhitened(controls), part.cloud.controls, compute_mode="donot_use_mm_for_euclid_dist"
     ).argmin(1)
     return part.chol.mT @ part.cloud.precisions[closest] @ part.chol
 
@@ -252,7 +245,7 @@ def refine_gels(
         options: how far each goes.
     """
     options = options or RefinementOptions()
-    length = torch.ones(len(data), 1, dtype=torch.float64)
+    length = ones(len(data), 1)
     for iteration in range(iterations):
         here = infer_linear(data, at, shot.plan)
         step = here.mean - at.controls

@@ -17,12 +17,13 @@ from torch import Tensor
 
 from imr_torch.assimilate.gauss_newton import NormalEquations, normal_equations
 from imr_torch.design.plan import Plan
-from imr_torch.design.response import Response
+from imr_torch.design.response import Response, Rows
+from imr_torch.float64 import randn
 from imr_torch.types import BroadcastValues, DrawnControls, DrawnValues
 
 
 @dataclass(frozen=True)
-class Data:
+class Data(Rows):
     """Mean curves of planned experiments.
 
     Args:
@@ -33,25 +34,13 @@ class Data:
     radius: Float[Tensor, "*draws designs frames"]
     window: Bool[Tensor, "*draws designs frames"]
 
-    def __len__(self) -> int:
-        return len(self.radius)
-
-    def __getitem__(self, rows: Tensor | slice) -> "Data":
-        return Data(self.radius[rows], self.window[rows])
-
 
 def observe_gels(seen: Response, plan: Plan, source: torch.Generator) -> Data:
     """One datum of each gel, with nuisances and noise drawn."""
-    noise = torch.randn(seen.radius.shape, generator=source, dtype=torch.float64)
+    noise = randn(seen.radius.shape, generator=source)
     if plan.decorrelation is not None:
         noise = torch.linalg.solve_triangular(plan.decorrelation, noise.mT, upper=False).mT
-    nuisance = torch.randn(
-        *seen.by_nuisance.shape[:2],
-        seen.by_nuisance.shape[-1],
-        1,
-        generator=source,
-        dtype=torch.float64,
-    )
+    nuisance = randn(*seen.by_nuisance.shape[:2], seen.by_nuisance.shape[-1], 1, generator=source)
     noise = noise * plan.noise.sd(seen.radius, plan.times) / plan.repeats**0.5
     return Data(
         seen.radius + (seen.by_nuisance @ nuisance)[..., 0] + noise,

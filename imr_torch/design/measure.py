@@ -35,11 +35,12 @@ from imr_torch.design.plan import Plan
 from imr_torch.design.response import Shot, simulate_response
 from imr_torch.design.space import DesignSpace
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import eye, full, tensor, zeros
 from imr_torch.material import Belief, ModelBelief
 from imr_torch.random import generator
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import DrawnControls
+from imr_torch.types import Designs, DrawnControls
 
 Candidates = Float[Tensor, "candidates 2"]
 Shares = Float[Tensor, "candidates"]
@@ -117,14 +118,6 @@ def read_criterion(text: str, belief: Belief) -> dict[str, float] | None:
     )
 
 
-def _differentiate(evaluate: Callable[[Tensor], Tensor], at: Tensor) -> tuple[float, Tensor]:
-    """A function and its gradient."""
-    at = at.detach().clone().requires_grad_()
-    with torch.enable_grad():
-        value = evaluate(at)
-    return float(value.detach()), torch.autograd.grad(value, at)[0]
-
-
 def certify_shares(evaluate: Concave, shares: Shares) -> tuple[float, Shares, float]:
     """A concave criterion, its derivative towards each candidate over the mean of that under the
     measure, and the share of the information by which no measure of these candidates is better.
@@ -141,10 +134,10 @@ def certify_shares(evaluate: Concave, shares: Shares) -> tuple[float, Shares, fl
     >>> sensitivity.tolist(), bound
     ([1.0, 0.5, 1.0], 0.0)
     """
-    value, slopes = _differentiate(evaluate, shares)
+    slopes, value = torch.func.grad_and_value(evaluate)(shares)
     mean = shares @ slopes
     bound = math.expm1(float(slopes.max() - mean)) if mean > 0.0 else math.inf
-    return value, slopes / mean, bound
+    return float(value), slopes / mean, bound
 
 
 def optimise_shares(
@@ -166,8 +159,8 @@ def optimise_shares(
     """
 
     def lose(x: Any) -> tuple[float, Any]:
-        value, slopes = _differentiate(evaluate, torch.as_tensor(x))
-        return -value, -slopes.numpy()
+        slopes, value = torch.func.grad_and_value(evaluate)(torch.as_tensor(x))
+        return -float(value), -slopes.numpy()
 
     found = minimize(
         lose,
@@ -202,7 +195,7 @@ def _make_criterion(
     ]
 
     def evaluate(counts: Shares) -> Float[Tensor, ""]:
-        total = torch.zeros(counts.shape[:-1], dtype=torch.float64)
+        total = zeros(counts.shape[:-1])
         for chance, prior, information, slopes in parts:
             precision = prior + torch.einsum("...k,nkij->...nij", counts, information)
             if factors is None:
@@ -228,7 +221,7 @@ def _find_slopes(
     def add_logarithms(controls: Tensor) -> Tensor:
         return (part.physical(part.unwhitened(controls))[:, columns].log() @ by).sum()
 
-    return _differentiate(add_logarithms, drawn)[1][:, None]
+    return torch.func.grad(add_logarithms)(drawn)[:, None]
 
 
 def _inform_draws(
@@ -237,7 +230,7 @@ def _inform_draws(
     """Information of one shot at each design about each draw; a bubble that cannot be simulated
     tells nothing.
     """
-    found = torch.zeros(len(drawn), len(shot.designs), *part.chol.shape, dtype=torch.float64)
+    found = zeros(len(drawn), len(shot.designs), *part.chol.shape)
     for i, design in enumerate(shot.designs):
         seen = simulate_response(replace(shot, designs=design[None]), part, drawn)
         good = seen.good
@@ -279,7 +272,7 @@ class DesignMeasure:
         order = self.shares.argsort(descending=True)
         return order[self.shares[order] > self.options.least]
 
-    def allocate_shots(self) -> Float[Tensor, "shots 2"]:
+    def allocate_shots(self) -> Designs:
         """Whole shots that the budget pays for, by :func:`apportion_shots` to as many designs of the
         support as is best.
         """
@@ -291,16 +284,16 @@ class DesignMeasure:
         rounded = (designs[apportion_shots(numbers[:count], total)] for count in kept)
         return max(rounded, key=self.efficiency)
 
-    def choose_sequence(self, count: int) -> Float[Tensor, "shots 2"]:
+    def choose_sequence(self, count: int) -> Designs:
         """Designs one after the other, each the best beside those before it."""
-        further = torch.eye(len(self.designs), dtype=torch.float64)
+        further = eye(len(self.designs))
         rows = []
         for _ in range(count):
             rows.append(int(self.evaluate(self.designs, further).argmax()))
             further[:, rows[-1]] += 1.0
         return self.designs[rows]
 
-    def efficiency(self, designs: Float[Tensor, "designs 2"]) -> float:
+    def efficiency(self, designs: Designs) -> float:
         """Information of designs (``q x 2``), repeated until the budget is spent, over that of the
         measure.
         """
@@ -374,11 +367,10 @@ def optimal_measure(
         torch.logspace(low, high, options.finer * (count - 1) + 1, dtype=torch.float64)
         for (low, high), count in zip(space.bounds.T.log10().tolist(), options.grid, strict=True)
     ]
-    grid = torch.stack(torch.meshgrid(*axes, indexing="ij"), -1)
-    nodes = grid[:: options.finer, :: options.finer]
-    steps = (nodes[1, 1] / nodes[0, 0]).log()
-    widths = torch.maximum(torch.tensor(options.scatter), options.resolved * steps)
-    nodes, designs = nodes.flatten(0, 1), grid.flatten(0, 1)
+    coarse = [axis[:: options.finer] for axis in axes]
+    steps = torch.stack([axis[1] / axis[0] for axis in coarse]).log()
+    widths = torch.maximum(tensor(options.scatter), options.resolved * steps)
+    nodes, designs = torch.cartesian_prod(*coarse), torch.cartesian_prod(*axes)
     with torch.no_grad():
         shot = Shot(belief, nodes, simulator, plan or Plan())
         of_nodes = _make_criterion(shot, factors, options.draws, seed)
@@ -389,16 +381,17 @@ def optimal_measure(
         kernel = torch.softmax(-0.5 * away.square().sum(-1), dim=1)
         return of_nodes(numbers * options.allowed(designs) / options.cost(designs) @ kernel)
 
-    shares = torch.full((len(designs),), 1.0 / len(designs), dtype=torch.float64)
-    value, sensitivity, bound = certify_shares(lambda x: evaluate(designs, shots * x), shares)
-    for _ in range(options.rounds):
-        if not options.tolerance < bound < math.inf:
+    shares = full((len(designs),), 1.0 / len(designs))
+    rounds = options.rounds
+    while True:
+        value, sensitivity, bound = certify_shares(lambda x: evaluate(designs, shots * x), shares)
+        if not rounds or not options.tolerance < bound < math.inf:
             break
+        rounds -= 1
         tried = sensitivity > 1.0 - options.near
         start = shares[tried] / shares[tried].sum()
         best = optimise_shares(lambda x, kept=designs[tried]: evaluate(kept, shots * x), start)
         shares = torch.zeros_like(shares).masked_scatter(tried, best)
-        value, sensitivity, bound = certify_shares(lambda x: evaluate(designs, shots * x), shares)
     if bound == math.inf:
         raise InputDataError(
             f"No design that is allowed tells anything about {criterion!r} under this belief; widen "

@@ -33,6 +33,7 @@ from imr_torch.design.gain import (
 from imr_torch.design.likelihood import Data, log_likelihood, pairwise_log_likelihood
 from imr_torch.design.plan import Plan
 from imr_torch.design.response import Shot
+from imr_torch.float64 import ones, tensor, zeros
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,7 @@ class PublishedEstimator(InformationEstimator):
         wanted = (self.draws * len(shot.belief.models) * probabilities).round()
         counts = torch.where(probabilities > self.improbable, wanted, 0.0).long().tolist()
         gels = simulate_gels(shot, draw_normal_controls(shot, counts, generator), gel=False)
-        sizes = torch.tensor([len(part) for part in gels.parts], dtype=torch.float64)
+        sizes = tensor([len(part) for part in gels.parts])
         log_weights = (sizes / sizes.sum().clamp_min(1.0)).log()
         return _estimate_gain(gels, *gels.observe(shot, generator), gels, log_weights, shot.plan)
 
@@ -157,7 +158,7 @@ def _estimate_gain(
             for block, w in zip(blocks, weights[-models:], strict=True)
         ]
         total = torch.logsumexp(torch.stack(logs) + log_weights[:, None], 0)
-        both = torch.zeros(2, dtype=torch.float64)
+        both = zeros(2)
         for i, some in enumerate(rows):
             own = logs[i][some]
             mean = torch.stack((likelihoods[i] - own, own - total[some])) @ weights[i]
@@ -166,7 +167,7 @@ def _estimate_gain(
 
     samples = [gels] if inner is gels else [gels, inner]
     parts = [part for sample in samples for part in sample.parts]
-    weights = tuple(torch.ones(len(part), dtype=torch.float64) for part in parts)
+    weights = tuple(ones(len(part)) for part in parts)
     slopes = torch.autograd.functional.jacobian(mean_gains, weights)
     influence = []
     for place, order in enumerate(order for sample in samples for order in sample.orders):
@@ -174,7 +175,7 @@ def _estimate_gain(
             contrastive and place >= models
         )  # a datum's own gel is in the place of this one
         own = slopes[place].mT[first:]
-        found = torch.zeros(len(order), 2, dtype=torch.float64)
+        found = zeros(len(order), 2)
         found[order[first : first + len(own)]] = mean_deviations(len(own) * own)
         influence.append(found)
     parameters, model = mean_gains(*weights).tolist()

@@ -20,12 +20,14 @@ from botorch.models.utils.gpytorch_modules import get_matern_kernel_with_gamma_p
 from botorch.optim import optimize_acqf
 from botorch.utils.sampling import draw_sobol_samples, manual_seed
 from gpytorch.mlls import ExactMarginalLogLikelihood
-from jaxtyping import Float, Real
+from jaxtyping import Real
 from torch import Tensor
 
 from imr_torch.design.space import DesignSpace
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import zeros
 from imr_torch.random import child
+from imr_torch.types import Design, Designs
 
 Strategy = Literal["qLogNEI", "paper"]
 """How the next design is chosen, and the last: by ``qLogNEI`` (Ament et al., NeurIPS 2023) and the
@@ -48,7 +50,7 @@ class Recommendation:
     'We = 400: 6.3 +- 0.1 nats'
     """
 
-    design: Real[Tensor, "2"]
+    design: Design
     mean: float
     sd: float
 
@@ -91,13 +93,11 @@ class DesignOptimizer:
         self.seed = seed
         self.strategy = strategy
         self.initial = initial
-        self.train_X = torch.empty(0, 2, dtype=torch.float64)
-        self.train_Y = torch.empty(0, 1, dtype=torch.float64)
-        self.train_Yvar = torch.empty(0, 1, dtype=torch.float64)
+        self.train_X = zeros(0, 2)
+        self.train_Y = zeros(0, 1)
+        self.train_Yvar = zeros(0, 1)
 
-    def ask(
-        self, q: int = 1, *, pending: Real[Tensor, "pending 2"] | None = None
-    ) -> Float[Tensor, "designs 2"]:
+    def ask(self, q: int = 1, *, pending: Real[Tensor, "pending 2"] | None = None) -> Designs:
         """The next ``q x 2`` designs to evaluate: Sobol points first, then maxima of the
         acquisition.
 
@@ -122,7 +122,7 @@ class DesignOptimizer:
 
     def tell(
         self,
-        X: Real[Tensor, "designs 2"],
+        X: Designs,
         Y: Real[Tensor, "designs 1"],
         Yvar: Real[Tensor, "designs 1"],
     ) -> None:

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import linspace
 from imr_torch.observe import Experiment, Noise, Nuisance, collapse_time
 from imr_torch.types import FrameValues
 
@@ -35,9 +36,7 @@ class Plan:
     tensor(22)
     """
 
-    times: FrameValues = field(
-        default_factory=lambda: torch.linspace(0.0, 4.0, 81, dtype=torch.float64)
-    )
+    times: FrameValues = field(default_factory=lambda: linspace(0.0, 4.0, 81))
     repeats: int = 1
     noise: Noise = field(default_factory=Noise)
     nuisance: Nuisance = field(default_factory=Nuisance)
@@ -88,9 +87,5 @@ class Plan:
         return self.times <= last
 
 
-PAPER_PLAN = Plan(
-    times=torch.linspace(0.0, 3.0, 61, dtype=torch.float64),
-    noise=Noise(floor=1e-6, slope=0.0),
-    collapses=None,
-)
+PAPER_PLAN = Plan(times=linspace(0.0, 3.0, 61), noise=Noise(floor=1e-6, slope=0.0), collapses=None)
 """61 frames to t* = 3, one curve, noise ramp ``t*/160`` (code that came with arXiv 2409.00011)."""

@@ -6,8 +6,10 @@ Controls ``v`` are those in which the belief is a standard normal, so a sensitiv
 deviation of what is believed now, whatever the units of the parameters.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import torch
 from jaxtyping import Bool, Float, Shaped
@@ -18,7 +20,7 @@ from imr_torch.design.plan import Plan
 from imr_torch.material import Belief, ModelBelief
 from imr_torch.observe import Film
 from imr_torch.simulate import Simulator
-from imr_torch.types import BatchControls, DrawnControls
+from imr_torch.types import BatchControls, Designs, DrawnControls
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ class Shot:
     """
 
     belief: Belief
-    designs: Float[Tensor, "designs 2"]
+    designs: Designs
     simulator: Simulator
     plan: Plan
     negligible: float = 1e-4
@@ -68,8 +70,18 @@ class Shot:
         return ForwardModel(part, self.film, self.simulator)
 
 
+class Rows:
+    """A dataclass of tensors, one row of each for every gel."""
+
+    def __len__(self) -> int:
+        return len(next(iter(vars(self).values())))
+
+    def __getitem__(self, rows: Tensor | slice) -> Self:
+        return type(self)(*(values[rows] for values in vars(self).values()))
+
+
 @dataclass(frozen=True)
-class Response:
+class Response(Rows):
     """Gels and what the camera would see of them.
 
     Args:
@@ -84,13 +96,9 @@ class Response:
     by_gel: Float[Tensor, "draws designs frames slopes"]
     by_nuisance: Float[Tensor, "draws designs frames nuisances"]
 
-    def __len__(self) -> int:
-        return len(self.controls)
-
-    def __getitem__(self, rows: Tensor | slice) -> "Response":
-        return Response(
-            self.controls[rows], self.radius[rows], self.by_gel[rows], self.by_nuisance[rows]
-        )
+    def take_seen(self, part: Callable[[Tensor], Tensor]) -> "Response":
+        """The same gels, seen in part: some designs, or some frames."""
+        return Response(self.controls, *map(part, (self.radius, self.by_gel, self.by_nuisance)))
 
     @property
     def good(self) -> Bool[Tensor, "draws"]:

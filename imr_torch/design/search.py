@@ -11,17 +11,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from imr_torch.design.acquisition import ExpectedInformationGain
 from imr_torch.design.gain import ErrorParts, InformationGain, separate_errors
 from imr_torch.design.optimizer import DesignOptimizer, Recommendation, Strategy
 from imr_torch.design.space import DesignSpace
 from imr_torch.errors import ConvergenceError, InputDataError
+from imr_torch.float64 import tensor, zeros
 from imr_torch.random import child
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Progress, ProgressLine
+from imr_torch.types import Designs, Progress, ProgressLine
 
 
 @dataclass(frozen=True)
@@ -48,7 +47,7 @@ class DesignSearch:
     """
 
     recommendation: Recommendation
-    designs: Float[Tensor, "evaluated 2"]
+    designs: Designs
     gains: tuple[InformationGain, ...]
     optimizer: DesignOptimizer
     settings: "SearchSettings"
@@ -56,7 +55,7 @@ class DesignSearch:
     earlier: tuple["DesignSearch", ...] = ()
 
     @property
-    def chosen(self) -> Float[Tensor, "designs 2"]:
+    def chosen(self) -> Designs:
         """All designs to shoot, in the order found."""
         return torch.stack([step.recommendation.design for step in (*self.earlier, self)])
 
@@ -167,7 +166,7 @@ class SearchSettings:
     def make_optimizer(
         self,
         space: DesignSpace,
-        designs: Float[Tensor, "evaluated 2"],
+        designs: Designs,
         gains: Sequence[InformationGain],
         pending: InformationGain | None,
     ) -> tuple[DesignOptimizer, float]:
@@ -184,9 +183,7 @@ class SearchSettings:
             return optimizer, 0.0
         kept = [gains[i] for i in counted]
         base = pending.value if pending else 0.0
-        values, variances = torch.tensor(
-            [(gain.value - base, gain.variance) for gain in kept], dtype=torch.float64
-        ).mT
+        values, variances = tensor([(gain.value - base, gain.variance) for gain in kept]).mT
         errors = separate_errors(kept) if self.common else ErrorParts(variances, 0.0)
         # draws may agree exactly, and a known noise of 0 is none
         own = errors.own.clamp_min(1e-8)
@@ -196,7 +193,7 @@ class SearchSettings:
     def finish_search(
         self,
         space: DesignSpace,
-        designs: Float[Tensor, "evaluated 2"],
+        designs: Designs,
         gains: Sequence[InformationGain],
         pending: InformationGain | None,
     ) -> DesignSearch:
@@ -229,7 +226,7 @@ def _search_one(
         progress: called with one line per evaluation.
     """
     space = acquisition.space
-    designs = torch.empty(0, 2, dtype=torch.float64)
+    designs = zeros(0, 2)
     pending = None
     if acquisition.X_pending is not None:
         pending = acquisition.estimate(designs, seed=child(seed, "eig", 0))

@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass
 
-import torch
 from jaxtyping import Float, Real
 from torch import Tensor
 
 from imr_torch.errors import InputDataError, ShapeError
+from imr_torch.float64 import tensor
+from imr_torch.types import Design
 from imr_torch.units import Surroundings
 
 DESIGN_NAMES = ("We", "R_inf*")
@@ -42,7 +43,7 @@ class DesignSpace:
     @property
     def bounds(self) -> Float[Tensor, "2 2"]:
         """``2 x 2`` tensor, lower row and upper row, in BoTorch's layout."""
-        return torch.tensor([self.weber, self.rest_radius], dtype=torch.float64).T.contiguous()
+        return tensor([self.weber, self.rest_radius]).T.contiguous()
 
     def check_inside(self, X: Real[Tensor, "*batch 2"]) -> None:
         """Raise unless every design of ``X`` (``... x 2``) lies in the box.
@@ -62,7 +63,7 @@ class DesignSpace:
                 f"R_inf* {list(self.rest_radius)}; shoot inside, or widen the DesignSpace."
             )
 
-    def describe(self, design: Real[Tensor, "2"], surroundings: Surroundings) -> str:
+    def describe(self, design: Design, surroundings: Surroundings) -> str:
         """A design in laboratory units."""
         radius = float(surroundings.max_radius(design[0]))
         return (

@@ -13,7 +13,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
@@ -25,7 +24,7 @@ from imr_torch.material import LIBRARY, Belief
 from imr_torch.observe import ExperimentBatch, Nuisance
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
-from imr_torch.types import Progress
+from imr_torch.types import Design, Progress
 
 _LEFT = 0.02  # a cause less probable than this is not worth an experiment
 _MOST = 6  # causes that are compared
@@ -48,7 +47,7 @@ class NextDesign:
         after_error: its Monte Carlo standard error.
     """
 
-    design: Float[Tensor, "2"]
+    design: Design
     gain: float
     error: float
     causes: dict[str, float]
@@ -193,7 +192,7 @@ def identity_design(
 def judge_design(
     causes: Mapping[str, float],
     fits: Mapping[str, ModelFit],
-    design: Float[Tensor, "2"],
+    design: Design,
     simulator: Simulator,
     plan: Plan,
     *,

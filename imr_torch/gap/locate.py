@@ -212,7 +212,7 @@ def _calibrate(
     """
     smallest = torch.cat(list(drawn)).amin(0)
     tests = sum(map(len, observed))
-    logs = torch.stack([log.amin() if len(log) else torch.zeros(()).double() for log in observed])
+    logs = torch.stack([log.amin() if len(log) else zeros(()) for log in observed])
     counts = (smallest <= logs[:, None]).sum(1)
     bound = (tests * logs.exp()).clamp_max(1.0 / (1 + len(smallest)))
     return torch.where(counts > 0, (1 + counts) / (1 + len(smallest)), bound)

@@ -188,7 +188,7 @@ class _Compared:
     def _later(self, own: HeldOut, early: Tensor) -> Tensor:
         centred = own.residual + own.by_nuisance @ own.nuisances
         before = own.by_nuisance[early]
-        precision = torch.eye(before.shape[1], dtype=torch.float64) + before.mT @ before
+        precision = eye(before.shape[1]) + before.mT @ before
         fitted = torch.linalg.solve(precision, before.mT @ centred[early])
         spread = (own.by_nuisance @ torch.linalg.inv(precision) * own.by_nuisance).sum(1)
         square = (centred - own.by_nuisance @ fitted).square() - self.share - spread

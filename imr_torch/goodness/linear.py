@@ -15,7 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit, Neighbourhood, Posterior
-from imr_torch.float64 import eye
+from imr_torch.float64 import eye, zeros
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.simulate import Simulator
@@ -106,7 +106,7 @@ def predict_changed(
         shift: ``K x k`` tensor by which everything fitted is moved besides; none by default.
     """
     if not changes:
-        return torch.empty(0, *batch.times.shape, dtype=torch.float64)
+        return zeros(0, *batch.times.shape)
     posterior = Posterior(fit.prior, batch, simulator)
     flat = posterior.coordinates_of(fit.point).expand(len(changes), -1)
     point = posterior.point_at(flat if shift is None else flat + shift)

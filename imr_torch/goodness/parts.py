@@ -20,6 +20,7 @@ from torch import Tensor
 from imr_torch.assimilate import ModelFit, Posterior
 from imr_torch.assimilate.fit import NEARLY
 from imr_torch.assimilate.local_minimum import descend_from
+from imr_torch.float64 import linspace
 from imr_torch.goodness.linear import whiten_rows
 from imr_torch.goodness.phases import phase_clock
 from imr_torch.material.model_belief import intervals
@@ -269,7 +270,7 @@ def follow_gel(
     """
     near = fit.linearise(batch, simulator)
     clock = phase_clock(batch.times, near.centre, batch.mask)
-    levels = torch.linspace(0.0, 1.0, windows + 1, dtype=torch.float64)
+    levels = linspace(0.0, 1.0, windows + 1)
     ends = clock[batch.mask].quantile(levels)
     rows = []
     for low, high in pairwise(ends):

@@ -10,14 +10,13 @@ over on a grid, whose cells :mod:`imr_torch.population.sampling` proposes scatte
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.distributions import HalfNormal
 
-from imr_torch.float64 import linspace, tensor, zeros
+from imr_torch.float64 import linspace, zeros
 from imr_torch.material import ModelBelief
 from imr_torch.types import ControlMatrix, Controls, DrawnControls, DrawnValues
 
@@ -46,24 +45,6 @@ class GaussianShots:
     precision: Float[Tensor, "experiments controls controls"]
     linear: Float[Tensor, "experiments controls"]
     constant: Float[Tensor, "experiments"]
-
-    @classmethod
-    def none(cls, size: int) -> "GaussianShots":
-        """No shot yet, of gels with ``size`` controls."""
-        return cls(
-            zeros(0, size, size),
-            zeros(0, size),
-            zeros(0),
-        )
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-ready, without loss."""
-        return {name: values.tolist() for name, values in vars(self).items()}
-
-    @classmethod
-    def from_dict(cls, values: dict[str, Any]) -> "GaussianShots":
-        """Inverse of :meth:`to_dict`."""
-        return cls(**{k: tensor(v) for k, v in values.items()})
 
     def given(
         self,
@@ -142,14 +123,12 @@ class Cells:
     Args:
         low: lower corners, of the controls.
         width: ``n x k`` tensor.
-        middle: centres; 0 where a scatter does not vary.
         log_prior: log probability of each under half-normal priors.
         evidence: log density of all data in the middle of each, nats.
     """
 
     low: Float[Tensor, "cells varying"]
     width: Float[Tensor, "cells varying"]
-    middle: Float[Tensor, "cells controls"]
     log_prior: Float[Tensor, "cells"]
     evidence: Float[Tensor, "cells"]
 
@@ -208,7 +187,7 @@ def grid_scatters(
     middle[:, varying] = low + 0.5 * width
     log_prior = HalfNormal(scale[varying]).log_prob(middle[:, varying]).sum(1) + width.log().sum(1)
     parts = [shots.given(x, prior.mean, prior.precision).evidence for x in middle.split(chunk)]
-    return Cells(low, width, middle, log_prior, torch.cat(parts))
+    return Cells(low, width, log_prior, torch.cat(parts))
 
 
 def without_prior(

@@ -7,7 +7,7 @@ from dataclasses import asdict
 
 import torch
 
-from imr_torch.campaign import Campaign, PopulationLearner, Proposal
+from imr_torch.campaign import Campaign, Proposal
 from imr_torch.characterization.bands import band_document, predictive_band
 from imr_torch.files import Document, drawn_numbers
 from imr_torch.float64 import linspace
@@ -44,7 +44,6 @@ def campaign_document(
     """
     belief = campaign.belief
     outer = campaign.simulator.conditions.surroundings
-    population = campaign.now.population
     history = [
         ("prior", campaign.prior),
         *((f"after {step.number}", step.belief) for step in campaign.steps),
@@ -56,19 +55,12 @@ def campaign_document(
         "forgotten": len(campaign.forgotten),
         "relative_error": {},
         "model_probabilities": belief.probabilities,
-        "intervals": {
-            part.model: intervals(part)
-            if population is None
-            else {name: entry["median"] for name, entry in population["parameters"].items()}
-            for part in belief.models
-        },
+        "intervals": {part.model: intervals(part) for part in belief.models},
         "noise": vars(campaign.plan.noise),
         "belief": belief.to_dict(),
         "history": [{"label": label, "belief": _without_cloud(step)} for label, step in history],
         "truth": truth,
         "findings": [{"step": s.number} | asdict(s.finding) for s in campaign.steps if s.finding],
-        "goal": "population" if isinstance(campaign.settings.learner, PopulationLearner) else "gel",
-        "population": population,
         "proposals": [
             {
                 "step": proposal.step,
@@ -126,8 +118,8 @@ def _document_curves(campaign: Campaign) -> list[Document]:
         return []
     outer = campaign.simulator.conditions.surroundings
     shot = last.assimilation.batch.experiments
-    ends = [(float(x.times[0]), float(x.times[-1])) for x in shot]
-    drawn = torch.stack([linspace(*end, 400) for end in ends])  # frames do not show a collapse
+    # frames do not show a collapse
+    drawn = torch.stack([linspace(float(x.times[0]), float(x.times[-1]), 400) for x in shot])
     band = predictive_band(last.assimilation, last.belief, campaign.simulator, best, times=drawn)
     found = []
     for e, (number, experiment) in enumerate(zip(campaign.numbers, shot, strict=True)):

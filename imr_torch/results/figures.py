@@ -138,17 +138,6 @@ def _characterization_figures(document: Document) -> Iterator[NamedFigure]:
             "Scatter plots of every pair of parameters.",
             partial(draw_parameters, belief[best]),
         )
-    yield from _population_figures(document)
-    if len(belief.keys) > 1:
-        yield NamedFigure(
-            "models",
-            "Probability of each model before and after the data.",
-            "Bar chart of model probabilities.",
-            partial(plot_probabilities, (("prior", prior), ("posterior", belief))),
-        )
-
-
-def _population_figures(document: Document) -> Iterator[NamedFigure]:
     if document.get("population"):
         yield NamedFigure(
             "population",
@@ -156,6 +145,13 @@ def _population_figures(document: Document) -> Iterator[NamedFigure]:
             "median of all; dotted: 90 % of the shots to come.",
             "Interval charts of every parameter by shot, beside the population's median.",
             partial(population_figure, document["population"]),
+        )
+    if len(belief.keys) > 1:
+        yield NamedFigure(
+            "models",
+            "Probability of each model before and after the data.",
+            "Bar chart of model probabilities.",
+            partial(plot_probabilities, (("prior", prior), ("posterior", belief))),
         )
 
 
@@ -169,12 +165,10 @@ def _campaign_figures(document: Document) -> Iterator[NamedFigure]:
             "Line chart of the probabilities of the causes over the number of experiments.",
             partial(causes_chart, findings),
         )
-    yield from _population_figures(document)
     history = [(step["label"], Belief.from_dict(step["belief"])) for step in document["history"]]
     best = history[-1][1].best
     truth = document.get("truth") or {}
-    of_one_model = findings or document.get("goal") == "population"
-    if len(history[-1][1].models) > 1 or not of_one_model:
+    if len(history[-1][1].models) > 1 or not findings:
         yield NamedFigure(
             "models",
             "Probability of each model before the first experiment and after each.",

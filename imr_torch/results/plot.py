@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 import matplotlib.pyplot as plt
 import numpy as np
 import torch
-from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.stats import gaussian_kde
@@ -32,17 +31,10 @@ from imr_torch.drawing import (
 )
 from imr_torch.files import Document
 from imr_torch.float64 import arange, linspace, tensor
-from imr_torch.labels import (
-    R_STAR,
-    REST_RADIUS,
-    T_STAR,
-    WEBER,
-    parameter_label,
-    plain,
-    symbol,
-)
+from imr_torch.labels import R_STAR, REST_RADIUS, T_STAR, WEBER, parameter_label, plain, symbol
 from imr_torch.material import PARAMETERS, Belief, ModelBelief
 from imr_torch.simulate import Solution
+from imr_torch.types import Design, Designs
 from imr_torch.units import Surroundings
 
 _LEVELS = linspace(0.002, 0.998, 400)  # of a density
@@ -217,7 +209,7 @@ def search_document(search: DesignSearch, surroundings: Surroundings) -> Documen
 
 
 def measure_document(
-    measure: DesignMeasure, chosen: Float[Tensor, "designs 2"], surroundings: Surroundings
+    measure: DesignMeasure, chosen: Designs, surroundings: Surroundings
 ) -> Document:
     """An optimal measure, JSON-ready: its support with shares, whole shots, bound, efficiencies, and
     the sensitivity at the designs that it was optimised over.
@@ -268,7 +260,7 @@ def draw_sensitivity(found: Document, *, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def design_document(design: Float[Tensor, "2"], surroundings: Surroundings) -> dict[str, float]:
+def design_document(design: Design, surroundings: Surroundings) -> dict[str, float]:
     """A design (We, R_inf*), JSON-ready: dimensionless, and as sizes in m."""
     weber, rest = design.tolist()
     size = float(surroundings.max_radius(weber))
@@ -278,10 +270,9 @@ def design_document(design: Float[Tensor, "2"], surroundings: Surroundings) -> d
 def _information_map(search: DesignSearch) -> Document:
     bounds = search.optimizer.space.bounds.mT.tolist()
     weber, rest = (linspace(low, high, 60) for low, high in bounds)
-    grid = torch.stack(torch.meshgrid(weber, rest, indexing="xy"), dim=-1)
     model = search.optimizer.model()
     with torch.no_grad():
-        mean = model.posterior(grid.reshape(-1, 2)).mean.reshape(grid.shape[:2])
+        mean = model.posterior(torch.cartesian_prod(weber, rest)).mean.reshape(60, 60).mT
     return {"We": weber.tolist(), "R_inf*": rest.tolist(), "nats": mean.tolist()}
 
 

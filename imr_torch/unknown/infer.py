@@ -296,7 +296,7 @@ class _Search:
         still = self.still
         if not inside:
             frames = [shot.batch.times.shape[1] for shot in self.shots]
-            still = replace(still, made=tuple(torch.zeros(2 * n).double() for n in frames))
+            still = replace(still, made=tuple(zeros(2 * n) for n in frames))
         found = self.linearise(columns, still, self.responses, inside=inside)
         found = replace(found, state=replace(still, weights=0.0 * found.aim.weights))
         if lead is not None:

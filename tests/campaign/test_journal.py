@@ -2,7 +2,6 @@
 one process writes at a time.
 """
 
-import json
 import os
 import signal
 from pathlib import Path
@@ -52,11 +51,6 @@ CHANGES = {
     "duplicated at the end": (lambda x: [*x, x[4]], "line 6: its checksum does not fit"),
     "removed": (lambda x: [*x[:2], *x[3:]], "line 3: its checksum does not fit"),
     "first removed": (lambda x: x[1:], "line 1: its checksum does not fit"),
-    "last removed": (
-        lambda x: x[:4],
-        r"4 whole lines and journal.head says that 5 were written.*delete journal.head",
-    ),
-    "all removed": (lambda x: [], "0 whole lines and journal.head says that 5"),
     "five": (
         lambda x: [x[0], b"5\n", *x[2:]],
         r"line 2: not a journal entry \(expected an object with an 'event', got '5'",
@@ -90,8 +84,7 @@ def test_a_changed_journal_is_refused_by_line_and_with_a_remedy(folder, change, 
     assert path.read_bytes() == before
 
 
-def test_that_without_its_head_all_but_lines_removed_at_the_end_is_found(folder):
-    (folder / "journal.head").unlink()
+def test_that_all_but_lines_removed_at_the_end_is_found(folder):
     path = folder / "journal.jsonl"
     lines = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(b"".join(lines[:3]))
@@ -99,19 +92,6 @@ def test_that_without_its_head_all_but_lines_removed_at_the_end_is_found(folder)
     path.write_bytes(b"".join(lines[1:]))
     with pytest.raises(InputDataError, match="line 1: its checksum"):
         Journal(folder)
-
-
-def test_a_journal_in_place_of_another_is_refused(folder, tmp_path):
-    other = Journal(tmp_path / "other")
-    for number in range(COUNT):
-        other.append("note", step=number, value=7.0)
-    (folder / "journal.jsonl").write_bytes(other.path.read_bytes())
-    with pytest.raises(InputDataError, match=r"line 5: not the line that journal.head says"):
-        Journal(folder)
-    for text in ("5", "{}", "", '{"lines": "5", "check": ""}'):
-        (folder / "journal.head").write_text(text)
-        with pytest.raises(InputDataError, match=r"journal.head: cannot be read .*or delete it"):
-            Journal(folder)
 
 
 def test_that_a_line_cut_at_any_byte_is_left_out_and_then_repaired(folder, tmp_path):
@@ -134,17 +114,6 @@ def test_that_a_line_cut_at_any_byte_is_left_out_and_then_repaired(folder, tmp_p
                 pass
         assert (copy / "journal.jsonl").read_bytes() == whole
         assert len(Journal(copy).events) == COUNT
-
-
-def test_that_a_line_that_was_written_and_then_damaged_is_not_taken_for_one_that_was_cut_off(
-    folder,
-):
-    path = folder / "journal.jsonl"
-    path.write_bytes(path.read_bytes()[:-9])
-    with pytest.raises(
-        InputDataError, match=r"4 whole lines and journal.head says that 5 were written"
-    ):
-        Journal(folder)
 
 
 def test_that_a_second_writer_is_told_who_holds_the_folder(folder):
@@ -188,7 +157,7 @@ def test_that_the_lock_ends_with_a_killed_process(folder):
 
 
 def test_that_temporary_files_of_a_killed_process_are_removed_and_others_are_not(folder):
-    left = [".journal.head.ab.tmp", ".experiment_003.npz.cd.tmp"]
+    left = [".experiment_002.npz.ab.tmp", ".experiment_003.npz.cd.tmp"]
     mine = [".notes.tmp", "experiment_003.npz"]
     for name in left + mine:
         (folder / name).touch()
@@ -204,7 +173,7 @@ def test_that_a_disk_that_is_full_from_any_operation_on_leaves_the_journal_as_be
 ):
     with Disk().watched() as counted:
         Journal(folder).append("note")
-    assert counted.done == 8  # owner, line, its flush, four of the head, owner
+    assert counted.done == 4  # owner, line, its flush, owner
     for at in range(1, counted.done + 1):
         journal = Journal(folder)
         known = len(Journal(folder).events)
@@ -242,19 +211,3 @@ def test_that_a_number_that_is_not_finite_is_refused_before_anything_is_written(
     with pytest.raises(InputDataError, match="Event 'note' holds a number that is not finite"):
         Journal(folder).append("note", value=float("nan"))
     assert (folder / "journal.jsonl").read_bytes() == before
-
-
-def test_that_the_head_knows_the_last_line(folder):
-    last = json.loads((folder / "journal.jsonl").read_text().splitlines()[-1])
-    assert json.loads((folder / "journal.head").read_text()) == {
-        "lines": COUNT,
-        "check": last["check"],
-    }
-
-
-def test_that_a_head_that_lags_behind_is_written_when_the_folder_is_next_held(folder, tmp_path):
-    copy = cut(folder, tmp_path / "cut", COUNT - 1)
-    (copy / "journal.jsonl").write_bytes((folder / "journal.jsonl").read_bytes())
-    with Journal(copy).hold_lock():
-        pass
-    assert (copy / "journal.head").read_bytes() == (folder / "journal.head").read_bytes()

@@ -356,7 +356,6 @@ def test_that_two_campaigns_on_one_folder_do_not_write_over_each_other(tmp_path)
                 (1, {"experiments": [{"number": 1}]}),
                 (2, {"step": "1"}),
                 (2, {"belief": None}),
-                (2, {"shots": [1.0]}),
                 (3, {"design": [400.0]}),
                 (3, {"design": ["400", 0.2]}),
                 (3, {"gain": "large"}),

@@ -164,7 +164,9 @@ def test_that_the_gain_about_the_model_is_never_above_the_entropy_of_the_models(
     search = search_design(gain, seed=1, evaluations=4, initial=3)
     values.append(torch.tensor([g.value for g in search.gains]))
     assert float(torch.cat([v.flatten().double() for v in values]).max()) <= ENTROPY + 1e-9
-    assert all(g.parameters == 0.0 and g.variance == g.model_variance for g in search.gains)
+    assert all(
+        g.parameters == 0.0 and g.variance == g.of_target("model").variance for g in search.gains
+    )
 
 
 @pytest.mark.parametrize(
@@ -178,7 +180,9 @@ def test_that_the_targets_are_the_parts_of_the_whole(estimator):
     assert parts["parameters"].value + parts["model"].value == pytest.approx(
         parts["both"].value, rel=1e-12
     )
-    assert parts["parameters"].variance == pytest.approx(parts["both"].parameters_variance)
+    assert parts["parameters"].variance == pytest.approx(
+        parts["both"].of_target("parameters").variance
+    )
     for gain in parts.values():
         influence = torch.tensor(gain.influence, dtype=torch.float64).sum(1)
         assert float(influence.square().sum()) == pytest.approx(gain.variance, rel=1e-9)

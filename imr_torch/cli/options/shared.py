@@ -91,9 +91,7 @@ PRIOR = group_options(
     "what is believed before",
     choice_option("--case", CASES, None, "prior of a reference gel of the literature"),
     text_option(
-        "--belief",
-        "FILE",
-        "a saved belief (the 'belief' of an earlier --json, or Belief.save)",
+        "--belief", "FILE", "a saved belief (the 'belief' of an earlier --json, or Belief.save)"
     ),
     text_option(
         "--models",
@@ -245,9 +243,7 @@ def window_options(*, sets: bool = False) -> Options:
     """
     return (
         number_option(
-            "--collapses",
-            None,
-            f"collapses in the fitted window of a curve (default {COLLAPSES})",
+            "--collapses", None, f"collapses in the fitted window of a curve (default {COLLAPSES})"
         ),
         choice_option(
             "--noise",

@@ -2,11 +2,7 @@
 function each, whose docstring is the help.
 """
 
-from imr_torch.cli.options.names import (
-    MODELS,
-    STRATEGIES,
-    TARGETS,
-)
+from imr_torch.cli.options.names import MODELS, STRATEGIES, TARGETS
 from imr_torch.cli.options.shared import (
     BUBBLE,
     DRIVING,
@@ -197,12 +193,6 @@ def list_campaign_options() -> Options:
       imr-torch campaign --goal cause --models nhkv --out hunt --stop cause=.9 --stop designs=8
       imr-torch campaign --goal cause --case stiff-pa --hide sound_speed --designs 5 --out practice   # with a simulated gel
 
-    How much does the gel differ from shot to shot? Each shot is of a gel of its own; the next one is
-    chosen for the median of all and the scatter between them:
-
-      imr-torch campaign --goal population --models nhkv --out gels --stop sd=.05
-      imr-torch campaign --goal population --case soft-pa --scatter G=.2 --designs 6 --out practice   # with simulated gels
-
     What to compare with, and when to end:
 
       imr-torch campaign --case soft-pa --designs 5 --policy random --stop sd=0.01,probability=0.99 --out baseline
@@ -210,11 +200,10 @@ def list_campaign_options() -> Options:
     return (
         choice_option(
             "--goal",
-            ("gel", "cause", "population"),
+            ("gel", "cause"),
             "gel",
-            "what shots are to tell: the gel's model and parameters (default), which effect the "
-            "one model lacks, or median "
-            "and scatter of one model's parameters where the gel differs from shot to shot",
+            "what shots are to tell: the gel's model and parameters (default), or which effect the "
+            "one model lacks",
         ),
         text_option(
             "--effects",
@@ -226,12 +215,6 @@ def list_campaign_options() -> Options:
             "NAME[=VALUE]",
             "with --goal cause and --case: the effect that the simulated gel has, of typical size "
             "if no value (SI) is given",
-        ),
-        text_option(
-            "--scatter",
-            "NAME=SD,...",
-            "with --goal population and --case: standard deviation between shots of the logarithm "
-            "of parameters, as G=.2",
         ),
         number_option("--designs", 2, "experiments of a simulated campaign (default 2)"),
         text_option(
