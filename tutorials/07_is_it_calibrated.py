@@ -14,10 +14,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import matplotlib.pyplot as plt
+import numpy as np
 import torch
+from scipy.stats import binomtest
 
 from imr_torch.assimilate import SearchOptions
-from imr_torch.calibration import Arrangement, calibrate, coverage, reliability, uniformity
+from imr_torch.calibration import Arrangement, calibrate, coverage, uniformity
 from imr_torch.design import Plan
 from imr_torch.material import reference_case
 from imr_torch.observe import ExperimentBatch, Noise
@@ -71,15 +73,19 @@ plot_places(judge(replicates)).figure.savefig(OUT / "places.png")
 # ## Whether probabilities mean what they say
 
 # %%
-stated = [r.probabilities["nhkv"] for r in replicates if r.failure is None]
-result = reliability(stated, [r.model == "nhkv" for r in replicates if r.failure is None], bins=5)
-print(
-    f"calibration error {result.error:.3f}; chance alone leaves {result.by_chance:.3f} (p {result.p:.2f})"
-)
+stated = np.array([r.probabilities["nhkv"] for r in replicates if r.failure is None])
+right = np.array([r.model == "nhkv" for r in replicates if r.failure is None])
+gap = ((right - stated) * (1.0 - 2.0 * stated)).sum()  # Spiegelhalter, Stat. Med. 5 (1986)
+sd = ((1.0 - 2.0 * stated) ** 2 * stated * (1.0 - stated)).sum() ** 0.5
+print(f"Spiegelhalter's z {gap / sd:.2f}: beyond 2 in one of twenty where probabilities are right")
 figure, ax = plt.subplots()
 ax.plot((0, 1), (0, 1), color="grey")
-ax.vlines(result.stated, result.low, result.high)
-ax.plot(result.stated, result.share, "o")
+bins = np.minimum((5 * stated).astype(int), 4)
+for place in np.unique(bins):
+    own = bins == place
+    ends = binomtest(int(right[own].sum()), int(own.sum())).proportion_ci()
+    ax.vlines(stated[own].mean(), ends.low, ends.high)
+    ax.plot(stated[own].mean(), right[own].mean(), "o", color="C0")
 ax.set(xlabel="stated probability", ylabel="share that came true")
 figure.savefig(OUT / "reliability.png")
 

@@ -5,11 +5,9 @@ the truth.
 from imr_torch.calibration.replicate import Arrangement, Infer, Replicate, calibrate
 from imr_torch.calibration.statistics import (
     Coverage,
-    Reliability,
     Uniformity,
     coverage,
     envelope,
-    reliability,
     uniformity,
 )
 
@@ -17,12 +15,10 @@ __all__ = [
     "Arrangement",
     "Coverage",
     "Infer",
-    "Reliability",
     "Replicate",
     "Uniformity",
     "calibrate",
     "coverage",
     "envelope",
-    "reliability",
     "uniformity",
 ]

@@ -1,9 +1,8 @@
-"""Statistics of calibration: tests of uniformity, coverage of intervals, reliability of
-probabilities.
+"""Statistics of calibration: tests of uniformity, coverage of intervals.
 
-Each takes numbers that are uniform if an inference is calibrated, or probabilities and outcomes,
-and returns a statistic with its uncertainty, so that "calibrated" and "not" are both statements
-that the number of replicates supports.
+Each takes numbers that are uniform if an inference is calibrated, and returns a statistic with its
+uncertainty, so that "calibrated" and "not" are both statements that the number of replicates
+supports.
 """
 
 from collections.abc import Sequence
@@ -12,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy  # whose parts are imported when they are used; `stats` takes long
 
-from imr_torch.errors import InputDataError, ShapeError
+from imr_torch.errors import InputDataError
 
 
 @dataclass(frozen=True)
@@ -73,37 +72,6 @@ class Coverage:
     def fits(self) -> bool:
         """Whether the level lies within the confidence interval."""
         return self.low <= self.level <= self.high
-
-
-@dataclass(frozen=True)
-class Reliability:
-    """Stated probabilities against what came true.
-
-    Args:
-        stated: mean stated probability of each bin that holds a case.
-        share: of cases in that bin that came true.
-        low: lower end of its 95 % confidence interval.
-        high: its upper end.
-        counts: cases in that bin.
-        error: expected calibration error, the mean of ``|share - stated|`` over cases.
-        by_chance: mean of ``error`` if the stated probabilities were right, for this many cases; it
-            is never zero.
-        p: probability of an ``error`` at least as large if they were right.
-
-    >>> from imr_torch.calibration import reliability
-    >>> found = reliability([0.1, 0.1, 0.9, 0.9], [False, False, True, True], bins=2, resamples=100)
-    >>> found.counts, found.stated
-    ((2, 2), (0.1, 0.9))
-    """
-
-    stated: tuple[float, ...]
-    share: tuple[float, ...]
-    low: tuple[float, ...]
-    high: tuple[float, ...]
-    counts: tuple[int, ...]
-    error: float
-    by_chance: float
-    p: float
 
 
 def _check_shares(values: Sequence[float], name: str) -> np.ndarray:
@@ -182,67 +150,3 @@ def coverage(values: Sequence[float], level: float) -> Coverage:
     found = _check_shares(values, "coverage")
     hits = int((np.abs(found - 0.5) <= 0.5 * level).sum())
     return Coverage(level, hits / len(found), *_share_interval(hits, len(found)))
-
-
-def _calibration_error(stated: np.ndarray, true: np.ndarray, places: np.ndarray) -> float:
-    """Mean over cases of the distance between stated probability and share, bin by bin."""
-    gaps = np.bincount(places, weights=true - stated)
-    return float(np.abs(gaps).sum() / len(stated))
-
-
-def reliability(
-    stated: Sequence[float],
-    true: Sequence[bool],
-    *,
-    bins: int = 10,
-    resamples: int = 2000,
-    seed: int = 0,
-) -> Reliability:
-    """Reliability diagram of stated probabilities, with the expected calibration error.
-
-    Args:
-        stated: probability of each case.
-        true: whether it came true.
-        bins: of equal width.
-        resamples: for the error expected by chance.
-        seed: of these.
-
-    Raises:
-        ShapeError: if there is not one outcome for each probability.
-
-    >>> from imr_torch.calibration import reliability
-    >>> found = reliability([0.1, 0.1, 0.9, 0.9], [False, False, True, True], bins=2, resamples=100)
-    >>> round(found.error, 2), found.share
-    (0.1, (0.0, 1.0))
-    """
-    p = _check_shares(stated, "reliability")
-    hit = np.asarray(true, dtype=float)
-    if p.shape != hit.shape:
-        raise ShapeError(
-            f"reliability: {len(p)} probabilities and {len(hit)} outcomes; expected one for each."
-        )
-    places = np.minimum((p * bins).astype(int), bins - 1)
-    rows = []
-    for place in np.unique(places):
-        mine = places == place
-        hits = int(hit[mine].sum())
-        count = int(mine.sum())
-        rows.append((float(p[mine].mean()), hits / count, *_share_interval(hits, count), count))
-    source = np.random.default_rng(seed)
-    chance = [
-        _calibration_error(p, (source.random(len(p)) < p).astype(float), places)
-        for _ in range(resamples)
-    ]
-    error = _calibration_error(p, hit, places)
-    tail = (1 + sum(e >= error for e in chance)) / (resamples + 1)
-    stated_, share, lows, highs, counts = zip(*rows, strict=True)
-    return Reliability(
-        stated_,
-        share,
-        lows,
-        highs,
-        counts,
-        error,
-        float(np.mean(chance)),
-        tail,
-    )

@@ -176,18 +176,19 @@ def compare_parts(
         used = line.pad_rows(frames.flatten().double(), 1.0)[:, None] * line.fitted
         return torch.linalg.inv(used.mT @ used).diagonal()[columns]
 
-    whole = fit_frames(fit, batch, simulator, batch.mask)
+    mean, whole, converged = fit_frames(fit, batch, simulator, batch.mask)
+    variance = find_variances(batch.mask)
     parts = []
     for name, frames in inside.items():
         left = batch.mask & ~frames
         if min(int(frames.sum()), int(left.sum(1).min())) < fewest:
             continue
-        other = fit_frames(fit, batch, simulator, left)
-        variance, wider = find_variances(batch.mask), find_variances(left)
-        z = (other.mean - whole.mean)[columns] / (wider - variance).clamp_min(1e-300).sqrt()
-        tells = (wider > widened**2 * variance) & torch.tensor(whole.converged and other.converged)
+        moved, without, ended = fit_frames(fit, batch, simulator, left)
+        wider = find_variances(left)
+        z = (moved - mean)[columns] / (wider - variance).clamp_min(1e-300).sqrt()
+        tells = (wider > widened**2 * variance) & torch.tensor(converged and ended)
         shifts = {x: float(z[i]) for i, x in enumerate(names) if tells[i]}
-        parts.append(Part(name, int(frames.sum()), other.intervals, shifts))
+        parts.append(Part(name, int(frames.sum()), without, shifts))
     influence = line.to_shift[columns, : batch.mask.numel()].square().unflatten(1, batch.mask.shape)
     telling = {
         experiment.label: {
@@ -196,28 +197,13 @@ def compare_parts(
         }
         for e, experiment in enumerate(batch.curves)
     }
-    return PartsTest(whole.intervals, tuple(parts), telling)
+    return PartsTest(whole, tuple(parts), telling)
 
 
 def _describe_telling(squares: Tensor, inside: Mapping[str, Tensor]) -> tuple[int, str]:
     """Effective number of frames behind an estimate, of squared influences, and the part of most."""
     count = float(squares.sum().square() / squares.square().sum().clamp_min(1e-300))
     return round(count), max(inside, key=lambda name: float(squares[inside[name]].sum()))
-
-
-@dataclass(frozen=True)
-class FramesFit:
-    """The gel of some of the frames, from where that of all is.
-
-    Args:
-        mean: most probable controls.
-        intervals: parameter of the gel -> [5, 50, 95 %], SI.
-        converged: whether the descent has.
-    """
-
-    mean: Tensor
-    intervals: dict[str, list[float]]
-    converged: bool
 
 
 def fit_frames(
@@ -227,7 +213,7 @@ def fit_frames(
     frames: FrameMask,
     *,
     iterations: int = 20,
-) -> FramesFit:
+) -> tuple[Tensor, dict[str, list[float]], bool]:
     """Fit some of the frames, with the solver steps of the fit of all.
 
     Args:
@@ -236,6 +222,9 @@ def fit_frames(
         simulator: makes the bubbles.
         frames: which frames; two or more of each curve that has any.
         iterations: most.
+
+    Returns:
+        Most probable controls; parameter of the gel -> [5, 50, 95 %], SI; whether it converged.
     """
     kept = [e.at(f[m]) for e, f, m in zip(batch.curves, frames, batch.mask, strict=True)]
     end = descend_from(
@@ -248,7 +237,7 @@ def fit_frames(
     found = replace(fit, mean=end.point.gel, chol=end.equations.posterior_chol, sample=None)
     quantiles = intervals(found.posterior)
     own = {name: quantiles[name] for name in fit.prior.of_gel}
-    return FramesFit(end.point.gel, own, end.gradient < NEARLY)
+    return end.point.gel, own, end.gradient < NEARLY
 
 
 def follow_gel(
@@ -277,14 +266,14 @@ def follow_gel(
         frames = (clock >= low) & (clock <= high) & batch.mask
         if int(frames.sum(1).min()) < 2:
             continue
-        found = fit_frames(fit, batch, simulator, frames)
+        _, own, converged = fit_frames(fit, batch, simulator, frames)
         times = batch.times[frames]
         rows.append(
             {
                 "t_star": [float(times.min()), float(times.max())],
                 "frames": int(frames.sum()),
-                "intervals": found.intervals,
-                "converged": found.converged,
+                "intervals": own,
+                "converged": converged,
             }
         )
     return rows

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from imr_torch.errors import InputDataError
 from imr_torch.files import write_json
+from imr_torch.float64 import tensor, zeros
 from imr_torch.material.marginals import Marginal, marginal_from_dict, marginal_to_dict
 from imr_torch.material.model_belief import Cloud, ModelBelief
 from imr_torch.material.models import material
@@ -113,7 +114,7 @@ class Belief:
             of_model = set(kind.names) - set(free)
             fixed = {name: float(value) for name, value in given.items() if name in of_model}
             ordered = tuple(marginals[name] for name in free)
-            mean = torch.zeros(len(free), dtype=torch.float64)
+            mean = zeros(len(free))
             parts.append(ModelBelief(key, ordered, mean, torch.diag(mean + 1.0), fixed))
         weights = probabilities or dict.fromkeys(models, 1.0)
         if (
@@ -125,7 +126,7 @@ class Belief:
                 f"probabilities must be non-negative, one for each of {list(models)}; got "
                 f"{dict(weights)}."
             )
-        shares = torch.tensor([weights[key] for key in models], dtype=torch.float64)
+        shares = tensor([weights[key] for key in models])
         return cls(tuple(parts), shares.log())
 
     @property
@@ -190,7 +191,7 @@ class Belief:
         try:
             parts = tuple(_part_from_dict(entry) for entry in document["models"])
             logs = [-math.inf if v is None else float(v) for v in document["log_probabilities"]]
-            return cls(parts, torch.tensor(logs, dtype=torch.float64))
+            return cls(parts, tensor(logs))
         except InputDataError:
             raise
         except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
@@ -218,7 +219,7 @@ class Belief:
 def even_belief(models: Iterable[ModelBelief]) -> Belief:
     """Models of equal probability."""
     kept = tuple(models)
-    return Belief(kept, torch.zeros(len(kept), dtype=torch.float64))
+    return Belief(kept, zeros(len(kept)))
 
 
 def _part_from_dict(entry: Mapping[str, Any]) -> ModelBelief:
@@ -229,8 +230,8 @@ def _part_from_dict(entry: Mapping[str, Any]) -> ModelBelief:
         raise InputDataError(
             f"Saved parameters {entry['names']} are not those of {entry['model']!r}."
         )
-    mean = torch.tensor(entry["mean"], dtype=torch.float64)
-    chol = torch.tensor(entry["chol"], dtype=torch.float64).reshape(len(mean), len(mean))
+    mean = tensor(entry["mean"])
+    chol = tensor(entry["chol"]).reshape(len(mean), len(mean))
     marginals = tuple(marginal_from_dict(m) for m in entry["marginals"])
     if not isinstance(entry["known"], Mapping) or not bool(torch.isfinite(chol).all()):
         raise InputDataError(
@@ -241,7 +242,7 @@ def _part_from_dict(entry: Mapping[str, Any]) -> ModelBelief:
     if cloud is None:
         return part
     names = (one.name for one in fields(Cloud))
-    draws = Cloud(*(torch.tensor(cloud[name], dtype=torch.float64) for name in names))
+    draws = Cloud(*(tensor(cloud[name]) for name in names))
     if draws.controls.shape[1] != len(mean):
         raise InputDataError(
             f"Saved cloud of {entry['model']!r} has {draws.controls.shape[1]} parameters; "

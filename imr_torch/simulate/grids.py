@@ -14,6 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import arange, eye
 
 
 @dataclass(frozen=True)
@@ -146,7 +147,7 @@ def _chebyshev_nodes(count: int) -> tuple[Tensor, Tensor]:
 
     6.3-6.5).
     """
-    index = torch.arange(count + 1, dtype=torch.float64)
+    index = arange(count + 1)
     x = torch.cos(math.pi * index / count)
     weight = torch.where((index == 0) | (index == count), 2.0, 1.0) * (-1.0) ** index
     sums = 0.5 * (index[:, None] + index)
@@ -154,6 +155,6 @@ def _chebyshev_nodes(count: int) -> tuple[Tensor, Tensor]:
     distance = (
         2.0 * torch.sin(math.pi * sums / count) * torch.sin(math.pi * differences / count)
     )  # x_i - x_j, exactly
-    matrix = weight[:, None] / weight / (distance + torch.eye(count + 1, dtype=torch.float64))
+    matrix = weight[:, None] / weight / (distance + eye(count + 1))
     matrix.fill_diagonal_(0.0)
     return x, matrix - torch.diag(matrix.sum(1))

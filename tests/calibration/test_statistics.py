@@ -8,8 +8,8 @@ import pytest
 import torch
 from scipy import stats
 
-from imr_torch.calibration import coverage, envelope, reliability, uniformity
-from imr_torch.errors import InputDataError, ShapeError
+from imr_torch.calibration import coverage, envelope, uniformity
+from imr_torch.errors import InputDataError
 
 
 def grid(n):
@@ -82,25 +82,6 @@ def test_that_missing_coverage_is_seen():
     assert not result.fits
 
 
-def test_that_the_calibration_error_is_the_mean_gap_of_the_bins():
-    result = reliability([0.1, 0.1, 0.1, 0.1, 0.8, 0.8], [True, False, False, False, True, False])
-    assert result.counts == (4, 2)
-    assert result.stated == pytest.approx((0.1, 0.8))
-    assert result.share == pytest.approx((0.25, 0.5))
-    assert result.error == pytest.approx((4 * 0.15 + 2 * 0.3) / 6)
-
-
-def test_that_right_probabilities_err_as_chance_does_and_sharpened_ones_more():
-    stated = uniform(500, 1)
-    true = uniform(500, 2) < stated
-    right = reliability(stated.tolist(), true.tolist())
-    assert right.p > 0.05
-    sharp = torch.special.expit(3.0 * torch.special.logit(stated))
-    wrong = reliability(sharp.tolist(), true.tolist())
-    assert wrong.p < 1e-3
-    assert wrong.error > 2.0 * wrong.by_chance
-
-
 @pytest.mark.parametrize(
     ("call", "error", "words"),
     [
@@ -120,7 +101,6 @@ def test_that_right_probabilities_err_as_chance_does_and_sharpened_ones_more():
             "9 values are too few for 2 bins; 10 are needed",
         ),
         (lambda: coverage([], 0.9), InputDataError, "coverage: expected at least one number"),
-        (lambda: reliability([0.5, 0.5], [True]), ShapeError, "2 probabilities and 1 outcomes"),
     ],
 )
 def test_that_bad_input_is_named(call, error, words):
