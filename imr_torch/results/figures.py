@@ -216,9 +216,8 @@ def _design_figures(document: Document) -> Iterator[NamedFigure]:
     if measure := document.get("measure"):
         yield NamedFigure(
             "sensitivity",
-            f"Optimal shares of shots by the criterion {measure['criterion']} (circles, by area) and "
-            f"the sensitivity: its largest value bounds what any design is better, "
-            f"{measure['bound']:.1%}.",
+            f"Optimal shares of shots by the criterion {measure['criterion']} (circles, by area) "
+            "and the sensitivity, whose largest value bounds how much better any design could be.",
             f"Map over We and R_inf/Rmax with {len(measure['support'])} circles.",
             partial(draw_sensitivity, measure),
         )

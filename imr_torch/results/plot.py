@@ -256,7 +256,8 @@ def draw_sensitivity(found: Document, *, ax: Axes | None = None) -> Axes:
     for row in found["support"]:
         size = 30.0 * row["share"] ** 0.5
         ax.plot(row["We"], row["R_inf*"], "o", ms=size, color=TRUTH, mec="white", clip_on=False)
-    ax.set(xlabel=WEBER, ylabel=REST_RADIUS, xscale="log")
+    set_scale(ax, "x", min(we), max(we), ratio=1.0)
+    ax.set(xlabel=WEBER, ylabel=REST_RADIUS)
     return ax
 
 
