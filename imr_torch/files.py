@@ -133,7 +133,12 @@ def _check_place(target: Path, option: str, folder: bool) -> None:
 
 
 def flush_folder(folder: Path) -> None:
-    """Flush the names of a folder's files to disk, where the system can."""
+    """Flush the names of a folder's files to disk, where the system can.
+
+    >>> from pathlib import Path
+    >>> from imr_torch.files import flush_folder
+    >>> flush_folder(Path())
+    """
     if os.name == "posix":
         descriptor = os.open(folder, os.O_RDONLY)
         try:

@@ -59,8 +59,9 @@ class LinearSimulator:
 
     def _gel(self, parameters: Tensor, weber: Tensor, frames: int) -> Tensor:
         """What the gel adds, ``n x frames``: once a Weber number, and of parameters that are not
-        zero.
+        neutral.
         """
+        parameters = parameters - PARAMETERS.neutral()
         which = parameters.detach().ne(0.0).any(0).nonzero()[:, 0]
         different, place = weber.detach().unique(return_inverse=True)
         if weber.requires_grad or len(weber) < _MANY or len(different) > 8:

@@ -255,6 +255,14 @@ class DesignMeasure:
         options: what shots cost.
         evaluate: the criterion of designs (``k x 2``) on which as much is spent as on numbers
             (``k``) of ordinary shots.
+
+    >>> import torch
+    >>> from imr_torch.design import DesignMeasure, MeasureOptions
+    >>> designs, even = torch.tensor([[100.0, 0.3], [1000.0, 0.2]]).double(), torch.ones(2).double()
+    >>> shares = torch.tensor([0.25, 0.75]).double()
+    >>> measure = DesignMeasure(designs, shares, even, 0.0, 4, 1.0, MeasureOptions(), lambda *_: even.sum())
+    >>> measure.support.tolist()  # the largest share first
+    [1, 0]
     """
 
     designs: Candidates

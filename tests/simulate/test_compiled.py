@@ -297,8 +297,8 @@ FAILURES = [
     ),
     (
         PolytropicSimulator,
-        {"G": 1e5, "alpha_fung": 0.1},
-        {"stepping": Stepping(0.5, retries=0)},
+        {"G": 4e3, "mu": 0.08},
+        {"conditions": Conditions(initial_velocity=100.0)},
         Status.RUNAWAY,
     ),
     (PolytropicSimulator, {"G": 5e4, "alpha": -0.9}, {}, Status.UNBOUNDED_ENERGY),

@@ -11,7 +11,7 @@ import torch
 from scipy.integrate import solve_ivp
 from torch import Tensor
 
-from imr_torch.material import PARAMETERS
+from imr_torch.material import PARAMETERS, PARTS
 from imr_torch.simulate import (
     Accuracy,
     Conditions,
@@ -97,7 +97,10 @@ CAMERA = {
     "edge_error",
 }
 """What a bubble does not feel."""
-SEEN_BY_THE_BUBBLE = [name for name in PARAMETERS.names if name not in CAMERA]
+OF_PARTS = {name for part in PARTS.values() for term in part.terms for name in term.names}
+OF_PARTS -= {*SI, *BEYOND}
+"""What composed laws alone read: tests/material/test_parts.py has tests of their own."""
+SEEN_BY_THE_BUBBLE = [name for name in PARAMETERS.names if name not in CAMERA | OF_PARTS]
 
 
 def simulators(
