@@ -14,7 +14,7 @@ import pytest
 import torch
 
 import imr_torch.characterization.batch as batch
-from imr_torch import PolytropicSimulator, characterize, wide_prior
+from imr_torch import PolytropicSimulator, characterize, float64, wide_prior
 from imr_torch.assimilate import SearchOptions
 from imr_torch.characterization.batch import (
     BatchOptions,
@@ -31,7 +31,6 @@ from imr_torch.results import document_page, header
 from imr_torch.results.intervals import is_usable, plot_shots
 from imr_torch.simulate import process_pool
 from imr_torch.units import Surroundings
-from tests import float64
 from tests.workers import fatal
 
 SIZE = 221e-6

@@ -10,12 +10,12 @@ from typing import Any
 import pytest
 import torch
 
+from imr_torch import float64
 from imr_torch.characterization.compare import compare
 from imr_torch.characterization.saved import SavedCharacterization
 from imr_torch.cli import main
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief, wide_prior
-from tests import float64
 
 PRIOR = wide_prior(["nhkv"])
 TRUSTED = {"verdict": "trusted", "certificate": {"converged": True}}

@@ -5,8 +5,8 @@ import itertools
 import pytest
 import torch
 
+from imr_torch import float64
 from imr_torch.random import child, generator
-from tests import float64
 
 
 def test_that_a_child_seed_depends_on_its_path_and_not_on_what_was_drawn():

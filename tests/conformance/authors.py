@@ -8,10 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from imr_torch import float64
 from imr_torch.errors import UnsupportedError
 from imr_torch.material import MATERIALS, PARAMETERS
 from imr_torch.simulate import ACCURACIES, PRESETS, Accuracy, TransportSimulator
-from tests import float64
 from tests.simulate.difference_grids import AuthorsResolution
 
 GRIDS: dict[str, Accuracy] = {

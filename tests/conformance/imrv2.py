@@ -14,6 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from imr_torch import float64
 from imr_torch.elementary import Scalar
 from imr_torch.errors import UnsupportedError
 from imr_torch.material import PARAMETERS, StressTerm
@@ -37,7 +38,6 @@ from imr_torch.simulate import (
 )
 from imr_torch.simulate.radial import accelerate_wall
 from imr_torch.units import Surroundings
-from tests import float64
 
 PARAMETER_OF = {
     "mu": "viscosity_pa_s",

@@ -6,12 +6,12 @@ import pytest
 import torch
 from torch.distributions import Distribution
 
+from imr_torch import float64
 from imr_torch.errors import InputDataError, ShapeError
 from imr_torch.export import ModelPrior, sbi_simulator
 from imr_torch.material import Belief, LogNormal, TruncatedNormal, reference_case
 from imr_torch.observe import Noise, Nuisance
 from imr_torch.simulate import PolytropicSimulator
-from tests import float64
 from tests.linear import CORRELATED, MEANS, NOISE, SDS, LinearSimulator, prior, tensor
 
 DESIGNS = tensor([300.0, 0.2], [700.0, 0.25])

@@ -100,7 +100,8 @@ CAMERA = {
 OF_PARTS = {name for part in PARTS.values() for term in part.terms for name in term.names}
 OF_PARTS -= {*SI, *BEYOND}
 """What composed laws alone read: tests/material/test_parts.py has tests of their own."""
-SEEN_BY_THE_BUBBLE = [name for name in PARAMETERS.names if name not in CAMERA | OF_PARTS]
+NAMES = [name for name in PARAMETERS.names if name not in OF_PARTS]
+SEEN_BY_THE_BUBBLE = [name for name in NAMES if name not in CAMERA]
 
 
 def simulators(
@@ -127,7 +128,7 @@ def test_that_every_effect_has_a_value_to_be_seen_at() -> None:
 def bases_and_neighbours(*, acting: bool) -> Tensor:
     """For every parameter a bubble that has what it needs, and beside it one where it acts (or another without)."""
     rows = []
-    for name in PARAMETERS.names:
+    for name in NAMES:
         base = BASE | BESIDE.get(name, {})
         value = (
             BASE[name] * 1.5
@@ -184,12 +185,12 @@ def test_that_it_is_the_same_in_both_engines(solutions, kind: str) -> None:
 
 
 @BOTH
-@pytest.mark.parametrize("name", PARAMETERS.names)
+@pytest.mark.parametrize("name", NAMES)
 def test_that_beyond_it_does_something_unless_it_is_the_cameras(
     solutions, kind: str, name: str
 ) -> None:
     solution = solutions[kind][1]
-    row = 2 * PARAMETERS.names.index(name)
+    row = 2 * NAMES.index(name)
     assert bool(solution.ok[row : row + 2].all())
     change = float((solution.radius[row] - solution.radius[row + 1]).abs().max())
     assert (change == 0.0) if name in CAMERA else (change > 1e-4)
