@@ -28,6 +28,7 @@ from imr_torch import load_traces, wide_prior
 from imr_torch.assimilate import SearchOptions, assimilate
 from imr_torch.assimilate.starts import away_from_collapses
 from imr_torch.characterization import medium_of
+from imr_torch.errors import InputDataError
 from imr_torch.material import LIBRARY, Belief
 from imr_torch.material.belief import even_belief
 from imr_torch.material.model_belief import add_parameters
@@ -96,7 +97,10 @@ def judge_set(path: Path, model: str, most: int) -> Line:
     if model == DRAG:
         nhkv = prior.models[0]
         prior = even_belief((add_parameters(nhkv, LIBRARY["size_drag"].priors),))
-    prepared = prepare(traces, simulator.conditions.surroundings, growth=LOWEST)
+    try:
+        prepared = prepare(traces, simulator.conditions.surroundings, growth=LOWEST)
+    except InputDataError as error:  # a record without R_inf
+        return {"shots": 0, "refused": str(error).replace(f"{path.parent}/", "")}
     shots = [shot for shot in prepared.experiments if int((shot.times < 0.0).sum()) >= FEWEST]
     shots = tuple(shots[:: max(1, len(shots) // most)][:most])
     if not shots:

@@ -111,7 +111,7 @@ def characterize(
         progress: called with one line per step.
 
     Raises:
-        UnsupportedError: for growth of a gel that remembers.
+        UnsupportedError: for growth of a gel that remembers, or under a driving pressure.
         InputDataError: as in :func:`imr_torch.observe.prepare`, without a trace, or for a
             population of only one.
 
@@ -151,8 +151,9 @@ def characterize(
     simulator = medium.applied(simulator)
     prior = medium.believed(prior)
     surroundings = simulator.conditions.surroundings
-    for part in prior.models if growth is not None else ():
-        check_reversible(part.model, part.material.names)
+    if growth is not None:
+        for part in prior.models:
+            check_reversible(part.model, part.material.names, simulator)
     prepared = prepare(
         traces, surroundings, collapses=collapses, rest_radius=rest_radius, growth=growth
     )

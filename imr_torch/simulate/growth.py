@@ -27,12 +27,18 @@ AT_MAXIMUM = -0.02
 """t* down to which a curve is taken to go on before its maximum as it does after it."""
 
 
-def check_reversible(model: str, names: Sequence[str]) -> None:
+def check_reversible(model: str, names: Sequence[str], simulator: Simulator) -> None:
     """Raise unless a model with these parameters can be run backwards in time.
 
+    >>> from imr_torch import PolytropicSimulator
     >>> from imr_torch.simulate.growth import check_reversible
-    >>> check_reversible("nhkv", ("G", "mu", "density"))
+    >>> check_reversible("nhkv", ("G", "mu", "density"), PolytropicSimulator())
     """
+    if simulator.conditions.driving is not None:
+        raise UnsupportedError(
+            "Growth cannot be predicted under a driving pressure, which is known from the maximum "
+            "on. Leave the driving out, or fit without growth."
+        )
     forgets = {name for term in TERMS if term.odd is not None for name in term.names}
     lost = [name for name in names if name not in {*OF_MEDIUM.values(), *forgets}]
     if lost:

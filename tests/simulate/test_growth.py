@@ -8,7 +8,7 @@ from imr_torch import PolytropicSimulator, TransportSimulator
 from imr_torch.errors import UnsupportedError
 from imr_torch.material import MATERIALS, PARAMETERS, TERMS
 from imr_torch.observe import Experiment, ExperimentBatch, Nuisance, predict
-from imr_torch.simulate import Conditions, PolytropicGas, Stepping
+from imr_torch.simulate import Conditions, PolytropicGas, Stepping, TabulatedDriving
 from imr_torch.simulate.growth import WithGrowth, check_reversible
 from tests.record.bubbles import LIQUID, paths
 
@@ -78,11 +78,11 @@ def test_that_models_that_remember_are_refused_by_name() -> None:
     for key, model in MATERIALS.items():
         if any(term.states for term in model.terms):
             with pytest.raises(UnsupportedError, match=f"Growth cannot be predicted for {key}"):
-                check_reversible(key, model.names)
+                check_reversible(key, model.names, SIMULATOR)
         else:
-            check_reversible(key, model.names)
+            check_reversible(key, model.names, SIMULATOR)
     with pytest.raises(UnsupportedError, match="vapour_pressure is of a gel"):
-        check_reversible("nhkv", ("G", "mu", "vapour_pressure"))
+        check_reversible("nhkv", ("G", "mu", "vapour_pressure"), SIMULATOR)
 
 
 def test_that_every_law_said_to_be_reversible_is() -> None:
@@ -100,3 +100,9 @@ def test_that_every_law_said_to_be_reversible_is() -> None:
         assert torch.allclose(here[0], there[0])
         assert torch.allclose(here[1], -there[1])
         assert torch.allclose(here[2], -there[2])
+
+
+def test_that_growth_under_a_driving_pressure_is_refused() -> None:
+    driven = Conditions(driving=TabulatedDriving((0.0, 1e-5, 2e-5), (0.0, 1e4, 0.0)))
+    with pytest.raises(UnsupportedError, match="under a driving pressure"):
+        check_reversible("nhkv", ("G", "mu"), PolytropicSimulator(driven))
