@@ -1,71 +1,159 @@
-"""The forms of the application, and what they say as the arguments of the commands."""
+"""The forms of the application, and what they say as the arguments of the commands.
 
-from collections.abc import Sequence
+A form shows the options that most runs need; all others of its command are behind "More options",
+read from the table that the command line is made of, so that no command can do more than its form.
+"""
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from imr_torch.cli import build_parser
 from imr_torch.cli.options import COMMANDS
 from imr_torch.cli.options.names import COLLAPSES, DEFAULT_MODELS
 from imr_torch.files import Document
 
-FORMS: dict[str, tuple[tuple[str, ...], ...]] = {
-    "characterize": (
-        ("experiments",),
-        ("models", "physics", "collapses"),
-        ("population",),
-        ("known", "rest_radius"),
+OF_THE_FOLDER = {"files", "layout", "medium", "out", "html", "mat", "resume", "workers", "cluster"}
+"""Options that the folder of the application answers, or that concern other machines."""
+LISTS = {"models", "experiments", "exclude", "heldout", "effects", "without", "tell"}
+"""Options that take several names."""
+
+
+@dataclass(frozen=True)
+class Form:
+    """What is asked before a command runs.
+
+    Args:
+        title: on the button that chooses the command.
+        rows: options that are always shown.
+        reads_files: whether the command reads the curves of the folder.
+        presets: name -> options that differ from their defaults.
+    """
+
+    title: str
+    rows: tuple[tuple[str, ...], ...]
+    reads_files: bool = True
+    presets: Mapping[str, Document] = field(default_factory=dict)
+
+
+_QUICK = {"models": ["nhkv"], "physics": "polytropic"}
+FORMS = {
+    "characterize": Form(
+        "Characterise",
+        (("experiments",), ("models", "physics", "collapses"), ("population", "over_time")),
+        presets={
+            "usual": {},
+            "quick look": _QUICK,
+            "thorough": {"effort": "thorough", "population": True, "over_time": True},
+        },
     ),
-    "diagnose": (
-        ("experiments",),
-        ("base", "physics", "collapses", "most"),
-        ("known", "rest_radius"),
+    "diagnose": Form(
+        "Diagnose",
+        (("experiments",), ("base", "physics", "collapses", "most")),
+        presets={"usual": {}, "quick look": {"physics": "polytropic", "most": 1}},
     ),
-    "design": (
-        ("belief", "models", "target", "physics"),
-        ("we_range", "rinf_range", "q", "evaluations"),
+    "batch": Form(
+        "Every file",
+        (("models", "physics", "collapses"), ("each",)),
+        presets={"usual": {}, "quick look": _QUICK},
+    ),
+    "compare": Form("Compare two", (("a", "b"), ("model",)), reads_files=False),
+    "design": Form(
+        "Next design",
+        (("belief", "models", "target", "physics"), ("we_range", "rinf_range", "q", "evaluations")),
+        reads_files=False,
+    ),
+    "campaign": Form(
+        "Campaign",
+        (("continued", "tell"), ("models", "goal", "physics"), ("we_range", "rinf_range", "stop")),
+        reads_files=False,
+    ),
+    "simulate": Form(
+        "Simulate",
+        (("model", "set"), ("we", "rinf", "until", "frames"), ("physics",)),
+        reads_files=False,
     ),
 }
-"""Command -> the rows of its form."""
+"""Command -> its form."""
 
-
-SETTINGS: dict[str, Document] = {
-    name.removeprefix("--").replace("-", "_"): settings
+OPTIONS: dict[str, dict[str, Document]] = {
+    command: {
+        name.removeprefix("--").replace("-", "_"): {"flag": name} | settings
+        for _, name, settings in COMMANDS[command][1]()
+    }
     for command in FORMS
-    for _, name, settings in COMMANDS[command][1]()
 }
-"""Option of these commands -> what the command line says about it."""
+"""Command -> option -> its name on the command line and its settings."""
+OPTIONS["campaign"]["continued"] = {"flag": "", "help": "a campaign of this folder that goes on"}
 
-DEFAULTS: Document = {
-    name: settings.get("default") or (settings.get("action") != "store_true" and "")
-    for name, settings in SETTINGS.items()
-} | {"models": DEFAULT_MODELS.split(","), "experiments": [], "collapses": COLLAPSES}
-"""Option -> what the command takes where it is not given."""
+
+def list_defaults(command: str) -> Document:
+    """Option -> the value of an empty form."""
+    values = {
+        name: settings.get("default") or (settings.get("action") != "store_true" and "")
+        for name, settings in OPTIONS[command].items()
+    }
+    values |= {name: [] for name in LISTS & values.keys()}
+    ours = {"models": DEFAULT_MODELS.split(","), "collapses": COLLAPSES}
+    return values | {name: value for name, value in ours.items() if name in values}
+
+
+def list_more(command: str) -> list[str]:
+    """Options of a command that its form does not show at once."""
+    shown = {name for row in FORMS[command].rows for name in row}
+    return [name for name in OPTIONS[command] if name not in shown | OF_THE_FOLDER]
 
 
 def command_arguments(
     command: str, values: Document, folder: str, *, files: Sequence[str] = ()
 ) -> list[str]:
-    """The arguments of a command; options that say what it does anyhow are left out.
+    """Arguments of a command; what is empty or a default is left out.
 
     Args:
-        command: ``characterize``, ``diagnose`` or ``design``.
-        values: option -> its value; what is not named is as in :data:`DEFAULTS`.
+        command: one of :data:`FORMS`.
+        values: option -> its value; what is not named is as in an empty form.
         folder: where results go.
         files: what is read; how, ``layout`` says.
 
     >>> from imr_torch.app.commands import command_arguments
     >>> command_arguments("characterize", {"collapses": 1, "population": True}, "results/001", files=["files/gel.csv"])[:5]
-    ['characterize', 'files/gel.csv', '--collapses', '1', '--population']
+    ['characterize', 'files/gel.csv', '--population', '--collapses', '1']
     """
     words = [command, *files]
-    options = [name for row in FORMS[command] for name in row]
-    for name in ("layout", "medium", *options) if files else (*options, "medium"):
-        default = DEFAULTS[name]
+    options = OPTIONS[command]
+    defaults = list_defaults(command)
+    for name in ({"layout": 0} if files else {}) | {"medium": 0} | options:
+        if name not in options or (name == "models" and values.get("belief")):
+            continue  # an earlier result has models of its own
         value = values.get(name)
-        value = (value.strip() if isinstance(value, str) else value) or default
-        if value == default or (name == "models" and values.get("belief")):
+        value = (value.strip() if isinstance(value, str) else value) or defaults[name]
+        flag = options[name]["flag"]
+        if value == defaults[name] or not flag:
             continue
-        words.append(f"--{name.replace('_', '-')}")
+        words += [flag] if flag.startswith("--") else []
         if isinstance(value, list):
-            words.append(",".join(value))
+            words += value if "nargs" in options[name] else [",".join(value)]
         elif value is not True:
             words.append(f"{value:g}" if isinstance(value, float) else f"{value}")
-    return [*words, "--out", folder, "--html", f"{folder}/page.html"]
+    places = {"out": folder, "html": f"{folder}/page.html", "mat": f"{folder}/result.mat"}
+    kept = [word for name in places if name in options for word in (f"--{name}", places[name])]
+    return [*words, *["--resume"] * bool(values.get("continued")), *kept]
+
+
+def read_arguments(arguments: Sequence[str]) -> Document:
+    """The values of a form that would make the arguments.
+
+    >>> from imr_torch.app.commands import read_arguments
+    >>> read_arguments(["characterize", "files/gel.csv", "--models", "nhkv,zener"])["models"]
+    ['nhkv', 'zener']
+    """
+    command = arguments[0]
+    read = vars(build_parser().parse_args(list(arguments)))
+    values = list_defaults(command)
+    for name in OPTIONS[command].keys() - OF_THE_FOLDER:
+        value = read.get(name)
+        if name in LISTS and isinstance(value, str):
+            value = value.split(",")
+        elif name not in LISTS and isinstance(value, list):
+            value = ",".join(value)
+        values[name] = value or values[name]
+    return values

@@ -1,5 +1,5 @@
-"""Commands as processes: one at a time, with progress and messages; each writes into a folder of
-its own.
+"""Commands as processes: one at a time and the others after it, with progress and messages; each
+writes into a folder of its own.
 
 ``results/003_characterize/`` holds what the command wrote, ``run.json`` (arguments, times, exit
 status), ``output.txt`` and ``messages.txt``. A folder whose run has no exit status and is not
@@ -22,14 +22,16 @@ from os import environ
 from pathlib import Path
 
 from imr_torch.errors import InputDataError
-from imr_torch.files import read_json, write_json
+from imr_torch.files import Document, read_json, write_json
 
 _COMMAND = "import sys; from imr_torch.cli import main; sys.exit(main(sys.argv[1:], events=True))"
+STOPPED = 130
+"""Exit status of a run that was interrupted by a person."""
 _STATUS = {
     0: "done",
     1: "not converged, or a file could not be written",
     2: "the input cannot be used",
-    130: "stopped",
+    STOPPED: "stopped",
 }
 
 
@@ -57,8 +59,18 @@ class Result:
     @property
     def page(self) -> Path | None:
         """The page that the command wrote, if it did."""
-        path = self.folder / "page.html"
-        return path if path.is_file() else None
+        paths = [self.folder / name for name in ("page.html", "summary.html")]
+        return next((path for path in paths if path.is_file()), None)
+
+    @property
+    def figures(self) -> list[Path]:
+        """Figures that it wrote."""
+        return sorted(self.folder.glob("*.png"))
+
+    def read_shots(self) -> list[Document]:
+        """Rows of a batch, a shot each; empty for other commands."""
+        path = self.folder / "batch.json"
+        return read_json(path)["shots"] if path.is_file() else []
 
     @property
     def command(self) -> str:
@@ -98,10 +110,13 @@ class Run:
     Args:
         result: its folder and arguments.
         home: folder in which it runs.
+        at_end: called when it has ended and its files are complete.
     """
 
-    def __init__(self, result: Result, home: Path) -> None:
+    def __init__(self, result: Result, home: Path, at_end: Callable[[], object]) -> None:
         self.result = result
+        self._at_end = at_end
+        self._ended = threading.Event()
         self.line = "starting"
         self.part: float | None = None
         self._stopping = False
@@ -118,13 +133,12 @@ class Run:
                 errors="replace",
                 creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
             )
-        self._end = threading.Thread(target=self._read_messages, daemon=True)
-        self._end.start()
+        threading.Thread(target=self._read_messages, daemon=True).start()
 
     @property
     def running(self) -> bool:
         """Whether it has not ended, or its files are not complete."""
-        return self._end.is_alive()
+        return not self._ended.is_set()
 
     def stop(self) -> None:
         """Stop it; what was written stays."""
@@ -135,7 +149,7 @@ class Run:
 
     def wait(self, seconds: float | None = None) -> None:
         """Wait until it has ended."""
-        self._end.join(seconds)
+        self._ended.wait(seconds)
 
     def _kill_late(self, patience: float = 10.0) -> None:
         """Kill it if it has not ended by itself after some seconds."""
@@ -158,11 +172,13 @@ class Run:
             else:
                 messages.append(text)
         status = self._process.wait()
-        if self._stopping and status not in (0, 2, 130):
-            status = 130  # stopped before Python could answer, or killed since it did not
+        if self._stopping and status not in (0, 2, STOPPED):
+            status = STOPPED  # stopped before Python could answer, or killed since it did not
             messages.clear()
         (self.result.folder / "messages.txt").write_text("\n".join(messages), encoding="utf-8")
         _write_record(self.result, status)
+        self._ended.set()
+        self._at_end()
 
 
 class Runs:
@@ -170,12 +186,16 @@ class Runs:
 
     Args:
         home: the folder in which commands run; their results are in its ``results``.
+
+    :attr:`waiting` holds the runs that begin when those before them have ended.
     """
 
     def __init__(self, home: Path) -> None:
         self.home = home
         self.folder = home / "results"
         self.current: Run | None = None
+        self.waiting: list[Result] = []
+        self._lock = threading.RLock()
 
     @property
     def busy(self) -> bool:
@@ -189,33 +209,45 @@ class Runs:
         ]
         return f"results/{max(taken, default=0) + 1:03d}_{kind}"
 
-    def start_run(self, arguments: Callable[[str], list[str]], kind: str) -> Run:
-        """Start a command.
+    def add_run(self, arguments: Callable[[str], list[str]], kind: str, place: str = "") -> Result:
+        """Start a command, or let it wait until those before it have ended.
 
         Args:
             arguments: of the command, for a folder that results go to.
             kind: the name of the command.
-
-        Raises:
-            InputDataError: if one is running.
+            place: that folder, relative to ``home``; a new one when not given.
         """
-        if self.busy:
-            raise InputDataError("A command is running; stop it, or wait until it has ended.")
-        place = self.next_folder(kind)
-        started = datetime.now(UTC).isoformat(timespec="seconds")
-        result = Result(self.home / place, tuple(arguments(place)), started, None)
-        result.folder.mkdir(parents=True)
-        _write_record(result, None)
-        self.current = Run(result, self.home)
-        return self.current
+        with self._lock:
+            place = place or self.next_folder(kind)
+            started = datetime.now(UTC).isoformat(timespec="seconds")
+            result = Result(self.home / place, tuple(arguments(place)), started, None)
+            result.folder.mkdir(parents=True, exist_ok=True)
+            _write_record(result, None)
+            self.waiting.append(result)
+            self._start_next()
+        return result
+
+    def take_back(self, result: Result) -> None:
+        """Take a waiting run out of the queue; it is kept as one that was stopped."""
+        with self._lock:
+            if result in self.waiting:
+                self.waiting.remove(result)
+                _write_record(result, STOPPED)
+
+    def _start_next(self) -> None:
+        with self._lock:
+            if self.waiting and not self.busy:
+                self.current = Run(self.waiting[0], self.home, self._start_next)
+                self.waiting.pop(0)
 
     def list_results(self) -> list[Result]:
         """All runs that have ended, the latest first."""
-        running = self.current.result.folder if self.busy and self.current else None
+        open_runs = [*self.waiting, *([self.current.result] if self.busy and self.current else [])]
+        open_folders = {result.folder for result in open_runs}
         found = [
             _read_record(path.parent)
             for path in self.folder.glob("*/run.json")
-            if path.parent != running
+            if path.parent not in open_folders
         ]
         return sorted(found, key=lambda result: result.name, reverse=True)
 

@@ -119,6 +119,8 @@ def _announce_address(
 
 def _stop_running(runs: Runs) -> None:
     """Stop what is running, so that nothing goes on unseen."""
+    for result in list(runs.waiting):
+        runs.take_back(result)
     if runs.busy and runs.current:
         runs.current.stop()
         runs.current.wait(15.0)
@@ -141,6 +143,13 @@ def _add_routes(runs: Runs) -> None:
             media_type="text/html",
             headers={"Content-Security-Policy": policy},
         )
+
+    @app.get("/result/{name}/figure/{number}")
+    def send_figure(name: str, number: int) -> Response:
+        figures = runs.find_result(name).figures
+        if not 0 <= number < len(figures):
+            raise InputDataError("There is no such figure.")
+        return Response(figures[number].read_bytes(), media_type="image/png")
 
     @app.get("/result/{name}/archive")
     def send_archive(name: str) -> Response:
@@ -174,8 +183,8 @@ def _draw_page(workspace: Workspace, runs: Runs) -> None:
         "Curves": CurvesView(workspace),
         "Medium": MediumView(workspace),
         "Run": RunView(workspace, runs, go=tabs.set_value),
-        "Results": ResultsView(runs),
     }
+    views["Results"] = ResultsView(runs, reuse=views["Run"].fill_form)
     content = ui.column().classes("w-full q-pt-md")
 
     def draw_view(name: str) -> None:

@@ -2,6 +2,7 @@
 files to download.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from nicegui import ui
@@ -15,10 +16,12 @@ class ResultsView:
 
     Args:
         runs: all runs of the folder.
+        reuse: shows the form of a command with the given arguments.
         name: of the result that is shown.
     """
 
     runs: Runs
+    reuse: Callable[[Sequence[str]], object]
     name: str = ""
 
     @ui.refreshable_method
@@ -41,6 +44,9 @@ class ResultsView:
             ui.link("Download everything (zip)", f"/result/{result.name}/archive")
             if result.page:
                 ui.link("Open the page by itself", f"/result/{result.name}/page", new_tab=True)
+            ui.button("Use its options again", on_click=lambda: self.reuse(result.arguments)).props(
+                "outline dense no-caps"
+            )
         ui.label(result.command).classes("command")
         ui.label(f"Started {result.started}").classes("quiet")
         self._draw_content(result)
@@ -50,6 +56,13 @@ class ResultsView:
             ui.label(f"{result.outcome}. {result.read_text_of('messages.txt')}").classes(
                 "problem"
             ).style("white-space: pre-wrap")
+        shots = result.read_shots()
+        if shots:
+            names = dict.fromkeys(name for shot in shots for name in shot)
+            columns = [{"name": x, "label": x, "field": x, "sortable": True} for x in names]
+            ui.table(rows=shots, columns=columns, pagination=20).classes("w-full")
+        for number, figure in enumerate([] if result.page else result.figures):
+            ui.image(f"/result/{result.name}/figure/{number}").props(f'alt="{figure.stem}"')
         if result.page:
             ui.element("iframe").props(
                 f'src="/result/{result.name}/page" title="Page of {result.name}" sandbox=""'

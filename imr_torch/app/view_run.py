@@ -1,40 +1,61 @@
-"""The tab that runs commands: three forms, the command line that they make, progress, and a button
-that stops it.
+"""The tab that runs commands: a form for each, presets, the command line that it makes, and the
+queue: what is running, its progress, and what waits.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from nicegui import ui
 
-from imr_torch.app.commands import DEFAULTS, FORMS, SETTINGS, command_arguments
+from imr_torch.app.commands import (
+    FORMS,
+    LISTS,
+    OPTIONS,
+    command_arguments,
+    list_defaults,
+    list_more,
+    read_arguments,
+)
 from imr_torch.app.problems import problems_notified, problems_shown
-from imr_torch.app.runs import Run, Runs, command_line
+from imr_torch.app.runs import Result, Runs, command_line
 from imr_torch.app.workspace import Workspace
 from imr_torch.cli.options.names import MODELS
 
-_KINDS = {"characterize": "Characterise", "diagnose": "Diagnose", "design": "Next design"}
 _LABELS = {
     "experiments": "Curves (none chosen: all)",
     "models": "Candidate models",
     "physics": "Bubble physics",
     "collapses": "Collapses in the window",
     "population": "does the gel differ from shot to shot?",
+    "over_time": "G and mu over the life of the bubble",
+    "each": "every curve of a file by itself",
     "known": "Known parameters, SI, as G=2770",
     "rest_radius": "R_inf/Rmax without a tail, as 0.2:0.05",
     "base": "Model that is put to the test",
     "most": "Effects added at most",
+    "a": "First result",
+    "b": "Second result",
     "belief": "What is known before",
     "target": "What it is to tell about",
     "we_range": "Weber numbers, LOW:HIGH",
     "rinf_range": "R_inf/Rmax, LOW:HIGH",
     "q": "Designs to prepare together",
     "evaluations": "Designs evaluated",
+    "continued": "Campaign",
+    "tell": "Files of the shot you made",
+    "goal": "What shots are to tell",
+    "stop": "End when, as G:5%,mu:5%",
+    "model": "Model",
+    "set": "Its parameters, SI, as G=8310,mu=0.093",
+    "we": "Weber number",
+    "rinf": "R_inf/Rmax",
+    "until": "Last time, in Rmax/U_c",
+    "frames": "Output times",
 }
 
 
 class RunView:
-    """The tab.
+    """The forms and the queue.
 
     Args:
         workspace: the folder.
@@ -47,120 +68,185 @@ class RunView:
         self.runs = runs
         self.go = go
         self.kind = "characterize"
-        self.values: dict[str, Any] = DEFAULTS | {
-            "belief": None
-        }  # the latest result, until another is chosen
-        self.shown: Run | None = runs.current if runs.busy else None
-        self._seen_ended = False
+        self.values = {kind: list_defaults(kind) for kind in FORMS}
+        self.values["design"]["belief"] = None  # the latest result, until another is chosen
+        self.mine: list[Result] = []
+        self._running_seen = True
 
     @ui.refreshable_method
     def draw_tab(self) -> None:
-        """Draw it."""
+        """The form of the chosen command, and its state."""
+        titles = {kind: form.title for kind, form in FORMS.items()}
         ui.toggle(
-            _KINDS, value=self.kind, on_change=lambda event: self._choose_command(event.value)
-        ).props("no-caps")
-        for row in FORMS[self.kind]:
+            titles, value=self.kind, on_change=lambda event: self._choose_command(event.value)
+        ).props("no-caps").style("flex-wrap: wrap")
+        form = FORMS[self.kind]
+        if form.presets:
+            with ui.row().classes("items-center"):
+                ui.label("Fill in:").classes("quiet")
+                for name, preset in form.presets.items():
+                    ui.button(
+                        name, on_click=lambda _, preset=preset: self._fill_preset(preset)
+                    ).props("outline dense no-caps").classes("q-px-sm")
+        for row in form.rows:
             with ui.row().classes("w-full"), problems_shown():
                 for key in row:
                     self._draw_field(key)
+        self._draw_more()
         ui.label("The command, which does the same on a command line in this folder:").classes(
             "quiet q-mt-sm"
         )
         self._draw_command()
-        ui.button("Run", icon="play_arrow", on_click=self._start_run).props("no-caps")
-        self._draw_progress()
-        ui.timer(0.5, self._follow_run)
+        ui.button("Run", icon="play_arrow", on_click=self._add_run).props("no-caps")
+        self._draw_queue()
+        ui.timer(0.5, self._follow_runs)
+
+    def _draw_more(self) -> None:
+        """All other options of the command, with their help."""
+        values, defaults = self.values[self.kind], list_defaults(self.kind)
+        more = list_more(self.kind)
+        if not more:
+            return
+        changed = any(values[name] != defaults[name] for name in more)
+        with ui.expansion("More options", icon="tune", value=changed).classes("w-full"):
+            for key in more:
+                with ui.row().classes("w-full items-center"), problems_shown():
+                    self._draw_field(key)
+                    settings = OPTIONS[self.kind][key]
+                    ui.label(settings["help"] % settings).classes("quiet text-caption").style(
+                        "max-width: 40rem"
+                    )
 
     def _draw_field(self, key: str) -> None:
-        """The element of the form that sets an option."""
-        if key == "models" and self.kind == "design" and self.values["belief"]:
+        values = self.values[self.kind]
+        if key == "models" and values.get("belief"):
             return  # with an earlier result, there are no models to choose
-        default = DEFAULTS[key]
-        label = _LABELS[key]
-        choices: Any = list(SETTINGS[key].get("choices", ())) or None
-        if key in ("models", "base"):
-            choices = list(MODELS)
-        if key == "belief":
-            choices = self._list_earlier()
-        if key == "experiments":
-            choices = list(self.workspace.load_curves().ids)
-            self.values[key] = [name for name in self.values[key] if name in choices]
+        default = list_defaults(self.kind)[key]
+        label = _LABELS.get(key, key.replace("_", " "))
+        choices = self._list_choices(key)
         if isinstance(default, bool):
-            field = ui.checkbox(label)
+            field: Any = ui.checkbox(label)
         elif choices is not None:
-            many = isinstance(default, list)
-            value = self.values[key]
-            field = ui.select(choices, label=label, value=value, multiple=many)
+            many = key in LISTS
+            composed = "add-unique" if key in ("models", "base", "model") else None
+            kept = values[key] if many else [values[key]]
+            choices |= {value: value for value in kept if composed}
+            if many:
+                values[key] = [value for value in values[key] if value in choices]
+            elif values[key] not in choices:
+                values[key] = next(iter(choices), None)
+            field = ui.select(
+                choices, label=label, value=values[key], multiple=many, new_value_mode=composed
+            )
             field.props("use-chips" * many).style("min-width: min(14rem, 100%)")
         elif isinstance(default, int):
             field = ui.number(label, precision=0).style("width: 11rem")
         else:
             field = ui.input(label).style("width: min(20rem, 100%)")
-        field.bind_value(self.values, key)
+        field.bind_value(values, key)
         # an earlier result shows or hides the models
         field.on_value_change((self.draw_tab if key == "belief" else self._draw_command).refresh)
 
-    def _list_earlier(self) -> dict[str, str]:
-        """The results that a design can build on; the latest is chosen first."""
-        earlier = {"": "no earlier result: the wide prior"} | {
-            f"results/{result.name}/characterize.json": f"what {result.name} learnt"
+    def _list_choices(self, key: str) -> dict[Any, str] | None:
+        """Value -> what it is called, of a field in which one chooses; None of others."""
+        settings = OPTIONS[self.kind][key]
+        earlier = {
+            result.name: f"results/{result.name}"
             for result in self.runs.list_results()
             if (result.folder / "characterize.json").is_file()
         }
-        if self.values["belief"] not in earlier:
-            self.values["belief"] = list(earlier)[min(1, len(earlier) - 1)]
-        return earlier
+        of_earlier = {f"{path}/characterize.json": name for name, path in earlier.items()}
+        if key == "belief":
+            told = {path: f"what {name} learnt" for path, name in of_earlier.items()}
+            if self.values[self.kind][key] is None:
+                self.values[self.kind][key] = next(iter(told), "")
+            return {"": "no earlier result: the wide prior"} | told
+        if key in ("a", "b"):
+            return {"": "choose a result of Characterise"} | of_earlier
+        if key == "continued":
+            campaigns = [r.name for r in self.runs.list_results() if r.name.endswith("_campaign")]
+            return {"": "a new one"} | {f"results/{name}": name for name in campaigns}
+        if key == "tell" or settings.get("metavar") == "FILE":
+            files = {f"files/{file.name}": file.name for file in self.workspace.list_files()}
+            return files if key == "tell" else {"": "none"} | files
+        if key in ("experiments", "exclude", "heldout"):
+            return {name: name for name in self.workspace.load_curves().ids}
+        if key in ("models", "base", "model"):
+            return {name: name for name in MODELS} | {"": "the most probable"} * (key == "model")
+        return {name: name for name in settings["choices"]} if "choices" in settings else None
 
     @ui.refreshable_method
     def _draw_command(self) -> None:
         with problems_shown():
-            text = command_line(self._list_arguments(self.runs.next_folder(self.kind)))
-            ui.label(text).classes("command")
+            folder = self.values[self.kind].get("continued") or self.runs.next_folder(self.kind)
+            ui.label(command_line(self._list_arguments(folder))).classes("command")
 
     @ui.refreshable_method
-    def _draw_progress(self) -> None:
-        run = self.shown
-        if run is None:
-            return
-        with ui.card().classes("w-full"):
-            ui.label(run.result.command).classes("command")
-            if run.running:
+    def _draw_queue(self) -> None:
+        """The run of this page that ended last, what is running, and what waits."""
+        run = self.runs.current
+        results = {result.name: result for result in self.runs.list_results()}
+        ended = [results[result.name] for result in self.mine if result.name in results]
+        for result in ended[-1:]:
+            with ui.card().classes("w-full"):
+                said = [f"{result.name}: {result.outcome}"]
+                said += [result.read_text_of("messages.txt")] if result.status else []
+                ui.label("\n".join(said)).classes("problem" if result.status else "").style(
+                    "white-space: pre-wrap; overflow-wrap: anywhere"
+                )
+                ui.button("See the result", on_click=lambda: self.go("Results")).props("no-caps")
+        if run is not None and run.running:
+            with ui.card().classes("w-full"):
+                ui.label(run.result.command).classes("command")
                 part = run.part
                 ui.linear_progress(value=part or 0.0, show_value=False).props(
                     "indeterminate" if part is None else ""
                 )
                 ui.label(run.line).style("overflow-wrap: anywhere")
                 ui.button("Stop", icon="stop", on_click=run.stop).props("outline no-caps")
-                return
-            result = self.runs.find_result(run.result.name)
-            said = [f"{result.name}: {result.outcome}"]
-            said += [result.read_text_of("messages.txt")] if result.status else []
-            ui.label("\n".join(said)).classes("problem" if result.status else "").style(
-                "white-space: pre-wrap; overflow-wrap: anywhere"
-            )
-            ui.button("See the result", on_click=lambda: self.go("Results")).props("no-caps")
+        for number, result in enumerate(self.runs.waiting, start=1):
+            with ui.row().classes("w-full items-center no-wrap"):
+                ui.button(icon="close", on_click=lambda _, it=result: self._take_back(it)).props(
+                    f'flat dense round aria-label="Take {result.name} out of the queue"'
+                )
+                ui.label(f"{number}. in the queue: {result.name}")
 
-    def _follow_run(self) -> None:
-        """Show how a run goes on, and once how it ended."""
-        if self.shown is None and self.runs.busy:
-            self.shown = self.runs.current
-        if self.shown is not None and not self._seen_ended:
-            self._seen_ended = not self.shown.running
-            self._draw_progress.refresh()
+    def _follow_runs(self) -> None:
+        running = self.runs.busy
+        if running or self._running_seen:
+            self._draw_queue.refresh()
+        self._running_seen = running
+
+    def _take_back(self, result: Result) -> None:
+        self.runs.take_back(result)
+        self._draw_queue.refresh()
 
     def _choose_command(self, kind: str) -> None:
         self.kind = kind
         self.draw_tab.refresh()
 
-    def _start_run(self) -> None:
+    def _fill_preset(self, preset: dict[str, Any]) -> None:
+        self.values[self.kind] |= list_defaults(self.kind) | preset
+        self.draw_tab.refresh()
+
+    def fill_form(self, arguments: Sequence[str]) -> None:
+        """Show the form with the options of an earlier run.
+
+        Args:
+            arguments: of that run.
+        """
+        self.kind = arguments[0]
+        self.values[self.kind] = read_arguments(arguments)
+        self.go("Run")
+
+    def _add_run(self) -> None:
         with problems_notified():
-            self.shown = self.runs.start_run(self._list_arguments, self.kind)
-            self._seen_ended = False
-            self._draw_progress.refresh()
+            place = self.values[self.kind].get("continued", "")
+            self.mine.append(self.runs.add_run(self._list_arguments, self.kind, place))
+            self._draw_queue.refresh()
             self._draw_command.refresh()
 
     def _list_arguments(self, folder: str) -> list[str]:
-        """The arguments of the chosen command as the form says them."""
-        values = self.values | self.workspace.settings
-        files = [] if self.kind == "design" else self.workspace.list_usable()
+        values = self.values[self.kind] | self.workspace.settings
+        files = self.workspace.list_usable() if FORMS[self.kind].reads_files else []
         return command_arguments(self.kind, values, folder, files=files)

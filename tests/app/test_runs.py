@@ -8,15 +8,22 @@ import os
 import signal
 import time
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from imr_torch.app.commands import DEFAULTS, FORMS, command_arguments
+from imr_torch.app.commands import (
+    FORMS,
+    OF_THE_FOLDER,
+    OPTIONS,
+    command_arguments,
+    list_defaults,
+    read_arguments,
+)
 from imr_torch.app.runs import Run, Runs
 from imr_torch.app.workspace import Workspace
 from imr_torch.cli import build_parser
-from imr_torch.errors import InputDataError
 
 
 def runs(tmp_path: Path) -> Runs:
@@ -42,6 +49,12 @@ def slow(folder: str) -> list[str]:
     ]
 
 
+def begun(all_runs: Runs, arguments: Callable[[str], list[str]], kind: str) -> Run:
+    all_runs.add_run(arguments, kind)
+    assert all_runs.current is not None
+    return all_runs.current
+
+
 def finished(run: Run) -> None:
     run.wait(120.0)
     assert not run.running
@@ -49,7 +62,7 @@ def finished(run: Run) -> None:
 
 def test_that_a_run_leaves_its_files_output_and_record(tmp_path: Path) -> None:
     all_runs = runs(tmp_path)
-    run = all_runs.start_run(simulate, "simulate")
+    run = begun(all_runs, simulate, "simulate")
     finished(run)
     (result,) = all_runs.list_results()
     assert (result.name, result.status, result.outcome) == ("001_simulate", 0, "done")
@@ -62,22 +75,20 @@ def test_that_a_run_leaves_its_files_output_and_record(tmp_path: Path) -> None:
 
 def test_that_a_refused_command_keeps_its_message(tmp_path: Path) -> None:
     all_runs = runs(tmp_path)
-    finished(all_runs.start_run(lambda _: ["characterize", "files/none.csv"], "characterize"))
+    finished(begun(all_runs, lambda _: ["characterize", "files/none.csv"], "characterize"))
     (result,) = all_runs.list_results()
     assert (result.status, result.outcome) == (2, "the input cannot be used")
     assert "none.csv" in result.read_text_of("messages.txt")
 
 
-def test_that_a_run_shows_progress_and_can_be_stopped_and_only_one_runs(tmp_path: Path) -> None:
+def test_that_a_run_shows_progress_and_can_be_stopped(tmp_path: Path) -> None:
     all_runs = runs(tmp_path)
-    run = all_runs.start_run(slow, "design")
+    run = begun(all_runs, slow, "design")
     until = time.monotonic() + 120.0
     while run.part is None and run.running and time.monotonic() < until:
         time.sleep(0.1)
     assert run.part is not None
     assert 0.0 < run.part < 1.0
-    with pytest.raises(InputDataError, match="A command is running"):
-        all_runs.start_run(simulate, "simulate")
     assert all_runs.list_results() == []
     run.stop()
     finished(run)
@@ -85,9 +96,37 @@ def test_that_a_run_shows_progress_and_can_be_stopped_and_only_one_runs(tmp_path
     assert (result.status, result.outcome) == (130, "stopped")
 
 
+def test_that_runs_wait_for_those_before_them_and_can_be_taken_back(tmp_path: Path) -> None:
+    all_runs = runs(tmp_path)
+    first = begun(all_runs, slow, "design")
+    second = all_runs.add_run(simulate, "simulate")
+    third = all_runs.add_run(simulate, "simulate")
+    assert all_runs.current is first
+    assert [result.name for result in all_runs.waiting] == ["002_simulate", "003_simulate"]
+    assert all_runs.list_results() == []
+    all_runs.take_back(second)
+    first.stop()
+    finished(first)
+    until = time.monotonic() + 120.0
+    while (all_runs.busy or all_runs.waiting) and time.monotonic() < until:
+        time.sleep(0.1)
+    ended = {result.name: result.outcome for result in all_runs.list_results()}
+    assert ended == {"001_design": "stopped", "002_simulate": "stopped", third.name: "done"}
+    assert not (second.folder / "simulate.json").exists()
+
+
+def test_that_a_run_goes_on_in_an_earlier_folder_where_it_is_told_to(tmp_path: Path) -> None:
+    all_runs = runs(tmp_path)
+    for _ in range(2):
+        all_runs.add_run(simulate, "simulate", "results/007_simulate")
+        assert all_runs.current is not None
+        finished(all_runs.current)
+    assert [result.name for result in all_runs.list_results()] == ["007_simulate"]
+
+
 def test_that_a_run_stopped_before_it_began_leaves_no_trace_of_its_code(tmp_path: Path) -> None:
     all_runs = runs(tmp_path)
-    run = all_runs.start_run(slow, "design")
+    run = begun(all_runs, slow, "design")
     run.stop()
     finished(run)
     (result,) = all_runs.list_results()
@@ -100,7 +139,7 @@ def test_that_a_run_stopped_before_it_began_leaves_no_trace_of_its_code(tmp_path
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs a system with signals")
 def test_that_a_run_that_the_system_ended_is_not_called_stopped(tmp_path: Path) -> None:
     all_runs = runs(tmp_path)
-    run = all_runs.start_run(slow, "design")
+    run = begun(all_runs, slow, "design")
     os.kill(run._process.pid, signal.SIGKILL)
     finished(run)
     (result,) = all_runs.list_results()
@@ -165,7 +204,7 @@ def test_that_a_run_that_ended_with_the_application_is_known_as_interrupted(tmp_
 )
 def test_that_a_form_makes_arguments_that_the_command_takes(command: str, values: dict) -> None:
     files = [] if command == "design" else ["files/a.csv", "files/b.csv"]
-    words = command_arguments(command, DEFAULTS | values, "results/001", files=files)
+    words = command_arguments(command, list_defaults(command) | values, "results/001", files=files)
     read = vars(build_parser().parse_args(words))
     assert (read["html"], read["out"]) == ("results/001/page.html", "results/001")
     assert read.get("files", files) == files
@@ -173,13 +212,66 @@ def test_that_a_form_makes_arguments_that_the_command_takes(command: str, values
         assert read[name] == (",".join(value) if isinstance(value, list) else value)
 
 
+def arguments_of(command: str, values: dict) -> list[str]:
+    files = ["files/a.csv"] if FORMS[command].reads_files else []
+    needed = {"compare": {"a": "a.json", "b": "b.json"}}.get(command, {})
+    return command_arguments(command, needed | values, "results/001", files=files)
+
+
 @pytest.mark.parametrize("command", FORMS)
 def test_that_options_left_out_are_those_that_say_what_the_command_does_anyhow(
     command: str,
 ) -> None:
-    files = [] if command == "design" else ["files/a.csv"]
-    read = vars(
-        build_parser().parse_args(command_arguments(command, {}, "results/001", files=files))
-    )
-    for name in {name for row in FORMS[command] for name in row} - {"models", "collapses"}:
-        assert (read[name] or "") == (DEFAULTS[name] or "")
+    read = vars(build_parser().parse_args(arguments_of(command, {})))
+    defaults = list_defaults(command)
+    for name in (
+        OPTIONS[command].keys() - OF_THE_FOLDER - {*("models", "collapses", "continued", "a", "b")}
+    ):
+        assert (read[name] or "") == (defaults[name] or "")
+
+
+@pytest.mark.parametrize(
+    ("command", "preset"),
+    [(command, name) for command, form in FORMS.items() for name in form.presets],
+)
+def test_that_a_preset_can_be_run(command: str, preset: str) -> None:
+    values = FORMS[command].presets[preset]
+    read = vars(build_parser().parse_args(arguments_of(command, values)))
+    for name, value in values.items():
+        assert read[name] == (",".join(value) if isinstance(value, list) else value)
+
+
+@pytest.mark.parametrize(
+    ("command", "values"),
+    [
+        ("characterize", {"models": ["nhkv", "gent+cross"], "growth": 0.6, "over_time": True}),
+        ("diagnose", {"without": ["wall"], "most": 2, "experiments": ["x", "y"]}),
+        ("batch", {"each": True, "noise": "published"}),
+        ("compare", {"model": "nhkv"}),
+        ("design", {"criterion": "D", "shots": 6, "models": ["nhkv"]}),
+        ("campaign", {"tell": ["files/a.csv", "files/b.csv"], "stop": "G:5%,mu:5%"}),
+        ("simulate", {"set": "G=5000,mu=0.1", "we": 400.0}),
+    ],
+)
+def test_that_the_options_of_a_run_are_read_back_as_they_were(command: str, values: dict) -> None:
+    read = read_arguments(arguments_of(command, values))
+    for name, value in values.items():
+        assert read[name] == value
+    again = {name: value for name, value in read.items() if name not in ("a", "b")}
+    assert arguments_of(command, again) == arguments_of(command, values)
+
+
+@pytest.mark.parametrize("command", FORMS)
+def test_that_every_option_of_a_command_is_in_its_form_or_that_of_the_folder(command: str) -> None:
+    shown = {name for row in FORMS[command].rows for name in row}
+    assert shown <= OPTIONS[command].keys()
+    assert not shown & OF_THE_FOLDER
+
+
+def test_that_a_campaign_goes_on_in_its_folder() -> None:
+    values = {"continued": "results/003_campaign", "tell": ["files/shot.csv"]}
+    words = command_arguments("campaign", values, "results/003_campaign")
+    assert words == [
+        *("campaign", "--tell", "files/shot.csv", "--resume", "--out", "results/003_campaign"),
+        *("--html", "results/003_campaign/page.html"),
+    ]
