@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.distributions import MultivariateNormal, kl_divergence
 
-from imr_torch.assimilate.noise_posterior import NoiseNodes
+from imr_torch.assimilate.noise_law import NoiseNodes
 from imr_torch.float64 import arange, rand
 from imr_torch.observe import Noise
 from imr_torch.types import ControlMatrix, Controls, DrawnControls, DrawnValues

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from imr_torch.assimilate import Assimilation, ModelFit, Point, Posterior, SearchOptions, assimilate
 from imr_torch.assimilate.fit import NEARLY, ONE_MINIMUM, PROMISED
-from imr_torch.assimilate.starts import draw_perturbation
+from imr_torch.assimilate.multistart import draw_perturbation
 from imr_torch.float64 import tensor
 from imr_torch.material import Belief, Effect, ModelBelief
 from imr_torch.material.belief import even_belief
@@ -219,7 +219,7 @@ def fit_hypotheses(
 
     Where the gap is large, the null fit's collapses lie on the wrong side of frames, each a local
     minimum. Hypotheses are then also fitted by searches that begin without the frames next to
-    collapses (:mod:`imr_torch.assimilate.starts`), and the lower of the two fits counts, or one
+    collapses (:mod:`imr_torch.assimilate.multistart`), and the lower of the two fits counts, or one
     that has not converged and may get lower.
 
     Args:

@@ -16,7 +16,7 @@ from imr_torch.assimilate import (
     assimilate,
     weigh,
 )
-from imr_torch.assimilate.lower import lower_point
+from imr_torch.assimilate.weighing import lower_point
 from imr_torch.observe import Nuisance
 from tests.linear import LinearSimulator, exact, experiments, prior
 
