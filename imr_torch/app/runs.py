@@ -212,12 +212,13 @@ class Runs:
     def list_results(self) -> list[Result]:
         """All runs that have ended, the latest first."""
         running = self.current.result.folder if self.busy and self.current else None
-        found = [
-            _read_record(path.parent)
-            for path in self.folder.glob("*/run.json")
-            if path.parent != running
-        ]
-        return sorted(found, key=lambda result: result.name, reverse=True)
+        found = []
+        for path in sorted(self.folder.glob("*/run.json"), reverse=True):
+            if path.parent != running:
+                record = read_json(path, expected="expected the record of a run")
+                record["arguments"] = tuple(record["arguments"])
+                found.append(Result(path.parent, **record))
+        return found
 
     def find_result(self, name: str) -> Result:
         """A run by its name.
@@ -234,8 +235,3 @@ class Runs:
 def _write_record(result: Result, status: int | None) -> None:
     record = {"arguments": list(result.arguments), "started": result.started, "status": status}
     write_json(result.folder / "run.json", record)
-
-
-def _read_record(folder: Path) -> Result:
-    record = read_json(folder / "run.json", expected="expected the record of a run")
-    return Result(folder, tuple(record["arguments"]), record["started"], record["status"])

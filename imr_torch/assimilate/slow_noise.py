@@ -149,9 +149,8 @@ def smooth_deviations(
     same = (shot[:, None] == shot).to(noise)
 
     def evidence_of(amount: float, duration: float, share: float) -> Tensor:
-        own, common = (
-            _matern_correlation((x[:, None] - x).abs() / duration) for x in (times, phases)
-        )
+        lags = (MATERN * ((x[:, None] - x).abs() / duration) for x in (times, phases))
+        own, common = ((1.0 + lag) * torch.exp(-lag) for lag in lags)
         smooth = amount**2 * ((1.0 - share) * same * own + share * common)
         mean = torch.zeros_like(observed)
         law = MultivariateNormal(mean, explained + smooth, validate_args=False)
@@ -166,12 +165,6 @@ def smooth_deviations(
         return float(values.logsumexp(0) - math.log(len(values)) - none)
 
     return SmoothDeviations(mean_evidence((0.0,)), mean_evidence(shares))
-
-
-def _matern_correlation(lags: Tensor) -> Tensor:
-    """Correlation at lags over that at which it has fallen to 1/e."""
-    x = MATERN * lags
-    return (1.0 + x) * torch.exp(-x)
 
 
 def _cycle_phases(near: Neighbourhood) -> Tensor:

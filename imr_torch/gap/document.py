@@ -7,14 +7,13 @@ says and shows the same again.
 import math
 from collections.abc import Sequence
 from statistics import median
-from typing import Any
 
 import torch
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.assimilate.dense import dense_curve
 from imr_torch.design import Plan
-from imr_torch.files import drawn_numbers
+from imr_torch.files import Document, drawn_numbers
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.differing import gels_of
@@ -34,7 +33,7 @@ from imr_torch.unknown import Unknown
 
 def to_json(
     report: GapReport, parts: Parts | None = None, *, simulator: Simulator | None = None
-) -> dict[str, Any]:
+) -> Document:
     """The document of a diagnosis; null for every part that was not run.
 
     Args:
@@ -106,7 +105,7 @@ def odds_text(odds: float) -> str:
     return f"1:{1.0 / odds:g}"
 
 
-def _causes(found: Attribution | None) -> dict[str, Any]:
+def _causes(found: Attribution | None) -> Document:
     """Probabilities and evidence of all causes; null without an attribution."""
     like = found and found.likeness
     return {
@@ -132,7 +131,7 @@ def _causes(found: Attribution | None) -> dict[str, Any]:
     }
 
 
-def _values(report: GapReport, parts: Parts) -> dict[str, Any]:
+def _values(report: GapReport, parts: Parts) -> Document:
     """The parameters of the gel and of the named cause, with 90 % intervals."""
     named = report.selected_fit if report.verdict in ("effect", "class") else None
     error = parts.model_error
@@ -169,7 +168,7 @@ def _cause_values(report: GapReport, named: ModelFit) -> dict[str, dict[str, lis
     return values
 
 
-def _shrinkage(found: Shrinkage, report: GapReport) -> dict[str, Any]:
+def _shrinkage(found: Shrinkage, report: GapReport) -> Document:
     shares = found.placebo
     return vars(found) | {
         "placebo_median": median(shares) if shares else None,
@@ -179,7 +178,7 @@ def _shrinkage(found: Shrinkage, report: GapReport) -> dict[str, Any]:
     }
 
 
-def _missing(found: Unknown) -> dict[str, Any]:
+def _missing(found: Unknown) -> Document:
     """Kinds and terms with their probabilities, and the missing pressure of each shot: us, kPa, 1/s."""
     units = {
         "t_us": ("times", 1e6),
@@ -219,7 +218,7 @@ def _phase_residual(fit: ModelFit, batch: ExperimentBatch) -> list[list[float | 
     return [drawn_numbers(row) for row in torch.stack(columns, 1)]
 
 
-def _curves(report: GapReport, simulator: Simulator | None) -> list[dict[str, Any]]:
+def _curves(report: GapReport, simulator: Simulator | None) -> list[Document]:
     """Mean measured curves, the base model and, where anything was selected, the model with it.
 
     With a simulator, ``drawn`` holds the curves of the models at 600 points.
@@ -257,7 +256,7 @@ def _curves(report: GapReport, simulator: Simulator | None) -> list[dict[str, An
     return rows
 
 
-def _noise(report: GapReport) -> dict[str, Any]:
+def _noise(report: GapReport) -> Document:
     """The noise law, what is known of it, and what was left out."""
     batch = report.batch
     interval = batch.noise_interval(report.null.prediction)
@@ -272,7 +271,7 @@ def _noise(report: GapReport) -> dict[str, Any]:
     }
 
 
-def _certificates(report: GapReport) -> dict[str, dict[str, Any]]:
+def _certificates(report: GapReport) -> dict[str, Document]:
     """The certificate of the base model's fit and of the leading fit of every step of the
     selection.
     """
@@ -282,7 +281,7 @@ def _certificates(report: GapReport) -> dict[str, dict[str, Any]]:
     }
 
 
-def _design(found: NextDesign) -> dict[str, Any]:
+def _design(found: NextDesign) -> Document:
     """The next design, its gain in nats, what it tells apart and how it is taken to be observed."""
     weber, rest = found.design.tolist()
     return {
