@@ -132,7 +132,7 @@ def assimilate(
     ]
     begun = [one.approach_first() for one in searches]
     drop_behind = math.inf if options.drop_behind is None else options.drop_behind
-    lowest = options.known_cost
+    lowest = options.rival
     for _, one in sorted(zip(begun, searches, strict=True), key=lambda pair: pair[0]):
         one.limit = lowest + drop_behind
         one.find_lowest()

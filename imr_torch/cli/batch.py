@@ -11,7 +11,6 @@ from imr_torch.characterization.batch import FAILED, NOT_CONVERGED, BatchOptions
 from imr_torch.cli.common import (
     METHODS,
     SIMULATORS,
-    layout_of,
     prior_of,
     show_result,
     with_engine,
@@ -39,7 +38,7 @@ def run_command(args: Namespace) -> None:
     options = BatchOptions(
         prior_of(args),
         replace(simulator, threads=1) if apart else simulator,
-        layout=layout_of(args),
+        layout=args.layout,
         sort=args.sort,
         each=args.each,
         collapses=args.collapses,
