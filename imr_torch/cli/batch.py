@@ -11,6 +11,7 @@ from imr_torch.characterization.batch import FAILED, NOT_CONVERGED, BatchOptions
 from imr_torch.cli.common import (
     METHODS,
     SIMULATORS,
+    layout_of,
     prior_of,
     show_result,
     with_engine,
@@ -38,7 +39,7 @@ def run_command(args: Namespace) -> None:
     options = BatchOptions(
         prior_of(args),
         replace(simulator, threads=1) if apart else simulator,
-        layout=args.layout,
+        layout=layout_of(args),
         sort=args.sort,
         each=args.each,
         collapses=args.collapses,

@@ -182,9 +182,13 @@ def parse_rest_radius(text: str, option: str) -> tuple[float, float]:
     return ratio, sd
 
 
+def layout_of(args: Namespace) -> Layout | None:
+    """What ``--layout`` says."""
+    return None if args.layout is None else Layout.from_text(args.layout)
+
+
 _READ: dict[str, Callable[[str, str], Any]] = {
     "medium": Statement.from_text,
-    "layout": lambda text, _: Layout.from_text(text),
     "rest_radius": parse_rest_radius,
     **dict.fromkeys(("we_range", "rinf_range", "delivered"), parse_pair),
     **dict.fromkeys(("known", "set"), parse_values),

@@ -12,7 +12,6 @@ import torch
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.assimilate.dense import dense_curve
-from imr_torch.design import Plan
 from imr_torch.files import Document, drawn_numbers
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
@@ -58,6 +57,8 @@ def to_json(
     test = report.gap
     when = parts.onset
     acts = parts.acts
+    # the base model and what leads each step of the selection
+    leading = {"none": report.null} | {step.winner.name: step.winner_fit for step in report.steps}
     document = {
         "gap": report.found,
         "verdict": report.verdict,
@@ -89,7 +90,10 @@ def to_json(
         "phase_residual": {"phases": PHASES, "rows": _phase_residual(report.null, report.batch)},
         "curves": _curves(report, simulator),
         **_noise(report),
-        "certificates": _certificates(report),
+        "certificates": {
+            name: vars(fit.certificate) | {"text": str(fit.certificate)}
+            for name, fit in leading.items()
+        },
         "seconds": report.seconds,
     }
     return document | {"headline": headline(document), "next_step": next_step(document)}
@@ -271,19 +275,10 @@ def _noise(report: GapReport) -> Document:
     }
 
 
-def _certificates(report: GapReport) -> dict[str, Document]:
-    """The certificate of the base model's fit and of the leading fit of every step of the
-    selection.
-    """
-    fits = {"none": report.null} | {step.winner.name: step.winner_fit for step in report.steps}
-    return {
-        name: vars(fit.certificate) | {"text": str(fit.certificate)} for name, fit in fits.items()
-    }
-
-
 def _design(found: NextDesign) -> Document:
     """The next design, its gain in nats, what it tells apart and how it is taken to be observed."""
     weber, rest = found.design.tolist()
+    nuisance = found.plan.nuisance
     return {
         "We": weber,
         "R_inf*": rest,
@@ -295,16 +290,12 @@ def _design(found: NextDesign) -> Document:
         "p_truth_after": found.after,
         "p_truth_after_sd": found.after_error,
         "helps": found.helps,
-        "plan": _plan(found.plan),
-    }
-
-
-def _plan(plan: Plan) -> dict[str, float]:
-    return {
-        "repeats": plan.repeats,
-        "frames": len(plan.times),
-        "end_t": float(plan.times[-1]),
-        "max_radius_sd": plan.nuisance.max_radius,
-        "time_zero_sd": plan.nuisance.time_zero,
-        "rest_radius_sd": plan.nuisance.rest_radius,
+        "plan": {
+            "repeats": found.plan.repeats,
+            "frames": len(found.plan.times),
+            "end_t": float(found.plan.times[-1]),
+            "max_radius_sd": nuisance.max_radius,
+            "time_zero_sd": nuisance.time_zero,
+            "rest_radius_sd": nuisance.rest_radius,
+        },
     }
