@@ -87,7 +87,9 @@ def test_which_frames_are_next_to_a_collapse() -> None:
     radius = tensor(
         1.0, 0.9, 0.8, 0.2, 0.5, 0.7, 0.6, 0.5, 0.3, 0.1
     )  # a collapse at frame 3, and one at the end of the record
-    kept = starts.away_from_collapses(torch.arange(10, dtype=torch.float64), radius)
+    kept = multistart.away_from_collapses(torch.arange(10, dtype=torch.float64), radius)
     assert kept.tolist() == [True, True, False, False, False, True, True, True, False, False]
     for short in (tensor(1.0, 1.0, 1.0), tensor(1.0, 0.2, 0.9)):
-        assert bool(starts.away_from_collapses(torch.arange(3, dtype=torch.float64), short).all())
+        assert bool(
+            multistart.away_from_collapses(torch.arange(3, dtype=torch.float64), short).all()
+        )
