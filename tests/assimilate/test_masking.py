@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import SearchOptions, assimilate, starts
+from imr_torch.assimilate import SearchOptions, assimilate, multistart
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise
 from imr_torch.random import generator
@@ -76,7 +76,7 @@ def wrong_minima() -> int:
 def test_that_chains_pass_frames_next_to_a_collapse(monkeypatch: pytest.MonkeyPatch) -> None:
     assert wrong_minima() <= 2
     monkeypatch.setattr(
-        starts,
+        multistart,
         "away_from_collapses",
         lambda times, radius: torch.ones_like(times, dtype=torch.bool),
     )
