@@ -42,6 +42,14 @@ def processes() -> Iterator[Processes]:
     starting.close()
 
 
+@pytest.fixture(autouse=True)
+def keep_threads() -> Iterator[None]:
+    """Commands set the number of threads of the process."""
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
 @pytest.fixture
 def rendered() -> Iterator[None]:
     """Figures are rendered in this test; in others each is saved as one pixel."""

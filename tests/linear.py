@@ -15,6 +15,7 @@ SDS = {"G": 1200.0, "mu": 0.06, "alpha": 0.3}
 MODELS = ("newtonian", "nhkv", "gen_qkv")
 NOISE = Noise(floor=0.05, slope=0.0, drift=0.0)
 CORRELATED = Noise(floor=0.05, slope=0.0, drift=0.0, correlation_time=0.3)
+BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
 
 
 def tensor(*values) -> Tensor:

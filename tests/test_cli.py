@@ -27,13 +27,6 @@ TABLE = "experiment_id,time_s,radius_m\n"
 QUICK = ["--physics", "polytropic", "--quiet"]
 
 
-@pytest.fixture(autouse=True)
-def keep_threads():
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
-
-
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_teaches_with_an_example(command, capsys):
     with pytest.raises(SystemExit) as stop:

@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 
 import pytest
-import torch
 
 from imr_torch.cli import main
 from imr_torch.observe import load_collapse_times
@@ -15,13 +14,6 @@ from imr_torch.results import document_page, draw_figures
 DATA = Path(__file__).parents[1] / "imr_torch" / "data"
 QUICK = ["--physics", "polytropic", "--models", "nhkv", "--quiet"]
 TABLE = DATA / "pimr_pa_05.csv"
-
-
-@pytest.fixture(autouse=True)
-def keep_threads():
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
 
 
 def test_that_a_table_gives_result_figure_and_page(tmp_path, capsys) -> None:

@@ -24,13 +24,6 @@ QUICK = ["--physics", "polytropic", "--quiet"]
 FIT = ["characterize", str(EXAMPLE), "--models", "nhkv", "--noise", "published", *QUICK]
 
 
-@pytest.fixture(autouse=True)
-def keep_threads():
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

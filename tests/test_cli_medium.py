@@ -20,13 +20,6 @@ QUICK = ["--physics", "polytropic", "--quiet"]
 DENSE = Surroundings(density=1150.0)
 
 
-@pytest.fixture(autouse=True)
-def keep_threads():
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
-
-
 def shot(folder: Path, medium: object = None, *, dense: Surroundings = DENSE) -> Path:
     """A curve in a gel of 1150 kg/m^3, and what the JSON beside it states."""
     simulator = PolytropicSimulator()

@@ -242,14 +242,16 @@ class Runs:
 
     def list_results(self) -> list[Result]:
         """All runs that have ended, the latest first."""
-        open_runs = [*self.waiting, *([self.current.result] if self.busy and self.current else [])]
-        open_folders = {result.folder for result in open_runs}
-        found = [
-            _read_record(path.parent)
-            for path in self.folder.glob("*/run.json")
-            if path.parent not in open_folders
-        ]
-        return sorted(found, key=lambda result: result.name, reverse=True)
+        still_open = {result.folder for result in self.waiting}
+        if self.busy and self.current:
+            still_open.add(self.current.result.folder)
+        found = []
+        for path in sorted(self.folder.glob("*/run.json"), reverse=True):
+            if path.parent not in still_open:
+                record = read_json(path, expected="expected the record of a run")
+                record["arguments"] = tuple(record["arguments"])
+                found.append(Result(path.parent, **record))
+        return found
 
     def find_result(self, name: str) -> Result:
         """A run by its name.
@@ -266,8 +268,3 @@ class Runs:
 def _write_record(result: Result, status: int | None) -> None:
     record = {"arguments": list(result.arguments), "started": result.started, "status": status}
     write_json(result.folder / "run.json", record)
-
-
-def _read_record(folder: Path) -> Result:
-    record = read_json(folder / "run.json", expected="expected the record of a run")
-    return Result(folder, tuple(record["arguments"]), record["started"], record["status"])

@@ -14,7 +14,7 @@ from imr_torch.assimilate.noise_estimation import (
     assimilate_estimating_noise,
     noise_nodes,
 )
-from imr_torch.assimilate.noise_posterior import NoiseNodes
+from imr_torch.assimilate.noise_law import NoiseNodes
 from imr_torch.assimilate.options import (
     DescentOptions,
     En4DVarOptions,

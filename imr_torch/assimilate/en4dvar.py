@@ -134,7 +134,12 @@ def _fit_model(
             chol = inverse_chol(equations.joint_hessian(posterior.uncertain))
             step = -chol.mT @ equations.joint_gradient(posterior.uncertain)
             length = float(step[: posterior.size].norm())
-            mean = _shorten_step(posterior, mean, chol @ step, options)
+            # as far along the step as the exact cost is lowest, the point itself included
+            reach = min(
+                1.0, options.longest / max(float((chol @ step)[: posterior.size].norm()), 1e-300)
+            )
+            tried = mean + reach * tensor(options.lengths)[:, None] * (chol @ step)
+            mean = tried[int(posterior.log_joint(posterior.point_at(tried)).argmax())]
             if progress:
                 place = f"cycle {cycle + 1}, iteration {iteration + 1}"
                 text = f"ensemble 4D-Var: {posterior.prior.model}, {place}, step {length:.1e} sd"
@@ -161,15 +166,6 @@ def _fit_model(
             compared="cycles",
         ),
     )
-
-
-def _shorten_step(
-    posterior: Posterior, mean: Tensor, step: Tensor, options: En4DVarOptions
-) -> Tensor:
-    """Where the exact cost is lowest along a step, the point itself included."""
-    longest = min(1.0, options.longest / max(float(step[: posterior.size].norm()), 1e-300))
-    tried = mean + longest * tensor(options.lengths)[:, None] * step
-    return tried[int(posterior.log_joint(posterior.point_at(tried)).argmax())]
 
 
 def _ensemble_equations(

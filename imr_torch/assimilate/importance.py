@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.distributions import MultivariateNormal, kl_divergence
 
-from imr_torch.assimilate.noise_posterior import NoiseNodes
+from imr_torch.assimilate.noise_law import NoiseNodes
 from imr_torch.float64 import arange, rand
 from imr_torch.observe import Noise
 from imr_torch.types import ControlMatrix, Controls, DrawnControls, DrawnValues
@@ -119,8 +119,32 @@ class NoiseSample:
         return torch.logsumexp(self.by_experiment.sum(2) + self.nodes.log_prior.flatten(), 1)
 
 
+class SmoothedWeights:
+    """What the weights of draws say once their tail is smoothed; a base class."""
+
+    @cached_property
+    def _smoothed_tail(self) -> tuple[Tensor, float]:
+        """Log weights whose tail is smoothed, and its shape."""
+        raise NotImplementedError
+
+    @property
+    def pareto_k(self) -> float:
+        """Shape of the tail of the weights."""
+        return self._smoothed_tail[1]
+
+    @cached_property
+    def weights(self) -> DrawnValues:
+        """``n`` tensor of normalised, smoothed weights."""
+        return torch.softmax(self._smoothed_tail[0], dim=0)
+
+    @property
+    def effective_samples(self) -> float:
+        """Kish effective sample size of the smoothed weights."""
+        return float(effective_size(self.weights))
+
+
 @dataclass(frozen=True)
-class ImportanceSample:
+class ImportanceSample(SmoothedWeights):
     """Weighted draws of one model's posterior.
 
     Args:
@@ -188,21 +212,6 @@ class ImportanceSample:
     @cached_property
     def _smoothed_tail(self) -> tuple[Tensor, float]:
         return smooth_tail(self.log_weights)
-
-    @property
-    def pareto_k(self) -> float:
-        """Shape of the tail of the weights."""
-        return self._smoothed_tail[1]
-
-    @cached_property
-    def weights(self) -> DrawnValues:
-        """``n`` tensor of normalised, smoothed weights."""
-        return torch.softmax(self._smoothed_tail[0], dim=0)
-
-    @property
-    def effective_samples(self) -> float:
-        """Kish effective sample size of the smoothed weights."""
-        return float(effective_size(self.weights))
 
     @property
     def failed(self) -> int:

@@ -16,7 +16,7 @@ from imr_torch.assimilate.en4dvar import assimilate_en4dvar
 from imr_torch.assimilate.fit import Assimilation, ModelFit
 from imr_torch.assimilate.frame_noise import FrameNoisePrior, infer_frame_noise
 from imr_torch.assimilate.map_fit import assimilate
-from imr_torch.assimilate.noise_posterior import NoiseNodes
+from imr_torch.assimilate.noise_law import NoiseNodes
 from imr_torch.assimilate.options import En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.assimilate.spikes import without_spoilt_frames
 from imr_torch.float64 import tensor

@@ -81,12 +81,12 @@ class SearchOptions:
             When given, models are searched one after the other, the most promising one first, and
             of more than two starts all are descended from.
         rival: cost of a fit that is known already, nats; with ``drop_behind`` starts are compared
-            with it too. None when no fit is known.
+            with it too; infinite when no fit is known.
         basin_rounds: times that models may be restarted in a deeper basin of their nuisances
             (:mod:`imr_torch.assimilate.basins`); with 0 none is searched for, as where nuisances
             begin at a fit whose basins were compared.
         mask_collapses: whether chains leave the frames next to collapses out until they are near a
-            minimum (:mod:`imr_torch.assimilate.starts`); when not given, those that start from
+            minimum (:mod:`imr_torch.assimilate.multistart`); when not given, those that start from
             prior draws do.
         descent: how each descent goes on.
 
@@ -101,9 +101,8 @@ class SearchOptions:
     gradient: float = 1e-3
     agreement: float = 0.1
     drop_behind: float | None = None
-    rival: float | None = field(
-        default=None, compare=False
-    )  # of one fit: no setting that campaigns write down
+    # of one fit: no setting that campaigns write down
+    rival: float = field(default=math.inf, compare=False)
     basin_rounds: int = 3
     mask_collapses: bool | None = None
     descent: DescentOptions = field(default_factory=DescentOptions)
@@ -122,14 +121,6 @@ class SearchOptions:
             raise InputDataError(
                 f"SearchOptions.iterations is {self.iterations}; expected at least 1."
             )
-
-    @property
-    def known_cost(self) -> float:
-        """``rival``, and infinity (behind every fit) when it is not given.
-
-        Settings themselves must be finite in a journal.
-        """
-        return math.inf if self.rival is None else self.rival
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ import json
 import math
 from collections import defaultdict
 from dataclasses import dataclass, field
-from typing import Any
 
 from torch import Tensor
 
@@ -14,6 +13,7 @@ from imr_torch.campaign.journal import REMEDY, Journal, differing_names
 from imr_torch.campaign.learners import Finding, Inference
 from imr_torch.campaign.policies import Proposal
 from imr_torch.errors import ImrError, InputDataError
+from imr_torch.files import Document
 from imr_torch.float64 import tensor
 from imr_torch.material import Belief
 from imr_torch.observe import Experiment, Noise
@@ -49,7 +49,7 @@ class Ask:
         stale: whether an experiment was forgotten since.
     """
 
-    event: dict[str, Any]
+    event: Document
     proposal: Proposal
     failures: int = 0
     stale: bool = False
@@ -89,7 +89,7 @@ class History:
             return None
         return ask
 
-    def follow_event(self, event: dict[str, Any], journal: Journal) -> None:
+    def follow_event(self, event: Document, journal: Journal) -> None:
         """Take one event of the journal in.
 
         Raises:
@@ -169,7 +169,7 @@ def replay_journal(journal: Journal) -> History:
     return history
 
 
-def check_identity(journal: Journal, identity: dict[str, Any]) -> dict[str, Any]:
+def check_identity(journal: Journal, identity: Document) -> Document:
     """What the journal of a campaign begins with, as it will read when it comes back from there.
 
     Args:
@@ -203,7 +203,7 @@ def check_identity(journal: Journal, identity: dict[str, Any]) -> dict[str, Any]
     return identity
 
 
-def _restore_infinite(values: dict[str, Any]) -> dict[str, Any]:
+def _restore_infinite(values: Document) -> Document:
     """Inverse of :func:`imr_torch.files.without_nonfinite` for an evidence.
 
     The one number of it that may be infinite is the shape of its tail.

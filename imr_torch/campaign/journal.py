@@ -23,7 +23,13 @@ import torch
 from filelock import FileLock, Timeout
 
 from imr_torch.errors import InputDataError
-from imr_torch.files import flush_folder, remove_temporaries, without_nonfinite, write_atomically
+from imr_torch.files import (
+    Document,
+    flush_folder,
+    remove_temporaries,
+    without_nonfinite,
+    write_atomically,
+)
 from imr_torch.observe import Experiment, Nuisance
 
 REMEDY = "Restore it from a copy, or tell its curves to a campaign in a new folder."
@@ -91,7 +97,7 @@ class Journal:
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
         self.path = self.folder / "journal.jsonl"
-        self.events: list[dict[str, Any]] = []
+        self.events: list[Document] = []
         self._check = ""  # of the last line
         self._known = b""  # all that the file holds
         self._kept = 0  # bytes that it should hold
@@ -133,7 +139,7 @@ class Journal:
         self.events.append(entry)
         self._check = check
 
-    def _encode_entry(self, entry: dict[str, Any]) -> tuple[bytes, str]:
+    def _encode_entry(self, entry: Document) -> tuple[bytes, str]:
         """The next line, of an entry, without its end, and its checksum."""
         body = json.dumps(entry)
         check = hashlib.sha256((self._check + body).encode()).hexdigest()
@@ -195,7 +201,7 @@ class Journal:
             os.truncate(self.path, self._kept)
             self._known = self._known[: self._kept]
 
-    def append(self, event: str, **fields: Any) -> dict[str, Any]:
+    def append(self, event: str, **fields: Any) -> Document:
         """Add an event and flush it to disk.
 
         Raises:
@@ -238,14 +244,14 @@ class Journal:
         self._known += data
         self._kept = len(self._known)
 
-    def find_event(self, event: str, step: int | None = None) -> dict[str, Any] | None:
+    def find_event(self, event: str, step: int | None = None) -> Document | None:
         """The last event of a kind (and step), or None."""
         for entry in reversed(self.events):
             if entry["event"] == event and (step is None or entry.get("step") == step):
                 return entry
         return None
 
-    def store_curves(self, experiment: Experiment, name: str) -> dict[str, Any]:
+    def store_curves(self, experiment: Experiment, name: str) -> Document:
         """Write an experiment's curves beside the journal.
 
         Returns the JSON-ready record that finds them again.
@@ -264,7 +270,7 @@ class Journal:
             "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
         }
 
-    def restore_curves(self, record: dict[str, Any]) -> Experiment:
+    def restore_curves(self, record: Document) -> Experiment:
         """Read an experiment that :meth:`store_curves` wrote.
 
         Raises:

@@ -9,7 +9,7 @@ designs.
 """
 
 from dataclasses import asdict, dataclass, field
-from typing import Any, Protocol
+from typing import Protocol
 
 import torch
 
@@ -24,7 +24,7 @@ from imr_torch.assimilate import (
     weigh,
 )
 from imr_torch.errors import InputDataError
-from imr_torch.files import without_nonfinite
+from imr_torch.files import Document, without_nonfinite
 from imr_torch.material import Belief, ModelBelief
 from imr_torch.observe import ExperimentBatch, Noise
 from imr_torch.random import child
@@ -113,7 +113,7 @@ class Inference:
 
     belief: Belief
     evidence: tuple[Evidence, ...] = ()
-    record: dict[str, Any] = field(default_factory=dict)
+    record: Document = field(default_factory=dict)
     assimilation: Assimilation | None = None
     noise: Noise | None = None
     finding: Finding | None = None

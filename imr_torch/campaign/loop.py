@@ -28,7 +28,7 @@ from imr_torch.campaign.settings import CampaignSettings
 from imr_torch.campaign.stopping import CampaignState
 from imr_torch.design import DesignSearch, InformationGain, Plan, SearchSettings
 from imr_torch.errors import ImrError, InputDataError
-from imr_torch.files import without_nonfinite
+from imr_torch.files import Document, without_nonfinite
 from imr_torch.float64 import tensor
 from imr_torch.material import Belief
 from imr_torch.observe import Experiment, ExperimentBatch
@@ -81,7 +81,7 @@ class Campaign:
         *,
         settings: CampaignSettings | None = None,
         seed: int = 0,
-        note: dict[str, Any] | None = None,
+        note: Document | None = None,
     ) -> None:
         self.prior = prior
         self.simulator = simulator
@@ -217,7 +217,7 @@ class Campaign:
             self._record_event("failed", step=self.told + 1, label=label, reason=reason)
 
     @property
-    def failures(self) -> list[dict[str, Any]]:
+    def failures(self) -> list[Document]:
         """The shots that failed: ``step``, ``label`` and ``reason``."""
         return [event for event in self.journal.events if event["event"] == "failed"]
 

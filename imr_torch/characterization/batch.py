@@ -350,7 +350,10 @@ def _list_shots(files: Sequence[Path], options: BatchOptions) -> Iterator[Shot]:
     for path, name in zip(files, names, strict=True):
         try:
             traces = load_traces(path, layout=options.layout, sort=options.sort)
-            key = _hash_file(path, of_options)
+            beside = path.with_suffix(".json")
+            told = beside.read_bytes() if beside.is_file() and beside != path else b""
+            contents = (_hash_parts(content) for content in (path.read_bytes(), told))
+            key = _hash_parts(of_options, path.name, *contents)
         except (ImrError, OSError) as error:
             yield Shot(name, str(path), None, "", str(error))
             continue
@@ -361,13 +364,6 @@ def _list_shots(files: Sequence[Path], options: BatchOptions) -> Iterator[Shot]:
             traces.ids, _unique_names([f"{name}_{x}" for x in traces.ids], traces.ids), strict=True
         ):
             yield Shot(each, str(path), traces.select([label]), _hash_parts(key, label))
-
-
-def _hash_file(path: Path, of_options: str) -> str:
-    """Hash of a file by name and content, of the JSON file beside it, and of the options."""
-    beside = path.with_suffix(".json")
-    told = beside.read_bytes() if beside.is_file() and beside != path else b""
-    return _hash_parts(of_options, path.name, _hash_parts(path.read_bytes()), _hash_parts(told))
 
 
 def _hash_parts(*parts: str | bytes) -> str:

@@ -12,7 +12,6 @@ from dataclasses import replace
 
 from imr_torch.assimilate import (
     NOISE_ROUNDS,
-    Assimilation,
     FitOptions,
     SearchOptions,
     assimilate_estimating_noise,
@@ -20,7 +19,7 @@ from imr_torch.assimilate import (
     weigh,
 )
 from imr_torch.assimilate.spikes import frames_left_out
-from imr_torch.characterization.checks import EFFORTS, Effort, check_request
+from imr_torch.characterization.checks import EFFORTS, check_request
 from imr_torch.characterization.medium import medium_of
 from imr_torch.characterization.result import Characterization
 from imr_torch.gap import medium_sensitivities
@@ -168,7 +167,24 @@ def characterize(
     if isinstance(options, SearchOptions) and options.drop_behind is not None:
         spent = replace(spent, behind=options.drop_behind)
     batch = ExperimentBatch(data, Noise())
-    weighted = _fit_models(prior, batch, simulator, rounds, options, spent, seed, progress)
+    fits = assimilate_estimating_noise(
+        prior,
+        batch,
+        simulator,
+        rounds=rounds,
+        seed=child(seed, "fit"),
+        options=options,
+        progress=progress,
+    )
+    weighted = weigh(
+        fits,
+        simulator,
+        seed=child(seed, "weigh"),
+        rounds=spent.rounds,
+        drop_behind=spent.behind,
+        noise=noise_nodes(fits, simulator),
+        progress=progress,
+    )
     evidence = evidences(weighted)
     posterior = update(weighted, evidence)
     best = posterior.best.model
@@ -230,35 +246,4 @@ def characterize(
         traces,
         simulator,
         record,
-    )
-
-
-def _fit_models(
-    prior: Belief,
-    batch: ExperimentBatch,
-    simulator: Simulator,
-    noise_rounds: int,
-    options: FitOptions | None,
-    effort: Effort,
-    seed: int,
-    progress: Progress,
-) -> Assimilation:
-    """All models fitted to data, with weighted draws."""
-    fits = assimilate_estimating_noise(
-        prior,
-        batch,
-        simulator,
-        rounds=noise_rounds,
-        seed=child(seed, "fit"),
-        options=options,
-        progress=progress,
-    )
-    return weigh(
-        fits,
-        simulator,
-        seed=child(seed, "weigh"),
-        rounds=effort.rounds,
-        drop_behind=effort.behind,
-        noise=noise_nodes(fits, simulator),
-        progress=progress,
     )

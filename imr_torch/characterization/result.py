@@ -12,9 +12,13 @@ from torch import Tensor
 
 from imr_torch.assimilate import Assimilation, ModelFit, Verdict
 from imr_torch.assimilate.dense import dense_curve
-from imr_torch.characterization.bands import band_document, predictive_band
+from imr_torch.characterization.bands import (
+    band_document,
+    collapse_rows,
+    find_patterns,
+    predictive_band,
+)
 from imr_torch.characterization.checks import EFFORTS
-from imr_torch.characterization.collapse import collapse_rows, find_patterns
 from imr_torch.characterization.medium import medium_document
 from imr_torch.characterization.saved import SavedCharacterization, draws_to_dict
 from imr_torch.document import header

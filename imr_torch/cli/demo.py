@@ -22,7 +22,11 @@ def run_command(args: Namespace) -> None:
     from imr_torch.cli.common import write_result
 
     folder = Path(args.out)
-    _check_folder(folder, again=args.again)
+    if not args.again and folder.is_dir() and any(folder.iterdir()):
+        raise InputDataError(
+            f"{str(folder)!r} holds files already; give a new folder with --out, or --again to make "
+            "the files of the demo anew there (others are kept)."
+        )
     for source in (example_gel(), example_gel().with_suffix(".json")):
         write_bytes(folder / source.name, source.read_bytes())
     commands = _list_commands(folder, args)
@@ -38,16 +42,6 @@ def run_command(args: Namespace) -> None:
         f"\nOpen {pages} in a browser. The same commands work on files of your own; imr-torch "
         "--help lists all."
     )
-
-
-def _check_folder(folder: Path, *, again: bool) -> None:
-    """Refuse a folder with files in it, unless it was said that they may be made anew."""
-    if not again and folder.is_dir() and any(folder.iterdir()):
-        raise InputDataError(
-            f"{str(folder)!r} holds files already; give a new folder with --out, or --again to "
-            "make the files of the demo anew "
-            "there (others are kept)."
-        )
 
 
 def _list_commands(folder: Path, args: Namespace) -> tuple[list[str], list[str]]:

@@ -50,12 +50,13 @@ def run_command(args: Namespace) -> None:
         raise InputDataError(
             f"--heldout leaves none of the {len(experiments)} experiments to fit; hold out fewer."
         )
+    known_noise = "published" if _is_set(args.files[0]) else "estimated"
     progress = args.terminal.plan_stages(DIAGNOSE)
     report = diagnose(
         fitted,
         base=base,
         effects=effects,
-        estimate_noise=_estimates_noise(args),
+        estimate_noise=(args.noise or known_noise) == "estimated",
         simulator=simulator,
         most=args.most,
         seed=args.seed,
@@ -171,9 +172,3 @@ def _select_named(
                 f"{', '.join(labels)}."
             )
     return [e for e in experiments if e.label in chosen]
-
-
-def _estimates_noise(args: Namespace) -> bool:
-    """Whether the noise is inferred from the data, as was asked for or as suits them."""
-    known = "published" if _is_set(args.files[0]) else "estimated"
-    return (args.noise or known) == "estimated"

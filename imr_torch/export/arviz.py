@@ -127,7 +127,7 @@ def _list_fit_groups(
     fit: ModelFit, batch: ExperimentBatch, seed: int, draws: int
 ) -> dict[str, Variables]:
     """All groups of one model's fit."""
-    data = {"observed_data": _list_observed(batch), "constant_data": _list_constant(batch)}
+    data = _list_data(batch)
     sample = fit.sample
     source = generator(seed)
     if sample is None:
@@ -164,20 +164,13 @@ def _list_fit_groups(
     } | data
 
 
-def _list_observed(batch: ExperimentBatch) -> Variables:
-    """Mean curves; NaN where an experiment has fewer frames than the longest."""
-    mean = torch.where(batch.mask, batch.mean, torch.nan)
-    return {
-        "radius": _make_variable(
-            "experiment frame", mean, "R/Rmax", long_name="mean of the repeats"
-        )
-    }
-
-
-def _list_constant(batch: ExperimentBatch) -> Variables:
-    """Designs, times, repeats and prior spreads of the nuisances."""
-    times = torch.where(batch.mask, batch.times, torch.nan)
-    return {
+def _list_data(batch: ExperimentBatch) -> dict[str, Variables]:
+    """Mean curves; designs, times, repeats and prior spreads of the nuisances. NaN where an
+    experiment has fewer frames than the longest.
+    """
+    mean, times = (torch.where(batch.mask, x, torch.nan) for x in (batch.mean, batch.times))
+    radius = _make_variable("experiment frame", mean, "R/Rmax", long_name="mean of the repeats")
+    constant = {
         "time": _make_variable("experiment frame", times, "t U_c/Rmax"),
         "weber": _make_variable("experiment", batch.designs[:, 0], "1", long_name="Weber number"),
         "rest_radius": _make_variable("experiment", batch.designs[:, 1], "R_inf/Rmax"),
@@ -186,3 +179,4 @@ def _list_constant(batch: ExperimentBatch) -> Variables:
             "experiment nuisance", batch.nuisance_sds, "relative, t*, relative"
         ),
     }
+    return {"observed_data": {"radius": radius}, "constant_data": constant}

@@ -7,14 +7,12 @@ says and shows the same again.
 import math
 from collections.abc import Sequence
 from statistics import median
-from typing import Any
 
 import torch
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.assimilate.dense import dense_curve
-from imr_torch.design import Plan
-from imr_torch.files import drawn_numbers
+from imr_torch.files import Document, drawn_numbers
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.differing import gels_of
@@ -34,7 +32,7 @@ from imr_torch.unknown import Unknown
 
 def to_json(
     report: GapReport, parts: Parts | None = None, *, simulator: Simulator | None = None
-) -> dict[str, Any]:
+) -> Document:
     """The document of a diagnosis; null for every part that was not run.
 
     Args:
@@ -59,6 +57,8 @@ def to_json(
     test = report.gap
     when = parts.onset
     acts = parts.acts
+    # the base model and what leads each step of the selection
+    leading = {"none": report.null} | {step.winner.name: step.winner_fit for step in report.steps}
     document = {
         "gap": report.found,
         "verdict": report.verdict,
@@ -90,7 +90,10 @@ def to_json(
         "phase_residual": {"phases": PHASES, "rows": _phase_residual(report.null, report.batch)},
         "curves": _curves(report, simulator),
         **_noise(report),
-        "certificates": _certificates(report),
+        "certificates": {
+            name: vars(fit.certificate) | {"text": str(fit.certificate)}
+            for name, fit in leading.items()
+        },
         "seconds": report.seconds,
     }
     return document | {"headline": headline(document), "next_step": next_step(document)}
@@ -106,7 +109,7 @@ def odds_text(odds: float) -> str:
     return f"1:{1.0 / odds:g}"
 
 
-def _causes(found: Attribution | None) -> dict[str, Any]:
+def _causes(found: Attribution | None) -> Document:
     """Probabilities and evidence of all causes; null without an attribution."""
     like = found and found.likeness
     return {
@@ -132,7 +135,7 @@ def _causes(found: Attribution | None) -> dict[str, Any]:
     }
 
 
-def _values(report: GapReport, parts: Parts) -> dict[str, Any]:
+def _values(report: GapReport, parts: Parts) -> Document:
     """The parameters of the gel and of the named cause, with 90 % intervals."""
     named = report.selected_fit if report.verdict in ("effect", "class") else None
     error = parts.model_error
@@ -169,7 +172,7 @@ def _cause_values(report: GapReport, named: ModelFit) -> dict[str, dict[str, lis
     return values
 
 
-def _shrinkage(found: Shrinkage, report: GapReport) -> dict[str, Any]:
+def _shrinkage(found: Shrinkage, report: GapReport) -> Document:
     shares = found.placebo
     return vars(found) | {
         "placebo_median": median(shares) if shares else None,
@@ -179,7 +182,7 @@ def _shrinkage(found: Shrinkage, report: GapReport) -> dict[str, Any]:
     }
 
 
-def _missing(found: Unknown) -> dict[str, Any]:
+def _missing(found: Unknown) -> Document:
     """Kinds and terms with their probabilities, and the missing pressure of each shot: us, kPa, 1/s."""
     units = {
         "t_us": ("times", 1e6),
@@ -219,7 +222,7 @@ def _phase_residual(fit: ModelFit, batch: ExperimentBatch) -> list[list[float | 
     return [drawn_numbers(row) for row in torch.stack(columns, 1)]
 
 
-def _curves(report: GapReport, simulator: Simulator | None) -> list[dict[str, Any]]:
+def _curves(report: GapReport, simulator: Simulator | None) -> list[Document]:
     """Mean measured curves, the base model and, where anything was selected, the model with it.
 
     With a simulator, ``drawn`` holds the curves of the models at 600 points.
@@ -257,7 +260,7 @@ def _curves(report: GapReport, simulator: Simulator | None) -> list[dict[str, An
     return rows
 
 
-def _noise(report: GapReport) -> dict[str, Any]:
+def _noise(report: GapReport) -> Document:
     """The noise law, what is known of it, and what was left out."""
     batch = report.batch
     interval = batch.noise_interval(report.null.prediction)
@@ -272,19 +275,10 @@ def _noise(report: GapReport) -> dict[str, Any]:
     }
 
 
-def _certificates(report: GapReport) -> dict[str, dict[str, Any]]:
-    """The certificate of the base model's fit and of the leading fit of every step of the
-    selection.
-    """
-    fits = {"none": report.null} | {step.winner.name: step.winner_fit for step in report.steps}
-    return {
-        name: vars(fit.certificate) | {"text": str(fit.certificate)} for name, fit in fits.items()
-    }
-
-
-def _design(found: NextDesign) -> dict[str, Any]:
+def _design(found: NextDesign) -> Document:
     """The next design, its gain in nats, what it tells apart and how it is taken to be observed."""
     weber, rest = found.design.tolist()
+    nuisance = found.plan.nuisance
     return {
         "We": weber,
         "R_inf*": rest,
@@ -296,16 +290,12 @@ def _design(found: NextDesign) -> dict[str, Any]:
         "p_truth_after": found.after,
         "p_truth_after_sd": found.after_error,
         "helps": found.helps,
-        "plan": _plan(found.plan),
-    }
-
-
-def _plan(plan: Plan) -> dict[str, float]:
-    return {
-        "repeats": plan.repeats,
-        "frames": len(plan.times),
-        "end_t": float(plan.times[-1]),
-        "max_radius_sd": plan.nuisance.max_radius,
-        "time_zero_sd": plan.nuisance.time_zero,
-        "rest_radius_sd": plan.nuisance.rest_radius,
+        "plan": {
+            "repeats": found.plan.repeats,
+            "frames": len(found.plan.times),
+            "end_t": float(found.plan.times[-1]),
+            "max_radius_sd": nuisance.max_radius,
+            "time_zero_sd": nuisance.time_zero,
+            "rest_radius_sd": nuisance.rest_radius,
+        },
     }

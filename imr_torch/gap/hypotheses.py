@@ -19,7 +19,7 @@ from torch import Tensor
 
 from imr_torch.assimilate import Assimilation, ModelFit, Point, Posterior, SearchOptions, assimilate
 from imr_torch.assimilate.fit import NEARLY, ONE_MINIMUM, PROMISED
-from imr_torch.assimilate.starts import draw_perturbation
+from imr_torch.assimilate.multistart import draw_perturbation
 from imr_torch.float64 import tensor
 from imr_torch.material import Belief, Effect, ModelBelief
 from imr_torch.material.belief import even_belief
@@ -219,7 +219,7 @@ def fit_hypotheses(
 
     Where the gap is large, the null fit's collapses lie on the wrong side of frames, each a local
     minimum. Hypotheses are then also fitted by searches that begin without the frames next to
-    collapses (:mod:`imr_torch.assimilate.starts`), and the lower of the two fits counts, or one
+    collapses (:mod:`imr_torch.assimilate.multistart`), and the lower of the two fits counts, or one
     that has not converged and may get lower.
 
     Args:
@@ -255,7 +255,7 @@ def fit_hypotheses(
     )
     found = search(options=options)
     if overdispersion(null, batch) > _FAR:
-        lowest = min(options.known_cost, *(fit.cost for fit in found))
+        lowest = min(options.rival, *(fit.cost for fit in found))
         masked = search(options=replace(options, mask_collapses=True, rival=lowest))
         found = [lower(*pair, options) for pair in zip(found, masked, strict=True)]
     return {h.name: fit for h, fit in zip(hypotheses, found, strict=True)}
@@ -304,9 +304,7 @@ def _descend(
     rough = replace(options, drop_behind=reach, gradient=max(options.gradient, _ROUGHLY))
     found = from_starts(belief, batch, coarse, options=rough).fits
     fits = [_seen_by(fit, batch, simulator) for fit in found]
-    limit = min(*(fit.cost for fit in fits), options.known_cost) + (
-        math.inf if reach is None else reach
-    )
+    limit = min(*(fit.cost for fit in fits), options.rival) + (math.inf if reach is None else reach)
     near = [i for i, fit in enumerate(fits) if fit.cost - promised(fit) <= limit]
     near.sort(key=lambda i: fits[i].cost)
     own = replace(options, starts=2, mask_collapses=False)
@@ -327,7 +325,7 @@ def _descend(
             if again:
                 agreement = max(agreement, fit.certificate.agreement)
             fits[i] = _certified(fit, agreement, own) if twice else fit
-        own = replace(own, rival=min(options.known_cost, *(fits[i].cost for i in places)))
+        own = replace(own, rival=min(options.rival, *(fits[i].cost for i in places)))
     return fits
 
 

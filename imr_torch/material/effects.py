@@ -5,7 +5,7 @@ Effects of the gel are terms of its stress that a model may lack
 :mod:`~imr_torch.material.viscous`, :mod:`~imr_torch.material.departures`); a term acts wherever its
 parameter is not neutral. The physics of the bubble and of the liquid around it is in
 :mod:`imr_torch.simulate.effects` and
-:mod:`imr_torch.simulate.medium`; errors of the measurement act in
+:mod:`imr_torch.simulate.setting`; errors of the measurement act in
 :mod:`imr_torch.observe.distortion`. At zero each does nothing, exactly.
 """
 

@@ -133,11 +133,6 @@ class Cells:
     evidence: Float[Tensor, "cells"]
 
     @property
-    def log_evidence(self) -> float:
-        """The integral over the scatters, nats."""
-        return float(torch.logsumexp(self.log_prior + self.evidence, 0))
-
-    @property
     def weights(self) -> Float[Tensor, "cells"]:
         """``n`` tensor, posterior probability of each cell."""
         return torch.softmax(self.log_prior + self.evidence, 0)
@@ -170,7 +165,8 @@ def grid_scatters(
     >>> precision = 100.0 * torch.eye(2, dtype=torch.float64).expand(3, 2, 2)
     >>> shots = GaussianShots(precision, 100.0 * values, -50.0 * values.square().sum(1))
     >>> prior = wide_prior(["nhkv"])["nhkv"]
-    >>> G, mu = (grid_scatters(shots, prior, scale).log_evidence for scale in 0.3 * torch.eye(2, dtype=torch.float64))
+    >>> cells = [grid_scatters(shots, prior, scale) for scale in 0.3 * torch.eye(2, dtype=torch.float64)]
+    >>> G, mu = (float((grid.log_prior + grid.evidence).logsumexp(0)) for grid in cells)  # log evidence, nats
     >>> G > mu
     True
     """

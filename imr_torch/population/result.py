@@ -284,16 +284,17 @@ class Population:
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready values; intervals are [5 %, 50 %, 95 %], SI."""
         parameters = {}
-        for name in self.prior.names:
+        for name, marginal in zip(self.prior.names, self.prior.marginals, strict=True):
             entry: dict[str, Any] = {
                 "median": self.median(name),
                 "next_shot": self.next_shot(name),
             }
             entry["error"] = dict(zip(("median", "scatter"), self.error(name), strict=True))
             if name in self.varying:
+                unit = f"{name} in standard deviations of its prior"
                 entry |= {
                     "scatter": self.scatter(name),
-                    "scatter_of": name_scatter(self.prior, name),
+                    "scatter_of": f"ln {name}" if isinstance(marginal, LogNormal) else unit,
                     "log_bayes_factor": vars(self.by_parameter[name]),
                 }
             parameters[name] = entry
@@ -339,13 +340,3 @@ class Population:
             },
             "cautions": list(self.cautions),
         }
-
-
-def name_scatter(prior: ModelBelief, name: str) -> str:
-    """What the scatter of a parameter is the standard deviation of."""
-    marginal = prior.marginals[prior.names.index(name)]
-    return (
-        f"ln {name}"
-        if isinstance(marginal, LogNormal)
-        else f"{name} in standard deviations of its prior"
-    )

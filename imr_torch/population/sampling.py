@@ -18,6 +18,7 @@ from torch import Tensor
 from torch.distributions import HalfNormal
 
 from imr_torch.assimilate.importance import (
+    SmoothedWeights,
     effective_size,
     largest_shape,
     smooth_tail,
@@ -58,7 +59,7 @@ class Problem:
 
 
 @dataclass(frozen=True)
-class WeightedPopulation:
+class WeightedPopulation(SmoothedWeights):
     """Draws of a population's posterior.
 
     Args:
@@ -77,23 +78,8 @@ class WeightedPopulation:
     refits: int = 0
 
     @cached_property
-    def _smooth_weights(self) -> tuple[Tensor, float]:
+    def _smoothed_tail(self) -> tuple[Tensor, float]:
         return smooth_tail(self.log_weights[:, 0])
-
-    @property
-    def pareto_k(self) -> float:
-        """Shape of the tail of the weights."""
-        return self._smooth_weights[1]
-
-    @cached_property
-    def weights(self) -> DrawnValues:
-        """``n`` tensor, normalised and smoothed."""
-        return torch.softmax(self._smooth_weights[0], 0)
-
-    @property
-    def effective_samples(self) -> float:
-        """Kish effective sample size."""
-        return float(effective_size(self.weights))
 
     @property
     def reliable(self) -> bool:

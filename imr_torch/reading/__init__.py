@@ -1,8 +1,7 @@
 """Files of a laboratory as radius-time curves in SI units, with what it says about them."""
 
 from imr_torch.reading.layout import KNOWN_LAYOUTS, Layout
-from imr_torch.reading.load import SUFFIXES, find_files, load_traces
-from imr_torch.reading.pressure import load_driving
+from imr_torch.reading.load import SUFFIXES, find_files, load_driving, load_traces
 from imr_torch.reading.readers import READERS, Reader, register_reader
 from imr_torch.reading.sidecar import state
 from imr_torch.reading.statement import Statement

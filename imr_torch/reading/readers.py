@@ -93,7 +93,7 @@ def read_contents(path: Path) -> list[Content]:
         InputDataError: if the file is missing, empty, damaged, or of no known container.
     """
     head = _read_head(path)
-    if is_npz(path, head):
+    if head.startswith(b"PK") and path.suffix.lower() == ".npz":
         return read_npz(path)
     if is_workbook(path, head):
         return read_workbook(path)
@@ -138,11 +138,6 @@ def _read_head(path: Path) -> bytes:
     if not head.removeprefix(b"\xef\xbb\xbf").strip():
         raise InputDataError(f"{path}: the file is empty; export the curve again.")
     return head
-
-
-def is_npz(path: Path, head: bytes) -> bool:
-    """Whether a file is an ``.npz``."""
-    return head.startswith(b"PK") and path.suffix.lower() == ".npz"
 
 
 def read_npz(path: Path) -> list[Content]:

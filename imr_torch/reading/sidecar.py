@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from imr_torch.errors import InputDataError
-from imr_torch.files import read_json, write_json
+from imr_torch.files import Document, read_json, write_json
 from imr_torch.reading.layout import RADIUS_UNITS, TIMES, Said
 from imr_torch.reading.names import unit_of
 from imr_torch.reading.statement import Statement
@@ -86,10 +86,10 @@ class Sidecar:
         listed = document.get("experiments", [])
         if not isinstance(listed, list) or not all(isinstance(entry, dict) for entry in listed):
             raise self._refuse_file("'experiments' is no list of entries")
-        self.top: dict[str, Any] = {
+        self.top: Document = {
             name: value for name, value in document.items() if name != "experiments"
         }
-        self.entries: dict[str, dict[str, Any]] = {}
+        self.entries: dict[str, Document] = {}
         for i, entry in enumerate(listed):
             if "experiment_id" not in entry:
                 raise self._refuse_file(f"entry {i + 1} of 'experiments' has no experiment_id")
@@ -137,7 +137,7 @@ class Sidecar:
                 f"frame_rate_fps of the file is {rate}; expected frames per second, above 0"
             )
         medium = self.stated.values if self.stated else {}
-        stated: dict[str, Any] = {
+        stated: Document = {
             name: medium[name][0] for name in ("density", "pressure") if name in medium
         }
         return Said(

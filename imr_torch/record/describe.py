@@ -9,11 +9,10 @@ scatter are integrated over on a grid, so that nobody has to say which shots the
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from imr_torch.files import without_nonfinite
+from imr_torch.files import Document, without_nonfinite
 from imr_torch.observe import Experiment
 from imr_torch.observe.landmarks import find_landmarks
 from imr_torch.reading.traces import RadiusTrace
@@ -133,20 +132,18 @@ class Record:
                 "The first cycle is slower than a medium of this density and pressure makes it: "
                 "a wall or another bubble near by, or a wrong density, pressure, scale or clock."
             )
-        return (*lines, *self._odd_sentences(described))
-
-    def _odd_sentences(self, described: int) -> list[str]:
         if described < FEWEST:
-            return ["Two shots cannot outvote each other, so of fewer than three none stands out."]
+            odd = ["Two shots cannot outvote each other, so of fewer than three none stands out."]
+            return (*lines, *odd)
         odd = [
             f"{shot.label} stands out in {' and '.join(shot.odd_in)} (probability {shot.odd:.2f}); "
             f"fits count it {shot.weight:.2g} times."
             for shot in self.shots
             if shot.stands_out
         ]
-        return odd or ["No shot stands out from its set."]
+        return (*lines, *(odd or ["No shot stands out from its set."]))
 
-    def to_dict(self) -> dict[str, Any] | None:
+    def to_dict(self) -> Document | None:
         """JSON-ready, SI; pressures over p_inf, and null where a number is not known; None without
         shots.
         """

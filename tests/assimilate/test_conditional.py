@@ -8,11 +8,9 @@ import pytest
 import torch
 
 from imr_torch.assimilate import Point, Posterior, SearchOptions, assimilate, weigh
-from imr_torch.observe import ExperimentBatch, Nuisance, predict
+from imr_torch.observe import ExperimentBatch, predict
 from tests.curved import mean_error
-from tests.linear import CORRELATED, NOISE, LinearSimulator, exact, experiments, prior
-
-BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
+from tests.linear import BOTH, CORRELATED, NOISE, LinearSimulator, exact, experiments, prior
 
 
 def closed_form(parameters, batch: ExperimentBatch, simulator):

@@ -18,6 +18,7 @@ from imr_torch.observe import ExperimentBatch, Noise, Nuisance, SimulatedLaborat
 from imr_torch.random import child, generator
 from imr_torch.simulate import PolytropicSimulator
 from tests.linear import (
+    BOTH,
     CORRELATED,
     MEANS,
     NOISE,
@@ -29,7 +30,6 @@ from tests.linear import (
     tensor,
 )
 
-BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
 BATCHES = {
     "certain": experiments(3),
     "uncertain": experiments(3, nuisance=BOTH),

@@ -15,6 +15,7 @@ from imr_torch.material import PARAMETERS, Belief, TruncatedNormal
 from imr_torch.observe import ExperimentBatch, Noise, Nuisance, SimulatedLaboratory, predict
 from imr_torch.simulate import PolytropicSimulator, Solution
 from tests.linear import (
+    BOTH,
     CORRELATED,
     MEANS,
     MODELS,
@@ -30,7 +31,6 @@ from tests.linear import (
 
 OPTIONS = SearchOptions(raw_samples=24)
 CLOCK = Nuisance(time_zero=0.2)
-BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
 
 
 def fitted(

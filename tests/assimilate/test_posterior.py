@@ -14,6 +14,7 @@ from imr_torch.random import generator
 from imr_torch.simulate import PolytropicSimulator, TransportSimulator
 from tests.curved import CurvedSimulator, quadrature
 from tests.linear import (
+    BOTH,
     CORRELATED,
     MEANS,
     NOISE,
@@ -25,7 +26,6 @@ from tests.linear import (
     tensor,
 )
 
-BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
 ALL = Nuisance(max_radius=0.01, time_zero=0.02, rest_radius=0.05)
 
 

@@ -13,6 +13,7 @@ from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch, Nuisance
 from imr_torch.select import Evidence, evidences, log_evidence, probability_errors, update
 from tests.linear import (
+    BOTH,
     CORRELATED,
     MEANS,
     MODELS,
@@ -26,7 +27,6 @@ from tests.linear import (
 )
 
 OPTIONS = SearchOptions(raw_samples=24)
-BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
 BATCHES = {
     "one experiment": experiments(1),
     "several": experiments(3),
