@@ -47,6 +47,7 @@ class NamedFigure:
         alt: the same for who cannot see it, with what is to be seen.
         plot: draws it, or its axes; may fail.
         section: heading of the section of a page that it stands in, where the page has several.
+        note: what stands below it, in the colour of warnings.
 
     >>> from matplotlib.figure import Figure
     >>> from imr_torch.results import NamedFigure
@@ -59,11 +60,13 @@ class NamedFigure:
     alt: str
     plot: Callable[[], Figure | Axes]
     section: str = ""
+    note: str = ""
 
     def draw(self) -> Figure:
         """The figure, drawn."""
         figure = self.plot().figure
         assert isinstance(figure, Figure)
+        figure.supxlabel(self.note, fontsize=8, color=TRUTH)
         return figure
 
     def picture(self) -> dict[str, str]:
