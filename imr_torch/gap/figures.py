@@ -100,7 +100,7 @@ def gap_figures(document: Document, *, curves: int | None = None) -> Iterator[Na
             yield NamedFigure(
                 "acts",
                 "Share of the signal of the named effects by phase, with its 90 % interval.",
-                f"Bar chart. {document['acts']['sentence']}",
+                "Bar chart; the sentences above give the numbers.",
                 partial(plot_acts, document["acts"]["shares"]),
                 section=PLACE,
             )
