@@ -263,7 +263,8 @@ def show_result(args: Namespace, document: Document, *, report: str = "") -> Non
         report: what the page holds as text; the report of the document when not given.
     """
     if args.out:
-        for failure in save_figures(draw_figures(document), Path(args.out)):
+        figures = draw_figures(document)
+        for failure in save_figures(figures, Path(args.out), progress=args.terminal):
             print(f"imr-torch: {failure}", file=sys.stderr)
     if getattr(args, "html", None):
         write_page(document, args.html, report=report)

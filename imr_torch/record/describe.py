@@ -126,7 +126,7 @@ class Record:
             lines.append(
                 f"Cycle {number} ({len(own)} shot(s), median R_k {1e6 * size:.0f} um) looks like "
                 f"{viscosity:.2f} +- {viscosity_sd:.2f} Pa s and {1e-3 * modulus:.1f} +- "
-                f"{1e-3 * modulus_sd:.1f} kPa (of one shot)."
+                f"{1e-3 * modulus_sd:.1f} kPa (errors of one shot)."
             )
         if len(chord) and np.median(chord) > SLOW:
             lines.append(
