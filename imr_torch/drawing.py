@@ -87,7 +87,7 @@ def axes_or_new(ax: Axes | None, size: tuple[float, float] = (5.2, 3.4)) -> Axes
 def curve_panels(title: str) -> tuple[Figure, Axes, Axes]:
     """A figure with a panel for radius over time and, below, one for residuals over their noise."""
     # a layout that fits every curve: to find one takes as long as to draw
-    margins = {"left": 0.12, "right": 0.88, "top": 0.83, "bottom": 0.14, "hspace": 0.08}
+    margins = {"left": 0.15, "right": 0.88, "top": 0.83, "bottom": 0.14, "hspace": 0.08}
     figure, (ax, below) = plt.subplots(
         2, 1, figsize=(5.8, 4.8), height_ratios=[3, 1], sharex=True, gridspec_kw=margins
     )

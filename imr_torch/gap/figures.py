@@ -194,6 +194,7 @@ def curve_figure(curve: Mapping[str, Any], selected: str) -> Figure:
         below.plot(t, (r - floats(curve[name])) / sd, color=color, ls=style, lw=1.2)
     ax.set(ylim=(0.0, None))
     add_legend(ax)
+    figure.subplots_adjust(right=0.97, top=0.93)
     return figure
 
 
