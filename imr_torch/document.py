@@ -89,9 +89,9 @@ def is_explained(document: Document, where: str = "") -> bool | None:
     >>> is_explained({"fit_test": {"explained": False}}), is_explained({})
     (False, None)
     """
-    said = document.get("fit_test") or {"explained": None}
-    explained = said.get("explained", said) if isinstance(said, dict) else said
-    if isinstance(said, dict) and (explained is None or isinstance(explained, bool)):
+    said = document.get("fit_test") or {}
+    explained = said.get("explained") if isinstance(said, dict) else "none of these"
+    if explained is None or isinstance(explained, bool):
         return explained
     raise InputDataError(f"{where}'fit_test' is {said!r}; the result is not whole, make it anew.")
 
