@@ -84,7 +84,17 @@ def prepared(folder: Path) -> None:
 
 def cases(folder: Path, fuzz: int) -> Iterator[Case]:
     """All cases; ``folder`` holds good files."""
-    for group in (tables, scales, sidecars, layouts, sets, options, collapse_tables, targets, stated):
+    for group in (
+        tables,
+        scales,
+        sidecars,
+        layouts,
+        sets,
+        options,
+        collapse_tables,
+        targets,
+        stated,
+    ):
         yield from group()
     yield from beliefs(json.loads((folder / "belief.json").read_text()))
     yield from journals(folder / "gel")

@@ -157,7 +157,9 @@ class Terminal:
             # since the last step that counts the time left has become less, and a stage that lasts
             # longer than planned lets the others do so
             left = max(self.counted / done, elapsed / self._part_done(1.0)) - elapsed
-            parts.append(f"{100 * done:.0f} %" + f", about {_format_clock(left)} left" * (left > 0.5))
+            parts.append(
+                f"{100 * done:.0f} %" + f", about {_format_clock(left)} left" * (left > 0.5)
+            )
         stage = self.stages[self.at].name if self.stages else ""
         doing = ", ".join(filter(None, (stage, self.step)))
         return ", ".join(parts) + (f": {doing}" if doing else "")

@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 
-from imr_torch.drawing import NamedFigure
 from imr_torch.document import is_explained
+from imr_torch.drawing import NamedFigure
 from imr_torch.errors import InputDataError, in_one_line
 from imr_torch.files import Document
 from imr_torch.gap.figures import gap_figures

@@ -200,11 +200,14 @@ def contradictions(document: dict) -> list[str]:
         "closed by what is not named": "the gap is closed" in text and verdict == "other",
         "a shot that is not designed": ("Shoot We" in document["next_step"])
         != bool(document["next_design"] and document["next_design"]["helps"]),
-        "nothing is said of what to quote": not quote.startswith("Quote ") or text.count(quote) != 2,
+        "nothing is said of what to quote": not quote.startswith("Quote ")
+        or text.count(quote) != 2,
         "a wrong model is quoted": quote.startswith("Quote for")
-        and (verdict in ("other", "class") or verdict == "undecided" and document["test_rejects"]),
+        and (
+            verdict in ("other", "class") or (verdict == "undecided" and document["test_rejects"])
+        ),
         "a right model is not quoted": not quote.startswith("Quote for")
-        and (verdict == "none" or verdict == "effect" and "gel_scatter" not in cause),
+        and (verdict == "none" or (verdict == "effect" and "gel_scatter" not in cause)),
         "one gel is quoted though they differ": cause == ["gel_scatter"]
         and verdict == "effect"
         and "Use the parameters" in document["next_step"],
