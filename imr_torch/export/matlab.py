@@ -20,10 +20,11 @@ def write_mat(document: Document, path: str | Path) -> None:
     """Write a result of ``characterize`` as a MATLAB file, atomically.
 
     It holds ``model`` (the most probable), ``fit`` (whether that explains the curves),
-    ``probabilities``, ``parameters`` (one struct a model and parameter: ``model``, ``name``, ``unit``, ``low``, ``median``, ``high``, SI) and ``curves``
-    (one struct a curve: frames in us and um, which of them were ``fitted``, their ``asphericity``
-    a/b - 1 where half axes were measured, the model's curve, its 90 % predictive band, and
-    ``residual`` and ``residual_over_sd`` at the fitted frames, R/Rmax).
+    ``probabilities``, ``parameters`` (one struct a model and parameter: ``model``, ``name``,
+    ``unit``, ``low``, ``median``, ``high``, SI) and ``curves`` (one struct a curve: frames in us
+    and um, which of them were ``fitted``, their ``asphericity`` a/b - 1 where half axes were
+    measured, the model's curve, its 90 % predictive band, and ``residual`` and
+    ``residual_over_sd`` at the fitted frames, R/Rmax).
 
     Args:
         document: of :meth:`imr_torch.Characterization.to_document` or ``imr-torch characterize``.
