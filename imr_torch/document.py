@@ -75,6 +75,27 @@ def header(
     return document
 
 
+def is_explained(document: Document, where: str = "") -> bool | None:
+    """Whether the most probable model explains the curves; None where that was not tested.
+
+    Args:
+        document: a result.
+        where: what an error begins with.
+
+    Raises:
+        InputDataError: where the document says something else.
+
+    >>> from imr_torch.document import is_explained
+    >>> is_explained({"fit_test": {"explained": False}}), is_explained({})
+    (False, None)
+    """
+    said = document.get("fit_test") or {}
+    explained = said.get("explained") if isinstance(said, dict) else "none of these"
+    if explained is None or isinstance(explained, bool):
+        return explained
+    raise InputDataError(f"{where}'fit_test' is {said!r}; the result is not whole, make it anew.")
+
+
 def _with_companions(files: Sequence[str | Path]) -> list[Path]:
     found: list[Path] = []
     for path in map(Path, files):

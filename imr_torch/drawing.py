@@ -47,6 +47,7 @@ class NamedFigure:
         alt: the same for who cannot see it, with what is to be seen.
         plot: draws it, or its axes; may fail.
         section: heading of the section of a page that it stands in, where the page has several.
+        note: what stands below it, in the colour of warnings.
 
     >>> from matplotlib.figure import Figure
     >>> from imr_torch.results import NamedFigure
@@ -59,11 +60,13 @@ class NamedFigure:
     alt: str
     plot: Callable[[], Figure | Axes]
     section: str = ""
+    note: str = ""
 
     def draw(self) -> Figure:
         """The figure, drawn."""
         figure = self.plot().figure
         assert isinstance(figure, Figure)
+        figure.supxlabel(self.note, fontsize=8, color=TRUTH)
         return figure
 
     def picture(self) -> dict[str, str]:
@@ -83,8 +86,10 @@ def axes_or_new(ax: Axes | None, size: tuple[float, float] = (5.2, 3.4)) -> Axes
 
 def curve_panels(title: str) -> tuple[Figure, Axes, Axes]:
     """A figure with a panel for radius over time and, below, one for residuals over their noise."""
+    # a layout that fits every curve: to find one takes as long as to draw
+    margins = {"left": 0.15, "right": 0.88, "top": 0.83, "bottom": 0.14, "hspace": 0.08}
     figure, (ax, below) = plt.subplots(
-        2, 1, figsize=(5.8, 4.8), height_ratios=[3, 1], sharex=True, layout="constrained"
+        2, 1, figsize=(5.8, 4.8), height_ratios=[3, 1], sharex=True, gridspec_kw=margins
     )
     ax.set_ylabel(R_STAR)
     below.axhspan(-2.0, 2.0, **NOISE_BAND)

@@ -36,6 +36,7 @@ from benchmarks.bad_inputs.documents import results
 from benchmarks.bad_inputs.journals import journals
 from benchmarks.bad_inputs.options import options
 from benchmarks.bad_inputs.sets import archive, sets
+from benchmarks.bad_inputs.stated import stated, tested
 from benchmarks.bad_inputs.targets import targets
 from benchmarks.bad_inputs.trial import SMALL, Outcome, tried
 from imr_torch.cli import common, main
@@ -83,9 +84,20 @@ def prepared(folder: Path) -> None:
 
 def cases(folder: Path, fuzz: int) -> Iterator[Case]:
     """All cases; ``folder`` holds good files."""
-    for group in (tables, scales, sidecars, layouts, sets, options, collapse_tables, targets):
+    for group in (
+        tables,
+        scales,
+        sidecars,
+        layouts,
+        sets,
+        options,
+        collapse_tables,
+        targets,
+        stated,
+    ):
         yield from group()
     yield from beliefs(json.loads((folder / "belief.json").read_text()))
     yield from journals(folder / "gel")
     yield from results(folder / "fit.json")
+    yield from tested(folder / "fit.json")
     yield from damaged(folder, fuzz)

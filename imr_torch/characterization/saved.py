@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from imr_torch.assimilate import Assimilation
+from imr_torch.document import is_explained
 from imr_torch.errors import InputDataError, UnsupportedError
 from imr_torch.files import Document, read_json, write_atomically
 from imr_torch.float64 import tensor
@@ -104,6 +105,7 @@ class SavedCharacterization:
         ):
             raise InputDataError(f"{source}: holds no 'models' and 'belief'; {_EXPECTED}.")
         try:
+            is_explained(document)
             before = document.get("prior")
             posterior = Belief.from_dict(document["belief"])
             prior = None if before is None else Belief.from_dict(before)
@@ -129,7 +131,7 @@ class SavedCharacterization:
     @property
     def explained(self) -> bool | None:
         """Whether the most probable model explains the curves; None where that was not tested."""
-        return (self.document.get("fit_test") or {}).get("explained")
+        return is_explained(self.document)
 
     def intervals(self, model: str | None = None) -> dict[str, list[float]]:
         """Parameter -> [5 %, 50 %, 95 %] quantile of a model (the most probable when not given),
@@ -176,7 +178,9 @@ class SavedCharacterization:
         return WeightedDraws(part.names, values, weights / weights.sum(), True)
 
     def rows(self) -> list[Document]:
-        """One row per model and parameter: SI quantiles, probability and certificate of the model."""
+        """One row per model and parameter: SI quantiles, probability and certificate of the model, and
+        whether the most probable one explains the curves.
+        """
         return [
             {
                 "model": key,
@@ -188,6 +192,7 @@ class SavedCharacterization:
                 "high": high,
                 "converged": self.converged(key),
                 "verdict": self.verdict(key),
+                "explained": self.explained if key == self.best else None,
                 "rmse": self._model(key).get("rmse"),
                 "log_evidence": self._model(key).get("log_evidence"),
             }

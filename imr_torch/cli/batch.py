@@ -71,8 +71,8 @@ def run_command(args: Namespace) -> None:
         )
     if doubtful := summary.count(NOT_CONVERGED):
         raise ConvergenceError(
-            f"{doubtful} of {len(summary.rows)} shots, whose numbers are not to be used; see "
-            "summary.csv."
+            f"{doubtful} of {len(summary.rows)} shots have not converged, so that their numbers are "
+            "not to be used; see summary.csv."
         )
 
 

@@ -12,6 +12,7 @@ from imr_torch.campaign.admission import check_whole
 from imr_torch.characterization import medium_of
 from imr_torch.cli.campaign_settings import check_goal, one_model, read_hidden, settings_of
 from imr_torch.cli.common import (
+    exact_medium,
     layout_of,
     prior_of,
     refuse_options,
@@ -213,5 +214,7 @@ def _report_campaign(
         truth = {name: case.truth[name] for name in means}
         errors = {name: abs(mean / truth[name] - 1.0) for name, mean in means.items()}
     document = campaign_document(campaign, proposals=proposals, stopped=stopped, truth=truth)
-    report_result(args, document | {"relative_error": errors, "cpu_seconds": seconds})
+    unstated = exact_medium(args, campaign.belief)
+    said = {"relative_error": errors, "cpu_seconds": seconds, "medium_unstated": unstated}
+    report_result(args, document | said)
     print(f"figures and journal in {campaign.journal.folder}")

@@ -15,6 +15,7 @@ from imr_torch.assimilate import En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.characterization import medium_of
 from imr_torch.cli.figures import save_figures
 from imr_torch.cli.options.names import COLLAPSES, DEFAULT_MODELS
+from imr_torch.document import is_explained
 from imr_torch.errors import InputDataError
 from imr_torch.files import Document, read_json, without_nonfinite, write_json
 from imr_torch.float64 import tensor
@@ -78,6 +79,19 @@ def with_medium(
     return medium.applied(simulator), medium.believed(prior), medium
 
 
+def exact_medium(args: Namespace, prior: Belief) -> str:
+    """What nobody stated, and is exact here while ``characterize`` infers it, in a sentence."""
+    medium = args.gel_medium
+    known = [*medium.sds, *prior.models[0].material.names]
+    exact = [name for name in medium.loosened.sds if name not in known]
+    if args.case or not exact:
+        return ""
+    return (
+        f"Not stated, and exact here: {exact[0]} ({medium.value(exact[0])}). characterize infers it, "
+        "and finds wider intervals of G: measure it and state it (--medium density=VALUE:SD)."
+    )
+
+
 def with_engine(simulator: AnySimulator, args: Namespace) -> AnySimulator:
     """A simulator with the engine, threads, radial equation and driving that the options name."""
     driving = load_driving(args.driving) if getattr(args, "driving", None) else None
@@ -112,17 +126,21 @@ def prior_of(args: Namespace) -> Belief:
         other = "--belief" if args.belief else "--case"
         why = f"has no effect beside {other}, which names models and priors; leave one of them out."
         refuse_options(args, ("models", "known"), why)
-        return Belief.load(args.belief) if args.belief else reference_case(args.case).prior
+        if not args.belief:
+            return reference_case(args.case).prior
+        belief = Belief.load(args.belief)
+        belief_cautions(args)  # refuses a result that is not whole
+        return belief
     return wide_prior(args.models or DEFAULT_MODELS.split(","), known=args.known)
 
 
 def belief_cautions(args: Namespace) -> list[str]:
     """What is to be known of the result whose belief ``--belief`` names."""
-    document = read_json(args.belief) if args.belief else {}
-    if (document.get("fit_test") or {}).get("explained") is not False:
+    path = args.belief
+    if not path or is_explained(read_json(path), f"{path}: ") is not False:
         return []
     return [
-        f"the model of {args.belief} does not explain its curves, and what follows assumes that it "
+        f"the model of {path} does not explain its curves, and what follows assumes that it "
         "does; find out what it lacks first: imr-torch diagnose"
     ]
 
@@ -245,7 +263,8 @@ def show_result(args: Namespace, document: Document, *, report: str = "") -> Non
         report: what the page holds as text; the report of the document when not given.
     """
     if args.out:
-        for failure in save_figures(draw_figures(document), Path(args.out)):
+        figures = draw_figures(document)
+        for failure in save_figures(figures, Path(args.out), progress=args.terminal):
             print(f"imr-torch: {failure}", file=sys.stderr)
     if getattr(args, "html", None):
         write_page(document, args.html, report=report)

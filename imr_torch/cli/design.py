@@ -4,7 +4,14 @@ from argparse import Namespace
 
 from imr_torch.campaign import Optimal, camera_variants, forecast_shots, stopping_rule
 from imr_torch.campaign.forecast import check_target
-from imr_torch.cli.common import belief_cautions, prior_of, report_result, simulator_of, with_medium
+from imr_torch.cli.common import (
+    belief_cautions,
+    exact_medium,
+    prior_of,
+    report_result,
+    simulator_of,
+    with_medium,
+)
 from imr_torch.cli.progress import DESIGN
 from imr_torch.design import (
     DesignSpace,
@@ -103,4 +110,5 @@ def run_command(args: Namespace) -> None:
         document["measure"] = measure_document(measure, search.chosen, surroundings) | {
             "criterion": args.criterion or "D"
         }
-    report_result(args, first | document | {"cautions": belief_cautions(args)})
+    document |= {"cautions": belief_cautions(args), "medium_unstated": exact_medium(args, prior)}
+    report_result(args, first | document)

@@ -69,17 +69,10 @@ def run_command(args: Namespace) -> None:
         else ()
     )
     document = to_json(report, parts, simulator=simulator) | {"record": record.to_dict()}
-    print("\n\n".join(filter(None, (medium.unstated, describe(document)))))
-    said = (*medium.learnt(report.null.posterior), *(found.sentence() for found in assumed))
-    print(
-        "\n"
-        + "\n".join(
-            [medium.report(), *(f"  {sentence} (Of the base model alone.)" for sentence in said)]
-        )
-    )
-    of_medium = medium_document(medium, assumed, report.null.posterior)
+    document |= medium_document(medium, assumed, report.null.posterior)
+    print(describe(document))
     args.gel_medium = medium
-    document = write_result(args, document | of_medium | {"seconds": time.perf_counter() - started})
+    document = write_result(args, document | {"seconds": time.perf_counter() - started})
     show_result(args, document)
     if not report.converged:
         raise ConvergenceError("a fit that the verdict rests on has not converged (see above).")

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from imr_torch.cli.options.names import FORMATS
 from imr_torch.errors import InputDataError, in_one_line
 from imr_torch.files import write_atomically
+from imr_torch.progress import Progress, ProgressLine
 from imr_torch.results import NamedFigure
 
 matplotlib.use("Agg")  # commands write files and open no window
@@ -43,15 +44,28 @@ def _save_figure(figure: Figure, folder: Path, name: str, formats: Sequence[str]
 
 
 def save_figures(
-    figures: Sequence[NamedFigure], folder: Path, formats: Sequence[str] = WRITTEN
+    figures: Sequence[NamedFigure],
+    folder: Path,
+    formats: Sequence[str] = WRITTEN,
+    *,
+    progress: Progress = None,
 ) -> list[str]:
     """Draw and save figures; one that fails costs no other.
+
+    Args:
+        figures: what is drawn.
+        folder: where to.
+        formats: of the files.
+        progress: called with one line per figure, as the second half of a stage.
 
     Returns:
         A sentence for each that failed.
     """
     failed = []
-    for item in figures:
+    for number, item in enumerate(figures, start=len(figures)):
+        if progress:
+            text = f"figures: {item.name}"
+            progress(ProgressLine(text, step="figures", done=number, of=2 * len(figures)))
         try:
             _save_figure(item.draw(), folder, item.name, formats)
         except OSError:  # a full disk, a folder without permission: no figure can be written

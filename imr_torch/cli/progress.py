@@ -49,19 +49,19 @@ def characterize_stages(noise_rounds: int, *, population: bool = False) -> tuple
         last = number == noise_rounds
         again = f" (round {number} of {noise_rounds})" if noise_rounds > 1 else ""
         name = f"fit with the estimated noise{again}" if number else "fit of all models"
-        share = (1.5 if last else 0.4) if number else (2.0 if last else 0.5)
+        share = (1.0 if last else 0.35) if number else (1.75 if last else 0.75)
         stages.append(Stage(name + ", and draws" * last, share, "noise"))
     figures = "" if population else " and figures"
-    stages.append(Stage(f"fit test{figures}", 0.3, "fit test"))
+    stages.append(Stage(f"fit test{figures}", 0.8, "fit test"))
     if population:
-        stages.append(Stage("each shot by itself, and the population", 3.0, "shots"))
+        stages.append(Stage("each shot by itself, and the population", 5.0, "shots"))
     return tuple(stages)
 
 
 DIAGNOSE = (
-    Stage("fit of the base model and test for a gap", 0.3),
-    Stage("fits of the effects", 0.4, "effects"),
-    Stage("location, reduction, next design", 0.3, "location"),
+    Stage("fit of the base model and test for a gap", 1.0),
+    Stage("fits of the effects", 15.0, "effects"),
+    Stage("location, reduction, next design", 4.0, "location"),
 )
 DESIGN = (Stage("search of designs", 1.0),)
 
@@ -104,7 +104,7 @@ class Terminal:
     clock: Callable[[], float] = time.monotonic
     every: float = 0.5
     log_every: float = 30.0
-    early: float = 0.1
+    early: float = 0.05
 
     def __post_init__(self) -> None:
         wanted = self.stream.isatty() if self.live is None else self.live
@@ -154,20 +154,24 @@ class Terminal:
             parts.append(f"stage {self.at + 1} of {len(self.stages)}")
         parts.append(_format_clock(elapsed))
         if done >= self.early:
-            # since the last step that counts the time left has become less
-            left = max(self.counted / done - elapsed, 0.0)
-            parts.append(f"{100 * done:.0f} %, about {_format_clock(left)} left")
+            # since the last step that counts the time left has become less, and a stage that lasts
+            # longer than planned lets the others do so
+            left = max(self.counted / done, elapsed / self._part_done(1.0)) - elapsed
+            parts.append(
+                f"{100 * done:.0f} %" + f", about {_format_clock(left)} left" * (left > 0.5)
+            )
         stage = self.stages[self.at].name if self.stages else ""
         doing = ", ".join(filter(None, (stage, self.step)))
         return ", ".join(parts) + (f": {doing}" if doing else "")
 
-    def _part_done(self) -> float:
-        """Part of the work that is done, roughly.
+    def _part_done(self, of_stage: float | None = None) -> float:
+        """Part of the work that is done, roughly, or is when a part of the present stage is.
 
         Of the step that counts, where no stages are planned.
         """
+        part = self.part if of_stage is None else of_stage
         shares = [stage.share for stage in self.stages] or [1.0]
-        return (sum(shares[: self.at]) + self.part * shares[self.at]) / sum(shares)
+        return (sum(shares[: self.at]) + part * shares[self.at]) / sum(shares)
 
     def _take_step(self, line: ProgressLine) -> None:
         """Take stage and step from a reported line."""
@@ -180,7 +184,7 @@ class Terminal:
             self.step = ""
             self._due = self.clock()
         if line.of:
-            self.part = min(1.0, line.done / line.of)
+            self.part = min(1.0, max(self.part, line.done / line.of))
             self.step = f"{line.step} {line.done} of {line.of}".strip()
         elif line.step or new is None:
             self.step = line.step or line.partition(":")[0][:40]

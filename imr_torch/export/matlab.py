@@ -19,11 +19,12 @@ from imr_torch.material import PARAMETERS
 def write_mat(document: Document, path: str | Path) -> None:
     """Write a result of ``characterize`` as a MATLAB file, atomically.
 
-    It holds ``model`` (the most probable), ``probabilities``, ``parameters`` (one struct a model
-    and parameter: ``model``, ``name``, ``unit``, ``low``, ``median``, ``high``, SI) and ``curves``
-    (one struct a curve: frames in us and um, which of them were ``fitted``, their ``asphericity``
-    a/b - 1 where half axes were measured, the model's curve, its 90 % predictive band, and
-    ``residual`` and ``residual_over_sd`` at the fitted frames, R/Rmax).
+    It holds ``model`` (the most probable), ``fit`` (whether that explains the curves),
+    ``probabilities``, ``parameters`` (one struct a model and parameter: ``model``, ``name``,
+    ``unit``, ``low``, ``median``, ``high``, SI) and ``curves`` (one struct a curve: frames in us
+    and um, which of them were ``fitted``, their ``asphericity`` a/b - 1 where half axes were
+    measured, the model's curve, its 90 % predictive band, and ``residual`` and
+    ``residual_over_sd`` at the fitted frames, R/Rmax).
 
     Args:
         document: of :meth:`imr_torch.Characterization.to_document` or ``imr-torch characterize``.
@@ -48,6 +49,7 @@ def write_mat(document: Document, path: str | Path) -> None:
     ]
     content = {
         "model": max(chances, key=chances.__getitem__),
+        "fit": (document.get("fit_test") or {}).get("sentence", "not tested"),
         "probabilities": dict(chances),
         "parameters": _struct_array(parameters),
         "curves": _struct_array([_convert_curve(curve) for curve in document["curves"]]),

@@ -20,7 +20,7 @@ from imr_torch.gap.examine import Parts
 from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.gap.identity_design import NextDesign
 from imr_torch.gap.shrinkage import Shrinkage
-from imr_torch.gap.text import acts_sentence, headline, hidden_sentence, next_step
+from imr_torch.gap.text import headline, next_step
 from imr_torch.gap.verdict import VERDICT_ODDS
 from imr_torch.goodness.phases import PHASES, phase_numbers
 from imr_torch.material import LIBRARY
@@ -80,9 +80,9 @@ def to_json(
         "selected": list(report.selected.parts),
         "adequacy_p": report.adequacy_p,
         **_values(report, parts),
-        "hidden": [vars(row) | {"sentence": hidden_sentence(vars(row))} for row in parts.hidden],
+        "hidden": list(map(vars, parts.hidden)),
         "onset": when and vars(when) | {"sentence": str(when)},
-        "acts": acts and {"shares": acts, "sentence": acts_sentence(acts)},
+        "acts": acts and {"shares": acts},
         "shrinkage": parts.shrinkage and _shrinkage(parts.shrinkage, report),
         "next_design": parts.next_design and _design(parts.next_design),
         "missing": parts.unknown and _missing(parts.unknown),

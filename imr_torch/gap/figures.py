@@ -100,7 +100,7 @@ def gap_figures(document: Document, *, curves: int | None = None) -> Iterator[Na
             yield NamedFigure(
                 "acts",
                 "Share of the signal of the named effects by phase, with its 90 % interval.",
-                f"Bar chart. {document['acts']['sentence']}",
+                "Bar chart; the sentences above give the numbers.",
                 partial(plot_acts, document["acts"]["shares"]),
                 section=PLACE,
             )
@@ -194,6 +194,7 @@ def curve_figure(curve: Mapping[str, Any], selected: str) -> Figure:
         below.plot(t, (r - floats(curve[name])) / sd, color=color, ls=style, lw=1.2)
     ax.set(ylim=(0.0, None))
     add_legend(ax)
+    figure.subplots_adjust(right=0.97, top=0.93)
     return figure
 
 

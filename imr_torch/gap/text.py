@@ -4,7 +4,7 @@ The text is a template, as those of all results are. It is a list of sections, e
 sentences; the page shows the same list.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,7 +29,6 @@ SHRINKS = "How far does it shrink on unseen curves?"
 MISSING = "What is missing?"
 CURVES = "The curves"
 """Headings of sections in which a figure or a table stands."""
-_SHARE_SHOWN = 0.15
 _ENTRIES = {
     GEL_SCATTER: "the gel differs between shots",
     NONE: "nothing is missing",
@@ -87,6 +86,7 @@ def _fill_template(name: str, document: Document) -> str:
         titles=lambda names: list(map(title, names)),
         shown=shown,
         in_words=in_words,
+        hidden_row=hidden_row,
         p_value=p_value,
         spoilt_sentence=spoilt_sentence,
         adequate=ADEQUATE,
@@ -126,6 +126,7 @@ def sections(document: Document) -> list[Section]:
         "What does it do to the parameters?": not (document["parameter_shift"] or document["gels"]),
         "What to measure next?": document["next_design"] is None,
         "Have the fits converged?": document["converged"],
+        "The medium": True,
     }
     blocks = map(str.splitlines, describe(document).split("\n\n")[:-1])
     return [
@@ -160,31 +161,3 @@ def hidden_row(row: Mapping[str, Any]) -> tuple[str, str, str]:
     moves = ", ".join(f"{p} by up to {100 * abs(x):.2g} %" for p, x in row["shift"].items())
     found = "none of a usual size" if size is None else shown(LIBRARY[name].names[0], size)
     return title(name), found, moves or "nothing"
-
-
-def hidden_sentence(row: Mapping[str, Any]) -> str:
-    """What these data would not show of an effect, in words.
-
-    >>> from imr_torch.gap.text import hidden_sentence
-    >>> hidden_sentence({"effect": "clock", "size": 0.01, "shift": {"G": 0.06}})
-    'frame rate or pixel size is off (clock): 0.01 would be found; less, unseen, moves G by up to 6 %.'
-    """
-    name, found, moves = hidden_row(row)
-    size = "its usual size" if row["size"] is None else "less"
-    return f"{name}: {found} would be found; {size}, unseen, moves {moves}."
-
-
-def acts_sentence(shares: Mapping[str, Sequence[float]]) -> str:
-    """From which phases the signal of the named effects comes.
-
-    >>> from imr_torch.gap.text import acts_sentence
-    >>> acts_sentence({"start": (0.0, 0.02, 0.1), "first collapse": (0.7, 0.8, 0.9)})
-    'Its signal beside a refit of the gel comes from: first collapse 0.80 (0.70 to 0.90).'
-    """
-    ranked = sorted(shares.items(), key=lambda item: -item[1][1])
-    said = [
-        f"{phase} {middle:.2f} ({low:.2f} to {high:.2f})"
-        for phase, (low, middle, high) in ranked
-        if high >= _SHARE_SHOWN
-    ]
-    return f"Its signal beside a refit of the gel comes from: {', '.join(said)}."

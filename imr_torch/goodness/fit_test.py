@@ -132,6 +132,10 @@ def check_fit(
             None,
             reason="too few frames for the noise to be inferred from them; shoot more curves.",
         )
+    # as the figures show them
+    left = (batch.mean - fit.prediction) * batch.counts.sqrt() / batch.of_frames.sd(fit.prediction)
+    left = torch.where(batch.mask, left, 0.0)
+    clock = phase_clock(batch.times, fit.prediction, batch.mask)
     near = fit.linearise(batch, simulator)
     batch = infer_frame_noise(near).applied(batch)
     fit, line = _move_to_noise(fit, batch, simulator)
@@ -142,16 +146,13 @@ def check_fit(
             None,
             reason=f"the fit of {fit.model} did not converge, and such a fit looks like a misfit.",
         )
-    # of a linear refit, over the noise of the mean
-    left = (batch.mean - line.prediction) / (line.sd / batch.counts.sqrt())
-    left = torch.where(batch.mask, left, 0.0)
     row, column = divmod(int(left.abs().argmax()), left.shape[1])
     return FitTest(
         fit.model,
         test.p_value,
         test.blocks[0].name,
         batch.experiments[row].label,
-        phase_name(float(phase_clock(batch.times, line.prediction, batch.mask)[row, column])),
+        phase_name(float(clock[row, column])),
         float(batch.times[row, column]),
         float(left[row, column]),
         test.bias_radius,

@@ -112,6 +112,9 @@ class ParameterVector:
         self.size = len(self._entries)
         return parameter
 
+    def __repr__(self) -> str:
+        return f"ParameterVector of {', '.join(self._entries)}"
+
     def __len__(self) -> int:
         return len(self._entries)
 

@@ -406,12 +406,17 @@ class ExperimentBatch:
             weight = own * weight
             square = square + weight.square() * squares - 2.0 * weight * last * products
             square = square + last.square() * previous(squares)
-        return square.sum(-1), normaliser.sum(-1)
+        return square.sum(-1), self.weights * normaliser.sum(-1)
+
+    @cached_property
+    def weights(self) -> Float[Tensor, "experiments"]:
+        """``E`` tensor: how often the log likelihood of each experiment counts."""
+        return tensor([e.weight for e in self.experiments])
 
     @cached_property
     def sizes(self) -> Float[Tensor, "experiments"]:
-        """Observations of each experiment, all repeats and frames."""
-        return torch.where(self.mask, self.counts, 0.0).sum(-1)
+        """Observations of each experiment, all repeats and frames, as often as it counts."""
+        return self.weights * torch.where(self.mask, self.counts, 0.0).sum(-1)
 
     def log_likelihood(self, prediction: BatchFrames) -> Float[Tensor, "*batch experiments"]:
         """Log density of all repeats and frames of each experiment; ``-inf`` for NaN."""

@@ -195,6 +195,11 @@ def _check_stated(
             f"{1e6 * apart:.4g} us apart; expected the exposure of one frame in seconds, no longer "
             "than that. Leave it out if it is not known."
         )
+    if landmarks.time_of_max_s >= trace.time_s[-2]:
+        raise InputDataError(
+            f"{where}: t_Rmax_s is {1e6 * landmarks.time_of_max_s:.4g} us, and the record ends at "
+            f"{1e6 * trace.time_s[-1]:.4g} us. Give it in seconds on the time axis of the file."
+        )
     overridden = given.override is not None and given.override.time_of_max_s is not None
     stated = None if overridden else given.time_of_max_s
     scale = float(surroundings.time_scale(top))

@@ -13,7 +13,6 @@ from torch import Tensor
 
 from imr_torch.float64 import randn
 from imr_torch.html import render
-from imr_torch.labels import plain
 from imr_torch.material import PARAMETERS, LogNormal, ModelBelief, material
 from imr_torch.material.model_belief import intervals
 from imr_torch.observe import Noise
@@ -220,45 +219,7 @@ class Population:
     @property
     def cautions(self) -> tuple[str, ...]:
         """What makes the numbers doubtful, a sentence each."""
-        said = []
-        if self.noise.widened > self.missed_from:
-            said.append(
-                "the model misses curves of these shots; the fit of each passes through them, and "
-                "intervals are "
-                f"{self.noise.widened:.1f} times as wide for what the residuals have in common."
-            )
-        for trend in self.trends:
-            if trend.p_value * len(self.trends) < self.trend_below and trend.name in self.varying:
-                word = "rises" if trend.correlation > 0.0 else "falls"
-                said.append(
-                    f"{trend.name} {word} with the size of the bubble (Kendall's tau "
-                    f"{trend.correlation:.2f}, "
-                    f"p = {trend.p_value:.2g}), which chance differences of gels "
-                    "do not do: the scatter may be an error of the model."
-                )
-        loose = [shot.label for shot in self.shots if not shot.reliable]
-        if loose:
-            said.append(
-                f"the posterior of {', '.join(map(plain, loose))} alone is not reliable, and "
-                "neither is what it adds here."
-            )
-        rough = [
-            f"{plain(shot.label)} ({shot.misses:.1f} nats)"
-            for shot in self.shots
-            if not shot.misses < self.rough_from
-        ]
-        if rough:
-            said.append(
-                f"the likelihood of {', '.join(rough)} is not well described by a smooth function "
-                "of the gel, so that what it adds here is rough."
-            )
-        if not self.found.reliable:
-            said.append(
-                f"few draws of the population count (effective {self.found.effective_samples:.0f} "
-                "of "
-                f"{len(self.found.weights)}, k {self.found.pareto_k:.2f}): its intervals are rough."
-            )
-        return tuple(said)
+        return tuple(filter(None, render("population_cautions.txt", found=self).splitlines()))
 
     def report(self) -> str:
         """The result as text."""

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imr_torch.files import Document, without_nonfinite
+from imr_torch.html import render
 from imr_torch.observe import Experiment
 from imr_torch.observe.landmarks import find_landmarks
 from imr_torch.reading.traces import RadiusTrace
@@ -89,59 +90,26 @@ class Record:
         firsts = [[c for c in shot.cycles if c.number == 1] for shot in self.shots]
         return np.array([getattr(c[0], name) if c else np.nan for c in firsts], dtype=float)
 
+    @property
+    def described(self) -> int:
+        """How many shots have frames enough about their maximum."""
+        return int(np.isfinite(self.first("max_radius_m")).sum())
+
     def sentences(self) -> tuple[str, ...]:
         """What is seen, in words."""
-        described = int(np.isfinite(self.first("max_radius_m")).sum())
-        if not described:
-            return ("No shot has frames enough about its maximum to show a wall pressure.",)
-        lines = []
-        chord, skewness = (
-            values[np.isfinite(values)] for values in map(self.first, ("chord", "skewness"))
+        chord, skewness = (x[np.isfinite(x)] for x in map(self.first, ("chord", "skewness")))
+        text = render(
+            "record.txt",
+            record=self,
+            chord=chord,
+            skewness=skewness,
+            cycles=[cycle for shot in self.shots for cycle in shot.cycles],
+            median=np.median,
+            water=WATER,
+            slow=SLOW,
+            fewest=FEWEST,
         )
-        if len(chord):
-            lines.append(
-                "Time above half of Rmax over that of a lossless bubble: "
-                f"{np.median(chord):.3f} (water by laser {WATER['chord']:.3f})."
-            )
-        if len(skewness):
-            lines.append(
-                f"Skewness {np.median(skewness):.3f} of the Rayleigh time in {len(skewness)} "
-                f"shot(s) with growth (lossless 0, water by laser {WATER['skewness']:.3f}): "
-                "dissipation delays the collapse."
-            )
-        else:
-            lines.append(
-                "Growth is not recorded, so dissipation and elasticity are told apart by the "
-                "collapse alone."
-            )
-        cycles = [cycle for shot in self.shots for cycle in shot.cycles]
-        for number in sorted({cycle.number for cycle in cycles}):
-            own = [
-                (c.max_radius_m, c.viscosity, c.viscosity_sd, c.modulus, c.modulus_sd)
-                for c in cycles
-                if c.number == number
-            ]
-            size, viscosity, viscosity_sd, modulus, modulus_sd = np.median(own, 0)
-            lines.append(
-                f"Cycle {number} ({len(own)} shot(s), median R_k {1e6 * size:.0f} um) looks like "
-                f"{viscosity:.2f} +- {viscosity_sd:.2f} Pa s and {1e-3 * modulus:.1f} +- "
-                f"{1e-3 * modulus_sd:.1f} kPa (of one shot)."
-            )
-        if len(chord) and np.median(chord) > SLOW:
-            lines.append(
-                "The first cycle is slower than a medium of this density and pressure makes it: "
-                "a wall or another bubble near by, or a wrong density, pressure, scale or clock."
-            )
-        if described < FEWEST:
-            odd = ["Two shots cannot outvote each other, so of fewer than three none stands out."]
-            return (*lines, *odd)
-        odd = [
-            f"{shot.label} stands out in {' and '.join(shot.odd_in)} (probability {shot.odd:.2f}); "
-            f"fits count it {shot.weight:.2g} times."
-            for shot in self.shots
-            if shot.stands_out
-        ]
-        return (*lines, *(odd or ["No shot stands out from its set."]))
+        return tuple(text.splitlines())
 
     def to_dict(self) -> Document | None:
         """JSON-ready, SI; pressures over p_inf, and null where a number is not known; None without

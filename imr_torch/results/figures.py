@@ -5,8 +5,10 @@ each is drawn on its own, so that one that fails costs no other.
 """
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from functools import partial
 
+from imr_torch.document import is_explained
 from imr_torch.drawing import NamedFigure
 from imr_torch.errors import InputDataError, in_one_line
 from imr_torch.files import Document
@@ -63,7 +65,9 @@ def draw_figures(document: Document) -> list[NamedFigure]:
             "of characterize, diagnose, design, campaign, batch, compare and simulate."
         )
     try:
-        return list(kinds[0](document))
+        note = "The model does not explain the curves: do not quote its numbers."
+        note *= is_explained(document) is False
+        return [replace(figure, note=note) for figure in kinds[0](document)]
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
         raise InputDataError(
             f"the result is not whole ({in_one_line(error)}); make it anew."

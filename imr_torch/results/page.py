@@ -97,9 +97,7 @@ def write_page(document: Document, path: str | Path, *, report: str = "") -> Non
     wrote ...design.html
     """
     if "verdict" in document and "examined" in document:
-        moved = document.get("medium_sensitivities", ())
-        facts = [("What was not stated", found["sentence"]) for found in moved]
-        facts = [*provenance_rows(document), *facts]
+        facts = provenance_rows(document)
         gap.write_page(document, path, facts=facts, footer=footer_line(document))
     else:
         write_bytes(path, document_page(document, report=report).encode())

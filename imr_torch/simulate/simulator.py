@@ -386,6 +386,11 @@ def in_transform(*tensors: Tensor) -> bool:
     >>> in_transform(torch.zeros(2)), seen
     (False, [True])
     """
+    if wrong := [type(x).__name__ for x in tensors if not isinstance(x, Tensor)]:
+        raise InputDataError(
+            f"A simulator takes three tensors, not a {wrong[0]}; PARAMETERS.pack makes one of named "
+            "parameters, torch.tensor one of numbers."
+        )
     wrapped = torch._C._functorch.is_functorch_wrapped_tensor  # pyright: ignore[reportAttributeAccessIssue]
     return any(wrapped(x) for x in tensors)
 

@@ -21,6 +21,7 @@ KINDS = (
     "belief",
     "journal",
     "result",
+    "stated",
     "damaged",
 )
 

@@ -162,6 +162,7 @@ def answered(document: dict, answer: str, shared: str, *, helps: bool | None) ->
 def contradictions(document: dict) -> list[str]:
     """What headline, sentences and values of a document say against each other."""
     text = describe(document)
+    quote = text.splitlines()[-1].strip()
     head = document["headline"]
     cause = document["cause"]
     members = document["members"] or {}
@@ -199,6 +200,14 @@ def contradictions(document: dict) -> list[str]:
         "closed by what is not named": "the gap is closed" in text and verdict == "other",
         "a shot that is not designed": ("Shoot We" in document["next_step"])
         != bool(document["next_design"] and document["next_design"]["helps"]),
+        "nothing is said of what to quote": not quote.startswith("Quote ")
+        or text.count(quote) != 2,
+        "a wrong model is quoted": quote.startswith("Quote for")
+        and (
+            verdict in ("other", "class") or (verdict == "undecided" and document["test_rejects"])
+        ),
+        "a right model is not quoted": not quote.startswith("Quote for")
+        and (verdict == "none" or (verdict == "effect" and "gel_scatter" not in cause)),
         "one gel is quoted though they differ": cause == ["gel_scatter"]
         and verdict == "effect"
         and "Use the parameters" in document["next_step"],
@@ -264,6 +273,7 @@ def test_that_they_agree_whatever_the_answer(documents, answer, shared, helps) -
         ({"verdict": "other"}, "closed by what is not named"),
         ({"members": {"sound_speed": 0.7, "other": 0.2}}, "an unknown effect is not said"),
         ({"bias_R": math.nan}, "a number that is none"),
+        ({"null_usable": False}, "a right model is not quoted"),
         ({"next_step": "Shoot We = 300."}, "a shot that is not designed"),
     ],
 )
@@ -305,6 +315,19 @@ def test_that_gels_that_differ_are_listed_shot_by_shot(documents) -> None:
     assert "G of each shot:" in describe(documents["differ"])
     assert "characterize --population" in documents["differ"]["next_step"]
     assert documents["named"]["gels"] is None
+
+
+def test_that_text_and_page_begin_and_end_with_what_to_quote(documents, tmp_path) -> None:
+    for name, document in documents.items():
+        unstated = document | {"medium_unstated": "Not stated: density.", "medium_sentence": "M."}
+        last = describe(unstated).splitlines()[-1].strip()
+        page = write_page(unstated, tmp_path / "page.html").read_text().partition("<section>")[0]
+        assert last in page
+        assert "Not stated: density." in page
+        assert ("density was not measured" in last) is last.startswith("Quote for")
+        assert ("does not explain these curves" in describe(document)) is (
+            document["gap"] and document["verdict"] != "effect"
+        ), name
 
 
 def test_that_words_are_remade_from_a_saved_document(documents, tmp_path) -> None:

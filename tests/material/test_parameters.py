@@ -96,6 +96,11 @@ def test_that_bad_input_is_named(call: Callable[[], object], message: str) -> No
         call()
 
 
+def test_that_the_vector_is_printed_by_its_names() -> None:
+    assert repr(PARAMETERS).startswith("ParameterVector of G, mu, alpha, ")
+    assert all(name in repr(PARAMETERS) for name in PARAMETERS.names)
+
+
 def test_that_scales_are_as_precise_as_the_parameters() -> None:
     outer = Surroundings()
     theta = dimensionless(

@@ -4,7 +4,9 @@ import argparse
 import json
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import pytest
+from scipy.io import loadmat
 
 from imr_torch import PolytropicSimulator, reference_case, wide_prior
 from imr_torch.campaign import Campaign
@@ -12,7 +14,15 @@ from imr_torch.characterization.batch import BatchSummary
 from imr_torch.characterization.compare import compare
 from imr_torch.characterization.saved import SavedCharacterization
 from imr_torch.cli.common import belief_cautions
-from imr_torch.results import campaign_document, document_page, document_report, header
+from imr_torch.errors import InputDataError
+from imr_torch.export import write_mat
+from imr_torch.results import (
+    campaign_document,
+    document_page,
+    document_report,
+    draw_figures,
+    header,
+)
 from imr_torch.results.page import TITLES
 from tests.results.documents import documented, traces
 
@@ -77,3 +87,39 @@ def test_that_text_and_page_say_that_the_model_misses_the_curves(kind: str, tmp_
     page = document_page(document)
     assert "does not explain" in page.partition("<details>")[0]
     assert 'class="verdict warning"' in page
+
+
+@pytest.fixture(scope="module")
+def missed() -> dict:
+    return characterize_document(Path())
+
+
+def test_that_every_figure_of_a_misfit_says_so(missed: dict) -> None:
+    for document, said in ((missed, True), (missed | {"fit_test": None}, False)):
+        for item in draw_figures(document):
+            figure = item.draw()
+            assert ("does not explain" in figure.get_supxlabel()) is said
+            plt.close(figure)
+
+
+def test_that_tables_and_matlab_files_say_so(missed: dict, tmp_path: Path) -> None:
+    gel = SavedCharacterization.from_dict(missed)
+    assert [row["explained"] for row in gel.rows()] == [False] * len(gel.intervals())
+    write_mat(missed, tmp_path / "gel.mat")
+    assert "does not explain" in loadmat(tmp_path / "gel.mat", squeeze_me=True)["fit"]
+
+
+def test_that_the_largest_residual_of_the_sentence_is_that_of_the_figures() -> None:
+    document = documented(traces(("a", "b"), noise=0.003))
+    own = [
+        value
+        for curve in document["curves"]
+        for value in curve["models"]["nhkv"]["residual_over_sd"]
+    ]
+    assert document["fit_test"]["sigma"] == pytest.approx(max(own, key=abs), rel=1e-6)
+
+
+def test_that_a_result_that_says_something_else_of_its_fit_is_refused(missed: dict) -> None:
+    for said in (5, "no", [1], True, {"explained": "no"}):
+        with pytest.raises(InputDataError, match="fit_test"):
+            SavedCharacterization.from_dict(missed | {"fit_test": said})

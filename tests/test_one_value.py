@@ -1,0 +1,63 @@
+"""One file and one model give one value of each parameter, whatever command is asked."""
+
+import csv
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from imr_torch.cli import main
+from tests.results.documents import GEL, traces
+
+COMMON = ["--medium", "density=1060", "--rest-radius", "0.2:0.002", "--physics", "polytropic"]
+COMMON += ["--quiet"]
+
+
+def write_curves(path: Path) -> None:
+    with open(path, "w", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow(("experiment_id", "time_s", "radius_m"))
+        for trace in traces(("a", "b", "c"), noise=0.003):
+            for row in zip(trace.time_s.tolist(), trace.radius_m.tolist(), strict=True):
+                rows.writerow((trace.experiment_id, *row))
+
+
+@pytest.fixture(scope="module")
+def values(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, list[float]]]:
+    """Command -> parameter -> 5, 50, 95 %."""
+    here = tmp_path_factory.mktemp("one_value")
+    write_curves(here / "gel.csv")
+    file = str(here / "gel.csv")
+    model = ["--models", "nhkv", *COMMON]
+    of_gel = ["characterize", file, "--population", *model, "--json", str(here / "result.json")]
+    assert main(of_gel) == 0
+    assert main(["batch", file, *model, "--workers", "1", "--out", str(here / "batch")]) == 0
+    tried = ["--effects", "sound_speed", *COMMON, "--json", str(here / "gap.json")]
+    assert main(["diagnose", file, *tried]) == 0
+    gel = json.loads((here / "result.json").read_text())
+    gap = json.loads((here / "gap.json").read_text())
+    assert gel["fit_test"]["explained"]
+    assert gap["verdict"] == "none"
+    with open(here / "batch" / "summary.csv", newline="") as table:
+        (row,) = csv.DictReader(table)
+    ends = ("_low", "", "_high")
+    return {
+        "characterize": gel["models"]["nhkv"]["intervals"],
+        "batch": {name: [float(row[name + end]) for end in ends] for name in GEL},
+        "diagnose": gap["parameters"],
+        "population": {name: gel["population"]["parameters"][name]["median"] for name in GEL},
+    }
+
+
+@pytest.mark.parametrize("name", GEL)
+def test_that_all_commands_agree_within_half_a_standard_deviation(values, name: str) -> None:
+    low, middle, high = map(math.log, values["characterize"][name])
+    sd = (high - low) / 3.29
+    for command in ("batch", "diagnose", "population"):
+        own = list(map(math.log, values[command][name]))
+        assert abs(own[1] - middle) < 0.5 * max(sd, (own[2] - own[0]) / 3.29), command
+        assert abs(own[1] - math.log(GEL[name])) < 3.0 * (own[2] - own[0]) / 3.29
+    for command in ("batch", "diagnose"):  # the same posterior, so that widths agree too
+        own = list(map(math.log, values[command][name]))
+        assert 0.7 < (own[2] - own[0]) / (high - low) < 1.4, command
