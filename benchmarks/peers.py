@@ -166,16 +166,16 @@ class FromZero(MieGruneisen):
 
 
 class Peer:
-    """PyIMR in a process of its own environment."""
+    """PyIMR in a process of its own environment, ``without`` some terms."""
 
-    def __init__(self, python: str, folder: Path) -> None:
+    def __init__(self, python: str, folder: Path, without: tuple[str, ...] = ()) -> None:
         inside = folder / "bin" / "python"
         if not inside.exists():
             subprocess.run([python, "-m", "venv", str(folder)], check=True, capture_output=True)
             install = [str(inside), "-m", "pip", "install", "-q", "PyIMR==0.1.1"]
             subprocess.run(install, check=True, capture_output=True)
         self._process = subprocess.Popen(
-            [str(inside), "-c", "import pyimr_worker; pyimr_worker.answer_jobs()"],
+            [str(inside), "-c", "import pyimr_worker; pyimr_worker.answer_jobs()", *without],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
