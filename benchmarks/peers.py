@@ -183,11 +183,18 @@ class Peer:
         )
 
     def solve(
-        self, bubbles: Bubbles, options: dict[str, Any], *, batch: bool = False, **physics: float
+        self,
+        bubbles: Bubbles,
+        options: dict[str, Any],
+        *,
+        batch: bool = False,
+        material: tuple[str, dict[str, float]] | None = None,
+        **physics: float,
     ) -> tuple[np.ndarray, float]:
         """``R*`` and CPU seconds."""
         job = {
             "bubbles": bubbles,
+            "material": material,
             "times": (TIMES * float(OUTER.time_scale(SIZE))).tolist(),
             "options": options,
             "physics": PHYSICS | physics,
@@ -283,6 +290,36 @@ def largest_difference(ours: np.ndarray, theirs: np.ndarray) -> float:
     return float(f"{np.abs(ours / theirs - 1.0).max():.2g}")
 
 
+def compare_fluids(peer: Peer, bubbles: Bubbles) -> list[dict[str, Any]]:
+    """Polymers in a solvent without elasticity, polytropic; the extensibility of PyIMR is ours times
+    the relaxation time over ``Rmax/U_c``.
+    """
+    times = {"relaxation_time_s": 5e-6, "retardation_time_s": 1e-6}
+    deborah = times["relaxation_time_s"] / float(OUTER.time_scale(SIZE))
+    fluids: dict[str, tuple[str, dict[str, float], dict[str, float]]] = {
+        "Oldroyd-B": ("OldroydB", {}, {"tau_ucm": 5e-6}),
+        "Giesekus": ("Giesekus", {"mobility": 0.3}, {"tau_giesekus": 5e-6, "mobility": 0.3}),
+        "linear Phan-Thien-Tanner": (
+            "LinearPTT",
+            {"extensibility": 0.2 * deborah},
+            {"tau_ptt": 5e-6, "extensibility": 0.2},
+        ),
+    }
+    rows = []
+    for name, (law, theirs, ours) in fluids.items():
+        gels = PARAMETERS.pack(
+            {"mu": torch.tensor(bubbles, dtype=torch.float64)[:, 3], "retardation": 0.2, **ours}
+        )
+        rest = torch.tensor(bubbles, dtype=torch.float64)[:, 1] / SIZE
+        designs = torch.stack((torch.full_like(rest, 400.0), rest), 1)
+        fine = PolytropicSimulator(POLYTROPIC, Stepping(0.03, max_steps=10**5), threads=1)
+        radius = fine(gels, designs, torch.from_numpy(TIMES)).radius.numpy()
+        options = {"rtol": 1e-9, "atol": 1e-11, "radial": 2}
+        beside, _ = peer.solve(bubbles, options, material=(law, times | theirs))
+        rows.append({"key": f"same/{name}", "largest": largest_difference(radius, beside)})
+    return rows
+
+
 def compare_trajectories(peer: Peer) -> list[dict[str, Any]]:
     """Where both are converged: every equation that both have, polytropic; then full physics on
     grids that are refined.
@@ -315,6 +352,7 @@ def compare_trajectories(peer: Peer) -> list[dict[str, Any]]:
         ours = solve_here(PolytropicSimulator(conditions, fine, engine="torchdiffeq"), bubbles)
         theirs, _ = peer.solve(bubbles, FINE | {"radial": radial}, sound_speed_m_s=speed)
         rows.append({"key": f"same/{name}", "largest": largest_difference(ours, theirs)})
+    rows += compare_fluids(peer, bubbles)
     few = bubbles[:2]
     options = {"warm gel": FULL, "cold gel": FULL | {"medtherm": 0}}
     for name, physics in options.items():

@@ -3,7 +3,7 @@ out.
 
 Runs in PyIMR's own environment, which has neither torch nor this package, as ``python -c "import
 pyimr_worker; pyimr_worker.answer_jobs()"``. A job: ``bubbles`` (R0, Req in m, G in Pa, mu in Pa s,
-each), ``times`` (s), ``options`` of ``pyimr.SimulationConfig`` and of ``pyimr.PhysicalParameters``
+each), ``material`` (a fluid with its parameters beside mu, or none for NHKV), ``times`` (s), ``options`` of ``pyimr.SimulationConfig`` and of ``pyimr.PhysicalParameters``
 (``physics``), and ``batch``, whether they are solved together.
 
 Arguments of the command name terms of PyIMR (:data:`TERMS`) that are left out in this process.
@@ -43,10 +43,14 @@ def leave_out(names: list[str]) -> None:
 def configuration_of(bubble: list[float], job: dict[str, Any]) -> Any:
     """One bubble as PyIMR states it."""
     size, rest, modulus, viscosity = bubble
+    material = pyimr.NeoHookeanKelvinVoigt(modulus, viscosity)
+    if job["material"]:
+        name, parameters = job["material"]
+        material = getattr(pyimr, name)(viscosity_pa_s=viscosity, **parameters)
     return pyimr.SimulationConfig(
         R0=size,
         Req=rest,
-        material=pyimr.NeoHookeanKelvinVoigt(modulus, viscosity),
+        material=material,
         physics=pyimr.PhysicalParameters(**job["physics"]),
         **job["options"],
     )

@@ -30,7 +30,7 @@ def _fastest_rate(strength: Scalar, time: Scalar, *others: Scalar) -> Scalar:
 
 
 _SHELLS = shell_rule(10)
-"""The stress integral is within 2e-4 of that of 40 shells for minima above ``R* = .05``."""
+"""Bubbles are within 1e-4 in ``R*`` of those with 40 shells."""
 
 
 def maxwell(

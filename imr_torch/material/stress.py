@@ -45,7 +45,7 @@ def unit_rule(count: int, power: int = 1) -> tuple[tuple[float, float], ...]:
     return tuple(zip((roots**power).tolist(), weights.tolist(), strict=True))
 
 
-def shell_rule(count: int, spread: float = 1e4) -> tuple[tuple[float, float], ...]:
+def shell_rule(count: int, spread: float = 1e5) -> tuple[tuple[float, float], ...]:
     """Shells ``q = r^3 - R^3``, which each keeps, and weights of the integral over ``q`` from 0 on.
 
     Gauss-Legendre in ``v`` with ``q = (L^v - 1)/(L - L^v)``: as ``ln q`` between ``1/L`` and ``L``,

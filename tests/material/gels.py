@@ -69,9 +69,7 @@ RELAXATION_TIMES = ("tau", "tau_sls", "tau_sns", "tau_ucm", "tau_giesekus", "tau
 
 def values_for(term: StressTerm) -> dict[str, float]:
     """A value of every parameter at which a term acts: nothing relaxes but by its own switch."""
-    return VALUES | {
-        name: 0.0 for name in RELAXATION_TIMES if name != term.switch
-    }
+    return VALUES | {name: 0.0 for name in RELAXATION_TIMES if name != term.switch}
 
 
 REST = 0.23
