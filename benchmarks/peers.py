@@ -182,6 +182,10 @@ class Peer:
             cwd=Path(__file__).parent,
         )
 
+    def stop(self) -> None:
+        """End its process."""
+        self._process.kill()
+
     def solve(
         self,
         bubbles: Bubbles,
@@ -373,6 +377,34 @@ def compare_trajectories(peer: Peer) -> list[dict[str, Any]]:
     return rows
 
 
+def explain_full_physics(python: str, folder: Path) -> list[dict[str, Any]]:
+    """By Chebyshev grids, that in the gel fine at the wall: PyIMR as it is, and without terms that
+    differ, by name.
+    """
+    few = draw_bubbles(4, 7)[:1]
+    conditions = Conditions()
+    cold = replace(conditions, medium=replace(conditions.medium, warm=False))
+    named = ("elastic heating", "wall temperature")
+    cases = [
+        *(("cold gel", cold, (), nodes, 3) for nodes in (17, 25, 33)),
+        *(("warm gel", conditions, named[:count], 25, 30) for count in (0, 1, 2)),
+        ("warm gel", conditions, named, 33, 40),
+    ]
+    rows = []
+    for name, physics, without, nodes, outer in cases:
+        peer = Peer(python, folder, without)
+        ours = solve_here(TransportSimulator(physics, ACCURACIES["reference"], threads=1), few)
+        grid = {"thermal": "spectral", "Nt": nodes, "Mt": outer, "rtol": 1e-7, "atol": 1e-9}
+        options = FULL | grid | {"medtherm": int(physics.medium.warm)}
+        theirs, _ = peer.solve(few, options, medium_grid_length=0.3)
+        rest = "".join(f", without {term}" for term in without)
+        row = {"key": f"same/full, {name}, spectral {nodes} x {outer}{rest}"}
+        difference = float(f"{np.abs(ours - theirs).max():.2g}")
+        rows.append(row | {"largest in R*": difference})
+        peer.stop()
+    return rows
+
+
 def main() -> None:
     """Measure, print, write."""
     parser = argparse.ArgumentParser(
@@ -394,6 +426,8 @@ def main() -> None:
             print(f"PyIMR is left out: {error}", file=sys.stderr)
             peer = None
         rows = compare_trajectories(peer) if peer else []
+        if peer and args.spectral:
+            rows += explain_full_physics(args.python, Path(args.env or temporary))
         rows += measure_costs(peer, args.rounds, spectral=args.spectral)
     text = "".join(json.dumps(row) + "\n" for row in rows)
     print(text, end="")

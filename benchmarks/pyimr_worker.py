@@ -3,8 +3,9 @@ out.
 
 Runs in PyIMR's own environment, which has neither torch nor this package, as ``python -c "import
 pyimr_worker; pyimr_worker.answer_jobs()"``. A job: ``bubbles`` (R0, Req in m, G in Pa, mu in Pa s,
-each), ``material`` (a fluid with its parameters beside mu, or none for NHKV), ``times`` (s), ``options`` of ``pyimr.SimulationConfig`` and of ``pyimr.PhysicalParameters``
-(``physics``), and ``batch``, whether they are solved together.
+each), ``material`` (a fluid with its parameters beside mu, or none for NHKV), ``times`` (s),
+``options`` of ``pyimr.SimulationConfig`` and of ``pyimr.PhysicalParameters`` (``physics``), and
+``batch``, whether they are solved together.
 
 Arguments of the command name terms of PyIMR (:data:`TERMS`) that are left out in this process.
 """
