@@ -166,28 +166,39 @@ class FromZero(MieGruneisen):
 
 
 class Peer:
-    """PyIMR in a process of its own environment."""
+    """PyIMR in a process of its own environment, ``without`` some terms."""
 
-    def __init__(self, python: str, folder: Path) -> None:
+    def __init__(self, python: str, folder: Path, without: tuple[str, ...] = ()) -> None:
         inside = folder / "bin" / "python"
         if not inside.exists():
             subprocess.run([python, "-m", "venv", str(folder)], check=True, capture_output=True)
             install = [str(inside), "-m", "pip", "install", "-q", "PyIMR==0.1.1"]
             subprocess.run(install, check=True, capture_output=True)
         self._process = subprocess.Popen(
-            [str(inside), "-c", "import pyimr_worker; pyimr_worker.answer_jobs()"],
+            [str(inside), "-c", "import pyimr_worker; pyimr_worker.answer_jobs()", *without],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
             cwd=Path(__file__).parent,
         )
 
+    def stop(self) -> None:
+        """End its process."""
+        self._process.kill()
+
     def solve(
-        self, bubbles: Bubbles, options: dict[str, Any], *, batch: bool = False, **physics: float
+        self,
+        bubbles: Bubbles,
+        options: dict[str, Any],
+        *,
+        batch: bool = False,
+        material: tuple[str, dict[str, float]] | None = None,
+        **physics: float,
     ) -> tuple[np.ndarray, float]:
         """``R*`` and CPU seconds."""
         job = {
             "bubbles": bubbles,
+            "material": material,
             "times": (TIMES * float(OUTER.time_scale(SIZE))).tolist(),
             "options": options,
             "physics": PHYSICS | physics,
@@ -283,6 +294,36 @@ def largest_difference(ours: np.ndarray, theirs: np.ndarray) -> float:
     return float(f"{np.abs(ours / theirs - 1.0).max():.2g}")
 
 
+def compare_fluids(peer: Peer, bubbles: Bubbles) -> list[dict[str, Any]]:
+    """Polymers in a solvent without elasticity, polytropic; the extensibility of PyIMR is ours times
+    the relaxation time over ``Rmax/U_c``.
+    """
+    times = {"relaxation_time_s": 5e-6, "retardation_time_s": 1e-6}
+    deborah = times["relaxation_time_s"] / float(OUTER.time_scale(SIZE))
+    fluids: dict[str, tuple[str, dict[str, float], dict[str, float]]] = {
+        "Oldroyd-B": ("OldroydB", {}, {"tau_ucm": 5e-6}),
+        "Giesekus": ("Giesekus", {"mobility": 0.3}, {"tau_giesekus": 5e-6, "mobility": 0.3}),
+        "linear Phan-Thien-Tanner": (
+            "LinearPTT",
+            {"extensibility": 0.2 * deborah},
+            {"tau_ptt": 5e-6, "extensibility": 0.2},
+        ),
+    }
+    rows = []
+    for name, (law, theirs, ours) in fluids.items():
+        gels = PARAMETERS.pack(
+            {"mu": torch.tensor(bubbles, dtype=torch.float64)[:, 3], "retardation": 0.2, **ours}
+        )
+        rest = torch.tensor(bubbles, dtype=torch.float64)[:, 1] / SIZE
+        designs = torch.stack((torch.full_like(rest, 400.0), rest), 1)
+        fine = PolytropicSimulator(POLYTROPIC, Stepping(0.03, max_steps=10**5), threads=1)
+        radius = fine(gels, designs, torch.from_numpy(TIMES)).radius.numpy()
+        options = {"rtol": 1e-9, "atol": 1e-11, "radial": 2}
+        beside, _ = peer.solve(bubbles, options, material=(law, times | theirs))
+        rows.append({"key": f"same/{name}", "largest": largest_difference(radius, beside)})
+    return rows
+
+
 def compare_trajectories(peer: Peer) -> list[dict[str, Any]]:
     """Where both are converged: every equation that both have, polytropic; then full physics on
     grids that are refined.
@@ -315,6 +356,7 @@ def compare_trajectories(peer: Peer) -> list[dict[str, Any]]:
         ours = solve_here(PolytropicSimulator(conditions, fine, engine="torchdiffeq"), bubbles)
         theirs, _ = peer.solve(bubbles, FINE | {"radial": radial}, sound_speed_m_s=speed)
         rows.append({"key": f"same/{name}", "largest": largest_difference(ours, theirs)})
+    rows += compare_fluids(peer, bubbles)
     few = bubbles[:2]
     options = {"warm gel": FULL, "cold gel": FULL | {"medtherm": 0}}
     for name, physics in options.items():
@@ -332,6 +374,34 @@ def compare_trajectories(peer: Peer) -> list[dict[str, Any]]:
         limit = grids[100] + (grids[100] - grids[50]) / 3.0  # of second order
         row["FD extrapolated"] = float(f"{np.abs(ours - limit).max():.2g}")
         rows.append(row)
+    return rows
+
+
+def explain_full_physics(python: str, folder: Path) -> list[dict[str, Any]]:
+    """By Chebyshev grids, that in the gel fine at the wall: PyIMR as it is, and without terms that
+    differ, by name.
+    """
+    few = draw_bubbles(4, 7)[:1]
+    conditions = Conditions()
+    cold = replace(conditions, medium=replace(conditions.medium, warm=False))
+    named = ("elastic heating", "wall temperature")
+    cases = [
+        *(("cold gel", cold, (), nodes, 3) for nodes in (17, 25, 33)),
+        *(("warm gel", conditions, named[:count], 25, 30) for count in (0, 1, 2)),
+        ("warm gel", conditions, named, 33, 40),
+    ]
+    rows = []
+    for name, physics, without, nodes, outer in cases:
+        peer = Peer(python, folder, without)
+        ours = solve_here(TransportSimulator(physics, ACCURACIES["reference"], threads=1), few)
+        grid = {"thermal": "spectral", "Nt": nodes, "Mt": outer, "rtol": 1e-7, "atol": 1e-9}
+        options = FULL | grid | {"medtherm": int(physics.medium.warm)}
+        theirs, _ = peer.solve(few, options, medium_grid_length=0.3)
+        rest = "".join(f", without {term}" for term in without)
+        row = {"key": f"same/full, {name}, spectral {nodes} x {outer}{rest}"}
+        difference = float(f"{np.abs(ours - theirs).max():.2g}")
+        rows.append(row | {"largest in R*": difference})
+        peer.stop()
     return rows
 
 
@@ -356,6 +426,8 @@ def main() -> None:
             print(f"PyIMR is left out: {error}", file=sys.stderr)
             peer = None
         rows = compare_trajectories(peer) if peer else []
+        if peer and args.spectral:
+            rows += explain_full_physics(args.python, Path(args.env or temporary))
         rows += measure_costs(peer, args.rounds, spectral=args.spectral)
     text = "".join(json.dumps(row) + "\n" for row in rows)
     print(text, end="")

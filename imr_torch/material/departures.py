@@ -75,6 +75,8 @@ def thinned_by_damage(
     tau_sls: Scalar,
     tau_sns: Scalar,
     tau_ucm: Scalar,
+    tau_giesekus: Scalar,
+    tau_ptt: Scalar,
     viscous_damage: Scalar,
 ) -> Scalars:
     """Viscosity that falls with accumulated strain: ``S_v (1 - D)``, ``D' = k (1 - D) |U|/R``. The
@@ -85,7 +87,8 @@ def thinned_by_damage(
     stress that relaxes is left alone: its law replaces the Newtonian one, of which nothing is left
     to take.
     """
-    instant = where(tau + tau_sls + tau_sns + tau_ucm > 0.0, 0.0, mu)
+    relaxing = tau + tau_sls + tau_sns + tau_ucm + tau_giesekus + tau_ptt
+    instant = where(relaxing > 0.0, 0.0, mu)
     value, rate, acceleration = newtonian(radius, velocity, rest_radius, instant)
     growth = viscous_damage * (1.0 - lost) * _strain_rate(radius, velocity)
     return -lost * value, -growth * value - lost * rate, -lost * acceleration, growth

@@ -1,5 +1,5 @@
 """Stress laws with memory: Maxwell and Zener branches, the standard solids of the published code,
-Oldroyd-B.
+Oldroyd-B, and the fluids of Giesekus and of Phan-Thien and Tanner.
 
 Each replaces the instantaneous stress of the terms beside it by one that relaxes: for a member with
 a relaxation time, the law takes off what those terms add at once and adds its memory state instead.
@@ -16,7 +16,7 @@ from math import log as log_of
 
 from imr_torch.elementary import Scalar, Scalars, exp, expm1, log, sin, where
 from imr_torch.material.elastic import linear_elastic
-from imr_torch.material.stress import StressTerm
+from imr_torch.material.stress import StressTerm, shell_rule
 from imr_torch.material.viscous import newtonian
 
 
@@ -27,6 +27,10 @@ def _relaxation_rate(time: Scalar) -> Scalar:
 
 def _fastest_rate(strength: Scalar, time: Scalar, *others: Scalar) -> Scalar:
     return _relaxation_rate(time)
+
+
+_SHELLS = shell_rule(10)
+"""Bubbles are within 1e-4 in ``R*`` of those with 40 shells."""
 
 
 def maxwell(
@@ -191,6 +195,117 @@ def oldroyd_b(
     return value, rate, instant / radius, radial_change, hoop_change
 
 
+def _strain_shell(
+    radius: Scalar,
+    velocity: Scalar,
+    shell: Scalar,
+    weight: Scalar,
+    radial: Scalar,
+    hoop: Scalar,
+    mu: Scalar,
+    time: Scalar,
+    retardation: Scalar,
+    mobility: Scalar,
+    extensibility: Scalar,
+) -> Scalars:
+    """The share of one shell in the stress of a polymer in a solvent, see :func:`giesekus` and
+    :func:`ptt`.
+    """
+    on = time > 0.0
+    relaxation = _relaxation_rate(time)
+    polymer = (1.0 - retardation) * mu
+    softness = where(polymer > 0.0, 1.0 / where(polymer > 0.0, polymer, 1.0), 0.0)
+    instant = where(on, 4.0 * polymer, 0.0) / len(_SHELLS)
+    flow = velocity / radius
+    per_volume = 1.0 / (radius * radius * radius + shell)
+    strain = radius * radius * velocity * per_volume
+    drive = 2.0 * polymer * relaxation * strain
+    fade = relaxation + softness * extensibility * (radial + 2.0 * hoop)
+    softening = softness * mobility
+    radial_change = -(fade + 4.0 * strain + softening * radial) * radial - 2.0 * drive
+    hoop_change = -(fade - 2.0 * strain + softening * hoop) * hoop + drive
+    radial_change = where(on, radial_change, 0.0)
+    hoop_change = where(on, hoop_change, 0.0)
+    share = where(on, weight * per_volume / 1.5, 0.0)
+    value = share * (radial - hoop)
+    rate = share * (radial_change - hoop_change) - 3.0 * strain * value
+    return (
+        value + instant * flow,
+        rate - instant * flow * flow,
+        instant / radius,
+        radial_change,
+        hoop_change,
+    )
+
+
+def giesekus(
+    radius: Scalar,
+    velocity: Scalar,
+    rest_radius: Scalar,
+    shell: Scalar,
+    weight: Scalar,
+    radial: Scalar,
+    hoop: Scalar,
+    mu: Scalar,
+    tau_giesekus: Scalar,
+    retardation: Scalar,
+    mobility: Scalar,
+) -> Scalars:
+    """A polymer whose drag falls where it is aligned: ``D s + s/De + (a/mu_p) s^2 = 2 (mu_p/De) d``
+    (Giesekus, J. Non-Newtonian Fluid Mech. 11, 1982).
+
+    ``D`` is the upper-convected rate, ``d`` the rate of strain, ``mu_p = (1 - s) mu``. The states
+    are the radial and the hoop stress of each shell ``q = r^3 - R^3``; the stress integral is ``2/3
+    int (s_rr - s_tt)/(R^3 + q) dq``. At ``a = 0`` it is :func:`oldroyd_b`.
+    """
+    return _strain_shell(
+        radius,
+        velocity,
+        shell,
+        weight,
+        radial,
+        hoop,
+        mu,
+        tau_giesekus,
+        retardation,
+        mobility,
+        0.0,
+    )
+
+
+def ptt(
+    radius: Scalar,
+    velocity: Scalar,
+    rest_radius: Scalar,
+    shell: Scalar,
+    weight: Scalar,
+    radial: Scalar,
+    hoop: Scalar,
+    mu: Scalar,
+    tau_ptt: Scalar,
+    retardation: Scalar,
+    extensibility: Scalar,
+) -> Scalars:
+    """A network that fades faster where it is stretched: ``D s + (1 + e De/mu_p tr s) s/De = 2
+    (mu_p/De) d``, linear (Phan-Thien & Tanner, J. Non-Newtonian Fluid Mech. 2, 1977).
+
+    Otherwise as :func:`giesekus`.
+    """
+    return _strain_shell(
+        radius,
+        velocity,
+        shell,
+        weight,
+        radial,
+        hoop,
+        mu,
+        tau_ptt,
+        retardation,
+        0.0,
+        extensibility,
+    )
+
+
 def _fade_arm(memory: Scalar, relaxation: Scalar, modulus: Scalar, strain: Scalar) -> Scalar:
     """The rate of ``Z/R^3`` where ``Z' = -Z/De - 4 G R^2 U``, in which ``relaxation`` is ``1/De``."""
     return -relaxation * memory - (4.0 * modulus + 3.0 * memory) * strain
@@ -315,6 +430,16 @@ STANDARD_NONLINEAR = StressTerm(
     fastest=_standard_fastest,
 )
 OLDROYD_B = StressTerm(oldroyd_b, switch="tau_ucm", states=2, fastest=_fastest_rate)
+GIESEKUS = StressTerm(
+    giesekus,
+    switch="tau_giesekus",
+    states=2 * len(_SHELLS),
+    fastest=_fastest_rate,
+    shells=_SHELLS,
+)
+PTT = StressTerm(
+    ptt, switch="tau_ptt", states=2 * len(_SHELLS), fastest=_fastest_rate, shells=_SHELLS
+)
 FIRST_ARM = StressTerm(first_arm, switch="G_arm", states=1, fastest=_fastest_rate)
 SECOND_ARM = StressTerm(second_arm, switch="G_arm_slow", states=1, fastest=_fastest_rate)
 SPRINGPOT = StressTerm(

@@ -34,8 +34,10 @@ from imr_torch.material.elastic import (
 )
 from imr_torch.material.memory import (
     FIRST_ARM,
+    GIESEKUS,
     MAXWELL,
     OLDROYD_B,
+    PTT,
     SECOND_ARM,
     SPRINGPOT,
     STANDARD_LINEAR,
@@ -82,6 +84,8 @@ TERMS: list[StressTerm] = [
     FIRST_ARM,
     SECOND_ARM,
     SPRINGPOT,
+    GIESEKUS,
+    PTT,
 ]
 """Every term a batch may need. Simulators leave out those that are neutral in the whole batch."""
 
@@ -272,6 +276,18 @@ PARTS: dict[str, Part] = {
     "sls": Part("memory", "SLS", _ESTRADA, (NEWTONIAN, LINEAR_ELASTIC, STANDARD_LINEAR)),
     "sns": Part("memory", "SNS", _ESTRADA, (NEWTONIAN, NEO_HOOKEAN, STANDARD_NONLINEAR)),
     "ucm": Part("memory", "Upper-convected Maxwell", _WARNEZ, (NEWTONIAN, OLDROYD_B)),
+    "giesekus": Part(
+        "memory",
+        "Giesekus",
+        "Giesekus, J. Non-Newtonian Fluid Mech. 11 (1982)",
+        (NEWTONIAN, GIESEKUS),
+    ),
+    "ptt": Part(
+        "memory",
+        "linear Phan-Thien-Tanner",
+        "Phan-Thien & Tanner, J. Non-Newtonian Fluid Mech. 2 (1977)",
+        (NEWTONIAN, PTT),
+    ),
 }
 """Name -> part of a composed model."""
 

@@ -275,6 +275,10 @@ for _entry in (
     _make_time("tau_sns", "relaxation time (standard nonlinear solid)"),
     _make_time("tau_ucm", "relaxation time (upper-convected branch)"),
     # of parts that few models have
+    _make_time("tau_giesekus", "relaxation time (Giesekus)"),
+    _make_shape("mobility", "mobility factor (Giesekus)", 0.0, 1.0, 0.2),
+    _make_time("tau_ptt", "relaxation time (Phan-Thien-Tanner)"),
+    _make_shape("extensibility", "extensibility (Phan-Thien-Tanner)", 0.0, 1.0, 0.1),
     _make_shape("mooney", "share of the second invariant (Mooney-Rivlin)", 0.0, 1.0, 0.3),
     _make_shape("cubic", "stiffening, cubic (Yeoh)", 0.0, 10.0, 0.005),
     _make_shape("gent", "1/J, inverse limit of I1 - 3 (Gent)", 0.0, 1.0, 0.01),

@@ -14,6 +14,7 @@ B`` tensor in the order of the terms.
 """
 
 import inspect
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -42,6 +43,24 @@ def unit_rule(count: int, power: int = 1) -> tuple[tuple[float, float], ...]:
     roots = 0.5 + 0.5 * nodes
     weights = 0.5 * weights * power * roots ** (power - 1)
     return tuple(zip((roots**power).tolist(), weights.tolist(), strict=True))
+
+
+def shell_rule(count: int, spread: float = 1e5) -> tuple[tuple[float, float], ...]:
+    """Shells ``q = r^3 - R^3``, which each keeps, and weights of the integral over ``q`` from 0 on.
+
+    Gauss-Legendre in ``v`` with ``q = (L^v - 1)/(L - L^v)``: as ``ln q`` between ``1/L`` and ``L``,
+    so that shells next to bubbles of all volumes from ``1/L`` to 1 are resolved alike.
+
+    >>> from imr_torch.material.stress import shell_rule
+    >>> round(sum(weight / (0.01 + shell) ** 2 for shell, weight in shell_rule(10)))  # 1/.01
+    100
+    """
+    rule = []
+    for node, weight in unit_rule(count):
+        z = spread**node
+        slope = (spread - 1.0) * z * math.log(spread) / (spread - z) ** 2
+        rule.append(((z - 1.0) / (spread - z), weight * slope))
+    return tuple(rule)
 
 
 @dataclass(frozen=True)
@@ -88,7 +107,7 @@ class StressTerm:
     Args:
         law: see above.
         switch: the parameter whose neutral value, 0, turns the term off.
-        states: memory states of the law.
+        states: memory states of the law, of all shells together.
         beside: those of its parameters that belong to other terms or are settings: a model that has
             the term does not infer them.
         start: ``start(rest_radius, *parameters)`` on tensors, a tuple of the memory at time zero, where ``R =
@@ -97,6 +116,8 @@ class StressTerm:
             explicit solvers must resolve; None if it follows the bubble's motion.
         unbounded: ``unbounded(*parameters)``, on tensors: where the energy of the term has no lower
             bound, which excuses a solve that fails.
+        shells: of a law that is summed over shells of the gel, see :func:`shell_rule`; it takes shell
+            and weight before the memory, which is that of one shell.
         odd: parameters that change their sign where time runs backwards; None where that is not the
             law in reversed time.
         names: parameters that the law reads, from its signature.
@@ -114,21 +135,20 @@ class StressTerm:
     start: Law | None = None
     fastest: Law | None = None
     unbounded: Law | None = None
+    shells: tuple[tuple[float, float], ...] = ()
     odd: tuple[str, ...] | None = None
     names: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
         arguments = tuple(inspect.signature(self.law).parameters)
-        if (
-            arguments[:3] != ("radius", "velocity", "rest_radius")
-            or len(arguments) <= 3 + self.states
-        ):
+        first = 5 + self.states // len(self.shells) if self.shells else 3 + self.states
+        if arguments[:3] != ("radius", "velocity", "rest_radius") or len(arguments) <= first:
             raise InputDataError(
                 f"A stress law takes radius, velocity, rest_radius, its {self.states} memory "
                 "states and the parameters that "
                 f"it reads, in this order; {self.law.__qualname__} takes {', '.join(arguments)}."
             )
-        object.__setattr__(self, "names", arguments[3 + self.states :])
+        object.__setattr__(self, "names", arguments[first:])
 
     @property
     def name(self) -> str:
@@ -175,9 +195,16 @@ class StressTerm:
         if self.states and memory is None:
             raise InputDataError(f"{self.name} has memory; its states must be given.")
         states = () if memory is None else memory.unbind(0)
+        if self.shells:
+            assert memory is not None
+            rule = radius.new_tensor(self.shells).T.reshape(2, -1, *[1] * (memory.ndim - 1))
+            states = (*rule, *memory.unflatten(0, (len(self.shells), -1)).unbind(1))
         parts = self.law(radius, velocity, rest_radius, *states, *self._read_parameters(theta))
         tensors = (x if isinstance(x, Tensor) else radius.new_tensor(x) for x in parts)
-        return tuple(torch.broadcast_tensors(*tensors))
+        parts = torch.broadcast_tensors(*tensors)
+        if self.shells:
+            return *(x.sum(0) for x in parts[:3]), *torch.stack(parts[3:], 1).flatten(0, 1)
+        return tuple(parts)
 
     def _read_parameters(self, theta: Mapping[str, Tensor]) -> list[Tensor]:
         return [theta[name] for name in self.names]

@@ -22,6 +22,10 @@ VALUES = {
     "tau_sls": 0.4,
     "tau_sns": 0.3,
     "tau_ucm": 0.6,
+    "tau_giesekus": 0.6,
+    "mobility": 0.2,
+    "tau_ptt": 0.6,
+    "extensibility": 0.1,
     "mooney": 0.3,
     "cubic": 1e-3,
     "gent": 0.002,
@@ -60,11 +64,12 @@ VALUES = {
 """Dimensionless. A new parameter of a stress term needs a value here."""
 
 
+RELAXATION_TIMES = ("tau", "tau_sls", "tau_sns", "tau_ucm", "tau_giesekus", "tau_ptt")
+
+
 def values_for(term: StressTerm) -> dict[str, float]:
     """A value of every parameter at which a term acts: nothing relaxes but by its own switch."""
-    return VALUES | {
-        name: 0.0 for name in ("tau", "tau_sls", "tau_sns", "tau_ucm") if name != term.switch
-    }
+    return VALUES | {name: 0.0 for name in RELAXATION_TIMES if name != term.switch}
 
 
 REST = 0.23

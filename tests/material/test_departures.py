@@ -15,7 +15,15 @@ from imr_torch.material.departures import (
     VISCOUS_DAMAGE,
     YIELD_STRESS,
 )
-from tests.material.gels import REST, evaluate, memory_rate, stress_of, stress_of_term, tensors
+from tests.material.gels import (
+    RELAXATION_TIMES,
+    REST,
+    evaluate,
+    memory_rate,
+    stress_of,
+    stress_of_term,
+    tensors,
+)
 
 GEL = {"G": 0.08, "alpha": 0.7}
 RADII = pytest.mark.parametrize("radius", [0.06, 0.15, 0.229, 0.3, 0.9, 1.4])
@@ -134,7 +142,7 @@ def test_that_viscous_damage_takes_its_share_of_the_newtonian_stress_and_grows_w
     )
 
 
-@pytest.mark.parametrize("relaxing", ["tau", "tau_sls", "tau_sns", "tau_ucm"])
+@pytest.mark.parametrize("relaxing", RELAXATION_TIMES)
 def test_that_viscous_damage_leaves_a_stress_that_relaxes_alone(relaxing: str) -> None:
     """The law of the branch has taken the Newtonian stress already."""
     theta = tensors({"mu": 0.05, "viscous_damage": 0.3, relaxing: 0.2})

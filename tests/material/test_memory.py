@@ -6,14 +6,16 @@ instead.
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 from scipy.integrate import solve_ivp
 
-from imr_torch.material import MATERIALS, Material, material
+from imr_torch.material import MATERIALS, Material, material, memory
 from imr_torch.material.memory import _nonlinear_solid
+from imr_torch.material.stress import shell_rule
 from tests.material.gels import (
     REST,
     has_memory,
@@ -126,6 +128,61 @@ def test_that_two_states_carry_the_upper_convected_law_of_every_shell(
     expected = 2.0 * np.sum(W * (radial - hoop) / (3.0 * X)) - 4.0 * mu * retardation * speed / end
     values = {"mu": mu, "tau_ucm": tau, "retardation": retardation}
     assert toolkit(material("ucm"), values, collapse) == pytest.approx(expected, rel=1e-6)
+
+
+NONLINEAR = pytest.mark.parametrize(
+    ("key", "name", "strength"), [("giesekus", "mobility", 0.3), ("ptt", "extensibility", 0.2)]
+)
+
+
+@NONLINEAR
+@pytest.mark.parametrize("tau", [0.05, 0.5, 5.0])
+def test_that_few_shells_carry_a_nonlinear_fluid(
+    key: str, name: str, strength: float, tau: float
+) -> None:
+    """The upper-convected law of every shell with ``a De/mu_p s^2`` (Giesekus) or ``e De/mu_p tr(s) s``
+    (Phan-Thien and Tanner) more on its left.
+    """
+    mu, retardation, (end, speed, _) = 0.05, 0.3, collapse(LAST)
+    polymer = (1.0 - retardation) * mu
+    cubes = end**3 * (1.0 / X - 1.0)
+
+    def rate(t: float, stress: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        radius, velocity, _ = collapse(t)
+        strain = radius**2 * velocity / (cubes + radius**3)
+        radial, hoop = stress
+        trace = radial + 2.0 * hoop
+        more = [strength / polymer * s * (s if key == "giesekus" else trace) for s in stress]
+        return (
+            -(1.0 / tau + 4.0 * strain) * radial - 4.0 * polymer * strain / tau - more[0],
+            -(1.0 / tau - 2.0 * strain) * hoop + 2.0 * polymer * strain / tau - more[1],
+        )
+
+    radial, hoop = shells(rate, 2)
+    expected = 2.0 * np.sum(W * (radial - hoop) / (3.0 * X)) - 4.0 * mu * retardation * speed / end
+    values = {"mu": mu, "tau_" + key: tau, "retardation": retardation, name: strength}
+    found = toolkit(material(key), values, collapse)
+    assert found == pytest.approx(expected, rel=2e-5)
+    linear = {"mu": mu, "tau_ucm": tau, "retardation": retardation}
+    assert found != pytest.approx(toolkit(material("ucm"), linear, collapse), rel=1e-3)
+
+
+@pytest.mark.parametrize("key", ["giesekus", "ptt"])
+def test_that_shells_without_the_nonlinear_term_converge_to_the_closed_form(
+    key: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Errors fall by more than ten with every four shells more."""
+    values = {"mu": 0.05, "retardation": 0.2}
+    exact = toolkit(material("ucm"), values | {"tau_ucm": 0.5}, collapse)
+    errors = []
+    for count in (6, 10, 14):
+        rule = shell_rule(count)
+        monkeypatch.setattr(memory, "_SHELLS", rule)
+        term = replace(material(key).terms[-1], shells=rule, states=2 * count)
+        model = replace(material(key), terms=(*material(key).terms[:-1], term))
+        found = toolkit(model, values | {"tau_" + key: 0.5}, collapse)
+        errors.append(abs(found / exact - 1.0))
+    assert 1e-3 > errors[0] > 10.0 * errors[1] > 100.0 * errors[2], errors
 
 
 def linear_solid(l: float, v: dict[str, float]) -> tuple[float, float]:  # noqa: E741

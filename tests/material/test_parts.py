@@ -279,7 +279,10 @@ def test_that_every_combination_is_built_or_refused_with_a_reason() -> None:
         still = 0.0 * memory_of(model.terms)
         assert float(gel_response(model.terms, *point, tensors({}), still)[0].value) == 0.0
     assert len(built) > 300
-    assert all(key.split("+")[-1] in ("sls", "sns", "ucm", "jeffreys") for key in refused)
+    assert all(
+        key.split("+")[-1] in ("sls", "sns", "ucm", "jeffreys", "giesekus", "ptt")
+        for key in refused
+    )
 
 
 OMEGA = 3.0
@@ -330,7 +333,16 @@ def test_that_a_viscous_part_takes_up_work(key: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "key", ["maxwell", "ucm", "nhkv+maxwell", "gent+cross+two_maxwell", "ogden+springpot"]
+    "key",
+    [
+        "maxwell",
+        "ucm",
+        "giesekus",
+        "ptt",
+        "nhkv+maxwell",
+        "gent+cross+two_maxwell",
+        "ogden+springpot",
+    ],
 )
 def test_that_no_cycle_of_a_memory_creates_energy(key: str) -> None:
     assert work_with_memory(key, VALUES) > 1e-6
@@ -366,6 +378,21 @@ GELS = {
         "tau_arm": 5e-6,
         "G_arm_slow": 2e3,
         "tau_arm_slow": 5e-5,
+    },
+    "gent+giesekus": {
+        "G": 2e3,
+        "mu": 0.1,
+        "gent": 1e-3,
+        "tau_giesekus": 5e-6,
+        "retardation": 0.2,
+        "mobility": 0.2,
+    },
+    "neo_hookean+ptt": {
+        "G": 2e3,
+        "mu": 0.1,
+        "tau_ptt": 1e-5,
+        "retardation": 0.1,
+        "extensibility": 0.2,
     },
     "neo_hookean+herschel_bulkley+springpot": {
         "G": 3e3,

@@ -42,6 +42,12 @@ DESIGNS = torch.tensor([[550.0, 0.22], [900.0, 0.14], [120.0, 0.3]], dtype=torch
 REMEMBERING = {
     "Zener": {"tau": (2e-5, 0.0, 1e-6), "retardation": (0.2, 0.0, 0.5)},
     "upper-convected": {"tau_ucm": (2e-5, 3e-6, 1e-6), "retardation": (0.2, 0.0, 0.5)},
+    "Giesekus": {
+        "tau_giesekus": (2e-5, 0.0, 1e-6),
+        "mobility": (0.2, 0.0, 0.5),
+        "retardation": (0.2, 0.0, 0.5),
+    },
+    "Phan-Thien-Tanner": {"tau_ptt": (2e-5, 3e-6, 0.0), "extensibility": (0.2, 0.1, 0.0)},
     "standard solids": {
         "G_lin": (1e3, 0.0, 2e3),
         "tau_sls": (2e-5, 0.0, 1e-6),

@@ -25,7 +25,8 @@ MODELS = (
 PARTS = (
     "neo_hookean, quadratic, fung2, fungexp, linear, mooney_rivlin, yeoh, gent, arruda_boyce, ogden; "
     "newtonian, carreau, carreau_yasuda, cross, powell_eyring, power_law, bingham, "
-    "herschel_bulkley; jeffreys, maxwell, two_maxwell, springpot, sls, sns, ucm"
+    "herschel_bulkley; jeffreys, maxwell, two_maxwell, springpot, sls, sns, ucm, "
+    "giesekus, ptt"
 )
 """Parts of composed models: elastic; viscous; memory."""
 
