@@ -59,6 +59,9 @@ SETTINGS = {
     "stiff": Setting(
         reference_case("stiff-pa").prior, "mu:3%,model:.99", Plan(repeats=1, nuisance=UNCERTAIN)
     ),
+    "model": Setting(
+        reference_case("stiff-pa").prior, "model:.99", Plan(repeats=1, nuisance=UNCERTAIN)
+    ),
 }
 
 

@@ -127,6 +127,17 @@ def list_design_options() -> Options:
         choice_option(
             "--target", TARGETS, "both", "what the information is to be about (default both)"
         ),
+        flag_option(
+            "--model-error",
+            "count what the parameters lose where the model lacks an effect of the library, or "
+            "something unknown",
+        ),
+        text_option(
+            "--settable",
+            "FILE",
+            "a table of the designs that can be set, with columns we, rinf and, optional, cost, in "
+            "the place of --we-range and --rinf-range",
+        ),
         choice_option(
             "--strategy",
             STRATEGIES,
