@@ -1,6 +1,6 @@
 """Do designs that expect model error give better parameters where the model lacks an effect?
 
-  python -m benchmarks.robust_designs OUT.jsonl [--gels 100]
+  python -m benchmarks.robust_designs OUT.jsonl [--gels 60]
 
 NHKV with the prior of soft PA, polytropic bubbles, one curve a design with uncertain Rmax, time zero
 and R_inf. Three designs are chosen together under the prior: by the expected information gain, by
@@ -149,7 +149,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("out", type=Path, metavar="OUT.jsonl")
-    parser.add_argument("--gels", type=int, default=100)
+    parser.add_argument("--gels", type=int, default=60)
     parser.add_argument("--workers", type=int, default=1)
     args = parser.parse_args()
     chosen = run_missing_jobs(
