@@ -48,7 +48,7 @@ class RobustLaplace(Laplace):
     >>> prior, design = reference_case("soft-pa").prior, torch.tensor([[400.0, 0.2]], dtype=torch.float64)
     >>> usual, robust = (
     ...     expected_information_gain(prior, design, PolytropicSimulator(), Plan(), estimator=estimator, seed=0)
-    ...     for estimator in (Laplace(4), RobustLaplace(4, effects=("wall", "polytropic")))
+    ...     for estimator in (Laplace(4), RobustLaplace(4, effects=("wall", "sound_speed")))
     ... )
     >>> robust.parameters < usual.parameters
     True
