@@ -1,12 +1,15 @@
 """How much a campaign of designs chosen by information learns about the reference gels.
 
   python -m benchmarks.campaigns OUT.jsonl [--case stiff-pa] [--seeds 4] [--designs 3] [--workers 2]
+      [--physics transport]
 
-Truth and inference have full physics, 100 repeats a design. A search takes 25 evaluations of the
+Truth and inference have full physics (or polytropic bubbles), 100 repeats a design. A search takes 25 evaluations of the
 Laplace gain with 16 common draws of each model, the later ones five at a time. The volume is the log
 of the posterior's over the prior's (determinant of the standard deviations of the controls), the
-ratio that of the posterior's standard deviation over its Cramer-Rao bound with the prior. A run goes
-on where it stopped.
+ratio that of the posterior's standard deviation over its Cramer-Rao bound with the prior. The
+efficiency is the information of all designs over that of the optimal measure, for the gel as it is
+believed to be at the end (criterion D); that of as many random designs, a median of 200, stands
+beside it. A run goes on where it stopped.
 """
 
 import argparse
@@ -19,24 +22,27 @@ import torch
 from torch import Tensor
 
 from benchmarks.records import Figure, Line, run_missing_jobs, write_figures
-from imr_torch.campaign import Campaign, CampaignSettings, Optimal
-from imr_torch.design import Laplace, Plan
+from imr_torch.campaign import Campaign, CampaignSettings, Optimal, hindsight_measure
+from imr_torch.design import DesignSpace, Laplace, Plan
 from imr_torch.design.likelihood import Data, infer_linear
 from imr_torch.design.response import Shot, simulate_response
 from imr_torch.material import CASES, PARAMETERS, Belief, ReferenceCase, reference_case
 from imr_torch.observe import Experiment, SimulatedLaboratory
-from imr_torch.random import child
-from imr_torch.simulate import Accuracy, TransportSimulator
+from imr_torch.random import child, generator
+from imr_torch.simulate import Accuracy, PolytropicSimulator, Simulator, TransportSimulator
 
 PLAN = Plan(repeats=100)
-SIMULATOR = TransportSimulator(accuracy=Accuracy(max_steps=20000))
+SIMULATORS: dict[str, Simulator] = {
+    "transport": TransportSimulator(accuracy=Accuracy(max_steps=20000)),
+    "polytropic": PolytropicSimulator(),
+}
 SEARCH = Optimal(Laplace(draws=16), batch=5)
 
 
-def run_campaign(case: ReferenceCase, seed: int, designs: int) -> Line:
+def run_campaign(case: ReferenceCase, seed: int, designs: int, simulator: Simulator) -> Line:
     """What each design of a seed led to, for the true model, and the CPU time of each step."""
     gel = PARAMETERS.pack(case.truth)
-    laboratory = SimulatedLaboratory(SIMULATOR, gel, noise=PLAN.noise, repeats=PLAN.repeats)
+    laboratory = SimulatedLaboratory(simulator, gel, noise=PLAN.noise, repeats=PLAN.repeats)
     settings = CampaignSettings(plan=PLAN, policy=SEARCH)
     seconds = []
 
@@ -44,14 +50,18 @@ def run_campaign(case: ReferenceCase, seed: int, designs: int) -> Line:
         return laboratory.shoot(design, seed=child(seed, "shoot", number))
 
     with TemporaryDirectory() as folder:
-        campaign = Campaign(folder, case.prior, SIMULATOR, settings=settings, seed=seed)
+        campaign = Campaign(folder, case.prior, simulator, settings=settings, seed=seed)
         for count in range(1, designs + 1):
             started = time.process_time()
             campaign.run(shoot, count)
             seconds.append(time.process_time() - started)
+        best = hindsight_measure(campaign)
+    low, high = DesignSpace().bounds
+    unit = torch.rand(200, designs, 2, generator=generator(child(seed, "random")))
+    at_random = torch.tensor([best.efficiency(rows) for rows in low + (high - low) * unit])
     shot = torch.tensor([e.design for e in campaign.experiments], dtype=torch.float64)
     parts = [step.belief[case.truth_model] for step in campaign.steps]
-    bounds = bound_errors(case, shot)
+    bounds = bound_errors(case, shot, simulator)
     ratios = [
         (torch.linalg.norm(part.chol, dim=1) / b).tolist()
         for part, b in zip(parts, bounds, strict=True)
@@ -62,10 +72,13 @@ def run_campaign(case: ReferenceCase, seed: int, designs: int) -> Line:
         "probability": [step.belief.probabilities[case.truth_model] for step in campaign.steps],
         "volume": [float(part.chol.diagonal().log().sum()) for part in parts],
         "ratio": ratios,
+        "efficiency": best.efficiency(shot),
+        "random": float(at_random.quantile(0.5)),
+        "bound": best.bound,
     }
 
 
-def bound_errors(case: ReferenceCase, designs: Tensor) -> Tensor:
+def bound_errors(case: ReferenceCase, designs: Tensor, simulator: Simulator) -> Tensor:
     """Cramer-Rao bounds with the prior of the controls' standard deviations after each design, of
     the true model at the true gel: ``E x d``.
     """
@@ -76,7 +89,7 @@ def bound_errors(case: ReferenceCase, designs: Tensor) -> Tensor:
     chols = []
     for design in designs.split(1):
         with torch.no_grad():
-            seen = simulate_response(Shot(belief, design, SIMULATOR, PLAN), part, gel)
+            seen = simulate_response(Shot(belief, design, simulator, PLAN), part, gel)
         chols.append(
             infer_linear(Data(seen.radius, PLAN.frames_in_window(seen.radius)), seen, PLAN).chol[0]
         )
@@ -100,6 +113,10 @@ def score_campaigns(lines: list[Line], designs: int) -> list[Figure]:
             Figure.of_quantile(f"largest sd over its bound {after}", ratios, 1.0),
             Figure.of_mean(f"CPU of step {n + 1}, s", [line["seconds"][n] for line in lines]),
         ]
+    for name, what in (("efficiency", "of the designs chosen"), ("random", "of random designs")):
+        values = [line[name] for line in lines if name in line]
+        figures += [Figure.of_quantile(f"efficiency {what}, median", values, 0.5)]
+        figures += [Figure.of_quantile(f"efficiency {what}, least", values, 0.0)]
     return figures
 
 
@@ -110,6 +127,7 @@ def main() -> None:
     )
     parser.add_argument("out", type=Path, metavar="OUT.jsonl")
     parser.add_argument("--case", choices=CASES, default="stiff-pa")
+    parser.add_argument("--physics", choices=SIMULATORS, default="transport")
     parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--designs", type=int, default=3)
     parser.add_argument(
@@ -117,8 +135,11 @@ def main() -> None:
     )
     args = parser.parse_args()
     case = reference_case(args.case)
+    simulator = SIMULATORS[args.physics]
     jobs = {
-        f"{args.case}/{args.designs}/{seed}": partial(run_campaign, case, seed, args.designs)
+        f"{args.physics}/{args.case}/{args.designs}/{seed}": partial(
+            run_campaign, case, seed, args.designs, simulator
+        )
         for seed in range(args.seeds)
     }
     lines = run_missing_jobs(args.out, jobs, workers=args.workers)

@@ -5,7 +5,7 @@
 The gel of each seed is drawn from the belief; polytropic bubbles, one curve a design with uncertain
 Rmax, time zero and R_inf. A campaign of searched designs ends by the rule of the target, or after
 20 shots. The prediction is made once, before any shot, from 128 other draws; and again for the gel
-of each seed, in the place of draws of the belief.
+of each seed, in the place of draws of the belief, where the target is not about several models.
 """
 
 import argparse
@@ -58,6 +58,9 @@ SETTINGS = {
     ),
     "stiff": Setting(
         reference_case("stiff-pa").prior, "mu:3%,model:.99", Plan(repeats=1, nuisance=UNCERTAIN)
+    ),
+    "model": Setting(
+        reference_case("stiff-pa").prior, "model:.99", Plan(repeats=1, nuisance=UNCERTAIN)
     ),
 }
 
@@ -132,13 +135,15 @@ def write_shots(lines: list[Line], predicted: Line, gels: list[Line]) -> str:
     own = [read_count(x["shots"]) for x in gels]
     rows = []
     for what, counts in (("needed", needed), ("predicted, own gel", own)):
+        if not counts:
+            continue
         ordered = sorted(counts)
         levels = (ordered[round(level * (len(ordered) - 1))] for level in (0.1, 0.5, 0.9))
         rows.append((what, *levels, sum(map(math.isfinite, counts)) / len(counts)))
     for way in ("chosen", "repeated"):
         levels = map(read_count, predicted[way][1:6:2])
         rows.append((f"predicted, designs {way}", *levels, predicted[f"{way} reached"]))
-    pairs = list(zip(own, needed, strict=True))
+    pairs = list(zip(own, needed, strict=bool(own)))
     ratios = [1.0 if p == n else p / n for p, n in pairs]
     low, high = (read_count(predicted["chosen"][i]) for i in (0, 6))
     figures = [
@@ -168,6 +173,8 @@ def main() -> None:
     designs = torch.tensor(predicted["designs"], dtype=torch.float64)
     done = [seed for seed, line in enumerate(lines) if "error" not in line]
     own = {f"{name}/gel/{seed}": partial(predict_gel, name, designs, seed) for seed in done}
+    if "model" in SETTINGS[name].target:
+        own = {}
     gels = run_missing_jobs(args.out, own)
     print(write_shots([lines[seed] for seed in done], predicted, gels))
 

@@ -19,6 +19,8 @@ from imr_torch.design import (
     Laplace,
     MeasureOptions,
     Plan,
+    RobustLaplace,
+    load_designs,
     optimal_measure,
     search_design,
 )
@@ -35,6 +37,8 @@ _MEASURED = Nuisance(
 
 def space_of(args: Namespace) -> DesignSpace:
     """The design space that the options name."""
+    if vars(args).get("settable"):
+        return load_designs(args.settable)
     try:
         return DesignSpace(args.we_range, args.rinf_range)
     except InputDataError as error:
@@ -86,8 +90,9 @@ def run_command(args: Namespace) -> None:
                 for what, (designs, other) in ways.items()
             ]
         }
+    estimator = (RobustLaplace if args.model_error else Laplace)(args.draws)
     acquisition = ExpectedInformationGain(
-        prior, bubbles, Laplace(args.draws), target=args.target, plan=plan, space=space
+        prior, bubbles, estimator, target=args.target, plan=plan, space=space
     )
     search = search_design(
         acquisition,

@@ -79,13 +79,36 @@ class Laplace(InformationEstimator):
             [
                 Terms(
                     weight,
-                    _local_information(shot.belief.models[i], gels.parts[i], own[i]),
+                    self.inform_gels(shot, shot.belief.models[i], gels.parts[i], own[i], generator),
                     (logs[i] - total)[rows[i]][: self._rival_count],
                     gels.orders[i],
                 )
                 for i, weight in enumerate(log_prior.exp().tolist())
             ]
         )
+
+    def inform_gels(
+        self,
+        shot: Shot,
+        part: ModelBelief,
+        gels: Response,
+        linear: Linear,
+        source: torch.Generator,
+    ) -> DrawnValues:
+        """``1/2 log det(P + J^T J) - 1/2 log det P`` at each gel, with ``P`` the precision of the
+        belief there.
+
+        Args:
+            shot: designs and how they are observed.
+            part: the model.
+            gels: its ``n`` gels.
+            linear: inference about each from a datum of its own.
+            source: of further random numbers.
+        """
+        if part.cloud is None:
+            return linear.information
+        before = local_precision(part, gels.controls)
+        return 0.5 * (torch.logdet(before + linear.fisher) - torch.logdet(before))
 
     def compare_models(
         self, shot: Shot, generator: torch.Generator
@@ -142,17 +165,6 @@ def _cut_to_window(data: Data, gels: Response, shot: Shot) -> tuple[Data, Respon
     kept = gels.take_seen(lambda seen: seen[:, :, :last])
     plan = replace(shot.plan, times=shot.plan.times[:last])
     return Data(data.radius[..., :last], data.window[..., :last]), kept, replace(shot, plan=plan)
-
-
-def _local_information(part: ModelBelief, gels: Response, linear: Linear) -> Tensor:
-    """``1/2 log det(P + J^T J) - 1/2 log det P`` at each gel, with ``P`` the precision of the
-    belief there: ``n``.
-    """
-    if part.cloud is None:
-        return linear.information
-    before = local_precision(part, gels.controls)
-    after = torch.linalg.slogdet(before + linear.fisher).logabsdet
-    return 0.5 * (after - torch.linalg.slogdet(before).logabsdet)
 
 
 def local_precision(

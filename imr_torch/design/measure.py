@@ -378,7 +378,10 @@ def optimal_measure(
     coarse = [axis[:: options.finer] for axis in axes]
     steps = torch.stack([axis[1] / axis[0] for axis in coarse]).log()
     widths = torch.maximum(tensor(options.scatter), options.resolved * steps)
-    nodes, designs = torch.cartesian_prod(*coarse), torch.cartesian_prod(*axes)
+    nodes = torch.cartesian_prod(*coarse)
+    designs = torch.cartesian_prod(*axes) if space.listed is None else space.listed
+    own = options.cost
+    options = replace(options, cost=lambda designs: own(designs) * space.cost(designs))
     with torch.no_grad():
         shot = Shot(belief, nodes, simulator, plan or Plan())
         of_nodes = _make_criterion(shot, factors, options.draws, seed)

@@ -17,7 +17,7 @@ from botorch.fit import fit_gpytorch_mll
 from botorch.models import SingleTaskGP
 from botorch.models.transforms import Normalize, Standardize
 from botorch.models.utils.gpytorch_modules import get_matern_kernel_with_gamma_prior
-from botorch.optim import optimize_acqf
+from botorch.optim import optimize_acqf, optimize_acqf_discrete
 from botorch.utils.sampling import draw_sobol_samples, manual_seed
 from gpytorch.mlls import ExactMarginalLogLikelihood
 from jaxtyping import Real
@@ -26,7 +26,7 @@ from torch import Tensor
 from imr_torch.design.space import DesignSpace
 from imr_torch.errors import InputDataError
 from imr_torch.float64 import zeros
-from imr_torch.random import child
+from imr_torch.random import child, generator
 from imr_torch.types import Design, Designs
 
 Strategy = Literal["qLogNEI", "paper"]
@@ -98,8 +98,8 @@ class DesignOptimizer:
         self.train_Yvar = zeros(0, 1)
 
     def ask(self, q: int = 1, *, pending: Real[Tensor, "pending 2"] | None = None) -> Designs:
-        """The next ``q x 2`` designs to evaluate: Sobol points first, then maxima of the
-        acquisition.
+        """The next ``q x 2`` designs to evaluate: Sobol points (of a list, any) first, then maxima of
+        the acquisition.
 
         Args:
             q: how many.
@@ -110,6 +110,11 @@ class DesignOptimizer:
         self.space.check_inside(waiting)
         done = len(self.train_X) + len(waiting)
         if done < self.initial or len(self.train_X) < 2:
+            if self.space.listed is not None:
+                order = torch.randperm(
+                    len(self.space.listed), generator=generator(child(self.seed, "listed"))
+                )
+                return self.space.listed[order[done : done + q]]
             points = draw_sobol_samples(
                 self.space.bounds, n=done + q, q=1, seed=child(self.seed, "sobol") % 2**31
             )
@@ -118,7 +123,8 @@ class DesignOptimizer:
             warnings.simplefilter("ignore", NumericsWarning)
             # BoTorch tries again
             warnings.filterwarnings("ignore", "Optimization failed in", RuntimeWarning)
-            return self._maximise_acquisition(self._make_acquisition(waiting), q)
+            known = torch.cat((self.train_X, waiting))
+            return self._maximise_acquisition(self._make_acquisition(waiting), q, known)
 
     def tell(
         self,
@@ -204,8 +210,12 @@ class DesignOptimizer:
         best = self.train_Y.amax() + 0.01  # nats, the least improvement that counts there
         return qExpectedImprovement(model, best_f=best, X_pending=waiting)
 
-    def _maximise_acquisition(self, acquisition: AcquisitionFunction, q: int) -> Tensor:
-        """The ``q x 2`` designs of largest acquisition."""
+    def _maximise_acquisition(
+        self, acquisition: AcquisitionFunction, q: int, known: Designs | None = None
+    ) -> Tensor:
+        """The ``q x 2`` designs of largest acquisition; of a list, without those that are known."""
+        if self.space.listed is not None:
+            return optimize_acqf_discrete(acquisition, q, self.space.listed, X_avoid=known)[0]
         best, _ = optimize_acqf(
             acquisition,
             self.space.bounds,

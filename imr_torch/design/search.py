@@ -3,7 +3,8 @@ estimates.
 
 One design after the other is added to those found before, which are pending in the acquisition
 (sequential greedy: within a factor ``1 - 1/e`` of the best joint gain where the gain is submodular,
-Nemhauser, Wolsey & Fisher, Math. Program. 14, 1978).
+Nemhauser, Wolsey & Fisher, Math. Program. 14, 1978). Where shots differ in cost, the gain over the
+cost is maximised.
 """
 
 import math
@@ -187,7 +188,8 @@ class SearchSettings:
         errors = separate_errors(kept) if self.common else ErrorParts(variances, 0.0)
         # draws may agree exactly, and a known noise of 0 is none
         own = errors.own.clamp_min(1e-8)
-        optimizer.tell(designs[counted], values[:, None], own[:, None])
+        cost = space.cost(designs[counted])
+        optimizer.tell(designs[counted], (values / cost)[:, None], (own / cost**2)[:, None])
         return optimizer, errors.common
 
     def finish_search(
@@ -203,7 +205,9 @@ class SearchSettings:
         """
         optimizer, common = self.make_optimizer(space, designs, gains, pending)
         best = optimizer.recommend()
-        best = replace(best, sd=math.sqrt(best.sd**2 + common))
+        cost = float(space.cost(best.design[None]))
+        sd = math.sqrt((cost * best.sd) ** 2 + common)
+        best = replace(best, mean=cost * best.mean, sd=sd)
         return DesignSearch(best, designs, tuple(gains), optimizer, self, pending)
 
 
@@ -226,6 +230,8 @@ def _search_one(
         progress: called with one line per evaluation.
     """
     space = acquisition.space
+    if space.listed is not None:
+        evaluations = min(evaluations, len(space.listed))
     designs = zeros(0, 2)
     pending = None
     if acquisition.X_pending is not None:
@@ -239,7 +245,7 @@ def _search_one(
     while len(gains) < evaluations:
         optimizer, _ = settings.make_optimizer(space, designs, gains, pending)
         failed = designs[[row for row, gain in enumerate(gains) if gain.failed]]
-        count = min(batch, evaluations - len(gains)) if gains else settings.initial
+        count = min(batch if gains else settings.initial, evaluations - len(gains))
         for design in optimizer.ask(count, pending=failed):
             # draws are common to a whole search, or of this evaluation's own
             number = 0 if settings.common else len(gains)

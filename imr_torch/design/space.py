@@ -1,13 +1,16 @@
-"""The designs that may be shot: a box in (We, R_inf*)."""
+"""The designs that may be shot: a box in (We, R_inf*), or those of a list."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
+import torch
 from jaxtyping import Float, Real
 from torch import Tensor
 
 from imr_torch.errors import InputDataError, ShapeError
 from imr_torch.float64 import tensor
-from imr_torch.types import Design
+from imr_torch.reading.readers import read_contents
+from imr_torch.types import Design, Designs
 from imr_torch.units import Surroundings
 
 DESIGN_NAMES = ("We", "R_inf*")
@@ -45,6 +48,15 @@ class DesignSpace:
         """``2 x 2`` tensor, lower row and upper row, in BoTorch's layout."""
         return tensor([self.weber, self.rest_radius]).T.contiguous()
 
+    @property
+    def listed(self) -> Designs | None:
+        """The designs (``n x 2``) that alone can be set; None where all can."""
+        return None
+
+    def cost(self, designs: Designs) -> Float[Tensor, "designs"]:
+        """Cost of a shot at each design (``n x 2``) over that of an ordinary one."""
+        return torch.ones_like(designs[:, 0])
+
     def check_inside(self, X: Real[Tensor, "*batch 2"]) -> None:
         """Raise unless every design of ``X`` (``... x 2``) lies in the box.
 
@@ -70,3 +82,70 @@ class DesignSpace:
             f"We = {float(design[0]):.0f}, R_inf* = {float(design[1]):.3f} "
             f"(Rmax = {1e6 * radius:.0f} um, R_inf = {1e6 * radius * float(design[1]):.0f} um)"
         )
+
+
+@dataclass(frozen=True)
+class ListedDesigns(DesignSpace):
+    """Designs that a laboratory can set, in a box that holds them.
+
+    Args:
+        rows: We, R_inf* and cost over that of an ordinary shot.
+
+    >>> from imr_torch.design import ListedDesigns
+    >>> ListedDesigns(rows=((200.0, 0.2, 1.0), (800.0, 0.2, 3.0))).listed[:, 0].tolist()
+    [200.0, 800.0]
+    """
+
+    rows: tuple[tuple[float, float, float], ...] = ()
+
+    @property
+    def listed(self) -> Designs:
+        """The designs (``n x 2``)."""
+        return tensor(self.rows)[:, :2]
+
+    def cost(self, designs: Designs) -> Float[Tensor, "designs"]:
+        """Cost of a shot at each design (``n x 2``), as of the nearest that is listed."""
+        nearest = torch.cdist(designs.log(), self.listed.log()).argmin(1)
+        return tensor(self.rows)[nearest, 2]
+
+
+def load_designs(path: str | Path) -> ListedDesigns:
+    r"""Designs that can be set, from a table with columns ``we``, ``rinf`` and, optional, ``cost``.
+
+    Args:
+        path: the file; ``rinf`` is R_inf/Rmax, and without ``cost`` all shots cost the same.
+
+    Raises:
+        InputDataError: for a column that is missing, or a number that is no design or cost.
+
+    >>> import tempfile
+    >>> from imr_torch.design import load_designs
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = (Path(folder) / "can.csv").write_text("we,rinf,cost\n200,0.2,1\n800,0.2,3\n")
+    ...     load_designs(Path(folder) / "can.csv").rows
+    ((200.0, 0.2, 1.0), (800.0, 0.2, 3.0))
+    """
+    content = read_contents(Path(path))[0]
+    names = {name.strip().lower(): name for name in content.values}
+    columns = []
+    for what, top in (("we", 1e5), ("rinf", 1.0), ("cost", torch.inf)):
+        if what == "cost" and what not in names:
+            columns.append([1.0] * len(columns[0]))
+            continue
+        if what not in names:
+            raise InputDataError(
+                f"{path}: no column {what!r}; expected we, rinf (R_inf/Rmax) and, optional, cost. "
+                f"The file holds: {content.describe()}."
+            )
+        columns.append(content.entries(names[what]).tolist())
+        for row, value in enumerate(columns[-1]):
+            if not 0.0 < value < top:
+                raise InputDataError(
+                    f"{path}: row {content.lines(row)}, column {what!r} is {value:g}; expected a "
+                    f"number above 0{f' and below {top:g}' if top < torch.inf else ''}."
+                )
+    rows = tuple(dict.fromkeys(zip(*columns, strict=True)))
+    if len(rows) < 2:
+        raise InputDataError(f"{path}: holds one design; list 2 or more to choose from.")
+    boxes = [(0.99 * min(column), 1.01 * max(column)) for column in columns[:2]]
+    return ListedDesigns(boxes[0], (boxes[1][0], min(boxes[1][1], 1.0 - 1e-9)), rows)

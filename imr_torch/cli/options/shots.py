@@ -127,6 +127,17 @@ def list_design_options() -> Options:
         choice_option(
             "--target", TARGETS, "both", "what the information is to be about (default both)"
         ),
+        flag_option(
+            "--model-error",
+            "count what the parameters lose where the model lacks an effect of the library, or "
+            "something unknown",
+        ),
+        text_option(
+            "--settable",
+            "FILE",
+            "a table of the designs that can be set, with columns we, rinf and, optional, cost, in "
+            "the place of --we-range and --rinf-range",
+        ),
         choice_option(
             "--strategy",
             STRATEGIES,
@@ -242,6 +253,12 @@ def list_campaign_options() -> Options:
             "learn from all data by the most probable gels (exact, default) or by hybrid ensemble "
             "4D-Var, or search and learn "
             "as in arXiv 2409.00011, to compare with",
+        ),
+        text_option(
+            "--efficiency",
+            "CRITERION",
+            "say how efficient the designs shot were against the optimal shares of as many shots by D, "
+            "A, a parameter or c:NAME=FACTOR,..., as in design --criterion",
         ),
         text_option("--out", "DIR", "folder of the journal, figures and JSON", required=True),
         number_option(
