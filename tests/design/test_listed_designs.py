@@ -24,9 +24,9 @@ def list_designs(costs=None):
     return ListedDesigns(rows=rows)
 
 
-def search(space, **options):
+def search(space, *, evaluations=14, q=1):
     gain = ExpectedInformationGain(ONE, LinearCamera(), Laplace(4), plan=plan(), space=space)
-    return gain, search_design(gain, seed=2, **{"evaluations": 14, "initial": 6} | options)
+    return gain, search_design(gain, seed=2, evaluations=evaluations, initial=6, q=q)
 
 
 def test_that_a_search_evaluates_designs_of_the_list_alone_and_finds_the_best():
