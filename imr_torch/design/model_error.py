@@ -15,7 +15,6 @@ probable), or something unknown, for which all of them act at once, as in the er
 out which of them is true is left out, so the gain is an upper bound of that of the mixture.
 """
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -83,8 +82,8 @@ class RobustLaplace(Laplace):
         precision[:, d:, d:] += torch.eye(len(effects)).to(prior)
         gel, shared, own = precision[:, :d, :d], precision[:, :d, d:], precision[:, d:, d:]
         explained = (shared * torch.linalg.solve(gel, shared)).sum(1)
-        members = Counter(effect.family for effect in effects)
-        shares = tensor([1.0 / len(members) / members[effect.family] for effect in effects])
+        families = [effect.family for effect in effects]
+        shares = tensor([1.0 / families.count(one) / len(set(families)) for one in families])
         with_one = torch.log1p(-explained / own.diagonal(dim1=1, dim2=2)) @ shares
         with_all = torch.logdet(precision) - torch.logdet(own) - torch.logdet(gel)
         return alone + 0.5 * (self.known * with_one + self.unknown * with_all)

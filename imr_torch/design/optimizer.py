@@ -111,9 +111,7 @@ class DesignOptimizer:
         done = len(self.train_X) + len(waiting)
         if done < self.initial or len(self.train_X) < 2:
             if self.space.listed is not None:
-                order = torch.randperm(
-                    len(self.space.listed), generator=generator(child(self.seed, "listed"))
-                )
+                order = torch.randperm(len(self.space.listed), generator=generator(self.seed))
                 return self.space.listed[order[done : done + q]]
             points = draw_sobol_samples(
                 self.space.bounds, n=done + q, q=1, seed=child(self.seed, "sobol") % 2**31

@@ -128,11 +128,11 @@ def load_designs(path: str | Path) -> ListedDesigns:
     content = read_contents(Path(path))[0]
     names = {name.strip().lower(): name for name in content.values}
     columns = []
-    for what, top in (("we", 1e5), ("rinf", 1.0), ("cost", torch.inf)):
-        if what == "cost" and what not in names:
-            columns.append([1.0] * len(columns[0]))
-            continue
+    for what, top in (("we", 1e5), ("rinf", 0.999), ("cost", torch.inf)):
         if what not in names:
+            if what == "cost":
+                columns.append([1.0] * len(columns[0]))
+                continue
             raise InputDataError(
                 f"{path}: no column {what!r}; expected we, rinf (R_inf/Rmax) and, optional, cost. "
                 f"The file holds: {content.describe()}."
@@ -142,10 +142,10 @@ def load_designs(path: str | Path) -> ListedDesigns:
             if not 0.0 < value < top:
                 raise InputDataError(
                     f"{path}: row {content.lines(row)}, column {what!r} is {value:g}; expected a "
-                    f"number above 0{f' and below {top:g}' if top < torch.inf else ''}."
+                    f"number above 0 and below {top:g}."
                 )
     rows = tuple(dict.fromkeys(zip(*columns, strict=True)))
     if len(rows) < 2:
         raise InputDataError(f"{path}: holds one design; list 2 or more to choose from.")
-    boxes = [(0.99 * min(column), 1.01 * max(column)) for column in columns[:2]]
-    return ListedDesigns(boxes[0], (boxes[1][0], min(boxes[1][1], 1.0 - 1e-9)), rows)
+    weber, rest = ((0.99 * min(column), 1.001 * max(column)) for column in columns[:2])
+    return ListedDesigns(weber, rest, rows)

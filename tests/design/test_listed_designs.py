@@ -24,9 +24,9 @@ def list_designs(costs=None):
     return ListedDesigns(rows=rows)
 
 
-def search(space, **options):
+def search(space, *, evaluations=14, q=1):
     gain = ExpectedInformationGain(ONE, LinearCamera(), Laplace(4), plan=plan(), space=space)
-    return gain, search_design(gain, seed=2, **{"evaluations": 14, "initial": 6} | options)
+    return gain, search_design(gain, seed=2, evaluations=evaluations, initial=6, q=q)
 
 
 def test_that_a_search_evaluates_designs_of_the_list_alone_and_finds_the_best():
@@ -77,10 +77,10 @@ def test_that_half_the_budget_is_spent_at_each_end_of_a_line():
     ("text", "message"),
     [
         ("we,cost\n100,1\n200,1\n", "no column 'rinf'; expected we, rinf"),
-        ("we,rinf\n100,0.2\n200,1.3\n", "row 3, column 'rinf' is 1.3; expected a number above 0 and below 1."),
+        ("we,rinf\n100,0.2\n200,1.3\n", "row 3, column 'rinf' is 1.3; expected a number above 0 and below 0.999."),
         ("we,rinf\n-5,0.2\n200,0.2\n", "row 2, column 'we' is -5; expected a number above 0 and below 100000."),
-        ("we,rinf,cost\n100,0.2,0\n200,0.2,1\n", "row 2, column 'cost' is 0; expected a number above 0."),
-        ("we,rinf,cost\n100,0.2,1\n200,0.2,nan\n", "row 3, column 'cost' is nan; expected a number above 0."),
+        ("we,rinf,cost\n100,0.2,0\n200,0.2,1\n", "row 2, column 'cost' is 0; expected a number above 0 and below inf."),
+        ("we,rinf,cost\n100,0.2,1\n200,0.2,nan\n", "row 3, column 'cost' is nan; expected a number above 0 and below inf."),
         ("we,rinf,cost\n100,0.2,a\n200,0.2,1\n", "row 2, column 'cost' is 'a', not a number"),
         ("we,rinf\n100,0.2\n100,0.2\n", "holds one design; list 2 or more to choose from."),
     ],
