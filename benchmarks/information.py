@@ -24,16 +24,14 @@ from botorch.utils.sampling import draw_sobol_samples
 from scipy.stats import spearmanr
 from torch import Tensor
 
+from benchmarks.nested import NestedMonteCarlo, PriorContrastive
 from benchmarks.records import Job, Line, run_missing_jobs, write_table
 from imr_torch.design import (
     DesignSpace,
     ExpectedInformationGain,
     InformationEstimator,
     Laplace,
-    NestedMonteCarlo,
     Plan,
-    PriorContrastive,
-    PublishedEstimator,
     expected_information_gain,
     search_design,
 )
@@ -55,7 +53,6 @@ TRUTH = Laplace(draws=500, rivals=500)
 RANKED: tuple[tuple[InformationEstimator, bool], ...] = (
     *((Laplace(draws=n), common) for n in (32, 64, 128) for common in (False, True)),
     (Laplace(draws=32, refinements=0), True),
-    (PublishedEstimator(500), False),
 )
 """Estimators, and whether designs share draws and noise."""
 SEARCHES = ((16, False, 1), (16, True, 1), (16, True, 5))

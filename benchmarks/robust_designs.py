@@ -19,6 +19,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from benchmarks.model_error import RobustLaplace
 from benchmarks.records import Line, run_missing_jobs, write_table
 from imr_torch.assimilate import assimilate
 from imr_torch.design import (
@@ -26,7 +27,6 @@ from imr_torch.design import (
     ExpectedInformationGain,
     Laplace,
     Plan,
-    RobustLaplace,
     search_design,
 )
 from imr_torch.errors import ConvergenceError

@@ -7,7 +7,6 @@ import torch
 from imr_torch.campaign import Inference, Observations
 from imr_torch.errors import ConvergenceError
 from imr_torch.material import Belief
-from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
@@ -22,9 +21,6 @@ class StubLearner:
     """
 
     fails_above: float = 10.0
-
-    def check_batch(self, batch: ExperimentBatch) -> None:
-        pass
 
     def infer_belief(
         self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None

@@ -22,11 +22,8 @@ from imr_torch.design import (
     InformationEstimator,
     InformationGain,
     Laplace,
-    NestedMonteCarlo,
     Plan,
-    PriorContrastive,
     Shot,
-    expected_information_gain,
     search_design,
 )
 from imr_torch.material import reference_case
@@ -87,7 +84,6 @@ print(
 search = search_design(
     acquisition,
     seed=0,
-    strategy="qLogNEI",
     evaluations=5 if SMOKE else 25,
     initial=4 if SMOKE else 10,
 )
@@ -145,17 +141,3 @@ print(
     "half of it:",
     ExpectedInformationGain(prior, simulator, Half(laplace), plan=plan, seed=1)(X).tolist(),
 )
-
-# %% [markdown]
-# ## How far to trust the number
-# `Laplace` linearises the posterior of each datum. Two estimators do without: on average `PriorContrastive` is below the
-# gain, and `NestedMonteCarlo` above it. They need many draws of the prior where experiments tell much, so the check is of one
-# curve.
-
-# %%
-sizes = {"draws": 4 if SMOKE else 100, "inner": 8 if SMOKE else 4000}
-for estimator in (PriorContrastive(**sizes), laplace, NestedMonteCarlo(**sizes)):
-    gain = expected_information_gain(
-        prior, chosen.design[None], simulator, Plan(repeats=1), estimator=estimator, seed=2
-    )
-    print(f"{type(estimator).__name__}: {gain.value:.2f} +- {gain.variance**0.5:.2f} nats")

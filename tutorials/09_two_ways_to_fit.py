@@ -75,7 +75,7 @@ assert bool(((parts[0].mean - parts[1].mean).abs() < 0.5 * sds).all())
 # - The default, unless you have a reason: its certificate says whether the minimum was found, and its cost is exact.
 # - Ensemble 4D-Var where curves are rough (frames next to collapses make many small local minima), since an ensemble averages
 #   over them; or where you want the method of the literature, with the likelihood of the data.
-# - To compare with published results there is also their own form (`assimilate_published`): it divides the misfit by the
-#   number of frames, which makes intervals several times too wide (`07_is_it_calibrated.py` shows how to see that).
+# - Published results divide the misfit by the number of frames, which makes intervals several times too wide
+#   (`07_is_it_calibrated.py` shows how to see that).
 #
 # On the command line: `imr-torch characterize gel.csv --method en4dvar`, `imr-torch campaign ... --method en4dvar`.

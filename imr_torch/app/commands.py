@@ -35,14 +35,13 @@ class Form:
     presets: Mapping[str, Document] = field(default_factory=dict)
 
 
-_QUICK = {"models": ["nhkv"], "physics": "polytropic"}
 FORMS = {
     "characterize": Form(
         "Characterise",
         (("experiments",), ("models", "physics", "collapses"), ("population", "over_time")),
         presets={
             "usual": {},
-            "quick look": _QUICK,
+            "quick look": {"models": ["nhkv"], "physics": "polytropic"},
             "thorough": {"effort": "thorough", "population": True, "over_time": True},
         },
     ),
@@ -51,11 +50,7 @@ FORMS = {
         (("experiments",), ("base", "physics", "collapses", "most")),
         presets={"usual": {}, "quick look": {"physics": "polytropic", "most": 1}},
     ),
-    "batch": Form(
-        "Every file",
-        (("models", "physics", "collapses"), ("each",)),
-        presets={"usual": {}, "quick look": _QUICK},
-    ),
+    "batch": Form("Every file", (("models", "physics", "collapses"), ("each",))),
     "compare": Form("Compare two", (("a", "b"), ("model",)), reads_files=False),
     "design": Form(
         "Next design",
@@ -65,11 +60,6 @@ FORMS = {
     "campaign": Form(
         "Campaign",
         (("continued", "tell"), ("models", "goal", "physics"), ("we_range", "rinf_range", "stop")),
-        reads_files=False,
-    ),
-    "simulate": Form(
-        "Simulate",
-        (("model", "set"), ("we", "rinf", "until", "frames"), ("physics",)),
         reads_files=False,
     ),
 }

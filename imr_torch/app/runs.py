@@ -62,11 +62,6 @@ class Result:
         paths = [self.folder / name for name in ("page.html", "summary.html")]
         return next((path for path in paths if path.is_file()), None)
 
-    @property
-    def figures(self) -> list[Path]:
-        """Figures that it wrote."""
-        return sorted(self.folder.glob("*.png"))
-
     def read_shots(self) -> list[Document]:
         """Rows of a batch, a shot each; empty for other commands."""
         path = self.folder / "batch.json"

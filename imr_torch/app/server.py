@@ -144,13 +144,6 @@ def _add_routes(runs: Runs) -> None:
             headers={"Content-Security-Policy": policy},
         )
 
-    @app.get("/result/{name}/figure/{number}")
-    def send_figure(name: str, number: int) -> Response:
-        figures = runs.find_result(name).figures
-        if not 0 <= number < len(figures):
-            raise InputDataError("There is no such figure.")
-        return Response(figures[number].read_bytes(), media_type="image/png")
-
     @app.get("/result/{name}/archive")
     def send_archive(name: str) -> Response:
         return Response(

@@ -61,8 +61,6 @@ class ResultsView:
             names = dict.fromkeys(name for shot in shots for name in shot)
             columns = [{"name": x, "label": x, "field": x, "sortable": True} for x in names]
             ui.table(rows=shots, columns=columns, pagination=20).classes("w-full")
-        for number, figure in enumerate([] if result.page else result.figures):
-            ui.image(f"/result/{result.name}/figure/{number}").props(f'alt="{figure.stem}"')
         if result.page:
             ui.element("iframe").props(
                 f'src="/result/{result.name}/page" title="Page of {result.name}" sandbox=""'

@@ -30,11 +30,8 @@ _LABELS = {
     "over_time": "G and mu over the life of the bubble",
     "each": "every curve of a file by itself",
     "known": "Known parameters, SI, as G=2770",
-    "rest_radius": "R_inf/Rmax without a tail, as 0.2:0.05",
     "base": "Model that is put to the test",
     "most": "Effects added at most",
-    "a": "First result",
-    "b": "Second result",
     "belief": "What is known before",
     "target": "What it is to tell about",
     "we_range": "Weber numbers, LOW:HIGH",
@@ -43,14 +40,6 @@ _LABELS = {
     "evaluations": "Designs evaluated",
     "continued": "Campaign",
     "tell": "Files of the shot you made",
-    "goal": "What shots are to tell",
-    "stop": "End when, as G:5%,mu:5%",
-    "model": "Model",
-    "set": "Its parameters, SI, as G=8310,mu=0.093",
-    "we": "Weber number",
-    "rinf": "R_inf/Rmax",
-    "until": "Last time, in Rmax/U_c",
-    "frames": "Output times",
 }
 
 
@@ -172,7 +161,9 @@ class RunView:
         if key in ("experiments", "exclude", "heldout"):
             return {name: name for name in self.workspace.load_curves().ids}
         if key in ("models", "base", "model"):
-            return {name: name for name in MODELS} | {"": "the most probable"} * (key == "model")
+            return {name: name for name in MODELS} | (
+                {"": "the most probable"} if key == "model" else {}
+            )
         return {name: name for name in settings["choices"]} if "choices" in settings else None
 
     @ui.refreshable_method

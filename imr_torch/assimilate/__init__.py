@@ -19,17 +19,10 @@ from imr_torch.assimilate.options import (
     DescentOptions,
     En4DVarOptions,
     FitOptions,
-    PublishedOptions,
     SearchOptions,
     WeighingOptions,
 )
 from imr_torch.assimilate.posterior import Neighbourhood, Posterior
-from imr_torch.assimilate.published import (
-    PublishedFit,
-    as_one_curve,
-    assimilate_published,
-    published_probabilities,
-)
 from imr_torch.assimilate.weighing import weigh
 
 __all__ = [
@@ -49,19 +42,14 @@ __all__ = [
     "NormalEquations",
     "Point",
     "Posterior",
-    "PublishedFit",
-    "PublishedOptions",
     "SearchOptions",
     "Verdict",
     "WeighingOptions",
-    "as_one_curve",
     "assimilate",
     "assimilate_en4dvar",
     "assimilate_estimating_noise",
-    "assimilate_published",
     "infer_frame_noise",
     "noise_nodes",
     "normal_equations",
-    "published_probabilities",
     "weigh",
 ]

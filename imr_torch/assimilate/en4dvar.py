@@ -12,10 +12,10 @@ minimum that was found, and later ones are hardly widened. Truncated priors need
 treatment, since members are in whitened coordinates.
 
 The prior enters through the cost and not through the ensemble, so restarts do not use the data
-again, and data have their own likelihood (:mod:`imr_torch.assimilate.published` has the published
-one). As slopes are means over the ensemble, steps do not follow the detail of the cost within its
-width: the method passes small local minima. Unlike the published method, each step is shortened to
-the share of it at which the exact cost is lowest.
+again. As slopes are means over the ensemble, steps do not follow the detail of the cost within its
+width: the method passes small local minima. Two things differ from the paper: data have their own
+likelihood, which is not tempered, and each step is shortened to the share of it at which the exact
+cost is lowest.
 """
 
 import math

@@ -181,8 +181,8 @@ class WeighingOptions(CheckedOptions):
 
 
 @dataclass(frozen=True)
-class PublishedOptions:
-    """Sizes of ensemble 4D-Var; the defaults are those of arXiv 2409.00011.
+class En4DVarOptions:
+    """Settings of hybrid ensemble 4D-Var; sizes and relaxation are those of arXiv 2409.00011.
 
     Args:
         members: of the ensemble of each model, an even number.
@@ -191,40 +191,6 @@ class PublishedOptions:
         relaxation: share by which spread is relaxed to that at the start of a cycle, between
             cycles.
         simulated: share of an ensemble that must be simulated.
-
-    >>> from imr_torch.assimilate import PublishedOptions
-    >>> PublishedOptions(members=24).iterations
-    5
-    """
-
-    members: int = 48
-    iterations: int = 5
-    cycles: int = 3
-    relaxation: float = 0.7
-    simulated: float = 0.5
-
-    def __post_init__(self) -> None:
-        name = type(self).__name__
-        if self.members < 8 or self.members % 2:
-            raise InputDataError(
-                f"{name}.members is {self.members}; expected an even number of at least 8."
-            )
-        if self.iterations < 1 or self.cycles < 1:
-            raise InputDataError(
-                f"{name} has iterations {self.iterations} and cycles {self.cycles}; "
-                "expected at least 1 of each."
-            )
-        if not 0.0 <= self.relaxation <= 1.0:
-            raise InputDataError(
-                f"{name}.relaxation is {self.relaxation}; expected a share in [0, 1]."
-            )
-
-
-@dataclass(frozen=True)
-class En4DVarOptions(PublishedOptions):
-    """Settings of hybrid ensemble 4D-Var: its sizes, as of :class:`PublishedOptions`.
-
-    Args:
         longest: most prior standard deviations of the gel in one step.
         lengths: shares of a step at which the exact cost is compared.
         step: posterior standard deviations of the last step of a fit that has converged.
@@ -235,10 +201,30 @@ class En4DVarOptions(PublishedOptions):
     3
     """
 
+    members: int = 48
+    iterations: int = 5
+    cycles: int = 3
+    relaxation: float = 0.7
+    simulated: float = 0.5
     longest: float = 2.0
     lengths: tuple[float, ...] = (1.0, 0.5, 0.2, 0.05, 0.0)
     step: float = 0.1
     agreement: float = 0.1
+
+    def __post_init__(self) -> None:
+        if self.members < 8 or self.members % 2:
+            raise InputDataError(
+                f"En4DVarOptions.members is {self.members}; expected an even number of at least 8."
+            )
+        if self.iterations < 1 or self.cycles < 1:
+            raise InputDataError(
+                f"En4DVarOptions has iterations {self.iterations} and cycles {self.cycles}; "
+                "expected at least 1 of each."
+            )
+        if not 0.0 <= self.relaxation <= 1.0:
+            raise InputDataError(
+                f"En4DVarOptions.relaxation is {self.relaxation}; expected a share in [0, 1]."
+            )
 
 
 FitOptions = SearchOptions | En4DVarOptions

@@ -10,11 +10,9 @@ from imr_torch.campaign.learners import (
     Inference,
     Learner,
     Observations,
-    PaperLearner,
 )
 from imr_torch.campaign.loop import Campaign
 from imr_torch.campaign.policies import (
-    PAPER_OPTIMAL,
     DesignPolicy,
     Fixed,
     Optimal,
@@ -39,7 +37,6 @@ from imr_torch.campaign.stopping import (
 )
 
 __all__ = [
-    "PAPER_OPTIMAL",
     "AllOf",
     "AnyOf",
     "Budget",
@@ -59,7 +56,6 @@ __all__ = [
     "ModelProbability",
     "Observations",
     "Optimal",
-    "PaperLearner",
     "Proposal",
     "Random",
     "RelativeSd",

@@ -1,31 +1,22 @@
-"""Inference from the experiments of a campaign: by Bayes' rule from all data, or by the published
-method.
+"""Inference from the experiments of a campaign by Bayes' rule from all data.
 
 :class:`ExactLearner` starts from the prior at every step and uses every curve of every experiment
-once, so errors of Gaussian approximations do not accumulate. :class:`PaperLearner` is the method of
-arXiv 2409.00011, kept to compare with: it assimilates one design at a time with a tempered misfit,
-multiplies the result into the belief it started from, and averages model probabilities over
-designs.
+once, so errors of Gaussian approximations do not accumulate.
 """
 
 from dataclasses import asdict, dataclass, field
 from typing import Protocol
 
-import torch
-
 from imr_torch.assimilate import (
     Assimilation,
     FitOptions,
-    PublishedOptions,
     SearchOptions,
     assimilate_estimating_noise,
-    assimilate_published,
-    published_probabilities,
     weigh,
 )
 from imr_torch.errors import InputDataError
 from imr_torch.files import Document, without_nonfinite
-from imr_torch.material import Belief, ModelBelief
+from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch, Noise
 from imr_torch.random import child
 from imr_torch.select import Evidence, evidences, update
@@ -35,13 +26,11 @@ from imr_torch.types import Progress
 
 @dataclass(frozen=True)
 class Observations:
-    """All that a learner may use: prior, present belief and experiments.
+    """All that a learner may use.
 
     Args:
         prior: belief before the first experiment.
-        belief: belief before the last ``fresh`` of them.
         batch: all experiments, cut to the window that is assimilated.
-        fresh: how many were told since ``belief``.
         seed: of the campaign.
 
     >>> import torch
@@ -50,14 +39,12 @@ class Observations:
     >>> from imr_torch.observe import Experiment, ExperimentBatch
     >>> times, radius = torch.tensor([[0.0, 0.5], [1.0, 0.84]], dtype=torch.float64)
     >>> batch, prior = ExperimentBatch((Experiment("shot 1", (400.0, 0.22), times, radius[None]),)), wide_prior(["nhkv"])
-    >>> Observations(prior, belief=prior, batch=batch, fresh=1, seed=0).fresh
+    >>> len(Observations(prior, batch=batch, seed=0).batch.experiments)
     1
     """
 
     prior: Belief
-    belief: Belief
     batch: ExperimentBatch
-    fresh: int
     seed: int
 
 
@@ -128,13 +115,6 @@ class Learner(Protocol):
     True
     """
 
-    def check_batch(self, batch: ExperimentBatch) -> None:
-        """Raise :class:`InputDataError` for experiments that the method cannot take.
-
-        Called before they are recorded.
-        """
-        ...
-
     def infer_belief(
         self, observations: Observations, simulator: Simulator, *, progress: Progress = None
     ) -> Inference:
@@ -171,9 +151,6 @@ class ExactLearner:
                 f"ExactLearner.noise_rounds is {self.noise_rounds}; expected 0 or more."
             )
 
-    def check_batch(self, batch: ExperimentBatch) -> None:
-        """See :class:`Learner`; all are taken."""
-
     def infer_belief(
         self, observations: Observations, simulator: Simulator, *, progress: Progress = None
     ) -> Inference:
@@ -200,69 +177,3 @@ class ExactLearner:
         }
         noise = result.batch.noise if self.noise_rounds else None
         return Inference(update(result, evidence), evidence, record, result, noise)
-
-
-@dataclass(frozen=True)
-class PaperLearner:
-    """The method of arXiv 2409.00011, defects included.
-
-    Args:
-        options: sizes of the assimilation.
-
-    >>> from imr_torch.assimilate import PublishedOptions
-    >>> from imr_torch.campaign import PaperLearner
-    >>> PaperLearner(PublishedOptions(members=24)).options.members
-    24
-    """
-
-    options: PublishedOptions = field(default_factory=PublishedOptions)
-
-    def check_batch(self, batch: ExperimentBatch) -> None:
-        """Raise if the design or the clock of an experiment is uncertain, which the method cannot
-        express.
-        """
-        if bool((batch.nuisance_sds > 0.0).any()):
-            raise InputDataError(
-                "PaperLearner takes designs and clocks as exact; give experiments without "
-                "nuisances."
-            )
-        if len(batch.curves) < len(batch.experiments):
-            raise InputDataError(
-                "PaperLearner learns from curves; leave shots of collapse times out."
-            )
-
-    def infer_belief(
-        self, observations: Observations, simulator: Simulator, *, progress: Progress = None
-    ) -> Inference:
-        """See :class:`Learner`. Raises as :meth:`check_batch` does."""
-        batch = observations.batch
-        belief = observations.belief
-        record = {}
-        self.check_batch(batch)
-        count = len(batch.experiments)
-        for number in range(count - observations.fresh + 1, count + 1):
-            experiment = batch.curves[number - 1]
-            fits = assimilate_published(
-                belief,
-                experiment,
-                batch.noise,
-                simulator,
-                seed=child(observations.seed, "assimilate", number),
-                options=self.options,
-                progress=progress,
-            )
-            here = published_probabilities(fits)
-            so_far = belief.log_probabilities.exp() if number > 1 else torch.zeros_like(here)
-            parts = tuple(multiply_gaussians(fit.prior, fit.posterior) for fit in fits)
-            belief = Belief(parts, ((so_far * (number - 1) + here) / number).log())
-            record = {
-                "probabilities_of_this_design": dict(zip(belief.keys, here.tolist(), strict=True))
-            }
-        return Inference(belief, record=record)
-
-
-def multiply_gaussians(first: ModelBelief, second: ModelBelief) -> ModelBelief:
-    """The normalised product of the Gaussians of two beliefs that share their maps."""
-    covariance = torch.linalg.inv(first.precision + second.precision)
-    mean = covariance @ (first.precision @ first.mean + second.precision @ second.mean)
-    return first.with_gaussian(mean, torch.linalg.cholesky(0.5 * (covariance + covariance.mT)))

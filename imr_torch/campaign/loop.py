@@ -309,7 +309,6 @@ class Campaign:
                     self.seed,
                 )
             numbers = range(self.told + 1, self.told + 1 + len(experiments))
-            self.settings.learner.check_batch(self._make_batch(experiments))
             records = [
                 {"number": number}
                 | self.journal.store_curves(experiment, f"experiment_{number:03d}")
@@ -385,9 +384,7 @@ class Campaign:
         if not fresh:
             return self.now
         with self.journal.hold_lock():
-            observations = Observations(
-                self.prior, self.belief, self._make_batch(self.experiments), len(fresh), self.seed
-            )
+            observations = Observations(self.prior, self._make_batch(self.experiments), self.seed)
             try:
                 inference = self.settings.learner.infer_belief(
                     observations, self.simulator, progress=progress

@@ -12,15 +12,12 @@ from typing import Protocol
 from botorch.utils.sampling import draw_sobol_samples
 
 from imr_torch.design import (
-    PAPER_PLAN,
     DesignSearch,
     DesignSpace,
     ExpectedInformationGain,
     InformationEstimator,
     Laplace,
     Plan,
-    PublishedEstimator,
-    Strategy,
     search_design,
 )
 from imr_torch.errors import InputDataError
@@ -115,18 +112,14 @@ class DesignPolicy(Protocol):
 
 @dataclass(frozen=True)
 class Optimal:
-    """The design of largest expected information gain, by Bayesian optimisation.
+    """The design of largest expected information gain, by Bayesian optimisation over bubbles as coarse
+    as :func:`imr_torch.simulate.coarser` says.
 
     Args:
         estimator: how the gain is estimated.
         evaluations: designs evaluated in each search.
         initial: of which space-filling.
         batch: designs that are asked for and simulated together after those.
-        common: whether all evaluations of a search share their draws.
-        strategy: how the search chooses designs, and the last.
-        plan: how the experiment will be observed, if not as the campaign says.
-        coarse: whether the search simulates as coarsely as :func:`imr_torch.simulate.coarser` says,
-            or as the campaign does.
 
     >>> from imr_torch import PolytropicSimulator, reference_case
     >>> from imr_torch.campaign import Optimal, Situation
@@ -142,10 +135,6 @@ class Optimal:
     evaluations: int = 25
     initial: int = 10
     batch: int = 5
-    common: bool = True
-    strategy: Strategy = "qLogNEI"
-    plan: Plan | None = None
-    coarse: bool = True
 
     def __post_init__(self) -> None:
         if not 2 <= self.initial <= self.evaluations:
@@ -160,9 +149,9 @@ class Optimal:
         """See :class:`DesignPolicy`."""
         acquisition = ExpectedInformationGain(
             situation.belief,
-            coarser(situation.simulator) if self.coarse else situation.simulator,
+            coarser(situation.simulator),
             self.estimator,
-            plan=self.plan or situation.plan,
+            plan=situation.plan,
             space=situation.space,
             X_pending=situation.pending,
         )
@@ -172,24 +161,10 @@ class Optimal:
             evaluations=self.evaluations,
             initial=self.initial,
             batch=self.batch,
-            strategy=self.strategy,
-            common=self.common,
             progress=progress,
         )
         best = search.recommendation
         return Proposal(situation.number, best.design, best.mean, best.sd, search)
-
-
-PAPER_OPTIMAL = Optimal(
-    PublishedEstimator(500),
-    25,
-    batch=1,
-    common=False,
-    strategy="paper",
-    plan=PAPER_PLAN,
-    coarse=False,
-)
-"""The search of arXiv 2409.00011: 1000 draws of both models a design, 10 + 15 designs, the best observed wins."""
 
 
 @dataclass(frozen=True)

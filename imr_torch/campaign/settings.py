@@ -5,8 +5,8 @@ from typing import Any
 
 from torch import Tensor
 
-from imr_torch.campaign.learners import ExactLearner, Learner, PaperLearner
-from imr_torch.campaign.policies import PAPER_OPTIMAL, DesignPolicy, Optimal
+from imr_torch.campaign.learners import ExactLearner, Learner
+from imr_torch.campaign.policies import DesignPolicy, Optimal
 from imr_torch.campaign.stopping import StoppingRule
 from imr_torch.design import DesignSpace, Plan
 
@@ -33,13 +33,6 @@ class CampaignSettings:
     policy: DesignPolicy = field(default_factory=Optimal)
     learner: Learner = field(default_factory=ExactLearner)
     stop: StoppingRule | None = None
-
-    @classmethod
-    def paper(cls) -> "CampaignSettings":
-        """Everything as in arXiv 2409.00011, defects included: its search, assimilation and model
-        probability.
-        """
-        return cls(policy=PAPER_OPTIMAL, learner=PaperLearner())
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready values, with the kind of every part."""

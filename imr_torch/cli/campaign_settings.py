@@ -6,14 +6,12 @@ from dataclasses import replace
 
 from imr_torch.assimilate import NOISE_ROUNDS
 from imr_torch.campaign import (
-    PAPER_OPTIMAL,
     CampaignSettings,
     DesignPolicy,
     ExactLearner,
     Fixed,
     Learner,
     Optimal,
-    PaperLearner,
     Random,
     SpaceFilling,
     stopping_rule,
@@ -35,11 +33,9 @@ _BASELINES: dict[str, Callable[[], DesignPolicy]] = {
 
 def settings_of(args: Namespace) -> CampaignSettings:
     """What the options say of choosing, learning and ending."""
-    learner: Learner = PaperLearner()
-    if args.method != "paper":
-        rounds = 0 if args.case else NOISE_ROUNDS  # nobody knows the noise of a camera before
-        options = METHODS["map" if args.method == "exact" else args.method]
-        learner = ExactLearner(options=options, noise_rounds=rounds)
+    rounds = 0 if args.case else NOISE_ROUNDS  # nobody knows the noise of a camera before
+    options = METHODS["map" if args.method == "exact" else args.method]
+    learner: Learner = ExactLearner(options=options, noise_rounds=rounds)
     policy = _make_optimal(args) if args.policy == "optimal" else _read_baseline(args.policy)
     space = space_of(args)
     plan = plan_of(args)
@@ -115,7 +111,7 @@ def one_model(prior: Belief, case: ReferenceCase | None) -> Belief:
 
 def _make_optimal(args: Namespace) -> Optimal:
     """The search for the most informative design, of the size that the options ask for."""
-    search = PAPER_OPTIMAL if args.method == "paper" else Optimal()
+    search = Optimal()
     return replace(
         search, evaluations=args.evaluations, initial=min(search.initial, args.evaluations)
     )

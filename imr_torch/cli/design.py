@@ -19,7 +19,6 @@ from imr_torch.design import (
     Laplace,
     MeasureOptions,
     Plan,
-    RobustLaplace,
     load_designs,
     optimal_measure,
     search_design,
@@ -90,9 +89,8 @@ def run_command(args: Namespace) -> None:
                 for what, (designs, other) in ways.items()
             ]
         }
-    estimator = (RobustLaplace if args.model_error else Laplace)(args.draws)
     acquisition = ExpectedInformationGain(
-        prior, bubbles, estimator, target=args.target, plan=plan, space=space
+        prior, bubbles, Laplace(args.draws), target=args.target, plan=plan, space=space
     )
     search = search_design(
         acquisition,
@@ -101,7 +99,6 @@ def run_command(args: Namespace) -> None:
         evaluations=args.evaluations,
         initial=min(Optimal.initial, args.evaluations),
         batch=Optimal.batch,
-        strategy=args.strategy,
         progress=args.terminal.plan_stages(DESIGN),
     )
     surroundings = simulator.conditions.surroundings

@@ -12,17 +12,14 @@ from imr_torch.design.gain import (
 )
 from imr_torch.design.laplace import Laplace
 from imr_torch.design.measure import DesignMeasure, MeasureOptions, apportion_shots, optimal_measure
-from imr_torch.design.model_error import RobustLaplace
-from imr_torch.design.nested import NestedMonteCarlo, PriorContrastive, PublishedEstimator
-from imr_torch.design.optimizer import DesignOptimizer, Recommendation, Strategy
-from imr_torch.design.plan import PAPER_PLAN, Plan
+from imr_torch.design.optimizer import DesignOptimizer, Recommendation
+from imr_torch.design.plan import Plan
 from imr_torch.design.response import Shot, radii
 from imr_torch.design.search import DesignSearch, SearchSettings, search_design
 from imr_torch.design.space import DESIGN_NAMES, DesignSpace, ListedDesigns, load_designs
 
 __all__ = [
     "DESIGN_NAMES",
-    "PAPER_PLAN",
     "DesignMeasure",
     "DesignOptimizer",
     "DesignSearch",
@@ -34,15 +31,10 @@ __all__ = [
     "Laplace",
     "ListedDesigns",
     "MeasureOptions",
-    "NestedMonteCarlo",
     "Plan",
-    "PriorContrastive",
-    "PublishedEstimator",
     "Recommendation",
-    "RobustLaplace",
     "SearchSettings",
     "Shot",
-    "Strategy",
     "Target",
     "apportion_shots",
     "expected_information_gain",

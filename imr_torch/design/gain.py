@@ -1,15 +1,10 @@
 """An information gain with its Monte Carlo error, what estimates it, and how estimates of several
 strata (one per model) are combined.
 
-An estimator is a callable object, so that one of your own needs no change of the package. Four
-estimators come with it. They agree for many samples; what differs is how many that takes.
-
-| estimator | evidence of each datum | expected value |
-|---|---|---|
-| `Laplace` | Gaussian, linearised | exact for linear-Gaussian models |
-| `NestedMonteCarlo` | fresh draws of the prior, shared by all data | above the gain |
-| `PriorContrastive` | the same, the datum's own gel among them | below the gain, at most ``log(inner)`` per model |
-| `PublishedEstimator` | the data's own gels, used again | below ``log`` of the number of draws |
+An estimator is a callable object, so that one of your own needs no change of the package.
+:class:`~imr_torch.design.Laplace` comes with it, whose evidence of each datum is Gaussian and
+linearised; nested Monte Carlo, which bounds the gain from both sides, is what the benchmarks check it
+against.
 
 The error is kept draw by draw: the *influence* of a draw on an estimate is its share of the
 deviation from the expected value, so the variance is the sum of squares of the influences, and the

@@ -7,10 +7,9 @@ best noisy value (winner's curse).
 
 import warnings
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 import torch
-from botorch.acquisition import AcquisitionFunction, PosteriorMean, qExpectedImprovement
+from botorch.acquisition import AcquisitionFunction, PosteriorMean
 from botorch.acquisition.logei import qLogNoisyExpectedImprovement
 from botorch.exceptions.warnings import NumericsWarning
 from botorch.fit import fit_gpytorch_mll
@@ -28,11 +27,6 @@ from imr_torch.errors import InputDataError
 from imr_torch.float64 import zeros
 from imr_torch.random import child, generator
 from imr_torch.types import Design, Designs
-
-Strategy = Literal["qLogNEI", "paper"]
-"""How the next design is chosen, and the last: by ``qLogNEI`` (Ament et al., NeurIPS 2023) and the
-maximum of the posterior mean, or as in arXiv 2409.00011 (``paper``): by expected improvement over the
-best observed value, which is recommended, and a least improvement."""
 
 
 @dataclass(frozen=True)
@@ -64,10 +58,9 @@ class DesignOptimizer:
         space: designs that may be asked.
         seed: of Sobol points, acquisition samples and restarts.
         initial: space-filling designs before the surrogate is used.
-        strategy: how designs are chosen.
 
     Raises:
-        InputDataError: for an unknown strategy, or fewer than 2 initial designs.
+        InputDataError: for fewer than 2 initial designs.
 
     >>> from imr_torch.design import DesignOptimizer, DesignSpace
     >>> optimizer = DesignOptimizer(DesignSpace(), seed=0, initial=8)
@@ -77,21 +70,14 @@ class DesignOptimizer:
     True
     """
 
-    def __init__(
-        self, space: DesignSpace, *, seed: int, initial: int = 8, strategy: Strategy = "qLogNEI"
-    ) -> None:
+    def __init__(self, space: DesignSpace, *, seed: int, initial: int = 8) -> None:
         if initial < 2:
             raise InputDataError(
                 f"initial is {initial}; at least 2 designs are needed before a surrogate can be "
                 "fitted."
             )
-        if strategy not in get_args(Strategy):
-            raise InputDataError(
-                f"strategy is {strategy!r}; expected one of {', '.join(get_args(Strategy))}."
-            )
         self.space = space
         self.seed = seed
-        self.strategy = strategy
         self.initial = initial
         self.train_X = zeros(0, 2)
         self.train_Y = zeros(0, 1)
@@ -184,13 +170,7 @@ class DesignOptimizer:
         return gp
 
     def recommend(self) -> Recommendation:
-        """The maximum of the surrogate's posterior mean over the space; of the paper's strategy,
-        the best observed design.
-        """
-        if self.strategy == "paper" and len(self.train_X):
-            best = int(self.train_Y.argmax())
-            sd = float(self.train_Yvar[best].sqrt())
-            return Recommendation(self.train_X[best], float(self.train_Y[best]), sd)
+        """The maximum of the surrogate's posterior mean over the space."""
         model = self.model()
         with manual_seed(child(self.seed, "recommend", len(self.train_X))):
             design = self._maximise_acquisition(PosteriorMean(model), 1)
@@ -201,12 +181,9 @@ class DesignOptimizer:
     def _make_acquisition(self, pending: Tensor) -> AcquisitionFunction:
         model = self.model()
         waiting = pending if len(pending) else None
-        if self.strategy == "qLogNEI":
-            return qLogNoisyExpectedImprovement(
-                model, X_baseline=self.train_X, prune_baseline=True, X_pending=waiting
-            )
-        best = self.train_Y.amax() + 0.01  # nats, the least improvement that counts there
-        return qExpectedImprovement(model, best_f=best, X_pending=waiting)
+        return qLogNoisyExpectedImprovement(
+            model, X_baseline=self.train_X, prune_baseline=True, X_pending=waiting
+        )
 
     def _maximise_acquisition(
         self, acquisition: AcquisitionFunction, q: int, known: Designs | None = None

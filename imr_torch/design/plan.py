@@ -2,8 +2,7 @@
 will be assimilated.
 
 An information gain is about the data that the assimilation will use, so frames after the last
-collapse of the window do not count. :data:`PAPER_PLAN` is the observation that the published search
-for designs assumes.
+collapse of the window do not count.
 """
 
 from dataclasses import dataclass, field
@@ -85,7 +84,3 @@ class Plan:
         ]
         last = torch.tensor(ends, dtype=self.times.dtype).reshape(*radius.shape[:-1], 1)
         return self.times <= last
-
-
-PAPER_PLAN = Plan(times=linspace(0.0, 3.0, 61), noise=Noise(floor=1e-6, slope=0.0), collapses=None)
-"""61 frames to t* = 3, one curve, noise ramp ``t*/160`` (code that came with arXiv 2409.00011)."""

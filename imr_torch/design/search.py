@@ -15,7 +15,7 @@ import torch
 
 from imr_torch.design.acquisition import ExpectedInformationGain
 from imr_torch.design.gain import ErrorParts, InformationGain, separate_errors
-from imr_torch.design.optimizer import DesignOptimizer, Recommendation, Strategy
+from imr_torch.design.optimizer import DesignOptimizer, Recommendation
 from imr_torch.design.space import DesignSpace
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.float64 import tensor, zeros
@@ -82,7 +82,6 @@ def search_design(
     evaluations: int = 25,
     initial: int = 10,
     batch: int = 1,
-    strategy: Strategy = "qLogNEI",
     common: bool = True,
     progress: Progress | None = None,
 ) -> DesignSearch:
@@ -98,7 +97,6 @@ def search_design(
         evaluations: designs evaluated for each.
         initial: of which space-filling.
         batch: designs asked for together after those; the surrogate is then asked less often.
-        strategy: how designs are chosen.
         common: whether all evaluations share their draws and noise, which cancels from differences
             between designs. The surrogate is then told the error of differences alone, and the
             recommendation's ``sd`` has the common error added.
@@ -134,7 +132,6 @@ def search_design(
         settings = SearchSettings(
             seed if number == 0 else child(seed, "further design", number),
             initial,
-            strategy,
             common,
         )
         beside = acquisition.with_pending(torch.cat(waiting) if waiting else None)
@@ -149,7 +146,6 @@ class SearchSettings:
     Args:
         seed: of the optimizer.
         initial: space-filling designs.
-        strategy: how designs are chosen.
         common: whether all evaluations share their draws.
 
     >>> designs = torch.tensor([[200.0, 0.2], [500.0, 0.2], [800.0, 0.2]], dtype=torch.float64)
@@ -161,7 +157,6 @@ class SearchSettings:
 
     seed: int
     initial: int
-    strategy: Strategy = "qLogNEI"
     common: bool = True
 
     def make_optimizer(
@@ -176,9 +171,7 @@ class SearchSettings:
 
         Evaluations too many of whose bubbles failed are left out.
         """
-        optimizer = DesignOptimizer(
-            space, seed=self.seed, initial=self.initial, strategy=self.strategy
-        )
+        optimizer = DesignOptimizer(space, seed=self.seed, initial=self.initial)
         counted = [i for i, gain in enumerate(gains) if math.isfinite(gain.value)]
         if not counted:
             return optimizer, 0.0

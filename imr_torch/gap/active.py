@@ -58,9 +58,6 @@ class CauseLearner:
         if self.most < 1:
             raise InputDataError(f"CauseLearner.most is {self.most}; expected at least 1 effect.")
 
-    def check_batch(self, batch: ExperimentBatch) -> None:
-        """See :class:`imr_torch.campaign.Learner`; all are taken."""
-
     def infer_belief(
         self, observations: Observations, simulator: Simulator, *, progress: Progress = None
     ) -> Inference:

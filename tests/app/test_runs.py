@@ -250,7 +250,6 @@ def test_that_a_preset_can_be_run(command: str, preset: str) -> None:
         ("compare", {"model": "nhkv"}),
         ("design", {"criterion": "D", "shots": 6, "models": ["nhkv"]}),
         ("campaign", {"tell": ["files/a.csv", "files/b.csv"], "stop": "G:5%,mu:5%"}),
-        ("simulate", {"set": "G=5000,mu=0.1", "we": 400.0}),
     ],
 )
 def test_that_the_options_of_a_run_are_read_back_as_they_were(command: str, values: dict) -> None:

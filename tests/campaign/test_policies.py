@@ -3,9 +3,8 @@
 import pytest
 import torch
 
-from imr_torch.assimilate import PublishedOptions, SearchOptions
+from imr_torch.assimilate import En4DVarOptions, SearchOptions
 from imr_torch.campaign import (
-    PAPER_OPTIMAL,
     Campaign,
     CampaignSettings,
     Designs,
@@ -14,13 +13,12 @@ from imr_torch.campaign import (
     GainBelow,
     Journal,
     Optimal,
-    PaperLearner,
     Random,
     RelativeSd,
     Situation,
     SpaceFilling,
 )
-from imr_torch.design import PAPER_PLAN, DesignSpace, Laplace, Plan, PublishedEstimator
+from imr_torch.design import DesignSpace, Laplace, Plan
 from imr_torch.errors import InputDataError
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import SimulatedLaboratory
@@ -36,7 +34,7 @@ LISTED = Fixed(((300.0, 0.2), (500.0, 0.16), (700.0, 0.24)))
 QUICK = Optimal(Laplace(draws=3, rivals=3), evaluations=4, initial=3)
 LEARNERS = {
     "exact": ExactLearner(32, SearchOptions(raw_samples=24)),
-    "paper": PaperLearner(PublishedOptions(12, 2, 2)),
+    "en4dvar": ExactLearner(32, En4DVarOptions(12, 2, 2)),
 }
 POLICIES_HERE = {
     "optimal": QUICK,
@@ -143,24 +141,6 @@ def test_a_search_that_cannot_be_is_refused(options, message):
         Optimal(**options)
 
 
-def test_the_papers_search_is_the_published_one():
-    assert (
-        Optimal(
-            PublishedEstimator(500),
-            25,
-            10,
-            1,
-            False,
-            "paper",
-            PAPER_OPTIMAL.plan,
-            False,
-        )
-        == PAPER_OPTIMAL
-    )
-    assert PAPER_OPTIMAL.plan is PAPER_PLAN
-    assert CampaignSettings.paper().policy is PAPER_OPTIMAL
-
-
 @pytest.mark.parametrize("learner", LEARNERS.values(), ids=LEARNERS)
 @pytest.mark.parametrize("policy", POLICIES_HERE.values(), ids=POLICIES_HERE)
 def test_resuming_with_any_policy_and_learner_gives_the_uninterrupted_journal_byte_for_byte(
@@ -183,7 +163,12 @@ def test_resuming_with_any_policy_and_learner_gives_the_uninterrupted_journal_by
 def test_a_campaign_of_another_policy_learner_or_rule_is_refused(tmp_path):
     campaign(tmp_path, policy=SpaceFilling(), stop=Designs(2)).ask()
     kinds = {"policy": SpaceFilling(), "stop": Designs(2)}
-    others = {"policy": Random(), "learner": PaperLearner(), "stop.count": Designs(3), "stop": None}
+    others = {
+        "policy": Random(),
+        "learner.samples": ExactLearner(32),
+        "stop.count": Designs(3),
+        "stop": None,
+    }
     for name, other in others.items():
         with pytest.raises(InputDataError, match=f"another campaign: settings[.]{name} differ"):
             campaign(tmp_path, **kinds | {name.split(".")[0]: other})

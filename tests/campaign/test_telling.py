@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 import pytest
 import torch
 
-from imr_torch.assimilate import PublishedOptions, SearchOptions
+from imr_torch.assimilate import En4DVarOptions, SearchOptions
 from imr_torch.campaign import (
     Budget,
     Campaign,
@@ -14,7 +14,6 @@ from imr_torch.campaign import (
     ExactLearner,
     Fixed,
     Journal,
-    PaperLearner,
     Random,
 )
 from imr_torch.design import DesignSpace, Plan
@@ -137,7 +136,7 @@ def test_that_learning_twice_learns_once_and_from_nothing_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "learner", [EXACT, PaperLearner(PublishedOptions(12, 2, 2))], ids=["exact", "paper"]
+    "learner", [EXACT, ExactLearner(32, En4DVarOptions(12, 2, 2))], ids=["exact", "en4dvar"]
 )
 def test_that_after_forgetting_the_belief_is_that_of_the_other_curves(tmp_path, learner):
     run = campaign(tmp_path / "all", learner=learner)
@@ -244,13 +243,6 @@ def test_that_a_curve_whose_times_are_in_another_unit_is_not_recorded(tmp_path, 
     assert not run.journal.path.exists()
     run.tell(good)
     assert run.numbers == [1]
-
-
-def test_that_a_curve_the_learner_cannot_take_is_not_recorded(tmp_path):
-    run = campaign(tmp_path, learner=PaperLearner())
-    with pytest.raises(InputDataError, match="takes designs and clocks as exact"):
-        run.tell(replace(CURVES[0], nuisance=Nuisance(time_zero=0.1)))
-    assert not run.journal.path.exists()
 
 
 def test_that_learning_that_fails_names_the_curve_and_forgetting_it_goes_on(tmp_path):

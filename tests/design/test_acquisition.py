@@ -10,14 +10,12 @@ import torch
 from botorch.optim import optimize_acqf, optimize_acqf_mixed
 from botorch.utils.sampling import manual_seed
 
+from benchmarks.nested import NestedMonteCarlo, PriorContrastive
 from imr_torch.design import (
     ExpectedInformationGain,
     InformationEstimator,
     InformationGain,
     Laplace,
-    NestedMonteCarlo,
-    PriorContrastive,
-    PublishedEstimator,
     SearchSettings,
     search_design,
 )
@@ -33,7 +31,6 @@ EVERY = [
     Laplace(draws=6, rivals=6, refinements=0),
     NestedMonteCarlo(draws=6, inner=4),
     PriorContrastive(draws=6, inner=4),
-    PublishedEstimator(10),
 ]
 
 

@@ -9,12 +9,10 @@ import pytest
 import torch
 from torch.distributions import MultivariateNormal
 
+from benchmarks.nested import NestedMonteCarlo, PriorContrastive
 from imr_torch.design import (
     ExpectedInformationGain,
     Laplace,
-    NestedMonteCarlo,
-    PriorContrastive,
-    PublishedEstimator,
     expected_information_gain,
 )
 from imr_torch.errors import InputDataError, ShapeError
@@ -43,7 +41,6 @@ EVERY = (
     Laplace,
     NestedMonteCarlo,
     PriorContrastive,
-    PublishedEstimator,
 )
 
 
@@ -120,7 +117,6 @@ def test_laplace_is_not_bounded_by_the_number_of_draws():
     [
         NestedMonteCarlo(draws=600, inner=1200),
         PriorContrastive(draws=600, inner=1200),
-        PublishedEstimator(draws=900),
     ],
     ids=name,
 )
@@ -167,20 +163,6 @@ def test_the_gain_splits_into_parameters_and_model():
     assert found.value == found.parameters + found.model
 
 
-def test_the_papers_estimator_is_capped_at_the_log_of_its_draws_where_the_gain_is_large():
-    precise = plan(repeats=10**4)
-    for draws in (50, 400):
-        found = gain(ONE, DESIGNS[:1], precise, PublishedEstimator(draws=draws))
-        assert found.value <= math.log(draws) + 1e-9
-        assert found.value == pytest.approx(math.log(draws), abs=0.05)
-    assert exact(ONE, DESIGNS[:1], precise) > math.log(400) + 5.0
-
-
-def test_the_papers_estimator_does_not_underflow_for_long_records():
-    found = gain(ONE, DESIGNS[:1], plan(repeats=10**9), PublishedEstimator(draws=20))
-    assert found.value == pytest.approx(math.log(20))
-
-
 @pytest.mark.parametrize("repeats", [1, 10**4])
 def test_that_the_gain_is_between_nested_monte_carlo_and_prior_contrastive(repeats):
     how = plan(repeats=repeats)
@@ -202,7 +184,6 @@ def test_that_the_gain_is_between_nested_monte_carlo_and_prior_contrastive(repea
         (Laplace(draws=16), SIGMA),
         (NestedMonteCarlo(draws=400, inner=40), 0.5),
         (PriorContrastive(draws=400, inner=40), 0.5),
-        (PublishedEstimator(draws=40), 0.5),
     ],
     ids=name,
 )
@@ -257,7 +238,7 @@ def test_two_bubbles_together_tell_less_than_the_sum_and_more_than_each():
     assert max(each) < both < sum(each)
 
 
-@pytest.mark.parametrize("kind", [Laplace, NestedMonteCarlo, PublishedEstimator])
+@pytest.mark.parametrize("kind", [Laplace, NestedMonteCarlo])
 def test_the_gain_does_not_depend_on_the_units_of_the_parameters(kind):
     units = (1e4, 3.0, 0.01)
     scaled = Belief.prior(
@@ -317,7 +298,7 @@ def test_laplace_and_bounds_agree_on_bubbles():
     )
 
 
-@pytest.mark.parametrize("kind", [Laplace, PublishedEstimator])
+@pytest.mark.parametrize("kind", [Laplace, NestedMonteCarlo])
 def test_the_estimate_is_a_function_of_its_seed(kind):
     acquisition = ExpectedInformationGain(
         reference_case("soft-pa").prior,
@@ -345,7 +326,6 @@ def test_the_estimate_is_a_function_of_its_seed(kind):
         (lambda: Laplace(refinements=-1), "Laplace.refinements is -1; expected 0 or more"),
         (lambda: NestedMonteCarlo(inner=0), "NestedMonteCarlo.inner is 0; at least 2"),
         (lambda: PriorContrastive(draws=0), "PriorContrastive.draws is 0; at least 2"),
-        (lambda: PublishedEstimator(1), "PublishedEstimator.draws is 1; at least 2"),
     ],
 )
 def test_impossible_estimators_are_refused(make, message):

@@ -5,11 +5,10 @@ import functools
 import pytest
 import torch
 
+from benchmarks.nested import NestedMonteCarlo, PriorContrastive
 from imr_torch.design import (
     Laplace,
-    NestedMonteCarlo,
     Plan,
-    PriorContrastive,
     expected_information_gain,
 )
 from imr_torch.material import reference_case

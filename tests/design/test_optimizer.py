@@ -156,26 +156,6 @@ def test_pending_designs_are_not_asked_again():
     assert torch.equal(optimizer.ask(pending=asked), other)
 
 
-def test_the_published_strategy_recommends_the_best_observed_value():
-    optimizer = told(SPACE, utility, strategy="paper")
-    lucky = torch.tensor([[150.0, 0.29]], dtype=torch.float64)
-    optimizer.tell(
-        lucky,
-        torch.full((1, 1), 9.0, dtype=torch.float64),
-        torch.full((1, 1), 4.0, dtype=torch.float64),
-    )
-    best = optimizer.recommend()
-    assert torch.equal(best.design, lucky[0])
-    assert (best.mean, best.sd) == (9.0, 2.0)
-
-
-def test_that_the_published_strategy_wants_more_than_the_best_observed_value():
-    none = torch.empty(0, 2, dtype=torch.float64)
-    optimizer = told(SPACE, utility, strategy="paper")
-    best = float(optimizer._make_acquisition(none).best_f)
-    assert best == pytest.approx(float(optimizer.train_Y.max()) + 0.01, abs=1e-12)
-
-
 def test_failed_evaluations_are_recorded_not_told_and_not_asked_again():
     acquisition = ExpectedInformationGain(
         ONE, PartlyFailing(), Laplace(draws=4), plan=plan(), space=SPACE

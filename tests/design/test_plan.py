@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from imr_torch.design import PAPER_PLAN, Plan
+from imr_torch.design import Plan
 from imr_torch.errors import InputDataError
 from imr_torch.material import reference_case
 from imr_torch.observe import Experiment, collapse_time
@@ -25,14 +25,6 @@ def test_a_curve_without_that_many_collapses_keeps_all_frames():
     plan = Plan(times=torch.linspace(0.0, 1.0, 11, dtype=torch.float64))
     assert bool(plan.frames_in_window(torch.cos(plan.times)[None]).all())
     assert bool(Plan(collapses=None).frames_in_window(torch.cos(9.0 * Plan().times)).all())
-
-
-def test_the_papers_plan_is_its_noise_ramp_over_61_frames():
-    expected = torch.linspace(1e-6, 0.025, 81, dtype=torch.float64)[:61]
-    sd = PAPER_PLAN.noise.sd(torch.full((61,), 0.4, dtype=torch.float64), PAPER_PLAN.times)
-    assert float(PAPER_PLAN.times[-1]) == 3.0
-    assert torch.allclose(sd, expected, atol=1e-6)
-    assert PAPER_PLAN.repeats == 1
 
 
 @pytest.mark.parametrize(

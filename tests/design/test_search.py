@@ -5,13 +5,12 @@ states.
 import pytest
 import torch
 
+from benchmarks.nested import NestedMonteCarlo
 from imr_torch.design import (
     DesignSpace,
     ExpectedInformationGain,
     InformationGain,
     Laplace,
-    NestedMonteCarlo,
-    PublishedEstimator,
     search_design,
     separate_errors,
 )
@@ -107,7 +106,7 @@ def estimates(estimator, designs, seeds, *, simulator=None, belief=TWO, how=NOIS
 
 @pytest.mark.parametrize(
     "estimator",
-    [Laplace(draws=16, rivals=8), NestedMonteCarlo(draws=200, inner=60), PublishedEstimator(100)],
+    [Laplace(draws=16, rivals=8), NestedMonteCarlo(draws=200, inner=60)],
     ids=lambda e: type(e).__name__,
 )
 def test_that_the_variance_of_a_difference_from_common_draws_is_the_scatter_over_seeds(estimator):

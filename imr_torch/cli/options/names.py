@@ -62,7 +62,6 @@ ENGINES = ("compiled", "torchdiffeq")
 METHODS = ("map", "en4dvar")
 EFFORTS = ("normal", "thorough")
 TARGETS = ("parameters", "model", "both")
-STRATEGIES = ("qLogNEI", "paper")
 FORMATS = ("png", "pdf", "svg")
 
 DEFAULT_MODELS = "newtonian,nhkv,gen_qkv"

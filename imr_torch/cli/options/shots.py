@@ -2,7 +2,7 @@
 function each, whose docstring is the help.
 """
 
-from imr_torch.cli.options.names import MODELS, STRATEGIES, TARGETS
+from imr_torch.cli.options.names import MODELS, TARGETS
 from imr_torch.cli.options.shared import (
     BUBBLE,
     DRIVING,
@@ -127,22 +127,11 @@ def list_design_options() -> Options:
         choice_option(
             "--target", TARGETS, "both", "what the information is to be about (default both)"
         ),
-        flag_option(
-            "--model-error",
-            "count what the parameters lose where the model lacks an effect of the library, or "
-            "something unknown",
-        ),
         text_option(
             "--settable",
             "FILE",
             "a table of the designs that can be set, with columns we, rinf and, optional, cost, in "
             "the place of --we-range and --rinf-range",
-        ),
-        choice_option(
-            "--strategy",
-            STRATEGIES,
-            "qLogNEI",
-            "how designs to evaluate are chosen (default qLogNEI)",
         ),
         number_option("--draws", 16, "draws per model of each estimate (default 16)"),
         text_option(
@@ -248,7 +237,7 @@ def list_campaign_options() -> Options:
         ),
         choice_option(
             "--method",
-            ("exact", "en4dvar", "paper"),
+            ("exact", "en4dvar"),
             "exact",
             "learn from all data by the most probable gels (exact, default) or by hybrid ensemble "
             "4D-Var, or search and learn "

@@ -5,9 +5,6 @@ no linearisation.
 
 :class:`NestedMonteCarlo` sums over fresh gels and is too high on average; :class:`PriorContrastive`
 puts the datum's own gel among them and is too low, at most ``log L`` (Foster et al., AISTATS 2020).
-:class:`PublishedEstimator` sums over the gels of all data: one of them made the datum, so the value
-never exceeds ``log N`` (Huan & Marzouk, J. Comput. Phys. 232, 2013; arXiv 2409.00011), and
-saturates where experiments tell most.
 
 All data share the inner samples. The influence of a draw is the derivative of the estimate with
 respect to the draw's weight, wherever the draw is used (the infinitesimal jackknife, Jaeckel 1972).
@@ -19,7 +16,6 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
-from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.design.drawing import Gels, draw_normal_controls, simulate_gels
@@ -33,7 +29,7 @@ from imr_torch.design.gain import (
 from imr_torch.design.likelihood import Data, log_likelihood, pairwise_log_likelihood
 from imr_torch.design.plan import Plan
 from imr_torch.design.response import Shot
-from imr_torch.float64 import ones, tensor, zeros
+from imr_torch.float64 import ones, zeros
 
 
 @dataclass(frozen=True)
@@ -91,41 +87,12 @@ class PriorContrastive(NestedMonteCarlo):
     contrastive: ClassVar[bool] = True
 
 
-@dataclass(frozen=True)
-class PublishedEstimator(InformationEstimator):
-    """Draws in proportion to the models' probabilities, used for data and evidence alike.
-
-    Args:
-        draws: gels per constitutive model, on average.
-        improbable: probability below which the published search did not simulate a model.
-
-    >>> PublishedEstimator(500)
-    PublishedEstimator(draws=500, improbable=0.01)
-    """
-
-    draws: int = 500
-    improbable: float = 1e-2
-
-    def __post_init__(self) -> None:
-        check_at_least(self, 2, "draws")
-
-    def __call__(self, shot: Shot, generator: torch.Generator) -> InformationGain:
-        """See :class:`~imr_torch.design.gain.InformationEstimator`."""
-        probabilities = shot.belief.log_probabilities.exp()
-        wanted = (self.draws * len(shot.belief.models) * probabilities).round()
-        counts = torch.where(probabilities > self.improbable, wanted, 0.0).long().tolist()
-        gels = simulate_gels(shot, draw_normal_controls(shot, counts, generator), gel=False)
-        sizes = tensor([len(part) for part in gels.parts])
-        log_weights = (sizes / sizes.sum().clamp_min(1.0)).log()
-        return _estimate_gain(gels, *gels.observe(shot, generator), gels, log_weights, shot.plan)
-
-
 def _estimate_gain(
     gels: Gels,
     data: Data,
     rows: Sequence[slice],
     inner: Gels,
-    log_weights: Float[Tensor, "models"],
+    log_weights: Tensor,
     plan: Plan,
     *,
     contrastive: bool = False,
@@ -136,7 +103,7 @@ def _estimate_gain(
         gels: gels that data were made of.
         data: one of each.
         rows: which are of each model.
-        inner: gels that evidences are summed over; may be ``gels``.
+        inner: gels that evidences are summed over.
         log_weights: log probability of each model.
         plan: how the data were observed.
         contrastive: whether a datum's own gel takes the place of the first inner gel of its model.
@@ -151,7 +118,7 @@ def _estimate_gain(
             block[own, :1] = likelihood[:, None]
     models = len(blocks)
 
-    def mean_gains(*weights: Float[Tensor, "_"]) -> Float[Tensor, "2"]:
+    def mean_gains(*weights: Tensor) -> Tensor:
         """About parameters and model, by the weights of data and of inner gels, each 1."""
         logs = [
             torch.logsumexp(block + w.log(), 1) - math.log(max(len(w), 1))
@@ -165,7 +132,7 @@ def _estimate_gain(
             both = both + mean * log_weights[i].exp() / max(len(own), 1)
         return both
 
-    samples = [gels] if inner is gels else [gels, inner]
+    samples = [gels, inner]
     parts = [part for sample in samples for part in sample.parts]
     weights = tuple(ones(len(part)) for part in parts)
     slopes = torch.autograd.functional.jacobian(mean_gains, weights)

@@ -3,7 +3,8 @@
 import pytest
 import torch
 
-from imr_torch.design import Laplace, RobustLaplace, expected_information_gain
+from benchmarks.model_error import RobustLaplace
+from imr_torch.design import Laplace, expected_information_gain
 from imr_torch.material import Belief, library
 from tests.design.linear_camera import (
     DESIGNS,

@@ -1,4 +1,5 @@
-"""Information gain about the gel where the model may lack something.
+"""Information gain about the gel where the model may lack something: tried, and not in the package,
+since designs and errors stayed the same (RESULTS.md).
 
 A shot may be most informative where an effect that the model lacks is largest, and then moves the
 fit most. Here, what is lacking is marginalised: of each gel drawn, every effect of the library is
@@ -19,7 +20,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.design.laplace import Laplace, local_precision
@@ -41,7 +41,8 @@ class RobustLaplace(Laplace):
         known: probability that one of them acts.
         unknown: probability of something unknown.
 
-    >>> from imr_torch.design import Plan, RobustLaplace, expected_information_gain
+    >>> from benchmarks.model_error import RobustLaplace
+    >>> from imr_torch.design import Plan, expected_information_gain
     >>> from imr_torch.material import reference_case
     >>> from imr_torch.simulate import PolytropicSimulator
     >>> prior, design = reference_case("soft-pa").prior, torch.tensor([[400.0, 0.2]], dtype=torch.float64)
@@ -95,8 +96,10 @@ def _change_gels(
     gels: Response,
     effects: Sequence[Effect],
     source: torch.Generator,
-) -> Float[Tensor, "draws designs frames effects"]:
-    """What each effect changes of the curves; nothing where it cannot be simulated."""
+) -> Tensor:
+    """What each effect changes of the curves, draws x designs x frames x effects; nothing where it
+    cannot be simulated.
+    """
     changes = []
     for effect in effects:
         more = add_parameters(part, effect.priors)
