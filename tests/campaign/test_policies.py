@@ -20,6 +20,7 @@ from imr_torch.campaign import (
 )
 from imr_torch.design import DesignSpace, Laplace, Plan
 from imr_torch.errors import InputDataError
+from imr_torch.gap import CauseLearner
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import SimulatedLaboratory
 from imr_torch.random import child
@@ -165,7 +166,7 @@ def test_a_campaign_of_another_policy_learner_or_rule_is_refused(tmp_path):
     kinds = {"policy": SpaceFilling(), "stop": Designs(2)}
     others = {
         "policy": Random(),
-        "learner.samples": ExactLearner(32),
+        "learner": CauseLearner(),
         "stop.count": Designs(3),
         "stop": None,
     }

@@ -24,9 +24,9 @@ def utility(X):
     return 5.0 - 8.0 * scaled.square().sum(-1, keepdim=True)
 
 
-def run(strategy, evaluations, *, seed=0, sd=0.05):
+def run(evaluations, *, seed=0, sd=0.05):
     noise = torch.Generator().manual_seed(seed)
-    optimizer = DesignOptimizer(SPACE, seed=seed, initial=5, strategy=strategy)
+    optimizer = DesignOptimizer(SPACE, seed=seed, initial=5)
     while len(optimizer.train_X) < evaluations:
         X = optimizer.ask()
         Y = utility(X) + sd * torch.randn(len(X), 1, generator=noise, dtype=torch.float64)
@@ -43,10 +43,10 @@ def grid(*counts):
     return torch.cartesian_prod(*axes)
 
 
-def told(space, utility, *, points=None, sd=1e-3, strategy="qLogNEI"):
+def told(space, utility, *, points=None, sd=1e-3):
     """An optimizer that was told the utility at a grid of designs."""
     points = grid(13, 5) if points is None else points
-    optimizer = DesignOptimizer(space, seed=0, initial=2, strategy=strategy)
+    optimizer = DesignOptimizer(space, seed=0, initial=2)
     optimizer.tell(
         points, utility(points), torch.full((len(points), 1), sd**2, dtype=torch.float64)
     )
@@ -54,7 +54,7 @@ def told(space, utility, *, points=None, sd=1e-3, strategy="qLogNEI"):
 
 
 def test_the_recommendation_finds_the_maximum_of_a_noisy_utility():
-    best = run("qLogNEI", 12).recommend()
+    best = run(12).recommend()
     assert float(utility(best.design[None])) > 4.9
     assert abs(best.mean - float(utility(best.design[None]))) < 5.0 * best.sd + 0.02
 
@@ -69,7 +69,7 @@ def test_a_utility_known_almost_exactly_is_fitted_without_a_word():
 
 
 def test_the_recommendation_is_not_the_best_noisy_value():
-    optimizer = run("qLogNEI", 8)
+    optimizer = run(8)
     lucky = torch.tensor([[150.0, 0.29]], dtype=torch.float64)
     poor = torch.full((1, 1), float(utility(lucky)), dtype=torch.float64)
     for shift in (-1.0, 1.0, 6.0, -6.0):  # one lucky value among unlucky ones at a poor design
@@ -79,16 +79,16 @@ def test_the_recommendation_is_not_the_best_noisy_value():
 
 
 def test_the_same_tells_give_the_same_asks_whatever_the_global_generator_does():
-    first = run("qLogNEI", 7, seed=3).ask(2)
+    first = run(7, seed=3).ask(2)
     torch.manual_seed(1234)
-    second = run("qLogNEI", 7, seed=3).ask(2)
+    second = run(7, seed=3).ask(2)
     assert torch.equal(first, second)
     assert first.shape == (2, 2)
-    assert not torch.equal(first, run("qLogNEI", 7, seed=4).ask(2))
+    assert not torch.equal(first, run(7, seed=4).ask(2))
 
 
 def test_asking_leaves_the_global_generator_alone():
-    optimizer = run("qLogNEI", 6)
+    optimizer = run(6)
     torch.manual_seed(5)
     before = torch.get_rng_state()
     optimizer.ask()
@@ -148,7 +148,7 @@ def test_pending_designs_are_not_asked_again():
     optimizer = DesignOptimizer(SPACE, seed=0, initial=4)
     first = optimizer.ask(2)
     assert torch.equal(optimizer.ask(2, pending=first), optimizer.ask(4)[2:])
-    optimizer = run("qLogNEI", 8)
+    optimizer = run(8)
     asked = optimizer.ask()
     other = optimizer.ask(pending=asked)
     span = SPACE.bounds[1] - SPACE.bounds[0]
@@ -180,11 +180,6 @@ class PartlyFailing(LinearCamera):
         solution = super().__call__(parameters, designs, times)
         bad = (designs[..., :1] > 600.0).expand(solution.radius.shape)
         return replace(solution, radius=torch.where(bad, torch.nan, solution.radius))
-
-
-def test_an_unknown_strategy_is_refused():
-    with pytest.raises(InputDataError, match="'thompson'; expected one of qLogNEI, paper"):
-        DesignOptimizer(SPACE, seed=0, strategy="thompson")
 
 
 @pytest.mark.parametrize(
