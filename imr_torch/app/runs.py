@@ -63,9 +63,12 @@ class Result:
         return next((path for path in paths if path.is_file()), None)
 
     def read_shots(self) -> list[Document]:
-        """Rows of a batch, a shot each; empty for other commands."""
+        """Rows of a batch, a shot each, numbers to four digits; empty for other commands."""
         path = self.folder / "batch.json"
-        return read_json(path)["shots"] if path.is_file() else []
+        return [
+            {key: float(f"{x:.4g}") if isinstance(x, float) else x for key, x in shot.items()}
+            for shot in (read_json(path)["shots"] if path.is_file() else [])
+        ]
 
     @property
     def command(self) -> str:

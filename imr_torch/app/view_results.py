@@ -56,15 +56,16 @@ class ResultsView:
             ui.label(f"{result.outcome}. {result.read_text_of('messages.txt')}").classes(
                 "problem"
             ).style("white-space: pre-wrap")
-        shots = result.read_shots()
-        if shots:
-            names = dict.fromkeys(name for shot in shots for name in shot)
-            columns = [{"name": x, "label": x, "field": x, "sortable": True} for x in names]
-            ui.table(rows=shots, columns=columns, pagination=20).classes("w-full")
         if result.page:
             ui.element("iframe").props(
                 f'src="/result/{result.name}/page" title="Page of {result.name}" sandbox=""'
             ).classes("page")
+        shots = result.read_shots()
+        if shots:
+            names = dict.fromkeys(name for shot in shots for name in shot)
+            columns = [{"name": x, "label": x, "field": x, "sortable": True} for x in names]
+            ui.label("The shots; press a heading to sort").classes("text-subtitle1")
+            ui.table(rows=shots, columns=columns, pagination=20).classes("w-full")
         output = result.read_text_of("output.txt")
         if output:
             with ui.expansion("What the command printed", icon="notes").classes("w-full"):

@@ -119,7 +119,7 @@ class RunView:
             many = key in LISTS
             composed = "add-unique" if key in ("models", "base", "model") else None
             kept = values[key] if many else [values[key]]
-            choices |= {value: value for value in kept if composed}
+            choices |= {value: value for value in kept if composed and value not in choices}
             if many:
                 values[key] = [value for value in values[key] if value in choices]
             elif values[key] not in choices:
@@ -161,10 +161,12 @@ class RunView:
         if key in ("experiments", "exclude", "heldout"):
             return {name: name for name in self.workspace.load_curves().ids}
         if key in ("models", "base", "model"):
-            return {name: name for name in MODELS} | (
-                {"": "the most probable"} if key == "model" else {}
-            )
-        return {name: name for name in settings["choices"]} if "choices" in settings else None
+            first = {"": "the most probable"} if key == "model" else {}
+            return first | {name: name for name in MODELS}
+        if "choices" not in settings:
+            return None
+        usual = {"": "as usual"} if settings["default"] is None else {}
+        return usual | {name: name for name in settings["choices"]}
 
     @ui.refreshable_method
     def _draw_command(self) -> None:
@@ -178,7 +180,7 @@ class RunView:
         run = self.runs.current
         results = {result.name: result for result in self.runs.list_results()}
         ended = [results[result.name] for result in self.mine if result.name in results]
-        for result in ended[-1:]:
+        for result in [] if self.runs.busy else ended[-1:]:
             with ui.card().classes("w-full"):
                 said = [f"{result.name}: {result.outcome}"]
                 said += [result.read_text_of("messages.txt")] if result.status else []

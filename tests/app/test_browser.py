@@ -184,7 +184,7 @@ def test_that_a_gel_is_characterised_and_the_page_read_and_everything_downloaded
     app.page.get_by_role("option", name="polytropic").click()
     app.sees(
         re.compile(
-            r"characterize files/example_gel\.csv --medium density=1040:5 --models nhkv --physics polytropic"
+            r"characterize files/example_gel\.csv --medium density=1040:5 --physics polytropic --models nhkv --out"
         )
     )
     run(app)

@@ -274,3 +274,12 @@ def test_that_a_campaign_goes_on_in_its_folder() -> None:
         *("campaign", "--tell", "files/shot.csv", "--resume", "--out", "results/003_campaign"),
         *("--html", "results/003_campaign/page.html"),
     ]
+
+
+def test_that_the_shots_of_a_batch_are_rows_with_numbers_that_can_be_read(tmp_path: Path) -> None:
+    folder = tmp_path / "results" / "001_batch"
+    folder.mkdir(parents=True)
+    (folder / "batch.json").write_text('{"shots": [{"shot": "a", "curves": 1, "G": 8123.456789}]}')
+    (folder / "run.json").write_text('{"arguments": ["batch"], "started": "", "status": 0}')
+    (result,) = runs(tmp_path).list_results()
+    assert result.read_shots() == [{"shot": "a", "curves": 1, "G": 8123.0}]
