@@ -20,20 +20,16 @@ from imr_torch.app.problems import problems_notified, problems_shown
 from imr_torch.app.runs import Result, Runs, command_line
 from imr_torch.app.workspace import Workspace
 from imr_torch.cli.options.names import MODELS
+from imr_torch.material import LIBRARY
 
 _LABELS = {
     "experiments": "Curves (none chosen: all)",
     "models": "Candidate models",
     "physics": "Bubble physics",
     "collapses": "Collapses in the window",
-    "population": "does the gel differ from shot to shot?",
-    "over_time": "G and mu over the life of the bubble",
-    "each": "every curve of a file by itself",
-    "known": "Known parameters, SI, as G=2770",
     "base": "Model that is put to the test",
     "most": "Effects added at most",
     "belief": "What is known before",
-    "target": "What it is to tell about",
     "we_range": "Weber numbers, LOW:HIGH",
     "rinf_range": "R_inf/Rmax, LOW:HIGH",
     "q": "Designs to prepare together",
@@ -163,6 +159,8 @@ class RunView:
         if key in ("models", "base", "model"):
             first = {"": "the most probable"} if key == "model" else {}
             return first | {name: name for name in MODELS}
+        if key in ("effects", "without"):
+            return {name: name for name in LIBRARY}
         if "choices" not in settings:
             return None
         usual = {"": "as usual"} if settings["default"] is None else {}
