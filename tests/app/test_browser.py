@@ -213,6 +213,7 @@ def test_that_the_next_design_builds_on_the_result(app: App) -> None:
 def test_that_a_run_can_be_stopped(app: App) -> None:
     app.tab("Run")
     app.page.get_by_role("button", name="Diagnose").click()
+    app.sees(re.compile(r"imr-torch diagnose files"))
     app.page.get_by_role("button", name="Run", exact=True).click()
     app.page.get_by_role("button", name="Stop").click(timeout=20000)
     app.sees(re.compile(r"003_diagnose: stopped"), 60.0)
