@@ -27,7 +27,6 @@ _LABELS = {
     "models": "Candidate models",
     "physics": "Bubble physics",
     "collapses": "Collapses in the window",
-    "base": "Model that is put to the test",
     "most": "Effects added at most",
     "belief": "What is known before",
     "we_range": "Weber numbers, LOW:HIGH",
@@ -56,7 +55,7 @@ class RunView:
         self.values = {kind: list_defaults(kind) for kind in FORMS}
         self.values["design"]["belief"] = None  # the latest result, until another is chosen
         self.mine: list[Result] = []
-        self._running_seen = True
+        self._seen: object = None
 
     @ui.refreshable_method
     def draw_tab(self) -> None:
@@ -189,11 +188,10 @@ class RunView:
         if run is not None and run.running:
             with ui.card().classes("w-full"):
                 ui.label(run.result.command).classes("command")
-                part = run.part
-                ui.linear_progress(value=part or 0.0, show_value=False).props(
-                    "indeterminate" if part is None else ""
+                ui.linear_progress(show_value=False).bind_value_from(
+                    run, "part", lambda part: part or 0.0
                 )
-                ui.label(run.line).style("overflow-wrap: anywhere")
+                ui.label().bind_text_from(run, "line").style("overflow-wrap: anywhere")
                 ui.button("Stop", icon="stop", on_click=run.stop).props("outline no-caps")
         for number, result in enumerate(self.runs.waiting, start=1):
             with ui.row().classes("w-full items-center no-wrap"):
@@ -203,10 +201,10 @@ class RunView:
                 ui.label(f"{number}. in the queue: {result.name}")
 
     def _follow_runs(self) -> None:
-        running = self.runs.busy
-        if running or self._running_seen:
+        state = self.runs.current, self.runs.busy, len(self.runs.waiting)
+        if state != self._seen:
             self._draw_queue.refresh()
-        self._running_seen = running
+        self._seen = state
 
     def _take_back(self, result: Result) -> None:
         self.runs.take_back(result)
