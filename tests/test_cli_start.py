@@ -17,7 +17,7 @@ from imr_torch.characterization import EFFORTS
 from imr_torch.cli import build_parser, demo, main
 from imr_torch.cli.common import METHODS, SIMULATORS
 from imr_torch.cli.options import COMMANDS, names
-from imr_torch.design import Strategy, Target
+from imr_torch.design import Target
 from imr_torch.gap import diagnose
 from imr_torch.material import CASES, MATERIALS, PARTS
 from imr_torch.material.media import NAMED
@@ -74,7 +74,6 @@ def test_that_the_version_is_that_of_the_package(capsys):
         (names.METHODS, METHODS),
         (names.EFFORTS, EFFORTS),
         (names.TARGETS, get_args(Target)),
-        (names.STRATEGIES, get_args(Strategy)),
         (
             (names.SCATTER_SCALE, names.EVALUATIONS, names.EFFECTS_ADDED),
             (SCALE, Optimal.evaluations, signature(diagnose).parameters["most"].default),

@@ -28,6 +28,7 @@ HELD = torch.cat(
     [
         torch.tensor([[0.4, -2.0], [1.1, 0.3]], dtype=torch.float64),
         torch.linspace(-0.5, 0.8, 10, dtype=torch.float64).reshape(5, 2),
+        torch.linspace(-0.04, 0.05, 26, dtype=torch.float64).reshape(13, 2),  # of a law's shells
     ]
 )
 
