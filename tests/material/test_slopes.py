@@ -104,13 +104,14 @@ def test_slopes_in_memory_match_finite_differences_with_several_terms_at_once():
         [[0.4, -2.0], [1.1, 0.3], [0.2, 0.6], [-0.3, 0.9], [0.8, -0.1], [0.3, 0.7], [0.5, 0.1]],
         dtype=torch.float64,
     )
-    memory = torch.cat([memory, HELD, HELD[:2]])
+    total = sum(term.states for term in TERMS)
+    memory = torch.cat([memory, *[HELD] * (total // len(HELD) + 1)])[:total]
 
     def rates(*moved):
         return gel_response(TERMS, *POINT, THETA, torch.stack(moved))[1]
 
     slopes = derivatives(rates, tuple(memory), analytic=True)
-    assert len(slopes) == len(memory) == sum(term.states for term in TERMS)
+    assert len(slopes) == len(memory) == total
     for j, part in enumerate(slopes):
         change = torch.zeros_like(memory)
         change[j] = 1e-6
