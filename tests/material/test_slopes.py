@@ -145,8 +145,17 @@ def test_a_term_that_only_tensors_can_evaluate_is_differentiated_automatically()
 def arguments_at(
     term: StressTerm, radius: float, velocity: float, values: dict[str, float]
 ) -> list[float]:
-    memory = np.linspace(-0.03, 0.05, term.states).tolist()
-    return [radius, velocity, REST, *memory, *(values[name] for name in term.names)]
+    """Of the law; of one that is summed over shells, in one of them."""
+    shell = term.shells[3] if term.shells else ()
+    states = term.states // max(len(term.shells), 1)
+    memory = np.linspace(-0.03, 0.05, states).tolist()
+    return [radius, velocity, REST, *shell, *memory, *(values[name] for name in term.names)]
+
+
+def moving_arguments(term: StressTerm) -> list[int]:
+    """Places of the motion and of the memory among the arguments of a law."""
+    first = 5 if term.shells else 3
+    return [0, 1, *range(first, first + term.states // max(len(term.shells), 1))]
 
 
 @EVERY
@@ -154,7 +163,7 @@ def arguments_at(
 def test_the_compiled_law_of_every_term_is_its_law_and_has_its_slopes(term, switched):
     """At all states, in all arguments of the motion and of memory; parameters are plain numbers."""
     values = values_for(term) | ({} if switched == "on" else {term.switch: 0.0})
-    moving = [0, 1, *range(3, 3 + term.states)]
+    moving = moving_arguments(term)
     found = [assert_alike(term.law, arguments_at(term, *state, values), moving) for state in STATES]
     assert float(torch.stack(found)[:, 0].abs().amax()) > 0.0 or switched == "off"
 
@@ -163,7 +172,7 @@ def test_the_compiled_law_of_every_term_is_its_law_and_has_its_slopes(term, swit
 def test_a_wrong_sign_anywhere_in_a_compiled_law_would_be_noticed(term):
     """In any result that is not zero, and in any slope: the comparison above is not an empty one."""
     law = compiled(term.law)
-    moving = [0, 1, *range(3, 3 + term.states)]
+    moving = moving_arguments(term)
     arguments = arguments_at(term, *STATES[1], values_for(term))
     values = assert_alike(term.law, arguments, moving)
     assert float(values[0]) != 0.0
