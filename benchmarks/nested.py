@@ -26,10 +26,27 @@ from imr_torch.design.gain import (
     mean_deviations,
     with_influence,
 )
-from imr_torch.design.likelihood import Data, log_likelihood, pairwise_log_likelihood
+from imr_torch.design.likelihood import Data, log_likelihood
 from imr_torch.design.plan import Plan
-from imr_torch.design.response import Shot
+from imr_torch.design.response import Response, Shot
 from imr_torch.float64 import ones, zeros
+
+
+def pairwise_log_likelihood(
+    data: Data, gels: Response, plan: Plan, *, block: int = 4_000_000
+) -> Tensor:
+    """``n x m`` log densities of every datum given every gel, ``block`` numbers at once."""
+    per_row = gels.radius.numel() * (1 + gels.by_nuisance.shape[-1])
+    rows = max(1, block // max(1, per_row))
+    blocks = [data[i : i + rows] for i in range(0, max(1, len(data)), rows)]
+    return torch.cat(
+        [
+            log_likelihood(
+                Data(b.radius[:, None], b.window[:, None]), gels.radius, gels.by_nuisance, plan
+            )
+            for b in blocks
+        ]
+    )
 
 
 @dataclass(frozen=True)

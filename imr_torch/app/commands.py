@@ -1,7 +1,7 @@
 """The forms of the application, and what they say as the arguments of the commands.
 
 A form shows the options that most runs need; all others of its command are behind "More options",
-read from the table that the command line is made of, so that no command can do more than its form.
+read from the table that the command line is made of, so that no form lacks an option.
 """
 
 from collections.abc import Mapping, Sequence

@@ -134,12 +134,11 @@ class RunView:
     def _list_choices(self, key: str) -> dict[Any, str] | None:
         """Value -> what it is called, of a field in which one chooses; None of others."""
         settings = OPTIONS[self.kind][key]
-        earlier = {
-            result.name: f"results/{result.name}"
+        of_earlier = {
+            f"results/{result.name}/characterize.json": result.name
             for result in self.runs.list_results()
             if (result.folder / "characterize.json").is_file()
         }
-        of_earlier = {f"{path}/characterize.json": name for name, path in earlier.items()}
         if key == "belief":
             told = {path: f"what {name} learnt" for path, name in of_earlier.items()}
             if self.values[self.kind][key] is None:

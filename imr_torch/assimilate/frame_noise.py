@@ -32,6 +32,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+from imr_torch.assimilate.matern import MATERN, matern_whitened
 from imr_torch.assimilate.noise_law import (
     LocalNoise,
     best_scales,
@@ -40,7 +41,6 @@ from imr_torch.assimilate.noise_law import (
     law_of_repeats,
 )
 from imr_torch.assimilate.posterior import Neighbourhood
-from imr_torch.assimilate.slow_noise import MATERN, matern_whitened
 from imr_torch.assimilate.spikes import bends
 from imr_torch.float64 import ones, tensor
 from imr_torch.observe import CollapseTime, Experiment, ExperimentBatch, Noise, NoiseLaws

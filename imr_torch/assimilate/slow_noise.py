@@ -5,12 +5,6 @@ Noise differs from shot to shot; an effect of the gel, of the contents or of the
 shots alike at the same phase of their first cycle. Both are Gaussian processes with Matern-3/2
 covariance beside the noise of single frames, the first independent between shots, the second common
 to them, in part or whole. Of a single shot they are the same.
-
-Kalman filters, many side by side, that whiten curves under independent noise and a smooth
-Gaussian process.
-
-The process has a Matern-3/2 covariance, which is that of the first of two state variables
-(Hartikainen & Sarkka, IEEE MLSP 2010), so a curve costs in proportion to its frames.
 """
 
 import math
@@ -19,86 +13,13 @@ from dataclasses import dataclass
 from itertools import product
 
 import torch
-from jaxtyping import Float
 from torch import Tensor
 from torch.distributions import MultivariateNormal
 
+from imr_torch.assimilate.matern import MATERN
 from imr_torch.assimilate.posterior import Neighbourhood
-from imr_torch.float64 import tensor, zeros
+from imr_torch.float64 import tensor
 from imr_torch.observe import collapse_time
-from imr_torch.types import ExperimentFrames, FrameMask
-
-MATERN = 2.146193
-"""Rate of a Matern-3/2 covariance times the lag at which it has fallen to 1/e."""
-
-
-def matern_whitened(
-    times: ExperimentFrames,
-    mask: FrameMask,
-    noise: Float[Tensor, "laws experiments frames"],
-    smooth: Float[Tensor, "laws"],
-    rates: Float[Tensor, "laws"],
-    columns: Float[Tensor, "columns experiments frames"],
-) -> tuple[Float[Tensor, "laws columns experiments frames"], Float[Tensor, "laws experiments"]]:
-    """Columns whitened under independent noise and a smooth Gaussian process, by Kalman filters
-    side by side.
-
-    Args:
-        times: dimensionless, increasing.
-        mask: frames that count.
-        noise: variance of the independent noise.
-        smooth: variance of the process, whose covariance is ``(1 + x) exp(-x)`` of it, ``x`` the
-            rate times the lag.
-        rates: of the process.
-        columns: what is whitened.
-
-    Returns:
-        The whitened columns, 0 where the mask is not set, and half the log determinants of the
-        covariances.
-    """
-    count, experiments, frames = noise.shape
-    variance, rate = (x[:, None].expand(count, experiments) for x in (smooth, rates))
-    bent = variance * rate.square()  # of the process's derivative
-    value = zeros(count, len(columns), experiments)
-    slope = torch.zeros_like(value)
-    p00 = variance
-    p01 = torch.zeros_like(variance)
-    p11 = bent
-    seen = zeros(count, len(columns), experiments, frames)
-    log_det = torch.zeros_like(variance)
-    gaps = torch.nn.functional.pad(times.diff(dim=1), (1, 0))
-    for k in range(frames):
-        if k:
-            x = rate * gaps[:, k]
-            decay = torch.exp(-x)
-            a00 = decay * (1.0 + x)
-            a01 = decay * gaps[:, k]
-            a10 = -decay * rate * x
-            a11 = decay * (1.0 - x)
-            value, slope = (
-                a00[:, None] * value + a01[:, None] * slope,
-                a10[:, None] * value + a11[:, None] * slope,
-            )
-            q00, q11 = (
-                p00 - variance,
-                p11 - bent,
-            )  # what the last frame told, carried on to this one
-            p00, p01, p11 = (
-                variance + a00 * a00 * q00 + 2.0 * a00 * a01 * p01 + a01 * a01 * q11,
-                a00 * a10 * q00 + (a00 * a11 + a01 * a10) * p01 + a01 * a11 * q11,
-                bent + a10 * a10 * q00 + 2.0 * a10 * a11 * p01 + a11 * a11 * q11,
-            )
-        used = mask[:, k]
-        total = p00 + noise[:, :, k]
-        innovation = columns[None, :, :, k] - value
-        seen[..., k] = torch.where(used, innovation * total.rsqrt()[:, None], 0.0)
-        log_det = log_det + torch.where(used, 0.5 * total.log(), 0.0)
-        g0 = torch.where(used, p00 / total, 0.0)
-        g1 = torch.where(used, p01 / total, 0.0)
-        value = value + g0[:, None] * innovation
-        slope = slope + g1[:, None] * innovation
-        p00, p01, p11 = p00 - g0 * p00, p01 - g0 * p01, p11 - g1 * p01
-    return seen, log_det
 
 
 @dataclass(frozen=True)

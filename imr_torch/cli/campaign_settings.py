@@ -111,10 +111,8 @@ def one_model(prior: Belief, case: ReferenceCase | None) -> Belief:
 
 def _make_optimal(args: Namespace) -> Optimal:
     """The search for the most informative design, of the size that the options ask for."""
-    search = Optimal()
-    return replace(
-        search, evaluations=args.evaluations, initial=min(search.initial, args.evaluations)
-    )
+    initial = min(Optimal.initial, args.evaluations)
+    return Optimal(evaluations=args.evaluations, initial=initial)
 
 
 def _read_baseline(text: str) -> DesignPolicy:

@@ -90,23 +90,6 @@ def log_likelihood(
     return log + equations.with_prior(still[0, :0], still).log_nuisance_integral
 
 
-def pairwise_log_likelihood(
-    data: Data, gels: Response, plan: Plan, *, block: int = 4_000_000
-) -> Float[Tensor, "data gels"]:
-    """``n x m`` log densities of every datum given every gel, ``block`` numbers at once."""
-    per_row = gels.radius.numel() * (1 + gels.by_nuisance.shape[-1])
-    rows = max(1, block // max(1, per_row))
-    blocks = [data[i : i + rows] for i in range(0, max(1, len(data)), rows)]
-    return torch.cat(
-        [
-            log_likelihood(
-                Data(b.radius[:, None], b.window[:, None]), gels.radius, gels.by_nuisance, plan
-            )
-            for b in blocks
-        ]
-    )
-
-
 @dataclass(frozen=True)
 class Linear:
     """Linear-Gaussian inference from each datum about a gel of its own.

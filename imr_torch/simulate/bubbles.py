@@ -27,7 +27,8 @@ from imr_torch.material import (
     dimensionless,
 )
 from imr_torch.simulate.conditions import SATURATION_PREFACTOR, SATURATION_TEMPERATURE, Conditions
-from imr_torch.simulate.setting import MEDIUM, Setting
+from imr_torch.simulate.medium import MEDIUM
+from imr_torch.simulate.setting import Setting
 from imr_torch.types import BubbleValues
 from imr_torch.units import Number
 

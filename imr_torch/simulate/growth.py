@@ -19,7 +19,7 @@ from torch import Tensor
 from imr_torch.errors import UnsupportedError
 from imr_torch.material import PARAMETERS, TERMS
 from imr_torch.simulate.conditions import Conditions
-from imr_torch.simulate.setting import OF_MEDIUM
+from imr_torch.simulate.medium import OF_MEDIUM
 from imr_torch.simulate.simulator import Simulator, Solution
 from imr_torch.types import DesignVectors, FrameTimes, ParameterVectors
 

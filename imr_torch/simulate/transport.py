@@ -18,17 +18,10 @@ from imr_torch.material import StressTerm
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import bracket_times, ends_of, hermite_cubic, interpolate_radius
 from imr_torch.simulate.conditions import Conditions
+from imr_torch.simulate.controller import FIRST_STEP, PATIENCE, UNDERFLOW
 from imr_torch.simulate.engines import Engine, EngineSimulator, can_compile
 from imr_torch.simulate.grids import Resolution
-from imr_torch.simulate.ode_method import (
-    ACCEPTED,
-    CONTROL,
-    FIRST_STEP,
-    NOT_FINITE,
-    PATIENCE,
-    UNDERFLOW,
-    TransportField,
-)
+from imr_torch.simulate.ode_method import ACCEPTED, CONTROL, NOT_FINITE, TransportField
 from imr_torch.simulate.rhs import Equations
 from imr_torch.simulate.simulator import RUNAWAY, Simulator, Status
 from imr_torch.simulate.wall import name_sonic

@@ -164,6 +164,8 @@ def test_that_the_medium_is_stated_and_a_wrong_one_refused(app: App) -> None:
     app.page.get_by_label("sd of density").fill("5")
     app.page.get_by_role("button", name="State it").click()
     app.sees(re.compile(r"density 1040 \+- 5 kg/m\^3"))
+    settings = json.loads((app.folder / "settings.json").read_text())
+    assert settings["medium"] == "density=1040:5"
 
 
 def run(app: App, seconds: float = 240.0) -> None:
@@ -208,6 +210,8 @@ def test_that_the_next_design_builds_on_the_result(app: App) -> None:
     app.page.frame_locator("iframe").get_by_text(re.compile(r"Shoot We \d+")).wait_for(
         timeout=20000
     )
+    design = json.loads((app.folder / "results/002_design/design.json").read_text())
+    assert len(design["evaluations"]) == 3
 
 
 def test_that_a_run_can_be_stopped(app: App) -> None:
@@ -217,6 +221,7 @@ def test_that_a_run_can_be_stopped(app: App) -> None:
     app.page.get_by_role("button", name="Run", exact=True).click()
     app.page.get_by_role("button", name="Stop").click(timeout=20000)
     app.sees(re.compile(r"003_diagnose: stopped"), 60.0)
+    assert json.loads((app.folder / "results/003_diagnose/run.json").read_text())["status"] == 130
 
 
 @pytest.mark.parametrize("width", [400, 1280])

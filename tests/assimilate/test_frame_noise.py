@@ -11,8 +11,8 @@ from scipy.stats import kstest
 
 from imr_torch.assimilate import FrameNoisePrior, Posterior, infer_frame_noise
 from imr_torch.assimilate.forward import Point
+from imr_torch.assimilate.matern import MATERN, matern_whitened
 from imr_torch.assimilate.posterior import Neighbourhood
-from imr_torch.assimilate.slow_noise import MATERN, matern_whitened
 from imr_torch.assimilate.spikes import frames_left_out, without_spoilt_frames
 from imr_torch.gap import LIBRARY
 from imr_torch.gap.adequacy import adequacy_test

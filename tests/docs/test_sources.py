@@ -94,7 +94,8 @@ def commands() -> list[tuple[str, str]]:
 
 @pytest.mark.parametrize(("page", "line"), [x for x in commands() if "--version" not in x[1]])
 def test_that_a_command_of_the_documentation_has_options_that_exist(page, line):
-    build_parser().parse_args(shlex.split(line, comments=True)[1:])
+    words = shlex.split(line, comments=True)[1:]
+    assert build_parser().parse_args(words).command == words[0]
 
 
 def examples() -> list:

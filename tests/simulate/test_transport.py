@@ -27,8 +27,8 @@ from imr_torch.simulate import (
 )
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import bracket_times, ends_of, hermite_cubic
+from imr_torch.simulate.controller import scaled_error, step_factor
 from imr_torch.simulate.engines import ENGINES
-from imr_torch.simulate.ode_method import scaled_error, step_factor
 from imr_torch.simulate.rhs import HEAD, Equations
 from imr_torch.simulate.rosenbrock import rosenbrock_step
 

@@ -47,7 +47,7 @@ from imr_torch.simulate.contents import (
     wall_of,
     warm_profile,
 )
-from imr_torch.simulate.ode_method import REST
+from imr_torch.simulate.controller import REST
 from imr_torch.simulate.rosenbrock import COUPLING, MOMENTS, TIME_INCREMENTS
 from imr_torch.simulate.rosenbrock import STAGES as ROWS
 

@@ -1,7 +1,7 @@
 """Bundles of bubbles with heat and vapour transport, integrated one after the other by compiled
 code.
 
-Step control and bundles as in the tensor engine (:mod:`~imr_torch.simulate.ode_method`,
+Step control and bundles as in the tensor engine (:mod:`~imr_torch.simulate.controller`,
 :mod:`~imr_torch.simulate.ode_method`), for one bubble at a time: no masks, no slots. A bundle is a
 loop over its members along the leader's steps (:mod:`imr_torch.simulate.compiled.step`).
 """
@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from imr_torch.elementary import kernel
-from imr_torch.simulate.ode_method import GROW, HEAT_WEIGHT, PATIENCE, SAFETY, SHRINK, UNDERFLOW
+from imr_torch.simulate.controller import GROW, HEAT_WEIGHT, PATIENCE, SAFETY, SHRINK, UNDERFLOW
 from imr_torch.simulate.rosenbrock import GAMMA, ORDER
 from imr_torch.simulate.simulator import RUNAWAY, Status
 
@@ -38,7 +38,7 @@ _UNDERFLOW = int(Status.STEP_UNDERFLOW)
 
 @kernel
 def scaled_error(before, after, error, space, tolerance):
-    """As :func:`imr_torch.simulate.ode_method.scaled_error`, of one bubble."""
+    """As :func:`imr_torch.simulate.controller.scaled_error`, of one bubble."""
     n, m, (vapours, gels, memory) = len(space.y), len(space.shear), locate_parts(space)
     radius = after[0]
     if not radius > 0.0:
