@@ -21,14 +21,10 @@ from torch import Tensor
 from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit
 from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.local_minimum import Descent
-from imr_torch.assimilate.multistart import (
-    ModelSearch,
-    best_prior_draws,
-    given_starts,
-    starts_beside,
-)
+from imr_torch.assimilate.multistart import ModelSearch
 from imr_torch.assimilate.options import SearchOptions
 from imr_torch.assimilate.posterior import Posterior
+from imr_torch.assimilate.starts import best_prior_draws, given_starts, starts_beside
 from imr_torch.errors import ConvergenceWarning
 from imr_torch.material import Belief
 from imr_torch.material.belief import even_belief

@@ -86,7 +86,7 @@ class SearchOptions:
             (:mod:`imr_torch.assimilate.basins`); with 0 none is searched for, as where nuisances
             begin at a fit whose basins were compared.
         mask_collapses: whether chains leave the frames next to collapses out until they are near a
-            minimum (:mod:`imr_torch.assimilate.multistart`); when not given, those that start from
+            minimum (:mod:`imr_torch.assimilate.starts`); when not given, those that start from
             prior draws do.
         descent: how each descent goes on.
 

@@ -33,7 +33,6 @@ from imr_torch.assimilate.fit import Assimilation, ModelFit, Verdict
 from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.importance import ImportanceSample, NoiseSample
 from imr_torch.assimilate.map_fit import assimilate_model
-from imr_torch.assimilate.multistart import draw_perturbation
 from imr_torch.assimilate.noise_law import NoiseNodes
 from imr_torch.assimilate.options import SearchOptions, WeighingOptions
 from imr_torch.assimilate.posterior import Posterior
@@ -44,6 +43,7 @@ from imr_torch.assimilate.proposals import (
     student_log_prob,
 )
 from imr_torch.assimilate.ridge import trace_ridge
+from imr_torch.assimilate.starts import draw_perturbation
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.float64 import zeros
 from imr_torch.random import child, generator

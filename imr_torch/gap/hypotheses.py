@@ -19,7 +19,7 @@ from torch import Tensor
 
 from imr_torch.assimilate import Assimilation, ModelFit, Point, Posterior, SearchOptions, assimilate
 from imr_torch.assimilate.fit import NEARLY, ONE_MINIMUM, PROMISED
-from imr_torch.assimilate.multistart import draw_perturbation
+from imr_torch.assimilate.starts import draw_perturbation
 from imr_torch.float64 import tensor
 from imr_torch.material import Belief, Effect, ModelBelief
 from imr_torch.material.belief import even_belief

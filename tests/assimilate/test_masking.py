@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import SearchOptions, assimilate, multistart
+from imr_torch.assimilate import SearchOptions, assimilate, starts
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise
 from imr_torch.random import generator
@@ -76,7 +76,7 @@ def wrong_minima() -> int:
 def test_that_chains_pass_frames_next_to_a_collapse(monkeypatch: pytest.MonkeyPatch) -> None:
     assert wrong_minima() <= 2
     monkeypatch.setattr(
-        multistart,
+        starts,
         "away_from_collapses",
         lambda times, radius: torch.ones_like(times, dtype=torch.bool),
     )
@@ -87,9 +87,7 @@ def test_which_frames_are_next_to_a_collapse() -> None:
     radius = tensor(
         1.0, 0.9, 0.8, 0.2, 0.5, 0.7, 0.6, 0.5, 0.3, 0.1
     )  # a collapse at frame 3, and one at the end of the record
-    kept = multistart.away_from_collapses(torch.arange(10, dtype=torch.float64), radius)
+    kept = starts.away_from_collapses(torch.arange(10, dtype=torch.float64), radius)
     assert kept.tolist() == [True, True, False, False, False, True, True, True, False, False]
     for short in (tensor(1.0, 1.0, 1.0), tensor(1.0, 0.2, 0.9)):
-        assert bool(
-            multistart.away_from_collapses(torch.arange(3, dtype=torch.float64), short).all()
-        )
+        assert bool(starts.away_from_collapses(torch.arange(3, dtype=torch.float64), short).all())

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from imr_torch.assimilate import Posterior, SearchOptions, assimilate
-from imr_torch.assimilate.multistart import given_starts, starts_beside
+from imr_torch.assimilate.starts import given_starts, starts_beside
 from imr_torch.observe import Nuisance
 from imr_torch.random import generator
 from tests.linear import LinearSimulator, experiments, prior, tensor
