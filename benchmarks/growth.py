@@ -26,7 +26,7 @@ from benchmarks.real_gels import SETS
 from benchmarks.records import Job, Line, read_record, run_missing_jobs, write_table
 from imr_torch import load_traces, wide_prior
 from imr_torch.assimilate import SearchOptions, assimilate
-from imr_torch.assimilate.multistart import away_from_collapses
+from imr_torch.assimilate.starts import away_from_collapses
 from imr_torch.characterization import medium_of
 from imr_torch.errors import InputDataError
 from imr_torch.material import LIBRARY, Belief
