@@ -8,11 +8,13 @@
 diagnosis has 18 + 18), with errors of Rmax, time zero and R_inf. They are read as a laboratory's
 curves are: Rmax, time zero, R_inf and the window from the curve itself, everything else by default;
 with `--stated` R_inf is stated with an error of 1 %. The kinds of noise are those of `NOISES`;
-`effect` has an effect of the library and the published noise times .4; in `gels` each shot has a
-gel of its own (G and mu differ by 30 %). `labelled` takes sets of a separate program (one repeat of
-each, and the mean of all repeats as one curve, which has the noise of one over the root of their
-number). Each line has the p-value by the inferred noise and by the true one. `characterize` runs on
-every fifth set without an effect (`--every`). A run goes on where it stopped.
+`effect` has an effect of the library and the published noise times .4, `withheld` one that is taken
+out of the library; in `gels` each shot has a gel of its own (G and mu differ by 30 %). With
+`--shown` an effect that the true noise does not show at p < .001 is not diagnosed. `labelled` takes
+sets of a separate program (one repeat of each, and the mean of all repeats as one curve, which has
+the noise of one over the root of their number). Each line has the p-value by the inferred noise and
+by the true one. `characterize` runs on every fifth set without an effect (`--every`). A run goes on
+where it stopped.
 """
 
 import argparse
@@ -58,10 +60,13 @@ TRUTH = TransportSimulator(accuracy=SHARP, threads=1)
 FITS = TransportSimulator(accuracy=ACCURACIES["search"], threads=1)
 BASE = wide_prior(("nhkv",)).models[0]
 SHOTS = 3
+SHOWN = 1e-3
+"""P-value by the true noise below which an effect is to be seen."""
 SEED = 74000
 LENGTH = 4.0
 _DENSE = 801
 ALL = "all but slow and gels"
+ACTED = ("effect", "withheld")
 
 Curve = tuple[Tensor, Tensor, Noise]
 """Times, noisy radius and the law of its noise in single frames, dimensionless."""
@@ -142,7 +147,7 @@ def simulate_set(
             for name, (low, high) in GEL.items()
         }
         truth: Line = {"effect": "none", **values}
-        if kind == "effect":
+        if kind in ACTED:
             name = names[int(torch.randint(len(names), (), generator=source))]
             effect, drawn = draw_effect(LIBRARY[name], source)
             values |= drawn
@@ -156,8 +161,8 @@ def simulate_set(
         clean = _solve_shots(plan, values, draws, logs)
         if bool(torch.isfinite(clean).all()):
             break
-    quiet = {"effect": white(Noise(scale=0.4)), "gels": NOISES["published"]}
-    camera = (NOISES | quiet)[kind]
+    acted = dict.fromkeys(ACTED, white(Noise(scale=0.4)))
+    camera = (NOISES | acted | {"gels": NOISES["published"]})[kind]
     traces = []
     laws = []
     for shot, (weber, rest) in enumerate(designs):
@@ -227,16 +232,33 @@ def read_labelled(
             yield f"{kind}/{name}", TraceSet(tuple(traces)), [noise] * SHOTS, truth
 
 
-def diagnose_traces(key: str, traces: TraceSet, laws: Sequence[Noise], truth: Line) -> Line:
-    """What is said of one set, and the same test by the true noise."""
-    started = time.process_time()
-    line: Line = {"kind": key.split("/")[0], "truth": truth}
+def diagnose_traces(
+    key: str, traces: TraceSet, laws: Sequence[Noise], truth: Line, *, shown: bool = False
+) -> Line:
+    """What is said of one set, and the same test by the true noise; that alone where only effects
+    that are ``shown`` by it count.
+    """
+    kind = key.split("/")[0]
+    line: Line = {"kind": kind, "truth": truth}
     try:
         experiments = prepare(traces).experiments
     except ImrError as error:
         return line | {"refused": str(error)[:160]}
+    batch = _give_noise(ExperimentBatch(experiments), laws)
+    null = fit_null(BASE, batch, fewer_steps(FITS), seed=1)
+    effects = tuple(library(base=BASE.model))
+    line["p_known"] = adequacy_test(null, effects, batch, fewer_steps(FITS), seed=1).test.p_value
+    if shown and kind in ACTED and line["p_known"] >= SHOWN:
+        return line
+    hidden = families([truth["effect"]]) if kind == "withheld" else set()
+    started = time.process_time()
     report = diagnose(
-        experiments, base=BASE, estimate_noise=True, simulator=FITS, seed=child(0, key)
+        experiments,
+        base=BASE,
+        effects=[effect for effect in effects if effect.family not in hidden],
+        estimate_noise=True,
+        simulator=FITS,
+        seed=child(0, key),
     )
     line |= {
         "p": report.gap.p_value,
@@ -247,10 +269,6 @@ def diagnose_traces(key: str, traces: TraceSet, laws: Sequence[Noise], truth: Li
         "factors": [e.noise_factor for e in report.batch.curves],
         "seconds": time.process_time() - started,
     }
-    batch = _give_noise(ExperimentBatch(experiments), laws)
-    null = fit_null(BASE, batch, fewer_steps(FITS), seed=1)
-    effects = tuple(library(base=BASE.model))
-    line["p_known"] = adequacy_test(null, effects, batch, fewer_steps(FITS), seed=1).test.p_value
     if report.batch.times.shape == batch.times.shape:
         ratio = report.batch.sd(report.null.prediction) / batch.sd(null.prediction)
         line["noise_over_truth"] = math.exp(float(ratio[batch.mask].log().mean()))
@@ -283,13 +301,20 @@ def characterize_traces(traces: TraceSet, truth: Line, seed: int) -> Line:
 
 
 def judge_simulated(
-    number: int, kind: str, *, stated: bool, fit: bool, diagnosed: bool, seed: int
+    number: int,
+    kind: str,
+    *,
+    stated: bool,
+    fit: bool,
+    diagnosed: bool,
+    shown: bool,
+    seed: int,
 ) -> Line:
     """The line of a simulated set; with ``fit`` it is characterised too, or that alone."""
     traces, laws, truth = simulate_set(number, kind, stated=stated, seed=seed)
     if not diagnosed:
         return {"kind": kind, "truth": truth} | characterize_traces(traces, truth, number)
-    line = diagnose_traces(f"{kind}/{number}", traces, laws, truth)
+    line = diagnose_traces(f"{kind}/{number}", traces, laws, truth, shown=shown)
     if fit and "refused" not in line:
         line |= characterize_traces(traces, truth, number)
     return line
@@ -304,12 +329,12 @@ def list_jobs(args: argparse.Namespace) -> Mapping[str, Job]:
             for key, *own in read_labelled(args.folder, stated=args.stated)
             if not only or key.split("/")[0] in only
         }
-    kinds = only or [*NOISES, "gels", "effect"]
+    kinds = only or [*NOISES, "gels", *ACTED]
     jobs = {}
     for number in range(args.sets):
         turn, place = divmod(number, len(kinds))
         kind = kinds[place]
-        fit = kind not in ("effect", "slow", "gels") and args.every and turn % args.every == 0
+        fit = kind not in (*ACTED, "slow", "gels") and args.every and turn % args.every == 0
         jobs[f"{kind}/{number}"] = partial(
             judge_simulated,
             number,
@@ -317,6 +342,7 @@ def list_jobs(args: argparse.Namespace) -> Mapping[str, Job]:
             stated=args.stated,
             fit=bool(fit),
             diagnosed=not args.fits_only,
+            shown=args.shown,
             seed=args.seed,
         )
     return jobs
@@ -347,7 +373,9 @@ def write_scores(lines: Sequence[Line]) -> str:
         pages.append(f"characterize, {len(checked)} sets: KS p {p:.2f}; intervals hold {shares}.")
     if any(x.get("parts") for x in lines):
         pages.append(_write_parts(lines))
-    return "\n".join([*pages, _write_named([x for x in lines if x not in quiet and "p" in x])])
+    acted = [x for x in lines if x not in quiet and "p_known" in x]
+    pages += [_write_named(kind, [x for x in acted if x["kind"] == kind]) for kind in _kinds(acted)]
+    return "\n".join(pages)
 
 
 def _write_parts(lines: Sequence[Line]) -> str:
@@ -385,15 +413,15 @@ def _cells(lines: Sequence[Line]) -> tuple[object, ...]:
     )
 
 
-def _write_named(lines: Sequence[Line]) -> str:
-    """Sets with an effect in a sentence."""
-    plain = [x for x in lines if x["p_known"] < 1e-3]
+def _write_named(kind: str, lines: Sequence[Line]) -> str:
+    """Sets of a kind with an effect in a sentence."""
+    plain = [x for x in lines if x["p_known"] < SHOWN]
     seen = [x for x in plain if x["p"] < 0.04]
     named = [x for x in seen if is_named(x)]
     right = sum(families([x["truth"]["effect"]]) <= families(x["cause"]) for x in named)
     others = dict(Counter(x["verdict"] for x in seen if x not in named))
     return (
-        f"With an effect: {len(lines)} sets; {len(plain)} with p < .001 by the true noise, of "
+        f"{kind}: {len(lines)} sets; {len(plain)} with p < {SHOWN} by the true noise, of "
         f"which {len(seen)} are seen; of these {right} named right or in the class, "
         f"{len(named) - right} wrong, {others}."
     )
@@ -409,6 +437,7 @@ def main() -> None:
     runs.add_argument("--sets", type=int, default=275)
     runs.add_argument("--seed", type=int, default=SEED, help="other sets by another one")
     runs.add_argument("--every", type=int, default=5, help="is characterised too; 0: none")
+    runs.add_argument("--shown", action="store_true", help="diagnose effects that p < .001 shows")
     runs.add_argument("--fits-only", action="store_true", help="characterise, and no diagnosis")
     labelled = commands.add_parser("labelled", help="diagnose sets of a separate program")
     labelled.add_argument("folder", type=Path)
