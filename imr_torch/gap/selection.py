@@ -6,14 +6,17 @@ expected loss (:mod:`imr_torch.gap.verdict`), "other" where an unknown effect st
 than not, and undecided where a fit that it rests on has not converged.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import torch
+
 from imr_torch.assimilate import ModelFit
-from imr_torch.gap.adequacy import Adequacy
+from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.attribute import Attribution, Inquiry, attribute, reconsider
-from imr_torch.gap.hypotheses import EXPLAINS, Hypothesis, in_words, laplace_evidence
-from imr_torch.gap.verdict import MEMBER, NONE, OTHER, SLOW_NOISE, Choice, choose
+from imr_torch.gap.hypotheses import EXPLAINS, Hypothesis, finish, in_words, laplace_evidence
+from imr_torch.gap.verdict import MEMBER, NONE, OTHER, PRIOR_TWO, SLOW_NOISE, Choice, choose
 from imr_torch.labels import p_value
 from imr_torch.random import child
 from imr_torch.types import Progress
@@ -99,7 +102,9 @@ def select_causes(
                 f"{found.posterior[NONE]:.2f}."
             )
             return Finding(NONE, (), reason, held, null, found, None, choice, steps)
-        if _is_slow_noise(found):
+        beside_noise = _is_slow_noise(found)
+        acting = _find_beside_deviations(found) if beside_noise else None
+        if beside_noise and acting is None:
             beside = (
                 f"Beside {' and '.join(map(in_words, held.parts))}, the" if held.parts else "The"
             )
@@ -110,6 +115,13 @@ def select_causes(
             )
             p = found.adequacy.p_value
             return Finding(OTHER, (), reason, held, fit, steps[0], p, choice, steps)
+        if acting is not None:
+            held = found.hypotheses[acting]
+            seen = held.seen(inquiry.batch)
+            own = child(seed, "beside deviations", len(held.parts))
+            fit = finish(found.fits[acting], seen, inquiry.simulator, seed=own, progress=progress)
+            before = adequacy_test(fit, inquiry.effects, seen, inquiry.simulator, seed=own)
+            continue
         held = found.winner
         fit = found.winner_fit
         named = _with_one_part(inquiry, left, steps, seed)
@@ -179,6 +191,19 @@ def _conclude_other(
         f"({explained:.0f} nats; {misfit}; adequacy {p_value(test.p_value)})."
     )
     return replace(finding, reason=reason)
+
+
+def _find_beside_deviations(found: Attribution) -> str | None:
+    """The hypothesis of largest evidence beside smooth deviations, whatever they are, if one of
+    those with a part more is probable there.
+    """
+    values = dict(found.beside_deviations)
+    held = values.pop(found.held.name)
+    share = math.log(PRIOR_TWO / len(values))
+    gained = torch.tensor(list(values.values())).logsumexp(0) + share - held
+    if float(gained.sigmoid()) < 1.0 - MEMBER:
+        return None
+    return max(values, key=lambda name: values[name])
 
 
 def _is_slow_noise(found: Attribution) -> bool:
