@@ -1,9 +1,10 @@
 """What the benchmarks share: jobs that go on where they stopped, records of one JSON line a job,
 figures with their Monte Carlo errors, and tables.
 
-A record is a file of JSON lines; ``key`` tells the lines apart, and ``code`` is the hash of the code
-that made them. Shares have exact intervals (Clopper & Pearson, Biometrika 26, 1934), means those of
-a normal distribution, quantiles those of order statistics; all hold 90 %.
+A record is a file of JSON lines; ``key`` tells the lines apart, and ``code`` is the hash of the
+code that decides what they say (:data:`DECIDING`). Shares have exact intervals (Clopper & Pearson,
+Biometrika 26, 1934), means those of a normal distribution, quantiles those of order statistics; all
+hold 90 %.
 """
 
 import ast
@@ -28,14 +29,49 @@ from imr_torch.simulate import process_pool
 Line = dict[str, Any]
 Job = Callable[[], Line]
 
+DECIDING = (
+    "material",
+    "simulate",
+    "reading",
+    "observe",
+    "record",
+    "assimilate",
+    "goodness",
+    "select",
+    "population",
+    "unknown",
+    "gap",
+    "design",
+    "campaign",
+    "characterization",
+)
+"""Rooms of the package that compute; texts, pages, files and commands are in the others."""
+
 
 @cache
 def hash_code(*rooms: str) -> str:
-    """Hash of the package's code, or of some of its folders, without comments and layout."""
+    """Hash of the package's code, or of some of its folders, without comments, docstrings and
+    layout.
+    """
     root = Path(imr_torch.__file__).parent
     paths = sorted(path for room in rooms or (".",) for path in (root / room).rglob("*.py"))
-    trees = (ast.dump(ast.parse(path.read_text(encoding="utf-8"))) for path in paths)
+    trees = (_without_docstrings(path.read_text(encoding="utf-8")) for path in paths)
     return hashlib.sha256("\n".join(trees).encode()).hexdigest()[:12]
+
+
+def _without_docstrings(source: str) -> str:
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        for name in ("body", "orelse"):
+            body = getattr(node, name, None)
+            if isinstance(body, list):
+                kept = [x for x in body if not _is_text(x)]
+                setattr(node, name, kept or body[:1])
+    return ast.dump(tree)
+
+
+def _is_text(node: ast.stmt) -> bool:
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
 
 
 def read_record(*paths: str | Path) -> list[Line]:
@@ -99,7 +135,7 @@ def _run_jobs(jobs: Mapping[str, Job], workers: int) -> Iterable[Line]:
 def run_job(key: str, job: Job) -> Line:
     """The line of a job, made on one thread."""
     torch.set_num_threads(1)
-    line: Line = {"key": key, "code": hash_code()}
+    line: Line = {"key": key, "code": hash_code(*DECIDING)}
     try:
         return line | job()
     except (ImrError, RuntimeError) as error:  # torch reports a singular matrix as the latter

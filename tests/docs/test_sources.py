@@ -149,6 +149,15 @@ def test_that_the_results_name_every_record_and_command_of_the_benchmarks_and_no
     assert {str(path.with_suffix("")).removesuffix("/__main__") for path in commands} == run
 
 
+def test_that_the_results_say_which_code_made_each_record():
+    from benchmarks.gap.__main__ import write_versions
+
+    text = (ROOT / "benchmarks" / "RESULTS.md").read_text()
+    assert write_versions() in text, (
+        "run python -m benchmarks.gap versions, and read what it quotes"
+    )
+
+
 @pytest.mark.parametrize(
     "path", sorted((ROOT / "tutorials").glob("[0-9]*.py")), ids=lambda path: path.stem
 )
