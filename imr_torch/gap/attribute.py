@@ -70,8 +70,8 @@ class Attribution:
         checked: hypothesis -> its evidence by importance sampling, of those near the best.
         left_out: hypotheses ahead of the winner whose fits did not converge, which therefore have
             no probability.
-        beside_deviations: hypothesis -> log evidence, nats, of it beside smooth deviations; where
-            the noise was inferred, of those whose gels differ as those of ``held`` do.
+        beside_deviations: hypothesis -> log evidence, nats, of it beside smooth deviations, where
+            the noise was inferred.
     """
 
     held: Hypothesis
@@ -343,7 +343,7 @@ class _Round:
         beside = dict[str, float]()
         if laws is not None and laws.of_residuals:
             smooth = smooth_deviations(self.null.linearise(self.batch, inquiry.simulator))
-            beside = {name: self._add_deviations(name) for name in alike if name in self.evidence}
+            beside = {name: self._add_deviations(name) for name in self.evidence}
         at_odds = {odds: self._posterior(odds, bayes_factor, smooth) for odds in ODDS}
         return Attribution(
             self.held,
@@ -362,7 +362,8 @@ class _Round:
 
     def _add_deviations(self, name: str) -> float:
         """Log evidence of a hypothesis beside smooth deviations, nats."""
-        near = self.fits[name].linearise(self.batch, self.inquiry.simulator)
+        seen = self.hypotheses[name].seen(self.inquiry.batch)
+        near = self.fits[name].linearise(seen, self.inquiry.simulator)
         return self.evidence[name] + smooth_deviations(near, most_frames=_FEW_FRAMES).either
 
     def _leader(self) -> str:

@@ -72,8 +72,69 @@ def select_causes(
 
     Each round adds the part of largest evidence beside those held. A first part that the second
     does not need is dropped. Where an unknown effect stays more probable than not, the verdict is
-    "other", or undecided where the last fit has not nearly converged.
+    "other", or undecided where the last fit has not nearly converged. Where the noise was inferred,
+    parts are then selected anew, beside smooth deviations: frames that all miss the model alike
+    must not count as independent evidence for whatever comes near them.
     """
+    finding = _select_until_adequate(
+        inquiry, null, left, most, alone=alone, seed=seed, progress=progress
+    )
+    if finding.verdict != OTHER or not finding.steps[0].beside_deviations:
+        return finding
+    return _select_beside_deviations(
+        inquiry, finding, null, left, most, alone=alone, seed=seed, progress=progress
+    )
+
+
+def _select_beside_deviations(
+    inquiry: Inquiry,
+    finding: Finding,
+    null: ModelFit,
+    left: Adequacy,
+    most: int,
+    *,
+    alone: Sequence[ModelFit],
+    seed: int,
+    progress: Progress,
+) -> Finding:
+    """The verdict "other" with the parts that are probable beside smooth deviations, whatever those
+    are.
+    """
+    held = Hypothesis(inquiry.base)
+    fit = null
+    while len(held.parts) < most and inquiry.longer(held):
+        own = child(seed, "beside deviations", len(held.parts))
+        found = next((step for step in finding.steps if step.held.name == held.name), None)
+        found = found or attribute(
+            inquiry, fit, held, before=left, seed=own, alone=alone, progress=progress
+        )
+        values = dict(found.beside_deviations)
+        gained = -values.pop(found.held.name) + math.log(PRIOR_TWO / len(values))
+        gained += float(torch.tensor(list(values.values())).logsumexp(0))
+        if torch.tensor(gained).sigmoid() < 1.0 - MEMBER:
+            break
+        held = found.hypotheses[max(values, key=lambda name: values[name])]
+        seen = held.seen(inquiry.batch)
+        fit = finish(found.fits[held.name], seen, inquiry.simulator, seed=own, progress=progress)
+        left = adequacy_test(fit, inquiry.effects, seen, inquiry.simulator, seed=own)
+    reason = (
+        f"Beside {' and '.join(map(in_words, held.parts))}, curves" if held.parts else "The curves"
+    ) + " differ from the model by slow noise of the camera or by an unknown effect."
+    return replace(
+        finding, selected=held, selected_fit=fit, adequacy_p=left.test.p_value, reason=reason
+    )
+
+
+def _select_until_adequate(
+    inquiry: Inquiry,
+    null: ModelFit,
+    left: Adequacy,
+    most: int,
+    *,
+    alone: Sequence[ModelFit],
+    seed: int,
+    progress: Progress,
+) -> Finding:
     held = Hypothesis(inquiry.base)
     fit = null
     before = left
@@ -102,9 +163,7 @@ def select_causes(
                 f"{found.posterior[NONE]:.2f}."
             )
             return Finding(NONE, (), reason, held, null, found, None, choice, steps)
-        beside_noise = _is_slow_noise(found)
-        acting = _find_beside_deviations(found) if beside_noise else None
-        if beside_noise and acting is None:
+        if _is_slow_noise(found):
             beside = (
                 f"Beside {' and '.join(map(in_words, held.parts))}, the" if held.parts else "The"
             )
@@ -115,13 +174,6 @@ def select_causes(
             )
             p = found.adequacy.p_value
             return Finding(OTHER, (), reason, held, fit, steps[0], p, choice, steps)
-        if acting is not None:
-            held = found.hypotheses[acting]
-            seen = held.seen(inquiry.batch)
-            own = child(seed, "beside deviations", len(held.parts))
-            fit = finish(found.fits[acting], seen, inquiry.simulator, seed=own, progress=progress)
-            before = adequacy_test(fit, inquiry.effects, seen, inquiry.simulator, seed=own)
-            continue
         held = found.winner
         fit = found.winner_fit
         named = _with_one_part(inquiry, left, steps, seed)
@@ -191,19 +243,6 @@ def _conclude_other(
         f"({explained:.0f} nats; {misfit}; adequacy {p_value(test.p_value)})."
     )
     return replace(finding, reason=reason)
-
-
-def _find_beside_deviations(found: Attribution) -> str | None:
-    """The hypothesis of largest evidence beside smooth deviations, whatever they are, if one of
-    those with a part more is probable there.
-    """
-    values = dict(found.beside_deviations)
-    held = values.pop(found.held.name)
-    share = math.log(PRIOR_TWO / len(values))
-    gained = torch.tensor(list(values.values())).logsumexp(0) + share - held
-    if float(gained.sigmoid()) < 1.0 - MEMBER:
-        return None
-    return max(values, key=lambda name: values[name])
 
 
 def _is_slow_noise(found: Attribution) -> bool:
