@@ -35,11 +35,6 @@ class SmoothDeviations:
     own: float
     common: float
 
-    @property
-    def either(self) -> float:
-        """Of deviations of which it is open whether they are alike."""
-        return float(tensor([self.own, self.common]).logsumexp(0)) - math.log(2.0)
-
 
 def smooth_deviations(
     near: Neighbourhood,

@@ -38,7 +38,6 @@ from imr_torch.random import child
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress, ProgressLine
 
-_FEW_FRAMES = 300  # that tell effects beside smooth deviations apart
 _SCALES_OF_NOISE = 9  # over which probabilities are averaged where the noise was inferred
 _MOST_LEFT_OUT = (
     3  # hypotheses whose fits do not converge, before the best of the others is taken as it is
@@ -70,8 +69,6 @@ class Attribution:
         checked: hypothesis -> its evidence by importance sampling, of those near the best.
         left_out: hypotheses ahead of the winner whose fits did not converge, which therefore have
             no probability.
-        beside_deviations: hypothesis -> log evidence, nats, of it beside smooth deviations, where
-            the noise was inferred.
     """
 
     held: Hypothesis
@@ -85,7 +82,6 @@ class Attribution:
     at_odds: dict[float, dict[str, float]] = field(default_factory=dict)
     checked: dict[str, CheckedEvidence] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
-    beside_deviations: dict[str, float] = field(default_factory=dict)
 
     @property
     def adequacy(self) -> GapTest:
@@ -340,10 +336,8 @@ class _Round:
         bayes_factor = like.bayes_factor(left.test.p_value)
         laws = self.batch.noise_laws
         smooth = None  # where the noise is known, slow noise included
-        beside = dict[str, float]()
         if laws is not None and laws.of_residuals:
             smooth = smooth_deviations(self.null.linearise(self.batch, inquiry.simulator))
-            beside = {name: self._add_deviations(name) for name in self.evidence}
         at_odds = {odds: self._posterior(odds, bayes_factor, smooth) for odds in ODDS}
         return Attribution(
             self.held,
@@ -357,14 +351,7 @@ class _Round:
             at_odds=at_odds,
             checked=checked,
             left_out=self.left_out,
-            beside_deviations=beside,
         )
-
-    def _add_deviations(self, name: str) -> float:
-        """Log evidence of a hypothesis beside smooth deviations, nats."""
-        seen = self.hypotheses[name].seen(self.inquiry.batch)
-        near = self.fits[name].linearise(seen, self.inquiry.simulator)
-        return self.evidence[name] + smooth_deviations(near, most_frames=_FEW_FRAMES).either
 
     def _leader(self) -> str:
         longer = [name for name in self.evidence if name != self.held.name]

@@ -21,7 +21,7 @@ from imr_torch.gap.hypotheses import (
     fit_null,
     may_differ,
 )
-from imr_torch.gap.selection import Finding, select_causes
+from imr_torch.gap.selection import Finding, WithinMisfit, select_causes
 from imr_torch.goodness.score import GapTest
 from imr_torch.labels import p_value
 from imr_torch.material import LIBRARY, Effect, ModelBelief, library, wide_prior
@@ -74,6 +74,11 @@ class GapReport(Finding):
     def base(self) -> ModelBelief:
         """The base model's prior."""
         return self.null.prior
+
+    @property
+    def trained(self) -> "GapReport | WithinMisfit":
+        """The fits that parts were selected by, with the data and their noise."""
+        return self.within_misfit or self
 
     @property
     def found(self) -> bool:

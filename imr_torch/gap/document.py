@@ -139,7 +139,7 @@ def _values(report: GapReport, parts: Parts) -> Document:
     """The parameters of the gel and of the named cause, with 90 % intervals."""
     named = report.selected_fit if report.verdict in ("effect", "class") else None
     error = parts.model_error
-    base = _intervals(report.null, report.base.names)
+    base = _intervals(report.trained.null, report.base.names)
     with_cause = named and _intervals(named, report.base.names)
     return {
         "parameters": with_cause or base,
@@ -228,7 +228,7 @@ def _curves(report: GapReport, simulator: Simulator | None) -> list[Document]:
     With a simulator, ``drawn`` holds the curves of the models at 600 points.
     """
     batch = report.batch
-    fits = {"base": (Hypothesis(report.base), report.null)}
+    fits = {"base": (Hypothesis(report.base), report.trained.null)}
     if report.selected.parts:
         fits["selected"] = (report.selected, report.selected_fit)
     dense = {

@@ -123,7 +123,7 @@ def judge_designs(
     Returns:
         The designs that could be simulated; none with fewer than two designs and none unseen.
     """
-    batch = report.batch
+    batch = report.trained.batch
     count = len(batch.experiments)
     if unseen is None and count < 2:
         return []
@@ -135,7 +135,7 @@ def judge_designs(
         kept = [i for i in range(count) if i not in out]
         training = _part(batch, kept)
         found = _select_again(report, training, kept, simulator, child(seed, "fold", number))
-        tasks.append((found, training, _part(batch, out)))
+        tasks.append((found, training, _part(report.batch, out)))
         if progress:
             labels = ", ".join(batch.experiments[i].label for i in out)
             progress(f"without {labels}: {found[0].name}")
@@ -158,8 +158,8 @@ def _base_of(report: GapReport, differ: bool) -> tuple[Hypothesis, ModelFit]:
     """The base model and its fit, with gels that differ where a selection holds them."""
     base = Hypothesis(report.base)
     if not differ:
-        return base, report.null
-    return base.differing(), report.steps[0].fits[GEL_SCATTER]
+        return base, report.trained.null
+    return base.differing(), report.trained.steps[0].fits[GEL_SCATTER]
 
 
 def _select_again(
@@ -175,8 +175,8 @@ def _select_again(
     are the hypotheses whose fits to all designs suit the others best.
     """
     held = Hypothesis(report.base)
-    fits = _train({held.name: (held, report.null)}, training, kept, simulator, seed)
-    for step in report.steps:
+    fits = _train({held.name: (held, report.trained.null)}, training, kept, simulator, seed)
+    for step in report.trained.steps:
         if step.held.name != held.name:
             break
         candidates = _likely(step, training, kept)

@@ -6,18 +6,23 @@ expected loss (:mod:`imr_torch.gap.verdict`), "other" where an unknown effect st
 than not, and undecided where a fit that it rests on has not converged.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import torch
-
-from imr_torch.assimilate import ModelFit
+from imr_torch.assimilate import ModelFit, infer_frame_noise
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.attribute import Attribution, Inquiry, attribute, reconsider
-from imr_torch.gap.hypotheses import EXPLAINS, Hypothesis, finish, in_words, laplace_evidence
-from imr_torch.gap.verdict import MEMBER, NONE, OTHER, PRIOR_TWO, SLOW_NOISE, Choice, choose
+from imr_torch.gap.hypotheses import (
+    EXPLAINS,
+    Hypothesis,
+    finish,
+    fit_null,
+    in_words,
+    laplace_evidence,
+)
+from imr_torch.gap.verdict import MEMBER, NONE, OTHER, SLOW_NOISE, Choice, choose
 from imr_torch.labels import p_value
+from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
 from imr_torch.types import Progress
 
@@ -25,6 +30,24 @@ _NO_GAP = 0.5  # probability of the base model alone from which on there is no g
 # probability of an unknown effect from which on the verdict is "other", once further effects were
 # tried
 _UNKNOWN = 0.5
+_ROUNDS = 2  # in which a fit and the noise that it leaves are found
+
+
+@dataclass(frozen=True)
+class WithinMisfit:
+    """Fits with noise of the size of what they leave, where no model is enough.
+
+    Args:
+        batch: the data with that noise.
+        null: the base model's fit.
+        left: the gap test there.
+        steps: attributions in the order of the selection.
+    """
+
+    batch: ExperimentBatch
+    null: ModelFit
+    left: Adequacy
+    steps: tuple[Attribution, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -44,6 +67,8 @@ class Finding:
         choice: the causes of least expected loss with their probabilities; None where no effect was
             fitted.
         steps: attributions in the order of the selection, ``attribution`` among them.
+        within_misfit: where the verdict is "other" and the noise was inferred, how the parts were
+            selected.
     """
 
     verdict: str
@@ -55,6 +80,7 @@ class Finding:
     adequacy_p: float | None = None
     choice: Choice | None = None
     steps: tuple[Attribution, ...] = ()
+    within_misfit: WithinMisfit | None = None
 
 
 def select_causes(
@@ -73,56 +99,81 @@ def select_causes(
     Each round adds the part of largest evidence beside those held. A first part that the second
     does not need is dropped. Where an unknown effect stays more probable than not, the verdict is
     "other", or undecided where the last fit has not nearly converged. Where the noise was inferred,
-    parts are then selected anew, beside smooth deviations: frames that all miss the model alike
-    must not count as independent evidence for whatever comes near them.
+    parts are then selected anew, with noise of the size of what is left: where no model is right,
+    what comes nearest to each frame is not what carries over to other curves.
     """
     finding = _select_until_adequate(
         inquiry, null, left, most, alone=alone, seed=seed, progress=progress
     )
-    if finding.verdict != OTHER or not finding.steps[0].beside_deviations:
+    laws = inquiry.batch.noise_laws
+    if finding.verdict != OTHER or laws is None or not laws.of_residuals:
         return finding
-    return _select_beside_deviations(
-        inquiry, finding, null, left, most, alone=alone, seed=seed, progress=progress
+    return _select_within_misfit(
+        inquiry, finding, null, most, alone=alone, seed=seed, progress=progress
     )
 
 
-def _select_beside_deviations(
+def _select_within_misfit(
     inquiry: Inquiry,
     finding: Finding,
     null: ModelFit,
-    left: Adequacy,
     most: int,
     *,
     alone: Sequence[ModelFit],
     seed: int,
     progress: Progress,
 ) -> Finding:
-    """The verdict "other" with the parts that are probable beside smooth deviations, whatever those
-    are.
+    """The verdict "other" with the parts that explain much even if all that is left counts as
+    noise.
     """
     held = Hypothesis(inquiry.base)
-    fit = null
+    fit, batch = _fit_within_misfit(inquiry, held, null, seed=child(seed, "misfit"))
+    left = adequacy_test(fit, inquiry.effects, batch, inquiry.simulator, seed=seed)
+    within = WithinMisfit(batch, fit, left)
     while len(held.parts) < most and inquiry.longer(held):
-        own = child(seed, "beside deviations", len(held.parts))
-        found = next((step for step in finding.steps if step.held.name == held.name), None)
-        found = found or attribute(
-            inquiry, fit, held, before=left, seed=own, alone=alone, progress=progress
+        own = child(seed, "misfit", len(held.parts))
+        found = attribute(
+            replace(inquiry, batch=batch),
+            fit,
+            held,
+            before=left,
+            seed=own,
+            alone=alone,
+            progress=progress,
         )
-        values = dict(found.beside_deviations)
-        gained = -values.pop(found.held.name) + math.log(PRIOR_TWO / len(values))
-        gained += float(torch.tensor(list(values.values())).logsumexp(0))
-        if torch.tensor(gained).sigmoid() < 1.0 - MEMBER:
+        within = replace(within, steps=(*within.steps, found))
+        if found.explained[found.winner.name] < EXPLAINS:
             break
-        held = found.hypotheses[max(values, key=lambda name: values[name])]
-        seen = held.seen(inquiry.batch)
-        fit = finish(found.fits[held.name], seen, inquiry.simulator, seed=own, progress=progress)
+        held = found.winner
+        fit, batch = _fit_within_misfit(inquiry, held, found.winner_fit, seed=own)
+        seen = held.seen(batch)
         left = adequacy_test(fit, inquiry.effects, seen, inquiry.simulator, seed=own)
-    reason = (
-        f"Beside {' and '.join(map(in_words, held.parts))}, curves" if held.parts else "The curves"
-    ) + " differ from the model by slow noise of the camera or by an unknown effect."
+    beside = f"Beside {' and '.join(map(in_words, held.parts))}, the" if held.parts else "The"
     return replace(
-        finding, selected=held, selected_fit=fit, adequacy_p=left.test.p_value, reason=reason
+        finding,
+        selected=held,
+        selected_fit=fit,
+        within_misfit=within,
+        reason=f"{beside} curves differ from the model by slow noise of the camera or by an effect "
+        "that the library does not hold.",
     )
+
+
+def _fit_within_misfit(
+    inquiry: Inquiry, held: Hypothesis, fit: ModelFit, *, seed: int
+) -> tuple[ModelFit, ExperimentBatch]:
+    """The fit of a hypothesis under noise of the size of what it leaves, and the data with that
+    noise.
+    """
+    batch = inquiry.batch
+    for number in range(_ROUNDS):
+        near = fit.linearise(held.seen(batch), inquiry.simulator)
+        batch = infer_frame_noise(near).for_fits(widen=True).applied(inquiry.batch)
+        if held.parts:
+            fit = finish(fit, held.seen(batch), inquiry.simulator, seed=child(seed, number))
+        else:
+            fit = fit_null(inquiry.base, batch, inquiry.simulator, seed=child(seed, number))
+    return fit, batch
 
 
 def _select_until_adequate(

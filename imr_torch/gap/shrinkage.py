@@ -248,9 +248,11 @@ def _placebo(
     report: GapReport, compared: Sequence[_Compared], count: int, seed: int
 ) -> tuple[float, ...]:
     """``S`` of random libraries, sorted: the procedure where no candidate is the cause."""
-    offered = len(report.steps[0].hypotheses) - 1
+    offered = len(report.trained.steps[0].hypotheses) - 1
     rounds = len(report.selected.effects)
-    sizes = [rows.norm(dim=1).mean() for rows in report.left.directions.values() if len(rows)]
+    sizes = [
+        rows.norm(dim=1).mean() for rows in report.trained.left.directions.values() if len(rows)
+    ]
     of_frame = float(torch.stack(sizes).median() / report.batch.mask.sum().sqrt())
     trainings = {id(one.pair.training): one.pair.training for one in compared}
     before = float(sum(one.base.sum() for one in compared))
