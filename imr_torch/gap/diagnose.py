@@ -8,6 +8,7 @@ unseen curves and what to shoot next is :func:`imr_torch.gap.examine`.
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 from imr_torch.assimilate import ModelFit, Posterior
 from imr_torch.assimilate.frame_noise import infer_frame_noise
@@ -16,11 +17,7 @@ from imr_torch.errors import InputDataError
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.attribute import Inquiry
 from imr_torch.gap.differing import fit_alone
-from imr_torch.gap.hypotheses import (
-    Hypothesis,
-    fit_null,
-    may_differ,
-)
+from imr_torch.gap.hypotheses import Hypothesis, finish, fit_null, may_differ
 from imr_torch.gap.selection import Finding, WithinMisfit, select_causes
 from imr_torch.goodness.score import GapTest
 from imr_torch.labels import p_value
@@ -169,7 +166,15 @@ def diagnose(
         own = child(seed, "alone")
         alone = fit_alone(null, batch, simulator, seed=own) if may_differ(batch) else ()
         inquiry = Inquiry(base, effects, batch, simulator)
-        found = select_causes(inquiry, null, left, most, alone=alone, seed=seed, progress=progress)
+        select = partial(select_causes, most=most, alone=alone, seed=seed, progress=progress)
+        found = select(inquiry, null, left)
+        if found.within_misfit is not None and found.selected.parts:
+            # beside what explains most the noise is seen better
+            own = child(seed, "noise beside parts")
+            batch = _infer_noise(found.selected, found.selected_fit, batch, simulator, seed=own)
+            null = fit_null(base, batch, simulator, seed=child(seed, "null"), progress=progress)
+            left = adequacy_test(null, effects, batch, simulator, seed=child(seed, "gap"))
+            found = select(replace(inquiry, batch=batch), null, left, nearest=found)
     return GapReport(
         **vars(found),
         batch=batch,
@@ -178,6 +183,19 @@ def diagnose(
         seconds=time.perf_counter() - start,
         spoilt=frames_left_out(experiments, batch.curves),
     )
+
+
+def _infer_noise(
+    held: Hypothesis, fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, seed: int
+) -> ExperimentBatch:
+    """The data with the noise that is inferred about the fit of a hypothesis, which is fitted again
+    with it.
+    """
+    for number in range(_NOISE_ROUNDS):
+        batch = infer_frame_noise(fit.linearise(held.seen(batch), simulator)).applied(batch)
+        if number + 1 < _NOISE_ROUNDS:
+            fit = finish(fit, held.seen(batch), simulator, seed=child(seed, number))
+    return batch
 
 
 def _with_inferred_noise(

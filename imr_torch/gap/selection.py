@@ -90,6 +90,7 @@ def select_causes(
     most: int,
     *,
     alone: Sequence[ModelFit],
+    nearest: Finding | None = None,
     seed: int,
     progress: Progress,
 ) -> Finding:
@@ -101,15 +102,25 @@ def select_causes(
     "other", or undecided where the last fit has not nearly converged. Where the noise was inferred,
     parts are then selected anew, with noise of the size of what is left: where no model is right,
     what comes nearest to each frame is not what carries over to other curves.
+    The parts that are ``nearest`` by then are tried again from there where they are given: with
+    little noise, a search may end where collapses lie on the wrong side of frames.
     """
     finding = _select_until_adequate(
-        inquiry, null, left, most, alone=alone, seed=seed, progress=progress
+        inquiry, null, left, most, alone=alone, nearest=nearest, seed=seed, progress=progress
     )
     laws = inquiry.batch.noise_laws
     if finding.verdict != OTHER or laws is None or not laws.of_residuals:
         return finding
-    return _select_within_misfit(
-        inquiry, finding, null, most, alone=alone, seed=seed, progress=progress
+    if nearest is None:
+        nearest = _select_within_misfit(
+            inquiry, finding, null, most, alone=alone, seed=seed, progress=progress
+        )
+    return replace(
+        finding,
+        selected=nearest.selected,
+        selected_fit=nearest.selected_fit,
+        within_misfit=nearest.within_misfit,
+        reason=nearest.reason,
     )
 
 
@@ -148,14 +159,15 @@ def _select_within_misfit(
         fit, batch = _fit_within_misfit(inquiry, held, found.winner_fit, seed=own)
         seen = held.seen(batch)
         left = adequacy_test(fit, inquiry.effects, seen, inquiry.simulator, seed=own)
-    beside = f"Beside {' and '.join(map(in_words, held.parts))}, the" if held.parts else "The"
+    nearest = " and ".join(map(in_words, held.parts))
+    explained = f"{nearest} explains some of it" if nearest else "none explains any of it"
     return replace(
         finding,
         selected=held,
         selected_fit=fit,
         within_misfit=within,
-        reason=f"{beside} curves differ from the model by slow noise of the camera or by an effect "
-        "that the library does not hold.",
+        reason="No effect of the library is enough; where all that is left counts as noise, "
+        f"{explained}.",
     )
 
 
@@ -183,6 +195,7 @@ def _select_until_adequate(
     most: int,
     *,
     alone: Sequence[ModelFit],
+    nearest: Finding | None,
     seed: int,
     progress: Progress,
 ) -> Finding:
@@ -202,6 +215,16 @@ def _select_until_adequate(
             masked=masked,
             progress=progress,
         )
+        if nearest is not None and not held.parts:
+            for part in nearest.selected.parts:
+                found = reconsider(
+                    inquiry,
+                    found,
+                    part,
+                    nearest.selected_fit,
+                    before=left,
+                    seed=child(seed, part),
+                )
         if held.parts and found.explained[found.winner.name] < EXPLAINS:
             break
         choice = choose(found.posterior)
