@@ -11,14 +11,13 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 from imr_torch.assimilate import ModelFit, Posterior
-from imr_torch.assimilate.frame_noise import infer_frame_noise
 from imr_torch.assimilate.spikes import frames_left_out, without_spoilt_frames
 from imr_torch.errors import InputDataError
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.attribute import Inquiry
 from imr_torch.gap.differing import fit_alone
-from imr_torch.gap.hypotheses import Hypothesis, finish, fit_null, may_differ
-from imr_torch.gap.selection import Finding, WithinMisfit, select_causes
+from imr_torch.gap.hypotheses import Hypothesis, fit_null, may_differ
+from imr_torch.gap.selection import Finding, WithinMisfit, fit_with_noise, select_causes
 from imr_torch.goodness.score import GapTest
 from imr_torch.labels import p_value
 from imr_torch.material import LIBRARY, Effect, ModelBelief, library, wide_prior
@@ -27,8 +26,6 @@ from imr_torch.random import child
 from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator, fewer_steps
 from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress, ProgressLine
-
-_NOISE_ROUNDS = 2  # times that the noise is inferred and the base model fitted with it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,8 +145,8 @@ def diagnose(
     null = fit_null(base, batch, simulator, seed=child(seed, "null"), progress=progress)
     if estimate_noise:
         batch = without_spoilt_frames(Posterior(base, batch, simulator).neighbourhood(null.point))
-        null, batch = _with_inferred_noise(
-            null, base, batch, simulator, seed=child(seed, "noise"), progress=progress
+        null, batch = fit_with_noise(
+            Hypothesis(base), null, batch, simulator, seed=child(seed, "noise"), progress=progress
         )
     left = adequacy_test(null, effects, batch, simulator, seed=child(seed, "gap"))
     gap = left.test
@@ -171,7 +168,8 @@ def diagnose(
         if found.within_misfit is not None and found.selected.parts:
             # beside what explains most the noise is seen better
             own = child(seed, "noise beside parts")
-            batch = _infer_noise(found.selected, found.selected_fit, batch, simulator, seed=own)
+            held = found.selected
+            _, batch = fit_with_noise(held, found.selected_fit, batch, simulator, seed=own)
             null = fit_null(base, batch, simulator, seed=child(seed, "null"), progress=progress)
             left = adequacy_test(null, effects, batch, simulator, seed=child(seed, "gap"))
             found = select(replace(inquiry, batch=batch), null, left, nearest=found)
@@ -183,37 +181,3 @@ def diagnose(
         seconds=time.perf_counter() - start,
         spoilt=frames_left_out(experiments, batch.curves),
     )
-
-
-def _infer_noise(
-    held: Hypothesis, fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, seed: int
-) -> ExperimentBatch:
-    """The data with the noise that is inferred about the fit of a hypothesis, which is fitted again
-    with it.
-    """
-    for number in range(_NOISE_ROUNDS):
-        batch = infer_frame_noise(fit.linearise(held.seen(batch), simulator)).applied(batch)
-        if number + 1 < _NOISE_ROUNDS:
-            fit = finish(fit, held.seen(batch), simulator, seed=child(seed, number))
-    return batch
-
-
-def _with_inferred_noise(
-    null: ModelFit,
-    base: ModelBelief,
-    batch: ExperimentBatch,
-    simulator: Simulator,
-    *,
-    seed: int,
-    progress: Progress,
-) -> tuple[ModelFit, ExperimentBatch]:
-    """The base model's fit under the noise that is inferred about it, and the data with that noise."""
-    for number in range(_NOISE_ROUNDS):
-        near = Posterior(base, batch, simulator).neighbourhood(null.point)
-        batch = infer_frame_noise(near).applied(batch)
-        if progress:
-            progress(f"noise {batch.noise}")
-        null = fit_null(
-            base, batch, simulator, seed=child(seed, number), near=null, progress=progress
-        )
-    return null, batch

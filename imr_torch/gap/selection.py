@@ -8,6 +8,7 @@ than not, and undecided where a fit that it rests on has not converged.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 from imr_torch.assimilate import ModelFit, infer_frame_noise
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
@@ -24,13 +25,14 @@ from imr_torch.gap.verdict import MEMBER, NONE, OTHER, SLOW_NOISE, Choice, choos
 from imr_torch.labels import p_value
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
+from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
 _NO_GAP = 0.5  # probability of the base model alone from which on there is no gap
 # probability of an unknown effect from which on the verdict is "other", once further effects were
 # tried
 _UNKNOWN = 0.5
-_ROUNDS = 2  # in which a fit and the noise that it leaves are found
+_NOISE_ROUNDS = 2  # times that the noise is inferred about a fit, and the fit made with it
 
 
 @dataclass(frozen=True)
@@ -138,7 +140,8 @@ def _select_within_misfit(
     noise.
     """
     held = Hypothesis(inquiry.base)
-    fit, batch = _fit_within_misfit(inquiry, held, null, seed=child(seed, "misfit"))
+    search = partial(fit_with_noise, simulator=inquiry.simulator, of_misfit=True, progress=progress)
+    fit, batch = search(held, null, inquiry.batch, seed=child(seed, "misfit"))
     left = adequacy_test(fit, inquiry.effects, batch, inquiry.simulator, seed=seed)
     within = WithinMisfit(batch, fit, left)
     while len(held.parts) < most and inquiry.longer(held):
@@ -156,7 +159,7 @@ def _select_within_misfit(
         if found.explained[found.winner.name] < EXPLAINS:
             break
         held = found.winner
-        fit, batch = _fit_within_misfit(inquiry, held, found.winner_fit, seed=own)
+        fit, batch = search(held, found.winner_fit, inquiry.batch, seed=own)
         seen = held.seen(batch)
         left = adequacy_test(fit, inquiry.effects, seen, inquiry.simulator, seed=own)
     nearest = " and ".join(map(in_words, held.parts))
@@ -171,20 +174,30 @@ def _select_within_misfit(
     )
 
 
-def _fit_within_misfit(
-    inquiry: Inquiry, held: Hypothesis, fit: ModelFit, *, seed: int
+def fit_with_noise(
+    held: Hypothesis,
+    fit: ModelFit,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    *,
+    of_misfit: bool = False,
+    seed: int,
+    progress: Progress = None,
 ) -> tuple[ModelFit, ExperimentBatch]:
-    """The fit of a hypothesis under noise of the size of what it leaves, and the data with that
-    noise.
+    """The fit of a hypothesis under the noise that is inferred about it, and the data with that
+    noise: of single frames, or of all that the fit leaves.
     """
-    batch = inquiry.batch
-    for number in range(_ROUNDS):
-        near = fit.linearise(held.seen(batch), inquiry.simulator)
-        batch = infer_frame_noise(near).for_fits(widen=True).applied(inquiry.batch)
+    for number in range(_NOISE_ROUNDS):
+        noise = infer_frame_noise(fit.linearise(held.seen(batch), simulator))
+        batch = (noise.for_fits(widen=True) if of_misfit else noise).applied(batch)
+        if progress:
+            progress(f"noise {batch.noise}")
+        own = {"seed": child(seed, number), "progress": progress}
         if held.parts:
-            fit = finish(fit, held.seen(batch), inquiry.simulator, seed=child(seed, number))
+            fit = finish(fit, held.seen(batch), simulator, **own)
         else:
-            fit = fit_null(inquiry.base, batch, inquiry.simulator, seed=child(seed, number))
+            near = None if of_misfit else fit
+            fit = fit_null(held.base, batch, simulator, near=near, **own)
     return fit, batch
 
 

@@ -1,0 +1,79 @@
+"""Strong effects by single curves whose noise is inferred: named though the base model's misfit
+spoils fits and noise, and selected beside slow deviations of each shot.
+"""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from imr_torch.gap import GapReport, diagnose, library
+from imr_torch.observe import Experiment, Noise
+from imr_torch.random import generator
+from imr_torch.simulate import PolytropicSimulator
+from tests.gap.synthetic import BASE, DESIGNS, shoot
+
+SIMULATOR = PolytropicSimulator(threads=1)
+OFFERED = ("stress_relaxation", "edge_error", "clock")
+LAW = Noise(scale=0.3)
+STRONG = {"tau": 8e-6}
+
+
+def single_curves(effect: dict[str, float], deviation: float) -> list[Experiment]:
+    """One curve a design, with slow deviations (sd in R* of each of three waves) that differ between
+    shots.
+    """
+    source = generator(0)
+    shots = []
+    for experiment in shoot(effect, DESIGNS, repeats=0, end=2.5).experiments:
+        times = experiment.times
+        sizes, phases = torch.randn(2, 3, 1, generator=source, dtype=torch.float64)
+        waves = torch.tensor([[0.5], [1.0], [1.5]]).double() * times + phases
+        slow = deviation * (sizes * torch.sin(2.0 * math.pi * waves)).sum(0)
+        seen = (experiment.radius[0] + slow).clamp_min(0.02)
+        shots.append(replace(experiment, radius=LAW.draw(seen, times, 1, generator=source)))
+    return shots
+
+
+def diagnosed(effect: dict[str, float], deviation: float) -> GapReport:
+    return diagnose(
+        single_curves(effect, deviation),
+        base=BASE,
+        effects=library(OFFERED),
+        estimate_noise=True,
+        simulator=SIMULATOR,
+    )
+
+
+@pytest.fixture(scope="module")
+def strong() -> GapReport:
+    return diagnosed(STRONG, 0.0)
+
+
+def test_that_a_strong_effect_is_named_and_found_as_large_as_it_is(strong) -> None:
+    assert (strong.verdict, strong.cause) == ("effect", ("stress_relaxation",))
+    low, _, high = strong.selected_fit.posterior.quantile(torch.tensor([0.01, 0.5, 0.99]).double())
+    places = [strong.selected_fit.prior.names.index(name) for name in ("G", "mu", "tau")]
+    truth = torch.tensor([8e3, 0.08, 8e-6]).double()
+    assert bool(((low[places] < truth) & (truth < high[places])).all())
+
+
+def test_that_the_noise_is_that_of_the_frames_though_the_base_model_is_far_off(strong) -> None:
+    curves = torch.cat([e.radius[0] for e in strong.batch.curves])
+    times = torch.cat([e.times for e in strong.batch.curves])
+    ratio = strong.batch.noise.sd(curves, times) / LAW.sd(curves, times)
+    assert 0.75 < float(ratio.log().mean().exp()) < 1.35
+
+
+def test_that_it_is_selected_and_not_named_beside_slow_deviations_and_nothing_is_by_them_alone() -> (
+    None
+):
+    beside = diagnosed(STRONG, 0.012)
+    assert (beside.verdict, beside.cause) == ("other", ())
+    assert beside.selected.parts == ("stress_relaxation",)
+    assert "stress_relaxation explains some of it" in beside.reason
+    alone = diagnosed({}, 0.012)
+    assert (alone.verdict, alone.cause) == ("other", ())
+    assert alone.selected.parts == ()
+    assert "none explains any of it" in alone.reason
