@@ -324,7 +324,7 @@ def test_that_autograd_through_the_tensor_solver_is_the_finite_difference(model:
     """Of a randomly weighted sum of radii over each of the model's parameters and each part of the design."""
     _, designs, times = differentiable()
     parameters = gel_of(model)
-    stepping = Stepping(0.1)
+    stepping = Stepping(0.2)
     simulator = PolytropicSimulator(stepping=stepping)
     weight = torch.randn(
         len(times), generator=torch.Generator().manual_seed(0), dtype=torch.float64
