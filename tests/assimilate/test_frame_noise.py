@@ -58,7 +58,7 @@ def near(batch: ExperimentBatch) -> Neighbourhood:
 def over_truth(batch: ExperimentBatch, noise: Noise) -> float:
     """The inferred noise over the true one, geometric mean over frames, about the base model's fit."""
     place = near(batch)
-    found = infer_frame_noise(place).law
+    found = infer_frame_noise(place, widen=False).law
     ratio = (found.sd(place.centre, batch.times) / noise.sd(place.centre, batch.times))[batch.mask]
     return float(ratio.log().mean().exp())
 
@@ -103,6 +103,8 @@ def test_that_a_lag_is_where_the_correlation_has_fallen_to_one_over_e():
     assert (1.0 + MATERN) * math.exp(-MATERN) == pytest.approx(math.exp(-1.0), abs=1e-4)
 
 
+FEW = FrameNoisePrior(durations=(0.3,), bends=(0.2,), amounts=(1.0, 4.0))
+"""For replicates: the whole grid of deviations takes ten times as long."""
 LAWS = {
     "published": Noise(),
     "small and constant": Noise(scale=0.3, floor=0.01),
@@ -136,7 +138,9 @@ def test_that_slow_noise_is_not_taken_for_that_of_single_frames():
 
 
 def test_that_what_is_known_of_the_scale_is_what_repeated_inference_scatters_by():
-    found = [infer_frame_noise(near(curves(Noise(), seed=seed))) for seed in range(12)]
+    found = [
+        infer_frame_noise(near(curves(Noise(), seed=seed)), FEW, widen=False) for seed in range(12)
+    ]
     logs = torch.tensor(
         [one.law.sd(tensor(0.5), tensor(1.5)) for one in found], dtype=torch.float64
     ).log()
@@ -149,7 +153,10 @@ def test_that_one_noisy_curve_has_a_factor_of_its_own_and_even_curves_have_none(
     assert found.factors[1] == pytest.approx(3.0, rel=0.3)
     assert (found.factors[0], found.factors[2], found.factor_sds[0]) == (1.0, 1.0, 0.0)
     assert found.factor_sds[1] > 0.0
-    even = [infer_frame_noise(near(curves(Noise(), seed=seed))).factors for seed in range(6)]
+    even = [
+        infer_frame_noise(near(curves(Noise(), seed=seed)), FEW, widen=False).factors
+        for seed in range(6)
+    ]
     assert even == [(1.0, 1.0, 1.0)] * 6
 
 
@@ -225,7 +232,7 @@ def test_that_repeats_decide_where_there_are_some():
     assert not found.laws.of_residuals
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_that_pixel_noise_at_several_frame_rates_makes_no_gap_and_a_wall_does(seed):
     """As a camera of one frame rate films bubbles of several sizes: no law of sizes and times."""
 
@@ -243,7 +250,7 @@ def test_that_pixel_noise_at_several_frame_rates_makes_no_gap_and_a_wall_does(se
             pixels = 0.004 * torch.randn(truth.shape, generator=source, dtype=torch.float64)
             experiments.append(replace(blank, radius=truth + pixels))
         batch = ExperimentBatch(tuple(experiments))
-        batch = infer_frame_noise(near(batch)).applied(batch)
+        batch = infer_frame_noise(near(batch), widen=False).applied(batch)
         return adequacy_test(fit(batch), (LIBRARY["wall"],), batch, SIMULATOR, seed=0).test.p_value
 
     assert p_value({}) > LEVEL
@@ -255,7 +262,6 @@ def test_that_p_values_by_inferred_noise_are_uniform_and_a_lean_is_found():
     simulator = LinearSimulator()
     part = linear_prior(("nhkv",)).models[0]
     times = torch.linspace(0.05, 2.5, 40, dtype=torch.float64)
-    few = FrameNoisePrior(bends=(0.2,), amounts=(1.0, 4.0))
     noise = Noise(scale=1.7, floor=0.004)
     source = generator(0)
     gel = part.parameters(torch.zeros(2, dtype=torch.float64))
@@ -276,7 +282,7 @@ def test_that_p_values_by_inferred_noise_are_uniform_and_a_lean_is_found():
             line = whiten_rows(Posterior(part, batch, simulator).neighbourhood(point))
             point = Point(point.gel + (line.to_shift @ line.residual)[:2], point.nuisances)
             batch = infer_frame_noise(
-                Posterior(part, batch, simulator).neighbourhood(point), few
+                Posterior(part, batch, simulator).neighbourhood(point), FEW, widen=False
             ).applied(batch)
         line = whiten_rows(Posterior(part, batch, simulator).neighbourhood(point))
         line = replace(line, residual=line.project_out(line.residual))
