@@ -22,7 +22,9 @@ DESIGN = torch.tensor([300.0, 0.2], dtype=torch.float64)
 GELS = torch.stack(
     [PARAMETERS.pack({"G": g, "mu": m}) for g, m in ((5000.0, 0.1), (9000.0, 0.06), (3000.0, 0.2))]
 )
-FEW = material("nhkv").terms  # each entry of a gel is moved, so that all laws would act at every step
+FEW = material(
+    "nhkv"
+).terms  # each entry of a gel is moved, so that all laws would act at every step
 SIMULATORS = {
     "polytropic": PolytropicSimulator(),
     "tensors": PolytropicSimulator(engine="torchdiffeq", terms=FEW),
