@@ -171,10 +171,7 @@ class FrameNoise:
 
 
 def infer_frame_noise(
-    near: Neighbourhood | Sequence[Neighbourhood],
-    prior: FrameNoisePrior | None = None,
-    *,
-    widen: bool = True,
+    near: Neighbourhood | Sequence[Neighbourhood], prior: FrameNoisePrior | None = None
 ) -> FrameNoise:
     """The posterior of the noise law about a fit, or about several fits with gels of their own and
     one noise.
@@ -182,7 +179,6 @@ def infer_frame_noise(
     Args:
         near: each fitted point with its local sensitivities; its batch holds curves only.
         prior: of the law.
-        widen: whether the factor on intervals is found.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, wide_prior
@@ -218,7 +214,7 @@ def infer_frame_noise(
         factors[experiment] *= math.exp(log_factor)
         sds[experiment] = sd
         found = grid.weigh_combinations(factors)
-    return grid.conclude_noise(found, factors, sds, widen)
+    return grid.conclude_noise(found, factors, sds)
 
 
 @dataclass(frozen=True)
@@ -400,14 +396,13 @@ class _Grid:
             [law.sd(c.near.centre, c.near.posterior.batch.times)[c.rows].log() for c in self.curves]
         ).mean()
 
-    def conclude_noise(
-        self, found: Tensor, factors: Tensor, factor_sds: Tensor, widen: bool
-    ) -> FrameNoise:
-        """The noise of frames, that of independent residuals, and the factor on intervals."""
+    def conclude_noise(self, found: Tensor, factors: Tensor, factor_sds: Tensor) -> FrameNoise:
+        """What is known of the noise of frames, of that of independent residuals, and what the rest
+        does to intervals.
+        """
         law, laws = self.sum_deviations(found, slice(None))
         independent = self.sum_deviations(found, slice(1))
-        near = [c.near for c in self.curves]
-        widened = interval_factor(near, independent[0]) if widen else 1.0
+        widened = interval_factor([c.near for c in self.curves], independent[0])
         return FrameNoise(
             law, laws, tuple(factors.tolist()), tuple(factor_sds.tolist()), independent, widened
         )

@@ -144,7 +144,7 @@ def with_inferred_noise(
     if not determines_noise(best, curves):
         return batch
     near = best.linearise(curves, simulator)
-    return infer_frame_noise(near, prior, widen=widen).for_fits(widen=widen).applied(batch)
+    return infer_frame_noise(near, prior).for_fits(widen=widen).applied(batch)
 
 
 def noise_nodes(result: Assimilation, simulator: Simulator) -> NoiseNodes | None:

@@ -137,7 +137,7 @@ def check_fit(
     left = torch.where(batch.mask, left, 0.0)
     clock = phase_clock(batch.times, fit.prediction, batch.mask)
     near = fit.linearise(batch, simulator)
-    batch = infer_frame_noise(near, widen=False).applied(batch)
+    batch = infer_frame_noise(near).applied(batch)
     fit, line = _move_to_noise(fit, batch, simulator)
     test = gap_test(generic_blocks(fit, batch, simulator, line), line, seed=child(seed, "fit test"))
     if test.found and not fit.certificate.usable:

@@ -9,7 +9,7 @@ conditioning on data keeps the form.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -34,7 +34,6 @@ from imr_torch.types import (
 
 LEVELS = (0.05, 0.5, 0.95)
 """Quantiles that an interval states."""
-_find_nodes = cache(np.polynomial.hermite_e.hermegauss)
 
 
 @dataclass(frozen=True)
@@ -235,10 +234,13 @@ class ModelBelief:
         ]
         return self.physical(torch.as_tensor(np.stack(columns, -1)).to(self.mean))
 
-    @cached_property
-    def _integrated_values(self) -> tuple[Controls, Controls]:
-        """Mean and variance of each free parameter, SI, by Gauss-Hermite quadrature."""
-        nodes, weights = (torch.as_tensor(x).to(self.mean) for x in _find_nodes(64))
+    def _integrate_values(self, count: int = 64) -> tuple[Controls, Controls]:
+        """Mean and variance of each free parameter, SI, by Gauss-Hermite quadrature of ``count``
+        nodes.
+        """
+        nodes, weights = (
+            torch.as_tensor(x).to(self.mean) for x in np.polynomial.hermite_e.hermegauss(count)
+        )
         weights = weights / weights.sum()
         sd = torch.linalg.norm(self.chol, dim=-1)
         values = self.physical(self.mean + sd * nodes[:, None])
@@ -248,12 +250,12 @@ class ModelBelief:
     @cached_property
     def means(self) -> Controls:
         """Posterior mean of each free parameter (``d``), SI."""
-        return self._integrated_values[0]
+        return self._integrate_values()[0]
 
     @cached_property
     def sds(self) -> Controls:
         """Standard deviation of each free parameter (``d``), SI."""
-        return self._integrated_values[1].sqrt()
+        return self._integrate_values()[1].sqrt()
 
     def same_as(self, other: "ModelBelief") -> bool:
         """Whether another belief is of the same model, with the same prior and Gaussian, draws

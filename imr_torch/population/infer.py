@@ -169,7 +169,7 @@ def share_noise(
     ):
         return None
     near = [Posterior(fit.prior, batch, simulator).neighbourhood(fit.point) for fit, batch in pairs]
-    return infer_frame_noise(near, FrameNoisePrior(law), widen=widen).for_fits(widen=widen)
+    return infer_frame_noise(near, FrameNoisePrior(law)).for_fits(widen=widen)
 
 
 @one_torch_thread()

@@ -58,7 +58,7 @@ def near(batch: ExperimentBatch) -> Neighbourhood:
 def over_truth(batch: ExperimentBatch, noise: Noise) -> float:
     """The inferred noise over the true one, geometric mean over frames, about the base model's fit."""
     place = near(batch)
-    found = infer_frame_noise(place, widen=False).law
+    found = infer_frame_noise(place).law
     ratio = (found.sd(place.centre, batch.times) / noise.sd(place.centre, batch.times))[batch.mask]
     return float(ratio.log().mean().exp())
 
@@ -138,9 +138,7 @@ def test_that_slow_noise_is_not_taken_for_that_of_single_frames():
 
 
 def test_that_what_is_known_of_the_scale_is_what_repeated_inference_scatters_by():
-    found = [
-        infer_frame_noise(near(curves(Noise(), seed=seed)), FEW, widen=False) for seed in range(12)
-    ]
+    found = [infer_frame_noise(near(curves(Noise(), seed=seed)), FEW) for seed in range(12)]
     logs = torch.tensor(
         [one.law.sd(tensor(0.5), tensor(1.5)) for one in found], dtype=torch.float64
     ).log()
@@ -153,10 +151,7 @@ def test_that_one_noisy_curve_has_a_factor_of_its_own_and_even_curves_have_none(
     assert found.factors[1] == pytest.approx(3.0, rel=0.3)
     assert (found.factors[0], found.factors[2], found.factor_sds[0]) == (1.0, 1.0, 0.0)
     assert found.factor_sds[1] > 0.0
-    even = [
-        infer_frame_noise(near(curves(Noise(), seed=seed)), FEW, widen=False).factors
-        for seed in range(6)
-    ]
+    even = [infer_frame_noise(near(curves(Noise(), seed=seed)), FEW).factors for seed in range(6)]
     assert even == [(1.0, 1.0, 1.0)] * 6
 
 
@@ -250,15 +245,17 @@ def test_that_pixel_noise_at_several_frame_rates_makes_no_gap_and_a_wall_does(se
             pixels = 0.004 * torch.randn(truth.shape, generator=source, dtype=torch.float64)
             experiments.append(replace(blank, radius=truth + pixels))
         batch = ExperimentBatch(tuple(experiments))
-        batch = infer_frame_noise(near(batch), widen=False).applied(batch)
+        batch = infer_frame_noise(near(batch)).applied(batch)
         return adequacy_test(fit(batch), (LIBRARY["wall"],), batch, SIMULATOR, seed=0).test.p_value
 
     assert p_value({}) > LEVEL
     assert p_value({"wall": 0.2}) < 1e-3
 
 
-def test_that_p_values_by_inferred_noise_are_uniform_and_a_lean_is_found():
+def test_that_p_values_by_inferred_noise_are_uniform_and_a_lean_is_found(monkeypatch):
     """A linear model whose fit is exact, noise of another size and proportion, blocks of random directions."""
+    # it takes half of the time, and no p-value takes it
+    monkeypatch.setattr("imr_torch.assimilate.frame_noise.interval_factor", lambda *_: 1.0)
     simulator = LinearSimulator()
     part = linear_prior(("nhkv",)).models[0]
     times = torch.linspace(0.05, 2.5, 40, dtype=torch.float64)
@@ -282,7 +279,7 @@ def test_that_p_values_by_inferred_noise_are_uniform_and_a_lean_is_found():
             line = whiten_rows(Posterior(part, batch, simulator).neighbourhood(point))
             point = Point(point.gel + (line.to_shift @ line.residual)[:2], point.nuisances)
             batch = infer_frame_noise(
-                Posterior(part, batch, simulator).neighbourhood(point), FEW, widen=False
+                Posterior(part, batch, simulator).neighbourhood(point), FEW
             ).applied(batch)
         line = whiten_rows(Posterior(part, batch, simulator).neighbourhood(point))
         line = replace(line, residual=line.project_out(line.residual))
