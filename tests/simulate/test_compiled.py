@@ -44,7 +44,7 @@ from tests.simulate.bubble import MOTIONS, gel, gel_of, grid, sine, tensor
 
 SAME = 1e-9  # in R*, where both take the same steps; rounding grows at each collapse
 TIMES = grid(1.5, 31)  # a collapse and what follows
-COARSE = Accuracy(1e-3, Resolution(9, 12))  # the tensor engine takes a fixed time a step
+COARSE = Accuracy(1e-3, Resolution(9, 12))
 DESIGNS = tensor([300.0, 0.3], [700.0, 0.18])
 EFFECTS = [
     effect
@@ -78,8 +78,6 @@ SIMULATORS = pytest.mark.parametrize(
 
 def both(kind, gels: Tensor, designs: Tensor = DESIGNS, times: Tensor = TIMES, **options):
     """Solutions of the two engines."""
-    if kind is TransportSimulator:
-        options = {"accuracy": COARSE} | options
     engines = (kind(engine=engine, **options) for engine in ("compiled", "torchdiffeq"))
     return tuple(simulator(gels, designs, times) for simulator in engines)
 
@@ -121,7 +119,8 @@ def gels_of_the_registries() -> dict[str, Tensor]:
 @functools.cache
 def of_the_registries(kind) -> tuple[Solution, Solution]:
     """Solutions of the two engines for all those gels in one batch, since the tensor engine takes little longer for many."""
-    return both(kind, torch.stack(list(gels_of_the_registries().values()))[:, None])
+    options = {"accuracy": COARSE} if kind is TransportSimulator else {}
+    return both(kind, torch.stack(list(gels_of_the_registries().values()))[:, None], **options)
 
 
 def assert_same_law(kind, name: str) -> None:
