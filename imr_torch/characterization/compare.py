@@ -175,10 +175,12 @@ def compare(
     draws = a.draws(chosen), b.draws(chosen, seed=1)
     parameters = tuple(_compare_parameter(name, *draws) for name in a.posterior[chosen].of_gel)
     value, reason = _log_bayes_factor(a, b, common if model is None else [chosen])
-    cautions = tuple(_list_cautions(a, b, chosen))
+    cautions = [text for result in (a, b) for text in list_cautions(result, chosen)]
+    if a.document == b.document:
+        cautions.append("the two results are the same, so their data are not independent")
     misfits = tuple(result.source for result in (a, b) if result.explained is False)
     names = (a.source, b.source)
-    return Comparison(names, chosen, parameters, value, reason, cautions, misfits)
+    return Comparison(names, chosen, parameters, value, reason, tuple(cautions), misfits)
 
 
 def _compare_parameter(name: str, a: WeightedDraws, b: WeightedDraws) -> ParameterComparison:
@@ -193,27 +195,33 @@ def _compare_parameter(name: str, a: WeightedDraws, b: WeightedDraws) -> Paramet
     return ParameterComparison(name, min(greater, 1.0), *torch.cat(quantiles).tolist())
 
 
-def _list_cautions(a: SavedCharacterization, b: SavedCharacterization, model: str) -> list[str]:
+def list_cautions(result: SavedCharacterization, model: str) -> list[str]:
+    """What makes a result doubtful.
+
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.characterization.compare import list_cautions
+    >>> from imr_torch.characterization.saved import SavedCharacterization
+    >>> gel = SavedCharacterization.from_dict({"belief": wide_prior(["nhkv"]).to_dict(), "models": {"nhkv": {}}})
+    >>> list_cautions(gel, "nhkv")[0]
+    'the fit of nhkv to result has not converged'
+    """
     found = []
-    for result in (a, b):
-        name = result.source
-        if result.explained is False:
-            found.append(
-                f"the model does not explain the curves of {name}, so that its parameters are not "
-                "to be quoted and what differs may be the error of the model"
-            )
-        if not result.converged(model):
-            found.append(f"the fit of {model} to {name} has not converged")
-        if result.verdict(model) == "refused":
-            found.append(
-                f"the intervals of {name} are not reliable, since their computation failed its check"
-            )
-        if not result.draws(model).weighted:
-            found.append(
-                f"{name} holds no weighted draws, so that draws of its Gaussian approximation are compared"
-            )
-    if a.document == b.document:
-        found.append("the two results are the same, so their data are not independent")
+    name = result.source
+    if result.explained is False:
+        found.append(
+            f"the model does not explain the curves of {name}, so that its parameters are not "
+            "to be quoted and what differs may be the error of the model"
+        )
+    if not result.converged(model):
+        found.append(f"the fit of {model} to {name} has not converged")
+    if result.verdict(model) == "refused":
+        found.append(
+            f"the intervals of {name} are not reliable, since their computation failed its check"
+        )
+    if not result.draws(model).weighted:
+        found.append(
+            f"{name} holds no weighted draws, so that draws of its Gaussian approximation are used"
+        )
     return found
 
 
