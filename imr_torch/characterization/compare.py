@@ -12,7 +12,6 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
 import torch
-from torch.distributions import MultivariateNormal
 
 from imr_torch.assimilate.importance import weighted_quantiles
 from imr_torch.characterization.saved import SavedCharacterization, WeightedDraws, to_dataframe
@@ -125,17 +124,9 @@ class Comparison:
 
     def to_dict(self) -> Document:
         """JSON-ready values."""
-        return {
-            "a": self.names[0],
-            "b": self.names[1],
-            "verdict": self.verdict,
-            "model": self.model,
-            "log_bayes_factor": self.log_bayes_factor,
-            "reason": self.reason,
-            "parameters": self.rows(),
-            "misfits": list(self.misfits),
-            "cautions": list(self.cautions),
-        }
+        found = asdict(self)
+        a, b = found.pop("names")
+        return {"a": a, "b": b, "verdict": self.verdict} | found
 
 
 def compare(
@@ -278,16 +269,12 @@ def _gaussian_factor(a: ModelBelief, b: ModelBelief, prior: ModelBelief) -> floa
 
     None where it does not exist.
     """
-    of_a, of_b, of_prior = (
-        MultivariateNormal(part.mean, scale_tril=part.chol) for part in (a, b, prior)
-    )
-    of_all = [normal.precision_matrix for normal in (of_a, of_b, of_prior)]
-    precision = of_all[0] + of_all[1] - of_all[2]
-    root, failed = torch.linalg.cholesky_ex(precision)
-    if int(failed):
+    known = [(part.precision, part.precision @ part.mean) for part in (a, b, prior)]
+    precision, linear = (x + y - z for x, y, z in zip(*known, strict=True))
+    if torch.linalg.eigvalsh(precision)[0] <= 0.0:
         return None
-    linear = of_all[0] @ a.mean + of_all[1] @ b.mean - of_all[2] @ prior.mean
-    mean = torch.cholesky_solve(linear[:, None], root)[:, 0]
-    product = MultivariateNormal(mean, precision_matrix=precision)
-    logs = [normal.log_prob(mean) for normal in (of_a, of_b, of_prior, product)]
+    logs = [
+        0.5 * (torch.logdet(root) - slope @ torch.linalg.solve(root, slope))
+        for root, slope in (*known, (precision, linear))
+    ]
     return float(logs[0] + logs[1] - logs[2] - logs[3])

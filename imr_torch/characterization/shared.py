@@ -11,6 +11,7 @@ other controls to be linear in ``x`` with a Gaussian about the line. The same de
 evidences of one value for all, of a value of each gel's own and of none.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
@@ -50,8 +51,10 @@ class SharedParameter:
         p_value: that one value serves all gels, by chi-square of their own means and errors.
         gels: of each its ``name`` and ``model``; ``alone``, the interval of the parameter by this
             gel; ``before`` and ``after``, intervals of its other parameters by this gel and by all;
-            ``effective_draws`` that the shared value leaves of it; ``log_none``, its share of the
-            evidence of no such effect, by a fit without it or else by densities (Savage-Dickey).
+            ``effective_draws`` that the shared value leaves of it (of few, what is said rests on the
+            Gaussian form of the tails); ``log_none``, its share of the
+            evidence of no such effect, by a fit without it or else by densities (Savage-Dickey),
+            not a number where the prior excludes it.
         cautions: what makes the numbers doubtful.
         misfits: names of the results whose model does not explain its curves: no verdict then.
 
@@ -78,9 +81,8 @@ class SharedParameter:
     @property
     def verdict(self) -> str:
         """The hypothesis with a probability of 97.5 % or more, or ``"undecided"``."""
-        best = max(self.probabilities, key=self.probabilities.__getitem__)
-        clear = self.probabilities[best] >= CLEAR and not self.misfits
-        return best if clear else "undecided"
+        clear = [name for name, share in self.probabilities.items() if share >= CLEAR]
+        return clear[0] if clear and not self.misfits else "undecided"
 
     def report(self) -> str:
         """What was found as text."""
@@ -96,7 +98,6 @@ def infer_shared(
     parameter: str,
     *,
     model: str | None = None,
-    fewest_draws: float = 20.0,
     nodes: int = 100_001,
 ) -> SharedParameter:
     """Infer a parameter that several gels share, such as a drag of the set-up, and with it each gel.
@@ -106,8 +107,6 @@ def infer_shared(
             free.
         parameter: its name.
         model: of every gel; of each its most probable one with the parameter when not given.
-        fewest_draws: effective draws that the shared value must leave of each gel; below, a caution
-            says that the answer rests on the Gaussian form of the tails.
         nodes: of the grid over the shared value.
 
     Raises:
@@ -130,65 +129,63 @@ def infer_shared(
     """
     if len(results) < 2:
         raise InputDataError(f"share {parameter!r}: one result; give those of two gels or more.")
-    pairs = [(result, _choose_model(result, parameter, model)) for result in results]
-    marginal = _find_common_prior(pairs, parameter)
+    keys, marginal = _choose_models(results, parameter, model)
     is_normal = isinstance(marginal, TruncatedNormal)
     controls = linspace(-WIDEST, WIDEST, nodes)
     before = (-0.5 * controls.square()).log_softmax(0)
     at = marginal.to_physical(controls)
     grid = at if is_normal else controls
     gels = []
-    for result, key in pairs:
-        part = result.posterior[key]
+    moments = []
+    for result, key in zip(results, keys, strict=True):
         draws = result.draws(key, count=4000)
         x = draws.values[:, draws.names.index(parameter)]
         x = x if is_normal else marginal.to_control(x)
+        part = result.posterior[key]
         joint = torch.cat((x[:, None], part.to_controls(draws.values)), 1)
         mean = draws.weights @ joint
         covariance = torch.cov(joint.mT, correction=0, aweights=draws.weights)
-        gels.append((draws.weights, x, mean, covariance))
-    moments = tensor([(float(mean[0]), float(cov[0, 0]) ** 0.5) for *_, mean, cov in gels])
-    likelihoods = torch.stack([_fit_likelihood(mean, sd, grid, before) for mean, sd in moments])
+        gels.append((result, part, draws.weights, x, mean, covariance))
+        moments.append(torch.stack((mean[0], covariance[0, 0].sqrt())))
+    likelihoods = torch.stack([_fit_likelihood(pair, grid, before) for pair in moments])
     values = likelihoods @ _raise_powers(grid)
     own = (values + before).logsumexp(1)
     together = values.sum(0) + before
     shared = together.softmax(0)
     neutral = tensor(PARAMETERS[parameter].neutral)
     none = (likelihoods @ _raise_powers(neutral) - own).tolist()
-    nodes_shared = weighted_quantiles(grid, shared, NODES)
+    if not (is_normal and marginal.lower <= neutral <= marginal.upper):
+        none = [math.nan] * len(gels)
+    middles = weighted_quantiles(grid, shared, NODES)
     told = []
     cautions = []
-    for i, (result, key) in enumerate(pairs):
-        weights, x, *joint = gels[i]
-        alone = intervals(result.posterior[key])
-        after = _follow_shared(result.posterior[key], *joint, nodes_shared)
+    for i, (result, part, weights, x, mean, covariance) in enumerate(gels):
+        key = part.model
+        alone = intervals(part)
+        after = _follow_shared(part, mean, covariance, middles)
         others = (likelihoods.sum(0) - likelihoods[i]) @ _raise_powers(x)
-        effective = float(1.0 / (weights.log() + others).softmax(0).square().sum())
+        weights = (weights.log() + others).softmax(0)
         models = result.document["models"]
         without = key.replace(f"+{parameter}", "")
         if without != key and "log_evidence" in models.get(without, ()):
             none[i] = models[without]["log_evidence"] - models[key]["log_evidence"]
+        after.pop(parameter)
         told.append(
             {
                 "name": result.source,
                 "model": key,
                 "alone": alone.pop(parameter),
                 "before": alone,
-                "after": {name: after[name] for name in alone},
-                "effective_draws": effective,
+                "after": after,
+                "effective_draws": float(1.0 / weights.square().sum()),
                 "log_none": none[i],
             }
         )
         cautions += list_cautions(result, key)
-        if effective < fewest_draws:
-            cautions.append(
-                f"the shared value leaves {effective:.0f} effective draws of {result.source}, so "
-                "that what is said of both rests on the Gaussian form of the tails"
-            )
     evidences = {"one": float(together.logsumexp(0) - own.sum()), "own": 0.0}
-    if is_normal and marginal.lower <= neutral <= marginal.upper:
+    if not math.isnan(sum(none)):
         evidences["none"] = sum(none)
-    mean, sd = moments.mT
+    mean, sd = torch.stack(moments).mT
     spread = (mean - (mean / sd**2).sum() / (sd**-2).sum()) / sd
     return SharedParameter(
         parameter,
@@ -201,36 +198,31 @@ def infer_shared(
     )
 
 
-def _choose_model(result: SavedCharacterization, parameter: str, model: str | None) -> str:
-    """The model of a result in which the parameter is free."""
-    parts = [part for part in result.posterior.models if model in (None, part.model)]
-    keys = [part.model for part in parts if parameter in part.names]
-    if not keys:
-        raise InputDataError(
-            f"share {parameter!r}: it is not inferred in {model or ', '.join(result.posterior.keys)} "
-            f"of {result.source}; characterise the gel with a model that has it, as --models "
-            f"nhkv,nhkv+{parameter}."
-        )
-    return max(keys, key=result.probabilities.__getitem__)
-
-
-def _find_common_prior(
-    pairs: Sequence[tuple[SavedCharacterization, str]], parameter: str
-) -> Marginal:
-    """The prior that all results gave the parameter, independent of everything else."""
-    found = []
-    for result, key in pairs:
-        if result.prior is None:
-            raise InputDataError(f"{result.source}: holds no 'prior'; characterise the gel again.")
-        part = result.prior[key]
-        found.append(part.marginals[part.names.index(parameter)])
-        if part.mean.any() or found[-1] != found[0]:
+def _choose_models(
+    results: Sequence[SavedCharacterization], parameter: str, model: str | None
+) -> tuple[list[str], Marginal]:
+    """The model of each result, and the prior that all gave the parameter."""
+    keys = []
+    priors = []
+    for result in results:
+        parts = [part for part in result.posterior.models if model in (None, part.model)]
+        able = [part.model for part in parts if parameter in part.names]
+        if not able or result.prior is None:
             raise InputDataError(
-                f"share {parameter!r}: its prior is {found[0]} in {pairs[0][0].source}, and in "
-                f"{result.source} {found[-1]}{', moved by earlier data' * bool(part.mean.any())}; "
-                "characterise both from one prior."
+                f"share {parameter!r}: {result.source} does not infer it in "
+                f"{model or ', '.join(result.posterior.keys)}, or holds no 'prior'; characterise the "
+                f"gel with a model that has it, as --models nhkv,nhkv+{parameter}."
             )
-    return found[0]
+        keys.append(max(able, key=result.probabilities.__getitem__))
+        part = result.prior[keys[-1]]
+        priors.append(part.marginals[part.names.index(parameter)])
+        if part.mean.any() or priors[-1] != priors[0]:
+            raise InputDataError(
+                f"share {parameter!r}: its prior is {priors[0]} in {results[0].source} and "
+                f"{priors[-1]}{', moved by earlier data,' if part.mean.any() else ''} in "
+                f"{result.source}; characterise both from one prior."
+            )
+    return keys, priors[0]
 
 
 def _raise_powers(x: Tensor) -> Tensor:
@@ -238,10 +230,11 @@ def _raise_powers(x: Tensor) -> Tensor:
     return torch.stack((x.square(), x))
 
 
-def _fit_likelihood(mean: Tensor, sd: Tensor, grid: Tensor, before: Tensor) -> Tensor:
-    """Coefficients of the Gaussian log likelihood that gives a posterior its moments, which makes
-    draws with these moments most probable; of a flat one where none is wide enough.
+def _fit_likelihood(moments: Tensor, grid: Tensor, before: Tensor) -> Tensor:
+    """Coefficients of the Gaussian log likelihood that gives a posterior its mean and standard
+    deviation, which makes draws with these most probable; of a flat one where none is wide enough.
     """
+    mean, sd = moments
     powers = _raise_powers((grid - mean) / sd)
     square, linear = minimize(
         lambda x: float((tensor(x) @ powers + before).logsumexp(0)) - x[0],

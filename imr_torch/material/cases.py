@@ -110,8 +110,8 @@ def wide_prior(
     s at 68 %.
 
     Args:
-        models: candidate models, equally probable. Priors are those that their parameters were
-            registered with.
+        models: candidate models, equally probable. Priors are those that their parameters or effects
+            were registered with.
         known: values of parameters that are measured independently, SI. They are not inferred in
             any model, except that what one model of several takes as measured (qKV: the
             quasi-static G) is known in that one alone.
