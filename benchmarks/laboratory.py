@@ -34,7 +34,7 @@ from imr_torch.characterization import medium_of
 from imr_torch.characterization.saved import SavedCharacterization
 from imr_torch.characterization.shared import SharedParameter, infer_shared
 from imr_torch.files import write_json
-from imr_torch.material import LIBRARY, PARAMETERS, Belief, LogNormal
+from imr_torch.material import PARAMETERS, Belief, LogNormal
 from imr_torch.observe import Experiment, ExperimentBatch, RadiusTrace, TraceSet, prepare
 from imr_torch.random import generator
 from imr_torch.simulate import ACCURACIES, TransportSimulator

@@ -14,6 +14,7 @@ from torch import Tensor
 from imr_torch.errors import InputDataError
 from imr_torch.material import (
     CASES,
+    LIBRARY,
     MATERIALS,
     PARAMETERS,
     Belief,
