@@ -140,7 +140,7 @@ def test_that_a_one_sided_prior_is_respected(truth: float) -> None:
     found = infer_shared(results, "size_drag")
 
     def density(x: float, which: tuple[int, ...] = (0, 1, 2)) -> float:
-        return 2.0 * norm.pdf(x) * math.prod(norm.pdf(x, centres[i], sds[i]) for i in which)
+        return float(2.0 * norm.pdf(x) * math.prod(norm.pdf(x, centres[i], sds[i]) for i in which))
 
     whole = quad(density, 0.0, 6.0, points=[truth])[0]
     own = math.prod(quad(density, 0.0, 6.0, args=((i,),), points=[truth])[0] for i in range(3))
@@ -172,10 +172,10 @@ def test_that_one_value_is_tested_by_the_gels_own_values():
 
 
 def test_that_a_misfit_gives_no_verdict_and_is_said(tmp_path, capsys):
-    missed = {"fit_test": {"explained": False}}
-    found = infer_shared([gel(DATA[0], **missed), gel(DATA[1])], "size_drag")
+    missed = gel(DATA[0], fit_test={"explained": False})
+    found = infer_shared([missed, gel(DATA[1])], "size_drag")
     assert found.verdict == "undecided"
-    assert found.misfits == ("gel (0.2, -0.1, 0.5)",)
+    assert found.misfits == ["gel (0.2, -0.1, 0.5)"]
     assert found.report().startswith("No verdict on whether the gels share size_drag: the model")
     page = document_page(header("compare") | found.to_dict())
     assert 'class="verdict warning"' in page
@@ -207,23 +207,23 @@ def test_that_what_cannot_be_shared_is_named():
     )
     moved = SavedCharacterization(a.document, a.posterior, a.posterior, "moved")
     without = SavedCharacterization(a.document, a.posterior, None, "bare")
-    for results, options, message in (
-        ([a], {}, "'size_drag': one result; give those of two gels or more"),
-        ([a, plain], {}, "plain does not infer it in nhkv, .* --models nhkv,nhkv\\+size_drag"),
-        ([a, b], {"model": "zener"}, "does not infer it in zener"),
-        ([a, without], {}, "bare .* or holds no 'prior'"),
-        ([a, gel(DATA[1], ONE_SIDED)], {}, "lower=-inf.* and .*lower=0.0.* from one prior"),
-        ([a, moved], {}, "moved by earlier data, in moved"),
+    for results, model, message in (
+        ([a], None, "'size_drag': one result; give those of two gels or more"),
+        ([a, plain], None, "plain does not infer it in nhkv, .* --models nhkv,nhkv\\+size_drag"),
+        ([a, b], "zener", "does not infer it in zener"),
+        ([a, without], None, "bare .* or holds no 'prior'"),
+        ([a, gel(DATA[1], ONE_SIDED)], None, "lower=-inf.* and .*lower=0.0.* from one prior"),
+        ([a, moved], None, "moved by earlier data, in moved"),
     ):
         with pytest.raises(InputDataError, match=message):
-            infer_shared(results, "size_drag", **options)
+            infer_shared(results, "size_drag", model=model)
     with pytest.raises(InputDataError, match="share 'damage'"):
         infer_shared([a, b], "damage")
 
 
 def test_that_a_verdict_needs_a_clear_probability():
     def shared(one: float) -> SharedParameter:
-        return SharedParameter("size_drag", [1.0] * 3, {"one": one, "own": 0.0}, 0.5, (), (), ())
+        return SharedParameter("size_drag", [1.0] * 3, {"one": one, "own": 0.0}, 0.5, [], [], [])
 
     assert (shared(4.0).verdict, shared(3.0).verdict, shared(-4.0).verdict) == (
         "one",

@@ -170,19 +170,20 @@ def compare(
     if a.document == b.document:
         cautions.append("the two results are the same, so their data are not independent")
     misfits = tuple(result.source for result in (a, b) if result.explained is False)
-    names = (a.source, b.source)
-    return Comparison(names, chosen, parameters, value, reason, tuple(cautions), misfits)
+    return Comparison(
+        (a.source, b.source), chosen, parameters, value, reason, tuple(cautions), misfits
+    )
 
 
 def _compare_parameter(name: str, a: WeightedDraws, b: WeightedDraws) -> ParameterComparison:
     """A parameter over all pairs of draws."""
-    first, second = (draws.values[:, draws.names.index(name)] for draws in (a, b))
-    weights = (a.weights[:, None] * b.weights).flatten()
-    difference = (first[:, None] - second).flatten()
-    ratio = (first[:, None] / second).flatten()
-    greater = float((weights * ((difference > 0.0).double() + 0.5 * (difference == 0.0))).sum())
+    columns = (draws.values[:, draws.names.index(name)] for draws in (a, b))
+    first, second = torch.cartesian_prod(*columns).mT
+    weights = torch.cartesian_prod(a.weights, b.weights).prod(1)
+    difference = first - second
+    greater = 0.5 * float(weights @ (difference.sign() + 1.0))
     levels = tensor(LEVELS)
-    quantiles = [weighted_quantiles(values, weights, levels) for values in (ratio, difference)]
+    quantiles = [weighted_quantiles(x, weights, levels) for x in (first / second, difference)]
     return ParameterComparison(name, min(greater, 1.0), *torch.cat(quantiles).tolist())
 
 

@@ -59,7 +59,7 @@ class SharedParameter:
         misfits: names of the results whose model does not explain its curves: no verdict then.
 
     >>> from imr_torch.characterization.shared import SharedParameter
-    >>> found = SharedParameter("size_drag", [1e7, 2e7, 3e7], {"one": 3.0, "own": 0.0, "none": -9.0}, 0.4, (), (), ())
+    >>> found = SharedParameter("size_drag", [1e7, 2e7, 3e7], {"one": 3.0, "own": 0.0, "none": -9.0}, 0.4, [], [], [])
     >>> found.verdict
     'undecided'
     """
@@ -68,9 +68,9 @@ class SharedParameter:
     interval: list[float]
     log_evidences: dict[str, float]
     p_value: float
-    gels: tuple[Document, ...]
-    cautions: tuple[str, ...]
-    misfits: tuple[str, ...]
+    gels: list[Document]
+    cautions: list[str]
+    misfits: list[str]
 
     @property
     def probabilities(self) -> dict[str, float]:
@@ -192,9 +192,9 @@ def infer_shared(
         weighted_quantiles(at, shared, tensor(LEVELS)).tolist(),
         evidences,
         float(chi2.sf(float(spread.square().sum()), len(told) - 1)),
-        tuple(told),
-        tuple(cautions),
-        tuple(result.source for result in results if result.explained is False),
+        told,
+        cautions,
+        [result.source for result in results if result.explained is False],
     )
 
 
