@@ -57,6 +57,14 @@ def rendered() -> Iterator[None]:
         yield
 
 
+@pytest.fixture
+def few_deviations(monkeypatch: pytest.MonkeyPatch) -> None:
+    """See :func:`tests.fewer.sum_few_deviations`."""
+    from tests.fewer import sum_few_deviations  # not before shapes are checked
+
+    sum_few_deviations(monkeypatch)
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     """``--check-shapes``: every call checks the annotated shapes."""
     parser.addoption(

@@ -16,6 +16,7 @@ from imr_torch.material import PARAMETERS
 from imr_torch.results import document_report
 from imr_torch.units import Surroundings
 
+pytestmark = pytest.mark.usefixtures("few_deviations")
 QUICK = ["--physics", "polytropic", "--quiet"]
 DENSE = Surroundings(density=1150.0)
 

@@ -3,11 +3,13 @@
 import csv
 import json
 import math
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from imr_torch.cli import main
+from tests.fewer import sum_few_deviations
 from tests.results.documents import GEL, traces
 
 COMMON = ["--medium", "density=1060", "--rest-radius", "0.2:0.002", "--physics", "polytropic"]
@@ -24,7 +26,16 @@ def write_curves(path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def values(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, list[float]]]:
+def cheap_noise() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        sum_few_deviations(patch)
+        yield
+
+
+@pytest.fixture(scope="module")
+def values(
+    tmp_path_factory: pytest.TempPathFactory, cheap_noise: None
+) -> dict[str, dict[str, list[float]]]:
     """Command -> parameter -> 5, 50, 95 %."""
     here = tmp_path_factory.mktemp("one_value")
     write_curves(here / "gel.csv")

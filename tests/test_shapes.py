@@ -52,6 +52,7 @@ SLOW = (
     "as_often_as",
     "stepwise",
     "gel_scatter",
+    "hamiltonian",
 )
 REFUSED = (
     "bad_input",

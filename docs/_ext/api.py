@@ -31,6 +31,7 @@ PACKAGES = {
     "characterization": "From curves to properties",
     "characterization.batch": "Many files",
     "characterization.compare": "Do two gels differ?",
+    "characterization.shared": "What do all gels of a laboratory share?",
     "results": "Documents, figures and pages of results",
     "document": "What a result says of itself",
     "characterization.saved": "Results read from their files",

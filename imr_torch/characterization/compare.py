@@ -12,7 +12,6 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
 import torch
-from torch.distributions import MultivariateNormal
 
 from imr_torch.assimilate.importance import weighted_quantiles
 from imr_torch.characterization.saved import SavedCharacterization, WeightedDraws, to_dataframe
@@ -125,17 +124,9 @@ class Comparison:
 
     def to_dict(self) -> Document:
         """JSON-ready values."""
-        return {
-            "a": self.names[0],
-            "b": self.names[1],
-            "verdict": self.verdict,
-            "model": self.model,
-            "log_bayes_factor": self.log_bayes_factor,
-            "reason": self.reason,
-            "parameters": self.rows(),
-            "misfits": list(self.misfits),
-            "cautions": list(self.cautions),
-        }
+        found = asdict(self)
+        a, b = found.pop("names")
+        return {"a": a, "b": b, "verdict": self.verdict} | found
 
 
 def compare(
@@ -175,45 +166,54 @@ def compare(
     draws = a.draws(chosen), b.draws(chosen, seed=1)
     parameters = tuple(_compare_parameter(name, *draws) for name in a.posterior[chosen].of_gel)
     value, reason = _log_bayes_factor(a, b, common if model is None else [chosen])
-    cautions = tuple(_list_cautions(a, b, chosen))
+    cautions = [text for result in (a, b) for text in list_cautions(result, chosen)]
+    if a.document == b.document:
+        cautions.append("the two results are the same, so their data are not independent")
     misfits = tuple(result.source for result in (a, b) if result.explained is False)
-    names = (a.source, b.source)
-    return Comparison(names, chosen, parameters, value, reason, cautions, misfits)
+    return Comparison(
+        (a.source, b.source), chosen, parameters, value, reason, tuple(cautions), misfits
+    )
 
 
 def _compare_parameter(name: str, a: WeightedDraws, b: WeightedDraws) -> ParameterComparison:
     """A parameter over all pairs of draws."""
-    first, second = (draws.values[:, draws.names.index(name)] for draws in (a, b))
-    weights = (a.weights[:, None] * b.weights).flatten()
-    difference = (first[:, None] - second).flatten()
-    ratio = (first[:, None] / second).flatten()
-    greater = float((weights * ((difference > 0.0).double() + 0.5 * (difference == 0.0))).sum())
+    columns = (draws.values[:, draws.names.index(name)] for draws in (a, b))
+    first, second = torch.cartesian_prod(*columns).mT
+    weights = torch.cartesian_prod(a.weights, b.weights).prod(1)
+    difference = first - second
+    greater = 0.5 * float(weights @ (difference.sign() + 1.0))
     levels = tensor(LEVELS)
-    quantiles = [weighted_quantiles(values, weights, levels) for values in (ratio, difference)]
+    quantiles = [weighted_quantiles(x, weights, levels) for x in (first / second, difference)]
     return ParameterComparison(name, min(greater, 1.0), *torch.cat(quantiles).tolist())
 
 
-def _list_cautions(a: SavedCharacterization, b: SavedCharacterization, model: str) -> list[str]:
+def list_cautions(result: SavedCharacterization, model: str) -> list[str]:
+    """What makes a result doubtful.
+
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.characterization.compare import list_cautions
+    >>> from imr_torch.characterization.saved import SavedCharacterization
+    >>> gel = SavedCharacterization.from_dict({"belief": wide_prior(["nhkv"]).to_dict(), "models": {"nhkv": {}}})
+    >>> list_cautions(gel, "nhkv")[0]
+    'the fit of nhkv to result has not converged'
+    """
     found = []
-    for result in (a, b):
-        name = result.source
-        if result.explained is False:
-            found.append(
-                f"the model does not explain the curves of {name}, so that its parameters are not "
-                "to be quoted and what differs may be the error of the model"
-            )
-        if not result.converged(model):
-            found.append(f"the fit of {model} to {name} has not converged")
-        if result.verdict(model) == "refused":
-            found.append(
-                f"the intervals of {name} are not reliable, since their computation failed its check"
-            )
-        if not result.draws(model).weighted:
-            found.append(
-                f"{name} holds no weighted draws, so that draws of its Gaussian approximation are compared"
-            )
-    if a.document == b.document:
-        found.append("the two results are the same, so their data are not independent")
+    name = result.source
+    if result.explained is False:
+        found.append(
+            f"the model does not explain the curves of {name}, so that its parameters are not "
+            "to be quoted and what differs may be the error of the model"
+        )
+    if not result.converged(model):
+        found.append(f"the fit of {model} to {name} has not converged")
+    if result.verdict(model) == "refused":
+        found.append(
+            f"the intervals of {name} are not reliable, since their computation failed its check"
+        )
+    if not result.draws(model).weighted:
+        found.append(
+            f"{name} holds no weighted draws, so that draws of its Gaussian approximation are used"
+        )
     return found
 
 
@@ -270,16 +270,12 @@ def _gaussian_factor(a: ModelBelief, b: ModelBelief, prior: ModelBelief) -> floa
 
     None where it does not exist.
     """
-    of_a, of_b, of_prior = (
-        MultivariateNormal(part.mean, scale_tril=part.chol) for part in (a, b, prior)
-    )
-    of_all = [normal.precision_matrix for normal in (of_a, of_b, of_prior)]
-    precision = of_all[0] + of_all[1] - of_all[2]
-    root, failed = torch.linalg.cholesky_ex(precision)
-    if int(failed):
+    known = [(part.precision, part.precision @ part.mean) for part in (a, b, prior)]
+    precision, linear = (x + y - z for x, y, z in zip(*known, strict=True))
+    if torch.linalg.eigvalsh(precision)[0] <= 0.0:
         return None
-    linear = of_all[0] @ a.mean + of_all[1] @ b.mean - of_all[2] @ prior.mean
-    mean = torch.cholesky_solve(linear[:, None], root)[:, 0]
-    product = MultivariateNormal(mean, precision_matrix=precision)
-    logs = [normal.log_prob(mean) for normal in (of_a, of_b, of_prior, product)]
+    logs = [
+        0.5 * (torch.logdet(root) - slope @ torch.linalg.solve(root, slope))
+        for root, slope in (*known, (precision, linear))
+    ]
     return float(logs[0] + logs[1] - logs[2] - logs[3])

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from imr_torch.errors import InputDataError
 from imr_torch.material.belief import Belief
+from imr_torch.material.effect import LIBRARY
 from imr_torch.material.marginals import Marginal, TruncatedNormal
 from imr_torch.material.models import material
 from imr_torch.material.parameters import PARAMETERS
@@ -109,8 +110,8 @@ def wide_prior(
     s at 68 %.
 
     Args:
-        models: candidate models, equally probable. Priors are those that their parameters were
-            registered with.
+        models: candidate models, equally probable. Priors are those that their parameters or effects
+            were registered with.
         known: values of parameters that are measured independently, SI. They are not inferred in
             any model, except that what one model of several takes as measured (qKV: the
             quasi-static G) is known in that one alone.
@@ -148,8 +149,9 @@ def wide_prior(
 
 
 def _find_default_prior(model: str, name: str) -> Marginal:
-    """The prior that a parameter was registered with."""
-    prior = PARAMETERS[name].prior
+    """The prior that a parameter was registered with, or that of its effect."""
+    of_effects = [effect.priors[name] for effect in LIBRARY.values() if name in effect.priors]
+    prior = PARAMETERS[name].prior or next(iter(of_effects), None)
     if prior is None:
         raise InputDataError(
             f"Parameter {name!r} of model {model!r} has no default prior; register it with one "

@@ -260,5 +260,6 @@ _KINDS: tuple[tuple[set[str], Callable[[Document], Iterable[NamedFigure]]], ...]
     ({"R_star", "t_star"}, _simulation_figures),
     ({"shots"}, _shots_figures),
     ({"log_bayes_factor", "parameters"}, _compared_figures),
+    ({"gels", "interval"}, lambda _: ()),
 )
 """Keys of a document -> its figures; the first whose keys it has."""

@@ -9,6 +9,7 @@ import signal
 import time
 import zipfile
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -60,19 +61,6 @@ def finished(run: Run) -> None:
     assert not run.running
 
 
-def test_that_a_run_leaves_its_files_output_and_record(tmp_path: Path) -> None:
-    all_runs = runs(tmp_path)
-    run = begun(all_runs, simulate, "simulate")
-    finished(run)
-    (result,) = all_runs.list_results()
-    assert (result.name, result.status, result.outcome) == ("001_simulate", 0, "done")
-    assert "smallest sampled R*" in result.read_text_of("output.txt")
-    assert result.command.startswith("imr-torch simulate --model nhkv")
-    with zipfile.ZipFile(io.BytesIO(result.zip_files())) as file:
-        assert {"001_simulate/simulate.json", "001_simulate/run.json"} <= set(file.namelist())
-        assert json.loads(file.read("001_simulate/simulate.json"))["model"] == "nhkv"
-
-
 def test_that_a_refused_command_keeps_its_message(tmp_path: Path) -> None:
     all_runs = runs(tmp_path)
     finished(begun(all_runs, lambda _: ["characterize", "files/none.csv"], "characterize"))
@@ -81,29 +69,34 @@ def test_that_a_refused_command_keeps_its_message(tmp_path: Path) -> None:
     assert "none.csv" in result.read_text_of("messages.txt")
 
 
-def test_that_a_run_shows_progress_and_can_be_stopped(tmp_path: Path) -> None:
-    all_runs = runs(tmp_path)
-    run = begun(all_runs, slow, "design")
-    until = time.monotonic() + 120.0
-    while run.part is None and run.running and time.monotonic() < until:
-        time.sleep(0.1)
-    assert run.part is not None
-    assert 0.0 < run.part < 1.0
-    assert all_runs.list_results() == []
-    run.stop()
-    finished(run)
-    (result,) = all_runs.list_results()
-    assert (result.status, result.outcome) == (130, "stopped")
+@dataclass(frozen=True)
+class Seen:
+    """What was seen of one run that was stopped, of one taken back that waited for it, and of one
+    that went on twice in a folder that it was told.
+    """
+
+    runs: Runs
+    part: float | None
+    waiting: list[str]
+    before: list[str]
+    ended: dict[str, str]
+    taken_back: Path
 
 
-def test_that_runs_wait_for_those_before_them_and_can_be_taken_back(tmp_path: Path) -> None:
-    all_runs = runs(tmp_path)
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory: pytest.TempPathFactory) -> Seen:
+    """Each run loads the libraries anew, so that few serve several tests."""
+    all_runs = runs(tmp_path_factory.mktemp("runs"))
     first = begun(all_runs, slow, "design")
     second = all_runs.add_run(simulate, "simulate")
-    third = all_runs.add_run(simulate, "simulate")
+    all_runs.add_run(simulate, "simulate", "results/007_simulate")
     assert all_runs.current is first
-    assert [result.name for result in all_runs.waiting] == ["002_simulate", "003_simulate"]
-    assert all_runs.list_results() == []
+    waiting = [result.name for result in all_runs.waiting]
+    until = time.monotonic() + 120.0
+    while first.part is None and first.running and time.monotonic() < until:
+        time.sleep(0.1)
+    part = first.part
+    before = [result.name for result in all_runs.list_results()]
     all_runs.take_back(second)
     first.stop()
     finished(first)
@@ -111,17 +104,40 @@ def test_that_runs_wait_for_those_before_them_and_can_be_taken_back(tmp_path: Pa
     while (all_runs.busy or all_runs.waiting) and time.monotonic() < until:
         time.sleep(0.1)
     ended = {result.name: result.outcome for result in all_runs.list_results()}
-    assert ended == {"001_design": "stopped", "002_simulate": "stopped", third.name: "done"}
-    assert not (second.folder / "simulate.json").exists()
+    return Seen(all_runs, part, waiting, before, ended, second.folder)
 
 
-def test_that_a_run_goes_on_in_an_earlier_folder_where_it_is_told_to(tmp_path: Path) -> None:
-    all_runs = runs(tmp_path)
-    for _ in range(2):
-        all_runs.add_run(simulate, "simulate", "results/007_simulate")
-        assert all_runs.current is not None
-        finished(all_runs.current)
-    assert [result.name for result in all_runs.list_results()] == ["007_simulate"]
+def test_that_a_run_shows_progress_and_can_be_stopped(seen: Seen) -> None:
+    assert seen.part is not None
+    assert 0.0 < seen.part < 1.0
+    (result,) = [x for x in seen.runs.list_results() if x.name == "001_design"]
+    assert (result.status, result.outcome) == (130, "stopped")
+
+
+def test_that_runs_wait_for_those_before_them_and_can_be_taken_back(seen: Seen) -> None:
+    assert seen.waiting == ["002_simulate", "007_simulate"]
+    assert seen.before == []
+    names = ("001_design", "002_simulate", "007_simulate")
+    assert seen.ended == dict(zip(names, ("stopped", "stopped", "done"), strict=True))
+    assert not (seen.taken_back / "simulate.json").exists()
+
+
+def test_that_a_run_leaves_its_files_output_and_record(seen: Seen) -> None:
+    (result,) = [x for x in seen.runs.list_results() if x.name == "007_simulate"]
+    assert (result.status, result.outcome) == (0, "done")
+    assert "smallest sampled R*" in result.read_text_of("output.txt")
+    assert result.command.startswith("imr-torch simulate --model nhkv")
+    with zipfile.ZipFile(io.BytesIO(result.zip_files())) as file:
+        assert {"007_simulate/simulate.json", "007_simulate/run.json"} <= set(file.namelist())
+        assert json.loads(file.read("007_simulate/simulate.json"))["model"] == "nhkv"
+
+
+def test_that_a_run_goes_on_in_an_earlier_folder_where_it_is_told_to(seen: Seen) -> None:
+    all_runs = seen.runs
+    all_runs.add_run(simulate, "simulate", "results/007_simulate")
+    assert all_runs.current is not None
+    finished(all_runs.current)
+    assert sorted(result.name for result in all_runs.list_results()) == sorted(seen.ended)
 
 
 def test_that_a_run_stopped_before_it_began_leaves_no_trace_of_its_code(tmp_path: Path) -> None:

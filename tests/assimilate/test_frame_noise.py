@@ -103,6 +103,8 @@ def test_that_a_lag_is_where_the_correlation_has_fallen_to_one_over_e():
     assert (1.0 + MATERN) * math.exp(-MATERN) == pytest.approx(math.exp(-1.0), abs=1e-4)
 
 
+FEW = FrameNoisePrior(durations=(0.3,), bends=(0.2,), amounts=(1.0, 4.0))
+"""For replicates: the whole grid of deviations takes ten times as long."""
 LAWS = {
     "published": Noise(),
     "small and constant": Noise(scale=0.3, floor=0.01),
@@ -136,7 +138,7 @@ def test_that_slow_noise_is_not_taken_for_that_of_single_frames():
 
 
 def test_that_what_is_known_of_the_scale_is_what_repeated_inference_scatters_by():
-    found = [infer_frame_noise(near(curves(Noise(), seed=seed))) for seed in range(12)]
+    found = [infer_frame_noise(near(curves(Noise(), seed=seed)), FEW) for seed in range(12)]
     logs = torch.tensor(
         [one.law.sd(tensor(0.5), tensor(1.5)) for one in found], dtype=torch.float64
     ).log()
@@ -149,7 +151,7 @@ def test_that_one_noisy_curve_has_a_factor_of_its_own_and_even_curves_have_none(
     assert found.factors[1] == pytest.approx(3.0, rel=0.3)
     assert (found.factors[0], found.factors[2], found.factor_sds[0]) == (1.0, 1.0, 0.0)
     assert found.factor_sds[1] > 0.0
-    even = [infer_frame_noise(near(curves(Noise(), seed=seed))).factors for seed in range(6)]
+    even = [infer_frame_noise(near(curves(Noise(), seed=seed)), FEW).factors for seed in range(6)]
     assert even == [(1.0, 1.0, 1.0)] * 6
 
 
@@ -225,7 +227,7 @@ def test_that_repeats_decide_where_there_are_some():
     assert not found.laws.of_residuals
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_that_pixel_noise_at_several_frame_rates_makes_no_gap_and_a_wall_does(seed):
     """As a camera of one frame rate films bubbles of several sizes: no law of sizes and times."""
 
@@ -250,12 +252,13 @@ def test_that_pixel_noise_at_several_frame_rates_makes_no_gap_and_a_wall_does(se
     assert p_value({"wall": 0.2}) < 1e-3
 
 
-def test_that_p_values_by_inferred_noise_are_uniform_and_a_lean_is_found():
+def test_that_p_values_by_inferred_noise_are_uniform_and_a_lean_is_found(monkeypatch):
     """A linear model whose fit is exact, noise of another size and proportion, blocks of random directions."""
+    # it takes half of the time, and no p-value takes it
+    monkeypatch.setattr("imr_torch.assimilate.frame_noise.interval_factor", lambda *_: 1.0)
     simulator = LinearSimulator()
     part = linear_prior(("nhkv",)).models[0]
     times = torch.linspace(0.05, 2.5, 40, dtype=torch.float64)
-    few = FrameNoisePrior(bends=(0.2,), amounts=(1.0, 4.0))
     noise = Noise(scale=1.7, floor=0.004)
     source = generator(0)
     gel = part.parameters(torch.zeros(2, dtype=torch.float64))
@@ -276,7 +279,7 @@ def test_that_p_values_by_inferred_noise_are_uniform_and_a_lean_is_found():
             line = whiten_rows(Posterior(part, batch, simulator).neighbourhood(point))
             point = Point(point.gel + (line.to_shift @ line.residual)[:2], point.nuisances)
             batch = infer_frame_noise(
-                Posterior(part, batch, simulator).neighbourhood(point), few
+                Posterior(part, batch, simulator).neighbourhood(point), FEW
             ).applied(batch)
         line = whiten_rows(Posterior(part, batch, simulator).neighbourhood(point))
         line = replace(line, residual=line.project_out(line.residual))

@@ -139,13 +139,15 @@ def film(seed: int, frames: int = 14) -> tuple[ExperimentBatch, torch.Tensor]:
     return ExperimentBatch((Experiment("a", (400.0, 0.2), times, seen),), NOISE), gel
 
 
-def test_that_intervals_over_the_noise_cover_where_plugged_in_ones_are_narrower() -> None:
+def test_that_intervals_over_the_noise_cover_where_plugged_in_ones_are_narrower(
+    few_deviations: None,
+) -> None:
     inside: dict[str, list[bool]] = {"plugged": [], "integrated": []}
     wider = []
     for seed in range(60):
         batch, gel = film(1000 + seed)
         fits = assimilate_estimating_noise(
-            PRIOR, batch, SIMULATOR, rounds=2, seed=seed, options=OPTIONS, warn=False
+            PRIOR, batch, SIMULATOR, rounds=1, seed=seed, options=OPTIONS, warn=False
         )
         sds = []
         for kind, noise in (("plugged", None), ("integrated", noise_nodes(fits, SIMULATOR))):
@@ -160,14 +162,14 @@ def test_that_intervals_over_the_noise_cover_where_plugged_in_ones_are_narrower(
     assert float(torch.stack(wider).median()) > 1.01
 
 
-def test_that_intervals_beside_residuals_that_drift_hold_and_those_of_independent_frames_do_not() -> (
-    None
-):
+def test_that_intervals_beside_residuals_that_drift_hold_and_those_of_independent_frames_do_not(
+    few_deviations: None,
+) -> None:
     inside: dict[str, list[bool]] = {"independent": [], "widened": []}
     for seed in range(40):
         batch, gel = drifting(seed)
         fits = assimilate_estimating_noise(
-            PRIOR, batch, Slow(), rounds=2, seed=seed, options=OPTIONS, warn=False
+            PRIOR, batch, Slow(), rounds=1, seed=seed, options=OPTIONS, warn=False
         )
         law = fits.batch.noise
         assert (law.correlation_time, law.widened > 1.5) == (0.0, True)
@@ -195,7 +197,9 @@ def independent(seed: int, repeats: int = 1) -> ExperimentBatch:
 
 
 @pytest.mark.parametrize("repeats", [1, 6])
-def test_that_intervals_stay_as_they_are_where_frames_are_independent(repeats: int) -> None:
+def test_that_intervals_stay_as_they_are_where_frames_are_independent(
+    repeats: int, few_deviations: None
+) -> None:
     """But for one in twenty, by chance."""
     factors = []
     for seed in range(16):

@@ -213,7 +213,7 @@ def test_that_the_log_joint_can_be_sampled_by_hamiltonian_monte_carlo() -> None:
         start = 0.5 * torch.randn(32, len(middle), dtype=torch.float64)
         kernel = infer.NUTS(potential_fn=cost, adapt_mass_matrix=False, max_tree_depth=4)
         run = infer.MCMC(
-            kernel, 60, warmup_steps=30, initial_params={"u": start}, disable_progbar=True
+            kernel, 40, warmup_steps=20, initial_params={"u": start}, disable_progbar=True
         )
         run.run()
     gels = posterior.point_at(middle + run.get_samples()["u"] @ chol.mT).gel.flatten(0, 1)

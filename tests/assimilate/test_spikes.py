@@ -37,7 +37,7 @@ def fit(batch: ExperimentBatch, seed: int = 0, rounds: int = 2):
 
 
 @pytest.mark.parametrize("law", [NOISE, CORRELATED])
-def test_that_spoilt_frames_are_left_out_and_no_other(law) -> None:
+def test_that_spoilt_frames_are_left_out_and_no_other(law, few_deviations: None) -> None:
     hits = 0
     false = 0
     for seed in range(10):

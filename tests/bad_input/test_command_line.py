@@ -30,7 +30,16 @@ KINDS = (
 def every(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bad_inputs") / "good"
     prepared(folder)
-    return list(cases(folder, DAMAGED))
+    return thin(list(cases(folder, DAMAGED)))
+
+
+def thin(every: list[Case]) -> list[Case]:
+    """Each entry of a curve is left out or null, in turn, since a page of figures is made before
+    that is known; benchmarks/bad_inputs tries both.
+    """
+    curves = [case for case in every if case.name.startswith("plot curve")]
+    twice = {id(case) for number, case in enumerate(curves) if number % 4 in (1, 2)}
+    return [case for case in every if id(case) not in twice]
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -142,12 +142,14 @@ def test_a_search_that_cannot_be_is_refused(options, message):
         Optimal(**options)
 
 
-@pytest.mark.parametrize("learner", LEARNERS.values(), ids=LEARNERS)
-@pytest.mark.parametrize("policy", POLICIES_HERE.values(), ids=POLICIES_HERE)
+@pytest.mark.parametrize(
+    ("policy", "learner"),
+    [*((policy, "exact") for policy in POLICIES_HERE), ("optimal", "en4dvar")],
+)
 def test_resuming_with_any_policy_and_learner_gives_the_uninterrupted_journal_byte_for_byte(
     tmp_path, policy, learner
 ):
-    kinds = {"policy": policy, "learner": learner, "stop": Designs(2)}
+    kinds = {"policy": POLICIES_HERE[policy], "learner": LEARNERS[learner], "stop": Designs(2)}
     whole = campaign(tmp_path / "whole", **kinds)
     whole.run(shoot, 9)
     assert [event["event"] for event in whole.journal.events] == [
@@ -251,7 +253,8 @@ def test_that_a_campaign_of_several_designs_at_once_resumes_to_the_same_journal(
     assert [step.number for step in steps] == [2, 3]
     names = ["start", "ask", "ask", "observed", "learnt", "ask", "observed", "learnt"]
     assert [event["event"] for event in whole.journal.events] == names
-    for events in range(2, len(names)):
+    cuts = range(2, len(names))
+    for events in cuts if policy is not QUICK else (2, 3, 5, 6):  # what is learnt is no policy's
         resumed = campaign(cut(tmp_path / "whole", tmp_path / f"cut{events}", events), **kinds)
         resumed.run(shoot, 3, q=2)
         assert resumed.journal.path.read_bytes() == whole.journal.path.read_bytes()

@@ -42,8 +42,8 @@ def brute(design):
 @pytest.mark.parametrize(
     ("estimator", "seeds"),
     [
-        (Laplace(draws=32, rivals=32), 8),
-        (Laplace(draws=32), 24),
+        (Laplace(draws=32, rivals=32), 5),
+        (Laplace(draws=32), 12),
     ],
     ids=["Laplace, all data", "Laplace, a quarter of the data"],
 )

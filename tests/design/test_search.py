@@ -111,7 +111,7 @@ def estimates(estimator, designs, seeds, *, simulator=None, belief=TWO, how=NOIS
 )
 def test_that_the_variance_of_a_difference_from_common_draws_is_the_scatter_over_seeds(estimator):
     near = torch.tensor([[300.0, 0.2], [330.0, 0.2]], dtype=torch.float64)
-    found = estimates(estimator, near, 60)
+    found = estimates(estimator, near, 40)
     differences = torch.tensor([a.value - b.value for a, b in found], dtype=torch.float64)
     stated = torch.stack([separate_errors(pair).own.sum() for pair in found])
     assert 0.75 < float(differences.std() / stated.mean().sqrt()) < 1.35
@@ -121,7 +121,7 @@ def test_that_the_variance_of_a_difference_from_common_draws_is_the_scatter_over
 
 def test_that_the_error_of_the_mean_over_designs_is_the_common_part():
     designs = torch.tensor([[300.0, 0.2], [330.0, 0.2], [360.0, 0.2]], dtype=torch.float64)
-    found = estimates(Laplace(draws=16, rivals=16), designs, 60)
+    found = estimates(Laplace(draws=16, rivals=16), designs, 36)
     means = torch.tensor([[g.value for g in row] for row in found], dtype=torch.float64).mean(1)
     stated = torch.tensor([separate_errors(row).common for row in found], dtype=torch.float64)
     assert 0.75 < float(means.std() / stated.mean().sqrt()) < 1.35
@@ -147,7 +147,7 @@ def test_that_the_surrogate_states_the_error_of_a_difference_that_common_draws_l
     found = estimates(
         Laplace(draws=16, rivals=8),
         designs,
-        24,
+        16,
         simulator=PolytropicSimulator(),
         belief=belief,
         how=how,

@@ -44,12 +44,12 @@ def drawn(line: Linearisation, seed: int, lean: torch.Tensor | float = 0.0) -> L
 def test_that_it_is_silent_on_residuals_of_the_model_at_its_level(matched) -> None:
     line, _, blocks = matched
     p_values = [
-        gap_test(blocks, drawn(line, 1000 + seed), seed=seed).p_value for seed in range(200)
+        gap_test(blocks, drawn(line, 1000 + seed), seed=seed).p_value for seed in range(100)
     ]
     found = sum(p < LEVEL for p in p_values)
-    low, high = binomtest(found, 200).proportion_ci(0.99, method="exact")
+    low, high = binomtest(found, 100).proportion_ci(0.99, method="exact")
     assert low < LEVEL < high
-    assert 0.4 < sum(p_values) / 200 < 0.6
+    assert 0.4 < sum(p_values) / 100 < 0.6
 
 
 @pytest.mark.parametrize("name", ["gas_loss", "exposure_blur", "missed_maximum"])

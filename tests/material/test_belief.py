@@ -14,6 +14,7 @@ from torch import Tensor
 from imr_torch.errors import InputDataError
 from imr_torch.material import (
     CASES,
+    LIBRARY,
     MATERIALS,
     PARAMETERS,
     Belief,
@@ -322,12 +323,18 @@ def test_that_there_is_a_wide_prior_for_every_model_whose_draws_are_possible() -
 
 
 def test_that_a_parameter_without_a_prior_is_named() -> None:
-    assert PARAMETERS["damage"].prior is None
+    assert PARAMETERS["medium_tension"].prior is None
     with pytest.raises(
         InputDataError,
-        match=r"Parameter 'damage' of model 'nhkv\+damage' has no default prior; register it",
+        match=r"Parameter 'medium_tension' of model 'nhkv\+medium_tension' has no default prior; re",
     ):
-        wide_prior(["nhkv", "nhkv+damage"])
+        wide_prior(["nhkv", "nhkv+medium_tension"])
+
+
+def test_that_a_parameter_of_an_effect_has_the_prior_of_the_effect() -> None:
+    assert PARAMETERS["damage"].prior is None
+    part = wide_prior(["nhkv", "nhkv+damage"])["nhkv+damage"]
+    assert part.marginals[2] == LIBRARY["damage"].priors["damage"]
 
 
 def document(**changes) -> dict:

@@ -26,7 +26,7 @@ def record(frames: int, *, noise: float = 0.0, last: float = 3.0) -> TraceSet:
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.003])
-def test_that_a_dense_record_ends_in_a_right_answer(noise: float) -> None:
+def test_that_a_dense_record_ends_in_a_right_answer(noise: float, few_deviations: None) -> None:
     result = characterize(
         record(4341, noise=noise),
         prior=wide_prior(["nhkv"]),

@@ -27,6 +27,7 @@ BELIEF = Belief((PART,), torch.zeros(1, dtype=torch.float64))
 
 def test_that_one_law_of_a_misfit_for_shots_of_different_gels_states_intervals_that_hold() -> None:
     inside: dict[str, list[bool]] = {"independent": [], "widened": []}
+    few = FrameNoisePrior(NOISE, amounts=(1.0, 4.0, 16.0), durations=(0.3,), bends=(0.2,))
     for seed in range(20):
         batch, gels = drifting(seed, alone=True)
         shots = [ExperimentBatch((shot,), NOISE) for shot in batch.experiments]
@@ -35,7 +36,7 @@ def test_that_one_law_of_a_misfit_for_shots_of_different_gels_states_intervals_t
             Posterior(PART, shot, Slow()).neighbourhood(fit.point)
             for shot, fit in zip(shots, fits, strict=True)
         ]
-        law = infer_frame_noise(near, FrameNoisePrior(NOISE)).for_fits(widen=True).law
+        law = infer_frame_noise(near, few).for_fits(widen=True).law
         assert law.correlation_time == 0.0
         for kind, scale in (("independent", law.scale / law.widened), ("widened", law.scale)):
             for shot, gel in zip(shots, gels, strict=True):

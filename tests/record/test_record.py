@@ -160,7 +160,7 @@ def test_a_shot_that_stands_out_counts_little_in_fits_unless_asked_to():
     assert [e.weight for e in alike.weighted(shots)] == [1.0] * 8
 
 
-def test_a_bad_shot_moves_the_gel_less():
+def test_a_bad_shot_moves_the_gel_less(few_deviations):
     """Truths by SciPy, of the gas that the fits have; one shot of six is near a wall."""
     gas = PolytropicGas(exponent=1.4, reference="rest")
     simulator = PolytropicSimulator(Conditions(gas=gas), threads=1)

@@ -95,7 +95,7 @@ def _written(folder, count: int) -> str:
 
 
 def test_that_the_command_writes_report_json_figure_and_page(
-    rendered: None, tmp_path, capsys
+    rendered: None, few_deviations: None, tmp_path, capsys
 ) -> None:
     options = [
         "--models",

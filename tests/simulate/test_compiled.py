@@ -22,6 +22,7 @@ from imr_torch.material.viscous import newtonian
 from imr_torch.observe import predict  # noqa: F401 - the whole library of effects
 from imr_torch.simulate import (
     PRESETS,
+    RADIAL_EQUATIONS,
     Accuracy,
     Conditions,
     GasMixture,
@@ -42,7 +43,8 @@ from tests.processes import Processes
 from tests.simulate.bubble import MOTIONS, gel, gel_of, grid, sine, tensor
 
 SAME = 1e-9  # in R*, where both take the same steps; rounding grows at each collapse
-TIMES = grid(2.2, 45)
+TIMES = grid(1.5, 31)  # a collapse and what follows
+COARSE = Accuracy(1e-3, Resolution(9, 12))
 DESIGNS = tensor([300.0, 0.3], [700.0, 0.18])
 EFFECTS = [
     effect
@@ -64,6 +66,11 @@ CLOSURES = {
     "table": Conditions(driving=TabulatedDriving((0.0, 1e-5, 3e-5, 5e-5), (0.0, 1e4, -5e3, 0.0))),
     "moving start": Conditions(initial_velocity=-0.5),
 }
+EACH_ONCE = [
+    x for x in MOTIONS if x in RADIAL_EQUATIONS.values() or x.key == "keller_miksis_enthalpy"
+]
+assert {x.key for x in EACH_ONCE} == {x.key for x in MOTIONS}
+assert {x.liquid.key for x in EACH_ONCE} == {x.liquid.key for x in MOTIONS}
 SIMULATORS = pytest.mark.parametrize(
     "kind", [TransportSimulator, PolytropicSimulator], ids=["transport", "polytropic"]
 )
@@ -112,7 +119,8 @@ def gels_of_the_registries() -> dict[str, Tensor]:
 @functools.cache
 def of_the_registries(kind) -> tuple[Solution, Solution]:
     """Solutions of the two engines for all those gels in one batch, since the tensor engine takes little longer for many."""
-    return both(kind, torch.stack(list(gels_of_the_registries().values()))[:, None])
+    options = {"accuracy": COARSE} if kind is TransportSimulator else {}
+    return both(kind, torch.stack(list(gels_of_the_registries().values()))[:, None], **options)
 
 
 def assert_same_law(kind, name: str) -> None:
@@ -147,9 +155,23 @@ def test_that_every_other_term_is_the_same(kind, term: StressTerm) -> None:
     assert_same_law(kind, term.name)
 
 
-@SIMULATORS
-@pytest.mark.parametrize("motion", MOTIONS, ids=lambda x: f"{x.key}-{x.liquid.key}")
+@pytest.mark.parametrize(
+    ("kind", "motion"),
+    [
+        *(
+            pytest.param(PolytropicSimulator, x, id=f"polytropic-{x.key}-{x.liquid.key}")
+            for x in MOTIONS
+        ),
+        *(
+            pytest.param(TransportSimulator, x, id=f"transport-{x.key}-{x.liquid.key}")
+            for x in EACH_ONCE
+        ),
+    ],
+)
 def test_that_every_radial_equation_is_the_same(kind, motion) -> None:
+    """In every liquid; of the transport simulator, which calls the same two laws, every equation and
+    every liquid.
+    """
     assert_same(
         kind,
         gel(G=4e3, mu=0.08, wall=0.1, compressibility=0.4),
@@ -309,7 +331,7 @@ FAILURES = [
 def test_that_failures_have_the_same_status_and_the_same_good_beginning(
     kind, values, options, status: Status
 ) -> None:
-    ours, reference = both(kind, gel(**values), **options)
+    ours, reference = both(kind, gel(**values), times=grid(2.2, 45), **options)
     assert torch.equal(ours.status, reference.status)
     assert (ours.status == status).all()
     shared = torch.isfinite(ours.radius) & torch.isfinite(reference.radius)
@@ -340,7 +362,7 @@ def test_that_a_law_without_a_compiled_form_runs_on_tensors_and_is_named_once(ki
     engines._warn_once.cache_clear()
     simulator = kind(terms=(StressTerm(torch_only, switch="mu"),))
     designs = DESIGNS[:1]
-    times = TIMES[:12]
+    times = TIMES[:5]
     with pytest.warns(
         EngineWarning,
         match=r"torch_only has no compiled form; results are the same and take longer",
@@ -348,8 +370,8 @@ def test_that_a_law_without_a_compiled_form_runs_on_tensors_and_is_named_once(ki
         ours = simulator(gel(mu=0.1), designs, times)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        again = simulator(gel(mu=0.1), designs, times)
-    assert torch.equal(ours.radius, again.radius)
+        again = simulator(gel(mu=0.1), designs, times[:2])
+    assert torch.equal(ours.radius[:, :2], again.radius)
     assert float((ours.radius - kind()(gel(mu=0.1), designs, times).radius).abs().max()) < SAME
 
 

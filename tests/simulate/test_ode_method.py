@@ -1,5 +1,7 @@
 """The torchdiffeq engine: bubbles integrated through ``torchdiffeq.odeint``, whole states and all."""
 
+import functools
+
 import torch
 from torchdiffeq import odeint
 
@@ -12,6 +14,7 @@ GELS = PARAMETERS.pack({"G": torch.tensor([2770.0, 8310.0], dtype=torch.float64)
 DESIGNS = torch.tensor([[300.0, 0.25], [150.0, 0.2]], dtype=torch.float64)
 
 
+@functools.cache
 def path(tolerance: float = 3e-4):
     field = TransportField.of(GELS, DESIGNS, tolerance=tolerance)
     return field, odeint(field, field.start(), TICKS, method="euler")

@@ -7,9 +7,11 @@ import torch
 from torch.func import grad, hessian, jacfwd, jacrev, jvp, vjp, vmap
 
 from imr_torch.errors import UnsupportedError
-from imr_torch.material import PARAMETERS
+from imr_torch.material import PARAMETERS, material
 from imr_torch.simulate import (
+    Accuracy,
     PolytropicSimulator,
+    Resolution,
     Simulator,
     TransportSimulator,
     sensitivities,
@@ -20,10 +22,13 @@ DESIGN = torch.tensor([300.0, 0.2], dtype=torch.float64)
 GELS = torch.stack(
     [PARAMETERS.pack({"G": g, "mu": m}) for g, m in ((5000.0, 0.1), (9000.0, 0.06), (3000.0, 0.2))]
 )
+FEW = material(
+    "nhkv"
+).terms  # each entry of a gel is moved, so that all laws would act at every step
 SIMULATORS = {
     "polytropic": PolytropicSimulator(),
-    "tensors": PolytropicSimulator(engine="torchdiffeq"),
-    "transport": TransportSimulator(),
+    "tensors": PolytropicSimulator(engine="torchdiffeq", terms=FEW),
+    "transport": TransportSimulator(accuracy=Accuracy(1e-3, Resolution(9, 12)), terms=FEW),
 }
 EACH = pytest.mark.parametrize("simulator", SIMULATORS.values(), ids=SIMULATORS)
 

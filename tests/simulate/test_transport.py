@@ -66,14 +66,14 @@ def test_batch_shapes_broadcast_and_every_member_is_done():
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_member_does_not_depend_on_its_neighbours_or_on_the_blocks(engine, monkeypatch):
-    parameters, designs = draws(7)
+    parameters, designs = draws(5)
     simulator = TransportSimulator(engine=engine)
     times = TIMES[:26]
-    alone = torch.stack([simulator(parameters[i], designs[i], times).radius for i in (0, 4, 6)])
+    alone = torch.stack([simulator(parameters[i], designs[i], times).radius for i in (0, 4)])
     monkeypatch.setattr(TransportSimulator, "members", 3)
     together = simulator(parameters, designs, times)
-    assert float((together.radius[[0, 4, 6]] - alone).abs().max()) < 1e-9
-    assert engine != "compiled" or torch.equal(together.radius[[0, 4, 6]], alone)
+    assert float((together.radius[[0, 4]] - alone).abs().max()) < 1e-9
+    assert engine != "compiled" or torch.equal(together.radius[[0, 4]], alone)
 
 
 def test_both_engines_give_the_same_solution_of_a_batch():

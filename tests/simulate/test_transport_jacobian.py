@@ -206,6 +206,6 @@ def test_steps_are_of_fourth_order(columns, conditions):
             state = rosenbrock_step(equations, state, step, i * step)[0]
         return state[:2]
 
-    exact = radius(160)
+    exact = radius(120)
     coarse, fine = ((radius(n) - exact).abs().amax(0) for n in (20, 40))
     assert (torch.log2(coarse / fine) > 3.5).all()

@@ -173,16 +173,22 @@ def list_compare_options() -> Options:
 
       imr-torch compare gel_a/characterize.json gel_b/characterize.json
       imr-torch compare day1_results/shots/a.json day1_results/shots/b.json --model nhkv
+      imr-torch compare a.json b.json c.json d.json --share size_drag
 
     Takes results of characterize or batch (written with --json or --out), of independent data. Ratios
     and differences are of parameters, with 90 % intervals. The Bayes factor weighs one gel against two
     with the same prior; it is given where the posteriors are Gaussian by their weighted draws and both
     had the same prior. Without it, gels are said to differ if one has more of a parameter with a
     probability of 97.5 %.
+
+    --share takes two results or more, each of a model in which the parameter is free (characterize
+    --models nhkv,nhkv+size_drag), and infers its one value in the laboratory, every gel given it, and
+    the probabilities of one value, of a value of each gel's own, and of no such effect.
     """
     return (
         text_option("a", "A.json", "result of the first gel"),
-        text_option("b", "B.json", "result of the second gel"),
+        text_option("b", "B.json", "result of the second gel; of all others", nargs="+"),
+        text_option("--share", "PARAMETER", "a parameter of the laboratory that all gels share"),
         text_option(
             "--model",
             None,
