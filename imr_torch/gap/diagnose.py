@@ -5,6 +5,7 @@ between shots. No verdict is given without converged fits. Where the gap lies, h
 unseen curves and what to shoot next is :func:`imr_torch.gap.examine`.
 """
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -26,6 +27,8 @@ from imr_torch.random import child
 from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator, fewer_steps
 from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress, ProgressLine
+
+_OTHER_NOISE = 1.1  # factor from which on noise that is inferred anew changes a diagnosis
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,13 +169,17 @@ def diagnose(
         select = partial(select_causes, most=most, alone=alone, seed=seed, progress=progress)
         found = select(inquiry, null, left)
         if found.within_misfit is not None and found.selected.parts:
-            # beside what explains most the noise is seen better
+            # beside what explains most, noise and minima are seen better
             own = child(seed, "noise beside parts")
             held = found.selected
-            _, batch = fit_with_noise(held, found.selected_fit, batch, simulator, seed=own)
-            null = fit_null(base, batch, simulator, seed=child(seed, "null"), progress=progress)
-            left = adequacy_test(null, effects, batch, simulator, seed=child(seed, "gap"))
-            found = select(replace(inquiry, batch=batch), null, left, nearest=found)
+            fit, seen = fit_with_noise(held, found.selected_fit, batch, simulator, seed=own)
+            over = (seen.sd(fit.prediction) / batch.sd(fit.prediction))[batch.mask].log().mean()
+            tried = [step.winner.name for step in found.steps]
+            if abs(float(over)) > math.log(_OTHER_NOISE) or held.name not in tried:
+                batch = seen
+                null = fit_null(base, batch, simulator, seed=child(seed, "null"), progress=progress)
+                left = adequacy_test(null, effects, batch, simulator, seed=child(seed, "gap"))
+                found = select(replace(inquiry, batch=batch), null, left, nearest=found)
     return GapReport(
         **vars(found),
         batch=batch,
