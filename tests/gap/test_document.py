@@ -163,7 +163,7 @@ def contradictions(document: dict) -> list[str]:
     """What headline, sentences and values of a document say against each other."""
     text = describe(document)
     quote = text.splitlines()[-1].strip()
-    head = document["headline"]
+    head, _, nearest = document["headline"].partition("; nearest comes")
     cause = document["cause"]
     members = document["members"] or {}
     verdict = document["verdict"]
@@ -178,6 +178,10 @@ def contradictions(document: dict) -> list[str]:
         "a gap and none": ("There is a gap" in head) != (verdict in ("effect", "class", "other"))
         or ("No gap was found" in text) != (verdict == "none")
         or (verdict == "none" and (document["gap"] or bool(cause) or shrunk is not None)),
+        "what is nearest is not said, or is beside a cause": (
+            {name for name, words in titles.items() if words in nearest}
+            != (set(document["selected"]) if verdict == "other" else set())
+        ),
         "the headline names another cause": bool(in_head - likely - set(cause)),
         "the headline lacks a cause": verdict != "other" and not set(cause) <= in_head,
         "other has a cause": verdict == "other" and bool(cause),
