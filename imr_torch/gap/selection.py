@@ -251,16 +251,8 @@ def _select_until_adequate(
             )
             return Finding(NONE, (), reason, held, null, found, None, choice, steps)
         if _is_slow_noise(found):
-            beside = (
-                f"Beside {' and '.join(map(in_words, held.parts))}, the" if held.parts else "The"
-            )
-            reason = (
-                f"{beside} curves differ from the model by slow noise of the camera (probability "
-                f"{found.posterior[SLOW_NOISE]:.2f}) or by an unknown effect that looks like it: "
-                "repeat a shot. Noise will differ from shot to shot, an effect will not."
-            )
             p = found.adequacy.p_value
-            return Finding(OTHER, (), reason, held, fit, steps[0], p, choice, steps)
+            return Finding(OTHER, (), "", held, fit, steps[0], p, choice, steps)
         held = found.winner
         fit = found.winner_fit
         named = _with_one_part(inquiry, left, steps, seed)
