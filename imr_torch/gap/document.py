@@ -56,7 +56,6 @@ def to_json(
     base = report.base
     test = report.gap
     when = parts.onset
-    acts = parts.acts
     # the base model and what leads each step of the selection
     leading = {"none": report.null} | {step.winner.name: step.winner_fit for step in report.steps}
     document = {
@@ -82,7 +81,6 @@ def to_json(
         **_values(report, parts),
         "hidden": list(map(vars, parts.hidden)),
         "onset": when and vars(when) | {"sentence": str(when)},
-        "acts": acts and {"shares": acts},
         "shrinkage": parts.shrinkage and _shrinkage(parts.shrinkage, report),
         "next_design": parts.next_design and _design(parts.next_design),
         "missing": parts.unknown and _missing(parts.unknown),
