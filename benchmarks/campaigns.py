@@ -22,14 +22,27 @@ import torch
 from torch import Tensor
 
 from benchmarks.records import Figure, Line, run_missing_jobs, write_figures
-from imr_torch.campaign import Campaign, CampaignSettings, Optimal, hindsight_measure
-from imr_torch.design import DesignSpace, Laplace, Plan
+from imr_torch.campaign import Campaign, CampaignSettings, Optimal
+from imr_torch.design import (
+    DesignMeasure,
+    DesignSpace,
+    Laplace,
+    MeasureOptions,
+    Plan,
+    optimal_measure,
+)
 from imr_torch.design.likelihood import Data, infer_linear
 from imr_torch.design.response import Shot, simulate_response
-from imr_torch.material import CASES, PARAMETERS, Belief, ReferenceCase, reference_case
+from imr_torch.material import CASES, PARAMETERS, Belief, Cloud, ReferenceCase, reference_case
 from imr_torch.observe import Experiment, SimulatedLaboratory
 from imr_torch.random import child, generator
-from imr_torch.simulate import Accuracy, PolytropicSimulator, Simulator, TransportSimulator
+from imr_torch.simulate import (
+    Accuracy,
+    PolytropicSimulator,
+    Simulator,
+    TransportSimulator,
+    coarser,
+)
 
 PLAN = Plan(repeats=100)
 SIMULATORS: dict[str, Simulator] = {
@@ -55,7 +68,7 @@ def run_campaign(case: ReferenceCase, seed: int, designs: int, simulator: Simula
             started = time.process_time()
             campaign.run(shoot, count)
             seconds.append(time.process_time() - started)
-        best = hindsight_measure(campaign)
+        best = hindsight_measure(campaign, MeasureOptions())
     low, high = DesignSpace().bounds
     unit = torch.rand(200, designs, 2, generator=generator(child(seed, "random")))
     at_random = torch.tensor([best.efficiency(rows) for rows in low + (high - low) * unit])
@@ -76,6 +89,34 @@ def run_campaign(case: ReferenceCase, seed: int, designs: int, simulator: Simula
         "random": float(at_random.quantile(0.5)),
         "bound": best.bound,
     }
+
+
+def hindsight_measure(campaign: Campaign, options: MeasureOptions) -> DesignMeasure:
+    """The optimal measure (D) of as many shots as a campaign made, for gels of its belief now, known as
+    little as they were before it; its ``efficiency`` judges the designs shot.
+
+    Args:
+        campaign: with at least one experiment; a design outside its space counts as the nearest in
+            it.
+        options: of the measure.
+    """
+    levels = torch.special.ndtr(torch.tensor(Cloud.SCORES, dtype=torch.float64))
+    source = generator(child(campaign.seed, "hindsight"))
+    parts = []
+    for part in campaign.belief.models:
+        before = campaign.prior[part.model]
+        drawn = part.controls(options.draws, seed=source)
+        precisions = before.precision.expand(len(drawn), -1, -1)
+        parts.append(before.with_cloud(Cloud(drawn, precisions, drawn.quantile(levels, dim=0))))
+    return optimal_measure(
+        Belief(tuple(parts), campaign.belief.log_probabilities),
+        coarser(campaign.simulator),
+        "D",
+        shots=len(campaign.experiments),
+        plan=campaign.plan,
+        space=campaign.settings.space,
+        options=options,
+    )
 
 
 def bound_errors(case: ReferenceCase, designs: Tensor, simulator: Simulator) -> Tensor:

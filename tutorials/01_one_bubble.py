@@ -12,10 +12,10 @@ import os
 import tempfile
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import torch
 
 from imr_torch.material import MATERIALS, PARAMETERS
-from imr_torch.results.plot import plot_solution
 from imr_torch.simulate import STEPPINGS, PolytropicSimulator
 
 SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
@@ -58,8 +58,11 @@ solution = simulator(gels, design, times)
 print(solution.summary())
 
 # %%
-ax = plot_solution(solution, labels=[f"alpha = {a:g}" for a in stiffening.tolist()])
-ax.figure.savefig(OUT / "stiffening.png")
+figure, ax = plt.subplots(layout="constrained")
+ax.plot(times, solution.radius.T, label=[f"alpha = {a:g}" for a in stiffening.tolist()])
+ax.set(xlabel="t*", ylabel="R*", ylim=(0.0, None))
+ax.legend()
+figure.savefig(OUT / "stiffening.png")
 assert bool(solution.ok.all())
 
 # %% [markdown]

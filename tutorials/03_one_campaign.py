@@ -17,7 +17,7 @@ from imr_torch.design import Laplace, Plan
 from imr_torch.material import PARAMETERS, reference_case
 from imr_torch.observe import SimulatedLaboratory
 from imr_torch.random import child
-from imr_torch.results.plot import plot_information, plot_parameter
+from imr_torch.results.plot import draw_information, plot_parameter, search_document
 from imr_torch.simulate import PolytropicSimulator
 
 SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
@@ -74,6 +74,7 @@ again = Campaign(OUT, case.prior, simulator, settings=settings, seed=1)
 assert again.belief.to_dict() == campaign.belief.to_dict()
 search = again.search(1)
 if search:
-    plot_information(search).figure.savefig(OUT / "information.png")
+    found = search_document(search, simulator.conditions.surroundings)
+    draw_information(found).figure.savefig(OUT / "information.png")
 history = [("prior", case.prior["gen_qkv"]), ("posterior", campaign.belief["gen_qkv"])]
 plot_parameter(history, "alpha", truth=case.truth["alpha"]).figure.savefig(OUT / "alpha.png")

@@ -10,6 +10,7 @@
 # %%
 import os
 
+import matplotlib.pyplot as plt
 import torch
 
 from imr_torch.assimilate import SearchOptions, assimilate
@@ -25,7 +26,6 @@ from imr_torch.material import (
     wide_prior,
 )
 from imr_torch.observe import ExperimentBatch, Film, SimulatedLaboratory, predict
-from imr_torch.results.plot import plot_solution
 from imr_torch.simulate import PolytropicSimulator
 
 SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
@@ -91,9 +91,14 @@ sizes = [0.0, 0.05, 0.1]
 gels = PARAMETERS.pack(
     {"G": 5000.0, "mu": 0.1, "fading_pressure": torch.tensor(sizes, dtype=torch.float64)}
 )
-ax = plot_solution(
-    simulator(gels, design, times), labels=[f"{100 * size:g} % of p_inf" for size in sizes]
+figure, ax = plt.subplots(layout="constrained")
+ax.plot(
+    times,
+    simulator(gels, design, times).radius.T,
+    label=[f"{100 * size:g} % of p_inf" for size in sizes],
 )
+ax.set(xlabel="t*", ylabel="R*", ylim=(0.0, None))
+_ = ax.legend()
 
 # %% [markdown]
 # Check the sign before you believe a law: a higher pressure makes the bubble collapse earlier.

@@ -26,7 +26,7 @@ from pathlib import Path
 import torch
 
 from benchmarks.gap.sets import PHYSICS, TRUTHS, SyntheticSet, Task, make_set
-from benchmarks.gap.verdicts import families, is_in_class, is_named, summarise
+from benchmarks.gap.verdicts import families, is_in_class, is_named, posterior_of, summarise
 from benchmarks.records import Figure, Line, read_record, run_missing_jobs, write_figures
 from imr_torch.errors import ConvergenceWarning
 from imr_torch.gap import GapReport, diagnose
@@ -41,7 +41,6 @@ from imr_torch.random import child
 from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
 
 KINDS = ("none", "effect", "withheld")
-EVEN = "1:1"
 BINS = 5
 _STATED = 0.1  # chance of an unknown effect from which on a verdict says so
 _SURE = 0.9
@@ -175,7 +174,7 @@ def score_causes(lines: Sequence[Line]) -> list[Figure]:
     closed = [line["shrinkage_true"] for line in judged]
     covered = [x["shrinkage"][0] <= x["shrinkage_true"] <= x["shrinkage"][2] for x in judged]
     seconds = [line["seconds"] for line in lines if line.get("seconds") is not None]
-    asked = [x for x in lines if x["kind"] != "none" and x.get("posterior_at_odds") is not None]
+    asked = [x for x in lines if x["kind"] != "none" and posterior_of(x)]
     alike = [x for x in hidden if (x.get("first") or {}).get("chance") is not None]
     alarms = [bool(line.get("gap")) for line in lines if line["kind"] == "none"]
     right = [is_in_class(line) for line in known if is_named(line)]
@@ -200,7 +199,7 @@ def score_causes(lines: Sequence[Line]) -> list[Figure]:
         ),
         *_calibrate(
             "withheld, where P(other) is stated as",
-            [(x["posterior_at_odds"][EVEN]["other"], x["kind"] == "withheld") for x in asked],
+            [(posterior_of(x)["other"], x["kind"] == "withheld") for x in asked],
             [x["kind"] for x in asked],
         ),
         *_calibrate(
@@ -218,12 +217,12 @@ def score_causes(lines: Sequence[Line]) -> list[Figure]:
 
 
 def _top(line: Line) -> tuple[frozenset[str], float]:
-    """The most probable class of known effects at even odds, and its probability.
+    """The most probable class of known effects, and its probability.
 
     0 where no cause was asked for.
     """
     total: Counter[frozenset[str]] = Counter()
-    for name, probability in ((line.get("posterior_at_odds") or {}).get(EVEN) or {}).items():
+    for name, probability in posterior_of(line).items():
         if name not in ("none", "other"):
             total[families(name.split("+"))] += probability
     return total.most_common(1)[0] if total else (frozenset(), 0.0)

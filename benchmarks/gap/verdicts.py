@@ -17,7 +17,7 @@ _KEPT = (
     "converged",
     "seconds",
     "members",
-    "posterior_at_odds",
+    "posterior",
 )
 
 
@@ -35,6 +35,14 @@ def summarise(report: GapReport) -> Line:
             "adequate": first.adequacy.p_value >= ADEQUATE,
         }
     return line
+
+
+def posterior_of(line: Line) -> dict[str, Any]:
+    """Probabilities of causes, an unknown effect being as likely before as all known ones; empty where
+    none was asked for. Older lines hold them at two prior odds.
+    """
+    at_odds = line.get("posterior_at_odds") or {}
+    return line.get("posterior") or at_odds.get("1:1") or {}
 
 
 def families(names: Iterable[str]) -> frozenset[str]:

@@ -1,7 +1,6 @@
 """Campaigns: sequences of choosing a design, measuring and inference, recorded in a journal."""
 
 from imr_torch.campaign.forecast import ShotForecast, camera_variants, forecast_shots
-from imr_torch.campaign.hindsight import hindsight_measure
 from imr_torch.campaign.history import Step
 from imr_torch.campaign.journal import Journal
 from imr_torch.campaign.learners import (
@@ -66,6 +65,5 @@ __all__ = [
     "StoppingRule",
     "camera_variants",
     "forecast_shots",
-    "hindsight_measure",
     "stopping_rule",
 ]

@@ -12,7 +12,6 @@ from imr_torch.campaign import (
     CampaignSettings,
     Journal,
     Proposal,
-    hindsight_measure,
 )
 from imr_torch.campaign.admission import check_whole
 from imr_torch.characterization import medium_of
@@ -26,10 +25,8 @@ from imr_torch.cli.common import (
     simulator_of,
     with_medium,
 )
-from imr_torch.design.measure import read_criterion
 from imr_torch.errors import InputDataError
 from imr_torch.files import remove_temporaries
-from imr_torch.float64 import tensor
 from imr_torch.material import PARAMETERS, Belief, ReferenceCase, reference_case
 from imr_torch.observe import (
     Experiment,
@@ -74,8 +71,6 @@ def run_command(args: Namespace) -> None:
     case = reference_case(args.case) if args.case else None
     if args.goal == "cause":
         prior = one_model(prior, case)
-    if args.efficiency:
-        read_criterion(args.efficiency, prior)
     campaign = _open_campaign(args, simulator, prior, settings)
     try:
         with campaign.journal.hold_lock():
@@ -224,10 +219,6 @@ def _report_campaign(
         truth = {name: case.truth[name] for name in means}
         errors = {name: abs(mean / truth[name] - 1.0) for name, mean in means.items()}
     document = campaign_document(campaign, proposals=proposals, stopped=stopped, truth=truth)
-    if args.efficiency and campaign.experiments:
-        designs = tensor([e.design for e in campaign.experiments])
-        share = hindsight_measure(campaign, args.efficiency).efficiency(designs)
-        document["efficiency"] = {"criterion": args.efficiency, "share": share}
     unstated = exact_medium(args, campaign.belief)
     said = {"relative_error": errors, "cpu_seconds": seconds, "medium_unstated": unstated}
     report_result(args, document | said)

@@ -30,7 +30,7 @@ from imr_torch.gap.hypotheses import (
     promised,
 )
 from imr_torch.gap.lookalike import Likeness
-from imr_torch.gap.verdict import ODDS, VERDICT_ODDS, probabilities
+from imr_torch.gap.verdict import probabilities
 from imr_torch.goodness.score import GapTest
 from imr_torch.material import Effect, ModelBelief
 from imr_torch.observe import ExperimentBatch
@@ -59,13 +59,12 @@ class Attribution:
         fits: name of a hypothesis -> fit, ``held`` among them; one that was discarded is not
             converged.
         log_evidence: hypothesis -> nats.
-        posterior: hypothesis -> probability at ``VERDICT_ODDS``, with ``"none"`` (of the parts asked
-            about), ``"other"`` and, where the noise was inferred, ``"slow_noise"``; those not fitted
-            to the end are far behind.
+        posterior: hypothesis -> probability, with ``"none"`` (of the parts asked about), ``"other"``
+            and, where the noise was inferred, ``"slow_noise"``; those not fitted to the end are far
+            behind.
         winner: the best hypothesis beside ``held``.
         left: the gap test at the winner's fit with its directions, for a further effect.
         likeness: what an unknown effect of this size would look like.
-        at_odds: prior odds of an unknown effect -> posterior.
         checked: hypothesis -> its evidence by importance sampling, of those near the best.
         left_out: hypotheses ahead of the winner whose fits did not converge, which therefore have
             no probability.
@@ -79,7 +78,6 @@ class Attribution:
     winner: Hypothesis
     left: Adequacy
     likeness: Likeness
-    at_odds: dict[float, dict[str, float]] = field(default_factory=dict)
     checked: dict[str, CheckedEvidence] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
 
@@ -338,17 +336,15 @@ class _Round:
         smooth = None  # where the noise is known, slow noise included
         if laws is not None and laws.of_residuals:
             smooth = smooth_deviations(self.null.linearise(self.batch, inquiry.simulator))
-        at_odds = {odds: self._posterior(odds, bayes_factor, smooth) for odds in ODDS}
         return Attribution(
             self.held,
             self.hypotheses,
             self.fits,
             self.evidence,
-            at_odds[VERDICT_ODDS],
+            self._posterior(bayes_factor, smooth),
             winner,
             left,
             like,
-            at_odds=at_odds,
             checked=checked,
             left_out=self.left_out,
         )
@@ -386,9 +382,7 @@ class _Round:
                 self.left_out += (leader,)
                 del self.evidence[leader]
 
-    def _posterior(
-        self, odds: float, bayes_factor: float, smooth: SmoothDeviations | None
-    ) -> dict[str, float]:
+    def _posterior(self, bayes_factor: float, smooth: SmoothDeviations | None) -> dict[str, float]:
         """Probabilities of all causes, averaged over what is known of the scale of the noise."""
         kinds = {effect.name: effect.family for effect in self.inquiry.effects}
         families = {h.name: kinds.get(part, part) for part, h in self.longer.items()}
@@ -408,7 +402,6 @@ class _Round:
                     families,
                     self.held.name,
                     bayes_factor,
-                    odds=odds,
                     beside=bool(self.held.parts),
                     masked=self.masked,
                     smooth=smooth and (base + smooth.own, base + smooth.common),

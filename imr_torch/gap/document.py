@@ -21,7 +21,6 @@ from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.gap.identity_design import NextDesign
 from imr_torch.gap.shrinkage import Shrinkage
 from imr_torch.gap.text import headline, next_step
-from imr_torch.gap.verdict import VERDICT_ODDS
 from imr_torch.goodness.phases import PHASES, phase_numbers
 from imr_torch.material import LIBRARY
 from imr_torch.material.model_belief import LEVELS
@@ -56,7 +55,6 @@ def to_json(
     base = report.base
     test = report.gap
     when = parts.onset
-    acts = parts.acts
     # the base model and what leads each step of the selection
     leading = {"none": report.null} | {step.winner.name: step.winner_fit for step in report.steps}
     document = {
@@ -82,7 +80,6 @@ def to_json(
         **_values(report, parts),
         "hidden": list(map(vars, parts.hidden)),
         "onset": when and vars(when) | {"sentence": str(when)},
-        "acts": acts and {"shares": acts},
         "shrinkage": parts.shrinkage and _shrinkage(parts.shrinkage, report),
         "next_design": parts.next_design and _design(parts.next_design),
         "missing": parts.unknown and _missing(parts.unknown),
@@ -99,16 +96,6 @@ def to_json(
     return document | {"headline": headline(document), "next_step": next_step(document)}
 
 
-def odds_text(odds: float) -> str:
-    """Prior odds of 1 or less in words: ``"1:9"``, ``"1:1"``.
-
-    >>> from imr_torch.gap.document import odds_text
-    >>> odds_text(1.0 / 9.0)
-    '1:9'
-    """
-    return f"1:{1.0 / odds:g}"
-
-
 def _causes(found: Attribution | None) -> Document:
     """Probabilities and evidence of all causes; null without an attribution."""
     like = found and found.likeness
@@ -118,9 +105,6 @@ def _causes(found: Attribution | None) -> Document:
         "explained_nats": found and found.explained,
         "unconverged": found and list(found.unconverged),
         "given_up": found and list(found.given_up),
-        "posterior_at_odds": found
-        and {odds_text(odds): own for odds, own in found.at_odds.items()},
-        "verdict_odds": found and odds_text(VERDICT_ODDS),
         "unknown": found
         and like
         and {

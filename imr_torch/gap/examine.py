@@ -9,7 +9,7 @@ from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.hidden import Hidden, hidden_effects
 from imr_torch.gap.identity_design import NextDesign, identity_design, plan_of
-from imr_torch.gap.locate import Onset, onset, where_it_acts
+from imr_torch.gap.locate import Onset, onset
 from imr_torch.gap.model_error import ModelError, model_error
 from imr_torch.gap.shrinkage import Shrinkage, shrinkage
 from imr_torch.gap.verdict import OTHER
@@ -29,7 +29,6 @@ class Parts:
 
     Args:
         onset: from when on the gap can be detected.
-        acts: phase -> 5, 50, 95 % of its share of the signal of the named effects.
         shrinkage: how far it shrinks on curves that no fit saw.
         next_design: what to shoot to tell the causes apart that are still possible.
         model_error: parameters with what the model may lack.
@@ -42,7 +41,6 @@ class Parts:
     """
 
     onset: Onset | None = None
-    acts: dict[str, list[float]] | None = None
     shrinkage: Shrinkage | None = None
     next_design: NextDesign | None = None
     model_error: ModelError | None = None
@@ -99,7 +97,6 @@ def examine(
     return replace(
         parts,
         onset=onset(report.left, seed=child(seed, "onset")),
-        acts=_acts(report, simulator, child(seed, "acts")),
         shrinkage=shrinkage(
             report, simulator, judging, seed=child(seed, "shrinkage"), progress=progress
         ),
@@ -116,16 +113,6 @@ def _unknown(report: GapReport, simulator: Simulator) -> Unknown | None:
         return infer_unknown(report.null, report.batch, fewer_steps(simulator))
     except RuntimeError:  # a matrix that is not positive definite
         return None
-
-
-def _acts(report: GapReport, simulator: Simulator, seed: int) -> dict[str, list[float]] | None:
-    """Where the named effects act; None without a named effect."""
-    found = report.attribution
-    if found is None or report.verdict not in ("effect", "class") or found.winner.gels_differ:
-        return None
-    return where_it_acts(
-        found.winner_fit, found.winner.effects, report.left.line, simulator, seed=seed
-    )
 
 
 def _next(

@@ -96,14 +96,6 @@ def gap_figures(document: Document, *, curves: int | None = None) -> Iterator[Na
             partial(plot_onset, document["onset"]),
             section=PLACE,
         )
-        if document["acts"]:
-            yield NamedFigure(
-                "acts",
-                "Share of the signal of the named effects by phase, with its 90 % interval.",
-                "Bar chart; the sentences above give the numbers.",
-                partial(plot_acts, document["acts"]["shares"]),
-                section=PLACE,
-            )
     if posterior := document["posterior"]:
         top = max(posterior, key=posterior.__getitem__)
         caption = "Probability of each cause."
@@ -251,14 +243,6 @@ def plot_onset(found: Mapping[str, Any], *, ax: Axes | None = None) -> Axes:
     ax.set(xlabel="frames up to $t^*$", ylabel="$-\\log_{10} p$")
     ax.set(ylim=(0.0, 2.0 * max(*strength, _LINEAR)))
     add_legend(ax)
-    return ax
-
-
-def plot_acts(shares: Mapping[str, Sequence[float]], *, ax: Axes | None = None) -> Axes:
-    """Share of the signal of the named effects by phase, with its 90 % interval."""
-    texts = [f"{middle:.2f} ({low:.2f} to {high:.2f})" for low, middle, high in shares.values()]
-    ax = _bars(ax, list(shares), [middle for _, middle, _ in shares.values()], texts)
-    ax.set(xlabel="share of the signal", xlim=(0.0, 1.5), xticks=[0.0, 0.5, 1.0])
     return ax
 
 

@@ -1,12 +1,9 @@
-"""Location of the gap: from when in the event on it can be detected, and where its cause acts.
+"""Location of the gap: from when in the event on it can be detected.
 
-*When*: refit on the frames up to a moment and test; frames before an effect acts are free of it,
-whereas the residual of a fit to all frames is spread over them by the fit. The first moment that
-rejects is the first at which the gap can be detected: it comes earlier with more repeats. *Where
-the cause acts* does not: the named effect is switched off at its own fit, and what a refit of the
-gel to the frames up to the end of each phase leaves of the change is that phase's share. Both
-refits are linear: leaving frames out changes neither curves nor sensitivities, only which rows
-count.
+Refit on the frames up to a moment and test; frames before an effect acts are free of it, whereas
+the residual of a fit to all frames is spread over them by the fit. The first moment that rejects is
+the first at which the gap can be detected: it comes earlier with more repeats. Refits are linear:
+leaving frames out changes neither curves nor sensitivities, only which rows count.
 """
 
 import math
@@ -17,22 +14,17 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from imr_torch.assimilate import ModelFit
-from imr_torch.float64 import randn, tensor, zeros
+from imr_torch.float64 import randn, zeros
 from imr_torch.gap.adequacy import Adequacy
-from imr_torch.goodness.linear import Linearisation, predict_changed
-from imr_torch.goodness.phases import PHASES, phase_clock, phase_name, phase_numbers
+from imr_torch.goodness.linear import Linearisation
+from imr_torch.goodness.phases import phase_clock, phase_name
 from imr_torch.goodness.score import BOOTSTRAP, PULSES, SHAPE, log_survival, make_block
 from imr_torch.labels import p_value
-from imr_torch.material import PARAMETERS, Effect
-from imr_torch.material.model_belief import LEVELS
 from imr_torch.random import SeedLike, generator
-from imr_torch.simulate import Simulator
 from imr_torch.types import Directions, FrameMask
 
 _GRID = (0.15, 0.3, 0.5, 0.75, 0.94, 1.06, 1.25, 1.5, 1.75, 1.94, 2.06, 2.25, 2.6, 3.2, math.inf)
 _LEVEL = 0.01  # of a false onset; that there is a gap at all is not decided here
-_DRAWS = 24  # posterior draws behind the shares of phases
 
 
 @dataclass(frozen=True)
@@ -105,46 +97,6 @@ def onset(left: Adequacy, *, seed: SeedLike) -> Onset:
     if first is None:
         return Onset(None, "none", tuple(times), tuple(p_values), _LEVEL)
     return Onset(times[first], phase_name(ends[first]), tuple(times), tuple(p_values), _LEVEL)
-
-
-def where_it_acts(
-    fit: ModelFit,
-    effects: Sequence[Effect],
-    line: Linearisation,
-    simulator: Simulator,
-    *,
-    seed: int,
-) -> dict[str, list[float]] | None:
-    """Phase -> 5, 50, 95 % of its share of the squared signal of effects, beside a refit of the gel
-    to the frames up to the end of the phase; None where no posterior draw can be simulated.
-
-    Args:
-        fit: with the effects.
-        effects: what is switched off.
-        line: local sensitivities at the base model's fit.
-        simulator: makes the bubbles.
-        seed: of the draws.
-    """
-    batch = line.batch
-    noise = randn(_DRAWS, len(fit.mean), generator=generator(seed))
-    nuisances = int((batch.nuisance_sds > 0.0).any(0).sum()) * len(batch.experiments)
-    shift = torch.nn.functional.pad(noise @ fit.chol.mT, (0, nuisances)).repeat(2, 1)
-    off = {effect.names[0]: PARAMETERS[effect.names[0]].neutral for effect in effects}
-    made = predict_changed(fit, batch, simulator, [{}] * _DRAWS + [off] * _DRAWS, shift)
-    signal = line.whiten(made[:_DRAWS] - made[_DRAWS:])
-    phase = phase_numbers(batch.times, line.prediction, batch.mask)
-    reached = [zeros(_DRAWS)]
-    for last in range(len(PHASES)):
-        frames = (phase <= last) & batch.mask
-        rows = signal * _kept_rows(line, frames).to(signal)
-        reached.append(restrict(line, frames).project_out(rows).square().sum(1))
-    gained = torch.stack(reached, 1).diff(dim=1).clamp_min(0.0)
-    shares = gained / gained.sum(1, keepdim=True)
-    shares = shares[torch.isfinite(shares).all(1)]
-    if not len(shares):
-        return None
-    levels = shares.quantile(tensor(LEVELS), dim=0)
-    return dict(zip(PHASES, levels.mT.tolist(), strict=True))
 
 
 def restrict(line: Linearisation, frames: FrameMask) -> Linearisation:

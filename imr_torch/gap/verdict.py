@@ -21,10 +21,8 @@ SLOW_NOISE = "slow_noise"
 """The base model alone; an effect that is not in the library; noise of the camera that lasts several frames."""
 PRIOR_NONE = 0.5
 """That nothing is missing."""
-ODDS = (1.0 / 9.0, 1.0)
-"""Prior odds of an unknown effect against the known ones at which probabilities are given."""
 VERDICT_ODDS = 1.0
-"""Those that the verdict is based on."""
+"""Prior odds of an unknown effect against the known ones."""
 PRIOR_SLOW = 0.25
 """That it is slow noise of the camera, given that it is nothing unknown: some public records hold such noise, others none."""
 PRIOR_TWO = 0.1
@@ -82,7 +80,6 @@ def probabilities(
     held: str,
     bayes_factor: float,
     *,
-    odds: float = VERDICT_ODDS,
     beside: bool = False,
     masked: float = 1.0,
     smooth: tuple[float, float] | None = None,
@@ -90,7 +87,7 @@ def probabilities(
     """Posterior over hypotheses, ``"none"`` (of the parts asked about), ``"other"`` and, if asked
     for, ``"slow_noise"``.
 
-    Prior: the base model .5; the rest is shared between known and unknown effects by ``odds``, and
+    Prior: the base model .5; the rest is shared between known and unknown effects by ``VERDICT_ODDS``, and
     among the known ones evenly over families (declared forms of one thing, so that two forms of an
     effect do not count twice; gels that differ between shots are one). Beside a part that was
     selected, "other" stands for an unknown effect in place of two known ones, which are rarer than
@@ -101,7 +98,6 @@ def probabilities(
         families: each hypothesis asked about -> family of what it adds to ``held``.
         held: name of what every hypothesis has.
         bayes_factor: of an unknown effect over the leading one, by what that leaves unexplained.
-        odds: prior odds of an unknown effect against the known ones.
         beside: whether parts were selected before.
         masked: beside selected parts, the chance that these alone did not explain an unknown
             effect.
@@ -110,14 +106,14 @@ def probabilities(
             unknown effect either, with equal probability.
     """
     counts = Counter(families.values())
-    known = (1.0 - PRIOR_NONE) / (1.0 + odds)
+    known = (1.0 - PRIOR_NONE) / (1.0 + VERDICT_ODDS)
     slow = 0.0
     unknown = -math.inf
     if smooth is not None:
         slow = PRIOR_SLOW * known
         known -= slow
         either = max(smooth) + math.log(0.5 + 0.5 * math.exp(-abs(smooth[0] - smooth[1])))
-        unknown = math.log(slow * odds) + either
+        unknown = math.log(slow * VERDICT_ODDS) + either
     logs = {
         name: math.log(known / len(counts) / counts[family]) + evidence[name]
         for name, family in families.items()
@@ -129,7 +125,7 @@ def probabilities(
     top = max(*logs.values(), unknown)
     weights = {name: math.exp(value - top) for name, value in logs.items()}
     of_effects = sum(weight for name, weight in weights.items() if name not in (NONE, SLOW_NOISE))
-    against = odds * masked / PRIOR_TWO if beside else odds
+    against = VERDICT_ODDS * masked / PRIOR_TWO if beside else VERDICT_ODDS
     weights[OTHER] = of_effects * min(against * bayes_factor, 1e12) + math.exp(unknown - top)
     total = sum(weights.values())
     return {name: weight / total for name, weight in weights.items()}

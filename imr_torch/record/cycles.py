@@ -97,7 +97,7 @@ class Cycle:
     >>> time = np.linspace(-24e-6, 24e-6, 97)
     >>> trace = RadiusTrace("shot 1", torch.tensor(time), torch.tensor(2e-4 * np.cos(6e4 * time) ** 0.4), "example")
     >>> cycle = describe_record(TraceSet((trace,))).shots[0].cycles[0]
-    >>> bool(np.nanmax(abs(cycle.split)) < 0.05), abs(cycle.skewness) < 0.01  # a curve that is even in time
+    >>> bool(np.nanmax(abs(cycle.collapse - cycle.growth)) < 0.05), abs(cycle.skewness) < 0.01  # a curve that is even in time
     (True, True)
     """
 
@@ -117,11 +117,6 @@ class Cycle:
     chord_sd: float
     skewness: float
     skewness_sd: float
-
-    @property
-    def split(self) -> np.ndarray:
-        """Collapse less growth, over p_inf: dissipation."""
-        return self.collapse - self.growth
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready but for NaN."""

@@ -8,7 +8,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.special import ndtri
 
 from imr_torch.drawing import (
     CYCLE,
@@ -110,64 +109,21 @@ def _plot_models(curve: Document, probabilities: Mapping[str, float], ax: Axes) 
 
 
 def residuals_figure(document: Document) -> Figure:
-    """Standardised residuals of the most probable model over t* and R*, their autocorrelation, and
-    their quantiles.
-    """
-    figure, axes = plt.subplots(2, 2, figsize=(5.8, 5.0), layout="constrained")
-    rows = []
-    for curve in document["curves"]:
-        t, r, fitted = _measured_frames(curve)
-        model = curve["models"][curve["band"]["model"]]
-        predicted = r[fitted] - floats(model["residual"])
-        rows.append((t[fitted], predicted, floats(model["residual_over_sd"])))
-    for column, label in ((0, T_STAR), (1, f"{R_STAR} of the model")):
-        ax = axes[0][column]
+    """Standardised residuals of the most probable model over t* and R*."""
+    figure, axes = plt.subplots(1, 2, figsize=(5.8, 2.7), sharey=True, layout="constrained")
+    for ax, label in zip(axes, (T_STAR, f"{R_STAR} of the model"), strict=True):
         ax.axhspan(-2.0, 2.0, **NOISE_BAND)
         mark_zero(ax)
         ax.set_prop_cycle(color=CYCLE)
-        for row in rows:
-            ax.plot(row[column], row[2], ".", ms=4, alpha=0.7)
-        ax.set(xlabel=label, ylabel="residual / noise")
-    _plot_autocorrelation(rows, float(document["noise"]["correlation_time"]), axes[1][0])
-    _plot_quantiles(np.concatenate([row[2] for row in rows]), axes[1][1])
+        ax.set_xlabel(label)
+    axes[0].set_ylabel("residual / noise")
+    for curve in document["curves"]:
+        t, r, fitted = _measured_frames(curve)
+        model = curve["models"][curve["band"]["model"]]
+        left = floats(model["residual_over_sd"])
+        axes[0].plot(t[fitted], left, ".", ms=4, alpha=0.7)
+        axes[1].plot(r[fitted] - floats(model["residual"]), left, ".", ms=4, alpha=0.7)
     return figure
-
-
-def _plot_autocorrelation(
-    rows: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], memory: float, ax: Axes
-) -> None:
-    """Autocorrelation over lags in frames, pooled over curves, with what the noise law assumes."""
-    count = min(20, max(len(row[0]) for row in rows) - 2)
-    products = [
-        np.concatenate([z[lag:] * z[: max(len(z) - lag, 0)] for _, _, z in rows])
-        for lag in range(count + 1)
-    ]
-    pairs = np.array([max(np.isfinite(own).sum(), 1) for own in products])
-    values = np.array([np.nansum(own) for own in products]) / pairs
-    values /= max(values[0], 1e-300)
-    lags = np.arange(1, count + 1)
-    width = 1.96 / np.sqrt(pairs[1:])
-    mark_zero(ax)
-    ax.fill_between(lags, -width, width, label="95 % if independent", **NOISE_BAND)
-    ax.vlines(lags, 0.0, values[1:], color=MODEL, lw=1.2)
-    ax.plot(lags, values[1:], ".", color=MODEL, ms=6, label="residuals")
-    if memory > 0.0:
-        step = float(np.median(np.concatenate([np.diff(t) for t, _, _ in rows])))
-        assumed = f"noise law, {memory:.3g} in $t^*$"
-        ax.plot(lags, np.exp(-lags * step / memory), color=CYCLE[1], ls="--", lw=1.2, label=assumed)
-    ax.set(xlabel="lag (frames)", ylabel="autocorrelation", ylim=(-1.0, 1.05))
-    add_legend(ax, fontsize=7)
-
-
-def _plot_quantiles(values: np.ndarray, ax: Axes) -> None:
-    z = np.sort(values[np.isfinite(values)])
-    expected = ndtri((np.arange(len(z)) + 0.5) / len(z))
-    ax.axline((0.0, 0.0), slope=1.0, color=DATA, lw=0.8)
-    ax.plot(expected, z, ".", ms=4, color=MODEL)
-    inner = 1.15 * float(expected[-1])
-    reach = 1.1 * max(3.0, float(np.abs(z).max()))
-    ax.set(xlim=(-inner, inner), ylim=(-reach, reach))
-    ax.set(xlabel="quantile of the standard normal", ylabel="residual / noise")
 
 
 def collapse_figure(document: Document) -> Figure:

@@ -90,9 +90,9 @@ def _characterization_figures(document: Document) -> Iterator[NamedFigure]:
     if document["curves"]:
         yield NamedFigure(
             "residuals",
-            "Residuals over the noise of the fit: over time, over radius, their autocorrelation "
-            "and their quantiles. A model that explains the curves leaves no pattern.",
-            "Four charts of standardised residuals.",
+            "Residuals over the noise of the fit: over time and over radius (grey: up to 2). "
+            "A model that explains the curves leaves no pattern.",
+            "Two charts of standardised residuals.",
             partial(residuals_figure, document),
         )
     if document.get("record"):

@@ -31,27 +31,12 @@ from imr_torch.drawing import (
 )
 from imr_torch.files import Document
 from imr_torch.float64 import arange, linspace, tensor
-from imr_torch.labels import R_STAR, REST_RADIUS, T_STAR, WEBER, parameter_label, plain, symbol
+from imr_torch.labels import REST_RADIUS, WEBER, parameter_label, plain, symbol
 from imr_torch.material import PARAMETERS, Belief, ModelBelief
-from imr_torch.simulate import Solution
 from imr_torch.types import Design, Designs
 from imr_torch.units import Surroundings
 
 _LEVELS = linspace(0.002, 0.998, 400)  # of a density
-
-
-def plot_solution(
-    solution: Solution, *, ax: Axes | None = None, labels: Sequence[str] | None = None
-) -> Axes:
-    """Radius over time of each bubble of a flat batch (``B x n_t``)."""
-    ax = axes_or_new(ax)
-    ax.set_prop_cycle(color=CYCLE)
-    for i, (times, radius) in enumerate(zip(solution.times, solution.radius, strict=True)):
-        ax.plot(times, radius, lw=1.5, label=plain(labels[i]) if labels else None)
-    ax.set(xlabel=T_STAR, ylabel=R_STAR, ylim=(0.0, None))
-    if labels:
-        add_legend(ax)
-    return ax
 
 
 def fill_band(ax: Axes, band: Document) -> None:
@@ -277,23 +262,9 @@ def _information_map(search: DesignSearch) -> Document:
     return {"We": weber.tolist(), "R_inf*": rest.tolist(), "nats": mean.tolist()}
 
 
-def plot_information(
-    search: DesignSearch, *, ax: Axes | None = None, surroundings: Surroundings | None = None
-) -> Axes:
+def draw_information(found: Document, *, ax: Axes | None = None) -> Axes:
     """Map of the expected information gain over designs, with the evaluated designs and the chosen
     one.
-
-    Args:
-        search: a finished search.
-        ax: where to draw.
-        surroundings: the liquid side, which fixes Rmax of a Weber number; the default one when not
-            given.
-    """
-    return draw_information(search_document(search, surroundings or Surroundings()), ax=ax)
-
-
-def draw_information(found: Document, *, ax: Axes | None = None) -> Axes:
-    """The same from the numbers of a result document.
 
     Args:
         found: from :func:`search_document`.

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import torch
 
 from imr_torch.assimilate import Assimilation, ImportanceSample, ModelFit, Verdict
-from imr_torch.assimilate.importance import are_reliable
 from imr_torch.errors import InputDataError
 from imr_torch.float64 import eye, tensor
 from imr_torch.material import Belief
@@ -35,8 +34,8 @@ class Evidence:
 
     >>> from imr_torch.select import Evidence
     >>> evidence = Evidence("nhkv", value=120.3, error=0.05, effective_samples=180.0, samples=256, failed=0, pareto_k=0.2)
-    >>> evidence.trusted
-    True
+    >>> evidence.value
+    120.3
     """
 
     model: str
@@ -46,11 +45,6 @@ class Evidence:
     samples: int
     failed: int
     pareto_k: float
-
-    @property
-    def trusted(self) -> bool:
-        """Whether value and error are reliable."""
-        return are_reliable(self.pareto_k, self.effective_samples, self.samples)
 
 
 def log_evidence(fit: ModelFit) -> Evidence:
@@ -74,7 +68,7 @@ def log_evidence(fit: ModelFit) -> Evidence:
     >>> options = SearchOptions(raw_samples=16, starts=2)
     >>> fits = assimilate(case.prior, ExperimentBatch((shot,)), simulator, seed=0, options=options)
     >>> weighted = weigh(fits, simulator, seed=0, samples=64)
-    >>> log_evidence(weighted["nhkv"]).model, log_evidence(weighted["nhkv"]).trusted
+    >>> log_evidence(weighted["nhkv"]).model, log_evidence(weighted["nhkv"]).pareto_k < 0.5
     ('nhkv', True)
     """
     sample = fit.sample

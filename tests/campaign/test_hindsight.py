@@ -1,13 +1,13 @@
-"""The optimal measure in hindsight, of bubbles that are linear in the gel, and where there is nothing to judge."""
+"""The optimal measure in hindsight, of bubbles that are linear in the gel."""
 
 from dataclasses import replace
 
 import pytest
 import torch
 
-from imr_torch.campaign import Campaign, CampaignSettings, hindsight_measure
+from benchmarks.campaigns import hindsight_measure
+from imr_torch.campaign import Campaign, CampaignSettings
 from imr_torch.design import MeasureOptions, optimal_measure
-from imr_torch.errors import InputDataError
 from imr_torch.observe import SimulatedLaboratory
 from tests.design.test_measure import PLAN as SHORT
 from tests.design.test_measure import SPACE, WIDE, Line
@@ -29,7 +29,7 @@ def tell_shots(folder, webers):
 
 def test_that_designs_are_judged_as_those_of_a_gel_that_was_not_known_before(tmp_path):
     campaign = tell_shots(tmp_path, (100.0, 1000.0, 100.0, 1000.0))
-    found = hindsight_measure(campaign, options=OPTIONS)
+    found = hindsight_measure(campaign, OPTIONS)
     before = optimal_measure(WIDE, Line(), shots=4, plan=PLAN, space=SPACE, options=OPTIONS)
     ends, middle = torch.tensor([[100.0, 0.2], [1000.0, 0.2]]), torch.tensor([[300.0, 0.2]])
     assert found.shots == 4
@@ -39,8 +39,3 @@ def test_that_designs_are_judged_as_those_of_a_gel_that_was_not_known_before(tmp
         before.efficiency(middle.double()), rel=1e-6
     )
     assert found.efficiency(middle.double()) < 0.1
-
-
-def test_that_a_campaign_without_experiment_has_nothing_to_judge(tmp_path):
-    with pytest.raises(InputDataError, match="no experiment yet"):
-        hindsight_measure(tell_shots(tmp_path, ()))

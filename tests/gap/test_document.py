@@ -77,9 +77,6 @@ def test_that_probabilities_and_numbers_are_consistent(documents) -> None:
     for document in documents.values():
         if document["posterior"] is not None:
             assert sum(document["posterior"].values()) == pytest.approx(1.0)
-            at_odds = document["posterior_at_odds"]
-            assert set(at_odds) == {"1:9", "1:1"}
-            assert document["posterior"] == at_odds[document["verdict_odds"]]
             assert set(document["members"]) <= set(document["posterior"])
         for name, (low, middle, high) in document["parameters"].items():
             assert low < middle < high
@@ -147,7 +144,6 @@ def answered(document: dict, answer: str, shared: str, *, helps: bool | None) ->
         "cause": cause,
         "members": members,
         "posterior": members,
-        "posterior_at_odds": {"1:9": members, "1:1": members},
         "selected": parts,
         "shrinkage": None if parts == ["gel_scatter"] else shrinkage,
         "next_design": ahead,

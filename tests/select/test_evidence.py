@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from imr_torch.assimilate import Assimilation, ModelFit, SearchOptions, Verdict, assimilate, weigh
+from imr_torch.assimilate.importance import are_reliable
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch, Nuisance
@@ -53,6 +54,10 @@ def weighted(
     )
 
 
+def is_trusted(evidence: Evidence) -> bool:
+    return are_reliable(evidence.pareto_k, evidence.effective_samples, evidence.samples)
+
+
 def found(assimilation: Assimilation, *, seed: int, samples: int = 256) -> tuple[Evidence, ...]:
     return evidences(weigh(assimilation, LinearSimulator(), seed=seed, samples=samples))
 
@@ -78,7 +83,7 @@ def test_that_the_evidence_is_within_four_errors_of_its_closed_form(
         assert evidence.value == pytest.approx(
             exact(part, batch).log_evidence, abs=4.0 * evidence.error
         )
-        assert evidence.trusted
+        assert is_trusted(evidence)
         assert (evidence.samples, evidence.failed) == (1024, 0)
 
 
@@ -156,9 +161,9 @@ def test_that_a_gaussian_that_misses_the_posterior_is_not_trusted(simple) -> Non
     batch, fit, _ = simple
     good = weighted(fit, batch, seed=5)
     wrong = weighted(replace(fit, mean=fit.mean + 12.0 * fit.chol[:, 0]), batch, seed=5, rounds=1)
-    assert good.trusted
+    assert is_trusted(good)
     assert good.effective_samples > 0.5 * good.samples
-    assert not wrong.trusted
+    assert not is_trusted(wrong)
 
 
 def test_that_samples_that_fail_count_as_impossible_data(simple) -> None:
@@ -231,21 +236,6 @@ def test_that_evidence_of_other_models_is_refused(models: tuple[str, ...]) -> No
         match=r"Evidence of .* does not match the belief over \['newtonian', 'nhkv', 'gen_qkv'\]",
     ):
         update(fitted(experiments(1)), [made(model) for model in models])
-
-
-@pytest.mark.parametrize(
-    ("effective", "samples", "trusted"),
-    [(26.0, 256, True), (25.0, 256, False), (19.0, 100, False), (20.0, 100, True)],
-)
-def test_that_trust_needs_a_tenth_of_the_samples_and_twenty_of_them(
-    effective: float, samples: int, trusted: bool
-) -> None:
-    assert Evidence("nhkv", 0.0, 0.1, effective, samples, 0, 0.3).trusted == trusted
-
-
-def test_that_evidence_with_a_heavy_tail_is_not_trusted() -> None:
-    assert not Evidence("nhkv", 0.0, 0.1, 200.0, 256, 0, 0.65).trusted
-    assert Evidence("nhkv", 0.0, 0.1, 800.0, 1000, 0, 0.65).trusted
 
 
 def test_that_the_error_of_a_probability_is_the_scatter_that_the_evidence_errors_make() -> None:

@@ -243,12 +243,6 @@ def list_campaign_options() -> Options:
             "4D-Var, or search and learn "
             "as in arXiv 2409.00011, to compare with",
         ),
-        text_option(
-            "--efficiency",
-            "CRITERION",
-            "say how efficient the designs shot were against the optimal shares of as many shots by D, "
-            "A, a parameter or c:NAME=FACTOR,..., as in design --criterion",
-        ),
         text_option("--out", "DIR", "folder of the journal, figures and JSON", required=True),
         number_option(
             "--q", 1, "designs to choose together, shoot and learn from at once (default 1)"
