@@ -1,8 +1,7 @@
 """Figures: curves with their posterior predictive band, parameters, model probabilities, the
 information map.
 
-Every ``plot_*`` draws into ``ax`` (a new figure when None) and returns the axes; nothing is shown
-or saved here.
+Every ``plot_*`` draws a new figure and returns its axes; nothing is shown or saved here.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,8 +24,8 @@ from imr_torch.drawing import (
     TRUTH,
     add_axis,
     add_legend,
-    axes_or_new,
     floats,
+    new_axes,
     set_scale,
 )
 from imr_torch.files import Document
@@ -50,14 +49,13 @@ def plot_parameter(
     name: str,
     *,
     truth: float | None = None,
-    ax: Axes | None = None,
 ) -> Axes:
     """Density of one parameter under several beliefs of a model (for example prior and posterior).
 
     The axis is logarithmic where the widest belief spans more than a factor of 30; a density that
     is a line there too is drawn again in an inset.
     """
-    ax = axes_or_new(ax, (4.2, 3.0))
+    ax = new_axes((4.2, 3.0))
     entry = PARAMETERS[name]
     rows = [
         belief.quantile(_LEVELS)[:, belief.names.index(name)] * entry.display_scale
@@ -157,9 +155,9 @@ def _plot_pair(ax: Axes, x: Tensor, y: Tensor) -> None:
     ax.contour(*grid, height, levels=levels, colors=[DATA], linewidths=0.9)
 
 
-def plot_probabilities(beliefs: Sequence[tuple[str, Belief]], *, ax: Axes | None = None) -> Axes:
+def plot_probabilities(beliefs: Sequence[tuple[str, Belief]]) -> Axes:
     """Model probabilities as grouped bars, one group per belief."""
-    ax = axes_or_new(ax, (4.2, 2.8))
+    ax = new_axes((4.2, 2.8))
     keys = beliefs[0][1].keys
     width = 0.8 / len(keys)
     places = np.arange(len(beliefs))
@@ -225,14 +223,13 @@ def measure_document(
     }
 
 
-def draw_sensitivity(found: Document, *, ax: Axes | None = None) -> Axes:
+def draw_sensitivity(found: Document) -> Axes:
     """Map of the sensitivity of a measure over designs, with its support: area is share.
 
     Args:
         found: from :func:`measure_document`.
-        ax: where to draw.
     """
-    ax = axes_or_new(ax, (5.6, 4.2))
+    ax = new_axes((5.6, 4.2))
     we, r, height = (
         [row[name] for row in found["map"]] for name in ("We", "R_inf*", "sensitivity")
     )
@@ -262,17 +259,16 @@ def _information_map(search: DesignSearch) -> Document:
     return {"We": weber.tolist(), "R_inf*": rest.tolist(), "nats": mean.tolist()}
 
 
-def draw_information(found: Document, *, ax: Axes | None = None) -> Axes:
+def draw_information(found: Document) -> Axes:
     """Map of the expected information gain over designs, with the evaluated designs and the chosen
     one.
 
     Args:
         found: from :func:`search_document`.
-        ax: where to draw.
     """
     values = found["map"]
     chosen = found["design"]
-    ax = axes_or_new(ax, (5.6, 4.2))
+    ax = new_axes((5.6, 4.2))
     weber, rest = floats(values["We"]), floats(values["R_inf*"])
     filled = ax.contourf(weber, rest, floats(values["nats"]), levels=15, cmap="viridis")
     ax.figure.colorbar(filled, ax=ax, label="expected information gain (nats)")
@@ -290,12 +286,12 @@ def draw_information(found: Document, *, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def plot_places(places: Mapping[str, Sequence[float]], *, ax: Axes | None = None) -> Axes:
+def plot_places(places: Mapping[str, Sequence[float]]) -> Axes:
     """Empirical distribution of where truths lie in their posteriors, less the diagonal.
 
     In the band 95 % of the time.
     """
-    ax = axes_or_new(ax)
+    ax = new_axes()
     ax.set_prop_cycle(color=CYCLE)
     for name, values in places.items():
         at = torch.as_tensor(sorted(values), dtype=torch.float64)
