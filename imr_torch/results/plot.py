@@ -52,8 +52,7 @@ def plot_parameter(
 ) -> Axes:
     """Density of one parameter under several beliefs of a model (for example prior and posterior).
 
-    The axis is logarithmic where the widest belief spans more than a factor of 30; a density that
-    is a line there too is drawn again in an inset.
+    The axis is logarithmic where the widest belief spans more than a factor of 30.
     """
     ax = new_axes((4.2, 3.0))
     entry = PARAMETERS[name]
@@ -69,21 +68,8 @@ def plot_parameter(
         ax.plot(*_scale_density(values, logarithmic), color=color, label=plain(label))
     ax.set(yticks=[], ylabel="density (scaled)", xlabel=parameter_label(entry), ylim=(0.0, 1.45))
     add_legend(ax, loc="upper left", ncols=2)
-    last = rows[-1]
-    panels = [ax]
-    ends = torch.stack((last[0], last[-1], torch.tensor(low), torch.tensor(high)))
-    first, final, left, right = (ends.log() if logarithmic else ends).tolist()
-    if final - first < 0.06 * (right - left):  # a line, which is drawn again in an inset
-        on_the_right = 0.5 * (first + final) > 0.5 * (left + right)
-        inset = ax.inset_axes((0.08 if on_the_right else 0.62, 0.36, 0.32, 0.36))
-        inset.plot(*_scale_density(last, False), color=colors[len(rows) - 1])
-        inset.set(yticks=[], ylim=(0.0, 1.1), xlim=(float(last[0]), float(last[-1])))
-        inset.locator_params(axis="x", nbins=2)
-        inset.tick_params(labelsize=7)
-        panels.append(inset)
     if truth is not None:
-        for panel in panels:
-            panel.axvline(truth * entry.display_scale, color=TRUTH, ls="--", lw=1)
+        ax.axvline(truth * entry.display_scale, color=TRUTH, ls="--", lw=1)
     return ax
 
 
