@@ -167,14 +167,25 @@ def search_document(search: DesignSearch, surroundings: Surroundings) -> Documen
         surroundings: the liquid side, which fixes Rmax of a Weber number.
     """
     rows = []
-    for (weber, rest), gain in zip(search.designs.tolist(), search.gains, strict=True):
-        row = {"We": weber, "R_inf*": rest, "counted": gain.counted, "drawn": gain.drawn}
+    for (we, r), gain in zip(search.designs.tolist(), search.gains, strict=True):
+        row = {"We": we, "R_inf*": r, "counted": gain.counted, "drawn": gain.drawn}
         if gain.value == gain.value:
             row |= {"eig": gain.value, "sd": gain.variance**0.5}
             row |= {"parameters": gain.parameters, "model": gain.model}
         rows.append(row)
-    chosen = design_document(search.recommendation.design, surroundings)
-    return {"design": chosen, "evaluations": rows, "map": _information_map(search)}
+    bounds = search.optimizer.space.bounds.mT.tolist()
+    weber, rest = (linspace(low, high, 60) for low, high in bounds)
+    with torch.no_grad():
+        nats = search.optimizer.model().posterior(torch.cartesian_prod(weber, rest)).mean
+    return {
+        "design": design_document(search.recommendation.design, surroundings),
+        "evaluations": rows,
+        "map": {
+            "We": weber.tolist(),
+            "R_inf*": rest.tolist(),
+            "nats": nats.reshape(60, 60).mT.tolist(),
+        },
+    }
 
 
 def measure_document(
@@ -234,15 +245,6 @@ def design_document(design: Design, surroundings: Surroundings) -> dict[str, flo
     weber, rest = design.tolist()
     size = float(surroundings.max_radius(weber))
     return {"We": weber, "R_inf*": rest, "Rmax_m": size, "R_inf_m": rest * size}
-
-
-def _information_map(search: DesignSearch) -> Document:
-    bounds = search.optimizer.space.bounds.mT.tolist()
-    weber, rest = (linspace(low, high, 60) for low, high in bounds)
-    model = search.optimizer.model()
-    with torch.no_grad():
-        mean = model.posterior(torch.cartesian_prod(weber, rest)).mean.reshape(60, 60).mT
-    return {"We": weber.tolist(), "R_inf*": rest.tolist(), "nats": mean.tolist()}
 
 
 def draw_information(found: Document) -> Axes:
