@@ -153,7 +153,7 @@ def _bars(
     names: Sequence[str],
     lengths: Sequence[float],
     texts: Sequence[str],
-    colors: str | Sequence[str] = MODEL,
+    colors: Sequence[str],
 ) -> Axes:
     """Horizontal bars from top to bottom, each with its name and a text at its end."""
     ax = new_axes((6.0, 1.0 + 0.27 * len(names)))
