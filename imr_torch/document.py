@@ -38,7 +38,6 @@ def header(
     files: Sequence[str | Path] = (),
     medium: GelMedium | Surroundings | None = None,
     command: str = "",
-    now: datetime | None = None,
 ) -> Document:
     """The keys that every result document begins with.
 
@@ -48,7 +47,6 @@ def header(
         medium: the liquid side, with what was stated and what was assumed; of plain surroundings
             all is assumed.
         command: the command line.
-        now: when the result was made; the present when not given.
 
     >>> from imr_torch.results import header
     >>> from imr_torch.units import Surroundings
@@ -63,7 +61,7 @@ def header(
             "torch": str(torch.__version__),
             "python": platform.python_version(),
         },
-        "created": (now or datetime.now(UTC)).isoformat(timespec="seconds"),
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": command,
         "files": [_describe_file(path) for path in _with_companions(files)],
         "units": UNITS,

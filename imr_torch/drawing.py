@@ -79,9 +79,9 @@ class NamedFigure:
         return {"caption": self.caption, "alt": self.alt, "source": source}
 
 
-def axes_or_new(ax: Axes | None, size: tuple[float, float] = (5.2, 3.4)) -> Axes:
-    """The axes, or those of a new figure of a size in inches."""
-    return ax or plt.subplots(figsize=size, layout="constrained")[1]
+def new_axes(size: tuple[float, float] = (5.2, 3.4)) -> Axes:
+    """Those of a new figure of a size in inches."""
+    return plt.subplots(figsize=size, layout="constrained")[1]
 
 
 def curve_panels(title: str) -> tuple[Figure, Axes, Axes]:

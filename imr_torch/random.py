@@ -24,7 +24,7 @@ def child(seed: int, *names: str | int) -> int:
     return int.from_bytes(hashlib.sha256(path.encode()).digest()[:8], "big") >> 1
 
 
-def generator(seed: SeedLike, device: torch.device | str = "cpu") -> torch.Generator:
+def generator(seed: SeedLike) -> torch.Generator:
     """The generator of ``seed``; a generator is passed through, so functions can share one.
 
     >>> import torch
@@ -35,4 +35,4 @@ def generator(seed: SeedLike, device: torch.device | str = "cpu") -> torch.Gener
     """
     if isinstance(seed, torch.Generator):
         return seed
-    return torch.Generator(device=device).manual_seed(seed)
+    return torch.Generator().manual_seed(seed)

@@ -25,19 +25,18 @@ _TIME_ZERO = NUISANCES.index("time_zero")
 
 
 def deeper_nuisances(
-    posterior: Posterior, point: Point, options: BasinOptions | None = None
+    posterior: Posterior, point: Point
 ) -> Float[Tensor, "models experiments nuisances"]:
     """Nuisances in the deepest basin of each experiment that is found at fixed gels.
 
     Args:
         posterior: whose cost is looked through, with some 70 bubbles for each gel and experiment.
         point: ``M`` points, each at a local minimum.
-        options: how far and how finely it is looked through.
 
     Returns:
         ``M x E x w`` nuisances; those of experiments without a deeper basin are the same numbers.
     """
-    options = options or BasinOptions()
+    options = BasinOptions()
     movable = posterior.batch.nuisance_sds[:, _TIME_ZERO] > 0.0
     if not bool(movable.any()):
         return point.nuisances

@@ -91,20 +91,17 @@ class _RidgePoint:
         return replace(self, point=point)
 
 
-def trace_ridge(
-    fit: ModelFit, posterior: Posterior, options: RidgeOptions | None = None
-) -> Kernels:
+def trace_ridge(fit: ModelFit, posterior: Posterior) -> Kernels:
     """Follow the ridge of a fit to both sides.
 
     Args:
         fit: a fit with its Gaussian approximation; not changed.
         posterior: of its model, with a small bundle of bubbles for each step.
-        options: how far and how finely.
 
     Returns:
         A proposal.
     """
-    options = options or RidgeOptions()
+    options = RidgeOptions()
     values, vectors = torch.linalg.eigh(fit.chol @ fit.chol.mT)
     axis = values[-1].sqrt() * vectors[:, -1]
     optimum = _RidgePoint(

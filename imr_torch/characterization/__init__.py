@@ -11,11 +11,10 @@ from imr_torch.characterization.checks import EFFORTS, Effort
 from imr_torch.characterization.infer import characterize
 from imr_torch.characterization.medium import medium_document, medium_of
 from imr_torch.characterization.result import Characterization
-from imr_torch.material.model_belief import LEVELS, intervals
+from imr_torch.material.model_belief import intervals
 
 __all__ = [
     "EFFORTS",
-    "LEVELS",
     "Characterization",
     "Effort",
     "characterize",

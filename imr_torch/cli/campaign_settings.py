@@ -36,7 +36,12 @@ def settings_of(args: Namespace) -> CampaignSettings:
     rounds = 0 if args.case else NOISE_ROUNDS  # nobody knows the noise of a camera before
     options = METHODS["map" if args.method == "exact" else args.method]
     learner: Learner = ExactLearner(options=options, noise_rounds=rounds)
-    policy = _make_optimal(args) if args.policy == "optimal" else _read_baseline(args.policy)
+    initial = min(Optimal.initial, args.evaluations)
+    policy = (
+        Optimal(evaluations=args.evaluations, initial=initial)
+        if args.policy == "optimal"
+        else _read_baseline(args.policy)
+    )
     space = space_of(args)
     plan = plan_of(args)
     rules = args.stop
@@ -107,12 +112,6 @@ def one_model(prior: Belief, case: ReferenceCase | None) -> Belief:
             "name one, as nhkv."
         )
     return prior
-
-
-def _make_optimal(args: Namespace) -> Optimal:
-    """The search for the most informative design, of the size that the options ask for."""
-    initial = min(Optimal.initial, args.evaluations)
-    return Optimal(evaluations=args.evaluations, initial=initial)
 
 
 def _read_baseline(text: str) -> DesignPolicy:

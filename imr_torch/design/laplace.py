@@ -242,7 +242,6 @@ def refine_gels(
     iterations: int,
     *,
     floor: DatasetValues | None = None,
-    options: RefinementOptions | None = None,
 ) -> Response:
     """Gauss-Newton steps towards the maximum of the posterior density of each datum.
 
@@ -254,9 +253,8 @@ def refine_gels(
         iterations: steps of each datum; where one failed, the next is shorter.
         floor: data whose linearised evidence falls below this are not refined further; far below
             it, not at all.
-        options: how far each goes.
     """
-    options = options or RefinementOptions()
+    options = RefinementOptions()
     length = ones(len(data), 1)
     for iteration in range(iterations):
         here = infer_linear(data, at, shot.plan)

@@ -7,27 +7,23 @@ from imr_torch.gap.examine import Parts, examine
 from imr_torch.gap.medium import MediumSensitivity, medium_sensitivities
 from imr_torch.gap.page import write_page
 from imr_torch.gap.text import describe
-from imr_torch.goodness import FitTest, check_fit
-from imr_torch.material import LIBRARY, Effect, library, register_effect
+from imr_torch.material import LIBRARY, Effect, library
 from imr_torch.observe.sets import load_set
 
 __all__ = [
     "LIBRARY",
     "CauseLearner",
     "Effect",
-    "FitTest",
     "GapReport",
     "MediumSensitivity",
     "Parts",
     "TellCausesApart",
-    "check_fit",
     "describe",
     "diagnose",
     "examine",
     "library",
     "load_set",
     "medium_sensitivities",
-    "register_effect",
     "to_json",
     "write_page",
 ]

@@ -21,10 +21,10 @@ from imr_torch.drawing import (
     TRUTH,
     NamedFigure,
     add_legend,
-    axes_or_new,
     curve_panels,
     draw_intervals,
     floats,
+    new_axes,
 )
 from imr_torch.gap.hypotheses import in_words
 from imr_torch.gap.text import (
@@ -150,14 +150,13 @@ def _strength(p_value: float) -> float:
 
 
 def _bars(
-    ax: Axes | None,
     names: Sequence[str],
     lengths: Sequence[float],
     texts: Sequence[str],
-    colors: str | Sequence[str] = MODEL,
+    colors: Sequence[str],
 ) -> Axes:
     """Horizontal bars from top to bottom, each with its name and a text at its end."""
-    ax = axes_or_new(ax, (6.0, 1.0 + 0.27 * len(names)))
+    ax = new_axes((6.0, 1.0 + 0.27 * len(names)))
     places = range(len(names) - 1, -1, -1)
     ax.bar_label(ax.barh(places, lengths, color=colors, height=0.7), texts, padding=2, fontsize=8)
     ax.set_yticks(places, [plain(name) for name in names], fontsize=8)
@@ -190,13 +189,13 @@ def curve_figure(curve: Mapping[str, Any], selected: str) -> Figure:
     return figure
 
 
-def plot_phase_residual(document: Document, *, ax: Axes | None = None) -> Axes:
+def plot_phase_residual(document: Document) -> Axes:
     """Size of the residual of the base model: a map over experiments and phases, 1 being noise
     alone.
     """
     phases = document["phase_residual"]["phases"]
     values = floats(document["phase_residual"]["rows"])
-    ax = axes_or_new(ax, (5.8, 1.4 + 0.36 * len(values)))
+    ax = new_axes((5.8, 1.4 + 0.36 * len(values)))
     top = max(3.0, float(np.nan_to_num(values).max()))
     image = ax.imshow(values, cmap="Blues", vmin=0.0, vmax=top, aspect="auto")
     for (i, j), value in np.ndenumerate(values):
@@ -210,14 +209,14 @@ def plot_phase_residual(document: Document, *, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def plot_tests(tests: Sequence[Mapping[str, Any]], *, ax: Axes | None = None) -> Axes:
+def plot_tests(tests: Sequence[Mapping[str, Any]]) -> Axes:
     """P-values of the blocks of a gap test, smallest first."""
     shown = tests[:_BARS]
     strength = [_strength(row["p_value"]) for row in shown]
     limit = -math.log10(LEVEL / len(tests))
     texts = [f"{'> ' if s == _SMALLEST else ''}{s:.3g}" for s in strength]
     colors = [TRUTH if s > limit else PALE for s in strength]
-    ax = _bars(ax, [row["name"] for row in shown], strength, texts, colors)
+    ax = _bars([row["name"] for row in shown], strength, texts, colors)
     ax.axvline(limit, color=DATA, ls="--", lw=1)
     ax.set(xlabel="$-\\log_{10} p$  (dashed: 4 % over all)")
     ax.set(xlim=(0.0, 10.0 * max(*strength, limit)))
@@ -225,12 +224,12 @@ def plot_tests(tests: Sequence[Mapping[str, Any]], *, ax: Axes | None = None) ->
     return ax
 
 
-def plot_onset(found: Mapping[str, Any], *, ax: Axes | None = None) -> Axes:
+def plot_onset(found: Mapping[str, Any]) -> Axes:
     """P-value of a refit to the frames up to each moment.
 
     The first below the level is the first detection.
     """
-    ax = axes_or_new(ax)
+    ax = new_axes()
     strength = [_strength(p) for p in found["p_values"]]
     level = found["level"]
     ax.plot(found["times"], strength, "o-", color=MODEL, ms=4)
@@ -246,19 +245,17 @@ def plot_onset(found: Mapping[str, Any], *, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def plot_causes(posterior: Mapping[str, float], *, ax: Axes | None = None) -> Axes:
+def plot_causes(posterior: Mapping[str, float]) -> Axes:
     """Probability of each cause, the most probable first; none and other stand out."""
     names = sorted(posterior, key=lambda name: -posterior[name])[:_BARS]
     shown = [posterior[name] for name in names]
     colors = [{"none": PALE, "other": TRUTH}.get(name, MODEL) for name in names]
-    ax = _bars(ax, names, shown, [f"{p:.3f}" for p in shown], colors)
+    ax = _bars(names, shown, [f"{p:.3f}" for p in shown], colors)
     ax.set(xlabel="probability", xlim=(0.0, 1.3), xticks=[0.0, 0.25, 0.5, 0.75, 1.0])
     return ax
 
 
-def plot_explained(
-    explained: Mapping[str, float], unconverged: Sequence[str] = (), *, ax: Axes | None = None
-) -> Axes:
+def plot_explained(explained: Mapping[str, float], unconverged: Sequence[str] = ()) -> Axes:
     """Nats that one part more explains, the most first.
 
     Light where its fit did not converge, so that they may be more.
@@ -266,18 +263,16 @@ def plot_explained(
     names = sorted(explained, key=lambda name: -explained[name])[:_BARS]
     lengths = [max(explained[name], 0.0) for name in names]
     texts = [f"{explained[n]:.0f}{' or more' if n in unconverged else ''}" for n in names]
-    ax = _bars(ax, names, lengths, texts, [LIGHT if n in unconverged else MODEL for n in names])
+    ax = _bars(names, lengths, texts, [LIGHT if n in unconverged else MODEL for n in names])
     ax.set(xlabel="log evidence gained (nats)", xlim=(0.0, 1.3 * max(1.0, *lengths)))
     return ax
 
 
-def plot_missing_pressure(
-    shots: Sequence[Mapping[str, Any]], *, most: int = 3, ax: Axes | None = None
-) -> Axes:
+def plot_missing_pressure(shots: Sequence[Mapping[str, Any]], *, most: int = 3) -> Axes:
     """The missing pressure of each shot over its time, with a 90 % band; linear up to 10 kPa,
     logarithmic beyond.
     """
-    ax = axes_or_new(ax, (6.4, 3.2))
+    ax = new_axes((6.4, 3.2))
     for shot, color in zip(shots[:most], (MODEL, SECOND, TRUTH), strict=False):
         t, p, sd, own = (floats(shot[name]) for name in ("t_us", "kPa", "sd_kPa", "own_kPa"))
         ax.fill_between(t, p - 1.645 * sd, p + 1.645 * sd, color=color, alpha=0.25, lw=0)
@@ -290,12 +285,12 @@ def plot_missing_pressure(
     return ax
 
 
-def plot_missing_states(shots: Sequence[Mapping[str, Any]], *, ax: Axes | None = None) -> Axes:
+def plot_missing_states(shots: Sequence[Mapping[str, Any]]) -> Axes:
     """The missing pressure over stretch and strain rate, where the bubbles went.
 
     Grey where it is less than 1.645 of its standard deviations: there the data do not say.
     """
-    ax = axes_or_new(ax, (6.0, 3.6))
+    ax = new_axes((6.0, 3.6))
     names = ("stretch", "rate", "kPa", "sd_kPa")
     stretch, rate, p, sd = (np.concatenate([floats(s[n]) for s in shots]) for n in names)
     sure = np.abs(p) > 1.645 * sd
@@ -310,11 +305,11 @@ def plot_missing_states(shots: Sequence[Mapping[str, Any]], *, ax: Axes | None =
     return ax
 
 
-def plot_shrinkage(found: Mapping[str, Any], *, ax: Axes | None = None) -> Axes:
+def plot_shrinkage(found: Mapping[str, Any]) -> Axes:
     """Part of the gap on unseen curves that is gone, beside what random effects close."""
     rows = {"all frames": found["share"], "after the first\nrebound": found["later"]}
     rows = {name: share for name, share in rows.items() if share is not None}
-    ax = axes_or_new(ax, (5.2, 1.2 + 0.45 * len(rows)))
+    ax = new_axes((5.2, 1.2 + 0.45 * len(rows)))
     high = max(found["placebo_95"], 0.0)
     ax.axvspan(0.0, high, color="#DDDDDD", lw=0, label="95 % of random libraries")
     places = range(len(rows) - 1, -1, -1)
@@ -327,12 +322,12 @@ def plot_shrinkage(found: Mapping[str, Any], *, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def plot_intervals(document: Document, *, ax: Axes | None = None) -> Axes:
+def plot_intervals(document: Document) -> Axes:
     """90 % intervals of the gel's parameters if the model is right, and with what it may lack,
     relative to the median.
     """
     right = document["parameters"]
-    ax = axes_or_new(ax, (5.2, 1.1 + 0.5 * len(right)))
+    ax = new_axes((5.2, 1.1 + 0.5 * len(right)))
     places = np.arange(len(right) - 1, -1, -1)
     rows = (
         (right, SECOND, 0.12, "if the model is right"),

@@ -67,7 +67,10 @@ def _hidden(effect: Effect, left: Adequacy, fit: ModelFit, gel: Sequence[str]) -
     if not len(known) or not blocks:
         return Hidden(effect.name, None, {})
     place = int(known[beside[known].argsort()[len(known) // 2]])
-    needed = _noncentrality(blocks[0].rank, LEVEL / len(left.test.blocks)) ** 0.5
+    # the noncentrality with which a test of this rank and level finds a signal with FOUND
+    rank = blocks[0].rank
+    least = chdtri(rank, LEVEL / len(left.test.blocks))
+    needed = float(chndtrinc(least, rank, 1.0 - FOUND)) ** 0.5
     times = needed / float(beside[place])
     plausible = times <= _PLAUSIBLE
     shift = (times if plausible else 1.0) * (left.line.to_shift @ rows[place])[: len(fit.mean)]
@@ -80,8 +83,3 @@ def _hidden(effect: Effect, left: Adequacy, fit: ModelFit, gel: Sequence[str]) -
         times * abs(effect.starts[place][0]) if plausible else None,
         {name: relative[fit.prior.names.index(name)] for name in names},
     )
-
-
-def _noncentrality(rank: int, level: float) -> float:
-    """That with which a test of some rank and level finds a signal with ``FOUND``."""
-    return float(chndtrinc(chdtri(rank, level), rank, 1.0 - FOUND))

@@ -21,7 +21,6 @@ Document = Mapping[str, Any]
 
 VERDICT = "Verdict"
 TESTED = "Is there a gap?"
-HIDDEN = "What would these data not show?"
 PLACE = "Where does it lie?"
 CAUSES = "Which effect causes it?"
 RECORD = "The record before any gel"

@@ -17,10 +17,10 @@ from imr_torch.drawing import (
     PALE,
     add_legend,
     add_lengths,
-    axes_or_new,
     curve_panels,
     floats,
     mark_zero,
+    new_axes,
 )
 from imr_torch.files import Document
 from imr_torch.labels import R_STAR, T_STAR, plain
@@ -30,7 +30,7 @@ from imr_torch.results.plot import fill_band
 
 def radius_chart(document: Document) -> Axes:
     """The curve of a simulated bubble, in t* and R* with us and um as second axes."""
-    ax = axes_or_new(None, (5.8, 3.6))
+    ax = new_axes((5.8, 3.6))
     ax.plot(document["t_star"], document["R_star"], color=MODEL, lw=1.5)
     ax.set(xlabel=T_STAR, ylabel=R_STAR, ylim=(0.0, None))
     last = document["t_star"][-1]
@@ -40,7 +40,7 @@ def radius_chart(document: Document) -> Axes:
 
 def campaign_curve(curve: Document) -> Axes:
     """The curves of one experiment of a campaign with the predictive band."""
-    ax = axes_or_new(None, (5.8, 3.8))
+    ax = new_axes((5.8, 3.8))
     rows = floats(curve["R_star"])
     alpha = 0.5 if len(rows) == 1 else 0.15
     ax.plot(curve["t_star"], rows.T, ".", ms=3, color=DATA, alpha=alpha)
@@ -153,7 +153,7 @@ def collapse_figure(document: Document) -> Figure:
 
 def causes_chart(findings: Sequence[Document]) -> Axes:
     """The probability of each cause after each experiment; a cross where no test found a gap."""
-    ax = axes_or_new(None, (5.8, 3.6))
+    ax = new_axes((5.8, 3.6))
     steps = [found["step"] for found in findings]
     rows = [found["probabilities"] for found in findings]
     largest = {name: max(row.get(name, 0.0) for row in rows) for row in rows for name in row}

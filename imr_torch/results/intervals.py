@@ -14,9 +14,9 @@ from imr_torch.drawing import (
     MODEL,
     PALE,
     TRUTH,
-    axes_or_new,
     draw_intervals,
     floats,
+    new_axes,
     set_scale,
 )
 from imr_torch.files import Document
@@ -46,7 +46,7 @@ def parameters_of(rows: Sequence[Document]) -> list[str]:
     return [name for name in PARAMETERS.names if any(row.get(name) is not None for row in rows)]
 
 
-def plot_shots(rows: Sequence[Document], name: str, *, ax: Axes | None = None) -> Axes:
+def plot_shots(rows: Sequence[Document], name: str) -> Axes:
     """A parameter with its 90 % interval over the shots that have it; those that are not to be
     quoted are orange.
 
@@ -57,7 +57,7 @@ def plot_shots(rows: Sequence[Document], name: str, *, ax: Axes | None = None) -
     """
     scale = PARAMETERS[name].display_scale
     rows = [row for row in rows if row.get(name) is not None]
-    ax = axes_or_new(ax, (min(4.0 + 0.22 * len(rows), 12.0), 3.4))
+    ax = new_axes((min(4.0 + 0.22 * len(rows), 12.0), 3.4))
     values = scale * floats([[row[f"{name}_low"], row[name], row[f"{name}_high"]] for row in rows])
     good = np.array([is_usable(row) for row in rows])
     places = np.arange(len(rows))
@@ -84,7 +84,7 @@ def plot_ratios(document: Document) -> Axes:
     """
     rows = document["parameters"]
     values = floats([[row[f"ratio_{end}"] for end in ("low", "median", "high")] for row in rows])
-    ax = axes_or_new(None, (5.2, 1.2 + 0.4 * len(rows)))
+    ax = new_axes((5.2, 1.2 + 0.4 * len(rows)))
     places = range(len(rows))
     draw_intervals(ax, places, values, capsize=3, color=MODEL)
     ax.axvline(1.0, color=DATA, lw=0.8, ls="--")

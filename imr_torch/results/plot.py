@@ -1,8 +1,7 @@
 """Figures: curves with their posterior predictive band, parameters, model probabilities, the
 information map.
 
-Every ``plot_*`` draws into ``ax`` (a new figure when None) and returns the axes; nothing is shown
-or saved here.
+Every ``plot_*`` draws a new figure and returns its axes; nothing is shown or saved here.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,8 +24,8 @@ from imr_torch.drawing import (
     TRUTH,
     add_axis,
     add_legend,
-    axes_or_new,
     floats,
+    new_axes,
     set_scale,
 )
 from imr_torch.files import Document
@@ -50,14 +49,12 @@ def plot_parameter(
     name: str,
     *,
     truth: float | None = None,
-    ax: Axes | None = None,
 ) -> Axes:
     """Density of one parameter under several beliefs of a model (for example prior and posterior).
 
-    The axis is logarithmic where the widest belief spans more than a factor of 30; a density that
-    is a line there too is drawn again in an inset.
+    The axis is logarithmic where the widest belief spans more than a factor of 30.
     """
-    ax = axes_or_new(ax, (4.2, 3.0))
+    ax = new_axes((4.2, 3.0))
     entry = PARAMETERS[name]
     rows = [
         belief.quantile(_LEVELS)[:, belief.names.index(name)] * entry.display_scale
@@ -71,21 +68,8 @@ def plot_parameter(
         ax.plot(*_scale_density(values, logarithmic), color=color, label=plain(label))
     ax.set(yticks=[], ylabel="density (scaled)", xlabel=parameter_label(entry), ylim=(0.0, 1.45))
     add_legend(ax, loc="upper left", ncols=2)
-    last = rows[-1]
-    panels = [ax]
-    ends = torch.stack((last[0], last[-1], torch.tensor(low), torch.tensor(high)))
-    first, final, left, right = (ends.log() if logarithmic else ends).tolist()
-    if final - first < 0.06 * (right - left):  # a line, which is drawn again in an inset
-        on_the_right = 0.5 * (first + final) > 0.5 * (left + right)
-        inset = ax.inset_axes((0.08 if on_the_right else 0.62, 0.36, 0.32, 0.36))
-        inset.plot(*_scale_density(last, False), color=colors[len(rows) - 1])
-        inset.set(yticks=[], ylim=(0.0, 1.1), xlim=(float(last[0]), float(last[-1])))
-        inset.locator_params(axis="x", nbins=2)
-        inset.tick_params(labelsize=7)
-        panels.append(inset)
     if truth is not None:
-        for panel in panels:
-            panel.axvline(truth * entry.display_scale, color=TRUTH, ls="--", lw=1)
+        ax.axvline(truth * entry.display_scale, color=TRUTH, ls="--", lw=1)
     return ax
 
 
@@ -157,9 +141,9 @@ def _plot_pair(ax: Axes, x: Tensor, y: Tensor) -> None:
     ax.contour(*grid, height, levels=levels, colors=[DATA], linewidths=0.9)
 
 
-def plot_probabilities(beliefs: Sequence[tuple[str, Belief]], *, ax: Axes | None = None) -> Axes:
+def plot_probabilities(beliefs: Sequence[tuple[str, Belief]]) -> Axes:
     """Model probabilities as grouped bars, one group per belief."""
-    ax = axes_or_new(ax, (4.2, 2.8))
+    ax = new_axes((4.2, 2.8))
     keys = beliefs[0][1].keys
     width = 0.8 / len(keys)
     places = np.arange(len(beliefs))
@@ -183,14 +167,25 @@ def search_document(search: DesignSearch, surroundings: Surroundings) -> Documen
         surroundings: the liquid side, which fixes Rmax of a Weber number.
     """
     rows = []
-    for (weber, rest), gain in zip(search.designs.tolist(), search.gains, strict=True):
-        row = {"We": weber, "R_inf*": rest, "counted": gain.counted, "drawn": gain.drawn}
+    for (we, r), gain in zip(search.designs.tolist(), search.gains, strict=True):
+        row = {"We": we, "R_inf*": r, "counted": gain.counted, "drawn": gain.drawn}
         if gain.value == gain.value:
             row |= {"eig": gain.value, "sd": gain.variance**0.5}
             row |= {"parameters": gain.parameters, "model": gain.model}
         rows.append(row)
-    chosen = design_document(search.recommendation.design, surroundings)
-    return {"design": chosen, "evaluations": rows, "map": _information_map(search)}
+    bounds = search.optimizer.space.bounds.mT.tolist()
+    weber, rest = (linspace(low, high, 60) for low, high in bounds)
+    with torch.no_grad():
+        nats = search.optimizer.model().posterior(torch.cartesian_prod(weber, rest)).mean
+    return {
+        "design": design_document(search.recommendation.design, surroundings),
+        "evaluations": rows,
+        "map": {
+            "We": weber.tolist(),
+            "R_inf*": rest.tolist(),
+            "nats": nats.reshape(60, 60).mT.tolist(),
+        },
+    }
 
 
 def measure_document(
@@ -225,14 +220,13 @@ def measure_document(
     }
 
 
-def draw_sensitivity(found: Document, *, ax: Axes | None = None) -> Axes:
+def draw_sensitivity(found: Document) -> Axes:
     """Map of the sensitivity of a measure over designs, with its support: area is share.
 
     Args:
         found: from :func:`measure_document`.
-        ax: where to draw.
     """
-    ax = axes_or_new(ax, (5.6, 4.2))
+    ax = new_axes((5.6, 4.2))
     we, r, height = (
         [row[name] for row in found["map"]] for name in ("We", "R_inf*", "sensitivity")
     )
@@ -253,26 +247,16 @@ def design_document(design: Design, surroundings: Surroundings) -> dict[str, flo
     return {"We": weber, "R_inf*": rest, "Rmax_m": size, "R_inf_m": rest * size}
 
 
-def _information_map(search: DesignSearch) -> Document:
-    bounds = search.optimizer.space.bounds.mT.tolist()
-    weber, rest = (linspace(low, high, 60) for low, high in bounds)
-    model = search.optimizer.model()
-    with torch.no_grad():
-        mean = model.posterior(torch.cartesian_prod(weber, rest)).mean.reshape(60, 60).mT
-    return {"We": weber.tolist(), "R_inf*": rest.tolist(), "nats": mean.tolist()}
-
-
-def draw_information(found: Document, *, ax: Axes | None = None) -> Axes:
+def draw_information(found: Document) -> Axes:
     """Map of the expected information gain over designs, with the evaluated designs and the chosen
     one.
 
     Args:
         found: from :func:`search_document`.
-        ax: where to draw.
     """
     values = found["map"]
     chosen = found["design"]
-    ax = axes_or_new(ax, (5.6, 4.2))
+    ax = new_axes((5.6, 4.2))
     weber, rest = floats(values["We"]), floats(values["R_inf*"])
     filled = ax.contourf(weber, rest, floats(values["nats"]), levels=15, cmap="viridis")
     ax.figure.colorbar(filled, ax=ax, label="expected information gain (nats)")
@@ -290,12 +274,12 @@ def draw_information(found: Document, *, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def plot_places(places: Mapping[str, Sequence[float]], *, ax: Axes | None = None) -> Axes:
+def plot_places(places: Mapping[str, Sequence[float]]) -> Axes:
     """Empirical distribution of where truths lie in their posteriors, less the diagonal.
 
     In the band 95 % of the time.
     """
-    ax = axes_or_new(ax)
+    ax = new_axes()
     ax.set_prop_cycle(color=CYCLE)
     for name, values in places.items():
         at = torch.as_tensor(sorted(values), dtype=torch.float64)

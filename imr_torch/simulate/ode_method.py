@@ -22,10 +22,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from imr_torch.simulate.bubbles import Bubbles
-from imr_torch.simulate.conditions import Conditions
 from imr_torch.simulate.controller import FIRST_STEP, REST, scaled_error, step_factor
-from imr_torch.simulate.grids import Resolution
 from imr_torch.simulate.rhs import Equations
 from imr_torch.simulate.rosenbrock import rosenbrock_step
 
@@ -41,12 +38,16 @@ class TransportField:
     Args:
         equations: of the batch.
         width: members of a bundle; they lie side by side, the leader first.
+        tolerance: relative error allowed in a step.
 
     >>> import torch
     >>> from imr_torch.material import PARAMETERS
-    >>> from imr_torch.simulate import TransportField
+    >>> from imr_torch.simulate import Conditions, Resolution, TransportField
+    >>> from imr_torch.simulate.bubbles import Bubbles
+    >>> from imr_torch.simulate.rhs import Equations
     >>> gel, design = PARAMETERS.pack({"G": 8310.0, "mu": 0.093})[None], torch.tensor([[400.0, 0.22]]).double()
-    >>> field = TransportField.of(gel, design)
+    >>> bubbles = Bubbles.of(gel, design, Conditions())
+    >>> field = TransportField(Equations(bubbles, *Resolution().grids()))
     >>> len(field), field.start()[0].tolist()  # one bubble, at R* = 1
     (1, [1.0])
     """
@@ -55,29 +56,6 @@ class TransportField:
         self.equations = equations
         self.width = width
         self.tolerance = tolerance
-
-    @classmethod
-    def of(
-        cls,
-        parameters: Float[Tensor, "members parameters"],
-        designs: Float[Tensor, "members 2"],
-        *,
-        conditions: Conditions | None = None,
-        resolution: Resolution | None = None,
-        tolerance: float = 3e-4,
-    ) -> "TransportField":
-        """The field of some gels and designs.
-
-        Args:
-            parameters: SI, in the order of ``PARAMETERS``.
-            designs: (We, R_inf*).
-            conditions: surroundings, contents and gel.
-            resolution: grids inside and outside the bubble.
-            tolerance: relative error allowed in a step.
-        """
-        bubbles = Bubbles.of(parameters, designs.to(parameters), conditions or Conditions())
-        inside, outside = (grid.to(parameters) for grid in (resolution or Resolution()).grids())
-        return cls(Equations(bubbles, inside, outside), tolerance=tolerance)
 
     def __len__(self) -> int:
         return len(self.equations.bubbles)

@@ -211,13 +211,8 @@ def test_that_energy_is_kept_when_the_heat_that_leaves_is_counted(vapour: str) -
     )  # type: ignore[arg-type]
     parameters = gel(G=5e3)[None]
     designs = tensor(300.0, 0.45)[None]
-    field = TransportField.of(
-        parameters,
-        designs,
-        conditions=conditions,
-        resolution=Resolution(12, 4),
-        tolerance=1e-6,
-    )
+    equations = Equations(Bubbles.of(parameters, designs, conditions), *Resolution(12, 4).grids())
+    field = TransportField(equations, tolerance=1e-6)
     ticks = torch.arange(301, dtype=torch.float64)
     path = odeint(field, field.start(), ticks, method="euler")[:, :, 0]
     times = path[:, -CONTROL]

@@ -6,8 +6,10 @@ import torch
 from torchdiffeq import odeint
 
 from imr_torch.material import PARAMETERS
-from imr_torch.simulate import TransportField, TransportSimulator
+from imr_torch.simulate import Conditions, Resolution, TransportField, TransportSimulator
+from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.ode_method import CONTROL
+from imr_torch.simulate.rhs import Equations
 
 TICKS = torch.arange(151, dtype=torch.float64)
 GELS = PARAMETERS.pack({"G": torch.tensor([2770.0, 8310.0], dtype=torch.float64), "mu": 0.15})
@@ -16,7 +18,8 @@ DESIGNS = torch.tensor([[300.0, 0.25], [150.0, 0.2]], dtype=torch.float64)
 
 @functools.cache
 def path(tolerance: float = 3e-4):
-    field = TransportField.of(GELS, DESIGNS, tolerance=tolerance)
+    bubbles = Bubbles.of(GELS, DESIGNS, Conditions())
+    field = TransportField(Equations(bubbles, *Resolution().grids()), tolerance=tolerance)
     return field, odeint(field, field.start(), TICKS, method="euler")
 
 
