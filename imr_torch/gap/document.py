@@ -121,14 +121,15 @@ def _causes(found: Attribution | None) -> Document:
 
 def _values(report: GapReport, parts: Parts) -> Document:
     """The parameters of the gel and of the named cause, with 90 % intervals."""
+    within = report.within_misfit
     named = report.selected_fit if report.verdict in ("effect", "class") else None
-    nearest = report.selected_fit if report.within_misfit and report.selected.parts else named
+    nearest = report.selected_fit if within and report.selected.parts else named
     error = parts.model_error
-    base = _intervals(report.trained.null, report.base.names)
+    base = _intervals(within.own if within else report.null, report.base.names)
     with_cause = nearest and _intervals(nearest, report.base.names)
     return {
         "parameters": with_cause if named and with_cause else base,
-        "widened": report.within_misfit is not None,
+        "widened": within is not None,
         "parameters_with_model_error": error and error.intervals,
         "parameter_bound_sd": error and error.bound,
         "parameter_shift": with_cause

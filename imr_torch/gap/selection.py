@@ -37,15 +37,17 @@ _NOISE_ROUNDS = 2  # times that the noise is inferred about a fit, and the fit m
 
 @dataclass(frozen=True)
 class WithinMisfit:
-    """Fits with noise of the size of what they leave, where no model is enough.
+    """Fits with noise of the size of what is left, where no model is enough.
 
     Args:
-        batch: the data with that noise.
-        null: the base model's fit.
+        own: the base model's fit with noise of the size of what it leaves itself.
+        batch: the data with noise of the size of what is left beside the selected parts.
+        null: the base model's fit with that noise.
         left: the gap test there.
         steps: attributions in the order of the selection.
     """
 
+    own: ModelFit
     batch: ExperimentBatch
     null: ModelFit
     left: Adequacy
@@ -143,7 +145,7 @@ def _select_within_misfit(
     search = partial(fit_with_noise, simulator=inquiry.simulator, of_misfit=True, progress=progress)
     fit, batch = search(held, null, inquiry.batch, seed=child(seed, "misfit"))
     left = adequacy_test(fit, inquiry.effects, batch, inquiry.simulator, seed=seed)
-    within = WithinMisfit(batch, fit, left)
+    within = WithinMisfit(fit, batch, fit, left)
     while len(held.parts) < most and inquiry.longer(held):
         own = child(seed, "misfit", len(held.parts))
         found = attribute(
@@ -162,6 +164,10 @@ def _select_within_misfit(
         fit, batch = search(held, found.winner_fit, inquiry.batch, seed=own)
         seen = held.seen(batch)
         left = adequacy_test(fit, inquiry.effects, seen, inquiry.simulator, seed=own)
+    if held.parts:
+        base = fit_null(inquiry.base, batch, inquiry.simulator, seed=seed, near=within.own)
+        left = adequacy_test(base, inquiry.effects, batch, inquiry.simulator, seed=seed)
+        within = replace(within, batch=batch, null=base, left=left)
     nearest = " and ".join(map(in_words, held.parts))
     explained = f"{nearest} explains some of it" if nearest else "none explains any of it"
     return replace(
