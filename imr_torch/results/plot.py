@@ -175,8 +175,9 @@ def search_document(search: DesignSearch, surroundings: Surroundings) -> Documen
         rows.append(row)
     bounds = search.optimizer.space.bounds.mT.tolist()
     weber, rest = (linspace(low, high, 60) for low, high in bounds)
+    model = search.optimizer.model()
     with torch.no_grad():
-        nats = search.optimizer.model().posterior(torch.cartesian_prod(weber, rest)).mean
+        nats = model.posterior(torch.cartesian_prod(weber, rest)).mean
     return {
         "design": design_document(search.recommendation.design, surroundings),
         "evaluations": rows,
