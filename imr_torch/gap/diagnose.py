@@ -175,9 +175,11 @@ def diagnose(
             fit, seen = fit_with_noise(held, found.selected_fit, batch, simulator, seed=own)
             over = (seen.sd(fit.prediction) / batch.sd(fit.prediction))[batch.mask].log().mean()
             tried = [step.winner.name for step in found.steps]
-            if abs(float(over)) > math.log(_OTHER_NOISE) or held.name not in tried:
+            again = abs(float(over)) > math.log(_OTHER_NOISE) or held.name not in tried
+            fit = fit_null(base, seen, simulator, seed=own) if again else null
+            if again and fit.certificate.usable:
                 batch = seen
-                null = fit_null(base, batch, simulator, seed=child(seed, "null"), progress=progress)
+                null = fit
                 left = adequacy_test(null, effects, batch, simulator, seed=child(seed, "gap"))
                 found = select(replace(inquiry, batch=batch), null, left, nearest=found)
     return GapReport(

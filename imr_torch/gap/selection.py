@@ -4,6 +4,10 @@ Each round adds the part of largest evidence (an effect, or gels that differ bet
 those held, until an unknown effect is improbable; the verdict is the set of causes of least
 expected loss (:mod:`imr_torch.gap.verdict`), "other" where an unknown effect stays more probable
 than not, and undecided where a fit that it rests on has not converged.
+
+Beside "other" stands what comes nearest. With the camera's own noise that would be what passes
+nearest to a few frames next to a collapse, at any strength; so, where the noise was inferred, it is
+selected with noise of the size of all that is left.
 """
 
 from collections.abc import Sequence
@@ -103,11 +107,18 @@ def select_causes(
 
     Each round adds the part of largest evidence beside those held. A first part that the second
     does not need is dropped. Where an unknown effect stays more probable than not, the verdict is
-    "other", or undecided where the last fit has not nearly converged. Where the noise was inferred,
-    parts are then selected anew, with noise of the size of what is left: where no model is right,
-    what comes nearest to each frame is not what carries over to other curves.
-    The parts that are ``nearest`` by then are tried again from there where they are given: with
-    little noise, a search may end where collapses lie on the wrong side of frames.
+    "other", or undecided where the last fit has not nearly converged.
+
+    Args:
+        inquiry: base model, effects and data.
+        null: the base model's fit.
+        left: the gap test there.
+        most: parts that are selected at most.
+        alone: the base model's fit of each experiment by itself.
+        nearest: an earlier verdict "other", whose parts are tried again from their fit: with little
+            noise a search may end where collapses lie on the wrong side of frames.
+        seed: of every random number.
+        progress: called with one line per step.
     """
     finding = _select_until_adequate(
         inquiry, null, left, most, alone=alone, nearest=nearest, seed=seed, progress=progress
