@@ -47,7 +47,7 @@ def results(result: Path) -> Iterator[Case]:
         for key in (
             ("belief", "models")
             if command == "compare"
-            else ("belief", "models", "curves", "model_probabilities", "noise", "prior", "schema")
+            else ("belief", "models", "curves", "model_probabilities", "prior", "schema")
         ):
             yield case(command, f"without {key}", {k: v for k, v in document.items() if k != key})
             for value in (None, 5, "x", []):
