@@ -160,6 +160,7 @@ def test_that_a_prior_of_a_logarithm_is_respected_and_excludes_no_effect():
     expected = marginal.to_physical(ends)
     assert found.interval == pytest.approx(expected.tolist(), rel=1e-3)
     assert found.log_evidences == {"one": pytest.approx(one - own_evidence(), abs=1e-4), "own": 0.0}
+    json.dumps(found.to_dict(), allow_nan=False)  # what cannot be said is null
 
 
 def test_that_one_value_is_tested_by_the_gels_own_values():

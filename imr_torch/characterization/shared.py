@@ -11,7 +11,6 @@ other controls to be linear in ``x`` with a Gaussian about the line. The same de
 evidences of one value for all, of a value of each gel's own and of none.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
@@ -54,7 +53,7 @@ class SharedParameter:
             ``effective_draws`` that the shared value leaves of it (of few, what is said rests on the
             Gaussian form of the tails); ``log_none``, its share of the
             evidence of no such effect, by a fit without it or else by densities (Savage-Dickey),
-            not a number where the prior excludes it.
+            None where the prior excludes it.
         cautions: what makes the numbers doubtful.
         misfits: names of the results whose model does not explain its curves: no verdict then.
 
@@ -153,9 +152,9 @@ def infer_shared(
     together = values.sum(0) + before
     shared = together.softmax(0)
     neutral = tensor(PARAMETERS[parameter].neutral)
-    none = (likelihoods @ _raise_powers(neutral) - own).tolist()
+    none: list[float | None] = (likelihoods @ _raise_powers(neutral) - own).tolist()
     if not (is_normal and marginal.lower <= neutral <= marginal.upper):
-        none = [math.nan] * len(gels)
+        none = [None] * len(gels)
     middles = weighted_quantiles(grid, shared, NODES)
     told = []
     cautions = []
@@ -183,8 +182,9 @@ def infer_shared(
         )
         cautions += list_cautions(result, key)
     evidences = {"one": float(together.logsumexp(0) - own.sum()), "own": 0.0}
-    if not math.isnan(sum(none)):
-        evidences["none"] = sum(none)
+    without_it = [value for value in none if value is not None]
+    if len(without_it) == len(gels):
+        evidences["none"] = sum(without_it)
     mean, sd = torch.stack(moments).mT
     spread = (mean - (mean / sd**2).sum() / (sd**-2).sum()) / sd
     return SharedParameter(

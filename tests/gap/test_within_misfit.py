@@ -8,11 +8,12 @@ from dataclasses import replace
 import pytest
 import torch
 
-from imr_torch.gap import GapReport, diagnose, library
+from imr_torch.gap import GapReport, diagnose, library, to_json
+from imr_torch.gap.shrinkage import shrinkage
 from imr_torch.observe import Experiment, Noise
 from imr_torch.random import generator
 from imr_torch.simulate import PolytropicSimulator
-from tests.gap.synthetic import BASE, DESIGNS, shoot
+from tests.gap.synthetic import BASE, DESIGNS, GEL, shoot
 
 SIMULATOR = PolytropicSimulator(threads=1)
 OFFERED = ("stress_relaxation", "edge_error", "clock")
@@ -66,13 +67,30 @@ def test_that_the_noise_is_that_of_the_frames_though_the_base_model_is_far_off(s
     assert 0.75 < float(ratio.log().mean().exp()) < 1.35
 
 
-def test_that_it_is_selected_and_not_named_beside_slow_deviations_and_nothing_is_by_them_alone() -> (
-    None
-):
-    beside = diagnosed(STRONG, 0.012)
+@pytest.fixture(scope="module")
+def beside() -> GapReport:
+    return diagnosed(STRONG, 0.012)
+
+
+def test_that_it_is_selected_and_not_named_beside_slow_deviations(beside) -> None:
     assert (beside.verdict, beside.cause) == ("other", ())
     assert beside.selected.parts == ("stress_relaxation",)
     assert "stress_relaxation explains some of it" in beside.reason
+
+
+def test_that_it_predicts_curves_that_were_left_out_and_gives_the_gel_back(beside) -> None:
+    found = shrinkage(beside, SIMULATOR)
+    assert found is not None
+    assert found.share is not None
+    assert found.share[0] > max(0.5, found.placebo_high)
+    shifts = to_json(beside)["parameter_shift"]
+    for name, truth in GEL.items():
+        low, _, high = shifts[name]["with_cause"]
+        assert 0.9 * low < truth < 1.1 * high
+        assert abs(shifts[name]["base"][1] / truth - 1.0) > 0.1
+
+
+def test_that_nothing_is_selected_by_slow_deviations_alone() -> None:
     alone = diagnosed({}, 0.012)
     assert (alone.verdict, alone.cause) == ("other", ())
     assert alone.selected.parts == ()
