@@ -208,41 +208,21 @@ class Said:
 
 KNOWN_LAYOUTS: Mapping[str, Layout] = MappingProxyType(
     {
-        "experiment_table": Layout(
-            "radius_m", radius_unit="m", time="time_s", experiment="experiment_id"
-        ),
-        "separated_table": Layout(
-            "2", radius_unit="um", time="1", time_unit="us", separator=-1000.0
-        ),
-        "dimensionless_cells": Layout(
-            "R_nondim_All",
-            radius_unit="dimensionless",
-            time="t_nondim_All",
-            time_unit="dimensionless",
-            max_radius="RmaxList",
-            inserted_peak="time_zero",
-        ),
-        "fitted_peak_first": Layout(
-            "Rnew", radius_unit="m", time="t", max_radius="RmaxAll", inserted_peak="first_row"
-        ),
-        "pixels_by_frame": Layout(
-            "Rnew", radius_unit="px", pixel_size="deltax", frame_interval="deltat"
-        ),
-        "peak_at_time_zero": Layout(
-            "R",
-            radius_unit="um",
-            time="t",
-            max_radius="RmaxAll",
-            max_radius_unit="um",
-            inserted_peak="time_zero",
-            absent="negative",
-        ),
-        "struct_of_experiments": Layout(
-            "Roft", radius_unit="m", time="t", max_radius="R0", rest_radius="Req"
-        ),
-        "converted_plot_set": Layout(
-            "alternatePlotSet.AverageRadius", radius_unit="um", time="alternatePlotSet.TimeVector"
-        ),
+        name: Layout.from_text(text)
+        for name, text in {
+            "experiment_table": "radius=radius_m,radius_unit=m,time=time_s,experiment=experiment_id",
+            "separated_table": "radius=2,radius_unit=um,time=1,time_unit=us,separator=-1000",
+            "dimensionless_cells": "radius=R_nondim_All,radius_unit=dimensionless,"
+            "time=t_nondim_All,time_unit=dimensionless,max_radius=RmaxList,inserted_peak=time_zero",
+            "fitted_peak_first": "radius=Rnew,radius_unit=m,time=t,max_radius=RmaxAll,"
+            "inserted_peak=first_row",
+            "pixels_by_frame": "radius=Rnew,radius_unit=px,pixel_size=deltax,frame_interval=deltat",
+            "peak_at_time_zero": "radius=R,radius_unit=um,time=t,max_radius=RmaxAll,"
+            "max_radius_unit=um,inserted_peak=time_zero,absent=negative",
+            "struct_of_experiments": "radius=Roft,radius_unit=m,time=t,max_radius=R0,rest_radius=Req",
+            "converted_plot_set": "radius=alternatePlotSet.AverageRadius,radius_unit=um,"
+            "time=alternatePlotSet.TimeVector",
+        }.items()
     }
 )
 """Name -> layout that is recognised without being stated: the tables of this project and of IMR_DDI;
