@@ -5,6 +5,7 @@ import math
 import os
 import secrets
 import tempfile
+import tomllib
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -256,6 +257,16 @@ def read_json(path: str | Path, *, expected: str = "expected JSON") -> Any:
         raise InputDataError(
             f"{path}: cannot be used ({why}); {expected}: correct it, or move it away."
         ) from None
+
+
+def read_table(name: str) -> Document:
+    """What a table of the package holds, ``data/NAME.toml``.
+
+    >>> from imr_torch.files import read_table
+    >>> read_table("parameters")["mu"]["meaning"]
+    'viscosity'
+    """
+    return tomllib.loads((Path(__file__).parent / "data" / f"{name}.toml").read_text("utf-8"))
 
 
 def _read_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -309,6 +309,16 @@ class Quantile:
 MARGINALS = {kind.__name__: kind for kind in (TruncatedNormal, LogNormal, Quantile)}
 
 
+def make_marginal(kind: str, *numbers: Any) -> Marginal:
+    """A prior by its kind and its numbers, as the tables of the package give it.
+
+    >>> from imr_torch.material.marginals import make_marginal
+    >>> make_marginal("LogNormal", 5e3, 5.0)
+    LogNormal(median=5000.0, factor=5.0)
+    """
+    return MARGINALS[kind](*numbers)
+
+
 def marginal_to_dict(marginal: Marginal) -> dict[str, Any]:
     """The marginal as JSON-ready values; infinite bounds become ``None``."""
     fields = without_nonfinite(asdict(marginal))[0]  # type: ignore[call-overload]

@@ -3,8 +3,8 @@
 Each entry has a name, a unit, hard bounds and a *neutral value* at which it does nothing. A
 constitutive model is a set of names; everything else stays neutral, so one batch may mix models.
 Tensors of parameters have the shape ``batch_shape x p`` with ``p = len(PARAMETERS)``, in SI units,
-in the order of registration. All entries of the package are in the tables below, whatever stage
-gives them their meaning; users register their own.
+in the order of registration. All entries of the package are in ``data/parameters.toml``, whatever
+stage gives them their meaning; users register their own.
 """
 
 import math
@@ -17,7 +17,8 @@ from jaxtyping import Float, Real
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
-from imr_torch.material.marginals import LogNormal, Marginal, TruncatedNormal
+from imr_torch.files import Document, read_table
+from imr_torch.material.marginals import Marginal, make_marginal
 from imr_torch.types import BatchParameters, BroadcastValues
 from imr_torch.units import Surroundings
 
@@ -218,204 +219,23 @@ _QUOTED: dict[Dimension, tuple[str, float, str]] = {
 """Dimension -> SI unit, and the factor to the unit in which people quote it."""
 
 
-def _make_entry(
-    name: str,
-    meaning: str,
-    lower: float,
-    upper: float,
-    dimension: Dimension = "none",
-    prior: Marginal | None = None,
-    neutral: float = 0.0,
-) -> Parameter:
-    """An entry that is neutral at 0, or does nothing by itself whatever its value; of one without a
-    prior nothing is believed but as an effect.
-    """
+def _make_entry(name: str, row: Document) -> Parameter:
+    """An entry by its row of the table, with the units of its dimension."""
+    dimension: Dimension = row.get("dimension", "none")
     unit, scale, quoted = _QUOTED[dimension]
-    return Parameter(name, meaning, unit, dimension, lower, upper, neutral, scale, quoted, prior)
-
-
-def _make_modulus(name: str, meaning: str) -> Parameter:
-    """A shear modulus, within 1-25 kPa at 68 %."""
-    return _make_entry(name, meaning, 0.0, 1e7, "pressure", LogNormal(median=5e3, factor=5.0))
-
-
-def _make_shape(name: str, meaning: str, lower: float, upper: float, sd: float) -> Parameter:
-    """A number that is most likely small and not negative."""
-    prior = TruncatedNormal(0.0, sd, lower=0.0, upper=min(upper, 100.0 * sd))
-    return _make_entry(name, meaning, lower, upper, prior=prior)
-
-
-def _make_time(name: str, meaning: str) -> Parameter:
-    """A time from 0 (neutral) to a second, within 2-50 us at 68 %."""
-    return _make_entry(name, meaning, 0.0, 1.0, "time", LogNormal(median=1e-5, factor=5.0))
+    lower, upper = row["bounds"]
+    neutral = row.get("neutral", 0.0)
+    prior = make_marginal(*row["prior"]) if "prior" in row else None
+    return Parameter(
+        name, row["meaning"], unit, dimension, lower, upper, neutral, scale, quoted, prior
+    )
 
 
 PARAMETERS = ParameterVector()
 """The one parameter vector, with every registered parameter."""
 
-for _entry in (
-    # of constitutive models
-    _make_modulus("G", "shear modulus"),
-    _make_entry("mu", "viscosity", 0.0, 100.0, "viscosity", LogNormal(median=0.1, factor=3.0)),
-    _make_entry(
-        "alpha",
-        "strain stiffening",
-        -1.0,
-        100.0,
-        prior=TruncatedNormal(0.0, 0.5, lower=0.0),
-    ),
-    _make_modulus("G_lin", "shear modulus at small strain"),
-    _make_shape("alpha_fung2", "stiffening, Fung to second order", -1.0, 100.0, 0.1),
-    _make_shape("alpha_fung", "stiffening, exponential Fung", -1.0, 10.0, 0.02),
-    _make_shape("thinning", "shear thinning 1 - n (Carreau)", 0.0, 1.0, 0.3),
-    _make_time("shear_time", "time scale of shear thinning (Carreau)"),
-    _make_time("tau", "relaxation time (Maxwell branch)"),
-    _make_shape("retardation", "retardation over relaxation time", 0.0, 1.0, 0.3),
-    _make_time("tau_sls", "relaxation time (standard linear solid)"),
-    _make_time("tau_sns", "relaxation time (standard nonlinear solid)"),
-    _make_time("tau_ucm", "relaxation time (upper-convected branch)"),
-    # of parts that few models have
-    _make_time("tau_giesekus", "relaxation time (Giesekus)"),
-    _make_shape("mobility", "mobility factor (Giesekus)", 0.0, 1.0, 0.2),
-    _make_time("tau_ptt", "relaxation time (Phan-Thien-Tanner)"),
-    _make_shape("extensibility", "extensibility (Phan-Thien-Tanner)", 0.0, 1.0, 0.1),
-    _make_shape("mooney", "share of the second invariant (Mooney-Rivlin)", 0.0, 1.0, 0.3),
-    _make_shape("cubic", "stiffening, cubic (Yeoh)", 0.0, 10.0, 0.005),
-    _make_shape("gent", "1/J, inverse limit of I1 - 3 (Gent)", 0.0, 1.0, 0.01),
-    _make_shape("chain", "1/N, inverse segments of a chain (Arruda-Boyce)", 0.0, 0.9, 0.02),
-    _make_entry(
-        "ogden",
-        "exponent less 2 (Ogden)",
-        -1.5,
-        18.0,
-        prior=TruncatedNormal(0.0, 1.0, -1.5, 18.0),
-    ),
-    _make_shape("thinning_yasuda", "shear thinning 1 - n (Carreau-Yasuda)", 0.0, 1.0, 0.3),
-    _make_entry(
-        "yasuda",
-        "exponent of the onset (Carreau-Yasuda)",
-        0.3,
-        5.0,
-        neutral=2.0,
-        prior=TruncatedNormal(2.0, 0.7, 0.3, 5.0),
-    ),
-    _make_shape("plateau", "viscosity at infinite shear rate over mu", 0.0, 1.0, 0.1),
-    _make_time("cross_time", "time scale of shear thinning (Cross)"),
-    _make_entry(
-        "cross_exponent",
-        "exponent (Cross)",
-        0.3,
-        3.0,
-        neutral=1.0,
-        prior=TruncatedNormal(0.8, 0.2, 0.3, 3.0),
-    ),
-    _make_time("eyring_time", "time scale of shear thinning (Powell-Eyring)"),
-    _make_shape("power_thinning", "shear thinning 1 - n (power law)", -1.0, 0.95, 0.3),
-    _make_entry(
-        "reference_rate", "rate at which mu or G_frac holds", 1.0, 1e9, "rate", neutral=1e5
-    ),
-    _make_modulus("G_arm", "modulus of a Maxwell arm"),
-    _make_time("tau_arm", "its relaxation time"),
-    _make_modulus("G_arm_slow", "modulus of a second Maxwell arm"),
-    _make_entry(
-        "tau_arm_slow", "its relaxation time", 0.0, 1.0, "time", LogNormal(median=1e-4, factor=5.0)
-    ),
-    _make_modulus("G_frac", "modulus of a springpot at the reference rate"),
-    _make_entry(
-        "fractional",
-        "order of a springpot",
-        0.05,
-        0.95,
-        neutral=0.5,
-        prior=TruncatedNormal(0.3, 0.2, 0.05, 0.95),
-    ),
-    # of the gel
-    _make_entry("damage", "softening per unit of accumulated strain", 0.0, 10.0),
-    _make_entry(
-        "yield_stress",
-        "yield stress",
-        0.0,
-        1e6,
-        "pressure",
-        TruncatedNormal(0.0, 3e3, lower=0.0),
-    ),
-    _make_entry("graded_modulus", "excess modulus at the wall", -1.0, 10.0),
-    _make_entry("permanent_set", "part of the stretch that stays", -0.5, 0.5),
-    _make_entry("healing", "rate at which damage heals", 0.0, 1e7, "rate"),
-    _make_entry("viscous_damage", "loss of viscosity per unit of accumulated strain", 0.0, 10.0),
-    _make_entry("law_stretch", "generic stress in lambda - 1, over p_inf", -1.0, 1.0),
-    _make_entry("law_stretch_squared", "generic stress in (lambda - 1)^2, over p_inf", -1.0, 1.0),
-    _make_entry("law_compression", "generic stress in lambda^-3 - 1, over p_inf", -1.0, 1.0),
-    _make_entry("law_compression_steep", "generic stress in lambda^-6 - 1, over p_inf", -1.0, 1.0),
-    _make_entry("law_velocity", "generic stress in U, over p_inf", -1.0, 1.0),
-    _make_entry("law_velocity_squared", "generic stress in U|U|, over p_inf", -1.0, 1.0),
-    _make_entry("law_rate_squared", "generic stress in (U/R)|U/R|, over p_inf", -1.0, 1.0),
-    # of the bubble
-    _make_entry("heat_exchange", "log factor of heat conduction in the bubble", -6.0, 6.0),
-    _make_entry("vapour_pressure", "vapour pressure beyond saturation, over p_inf", -0.03, 0.5),
-    _make_entry("condensation", "power with which trapped vapour follows compression", 0.0, 1.0),
-    _make_entry("gas_loss", "share of gas lost per unit of strain below R_inf", 0.0, 5.0),
-    _make_entry("sound_speed", "log factor of the sound speed", -3.0, 5.0),
-    _make_entry(
-        "compressibility", "share of the terms of second order in the Mach number", 0.0, 1.0
-    ),
-    _make_entry("surface_tension", "log factor of the surface tension at the wall", -3.0, 3.0),
-    _make_entry("far_field_pressure", "far-field pressure beyond p_inf, over p_inf", -0.5, 0.5),
-    _make_entry("wall", "strength of a mirror bubble, Rmax over twice the distance", -0.5, 0.5),
-    _make_entry("energy_loss", "loss to shape modes near collapse, in U|U|", 0.0, 20.0),
-    _make_entry("size_drag", "drag pressure over R U", 0.0, 1e10, "drag"),
-    _make_entry("residual_velocity", "wall velocity at time zero over U_c", -1.0, 1.0),
-    _make_entry("sound_field", "amplitude of a residual sound field over p_inf", -1.0, 1.0),
-    _make_entry("sound_frequency", "log of its angular frequency, in U_c/Rmax", -4.0, 6.0),
-    _make_entry("sound_phase", "its phase", -20.0, 20.0),
-    _make_entry("pulse", "amplitude of a reflected pulse over p_inf", -3.0, 3.0),
-    _make_entry("pulse_time", "when it arrives, in Rmax/U_c", -1.0, 20.0),
-    _make_entry("pulse_width", "log of its width, in Rmax/U_c", -6.0, 3.0),
-    _make_entry(
-        "excess_gas", "log of the gas at time zero over that which rests at R_inf", -2.0, 2.0
-    ),
-    _make_entry(
-        "hot_contents",
-        "mean temperature of the contents at time zero over T_inf, less 1",
-        -0.3,
-        0.6,
-    ),
-    _make_entry(
-        "rinf_drift", "relative rate at which the gas's rest radius grows", -1e5, 1e5, "rate"
-    ),
-    # of the medium
-    _make_entry("density", "log of the medium's density over the stated one", -2.0, 2.0, "ratio"),
-    _make_entry(
-        "medium_tension",
-        "log of the medium's surface tension over the stated one",
-        -3.0,
-        3.0,
-        "ratio",
-    ),
-    _make_entry(
-        "medium_pressure",
-        "log of the medium's far-field pressure over the stated one",
-        -2.0,
-        2.0,
-        "ratio",
-    ),
-    _make_entry(
-        "medium_temperature",
-        "log of the medium's temperature in K over the stated one",
-        -0.2,
-        0.2,
-        "ratio",
-    ),
-    # of the camera
-    _make_entry("missed_maximum", "true Rmax over the measured one, less 1", -0.2, 0.2),
-    _make_entry("trigger_offset", "time of the first frame, in Rmax/U_c", -0.3, 0.3),
-    _make_entry("rinf_bias", "true R_inf over the measured one, less 1", -0.5, 0.5),
-    _make_entry("clock", "log of true over measured time at a fixed time scale", -0.3, 0.3),
-    _make_entry("exposure_blur", "exposure, in Rmax/U_c", 0.0, 0.5),
-    _make_entry("refraction", "relative error of R that grows with R*", -0.2, 0.2),
-    _make_entry("edge_error", "measured less true radius", -2e-5, 2e-5, "length"),
-):
-    PARAMETERS.register(_entry)
+for _name, _entry in read_table("parameters").items():
+    PARAMETERS.register(_make_entry(_name, _entry))
 
 
 def dimensionless(
