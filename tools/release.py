@@ -34,6 +34,7 @@ IN_WHEEL = (
     "imr_torch/data/example_gel.csv",
     "imr_torch/data/example_gel.json",
     "imr_torch/data/effects.toml",
+    "imr_torch/data/models.toml",
     "imr_torch/data/parameters.toml",
     "imr_torch/cli/demo.py",
 )

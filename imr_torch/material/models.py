@@ -1,5 +1,6 @@
 """Constitutive models: named sets of stress terms, in one registry that drives the same tests
-through every model; and the parts of which others are composed by name.
+through every model; and the parts of which others are composed by name. Those of the package are
+in ``data/models.toml``.
 
 To add a model, name its terms in a :class:`Material` and register it; a term of your own is
 registered first (:func:`register_term`). A key such as ``"gent+carreau_yasuda+two_maxwell"`` names
@@ -12,6 +13,7 @@ from itertools import chain
 from typing import Literal
 
 from imr_torch.errors import InputDataError
+from imr_torch.files import read_table
 from imr_torch.material.departures import (
     CLOSURE,
     DAMAGE,
@@ -207,88 +209,12 @@ class Part:
     terms: tuple[StressTerm, ...]
 
 
-_ESTRADA = "Estrada et al., J. Mech. Phys. Solids 112 (2018)"
-_GAUDRON = "Gaudron, Warnez & Johnsen, J. Fluid Mech. 766 (2015)"
-_WARNEZ = "Warnez & Johnsen, Phys. Fluids 27 (2015)"
-_YANG = "Yang, Cramer, Bremer, Buyukozturk, Estrada & Franck, Soft Matter 16 (2020)"
-_TSCHOEGL = "Tschoegl, Phenomenological Theory of Linear Viscoelastic Behavior, Springer (1989)"
-_YIELD = "Bingham, US Bur. Stand. Bull. 13 (1916)"
+_TABLE = read_table("models")
+_LAWS = {term.name: term for term in TERMS}
+for _row in (*_TABLE["parts"].values(), *_TABLE["models"].values()):
+    _row["terms"] = tuple(_LAWS[name] for name in _row["terms"])
 
-
-def _make_elastic(title: str, reference: str, *terms: StressTerm) -> Part:
-    return Part("elastic", title, reference, (NEO_HOOKEAN, *terms))
-
-
-def _make_viscous(title: str, reference: str, *terms: StressTerm) -> Part:
-    return Part("viscous", title, reference, (NEWTONIAN, *terms))
-
-
-PARTS: dict[str, Part] = {
-    "neo_hookean": _make_elastic("Neo-Hookean", _GAUDRON),
-    "quadratic": _make_elastic("Quadratic", _YANG, STIFFENING),
-    "fung2": _make_elastic("2nd-order Fung", _YANG, SECOND_ORDER_FUNG),
-    "fungexp": _make_elastic("Fung", "Fung, Am. J. Physiol. 213 (1967)", EXPONENTIAL_FUNG),
-    "linear": Part(
-        "elastic",
-        "Linear",
-        "Yang & Church, J. Acoust. Soc. Am. 118 (2005)",
-        (LINEAR_ELASTIC,),
-    ),
-    "mooney_rivlin": _make_elastic(
-        "Mooney-Rivlin",
-        "Mooney, J. Appl. Phys. 11 (1940); Rivlin, Phil. Trans. R. Soc. A 241 (1948)",
-        MOONEY_RIVLIN,
-    ),
-    "yeoh": _make_elastic(
-        "Yeoh", "Yeoh, Rubber Chem. Technol. 66 (1993)", STIFFENING, CUBIC_STIFFENING
-    ),
-    "gent": _make_elastic("Gent", "Gent, Rubber Chem. Technol. 69 (1996)", GENT),
-    "arruda_boyce": _make_elastic(
-        "Arruda-Boyce", "Arruda & Boyce, J. Mech. Phys. Solids 41 (1993)", ARRUDA_BOYCE
-    ),
-    "ogden": _make_elastic("Ogden", "Ogden, Proc. R. Soc. A 326 (1972)", OGDEN),
-    "newtonian": _make_viscous("Newtonian", _ESTRADA),
-    "carreau": _make_viscous("Carreau", "Carreau, Trans. Soc. Rheol. 16 (1972)", CARREAU),
-    "carreau_yasuda": _make_viscous(
-        "Carreau-Yasuda", "Yasuda, Armstrong & Cohen, Rheol. Acta 20 (1981)", CARREAU_YASUDA
-    ),
-    "cross": _make_viscous("Cross", "Cross, J. Colloid Sci. 20 (1965)", CROSS),
-    "powell_eyring": _make_viscous(
-        "Powell-Eyring", "Powell & Eyring, Nature 154 (1944)", POWELL_EYRING
-    ),
-    "power_law": _make_viscous("Power law", "Ostwald, Kolloid-Z. 36 (1925)", POWER_LAW),
-    "bingham": _make_viscous("Bingham", _YIELD, YIELD_STRESS),
-    "herschel_bulkley": _make_viscous(
-        "Herschel-Bulkley",
-        "Herschel & Bulkley, Kolloid-Z. 39 (1926)",
-        POWER_LAW,
-        YIELD_STRESS,
-    ),
-    "jeffreys": Part("memory", "Jeffreys", _WARNEZ, (NEWTONIAN, MAXWELL)),
-    "maxwell": Part("memory", "Maxwell", _TSCHOEGL, (FIRST_ARM,)),
-    "two_maxwell": Part("memory", "two Maxwell arms", _TSCHOEGL, (FIRST_ARM, SECOND_ARM)),
-    "springpot": Part(
-        "memory",
-        "Springpot",
-        "Bonfanti, Kaplan, Charras & Kabla, Soft Matter 16 (2020)",
-        (SPRINGPOT,),
-    ),
-    "sls": Part("memory", "SLS", _ESTRADA, (NEWTONIAN, LINEAR_ELASTIC, STANDARD_LINEAR)),
-    "sns": Part("memory", "SNS", _ESTRADA, (NEWTONIAN, NEO_HOOKEAN, STANDARD_NONLINEAR)),
-    "ucm": Part("memory", "Upper-convected Maxwell", _WARNEZ, (NEWTONIAN, OLDROYD_B)),
-    "giesekus": Part(
-        "memory",
-        "Giesekus",
-        "Giesekus, J. Non-Newtonian Fluid Mech. 11 (1982)",
-        (NEWTONIAN, GIESEKUS),
-    ),
-    "ptt": Part(
-        "memory",
-        "linear Phan-Thien-Tanner",
-        "Phan-Thien & Tanner, J. Non-Newtonian Fluid Mech. 2 (1977)",
-        (NEWTONIAN, PTT),
-    ),
-}
+PARTS: dict[str, Part] = {key: Part(**row) for key, row in _TABLE["parts"].items()}
 """Name -> part of a composed model."""
 
 
@@ -369,88 +295,5 @@ def _check_parts(key: str, parts: list[Material | Part]) -> None:
             )
 
 
-for _model in (
-    # A viscous liquid without elasticity.
-    Material("newtonian", "Newtonian", _ESTRADA, (NEWTONIAN,)),
-    # An elastic solid without viscosity.
-    Material("nhe", "NHE", _GAUDRON, (NEO_HOOKEAN,)),
-    # A neo-Hookean spring beside a Newtonian dashpot: the model most gels are first tried with.
-    Material("nhkv", "NHKV", _ESTRADA, (NEWTONIAN, NEO_HOOKEAN)),
-    # NHKV with quadratic strain stiffening; its modulus is the known quasi-static one.
-    Material(
-        "qkv",
-        "qKV",
-        _YANG,
-        (NEWTONIAN, NEO_HOOKEAN, STIFFENING),
-        known=("G",),
-    ),
-    # qKV whose modulus is uncertain and inferred with the rest.
-    Material(
-        "gen_qkv",
-        "Gen. qKV",
-        "Chu, Estrada & Bryngelson, arXiv 2409.00011 (2024)",
-        (NEWTONIAN, NEO_HOOKEAN, STIFFENING),
-    ),
-    # Kelvin-Voigt at small strain, as first used for bubbles in gels.
-    Material(
-        "linkv",
-        "Linear KV",
-        "Yang & Church, J. Acoust. Soc. Am. 118 (2005)",
-        (NEWTONIAN, LINEAR_ELASTIC),
-    ),
-    # Exponential stiffening to second order in the strain invariant, beside a dashpot.
-    Material(
-        "fung2",
-        "2nd-order Fung",
-        _YANG,
-        (NEWTONIAN, NEO_HOOKEAN, SECOND_ORDER_FUNG),
-    ),
-    # Exponential stiffening beside a dashpot.
-    Material(
-        "fungexp",
-        "Fung",
-        "Fung, Am. J. Physiol. 213 (1967)",
-        (NEWTONIAN, NEO_HOOKEAN, EXPONENTIAL_FUNG),
-    ),
-    # A viscoelastic liquid with one relaxation time (with retardation: Jeffreys).
-    Material(
-        "maxwell", "Maxwell", "Allen & Roy, J. Acoust. Soc. Am. 107 (2000)", (NEWTONIAN, MAXWELL)
-    ),
-    # A neo-Hookean spring beside a Maxwell branch with retardation.
-    Material(
-        "zener",
-        "Zener",
-        _WARNEZ,
-        (NEWTONIAN, NEO_HOOKEAN, MAXWELL),
-    ),
-    # The standard linear solid of the published code.
-    Material(
-        "sls",
-        "SLS",
-        _ESTRADA,
-        (NEWTONIAN, LINEAR_ELASTIC, STANDARD_LINEAR),
-    ),
-    # The standard nonlinear solid of the published code.
-    Material(
-        "sns",
-        "SNS",
-        _ESTRADA,
-        (NEWTONIAN, NEO_HOOKEAN, STANDARD_NONLINEAR),
-    ),
-    # A viscoelastic liquid whose stress is carried and stretched with it (with retardation:
-    # Oldroyd-B).
-    Material(
-        "ucm",
-        "Upper-convected Maxwell",
-        _WARNEZ,
-        (NEWTONIAN, OLDROYD_B),
-    ),
-    # NHKV whose viscosity falls with the shear rate.
-    Material(
-        "carreau",
-        "Carreau KV",
-        "Carreau, Trans. Soc. Rheol. 16 (1972)",
-        (NEWTONIAN, NEO_HOOKEAN, CARREAU),
-    ),
-):
-    register(_model)
+for _key, _row in _TABLE["models"].items():
+    register(Material(_key, known=tuple(_row.pop("known", ())), **_row))
