@@ -55,8 +55,8 @@ RANKED: tuple[tuple[InformationEstimator, bool], ...] = (
     (Laplace(draws=32, refinements=0), True),
 )
 """Estimators, and whether designs share draws and noise."""
-SEARCHES = ((16, False, 1), (16, True, 1), (16, True, 5))
-"""Draws of a model, whether designs share them, and designs at a time."""
+SEARCHES = ((16, 1), (16, 5))
+"""Draws of a model, and designs at a time."""
 DESIGNS = (
     (150.0, 0.15),
     (100.0, 0.14),
@@ -120,13 +120,13 @@ def search_designs() -> Line:
     """What the designs lose that whole searches recommend, against a grid and all designs found."""
     best = []
     seconds = []
-    for draws, common, batch in SEARCHES:
+    for draws, batch in SEARCHES:
         started = time.process_time()
         for seed in range(SEEDS):
             acquisition = ExpectedInformationGain(
                 PRIOR, PolytropicSimulator(), Laplace(draws=draws), plan=PLANS[100]
             )
-            found = search_design(acquisition, seed=seed, common=common, batch=batch)
+            found = search_design(acquisition, seed=seed, batch=batch)
             best.append(found.recommendation.design)
         seconds.append((time.process_time() - started) / SEEDS)
     points = torch.cat((torch.stack(best), space_designs(32)))
@@ -136,7 +136,7 @@ def search_designs() -> Line:
         (*own, float(loss.mean()), float(loss.max()), cpu)
         for own, loss, cpu in zip(SEARCHES, losses, seconds, strict=True)
     ]
-    head = ("draws", "common", "designs at a time", "mean loss", "largest loss", "CPU")
+    head = ("draws", "designs at a time", "mean loss", "largest loss", "CPU")
     return {"head": head, "rows": rows}
 
 

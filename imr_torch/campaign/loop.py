@@ -273,7 +273,7 @@ class Campaign:
         designs = tensor([row.pop("design") for row in rows])
         gains = [InformationGain.from_dict(row) for row in rows]
         pending = InformationGain.from_dict(record["pending"]) if record["pending"] else None
-        settings = SearchSettings(**record["search"])
+        settings = SearchSettings(record["search"]["seed"], record["search"]["initial"])
         return settings.finish_search(self.settings.space, designs, gains, pending)
 
     @one_torch_thread()

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import torch
 
 from imr_torch.design.acquisition import ExpectedInformationGain
-from imr_torch.design.gain import ErrorParts, InformationGain, separate_errors
+from imr_torch.design.gain import InformationGain, separate_errors
 from imr_torch.design.optimizer import DesignOptimizer, Recommendation
 from imr_torch.design.space import DesignSpace
 from imr_torch.errors import ConvergenceError, InputDataError
@@ -82,12 +82,13 @@ def search_design(
     evaluations: int = 25,
     initial: int = 10,
     batch: int = 1,
-    common: bool = True,
     progress: Progress | None = None,
 ) -> DesignSearch:
     """Find the designs of largest expected information gain by Bayesian optimisation.
 
-    The acquisition is left as it is; its pending designs count as shot.
+    The acquisition is left as it is; its pending designs count as shot. All evaluations share their
+    draws and noise, which cancels from differences between designs: the surrogate is told the error
+    of differences alone, and the recommendation's ``sd`` has the common error added.
 
     Args:
         acquisition: the information gain; its space is searched.
@@ -97,9 +98,6 @@ def search_design(
         evaluations: designs evaluated for each.
         initial: of which space-filling.
         batch: designs asked for together after those; the surrogate is then asked less often.
-        common: whether all evaluations share their draws and noise, which cancels from differences
-            between designs. The surrogate is then told the error of differences alone, and the
-            recommendation's ``sd`` has the common error added.
         progress: called with one line per evaluation.
 
     Returns:
@@ -129,11 +127,8 @@ def search_design(
     for number in range(q):
         waiting = [] if acquisition.X_pending is None else [acquisition.X_pending]
         waiting += [step.recommendation.design[None] for step in steps]
-        settings = SearchSettings(
-            seed if number == 0 else child(seed, "further design", number),
-            initial,
-            common,
-        )
+        own = seed if number == 0 else child(seed, "further design", number)
+        settings = SearchSettings(own, initial)
         beside = acquisition.with_pending(torch.cat(waiting) if waiting else None)
         steps.append(_search_one(beside, settings, seed, evaluations, batch, progress))
     return replace(steps[-1], earlier=tuple(steps[:-1]))
@@ -146,18 +141,16 @@ class SearchSettings:
     Args:
         seed: of the optimizer.
         initial: space-filling designs.
-        common: whether all evaluations share their draws.
 
     >>> designs = torch.tensor([[200.0, 0.2], [500.0, 0.2], [800.0, 0.2]], dtype=torch.float64)
     >>> gains = [InformationGain(value, 0.0, variance=0.01, counted=8, drawn=8) for value in (4.0, 6.0, 4.0)]
-    >>> best = SearchSettings(seed=0, initial=2, common=False).finish_search(DesignSpace(), designs, gains, None).recommendation
+    >>> best = SearchSettings(seed=0, initial=2).finish_search(DesignSpace(), designs, gains, None).recommendation
     >>> 300.0 < float(best.design[0]) < 700.0
     True
     """
 
     seed: int
     initial: int
-    common: bool = True
 
     def make_optimizer(
         self,
@@ -177,8 +170,8 @@ class SearchSettings:
             return optimizer, 0.0
         kept = [gains[i] for i in counted]
         base = pending.value if pending else 0.0
-        values, variances = tensor([(gain.value - base, gain.variance) for gain in kept]).mT
-        errors = separate_errors(kept) if self.common else ErrorParts(variances, 0.0)
+        values = tensor([gain.value - base for gain in kept])
+        errors = separate_errors(kept)
         # draws may agree exactly, and a known noise of 0 is none
         own = errors.own.clamp_min(1e-8)
         cost = space.cost(designs[counted])
@@ -240,9 +233,7 @@ def _search_one(
         failed = designs[[row for row, gain in enumerate(gains) if gain.failed]]
         count = min(batch if gains else settings.initial, evaluations - len(gains))
         for design in optimizer.ask(count, pending=failed):
-            # draws are common to a whole search, or of this evaluation's own
-            number = 0 if settings.common else len(gains)
-            gain = acquisition.estimate(design[None], seed=child(seed, "eig", number))
+            gain = acquisition.estimate(design[None], seed=child(seed, "eig", 0))
             designs = torch.cat((designs, design[None]))
             gains.append(gain)
             if progress:

@@ -31,11 +31,10 @@ def acquisition(belief=ONE, estimator=None, **options):
     )
 
 
-@pytest.mark.parametrize("common", [True, False])
-def test_that_a_search_leaves_the_acquisition_as_it_was(common):
+def test_that_a_search_leaves_the_acquisition_as_it_was():
     gain = acquisition(TWO, seed=7, X_pending=DESIGNS[:1])
     before = gain(DESIGNS[:, None])
-    search_design(gain, seed=1, q=2, common=common, **QUICK)
+    search_design(gain, seed=1, q=2, **QUICK)
     assert gain.seed == 7
     assert torch.equal(gain.X_pending, DESIGNS[:1])
     assert torch.equal(gain(DESIGNS[:, None]), before)
@@ -166,10 +165,3 @@ def test_that_a_recommendation_has_the_common_error_and_its_surrogate_has_not():
     assert torch.allclose(search.optimizer.train_Yvar[:, 0], errors.own.clamp_min(1e-8))
     assert search.recommendation.sd >= errors.common**0.5
     assert float(errors.own.mean()) < 0.5 * errors.common
-
-
-def test_that_with_draws_of_their_own_evaluations_keep_their_variance():
-    gain = ExpectedInformationGain(TWO, LinearCamera(), Laplace(draws=16, rivals=8), plan=NOISY)
-    search = search_design(gain, seed=0, evaluations=4, initial=3, common=False)
-    stated = torch.tensor([g.variance for g in search.gains], dtype=torch.float64)
-    assert torch.allclose(search.optimizer.train_Yvar[:, 0], stated)
