@@ -23,7 +23,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.optimize import LinearConstraint, minimize
 from torch import Tensor
 
@@ -49,7 +49,7 @@ Concave = Callable[[Shares], Float[Tensor, ""]]
 
 @dataclass(frozen=True)
 class MeasureOptions(CheckedOptions):
-    """How an optimal measure is found, and what shots cost and deliver.
+    """How an optimal measure is found, and what shots deliver.
 
     Args:
         draws: gels per constitutive model.
@@ -63,11 +63,9 @@ class MeasureOptions(CheckedOptions):
         rounds: most rounds of optimisation.
         near: designs whose sensitivity is below 1 by no more take part in the next round.
         least: share of the shots from which on a design is in the support.
-        cost: cost of a shot at each design (``n x 2`` to ``n``) over that of an ordinary one.
-        allowed: whether a laboratory can set each design (``n x 2`` to ``n``, boolean).
 
     >>> from imr_torch.design import MeasureOptions
-    >>> MeasureOptions(scatter=(0.2, 0.05), allowed=lambda X: X[:, 0] * X[:, 1] > 30.0).grid
+    >>> MeasureOptions(scatter=(0.2, 0.05)).grid
     (13, 9)
     """
 
@@ -80,10 +78,6 @@ class MeasureOptions(CheckedOptions):
     rounds: int = 20
     near: float = 0.01
     least: float = 0.002
-    cost: Callable[[Candidates], Shares] = lambda designs: torch.ones_like(designs[:, 0])
-    allowed: Callable[[Candidates], Bool[Tensor, "candidates"]] = lambda designs: (
-        designs[:, 0] > 0.0
-    )
 
 
 def read_criterion(text: str, belief: Belief) -> dict[str, float] | None:
@@ -252,15 +246,16 @@ class DesignMeasure:
         bound: no design on the space is better by more than this share of the information.
         shots: ordinary shots that the budget pays for.
         value: of the criterion.
-        options: what shots cost.
+        space: what shots cost.
+        options: which share is of the support.
         evaluate: the criterion of designs (``k x 2``) on which as much is spent as on numbers
             (``k``) of ordinary shots.
 
     >>> import torch
-    >>> from imr_torch.design import DesignMeasure, MeasureOptions
+    >>> from imr_torch.design import DesignMeasure, DesignSpace, MeasureOptions
     >>> designs, even = torch.tensor([[100.0, 0.3], [1000.0, 0.2]]).double(), torch.ones(2).double()
     >>> shares = torch.tensor([0.25, 0.75]).double()
-    >>> measure = DesignMeasure(designs, shares, even, 0.0, 4, 1.0, MeasureOptions(), lambda *_: even.sum())
+    >>> measure = DesignMeasure(designs, shares, even, 0.0, 4, 1.0, DesignSpace(), MeasureOptions(), lambda *_: even.sum())
     >>> measure.support.tolist()  # the largest share first
     [1, 0]
     """
@@ -271,6 +266,7 @@ class DesignMeasure:
     bound: float
     shots: int
     value: float
+    space: DesignSpace
     options: MeasureOptions = field(repr=False)
     evaluate: Callable[[Candidates, Shares], Float[Tensor, ""]] = field(repr=False)
 
@@ -286,7 +282,7 @@ class DesignMeasure:
         """
         designs = self.designs[self.support]
         shares = self.shares[self.support]
-        numbers = self.shots * shares / shares.sum() / self.options.cost(designs)
+        numbers = self.shots * shares / shares.sum() / self.space.cost(designs)
         total = max(1, int(float(numbers.sum()) + 1e-9))
         kept = range(1, len(designs) + 1)
         rounded = (designs[apportion_shots(numbers[:count], total)] for count in kept)
@@ -305,7 +301,7 @@ class DesignMeasure:
         """Information of designs (``q x 2``), repeated until the budget is spent, over that of the
         measure.
         """
-        cost = self.options.cost(designs)
+        cost = self.space.cost(designs)
         value = self.evaluate(designs, self.shots * cost / cost.sum())
         return math.exp(float(value) - self.value)
 
@@ -380,8 +376,6 @@ def optimal_measure(
     widths = torch.maximum(tensor(options.scatter), options.resolved * steps)
     nodes = torch.cartesian_prod(*coarse)
     designs = torch.cartesian_prod(*axes) if space.listed is None else space.listed
-    own = options.cost
-    options = replace(options, cost=lambda designs: own(designs) * space.cost(designs))
     with torch.no_grad():
         shot = Shot(belief, nodes, simulator, plan or Plan())
         of_nodes = _make_criterion(shot, factors, options.draws, seed)
@@ -390,7 +384,7 @@ def optimal_measure(
         """On average over what is shot where a design is asked for."""
         away = (designs.log()[:, None] - nodes.log()) / widths
         kernel = torch.softmax(-0.5 * away.square().sum(-1), dim=1)
-        return of_nodes(numbers * options.allowed(designs) / options.cost(designs) @ kernel)
+        return of_nodes(numbers / space.cost(designs) @ kernel)
 
     shares = full((len(designs),), 1.0 / len(designs))
     rounds = options.rounds
@@ -408,4 +402,6 @@ def optimal_measure(
             f"No design that is allowed tells anything about {criterion!r} under this belief; widen "
             "the space, or name another criterion."
         )
-    return DesignMeasure(designs, shares, sensitivity, bound, shots, value, options, evaluate)
+    return DesignMeasure(
+        designs, shares, sensitivity, bound, shots, value, space, options, evaluate
+    )
