@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import torch
 
 from imr_torch.errors import InputDataError
+from imr_torch.html import render
 from imr_torch.observe.convert import to_experiment
 from imr_torch.observe.experiments import Experiment
 from imr_torch.observe.landmarks import Landmarks, find_landmarks
@@ -57,30 +58,10 @@ class Prepared:
         """A line a curve: Rmax, R_inf*, We, how each was found, and how many ``frames`` will be
         fitted; then the cautions.
         """
-        lines = []
-        for experiment in self.experiments:
-            name, (weber, rest) = experiment.label, experiment.design
-            marks, (count, before, after) = self.landmarks[name], self.frames[name]
-            found = "assumed" if self.assumed else marks.rest_method
-            first = self.first_collapses[name]
-            blur = f", averaged over exposures of t* = {experiment.exposure:.3g}" * (
-                experiment.exposure > 0.0
-            )
-            collapse = (
-                "no collapse in the record"
-                if math.isinf(first)
-                else f"first collapse at t* = {first:.2f}"
-            )
-            used = f"; {len(experiment.times)} of {count} frames are fitted"
-            used += f" ({before} before the maximum, {after} after the window)"
-            lines.append(
-                f"  {name}: Rmax {1e6 * marks.max_radius_m:.4g} um ({marks.max_method}), "
-                f"R_inf/Rmax {rest:.3f} ({found}), We {weber:.0f}, {collapse}{blur}{used * frames}"
-            )
-        lines.insert(
-            0, f"Curves as they are fitted (an empty cavity collapses at t* = {RAYLEIGH_TIME}):"
+        text = render(
+            "prepared.txt", found=self, frames=frames, cavity=RAYLEIGH_TIME, never=math.inf
         )
-        return "\n".join([*lines, *(f"  Caution: {text}" for text in self.cautions)])
+        return text.rstrip("\n")
 
 
 def prepare(

@@ -17,6 +17,7 @@ from jaxtyping import Real
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
+from imr_torch.html import render
 from imr_torch.reading.statement import Statement
 
 RADIUS_RANGE_M = (1e-7, 1e-1)
@@ -409,25 +410,4 @@ class TraceSet:
 
     def report(self) -> str:
         """What was loaded, what was left out and what was decided, as text."""
-        lines = [f"{len(self)} curve(s):"]
-        for t in self.traces:
-            span = 1e6 * float(t.time_s[-1] - t.time_s[0])
-            top = 1e6 * float(t.radius_m.max())
-            lines.append(
-                f"  {t.experiment_id}: {len(t)} frames over {span:.4g} us, largest radius "
-                f"{top:.4g} um"
-            )
-            if t.asphericity is not None:
-                low, high = t.asphericity.aminmax()
-                lines.append(f"    asphericity a/b - 1 from {low:.2g} to {high:.2g}")
-        every = "Every row of the files was read."
-        lines.append(
-            f"{len(self.left_out)} record(s) of rows left out:" if self.left_out else every
-        )
-        lines += [
-            f"  {x.file} [{x.experiment_id or '-'}] row(s) {x.rows or '-'} ({x.count} in all): {x.reason}"
-            for x in self.left_out
-        ]
-        if self.notes:
-            lines += ["Notes:", *(f"  {note}" for note in self.notes)]
-        return "\n".join(lines)
+        return render("traces.txt", found=self).rstrip("\n")
