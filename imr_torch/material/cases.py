@@ -1,13 +1,15 @@
 """Priors that ship with the toolkit: the two synthetic reference cases of the literature, and wide
 ones for new gels.
 
-Reference cases: Chu, Estrada & Bryngelson, arXiv 2409.00011 (2024), polyacrylamide (PA) gels.
+Reference cases (``data/cases.toml``): Chu, Estrada & Bryngelson, arXiv 2409.00011 (2024),
+polyacrylamide (PA) gels.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from imr_torch.errors import InputDataError
+from imr_torch.files import Document, read_table
 from imr_torch.material.belief import Belief
 from imr_torch.material.effect import LIBRARY
 from imr_torch.material.marginals import Marginal, TruncatedNormal
@@ -37,51 +39,15 @@ class ReferenceCase:
     prior: Belief
 
 
-def _make_positive(mean: float, sd: float) -> TruncatedNormal:
-    return TruncatedNormal(mean, sd, lower=0.0)
+def _read_case(key: str, row: Document) -> ReferenceCase:
+    priors = {
+        model: {name: TruncatedNormal(*moments, lower=0.0) for name, moments in prior.items()}
+        for model, prior in row["prior"].items()
+    }
+    return ReferenceCase(key, row["truth_model"], row["truth"], Belief.prior(priors))
 
 
-CASES: dict[str, ReferenceCase] = {
-    case.key: case
-    for case in (
-        ReferenceCase(
-            "stiff-pa",
-            "gen_qkv",
-            {"G": 2770.0, "mu": 0.186, "alpha": 0.48},
-            Belief.prior(
-                {
-                    "nhkv": {
-                        "G": _make_positive(15090.0, 4350.0),
-                        "mu": _make_positive(0.209, 0.18),
-                    },
-                    "gen_qkv": {
-                        "G": _make_positive(2770.0, 300.0),
-                        "mu": _make_positive(0.286, 0.186),
-                        "alpha": _make_positive(0.28, 0.48),
-                    },
-                }
-            ),
-        ),
-        ReferenceCase(
-            "soft-pa",
-            "nhkv",
-            {"G": 8310.0, "mu": 0.093},
-            Belief.prior(
-                {
-                    "nhkv": {
-                        "G": _make_positive(12000.0, 6350.0),
-                        "mu": _make_positive(0.14, 0.073),
-                    },
-                    "gen_qkv": {
-                        "G": _make_positive(570.0, 60.0),
-                        "mu": _make_positive(0.08, 0.05),
-                        "alpha": _make_positive(0.96, 0.48),
-                    },
-                }
-            ),
-        ),
-    )
-}
+CASES = {key: _read_case(key, row) for key, row in read_table("cases").items()}
 """Key -> reference case."""
 
 

@@ -1,9 +1,10 @@
 """Named media: density, sound speed and surface tension of water, solutions and gels, each with its
 source.
 
-A named medium states what its source states, and no more. All are mostly water: at another
-temperature than the source's their density, sound speed and surface tension follow those of water,
-by ratio. Vapour pressure is not a property here; it follows from the temperature in the simulator
+A named medium (``data/media.toml``) states what its source states, and no more. All are mostly
+water: at another temperature than the source's their density, sound speed and surface tension
+follow those of water, by ratio. Vapour pressure is not a property here; it follows from the
+temperature in the simulator
 (:func:`imr_torch.simulate.conditions.saturation_pressure`). Viscosity is inferred.
 """
 
@@ -11,6 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from imr_torch.errors import InputDataError
+from imr_torch.files import read_table
 
 ROOM = 298.15
 """Temperature, K, at which a source without one is read."""
@@ -103,7 +105,7 @@ class NamedMedium:
         }
 
 
-def _water_with_salt(salt: float = 0.0) -> dict[str, float]:
+def _water_with_salt(salt: float) -> dict[str, float]:
     """Water at room temperature with grams of salt per kilogram, as sea water of that salinity."""
     return {
         "density": water_density(ROOM) + 0.75 * salt,
@@ -112,53 +114,14 @@ def _water_with_salt(salt: float = 0.0) -> dict[str, float]:
     }
 
 
-_PEG = (
-    "aqueous PEG at 298 K: 20 % as measured for PEG 3000 (1029.7 kg/m^3; J. Korean Chem. Soc. 63, "
-    "2019, suppl.), higher shares from specific volumes between that and the pure melt's; 1 % sd, "
-    "since none is of PEG 8000 itself"
-)
-_IMR_PRIME = (
-    "density in the scripts of the measurements (github.com/vsnchz248/IMR_PRIME); nothing else is "
-    "stated there"
-)
-
-NAMED: dict[str, NamedMedium] = {
-    medium.name: medium
-    for medium in (
-        NamedMedium(
-            "water",
-            "Kell 1975 (density), Marczak 1997 (sound speed), IAPWS R1-76 (surface tension)",
-            _water_with_salt(),
-        ),
-        NamedMedium(
-            "pbs",
-            "water with 9.6 g/kg of salts, taken as sea water of that salinity (UNESCO 44, 1983)",
-            _water_with_salt(9.6),
-        ),
-        NamedMedium("agarose_0.5", _IMR_PRIME, {"density": 1003.0}),
-        NamedMedium("agarose_5", _IMR_PRIME, {"density": 1050.0}),
-        NamedMedium(
-            "gelatin_10",
-            "volumes of water and of 10 % gelatin by mass added, .69 cm^3/g as of dissolved "
-            "proteins; 1 % sd",
-            {"density": 1029.0},
-            {"density": 10.0},
-        ),
-        NamedMedium(
-            "polyacrylamide",
-            "scripts of pIMR (Zhu et al., Soft Matter 2025)",
-            {"density": 998.2, "sound_speed": 1484.0, "surface_tension": 0.070},
-        ),
-        NamedMedium(
-            "polyacrylamide_10",
-            "scripts of fitIMR (github.com/zhirenruns/fitIMR), 10 % gels",
-            {"density": 1020.0, "sound_speed": 1430.0, "surface_tension": 0.07},
-        ),
-        *(
-            NamedMedium(f"peg8k_{share}", _PEG, {"density": value}, {"density": 0.01 * value})
-            for share, value in ((20, 1030.0), (40, 1066.0), (60, 1100.0), (80, 1122.0))
-        ),
+NAMED = {
+    name: NamedMedium(
+        name,
+        row["source"],
+        row["values"] if "values" in row else _water_with_salt(row["salt"]),
+        row.get("sds", {}),
     )
+    for name, row in read_table("media").items()
 }
 """Name -> medium."""
 
