@@ -19,6 +19,7 @@ from imr_torch.document import header
 from imr_torch.errors import InputDataError
 from imr_torch.files import Document
 from imr_torch.float64 import tensor
+from imr_torch.html import render
 from imr_torch.material import ModelBelief
 from imr_torch.material.model_belief import LEVELS
 from imr_torch.population.result import DECISIVE
@@ -197,24 +198,7 @@ def list_cautions(result: SavedCharacterization, model: str) -> list[str]:
     >>> list_cautions(gel, "nhkv")[0]
     'the fit of nhkv to result has not converged'
     """
-    found = []
-    name = result.source
-    if result.explained is False:
-        found.append(
-            f"the model does not explain the curves of {name}, so that its parameters are not "
-            "to be quoted and what differs may be the error of the model"
-        )
-    if not result.converged(model):
-        found.append(f"the fit of {model} to {name} has not converged")
-    if result.verdict(model) == "refused":
-        found.append(
-            f"the intervals of {name} are not reliable, since their computation failed its check"
-        )
-    if not result.draws(model).weighted:
-        found.append(
-            f"{name} holds no weighted draws, so that draws of its Gaussian approximation are used"
-        )
-    return found
+    return render("cautions.txt", result=result, model=model).splitlines()
 
 
 def _log_bayes_factor(
