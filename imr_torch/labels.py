@@ -9,25 +9,12 @@ functions before it is drawn or names a file.
 import hashlib
 from typing import Any
 
+from imr_torch.files import read_table
+
 _OPEN = 0.1  # error of a probability from which on it may be undecided
 _LONGEST = 48  # characters of a label in a figure or a file name
 _SYMBOLS = {
-    "G": "$G$",
-    "mu": r"$\mu$",
-    "alpha": r"$\alpha$",
-    "G_lin": r"$G_\mathrm{lin}$",
-    "alpha_fung": r"$\alpha_\mathrm{Fung}$",
-    "alpha_fung2": r"$\alpha_\mathrm{Fung,2}$",
-    "thinning": "$1-n$",
-    "tau": r"$\tau$",
-    "tau_sls": r"$\tau_\mathrm{SLS}$",
-    "tau_sns": r"$\tau_\mathrm{SNS}$",
-    "tau_ucm": r"$\tau_\mathrm{UCM}$",
-    "yield_stress": r"$\tau_\mathrm{y}$",
-    "density": r"$\ln\,(\rho/\rho_0)$",
-    "medium_tension": r"$\ln\,(S/S_0)$",
-    "medium_pressure": r"$\ln\,(p_\infty/p_0)$",
-    "medium_temperature": r"$\ln\,(T/T_0)$",
+    name: row["symbol"] for name, row in read_table("parameters").items() if "symbol" in row
 }
 T_STAR = r"$t^* = t\,U_\mathrm{c}/R_\mathrm{max}$"
 R_STAR = r"$R^* = R/R_\mathrm{max}$"
