@@ -38,8 +38,10 @@ IN_WHEEL = (
     "imr_torch/data/options.toml",
     "imr_torch/data/cases.toml",
     "imr_torch/data/forms.toml",
+    "imr_torch/data/headings.toml",
     "imr_torch/data/media.toml",
     "imr_torch/data/parameters.toml",
+    "imr_torch/data/properties.toml",
     "imr_torch/cli/demo.py",
 )
 IN_SDIST = (

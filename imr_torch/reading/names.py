@@ -15,43 +15,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imr_torch.errors import InputDataError
+from imr_torch.files import read_table
 from imr_torch.reading.content import Content
 from imr_torch.reading.layout import LENGTHS, TIMES, Layout, Said
 from imr_torch.reading.traces import MIN_SAMPLES, RADIUS_RANGE_M
 
-_UNITS = {
-    "s": "s sec second seconds",
-    "ms": "ms msec millisecond milliseconds",
-    "us": "us usec microsecond microseconds mus",
-    "ns": "ns nsec nanosecond nanoseconds",
-    "frames": "frame frames",
-    "m": "m meter meters metre metres",
-    "mm": "mm millimeter millimeters millimetre millimetres",
-    "um": "um micron microns micrometer micrometers micrometre micrometres mum",
-    "px": "px pix pixel pixels",
-    "dimensionless": "dimensionless nondim rmax r_max - 1",
-}
-_ALIASES = {alias: unit for unit, aliases in _UNITS.items() for alias in aliases.split()}
-_ROLES = {
-    "time": "t time times texp timestamp elapsedtime",
-    "frames": "frame frames frameno framenr framenumber frameindex",
-    "radius": "r radius radii rexp rad rt rnew roft bubbleradius meanradius averageradius "
-    "equivalentradius",
-    "half axis a": "a alengths axisa semiaxisa halfaxisa",
-    "half axis b": "b blengths axisb semiaxisb halfaxisb",
-    "experiment": "experimentid experiment id shot shotid curve curveid trial run bubble",
-}
+_TABLE = read_table("headings")
+_ALIASES = {alias: unit for unit, aliases in _TABLE["units"].items() for alias in aliases}
 _ERROR = re.compile(r"(^|[^a-z])(sd|std|err|error|sigma|uncertainty)([^a-z]|$)", re.IGNORECASE)
-_OF_PROGRAMS = (
-    ("BubbleTrack", ("Radius", "CircleFitPar"), {"Radius": "px"}),
-    ("ellipse fits", ("a_lengths", "b_lengths"), {"a_lengths": "px", "b_lengths": "px"}),
-    ("InCA", ("Average Radius", "Surface Area"), {"Average Radius": "px"}),
-    ("InCA", ("RoFT", "FTs"), {"RoFT": "px", "t": "s"}),
-)
-"""Program, names that show it, and the units of its names."""
-_OF_IMR_CODES = (("R", "t"), ("Rnew", "t"), ("R2", "t2"), ("R_exp", "t_exp"), ("R1_exp", "t_exp"))
-"""Names of radius and time that IMR codes save in m, or um, and s."""
-_REST = ("Req", "R_eq", "R1_eq")
 
 
 @dataclass(frozen=True)
@@ -78,7 +49,7 @@ class Heading:
             return None
         if plain == "d" or "diam" in plain:
             return "diameter"
-        role = next((role for role, names in _ROLES.items() if plain in names.split()), None)
+        role = next((role for role, names in _TABLE["roles"].items() if plain in names), None)
         if role in ("half axis a", "half axis b") and any(map(str.isdigit, self.bare)):
             return None  # a coefficient, such as a1
         return None if role == "experiment" and self.unit is not None else role
@@ -89,7 +60,7 @@ class Heading:
         return self.unit in (*LENGTHS, "px")
 
 
-def unit_of(text: str, units: Collection[str] = tuple(_UNITS)) -> str | None:
+def unit_of(text: str, units: Collection[str] = tuple(_TABLE["units"])) -> str | None:
     """The unit among some that a text means, or None: ``"µs"``, ``"microseconds"`` and ``"[us]"``
     are ``"us"``.
     """
@@ -99,7 +70,9 @@ def unit_of(text: str, units: Collection[str] = tuple(_UNITS)) -> str | None:
     return unit if unit in units else None
 
 
-def read_heading(name: str, below: str = "", units: Collection[str] = tuple(_UNITS)) -> Heading:
+def read_heading(
+    name: str, below: str = "", units: Collection[str] = tuple(_TABLE["units"])
+) -> Heading:
     """A name with its unit, one of some: behind it in brackets, after a stroke, comma or
     underscore, or in the row below.
     """
@@ -122,9 +95,10 @@ def headings_of(content: Content) -> list[Heading]:
     """Columns, or variables that are vectors, with their units."""
     vectors = content.plain_vectors()
     units = dict(content.units)
-    for _, shown_by, of_names in _OF_PROGRAMS:
-        if all(content.names_like(name) for name in shown_by):
-            units |= {full: u for name, u in of_names.items() for full in content.names_like(name)}
+    for program in _TABLE["programs"]:
+        if all(content.names_like(name) for name in program["shown_by"]):
+            of_names = program["units"].items()
+            units |= {full: unit for name, unit in of_names for full in content.names_like(name)}
     found = []
     for name, value in content.values.items():
         cells = isinstance(value, list) and value and all(isinstance(x, np.ndarray) for x in value)
@@ -242,7 +216,8 @@ def _possible_unit(
         time: the times.
         lasts: shortest and longest record, in ``Rmax sqrt(rho/p)``, .1 s/m in water at 1 atm.
     """
-    if tuple(h.name.rpartition(".")[2] for h in (radius, time)) not in _OF_IMR_CODES:
+    names = [h.name.rpartition(".")[2] for h in (radius, time)]
+    if names not in _TABLE["imr_codes"]["radius_and_time"]:
         return None
     largest = float(np.nanmax(content.entries(radius.name), initial=0.0))
     span = _finite_span(content.entries(time.name))
@@ -262,7 +237,7 @@ def _finite_span(values: np.ndarray) -> float:
 
 def _rest_name(content: Content) -> str | None:
     """The variable of the rest radius, if it is one positive number."""
-    for name in _REST:
+    for name in _TABLE["imr_codes"]["rest_radius"]:
         value = content.values.get(name)
         if isinstance(value, np.ndarray) and value.size == 1 and float(value) > 0.0:
             return name

@@ -6,11 +6,12 @@ A statement is a named medium, values, or both: ``"water,temperature=310"``, ``"
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from imr_torch.errors import InputDataError
+from imr_torch.files import read_table
 from imr_torch.material.media import named_medium
 
 
@@ -22,29 +23,11 @@ class _Property:
     unit: str
     low: float
     high: float
-    other: tuple[tuple[float, float, str], ...] = ()
+    other: Sequence[tuple[float, float, str]]
 
 
-PROPERTIES: dict[str, _Property] = {
-    "density": _Property(
-        "density", "kg/m^3", 500.0, 3000.0, ((0.5, 3.0, "g/cm^3: multiply by 1000"),)
-    ),
-    "sound_speed": _Property(
-        "sound_speed", "m/s", 300.0, 6000.0, ((0.3, 6.0, "km/s: multiply by 1000"),)
-    ),
-    "surface_tension": _Property(
-        "surface_tension", "N/m", 1e-3, 0.5, ((1.0, 500.0, "mN/m: divide by 1000"),)
-    ),
-    "temperature": _Property(
-        "temperature", "K", 273.15, 363.15, ((-20.0, 100.0, "degrees Celsius: add 273.15"),)
-    ),
-    "pressure": _Property(
-        "far_field_pressure",
-        "Pa",
-        1e4,
-        1e8,
-        ((0.2, 9.0, "bar or atm: multiply by 1e5"), (10.0, 2000.0, "kPa: multiply by 1000")),
-    ),
+PROPERTIES = {
+    name: _Property(**{"field": name} | row) for name, row in read_table("properties").items()
 }
 """Name in a statement -> property; ``pressure`` is the ambient pressure."""
 
