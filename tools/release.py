@@ -42,6 +42,7 @@ IN_WHEEL = (
     "imr_torch/data/media.toml",
     "imr_torch/data/parameters.toml",
     "imr_torch/data/properties.toml",
+    "imr_torch/data/statuses.toml",
     "imr_torch/cli/demo.py",
 )
 IN_SDIST = (

@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float, Int, Real
 from torch import Tensor
 
 from imr_torch.errors import InputDataError, PrecisionWarning, ShapeError
+from imr_torch.files import read_table
 from imr_torch.material import PARAMETERS, TERMS
 from imr_torch.simulate.conditions import Conditions
 from imr_torch.types import DesignVectors, FrameTimes, ParameterVectors
@@ -56,12 +57,12 @@ class Status(IntEnum):
     @property
     def sentence(self) -> str:
         """What happened."""
-        return _MEANINGS[self][0]
+        return _MEANINGS[self.name]["sentence"]
 
     @property
     def remedy(self) -> str:
         """What to do about it; empty where nothing is to be done."""
-        return _MEANINGS[self][1]
+        return _MEANINGS[self.name]["remedy"]
 
     @property
     def advice(self) -> str:
@@ -69,39 +70,7 @@ class Status(IntEnum):
         return f"{self.sentence} {self.remedy}".rstrip()
 
 
-_MEANINGS = {
-    Status.DONE: ("The solve reached its last time.", ""),
-    Status.TOO_MANY_STEPS: (
-        "The solve ran out of steps.",
-        "Raise max_steps or ask for an earlier last time.",
-    ),
-    Status.NON_FINITE: (
-        "A law left the domain in which it is a number.",
-        "Check parameters and design (a liquid holds no tension beyond its stiffness), or step "
-        "more finely.",
-    ),
-    Status.RUNAWAY: (
-        "The radius grew beyond three times its maximum, which no free oscillation does.",
-        "Step more finely.",
-    ),
-    Status.STEP_UNDERFLOW: (
-        "No step was small enough to meet the tolerance.",
-        "Check parameters and design, or raise the tolerance.",
-    ),
-    Status.UNBOUNDED_ENERGY: (
-        "The strain energy has no lower bound at negative alpha, and the gel gave way at collapse.",
-        "Use alpha >= 0 or a milder design.",
-    ),
-    Status.SONIC_WALL: (
-        "The wall reached the Mach number at which the radial equation is singular.",
-        "Take an equation without one (second_order), a milder design, or check the velocity at "
-        "time zero and the sound speed.",
-    ),
-    Status.ILL_CONDITIONED: (
-        "A small change of what the bubble was made from grows too large to trust the end of it.",
-        "Ask for an earlier last time or a milder design.",
-    ),
-}
+_MEANINGS = read_table("statuses")
 """What each status means, and what to do about it."""
 
 

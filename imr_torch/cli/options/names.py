@@ -1,51 +1,25 @@
-"""Names and defaults that help texts and choices need, written out so that PyTorch is not imported
-to print them.
+"""Names and defaults that help texts and choices need, read from tables or written out, so that
+PyTorch is not imported to print them.
 
 A test compares each with the registry or setting that it is taken from.
 """
 
-MODELS = (
-    "newtonian",
-    "nhe",
-    "nhkv",
-    "qkv",
-    "gen_qkv",
-    "linkv",
-    "fung2",
-    "fungexp",
-    "maxwell",
-    "zener",
-    "sls",
-    "sns",
-    "ucm",
-    "carreau",
-)
+from imr_torch.files import read_table
+
+_models = read_table("models")
+MODELS = tuple(_models["models"])
 """Constitutive models."""
 
-PARTS = (
-    "neo_hookean, quadratic, fung2, fungexp, linear, mooney_rivlin, yeoh, gent, arruda_boyce, ogden; "
-    "newtonian, carreau, carreau_yasuda, cross, powell_eyring, power_law, bingham, "
-    "herschel_bulkley; jeffreys, maxwell, two_maxwell, springpot, sls, sns, ucm, "
-    "giesekus, ptt"
+PARTS = "; ".join(
+    ", ".join(name for name, part in _models["parts"].items() if part["kind"] == kind)
+    for kind in ("elastic", "viscous", "memory")
 )
 """Parts of composed models: elastic; viscous; memory."""
 
-CASES = ("stiff-pa", "soft-pa")
+CASES = tuple(read_table("cases"))
 """Reference gels of the literature."""
 
-MEDIA = (
-    "water",
-    "pbs",
-    "agarose_0.5",
-    "agarose_5",
-    "gelatin_10",
-    "polyacrylamide",
-    "polyacrylamide_10",
-    "peg8k_20",
-    "peg8k_40",
-    "peg8k_60",
-    "peg8k_80",
-)
+MEDIA = tuple(read_table("media"))
 """Media whose properties are known."""
 
 PHYSICS = ("polytropic", "transport")
