@@ -26,10 +26,25 @@ from imr_torch.design.gain import (
     mean_deviations,
     with_influence,
 )
-from imr_torch.design.likelihood import Data, log_likelihood
+from imr_torch.design.likelihood import Data, linearise_data
 from imr_torch.design.plan import Plan
 from imr_torch.design.response import Response, Shot
 from imr_torch.float64 import ones, zeros
+
+
+def log_likelihood(
+    data: Data,
+    radius: Tensor,
+    by_nuisance: Tensor,
+    plan: Plan,
+) -> Tensor:
+    """Log density of data given gels that show ``radius``.
+
+    All shapes ``... x q x T`` broadcast, the result is ``...``.
+    """
+    log, equations = linearise_data(data, radius, radius[..., None][..., :0], by_nuisance, plan)
+    still = by_nuisance.new_zeros(by_nuisance.shape[-3], by_nuisance.shape[-1])
+    return log + equations.with_prior(still[0, :0], still).log_nuisance_integral
 
 
 def pairwise_log_likelihood(

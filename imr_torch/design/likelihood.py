@@ -48,7 +48,7 @@ def observe_gels(seen: Response, plan: Plan, source: torch.Generator) -> Data:
     )
 
 
-def _linearise_data(
+def linearise_data(
     data: Data,
     radius: Float[Tensor, "*#batch designs frames"],
     by_gel: Float[Tensor, "*#batch designs frames slopes"],
@@ -57,6 +57,15 @@ def _linearise_data(
 ) -> tuple[BroadcastValues, NormalEquations]:
     """Log density of data given gels that show ``radius`` with the nuisances at their means, and
     normal equations of that likelihood.
+
+    >>> from imr_torch.design import Plan
+    >>> from imr_torch.design.likelihood import Data, linearise_data
+    >>> plan = Plan(times=torch.tensor([0.0, 1.0], dtype=torch.float64))
+    >>> radius = torch.ones(5, 1, 2, dtype=torch.float64)  # 5 draws of one design with two frames
+    >>> data = Data(radius, plan.frames_in_window(radius))
+    >>> log, _ = linearise_data(data, radius, radius[..., None], radius[..., None], plan)
+    >>> log.shape
+    torch.Size([5])
     """
     sd = plan.noise.sd(radius, plan.times)
 
@@ -73,21 +82,6 @@ def _linearise_data(
     log_det = torch.where(data.window, sd.log(), 0.0).sum((-2, -1))
     log = -0.5 * residual.square().sum((-3, -2, -1)) - log_det
     return log, normal_equations((of_gel.sum(-2), of_nuisances), slopes)
-
-
-def log_likelihood(
-    data: Data,
-    radius: Float[Tensor, "*#batch designs frames"],
-    by_nuisance: Float[Tensor, "*#batch designs frames nuisances"],
-    plan: Plan,
-) -> BroadcastValues:
-    """Log density of data given gels that show ``radius``.
-
-    All shapes ``... x q x T`` broadcast, the result is ``...``.
-    """
-    log, equations = _linearise_data(data, radius, radius[..., None][..., :0], by_nuisance, plan)
-    still = by_nuisance.new_zeros(by_nuisance.shape[-3], by_nuisance.shape[-1])
-    return log + equations.with_prior(still[0, :0], still).log_nuisance_integral
 
 
 @dataclass(frozen=True)
@@ -126,7 +120,7 @@ def infer_linear(data: Data, at: Response, plan: Plan) -> Linear:
         at: ``n`` gels, or one for all data.
         plan: how they are observed.
     """
-    log, likelihood = _linearise_data(data, at.radius, at.by_gel, at.by_nuisance, plan)
+    log, likelihood = linearise_data(data, at.radius, at.by_gel, at.by_nuisance, plan)
     _, q, _, k = at.by_nuisance.shape
     still = at.by_nuisance.new_zeros(q, k)
     posterior = likelihood.with_prior(at.controls, still)

@@ -3,9 +3,9 @@
 import pytest
 import torch
 
-from benchmarks.nested import pairwise_log_likelihood
+from benchmarks.nested import log_likelihood, pairwise_log_likelihood
 from imr_torch.design import Plan
-from imr_torch.design.likelihood import Data, log_likelihood, observe_gels
+from imr_torch.design.likelihood import Data, observe_gels
 from imr_torch.design.response import Shot, radii, simulate_response
 from imr_torch.material import reference_case
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, displaced
