@@ -37,7 +37,6 @@ IN_WHEEL = (
     "imr_torch/data/models.toml",
     "imr_torch/data/options.toml",
     "imr_torch/data/cases.toml",
-    "imr_torch/data/forms.toml",
     "imr_torch/data/headings.toml",
     "imr_torch/data/media.toml",
     "imr_torch/data/parameters.toml",

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from imr_torch.cli import build_parser
 from imr_torch.cli.options import COMMANDS
 from imr_torch.cli.options.names import COLLAPSES, DEFAULT_MODELS
-from imr_torch.files import Document, read_table
+from imr_torch.files import Document
 
 OF_THE_FOLDER = {"files", "layout", "medium", "out", "html", "mat", "resume", "workers", "cluster"}
 """Options that the folder of the application answers, or that concern other machines."""
@@ -30,15 +30,39 @@ class Form:
     """
 
     title: str
-    rows: Sequence[Sequence[str]]
-    reads_files: bool = False
+    rows: tuple[tuple[str, ...], ...]
+    reads_files: bool = True
     presets: Mapping[str, Document] = field(default_factory=dict)
 
 
-_TABLE = read_table("forms")
-LABELS: Mapping[str, str] = _TABLE["labels"]
-"""Option -> its label, where that is not its name."""
-FORMS = {command: Form(**row) for command, row in _TABLE["forms"].items()}
+FORMS = {
+    "characterize": Form(
+        "Characterise",
+        (("experiments",), ("models", "physics", "collapses"), ("population", "over_time")),
+        presets={
+            "usual": {},
+            "quick look": {"models": ["nhkv"], "physics": "polytropic"},
+            "thorough": {"effort": "thorough", "population": True, "over_time": True},
+        },
+    ),
+    "diagnose": Form(
+        "Diagnose",
+        (("experiments",), ("base", "physics", "collapses", "most")),
+        presets={"usual": {}, "quick look": {"physics": "polytropic", "most": 1}},
+    ),
+    "batch": Form("Every file", (("models", "physics", "collapses"), ("each",))),
+    "compare": Form("Compare two", (("a", "b"), ("model",)), reads_files=False),
+    "design": Form(
+        "Next design",
+        (("belief", "models", "target", "physics"), ("we_range", "rinf_range", "q", "evaluations")),
+        reads_files=False,
+    ),
+    "campaign": Form(
+        "Campaign",
+        (("continued", "tell"), ("models", "goal", "physics"), ("we_range", "rinf_range", "stop")),
+        reads_files=False,
+    ),
+}
 """Command -> its form."""
 
 OPTIONS: dict[str, dict[str, Document]] = {
