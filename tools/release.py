@@ -35,7 +35,6 @@ IN_WHEEL = (
     "imr_torch/data/example_gel.json",
     "imr_torch/data/effects.toml",
     "imr_torch/data/models.toml",
-    "imr_torch/data/options.toml",
     "imr_torch/data/cases.toml",
     "imr_torch/data/headings.toml",
     "imr_torch/data/media.toml",

@@ -68,7 +68,7 @@ FORMS = {
 OPTIONS: dict[str, dict[str, Document]] = {
     command: {
         name.removeprefix("--").replace("-", "_"): {"flag": name} | settings
-        for _, name, settings in COMMANDS[command].options
+        for _, name, settings in COMMANDS[command][1]()
     }
     for command in FORMS
 }

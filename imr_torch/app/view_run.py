@@ -161,7 +161,7 @@ class RunView:
             return {name: name for name in LIBRARY}
         if "choices" not in settings:
             return None
-        usual = {"": "as usual"} if "default" not in settings else {}
+        usual = {"": "as usual"} if settings["default"] is None else {}
         return usual | {name: name for name in settings["choices"]}
 
     @ui.refreshable_method
