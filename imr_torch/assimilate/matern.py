@@ -40,17 +40,17 @@ def matern_whitened(
         The whitened columns, 0 where the mask is not set, and half the log determinants of the
         covariances.
     """
-    count, experiments, frames = noise.shape
-    variance, rate = (x[:, None].expand(count, experiments) for x in (smooth, rates))
+    variance, rate, noise = (x.movedim(0, -1).contiguous() for x in (smooth, rates, noise))
+    experiments, frames, count = noise.shape  # laws side by side in memory
     bent = variance * rate.square()  # of the process's derivative
-    value = zeros(count, len(columns), experiments)
+    value = zeros(len(columns), experiments, count)
     slope = torch.zeros_like(value)
     p00 = variance
-    p01 = torch.zeros_like(variance)
+    p01 = zeros(experiments, count)
     p11 = bent
-    seen = zeros(count, len(columns), experiments, frames)
-    log_det = torch.zeros_like(variance)
-    gaps = torch.nn.functional.pad(times.diff(dim=1), (1, 0))
+    seen = zeros(frames, *value.shape)
+    log_det = torch.zeros_like(p01)
+    gaps = torch.nn.functional.pad(times.diff(dim=1), (1, 0))[..., None]
     for k in range(frames):
         if k:
             x = rate * gaps[:, k]
@@ -59,10 +59,7 @@ def matern_whitened(
             a01 = decay * gaps[:, k]
             a10 = -decay * rate * x
             a11 = decay * (1.0 - x)
-            value, slope = (
-                a00[:, None] * value + a01[:, None] * slope,
-                a10[:, None] * value + a11[:, None] * slope,
-            )
+            value, slope = a00 * value + a01 * slope, a10 * value + a11 * slope
             q00, q11 = (
                 p00 - variance,
                 p11 - bent,
@@ -72,14 +69,14 @@ def matern_whitened(
                 a00 * a10 * q00 + (a00 * a11 + a01 * a10) * p01 + a01 * a11 * q11,
                 bent + a10 * a10 * q00 + 2.0 * a10 * a11 * p01 + a11 * a11 * q11,
             )
-        used = mask[:, k]
-        total = p00 + noise[:, :, k]
-        innovation = columns[None, :, :, k] - value
-        seen[..., k] = torch.where(used, innovation * total.rsqrt()[:, None], 0.0)
+        used = mask[:, k, None]
+        total = p00 + noise[:, k]
+        innovation = columns[:, :, k, None] - value
+        seen[k] = innovation * torch.where(used, total.rsqrt(), 0.0)
         log_det = log_det + torch.where(used, 0.5 * total.log(), 0.0)
         g0 = torch.where(used, p00 / total, 0.0)
         g1 = torch.where(used, p01 / total, 0.0)
-        value = value + g0[:, None] * innovation
-        slope = slope + g1[:, None] * innovation
+        value = value + g0 * innovation
+        slope = slope + g1 * innovation
         p00, p01, p11 = p00 - g0 * p00, p01 - g0 * p01, p11 - g1 * p01
-    return seen, log_det
+    return seen.permute(3, 1, 2, 0), log_det.T
