@@ -44,7 +44,7 @@ mine = Arrangement(
     samples=64 if SMOKE else 256,
     options=options,
 )
-count = 12 if SMOKE else 100
+count = 10 if SMOKE else 100
 replicates = list(calibrate(mine, PolytropicSimulator(), range(count), seed=0))
 
 # %% [markdown]

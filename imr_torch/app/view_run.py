@@ -207,7 +207,7 @@ class RunView:
 
     def _take_back(self, result: Result) -> None:
         self.runs.take_back(result)
-        self._draw_queue.refresh()
+        self._follow_runs()
 
     def _choose_command(self, kind: str) -> None:
         self.kind = kind
@@ -231,7 +231,7 @@ class RunView:
         with problems_notified():
             place = self.values[self.kind].get("continued", "")
             self.mine.append(self.runs.add_run(self._list_arguments, self.kind, place))
-            self._draw_queue.refresh()
+            self._follow_runs()  # drawn once: a button drawn again may lose a click
             self._draw_command.refresh()
 
     def _list_arguments(self, folder: str) -> list[str]:

@@ -52,8 +52,8 @@ class App:
         self.page.get_by_role("tab", name=re.compile(rf"\d {name}")).click()
         self.page.wait_for_timeout(300)
 
-    def sees(self, text: str | re.Pattern[str], seconds: float = 20.0) -> None:
-        self.page.get_by_text(text).first.wait_for(timeout=1000 * seconds)
+    def sees(self, text: str | re.Pattern[str]) -> None:
+        self.page.get_by_text(text).first.wait_for()
 
 
 @pytest.fixture(scope="module")
@@ -84,6 +84,7 @@ def app(address: tuple[str, Path]) -> Iterator[App]:
     with playwright.sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=BROWSER, args=FLAGS)
         page = browser.new_page(viewport={"width": 1280, "height": 900}, accept_downloads=True)
+        page.set_default_timeout(240_000)  # only what never comes is waited for as long
         made = App(address[0], address[1], page)
         page.on(
             "request",
@@ -168,10 +169,10 @@ def test_that_the_medium_is_stated_and_a_wrong_one_refused(app: App) -> None:
     assert settings["medium"] == "density=1040:5"
 
 
-def run(app: App, seconds: float = 240.0) -> None:
+def run(app: App) -> None:
     app.page.get_by_role("button", name="Run", exact=True).click()
-    app.page.get_by_role("button", name="Stop").wait_for(timeout=20000)  # not the last run's end
-    app.page.get_by_role("button", name="See the result").wait_for(timeout=1000 * seconds)
+    app.page.get_by_role("button", name="Stop").wait_for()  # not the last run's end
+    app.page.get_by_role("button", name="See the result").wait_for()
 
 
 def test_that_a_gel_is_characterised_and_the_page_read_and_everything_downloaded(
@@ -191,7 +192,7 @@ def test_that_a_gel_is_characterised_and_the_page_read_and_everything_downloaded
     )
     run(app)
     app.page.get_by_role("button", name="See the result").click()
-    app.page.frame_locator("iframe").get_by_role("heading", name="The gel").wait_for(timeout=20000)
+    app.page.frame_locator("iframe").get_by_role("heading", name="The gel").wait_for()
     with app.page.expect_download() as download:
         app.page.get_by_text("Download everything (zip)").click()
     download.value.save_as(tmp_path / "all.zip")
@@ -207,9 +208,7 @@ def test_that_the_next_design_builds_on_the_result(app: App) -> None:
     app.page.get_by_label("Designs evaluated").fill("3")
     run(app)
     app.page.get_by_role("button", name="See the result").click()
-    app.page.frame_locator("iframe").get_by_text(re.compile(r"Shoot We \d+")).wait_for(
-        timeout=20000
-    )
+    app.page.frame_locator("iframe").get_by_text(re.compile(r"Shoot We \d+")).wait_for()
     design = json.loads((app.folder / "results/002_design/design.json").read_text())
     assert len(design["evaluations"]) == 3
 
@@ -219,8 +218,8 @@ def test_that_a_run_can_be_stopped(app: App) -> None:
     app.page.get_by_role("button", name="Diagnose").click()
     app.sees(re.compile(r"imr-torch diagnose files"))
     app.page.get_by_role("button", name="Run", exact=True).click()
-    app.page.get_by_role("button", name="Stop").click(timeout=20000)
-    app.sees(re.compile(r"003_diagnose: stopped"), 60.0)
+    app.page.get_by_role("button", name="Stop").click()
+    app.sees(re.compile(r"003_diagnose: stopped"))
     assert json.loads((app.folder / "results/003_diagnose/run.json").read_text())["status"] == 130
 
 

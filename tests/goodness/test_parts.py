@@ -2,6 +2,8 @@
 which frames tell of it.
 """
 
+from functools import cache
+
 import numpy as np
 import pytest
 import torch
@@ -38,9 +40,14 @@ def fit_curve(clean: Tensor, seed: int, last: float = 2.6) -> tuple[ModelFit, Ex
     return assimilate(prior, batch, SIMULATOR, seed=0, options=options, warn=False)["nhkv"], batch
 
 
+@cache
+def fit_unchanged(seed: int) -> tuple[ModelFit, ExperimentBatch]:
+    """The fit of a curve of the gel that does not change, which several tests look at."""
+    return fit_curve(simulate_curve(GEL), seed)
+
+
 def test_that_shifts_have_unit_variance_where_the_model_is_right() -> None:
-    clean = simulate_curve(GEL)
-    tests = [compare_parts(*fit_curve(clean, seed), SIMULATOR) for seed in range(25)]
+    tests = [compare_parts(*fit_unchanged(seed), SIMULATOR) for seed in range(25)]
     assert all({part.name for part in found.parts} == set(PARTS) for found in tests)
     for name in PARTS:
         shifts = [
@@ -71,7 +78,7 @@ def test_that_a_gel_that_softens_after_the_first_collapse_is_seen() -> None:
 
 def test_that_what_a_refit_gives_is_the_fit_of_the_other_frames() -> None:
     clean = simulate_curve(GEL)
-    fit, batch = fit_curve(clean, 3)
+    fit, batch = fit_unchanged(3)
     later = next(p for p in compare_parts(fit, batch, SIMULATOR).parts if p.name == "later cycles")
     alone, _ = fit_curve(clean, 3, last=float(TIMES[len(TIMES) - later.frames - 1]))
     for name, quantiles in zip(
@@ -81,7 +88,7 @@ def test_that_what_a_refit_gives_is_the_fit_of_the_other_frames() -> None:
 
 
 def test_that_frames_that_tell_are_counted() -> None:
-    fit, batch = fit_curve(simulate_curve(GEL), 1)
+    fit, batch = fit_unchanged(1)
     told = compare_parts(fit, batch, SIMULATOR).telling["shot 1"]
     assert all(1 <= count <= 80 for count, _ in told.values())
     # of four times the frames about four times as many tell, but for single ones at a collapse
@@ -114,10 +121,9 @@ def test_that_the_limit_counts_how_many_shifts_are_compared() -> None:
 
 
 def test_that_a_gel_that_does_not_change_stays_within_the_intervals_of_its_stretches() -> None:
-    clean = simulate_curve(GEL)
     held = []
     for seed in range(12):
-        stretches = follow_gel(*fit_curve(clean, seed), SIMULATOR, windows=6)
+        stretches = follow_gel(*fit_unchanged(seed), SIMULATOR, windows=6)
         assert len(stretches) == 6
         assert sum(row["frames"] for row in stretches) >= 80
         edges = [row["t_star"] for row in stretches]

@@ -416,7 +416,7 @@ def of_all_gels(kind) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     gels = torch.stack([PARAMETERS.pack(values) for values in GELS.values()])
     plain = torch.stack([PARAMETERS.pack({"G": x["G"], "mu": x["mu"]}) for x in GELS.values()])
     design = tensor([400.0, 0.25])
-    times = torch.linspace(0.0, 1.6, 33, dtype=torch.float64)
+    times = torch.linspace(0.0, 1.2, 25, dtype=torch.float64)
     coarse = (
         {"stepping": Stepping(0.3)}
         if kind is PolytropicSimulator
@@ -443,7 +443,7 @@ def test_that_a_composed_bubble_is_that_of_an_independent_solver(key: str) -> No
     """Rayleigh-Plesset with polytropic gas, by LSODA on plain numbers."""
     conditions = Conditions(motion=RayleighPlesset())
     simulator = PolytropicSimulator(conditions=conditions)
-    times = torch.linspace(0.0, 1.4, 15, dtype=torch.float64)
+    times = torch.linspace(0.0, 1.2, 13, dtype=torch.float64)
     gel = PARAMETERS.pack(GELS[key])[None]
     ours = simulator(gel, tensor([400.0, 0.4]), times).radius[0].numpy()
     from imr_torch.simulate.bubbles import Bubbles
@@ -468,7 +468,7 @@ def test_that_a_composed_bubble_is_that_of_an_independent_solver(key: str) -> No
     )
     found = solve_ivp(
         rates,
-        (0.0, 1.4),
+        (0.0, 1.2),
         [1.0, 0.0, *begin[:, 0].tolist()],
         "LSODA",
         times.numpy(),

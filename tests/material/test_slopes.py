@@ -1,5 +1,9 @@
 """Derivatives of the stress terms, which an exact Jacobian of any solver needs, and their laws compiled for numbers."""
 
+import ctypes
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
 import numpy as np
 import pytest
 import torch
@@ -12,7 +16,7 @@ from imr_torch.material import (
     derivatives,
     gel_response,
 )
-from tests.laws import assert_alike, compiled, on_numbers
+from imr_torch.simulate.compiled.run import locate_law
 from tests.material.gels import REST, STATES, memory_of, tensors, values_for
 
 THETA = {name: torch.tensor([0.3, 0.7], dtype=torch.float64) for name in PARAMETERS.names}
@@ -65,20 +69,18 @@ def test_slopes_of_every_term_match_automatic_differentiation(term):
 
 
 @EVERY
-@pytest.mark.parametrize(("radius", "velocity"), STATES)
-def test_so_they_do_at_rest_and_where_other_members_have_the_term(term, radius, velocity):
+def test_so_they_do_at_rest_and_where_other_members_have_the_term(term):
     """Where laws change their form: no velocity, no strain; and a member that is switched off
     beside one that is not.
     """
     on = tensors(values_for(term))
     off = tensors(values_for(term) | {term.switch: 0.0})
-    theta = {name: torch.stack((on[name], off[name])) for name in on}
-    rest = torch.full((2,), REST, dtype=torch.float64)
-    point = [torch.full_like(rest, x) for x in (radius, velocity)] + list(
-        memory_of([term], 2).contiguous()
-    )
+    theta = {name: torch.stack((on[name], off[name]) * len(STATES)) for name in on}
+    motion = torch.tensor(STATES, dtype=torch.float64).repeat_interleave(2, 0)
+    rest = torch.full_like(motion[:, 0], REST)
+    point = (*motion.T.contiguous(), *memory_of([term], len(rest)).contiguous())
     ours, automatic = (
-        derivatives(rows_of(term, theta, rest), tuple(point), analytic=a) for a in (True, False)
+        derivatives(rows_of(term, theta, rest), point, analytic=a) for a in (True, False)
     )
     assert bool(torch.isfinite(ours).all())
     assert_close(ours, automatic, rtol=1e-11, atol=1e-13)
@@ -141,21 +143,59 @@ def test_a_term_that_only_tensors_can_evaluate_is_differentiated_automatically()
 
 # ---------------------------------------------------------------- compiled
 
-
-def arguments_at(
-    term: StressTerm, radius: float, velocity: float, values: dict[str, float]
-) -> list[float]:
-    """Of the law; of one that is summed over shells, in one of them."""
-    shell = term.shells[3] if term.shells else ()
-    states = term.states // max(len(term.shells), 1)
-    memory = np.linspace(-0.03, 0.05, states).tolist()
-    return [radius, velocity, REST, *shell, *memory, *(values[name] for name in term.names)]
+POINTER = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, *[ctypes.c_void_p] * 4)
+"""Of a compiled law: point, rest radius, parameters, memory, its rates, and the stress."""
+STEP = 1e-30
 
 
-def moving_arguments(term: StressTerm) -> list[int]:
-    """Places of the motion and of the memory among the arguments of a law."""
-    first = 5 if term.shells else 3
-    return [0, 1, *range(first, first + term.states // max(len(term.shells), 1))]
+@dataclass(frozen=True)
+class Compiled:
+    """The compiled law of a term, as the engine calls it, at one state of the bubble.
+
+    Args:
+        term: whose law it is.
+        state: radius and velocity.
+        values: of the parameters.
+        distort: what changes the results, real or complex ones.
+    """
+
+    term: StressTerm
+    state: tuple[float, float]
+    values: dict[str, float]
+    distort: Callable[[np.ndarray], np.ndarray] = lambda results: results
+
+    @property
+    def point(self) -> np.ndarray:
+        """Radius, velocity and each memory state."""
+        return np.array([*self.state, *np.linspace(-0.03, 0.05, self.term.states)])
+
+    def evaluate(self, along: int | None = None) -> np.ndarray:
+        """Value, rate, acceleration and the rates of memory; with ``along`` their derivatives in that
+        entry of the point.
+        """
+        real, imaginary, _ = locate_law(self.term)
+        point = self.point if along is None else self.point.astype(complex)
+        if along is not None:
+            point[along] += 1j * STEP
+        theta = torch.stack(list(tensors(self.values).values())).numpy()
+        memory = point[2:].copy()
+        rates = np.zeros_like(memory)
+        stress = np.zeros_like(point, shape=3)
+        arrays = [x.ctypes.data for x in (theta, memory, rates, stress)]
+        POINTER(real if along is None else imaginary)(point.ctypes.data, REST, *arrays)
+        results = self.distort(np.concatenate((stress, rates)))
+        return results if along is None else results.imag / STEP
+
+    def assert_alike(self) -> np.ndarray:
+        """It is the law on tensors, in value and in all derivatives; returns the values."""
+        rows = rows_of(self.term, tensors(self.values), torch.tensor(REST, dtype=torch.float64))
+        point = tuple(torch.from_numpy(self.point))
+        value = rows(*point).numpy()
+        np.testing.assert_allclose(self.evaluate(), value, rtol=1e-12, atol=1e-14)
+        slopes = np.stack([self.evaluate(along) for along in range(len(point))])
+        expected = derivatives(rows, point, analytic=True).numpy()
+        np.testing.assert_allclose(slopes, expected, rtol=1e-12, atol=1e-13)
+        return value
 
 
 @EVERY
@@ -163,33 +203,29 @@ def moving_arguments(term: StressTerm) -> list[int]:
 def test_the_compiled_law_of_every_term_is_its_law_and_has_its_slopes(term, switched):
     """At all states, in all arguments of the motion and of memory; parameters are plain numbers."""
     values = values_for(term) | ({} if switched == "on" else {term.switch: 0.0})
-    moving = moving_arguments(term)
-    found = [assert_alike(term.law, arguments_at(term, *state, values), moving) for state in STATES]
-    assert float(torch.stack(found)[:, 0].abs().amax()) > 0.0 or switched == "off"
+    found = [Compiled(term, state, values).assert_alike() for state in STATES]
+    assert max(abs(values[0]) for values in found) > 0.0 or switched == "off"
 
 
 @EVERY
 def test_a_wrong_sign_anywhere_in_a_compiled_law_would_be_noticed(term):
     """In any result that is not zero, and in any slope: the comparison above is not an empty one."""
-    law = compiled(term.law)
-    moving = moving_arguments(term)
-    arguments = arguments_at(term, *STATES[1], values_for(term))
-    values = assert_alike(term.law, arguments, moving)
+    right = Compiled(term, STATES[1], values_for(term))
+    values = right.assert_alike()
+    slopes = np.stack([right.evaluate(along) for along in range(len(right.point))])
     assert float(values[0]) != 0.0
-    for entry in torch.nonzero(values)[:, 0].tolist():
+    for entry in np.flatnonzero(values):
 
-        def wrong(*given, entry=entry):
-            results = list(law(*given))
+        def negate(results, entry=entry):
             results[entry] = -results[entry]
-            return tuple(results)
+            return results
 
-        def bent(*given, entry=entry):
-            results = list(law(*given))
+        def conjugate(results, entry=entry):
             results[entry] = np.conj(results[entry])
-            return tuple(results)
+            return results
 
         with pytest.raises(AssertionError, match="Not equal to tolerance"):
-            assert_alike(term.law, arguments, moving, numbers=wrong)
-        if any(on_numbers(law, arguments, moving, along)[entry] != 0.0 for along in moving):
+            replace(right, distort=negate).assert_alike()
+        if (slopes[:, entry] != 0.0).any():
             with pytest.raises(AssertionError, match="Not equal to tolerance"):
-                assert_alike(term.law, arguments, moving, numbers=bent)
+                replace(right, distort=conjugate).assert_alike()

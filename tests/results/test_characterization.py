@@ -330,7 +330,7 @@ def test_that_curves_of_the_model_are_explained_and_those_of_an_unmodelled_effec
 def test_that_the_command_line_writes_json_before_figures_and_the_page(
     rendered, few_deviations, tmp_path, monkeypatch, capsys
 ):
-    records = documents.traces(("one", "two"))
+    records = documents.traces(("one",))
     rows = [
         f"{t.experiment_id},{s:.10g},{r:.10g}"
         for t in records

@@ -76,8 +76,16 @@ SIMULATORS = pytest.mark.parametrize(
 )
 
 
+def coarse(kind) -> dict[str, Accuracy]:
+    """Options of a grid on which the tensor engine takes a third of the time, which the steps of both
+    engines share like any other.
+    """
+    return {"accuracy": COARSE} if kind is TransportSimulator else {}
+
+
 def both(kind, gels: Tensor, designs: Tensor = DESIGNS, times: Tensor = TIMES, **options):
     """Solutions of the two engines."""
+    options = coarse(kind) | options
     engines = (kind(engine=engine, **options) for engine in ("compiled", "torchdiffeq"))
     return tuple(simulator(gels, designs, times) for simulator in engines)
 
@@ -119,8 +127,7 @@ def gels_of_the_registries() -> dict[str, Tensor]:
 @functools.cache
 def of_the_registries(kind) -> tuple[Solution, Solution]:
     """Solutions of the two engines for all those gels in one batch, since the tensor engine takes little longer for many."""
-    options = {"accuracy": COARSE} if kind is TransportSimulator else {}
-    return both(kind, torch.stack(list(gels_of_the_registries().values()))[:, None], **options)
+    return both(kind, torch.stack(list(gels_of_the_registries().values()))[:, None])
 
 
 def assert_same_law(kind, name: str) -> None:
@@ -170,12 +177,14 @@ def test_that_every_other_term_is_the_same(kind, term: StressTerm) -> None:
 )
 def test_that_every_radial_equation_is_the_same(kind, motion) -> None:
     """In every liquid; of the transport simulator, which calls the same two laws, every equation and
-    every liquid.
+    every liquid. Where no sound is radiated the collapse is too hard for the coarse grid.
     """
+    silent = motion.key == "rayleigh_plesset" and kind is TransportSimulator
     assert_same(
         kind,
         gel(G=4e3, mu=0.08, wall=0.1, compressibility=0.4),
         conditions=Conditions(motion=motion, driving=sine(1e4, 2e4)),
+        **({"accuracy": Accuracy()} if silent else {}),
     )
 
 
@@ -204,8 +213,8 @@ def test_that_threads_change_no_bit(kind) -> None:
 
 @pytest.mark.parametrize(
     "accuracy",
-    [Accuracy(1e-3, Resolution(9, 12)), Accuracy(1e-5, Resolution(24, 17))],
-    ids=["9, 12", "24, 17"],
+    [COARSE, Accuracy(), Accuracy(1e-5, Resolution(24, 17))],
+    ids=["9, 12", "default", "24, 17"],
 )
 def test_that_grids_of_any_size_are_the_same(accuracy: Accuracy) -> None:
     assert_same(TransportSimulator, gel(G=4e3, mu=0.08, tau=2e-6), accuracy=accuracy)
@@ -219,19 +228,16 @@ def test_that_bundles_are_the_same_and_leaders_as_without_followers(kind, model:
         1.0 + 1e-4 * torch.arange(1, 5, dtype=torch.float64)[:, None]
     )
     designs = DESIGNS[:, None]
-    ours, reference = (
-        kind(engine=engine).bundle(bundle, designs, TIMES) for engine in ("compiled", "torchdiffeq")
-    )
+    engines = [kind(engine=engine, **coarse(kind)) for engine in ("compiled", "torchdiffeq")]
+    ours, reference = (simulator.bundle(bundle, designs, TIMES) for simulator in engines)
     assert bool(ours.ok.all())
     assert float((ours.radius - reference.radius).abs().max()) < SAME
-    assert torch.equal(ours.radius[:, 0], kind()(bundle[:, 0], DESIGNS, TIMES).radius)
+    assert torch.equal(ours.radius[:, 0], engines[0](bundle[:, 0], DESIGNS, TIMES).radius)
     assert float((ours.radius[:, 1:] - ours.radius[:, :1]).abs().amax()) > 1e-6
     bundle[:, 2, PARAMETERS.index(["damage"])] = (
         1e-3  # a memory that the leader lacks changes the order of its sums
     )
-    damaged, reference = (
-        kind(engine=engine).bundle(bundle, designs, TIMES) for engine in ("compiled", "torchdiffeq")
-    )
+    damaged, reference = (simulator.bundle(bundle, designs, TIMES) for simulator in engines)
     assert float((damaged.radius - reference.radius).abs().max()) < SAME
     assert float((damaged.radius[:, 0] - ours.radius[:, 0]).abs().max()) < SAME
     assert float((damaged.radius[:, 2] - ours.radius[:, 2]).abs().max()) > 1e-6
@@ -310,7 +316,12 @@ FAILURES = [
         {"accuracy": Accuracy(max_steps=40)},
         Status.TOO_MANY_STEPS,
     ),
-    (TransportSimulator, {"G": 1e5, "alpha": -1.0}, {}, Status.UNBOUNDED_ENERGY),
+    (
+        TransportSimulator,
+        {"G": 1e5, "alpha": -1.0},
+        {"accuracy": Accuracy()},
+        Status.UNBOUNDED_ENERGY,
+    ),
     (
         PolytropicSimulator,
         {"G": 4e3, "mu": 0.08},
@@ -360,7 +371,7 @@ def torch_only(
 @SIMULATORS
 def test_that_a_law_without_a_compiled_form_runs_on_tensors_and_is_named_once(kind) -> None:
     engines._warn_once.cache_clear()
-    simulator = kind(terms=(StressTerm(torch_only, switch="mu"),))
+    simulator = kind(terms=(StressTerm(torch_only, switch="mu"),), **coarse(kind))
     designs = DESIGNS[:1]
     times = TIMES[:5]
     with pytest.warns(
@@ -372,7 +383,8 @@ def test_that_a_law_without_a_compiled_form_runs_on_tensors_and_is_named_once(ki
         warnings.simplefilter("error")
         again = simulator(gel(mu=0.1), designs, times[:2])
     assert torch.equal(ours.radius[:, :2], again.radius)
-    assert float((ours.radius - kind()(gel(mu=0.1), designs, times).radius).abs().max()) < SAME
+    known = kind(**coarse(kind))(gel(mu=0.1), designs, times)
+    assert float((ours.radius - known.radius).abs().max()) < SAME
 
 
 def test_that_a_law_without_a_compiled_form_is_no_obstacle_where_it_does_not_act(
