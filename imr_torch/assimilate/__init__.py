@@ -5,7 +5,12 @@ certificate.
 from imr_torch.assimilate.en4dvar import assimilate_en4dvar
 from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit, Verdict
 from imr_torch.assimilate.forward import ForwardModel, Point
-from imr_torch.assimilate.frame_noise import FrameNoise, FrameNoisePrior, infer_frame_noise
+from imr_torch.assimilate.frame_noise import (
+    FIRST_KINK,
+    FrameNoise,
+    FrameNoisePrior,
+    infer_frame_noise,
+)
 from imr_torch.assimilate.gauss_newton import NormalEquations, normal_equations
 from imr_torch.assimilate.importance import ImportanceSample
 from imr_torch.assimilate.map_fit import assimilate
@@ -26,6 +31,7 @@ from imr_torch.assimilate.posterior import Neighbourhood, Posterior
 from imr_torch.assimilate.weighing import weigh
 
 __all__ = [
+    "FIRST_KINK",
     "NOISE_ROUNDS",
     "Assimilation",
     "Certificate",

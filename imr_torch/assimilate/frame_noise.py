@@ -1,21 +1,23 @@
 """The noise of single frames, inferred about a fit in such a way that a misfit of the model is not
 taken for noise.
 
-A misfit is smooth from frame to frame, but next to a collapse, where the radius itself bends within
-a frame. So the residual of a fit is taken as the sum of four things: what the gel and the nuisances
-can still move; a smooth deviation of unknown size and duration (a Gaussian process with Matern-3/2
-covariance, of each curve its own); a deviation in proportion to how much the curve bends between
-neighbouring frames; and noise that is independent between frames, whose law is wanted. All but the
-last are integrated out. Where the model is right the posterior of the law is that of its residuals
-(restricted maximum likelihood); where it is not, the smooth deviation takes the misfit up, and the
-law is what the roughness of the curves says.
+A misfit is smooth from frame to frame. So the residual of a fit is taken as the sum of three
+things: what the gel and the nuisances can still move; a smooth deviation of unknown size and
+duration (a Gaussian process with Matern-3/2 covariance, of each curve its own); and noise that is
+independent between frames, whose law is wanted. All but the last are integrated out. Where the
+model is right the posterior of the law is that of its residuals (restricted maximum likelihood);
+where it is not, the smooth deviation takes the misfit up, and the law is what the roughness of the
+curves says.
 
 Where designs were repeated, the repeats decide: their deviations from their mean hold the camera's
 noise alone.
 
-The law is ``scale * sqrt((slope |R*-1| + drift t*)^2 + floor^2)`` with free proportions. One curve
-whose noise is not that of the others gets a factor of its own. Gaussian processes by their state
-space: Hartikainen & Sarkka, IEEE MLSP 2010.
+The law is that of :class:`imr_torch.observe.Noise` with free proportions. Next to a collapse, where
+curves bend within few frames, the exposure, a small error of time, the threshold of the edge and a
+bubble that is no sphere move the radius frame by frame: the ``kink`` of the law. If such frames
+count like others a fit passes through them at any price, so fits whose noise is to be inferred
+begin with :data:`FIRST_KINK`. One curve whose noise is not that of the others gets a factor of its
+own. Gaussian processes by their state space: Hartikainen & Sarkka, IEEE MLSP 2010.
 
 Intervals of the gel are another question. Fits take frames as independent, with the law that is
 most probable if residuals are nothing else, so that they pass through the curves also where the
@@ -41,9 +43,11 @@ from imr_torch.assimilate.noise_law import (
     law_of_repeats,
 )
 from imr_torch.assimilate.posterior import Neighbourhood
-from imr_torch.assimilate.spikes import bends
 from imr_torch.float64 import ones, tensor
 from imr_torch.observe import CollapseTime, Experiment, ExperimentBatch, Noise, NoiseLaws
+
+FIRST_KINK = 0.15
+"""Error of a frame over the bend of the curve there, before noise is inferred."""
 
 
 @dataclass(frozen=True)
@@ -56,17 +60,17 @@ class FrameNoisePrior:
             probabilities; 0 is noise that grows with time alone, infinity noise that grows with
             ``|R* - 1|`` alone.
         floors: constant parts at scale 1, R*.
-        level: prior median of the noise, root mean square over all frames in R*, and the standard
-            deviation of its logarithm, which matters where there are few frames.
+        level: prior median of the noise without its kink, root mean square over all frames in R*,
+            and the standard deviation of its logarithm, which matters where there are few frames.
         few: frames in all below which the noise is no less than ``law``: amounts read off a handful
             of frames may be several times too small by chance.
         least: smallest constant part, R*: bubbles are not computed more exactly than that.
+        kinks: parts in proportion to the bend of the curve, of noise whose level is the prior
+            median, equally probable.
+        exact: probability that there is none of that.
         amounts: standard deviation of the smooth deviation, over that of the noise.
         durations: lag at which its correlation has fallen to 1/e, t*; never less than 2.5 frames.
-        bends: deviations next to collapses, over the bend of the curve between neighbouring frames
-            (at scale 1).
-        none: probability that there is neither of these; a smooth one alone, one next to collapses
-            alone and both are equally probable otherwise.
+        none: probability that there is no smooth deviation.
         own: probability that the noise of one curve differs from that of the others.
         own_sd: standard deviation of the logarithm of such a curve's factor.
         own_frames: frames that a curve needs for a factor of its own.
@@ -92,10 +96,11 @@ class FrameNoisePrior:
     level: tuple[float, float] = (0.004, 1.5)
     few: int = 40
     least: float = 0.0003
+    kinks: tuple[float, ...] = (0.05, 0.15, 0.5, 1.5)
+    exact: float = 0.8
     amounts: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
     durations: tuple[float, ...] = (0.14, 0.3, 0.6, 1.2)
-    bends: tuple[float, ...] = (0.05, 0.2, 0.8)
-    none: float = 0.7
+    none: float = 0.8
     own: float = 0.1
     own_sd: float = 0.7
     own_frames: int = 12
@@ -146,9 +151,7 @@ class FrameNoise:
         """
         factor = self.widened if widen else 1.0
         law, laws = self.independent or (self.law, self.laws)
-        enlarged = tuple(
-            replace(one, scale=one.scale * factor, widened=factor) for one in (law, *laws.laws)
-        )
+        enlarged = tuple(one.enlarged(factor) for one in (law, *laws.laws))
         return replace(
             self, law=enlarged[0], laws=replace(laws, laws=enlarged[1:], frames=self.laws)
         )
@@ -207,13 +210,15 @@ def infer_frame_noise(
     sds = torch.zeros_like(factors)
     found = grid.weigh_combinations(factors)
     for _ in curves[1:]:
-        other = grid.find_outlier(found, factors)
-        if other is None:
+        ratios, errors, gains = grid.compare_curves(found, factors)
+        other = int(gains.argmax())
+        if float(gains[other]) < 0.0:
             break
-        experiment, log_factor, sd = other
-        factors[experiment] *= math.exp(log_factor)
-        sds[experiment] = sd
-        found = grid.weigh_combinations(factors)
+        for _ in range(2):  # the law of all is seen better beside a factor
+            factors[other] *= ratios[other]
+            sds[other] = errors[other]
+            found = grid.weigh_combinations(factors)
+            ratios, errors, gains = grid.compare_curves(found, factors)
     return grid.conclude_noise(found, factors, sds)
 
 
@@ -225,14 +230,11 @@ class _Curves:
         near: the fitted point.
         place: which of all curves of all fits they are.
         rows: frames that are used, ``E x T`` boolean tensor.
-        bend: ``E x T`` tensor, how far each frame lies off the cubic through its neighbours, in the
-            fitted curve.
     """
 
     near: Neighbourhood
     place: slice
     rows: Tensor
-    bend: Tensor
 
     @classmethod
     def of(cls, fits: Sequence[Neighbourhood], frames: int) -> "tuple[_Curves, ...]":
@@ -246,11 +248,11 @@ class _Curves:
             # shots that are more probably like the others than not; all, if none is
             alike = torch.tensor([e.weight > 0.5 for e in batch.curves])[:, None]
             rows = rows & alike if bool(alike.any()) else rows
-            found.append(cls(near, slice(first, end), rows, bends(batch, near.centre)))
+            found.append(cls(near, slice(first, end), rows))
         return tuple(found)
 
     def noise_variance(self, values: Tensor, factors: Tensor) -> Tensor:
-        """``J x E x T`` tensor, variance of the noise at scale 1, without that of deviations."""
+        """``J x E x T`` tensor, variance of the noise at scale 1, without its kink."""
         slope, drift, floor = (values[:, i, None, None] for i in range(3))
         grown = slope * (self.near.centre - 1.0).abs() + drift * self.near.posterior.batch.times
         return (grown.square() + floor.square()) * factors[self.place, None].square()
@@ -261,12 +263,12 @@ class _Curves:
         """Columns ``C x E x T`` under each combination, ``J x C x E x T``, and half the log
         determinants, ``J x E``.
         """
-        noise = (
-            self.noise_variance(values, factors) + (values[:, 5, None, None] * self.bend).square()
-        )
-        smooth = values[:, 3].square() * level
-        times = self.near.posterior.batch.times
-        return matern_whitened(times, self.rows, noise, smooth, MATERN / values[:, 4], columns)
+        batch = self.near.posterior.batch
+        kink = values[:, 3, None, None] * batch.bends * factors[self.place, None]
+        noise = self.noise_variance(values, factors) + kink.square()
+        smooth = values[:, 4].square() * level
+        times = batch.times
+        return matern_whitened(times, self.rows, noise, smooth, MATERN / values[:, 5], columns)
 
     @property
     def residual(self) -> Tensor:
@@ -300,9 +302,8 @@ class _Grid:
     Args:
         curves: of each fit.
         prior: of the law.
-        laws: ``L x 3`` tensor: slope, drift, floor; at scale 1.
-        deviations: ``D x 3`` tensor: amount and duration of the smooth deviation, bend; the first
-            is none.
+        laws: ``L x 4`` tensor: slope, drift, floor, kink; at scale 1.
+        deviations: ``D x 2`` tensor: amount and duration of the smooth deviation; the first is none.
         log_prior: ``J`` tensor.
     """
 
@@ -315,14 +316,19 @@ class _Grid:
     @classmethod
     def of(cls, fits: Sequence[Neighbourhood], prior: FrameNoisePrior) -> "_Grid":
         """The grid about fitted points."""
+        curves = _Curves.of(fits, prior.frames)
         laws = [
-            (*_balance_law(prior.law, balance), floor, weight)
+            (*_balance_law(prior.law, balance), floor, weight / len(prior.floors))
             for (balance, weight), floor in itertools.product(prior.balances, prior.floors)
         ]
-        of_laws, of_deviations = (tensor(rows) for rows in (laws, _deviations(fits, prior)))
-        shares = of_laws[:, 3:] * of_deviations[:, 3] / len(prior.floors)
-        curves = _Curves.of(fits, prior.frames)
-        return cls(curves, prior, of_laws[:, :3], of_deviations[:, :3], shares.log().flatten())
+        some = (1.0 - prior.exact) / len(prior.kinks)
+        kinks = [(0.0, prior.exact), *((kink, some) for kink in prior.kinks)]
+        of_laws, of_kinks, of_deviations = map(tensor, (laws, kinks, _deviations(fits, prior)))
+        level = _mean_variance(curves, of_laws, ones(sum(len(near.centre) for near in fits))).sqrt()
+        own = level[:, None] / prior.level[0] * of_kinks[:, 0]
+        laws = torch.cat((of_laws[:, :3].repeat_interleave(len(kinks), 0), own.reshape(-1, 1)), 1)
+        shares = (of_laws[:, 3:] * of_kinks[:, 1]).reshape(-1, 1) * of_deviations[:, 2]
+        return cls(curves, prior, laws, of_deviations[:, :2], shares.log().flatten())
 
     @cached_property
     def values(self) -> Tensor:
@@ -330,16 +336,11 @@ class _Grid:
         laws = self.laws.repeat_interleave(len(self.deviations), 0)
         return torch.cat((laws, self.deviations.repeat(len(self.laws), 1)), 1)
 
-    def mean_variance(self, factors: Tensor) -> Tensor:
-        """``J`` tensor, mean variance of the noise over the frames that are used."""
-        sums = [(c.noise_variance(self.values, factors) * c.rows).sum((1, 2)) for c in self.curves]
-        return torch.stack(sums).sum(0) / sum(c.rows.sum() for c in self.curves)
-
     def weigh_combinations(self, factors: Tensor, *, at_once: int = 1500) -> Tensor:
         """``3 x J`` tensor: log weights of all combinations, their scales integrated out, and log
         scales with standard deviations; so many are filtered side by side.
         """
-        level = self.mean_variance(factors)
+        level = _mean_variance(self.curves, self.values, factors)
         parts = []
         for some, its in zip(self.values.split(at_once), level.split(at_once), strict=True):
             local = [c.describe_locally(some, factors, its) for c in self.curves]
@@ -361,13 +362,13 @@ class _Grid:
         value = torch.where(too_small, -torch.inf, value)
         return torch.stack((value - value.logsumexp(0), log_scales, sds))
 
-    def find_outlier(self, found: Tensor, factors: Tensor) -> tuple[int, float, float] | None:
-        """The curve whose noise most clearly differs from that of the others: number, log factor
-        and its sd.
+    def compare_curves(self, found: Tensor, factors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The noise of each curve over that of the others, the standard deviation of its logarithm,
+        and the nats for a factor of its own, more than 0 where it is to have one.
         """
         best = int(found[0].argmax())
         values = self.values[best : best + 1]
-        level = self.mean_variance(factors)[best : best + 1]
+        level = _mean_variance(self.curves, values, factors)
         parts = []
         for c in self.curves:
             seen, _ = c.whiten_columns(values, factors, level, c.residual[None])
@@ -385,31 +386,41 @@ class _Grid:
             - 0.5 * (wide / variance).log()
         )
         gain = torch.where((used >= self.prior.own_frames) & (factors == 1.0), gain, -torch.inf)
-        first = int(gain.argmax())
-        if float(gain[first]) < math.log((1.0 - self.prior.own) / self.prior.own * len(square)):
-            return None
-        return first, float(log_factor[first]), math.sqrt(float(variance[first]))
+        needed = math.log((1.0 - self.prior.own) / self.prior.own * len(square))
+        return log_factor.exp(), variance.sqrt(), gain - needed
 
     def log_sd(self, law: Noise) -> Tensor:
         """Mean logarithm of a law over all frames that are used."""
-        return torch.cat(
-            [law.sd(c.near.centre, c.near.posterior.batch.times)[c.rows].log() for c in self.curves]
-        ).mean()
+        batches = [replace(c.near.posterior.batch, noise=law) for c in self.curves]
+        rows = zip(self.curves, batches, strict=True)
+        return torch.cat([batch.sd(c.near.centre)[c.rows].log() for c, batch in rows]).mean()
 
     def conclude_noise(self, found: Tensor, factors: Tensor, factor_sds: Tensor) -> FrameNoise:
         """What is known of the noise of frames, of that of independent residuals, and what the rest
         does to intervals.
         """
-        law, laws = self.sum_deviations(found, slice(None))
-        independent = self.sum_deviations(found, slice(1))
+        law, laws = self.sum_deviations(found)
+        alone = self.of_all_residuals(found, law.scale * law.kink)
+        independent = alone.sum_deviations(alone.weigh_combinations(factors))
         widened = interval_factor([c.near for c in self.curves], independent[0])
         return FrameNoise(
             law, laws, tuple(factors.tolist()), tuple(factor_sds.tolist()), independent, widened
         )
 
-    def sum_deviations(self, found: Tensor, deviations: slice) -> tuple[Noise, NoiseLaws]:
-        """The central law, and all laws, each with some of the deviations summed over."""
-        log_weights, log_scales, sds = found.reshape(3, len(self.laws), -1)[..., deviations]
+    def of_all_residuals(self, found: Tensor, kink: float) -> "_Grid":
+        """The laws of all that is left, without deviations, beside the ``kink`` of single frames
+        (at scale 1).
+        """
+        exact = self.laws[:, 3] == 0.0
+        scales, priors = (
+            x.reshape(len(exact), -1)[exact, :1] for x in (found[1].exp(), self.log_prior)
+        )
+        laws = torch.cat((self.laws[exact, :3], kink / scales), 1)
+        return replace(self, laws=laws, deviations=self.deviations[:1], log_prior=priors[:, 0])
+
+    def sum_deviations(self, found: Tensor) -> tuple[Noise, NoiseLaws]:
+        """The central law, and all laws, each with the deviations summed over."""
+        log_weights, log_scales, sds = found.reshape(3, len(self.laws), -1)
         totals = log_weights.logsumexp(1)
         kept = totals > totals.max() + math.log(self.prior.kept)
         within = torch.softmax(log_weights[kept], 1)
@@ -417,10 +428,12 @@ class _Grid:
         apart = log_scales[kept] - centres[:, None]
         spreads = (within * (sds[kept].square() + apart.square())).sum(1)
         laws = [
-            replace(self.prior.law, scale=math.exp(centre), slope=slope, drift=drift, floor=floor)
-            for centre, (slope, drift, floor) in zip(
-                centres.tolist(), self.laws[kept].tolist(), strict=True
+            replace(
+                self.prior.law,
+                scale=math.exp(centre),
+                **dict(zip(("slope", "drift", "floor", "kink"), law, strict=True)),
             )
+            for centre, law in zip(centres.tolist(), self.laws[kept].tolist(), strict=True)
         ]
         shares = torch.softmax(totals[kept], 0)
         logs = torch.stack([self.log_sd(law) for law in laws])
@@ -431,6 +444,12 @@ class _Grid:
         best = int(shares.argmax())
         central = replace(laws[best], scale=laws[best].scale * math.exp(middle - float(logs[best])))
         return central, NoiseLaws(tuple(laws), shares, spreads.sqrt())
+
+
+def _mean_variance(curves: Sequence[_Curves], values: Tensor, factors: Tensor) -> Tensor:
+    """``J`` tensor, mean variance of the noise without its kink over the frames that are used."""
+    sums = [(c.noise_variance(values, factors) * c.rows).sum((1, 2)) for c in curves]
+    return torch.stack(sums).sum(0) / sum(c.rows.sum() for c in curves)
 
 
 def _of_all_residuals(
@@ -451,8 +470,8 @@ def _of_all_residuals(
 
 def _deviations(
     fits: Sequence[Neighbourhood], prior: FrameNoisePrior
-) -> list[tuple[float, float, float, float]]:
-    """Amount, duration and bend of every deviation that is tried, with its prior probability."""
+) -> list[tuple[float, float, float]]:
+    """Amount and duration of every deviation that is tried, with its prior probability."""
     spacing = torch.cat(
         [e.times.diff() for near in fits for e in near.posterior.batch.curves]
     ).median()
@@ -460,13 +479,8 @@ def _deviations(
         (amount, max(lag, 2.5 * float(spacing)))
         for amount, lag in itertools.product(prior.amounts, prior.durations)
     ]
-    third = (1.0 - prior.none) / 3.0
-    found = []
-    for (amount, lag), bend in itertools.product([(0.0, 1.0), *smooth], [0.0, *prior.bends]):
-        alike = (len(smooth) if amount else 1) * (len(prior.bends) if bend else 1)
-        share = third / alike if amount or bend else prior.none
-        found.append((amount, lag, bend, share))
-    return found
+    share = (1.0 - prior.none) / len(smooth)
+    return [(0.0, 1.0, prior.none), *((amount, lag, share) for amount, lag in smooth)]
 
 
 def _balance_law(law: Noise, balance: float) -> tuple[float, float]:

@@ -14,7 +14,7 @@ import torch
 
 from imr_torch.assimilate.en4dvar import assimilate_en4dvar
 from imr_torch.assimilate.fit import Assimilation, ModelFit
-from imr_torch.assimilate.frame_noise import FrameNoisePrior, infer_frame_noise
+from imr_torch.assimilate.frame_noise import FIRST_KINK, FrameNoisePrior, infer_frame_noise
 from imr_torch.assimilate.map_fit import assimilate
 from imr_torch.assimilate.noise_law import NoiseNodes
 from imr_torch.assimilate.options import En4DVarOptions, FitOptions, SearchOptions
@@ -80,6 +80,8 @@ def assimilate_estimating_noise(
     2.0
     """
     law = FrameNoisePrior(batch.noise)
+    if rounds:
+        batch = replace(batch, noise=replace(batch.noise, kink=FIRST_KINK))
     options = options or SearchOptions()
 
     def fit_models(batch: ExperimentBatch, number: int, near: Assimilation | None) -> Assimilation:

@@ -174,7 +174,9 @@ def _variances(near: Neighbourhood, law: Noise, drifting: Noise) -> tuple[float,
     """
     batch = near.posterior.batch
     factors = batch.noise_factors / batch.counts.sqrt()
-    sd, true_sd = (noise.sd(near.centre, batch.times) * factors for noise in (law, drifting))
+    sd, true_sd = (
+        noise.sd(near.centre, batch.times, batch.bends) * factors for noise in (law, drifting)
+    )
     by_gel, by_nuisance = (
         torch.where(batch.mask, 1.0 / sd, 0.0)[..., None] * x for x in near.slopes
     )

@@ -72,7 +72,8 @@ def without_spoilt_frames(
     batch = near.posterior.batch
     if any(e.repeats > 1 for e in batch.curves):
         return batch
-    law = batch.sd(near.centre)
+    # a spoilt frame is a bend too
+    law = replace(batch, noise=replace(batch.noise, kink=0.0)).sd(near.centre)
     bent = bends(batch, near.centre)
     kept = batch.mask.clone()
     for row in range(len(kept)):

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from imr_torch.assimilate import ModelFit, Posterior
+from imr_torch.assimilate import FIRST_KINK, ModelFit, Posterior
 from imr_torch.assimilate.spikes import frames_left_out, without_spoilt_frames
 from imr_torch.errors import InputDataError
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
@@ -28,7 +28,7 @@ from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator, fewer_
 from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress, ProgressLine
 
-_OTHER_NOISE = 1.1  # factor from which on noise that is inferred anew changes a diagnosis
+_OTHER_NOISE = 1.5  # factor from which on noise that is inferred anew changes a diagnosis
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,7 +144,10 @@ def diagnose(
             f"No effect is left that can be put on {base.model!r}; known are {', '.join(LIBRARY)}."
         )
     simulator = fewer_steps(simulator or TransportSimulator(accuracy=ACCURACIES["search"]))
-    batch = ExperimentBatch(tuple(experiments), noise or Noise())
+    law = noise or Noise()
+    if estimate_noise:
+        law = replace(law, kink=FIRST_KINK)
+    batch = ExperimentBatch(tuple(experiments), law)
     null = fit_null(base, batch, simulator, seed=child(seed, "null"), progress=progress)
     if estimate_noise:
         batch = without_spoilt_frames(Posterior(base, batch, simulator).neighbourhood(null.point))

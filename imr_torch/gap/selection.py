@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from imr_torch.assimilate import ModelFit, infer_frame_noise
+from imr_torch.assimilate.slow_noise import smooth_deviations
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.attribute import Attribution, Inquiry, attribute, reconsider
 from imr_torch.gap.hypotheses import (
@@ -150,7 +151,7 @@ def _select_within_misfit(
     progress: Progress,
 ) -> Finding:
     """The verdict "other" with the parts that explain much even if all that is left counts as
-    noise.
+    noise: as large as what is left in all frames alike, or slow and of each shot's own.
     """
     held = Hypothesis(inquiry.base)
     search = partial(fit_with_noise, simulator=inquiry.simulator, of_misfit=True, progress=progress)
@@ -169,7 +170,9 @@ def _select_within_misfit(
             progress=progress,
         )
         within = replace(within, steps=(*within.steps, found))
-        if found.explained[found.winner.name] < EXPLAINS:
+        name = found.winner.name
+        slow = explained_beside_slow(finding.steps, name, inquiry.batch, inquiry.simulator)
+        if max(found.explained[name], slow) < EXPLAINS:
             break
         held = found.winner
         fit, batch = search(held, found.winner_fit, inquiry.batch, seed=own)
@@ -189,6 +192,23 @@ def _select_within_misfit(
         reason="No effect of the library is enough; where all that is left counts as noise, "
         f"{explained}.",
     )
+
+
+def explained_beside_slow(
+    steps: Sequence[Attribution], name: str, batch: ExperimentBatch, simulator: Simulator
+) -> float:
+    """Nats that the last part of a hypothesis explains beside slow noise of each shot's own, to
+    first order about the fits of an attribution; 0 where none has it.
+    """
+    for step in steps:
+        if name in step.log_evidence:
+            places = (
+                step.fits[one].linearise(step.hypotheses[one].seen(batch), simulator)
+                for one in (step.held.name, name)
+            )
+            without, beside = (smooth_deviations(near).own for near in places)
+            return step.explained[name] + beside - without
+    return 0.0
 
 
 def fit_with_noise(

@@ -20,7 +20,7 @@ from imr_torch.errors import InputDataError, ShapeError
 from imr_torch.float64 import randn, tensor
 from imr_torch.material import PARAMETERS
 from imr_torch.observe.collapse import CollapseTime
-from imr_torch.observe.noise import Noise, NoiseLaws, previous
+from imr_torch.observe.noise import Noise, NoiseLaws, frame_bends, previous
 from imr_torch.observe.nuisance import NUISANCES, Nuisance, Scatter
 from imr_torch.simulate import check_designs
 from imr_torch.types import BatchFrames, ExperimentFrames, FrameMask, Frames, FrameValues
@@ -286,7 +286,7 @@ class ExperimentBatch:
         if self.noise_laws is None:
             return self.times.new_zeros(count, *self.times.shape)
         logs = self.noise_laws.log_ratios(
-            self.noise, prediction, self.times, count, generator=generator
+            self.noise, prediction, self.times, self.bends, count, generator=generator
         )
         sds = tensor([e.noise_factor_sd for e in self.experiments])
         own = sds * randn(count, len(sds), generator=generator)
@@ -317,6 +317,11 @@ class ExperimentBatch:
     def mean(self) -> ExperimentFrames:
         """Mean over repeats; 0 in the padding."""
         return pad_sequence([e.mean for e in self.experiments], batch_first=True)
+
+    @cached_property
+    def bends(self) -> ExperimentFrames:
+        """How much the measured curves bend at each frame; 0 in the padding."""
+        return pad_sequence([frame_bends(e.mean) for e in self.experiments], batch_first=True)
 
     @cached_property
     def counts(self) -> ExperimentFrames:
@@ -353,9 +358,8 @@ class ExperimentBatch:
 
     def sd(self, prediction: BatchFrames) -> BatchFrames:
         """Noise of one repeat at a prediction ``... x E x T``; 1 in the padding."""
-        sd = torch.where(
-            self.collapse[:, None], self._collapse_sds, self.noise.sd(prediction, self.times)
-        )
+        noise = self.noise.sd(prediction, self.times, self.bends)
+        sd = torch.where(self.collapse[:, None], self._collapse_sds, noise)
         return torch.where(self.mask, sd * self.noise_factors, 1.0)
 
     def whiten(

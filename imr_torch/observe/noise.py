@@ -31,18 +31,21 @@ TIE = 1e-6
 
 @dataclass(frozen=True)
 class Noise:
-    """Gaussian observation noise ``scale * sqrt((slope |R*-1| + drift t*)^2 + floor^2)``,
-    independent between repeats.
+    """Gaussian observation noise ``scale * sqrt((slope |R*-1| + drift t*)^2 + floor^2 + (kink
+    bend)^2)``, independent between repeats; ``bend`` is how much the curve bends at a frame
+    (:func:`frame_bends`).
 
     Args:
         scale: common factor.
         floor: smallest standard deviation, in R*.
         slope: part in proportion to ``|R* - 1|``.
         drift: part in proportion to ``t*``.
+        kink: part in proportion to the bend, next to collapses, where the exposure, the time of a
+            frame, the threshold of the edge and a bubble that is no sphere move the radius.
         correlation_time: e-folding time of an exponential correlation within a curve, in t*; 0 for
             independent frames.
-        widened: factor, part of ``scale``, by which the noise was enlarged since a model misses the
-            curves; 1 where none does.
+        widened: factor, part of ``scale``, by which the noise but its kink was enlarged since a
+            model misses the curves; 1 where none does.
 
     >>> import torch
     >>> from imr_torch.observe import Noise
@@ -56,6 +59,7 @@ class Noise:
     floor: float = 0.002
     slope: float = 1.0 / 50.0
     drift: float = 1.0 / 160.0
+    kink: float = 0.0
     correlation_time: float = 0.0
     widened: float = 1.0
 
@@ -74,14 +78,15 @@ class Noise:
             if self.correlation_time
             else "independent between frames"
         )
-        own = self.scale / self.widened
+        own = self.of_frames.scale
         published = Noise()
         if (self.slope, self.drift) == (published.slope, published.drift):
             grows = f"{own:.2f} x the published law"
         else:
             parts = ((self.slope, "|R*-1|"), (self.drift, "t*"))
             grows = " + ".join(f"{own * size:.2g} {of}" for size, of in parts if size) or "0"
-        law = f"{grows} with {own * self.floor:.4f} in R* everywhere, {correlated}"
+        bends = f", {self.scale * self.kink:.2g} of the bend next to collapses" if self.kink else ""
+        law = f"{grows} with {own * self.floor:.4f} in R* everywhere{bends}, {correlated}"
         return law if self.widened < WIDE else f"{law}; error bars widened {self.widened:.1f} times"
 
     @property
@@ -89,12 +94,28 @@ class Noise:
         """The law by which single frames scatter about the model: without the enlargement, which is
         about intervals.
         """
-        return replace(self, scale=self.scale / self.widened, widened=1.0)
+        return replace(self.enlarged(1.0 / self.widened), widened=1.0)
 
-    def sd(self, radius: BroadcastValues, times: BroadcastValues) -> BroadcastValues:
-        """Standard deviation of one frame; arguments dimensionless and broadcastable."""
+    def enlarged(self, factor: float) -> "Noise":
+        """The law enlarged by a factor for what a model misses: all but its part next to collapses."""
+        return replace(self, scale=self.scale * factor, kink=self.kink / factor, widened=factor)
+
+    def sd(
+        self,
+        radius: BroadcastValues,
+        times: BroadcastValues,
+        bends: BroadcastValues | None = None,
+    ) -> BroadcastValues:
+        """Standard deviation of one frame; arguments dimensionless and broadcastable.
+
+        ``bends`` are those of the radius itself where they are not given.
+        """
         law = self.slope * (radius - 1.0).abs() + self.drift * times.abs()
-        return self.scale * torch.sqrt(law.square() + self.floor**2)
+        variance = law.square() + self.floor**2
+        if self.kink:
+            bends = frame_bends(radius) if bends is None else bends
+            variance = variance + (self.kink * bends).square()
+        return self.scale * variance.sqrt()
 
     def decorrelation(
         self, times: ExperimentFrames, mask: FrameMask
@@ -153,6 +174,23 @@ class Noise:
         return radius + self.sd(radius, times) * noise
 
 
+def frame_bends(radius: Float[Tensor, "*batch frames"]) -> Float[Tensor, "*batch frames"]:
+    """How much the step from frame to frame changes across each frame, from the two frames before
+    to the two after it; 0 for the first and the last two.
+
+    Without the frame itself, as its own error would make it count less.
+
+    >>> import torch
+    >>> from imr_torch.observe.noise import frame_bends
+    >>> frame_bends(torch.tensor([1.0, 0.75, 0.25, 0.5, 0.75]))
+    tensor([0.0000, 0.0000, 0.5000, 0.0000, 0.0000])
+    """
+    steps = radius.diff(dim=-1)
+    bends = torch.zeros_like(radius)
+    bends[..., 2:-2] = (steps[..., 3:] - steps[..., :-3]).abs()
+    return bends
+
+
 def previous(values: Float[Tensor, "*batch frames"]) -> Float[Tensor, "*batch frames"]:
     """Values ``... x T`` moved by one frame, 0 before the first."""
     return torch.nn.functional.pad(values[..., :-1], (1, 0))
@@ -189,6 +227,7 @@ class NoiseLaws:
         law: Noise,
         radius: ExperimentFrames,
         times: ExperimentFrames,
+        bends: ExperimentFrames,
         count: int,
         *,
         generator: torch.Generator,
@@ -198,8 +237,8 @@ class NoiseLaws:
         """
         rows = torch.multinomial(self.weights, count, replacement=True, generator=generator)
         scales = self.log_scale_sds[rows] * randn(count, generator=generator)
-        base = law.sd(radius, times).log()
-        shapes = torch.stack([one.sd(radius, times).log() - base for one in self.laws])
+        base = law.sd(radius, times, bends).log()
+        shapes = torch.stack([one.sd(radius, times, bends).log() - base for one in self.laws])
         return shapes[rows] + scales[:, None, None]
 
     @property

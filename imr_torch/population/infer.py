@@ -23,6 +23,7 @@ import scipy  # whose parts are imported when they are used; `stats` takes long
 import torch
 
 from imr_torch.assimilate import (
+    FIRST_KINK,
     NOISE_ROUNDS,
     Assimilation,
     FrameNoise,
@@ -112,6 +113,7 @@ def fit_shots(
         raise InputDataError(f"Shots of different names are needed, got {len(labels)}: {labels}.")
     belief = even_belief((prior,))
     law = noise or Noise()
+    first = replace(law, kink=FIRST_KINK) if rounds else law
     options = options or SearchOptions(starts=2)
     current = None
     fits = []
@@ -123,7 +125,7 @@ def fit_shots(
         found = []
         for place, (experiment, before) in enumerate(zip(experiments, near, strict=True)):
             own = child(seed, "shot", experiment.label, number)
-            batch = ExperimentBatch((experiment,), law)
+            batch = ExperimentBatch((experiment,), first)
             batch = batch if current is None else current.of_curve(place).applied(batch)
             found.append(
                 assimilate(belief, batch, simulator, seed=own, options=how, near=before, warn=False)

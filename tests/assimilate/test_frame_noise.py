@@ -9,7 +9,7 @@ import pytest
 import torch
 from scipy.stats import kstest
 
-from imr_torch.assimilate import FrameNoisePrior, Posterior, infer_frame_noise
+from imr_torch.assimilate import FIRST_KINK, FrameNoisePrior, Posterior, infer_frame_noise
 from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.matern import MATERN, matern_whitened
 from imr_torch.assimilate.posterior import Neighbourhood
@@ -103,7 +103,7 @@ def test_that_a_lag_is_where_the_correlation_has_fallen_to_one_over_e():
     assert (1.0 + MATERN) * math.exp(-MATERN) == pytest.approx(math.exp(-1.0), abs=1e-4)
 
 
-FEW = FrameNoisePrior(durations=(0.3,), bends=(0.2,), amounts=(1.0, 4.0))
+FEW = FrameNoisePrior(durations=(0.3,), kinks=(0.15,), amounts=(1.0, 4.0))
 """For replicates: the whole grid of deviations takes ten times as long."""
 LAWS = {
     "published": Noise(),
@@ -130,6 +130,45 @@ def test_that_the_law_is_recovered_at_other_frame_rates(spacing, largest):
     assert (
         0.8 < over_truth(curves(Noise(), {"wall": 0.2}, spacing=spacing, seed=1), Noise()) < largest
     )
+
+
+def jittered(seed: int, jitter: float, effect: dict[str, float]) -> ExperimentBatch:
+    """Three curves with constant noise, whose frames come too early or late by a share of their
+    spacing.
+    """
+    source = generator(seed)
+    spacing = 0.04
+    times = torch.arange(0.0, 2.6, spacing, dtype=torch.float64)
+    experiments = []
+    for design in DESIGNS:
+        off = jitter * spacing * torch.randn(len(times), generator=source, dtype=torch.float64)
+        moved = (times + off).clamp_min(0.0).sort().values
+        blank = Experiment(f"{design}", design, moved, torch.ones(1, len(times)))
+        gel = PARAMETERS.pack(GEL | effect)[None]
+        truth = predict(SIMULATOR, gel, ExperimentBatch((blank,)))[0]
+        pixels = 0.002 * torch.randn(truth.shape, generator=source, dtype=torch.float64)
+        experiments.append(Experiment(f"{design}", design, times, truth + pixels))
+    return ExperimentBatch(tuple(experiments), Noise(kink=FIRST_KINK))
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_that_frames_next_to_collapses_have_noise_of_their_own_where_the_camera_gives_it(seed):
+    """Taken for frames like the others, they make p-values where there is no gap a hundredth."""
+
+    def found(jitter: float, prior: FrameNoisePrior, **effect: float) -> tuple[float, float]:
+        batch = jittered(seed, jitter, effect)
+        for _ in range(2):
+            batch = infer_frame_noise(near(batch), prior).applied(batch)
+        test = adequacy_test(fit(batch), (LIBRARY["wall"],), batch, SIMULATOR, seed=0).test
+        return batch.noise.scale * batch.noise.kink, test.p_value
+
+    kink, p = found(0.15, FrameNoisePrior())
+    assert 0.07 < kink < 0.3
+    assert p > 50.0 * found(0.15, FrameNoisePrior(kinks=(1e-9,)))[1]
+    assert found(0.15, FrameNoisePrior(), wall=0.2)[1] < 1e-3
+    kink, p = found(0.0, FrameNoisePrior())
+    assert kink < 0.02
+    assert p > LEVEL
 
 
 def test_that_slow_noise_is_not_taken_for_that_of_single_frames():
