@@ -8,7 +8,7 @@ from imr_torch.assimilate import FrameNoisePrior, noise_estimation
 
 
 def sum_few_deviations(patch: pytest.MonkeyPatch) -> None:
-    """Fits that estimate the noise sum over a few deviations of the model in place of 75, so that
+    """Fits that estimate the noise sum over a few deviations of the model in place of 24, so that
     they cost a fraction; the whole grid is tested where the noise is what is asked for.
     """
     few = partial(FrameNoisePrior, amounts=(1.0, 4.0, 16.0), durations=(0.3,), kinks=(0.15,))

@@ -5,11 +5,9 @@ their shot.
 import copy
 import csv
 import json
-import multiprocessing
-import os
 import re
 import sys
-from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
@@ -219,11 +217,9 @@ def test_that_any_executor_gives_the_same_results(shots, tmp_path):
 
 def test_that_a_worker_that_dies_costs_its_own_shot_alone(shots, tmp_path, monkeypatch):
     monkeypatch.setattr(batch, "characterize_shot", fatal)
-    pool = partial(process_pool, 1)
-    if hasattr(os, "fork"):  # a pool whose workers need not load the libraries anew
-        context = multiprocessing.get_context("fork")
-        pool = partial(ProcessPoolExecutor, 1, mp_context=context)
-    summary = run_batch(shots, folder=tmp_path / "out", options=OPTIONS, executor=pool, window=2)
+    summary = run_batch(
+        shots, folder=tmp_path / "out", options=OPTIONS, executor=partial(process_pool, 1), window=2
+    )
     errors = {row["shot"]: row["error"] for row in summary.rows}
     assert errors["gel_0"] == "gel_0 was here"
     assert errors["gel_2"] == "gel_2 was here"
