@@ -1,7 +1,7 @@
 """The same bubbles by this package, by PyIMR 0.1.1, by torchdiffeq and by SciPy: what each costs,
 and how far apart they are.
 
-  python -m benchmarks.peers --python python3.12 [--rounds 5] [--spectral] [--out benchmarks/records/peers.jsonl]
+  python -m benchmarks.peers --python python3.12 [--parts same,cost] [--spectral] [--out benchmarks/records/peers.jsonl]
 
 PyIMR gets an environment of its own (``--python`` makes it in ``--env``, a temporary folder by
 default; pip fetches it), and is left out, with the reason, where that fails. Bubbles are NHKV gels
@@ -71,6 +71,8 @@ PHYSICS = {
 FULL = {"vapor": 1, "bubtherm": 1, "medtherm": 1, "masstrans": 1, "radial": 2}
 FIT = {"rtol": 1e-6, "atol": 1e-8}  # what PyIMR recommends for fits
 FINE = {"rtol": 1e-11, "atol": 1e-13}
+PARTS = ("same", "cost", "explain", "fits")
+"""Are bubbles the same; what they cost; which terms differ in full physics; fits of the example gel."""
 Bubbles = list[list[float]]
 
 
@@ -186,6 +188,14 @@ class Peer:
         """End its process."""
         self._process.kill()
 
+    def ask(self, job: dict[str, Any]) -> dict[str, Any]:
+        """The answer to a job of :mod:`benchmarks.pyimr_worker`."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(json.dumps(job) + "\n")
+        self._process.stdin.flush()
+        return json.loads(self._process.stdout.readline())
+
     def solve(
         self,
         bubbles: Bubbles,
@@ -204,11 +214,7 @@ class Peer:
             "physics": PHYSICS | physics,
             "batch": batch,
         }
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.write(json.dumps(job) + "\n")
-        self._process.stdin.flush()
-        answer = json.loads(self._process.stdout.readline())
+        answer = self.ask(job)
         if "error" in answer:
             return np.full((len(bubbles), len(TIMES)), np.nan), answer["cpu"]
         return np.array(answer["radius"]), answer["cpu"]
@@ -397,10 +403,11 @@ def explain_full_physics(python: str, folder: Path) -> list[dict[str, Any]]:
         grid = {"thermal": "spectral", "Nt": nodes, "Mt": outer, "rtol": 1e-7, "atol": 1e-9}
         options = FULL | grid | {"medtherm": int(physics.medium.warm)}
         theirs, _ = peer.solve(few, options, medium_grid_length=0.3)
+        _, seconds = peer.solve(draw_bubbles(2, 8)[:1], options, medium_grid_length=0.3)
         rest = "".join(f", without {term}" for term in without)
-        row = {"key": f"same/full, {name}, spectral {nodes} x {outer}{rest}"}
+        row = {"key": f"explain/full, {name}, spectral {nodes} x {outer}{rest}"}
         difference = float(f"{np.abs(ours - theirs).max():.2g}")
-        rows.append(row | {"largest in R*": difference})
+        rows.append(row | {"largest in R*": difference, "ms_a_bubble": round(1e3 * seconds, 1)})
         peer.stop()
     return rows
 
@@ -416,8 +423,12 @@ def main() -> None:
     parser.add_argument("--env", help="folder of PyIMR's environment, kept if named")
     parser.add_argument("--rounds", type=int, default=9)
     parser.add_argument("--spectral", action="store_true", help="PyIMR's spectral grids too (slow)")
-    parser.add_argument("--out", help="JSON lines")
+    parser.add_argument("--parts", default=",".join(PARTS), help="some of these, comma-separated")
+    parser.add_argument("--out", help="JSON lines; rows of other parts stay")
     args = parser.parse_args()
+    parts = args.parts.split(",")
+    if not set(parts) <= set(PARTS):
+        parser.error(f"--parts is {args.parts}; expected some of {', '.join(PARTS)}")
     torch.set_num_threads(1)
     with tempfile.TemporaryDirectory() as temporary:
         try:
@@ -425,14 +436,24 @@ def main() -> None:
         except (OSError, subprocess.CalledProcessError) as error:
             print(f"PyIMR is left out: {error}", file=sys.stderr)
             peer = None
-        rows = compare_trajectories(peer) if peer else []
-        if peer and args.spectral:
+        rows = []
+        if peer and "same" in parts:
+            rows += compare_trajectories(peer)
+        if peer and "explain" in parts:
             rows += explain_full_physics(args.python, Path(args.env or temporary))
-        rows += measure_costs(peer, args.rounds, spectral=args.spectral)
+        if "cost" in parts:
+            rows += measure_costs(peer, args.rounds, spectral=args.spectral)
+        if "fits" in parts:
+            from benchmarks.peer_fits import fit_example_gel  # which imports this file
+
+            rows += fit_example_gel(peer)
     text = "".join(json.dumps(row) + "\n" for row in rows)
     print(text, end="")
     if args.out:
-        Path(args.out).write_text(text)
+        out = Path(args.out)
+        lines = out.read_text().splitlines(keepends=True) if out.exists() else []
+        kept = [line for line in lines if json.loads(line)["key"].split("/")[0] not in parts]
+        out.write_text("".join(kept) + text)
 
 
 if __name__ == "__main__":

@@ -146,28 +146,13 @@ def calibrate(
     """
     for number in numbers:
         own = child(seed, "replicate", number)
-        started = time.process_time()
         truth = _draw_truth(arrangement, own, simulator)
-        try:
-            judged = (
-                _infer_replicate(arrangement, truth, own, simulator)
-                if infer is None
-                else _rank_draws(arrangement, truth, own, infer)
-            )
-        except ConvergenceError as error:
-            judged = Replicate(0, truth.model, failure=str(error))
-        yield replace(
-            judged,
-            number=number,
-            model=truth.model,
-            redrawn=truth.redrawn,
-            seconds=time.process_time() - started,
-        )
+        yield judge_replicate(arrangement, truth, number, simulator, seed=own, infer=infer)
 
 
 @dataclass(frozen=True)
-class _Truth:
-    """A gel of the prior: its model, its whitened coordinates, and what was measured of it."""
+class Truth:
+    """A gel: its model, its coordinates whitened by the prior, and what was measured of it."""
 
     model: str
     gel: Tensor
@@ -175,13 +160,41 @@ class _Truth:
     redrawn: int
 
 
-def _prepare_data(arrangement: Arrangement, truth: _Truth) -> ExperimentBatch:
+def judge_replicate(
+    arrangement: Arrangement,
+    truth: Truth,
+    number: int,
+    simulator: Simulator,
+    *,
+    seed: int,
+    infer: Infer | None = None,
+) -> Replicate:
+    """The replicate of a gel that was drawn; arguments as of :func:`calibrate`."""
+    started = time.process_time()
+    try:
+        judged = (
+            _infer_replicate(arrangement, truth, seed, simulator)
+            if infer is None
+            else _rank_draws(arrangement, truth, seed, infer)
+        )
+    except ConvergenceError as error:
+        judged = Replicate(0, truth.model, failure=str(error))
+    return replace(
+        judged,
+        number=number,
+        model=truth.model,
+        redrawn=truth.redrawn,
+        seconds=time.process_time() - started,
+    )
+
+
+def _prepare_data(arrangement: Arrangement, truth: Truth) -> ExperimentBatch:
     """What the inference is given."""
     learn = arrangement.learn or partial(ExperimentBatch, noise=arrangement.plan.noise)
     return learn(truth.experiments)
 
 
-def _rank_draws(arrangement: Arrangement, truth: _Truth, seed: int, infer: Infer) -> Replicate:
+def _rank_draws(arrangement: Arrangement, truth: Truth, seed: int, infer: Infer) -> Replicate:
     """Where the truth lies among the draws of a function."""
     part = arrangement.prior[truth.model]
     draws = infer(_prepare_data(arrangement, truth), truth.model, child(seed, "infer"))
@@ -204,7 +217,7 @@ def _rank_draws(arrangement: Arrangement, truth: _Truth, seed: int, infer: Infer
 
 
 def _infer_replicate(
-    arrangement: Arrangement, truth: _Truth, seed: int, simulator: Simulator
+    arrangement: Arrangement, truth: Truth, seed: int, simulator: Simulator
 ) -> Replicate:
     """Result of the toolkit's own inference on one gel."""
     batch = _prepare_data(arrangement, truth)
@@ -249,7 +262,7 @@ def _infer_replicate(
     )
 
 
-def _draw_truth(arrangement: Arrangement, seed: int, simulator: Simulator) -> _Truth:
+def _draw_truth(arrangement: Arrangement, seed: int, simulator: Simulator) -> Truth:
     """A gel of the prior that can be simulated, and its experiments, cut to the window."""
     prior = arrangement.prior
     plan = arrangement.plan
@@ -274,7 +287,7 @@ def _draw_truth(arrangement: Arrangement, seed: int, simulator: Simulator) -> _T
             ]
         except ConvergenceError:
             continue
-        return _Truth(part.model, gel, tuple(map(plan.cut_to_window, shots)), attempt)
+        return Truth(part.model, gel, tuple(map(plan.cut_to_window, shots)), attempt)
     raise ConvergenceError(
         f"None of {arrangement.attempts} gels of the prior of {part.model!r} could be simulated at "
         f"{arrangement.designs}."

@@ -59,7 +59,7 @@ def run_command(args: Namespace) -> None:
         read.append(prepared.report(frames=False))
         print(read[-1])
     rounds = NOISE_ROUNDS if args.noise == "estimated" else 0
-    stages = characterize_stages(rounds, population=args.population)
+    stages = characterize_stages(rounds, gels=args.simulated_gels or 0, population=args.population)
     result = characterize(
         traces,
         prior=prior,
@@ -76,6 +76,7 @@ def run_command(args: Namespace) -> None:
         population=args.population,
         scatter_scale=SCALE if args.scatter_scale is None else args.scatter_scale,
         over_time=args.over_time,
+        simulated_gels=args.simulated_gels or 0,
         seed=args.seed,
         progress=args.terminal.plan_stages(stages),
     )
@@ -108,7 +109,7 @@ def _load_data(args: Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]:
     shots = load_collapse_times(*tables) if tables else ()
     why = f"is about curves, and {tables[0]} holds collapse times" if shots else ""
     if shots:
-        refuse_options(args, ["population"], f"{why}; leave one of them out.")
+        refuse_options(args, ["population", "simulated_gels"], f"{why}; leave one of them out.")
     if curves:
         traces = load_traces(*curves, layout=layout_of(args), sort=args.sort)
     else:

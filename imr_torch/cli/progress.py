@@ -35,9 +35,11 @@ class Stage:
     key: str = ""
 
 
-def characterize_stages(noise_rounds: int, *, population: bool = False) -> tuple[Stage, ...]:
-    """The stages of ``characterize``: one fit per noise law, draws, the fit test and perhaps each
-    shot alone.
+def characterize_stages(
+    noise_rounds: int, *, gels: int = 0, population: bool = False
+) -> tuple[Stage, ...]:
+    """The stages of ``characterize``: one fit per noise law, draws, the fit test, perhaps simulated
+    gels and each shot alone.
 
     >>> from imr_torch.cli.progress import characterize_stages
     >>> [stage.name for stage in characterize_stages(1)]
@@ -53,6 +55,8 @@ def characterize_stages(noise_rounds: int, *, population: bool = False) -> tuple
         stages.append(Stage(name + ", and draws" * last, share, "noise"))
     figures = "" if population else " and figures"
     stages.append(Stage(f"fit test{figures}", 0.8, "fit test"))
+    if gels:
+        stages.append(Stage("simulated gels like this one", 2.0 * gels, "simulated gels"))
     if population:
         stages.append(Stage("each shot by itself, and the population", 5.0, "shots"))
     return tuple(stages)

@@ -95,6 +95,14 @@ def list_characterize_options() -> Options:
             "also fit one stretch of the event after another by itself: G(t), mu(t) with intervals, "
             "whose drift shows where one gel does not explain all",
         ),
+        number_option(
+            "--simulated-gels",
+            None,
+            "check on so many simulated gels like this one (10 at least) whether intervals hold what "
+            "they state; each takes about as long as the characterisation by one model",
+            low=10,
+            metavar="GELS",
+        ),
         choice_option(
             "--method",
             METHODS,
