@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 PIP := PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: setup demo test lint docs locks benchmark release-check clean
+.PHONY: setup demo test lint docs locks benchmark release-check release-tools clean
 .DELETE_ON_ERROR:
 
 setup: $(READY)
@@ -39,13 +39,17 @@ docs: setup
 benchmark: setup
 	$(BIN)/python -m benchmarks.solver
 
-locks: setup
-	$(PIP) -e ".[release]"
+locks: release-tools
 	$(BIN)/python -m tools.locks
 
-release-check: setup
-	$(PIP) -e ".[release]"
+release-check: release-tools
 	$(BIN)/python -m tools.release
+
+release-tools: $(VENV)/.release
+
+$(VENV)/.release: $(READY)
+	$(PIP) -e ".[release]"
+	touch $(VENV)/.release
 
 clean:
 	rm -rf $(VENV) docs/_build

@@ -47,7 +47,6 @@ LIBRARIES = (  # dependencies of the package
         "botorch.fit",
         "botorch.optim",
     ),
-    "torch.fx.experimental.symbolic_shapes",  # which PyTorch imports when shapes are first broadcast
 )
 
 

@@ -1,6 +1,7 @@
 """One case tried through the command line, with all fits replaced by a stop."""
 
 import contextlib
+import functools
 import importlib
 import io
 import os
@@ -9,6 +10,7 @@ import time
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -44,6 +46,9 @@ def _stop(*_: object, **__: object) -> Any:
     raise Reached
 
 
+_entry_points = functools.cache(entry_points)  # of every installed package, read once
+
+
 @contextlib.contextmanager
 def without_fits() -> Iterator[None]:
     """Every fit and search ends with :class:`Reached`."""
@@ -54,6 +59,7 @@ def without_fits() -> Iterator[None]:
             ("imr_torch.cli.design", "search_design"),
         ):
             stack.enter_context(mock.patch.object(importlib.import_module(module), name, _stop))
+        stack.enter_context(mock.patch("imr_torch.cli.extensions.entry_points", _entry_points))
         stack.enter_context(mock.patch.object(Campaign, "learn_outstanding", _stop))
         stack.enter_context(mock.patch.object(Campaign, "ask_several", _stop))
         stack.enter_context(mock.patch.dict(METHODS, SMALL))

@@ -5,6 +5,8 @@ The process has a Matern-3/2 covariance, which is that of the first of two state
 (Hartikainen & Sarkka, IEEE MLSP 2010), so a curve costs in proportion to its frames.
 """
 
+from typing import Any
+
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -40,25 +42,26 @@ def matern_whitened(
         The whitened columns, 0 where the mask is not set, and half the log determinants of the
         covariances.
     """
-    # in NumPy, whose small operations cost a quarter; laws side by side in memory
-    laws = (x.movedim(0, -1).contiguous().numpy() for x in (smooth, rates, noise))
+    # in NumPy, whose small operations cost a quarter; laws side by side in memory; Any, since
+    # pyright takes minutes to infer types of arrays that a loop computes from one another
+    laws: Any = (x.movedim(0, -1).contiguous().numpy() for x in (smooth, rates, noise))
     variance, rate, independent = laws
     experiments, frames, count = independent.shape
     bent = variance * rate**2  # of the process's derivative
     value = np.zeros((len(columns), experiments, count))
     slope = np.zeros_like(value)
     p00 = variance
-    p01 = np.zeros((experiments, count))
+    p01 = 0.0
     p11 = bent
     seen = np.empty((frames, *value.shape))
-    log_det = np.zeros_like(p01)
-    gaps = np.diff(times.numpy(), axis=1, prepend=0.0)[..., None]
-    for k in range(frames):
+    log_det = np.zeros((experiments, count))
+    gaps = np.diff(times.numpy().T, axis=0, prepend=0.0)[..., None]
+    for k, gap in enumerate(gaps):
         if k:
-            x = rate * gaps[:, k]
+            x = rate * gap
             decay = np.exp(-x)
             a00 = decay * (1.0 + x)
-            a01 = decay * gaps[:, k]
+            a01 = decay * gap
             a10 = -decay * rate * x
             a11 = decay * (1.0 - x)
             value, slope = a00 * value + a01 * slope, a10 * value + a11 * slope

@@ -8,6 +8,7 @@ did not converge or a file that could not be written, 130 interrupted by the use
 """
 
 import argparse
+import functools
 import importlib
 import io
 import os
@@ -26,6 +27,7 @@ from imr_torch.errors import ConvergenceError, ConvergenceWarning, ImrError, Inp
 from imr_torch.files import check_target
 
 
+@functools.cache
 def build_parser() -> argparse.ArgumentParser:
     """The command line, with every subcommand's own help."""
     top = argparse.ArgumentParser(
@@ -113,8 +115,10 @@ def _run_named(args: argparse.Namespace) -> None:
     importlib.import_module("torch").set_num_threads(
         1
     )  # of tensor operators, which are small; the engine has its own threads
-    extensions = importlib.import_module("imr_torch.cli.extensions")  # slow to import for help
-    args.extensions = extensions.load_extensions(getattr(args, "imports", ()))
+    # slow to import for help
+    args.extensions = importlib.import_module("imr_torch.cli.extensions").load_extensions(
+        getattr(args, "imports", ())
+    )
     importlib.import_module("imr_torch.cli.common").read_options(args)
     module.run_command(args)
 

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
 import torch
 from jaxtyping import Float, Real
 from torch import Tensor
@@ -185,7 +186,7 @@ class ParameterVector:
             self.check(name, column)
         like = [x for x in values.values() if isinstance(x, Tensor) and x.is_floating_point()]
         like = next((x for x in like if x.ndim), torch.zeros((), dtype=torch.float64))
-        shape = torch.broadcast_shapes(*(column.shape for column in columns.values()))
+        shape = np.broadcast_shapes(*(column.shape for column in columns.values()))
         rows = [
             columns.get(p.name, like.new_tensor(p.neutral)).to(like).expand(shape) for p in self
         ]

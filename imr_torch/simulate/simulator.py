@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Protocol, TypeAlias
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int, Real
 from torch import Tensor
@@ -249,17 +250,17 @@ def broadcast_batch(
             "1."
         )
     try:
-        shape = torch.broadcast_shapes(parameters.shape[:-1], designs.shape[:-1], times.shape[:-1])
-    except RuntimeError:
+        shape = np.broadcast_shapes(parameters.shape[:-1], designs.shape[:-1], times.shape[:-1])
+    except ValueError:
         raise ShapeError(
             f"Batch shapes do not broadcast: parameters {tuple(parameters.shape)}, designs "
             f"{tuple(designs.shape)}, "
             f"times {tuple(times.shape)}."
         ) from None
-    flat = [
+    parameters, designs, times = (
         x.expand(*shape, x.shape[-1]).reshape(-1, x.shape[-1]) for x in (parameters, designs, times)
-    ]
-    return shape, flat[0], flat[1], flat[2]
+    )
+    return torch.Size(shape), parameters, designs, times
 
 
 def check_times(times: Real[Tensor, "members frames"]) -> None:

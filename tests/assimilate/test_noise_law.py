@@ -144,7 +144,7 @@ def test_that_intervals_over_the_noise_cover_where_plugged_in_ones_are_narrower(
 ) -> None:
     inside: dict[str, list[bool]] = {"plugged": [], "integrated": []}
     wider = []
-    for seed in range(60):
+    for seed in range(40):
         batch, gel = film(1000 + seed)
         fits = assimilate_estimating_noise(
             PRIOR, batch, SIMULATOR, rounds=1, seed=seed, options=OPTIONS, warn=False
@@ -157,7 +157,7 @@ def test_that_intervals_over_the_noise_cover_where_plugged_in_ones_are_narrower(
             sds.append(sd)
         wider.append(sds[1] / sds[0])
     share = {kind: sum(found) / len(found) for kind, found in inside.items()}
-    assert 0.82 <= share["integrated"] <= 0.98  # 120 intervals: .9 +- .027 by chance
+    assert 0.82 <= share["integrated"] <= 0.98  # 80 intervals: .9 +- .034 by chance
     assert share["plugged"] <= share["integrated"]
     assert float(torch.stack(wider).median()) > 1.01
 
@@ -166,7 +166,7 @@ def test_that_intervals_beside_residuals_that_drift_hold_and_those_of_independen
     few_deviations: None,
 ) -> None:
     inside: dict[str, list[bool]] = {"independent": [], "widened": []}
-    for seed in range(40):
+    for seed in range(25):
         batch, gel = drifting(seed)
         fits = assimilate_estimating_noise(
             PRIOR, batch, Slow(), rounds=1, seed=seed, options=OPTIONS, warn=False

@@ -39,7 +39,7 @@ def pooled(replicates, kind, name):
 
 @pytest.fixture(scope="module")
 def default():
-    return run(60)
+    return run(40)  # as many as find each wrong inference below
 
 
 @pytest.mark.parametrize("kind", ["gaussian", "reported", "weighted"])
@@ -47,7 +47,7 @@ def test_that_the_default_is_calibrated(default, kind):
     assert all(r.failure is None and r.converged for r in default)
     for name in ("G", "mu"):
         places = pooled(default, kind, name)
-        assert len(places) == 60
+        assert len(places) == 40
         assert uniformity(places).p > 0.01
         assert coverage(places, 0.9).fits
     assert uniformity(pooled(default, kind, "alpha")).p > 0.01
@@ -55,7 +55,7 @@ def test_that_the_default_is_calibrated(default, kind):
 
 def test_that_model_probabilities_are_reliable(default):
     stated = [r.probabilities["nhkv"] for r in default]
-    assert 10.0 < sum(stated) < 50.0
+    assert 7.0 < sum(stated) < 33.0
     chance = np.array(stated)
     right = np.array([r.model == "nhkv" for r in default])
     # Spiegelhalter, Stat. Med. 5 (1986), eq. 10
