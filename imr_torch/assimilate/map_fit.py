@@ -129,7 +129,9 @@ def assimilate(
     begun = [one.approach_first() for one in searches]
     drop_behind = math.inf if options.drop_behind is None else options.drop_behind
     lowest = options.rival
-    for _, one in sorted(zip(begun, searches, strict=True), key=lambda pair: pair[0]):
+    # models with many starts last, since each start ends where it cannot come near the lowest
+    costs = zip(begun, searches, strict=True)
+    for _, one in sorted(costs, key=lambda pair: (len(pair[1].starts) > 2, pair[0])):
         one.limit = lowest + drop_behind
         one.find_lowest()
         lowest = min(lowest, one.lowest.cost)
