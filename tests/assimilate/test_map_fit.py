@@ -364,6 +364,26 @@ def test_that_among_models_the_other_starts_of_a_model_with_several_minima_follo
     assert cost(rows) == pytest.approx(best, abs=1e-3)
 
 
+def test_that_models_with_many_starts_come_last() -> None:
+    """However low they begin: their starts end early once another model is far ahead."""
+    starts = [tensor((3.0, 3.0), (3.0, 2.9)), tensor(*[(0.1 * k, 0.0, 0.0) for k in range(3)])]
+    lines: list[str] = []
+    found = assimilate(
+        prior(("nhkv", "gen_qkv")),
+        experiments(3),
+        LinearSimulator(),
+        seed=1,
+        options=SearchOptions(drop_behind=6.0),
+        starts=starts,
+        progress=lines.append,
+    )
+    order = ["nhkv" if ", nhkv cost" in line else "gen_qkv" for line in lines]
+    assert order == sorted(order, reverse=True)
+    assert order[0] == "nhkv"
+    assert order[-1] == "gen_qkv"
+    assert found["nhkv"].certificate.converged
+
+
 # ---------------------------------------------------------------- certificates, both ways
 
 
