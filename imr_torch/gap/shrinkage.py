@@ -288,8 +288,8 @@ def _random_rows(
 def _select_random(
     line: Linearisation, weights: Float[Tensor, "effects knots"], rounds: int, of_frame: float
 ) -> tuple[Float[Tensor, "fitted"], Float[Tensor, "effects"]]:
-    """Random effects chosen one after the other by their evidence: the shift of everything fitted
-    beside them, and their amplitudes, 0 of those that were not chosen.
+    """Random effects chosen one after the other by their evidence: what they shift everything
+    fitted beside them, and their amplitudes; 0 where none was chosen.
 
     An amplitude has a normal prior, by which the effect changes the data by ``of_frame`` sd, times
     the root of the number of frames.
@@ -320,4 +320,5 @@ def _select_random(
     before = line.fitted.shape[1]
     amplitudes = zeros(offered)
     amplitudes[chosen] = shift[before:] * scale[chosen, 0]
-    return shift[:before], amplitudes
+    # noise that depends on the radius leaves a step at the fit itself
+    return shift[:before] - line.to_shift @ line.residual, amplitudes

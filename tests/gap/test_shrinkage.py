@@ -12,8 +12,17 @@ from imr_torch import example_gel, load_traces
 from imr_torch.gap import diagnose, library
 from imr_torch.gap.held_out import HeldOut, Judged, default_folds, held_out, judge_designs
 from imr_torch.gap.hypotheses import Hypothesis
-from imr_torch.gap.shrinkage import Shrinkage, _compared, _interval, shrinkage
+from imr_torch.gap.shrinkage import (
+    _KNOTS,
+    Shrinkage,
+    _compared,
+    _interval,
+    _select_random,
+    shrinkage,
+)
+from imr_torch.goodness.linear import linearise_fit
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, prepare
+from imr_torch.random import generator
 from imr_torch.simulate import TransportSimulator
 from tests.gap.synthetic import BASE, DESIGNS, SIMULATOR, fit, shoot
 
@@ -120,6 +129,16 @@ def test_that_freedom_alone_earns_nothing(freedom: int) -> None:
         beside.append(float(compared.base.sum() - compared.effect.sum()))
     assert sum(plain) / 30 > 0.1
     assert max(map(abs, beside)) < 1e-9
+
+
+def test_that_random_effects_that_are_not_chosen_change_nothing(right) -> None:
+    """Also where noise depends on the radius, so that a fit is no minimum of its whitened squares."""
+    line = linearise_fit(right.trained.null, right.trained.batch, SIMULATOR)
+    assert float((line.basis.mT @ line.residual).norm()) > 0.01
+    weights = torch.randn(4, len(_KNOTS), generator=generator(0), dtype=torch.float64)
+    shift, amplitudes = _select_random(line, weights, 2, 1e-9)
+    assert not amplitudes.any()
+    assert not shift.any()
 
 
 def test_that_the_interval_covers_the_mean_over_curves() -> None:
