@@ -31,12 +31,9 @@ STARTS = 4
 TOLERANCES = {"rtol": 1e-6, "atol": 1e-8}
 GRIDS = {
     "differences 25 x 25": FULL | TOLERANCES | {"thermal": "fd", "Nt": 25, "Mt": 25},
-    "gel at a constant temperature, Chebyshev 25": FULL
-    | TOLERANCES
-    | {"thermal": "spectral", "Nt": 25, "medtherm": 0},
+    "Chebyshev 15 x 15": FULL | TOLERANCES | {"thermal": "spectral", "Nt": 15, "Mt": 15},
 }
-"""PyIMR's settings that take seconds a curve; bubbles of the first are not converged, those of the
-second lack the warm gel of the data."""
+"""PyIMR's settings that take minutes a curve; bubbles of neither are converged."""
 
 
 def fit_example_gel(peer: Peer | None) -> Iterator[dict[str, Any]]:
