@@ -16,7 +16,7 @@ from typing import Any
 
 import torch
 
-from benchmarks.peers import FULL, OUTER, PHYSICS, Peer
+from benchmarks.pyimr_process import FULL, OUTER, PHYSICS, Peer
 from imr_torch import characterize, example_gel, load_traces, wide_prior
 from imr_torch.assimilate import SearchOptions, assimilate
 from imr_torch.observe import ExperimentBatch, Noise, Nuisance

@@ -27,12 +27,22 @@ import torch
 from scipy.integrate import solve_ivp
 from torchdiffeq import odeint
 
+from benchmarks.peer_fits import fit_example_gel
+from benchmarks.pyimr_process import (
+    FULL,
+    KAPPA,
+    OUTER,
+    SIZE,
+    TAIT,
+    TIMES,
+    Bubbles,
+    Peer,
+)
 from imr_torch.elementary import Scalar
 from imr_torch.material import PARAMETERS
 from imr_torch.simulate import (
     ACCURACIES,
     Conditions,
-    GasMixture,
     Gilmore,
     KellerMiksis,
     KellerMiksisEnthalpy,
@@ -47,33 +57,13 @@ from imr_torch.simulate import (
     TransportSimulator,
 )
 from imr_torch.simulate.liquids import mie_gruneisen
-from imr_torch.units import Surroundings
 from tests.conformance.imrv2 import WholeRateGilmore
 
-OUTER = Surroundings()
-SIZE = float(OUTER.max_radius(400.0))
-TIMES = np.linspace(0.0, 4.0, 81)
-KAPPA = 1.4
 POLYTROPIC = Conditions(gas=PolytropicGas(KAPPA, "rest", vapour=False))
-TAIT = 304.913e6
-PHYSICS = {
-    "far_field_pressure_pa": OUTER.far_field_pressure,
-    "medium_density_kg_m3": OUTER.density,
-    "surface_tension_n_m": OUTER.surface_tension,
-    "sound_speed_m_s": OUTER.sound_speed,
-    "polytropic_exponent": KAPPA,
-    "tait_pressure_pa": TAIT,
-    "gas_conductivity_slope": GasMixture().conductivity_slope,
-    "gas_conductivity_offset": GasMixture().conductivity_offset,
-    "vapor_conductivity_slope": GasMixture().conductivity_slope,
-    "vapor_conductivity_offset": GasMixture().conductivity_offset,
-}
-FULL = {"vapor": 1, "bubtherm": 1, "medtherm": 1, "masstrans": 1, "radial": 2}
 FIT = {"rtol": 1e-6, "atol": 1e-8}  # what PyIMR recommends for fits
 FINE = {"rtol": 1e-11, "atol": 1e-13}
 PARTS = ("same", "cost", "explain", "fits")
 """Are bubbles the same; what they cost; which terms differ in full physics; fits of the example gel."""
-Bubbles = list[list[float]]
 
 
 def draw_bubbles(count: int, seed: int) -> Bubbles:
@@ -165,59 +155,6 @@ class FromZero(MieGruneisen):
     slope: float = 2.65
     bend: float = 0.5 * (7.15 - 1.0)
     law = staticmethod(from_zero)
-
-
-class Peer:
-    """PyIMR in a process of its own environment, ``without`` some terms."""
-
-    def __init__(self, python: str, folder: Path, without: tuple[str, ...] = ()) -> None:
-        inside = folder / "bin" / "python"
-        if not inside.exists():
-            subprocess.run([python, "-m", "venv", str(folder)], check=True, capture_output=True)
-            install = [str(inside), "-m", "pip", "install", "-q", "PyIMR==0.1.1"]
-            subprocess.run(install, check=True, capture_output=True)
-        self._process = subprocess.Popen(
-            [str(inside), "-c", "import pyimr_worker; pyimr_worker.answer_jobs()", *without],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            cwd=Path(__file__).parent,
-        )
-
-    def stop(self) -> None:
-        """End its process."""
-        self._process.kill()
-
-    def ask(self, job: dict[str, Any]) -> dict[str, Any]:
-        """The answer to a job of :mod:`benchmarks.pyimr_worker`."""
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.write(json.dumps(job) + "\n")
-        self._process.stdin.flush()
-        return json.loads(self._process.stdout.readline())
-
-    def solve(
-        self,
-        bubbles: Bubbles,
-        options: dict[str, Any],
-        *,
-        batch: bool = False,
-        material: tuple[str, dict[str, float]] | None = None,
-        **physics: float,
-    ) -> tuple[np.ndarray, float]:
-        """``R*`` and CPU seconds."""
-        job = {
-            "bubbles": bubbles,
-            "material": material,
-            "times": (TIMES * float(OUTER.time_scale(SIZE))).tolist(),
-            "options": options,
-            "physics": PHYSICS | physics,
-            "batch": batch,
-        }
-        answer = self.ask(job)
-        if "error" in answer:
-            return np.full((len(bubbles), len(TIMES)), np.nan), answer["cpu"]
-        return np.array(answer["radius"]), answer["cpu"]
 
 
 def timed(work: Callable[[Bubbles], np.ndarray]) -> Callable[[Bubbles], tuple[np.ndarray, float]]:
@@ -423,7 +360,9 @@ def main() -> None:
     parser.add_argument("--env", help="folder of PyIMR's environment, kept if named")
     parser.add_argument("--rounds", type=int, default=9)
     parser.add_argument("--spectral", action="store_true", help="PyIMR's spectral grids too (slow)")
-    parser.add_argument("--parts", default=",".join(PARTS), help="some of these, comma-separated")
+    parser.add_argument(
+        "--parts", default="same,cost,fits", help=f"of {', '.join(PARTS)} (half an hour: explain)"
+    )
     parser.add_argument("--out", help="JSON lines; rows of other parts stay")
     args = parser.parse_args()
     parts = args.parts.split(",")
@@ -444,8 +383,6 @@ def main() -> None:
         if "cost" in parts:
             rows += measure_costs(peer, args.rounds, spectral=args.spectral)
         if "fits" in parts:
-            from benchmarks.peer_fits import fit_example_gel  # which imports this file
-
             rows += fit_example_gel(peer)
     text = "".join(json.dumps(row) + "\n" for row in rows)
     print(text, end="")

@@ -2,11 +2,7 @@
 simulated, inferred, and compared with the truth.
 """
 
-from imr_torch.calibration.near_gel import (
-    FEWEST_GELS,
-    NearGelCheck,
-    check_near_gel,
-)
+from imr_torch.calibration.near_gel import FEWEST_GELS, NearGelCheck, check_near_gel
 from imr_torch.calibration.replicate import Arrangement, Infer, Replicate, calibrate
 from imr_torch.calibration.statistics import (
     Coverage,
