@@ -9,16 +9,18 @@ to them, in part or whole. Of a single shot they are the same.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 from torch.distributions import MultivariateNormal
 
-from imr_torch.assimilate.matern import MATERN
+from imr_torch.assimilate.matern import MATERN, matern_whitened
 from imr_torch.assimilate.posterior import Neighbourhood
-from imr_torch.float64 import tensor
+from imr_torch.float64 import eye, tensor
 from imr_torch.observe import collapse_time
 
 
@@ -86,6 +88,109 @@ def smooth_deviations(
         return float(values.logsumexp(0) - math.log(len(values)) - none)
 
     return SmoothDeviations(mean_evidence((0.0,)), mean_evidence(shares))
+
+
+@dataclass(frozen=True)
+class BesideSlowNoise:
+    """A fit beside smooth deviations that each shot has for itself, of an amount and a duration
+    that are unknown: a hypothesis that leaves less needs less of them.
+
+    Args:
+        near: a point with its local sensitivities; the noise of its batch is that of single frames.
+        laws: amount in R* and duration in t* of the deviations, equally probable.
+        residual: whitened under each law; of the linearised model at the prior means.
+        fitted: changes by everything that is fitted, whitened, each per prior standard deviation.
+        log_norm: log density of a residual of zero, nats, with the probability of the law.
+    """
+
+    near: Neighbourhood
+    laws: Float[Tensor, "laws 2"]
+    residual: Float[Tensor, "laws frames"]
+    fitted: Float[Tensor, "laws columns frames"]
+    log_norm: Float[Tensor, "laws"]
+
+    @classmethod
+    def about(
+        cls,
+        near: Neighbourhood,
+        *,
+        amounts: Sequence[float] = (0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064),
+        durations: Sequence[float] = (0.14, 0.3, 0.6),
+    ) -> "BesideSlowNoise":
+        """Deviations of these standard deviations in R*, whose correlation has fallen to 1/e at
+        these lags in t*.
+        """
+        columns = near.jacobian
+        observed = near.posterior.batch.mean - near.centre
+        observed = observed + torch.tensordot(near.coordinates, columns, 1)
+        laws = tensor(list(product(amounts, durations)))
+        rows, half_log_dets = _whiten(near, laws, torch.cat((columns, observed[None])))
+        count = int(near.posterior.batch.mask.sum())
+        constant = 0.5 * count * math.log(2.0 * math.pi) + math.log(len(laws))
+        return cls(near, laws, rows[:, -1], rows[:, :-1], -half_log_dets - constant)
+
+    def whiten(
+        self, columns: Float[Tensor, "columns experiments frames"]
+    ) -> Float[Tensor, "laws columns frames"]:
+        """Curves in R* under each law."""
+        return _whiten(self.near, self.laws, columns)[0]
+
+    @cached_property
+    def log_evidence(self) -> float:
+        """Nats, everything that is fitted and the deviations integrated out."""
+        return float(self._of_laws.logsumexp(0))
+
+    def log_evidence_with(
+        self, columns: Float[Tensor, "laws columns frames"]
+    ) -> Float[Tensor, "columns"]:
+        """The same with one thing more that is fitted, per prior standard deviation: one value for
+        each column.
+        """
+        overlap = self._inverse_root @ (self.fitted @ columns.mT)
+        alone = columns.square().sum(2) - overlap.square().sum(1)
+        moment = (columns @ self.residual[..., None])[..., 0]
+        moment = moment - (overlap.mT @ self._moments)[..., 0]
+        gain = 0.5 * moment.square() / (1.0 + alone) - 0.5 * alone.log1p()
+        return (self._of_laws[:, None] + gain).logsumexp(0)
+
+    def with_column(self, column: Float[Tensor, "laws frames"]) -> "BesideSlowNoise":
+        """With one thing more that is fitted."""
+        return replace(self, fitted=torch.cat((self.fitted, column[:, None]), 1))
+
+    @cached_property
+    def _inverse_root(self) -> Tensor:
+        """Inverse Cholesky factors of the posterior precision of what is fitted."""
+        precision = eye(self.fitted.shape[1]) + self.fitted @ self.fitted.mT
+        return torch.linalg.inv(torch.linalg.cholesky(precision))
+
+    @cached_property
+    def _moments(self) -> Tensor:
+        return self._inverse_root @ (self.fitted @ self.residual[..., None])
+
+    @cached_property
+    def _of_laws(self) -> Float[Tensor, "laws"]:
+        explained = self._moments.square().sum((1, 2)) - self.residual.square().sum(1)
+        roots = self._inverse_root.diagonal(dim1=1, dim2=2).log().sum(1)
+        return self.log_norm + 0.5 * explained + roots
+
+
+def _whiten(
+    near: Neighbourhood,
+    laws: Float[Tensor, "laws 2"],
+    columns: Float[Tensor, "columns experiments frames"],
+) -> tuple[Float[Tensor, "laws columns frames"], Float[Tensor, "laws"]]:
+    """Curves under each law, and half the log determinants."""
+    batch = near.posterior.batch
+    noise = batch.sd(near.centre).square() / batch.counts
+    rows, half_log_dets = matern_whitened(
+        batch.times,
+        batch.mask,
+        noise.expand(len(laws), *noise.shape),
+        laws[:, 0].square(),
+        MATERN / laws[:, 1],
+        torch.where(batch.mask, columns, 0.0),
+    )
+    return rows.flatten(2), half_log_dets.sum(1)
 
 
 def _cycle_phases(near: Neighbourhood) -> Tensor:

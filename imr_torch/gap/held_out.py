@@ -11,6 +11,7 @@ collapse makes several minima.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 from jaxtyping import Float
@@ -19,6 +20,7 @@ from torch import Tensor
 from imr_torch.assimilate import ModelFit, Point, Posterior, SearchOptions
 from imr_torch.assimilate.basins import deeper_nuisances
 from imr_torch.assimilate.map_fit import assimilate_model
+from imr_torch.assimilate.slow_noise import BesideSlowNoise
 from imr_torch.float64 import randn
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
@@ -28,6 +30,7 @@ from imr_torch.gap.hypotheses import (
     Hypothesis,
     laplace_evidence,
 )
+from imr_torch.gap.selection import evidence_beside_slow
 from imr_torch.goodness.linear import Linearisation, linearise_fit, whiten_rows
 from imr_torch.observe import NUISANCES, ExperimentBatch
 from imr_torch.random import child, generator
@@ -94,11 +97,13 @@ class Judged:
         base: by the base model; with gels that differ, where any selection holds them.
         effect: by what was selected without this design.
         training: local sensitivities of the base model's training fit.
+        beside: the same beside slow noise, where parts are selected so.
     """
 
     base: HeldOut
     effect: HeldOut
     training: Linearisation
+    beside: BesideSlowNoise | None = None
 
 
 def judge_designs(
@@ -127,27 +132,33 @@ def judge_designs(
     count = len(batch.experiments)
     if unseen is None and count < 2:
         return []
-    tasks = []  # a selection, the data that it was trained on and the designs that it is judged on
+    tasks = []  # a selection, the data that it was trained on, which, and what judges it
     if unseen is not None:
         base = _base_of(report, report.selected.gels_differ)
-        tasks.append(((report.selected, report.selected_fit, *base), batch, unseen))
+        every = list(range(count))
+        tasks.append(((report.selected, report.selected_fit, *base), batch, every, unseen))
     for number, out in enumerate(default_folds(count) if unseen is None else ()):
         kept = [i for i in range(count) if i not in out]
         training = _part(batch, kept)
         found = _select_again(report, training, kept, simulator, child(seed, "fold", number))
-        tasks.append((found, training, _part(report.batch, out)))
+        tasks.append((found, training, kept, _part(report.batch, out)))
         if progress:
             labels = ", ".join(batch.experiments[i].label for i in out)
             progress(f"without {labels}: {found[0].name}")
     judged = []
-    for (hypothesis, fit, base, base_fit), training, designs in tasks:
+    for (hypothesis, fit, base, base_fit), training, kept, designs in tasks:
         line = linearise_fit(base_fit, base.seen(training), simulator)
+        beside = None
+        if report.within_misfit is not None:
+            seen = base.seen(_part(report.batch, kept))
+            beside = BesideSlowNoise.about(base_fit.linearise(seen, simulator))
         for place in range(len(designs.experiments)):
             design = _part(designs, [place])
             pair = Judged(
                 held_out(base_fit, base, design, simulator),
                 held_out(fit, hypothesis, design, simulator),
                 line,
+                beside,
             )
             if pair.base.predicted and pair.effect.predicted:
                 judged.append(pair)
@@ -174,15 +185,33 @@ def _select_again(
     Each step of the diagnosis is made again while what is held is what it was there; its candidates
     are the hypotheses whose fits to all designs suit the others best.
     """
+
+    def evidence(fit: ModelFit, hypothesis: Hypothesis) -> float:
+        if report.within_misfit is None:
+            return laplace_evidence(fit)
+        seen = hypothesis.seen(_part(report.batch, kept))
+        return evidence_beside_slow(fit, seen, simulator)
+
+    def on_some(step: Attribution, name: str) -> float:
+        """Evidence of a fit to all designs on those that are kept."""
+        fit = step.fits[name]
+        if report.within_misfit is not None:
+            some = replace(fit, nuisances=fit.nuisances[list(kept)])
+            return evidence(some, step.hypotheses[name])
+        return _evidence_on_some(fit, step.hypotheses[name].seen(training), kept)
+
     held = Hypothesis(report.base)
     fits = _train({held.name: (held, report.trained.null)}, training, kept, simulator, seed)
     for step in report.trained.steps:
         if step.held.name != held.name:
             break
-        candidates = _likely(step, training, kept)
+        names = [name for name in step.log_evidence if name != step.held.name]
+        ranked = sorted(names, key=partial(on_some, step), reverse=True)[:_CANDIDATES]
+        candidates = {name: (step.hypotheses[name], step.fits[name]) for name in ranked}
         fits |= _train(candidates, training, kept, simulator, child(seed, held.name))
-        best = max(candidates, key=lambda name: laplace_evidence(fits[name]))
-        if laplace_evidence(fits[best]) < laplace_evidence(fits[held.name]) + EXPLAINS:
+        found = {name: evidence(fits[name], step.hypotheses[name]) for name in candidates}
+        best = max(found, key=lambda name: found[name])
+        if found[best] < evidence(fits[held.name], held) + EXPLAINS:
             break
         held = step.hypotheses[best]
     base, near = _base_of(report, held.gels_differ or report.selected.gels_differ)
@@ -191,22 +220,12 @@ def _select_again(
     return held, fits[held.name], base, fits[base.name]
 
 
-def _likely(
-    step: Attribution, training: ExperimentBatch, kept: Sequence[int]
-) -> dict[str, tuple[Hypothesis, ModelFit]]:
-    """The hypotheses of a step whose fits to all designs have the largest evidence on some."""
-
-    def evidence(name: str) -> float:
-        fit = step.fits[name]
-        seen = step.hypotheses[name].seen(training)
-        likelihood = seen.log_likelihood(fit.prediction[list(kept), : seen.times.shape[1]]).sum()
-        prior = fit.mean.square().sum() + fit.nuisances[list(kept)].square().sum()
-        width = fit.chol.diagonal().log().sum()
-        return float((likelihood - 0.5 * prior + width).nan_to_num(nan=-math.inf))
-
-    names = [name for name in step.log_evidence if name != step.held.name]
-    ranked = sorted(names, key=evidence, reverse=True)[:_CANDIDATES]
-    return {name: (step.hypotheses[name], step.fits[name]) for name in ranked}
+def _evidence_on_some(fit: ModelFit, training: ExperimentBatch, kept: Sequence[int]) -> float:
+    """Evidence of a fit to all designs on those that are kept, without a bubble."""
+    likelihood = training.log_likelihood(fit.prediction[list(kept), : training.times.shape[1]])
+    prior = fit.mean.square().sum() + fit.nuisances[list(kept)].square().sum()
+    width = fit.chol.diagonal().log().sum()
+    return float((likelihood.sum() - 0.5 * prior + width).nan_to_num(nan=-math.inf))
 
 
 def _part(batch: ExperimentBatch, chosen: Sequence[int]) -> ExperimentBatch:

@@ -7,15 +7,18 @@ than not, and undecided where a fit that it rests on has not converged.
 
 Beside "other" stands what comes nearest. With the camera's own noise that would be what passes
 nearest to a few frames next to a collapse, at any strength; so, where the noise was inferred, it is
-selected with noise of the size of all that is left.
+selected beside slow noise of each shot's own, of an amount that is as unknown beside each part.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
+import torch
+
 from imr_torch.assimilate import ModelFit, infer_frame_noise
-from imr_torch.assimilate.slow_noise import smooth_deviations
+from imr_torch.assimilate.slow_noise import BesideSlowNoise
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.attribute import Attribution, Inquiry, attribute, reconsider
 from imr_torch.gap.hypotheses import (
@@ -49,7 +52,9 @@ class WithinMisfit:
         batch: the data with noise of the size of what is left beside the selected parts.
         null: the base model's fit with that noise.
         left: the gap test there.
-        steps: attributions in the order of the selection.
+        steps: attributions in the order of the selection, each hypothesis with the fit that
+            explains more beside slow noise: that with noise of the size of what is left, or that
+            with the camera's.
     """
 
     own: ModelFit
@@ -151,7 +156,7 @@ def _select_within_misfit(
     progress: Progress,
 ) -> Finding:
     """The verdict "other" with the parts that explain much even if all that is left counts as
-    noise: as large as what is left in all frames alike, or slow and of each shot's own.
+    noise: slow noise of each shot's own.
     """
     held = Hypothesis(inquiry.base)
     search = partial(fit_with_noise, simulator=inquiry.simulator, of_misfit=True, progress=progress)
@@ -169,17 +174,19 @@ def _select_within_misfit(
             alone=alone,
             progress=progress,
         )
-        within = replace(within, steps=(*within.steps, found))
-        name = found.winner.name
-        slow = explained_beside_slow(finding.steps, name, inquiry.batch, inquiry.simulator)
-        if max(found.explained[name], slow) < EXPLAINS:
+        beside = [step for step in finding.steps if step.held.name == held.name]
+        step, explained = weigh_beside_slow([found, *beside], inquiry.batch, inquiry.simulator)
+        within = replace(within, steps=(*within.steps, step))
+        name, nats = max(explained.items(), key=lambda item: item[1])
+        if nats < EXPLAINS:
             break
-        held = found.winner
-        fit, batch = search(held, found.winner_fit, inquiry.batch, seed=own)
+        held = step.hypotheses[name]
+        fit, batch = search(held, step.fits[name], inquiry.batch, seed=own)
         seen = held.seen(batch)
         left = adequacy_test(fit, inquiry.effects, seen, inquiry.simulator, seed=own)
     if held.parts:
-        base = fit_null(inquiry.base, batch, inquiry.simulator, seed=seed, near=within.own)
+        near = within.steps[0].fits[NONE]
+        base = fit_null(inquiry.base, batch, inquiry.simulator, seed=seed, near=near)
         left = adequacy_test(base, inquiry.effects, batch, inquiry.simulator, seed=seed)
         within = replace(within, batch=batch, null=base, left=left)
     nearest = " and ".join(map(in_words, held.parts))
@@ -194,21 +201,40 @@ def _select_within_misfit(
     )
 
 
-def explained_beside_slow(
-    steps: Sequence[Attribution], name: str, batch: ExperimentBatch, simulator: Simulator
-) -> float:
-    """Nats that the last part of a hypothesis explains beside slow noise of each shot's own, to
-    first order about the fits of an attribution; 0 where none has it.
+def weigh_beside_slow(
+    steps: Sequence[Attribution], batch: ExperimentBatch, simulator: Simulator
+) -> tuple[Attribution, dict[str, float]]:
+    """Attributions beside one held hypothesis as one, with the fits that explain more beside slow
+    noise of each shot's own, and the nats that the last part of each hypothesis explains there.
+
+    To first order about each fit, so that fits from several noise laws are tried.
+
+    Args:
+        steps: the attributions; hypotheses are those of the first.
+        batch: the data, with the noise of single frames.
+        simulator: makes the bubbles.
     """
+    held = steps[0].held.name
+    fits = dict[str, ModelFit]()
+    evidence = dict[str, float]()
     for step in steps:
-        if name in step.log_evidence:
-            places = (
-                step.fits[one].linearise(step.hypotheses[one].seen(batch), simulator)
-                for one in (step.held.name, name)
-            )
-            without, beside = (smooth_deviations(near).own for near in places)
-            return step.explained[name] + beside - without
-    return 0.0
+        for name, fit in step.fits.items():
+            value = evidence_beside_slow(fit, step.hypotheses[name].seen(batch), simulator)
+            if value > evidence.get(name, -math.inf):
+                fits[name] = fit
+                evidence[name] = value
+    explained = {n: value - evidence[held] for n, value in evidence.items() if n != held}
+    return replace(steps[0], fits=steps[0].fits | fits), explained
+
+
+def evidence_beside_slow(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> float:
+    """Log evidence of a hypothesis beside slow noise of each shot's own, to first order about a
+    fit; -inf where that has no prediction.
+    """
+    near = fit.linearise(batch, simulator)
+    if not bool(torch.isfinite(near.centre[batch.mask]).all()):
+        return -math.inf
+    return BesideSlowNoise.about(near).log_evidence
 
 
 def fit_with_noise(
@@ -226,15 +252,16 @@ def fit_with_noise(
     """
     for number in range(_NOISE_ROUNDS):
         noise = infer_frame_noise(fit.linearise(held.seen(batch), simulator))
-        batch = (noise.for_fits(widen=True) if of_misfit else noise).applied(batch)
+        if of_misfit:  # wider only at last: a fit by wide noise leaves more
+            noise = noise.for_fits(widen=number + 1 == _NOISE_ROUNDS)
+        batch = noise.applied(batch)
         if progress:
             progress(f"noise {batch.noise}")
         own = {"seed": child(seed, number), "progress": progress}
         if held.parts:
             fit = finish(fit, held.seen(batch), simulator, **own)
         else:
-            near = None if of_misfit else fit
-            fit = fit_null(held.base, batch, simulator, near=near, **own)
+            fit = fit_null(held.base, batch, simulator, near=fit, **own)
     return fit, batch
 
 

@@ -25,6 +25,7 @@ from jaxtyping import Float
 from scipy.special import chdtrc
 from torch import Tensor
 
+from imr_torch.assimilate.slow_noise import BesideSlowNoise
 from imr_torch.float64 import arange, eye, randn, tensor, zeros
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.held_out import HeldOut, Judged, judge_designs
@@ -254,48 +255,55 @@ def _placebo(
         rows.norm(dim=1).mean() for rows in report.trained.left.directions.values() if len(rows)
     ]
     of_frame = float(torch.stack(sizes).median() / report.batch.mask.sum().sqrt())
-    trainings = {id(one.pair.training): one.pair.training for one in compared}
+    trainings = {id(one.pair.training): one.pair for one in compared}
     before = float(sum(one.base.sum() for one in compared))
     shares = []
     for number in range(count):
         source = generator(child(seed, number))
         weights = randn(offered, len(_KNOTS), generator=source)
         fitted = {
-            key: _select_random(line, weights, rounds, of_frame) for key, line in trainings.items()
+            key: _select_random(pair.training, weights, rounds, of_frame, pair.beside)
+            for key, pair in trainings.items()
         }
         after = 0.0
         for one in compared:
             gel, amplitudes = fitted[id(one.pair.training)]
             own = one.pair.base
-            rows = _random_rows(own.line, weights)[:, : len(own.residual)]
+            rows = own.line.whiten(_random_changes(own.line, weights))[:, : len(own.residual)]
             change = own.by_gel @ gel[: own.by_gel.shape[1]] + amplitudes @ rows
             after += float(one.excess(own.residual - change).sum())
         shares.append(max(-_WIDEST, min(_WIDEST, 1.0 - after / before)))
     return tuple(sorted(shares))
 
 
-def _random_rows(
+def _random_changes(
     line: Linearisation, weights: Float[Tensor, "effects knots"]
-) -> Float[Tensor, "effects rows"]:
-    """Whitened changes by random smooth functions of the phase: errors of time, and of the radius,
-    in turn.
+) -> Float[Tensor, "effects experiments frames"]:
+    """Changes of the curves by random smooth functions of the phase: errors of time, and of the
+    radius, in turn.
     """
     errors = smooth_errors(line, _KNOTS, _SMOOTH)
     kinds = errors[torch.arange(1, len(weights) + 1) % 2]
-    return line.whiten(torch.einsum("nk,nket->net", weights, kinds))
+    return torch.einsum("nk,nket->net", weights, kinds)
 
 
 def _select_random(
-    line: Linearisation, weights: Float[Tensor, "effects knots"], rounds: int, of_frame: float
+    line: Linearisation,
+    weights: Float[Tensor, "effects knots"],
+    rounds: int,
+    of_frame: float,
+    beside: BesideSlowNoise | None,
 ) -> tuple[Float[Tensor, "fitted"], Float[Tensor, "effects"]]:
-    """Random effects chosen one after the other by their evidence: what they shift everything
-    fitted beside them, and their amplitudes; 0 where none was chosen.
+    """Random effects chosen one after the other by their evidence, beside slow noise where parts
+    are: what they shift everything fitted beside them, and their amplitudes; 0 where none was
+    chosen.
 
     An amplitude has a normal prior, by which the effect changes the data by ``of_frame`` sd, times
     the root of the number of frames.
     """
     offered = len(weights)
-    rows = _random_rows(line, weights)
+    changes = _random_changes(line, weights)
+    rows = line.whiten(changes)
     size = of_frame * float(line.batch.mask.sum().sqrt())
     scale = size / rows.norm(dim=1, keepdim=True).clamp_min(1e-300)
     columns = torch.cat((rows * scale, -eye(offered)), 1)
@@ -305,17 +313,23 @@ def _select_random(
         residual=padded(line.residual, (0, offered)),
         fitted=padded(line.fitted, (0, 0, 0, offered)),
     )
+    smooth = beside and beside.whiten(changes * scale[..., None])
     chosen: list[int] = []
     for _ in range(rounds):
-        left = here.project_out(columns)
-        square = left.square().sum(1)
-        gain = 0.5 * (left @ here.residual).square() / square - 0.5 * square.log()
+        if beside is None or smooth is None:
+            left = here.project_out(columns)
+            square = left.square().sum(1)
+            gain = 0.5 * (left @ here.residual).square() / square - 0.5 * square.log()
+        else:
+            gain = beside.log_evidence_with(smooth) - beside.log_evidence
         gain[chosen] = -math.inf
         best = int(gain.argmax())
         if float(gain[best]) < EXPLAINS:
             break
         chosen.append(best)
         here = replace(here, fitted=torch.cat((here.fitted, columns[best][:, None]), 1))
+        if beside is not None and smooth is not None:
+            beside = beside.with_column(smooth[:, best])
     shift = here.to_shift @ here.residual
     before = line.fitted.shape[1]
     amplitudes = zeros(offered)

@@ -2,6 +2,7 @@
 that are alike.
 """
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -9,8 +10,9 @@ import torch
 from torch.distributions import MultivariateNormal
 
 from imr_torch.assimilate import Posterior, infer_frame_noise
+from imr_torch.assimilate.matern import MATERN
 from imr_torch.assimilate.posterior import Neighbourhood
-from imr_torch.assimilate.slow_noise import smooth_deviations
+from imr_torch.assimilate.slow_noise import BesideSlowNoise, smooth_deviations
 from imr_torch.observe import ExperimentBatch, Noise
 from imr_torch.random import generator
 from tests.assimilate.test_frame_noise import curves, near, smooth, with_slow_noise
@@ -64,6 +66,38 @@ def test_that_evidence_is_that_of_dense_algebra():
     ]
     found = smooth_deviations(zero, amounts=(0.004,), durations=(0.3,))
     assert found.own == pytest.approx(float(gained[0] - gained[1]), abs=1e-5)
+
+
+def dense_log_evidence(near: Neighbourhood, fitted: torch.Tensor, amount: float) -> torch.Tensor:
+    """Beside deviations of .3 in t*, with all that is fitted as columns of a covariance."""
+    batch = near.posterior.batch
+    columns = near.jacobian.flatten(1).mT
+    observed = (batch.mean - near.centre).flatten() + columns @ near.coordinates
+    columns = torch.cat((columns, fitted.flatten(1).mT), 1)
+    lags = [MATERN * (times[:, None] - times).abs() / 0.3 for times in batch.times]
+    smooth = [amount**2 * (1.0 + lag) * torch.exp(-lag) for lag in lags]
+    noise = batch.sd(near.centre).square().flatten().diag()
+    law = noise + torch.block_diag(*smooth) + columns @ columns.mT
+    return MultivariateNormal(torch.zeros_like(observed), law).log_prob(observed)
+
+
+def test_that_evidence_beside_slow_noise_is_that_of_dense_algebra():
+    """Of what was fitted, and of what was fitted with each of two columns more."""
+    near = known(curves(Noise(), spacing=0.08))
+    beside = BesideSlowNoise.about(near, amounts=(0.004, 0.02), durations=(0.3,))
+    times = near.posterior.batch.times
+    more = torch.stack((0.01 * torch.sin(times), 0.02 * times))
+    rows = beside.whiten(more)
+
+    def mean_of_amounts(fitted: torch.Tensor) -> float:
+        values = torch.stack([dense_log_evidence(near, fitted, a) for a in (0.004, 0.02)])
+        return float(values.logsumexp(0)) - math.log(2.0)
+
+    assert beside.log_evidence == pytest.approx(mean_of_amounts(more[:0]), abs=1e-8)
+    with_one = [mean_of_amounts(more[k : k + 1]) for k in range(2)]
+    assert beside.log_evidence_with(rows).tolist() == pytest.approx(with_one, abs=1e-8)
+    both = beside.with_column(rows[:, 0]).log_evidence_with(rows[:, 1:])
+    assert float(both) == pytest.approx(mean_of_amounts(more), abs=1e-8)
 
 
 def test_that_quiet_curves_have_no_smooth_deviation():

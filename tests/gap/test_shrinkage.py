@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from imr_torch import example_gel, load_traces
+from imr_torch.assimilate.slow_noise import BesideSlowNoise
 from imr_torch.gap import diagnose, library
 from imr_torch.gap.held_out import HeldOut, Judged, default_folds, held_out, judge_designs
 from imr_torch.gap.hypotheses import Hypothesis
@@ -17,6 +18,7 @@ from imr_torch.gap.shrinkage import (
     Shrinkage,
     _compared,
     _interval,
+    _random_changes,
     _select_random,
     shrinkage,
 )
@@ -24,6 +26,7 @@ from imr_torch.goodness.linear import linearise_fit
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, prepare
 from imr_torch.random import generator
 from imr_torch.simulate import TransportSimulator
+from tests.assimilate.test_frame_noise import smooth
 from tests.gap.synthetic import BASE, DESIGNS, SIMULATOR, fit, shoot
 
 RIVALS = ["wall", "sound_speed"]
@@ -136,9 +139,34 @@ def test_that_random_effects_that_are_not_chosen_change_nothing(right) -> None:
     line = linearise_fit(right.trained.null, right.trained.batch, SIMULATOR)
     assert float((line.basis.mT @ line.residual).norm()) > 0.01
     weights = torch.randn(4, len(_KNOTS), generator=generator(0), dtype=torch.float64)
-    shift, amplitudes = _select_random(line, weights, 2, 1e-9)
+    shift, amplitudes = _select_random(line, weights, 2, 1e-9, None)
     assert not amplitudes.any()
     assert not shift.any()
+
+
+@pytest.mark.parametrize("slow", [0.0, 0.02])
+def test_that_a_random_effect_is_chosen_by_the_rule_of_the_selection(right, slow: float) -> None:
+    """Beside slow noise one that the curves hold is chosen, and slow deviations that differ between
+    shots choose none.
+    """
+    source = generator(0)
+    weights = torch.randn(6, len(_KNOTS), generator=source, dtype=torch.float64)
+    null, batch = right.trained.null, right.trained.batch
+    line = linearise_fit(null, batch, SIMULATOR)
+    seen = line.sd * torch.randn(line.sd.shape, generator=source, dtype=torch.float64)
+    if slow:
+        seen = seen + torch.stack([smooth(slow, times, source) for times in batch.times])
+    else:
+        seen = seen + 0.03 * _random_changes(line, weights)[3]
+    beside = BesideSlowNoise.about(null.linearise(batch, SIMULATOR))
+    beside = replace(beside, residual=beside.whiten(seen[None])[:, 0])
+    line = replace(line, residual=line.whiten(seen))
+    _, amplitudes = _select_random(line, weights, 1, 5.0, beside)
+    assert amplitudes.nonzero().flatten().tolist() == ([] if slow else [3])
+    if not slow:
+        assert float(amplitudes[3]) == pytest.approx(0.03, rel=0.1)
+    by_single_frames = _select_random(line, weights, 1, 5.0, None)[1]
+    assert by_single_frames.any()
 
 
 def test_that_the_interval_covers_the_mean_over_curves() -> None:
