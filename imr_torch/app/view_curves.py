@@ -8,7 +8,7 @@ from nicegui import events, ui
 
 from imr_torch.app.problems import problems_notified, problems_shown
 from imr_torch.app.workspace import CurveView, Workspace
-from imr_torch.cli.options.names import COLLAPSES
+from imr_torch.cli.options import COLLAPSES
 from imr_torch.files import Document
 from imr_torch.reading.sidecar import OVERRIDES
 

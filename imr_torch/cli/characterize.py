@@ -16,7 +16,7 @@ from imr_torch.cli.common import (
     with_medium,
     write_result,
 )
-from imr_torch.cli.options.names import COLLAPSES
+from imr_torch.cli.options import COLLAPSES
 from imr_torch.cli.progress import characterize_stages
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.export import write_mat
