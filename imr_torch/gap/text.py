@@ -19,15 +19,6 @@ from imr_torch.material import LIBRARY, PARAMETERS
 Document = Mapping[str, Any]
 """A diagnosis as :func:`imr_torch.gap.to_json` makes it."""
 
-VERDICT = "Verdict"
-TESTED = "Is there a gap?"
-PLACE = "Where does it lie?"
-CAUSES = "Which effect causes it?"
-RECORD = "The record before any gel"
-SHRINKS = "How far does it shrink on unseen curves?"
-MISSING = "What is missing?"
-CURVES = "The curves"
-"""Headings of sections in which a figure or a table stands."""
 _ENTRIES = {
     GEL_SCATTER: "the gel differs between shots",
     NONE: "nothing is missing",
@@ -117,11 +108,11 @@ def describe(document: Document) -> str:
 def sections(document: Document) -> list[Section]:
     """The diagnosis as sections, in the order of the questions."""
     folded = {
-        RECORD: True,
-        PLACE: not document["examined"],
-        CAUSES: document["posterior"] is None,
-        MISSING: document.get("missing") is None,
-        SHRINKS: document["shrinkage"] is None,
+        "The record before any gel": True,
+        "Where does it lie?": not document["examined"],
+        "Which effect causes it?": document["posterior"] is None,
+        "What is missing?": document.get("missing") is None,
+        "How far does it shrink on unseen curves?": document["shrinkage"] is None,
         "What does it do to the parameters?": not (document["parameter_shift"] or document["gels"]),
         "What to measure next?": document["next_design"] is None,
         "Have the fits converged?": document["converged"],
