@@ -71,13 +71,14 @@ class NamedFigure:
         return figure
 
     def picture(self) -> dict[str, str]:
-        """Caption, alternative text and the figure as a data URI, for a page."""
+        """Caption, alternative text, section and the figure as a data URI, for a page."""
         figure = self.draw()
         stream = io.BytesIO()
         figure.savefig(stream, format="png", dpi=140, metadata={"Software": None})
         plt.close(figure)
         source = f"data:image/png;base64,{base64.b64encode(stream.getvalue()).decode()}"
-        return {"caption": self.caption, "alt": self.alt, "source": source}
+        words = {"caption": self.caption, "alt": self.alt, "section": self.section}
+        return words | {"source": source}
 
 
 def name_figure(

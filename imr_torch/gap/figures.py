@@ -40,17 +40,16 @@ _BARS = 12
 _ALL = 0.99  # probability of an unknown effect from which on others cannot be seen
 
 
-def gap_figures(document: Document, *, curves: int | None = None) -> Iterator[NamedFigure]:
+def gap_figures(document: Document) -> Iterator[NamedFigure]:
     """Every figure that a document allows, in the order of the page.
 
     Args:
         document: of a diagnosis (:func:`imr_torch.gap.to_json`).
-        curves: that are drawn, at most; all by default.
     """
     selected = " and ".join(map(in_words, document["selected"]))
     if document.get("record"):
         yield name_figure("record.record", record_figure, document["record"])
-    for curve in document["curves"][:curves]:
+    for curve in document["curves"]:
         beside = "" if curve["selected"] is None else f" and that with {selected}"
         label = file_name(curve["id"])
         yield name_figure(

@@ -67,22 +67,26 @@ def shown(parameter: str, value: float) -> str:
     return PARAMETERS[parameter].interval(value, value, value).split(" (")[0]
 
 
+def list_names() -> Mapping[str, Any]:
+    """What templates of a diagnosis may use beside the document: words for its numbers."""
+    return {
+        "parameters": PARAMETERS,
+        "entries": _ENTRIES,
+        "titles": lambda names: list(map(title, names)),
+        "shown": shown,
+        "in_words": in_words,
+        "hidden_row": hidden_row,
+        "sections": sections,
+        "p_value": p_value,
+        "spoilt_sentence": spoilt_sentence,
+        "adequate": ADEQUATE,
+        "explains": EXPLAINS,
+        "member": MEMBER,
+    }
+
+
 def _fill_template(name: str, document: Document) -> str:
-    return render(
-        name,
-        document=document,
-        parameters=PARAMETERS,
-        entries=_ENTRIES,
-        titles=lambda names: list(map(title, names)),
-        shown=shown,
-        in_words=in_words,
-        hidden_row=hidden_row,
-        p_value=p_value,
-        spoilt_sentence=spoilt_sentence,
-        adequate=ADEQUATE,
-        explains=EXPLAINS,
-        member=MEMBER,
-    ).strip("\n")
+    return render(name, document=document, **list_names()).strip("\n")
 
 
 def describe(document: Document) -> str:
@@ -102,7 +106,7 @@ def describe(document: Document) -> str:
     >>> describe(to_json(report)).splitlines()[1].strip()
     'No gap was found: the base model describes these data within their noise.'
     """
-    return _fill_template("diagnosis.txt", document)
+    return _fill_template("diagnose.txt", document)
 
 
 def sections(document: Document) -> list[Section]:
