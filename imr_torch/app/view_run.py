@@ -47,8 +47,8 @@ class RunView:
     def draw_tab(self) -> None:
         """The form of the chosen command, and its state."""
         titles = {kind: form.title for kind, form in FORMS.items()}
-        ui.toggle(
-            titles, value=self.kind, on_change=lambda event: self._choose_command(event.value)
+        ui.toggle(titles, value=self.kind).bind_value(self, "kind").on_value_change(
+            self.draw_tab.refresh
         ).props("no-caps").style("flex-wrap: wrap")
         form = FORMS[self.kind]
         if form.presets:
@@ -194,10 +194,6 @@ class RunView:
     def _take_back(self, result: Result) -> None:
         self.runs.take_back(result)
         self._follow_runs()
-
-    def _choose_command(self, kind: str) -> None:
-        self.kind = kind
-        self.draw_tab.refresh()
 
     def _fill_preset(self, preset: dict[str, Any]) -> None:
         self.values[self.kind] |= list_defaults(self.kind) | preset

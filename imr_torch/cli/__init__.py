@@ -15,6 +15,7 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,12 @@ def build_parser() -> argparse.ArgumentParser:
         "experiment.",
         epilog="Start with:  imr-torch demo",
     )
-    top.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    top.add_argument(
+        "--version",
+        action="version",
+        version=f"%(prog)s {version('imr-torch')}",
+        help="print the version and exit",
+    )
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, command in COMMANDS.items():
         sub = commands.add_parser(
@@ -119,16 +125,6 @@ def _run_named(args: argparse.Namespace) -> None:
     )
     importlib.import_module("imr_torch.cli.common").read_options(args)
     module.run_command(args)
-
-
-class _Version(argparse.Action):
-    """Prints the version and ends; it is looked up only then."""
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        import imr_torch
-
-        print(f"imr-torch {imr_torch.__version__}")
-        parser.exit()
 
 
 def _report_end(message: str, status: int) -> int:
