@@ -55,11 +55,9 @@ def draw_figures(document: Document) -> list[NamedFigure]:
     >>> [figure.name for figure in draw_figures(header("simulate") | curve)]
     ['radius']
     """
-    name = document.get("schema", {}).get("name", "without a schema")
-    kinds = [figures for keys, figures in _KINDS if keys <= document.keys()]
-    if name == "imr_torch characterize":
-        kinds = [_characterization_figures]
-    if not kinds:
+    kind = kind_of(document)
+    if kind not in _FIGURES:
+        name = document.get("schema", {}).get("name", "without a schema")
         raise InputDataError(
             f"The document ({name}) holds no curves or map to draw; figures are drawn from results "
             "of characterize, diagnose, design, campaign, batch, compare and simulate."
@@ -67,11 +65,24 @@ def draw_figures(document: Document) -> list[NamedFigure]:
     try:
         note = "The model does not explain the curves: do not quote its numbers."
         note *= is_explained(document) is False
-        return [replace(figure, note=note) for figure in kinds[0](document)]
+        return [replace(figure, note=note) for figure in _FIGURES[kind](document)]
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
         raise InputDataError(
             f"the result is not whole ({in_one_line(error)}); make it anew."
         ) from None
+
+
+def kind_of(document: Document) -> str:
+    """The command whose result a document is; empty where it does not say.
+
+    >>> from imr_torch.results import header
+    >>> from imr_torch.results.figures import kind_of
+    >>> kind_of(header("design"))
+    'design'
+    """
+    if "verdict" in document and "examined" in document:  # a diagnosis, with or without a header
+        return "diagnose"
+    return str(document.get("schema", {}).get("name", "")).removeprefix("imr_torch ")
 
 
 def _characterization_figures(document: Document) -> Iterator[NamedFigure]:
@@ -152,17 +163,18 @@ def _shots_figures(document: Document) -> Iterator[NamedFigure]:
 
 
 def _compared_figures(document: Document) -> Iterator[NamedFigure]:
-    yield name_figure("compare.ratios", plot_ratios, document, a=document["a"], b=document["b"])
+    if "gels" not in document:  # which share a parameter: there is no ratio to draw
+        a, b = document["a"], document["b"]
+        yield name_figure("compare.ratios", plot_ratios, document, a=a, b=b)
 
 
-_KINDS: tuple[tuple[set[str], Callable[[Document], Iterable[NamedFigure]]], ...] = (
-    ({"history", "searches"}, _campaign_figures),
-    ({"curves", "belief"}, _characterization_figures),
-    ({"curves", "verdict"}, gap_figures),
-    ({"evaluations", "map"}, _design_figures),
-    ({"R_star", "t_star"}, lambda found: [name_figure("simulate.radius", radius_chart, found)]),
-    ({"shots"}, _shots_figures),
-    ({"log_bayes_factor", "parameters"}, _compared_figures),
-    ({"gels", "interval"}, lambda _: ()),
-)
-"""Keys of a document -> its figures; the first whose keys it has."""
+_FIGURES: dict[str, Callable[[Document], Iterable[NamedFigure]]] = {
+    "campaign": _campaign_figures,
+    "characterize": _characterization_figures,
+    "diagnose": gap_figures,
+    "design": _design_figures,
+    "simulate": lambda found: [name_figure("simulate.radius", radius_chart, found)],
+    "batch": _shots_figures,
+    "compare": _compared_figures,
+}
+"""Kind of a result -> its figures."""

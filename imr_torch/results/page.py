@@ -17,7 +17,7 @@ from imr_torch.labels import model_probability
 from imr_torch.material import material
 from imr_torch.observe import Noise, noise_sentences
 from imr_torch.population import BayesFactor
-from imr_torch.results.figures import draw_figures
+from imr_torch.results.figures import draw_figures, kind_of
 from imr_torch.results.intervals import is_usable, parameters_of
 from imr_torch.select import Bound
 
@@ -45,7 +45,7 @@ def document_report(document: Document) -> str:
     Shoot We = 400, R_inf* = 0.200 (Rmax = 570 um, R_inf = 114 um)
     expected information gain 3.200 +- 0.100 nats
     """
-    return _fill_template(f"{_kind_of(document)}.txt", **_list_names(document)).strip("\n")
+    return _fill_template(f"{_check_kind(document)}.txt", **_list_names(document)).strip("\n")
 
 
 def document_page(document: Document, *, title: str = "", report: str = "") -> str:
@@ -66,7 +66,7 @@ def document_page(document: Document, *, title: str = "", report: str = "") -> s
     >>> "Shoot We 400, R_inf* 0.200: Rmax 570 um, R_inf 114 um" in document_page(document)
     True
     """
-    kind = _kind_of(document)
+    kind = _check_kind(document)
     names = _list_names(document)
     figures = draw_figures(document) if document.get("map", True) else []
     of_curves = [figure for figure in figures if figure.section == "The curves"]
@@ -112,10 +112,9 @@ def _fill_template(template: str, **names: Any) -> str:
         ) from None
 
 
-def _kind_of(document: Document) -> str:
-    if "verdict" in document and "examined" in document:
-        return "diagnose"
-    kind = str(document.get("schema", {}).get("name", "")).removeprefix("imr_torch ")
+def _check_kind(document: Document) -> str:
+    """The kind of a result that has a report and a page."""
+    kind = kind_of(document)
     if kind not in TITLES:
         raise InputDataError(
             f"--html: the result is of {kind!r}; a page is made of {', '.join(TITLES)} only. Leave "
