@@ -215,7 +215,7 @@ def plot_missing_pressure(shots: Sequence[Mapping[str, Any]], *, most: int = 3) 
     ax.axhline(0.0, color=DATA, lw=0.8)
     ax.set_yscale("symlog", linthresh=10.0)
     ax.set(xlabel="time (us)", ylabel="missing pressure (kPa)")
-    ax.legend(frameon=False, fontsize=8)
+    add_legend(ax)
     return ax
 
 
@@ -235,7 +235,7 @@ def plot_missing_states(shots: Sequence[Mapping[str, Any]]) -> Axes:
     ax.figure.colorbar(points, ax=ax, label="missing pressure (kPa)")
     ax.set_yscale("symlog", linthresh=1e4)
     ax.set(xlabel="stretch $R/R_\\infty$", ylabel="strain rate $U/R$ (1/s)")
-    ax.legend(frameon=False, fontsize=8)
+    add_legend(ax)
     return ax
 
 
