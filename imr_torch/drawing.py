@@ -17,6 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
+from imr_torch.files import read_table
 from imr_torch.labels import R_STAR, T_STAR, plain
 
 DATA = "#222222"
@@ -70,13 +71,35 @@ class NamedFigure:
         return figure
 
     def picture(self) -> dict[str, str]:
-        """Caption, alternative text and the figure as a data URI, for a page."""
+        """Caption, alternative text, section and the figure as a data URI, for a page."""
         figure = self.draw()
         stream = io.BytesIO()
         figure.savefig(stream, format="png", dpi=140, metadata={"Software": None})
         plt.close(figure)
         source = f"data:image/png;base64,{base64.b64encode(stream.getvalue()).decode()}"
-        return {"caption": self.caption, "alt": self.alt, "source": source}
+        words = {"caption": self.caption, "alt": self.alt, "section": self.section}
+        return words | {"source": source}
+
+
+def name_figure(
+    figure: str, plot: Callable[..., Figure | Axes], *given: Any, **words: Any
+) -> NamedFigure:
+    """A figure to be drawn, with name, caption and alternative text of ``data/captions.toml``.
+
+    Args:
+        figure: kind of result and key of the figure in the table, with a dot between.
+        plot: draws it, or its axes.
+        given: what it is drawn from, arguments of ``plot``.
+        words: what is filled in for names in braces.
+
+    >>> from imr_torch.drawing import name_figure, new_axes
+    >>> name_figure("characterize.parameter", new_axes, name="G").caption
+    'Density of G before and after the data.'
+    """
+    kind, key = figure.split(".")
+    texts = {"name": key} | read_table("captions")[kind][key]
+    filled = {part: text.format(**words) for part, text in texts.items()}
+    return NamedFigure(**filled, plot=partial(plot, *given))
 
 
 def new_axes(size: tuple[float, float] = (5.2, 3.4)) -> Axes:

@@ -11,7 +11,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
-from imr_torch.labels import plain, shown_unit
+from imr_torch.labels import plain
 
 
 @cache
@@ -23,7 +23,7 @@ def _make_environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"unit": shown_unit, "plain": plain}
+    environment.filters["plain"] = plain
     return environment
 
 
@@ -38,7 +38,7 @@ def render(template: str, **values: Any) -> str:
         jinja2.UndefinedError: if the template uses a name that is not among them.
 
     >>> from imr_torch.html import render
-    >>> text = render("base.html", title="Gel <7>", verdict=["Fit."], warning=False, next_step="", footer="")
+    >>> text = render("base.html", title="Gel <7>", verdict=["Fit."], warning=False, next_step="", document={})
     >>> text.count("Gel &lt;7&gt;")
     2
     """

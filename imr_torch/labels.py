@@ -1,5 +1,4 @@
-"""Text that comes from data: labels as plain text in figures, as parts of file names, and symbols
-of parameters.
+"""Text that comes from data: labels as plain text in figures and as parts of file names.
 
 An experiment may be called anything, ``$x_{bad$`` or 300 letters long. Matplotlib reads ``$`` as
 mathematics and file systems read ``/`` as a folder, so a label passes through one of these
@@ -7,15 +6,9 @@ functions before it is drawn or names a file.
 """
 
 import hashlib
-from typing import Any
-
-from imr_torch.files import read_table
 
 _OPEN = 0.1  # error of a probability from which on it may be undecided
 _LONGEST = 48  # characters of a label in a figure or a file name
-_SYMBOLS = {
-    name: row["symbol"] for name, row in read_table("parameters").items() if "symbol" in row
-}
 T_STAR = r"$t^* = t\,U_\mathrm{c}/R_\mathrm{max}$"
 R_STAR = r"$R^* = R/R_\mathrm{max}$"
 WEBER = r"$\mathrm{We}$"
@@ -64,47 +57,6 @@ def file_name(label: str) -> str:
     if safe == label and len(label) <= _LONGEST:
         return label
     return f"{safe[:_LONGEST]}-{hashlib.sha256(label.encode()).hexdigest()[:6]}"
-
-
-def symbol(name: str) -> str:
-    r"""A parameter as it is printed in the literature, for a figure; its name where there is no
-    symbol.
-
-    >>> from imr_torch.labels import symbol
-    >>> symbol("mu"), symbol("gas_loss")
-    ('$\\mu$', 'gas_loss')
-    """
-    return _SYMBOLS.get(name, name)
-
-
-def shown_unit(parameter: Any) -> str:
-    """The unit in which a parameter is shown; empty for a number without one.
-
-    Args:
-        parameter: with ``display_unit`` and ``unit``, as :class:`imr_torch.material.Parameter`.
-
-    >>> from imr_torch.labels import shown_unit
-    >>> from imr_torch.material import PARAMETERS
-    >>> shown_unit(PARAMETERS["G"]), shown_unit(PARAMETERS["alpha"])
-    ('kPa', '')
-    """
-    unit = str(parameter.display_unit or parameter.unit)
-    return {"1": "", "us": "µs", "um": "µm"}.get(unit, unit)
-
-
-def parameter_label(parameter: Any) -> str:
-    r"""Symbol and unit of a parameter, for an axis.
-
-    Args:
-        parameter: as for :func:`shown_unit`.
-
-    >>> from imr_torch.labels import parameter_label
-    >>> from imr_torch.material import PARAMETERS
-    >>> parameter_label(PARAMETERS["G"]), parameter_label(PARAMETERS["alpha"])
-    ('$G$ (kPa)', '$\\alpha$')
-    """
-    unit = shown_unit(parameter)
-    return f"{symbol(parameter.name)} ({unit})" if unit else symbol(parameter.name)
 
 
 def p_value(value: float) -> str:

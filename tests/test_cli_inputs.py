@@ -21,6 +21,7 @@ from tests.clouds import cloud
 
 EXAMPLE = example_gel()
 QUICK = ["--physics", "polytropic", "--quiet"]
+LAYOUT = "radius=R,radius_unit=um,time=t,time_unit=us"
 FIT = ["characterize", str(EXAMPLE), "--models", "nhkv", "--noise", "published", *QUICK]
 
 
@@ -77,7 +78,7 @@ FIT = ["characterize", str(EXAMPLE), "--models", "nhkv", "--noise", "published",
             ["diagnose", "{set}", "--rest-radius", "0.2:0.1"],
             "--rest-radius is about files of curves",
         ),
-        (["diagnose", "{set}", "--layout", "radius=R"], "--layout is about files of curves"),
+        (["diagnose", "{set}", "--layout", LAYOUT], "--layout is about files of curves"),
         (["diagnose", "{set}", "--effects", ","], "--effects is ','; name at least one"),
         ([*FIT, "--json", "{folder}"], "--json is .* which is a folder; give another name"),
         ([*FIT, "--out", "{set}"], "--out is .* which is a file; give another name"),

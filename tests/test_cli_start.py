@@ -16,10 +16,11 @@ from imr_torch.campaign import Journal, Optimal
 from imr_torch.characterization import EFFORTS
 from imr_torch.cli import build_parser, demo, main
 from imr_torch.cli.common import METHODS, SIMULATORS
-from imr_torch.cli.options import COMMANDS, names
+from imr_torch.cli.options import COMMANDS, MEDIA, MODELS, PARTS, read_settings
 from imr_torch.design import Target
 from imr_torch.gap import diagnose
-from imr_torch.material import CASES, MATERIALS, PARTS
+from imr_torch.material import CASES, MATERIALS
+from imr_torch.material import PARTS as KNOWN_PARTS
 from imr_torch.material.media import NAMED
 from imr_torch.population import SCALE
 from imr_torch.simulate import ENGINES, LIQUIDS, RADIAL_EQUATIONS
@@ -63,25 +64,33 @@ def test_that_the_version_is_that_of_the_package(capsys):
 @pytest.mark.parametrize(
     ("written", "meant"),
     [
-        (names.MODELS, BUILT_IN),
-        (names.PARTS.replace(";", ",").split(", "), PARTS),
-        (names.CASES, CASES),
-        (names.MEDIA, NAMED),
-        (names.PHYSICS, SIMULATORS),
-        (names.ENGINES, ENGINES),
-        (names.RADIAL, RADIAL_EQUATIONS),
-        (names.LIQUIDS, LIQUIDS),
-        (names.METHODS, METHODS),
-        (names.EFFORTS, EFFORTS),
-        (names.TARGETS, get_args(Target)),
+        (MODELS, BUILT_IN),
+        (PARTS.replace(";", ",").split(", "), KNOWN_PARTS),
+        (MEDIA, NAMED),
+        (read_settings("design", "--case")["choices"], CASES),
+        (read_settings("design", "--physics")["choices"], SIMULATORS),
+        (read_settings("design", "--engine")["choices"], ENGINES),
+        (read_settings("design", "--radial")["choices"], RADIAL_EQUATIONS),
+        (read_settings("design", "--liquid")["choices"], LIQUIDS),
+        (read_settings("design", "--target")["choices"], get_args(Target)),
+        (read_settings("characterize", "--method")["choices"], METHODS),
+        (read_settings("batch", "--method")["choices"], METHODS),
+        (read_settings("characterize", "--effort")["choices"], EFFORTS),
         (
-            (names.SCATTER_SCALE, names.EVALUATIONS, names.EFFECTS_ADDED),
-            (SCALE, Optimal.evaluations, signature(diagnose).parameters["most"].default),
+            [
+                read_settings("design", "--evaluations")["default"],
+                read_settings("diagnose", "--most")["default"],
+            ],
+            (Optimal.evaluations, signature(diagnose).parameters["most"].default),
         ),
     ],
 )
 def test_that_names_written_out_for_help_are_those_of_the_registries(written, meant):
     assert tuple(written) == tuple(meant)
+
+
+def test_that_a_default_that_is_only_said_is_the_one_that_holds():
+    assert f"(default {SCALE:g})" in read_settings("characterize", "--scatter-scale")["help"]
 
 
 def test_that_every_subcommand_has_options_and_a_run():

@@ -14,10 +14,11 @@ from pathlib import Path
 import torch
 
 from imr_torch import example_gel
-from imr_torch.gap import LIBRARY, describe, diagnose, examine, library, to_json, write_page
+from imr_torch.gap import LIBRARY, describe, diagnose, examine, library, to_json
 from imr_torch.gap.figures import plot_tests
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import SimulatedLaboratory, load_traces, prepare
+from imr_torch.results import write_page
 from imr_torch.simulate import PolytropicSimulator, TransportSimulator
 
 SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
@@ -58,7 +59,7 @@ print(describe(document))
 # The page holds the same words with their figures; every figure can be drawn alone.
 
 # %%
-print("wrote", write_page(document, OUT / "withheld.html", name="A withheld effect"))
+write_page(document, OUT / "withheld.html", title="A withheld effect")
 plot_tests(document["tests"]).figure.savefig(OUT / "tests.png")
 
 # %% [markdown]
@@ -94,7 +95,7 @@ print(f"noise {report.batch.noise}")
 parts = examine(report, physics)
 document = to_json(report, parts, simulator=physics)
 print(describe(document))
-write_page(document, OUT / "example_gel.html", name="Example gel")
+write_page(document, OUT / "example_gel.html", title="Example gel")
 print(
     {
         key: value

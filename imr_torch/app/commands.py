@@ -8,9 +8,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from imr_torch.cli import build_parser
-from imr_torch.cli.options import COMMANDS
-from imr_torch.cli.options.names import COLLAPSES, DEFAULT_MODELS
-from imr_torch.files import Document
+from imr_torch.cli.options import COLLAPSES, COMMANDS, DEFAULT_MODELS, read_settings
+from imr_torch.files import Document, read_table
 
 OF_THE_FOLDER = {"files", "layout", "medium", "out", "html", "mat", "resume", "workers", "cluster"}
 """Options that the folder of the application answers, or that concern other machines."""
@@ -30,45 +29,21 @@ class Form:
     """
 
     title: str
-    rows: tuple[tuple[str, ...], ...]
-    reads_files: bool = True
+    rows: Sequence[Sequence[str]]
+    reads_files: bool = False
     presets: Mapping[str, Document] = field(default_factory=dict)
 
 
-FORMS = {
-    "characterize": Form(
-        "Characterise",
-        (("experiments",), ("models", "physics", "collapses"), ("population", "over_time")),
-        presets={
-            "usual": {},
-            "quick look": {"models": ["nhkv"], "physics": "polytropic"},
-            "thorough": {"effort": "thorough", "population": True, "over_time": True},
-        },
-    ),
-    "diagnose": Form(
-        "Diagnose",
-        (("experiments",), ("base", "physics", "collapses", "most")),
-        presets={"usual": {}, "quick look": {"physics": "polytropic", "most": 1}},
-    ),
-    "batch": Form("Every file", (("models", "physics", "collapses"), ("each",))),
-    "compare": Form("Compare two", (("a", "b"), ("model",)), reads_files=False),
-    "design": Form(
-        "Next design",
-        (("belief", "models", "target", "physics"), ("we_range", "rinf_range", "q", "evaluations")),
-        reads_files=False,
-    ),
-    "campaign": Form(
-        "Campaign",
-        (("continued", "tell"), ("models", "goal", "physics"), ("we_range", "rinf_range", "stop")),
-        reads_files=False,
-    ),
-}
+_table = read_table("forms")
+FORMS = {command: Form(**form) for command, form in _table["forms"].items()}
 """Command -> its form."""
+LABELS: dict[str, str] = _table["labels"]
+"""Option -> what its field is called."""
 
 OPTIONS: dict[str, dict[str, Document]] = {
     command: {
-        name.removeprefix("--").replace("-", "_"): {"flag": name} | settings
-        for _, name, settings in COMMANDS[command][1]()
+        name.removeprefix("--").replace("-", "_"): {"flag": name} | read_settings(command, name)
+        for name in COMMANDS[command]["options"]
     }
     for command in FORMS
 }

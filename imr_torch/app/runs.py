@@ -138,23 +138,20 @@ class Run:
         """Whether it has not ended, or its files are not complete."""
         return not self._ended.is_set()
 
-    def stop(self) -> None:
-        """Stop it; what was written stays."""
+    def stop(self, *, patience: float = 10.0) -> None:
+        """Stop it; what was written stays. It is killed if it has not ended by itself after
+        ``patience`` seconds.
+        """
         if self._process.poll() is None:
             self._stopping = True
             self._process.send_signal(getattr(signal, "CTRL_BREAK_EVENT", signal.SIGINT))
-            threading.Thread(target=self._kill_late, daemon=True).start()
+            late = threading.Timer(patience, self._process.kill)
+            late.daemon = True
+            late.start()
 
     def wait(self, seconds: float | None = None) -> None:
         """Wait until it has ended."""
         self._ended.wait(seconds)
-
-    def _kill_late(self, patience: float = 10.0) -> None:
-        """Kill it if it has not ended by itself after some seconds."""
-        try:
-            self._process.wait(patience)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
 
     def _read_messages(self) -> None:
         """Read standard error to its end, where a JSON object is an event of progress and any other

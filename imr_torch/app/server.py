@@ -10,7 +10,6 @@ import socket
 import threading
 import time
 import webbrowser
-from collections.abc import Callable
 from contextlib import closing, suppress
 from pathlib import Path
 
@@ -40,16 +39,13 @@ iframe.page { width: 100%; height: 78vh; border: 1px solid #ccc; background: #ff
 """
 
 
-def serve(
-    folder: Path, *, port: int = 0, browser: bool = True, say: Callable[[str], None] = print
-) -> None:
+def serve(folder: Path, *, port: int = 0, browser: bool = True) -> None:
     """Serve the application until it is interrupted.
 
     Args:
         folder: of files and results; made if it does not exist.
         port: on which to listen; 0: a free one.
         browser: whether to open it in the browser.
-        say: told the address.
 
     Raises:
         InputDataError: if another application uses the folder, or the port is taken.
@@ -72,7 +68,7 @@ def serve(
         app.on_shutdown(lambda: _stop_running(runs))
         address = f"http://{HOST}:{number}/?token={token}"
         waiting = threading.Thread(
-            target=_announce_address, args=(address, number, folder, say, browser), daemon=True
+            target=_announce_address, args=(address, number, folder, browser), daemon=True
         )
         app.on_startup(waiting.start)
         ui.run(
@@ -104,15 +100,13 @@ def _free_port(port: int) -> int:
         return probe.getsockname()[1]
 
 
-def _announce_address(
-    address: str, port: int, folder: Path, say: Callable[[str], None], browser: bool
-) -> None:
+def _announce_address(address: str, port: int, folder: Path, browser: bool) -> None:
     """Say the address as soon as the server answers, and open it."""
     while True:
         with suppress(OSError), closing(socket.create_connection((HOST, port), timeout=1.0)):
             break
         time.sleep(0.05)
-    say(f"Open {address}\nFiles and results are kept in {folder}. End with Ctrl-C.")
+    print(f"Open {address}\nFiles and results are kept in {folder}. End with Ctrl-C.", flush=True)
     if browser:
         webbrowser.open(address)
 

@@ -8,7 +8,7 @@ from nicegui import events, ui
 
 from imr_torch.app.problems import problems_notified, problems_shown
 from imr_torch.app.workspace import CurveView, Workspace
-from imr_torch.cli.options.names import COLLAPSES
+from imr_torch.cli.options import COLLAPSES
 from imr_torch.files import Document
 from imr_torch.reading.sidecar import OVERRIDES
 
@@ -62,9 +62,9 @@ class CurvesView:
         """One of the curves."""
         self.name = self.name if self.name in names else names[0]
         with ui.row().classes("items-center"):
-            ui.select(names, value=self.name, label="Curve", on_change=self._choose_curve).style(
-                "min-width: 12rem"
-            )
+            ui.select(names, value=self.name, label="Curve").bind_value(
+                self, "name"
+            ).on_value_change(self.draw_tab.refresh).style("min-width: 12rem")
             ui.button(icon="chevron_left", on_click=lambda: self._step_curves(names, -1)).props(
                 'flat round aria-label="Previous curve"'
             )
@@ -101,10 +101,6 @@ class CurvesView:
             ui.button("As found", on_click=lambda: self._state_values(view, {})).props(
                 "outline no-caps"
             ).set_enabled(bool(stated))
-
-    def _choose_curve(self, event: events.ValueChangeEventArguments) -> None:
-        self.name = event.value
-        self.draw_tab.refresh()
 
     def _step_curves(self, names: list[str], by: int) -> None:
         self.name = names[(names.index(self.name) + by) % len(names)]

@@ -8,7 +8,7 @@ from nicegui import ui
 
 from imr_torch.app.problems import problems_notified, problems_shown
 from imr_torch.app.workspace import Workspace
-from imr_torch.cli.options.names import MEDIA
+from imr_torch.cli.options import MEDIA
 from imr_torch.observe import Statement
 from imr_torch.observe.medium import PROPERTIES
 

@@ -9,6 +9,7 @@ from nicegui import ui
 
 from imr_torch.app.commands import (
     FORMS,
+    LABELS,
     LISTS,
     OPTIONS,
     command_arguments,
@@ -19,23 +20,8 @@ from imr_torch.app.commands import (
 from imr_torch.app.problems import problems_notified, problems_shown
 from imr_torch.app.runs import Result, Runs, command_line
 from imr_torch.app.workspace import Workspace
-from imr_torch.cli.options.names import MODELS
+from imr_torch.cli.options import MODELS
 from imr_torch.material import LIBRARY
-
-_LABELS = {
-    "experiments": "Curves (none chosen: all)",
-    "models": "Candidate models",
-    "physics": "Bubble physics",
-    "collapses": "Collapses in the window",
-    "most": "Effects added at most",
-    "belief": "What is known before",
-    "we_range": "Weber numbers, LOW:HIGH",
-    "rinf_range": "R_inf/Rmax, LOW:HIGH",
-    "q": "Designs to prepare together",
-    "evaluations": "Designs evaluated",
-    "continued": "Campaign",
-    "tell": "Files of the shot you made",
-}
 
 
 class RunView:
@@ -61,8 +47,8 @@ class RunView:
     def draw_tab(self) -> None:
         """The form of the chosen command, and its state."""
         titles = {kind: form.title for kind, form in FORMS.items()}
-        ui.toggle(
-            titles, value=self.kind, on_change=lambda event: self._choose_command(event.value)
+        ui.toggle(titles, value=self.kind).bind_value(self, "kind").on_value_change(
+            self.draw_tab.refresh
         ).props("no-caps").style("flex-wrap: wrap")
         form = FORMS[self.kind]
         if form.presets:
@@ -106,7 +92,7 @@ class RunView:
         if key == "models" and values.get("belief"):
             return  # with an earlier result, there are no models to choose
         default = list_defaults(self.kind)[key]
-        label = _LABELS.get(key, key.replace("_", " "))
+        label = LABELS.get(key, key.replace("_", " "))
         choices = self._list_choices(key)
         if isinstance(default, bool):
             field: Any = ui.checkbox(label)
@@ -161,7 +147,7 @@ class RunView:
             return {name: name for name in LIBRARY}
         if "choices" not in settings:
             return None
-        usual = {"": "as usual"} if settings["default"] is None else {}
+        usual = {"": "as usual"} if settings.get("default") is None else {}
         return usual | {name: name for name in settings["choices"]}
 
     @ui.refreshable_method
@@ -208,10 +194,6 @@ class RunView:
     def _take_back(self, result: Result) -> None:
         self.runs.take_back(result)
         self._follow_runs()
-
-    def _choose_command(self, kind: str) -> None:
-        self.kind = kind
-        self.draw_tab.refresh()
 
     def _fill_preset(self, preset: dict[str, Any]) -> None:
         self.values[self.kind] |= list_defaults(self.kind) | preset

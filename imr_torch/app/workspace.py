@@ -172,15 +172,15 @@ class Workspace:
             Layout.from_text(text)
         self._write_settings(layout=text.strip())
 
-    def set_medium(self, text: str) -> GelMedium:
+    def set_medium(self, text: str) -> None:
         """State the medium of all curves; empty: as the files say.
 
         Raises:
             InputDataError: if the text cannot be used.
         """
-        medium = gel_medium(Statement.from_text(text)) if text.strip() else gel_medium()
+        if text.strip():
+            gel_medium(Statement.from_text(text))
         self._write_settings(medium=text.strip())
-        return medium
 
     def _write_settings(self, **changed: str) -> None:
         write_json(self.folder / "settings.json", self.settings | changed)

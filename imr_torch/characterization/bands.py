@@ -82,9 +82,9 @@ def predictive_band(
     seed: int = 0,
     times: Tensor,
     noise_levels: int = 21,
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Posterior predictive quantiles (5, 50, 95 %) of single frames, over gel and noise: three ``E
-    x T`` tensors, R/Rmax.
+) -> Tensor:
+    """Posterior predictive quantiles (5, 50, 95 %) of single frames, over gel and noise: a ``3 x E
+    x T`` tensor, R/Rmax.
 
     Args:
         result: the fits, for the data and the nuisances.
@@ -131,17 +131,16 @@ def predictive_band(
         torch.nanquantile((own + of_own * noise[:, None, None]).flatten(0, 1), levels, dim=0)
         for own, of_own in zip(prediction.unbind(1), sd.unbind(1), strict=True)
     ]
-    low, middle, high = torch.stack(rows, 1)
-    return low, middle, high
+    return torch.stack(rows, 1)
 
 
-def band_document(model: str, times: Tensor, band: Sequence[Tensor], e: int) -> Document:
+def band_document(model: str, times: Tensor, band: Tensor, e: int) -> Document:
     """The predictive band of one experiment, JSON-ready.
 
     Args:
         model: whose prediction.
         times: ``E x T`` tensor, dimensionless.
-        band: three ``E x T`` tensors, from :func:`predictive_band`.
+        band: ``3 x E x T`` tensor, from :func:`predictive_band`.
         e: which experiment.
     """
     rows = zip(("t_star", "low", "median", "high"), (times, *band), strict=True)

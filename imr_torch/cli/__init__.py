@@ -15,13 +15,11 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
-from inspect import cleandoc
-from itertools import chain
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from imr_torch.cli.options import COMMANDS
-from imr_torch.cli.options.shared import COMMON, ONE_OF, WITHOUT
+from imr_torch.cli.options import COMMANDS, read_settings
 from imr_torch.cli.progress import Terminal
 from imr_torch.errors import ConvergenceError, ConvergenceWarning, ImrError, InputDataError
 from imr_torch.files import check_target
@@ -37,22 +35,28 @@ def build_parser() -> argparse.ArgumentParser:
         "experiment.",
         epilog="Start with:  imr-torch demo",
     )
-    top.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    top.add_argument(
+        "--version",
+        action="version",
+        version=f"%(prog)s {version('imr-torch')}",
+        help="print the version and exit",
+    )
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for name, (summary, list_options) in COMMANDS.items():
+    for name, command in COMMANDS.items():
         sub = commands.add_parser(
             name,
-            help=summary,
-            description=cleandoc(list_options.__doc__ or ""),
+            help=command["summary"],
+            description=command["description"],
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
-        common = [options for kind, options in COMMON.items() if kind not in WITHOUT.get(name, ())]
         places: dict[str, Any] = {"": sub}
-        for group, option, settings in chain(list_options(), *common):
+        for option in command["options"] + command["common"]:
+            settings = read_settings(name, option)
+            group = settings.pop("group", "")
             if group not in places:
                 places[group] = (
                     sub.add_mutually_exclusive_group()
-                    if group == ONE_OF
+                    if group == "one of"
                     else sub.add_argument_group(group)
                 )
             places[group].add_argument(option, **settings)
@@ -121,16 +125,6 @@ def _run_named(args: argparse.Namespace) -> None:
     )
     importlib.import_module("imr_torch.cli.common").read_options(args)
     module.run_command(args)
-
-
-class _Version(argparse.Action):
-    """Prints the version and ends; it is looked up only then."""
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        import imr_torch
-
-        print(f"imr-torch {imr_torch.__version__}")
-        parser.exit()
 
 
 def _report_end(message: str, status: int) -> int:

@@ -1,7 +1,6 @@
 """Runs ``imr-torch app``."""
 
 from argparse import Namespace
-from functools import partial
 from pathlib import Path
 
 from imr_torch.errors import InputDataError
@@ -20,6 +19,4 @@ def run_command(args: Namespace) -> None:
             f'{error.name} is missing; install the extra: pip install "imr-torch[app]"'
         ) from None
     args.terminal.wipe_line()
-    serve(
-        Path(args.out), port=args.port, browser=not args.no_browser, say=partial(print, flush=True)
-    )
+    serve(Path(args.out), port=args.port, browser=not args.no_browser)

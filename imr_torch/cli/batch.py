@@ -10,11 +10,9 @@ from pathlib import Path
 from imr_torch.characterization.batch import FAILED, NOT_CONVERGED, BatchOptions, Pool, run_batch
 from imr_torch.cli.common import (
     METHODS,
-    SIMULATORS,
-    layout_of,
     prior_of,
     show_result,
-    with_engine,
+    simulator_of,
     write_result,
 )
 from imr_torch.errors import ConvergenceError, InputDataError, UnsupportedError
@@ -35,11 +33,11 @@ def run_command(args: Namespace) -> None:
     workers = args.workers or cores()
     workers = workers if args.each else min(workers, len(files))
     apart = args.cluster is not None or workers > 1
-    simulator = with_engine(SIMULATORS[args.physics], args)
+    simulator = simulator_of(args)
     options = BatchOptions(
         prior_of(args),
         replace(simulator, threads=1) if apart else simulator,
-        layout=layout_of(args),
+        layout=args.layout,
         sort=args.sort,
         each=args.each,
         collapses=args.collapses,

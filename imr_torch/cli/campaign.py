@@ -18,7 +18,6 @@ from imr_torch.characterization import medium_of
 from imr_torch.cli.campaign_settings import check_goal, one_model, read_hidden, settings_of
 from imr_torch.cli.common import (
     exact_medium,
-    layout_of,
     prior_of,
     refuse_options,
     report_result,
@@ -157,7 +156,7 @@ def _run_real(campaign: Campaign, args: Namespace) -> tuple[Sequence[Proposal], 
     failed: list[tuple[str, InputDataError]] = []
     for path in find_files(*args.tell) if args.tell else ():
         try:
-            traces = load_traces(path, layout=layout_of(args), sort=args.sort)
+            traces = load_traces(path, layout=args.layout, sort=args.sort)
             print(traces.report())
             medium = medium_of(traces, args.medium)
             surroundings = campaign.simulator.conditions.surroundings

@@ -8,7 +8,6 @@ from imr_torch.assimilate import NOISE_ROUNDS
 from imr_torch.characterization import characterize
 from imr_torch.cli.common import (
     METHODS,
-    layout_of,
     prior_of,
     refuse_options,
     show_result,
@@ -16,7 +15,7 @@ from imr_torch.cli.common import (
     with_medium,
     write_result,
 )
-from imr_torch.cli.options.names import COLLAPSES
+from imr_torch.cli.options import COLLAPSES
 from imr_torch.cli.progress import characterize_stages
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.export import write_mat
@@ -111,7 +110,7 @@ def _load_data(args: Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]:
     if shots:
         refuse_options(args, ["population", "simulated_gels"], f"{why}; leave one of them out.")
     if curves:
-        traces = load_traces(*curves, layout=layout_of(args), sort=args.sort)
+        traces = load_traces(*curves, layout=args.layout, sort=args.sort)
     else:
         about_curves = ("layout", "rest_radius", "collapses", "growth", "count_all_shots")
         refuse_options(args, about_curves, f"{why} alone; leave it out.")

@@ -14,7 +14,7 @@ from typing import Any
 from imr_torch.assimilate import En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.characterization import medium_of
 from imr_torch.cli.figures import save_figures
-from imr_torch.cli.options.names import COLLAPSES, DEFAULT_MODELS
+from imr_torch.cli.options import COLLAPSES, DEFAULT_MODELS
 from imr_torch.document import is_explained
 from imr_torch.errors import InputDataError
 from imr_torch.files import Document, read_json, without_nonfinite, write_json
@@ -94,7 +94,7 @@ def exact_medium(args: Namespace, prior: Belief) -> str:
 
 def with_engine(simulator: AnySimulator, args: Namespace) -> AnySimulator:
     """A simulator with the engine, threads, radial equation and driving that the options name."""
-    driving = load_driving(args.driving) if getattr(args, "driving", None) else None
+    driving = getattr(args, "driving", None)
     conditions = replace(simulator.conditions, motion=motion_of(args), driving=driving)
     return replace(simulator, engine=args.engine, threads=args.threads, conditions=conditions)
 
@@ -200,13 +200,10 @@ def parse_rest_radius(text: str, option: str) -> tuple[float, float]:
     return ratio, sd
 
 
-def layout_of(args: Namespace) -> Layout | None:
-    """What ``--layout`` says."""
-    return None if args.layout is None else Layout.from_text(args.layout)
-
-
 _READ: dict[str, Callable[[str, str], Any]] = {
     "medium": Statement.from_text,
+    "layout": lambda text, _: Layout.from_text(text),
+    "driving": lambda path, _: load_driving(path),
     "rest_radius": parse_rest_radius,
     **dict.fromkeys(("we_range", "rinf_range", "delivered"), parse_pair),
     **dict.fromkeys(("known", "set"), parse_values),

@@ -8,8 +8,6 @@ from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.example import example_gel
 from imr_torch.files import write_bytes
 
-_CAMPAIGN = "campaign"
-
 
 def run_command(args: Namespace) -> None:
     """Copy the example into the folder, run the two commands on it, say what to open.
@@ -44,30 +42,25 @@ def run_command(args: Namespace) -> None:
     )
 
 
-def _list_commands(folder: Path, args: Namespace) -> tuple[list[str], list[str]]:
+def _list_commands(folder: Path, args: Namespace) -> list[list[str]]:
     """The arguments of the two commands of the demo."""
     from imr_torch.campaign import Journal
 
-    gel = [
-        "characterize",
-        str(folder / example_gel().name),
-        "--models",
-        "nhkv" if args.short else "nhkv,gen_qkv",
-    ]
-    gel += ["--experiments", "shot_1,shot_3", "--noise", "published"] if args.short else []
-    shots = [
-        _CAMPAIGN,
-        "--case",
-        "soft-pa" if args.short else "stiff-pa",
-        "--designs",
-        "1" if args.short else "2",
-    ]
-    shots += ["--evaluations", "4", "--physics", "polytropic"] if args.short else []
-    shots += ["--resume"] if Journal(folder / _CAMPAIGN).events else []
-    return (
-        [*gel, "--out", str(folder / "characterize"), "--html", str(folder / "gel.html")],
-        [*shots, "--out", str(folder / _CAMPAIGN), "--html", str(folder / "campaign.html")],
+    gel = "--models nhkv,gen_qkv"
+    shots = "--case stiff-pa --designs 2"
+    if args.short:
+        gel = "--models nhkv --experiments shot_1,shot_3 --noise published"
+        shots = "--case soft-pa --designs 1 --evaluations 4 --physics polytropic"
+    if Journal(folder / "campaign").events:
+        shots += " --resume"
+    table, result, journal, first, second = (
+        str(folder / name)
+        for name in (example_gel().name, "characterize", "campaign", "gel.html", "campaign.html")
     )
+    return [
+        ["characterize", table, *gel.split(), "--out", result, "--html", first],
+        ["campaign", *shots.split(), "--out", journal, "--html", second],
+    ]
 
 
 def _passed_on(args: Namespace) -> list[str]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from imr_torch.characterization import medium_document, medium_of
-from imr_torch.cli.common import layout_of, refuse_options, show_result, simulator_of, write_result
+from imr_torch.cli.common import refuse_options, show_result, simulator_of, write_result
 from imr_torch.cli.progress import DIAGNOSE
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap import (
@@ -123,7 +123,7 @@ def _load_experiments(
     assumed = simulator.conditions.surroundings
     sets = [name for name in args.files if _is_set(name)]
     if not sets:
-        traces = load_traces(*args.files, layout=layout_of(args), sort=args.sort)
+        traces = load_traces(*args.files, layout=args.layout, sort=args.sort)
         print(traces.report() + "\n")
         medium = medium_of(traces, args.medium, assumed)
         prepared = prepare(

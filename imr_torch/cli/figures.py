@@ -7,7 +7,7 @@ import matplotlib
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
-from imr_torch.cli.options.names import FORMATS
+from imr_torch.cli.options import FORMATS
 from imr_torch.errors import InputDataError, in_one_line
 from imr_torch.files import write_atomically
 from imr_torch.progress import Progress, ProgressLine

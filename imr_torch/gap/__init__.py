@@ -5,7 +5,6 @@ from imr_torch.gap.diagnose import GapReport, diagnose
 from imr_torch.gap.document import to_json
 from imr_torch.gap.examine import Parts, examine
 from imr_torch.gap.medium import MediumSensitivity, medium_sensitivities
-from imr_torch.gap.page import write_page
 from imr_torch.gap.text import describe
 from imr_torch.material import LIBRARY, Effect, library
 from imr_torch.observe.sets import load_set
@@ -25,5 +24,4 @@ __all__ = [
     "load_set",
     "medium_sensitivities",
     "to_json",
-    "write_page",
 ]

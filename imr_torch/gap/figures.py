@@ -5,7 +5,6 @@ Colours are told apart by colour-blind readers, and what matters is also written
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,24 +23,15 @@ from imr_torch.drawing import (
     curve_panels,
     draw_intervals,
     floats,
+    name_figure,
     new_axes,
 )
 from imr_torch.gap.hypotheses import in_words
-from imr_torch.gap.text import (
-    CAUSES,
-    CURVES,
-    MISSING,
-    PLACE,
-    RECORD,
-    SHRINKS,
-    TESTED,
-    VERDICT,
-    Document,
-)
+from imr_torch.gap.text import Document
 from imr_torch.goodness.score import LEVEL
 from imr_torch.labels import file_name, plain
 from imr_torch.material import PARAMETERS
-from imr_torch.record.figures import named_record_figure
+from imr_torch.record.figures import record_figure
 
 LIGHT = "#A6CCE2"  # bars of fits that did not converge
 _SMALLEST = 300.0  # -log10 p beyond which p-values are zero in float64
@@ -50,98 +40,42 @@ _BARS = 12
 _ALL = 0.99  # probability of an unknown effect from which on others cannot be seen
 
 
-def gap_figures(document: Document, *, curves: int | None = None) -> Iterator[NamedFigure]:
+def gap_figures(document: Document) -> Iterator[NamedFigure]:
     """Every figure that a document allows, in the order of the page.
 
     Args:
         document: of a diagnosis (:func:`imr_torch.gap.to_json`).
-        curves: that are drawn, at most; all by default.
     """
     selected = " and ".join(map(in_words, document["selected"]))
     if document.get("record"):
-        yield named_record_figure(document["record"], RECORD)
-    for curve in document["curves"][:curves]:
+        yield name_figure("record.record", record_figure, document["record"])
+    for curve in document["curves"]:
         beside = "" if curve["selected"] is None else f" and that with {selected}"
-        yield NamedFigure(
-            f"curve_{file_name(curve['id'])}",
-            f"{curve['id']}: measured, the base model{beside}; below, residuals over noise (grey: "
-            "up to 2).",
-            f"Line chart of radius over time of {curve['id']}, with residuals.",
-            partial(curve_figure, curve, selected),
-            section=CURVES,
+        label = file_name(curve["id"])
+        yield name_figure(
+            "diagnose.curve", curve_figure, curve, selected, curve=curve, label=label, beside=beside
         )
-    yield NamedFigure(
-        "tests",
-        "Tests of the base model's residual: longer bars are smaller p; beyond the dashed line one "
-        "test shows a gap.",
-        f"Bar chart of {len(document['tests'])} tests; the longest bar is "
-        f"{document['tests'][0]['name']}.",
-        partial(plot_tests, document["tests"]),
-        section=TESTED,
-    )
+    tests = document["tests"]
+    yield name_figure("diagnose.tests", plot_tests, tests, tests=tests, count=len(tests))
     if document["examined"]:
-        yield NamedFigure(
-            "phases",
-            "Residual of the base model by experiment and phase; 1 is noise alone. Where a residual "
-            "sits is not where its cause acts, because the fit spreads it.",
-            f"Map of residuals over {len(document['curves'])} experiments and five phases.",
-            partial(plot_phase_residual, document),
-            section=PLACE,
-        )
-        yield NamedFigure(
-            "onset",
-            "Refits to the frames up to each moment: the first that rejects the model is the first "
-            "detection.",
-            f"Line chart. {document['onset']['sentence']}",
-            partial(plot_onset, document["onset"]),
-            section=PLACE,
-        )
+        count = len(document["curves"])
+        yield name_figure("diagnose.phases", plot_phase_residual, document, count=count)
+        onset = document["onset"]
+        yield name_figure("diagnose.onset", plot_onset, onset, onset=onset)
     if posterior := document["posterior"]:
-        top = max(posterior, key=posterior.__getitem__)
-        caption = "Probability of each cause."
-        alt = f"Bar chart of probabilities; the largest is that of {top}."
-        plot = partial(plot_causes, posterior)
         if posterior.get("other", 0.0) > _ALL:  # what each explains by itself
-            caption = (
-                "What one part more explains; none is enough. Light: its fit did not converge."
-            )
-            alt = "Bar chart of log evidence gained."
-            plot = partial(plot_explained, document["explained_nats"], document["unconverged"])
-        yield NamedFigure("causes", caption, alt, plot, section=CAUSES)
+            found = document["explained_nats"], document["unconverged"]
+            yield name_figure("diagnose.explained", plot_explained, *found)
+        else:
+            top = max(posterior, key=posterior.__getitem__)
+            yield name_figure("diagnose.causes", plot_causes, posterior, top=top)
     if (missing := document.get("missing")) and missing["shots"]:
-        yield NamedFigure(
-            "missing",
-            "The missing pressure beside the base model's gel as fitted, with its 90 % band; "
-            "dashed: the base model's own stress.",
-            "A band over time for each shot; the sentences above give its size and kind.",
-            partial(plot_missing_pressure, missing["shots"]),
-            section=MISSING,
-        )
-        yield NamedFigure(
-            "missing_states",
-            "The same over stretch and strain rate, along the paths of all shots.",
-            "Points coloured by pressure; the sentences above give its size and kind.",
-            partial(plot_missing_states, missing["shots"]),
-            section=MISSING,
-        )
+        yield name_figure("diagnose.missing", plot_missing_pressure, missing["shots"])
+        yield name_figure("diagnose.missing_states", plot_missing_states, missing["shots"])
     if document["shrinkage"] and document["shrinkage"]["share"]:
-        yield NamedFigure(
-            "shrinkage",
-            "Part of the gap on unseen curves that goes with what was selected (dot, 90 % "
-            "interval), and up to where 95 % of random libraries close it (grey).",
-            "Intervals on a line from 0 to 1; the sentences above give the numbers.",
-            partial(plot_shrinkage, document["shrinkage"]),
-            section=SHRINKS,
-        )
+        yield name_figure("diagnose.shrinkage", plot_shrinkage, document["shrinkage"])
     if document["parameters_with_model_error"]:
-        yield NamedFigure(
-            "parameters",
-            "Parameters of the gel: 90 % intervals if the model is right, and with what it may "
-            "lack, relative to the median.",
-            "Two intervals a parameter; the sentences above give the numbers.",
-            partial(plot_intervals, document),
-            section=VERDICT,
-        )
+        yield name_figure("diagnose.parameters", plot_intervals, document)
 
 
 def _strength(p_value: float) -> float:
@@ -281,7 +215,7 @@ def plot_missing_pressure(shots: Sequence[Mapping[str, Any]], *, most: int = 3) 
     ax.axhline(0.0, color=DATA, lw=0.8)
     ax.set_yscale("symlog", linthresh=10.0)
     ax.set(xlabel="time (us)", ylabel="missing pressure (kPa)")
-    ax.legend(frameon=False, fontsize=8)
+    add_legend(ax)
     return ax
 
 
@@ -301,7 +235,7 @@ def plot_missing_states(shots: Sequence[Mapping[str, Any]]) -> Axes:
     ax.figure.colorbar(points, ax=ax, label="missing pressure (kPa)")
     ax.set_yscale("symlog", linthresh=1e4)
     ax.set(xlabel="stretch $R/R_\\infty$", ylabel="strain rate $U/R$ (1/s)")
-    ax.legend(frameon=False, fontsize=8)
+    add_legend(ax)
     return ax
 
 

@@ -19,15 +19,6 @@ from imr_torch.material import LIBRARY, PARAMETERS
 Document = Mapping[str, Any]
 """A diagnosis as :func:`imr_torch.gap.to_json` makes it."""
 
-VERDICT = "Verdict"
-TESTED = "Is there a gap?"
-PLACE = "Where does it lie?"
-CAUSES = "Which effect causes it?"
-RECORD = "The record before any gel"
-SHRINKS = "How far does it shrink on unseen curves?"
-MISSING = "What is missing?"
-CURVES = "The curves"
-"""Headings of sections in which a figure or a table stands."""
 _ENTRIES = {
     GEL_SCATTER: "the gel differs between shots",
     NONE: "nothing is missing",
@@ -76,22 +67,26 @@ def shown(parameter: str, value: float) -> str:
     return PARAMETERS[parameter].interval(value, value, value).split(" (")[0]
 
 
+def list_names() -> Mapping[str, Any]:
+    """What templates of a diagnosis may use beside the document: words for its numbers."""
+    return {
+        "parameters": PARAMETERS,
+        "entries": _ENTRIES,
+        "titles": lambda names: list(map(title, names)),
+        "shown": shown,
+        "in_words": in_words,
+        "hidden_row": hidden_row,
+        "sections": sections,
+        "p_value": p_value,
+        "spoilt_sentence": spoilt_sentence,
+        "adequate": ADEQUATE,
+        "explains": EXPLAINS,
+        "member": MEMBER,
+    }
+
+
 def _fill_template(name: str, document: Document) -> str:
-    return render(
-        name,
-        document=document,
-        parameters=PARAMETERS,
-        entries=_ENTRIES,
-        titles=lambda names: list(map(title, names)),
-        shown=shown,
-        in_words=in_words,
-        hidden_row=hidden_row,
-        p_value=p_value,
-        spoilt_sentence=spoilt_sentence,
-        adequate=ADEQUATE,
-        explains=EXPLAINS,
-        member=MEMBER,
-    ).strip("\n")
+    return render(name, document=document, **list_names()).strip("\n")
 
 
 def describe(document: Document) -> str:
@@ -111,17 +106,17 @@ def describe(document: Document) -> str:
     >>> describe(to_json(report)).splitlines()[1].strip()
     'No gap was found: the base model describes these data within their noise.'
     """
-    return _fill_template("diagnosis.txt", document)
+    return _fill_template("diagnose.txt", document)
 
 
 def sections(document: Document) -> list[Section]:
     """The diagnosis as sections, in the order of the questions."""
     folded = {
-        RECORD: True,
-        PLACE: not document["examined"],
-        CAUSES: document["posterior"] is None,
-        MISSING: document.get("missing") is None,
-        SHRINKS: document["shrinkage"] is None,
+        "The record before any gel": True,
+        "Where does it lie?": not document["examined"],
+        "Which effect causes it?": document["posterior"] is None,
+        "What is missing?": document.get("missing") is None,
+        "How far does it shrink on unseen curves?": document["shrinkage"] is None,
         "What does it do to the parameters?": not (document["parameter_shift"] or document["gels"]),
         "What to measure next?": document["next_design"] is None,
         "Have the fits converged?": document["converged"],

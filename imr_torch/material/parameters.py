@@ -58,6 +58,7 @@ class Parameter:
     display_scale: float = 1.0
     display_unit: str = ""
     prior: Marginal | None = None
+    symbol: str = ""
 
     def __post_init__(self) -> None:
         if not self.lower <= self.neutral <= self.upper:
@@ -67,10 +68,26 @@ class Parameter:
             )
 
     @property
-    def label(self) -> str:
-        """``meaning (unit)`` in display units."""
+    def shown_unit(self) -> str:
+        """The unit in which it is shown; empty for a number without one.
+
+        >>> from imr_torch.material import PARAMETERS
+        >>> PARAMETERS["G"].shown_unit, PARAMETERS["alpha"].shown_unit
+        ('kPa', '')
+        """
         unit = self.display_unit or self.unit
-        return f"{self.name} ({unit})" if unit not in ("", "1") else self.name
+        return {"1": "", "us": "µs", "um": "µm"}.get(unit, unit)
+
+    @property
+    def label(self) -> str:
+        r"""Symbol (the name where there is none) and unit, for an axis.
+
+        >>> from imr_torch.material import PARAMETERS
+        >>> PARAMETERS["G"].label, PARAMETERS["alpha"].label
+        ('$G$ (kPa)', '$\\alpha$')
+        """
+        symbol = self.symbol or self.name
+        return f"{symbol} ({self.shown_unit})" if self.shown_unit else symbol
 
     def interval(self, low: float, middle: float, high: float) -> str:
         """A value with its 90 % interval, SI, as text in display units.
@@ -82,10 +99,8 @@ class Parameter:
         if self.dimension == "ratio":
             low, middle, high = map(math.exp, (low, middle, high))
             return f"{middle:.4g} times the stated one (90 %: {low:.4g} to {high:.4g})"
-        unit = self.display_unit or self.unit
-        shown = "" if unit in ("", "1") else f" {'µ' + unit[1:] if unit in ('us', 'um') else unit}"
         low, middle, high = (self.display_scale * x for x in (low, middle, high))
-        return f"{middle:.4g}{shown} (90 %: {low:.4g} to {high:.4g})"
+        return f"{middle:.4g} {self.shown_unit}".rstrip() + f" (90 %: {low:.4g} to {high:.4g})"
 
 
 class ParameterVector:
@@ -228,7 +243,17 @@ def _make_entry(name: str, row: Document) -> Parameter:
     neutral = row.get("neutral", 0.0)
     prior = make_marginal(*row["prior"]) if "prior" in row else None
     return Parameter(
-        name, row["meaning"], unit, dimension, lower, upper, neutral, scale, quoted, prior
+        name,
+        row["meaning"],
+        unit,
+        dimension,
+        lower,
+        upper,
+        neutral,
+        scale,
+        quoted,
+        prior,
+        row.get("symbol", ""),
     )
 
 

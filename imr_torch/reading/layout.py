@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from imr_torch.errors import InputDataError
+from imr_torch.files import read_table
 from imr_torch.reading.content import Content
 
 LENGTHS = {"m": 1.0, "um": 1e-6, "mm": 1e-3}
@@ -207,26 +208,10 @@ class Said:
 
 
 KNOWN_LAYOUTS: Mapping[str, Layout] = MappingProxyType(
-    {
-        name: Layout.from_text(text)
-        for name, text in {
-            "experiment_table": "radius=radius_m,radius_unit=m,time=time_s,experiment=experiment_id",
-            "separated_table": "radius=2,radius_unit=um,time=1,time_unit=us,separator=-1000",
-            "dimensionless_cells": "radius=R_nondim_All,radius_unit=dimensionless,"
-            "time=t_nondim_All,time_unit=dimensionless,max_radius=RmaxList,inserted_peak=time_zero",
-            "fitted_peak_first": "radius=Rnew,radius_unit=m,time=t,max_radius=RmaxAll,"
-            "inserted_peak=first_row",
-            "pixels_by_frame": "radius=Rnew,radius_unit=px,pixel_size=deltax,frame_interval=deltat",
-            "peak_at_time_zero": "radius=R,radius_unit=um,time=t,max_radius=RmaxAll,"
-            "max_radius_unit=um,inserted_peak=time_zero,absent=negative",
-            "struct_of_experiments": "radius=Roft,radius_unit=m,time=t,max_radius=R0,rest_radius=Req",
-            "converted_plot_set": "radius=alternatePlotSet.AverageRadius,radius_unit=um,"
-            "time=alternatePlotSet.TimeVector",
-        }.items()
-    }
+    {name: Layout.from_text(text) for name, text in read_table("layouts").items()}
 )
-"""Name -> layout that is recognised without being stated: the tables of this project and of IMR_DDI;
-MATLAB files of IMR_PRIME, IMR_v1, BubbleTrack (``peak_at_time_zero``), fitIMR
+"""Name -> layout that is recognised without being stated (``data/layouts.toml``): the tables of this
+project and of IMR_DDI; MATLAB files of IMR_PRIME, IMR_v1, BubbleTrack (``peak_at_time_zero``), fitIMR
 (``struct_of_experiments``) and InCA (``converted_plot_set``)."""
 
 

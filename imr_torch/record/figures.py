@@ -1,7 +1,6 @@
 """The figure of a record, drawn from its document alone."""
 
 from collections.abc import Mapping
-from functools import partial
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -9,32 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from imr_torch.drawing import CYCLE, DATA, NamedFigure
-
-_CAPTION = (
-    "The record before any gel. Wall pressure of the first cycle of each shot, less that far away "
-    "(dashed: shots that stand out): a gap between collapse and growth is dissipation, both below "
-    "the dotted line are elasticity, both above it a wall, or a wrong scale, clock, density or "
-    "pressure. Below: chord over that of a lossless bubble and skewness (dashed: water by laser), "
-    "and what each cycle looks like, over its size; bars are 90 %, squares shots that stand out."
-)
-_ALT = (
-    "Charts of wall pressure over radius, and of chord, skewness, viscosity and modulus over size."
-)
-
-
-def named_record_figure(record: Mapping[str, Any], section: str = "") -> NamedFigure:
-    """The figure of a record, still to be drawn.
-
-    Args:
-        record: of :meth:`imr_torch.record.Record.to_dict`.
-        section: heading of the section of a page that it stands in.
-
-    >>> from imr_torch.record.figures import named_record_figure
-    >>> named_record_figure({"shots": [], "water": {}}).name
-    'record'
-    """
-    return NamedFigure("record", _CAPTION, _ALT, partial(record_figure, record), section)
+from imr_torch.drawing import CYCLE, DATA
 
 
 def record_figure(record: Mapping[str, Any]) -> Figure:

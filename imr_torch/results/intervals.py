@@ -20,7 +20,7 @@ from imr_torch.drawing import (
     set_scale,
 )
 from imr_torch.files import Document
-from imr_torch.labels import T_STAR, parameter_label, plain, symbol
+from imr_torch.labels import T_STAR, plain
 from imr_torch.material import PARAMETERS
 
 MANY_SHOTS = 40
@@ -72,7 +72,7 @@ def plot_shots(rows: Sequence[Document], name: str) -> Axes:
     if len(rows) <= MANY_SHOTS:
         names = [plain(row["shot"]) for row in rows]
         ax.set_xticks(places, names, rotation=60, ha="right", fontsize=7)
-    ax.set(xlabel="shot", ylabel=parameter_label(PARAMETERS[name]))
+    ax.set(xlabel="shot", ylabel=PARAMETERS[name].label)
     return ax
 
 
@@ -88,7 +88,8 @@ def plot_ratios(document: Document) -> Axes:
     places = range(len(rows))
     draw_intervals(ax, places, values, capsize=3, color=MODEL)
     ax.axvline(1.0, color=DATA, lw=0.8, ls="--")
-    ax.set_yticks(places, [symbol(row["parameter"]) for row in rows])
+    names = [row["parameter"] for row in rows]
+    ax.set_yticks(places, [PARAMETERS[name].symbol or name for name in names])
     set_scale(ax, "x", values.min(), values.max(), ratio=NARROW)
     ax.set(xlabel="a / b", ylim=(len(rows) - 0.5, -0.5))
     return ax
@@ -111,7 +112,7 @@ def parts_figure(parts: Document) -> Figure:
         values = PARAMETERS[name].display_scale * floats([row[name] for _, row in rows])
         draw_intervals(ax, range(len(rows)), values, capsize=3, color=MODEL)
         ax.axvspan(*values[0, [0, 2]], color=PALE, alpha=0.3, lw=0)
-        ax.set(xlabel=parameter_label(PARAMETERS[name]), ylim=(len(rows) - 0.5, -0.5))
+        ax.set(xlabel=PARAMETERS[name].label, ylim=(len(rows) - 0.5, -0.5))
     axes[0, 0].set_yticks(range(len(rows)), [label for label, _ in rows])
     return figure
 
@@ -138,7 +139,7 @@ def over_time_figure(stretches: Sequence[Document], whole: Document) -> Figure:
         ax.hlines(values[:, 1], *times.T, color=MODEL, lw=1.0)
         ax.axhspan(scale * whole[name][0], scale * whole[name][2], color=PALE, alpha=0.4, lw=0)
         set_scale(ax, "y", values.min(), values.max(), ratio=NARROW)
-        ax.set_ylabel(parameter_label(PARAMETERS[name]))
+        ax.set_ylabel(PARAMETERS[name].label)
     axes[-1, 0].set_xlabel(T_STAR)
     return figure
 
@@ -175,7 +176,7 @@ def population_figure(found: Document) -> Figure:
             draw_intervals(ax, np.arange(len(shots)) + shift, values, **style)
             ends += [values.min(), values.max()]
         set_scale(ax, "x", min(ends), max(ends), ratio=NARROW)
-        ax.set_xlabel(parameter_label(PARAMETERS[name]))
+        ax.set_xlabel(PARAMETERS[name].label)
         if "scatter" in entry:
             title = "scatter {1:.2f} ({0:.2f} to {2:.2f})".format(*entry["scatter"])
             ax.set_title(title, fontsize=9)

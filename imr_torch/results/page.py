@@ -8,17 +8,16 @@ from typing import Any
 
 from jinja2 import UndefinedError
 
-from imr_torch import gap
-from imr_torch.assimilate.spikes import spoilt_sentence
 from imr_torch.drawing import NamedFigure
 from imr_torch.errors import InputDataError, in_one_line
 from imr_torch.files import Document, write_bytes
+from imr_torch.gap.text import list_names
 from imr_torch.html import render
 from imr_torch.labels import model_probability
-from imr_torch.material import PARAMETERS, material
+from imr_torch.material import material
 from imr_torch.observe import Noise, noise_sentences
 from imr_torch.population import BayesFactor
-from imr_torch.results.figures import draw_figures
+from imr_torch.results.figures import draw_figures, kind_of
 from imr_torch.results.intervals import is_usable, parameters_of
 from imr_torch.select import Bound
 
@@ -28,6 +27,7 @@ TITLES = {
     "design": "Next experiment",
     "batch": "Summary of shots",
     "compare": "Two gels compared",
+    "diagnose": "Where does the model fail?",
 }
 """Results that have a report and a page, and the title of the page."""
 
@@ -36,7 +36,8 @@ def document_report(document: Document) -> str:
     """A result as text.
 
     Args:
-        document: of ``characterize``, ``campaign``, ``design``, ``batch`` or ``compare``.
+        document: of ``characterize``, ``diagnose``, ``campaign``, ``design``, ``batch`` or
+            ``compare``.
 
     >>> from imr_torch.results import document_report, header
     >>> design = {"We": 400.0, "R_inf*": 0.2, "Rmax_m": 5.7e-4}
@@ -44,15 +45,15 @@ def document_report(document: Document) -> str:
     Shoot We = 400, R_inf* = 0.200 (Rmax = 570 um, R_inf = 114 um)
     expected information gain 3.200 +- 0.100 nats
     """
-    return _fill_template(f"{_kind_of(document)}.txt", **_list_names(document)).strip("\n")
+    return _fill_template(f"{_check_kind(document)}.txt", **_list_names(document)).strip("\n")
 
 
 def document_page(document: Document, *, title: str = "", report: str = "") -> str:
     """A result as a page of HTML, with its figures.
 
     Args:
-        document: of ``characterize``, ``campaign``, ``design``, ``batch`` or ``compare``, with its
-            header.
+        document: of ``characterize``, ``diagnose`` (:func:`imr_torch.gap.to_json`), ``campaign``,
+            ``design``, ``batch`` or ``compare``, with its header, if any.
         title: of the page; one of the kind of the result when not given.
         report: the printed report, folded away at the end; that of the document when not given.
 
@@ -65,27 +66,28 @@ def document_page(document: Document, *, title: str = "", report: str = "") -> s
     >>> "Shoot We 400, R_inf* 0.200: Rmax 570 um, R_inf 114 um" in document_page(document)
     True
     """
-    kind = _kind_of(document)
+    kind = _check_kind(document)
     names = _list_names(document)
+    figures = draw_figures(document) if document.get("map", True) else []
+    of_curves = [figure for figure in figures if figure.section == "The curves"]
     return _fill_template(
         f"{kind}.html",
         **names,
         title=title or TITLES[kind].format(files=_name_files(document) or "the given curves"),
-        drawn=_draw_pictures(draw_figures(document) if document.get("map", True) else ()),
+        drawn=_draw_pictures(figure for figure in figures if figure not in of_curves[6:]),
         report=report or _fill_template(f"{kind}.txt", **names),
-        footer=footer_line(document),
-        provenance_rows=provenance_rows(document),
         warning=False,
         next_step="",
     )
 
 
-def write_page(document: Document, path: str | Path, *, report: str = "") -> None:
+def write_page(document: Document, path: str | Path, *, title: str = "", report: str = "") -> None:
     """Write a result as a page of HTML, atomically, and say so.
 
     Args:
-        document: as for :func:`document_page`, or of ``diagnose``.
+        document: as for :func:`document_page`.
         path: of the file.
+        title: as for :func:`document_page`.
         report: as for :func:`document_page`.
 
     >>> import tempfile
@@ -96,11 +98,7 @@ def write_page(document: Document, path: str | Path, *, report: str = "") -> Non
     ...     write_page(document, f"{folder}/design.html")
     wrote ...design.html
     """
-    if "verdict" in document and "examined" in document:
-        facts = provenance_rows(document)
-        gap.write_page(document, path, facts=facts, footer=footer_line(document))
-    else:
-        write_bytes(path, document_page(document, report=report).encode())
+    write_bytes(path, document_page(document, title=title, report=report).encode())
     print(f"wrote {path}")
 
 
@@ -114,8 +112,9 @@ def _fill_template(template: str, **names: Any) -> str:
         ) from None
 
 
-def _kind_of(document: Document) -> str:
-    kind = str(document.get("schema", {}).get("name", "")).removeprefix("imr_torch ")
+def _check_kind(document: Document) -> str:
+    """The kind of a result that has a report and a page."""
+    kind = kind_of(document)
     if kind not in TITLES:
         raise InputDataError(
             f"--html: the result is of {kind!r}; a page is made of {', '.join(TITLES)} only. Leave "
@@ -128,16 +127,15 @@ def _list_names(document: Document) -> Document:
     """What templates may use: the document, what is read off it, and the words for its numbers."""
     chances = document.get("model_probabilities")
     return {
+        **list_names(),
         "document": document,
         "best": max(chances, key=chances.__getitem__) if chances else "",
         "unit": "R*" if document.get("curves") or document.get("experiments") else "t*",
         "noise": Noise(**document["noise"]) if document.get("noise") else None,
         "noise_sentences": noise_sentences,
-        "parameters": PARAMETERS,
         "material": material,
         "model_probability": model_probability,
         "Bound": Bound,
-        "spoilt_sentence": spoilt_sentence,
         "BayesFactor": BayesFactor,
         "Noise": Noise,
         "usable": is_usable,
@@ -158,29 +156,6 @@ def _draw_pictures(figures: Iterable[NamedFigure]) -> dict[str, list[Any]]:
                 "in the JSON."
             )
     return {"pictures": pictures, "failed": failed}
-
-
-def provenance_rows(document: Document) -> list[tuple[str, str]]:
-    """Files with their hashes, medium, software, date and command: names and values."""
-    rows = [
-        (entry["name"], f"{entry['bytes']} bytes, SHA-256 {entry['sha256']}")
-        for entry in document.get("files", ())
-    ]
-    if "medium_sentence" in document:
-        rows.append(("Medium", document["medium_sentence"].removeprefix("Medium: ")))
-    if "software" in document:
-        numbers = ", ".join(f"{name} {number}" for name, number in document["software"].items())
-        rows += [("Software", numbers), ("Date", document["created"])]
-    return [*rows, ("Command", document["command"])] if document.get("command") else rows
-
-
-def footer_line(document: Document) -> str:
-    """Software, version, date and files in one line."""
-    if "software" not in document:
-        return ""
-    names = ", ".join(entry["name"] for entry in document.get("files", ()))
-    made = f"imr_torch {document['software']['imr_torch']}, {document['created']}"
-    return f"{made}, from {names}" if names else made
 
 
 def _name_files(document: Document) -> str:

@@ -30,7 +30,7 @@ from imr_torch.drawing import (
 )
 from imr_torch.files import Document
 from imr_torch.float64 import arange, linspace, tensor
-from imr_torch.labels import REST_RADIUS, WEBER, parameter_label, plain, symbol
+from imr_torch.labels import REST_RADIUS, WEBER, plain
 from imr_torch.material import PARAMETERS, Belief, ModelBelief
 from imr_torch.types import Design, Designs
 from imr_torch.units import Surroundings
@@ -66,7 +66,7 @@ def plot_parameter(
     colors = (SECOND, MODEL, TRUTH, DATA)
     for (label, _), values, color in zip(beliefs, rows, colors, strict=False):
         ax.plot(*_scale_density(values, logarithmic), color=color, label=plain(label))
-    ax.set(yticks=[], ylabel="density (scaled)", xlabel=parameter_label(entry), ylim=(0.0, 1.45))
+    ax.set(yticks=[], ylabel="density (scaled)", xlabel=entry.label, ylim=(0.0, 1.45))
     add_legend(ax, loc="upper left", ncols=2)
     if truth is not None:
         ax.axvline(truth * entry.display_scale, color=TRUTH, ls="--", lw=1)
@@ -102,7 +102,7 @@ def draw_parameters(belief: ModelBelief, *, draws: int = 1500, seed: int = 0) ->
         layout="constrained",
         squeeze=False,
     )
-    labels = [parameter_label(PARAMETERS[name]) for name in names]
+    labels = [PARAMETERS[name].label for name in names]
     scales = tensor([PARAMETERS[name].display_scale for name in names])
     drawn = belief.physical(belief.controls(draws, seed=seed)) * scales
     spans = (belief.quantile(_LEVELS) * scales).mT
@@ -118,7 +118,8 @@ def draw_parameters(belief: ModelBelief, *, draws: int = 1500, seed: int = 0) ->
             ax.plot(*_scale_density(spans[j], wide), color=MODEL)
             ax.axvspan(low, high, color=MODEL, alpha=0.12, lw=0)
             ax.set(yticks=[], ylim=(0.0, 1.1))
-            title = f"{symbol(names[j])} = {middle:.3g} ({low:.3g} to {high:.3g})"
+            symbol = PARAMETERS[names[j]].symbol or names[j]
+            title = f"{symbol} = {middle:.3g} ({low:.3g} to {high:.3g})"
             ax.set_title(title, fontsize=8)
         else:
             _plot_pair(ax, drawn[:, j], drawn[:, i])

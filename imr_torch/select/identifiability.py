@@ -57,12 +57,9 @@ class Identifiability:
         """A phrase such as ``"only bounded from above: below 0.07 (95 %)"``."""
         if self.limit is None:
             return self.bound.value
-        unit = self.parameter.display_unit or (
-            "" if self.parameter.unit == "1" else self.parameter.unit
-        )
-        value = f"{self.parameter.display_scale * self.limit:.3g} {unit}".rstrip()
+        value = f"{self.parameter.display_scale * self.limit:.3g} {self.parameter.shown_unit}"
         side = "below" if self.bound is Bound.ABOVE else "above"
-        return f"{self.bound.value}: {side} {value} (95 %)"
+        return f"{self.bound.value}: {side} {value.rstrip()} (95 %)"
 
 
 def identifiability(

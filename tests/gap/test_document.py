@@ -18,12 +18,12 @@ import torch
 from matplotlib.image import imread
 
 from imr_torch.errors import ConvergenceError
-from imr_torch.gap import describe, diagnose, examine, library, to_json, write_page
+from imr_torch.gap import describe, diagnose, examine, library, to_json
 from imr_torch.gap.figures import gap_figures
 from imr_torch.gap.text import headline, hidden_row, next_step, sections, shown, title
 from imr_torch.material import LIBRARY, PARAMETERS
 from imr_torch.observe import SimulatedLaboratory
-from imr_torch.results import draw_figures
+from imr_torch.results import document_page, draw_figures, write_page
 from imr_torch.simulate import PolytropicSimulator
 from tests.figures import rendering
 
@@ -317,11 +317,11 @@ def test_that_gels_that_differ_are_listed_shot_by_shot(documents) -> None:
     assert documents["named"]["gels"] is None
 
 
-def test_that_text_and_page_begin_and_end_with_what_to_quote(documents, tmp_path) -> None:
+def test_that_text_and_page_begin_and_end_with_what_to_quote(documents) -> None:
     for name, document in documents.items():
         unstated = document | {"medium_unstated": "Not stated: density.", "medium_sentence": "M."}
         last = describe(unstated).splitlines()[-1].strip()
-        page = write_page(unstated, tmp_path / "page.html").read_text().partition("<section>")[0]
+        page = document_page(unstated).partition("<section>")[0]
         assert last in page
         assert "Not stated: density." in page
         assert ("density was not measured" in last) is last.startswith("Quote for")
@@ -335,7 +335,7 @@ def test_that_words_are_remade_from_a_saved_document(documents, tmp_path) -> Non
     target.write_text(json.dumps(documents["named"]))
     again = json.loads(target.read_text())
     assert describe(again) == describe(documents["named"])
-    assert write_page(again, tmp_path / "again.html").read_text()
+    assert document_page(again) == document_page(documents["named"])
 
 
 def test_that_titles_are_words_with_the_code_name_behind() -> None:
@@ -401,7 +401,8 @@ def read(page: Path) -> _Reader:
 def page(documents, tmp_path_factory) -> Path:
     with rendering():
         target = tmp_path_factory.mktemp("page") / "page.html"
-        return write_page(documents["named"], target, name="A < B")
+        write_page(documents["named"], target, title="A < B")
+    return target
 
 
 def test_that_the_page_is_one_file_with_every_figure_decodable_and_described(
@@ -432,9 +433,9 @@ def test_that_the_page_has_the_sections_of_the_words_in_order(documents, page) -
     assert "<h1>A &lt; B</h1>" in text
 
 
-def test_that_figures_do_not_stay_open(documents, tmp_path) -> None:
+def test_that_figures_do_not_stay_open(documents) -> None:
     before = plt.get_fignums()
-    write_page(documents["none"], tmp_path / "page.html")
+    document_page(documents["none"])
     assert plt.get_fignums() == before
 
 

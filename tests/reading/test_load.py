@@ -13,7 +13,7 @@ import torch
 from scipy.integrate import solve_ivp
 
 from imr_torch.cli import build_parser, main
-from imr_torch.cli.common import simulator_of
+from imr_torch.cli.common import read_options, simulator_of
 from imr_torch.errors import InputDataError
 from imr_torch.material import PARAMETERS
 from imr_torch.reading import load_driving
@@ -347,6 +347,7 @@ def test_that_a_bubble_driven_by_a_file_is_scipys(tmp_path: Path) -> None:
 def test_that_curves_are_fitted_with_it(tmp_path: Path, command: str) -> None:
     path = written(tmp_path / "p.csv", "t (us),p (kPa)\n0,0\n5,-50\n20,0\n")
     args = build_parser().parse_args([command, "gel.csv", "--driving", str(path)])
+    read_options(args)
     driving = simulator_of(args).conditions.driving
     assert isinstance(driving, TabulatedDriving)
     assert min(driving.pressures) == -5e4

@@ -370,6 +370,9 @@ def test_that_the_command_line_writes_json_before_figures_and_the_page(
 def test_that_plot_refuses_what_it_cannot_draw(tmp_path, capsys):
     write_json(tmp_path / "r.json", header("diagnose"))
     assert main(["plot", str(tmp_path / "r.json")]) == 2
+    assert "the result is not whole (KeyError: 'selected')" in capsys.readouterr().err
+    write_json(tmp_path / "r.json", header("demo"))
+    assert main(["plot", str(tmp_path / "r.json")]) == 2
     assert "holds no curves or map to draw" in capsys.readouterr().err
     assert main(["plot", str(tmp_path / "r.json"), "--format", "gif"]) == 2
     assert "--format is 'gif'; expected some of png, pdf, svg" in capsys.readouterr().err

@@ -80,7 +80,11 @@ DOCUMENTS = {
 }
 
 
-@pytest.mark.parametrize("kind", TITLES)
+def test_that_every_kind_of_result_with_a_page_is_among_these() -> None:
+    assert {*TITLES} == {*DOCUMENTS, "diagnose"}  # which tests/gap/test_document.py reads
+
+
+@pytest.mark.parametrize("kind", DOCUMENTS)
 def test_that_text_and_page_say_that_the_model_misses_the_curves(kind: str, tmp_path: Path) -> None:
     document = header(kind) | DOCUMENTS[kind](tmp_path)
     assert "does not explain" in document_report(document)
