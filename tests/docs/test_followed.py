@@ -35,6 +35,12 @@ os.chdir(sys.argv[1])
 sys.exit(main(sys.argv[2:]))
 """
 
+SCRIPT = """
+import os, runpy, sys
+os.chdir(sys.argv[1])
+runpy.run_path(sys.argv[2], run_name="__main__")
+"""
+
 
 def curve() -> tuple[np.ndarray, np.ndarray]:
     """The first shot of the example gel, s and m."""
@@ -70,6 +76,11 @@ def of_matlab(folder: Path) -> None:
         scipy.io.savemat(folder / name, {"R": radius, "t": time})
 
 
+def of_arrays(folder: Path) -> None:
+    """``arrays.txt``, seconds and metres."""
+    np.savetxt(folder / "arrays.txt", np.stack(curve(), 1))
+
+
 def blocks(page: str, language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", (HOWTO / f"{page}.md").read_text(), re.DOTALL)
 
@@ -88,6 +99,7 @@ def cheaper(arguments: list[str]) -> list[str]:
         ("video_to_g", of_tracker, ("gel.html", "gel/characterize.json", "diagnosis.html")),
         ("coming_from_matlab", of_matlab, ("result.mat", "gel/characterize.json")),
         ("coming_from_imrfit", of_matlab, ("result.mat", "day1_results/summary.csv")),
+        ("coming_from_pyimr", of_arrays, ("gel.npz", "gel/characterize.json")),
     ],
 )
 def test_that_a_page_can_be_followed(page, prepare, made, tmp_path, processes):
@@ -99,7 +111,7 @@ def test_that_a_page_can_be_followed(page, prepare, made, tmp_path, processes):
     for line in lines:
         program, *arguments = shlex.split(line)
         if program == "python":
-            ran = processes.run(tmp_path / arguments[0])
+            ran = processes.run(SCRIPT, str(tmp_path), *arguments)
         else:
             ran = processes.run(RUN, str(tmp_path), *arguments, *cheaper(arguments))
         assert ran.returncode == 0, f"{line}: {ran.stderr}"
