@@ -123,7 +123,7 @@ def _values(report: GapReport, parts: Parts) -> Document:
     """The parameters of the gel and of the named cause, with 90 % intervals."""
     within = report.within_misfit
     named = report.selected_fit if report.verdict in ("effect", "class") else None
-    nearest = within.nearest if within and report.selected.parts else named
+    nearest = report.selected_fit if within and report.selected.parts else named
     error = parts.model_error
     base = _intervals(within.own if within else report.null, report.base.names)
     with_cause = nearest and _intervals(nearest, report.base.names)

@@ -186,34 +186,39 @@ def _select_again(
     are the hypotheses whose fits to all designs suit the others best.
     """
 
-    def evidence(fit: ModelFit, hypothesis: Hypothesis) -> float:
-        if report.within_misfit is None:
-            return laplace_evidence(fit)
+    def beside_slow(fit: ModelFit, hypothesis: Hypothesis) -> float:
         seen = hypothesis.seen(_part(report.batch, kept))
         return evidence_beside_slow(fit, seen, simulator)
 
-    def on_some(step: Attribution, name: str) -> float:
+    def on_kept(step: Attribution, name: str, *, slow: bool) -> float:
         """Evidence of a fit to all designs on those that are kept."""
         fit = step.fits[name]
-        if report.within_misfit is not None:
-            some = replace(fit, nuisances=fit.nuisances[list(kept)])
-            return evidence(some, step.hypotheses[name])
-        return _evidence_on_some(fit, step.hypotheses[name].seen(training), kept)
+        hypothesis = step.hypotheses[name]
+        if slow:
+            return beside_slow(replace(fit, nuisances=fit.nuisances[list(kept)]), hypothesis)
+        return _evidence_on_some(fit, hypothesis.seen(training), kept)
 
     held = Hypothesis(report.base)
     fits = _train({held.name: (held, report.trained.null)}, training, kept, simulator, seed)
     for step in report.trained.steps:
         if step.held.name != held.name:
             break
-        names = [name for name in step.log_evidence if name != step.held.name]
-        ranked = sorted(names, key=partial(on_some, step), reverse=True)[:_CANDIDATES]
-        candidates = {name: (step.hypotheses[name], step.fits[name]) for name in ranked}
-        fits |= _train(candidates, training, kept, simulator, child(seed, held.name))
-        found = {name: evidence(fits[name], step.hypotheses[name]) for name in candidates}
-        best = max(found, key=lambda name: found[name])
-        if found[best] < evidence(fits[held.name], held) + EXPLAINS:
+        names = [name for name in step.log_evidence if name != held.name]
+        for slow in (False,) if report.within_misfit is None else (True, False):
+            ranked = sorted(names, key=partial(on_kept, step, slow=slow), reverse=True)
+            candidates = {n: (step.hypotheses[n], step.fits[n]) for n in ranked[:_CANDIDATES]}
+            fits |= _train(candidates, training, kept, simulator, child(seed, held.name))
+            found = {
+                name: beside_slow(fits[name], h) if slow else laplace_evidence(fits[name])
+                for name, (h, _) in ({held.name: (held, None)} | candidates).items()
+            }
+            without = found.pop(held.name)
+            best = max(found, key=lambda name: found[name])
+            if found[best] >= without + EXPLAINS:
+                held = step.hypotheses[best]
+                break
+        else:
             break
-        held = step.hypotheses[best]
     base, near = _base_of(report, held.gels_differ or report.selected.gels_differ)
     if base.name not in fits:
         fits |= _train({base.name: (base, near)}, training, kept, simulator, seed)

@@ -48,8 +48,7 @@ class WithinMisfit:
     """Fits with noise of the size of what is left, where no model is enough.
 
     Args:
-        own: the base model's fit with noise that gives its intervals what is left beside it.
-        nearest: the same of the selected parts; of the base model where there are none.
+        own: the base model's fit with noise of the size of what it leaves itself.
         batch: the data with noise of the size of what is left beside the selected parts.
         null: the base model's fit with that noise.
         left: the gap test there.
@@ -59,7 +58,6 @@ class WithinMisfit:
     """
 
     own: ModelFit
-    nearest: ModelFit
     batch: ExperimentBatch
     null: ModelFit
     left: Adequacy
@@ -158,20 +156,18 @@ def _select_within_misfit(
     progress: Progress,
 ) -> Finding:
     """The verdict "other" with the parts that explain much even if all that is left counts as
-    noise: slow noise of each shot's own.
+    noise: slow noise of each shot's own, or else larger noise in all frames alike.
     """
     held = Hypothesis(inquiry.base)
     search = partial(fit_with_noise, simulator=inquiry.simulator, of_misfit=True, progress=progress)
     fit, batch = search(held, null, inquiry.batch, seed=child(seed, "misfit"))
-    wide, widened = _widen(held, fit, batch, inquiry.simulator, child(seed, "wide"))
-    left = adequacy_test(wide, inquiry.effects, widened, inquiry.simulator, seed=seed)
-    within = WithinMisfit(wide, wide, batch, fit, left)
+    left = adequacy_test(fit, inquiry.effects, batch, inquiry.simulator, seed=seed)
+    within = WithinMisfit(fit, batch, fit, left)
     while len(held.parts) < most and inquiry.longer(held):
         own = child(seed, "misfit", len(held.parts))
-        # with wide noise no hypothesis falls so far behind that its fit is given up
         found = attribute(
-            replace(inquiry, batch=widened),
-            wide,
+            replace(inquiry, batch=batch),
+            fit,
             held,
             before=left,
             seed=own,
@@ -183,17 +179,18 @@ def _select_within_misfit(
         within = replace(within, steps=(*within.steps, step))
         name, nats = max(explained.items(), key=lambda item: item[1])
         if nats < EXPLAINS:
-            break
+            name = found.winner.name
+            if found.explained[name] < EXPLAINS:
+                break
         held = step.hypotheses[name]
         fit, batch = search(held, step.fits[name], inquiry.batch, seed=own)
-        wide, widened = _widen(held, fit, batch, inquiry.simulator, child(own, "wide"))
-        seen = held.seen(widened)
-        left = adequacy_test(wide, inquiry.effects, seen, inquiry.simulator, seed=own)
+        seen = held.seen(batch)
+        left = adequacy_test(fit, inquiry.effects, seen, inquiry.simulator, seed=own)
     if held.parts:
         near = within.steps[0].fits[NONE]
         base = fit_null(inquiry.base, batch, inquiry.simulator, seed=seed, near=near)
         left = adequacy_test(base, inquiry.effects, batch, inquiry.simulator, seed=seed)
-        within = replace(within, nearest=wide, batch=batch, null=base, left=left)
+        within = replace(within, batch=batch, null=base, left=left)
     nearest = " and ".join(map(in_words, held.parts))
     explained = f"{nearest} explains some of it" if nearest else "none explains any of it"
     return replace(
@@ -257,7 +254,9 @@ def fit_with_noise(
     """
     for number in range(_NOISE_ROUNDS):
         noise = infer_frame_noise(fit.linearise(held.seen(batch), simulator))
-        batch = (noise.for_fits(widen=False) if of_misfit else noise).applied(batch)
+        if of_misfit:  # enlarged only at last: a fit by wide noise leaves more
+            noise = noise.for_fits(widen=number + 1 == _NOISE_ROUNDS)
+        batch = noise.applied(batch)
         if progress:
             progress(f"noise {batch.noise}")
         own = {"seed": child(seed, number), "progress": progress}
@@ -266,17 +265,6 @@ def fit_with_noise(
         else:
             fit = fit_null(held.base, batch, simulator, near=fit, **own)
     return fit, batch
-
-
-def _widen(
-    held: Hypothesis, fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, seed: int
-) -> tuple[ModelFit, ExperimentBatch]:
-    """The fit with noise enlarged for what residuals have in common, as intervals need it, and the
-    data with that noise.
-    """
-    noise = infer_frame_noise(fit.linearise(held.seen(batch), simulator))
-    widened = noise.for_fits(widen=True).applied(batch)
-    return finish(fit, held.seen(widened), simulator, seed=seed), widened
 
 
 def _select_until_adequate(

@@ -294,8 +294,8 @@ def _select_random(
     of_frame: float,
     beside: BesideSlowNoise | None,
 ) -> tuple[Float[Tensor, "fitted"], Float[Tensor, "effects"]]:
-    """Random effects chosen one after the other by their evidence, beside slow noise where parts
-    are: what they shift everything fitted beside them, and their amplitudes; 0 where none was
+    """Random effects chosen one after the other by their evidence, first beside slow noise where
+    parts are: what they shift everything fitted beside them, and their amplitudes; 0 where none was
     chosen.
 
     An amplitude has a normal prior, by which the effect changes the data by ``of_frame`` sd, times
@@ -316,16 +316,18 @@ def _select_random(
     smooth = beside and beside.whiten(changes * scale[..., None])
     chosen: list[int] = []
     for _ in range(rounds):
-        if beside is None or smooth is None:
-            left = here.project_out(columns)
-            square = left.square().sum(1)
-            gain = 0.5 * (left @ here.residual).square() / square - 0.5 * square.log()
-        else:
-            gain = beside.log_evidence_with(smooth) - beside.log_evidence
-        gain[chosen] = -math.inf
-        best = int(gain.argmax())
-        if float(gain[best]) < EXPLAINS:
+        gains = []  # of the rules, in their order
+        if beside is not None and smooth is not None:
+            gains.append(beside.log_evidence_with(smooth) - beside.log_evidence)
+        left = here.project_out(columns)
+        square = left.square().sum(1)
+        gains.append(0.5 * (left @ here.residual).square() / square - 0.5 * square.log())
+        for gain in gains:
+            gain[chosen] = -math.inf
+        enough = [gain for gain in gains if float(gain.max()) >= EXPLAINS]
+        if not enough:
             break
+        best = int(enough[0].argmax())
         chosen.append(best)
         here = replace(here, fitted=torch.cat((here.fitted, columns[best][:, None]), 1))
         if beside is not None and smooth is not None:
