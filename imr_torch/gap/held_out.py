@@ -205,7 +205,12 @@ def _select_again(
             break
         names = [name for name in step.log_evidence if name != held.name]
         for slow in (False,) if report.within_misfit is None else (True, False):
-            ranked = sorted(names, key=partial(on_kept, step, slow=slow), reverse=True)
+            tried = names
+            if slow:  # as in the selection, which leaves out that gels differ
+                tried = [n for n in names if step.hypotheses[n].gels_differ is held.gels_differ]
+            if not tried:
+                continue
+            ranked = sorted(tried, key=partial(on_kept, step, slow=slow), reverse=True)
             candidates = {n: (step.hypotheses[n], step.fits[n]) for n in ranked[:_CANDIDATES]}
             fits |= _train(candidates, training, kept, simulator, child(seed, held.name))
             found = {

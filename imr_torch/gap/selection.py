@@ -177,7 +177,7 @@ def _select_within_misfit(
         beside = [step for step in finding.steps if step.held.name == held.name]
         step, explained = weigh_beside_slow([found, *beside], inquiry.batch, inquiry.simulator)
         within = replace(within, steps=(*within.steps, step))
-        name, nats = max(explained.items(), key=lambda item: item[1])
+        name, nats = max(explained.items(), key=lambda item: item[1], default=("", 0.0))
         if nats < EXPLAINS:
             name = found.winner.name
             if found.explained[name] < EXPLAINS:
@@ -209,7 +209,8 @@ def weigh_beside_slow(
     """Attributions beside one held hypothesis as one, with the fits that explain more beside slow
     noise of each shot's own, and the nats that the last part of each hypothesis explains there.
 
-    To first order about each fit, so that fits from several noise laws are tried.
+    To first order about each fit, so that fits from several noise laws are tried. That gels differ
+    between shots is left out: it is of each shot's own, as the deviations are.
 
     Args:
         steps: the attributions; hypotheses are those of the first.
@@ -221,7 +222,10 @@ def weigh_beside_slow(
     evidence = dict[str, float]()
     for step in steps:
         for name, fit in step.fits.items():
-            value = evidence_beside_slow(fit, step.hypotheses[name].seen(batch), simulator)
+            hypothesis = step.hypotheses[name]
+            if hypothesis.gels_differ is not step.held.gels_differ:
+                continue
+            value = evidence_beside_slow(fit, hypothesis.seen(batch), simulator)
             if value > evidence.get(name, -math.inf):
                 fits[name] = fit
                 evidence[name] = value
