@@ -160,7 +160,9 @@ class ModelSearch:
             left -= end.iterations
             close = options.shared_distance if shared else options.leader_distance
             arrived = end.gradient < self.options.gradient and end.distance_to(leader) < close
-            if arrived or end.iterations == 0 or left <= 0 or self._is_behind(end):
+            # where no step of its own bubbles lowers the cost, as beside gels whose bubbles fail
+            stuck = not shared and end.distance_to(point) == 0.0
+            if arrived or stuck or end.iterations == 0 or left <= 0 or self._is_behind(end):
                 self.minima.append(replace(end, iterations=self.options.iterations - left))
                 return
             point = end.point

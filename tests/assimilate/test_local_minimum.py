@@ -147,6 +147,16 @@ def test_that_a_point_where_bubbles_fail_is_not_taken() -> None:
     assert 0.5 < float(ended.point.gel[1]) < 0.8
 
 
+def test_that_a_search_ends_where_failing_bubbles_bar_every_way_down() -> None:
+    barred = Circle(limit={"mu": MEANS["mu"] + 0.8 * SDS["mu"]})
+    posterior = Posterior(prior(("nhkv",)).models[0], nearly_central(), barred)
+    start = Point(STARTS[0], posterior.mean_nuisances())
+    search = ModelSearch(posterior, [start], SearchOptions(iterations=200), False, generator(0))
+    search.find_lowest()
+    assert search.lowest.iterations < search.options.iterations
+    assert search.lowest.gradient > search.options.gradient
+
+
 def test_that_a_start_that_cannot_be_simulated_has_an_infinite_cost_and_gradient() -> None:
     posterior = Posterior(prior(("nhkv",)).models[0], nearly_central(), Circle(fails=True))
     start = Point(STARTS[0], posterior.mean_nuisances())
