@@ -18,6 +18,21 @@ torch.set_num_threads(1)
 
 ROOT = Path(__file__).resolve().parents[1]
 
+SLOWEST = (
+    "test_tutorials.py",
+    "test_browser.py",
+    "test_compiled.py",
+    "test_within_misfit.py",
+    "test_frame_noise.py",
+    "test_cli.py",
+    "test_parts.py",
+    "test_batch.py",
+    "test_policies.py",
+    "test_runs.py",
+    "test_polytropic.py",
+)
+"""Files of a minute and more, which begin first: no processor then waits for one of them at the end."""
+
 
 @pytest.fixture(scope="session")
 def shared() -> Path:
@@ -72,6 +87,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         action="store_true",
         help="check the annotated tensor shapes in every call",
     )
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The slowest files first."""
+    items.sort(key=lambda item: item.path.name not in SLOWEST)
 
 
 def pytest_collection_finish() -> None:

@@ -5,6 +5,9 @@ The process has a Matern-3/2 covariance, which is that of the first of two state
 (Hartikainen & Sarkka, IEEE MLSP 2010), so a curve costs in proportion to its frames.
 """
 
+import math
+from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -42,44 +45,71 @@ def matern_whitened(
         The whitened columns, 0 where the mask is not set, and half the log determinants of the
         covariances.
     """
-    # in NumPy, whose small operations cost a quarter; laws side by side in memory; Any, since
-    # pyright takes minutes to infer types of arrays that a loop computes from one another
-    laws: Any = (x.movedim(0, -1).contiguous().numpy() for x in (smooth, rates, noise))
-    variance, rate, independent = laws
-    experiments, frames, count = independent.shape
-    bent = variance * rate**2  # of the process's derivative
-    value = np.zeros((len(columns), experiments, count))
-    slope = np.zeros_like(value)
-    p00 = variance
-    p01 = 0.0
-    p11 = bent
-    seen = np.empty((frames, *value.shape))
-    log_det = np.zeros((experiments, count))
-    gaps = np.diff(times.numpy().T, axis=0, prepend=0.0)[..., None]
-    for k, gap in enumerate(gaps):
-        if k:
-            x = rate * gap
-            decay = np.exp(-x)
-            a00 = decay * (1.0 + x)
-            a01 = decay * gap
-            a10 = -decay * rate * x
-            a11 = decay * (1.0 - x)
-            value, slope = a00 * value + a01 * slope, a10 * value + a11 * slope
-            q00 = p00 - variance  # what the last frame told, carried on to this one
-            q11 = p11 - bent
-            p00, p01, p11 = (
-                variance + a00 * a00 * q00 + 2.0 * a00 * a01 * p01 + a01 * a01 * q11,
-                a00 * a10 * q00 + (a00 * a11 + a01 * a10) * p01 + a01 * a11 * q11,
-                bent + a10 * a10 * q00 + 2.0 * a10 * a11 * p01 + a11 * a11 * q11,
-            )
-        used = mask[:, k, None].numpy()
-        total = p00 + independent[:, k]
-        innovation = columns[:, :, k, None].numpy() - value
-        seen[k] = innovation * (used / np.sqrt(total))
-        log_det += used * (0.5 * np.log(total))
-        g0 = used * (p00 / total)
-        g1 = used * (p01 / total)
-        value += g0 * innovation
-        slope += g1 * innovation
-        p00, p01, p11 = p00 - g0 * p00, p01 - g0 * p01, p11 - g1 * p01
-    return torch.from_numpy(seen.transpose(3, 1, 2, 0)), torch.from_numpy(log_det.T)
+    shape = noise.shape
+    seen = np.empty((shape[0], shape[1], len(columns), shape[2]))
+    log_det = np.empty(shape[:2])
+    given = (times, mask, noise, smooth, rates, columns.movedim(0, 1))
+    _compile_filter()(*(x.contiguous().numpy() for x in given), seen, log_det)
+    return torch.from_numpy(seen).transpose(1, 2), torch.from_numpy(log_det)
+
+
+@cache
+def _compile_filter() -> Callable[..., None]:
+    from numba import njit  # half a second, not to be waited for where no curve is whitened
+
+    try:
+        return njit(cache=True, nogil=True)(_filter_curves)
+    except RuntimeError:  # no folder that can be written
+        return njit(nogil=True)(_filter_curves)
+
+
+def _filter_curves(
+    times: Any,
+    mask: Any,
+    noise: Any,
+    smooth: Any,
+    rates: Any,
+    columns: Any,
+    seen: Any,
+    log_det: Any,
+) -> None:
+    """Fill ``seen`` (laws x experiments x columns x frames) and ``log_det`` (laws x experiments)."""
+    count = columns.shape[1]
+    for law in range(noise.shape[0]):
+        variance, rate = smooth[law], rates[law]
+        bent = variance * rate**2  # of the process's derivative
+        for curve in range(noise.shape[1]):
+            state = np.zeros((count, 2))  # value and derivative, as the frames before predict them
+            p00, p01, p11 = variance, 0.0, bent
+            total_log = 0.0
+            for frame in range(noise.shape[2]):
+                if frame:
+                    gap = times[curve, frame] - times[curve, frame - 1]
+                    x = rate * gap
+                    decay = math.exp(-x)
+                    a00, a01 = decay * (1.0 + x), decay * gap
+                    a10, a11 = -decay * rate * x, decay * (1.0 - x)
+                    for column in range(count):
+                        value, slope = state[column]
+                        state[column, 0] = a00 * value + a01 * slope
+                        state[column, 1] = a10 * value + a11 * slope
+                    q00 = p00 - variance  # what the last frame told, carried on to this one
+                    q11 = p11 - bent
+                    p00, p01, p11 = (
+                        variance + a00 * a00 * q00 + 2.0 * a00 * a01 * p01 + a01 * a01 * q11,
+                        a00 * a10 * q00 + (a00 * a11 + a01 * a10) * p01 + a01 * a11 * q11,
+                        bent + a10 * a10 * q00 + 2.0 * a10 * a11 * p01 + a11 * a11 * q11,
+                    )
+                if not mask[curve, frame]:
+                    seen[law, curve, :, frame] = 0.0
+                    continue
+                total = p00 + noise[law, curve, frame]
+                g0, g1 = p00 / total, p01 / total
+                total_log += 0.5 * math.log(total)
+                for column in range(count):
+                    innovation = columns[curve, column, frame] - state[column, 0]
+                    seen[law, curve, column, frame] = innovation / math.sqrt(total)
+                    state[column, 0] += g0 * innovation
+                    state[column, 1] += g1 * innovation
+                p00, p01, p11 = p00 - g0 * p00, p01 - g0 * p01, p11 - g1 * p01
+            log_det[law, curve] = total_log

@@ -25,13 +25,14 @@ of every model is then weighted by the same sum over laws, exactly
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate.forward import Point
-from imr_torch.assimilate.gauss_newton import NormalEquations, normal_equations
+from imr_torch.assimilate.gauss_newton import NormalEquations, make_definite
 from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.float64 import arange, eye, ones, tensor, zeros
 from imr_torch.observe import ExperimentBatch, Noise, NoiseLaws
@@ -85,26 +86,49 @@ class LocalNoise:
         size = float(near.posterior.batch.sizes.sum())
         return cls(square, normaliser, size, NormalEquations(*blocks), near.point)
 
-    def posterior(self, log_scales: Tensor) -> NormalEquations:
-        """Equations of the posterior, ``J x S``, for ``J x S`` logarithms of the scale."""
-        precision = torch.exp(-2.0 * log_scales)
-        blocks = [getattr(self.equations, block.name)[:, None] for block in fields(NormalEquations)]
-        scaled = (precision.reshape(*precision.shape, *[1] * (x.ndim - 2)) * x for x in blocks)
-        return NormalEquations(*scaled).with_prior(self.point.gel, self.point.nuisances)
-
     def marginal(self, log_scales: Tensor) -> Tensor:
         """Log marginal likelihood, gel and nuisances integrated out: ``J x S`` for ``J x S``
         logarithms of the scale.
+
+        The Hessian of each experiment's nuisances is a multiple of that at scale 1 and the identity,
+        so its modes serve all scales.
         """
-        equations = self.posterior(log_scales)
-        precision = torch.exp(-2.0 * log_scales)
-        likelihood = (
+        equations, gel, precision = self.equations, self.point.gel, torch.exp(-2.0 * log_scales)
+        sizes, turned = self._nuisance_modes
+        p = precision[..., None, None]
+        cross, gradient, here = turned[:, None].tensor_split((len(gel), len(gel) + 1), -1)
+        spread = 1.0 + p * sizes[:, None]
+        pull = here[..., 0] + p * gradient[..., 0]
+        response = ((p / spread)[..., None] * cross).flatten(-3, -2)
+        slope = gel + precision[..., None] * equations.gel_gradient[:, None]
+        slope = slope[..., None] - response.mT @ pull.flatten(-2)[..., None]
+        own = eye(len(gel)) + p * equations.gel_hessian[:, None]
+        hessian = own - response.mT @ (p[..., None] * cross).flatten(-3, -2)
+        chol = torch.linalg.cholesky(make_definite(0.5 * (hessian + hessian.mT)))
+        white = torch.linalg.solve_triangular(chol, slope, upper=False)
+        return (
             -0.5 * self.square[:, None] * precision
             - self.normaliser[:, None]
             - self.size * log_scales
+            - 0.5 * (gel.square().sum() + self.point.nuisances.square().sum())
+            + 0.5 * (pull.square() / spread - spread.log()).sum((-2, -1))
+            + 0.5 * white.square().sum((-2, -1))
+            - chol.diagonal(dim1=-2, dim2=-1).log().sum(-1)
         )
-        prior = 0.5 * (self.point.gel.square().sum() + self.point.nuisances.square().sum())
-        return likelihood - prior + equations.log_integral
+
+    @cached_property
+    def _nuisance_modes(self) -> tuple[Tensor, Tensor]:
+        """Eigenvalues of the nuisances' Hessians (``J x E x w``), and in their eigenvectors what
+        meets the gel, the gradient and the point (``J x E x w x (d + 2)``).
+        """
+        sizes, vectors = torch.linalg.eigh(self.equations.nuisance_hessian)
+        here = self.point.nuisances.expand(sizes.shape)
+        columns = (
+            self.equations.cross,
+            self.equations.nuisance_gradient[..., None],
+            here[..., None],
+        )
+        return sizes.clamp_min(0.0), vectors.mT @ torch.cat(columns, -1)
 
 
 def equations_of_columns(whitened: Tensor, gel: int) -> NormalEquations:
@@ -115,9 +139,16 @@ def equations_of_columns(whitened: Tensor, gel: int) -> NormalEquations:
             nuisances.
         gel: how many of the columns are those of the gel.
     """
-    residual, by_gel, by_nuisance = whitened.movedim(-3, -1).tensor_split((1, 1 + gel), -1)
-    gradients = -(by_gel.mT @ residual)[..., 0].sum(-2), -(by_nuisance.mT @ residual)[..., 0]
-    return normal_equations(gradients, (by_gel, by_nuisance))
+    columns = whitened.transpose(-3, -2)
+    products = columns @ columns.mT
+    first = 1 + gel
+    return NormalEquations(
+        -products[..., 0, 1:first].sum(-2),
+        -products[..., 0, first:],
+        gel_hessian=products[..., 1:first, 1:first].sum(-3),
+        nuisance_hessian=products[..., first:, first:],
+        cross=products[..., first:, 1:first],
+    )
 
 
 def best_scales(
