@@ -186,16 +186,17 @@ def _select_again(
     are the hypotheses whose fits to all designs suit the others best.
     """
 
-    def beside_slow(fit: ModelFit, hypothesis: Hypothesis) -> float:
+    def beside_slow(fit: ModelFit, hypothesis: Hypothesis, **own: int) -> float:
         seen = hypothesis.seen(_part(report.batch, kept))
-        return evidence_beside_slow(fit, seen, simulator)
+        return evidence_beside_slow(fit, seen, simulator, **own)
 
     def on_kept(step: Attribution, name: str, *, slow: bool) -> float:
         """Evidence of a fit to all designs on those that are kept."""
         fit = step.fits[name]
         hypothesis = step.hypotheses[name]
         if slow:
-            return beside_slow(replace(fit, nuisances=fit.nuisances[list(kept)]), hypothesis)
+            fit = replace(fit, nuisances=fit.nuisances[list(kept)])
+            return beside_slow(fit, hypothesis, steps=0)
         return _evidence_on_some(fit, hypothesis.seen(training), kept)
 
     held = Hypothesis(report.base)

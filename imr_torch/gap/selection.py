@@ -40,6 +40,7 @@ _NO_GAP = 0.5  # probability of the base model alone from which on there is no g
 # probability of an unknown effect from which on the verdict is "other", once further effects were
 # tried
 _UNKNOWN = 0.5
+_AHEAD = 8  # hypotheses whose most probable points beside slow noise are found
 _NOISE_ROUNDS = 2  # times that the noise is inferred about a fit, and the fit made with it
 
 
@@ -209,8 +210,9 @@ def weigh_beside_slow(
     """Attributions beside one held hypothesis as one, with the fits that explain more beside slow
     noise of each shot's own, and the nats that the last part of each hypothesis explains there.
 
-    To first order about each fit, so that fits from several noise laws are tried. That gels differ
-    between shots is left out: it is of each shot's own, as the deviations are.
+    Fits from several noise laws are tried, since each is where another noise led; of the hypotheses
+    that are ahead to first order about them, the most probable points beside slow noise count.
+    That gels differ between shots is left out: it is of each shot's own, as the deviations are.
 
     Args:
         steps: the attributions; hypotheses are those of the first.
@@ -218,29 +220,38 @@ def weigh_beside_slow(
         simulator: makes the bubbles.
     """
     held = steps[0].held.name
-    fits = dict[str, ModelFit]()
-    evidence = dict[str, float]()
+    tried = dict[str, list[tuple[float, ModelFit]]]()
     for step in steps:
         for name, fit in step.fits.items():
             hypothesis = step.hypotheses[name]
-            if hypothesis.gels_differ is not step.held.gels_differ:
-                continue
-            value = evidence_beside_slow(fit, hypothesis.seen(batch), simulator)
-            if value > evidence.get(name, -math.inf):
-                fits[name] = fit
-                evidence[name] = value
+            if hypothesis.gels_differ is step.held.gels_differ:
+                value = evidence_beside_slow(fit, hypothesis.seen(batch), simulator, steps=0)
+                tried.setdefault(name, []).append((value, fit))
+    ranked = sorted(tried, key=lambda name: max(tried[name], key=_first)[0], reverse=True)
+    fits = dict[str, ModelFit]()
+    evidence = dict[str, float]()
+    for name in dict.fromkeys((held, *ranked[:_AHEAD])):
+        seen = steps[0].hypotheses[name].seen(batch)
+        again = [(evidence_beside_slow(fit, seen, simulator), fit) for _, fit in tried[name]]
+        evidence[name], fits[name] = max(again, key=_first)
     explained = {n: value - evidence[held] for n, value in evidence.items() if n != held}
     return replace(steps[0], fits=steps[0].fits | fits), explained
 
 
-def evidence_beside_slow(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> float:
-    """Log evidence of a hypothesis beside slow noise of each shot's own, to first order about a
-    fit; -inf where that has no prediction.
+def _first(pair: tuple[float, ModelFit]) -> float:
+    return pair[0]
+
+
+def evidence_beside_slow(
+    fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, steps: int = 6
+) -> float:
+    """Log evidence of a hypothesis beside slow noise of each shot's own, after so many steps from a
+    fit to the most probable point there; -inf where the fit has no prediction.
     """
     near = fit.linearise(batch, simulator)
     if not bool(torch.isfinite(near.centre[batch.mask]).all()):
         return -math.inf
-    return BesideSlowNoise.about(near).log_evidence
+    return BesideSlowNoise.at_mode(near, steps=steps).log_evidence
 
 
 def fit_with_noise(

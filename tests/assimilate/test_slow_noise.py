@@ -119,3 +119,19 @@ def test_that_one_shot_cannot_tell_them_apart():
     batch = with_slow_noise(curves(Noise()), 0.02)
     found = smooth_deviations(known(replace(batch, experiments=batch.experiments[:1])))
     assert found.own == pytest.approx(found.common, abs=1e-6)
+
+
+def test_that_the_most_probable_point_is_found_from_afar():
+    """From a displaced gel, evidence by linear extrapolation is off by more than what is left."""
+    place = known(with_slow_noise(curves(Noise(), spacing=0.08), 0.01))
+    away = place.posterior.neighbourhood(
+        replace(place.point, gel=place.point.gel + torch.tensor([0.1, -0.07]).double())
+    )
+    right, promised, found = (
+        BesideSlowNoise.at_mode(place),
+        BesideSlowNoise.about(away),
+        BesideSlowNoise.at_mode(away),
+    )
+    assert found.log_evidence == pytest.approx(right.log_evidence, abs=0.3)
+    assert abs(promised.log_evidence - right.log_evidence) > 3.0
+    assert BesideSlowNoise.at_mode(away, steps=0).log_evidence == promised.log_evidence
