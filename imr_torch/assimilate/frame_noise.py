@@ -253,9 +253,10 @@ class _Curves:
 
     def noise_variance(self, values: Tensor, factors: Tensor) -> Tensor:
         """``J x E x T`` tensor, variance of the noise at scale 1, without its kink."""
-        slope, drift, floor = (values[:, i, None, None] for i in range(3))
+        laws, which = values[:, :3].unique(dim=0, return_inverse=True)
+        slope, drift, floor = laws.T[..., None, None]
         grown = slope * (self.near.centre - 1.0).abs() + drift * self.near.posterior.batch.times
-        return (grown.square() + floor.square()) * factors[self.place, None].square()
+        return ((grown.square() + floor.square()) * factors[self.place, None].square())[which]
 
     def whiten_columns(
         self, values: Tensor, factors: Tensor, level: Tensor, columns: Tensor
@@ -340,7 +341,8 @@ class _Grid:
         """``3 x J`` tensor: log weights of all combinations, their scales integrated out, and log
         scales with standard deviations; so many are filtered side by side.
         """
-        level = _mean_variance(self.curves, self.values, factors)
+        level = _mean_variance(self.curves, self.laws, factors)
+        level = level.repeat_interleave(len(self.deviations))
         parts = []
         for some, its in zip(self.values.split(at_once), level.split(at_once), strict=True):
             local = [c.describe_locally(some, factors, its) for c in self.curves]

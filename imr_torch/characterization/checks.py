@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from imr_torch.calibration import FEWEST_GELS
 from imr_torch.errors import InputDataError
 from imr_torch.material import Belief
-from imr_torch.observe import CollapseShot, TraceSet
+from imr_torch.observe import CollapseShot, ExperimentBatch, TraceSet
 from imr_torch.population import MOST, SCALE
 
 
@@ -20,6 +20,10 @@ class Effort:
     Args:
         rounds: of draws, each up to twice as many as the one before.
         behind: nats behind the best model from which a model gets one round only.
+        missed: rounds where the models miss the curves of ``many`` shots or more: such intervals
+            may not be quoted, and each costs in proportion to the shots.
+        many: shots.
+        widened: factor on the error bars from which on curves count as missed.
 
     >>> from imr_torch.characterization import EFFORTS
     >>> EFFORTS["thorough"].rounds
@@ -28,9 +32,21 @@ class Effort:
 
     rounds: int
     behind: float
+    missed: int
+    many: int = 8
+    widened: float = 2.0
+
+    def rounds_for(self, batch: ExperimentBatch) -> int:
+        """Rounds of draws.
+
+        Args:
+            batch: the data with the noise that their fits were made with.
+        """
+        costly = len(batch.experiments) >= self.many and batch.noise.widened > self.widened
+        return self.missed if costly else self.rounds
 
 
-EFFORTS = {"normal": Effort(4, 3.0), "thorough": Effort(8, 7.0)}
+EFFORTS = {"normal": Effort(4, 3.0, 2), "thorough": Effort(8, 7.0, 8)}
 
 
 def check_request(

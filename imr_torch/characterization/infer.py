@@ -187,7 +187,7 @@ def characterize(
         fits,
         simulator,
         seed=child(seed, "weigh"),
-        rounds=spent.rounds,
+        rounds=spent.rounds_for(fits.batch),
         drop_behind=spent.behind,
         noise=noise_nodes(fits, simulator),
         progress=progress,

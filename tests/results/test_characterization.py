@@ -5,12 +5,14 @@ import json
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
+from imr_torch.characterization import EFFORTS
 from imr_torch.cli import main
 from imr_torch.cli.figures import save_figures
 from imr_torch.errors import InputDataError
@@ -325,6 +327,18 @@ def test_that_curves_of_the_model_are_explained_and_those_of_an_unmodelled_effec
     )
     assert tested["sentence"].endswith("have tried: imr-torch diagnose")
     assert 'class="verdict warning"' in document_page(lossy)
+
+
+@pytest.mark.parametrize(
+    ("effort", "shots", "widened", "rounds"),
+    [("normal", 8, 5.0, 2), ("normal", 8, 1.5, 4), ("normal", 7, 5.0, 4), ("thorough", 8, 5.0, 8)],
+)
+def test_that_draws_about_many_missed_curves_are_few(result, effort, shots, widened, rounds):
+    found, _ = result
+    batch = found.assimilation.batch
+    noise = replace(batch.noise, widened=widened)
+    many = replace(batch, experiments=batch.experiments[:1] * shots, noise=noise)
+    assert EFFORTS[effort].rounds_for(many) == rounds
 
 
 def test_that_the_command_line_writes_json_before_figures_and_the_page(
