@@ -7,7 +7,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
-PIP := PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check
+# modules are compiled when they are first imported: most never are
+PIP := PIP_CONSTRAINT=constraints.txt PIP_NO_COMPILE=1 $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .PHONY: setup demo test lint docs locks benchmark release-check release-tools clean
 .DELETE_ON_ERROR:

@@ -23,6 +23,9 @@ from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.float64 import eye, tensor
 from imr_torch.observe import collapse_time
 
+AMOUNTS = (0.001, 0.002, 0.004, 0.008, 0.016)
+"""Standard deviations of slow noise in R* that are tried."""
+
 
 @dataclass(frozen=True)
 class SmoothDeviations:
@@ -41,7 +44,7 @@ class SmoothDeviations:
 def smooth_deviations(
     near: Neighbourhood,
     *,
-    amounts: Sequence[float] = (0.001, 0.002, 0.004, 0.008, 0.016),
+    amounts: Sequence[float] = AMOUNTS,
     durations: Sequence[float] = (0.14, 0.24, 0.4),
     shares: Sequence[float] = (0.5, 0.9),
     most_frames: int = 900,
@@ -114,7 +117,7 @@ class BesideSlowNoise:
         cls,
         near: Neighbourhood,
         *,
-        amounts: Sequence[float] = (0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064),
+        amounts: Sequence[float] = AMOUNTS,
         durations: Sequence[float] = (0.14, 0.3, 0.6),
     ) -> "BesideSlowNoise":
         """Deviations of these standard deviations in R*, whose correlation has fallen to 1/e at

@@ -14,6 +14,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import itemgetter
 
 import torch
 
@@ -227,19 +228,15 @@ def weigh_beside_slow(
             if hypothesis.gels_differ is step.held.gels_differ:
                 value = evidence_beside_slow(fit, hypothesis.seen(batch), simulator, steps=0)
                 tried.setdefault(name, []).append((value, fit))
-    ranked = sorted(tried, key=lambda name: max(tried[name], key=_first)[0], reverse=True)
+    ranked = sorted(tried, key=lambda name: max(value for value, _ in tried[name]), reverse=True)
     fits = dict[str, ModelFit]()
     evidence = dict[str, float]()
     for name in dict.fromkeys((held, *ranked[:_AHEAD])):
         seen = steps[0].hypotheses[name].seen(batch)
         again = [(evidence_beside_slow(fit, seen, simulator), fit) for _, fit in tried[name]]
-        evidence[name], fits[name] = max(again, key=_first)
+        evidence[name], fits[name] = max(again, key=itemgetter(0))
     explained = {n: value - evidence[held] for n, value in evidence.items() if n != held}
     return replace(steps[0], fits=steps[0].fits | fits), explained
-
-
-def _first(pair: tuple[float, ModelFit]) -> float:
-    return pair[0]
 
 
 def evidence_beside_slow(
