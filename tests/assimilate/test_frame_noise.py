@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import pytest
 import torch
+from numba import njit
 from scipy.stats import kstest
 
 from imr_torch.assimilate import FIRST_KINK, FrameNoisePrior, Posterior, infer_frame_noise
 from imr_torch.assimilate.forward import Point
-from imr_torch.assimilate.matern import MATERN, matern_whitened
+from imr_torch.assimilate.matern import MATERN, _compile_filter, _filter_curves, matern_whitened
 from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.assimilate.spikes import frames_left_out, without_spoilt_frames
 from imr_torch.gap import LIBRARY
@@ -76,6 +77,18 @@ def with_slow_noise(batch: ExperimentBatch, size: float, seed: int = 5) -> Exper
     source = generator(seed)
     moved = tuple(replace(e, radius=e.radius + smooth(size, e.times, source)) for e in batch.curves)
     return replace(batch, experiments=moved)
+
+
+def test_that_curves_are_filtered_where_no_folder_can_be_written(monkeypatch):
+    times, one = torch.tensor([[0.0, 0.1]]).double(), torch.ones(1, dtype=torch.float64)
+    given = times, times > -1.0, torch.ones(1, 1, 2, dtype=torch.float64), one, one, times[None]
+    expected = matern_whitened(*given)
+    monkeypatch.setattr("numba.core.caching.CacheImpl._locator_classes", [])
+    with pytest.raises(RuntimeError, match="cannot cache"):
+        njit(cache=True)(_filter_curves)
+    monkeypatch.setattr("imr_torch.assimilate.matern._compile_filter", _compile_filter.__wrapped__)
+    for found, kept in zip(matern_whitened(*given), expected, strict=True):
+        assert torch.equal(found, kept)
 
 
 def test_that_columns_are_whitened_as_by_dense_algebra():
