@@ -22,7 +22,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from benchmarks.real_gels import SETS
+from benchmarks.real_gels import SETS, standardise
 from benchmarks.records import Job, Line, read_record, run_missing_jobs, write_table
 from imr_torch import load_traces, wide_prior
 from imr_torch.assimilate import SearchOptions, assimilate
@@ -71,13 +71,6 @@ def residual_of(
         "gradient": fit.certificate.gradient,
         "converged": fit.certificate.usable,
     }
-
-
-def standardise(shot: Experiment, seen: Tensor) -> Tensor:
-    """Measured less predicted, over .004 and .15 frames of jitter."""
-    speed = torch.gradient(seen, spacing=(shot.times,))[0]
-    jitter = 0.15 * float(shot.times.diff().median()) * speed
-    return (shot.mean - seen) / torch.hypot(torch.full_like(seen, 0.004), jitter)
 
 
 def mirror(shot: Experiment, frames: Tensor) -> Tensor:

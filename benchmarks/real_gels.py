@@ -10,8 +10,9 @@ be fitted and whose tail does not grow again. The medium is stated (`SETS`); mod
 vapour transport. Tasks:
 
 - `characterize`: Newtonian, NHKV and generalised QKV.
-- `diagnose`: every second curve, judged on the other curves, which no fit saw, beside the placebo.
-  Two curves have two halves of one, one curve has none.
+- `diagnose`: every second curve, judged on all other curves of the set, which no fit saw, beside
+  the placebo; for each of them also the root mean square of what is left, over .004 in R* and .15
+  frames of jitter. Two curves have two halves of one, one curve has none.
 - `other half`: the diagnosis of those other curves.
 
 `table` writes one page, with the controls (`real_gels_controls.py`).
@@ -21,9 +22,13 @@ import argparse
 import json
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
+
+import torch
+from torch import Tensor
 
 from benchmarks.real_gels_page import write_page
 from benchmarks.records import Line, read_record, run_missing_jobs
@@ -31,11 +36,13 @@ from imr_torch import characterize, load_traces
 from imr_torch.assimilate import SearchOptions
 from imr_torch.characterization import medium_of
 from imr_torch.errors import ImrError, InputDataError
-from imr_torch.gap import diagnose, examine, library, to_json
+from imr_torch.gap import GapReport, diagnose, examine, library, to_json
+from imr_torch.gap.held_out import judge_designs
 from imr_torch.material import wide_prior
-from imr_torch.observe import TraceSet, find_landmarks, prepare
+from imr_torch.observe import Experiment, Noise, TraceSet, find_landmarks, prepare
 from imr_torch.random import child
 from imr_torch.simulate import ACCURACIES, TransportSimulator
+from imr_torch.units import Surroundings
 
 SETS: dict[str, str] = {
     "gel03_histotripsy": "agarose_0.5,density=1002:5",
@@ -66,6 +73,7 @@ measured value; gel03 and gel25 are agarose of .3 and 2.5 % by inference, and li
 BASE = "nhkv"
 SEED = 0
 REST = (0.2, 0.08)  # assumed R_inf/Rmax of a record without a tail
+JUDGING = Noise(scale=0.004, slope=0.0, drift=0.0, floor=1.0, kink=0.15 / 0.004)
 _DROP_BEHIND = 50.0  # nats by which a model must be behind to be left there
 
 
@@ -110,14 +118,17 @@ def characterize_set(file: Path, most: int, medium: str) -> Line:
 
 
 def diagnose_set(file: Path, most: int, medium: str, *, other: bool) -> Line:
-    """The diagnosis of every second curve, judged on the others; of the ``other`` half unjudged."""
+    """The diagnosis of every second curve, judged on all others of the set; of the ``other`` half
+    unjudged.
+    """
     traces, rest = read_curves(file, most)
     simulator = TransportSimulator(accuracy=ACCURACIES["search"], threads=1)
     stated = medium_of(traces, medium, simulator.conditions.surroundings)
     experiments = prepare(traces, stated.surroundings, rest_radius=rest).experiments
-    fitted, unseen = experiments[int(other) :: 2], experiments[1 - int(other) :: 2]
+    fitted = experiments[int(other) :: 2]
     if not fitted:
         return {"skipped": "one curve has no other half"}
+    unseen = further_curves(file, fitted, stated.surroundings, rest)
     simulator = stated.applied(simulator)
     effects = [e for e in library(base=BASE) if not set(e.names) & set(stated.priors)]
     seed = child(SEED, "other" if other else "first")
@@ -131,8 +142,53 @@ def diagnose_set(file: Path, most: int, medium: str, *, other: bool) -> Line:
     )
     parts = None if other else examine(report, simulator, unseen=unseen, seed=seed)
     document = to_json(report, parts)
-    about = {"curves": [e.label for e in fitted], "unseen": [e.label for e in unseen]}
+    about: Line = {"curves": [e.label for e in fitted], "unseen": [e.label for e in unseen]}
+    if parts is not None and parts.shrinkage is not None:
+        about["left"] = left_on(unseen, report, simulator, seed)
     return about | {name: document[name] for name in KEPT} | {"rest_assumed": rest is not None}
+
+
+def further_curves(
+    file: Path,
+    fitted: Sequence[Experiment],
+    surroundings: Surroundings,
+    rest: tuple[float, float] | None,
+) -> tuple[Experiment, ...]:
+    """All curves of a set that can be fitted and were not, read as those were."""
+    traces, _ = read_curves(file, 0)
+    seen = {experiment.label for experiment in fitted}
+    names = [
+        trace.experiment_id
+        for trace in traces
+        if trace.experiment_id not in seen
+        and (rest is not None or find_landmarks(trace).rest_radius_m is not None)
+    ]
+    if not names:
+        return ()
+    return prepare(traces.select(names), surroundings, rest_radius=rest).experiments
+
+
+def left_on(
+    unseen: Sequence[Experiment], report: GapReport, simulator: TransportSimulator, seed: int
+) -> dict[str, list[float]]:
+    """Root mean square of what each unseen curve leaves, standardised, without what was selected
+    and with it; a curve's own Rmax, time zero and R_inf are fitted by the same noise.
+    """
+    batch = replace(report.batch, experiments=tuple(unseen), noise=JUDGING, noise_laws=None)
+    left: dict[str, list[float]] = {"base": [], "selected": []}
+    for pair in judge_designs(report, simulator, batch, seed=seed):
+        for name, one in (("base", pair.base), ("selected", pair.effect)):
+            (shot,) = one.line.batch.experiments
+            square = standardise(shot, one.line.prediction[0, : len(shot.times)]).square()
+            left[name].append(float(square.mean().sqrt()))
+    return left
+
+
+def standardise(shot: Experiment, seen: Tensor) -> Tensor:
+    """Measured less predicted, over .004 and .15 frames of jitter."""
+    speed = torch.gradient(seen, spacing=(shot.times,))[0]
+    jitter = 0.15 * float(shot.times.diff().median()) * speed
+    return (shot.mean - seen) / torch.hypot(torch.full_like(seen, 0.004), jitter)
 
 
 KEPT = (

@@ -272,8 +272,8 @@ class ModelFit:
 
         ``TRUSTED``: importance weights are reliable and, with the noise that the fit was made with,
         confirm its mean and covariance. ``REPAIRED``: they are reliable and give other moments,
-        which agree with those that the proposal of the last round was made for. ``REFUSED``:
-        neither.
+        which agree with those of the round before, or those that the proposal was made for.
+        ``REFUSED``: neither.
         """
         sample = self.sample
         if sample is None:

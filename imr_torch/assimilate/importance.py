@@ -157,6 +157,7 @@ class ImportanceSample(SmoothedWeights):
         nuisances: one draw of the nuisances given ``v`` and the data for each draw.
         centre: mean of ``v`` that the proposal was made for.
         spread: Cholesky factor of the covariance that it was made for.
+        behind: effective draws that these two rest on; infinite where on none.
         first_shape: ``k`` of the first round, whose proposal is the Gaussian with heavier tails.
         rounds: how many rounds of draws were made; these are of the last one, and its proposal does
             not depend on them.
@@ -185,6 +186,7 @@ class ImportanceSample(SmoothedWeights):
     spread: ControlMatrix
     first_shape: float
     rounds: int
+    behind: float = math.inf
     precisions: Float[Tensor, "draws controls controls"] | None = None
     noise: NoiseSample | None = None
 
@@ -229,7 +231,7 @@ class ImportanceSample(SmoothedWeights):
 
         See :meth:`divergence_from`.
         """
-        return self.divergence_from(self.centre, self.spread)
+        return self.divergence_from(self.centre, self.spread, self.behind)
 
     @cached_property
     def as_fitted(self) -> "ImportanceSample":
@@ -269,23 +271,26 @@ class ImportanceSample(SmoothedWeights):
             ]
         )
 
-    def divergence_from(self, mean: Controls, chol: ControlMatrix) -> float:
+    def divergence_from(
+        self, mean: Controls, chol: ControlMatrix, behind: float = math.inf
+    ) -> float:
         """Kullback-Leibler divergence of a Gaussian from that with the moments found, nats, less
         its expectation by chance.
 
         With ``n`` effective draws that is ``d (d + 3)/(4 n)``: half a chi-square of as many degrees
-        of freedom as there are moments, over ``n``.
+        of freedom as there are moments, over ``n``; the same again for other moments from draws.
 
         Args:
             mean: ``d`` tensor.
             chol: Cholesky factor of the covariance.
+            behind: effective draws that these two rest on; infinite where on none.
         """
         found, other = (
             MultivariateNormal(at, scale_tril=root, validate_args=False)
             for at, root in ((self.mean, torch.linalg.cholesky(self.covariance)), (mean, chol))
         )
         size = len(mean)
-        chance = size * (size + 3) / (4.0 * self.effective_samples)
+        chance = 0.25 * size * (size + 3) * (1.0 / self.effective_samples + 1.0 / behind)
         return float(kl_divergence(found, other)) - chance
 
     @property

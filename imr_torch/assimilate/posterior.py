@@ -108,6 +108,7 @@ class Posterior(ForwardModel):
         self,
         point: Point,
         *,
+        beside: Point | None = None,
         longest: float = 4.0,
     ) -> tuple[
         Float[Tensor, "draws experiments nuisances"],
@@ -121,16 +122,25 @@ class Posterior(ForwardModel):
 
         Args:
             point: ``n`` gels, with nuisances to start from, kept where a bubble fails.
+            beside: a fitted point whose sensitivities serve all gels, a quarter of the bubbles;
+                those about each gel when not given.
             longest: most prior standard deviations of nuisances in one step.
 
         Returns:
             Nuisances ``n x E x w`` and lower Cholesky factors of their Hessian ``n x E x w x w``.
         """
-        near = self.neighbourhood(point, moves_gel=False)
-        known = torch.isfinite(near.prediction).all(-1).all(-2)[..., None]
-        step = near.equations.reduced.nuisance_step
+        if beside is None:
+            near = self.neighbourhood(point, moves_gel=False)
+            known = torch.isfinite(near.prediction).all(-1).all(-2)[..., None]
+            equations = near.equations
+        else:
+            prediction = self.predict(point)
+            known = torch.isfinite(prediction).all(-1, keepdim=True)
+            slopes = (x.expand(len(point.gel), *x.shape) for x in self.neighbourhood(beside).slopes)
+            equations = self.equations(point, torch.where(known, prediction, 0.5), *slopes)
+        step = equations.reduced.nuisance_step
         step = step * (longest / step.norm(dim=-1, keepdim=True).clamp_min(1e-300)).clamp_max(1.0)
-        root = torch.linalg.cholesky(near.equations.nuisance_hessian)
+        root = torch.linalg.cholesky(equations.nuisance_hessian)
         return torch.where(known, point.nuisances + step, point.nuisances), root
 
     def likelihood_slope(self, prediction: BatchFrames) -> BatchFrames:

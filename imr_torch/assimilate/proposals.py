@@ -28,6 +28,7 @@ class Kernels:
         chols: their scales.
         mean: mean of the posterior that the proposal is made for.
         chol: Cholesky factor of the covariance of that posterior.
+        effective: effective draws that these two rest on; infinite where on none.
         precisions: tensor ``d x d`` for each of the first centres, of that posterior about them;
             None where not known.
         freedom: degrees of freedom of the kernels: with 7 their tails are heavier than a
@@ -39,6 +40,7 @@ class Kernels:
     chols: Float[Tensor, "kernels controls controls"]
     mean: Controls
     chol: ControlMatrix
+    effective: float = math.inf
     precisions: Float[Tensor, "known controls controls"] | None = None
     freedom: int = 7
 
@@ -75,10 +77,12 @@ class Kernels:
         deviation = points - mean
         chol = torch.linalg.cholesky((weights[:, None] * deviation).mT @ deviation)
         chol = min(power**-0.5, widest) * chol
-        width = (4.0 / ((size + 2) * float(effective_size(weights)))) ** (1.0 / (size + 4))
+        effective = float(effective_size(weights))
+        width = (4.0 / ((size + 2) * effective)) ** (1.0 / (size + 4))
         kept = weights > 0.0
         chols = width * chol.expand(int(kept.sum()), -1, -1)
-        return cls(points[kept], weights[kept], chols, mean, chol).with_wide_kernel(wide_share)
+        kernels = cls(points[kept], weights[kept], chols, mean, chol, effective)
+        return kernels.with_wide_kernel(wide_share)
 
     def with_wide_kernel(self, share: float, *, scale: float = 1.5) -> "Kernels":
         """With one wide kernel about all, which covers what the others do not.

@@ -209,7 +209,7 @@ def _place_kernels(points: list[_RidgePoint], options: RidgeOptions) -> Kernels:
     apart = gels - mean
     covariance = (weights * apart.mT) @ apart + (weights[:, None, None] * flat).sum(0)
     chol = torch.linalg.cholesky(covariance)
-    kernels = Kernels(gels, weights, chols, mean, chol, hessian)
+    kernels = Kernels(gels, weights, chols, mean, chol, precisions=hessian)
     return kernels.with_wide_kernel(options.wide_share)
 
 

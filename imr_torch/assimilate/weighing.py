@@ -3,12 +3,12 @@ moments where it fails.
 
 Each fit's Gaussian, with heavier tails, proposes draws that are weighted by the exact posterior.
 Nuisances are integrated out for each draw and each experiment by importance sampling from their
-conditional Gaussian, with heavier tails too, in opposite pairs, which cancels its skewness; the
+conditional Gaussian, with slightly heavier tails, in opposite pairs, which cancels its skewness; the
 product over experiments is without bias (pseudo-marginal: Andrieu & Roberts, Ann. Stat. 37, 2009).
-That Gaussian is at first the fit's, moved linearly with the gel, and after the first round each
-draw's own. A model whose Gaussian is not confirmed gets another round about the ridge that its
-posterior lies on (:mod:`~imr_torch.assimilate.ridge`), then with proposals made from all its
-weighted draws, until one is reliable.
+That Gaussian is the fit's, moved linearly with the gel, in a first round whose nuisances follow the
+gel so, else each draw's own. A model whose Gaussian is not confirmed, or whose nuisances do not
+follow, gets a round about the ridge that its posterior lies on (:mod:`~imr_torch.assimilate.ridge`),
+then with proposals made from all its weighted draws, until one is reliable and repeats the last.
 
 Where a draw has a lower cost than the minimum, the model is fitted again from there
 (:mod:`~imr_torch.assimilate.weighing`). Another mode far from all draws is not detected here, but by
@@ -49,7 +49,7 @@ from imr_torch.float64 import zeros
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Progress, ProgressLine
+from imr_torch.types import DrawnControls, Progress, ProgressLine
 
 
 def lower_point(
@@ -132,7 +132,7 @@ class _Draws:
 
     Args:
         controls: ``n x d`` tensor.
-        nuisances: ``n x K x E x w`` tensor: opposite pairs, or (``K = 1``) all zero where none is
+        nuisances: ``n x K x E x w`` tensor: an opposite pair, or (``K = 1``) all zero where none is
             uncertain.
         log_ratio: ``n x K x E`` tensor, log of prior over proposal of the nuisances.
     """
@@ -170,6 +170,7 @@ class _State:
         proposals: of each round since.
         parts: draws of each round since.
         drawn: rounds in all.
+        bent: whether the nuisances do not follow the gel linearly.
     """
 
     fit: ModelFit
@@ -178,6 +179,7 @@ class _State:
     proposals: list[Kernels] = field(default_factory=list)
     parts: list[ImportanceSample] = field(default_factory=list)
     drawn: int = 0
+    bent: bool = False
 
     @property
     def is_refused(self) -> bool:
@@ -207,8 +209,7 @@ def weigh(
         samples: draws per model in the first two rounds, each one simulation per experiment (two
             where nuisances are uncertain). Every later round has twice as many as the one before,
             so that chance alone does not lead to refusal; but where nuisances are uncertain the
-            third has as many, with four times the nuisances of each where the second round was
-            worth less than half of its draws. Of a model that ``drop_behind`` leaves one round, a
+            third has as many. Of a model that ``drop_behind`` leaves one round, a
             quarter.
         rounds: most rounds; a model stops when the weights are reliable and their moments those
             that the proposal was made for, which after the first round are those of the fit's
@@ -266,7 +267,7 @@ def weigh(
         number += 1
         ahead = _models_ahead([state.fit for state in states], drop_behind)
         for state in waiting:
-            state.proposals.append(_make_proposal(state))
+            state.proposals.append(_make_proposal(state, seed, options))
             share = 1.0 if state.fit.model in ahead else options.behind_share
             draws = _draw_round(state, max(25, int(share * samples)), seed, options)
             source = generator(child(seed, "kept", state.fit.model, state.drawn))
@@ -313,20 +314,41 @@ def _fit_again(
             state.parts = []
 
 
-def _make_proposal(state: _State) -> Kernels:
-    """The proposal of the next round: the fit's Gaussian, then its ridge, then one from all its
-    draws so far.
+def _make_proposal(state: _State, seed: int, options: WeighingOptions) -> Kernels:
+    """The proposal of the next round: the fit's Gaussian where nuisances follow it, then its ridge,
+    then one from all draws so far. Reliable draws say which moments the ridge is to find.
     """
+    fit = state.fit
     if not state.parts:
-        return Kernels.about_mean(state.fit.mean, state.fit.chol)
-    if len(state.parts) == 1:
-        return trace_ridge(state.fit, state.posterior)
+        gaussian = Kernels.about_mean(fit.mean, fit.chol)
+        source = generator(child(seed, "bent", fit.model, state.drawn))
+        state.bent = _is_bent(state, gaussian.draw_points(options.placed, source), options)
+        return trace_ridge(fit, state.posterior) if state.bent else gaussian
+    if len(state.parts) == 1 and not state.bent:
+        ridge = trace_ridge(fit, state.posterior)
+        (first,) = state.parts
+        if not first.reliable:
+            return ridge
+        chol = torch.linalg.cholesky(first.covariance)
+        return replace(ridge, mean=first.mean, chol=chol, effective=first.effective_samples)
     controls = torch.cat([part.controls for part in state.parts])
     target = torch.cat([part.log_target for part in state.parts])
     counts = [len(part) for part in state.parts]
     return Kernels.through_draws(
         controls, target - mixture_log_prob(state.proposals, counts, controls)
     )
+
+
+def _is_bent(state: _State, controls: DrawnControls, options: WeighingOptions) -> bool:
+    """Whether draws of the fit's Gaussian lose much (median) where their nuisances are moved
+    linearly with the gel.
+    """
+    if not bool((state.posterior.batch.nuisance_sds > 0.0).any()):
+        return False
+    linear = Point(controls, state.fit.nuisances_at(controls))
+    placed, chol = state.posterior.fit_nuisances(linear, beside=state.fit.point)
+    missed = chol.mT @ (placed - linear.nuisances)[..., None]
+    return 0.5 * float(missed.square().sum((1, 2, 3)).nanmedian()) > options.lost
 
 
 def _models_ahead(fits: list[ModelFit], drop_behind: float | None) -> set[str]:
@@ -349,7 +371,7 @@ def _models_ahead(fits: list[ModelFit], drop_behind: float | None) -> set[str]:
 def _draw_round(state: _State, samples: int, seed: int, options: WeighingOptions) -> _Draws:
     """Draws of the gel, and of the nuisances given the gel.
 
-    Those are placed anew for each gel after the first round.
+    Those are placed anew for each gel but in a first round where they follow it linearly.
     """
     fit = state.fit
     number = len(state.parts)
@@ -361,18 +383,13 @@ def _draw_round(state: _State, samples: int, seed: int, options: WeighingOptions
     if sure:
         still = zeros(samples, 1, *uncertain.shape)
         return _Draws(controls, still, still[..., 0])
-    last = fit.sample
-    worth_half = last is not None and last.effective_samples > len(last) / 2
-    pairs = 1 if number < 2 or worth_half else options.nuisance_pairs
-    half = (
-        student_draws((samples, pairs, *uncertain.shape), options.nuisance_freedom, source)
-        * uncertain
-    )
-    noise = torch.cat((half, -half), dim=1)
+    half = student_draws((samples, 1, *uncertain.shape), options.nuisance_freedom, source)
+    noise = torch.cat((half, -half), dim=1) * uncertain
     centre = fit.nuisances_at(controls)
     chol = fit.nuisance_chol.expand(samples, -1, -1, -1)
-    if number:
-        centre, chol = state.posterior.fit_nuisances(Point(controls, centre))
+    if number or state.bent:
+        start = Point(controls, centre)
+        centre, chol = state.posterior.fit_nuisances(start, beside=fit.point)
     deviation = torch.linalg.solve_triangular(chol.mT[:, None], noise[..., None], upper=True)[
         ..., 0
     ]
@@ -425,6 +442,7 @@ def _weigh_draws(
         nuisances=draws.keep_nuisances(likelihood, source),
         centre=proposal.mean,
         spread=proposal.chol,
+        behind=proposal.effective,
         first_shape=math.nan if before is None else before.first_shape,
         rounds=1 if before is None else before.rounds + 1,
         precisions=proposal.precisions_at(draws.controls),

@@ -18,7 +18,6 @@ from imr_torch.assimilate import (
     WeighingOptions,
     assimilate,
     weigh,
-    weighing,
 )
 from imr_torch.assimilate.weighing import lower_point
 from imr_torch.errors import ConvergenceError, InputDataError
@@ -297,24 +296,47 @@ def test_that_later_rounds_draw_more_and_hopeless_models_get_one() -> None:
         assert len(weighted[best].sample) == 32 * 2 ** max(0, weighted[best].sample.rounds - 2)
 
 
-@pytest.mark.parametrize(("best", "kept"), [(0.0, 2), (30.0, 8)])
-def test_that_a_third_round_has_more_nuisances_where_the_second_lost_most_of_its_draws(
-    simple: Assimilation, best: float, kept: int
+@pytest.mark.parametrize("times", [1.0, 10.0])
+def test_that_nuisances_are_placed_anew_where_they_do_not_follow_the_gel_linearly(
+    simple: Assimilation, times: float
 ) -> None:
-    """One draw that outweighs all others by 30 nats leaves one effective draw."""
-    fit = weigh(simple, LinearSimulator(), seed=0).fits[0]
-    sample = replace(
-        fit.sample,
-        by_experiment=fit.sample.by_experiment + best * torch.eye(256, 3, dtype=torch.float64),
-    )
-    state = weighing._State(
-        replace(fit, sample=sample),
-        Posterior(fit.prior, simple.batch, LinearSimulator()),
-        proposals=[weighing.Kernels.about_mean(fit.mean, fit.chol)],
-        parts=[None, None],
-    )
-    drawn = weighing._draw_round(state, 256, 0, WeighingOptions())
-    assert drawn.nuisances.shape == (256, kept, 3, 3)
+    """With a fit whose nuisances move with the gel many times as far as they should, the draws are
+    as good as with the right one; without placing them anew they are not.
+    """
+    moved = changed(simple, nuisance_response=times * simple.fits[0].nuisance_response)
+
+    def effective(options: WeighingOptions) -> float:
+        fit = weigh(moved, LinearSimulator(), seed=0, rounds=1, options=options).fits[0]
+        return fit.sample.effective_samples
+
+    assert effective(WeighingOptions()) > 200.0
+    left_there = effective(WeighingOptions(lost=1e9))
+    assert (left_there > 200.0) is (times == 1.0)
+
+
+def test_that_many_curves_cost_few_of_the_draws() -> None:
+    """Each integral over nuisances scatters, and weights are products over experiments."""
+    parts = [experiments(3, nuisance=BOTH, seed=seed) for seed in range(8)]
+    many = fitted(replace(parts[0], experiments=tuple(e for p in parts for e in p.experiments)))
+    sample = weigh(many, LinearSimulator(), seed=0, rounds=1).fits[0].sample
+    assert sample.effective_samples > 200.0  # with 15 degrees of freedom 167 are left
+
+
+def test_that_the_second_round_is_to_repeat_the_first_where_that_is_reliable(
+    simple: Assimilation,
+) -> None:
+    """A Gaussian a third of a standard deviation off is repaired by reliable draws of it."""
+    fit = simple.fits[0]
+    off = changed(simple, mean=fit.mean + 0.5 * fit.chol[:, 0])
+    sample = weigh(off, LinearSimulator(), seed=0, rounds=2).fits[0].sample
+    first = weigh(off, LinearSimulator(), seed=0, rounds=1).fits[0].sample
+    assert first.reliable
+    assert sample.rounds == 2
+    torch.testing.assert_close(sample.centre, first.mean)
+    assert sample.behind == first.effective_samples
+    apart = sample.divergence_from(sample.centre, sample.spread)
+    size = len(first.mean)
+    assert apart - sample.surprise == pytest.approx(size * (size + 3) / 4 / first.effective_samples)
 
 
 @pytest.fixture(scope="module")
