@@ -170,6 +170,16 @@ def _closed(record: Record) -> Answer:
     return value, good
 
 
+def _left(record: Record) -> Answer:
+    """What is left on unseen curves, in units of .004 in R* and .15 frames of jitter: the median
+    over sets of the median over curves, without and with what was selected.
+    """
+    diagnosed = [row for (_, task), row in record.items() if task == "diagnose"]
+    rows = _some([row["left"] for row in diagnosed if row.get("left")])
+    base, selected = (median(median(row[name]) for row in rows) for name in ("base", "selected"))
+    return f"{selected:.1f} ({base:.1f} by the base model), {len(rows)} sets", selected <= 2.5
+
+
 def _halves(record: Record) -> Answer:
     """Whether both halves of a gel's curves select the same part first."""
     names = {name for name, task in record if task == "other half"}
@@ -216,6 +226,11 @@ CHECKS: tuple[tuple[str, str, Callable[[Record], Answer]], ...] = (
         "share of the gap on unseen curves that goes with what was selected",
         "no set is called closed within what random effects close",
         _closed,
+    ),
+    (
+        "left on unseen curves, in units of .004 in R* and .15 frames of jitter",
+        "2.5 in the median of the sets with a gap",
+        _left,
     ),
     ("certificates of the diagnoses", "every one", _certified),
     (

@@ -1,6 +1,7 @@
 """One readable page (Markdown) of a record of `real_gels.py`: controls, and a table of all sets."""
 
 from pathlib import Path
+from statistics import median
 
 from benchmarks.real_gels_controls import Record, controls, model
 from benchmarks.records import Line, write_table
@@ -45,6 +46,7 @@ DIAGNOSES = (
     "selected",
     "share of the gap on unseen curves (90 %)",
     "95 % of random libraries",
+    "left on unseen curves, median: base model; selected (curves)",
     "G (kPa), with what the model may lack",
     "CPU (s)",
 )
@@ -79,7 +81,7 @@ def _diagnosis(row: Line) -> list[str]:
     """What the diagnosis of a set says."""
     if "gap" not in row:
         said = row.get("error") or row["skipped"]
-        return [row["set"], said, *[""] * 4, f"{row['cpu']:.0f}"]
+        return [row["set"], said, *[""] * 5, f"{row['cpu']:.0f}"]
     found = row["shrinkage"] or {}
     share = found.get("share")
     wide = row["parameters_with_model_error"]
@@ -89,6 +91,16 @@ def _diagnosis(row: Line) -> list[str]:
         ", ".join(row["selected"]),
         "" if not share else f"{share[1]:.2f} ({share[0]:.2f} to {share[2]:.2f})",
         "" if not share else f"{found['placebo_95']:.2f}",
+        _left(row),
         "" if not wide else _interval([1e-3 * x for x in wide["G"]]),
         f"{row['cpu']:.0f}",
     ]
+
+
+def _left(row: Line) -> str:
+    """What the unseen curves leave, in units of .004 in R* and .15 frames of jitter."""
+    left = row.get("left")
+    if not left:
+        return ""
+    base, selected = (median(left[name]) for name in ("base", "selected"))
+    return f"{base:.1f}; {selected:.1f} ({len(left['base'])})"
