@@ -383,7 +383,8 @@ def _draw_round(state: _State, samples: int, seed: int, options: WeighingOptions
     if sure:
         still = zeros(samples, 1, *uncertain.shape)
         return _Draws(controls, still, still[..., 0])
-    half = student_draws((samples, 1, *uncertain.shape), options.nuisance_freedom, source)
+    freedom = round(options.nuisance_freedom * math.sqrt(len(uncertain)))
+    half = student_draws((samples, 1, *uncertain.shape), freedom, source)
     noise = torch.cat((half, -half), dim=1) * uncertain
     centre = fit.nuisances_at(controls)
     chol = fit.nuisance_chol.expand(samples, -1, -1, -1)
@@ -395,9 +396,7 @@ def _draw_round(state: _State, samples: int, seed: int, options: WeighingOptions
     ]
     nuisances = centre[:, None] + deviation
     log_prior = torch.where(uncertain, _standard_log_prob(nuisances), 0.0).sum(-1)
-    log_proposal = student_log_prob(
-        noise.square().sum(-1), uncertain.sum(1), options.nuisance_freedom
-    )
+    log_proposal = student_log_prob(noise.square().sum(-1), uncertain.sum(1), freedom)
     scales = torch.where(uncertain, chol.diagonal(dim1=-2, dim2=-1), 1.0)
     log_det = scales.log().sum(-1)[:, None]
     return _Draws(controls, nuisances, log_prior - log_proposal - log_det)
