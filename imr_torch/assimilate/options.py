@@ -153,6 +153,8 @@ class WeighingOptions(CheckedOptions):
         refits: times that a model of which a draw has a lower cost than its minimum is fitted again
             from there, and weighted anew; with 0 none is.
         behind_share: share of the draws that a model far behind the best one gets.
+        nuisance_pairs: opposite pairs of nuisances of each draw where the weights of a second round
+            were not reliable.
         nuisance_freedom: degrees of freedom of what proposes nuisances, times the root of the number
             of experiments: heavier tails than a Gaussian's cost 3 % of the draws in all where the
             posterior is one, and save models whose nuisances are not Gaussian from being refused.
@@ -173,6 +175,7 @@ class WeighingOptions(CheckedOptions):
 
     refits: int = 4
     behind_share: float = 0.25
+    nuisance_pairs: int = 4
     nuisance_freedom: int = 15
     placed: int = 16
     lost: float = 0.5

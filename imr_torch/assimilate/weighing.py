@@ -132,7 +132,7 @@ class _Draws:
 
     Args:
         controls: ``n x d`` tensor.
-        nuisances: ``n x K x E x w`` tensor: an opposite pair, or (``K = 1``) all zero where none is
+        nuisances: ``n x K x E x w`` tensor: opposite pairs, or (``K = 1``) all zero where none is
             uncertain.
         log_ratio: ``n x K x E`` tensor, log of prior over proposal of the nuisances.
     """
@@ -209,7 +209,8 @@ def weigh(
         samples: draws per model in the first two rounds, each one simulation per experiment (two
             where nuisances are uncertain). Every later round has twice as many as the one before,
             so that chance alone does not lead to refusal; but where nuisances are uncertain the
-            third has as many. Of a model that ``drop_behind`` leaves one round, a
+            third has as many, where the weights of the second were not reliable with four times the
+            nuisances of each, placed by its own sensitivities. Of a model that ``drop_behind`` leaves one round, a
             quarter.
         rounds: most rounds; a model stops when the weights are reliable and their moments those
             that the proposal was made for, which after the first round are those of the fit's
@@ -384,13 +385,16 @@ def _draw_round(state: _State, samples: int, seed: int, options: WeighingOptions
         still = zeros(samples, 1, *uncertain.shape)
         return _Draws(controls, still, still[..., 0])
     freedom = round(options.nuisance_freedom * math.sqrt(len(uncertain)))
-    half = student_draws((samples, 1, *uncertain.shape), freedom, source)
+    careful = number > 1 and fit.sample is not None and not fit.sample.reliable
+    pairs = options.nuisance_pairs if careful else 1
+    half = student_draws((samples, pairs, *uncertain.shape), freedom, source)
     noise = torch.cat((half, -half), dim=1) * uncertain
     centre = fit.nuisances_at(controls)
     chol = fit.nuisance_chol.expand(samples, -1, -1, -1)
     if number or state.bent:
         start = Point(controls, centre)
-        centre, chol = state.posterior.fit_nuisances(start, beside=fit.point)
+        beside = None if careful else fit.point
+        centre, chol = state.posterior.fit_nuisances(start, beside=beside)
     deviation = torch.linalg.solve_triangular(chol.mT[:, None], noise[..., None], upper=True)[
         ..., 0
     ]

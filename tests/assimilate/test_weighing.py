@@ -18,6 +18,7 @@ from imr_torch.assimilate import (
     WeighingOptions,
     assimilate,
     weigh,
+    weighing,
 )
 from imr_torch.assimilate.weighing import lower_point
 from imr_torch.errors import ConvergenceError, InputDataError
@@ -312,6 +313,26 @@ def test_that_nuisances_are_placed_anew_where_they_do_not_follow_the_gel_linearl
     assert effective(WeighingOptions()) > 200.0
     left_there = effective(WeighingOptions(lost=1e9))
     assert (left_there > 200.0) is (times == 1.0)
+
+
+@pytest.mark.parametrize(("best", "kept"), [(0.0, 2), (30.0, 8)])
+def test_that_a_third_round_has_more_nuisances_where_the_second_was_not_reliable(
+    simple: Assimilation, best: float, kept: int
+) -> None:
+    """One draw that outweighs all others by 30 nats leaves one effective draw."""
+    fit = weigh(simple, LinearSimulator(), seed=0).fits[0]
+    sample = replace(
+        fit.sample,
+        by_experiment=fit.sample.by_experiment + best * torch.eye(256, 3, dtype=torch.float64),
+    )
+    state = weighing._State(
+        replace(fit, sample=sample),
+        Posterior(fit.prior, simple.batch, LinearSimulator()),
+        proposals=[weighing.Kernels.about_mean(fit.mean, fit.chol)],
+        parts=[None, None],
+    )
+    drawn = weighing._draw_round(state, 256, 0, WeighingOptions())
+    assert drawn.nuisances.shape == (256, kept, 3, 3)
 
 
 def test_that_many_curves_cost_few_of_the_draws() -> None:
