@@ -236,7 +236,7 @@ def test_that_intervals_that_draws_did_not_settle_say_what_to_do(capsys) -> None
         "characterize",
         str(EXAMPLE),
         "--models",
-        "nhkv,gen_qkv",
+        "nhkv,zener",
         "--noise",
         "published",
         *QUICK,

@@ -229,7 +229,8 @@ def test_that_serial_correlation_is_seen_and_not_claimed() -> None:
 
 def test_that_the_posterior_is_that_of_quadrature_and_the_scatter_is_found() -> None:
     """Over a grid of gels, with linear nuisances; the further error that was estimated is taken as
-    given in both.
+    given in both. The posterior of mu has a long tail, so the grid is wide; in its corners some
+    bubbles cannot be integrated.
     """
     data = shots(8, seed=3, scatter=0.006)
     result = fitted(data, seed=0)
@@ -237,9 +238,9 @@ def test_that_the_posterior_is_that_of_quadrature_and_the_scatter_is_found() -> 
     batch = result.assimilation.batch
     scatter = result.collapse_times()[0]["scatter"]
     assert scatter == pytest.approx(0.006, rel=0.8)  # of eight shots
-    width = 4.0 * fit.posterior.chol.square().sum(1).sqrt()
+    width = fit.posterior.chol.square().sum(1).sqrt()
     axes = [
-        m + w * torch.linspace(-1.0, 1.0, 25, dtype=torch.float64)
+        m + 6.0 * w * torch.linspace(-1.0, 1.0, 33, dtype=torch.float64)
         for m, w in zip(fit.posterior.mean, width, strict=True)
     ]
     gels = torch.cartesian_prod(*axes)
@@ -249,7 +250,7 @@ def test_that_the_posterior_is_that_of_quadrature_and_the_scatter_is_found() -> 
     times = torch.stack(
         [
             predict_collapse(
-                SIMULATOR, fit.prior.to_si(gels), batch.designs, near, s.expand(625, -1, -1)
+                SIMULATOR, fit.prior.to_si(gels), batch.designs, near, s.expand(1089, -1, -1)
             )
             for s in shifts
         ]
@@ -265,11 +266,12 @@ def test_that_the_posterior_is_that_of_quadrature_and_the_scatter_is_found() -> 
     log = -0.5 * ((times[0] - near).square() / variance + variance.log()).sum(
         1
     ) - 0.5 * gels.square().sum(1)
+    log = log.nan_to_num(nan=-math.inf)
     weights = (log - log.max()).exp() / (log - log.max()).exp().sum()
     mean = weights @ gels
     sd = (weights @ (gels - mean).square()).sqrt()
     assert ((fit.posterior.mean - mean) / sd).tolist() == pytest.approx([0.0, 0.0], abs=0.15)
-    assert (width / 4.0 / sd).tolist() == pytest.approx([1.0, 1.0], rel=0.1)
+    assert (width / sd).tolist() == pytest.approx([1.0, 1.0], rel=0.1)
 
 
 def test_that_curves_and_times_of_one_gel_tell_more_than_either() -> None:
