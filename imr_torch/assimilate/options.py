@@ -155,9 +155,10 @@ class WeighingOptions(CheckedOptions):
         behind_share: share of the draws that a model far behind the best one gets.
         nuisance_pairs: opposite pairs of nuisances of each draw where the weights of a second round
             were not reliable.
-        nuisance_freedom: degrees of freedom of what proposes nuisances, times the root of the number
-            of experiments: heavier tails than a Gaussian's cost 3 % of the draws in all where the
-            posterior is one, and save models whose nuisances are not Gaussian from being refused.
+        nuisance_freedom: degrees of freedom of what proposes nuisances that move linearly with the
+            gel: tails heavier than a Gaussian's make up for what that misses. Those placed anew have
+            as many times the root of the number of experiments, which costs 3 % of the draws in all
+            where the posterior is Gaussian.
         placed: draws of a first round whose nuisances are placed anew, to see what the others lose
             by nuisances that move linearly with the gel.
         lost: nats that a draw may lose so; where the median loses more, all are placed anew.

@@ -384,14 +384,15 @@ def _draw_round(state: _State, samples: int, seed: int, options: WeighingOptions
     if sure:
         still = zeros(samples, 1, *uncertain.shape)
         return _Draws(controls, still, still[..., 0])
-    freedom = round(options.nuisance_freedom * math.sqrt(len(uncertain)))
+    is_placed = number > 0 or state.bent
+    freedom = round(options.nuisance_freedom * (math.sqrt(len(uncertain)) if is_placed else 1.0))
     careful = number > 1 and fit.sample is not None and not fit.sample.reliable
     pairs = options.nuisance_pairs if careful else 1
     half = student_draws((samples, pairs, *uncertain.shape), freedom, source)
     noise = torch.cat((half, -half), dim=1) * uncertain
     centre = fit.nuisances_at(controls)
     chol = fit.nuisance_chol.expand(samples, -1, -1, -1)
-    if number or state.bent:
+    if is_placed:
         start = Point(controls, centre)
         beside = None if careful else fit.point
         centre, chol = state.posterior.fit_nuisances(start, beside=beside)
