@@ -95,6 +95,7 @@ def assimilate_estimating_noise(
             options,
             gradient=max(options.gradient, gradient),
             agreement=max(options.agreement, agreement),
+            basin_rounds=0 if number else options.basin_rounds,  # searched before and after
         )
         return assimilate(
             belief,
