@@ -5,9 +5,12 @@ A frame next to a collapse gives the cost a local minimum for either side of it:
 Rmax and R_inf to match. Starts of a search differ in the gel and not in these, so all of them may
 agree on the wrong one. At a fixed gel experiments are independent, and each can be searched at
 little cost: one bubble, read at other times, shows the whole profile of the cost over time zero,
-and one each the change with Rmax and R_inf. From the lowest minima of that profile a few
-Gauss-Newton steps of all nuisances follow, and the lowest end counts.
+and one each the change with Rmax and R_inf. Where that profile comes near the cost at another
+place, a few Gauss-Newton steps of all nuisances follow from its lowest minima, and the lowest end
+counts.
 """
+
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float
@@ -30,7 +33,8 @@ def deeper_nuisances(
     """Nuisances in the deepest basin of each experiment that is found at fixed gels.
 
     Args:
-        posterior: whose cost is looked through, with some 70 bubbles for each gel and experiment.
+        posterior: whose cost is looked through, with four bubbles for each gel and experiment, and
+            some 70 where another place is promising.
         point: ``M`` points, each at a local minimum.
 
     Returns:
@@ -40,22 +44,36 @@ def deeper_nuisances(
     movable = posterior.batch.nuisance_sds[:, _TIME_ZERO] > 0.0
     if not bool(movable.any()):
         return point.nuisances
-    places = _find_lowest_places(posterior, point, options)
-    gels = point.gel.repeat_interleave(options.minima, 0)
-    flat = places.flatten(0, 1)
-    for _ in range(options.steps):
-        flat = posterior.fit_nuisances(Point(gels, flat))[0]
     before = _nuisance_cost(posterior, point)  # M x E
-    cost, place = _nuisance_cost(posterior, Point(gels, flat)).unflatten(0, places.shape[:2]).min(1)
+    places, expected = _find_lowest_places(posterior, point, options)
+    spacing = 2.0 * options.reach / (options.places - 1)
+    away = (places - point.nuisances[:, None])[..., _TIME_ZERO].abs() > 0.5 * spacing
+    promising = away & (expected < before[:, None] + options.promising)
+    rows = torch.nonzero(movable & promising.any(1).any(0))[:, 0]
+    if not len(rows):
+        return point.nuisances
+    experiments = tuple(posterior.batch.experiments[row] for row in rows.tolist())
+    part = replace(posterior, batch=replace(posterior.batch, experiments=experiments))
+    gels = point.gel.repeat_interleave(options.minima, 0)
+    flat = places[:, :, rows].flatten(0, 1)
+    for _ in range(options.steps):
+        flat = part.fit_nuisances(Point(gels, flat))[0]
+    cost, place = _nuisance_cost(part, Point(gels, flat)).unflatten(0, places.shape[:2]).min(1)
     found = flat.unflatten(0, places.shape[:2]).gather(
         1, place[:, None, :, None].expand(-1, 1, -1, flat.shape[-1])
     )[:, 0]
-    return torch.where((movable & (cost < before - ONE_MINIMUM))[..., None], found, point.nuisances)
+    deeper = point.nuisances.clone()
+    deeper[:, rows] = torch.where(
+        (cost < before[:, rows] - ONE_MINIMUM)[..., None], found, point.nuisances[:, rows]
+    )
+    return deeper
 
 
-def _find_lowest_places(posterior: Posterior, point: Point, options: BasinOptions) -> Tensor:
+def _find_lowest_places(
+    posterior: Posterior, point: Point, options: BasinOptions
+) -> tuple[Tensor, Tensor]:
     """Nuisances ``M x minima x E x w`` at the lowest minima of each experiment's profile over time
-    zero.
+    zero, and the cost ``M x minima x E`` that is expected there.
 
     At each place Rmax and R_inf take one Gauss-Newton step, and the profile is what the cost is
     then expected to be.
@@ -77,7 +95,8 @@ def _find_lowest_places(posterior: Posterior, point: Point, options: BasinOption
         + 0.5 * (equations.nuisance_gradient * step).sum(-1)
     )
     chosen = _find_minima(torch.where(known, cost, torch.inf), options.minima)
-    return (moved + step).gather(1, chosen[..., None].expand(-1, -1, -1, step.shape[-1]))
+    places = (moved + step).gather(1, chosen[..., None].expand(-1, -1, -1, step.shape[-1]))
+    return places, cost.gather(1, chosen)
 
 
 def _reachable_shifts(posterior: Posterior, nuisances: Tensor, options: BasinOptions) -> Tensor:

@@ -131,6 +131,8 @@ class BasinOptions(CheckedOptions):
     Args:
         reach: prior standard deviations of time zero on either side that are looked through.
         places: how many times zero are tried; 61 are a tenth of a standard deviation apart.
+        promising: nats above the cost at which the profile may be at another place for an experiment
+            to be looked at further; deeper basins were expected at most 5 above it.
         minima: lowest minima of the profile from which all nuisances are fitted.
         steps: Gauss-Newton steps of each.
 
@@ -141,6 +143,7 @@ class BasinOptions(CheckedOptions):
 
     reach: float = 3.0
     places: int = 61
+    promising: float = 30.0
     minima: int = 4
     steps: int = 4
 
