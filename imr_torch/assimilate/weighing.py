@@ -209,9 +209,9 @@ def weigh(
         samples: draws per model in the first two rounds, each one simulation per experiment (two
             where nuisances are uncertain). Every later round has twice as many as the one before,
             so that chance alone does not lead to refusal; but where nuisances are uncertain the
-            third has as many, where the weights of the second were not reliable with four times the
-            nuisances of each, placed by its own sensitivities. Of a model that ``drop_behind`` leaves one round, a
-            quarter.
+            third has as many, and where the weights of the second were not reliable it has more
+            nuisances of each (``nuisance_pairs``), placed by its own sensitivities. A model that
+            ``drop_behind`` leaves one round has a quarter.
         rounds: most rounds; a model stops when the weights are reliable and their moments those
             that the proposal was made for, which after the first round are those of the fit's
             Gaussian.
