@@ -19,9 +19,10 @@ count like others a fit passes through them at any price, so fits whose noise is
 begin with :data:`FIRST_KINK`. One curve whose noise is not that of the others gets a factor of its
 own. Gaussian processes by their state space: Hartikainen & Sarkka, IEEE MLSP 2010.
 
-Intervals of the gel are another question. Fits take frames as independent, with the law that is
-most probable if residuals are nothing else, so that they pass through the curves also where the
-model misses them. What residuals have in common makes their intervals too narrow then;
+Intervals of the gel are another question. Fits take frames as independent, with what the model
+misses beside the noise of single frames, of one size in R* in all of them: so they pass through the
+curves also where the model misses them, and no phase of the record counts more than another for
+having been fitted well. What residuals have in common makes their intervals too narrow then;
 :attr:`FrameNoise.widened` says by how much. Where the model is right both laws are one.
 """
 
@@ -43,7 +44,7 @@ from imr_torch.assimilate.noise_law import (
     law_of_repeats,
 )
 from imr_torch.assimilate.posterior import Neighbourhood
-from imr_torch.float64 import ones, tensor
+from imr_torch.float64 import ones, tensor, zeros
 from imr_torch.observe import CollapseTime, Experiment, ExperimentBatch, Noise, NoiseLaws
 
 FIRST_KINK = 0.15
@@ -70,7 +71,9 @@ class FrameNoisePrior:
         exact: probability that there is none of that.
         amounts: standard deviation of the smooth deviation, over that of the noise.
         durations: lag at which its correlation has fallen to 1/e, t*; never less than 2.5 frames.
-        none: probability that there is no smooth deviation.
+        none: probability that there is no smooth deviation; where residuals are taken as
+            independent, that the model does not miss the curves.
+        misfits: by how much it misses them in any frame, R*.
         own: probability that the noise of one curve differs from that of the others.
         own_sd: standard deviation of the logarithm of such a curve's factor.
         own_frames: frames that a curve needs for a factor of its own.
@@ -101,6 +104,7 @@ class FrameNoisePrior:
     amounts: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
     durations: tuple[float, ...] = (0.14, 0.3, 0.6, 1.2)
     none: float = 0.8
+    misfits: tuple[float, ...] = tuple(0.0005 * 2.0 ** (k / 16.0) for k in range(161))
     own: float = 0.1
     own_sd: float = 0.7
     own_frames: int = 12
@@ -398,27 +402,50 @@ class _Grid:
         return torch.cat([batch.sd(c.near.centre)[c.rows].log() for c, batch in rows]).mean()
 
     def conclude_noise(self, found: Tensor, factors: Tensor, factor_sds: Tensor) -> FrameNoise:
-        """What is known of the noise of frames, of that of independent residuals, and what the rest
-        does to intervals.
+        """What is known of the noise of frames, of that of independent residuals, and what these
+        have in common does to intervals.
         """
         law, laws = self.sum_deviations(found)
-        alone = self.of_all_residuals(found, law.scale * law.kink)
-        independent = alone.sum_deviations(alone.weigh_combinations(factors))
+        independent = self.add_misfit(law, laws, factors)
         widened = interval_factor([c.near for c in self.curves], independent[0])
         return FrameNoise(
             law, laws, tuple(factors.tolist()), tuple(factor_sds.tolist()), independent, widened
         )
 
-    def of_all_residuals(self, found: Tensor, kink: float) -> "_Grid":
-        """The laws of all that is left, without deviations, beside the ``kink`` of single frames
-        (at scale 1).
+    def add_misfit(self, law: Noise, laws: NoiseLaws, factors: Tensor) -> tuple[Noise, NoiseLaws]:
+        """The law and the laws if residuals are independent: beside the noise of single frames, an
+        error of the model that is of one size in all frames.
         """
-        exact = self.laws[:, 3] == 0.0
-        scales, priors = (
-            x.reshape(len(exact), -1)[exact, :1] for x in (found[1].exp(), self.log_prior)
+        tried = [law]
+        for size in self.prior.misfits:
+            tried.append(replace(law, floor=math.hypot(law.floor, size / law.scale)))
+        values = [
+            (one.slope, one.drift, one.floor, one.kink, 0.0, 1.0 / law.scale) for one in tried
+        ]
+        local = [
+            c.describe_locally(law.scale * tensor(values), factors, ones(len(tried)))
+            for c in self.curves
+        ]
+        as_given = zeros(len(tried), 1)  # logarithms of factors on the laws
+        marginal = torch.stack([one.marginal(as_given)[:, 0] for one in local]).sum(0)
+        none = self.prior.none
+        marginal[0] += math.log(none)
+        marginal[1:] += math.log((1.0 - none) / len(self.prior.misfits))
+        shares = torch.softmax(marginal, 0)
+        logs = torch.stack([self.log_sd(one) for one in tried])
+        within = torch.softmax(marginal[1:], 0)
+        middle = within @ logs[1:]
+        spread = (within @ (logs[1:] - middle).square()).sqrt()
+        best = 1 + int(within.argmax())
+        missed = replace(
+            tried[best], scale=tried[best].scale * math.exp(float(middle - logs[best]))
         )
-        laws = torch.cat((self.laws[exact, :3], kink / scales), 1)
-        return replace(self, laws=laws, deviations=self.deviations[:1], log_prior=priors[:, 0])
+        central = law if float(shares[0]) > 0.5 else missed
+        return central, NoiseLaws(
+            (*laws.laws, missed),
+            torch.cat((shares[0] * laws.weights, shares[1:].sum()[None])),
+            torch.cat((laws.log_scale_sds, spread[None])),
+        )
 
     def sum_deviations(self, found: Tensor) -> tuple[Noise, NoiseLaws]:
         """The central law, and all laws, each with the deviations summed over."""

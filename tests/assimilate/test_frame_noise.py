@@ -188,6 +188,18 @@ def test_that_slow_noise_is_not_taken_for_that_of_single_frames():
     assert over_truth(batch, Noise()) == pytest.approx(1.0, abs=0.2)
 
 
+def test_that_fits_count_what_the_model_misses_alike_in_all_frames():
+    """Their law is that of single frames where it misses nothing."""
+    right = infer_frame_noise(near(curves(Noise())))
+    assert right.for_fits(widen=False).law == right.law
+    missed = infer_frame_noise(near(with_slow_noise(curves(Noise()), 0.03)))
+    law = missed.for_fits(widen=False).law
+    assert law.scale * law.floor == pytest.approx(0.03, rel=0.3)
+    assert law.scale * law.slope == pytest.approx(missed.law.scale * missed.law.slope, rel=0.2)
+    assert missed.widened > 1.3
+    assert right.widened < 1.1
+
+
 def test_that_what_is_known_of_the_scale_is_what_repeated_inference_scatters_by():
     found = [infer_frame_noise(near(curves(Noise(), seed=seed)), FEW) for seed in range(12)]
     logs = torch.tensor(
