@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from imr_torch.assimilate.fit import ONE_MINIMUM
+from imr_torch.assimilate.fit import ONE_MINIMUM, ModelFit
 from imr_torch.assimilate.forward import STEP, Point
 from imr_torch.assimilate.options import BasinOptions
 from imr_torch.assimilate.posterior import Neighbourhood, Posterior
@@ -40,31 +40,114 @@ def deeper_nuisances(
     Returns:
         ``M x E x w`` nuisances; those of experiments without a deeper basin are the same numbers.
     """
-    options = BasinOptions()
-    movable = posterior.batch.nuisance_sds[:, _TIME_ZERO] > 0.0
-    if not bool(movable.any()):
+    if not bool((posterior.batch.nuisance_sds[:, _TIME_ZERO] > 0.0).any()):
         return point.nuisances
-    before = _nuisance_cost(posterior, point)  # M x E
+    before = _nuisance_cost(posterior, point)
+    rows, places, costs = _find_basins(posterior, point, before, BasinOptions())
+    return _take_deeper(point.nuisances, before, rows, places, costs)
+
+
+def nuisances_beside(
+    posterior: Posterior, point: Point, nuisances: Float[Tensor, "experiments nuisances"]
+) -> Float[Tensor, "experiments nuisances"]:
+    """Nuisances of one gel, or for each experiment those of another point (of another model, say)
+    where they lead to a deeper basin.
+
+    Args:
+        posterior: whose cost counts, with some 17 bubbles an experiment.
+        point: one point at a local minimum.
+        nuisances: of the other point.
+    """
+    here = Point(point.gel[None], point.nuisances[None])
+    before = _nuisance_cost(posterior, here)
+    rows = torch.arange(len(nuisances))
+    places, costs = _settle(posterior, here.gel, nuisances[None, None], rows, BasinOptions())
+    return _take_deeper(here.nuisances, before, rows, places, costs)[0]
+
+
+def other_basins(
+    fit: ModelFit, posterior: Posterior, *, within: float, apart: float = 2.5
+) -> list[Float[Tensor, "experiments nuisances"]]:
+    """Nuisances in other basins of single experiments that are nearly as deep as the fit's.
+
+    Args:
+        fit: whose gel they are sought at.
+        posterior: of its model, with as many bubbles as :func:`deeper_nuisances`.
+        within: nats above the cost of the fit.
+        apart: standard deviations of the nuisances between one basin and another.
+
+    Returns:
+        The deepest others of each experiment, then the next ones; those of experiments with fewer
+        are the fit's.
+    """
+    if not bool((posterior.batch.nuisance_sds[:, _TIME_ZERO] > 0.0).any()):
+        return []
+    here = Point(fit.mean[None], fit.nuisances[None])
+    before = _nuisance_cost(posterior, here)[0]
+    rows, places, costs = _find_basins(posterior, here, before[None], BasinOptions())
+    found = list[Tensor]()
+    for number, row in enumerate(rows.tolist()):
+        known = [fit.nuisances[row]]
+        for place in costs[0, :, number].argsort().tolist():
+            nuisances = places[0, place, number]
+            gaps = (torch.stack(known) - nuisances) @ fit.nuisance_chol[row]
+            near = bool((gaps.norm(dim=1) < apart).any())
+            if near or not float(costs[0, place, number]) < float(before[row]) + within:
+                continue
+            known.append(nuisances)
+            if len(known) > len(found) + 1:
+                found.append(fit.nuisances.clone())
+            found[len(known) - 2][row] = nuisances
+    return found
+
+
+def _find_basins(
+    posterior: Posterior, point: Point, before: Tensor, options: BasinOptions
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Experiments (``E'``) where a place off the points is promising, nuisances ``M x minima x E' x
+    w`` after steps from the lowest places there, and their costs ``M x minima x E'``.
+    """
+    movable = posterior.batch.nuisance_sds[:, _TIME_ZERO] > 0.0
     places, expected = _find_lowest_places(posterior, point, options)
     spacing = 2.0 * options.reach / (options.places - 1)
     away = (places - point.nuisances[:, None])[..., _TIME_ZERO].abs() > 0.5 * spacing
     promising = away & (expected < before[:, None] + options.promising)
     rows = torch.nonzero(movable & promising.any(1).any(0))[:, 0]
+    return rows, *_settle(posterior, point.gel, places, rows, options)
+
+
+def _settle(
+    posterior: Posterior, gels: Tensor, places: Tensor, rows: Tensor, options: BasinOptions
+) -> tuple[Tensor, Tensor]:
+    """Nuisances after steps from places ``M x m x E x w`` of some experiments (``E'``) at fixed
+    gels, and their costs ``M x m x E'``.
+    """
+    places = places[:, :, rows]
     if not len(rows):
-        return point.nuisances
+        return places, places[..., 0]
     experiments = tuple(posterior.batch.experiments[row] for row in rows.tolist())
     part = replace(posterior, batch=replace(posterior.batch, experiments=experiments))
-    gels = point.gel.repeat_interleave(options.minima, 0)
-    flat = places[:, :, rows].flatten(0, 1)
+    gels = gels.repeat_interleave(places.shape[1], 0)
+    flat = places.flatten(0, 1)
     for _ in range(options.steps):
         flat = part.fit_nuisances(Point(gels, flat))[0]
-    cost, place = _nuisance_cost(part, Point(gels, flat)).unflatten(0, places.shape[:2]).min(1)
-    found = flat.unflatten(0, places.shape[:2]).gather(
-        1, place[:, None, :, None].expand(-1, 1, -1, flat.shape[-1])
-    )[:, 0]
-    deeper = point.nuisances.clone()
+    cost = _nuisance_cost(part, Point(gels, flat))
+    return flat.unflatten(0, places.shape[:2]), cost.unflatten(0, places.shape[:2])
+
+
+def _take_deeper(
+    nuisances: Tensor, before: Tensor, rows: Tensor, places: Tensor, costs: Tensor
+) -> Tensor:
+    """Nuisances ``M x E x w``, or those of the deepest of some places where that is another
+    minimum.
+    """
+    if not len(rows):
+        return nuisances
+    cost, place = costs.min(1)
+    found = places.gather(1, place[:, None, :, None].expand(-1, 1, -1, places.shape[-1]))[:, 0]
+    deeper = nuisances.clone()
     deeper[:, rows] = torch.where(
-        (cost < before[:, rows] - ONE_MINIMUM)[..., None], found, point.nuisances[:, rows]
+        (cost < before[:, rows] - ONE_MINIMUM)[..., None], found, nuisances[:, rows]
     )
     return deeper
 

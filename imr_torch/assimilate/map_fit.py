@@ -135,6 +135,11 @@ def assimilate(
         one.limit = lowest + drop_behind
         one.find_lowest()
         lowest = min(lowest, one.lowest.cost)
+    for one in searches if options.basin_rounds else ():
+        one.limit = math.inf
+        for rival in searches:
+            one.follow_rival(rival)
+    lowest = min(one.lowest.cost for one in searches)
     for one in searches:
         one.limit = lowest + min(drop_behind, options.descent.basin_rivals)
         one.enter_deeper_basins()

@@ -12,8 +12,9 @@ import math
 from dataclasses import dataclass, field, replace
 
 import torch
+from torch import Tensor
 
-from imr_torch.assimilate.basins import deeper_nuisances
+from imr_torch.assimilate.basins import deeper_nuisances, nuisances_beside
 from imr_torch.assimilate.fit import PROMISED
 from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.local_minimum import Descent, Report, descend_from
@@ -90,10 +91,29 @@ class ModelSearch:
             deeper = deeper_nuisances(self.posterior, Point(end.point.gel[None], here[None]))[0]
             if torch.equal(deeper, here):
                 break
-            beside = self._move_away(end, self.options.descent.restart)
-            self._add_minimum(Point(end.point.gel, deeper))
-            self._add_minimum(Point(beside.gel, beside.nuisances + deeper - here))
-            self._agree_nearby()
+            self._enter_basin(deeper)
+
+    def follow_rival(self, rival: "ModelSearch", *, behind: float = 5.0) -> None:
+        """Descend again from the nuisances of a narrower model with a lower minimum, where they lead
+        to a deeper basin.
+
+        A model that holds another can be worse by no more than its prior: so many nats.
+        """
+        names, others = (set(one.posterior.prior.material.names) for one in (self, rival))
+        end = self.lowest
+        if not (others < names and rival.lowest.cost + behind < end.cost < math.inf):
+            return
+        deeper = nuisances_beside(self.posterior, end.point, rival.lowest.point.nuisances)
+        if not torch.equal(deeper, end.point.nuisances):
+            self._enter_basin(deeper)
+
+    def _enter_basin(self, deeper: Tensor) -> None:
+        """Descend from the lowest point and from one beside it, with other nuisances."""
+        end = self.lowest
+        beside = self._move_away(end, self.options.descent.restart)
+        self._add_minimum(Point(end.point.gel, deeper))
+        self._add_minimum(Point(beside.gel, beside.nuisances + deeper - end.point.nuisances))
+        self._agree_nearby()
 
     def _cost_at(self, point: Point) -> float:
         return -float(self.posterior.log_joint(point))

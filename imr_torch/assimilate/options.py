@@ -162,9 +162,13 @@ class WeighingOptions(CheckedOptions):
             gel: tails heavier than a Gaussian's make up for what that misses. Those placed anew have
             as many times the root of the number of experiments, which costs 3 % of the draws in all
             where the posterior is Gaussian.
+        further: nats above the cost of the fit at which another basin of an experiment's nuisances
+            proposes nuisances too; deeper by so much, the fit's holds all but a few hundredths.
         placed: draws of a first round whose nuisances are placed anew, to see what the others lose
             by nuisances that move linearly with the gel.
         lost: nats that a draw may lose so; where the median loses more, all are placed anew.
+        hopeless: share of the draws of a third or later round that must be effective for another
+            one to follow; of draws with fewer none became reliable.
         lower_draw: nats by which a draw must be more probable than the optimum for another minimum
             to be looked for; the integral over nuisances is off by some tenths.
         lower_minimum: nats by which a point or minimum must be lower to belong to another.
@@ -181,8 +185,10 @@ class WeighingOptions(CheckedOptions):
     behind_share: float = 0.25
     nuisance_pairs: int = 4
     nuisance_freedom: int = 15
+    further: float = 5.0
     placed: int = 16
     lost: float = 0.5
+    hopeless: float = 0.1
     lower_draw: float = 1.0
     lower_minimum: float = 0.1
     likeliest: int = 4

@@ -6,9 +6,11 @@ Nuisances are integrated out for each draw and each experiment by importance sam
 conditional Gaussian, with slightly heavier tails, in opposite pairs, which cancels its skewness; the
 product over experiments is without bias (pseudo-marginal: Andrieu & Roberts, Ann. Stat. 37, 2009).
 That Gaussian is the fit's, moved linearly with the gel, in a first round whose nuisances follow the
-gel so, else each draw's own. A model whose Gaussian is not confirmed, or whose nuisances do not
-follow, gets a round about the ridge that its posterior lies on (:mod:`~imr_torch.assimilate.ridge`),
-then with proposals made from all its weighted draws, until one is reliable and repeats the last.
+gel so, else each draw's own. Where the cost of an experiment has further basins that are nearly as
+deep (:mod:`~imr_torch.assimilate.basins`), each has its Gaussian, and their mixture is the proposal.
+A model whose Gaussian is not confirmed, or whose nuisances do not follow, gets a round about the
+ridge that its posterior lies on (:mod:`~imr_torch.assimilate.ridge`), then with proposals made from
+all its weighted draws, until one is reliable and repeats the last.
 
 Where a draw has a lower cost than the minimum, the model is fitted again from there
 (:mod:`~imr_torch.assimilate.weighing`). Another mode far from all draws is not detected here, but by
@@ -29,6 +31,7 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
+from imr_torch.assimilate.basins import other_basins
 from imr_torch.assimilate.fit import Assimilation, ModelFit, Verdict
 from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.importance import ImportanceSample, NoiseSample
@@ -171,6 +174,7 @@ class _State:
         parts: draws of each round since.
         drawn: rounds in all.
         bent: whether the nuisances do not follow the gel linearly.
+        places: the fit, and with other nuisances where single experiments have further basins.
     """
 
     fit: ModelFit
@@ -180,11 +184,14 @@ class _State:
     parts: list[ImportanceSample] = field(default_factory=list)
     drawn: int = 0
     bent: bool = False
+    places: list[ModelFit] = field(default_factory=list)
 
-    @property
-    def is_refused(self) -> bool:
-        """Whether the draws so far do not give reliable moments."""
-        return self.fit.verdict is Verdict.REFUSED
+    def needs_round(self, options: WeighingOptions) -> bool:
+        """Whether the draws so far do not give reliable moments, and more of them may."""
+        sample = self.fit.sample
+        assert sample is not None
+        hopeless = len(self.parts) > 2 and sample.effective_samples < options.hopeless * len(sample)
+        return self.fit.verdict is Verdict.REFUSED and not hopeless
 
 
 @one_torch_thread()
@@ -285,7 +292,8 @@ def weigh(
         waiting = [
             c
             for c in waiting
-            if not c.parts or (c.is_refused and len(c.parts) < rounds and c.fit.model in ahead)
+            if not c.parts
+            or (c.needs_round(options) and len(c.parts) < rounds and c.fit.model in ahead)
         ]
     return replace(assimilation, fits=tuple(state.fit for state in states))
 
@@ -313,6 +321,7 @@ def _fit_again(
             state.fit = lower
             state.proposals = []
             state.parts = []
+            state.places = []
 
 
 def _make_proposal(state: _State, seed: int, options: WeighingOptions) -> Kernels:
@@ -384,27 +393,55 @@ def _draw_round(state: _State, samples: int, seed: int, options: WeighingOptions
     if sure:
         still = zeros(samples, 1, *uncertain.shape)
         return _Draws(controls, still, still[..., 0])
+    state.places = state.places or _find_places(state, options)
     is_placed = number > 0 or state.bent
     freedom = round(options.nuisance_freedom * (math.sqrt(len(uncertain)) if is_placed else 1.0))
     careful = number > 1 and fit.sample is not None and not fit.sample.reliable
     pairs = options.nuisance_pairs if careful else 1
-    half = student_draws((samples, pairs, *uncertain.shape), freedom, source)
-    noise = torch.cat((half, -half), dim=1) * uncertain
-    centre = fit.nuisances_at(controls)
-    chol = fit.nuisance_chol.expand(samples, -1, -1, -1)
-    if is_placed:
-        start = Point(controls, centre)
-        beside = None if careful else fit.point
-        centre, chol = state.posterior.fit_nuisances(start, beside=beside)
-    deviation = torch.linalg.solve_triangular(chol.mT[:, None], noise[..., None], upper=True)[
-        ..., 0
-    ]
-    nuisances = centre[:, None] + deviation
+    half = student_draws((samples, len(state.places) * pairs, *uncertain.shape), freedom, source)
+    parts = list[Tensor]()
+    proposals = list[tuple[Tensor, Tensor]]()
+    for place, some in zip(state.places, half.split(pairs, dim=1), strict=True):
+        noise = torch.cat((some, -some), dim=1) * uncertain
+        centre = place.nuisances_at(controls)
+        chol = place.nuisance_chol.expand(samples, -1, -1, -1)
+        if is_placed:
+            beside = None if careful else place.point
+            centre, chol = state.posterior.fit_nuisances(Point(controls, centre), beside=beside)
+        deviation = torch.linalg.solve_triangular(chol.mT[:, None], noise[..., None], upper=True)
+        parts.append(centre[:, None] + deviation[..., 0])
+        proposals.append((centre[:, None], chol[:, None]))
+    nuisances = torch.cat(parts, 1)
+    log_proposal = torch.stack(
+        [
+            student_log_prob(
+                ((chol.mT @ (nuisances - centre)[..., None])[..., 0] * uncertain).square().sum(-1),
+                uncertain.sum(1),
+                freedom,
+            )
+            + torch.where(uncertain, chol.diagonal(dim1=-2, dim2=-1), 1.0).log().sum(-1)
+            for centre, chol in proposals
+        ]
+    ).logsumexp(0) - math.log(len(proposals))
     log_prior = torch.where(uncertain, _standard_log_prob(nuisances), 0.0).sum(-1)
-    log_proposal = student_log_prob(noise.square().sum(-1), uncertain.sum(1), freedom)
-    scales = torch.where(uncertain, chol.diagonal(dim1=-2, dim2=-1), 1.0)
-    log_det = scales.log().sum(-1)[:, None]
-    return _Draws(controls, nuisances, log_prior - log_proposal - log_det)
+    return _Draws(controls, nuisances, log_prior - log_proposal)
+
+
+def _find_places(state: _State, options: WeighingOptions) -> list[ModelFit]:
+    """The fit, and the fit with other nuisances, where single experiments have further basins."""
+    fit = state.fit
+    places = [fit]
+    for nuisances in other_basins(fit, state.posterior, within=options.further):
+        equations = state.posterior.neighbourhood(Point(fit.mean, nuisances)).equations
+        places.append(
+            replace(
+                fit,
+                nuisances=nuisances,
+                nuisance_response=equations.reduced.nuisance_response,
+                nuisance_chol=torch.linalg.cholesky(equations.nuisance_hessian),
+            )
+        )
+    return places
 
 
 def _standard_log_prob(values: Tensor) -> Tensor:

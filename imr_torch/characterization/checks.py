@@ -23,6 +23,7 @@ class Effort:
         missed: rounds where the models miss the curves of ``many`` shots or more: such intervals
             may not be quoted, and each costs in proportion to the shots.
         many: shots.
+        hopeless: see :class:`imr_torch.assimilate.WeighingOptions`.
         widened: factor on the error bars from which on curves count as missed.
 
     >>> from imr_torch.characterization import EFFORTS
@@ -33,6 +34,7 @@ class Effort:
     rounds: int
     behind: float
     missed: int
+    hopeless: float
     many: int = 8
     widened: float = 2.0
 
@@ -46,7 +48,7 @@ class Effort:
         return self.missed if costly else self.rounds
 
 
-EFFORTS = {"normal": Effort(4, 3.0, 2), "thorough": Effort(8, 7.0, 8)}
+EFFORTS = {"normal": Effort(4, 3.0, 2, 0.1), "thorough": Effort(8, 7.0, 8, 0.0)}
 
 
 def check_request(

@@ -14,6 +14,7 @@ from imr_torch.assimilate import (
     NOISE_ROUNDS,
     FitOptions,
     SearchOptions,
+    WeighingOptions,
     assimilate_estimating_noise,
     noise_nodes,
     weigh,
@@ -189,6 +190,7 @@ def characterize(
         seed=child(seed, "weigh"),
         rounds=spent.rounds_for(fits.batch),
         drop_behind=spent.behind,
+        options=WeighingOptions(hopeless=spent.hopeless),
         noise=noise_nodes(fits, simulator),
         progress=progress,
     )
