@@ -168,7 +168,8 @@ class WeighingOptions(CheckedOptions):
             by nuisances that move linearly with the gel.
         lost: nats that a draw may lose so; where the median loses more, all are placed anew.
         hopeless: share of the draws of a third or later round that must be effective for another
-            one to follow; of draws with fewer none became reliable.
+            one to follow. About fits that have converged, draws with less than a tenth did not become
+            reliable; from a poor Gaussian further rounds may find the posterior yet.
         lower_draw: nats by which a draw must be more probable than the optimum for another minimum
             to be looked for; the integral over nuisances is off by some tenths.
         lower_minimum: nats by which a point or minimum must be lower to belong to another.
@@ -188,7 +189,7 @@ class WeighingOptions(CheckedOptions):
     further: float = 5.0
     placed: int = 16
     lost: float = 0.5
-    hopeless: float = 0.1
+    hopeless: float = 0.0
     lower_draw: float = 1.0
     lower_minimum: float = 0.1
     likeliest: int = 4

@@ -8,10 +8,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import Point, Posterior, SearchOptions, assimilate
-from imr_torch.assimilate.basins import deeper_nuisances
+from imr_torch.assimilate import Point, Posterior, SearchOptions, WeighingOptions, assimilate, weigh
+from imr_torch.assimilate.basins import deeper_nuisances, nuisances_beside, other_basins
 from imr_torch.material import PARAMETERS
-from imr_torch.observe import Experiment, ExperimentBatch, Nuisance, predict
+from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, predict
 from imr_torch.simulate import EARLIEST, Conditions, Solution, Status, broadcast_batch
 from tests.linear import BOTH, MEANS, NOISE, SDS, experiments, prior
 
@@ -135,41 +135,58 @@ def test_that_nothing_is_simulated_where_clocks_are_sure() -> None:
     assert deepest(places, batch, lambda *_: pytest.fail("simulated")) is places
 
 
-def test_that_what_cannot_be_simulated_is_no_basin() -> None:
-    places = off([1.0, 0.0, 0.0])[None]
-    assert torch.equal(deepest(places, shot(BOTH), WavySimulator(fails=True)), places)
+def test_that_nuisances_of_another_model_are_taken_where_they_lead_to_a_deeper_basin() -> None:
+    posterior = Posterior(prior(("nhkv",)).models[0], shot(BOTH), WavySimulator())
+    gel = torch.zeros(2, dtype=torch.float64)
+    wrong = off([1.0, 0.0, -1.0])
+    found = nuisances_beside(posterior, Point(gel, wrong), TRUTH)
+    torch.testing.assert_close(found[::2, 1], TRUTH[::2, 1], rtol=0.0, atol=0.3)
+    kept = nuisances_beside(posterior, Point(gel, found), wrong)
+    assert torch.equal(kept, found)
 
 
-@pytest.mark.parametrize("drop_behind", [None, 50.0])
-def test_that_a_search_ends_in_the_deepest_basin_wherever_it_began(
-    drop_behind: float | None,
-) -> None:
-    batch = shot(BOTH)
-    belief = prior(("newtonian", "nhkv"))
-    options = SearchOptions(starts=2, drop_behind=drop_behind)
-    starts = [torch.stack((torch.zeros(k), torch.full((k,), 0.1))).double() for k in (1, 2)]
+QUIET = Noise(floor=0.4, slope=0.0, drift=0.0)
+"""Under which basins a period apart are about as deep."""
 
-    def fit(periods: list[float], rounds: int = 3):
-        nuisances = [off(periods)] * 2
-        return assimilate(
-            belief,
-            batch,
-            WavySimulator(),
+
+def test_that_draws_know_further_basins_and_integrate_over_them() -> None:
+    """Against quadrature over the gel and the clock; known by one basin alone, few draws find the others."""
+    clock = Nuisance(time_zero=0.2)
+    times = torch.linspace(0.3, 1.5, 7, dtype=torch.float64)
+    blank = Experiment("0", (300.0, 0.2), times, torch.ones(1, 7, dtype=torch.float64), clock)
+    belief = prior(("newtonian",))
+    simulator = WavySimulator()
+    mean = PARAMETERS.pack({"mu": torch.tensor(MEANS["mu"], dtype=torch.float64)})
+    curve = predict(simulator, mean, ExperimentBatch((blank,)))
+    batch = ExperimentBatch((replace(blank, radius=curve),), QUIET)
+    fits = assimilate(
+        belief, batch, simulator, seed=0, options=SearchOptions(starts=2, raw_samples=16)
+    )
+    posterior = Posterior(belief.models[0], batch, simulator)
+    assert other_basins(fits.fits[0], posterior, within=5.0)
+    gel, zero = torch.meshgrid(
+        torch.linspace(-5.0, 5.0, 201, dtype=torch.float64),
+        torch.linspace(-5.0, 5.0, 801, dtype=torch.float64),
+        indexing="ij",
+    )
+    nuisances = torch.zeros(gel.numel(), 1, 3, dtype=torch.float64)
+    nuisances[:, 0, 1] = zero.flatten()
+    joint = posterior.log_joint(Point(gel.reshape(-1, 1), nuisances)).reshape(gel.shape)
+    log_cell = torch.log((gel[1, 0] - gel[0, 0]) * (zero[0, 1] - zero[0, 0]) / (2.0 * torch.pi))
+    truth = float(joint.nan_to_num(nan=-torch.inf).logsumexp((0, 1)) + log_cell)
+    known, unknown = (
+        weigh(
+            fits,
+            simulator,
             seed=0,
-            options=replace(options, basin_rounds=rounds),
-            starts=starts,
-            nuisances=nuisances,
-            warn=False,
+            samples=4096,
+            rounds=1,
+            options=WeighingOptions(further=further, refits=0),
         )
-
-    right = fit([0.0, 0.0, 0.0])
-    mended = fit([1.0, 0.0, -1.0])
-    wrong = fit([1.0, 0.0, -1.0], rounds=0)
-    assert right.converged
-    assert mended.converged
-    assert wrong.converged  # its starts agree: that certificate says nothing of other basins
-    assert wrong["nhkv"].cost > right["nhkv"].cost + 5.0
-    assert mended["nhkv"].cost == pytest.approx(right["nhkv"].cost, abs=1e-4)
-    torch.testing.assert_close(mended["nhkv"].mean, right["nhkv"].mean, rtol=0.0, atol=1e-2)
-    assert wrong["newtonian"].cost > wrong["nhkv"].cost + 200.0
-    assert mended["newtonian"].cost == wrong["newtonian"].cost  # so far behind that nobody looks
+        .fits[0]
+        .sample
+        for further in (5.0, 0.0)
+    )
+    assert known.log_evidence == pytest.approx(truth, abs=4.0 * known.log_evidence_error)
+    assert known.log_evidence_error < 0.05
+    assert known.effective_samples > 5.0 * unknown.effective_samples

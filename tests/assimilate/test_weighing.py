@@ -297,6 +297,15 @@ def test_that_later_rounds_draw_more_and_hopeless_models_get_one() -> None:
         assert len(weighted[best].sample) == 32 * 2 ** max(0, weighted[best].sample.rounds - 2)
 
 
+def test_that_no_round_follows_draws_of_which_too_few_are_effective(simple: Assimilation) -> None:
+    poor = changed(simple, chol=0.02 * simple.fits[0].chol)
+    for share, rounds in ((0.0, 8), (1.0, 3)):
+        options = WeighingOptions(hopeless=share)
+        sample = weigh(poor, LinearSimulator(), seed=0, samples=25, rounds=8, options=options)
+        assert sample.fits[0].sample.rounds <= rounds
+    assert sample.fits[0].sample.rounds == 3
+
+
 @pytest.mark.parametrize("times", [1.0, 10.0])
 def test_that_nuisances_are_placed_anew_where_they_do_not_follow_the_gel_linearly(
     simple: Assimilation, times: float
@@ -473,7 +482,7 @@ def test_that_a_model_fitted_again_is_weighted_beside_others_whose_rounds_are_ah
     """All rounds are made; the third has several nuisances to a draw, of which one is kept in
     proportion to its weight.
     """
-    monkeypatch.setattr("imr_torch.assimilate.weighing._State.is_refused", True)
+    monkeypatch.setattr("imr_torch.assimilate.weighing._State.needs_round", lambda *_: True)
     batch = experiments(3, nuisance=BOTH)
     options = SearchOptions(raw_samples=24, starts=2)
     both = assimilate(
