@@ -190,3 +190,43 @@ def test_that_draws_know_further_basins_and_integrate_over_them() -> None:
     assert known.log_evidence == pytest.approx(truth, abs=4.0 * known.log_evidence_error)
     assert known.log_evidence_error < 0.05
     assert known.effective_samples > 5.0 * unknown.effective_samples
+
+
+def test_that_what_cannot_be_simulated_is_no_basin() -> None:
+    places = off([1.0, 0.0, 0.0])[None]
+    assert torch.equal(deepest(places, shot(BOTH), WavySimulator(fails=True)), places)
+
+
+@pytest.mark.parametrize("drop_behind", [None, 50.0])
+def test_that_a_search_ends_in_the_deepest_basin_wherever_it_began(
+    drop_behind: float | None,
+) -> None:
+    batch = shot(BOTH)
+    belief = prior(("newtonian", "nhkv"))
+    options = SearchOptions(starts=2, drop_behind=drop_behind)
+    starts = [torch.stack((torch.zeros(k), torch.full((k,), 0.1))).double() for k in (1, 2)]
+
+    def fit(periods: list[float], rounds: int = 3):
+        nuisances = [off(periods)] * 2
+        return assimilate(
+            belief,
+            batch,
+            WavySimulator(),
+            seed=0,
+            options=replace(options, basin_rounds=rounds),
+            starts=starts,
+            nuisances=nuisances,
+            warn=False,
+        )
+
+    right = fit([0.0, 0.0, 0.0])
+    mended = fit([1.0, 0.0, -1.0])
+    wrong = fit([1.0, 0.0, -1.0], rounds=0)
+    assert right.converged
+    assert mended.converged
+    assert wrong.converged  # its starts agree: that certificate says nothing of other basins
+    assert wrong["nhkv"].cost > right["nhkv"].cost + 5.0
+    assert mended["nhkv"].cost == pytest.approx(right["nhkv"].cost, abs=1e-4)
+    torch.testing.assert_close(mended["nhkv"].mean, right["nhkv"].mean, rtol=0.0, atol=1e-2)
+    assert wrong["newtonian"].cost > wrong["nhkv"].cost + 200.0
+    assert mended["newtonian"].cost == wrong["newtonian"].cost  # so far behind that nobody looks
