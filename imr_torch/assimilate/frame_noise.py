@@ -419,13 +419,11 @@ class _Grid:
         tried = [law]
         for size in self.prior.misfits:
             tried.append(replace(law, floor=math.hypot(law.floor, size / law.scale)))
-        values = [
-            (one.slope, one.drift, one.floor, one.kink, 0.0, 1.0 / law.scale) for one in tried
-        ]
-        local = [
-            c.describe_locally(law.scale * tensor(values), factors, ones(len(tried)))
-            for c in self.curves
-        ]
+        amounts = law.scale * tensor([(x.slope, x.drift, x.floor, x.kink) for x in tried])
+        without_deviation = tensor([(0.0, 1.0)]).expand(len(tried), -1)
+        values = torch.cat((amounts, without_deviation), 1)
+        level = ones(len(tried))
+        local = [c.describe_locally(values, factors, level) for c in self.curves]
         as_given = zeros(len(tried), 1)  # logarithms of factors on the laws
         marginal = torch.stack([one.marginal(as_given)[:, 0] for one in local]).sum(0)
         none = self.prior.none
