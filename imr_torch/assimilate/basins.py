@@ -10,8 +10,6 @@ place, a few Gauss-Newton steps of all nuisances follow from its lowest minima, 
 counts.
 """
 
-from dataclasses import replace
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -125,8 +123,7 @@ def _settle(
     places = places[:, :, rows]
     if not len(rows):
         return places, places[..., 0]
-    experiments = tuple(posterior.batch.experiments[row] for row in rows.tolist())
-    part = replace(posterior, batch=replace(posterior.batch, experiments=experiments))
+    part = posterior.of_experiments(rows)
     gels = gels.repeat_interleave(places.shape[1], 0)
     flat = places.flatten(0, 1)
     for _ in range(options.steps):

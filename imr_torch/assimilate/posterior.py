@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from imr_torch.assimilate.forward import ForwardModel, Point
@@ -52,6 +52,11 @@ class Posterior(ForwardModel):
         """
         simulator = coarser(self.simulator)
         return self if simulator is self.simulator else replace(self, simulator=simulator)
+
+    def of_experiments(self, rows: Int[Tensor, "rows"]) -> "Posterior":
+        """That of some of the experiments."""
+        experiments = tuple(self.batch.experiments[row] for row in rows.tolist())
+        return replace(self, batch=replace(self.batch, experiments=experiments))
 
     def log_joint(self, point: Point, prediction: BatchFrames | None = None) -> Values:
         """Log of likelihood times prior, nats, without the constants of the priors; ``-inf`` where

@@ -161,6 +161,21 @@ class _Draws:
         return self.nuisances.gather(1, chosen.expand(-1, -1, -1, width))[:, 0]
 
 
+@dataclass(frozen=True)
+class _Place:
+    """Basins of the nuisances of some experiments.
+
+    Args:
+        rows: which experiments.
+        fit: the fit of the model there, of these experiments.
+        posterior: of the same.
+    """
+
+    rows: Tensor
+    fit: ModelFit
+    posterior: Posterior
+
+
 @dataclass
 class _State:
     """The state of one model between rounds: the fit with the draws of its last round, and those
@@ -174,7 +189,7 @@ class _State:
         parts: draws of each round since.
         drawn: rounds in all.
         bent: whether the nuisances do not follow the gel linearly.
-        places: the fit, and with other nuisances where single experiments have further basins.
+        places: where nuisances are proposed, the fit's own basins first.
     """
 
     fit: ModelFit
@@ -184,7 +199,7 @@ class _State:
     parts: list[ImportanceSample] = field(default_factory=list)
     drawn: int = 0
     bent: bool = False
-    places: list[ModelFit] = field(default_factory=list)
+    places: "list[_Place]" = field(default_factory=list)
 
     def needs_round(self, options: WeighingOptions) -> bool:
         """Whether the draws so far do not give reliable moments, and more of them may."""
@@ -390,28 +405,30 @@ def _draw_round(state: _State, samples: int, seed: int, options: WeighingOptions
     samples *= 2 ** max(0, number - (1 if sure else 2))
     source = generator(child(seed, "weigh", fit.model, state.drawn))
     controls = state.proposals[-1].draw_points(samples, source)
+    state.places = state.places or _find_places(state, options)
     if sure:
         still = zeros(samples, 1, *uncertain.shape)
         return _Draws(controls, still, still[..., 0])
-    state.places = state.places or _find_places(state, options)
     is_placed = number > 0 or state.bent
     freedom = round(options.nuisance_freedom * (math.sqrt(len(uncertain)) if is_placed else 1.0))
     careful = number > 1 and fit.sample is not None and not fit.sample.reliable
     pairs = options.nuisance_pairs if careful else 1
     half = student_draws((samples, len(state.places) * pairs, *uncertain.shape), freedom, source)
-    parts = list[Tensor]()
-    proposals = list[tuple[Tensor, Tensor]]()
+    parts = list[tuple[Tensor, ...]]()  # nuisances, where they are proposed, factors of the Hessian
     for place, some in zip(state.places, half.split(pairs, dim=1), strict=True):
-        noise = torch.cat((some, -some), dim=1) * uncertain
-        centre = place.nuisances_at(controls)
-        chol = place.nuisance_chol.expand(samples, -1, -1, -1)
+        noise = (torch.cat((some, -some), dim=1) * uncertain)[:, :, place.rows]
+        centre = place.fit.nuisances_at(controls)
+        chol = place.fit.nuisance_chol.expand(samples, -1, -1, -1)
         if is_placed:
-            beside = None if careful else place.point
-            centre, chol = state.posterior.fit_nuisances(Point(controls, centre), beside=beside)
+            beside = None if careful else place.fit.point
+            centre, chol = place.posterior.fit_nuisances(Point(controls, centre), beside=beside)
         deviation = torch.linalg.solve_triangular(chol.mT[:, None], noise[..., None], upper=True)
-        parts.append(centre[:, None] + deviation[..., 0])
-        proposals.append((centre[:, None], chol[:, None]))
-    nuisances = torch.cat(parts, 1)
+        own = (centre[:, None] + deviation[..., 0], centre[:, None], chol[:, None])
+        if parts:  # of the other experiments, the same once more
+            pairs_of = zip(parts[0], own, strict=True)
+            own = tuple(whole.index_copy(2, place.rows, x) for whole, x in pairs_of)
+        parts.append(own)
+    nuisances = torch.cat([own[0] for own in parts], 1)
     log_proposal = torch.stack(
         [
             student_log_prob(
@@ -420,28 +437,47 @@ def _draw_round(state: _State, samples: int, seed: int, options: WeighingOptions
                 freedom,
             )
             + torch.where(uncertain, chol.diagonal(dim1=-2, dim2=-1), 1.0).log().sum(-1)
-            for centre, chol in proposals
+            for _, centre, chol in parts
         ]
-    ).logsumexp(0) - math.log(len(proposals))
+    ).logsumexp(0) - math.log(len(parts))
     log_prior = torch.where(uncertain, _standard_log_prob(nuisances), 0.0).sum(-1)
     return _Draws(controls, nuisances, log_prior - log_proposal)
 
 
-def _find_places(state: _State, options: WeighingOptions) -> list[ModelFit]:
-    """The fit, and the fit with other nuisances, where single experiments have further basins."""
+def _find_places(state: _State, options: WeighingOptions) -> list[_Place]:
+    """The fit, and the fit with other nuisances of single experiments that have further basins."""
     fit = state.fit
-    places = [fit]
+    places = [_Place(torch.arange(len(fit.nuisances)), fit, state.posterior)]
     for nuisances in other_basins(fit, state.posterior, within=options.further):
-        equations = state.posterior.neighbourhood(Point(fit.mean, nuisances)).equations
-        places.append(
-            replace(
-                fit,
-                nuisances=nuisances,
-                nuisance_response=equations.reduced.nuisance_response,
-                nuisance_chol=torch.linalg.cholesky(equations.nuisance_hessian),
-            )
+        rows = torch.nonzero((nuisances != fit.nuisances).any(1))[:, 0]
+        posterior = state.posterior.of_experiments(rows)
+        point = Point(fit.mean, nuisances[rows])
+        equations = posterior.neighbourhood(point).equations
+        there = replace(
+            fit,
+            nuisances=point.nuisances,
+            nuisance_response=equations.reduced.nuisance_response,
+            nuisance_chol=torch.linalg.cholesky(equations.nuisance_hessian),
         )
+        places.append(_Place(rows, there, posterior))
     return places
+
+
+def _predict_draws(state: _State, draws: _Draws) -> Tensor:
+    """``n x K x E x T`` tensor; bubbles that nuisances of one basin have in common are made once."""
+    count = draws.nuisances.shape[1] // len(state.places)
+    controls = draws.controls.repeat_interleave(count, 0)
+    parts = list[Tensor]()
+    for place, nuisances in zip(state.places, draws.nuisances.split(count, dim=1), strict=True):
+        own = nuisances[:, :, place.rows]
+        seen = place.posterior.predict(Point(controls, own.flatten(0, 1)))
+        seen = seen.unflatten(0, own.shape[:2])
+        if parts:
+            longer = parts[0].shape[-1] - seen.shape[-1]
+            seen = torch.nn.functional.pad(seen, (0, longer))
+            seen = parts[0].index_copy(2, place.rows, seen)
+        parts.append(seen)
+    return torch.cat(parts, 1)
 
 
 def _standard_log_prob(values: Tensor) -> Tensor:
@@ -454,9 +490,7 @@ def _weigh_draws(
 ) -> ImportanceSample:
     """The draws of a model with their likelihoods."""
     batch = state.posterior.batch
-    count = draws.nuisances.shape[:2]
-    point = Point(draws.controls.repeat_interleave(count[1], 0), draws.nuisances.flatten(0, 1))
-    prediction = state.posterior.predict(point).unflatten(0, count)
+    prediction = _predict_draws(state, draws)
     likelihood = batch.log_likelihood(prediction)
     by_experiment = draws.average_likelihood(likelihood)
     under_laws = None

@@ -157,8 +157,13 @@ def test_that_draws_know_further_basins_and_integrate_over_them() -> None:
     belief = prior(("newtonian",))
     simulator = WavySimulator()
     mean = PARAMETERS.pack({"mu": torch.tensor(MEANS["mu"], dtype=torch.float64)})
-    curve = predict(simulator, mean, ExperimentBatch((blank,)))
-    batch = ExperimentBatch((replace(blank, radius=curve),), QUIET)
+    sure = Experiment("1", (350.0, 0.25), times[:5], torch.ones(1, 5, dtype=torch.float64))
+    blanks = (blank, sure)  # the clock of the second is known
+    curves = predict(simulator, mean, ExperimentBatch(blanks))
+    made = zip(blanks, curves, strict=True)
+    batch = ExperimentBatch(
+        tuple(replace(e, radius=curve[None, : len(e.times)]) for e, curve in made), QUIET
+    )
     fits = assimilate(
         belief, batch, simulator, seed=0, options=SearchOptions(starts=2, raw_samples=16)
     )
@@ -169,7 +174,7 @@ def test_that_draws_know_further_basins_and_integrate_over_them() -> None:
         torch.linspace(-5.0, 5.0, 801, dtype=torch.float64),
         indexing="ij",
     )
-    nuisances = torch.zeros(gel.numel(), 1, 3, dtype=torch.float64)
+    nuisances = torch.zeros(gel.numel(), 2, 3, dtype=torch.float64)
     nuisances[:, 0, 1] = zero.flatten()
     joint = posterior.log_joint(Point(gel.reshape(-1, 1), nuisances)).reshape(gel.shape)
     log_cell = torch.log((gel[1, 0] - gel[0, 0]) * (zero[0, 1] - zero[0, 0]) / (2.0 * torch.pi))
