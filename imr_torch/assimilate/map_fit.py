@@ -139,7 +139,7 @@ def assimilate(
         one.limit = math.inf
         for rival in searches:
             one.follow_rival(rival)
-    lowest = min(one.lowest.cost for one in searches)
+        lowest = min(lowest, one.lowest.cost)
     for one in searches:
         one.limit = lowest + min(drop_behind, options.descent.basin_rivals)
         one.enter_deeper_basins()
