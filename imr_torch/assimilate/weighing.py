@@ -12,9 +12,8 @@ A model whose Gaussian is not confirmed, or whose nuisances do not follow, gets 
 ridge that its posterior lies on (:mod:`~imr_torch.assimilate.ridge`), then with proposals made from
 all its weighted draws, until one is reliable and repeats the last.
 
-Where a draw has a lower cost than the minimum, the model is fitted again from there
-(:mod:`~imr_torch.assimilate.weighing`). Another mode far from all draws is not detected here, but by
-disagreement of the starts in the fit's certificate.
+Where a draw has a lower cost than the minimum, the model is fitted again from there. Another mode
+far from all draws is not detected here, but by disagreement of the starts in the fit's certificate.
 
 Repeated fits of models for which a posterior draw has a lower cost than the fitted minimum.
 
@@ -425,8 +424,8 @@ def _draw_round(state: _State, samples: int, seed: int, options: WeighingOptions
         deviation = torch.linalg.solve_triangular(chol.mT[:, None], noise[..., None], upper=True)
         own = (centre[:, None] + deviation[..., 0], centre[:, None], chol[:, None])
         if parts:  # of the other experiments, the same once more
-            pairs_of = zip(parts[0], own, strict=True)
-            own = tuple(whole.index_copy(2, place.rows, x) for whole, x in pairs_of)
+            replaced = zip(parts[0], own, strict=True)
+            own = tuple(every.index_copy(2, place.rows, some) for every, some in replaced)
         parts.append(own)
     nuisances = torch.cat([own[0] for own in parts], 1)
     log_proposal = torch.stack(

@@ -145,7 +145,34 @@ def test_that_nuisances_of_another_model_are_taken_where_they_lead_to_a_deeper_b
     assert torch.equal(kept, found)
 
 
-QUIET = Noise(floor=0.4, slope=0.0, drift=0.0)
+def test_that_a_model_far_behind_a_narrower_one_takes_its_nuisances() -> None:
+    """By the search for basins alone it stays there, being too far behind."""
+    plan = experiments(3, nuisance=BOTH)
+    gel = PARAMETERS.pack({"mu": torch.tensor(MEANS["mu"], dtype=torch.float64)})
+    clean = predict(WavySimulator(), gel, plan, TRUTH * plan.nuisance_sds)
+    made = zip(plan.experiments, clean, strict=True)
+    batch = ExperimentBatch(
+        tuple(replace(e, radius=curve[None, : len(e.times)]) for e, curve in made), NOISE
+    )
+
+    def cost_of_wider(rounds: int) -> float:
+        fits = assimilate(
+            prior(("newtonian", "nhkv")),
+            batch,
+            WavySimulator(),
+            seed=0,
+            options=SearchOptions(starts=2, drop_behind=1.0, basin_rounds=rounds),
+            starts=[torch.stack((torch.zeros(k), torch.full((k,), 0.1))).double() for k in (1, 2)],
+            nuisances=[TRUTH.expand(2, -1, -1), off([1.0, 0.0, -1.0]).expand(2, -1, -1)],
+            warn=False,
+        )
+        assert fits["newtonian"].certificate.converged
+        return fits["nhkv"].cost
+
+    assert cost_of_wider(1) < cost_of_wider(0) - 20.0
+
+
+LOUD = Noise(floor=0.4, slope=0.0, drift=0.0)
 """Under which basins a period apart are about as deep."""
 
 
@@ -162,7 +189,7 @@ def test_that_draws_know_further_basins_and_integrate_over_them() -> None:
     curves = predict(simulator, mean, ExperimentBatch(blanks))
     made = zip(blanks, curves, strict=True)
     batch = ExperimentBatch(
-        tuple(replace(e, radius=curve[None, : len(e.times)]) for e, curve in made), QUIET
+        tuple(replace(e, radius=curve[None, : len(e.times)]) for e, curve in made), LOUD
     )
     fits = assimilate(
         belief, batch, simulator, seed=0, options=SearchOptions(starts=2, raw_samples=16)

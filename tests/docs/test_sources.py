@@ -112,7 +112,9 @@ def examples() -> list:
 @pytest.mark.parametrize("code", examples())
 def test_that_an_example_in_python_runs(code, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    exec(code, {})
+    names: dict[str, object] = {}
+    exec(code, names)
+    assert names.keys() - {"__builtins__"}, "the example does nothing"
 
 
 def test_that_every_page_of_tasks_is_in_the_table_of_contents():
