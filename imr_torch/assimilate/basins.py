@@ -10,6 +10,8 @@ place, a few Gauss-Newton steps of all nuisances follow from its lowest minima, 
 counts.
 """
 
+from dataclasses import dataclass
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -38,11 +40,7 @@ def deeper_nuisances(
     Returns:
         ``M x E x w`` nuisances; those of experiments without a deeper basin are the same numbers.
     """
-    if not bool((posterior.batch.nuisance_sds[:, _TIME_ZERO] > 0.0).any()):
-        return point.nuisances
-    before = _nuisance_cost(posterior, point)
-    rows, places, costs = _find_basins(posterior, point, before, BasinOptions())
-    return _take_deeper(point.nuisances, before, rows, places, costs)
+    return _Basins.find(posterior, point).deepest_beside(point.nuisances)
 
 
 def nuisances_beside(
@@ -57,14 +55,14 @@ def nuisances_beside(
         nuisances: of the other point.
     """
     here = Point(point.gel[None], point.nuisances[None])
-    before = _nuisance_cost(posterior, here)
     rows = torch.arange(len(nuisances))
-    places, costs = _settle(posterior, here.gel, nuisances[None, None], rows, BasinOptions())
-    return _take_deeper(here.nuisances, before, rows, places, costs)[0]
+    before = _nuisance_cost(posterior, here)
+    found = _Basins.below(nuisances[None, None], rows, posterior, here.gel, before, BasinOptions())
+    return found.deepest_beside(here.nuisances)[0]
 
 
 def other_basins(
-    fit: ModelFit, posterior: Posterior, *, within: float, apart: float = 2.5
+    fit: ModelFit, posterior: Posterior, *, within: float
 ) -> list[Float[Tensor, "experiments nuisances"]]:
     """Nuisances in other basins of single experiments that are nearly as deep as the fit's.
 
@@ -72,25 +70,21 @@ def other_basins(
         fit: whose gel they are sought at.
         posterior: of its model, with as many bubbles as :func:`deeper_nuisances`.
         within: nats above the cost of the fit.
-        apart: standard deviations of the nuisances between one basin and another.
 
     Returns:
         The deepest others of each experiment, then the next ones; those of experiments with fewer
         are the fit's.
     """
-    if not bool((posterior.batch.nuisance_sds[:, _TIME_ZERO] > 0.0).any()):
-        return []
-    here = Point(fit.mean[None], fit.nuisances[None])
-    before = _nuisance_cost(posterior, here)[0]
-    rows, places, costs = _find_basins(posterior, here, before[None], BasinOptions())
+    basins = _Basins.find(posterior, Point(fit.mean[None], fit.nuisances[None]))
     found = list[Tensor]()
-    for number, row in enumerate(rows.tolist()):
+    for number, row in enumerate(basins.rows.tolist()):
         known = [fit.nuisances[row]]
-        for place in costs[0, :, number].argsort().tolist():
-            nuisances = places[0, place, number]
+        costs = basins.costs[0, :, number]
+        for place in costs.argsort().tolist():
+            nuisances = basins.nuisances[0, place, number]
             gaps = (torch.stack(known) - nuisances) @ fit.nuisance_chol[row]
-            near = bool((gaps.norm(dim=1) < apart).any())
-            if near or not float(costs[0, place, number]) < float(before[row]) + within:
+            near = bool((gaps.norm(dim=1) < BasinOptions().apart).any())
+            if near or not float(costs[place]) < float(basins.before[0, number]) + within:
                 continue
             known.append(nuisances)
             if len(known) > len(found) + 1:
@@ -99,54 +93,74 @@ def other_basins(
     return found
 
 
-def _find_basins(
-    posterior: Posterior, point: Point, before: Tensor, options: BasinOptions
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Experiments (``E'``) where a place off the points is promising, nuisances ``M x minima x E' x
-    w`` after steps from the lowest places there, and their costs ``M x minima x E'``.
+@dataclass(frozen=True)
+class _Basins:
+    """Basins of the nuisances of some experiments at fixed gels.
+
+    Args:
+        rows: which experiments, ``E'``.
+        nuisances: ``M x places x E' x w`` tensor.
+        costs: ``M x places x E'`` tensor, nats.
+        before: ``M x E'`` tensor, the same at the points beside which they were sought.
     """
-    movable = posterior.batch.nuisance_sds[:, _TIME_ZERO] > 0.0
-    places, expected = _find_lowest_places(posterior, point, options)
-    spacing = 2.0 * options.reach / (options.places - 1)
-    away = (places - point.nuisances[:, None])[..., _TIME_ZERO].abs() > 0.5 * spacing
-    promising = away & (expected < before[:, None] + options.promising)
-    rows = torch.nonzero(movable & promising.any(1).any(0))[:, 0]
-    return rows, *_settle(posterior, point.gel, places, rows, options)
 
+    rows: Tensor
+    nuisances: Tensor
+    costs: Tensor
+    before: Tensor
 
-def _settle(
-    posterior: Posterior, gels: Tensor, places: Tensor, rows: Tensor, options: BasinOptions
-) -> tuple[Tensor, Tensor]:
-    """Nuisances after steps from places ``M x m x E x w`` of some experiments (``E'``) at fixed
-    gels, and their costs ``M x m x E'``.
-    """
-    places = places[:, :, rows]
-    if not len(rows):
-        return places, places[..., 0]
-    part = posterior.of_experiments(rows)
-    gels = gels.repeat_interleave(places.shape[1], 0)
-    flat = places.flatten(0, 1)
-    for _ in range(options.steps):
-        flat = part.fit_nuisances(Point(gels, flat))[0]
-    cost = _nuisance_cost(part, Point(gels, flat))
-    return flat.unflatten(0, places.shape[:2]), cost.unflatten(0, places.shape[:2])
+    @classmethod
+    def find(cls, posterior: Posterior, point: Point) -> "_Basins":
+        """From the lowest places of the profile over time zero, of the experiments where a place off
+        the points is promising.
+        """
+        options = BasinOptions()
+        movable = posterior.batch.nuisance_sds[:, _TIME_ZERO] > 0.0
+        if not bool(movable.any()):
+            nowhere = point.nuisances[:, None, :0]
+            return cls(torch.arange(0), nowhere, nowhere[..., 0], nowhere[:, 0, :, 0])
+        before = _nuisance_cost(posterior, point)
+        places, expected = _find_lowest_places(posterior, point, options)
+        spacing = 2.0 * options.reach / (options.places - 1)
+        away = (places - point.nuisances[:, None])[..., _TIME_ZERO].abs() > 0.5 * spacing
+        promising = away & (expected < before[:, None] + options.promising)
+        rows = torch.nonzero(movable & promising.any(1).any(0))[:, 0]
+        return cls.below(places, rows, posterior, point.gel, before, options)
 
+    @classmethod
+    def below(
+        cls,
+        places: Tensor,
+        rows: Tensor,
+        posterior: Posterior,
+        gels: Tensor,
+        before: Tensor,
+        options: BasinOptions,
+    ) -> "_Basins":
+        """By Gauss-Newton steps from places (``M x m x E x w``) of some of the experiments."""
+        places = places[:, :, rows]
+        if not len(rows):
+            return cls(rows, places, places[..., 0], before[:, rows])
+        part = posterior.of_experiments(rows)
+        point = Point(gels.repeat_interleave(places.shape[1], 0), places.flatten(0, 1))
+        for _ in range(options.steps):
+            point = Point(point.gel, part.fit_nuisances(point)[0])
+        found, costs = (
+            x.unflatten(0, places.shape[:2]) for x in (point.nuisances, _nuisance_cost(part, point))
+        )
+        return cls(rows, found, costs, before[:, rows])
 
-def _take_deeper(
-    nuisances: Tensor, before: Tensor, rows: Tensor, places: Tensor, costs: Tensor
-) -> Tensor:
-    """Nuisances ``M x E x w``, or those of the deepest of some places where that is another
-    minimum.
-    """
-    if not len(rows):
-        return nuisances
-    cost, place = costs.min(1)
-    found = places.gather(1, place[:, None, :, None].expand(-1, 1, -1, places.shape[-1]))[:, 0]
-    deeper = nuisances.clone()
-    deeper[:, rows] = torch.where(
-        (cost < before[:, rows] - ONE_MINIMUM)[..., None], found, nuisances[:, rows]
-    )
-    return deeper
+    def deepest_beside(self, nuisances: Tensor) -> Tensor:
+        """Nuisances ``M x E x w``, or the deepest of these where that is another minimum."""
+        if not len(self.rows):
+            return nuisances
+        costs, places = self.costs.min(1)
+        rows = places[:, None, :, None].expand(-1, 1, -1, nuisances.shape[-1])
+        found = self.nuisances.gather(1, rows)[:, 0]
+        lower = costs < self.before - ONE_MINIMUM
+        deepest = nuisances.clone()
+        deepest[:, self.rows] = torch.where(lower[..., None], found, nuisances[:, self.rows])
+        return deepest
 
 
 def _find_lowest_places(

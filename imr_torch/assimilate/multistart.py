@@ -93,15 +93,14 @@ class ModelSearch:
                 break
             self._enter_basin(deeper)
 
-    def follow_rival(self, rival: "ModelSearch", *, behind: float = 5.0) -> None:
+    def follow_rival(self, rival: "ModelSearch") -> None:
         """Descend again from the nuisances of a narrower model with a lower minimum, where they lead
         to a deeper basin.
-
-        A model that holds another can be worse by no more than its prior: so many nats.
         """
         names, others = (set(one.posterior.prior.material.names) for one in (self, rival))
         end = self.lowest
-        if not (others < names and rival.lowest.cost + behind < end.cost < math.inf):
+        least = rival.lowest.cost + self.options.descent.nested
+        if not (others < names and least < end.cost < math.inf):
             return
         deeper = nuisances_beside(self.posterior, end.point, rival.lowest.point.nuisances)
         if not torch.equal(deeper, end.point.nuisances):

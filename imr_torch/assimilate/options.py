@@ -48,6 +48,8 @@ class DescentOptions(CheckedOptions):
             deviations.
         basin_rivals: nats between the minima of models that a deeper basin of the nuisances is not
             likely to make up for.
+        nested: nats above the minimum of a narrower model from which on the nuisances of that are
+            tried: a model that holds another can be worse by no more than its prior.
 
     >>> from imr_torch.assimilate.options import DescentOptions
     >>> DescentOptions(leader_iterations=40).reach
@@ -64,6 +66,7 @@ class DescentOptions(CheckedOptions):
     nearer: float = 3.0
     apart: float = 0.5
     basin_rivals: float = 200.0
+    nested: float = 5.0
 
 
 @dataclass(frozen=True)
@@ -135,6 +138,7 @@ class BasinOptions(CheckedOptions):
             to be looked at further; deeper basins were expected at most 5 above it.
         minima: lowest minima of the profile from which all nuisances are fitted.
         steps: Gauss-Newton steps of each.
+        apart: standard deviations of the nuisances between one basin and another.
 
     >>> from imr_torch.assimilate.options import BasinOptions
     >>> BasinOptions().places
@@ -146,6 +150,7 @@ class BasinOptions(CheckedOptions):
     promising: float = 30.0
     minima: int = 4
     steps: int = 4
+    apart: float = 2.5
 
 
 @dataclass(frozen=True)

@@ -1,178 +1,42 @@
 """Importance sampling of each fit's posterior: checks the Gaussian approximation, and corrects its
 moments where it fails.
 
-Each fit's Gaussian, with heavier tails, proposes draws that are weighted by the exact posterior.
-Nuisances are integrated out for each draw and each experiment by importance sampling from their
-conditional Gaussian, with slightly heavier tails, in opposite pairs, which cancels its skewness; the
-product over experiments is without bias (pseudo-marginal: Andrieu & Roberts, Ann. Stat. 37, 2009).
-That Gaussian is the fit's, moved linearly with the gel, in a first round whose nuisances follow the
-gel so, else each draw's own. Where the cost of an experiment has further basins that are nearly as
-deep (:mod:`~imr_torch.assimilate.basins`), each has its Gaussian, and their mixture is the proposal.
-A model whose Gaussian is not confirmed, or whose nuisances do not follow, gets a round about the
+Each fit's Gaussian, with heavier tails, proposes draws that are weighted by the exact posterior, the
+nuisances of each integrated out (:mod:`~imr_torch.assimilate.nuisance_draws`). A model whose
+Gaussian is not confirmed, or whose nuisances do not follow the gel linearly, gets a round about the
 ridge that its posterior lies on (:mod:`~imr_torch.assimilate.ridge`), then with proposals made from
-all its weighted draws, until one is reliable and repeats the last.
-
-Where a draw has a lower cost than the minimum, the model is fitted again from there. Another mode
-far from all draws is not detected here, but by disagreement of the starts in the fit's certificate.
-
-Repeated fits of models for which a posterior draw has a lower cost than the fitted minimum.
-
-Starts that agree do not exclude another, lower minimum: where frames lie next to a collapse, the
-nuisances of one experiment may have a second minimum that no start came near. Posterior draws,
-whose nuisances are fitted anew for each gel, may find it. The weights of draws only suggest it,
-since they depend on a few draws of the nuisances; decisive is the cost of the most probable draws,
-at their own most probable nuisances.
+all its weighted draws, until one is reliable and repeats the last. Where a draw has a lower cost
+than the minimum, the model is fitted again from there (:mod:`~imr_torch.assimilate.refit`).
 """
 
 import math
 from dataclasses import dataclass, field, replace
 
 import torch
-from torch import Tensor
 
-from imr_torch.assimilate.basins import other_basins
 from imr_torch.assimilate.fit import Assimilation, ModelFit, Verdict
 from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.importance import ImportanceSample, NoiseSample
-from imr_torch.assimilate.map_fit import assimilate_model
 from imr_torch.assimilate.noise_law import NoiseNodes
-from imr_torch.assimilate.options import SearchOptions, WeighingOptions
-from imr_torch.assimilate.posterior import Posterior
-from imr_torch.assimilate.proposals import (
-    Kernels,
-    mixture_log_prob,
-    student_draws,
-    student_log_prob,
+from imr_torch.assimilate.nuisance_draws import (
+    NuisanceBasin,
+    NuisanceDraws,
+    Placement,
+    draw_nuisances,
+    find_nuisance_basins,
+    pick_columns,
+    standard_log_prob,
 )
+from imr_torch.assimilate.options import WeighingOptions
+from imr_torch.assimilate.posterior import Posterior
+from imr_torch.assimilate.proposals import Kernels, mixture_log_prob
+from imr_torch.assimilate.refit import find_lower_draw, fit_lower_minimum
 from imr_torch.assimilate.ridge import trace_ridge
-from imr_torch.assimilate.starts import draw_perturbation
 from imr_torch.errors import ConvergenceError, InputDataError
-from imr_torch.float64 import zeros
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
 from imr_torch.types import DrawnControls, Progress, ProgressLine
-
-
-def lower_point(
-    fit: ModelFit, best: float, posterior: Posterior, options: WeighingOptions
-) -> Point | None:
-    """The lowest of the most probable draws if its cost is below the fit's own minimum.
-
-    Args:
-        fit: a model with its draws.
-        best: the lowest cost of all models, nats; a model that is far behind is left out.
-        posterior: of the model; bubbles are made only where the weights suggest another minimum.
-        options: by how much, and how many draws are looked at.
-    """
-    assert fit.sample is not None
-    log_target = fit.sample.as_fitted.log_target
-    # of the optimum, whose nuisances its Gaussian integrates out
-    at_optimum = (
-        -fit.cost - 0.5 * fit.nuisance_log_det - 0.5 * len(fit.mean) * math.log(2.0 * math.pi)
-    )
-    if fit.far_behind(best) or float(log_target.max()) - at_optimum <= options.lower_draw:
-        return None
-    likeliest = log_target.argsort(descending=True)[: options.likeliest]
-    point = Point(fit.sample.controls[likeliest], fit.sample.nuisances[likeliest])
-    for _ in range(options.nuisance_steps if len(posterior.uncertain) else 0):
-        point = Point(point.gel, posterior.fit_nuisances(point)[0])
-    highest = posterior.log_joint(point).max(0)
-    return (
-        point[highest.indices]
-        if -float(highest.values) < fit.cost - options.lower_minimum
-        else None
-    )
-
-
-def lower_minimum(
-    fit: ModelFit,
-    point: Point,
-    posterior: Posterior,
-    options: WeighingOptions,
-    *,
-    seed: int,
-    progress: Progress = None,
-) -> ModelFit | None:
-    """Fit a model again from a point below its minimum.
-
-    Args:
-        fit: the model; not changed.
-        point: see :func:`lower_point`.
-        posterior: of the model.
-        options: how far off the second start is, and how much lower a minimum must be.
-        seed: of the second start.
-        progress: called with one line per iteration, and one for a lower minimum.
-
-    Returns:
-        The fit without draws if its minimum is lower, else None.
-    """
-    second = draw_perturbation(
-        fit.chol, generator(child(seed, "lower", fit.model)), options.restart
-    )
-    moves = torch.stack((torch.zeros_like(second), second))
-    nuisances = point.nuisances + (fit.nuisance_response @ moves[:, None, :, None])[..., 0]
-    found = assimilate_model(
-        posterior,
-        Point(point.gel + moves, nuisances),
-        seed=seed,
-        options=SearchOptions(starts=2),
-        progress=progress,
-    )
-    if found.cost >= fit.cost - options.lower_minimum:
-        return None
-    if progress:
-        progress(
-            f"{fit.model}: draws found a minimum that is {fit.cost - found.cost:.1f} nats lower"
-        )
-    return found
-
-
-@dataclass(frozen=True)
-class _Draws:
-    """Draws of one model in one round.
-
-    Args:
-        controls: ``n x d`` tensor.
-        nuisances: ``n x K x E x w`` tensor: opposite pairs, or (``K = 1``) all zero where none is
-            uncertain.
-        log_ratio: ``n x K x E`` tensor, log of prior over proposal of the nuisances.
-    """
-
-    controls: Tensor
-    nuisances: Tensor
-    log_ratio: Tensor
-
-    def average_likelihood(self, likelihood: Tensor) -> Tensor:
-        """Logarithm of the mean over the nuisances of each draw of the likelihood: ``... x n x K x
-        E`` to ``... x n x E``.
-        """
-        total = torch.logsumexp(likelihood + self.log_ratio, dim=-2)
-        return total - math.log(likelihood.shape[-2])
-
-    def keep_nuisances(self, likelihood: Tensor, source: torch.Generator) -> Tensor:
-        """One of the nuisances of each draw and experiment, in proportion to its part of the
-        likelihood (``n x K x E``).
-        """
-        chosen = _pick_columns((likelihood + self.log_ratio).mT.flatten(0, 1), source)
-        chosen = chosen.reshape(len(likelihood), 1, -1, 1)
-        width = self.nuisances.shape[-1]
-        return self.nuisances.gather(1, chosen.expand(-1, -1, -1, width))[:, 0]
-
-
-@dataclass(frozen=True)
-class _Place:
-    """Basins of the nuisances of some experiments.
-
-    Args:
-        rows: which experiments.
-        fit: the fit of the model there, of these experiments.
-        posterior: of the same.
-    """
-
-    rows: Tensor
-    fit: ModelFit
-    posterior: Posterior
 
 
 @dataclass
@@ -188,7 +52,7 @@ class _State:
         parts: draws of each round since.
         drawn: rounds in all.
         bent: whether the nuisances do not follow the gel linearly.
-        places: where nuisances are proposed, the fit's own basins first.
+        basins: where nuisances are proposed, the fit's own basins first.
     """
 
     fit: ModelFit
@@ -198,7 +62,7 @@ class _State:
     parts: list[ImportanceSample] = field(default_factory=list)
     drawn: int = 0
     bent: bool = False
-    places: "list[_Place]" = field(default_factory=list)
+    basins: list[NuisanceBasin] = field(default_factory=list)
 
     def needs_round(self, options: WeighingOptions) -> bool:
         """Whether the draws so far do not give reliable moments, and more of them may."""
@@ -324,18 +188,18 @@ def _fit_again(
     for state in drawn:
         if state.refits >= options.refits:
             continue
-        point = lower_point(state.fit, best, state.posterior, options)
+        point = find_lower_draw(state.fit, best, state.posterior, options)
         if point is None:
             continue
         state.refits += 1
-        lower = lower_minimum(
+        lower = fit_lower_minimum(
             state.fit, point, state.posterior, options, seed=seed, progress=progress
         )
         if lower is not None:
             state.fit = lower
             state.proposals = []
             state.parts = []
-            state.places = []
+            state.basins = []
 
 
 def _make_proposal(state: _State, seed: int, options: WeighingOptions) -> Kernels:
@@ -392,104 +256,31 @@ def _models_ahead(fits: list[ModelFit], drop_behind: float | None) -> set[str]:
     return near - {model for model, value in evidence.items() if value < most - drop_behind}
 
 
-def _draw_round(state: _State, samples: int, seed: int, options: WeighingOptions) -> _Draws:
-    """Draws of the gel, and of the nuisances given the gel.
+def _draw_round(state: _State, samples: int, seed: int, options: WeighingOptions) -> NuisanceDraws:
+    """Draws of the next round.
 
-    Those are placed anew for each gel but in a first round where they follow it linearly.
+    Nuisances are placed anew for each gel but in a first round where they follow it linearly.
     """
     fit = state.fit
     number = len(state.parts)
-    uncertain = state.posterior.batch.nuisance_sds > 0.0
-    sure = not bool(uncertain.any())
+    sure = not bool((state.posterior.batch.nuisance_sds > 0.0).any())
     samples *= 2 ** max(0, number - (1 if sure else 2))
     source = generator(child(seed, "weigh", fit.model, state.drawn))
     controls = state.proposals[-1].draw_points(samples, source)
-    state.places = state.places or _find_places(state, options)
-    if sure:
-        still = zeros(samples, 1, *uncertain.shape)
-        return _Draws(controls, still, still[..., 0])
-    is_placed = number > 0 or state.bent
-    freedom = round(options.nuisance_freedom * (math.sqrt(len(uncertain)) if is_placed else 1.0))
-    careful = number > 1 and fit.sample is not None and not fit.sample.reliable
-    pairs = options.nuisance_pairs if careful else 1
-    half = student_draws((samples, len(state.places) * pairs, *uncertain.shape), freedom, source)
-    parts = list[tuple[Tensor, ...]]()  # nuisances, where they are proposed, factors of the Hessian
-    for place, some in zip(state.places, half.split(pairs, dim=1), strict=True):
-        noise = (torch.cat((some, -some), dim=1) * uncertain)[:, :, place.rows]
-        centre = place.fit.nuisances_at(controls)
-        chol = place.fit.nuisance_chol.expand(samples, -1, -1, -1)
-        if is_placed:
-            beside = None if careful else place.fit.point
-            centre, chol = place.posterior.fit_nuisances(Point(controls, centre), beside=beside)
-        deviation = torch.linalg.solve_triangular(chol.mT[:, None], noise[..., None], upper=True)
-        own = (centre[:, None] + deviation[..., 0], centre[:, None], chol[:, None])
-        if parts:  # of the other experiments, the same once more
-            replaced = zip(parts[0], own, strict=True)
-            own = tuple(every.index_copy(2, place.rows, some) for every, some in replaced)
-        parts.append(own)
-    nuisances = torch.cat([own[0] for own in parts], 1)
-    log_proposal = torch.stack(
-        [
-            student_log_prob(
-                ((chol.mT @ (nuisances - centre)[..., None])[..., 0] * uncertain).square().sum(-1),
-                uncertain.sum(1),
-                freedom,
-            )
-            + torch.where(uncertain, chol.diagonal(dim1=-2, dim2=-1), 1.0).log().sum(-1)
-            for _, centre, chol in parts
-        ]
-    ).logsumexp(0) - math.log(len(parts))
-    log_prior = torch.where(uncertain, _standard_log_prob(nuisances), 0.0).sum(-1)
-    return _Draws(controls, nuisances, log_prior - log_proposal)
-
-
-def _find_places(state: _State, options: WeighingOptions) -> list[_Place]:
-    """The fit, and the fit with other nuisances of single experiments that have further basins."""
-    fit = state.fit
-    places = [_Place(torch.arange(len(fit.nuisances)), fit, state.posterior)]
-    for nuisances in other_basins(fit, state.posterior, within=options.further):
-        rows = torch.nonzero((nuisances != fit.nuisances).any(1))[:, 0]
-        posterior = state.posterior.of_experiments(rows)
-        point = Point(fit.mean, nuisances[rows])
-        equations = posterior.neighbourhood(point).equations
-        there = replace(
-            fit,
-            nuisances=point.nuisances,
-            nuisance_response=equations.reduced.nuisance_response,
-            nuisance_chol=torch.linalg.cholesky(equations.nuisance_hessian),
-        )
-        places.append(_Place(rows, there, posterior))
-    return places
-
-
-def _predict_draws(state: _State, draws: _Draws) -> Tensor:
-    """``n x K x E x T`` tensor; bubbles that nuisances of one basin have in common are made once."""
-    count = draws.nuisances.shape[1] // len(state.places)
-    controls = draws.controls.repeat_interleave(count, 0)
-    parts = list[Tensor]()
-    for place, nuisances in zip(state.places, draws.nuisances.split(count, dim=1), strict=True):
-        own = nuisances[:, :, place.rows]
-        seen = place.posterior.predict(Point(controls, own.flatten(0, 1)))
-        seen = seen.unflatten(0, own.shape[:2])
-        if parts:
-            longer = parts[0].shape[-1] - seen.shape[-1]
-            seen = torch.nn.functional.pad(seen, (0, longer))
-            seen = parts[0].index_copy(2, place.rows, seen)
-        parts.append(seen)
-    return torch.cat(parts, 1)
-
-
-def _standard_log_prob(values: Tensor) -> Tensor:
-    """Log density of the standard normal, of each value."""
-    return -0.5 * (values.square() + math.log(2.0 * math.pi))
+    if not state.basins:
+        state.basins = find_nuisance_basins(fit, state.posterior, within=options.further)
+    placement = Placement.FITTED if number > 0 or state.bent else Placement.MOVED
+    if number > 1 and fit.sample is not None and not fit.sample.reliable:
+        placement = Placement.CAREFUL
+    return draw_nuisances(controls, state.basins, placement, options, source)
 
 
 def _weigh_draws(
-    state: _State, draws: _Draws, noise: NoiseNodes | None, source: torch.Generator
+    state: _State, draws: NuisanceDraws, noise: NoiseNodes | None, source: torch.Generator
 ) -> ImportanceSample:
     """The draws of a model with their likelihoods."""
     batch = state.posterior.batch
-    prediction = _predict_draws(state, draws)
+    prediction = draws.predict()
     likelihood = batch.log_likelihood(prediction)
     by_experiment = draws.average_likelihood(likelihood)
     under_laws = None
@@ -499,7 +290,7 @@ def _weigh_draws(
             for law in range(len(noise.laws))
         ]
         by_law = torch.cat(parts).movedim(0, 1)  # n x M x E
-        drawn = _pick_columns(by_law.sum(2) + noise.log_prior.flatten(), source)
+        drawn = pick_columns(by_law.sum(2) + noise.log_prior.flatten(), source)
         laws, scales = drawn // noise.scales, drawn % noise.scales
         for law in laws.unique().tolist():
             rows = torch.nonzero(laws == law)[:, 0]
@@ -510,7 +301,7 @@ def _weigh_draws(
     before = state.fit.sample
     sample = ImportanceSample(
         controls=draws.controls,
-        log_prior=_standard_log_prob(draws.controls).sum(1),
+        log_prior=standard_log_prob(draws.controls).sum(1),
         by_experiment=by_experiment,
         log_proposal=proposal.log_prob(draws.controls),
         nuisances=draws.keep_nuisances(likelihood, source),
@@ -528,9 +319,3 @@ def _weigh_draws(
             "usable."
         )
     return sample if before is not None else replace(sample, first_shape=sample.pareto_k)
-
-
-def _pick_columns(log_weights: Tensor, source: torch.Generator) -> Tensor:
-    """One column of each row, in proportion to its weight: ``n`` integers."""
-    shares = torch.softmax(log_weights.nan_to_num(neginf=-1e300), 1)
-    return torch.multinomial(shares, 1, generator=source)[:, 0]

@@ -20,7 +20,7 @@ from imr_torch.assimilate import (
     weigh,
     weighing,
 )
-from imr_torch.assimilate.weighing import lower_point
+from imr_torch.assimilate.refit import find_lower_draw
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.observe import ExperimentBatch
 from tests.curved import CurvedSimulator, mean_error, quadrature, sd_error
@@ -423,19 +423,19 @@ def test_that_a_draw_is_better_only_above_another_minimum_and_of_a_model_that_ma
     simulator = LinearSimulator()
     sound = weigh(right, simulator, seed=0, options=WeighingOptions(refits=0)).fits[0]
     assert (
-        lower_point(sound, sound.cost, Posterior(sound.prior, batch, simulator), WeighingOptions())
+        find_lower_draw(sound, sound.cost, Posterior(sound.prior, batch, simulator), WeighingOptions())
         is None
     )
     wrong = weigh(
         ended_too_high(right, 4.0), simulator, seed=0, options=WeighingOptions(refits=0)
     ).fits[0]
-    point = lower_point(
+    point = find_lower_draw(
         wrong, wrong.cost, Posterior(wrong.prior, batch, simulator), WeighingOptions()
     )
     assert point is not None
     assert -float(Posterior(wrong.prior, batch, simulator).log_joint(point)) < wrong.cost - 0.1
     assert (
-        lower_point(
+        find_lower_draw(
             wrong, wrong.cost - 200.0, Posterior(wrong.prior, batch, simulator), WeighingOptions()
         )
         is None
@@ -465,7 +465,7 @@ def test_that_a_minimum_that_is_not_lower_is_not_taken_and_the_fit_is_weighted_t
         promised.append(best)
         return fit.point
 
-    monkeypatch.setattr("imr_torch.assimilate.weighing.lower_point", promise)
+    monkeypatch.setattr("imr_torch.assimilate.weighing.find_lower_draw", promise)
     fit = right.fits[0]
     said = []
     narrow = replace(right, fits=(replace(fit, nuisance_chol=2.0 * fit.nuisance_chol),))
