@@ -176,7 +176,8 @@ class WeighingOptions(CheckedOptions):
             one to follow. About fits that have converged, draws with less than a tenth did not become
             reliable; from a poor Gaussian further rounds may find the posterior yet.
         lower_draw: nats by which a draw must be more probable than the optimum for another minimum
-            to be looked for; the integral over nuisances is off by some tenths.
+            to be looked for, times the root of the number of experiments: each integral over
+            nuisances is off by some tenths.
         lower_minimum: nats by which a point or minimum must be lower to belong to another.
         likeliest: draws that are looked at for one.
         nuisance_steps: Gauss-Newton steps of their nuisances.

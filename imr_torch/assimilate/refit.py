@@ -39,7 +39,8 @@ def find_lower_draw(
     at_optimum = (
         -fit.cost - 0.5 * fit.nuisance_log_det - 0.5 * len(fit.mean) * math.log(2.0 * math.pi)
     )
-    if fit.far_behind(best) or float(log_target.max()) - at_optimum <= options.lower_draw:
+    ahead = float(log_target.max()) - at_optimum
+    if fit.far_behind(best) or ahead <= options.lower_draw * math.sqrt(len(fit.nuisances)):
         return None
     likeliest = log_target.argsort(descending=True)[: options.likeliest]
     point = Point(fit.sample.controls[likeliest], fit.sample.nuisances[likeliest])
