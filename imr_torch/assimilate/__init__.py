@@ -5,12 +5,7 @@ certificate.
 from imr_torch.assimilate.en4dvar import assimilate_en4dvar
 from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit, Verdict
 from imr_torch.assimilate.forward import ForwardModel, Point
-from imr_torch.assimilate.frame_noise import (
-    FIRST_KINK,
-    FrameNoise,
-    FrameNoisePrior,
-    infer_frame_noise,
-)
+from imr_torch.assimilate.frame_noise import FIRST_KINK, FrameNoise, infer_frame_noise
 from imr_torch.assimilate.gauss_newton import NormalEquations, normal_equations
 from imr_torch.assimilate.importance import ImportanceSample
 from imr_torch.assimilate.map_fit import assimilate
@@ -19,6 +14,7 @@ from imr_torch.assimilate.noise_estimation import (
     assimilate_estimating_noise,
     noise_nodes,
 )
+from imr_torch.assimilate.noise_grid import FrameNoisePrior
 from imr_torch.assimilate.noise_law import NoiseNodes
 from imr_torch.assimilate.options import (
     DescentOptions,

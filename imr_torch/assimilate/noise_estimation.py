@@ -14,8 +14,9 @@ import torch
 
 from imr_torch.assimilate.en4dvar import assimilate_en4dvar
 from imr_torch.assimilate.fit import Assimilation, ModelFit
-from imr_torch.assimilate.frame_noise import FIRST_KINK, FrameNoisePrior, infer_frame_noise
+from imr_torch.assimilate.frame_noise import FIRST_KINK, infer_frame_noise
 from imr_torch.assimilate.map_fit import assimilate
+from imr_torch.assimilate.noise_grid import FrameNoisePrior
 from imr_torch.assimilate.noise_law import NoiseNodes
 from imr_torch.assimilate.options import En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.assimilate.spikes import without_spoilt_frames
