@@ -50,21 +50,21 @@ def test_that_stage_step_and_time_left_are_said():
     made(iteration(2))
     assert (
         made.describe_state()
-        == "characterize, stage 2 of 4, 0:20, 26 %, about 0:57 left: fit with the estimated noise (round 1 of 2), iteration 2"
+        == "characterize, stage 2 of 6, 0:20, 8 %, about 3:49 left: fit with the estimated noise (round 1 of 2), iteration 2"
     )
     clock.now = 25.0
-    assert "about 0:52 left" in made.describe_state()  # less, though nothing was counted meanwhile
+    assert "about 3:44 left" in made.describe_state()  # less, though nothing was counted meanwhile
     clock.now = 60.0  # longer than planned: the stages that follow will be too
-    assert "about 1:38 left" in made.describe_state()
+    assert "about 5:02 left" in made.describe_state()
     made(stage("noise", "noise 0.06 x the published law"))
     made(stage("fit test", "fit test: does the model explain the curves?"))
-    assert "stage 4 of 4, " in made.describe_state()
+    assert "stage 5 of 6, " in made.describe_state()
     assert max(map(len, stream.getvalue().splitlines())) <= 116
     assert "cost" not in stream.getvalue()
 
 
 def test_that_no_time_left_is_said_where_the_last_stage_lasts_longer_than_planned():
-    made, _, clock = terminal(characterize_stages(2))
+    made, _, clock = terminal(characterize_stages(2, figures=False))
     clock.now = 20.0
     made(stage("noise", "noise 1"))
     made(stage("fit test", "fit test: does the model explain the curves?"))

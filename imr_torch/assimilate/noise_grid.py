@@ -253,9 +253,12 @@ class NoiseGrid:
 
     def log_sd(self, law: Noise) -> Tensor:
         """Mean logarithm of a law over all frames that are used."""
-        batches = [replace(c.near.posterior.batch, noise=law) for c in self.curves]
-        rows = zip(self.curves, batches, strict=True)
-        return torch.cat([batch.sd(c.near.centre)[c.rows].log() for c, batch in rows]).mean()
+        logs = []
+        for c in self.curves:
+            batch = c.near.posterior.batch
+            sd = law.sd(c.near.centre, batch.times, batch.bends) * batch.noise_factors
+            logs.append(sd[c.rows].log())
+        return torch.cat(logs).mean()
 
     def add_misfit(self, law: Noise, laws: NoiseLaws, factors: Tensor) -> tuple[Noise, NoiseLaws]:
         """The law and the laws if residuals are independent: beside the noise of single frames, an

@@ -107,7 +107,7 @@ def weigh(
         noise: laws of the noise, which is then integrated out: the likelihood of each draw is
             summed over them (:class:`imr_torch.assimilate.NoiseNodes`). The law of the batch is
             taken as known when not given.
-        progress: called with one line per round.
+        progress: called with one line per model and round.
 
     Returns:
         The assimilation with a ``sample`` in each fit, from which evidence, moments and verdict
@@ -149,8 +149,10 @@ def weigh(
     ]
     waiting = states
     number = 0
+    drawn = 0
     while waiting:
         number += 1
+        expected = drawn + math.ceil(1.5 * len(waiting))  # half of the models need another round
         ahead = _models_ahead([state.fit for state in states], drop_behind)
         for state in waiting:
             state.proposals.append(_make_proposal(state, seed, options))
@@ -161,10 +163,12 @@ def weigh(
             state.parts.append(sample)
             state.drawn += 1
             state.fit = replace(state.fit, sample=sample)
-        if progress:
-            trusts = ", ".join(f"{c.fit.model} {c.fit.trust}" for c in waiting)
-            step = f"round {number}"
-            progress(ProgressLine(f"draws: {step}, {trusts}", step=step))
+            drawn += 1
+            if progress:
+                step = f"{state.fit.model}, round {number}"
+                text = f"draws: {step}, {state.fit.trust}"
+                line = ProgressLine(text, stage="draws", step=step, done=drawn, of=expected)
+                progress(line)
         _fit_again(waiting, states, options, child(seed, "refit", number), progress)
         ahead = _models_ahead([state.fit for state in states], drop_behind)
         waiting = [

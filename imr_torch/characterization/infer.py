@@ -237,6 +237,8 @@ def characterize(
             seed=own,
             progress=progress,
         )
+        if progress:
+            progress(ProgressLine("population: scatter of the gel", stage="population"))
         gels = infer_population(alone, scale=scatter_scale, seed=own)
     used = tuple(
         find_frame_use(

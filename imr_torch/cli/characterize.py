@@ -30,6 +30,7 @@ from imr_torch.observe import (
     prepare,
 )
 from imr_torch.population import SCALE
+from imr_torch.progress import ProgressLine
 from imr_torch.reading.readers import is_shot_file
 from imr_torch.results import document_report
 
@@ -58,7 +59,9 @@ def run_command(args: Namespace) -> None:
         read.append(prepared.report(frames=False))
         print(read[-1])
     rounds = NOISE_ROUNDS if args.noise == "estimated" else 0
-    stages = characterize_stages(rounds, gels=args.simulated_gels or 0, population=args.population)
+    drawn = bool(args.out or args.html)
+    gels = args.simulated_gels or 0
+    stages = characterize_stages(rounds, gels=gels, population=args.population, figures=drawn)
     result = characterize(
         traces,
         prior=prior,
@@ -75,7 +78,7 @@ def run_command(args: Namespace) -> None:
         population=args.population,
         scatter_scale=SCALE if args.scatter_scale is None else args.scatter_scale,
         over_time=args.over_time,
-        simulated_gels=args.simulated_gels or 0,
+        simulated_gels=gels,
         seed=args.seed,
         progress=args.terminal.plan_stages(stages),
     )
@@ -87,6 +90,8 @@ def run_command(args: Namespace) -> None:
     report = "\n\n".join((*read, said)) + "\n"
     if args.out:
         write_bytes(Path(args.out) / "report.txt", report.encode())
+    if drawn:
+        args.terminal(ProgressLine("figures", stage="figures"))
     show_result(args, document, report=report)
     if args.mat:
         write_mat(document, args.mat)

@@ -36,29 +36,29 @@ class Stage:
 
 
 def characterize_stages(
-    noise_rounds: int, *, gels: int = 0, population: bool = False
+    noise_rounds: int, *, gels: int = 0, population: bool = False, figures: bool = True
 ) -> tuple[Stage, ...]:
     """The stages of ``characterize``: one fit per noise law, draws, the fit test, perhaps simulated
-    gels and each shot alone.
+    gels and each shot alone, and figures.
 
     >>> from imr_torch.cli.progress import characterize_stages
-    >>> [stage.name for stage in characterize_stages(1)]
-    ['fit of all models', 'fit with the estimated noise, and draws', 'fit test and figures']
+    >>> [stage.name for stage in characterize_stages(1, figures=False)]
+    ['fit of all models', 'fit with the estimated noise', 'posterior draws', 'fit test']
     """
-    # measured on the example gel, with one model and three, and on long records
-    stages = []
-    for number in range(noise_rounds + 1):
-        last = number == noise_rounds
+    # shares measured on the example gel and on PA1 and S2 of RESULTS, alone and as populations
+    stages = [Stage("fit of all models", 0.75)]
+    for number in range(1, noise_rounds + 1):
         again = f" (round {number} of {noise_rounds})" if noise_rounds > 1 else ""
-        name = f"fit with the estimated noise{again}" if number else "fit of all models"
-        share = (1.0 if last else 0.35) if number else (1.75 if last else 0.75)
-        stages.append(Stage(name + ", and draws" * last, share, "noise"))
-    figures = "" if population else " and figures"
-    stages.append(Stage(f"fit test{figures}", 0.8, "fit test"))
+        stages.append(Stage(f"fit with the estimated noise{again}", 0.8, "noise"))
+    stages.append(Stage("posterior draws", 5.0, "draws"))
+    stages.append(Stage("fit test", 0.5, "fit test"))
     if gels:
         stages.append(Stage("simulated gels like this one", 2.0 * gels, "simulated gels"))
     if population:
-        stages.append(Stage("each shot by itself, and the population", 5.0, "shots"))
+        stages.append(Stage("each shot by itself", 5.0, "shots"))
+        stages.append(Stage("the population", 1.0, "population"))
+    if figures:
+        stages.append(Stage("figures", 1.5, "figures"))
     return tuple(stages)
 
 
