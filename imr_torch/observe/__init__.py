@@ -8,7 +8,7 @@ from imr_torch.observe.laboratory import SimulatedLaboratory
 from imr_torch.observe.landmarks import Landmarks, find_landmarks
 from imr_torch.observe.medium import UNSTATED_SDS, GelMedium, gel_medium
 from imr_torch.observe.noise import Noise, NoiseLaws, noise_sentences
-from imr_torch.observe.nuisance import NUISANCES, Nuisance, Scatter, displaced
+from imr_torch.observe.nuisance import NUISANCES, Nuisance, displaced
 from imr_torch.observe.plausibility import check_experiment, check_maximum
 from imr_torch.observe.prediction import predict
 from imr_torch.observe.prepare import Prepared, prepare
@@ -52,7 +52,6 @@ __all__ = [
     "Prepared",
     "RadiusTrace",
     "Reader",
-    "Scatter",
     "SimulatedLaboratory",
     "Statement",
     "TraceSet",

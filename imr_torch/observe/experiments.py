@@ -21,7 +21,7 @@ from imr_torch.float64 import randn, tensor
 from imr_torch.material import PARAMETERS
 from imr_torch.observe.collapse import CollapseTime
 from imr_torch.observe.noise import Noise, NoiseLaws, frame_bends, previous
-from imr_torch.observe.nuisance import NUISANCES, Nuisance, Scatter
+from imr_torch.observe.nuisance import NUISANCES, Nuisance
 from imr_torch.simulate import check_designs
 from imr_torch.types import BatchFrames, ExperimentFrames, FrameMask, Frames, FrameValues
 
@@ -194,9 +194,9 @@ class ExperimentBatch:
         experiments: the experiments: curves, and shots of which the collapse time alone is known
             (one frame, whose value is a time with an error of its own).
         noise: the law of the observation noise of curves.
-        between: parameter -> its scatter between experiments, each of which then has a value of its
-            own: the deviations are nuisances, beside those of the experiments. All experiments have
-            the same parameters where empty.
+        between: positive parameter -> standard deviation of its logarithm between experiments, each
+            of which then has a value of its own: the deviations are nuisances, beside those of the
+            experiments. All experiments have the same parameters where empty.
         noise_laws: what is known of the law where it was inferred; None where it is taken as known.
 
     >>> import torch
@@ -210,14 +210,19 @@ class ExperimentBatch:
 
     experiments: tuple[Experiment | CollapseTime, ...]
     noise: Noise = field(default_factory=Noise)
-    between: Mapping[str, Scatter] = field(default_factory=dict)
+    between: Mapping[str, float] = field(default_factory=dict)
     noise_laws: NoiseLaws | None = None
 
     def __post_init__(self) -> None:
         if not self.experiments:
             raise InputDataError("At least one experiment is needed.")
-        for name in self.between:
+        for name, scatter in self.between.items():
             PARAMETERS[name]
+            if not 0.0 < scatter < math.inf:
+                raise InputDataError(
+                    f"ExperimentBatch.between: the scatter of {name} is {scatter}; it must be "
+                    "positive and finite."
+                )
         gaps = [e.label for e in self.experiments if e.has_gaps]
         if gaps and self.noise.correlation_time > 0.0:
             raise InputDataError(
@@ -352,8 +357,7 @@ class ExperimentBatch:
 
         Columns as in ``NUISANCES``, then in ``between``.
         """
-        sds = [scatter.relative for scatter in self.between.values()]
-        own = tensor(sds).expand(len(self.experiments), -1)
+        own = tensor(list(self.between.values())).expand(len(self.experiments), -1)
         return torch.cat((torch.stack([e.nuisance.sds() for e in self.experiments]), own), 1)
 
     def sd(self, prediction: BatchFrames) -> BatchFrames:

@@ -1,7 +1,7 @@
 """What would be measured of gels: the radius in each frame, or the time of the first collapse.
 
-Measured designs and times are first taken to the true ones (:mod:`~imr_torch.observe.nuisance`,
-:mod:`~imr_torch.observe.distortion`), at which the bubble is simulated, and the result back.
+Measured designs and times are first taken to the true ones (:mod:`~imr_torch.observe.nuisance`), at
+which the bubble is simulated, and the result back.
 
 The collapse is where the wall's velocity changes sign, by a cubic through radius and velocity at
 both ends of an interval of the output; in two passes the intervals shrink to 1e-6 of the collapse
@@ -20,9 +20,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.float64 import tensor
-from imr_torch.observe.distortion import Distortion
 from imr_torch.observe.experiments import ExperimentBatch, Film
-from imr_torch.observe.nuisance import NUISANCES, displaced, find_impossible, with_own
+from imr_torch.observe.nuisance import (
+    NUISANCES,
+    Distortion,
+    displaced,
+    find_impossible,
+    with_own,
+)
 from imr_torch.simulate import EARLIEST, Simulator
 from imr_torch.simulate.growth import AT_MAXIMUM, WithGrowth
 from imr_torch.types import BroadcastValues, ExperimentFrames, Frames
@@ -68,7 +73,8 @@ def predict(
     if bool((film.times < AT_MAXIMUM).any()):
         simulator = WithGrowth(simulator)
     if isinstance(film, Film):
-        return _predict_radii(simulator, parameters, designs, times, shifts, bundled)
+        instant = designs.new_zeros(1)
+        return _predict_radii(simulator, parameters, designs, times, shifts, bundled, instant)
     parts = []
     order = _group_alike(film)
     for rows in order:
@@ -100,7 +106,7 @@ def _predict_radii(
     times: Tensor,
     shifts: Tensor | None,
     bundled: bool,
-    exposures: Tensor | None = None,
+    exposures: Tensor,
 ) -> Tensor:
     """:func:`predict` for curves, with the known exposure of each."""
     truth = _find_truth(simulator, parameters, designs, times, shifts, exposures)
@@ -147,7 +153,7 @@ def _find_truth(
     designs: Tensor,
     times: Tensor,
     shifts: Tensor | None,
-    exposures: Tensor | None = None,
+    exposures: Tensor,
     *,
     earliest_filmed: float = -0.4,
     earliest_grown: float = -1.5,
@@ -224,9 +230,8 @@ def first_minimum(
     3.142
     """
     turns = (velocity[..., :-1] < 0.0) & (velocity[..., 1:] >= 0.0)
-    left = (
-        (turns.cumsum(-1) == 0).sum(-1, keepdim=True).clamp_max(turns.shape[-1] - 1)
-    )  # intervals before the first
+    before = (turns.cumsum(-1) == 0).sum(-1, keepdim=True)  # intervals before the first
+    left = before.clamp_max(turns.shape[-1] - 1)
     shape = turns.shape[:-1]
 
     def ends(values: Tensor) -> tuple[Tensor, Tensor]:
@@ -267,7 +272,8 @@ def predict_collapse(
         nodes: along ln We and R_inf*, at which the times of more shots than nodes are simulated; of
             a gel that collapses freely, times are right to 5e-5.
     """
-    truth = _find_truth(simulator, parameters, designs, measured[:, None], shifts)
+    instant = measured.new_zeros(1)
+    truth = _find_truth(simulator, parameters, designs, measured[:, None], shifts, instant)
     if truth.designs.shape[-2] > math.prod(nodes):
         found = _interpolate_collapses(
             simulator, parameters, truth.designs, measured, bundled, nodes
