@@ -1,7 +1,7 @@
 """Observations: landmarks, noise, and experiments as dimensionless batches; beside what reads files."""
 
 from imr_torch.observe.collapse import CollapseShot, CollapseTime, load_collapse_times
-from imr_torch.observe.convert import to_experiment
+from imr_torch.observe.convert import load_set, to_experiment
 from imr_torch.observe.experiments import Experiment, ExperimentBatch, Film
 from imr_torch.observe.extremes import collapse_time
 from imr_torch.observe.laboratory import SimulatedLaboratory
@@ -12,7 +12,6 @@ from imr_torch.observe.nuisance import NUISANCES, Nuisance, displaced
 from imr_torch.observe.plausibility import check_experiment, check_maximum
 from imr_torch.observe.prediction import predict
 from imr_torch.observe.prepare import Prepared, prepare
-from imr_torch.observe.sets import load_set
 from imr_torch.reading import (
     KNOWN_LAYOUTS,
     READERS,

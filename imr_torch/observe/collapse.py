@@ -26,8 +26,8 @@ from imr_torch.errors import InputDataError
 from imr_torch.float64 import tensor
 from imr_torch.observe.nuisance import FLOOR, Nuisance
 from imr_torch.reading.content import Content
+from imr_torch.reading.load import SHOT_ARRAY, SHOT_COLUMNS, is_shot_file
 from imr_torch.reading.matlab import read_matlab
-from imr_torch.reading.readers import SHOT_ARRAY, SHOT_COLUMNS, is_shot_file
 from imr_torch.reading.sidecar import Sidecar
 from imr_torch.reading.statement import Statement
 from imr_torch.reading.table import read_text
@@ -137,7 +137,6 @@ class CollapseTime:
     [0.91]
     """
 
-    kind: ClassVar[str] = "collapse"
     has_gaps: ClassVar[bool] = False
     exposure: ClassVar[float] = 0.0
     repeats: ClassVar[int] = 1
@@ -196,10 +195,6 @@ class CollapseTime:
 
     def at(self, frames: Bool[Tensor, "frames"]) -> "CollapseTime":
         """Itself: it has one datum."""
-        return self
-
-    def until(self, last: float) -> "CollapseTime":
-        """Itself: no window applies."""
         return self
 
 

@@ -9,7 +9,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import ClassVar
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -53,8 +52,6 @@ class Experiment:
     (2, [2, 2, 1])
     """
 
-    kind: ClassVar[str] = "radius"
-
     label: str
     design: tuple[float, float]
     times: FrameValues
@@ -68,11 +65,7 @@ class Experiment:
     def __post_init__(self) -> None:
         for name in ("times", "radius"):
             object.__setattr__(self, name, getattr(self, name).to("cpu", torch.float64))
-        if (
-            self.radius.ndim != 2
-            or self.times.ndim != 1
-            or self.radius.shape[1] != self.times.shape[0]
-        ):
+        if self.radius.ndim != 2 or self.times.shape != self.radius.shape[1:]:
             raise ShapeError(
                 f"Experiment {self.label!r}: expected radius n_repeats x n_t and times n_t, "
                 f"got {tuple(self.radius.shape)} and {tuple(self.times.shape)}."
@@ -232,20 +225,19 @@ class ExperimentBatch:
             )
 
     @cached_property
-    def curves(self) -> "tuple[Experiment, ...]":
+    def curves(self) -> tuple[Experiment, ...]:
         """The experiments that are curves."""
         return tuple(e for e in self.experiments if isinstance(e, Experiment))
 
     @cached_property
     def collapse(self) -> Bool[Tensor, "experiments"]:
         """Experiments whose datum is a collapse time."""
-        return torch.tensor([e.kind == "collapse" for e in self.experiments])
+        return torch.tensor([isinstance(e, CollapseTime) for e in self.experiments])
 
     @cached_property
     def _collapse_sds(self) -> Float[Tensor, "experiments 1"]:
         """Errors of collapse times; 1 for curves."""
-        sds = [[getattr(e, "whole_sd", 1.0)] for e in self.experiments]
-        return tensor(sds)
+        return tensor([[getattr(e, "whole_sd", 1.0)] for e in self.experiments])
 
     @cached_property
     def designs(self) -> Float[Tensor, "experiments 2"]:
@@ -262,8 +254,7 @@ class ExperimentBatch:
         """``E x 1`` tensor: noise of each experiment over the law, by which its squares count as
         often as its weight says; 1 for collapse times.
         """
-        factors = [[e.noise_factor / math.sqrt(e.weight)] for e in self.experiments]
-        return tensor(factors)
+        return tensor([[e.noise_factor / math.sqrt(e.weight)] for e in self.experiments])
 
     @property
     def of_frames(self) -> "ExperimentBatch":
@@ -288,11 +279,15 @@ class ExperimentBatch:
 
         Zeros where that is taken as known.
         """
-        if self.noise_laws is None:
+        laws = self.noise_laws
+        if laws is None:
             return self.times.new_zeros(count, *self.times.shape)
-        logs = self.noise_laws.log_ratios(
-            self.noise, prediction, self.times, self.bends, count, generator=generator
-        )
+        rows = torch.multinomial(laws.weights, count, replacement=True, generator=generator)
+        scales = laws.log_scale_sds[rows] * randn(count, generator=generator)
+        each = [
+            law.sd(prediction, self.times, self.bends).log() for law in (self.noise, *laws.laws)
+        ]
+        logs = (torch.stack(each[1:]) - each[0])[rows] + scales[:, None, None]
         sds = tensor([e.noise_factor_sd for e in self.experiments])
         own = sds * randn(count, len(sds), generator=generator)
         return torch.where(self.mask, logs + own[..., None], 0.0)

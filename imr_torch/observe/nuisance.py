@@ -24,7 +24,7 @@ from imr_torch.errors import InputDataError
 from imr_torch.float64 import tensor
 from imr_torch.material import PARAMETERS
 from imr_torch.simulate import EARLIEST
-from imr_torch.types import BatchParameters, Frames
+from imr_torch.types import BatchParameters, DesignVectors, Frames, FrameTimes, ParameterVectors
 
 NUISANCES = ("max_radius", "time_zero", "rest_radius")
 """The nuisances of one experiment, in the order of tensors of them."""
@@ -68,10 +68,10 @@ FLOOR = Nuisance(max_radius=0.003, time_zero=0.004, rest_radius=0.01)
 
 
 def displaced(
-    designs: Float[Tensor, "*#batch 2"],
-    times: Float[Tensor, "*#batch frames"],
+    designs: DesignVectors,
+    times: FrameTimes,
     shifts: Float[Tensor, "*#batch 3"],
-) -> tuple[Float[Tensor, "*#batch 2"], Float[Tensor, "*#batch frames"], Float[Tensor, "*#batch 1"]]:
+) -> tuple[DesignVectors, FrameTimes, Float[Tensor, "*#batch 1"]]:
     """Design and times that the bubble truly had, given what was measured and the shifts.
 
     Args:
@@ -125,10 +125,10 @@ def find_impossible(
 
 
 def with_own(
-    parameters: Float[Tensor, "*#batch parameters"],
+    parameters: ParameterVectors,
     names: Sequence[str],
     deviations: Float[Tensor, "*#batch own"],
-) -> Float[Tensor, "*#batch parameters"]:
+) -> ParameterVectors:
     """Parameter vectors, SI, with the values that an experiment has.
 
     Args:

@@ -30,12 +30,12 @@ from imr_torch.observe.nuisance import (
 )
 from imr_torch.simulate import EARLIEST, Simulator
 from imr_torch.simulate.growth import AT_MAXIMUM, WithGrowth
-from imr_torch.types import BroadcastValues, ExperimentFrames, Frames
+from imr_torch.types import BroadcastValues, ExperimentFrames, Frames, ParameterVectors
 
 
 def predict(
     simulator: Simulator,
-    parameters: Float[Tensor, "*#batch parameters"],
+    parameters: ParameterVectors,
     film: Film | ExperimentBatch,
     shifts: Float[Tensor, "*#batch experiments nuisances"] | None = None,
     *,
@@ -186,7 +186,7 @@ def _find_truth(
 
 def _simulate_bubbles(
     simulator: Simulator,
-    parameters: Float[Tensor, "*#batch parameters"],
+    parameters: ParameterVectors,
     designs: Float[Tensor, "*#batch experiments 2"],
     times: Frames,
     *,
@@ -251,7 +251,7 @@ def first_minimum(
 
 def predict_collapse(
     simulator: Simulator,
-    parameters: Float[Tensor, "*#batch parameters"],
+    parameters: ParameterVectors,
     designs: Float[Tensor, "experiments 2"],
     measured: Float[Tensor, "experiments"],
     shifts: Float[Tensor, "*#batch experiments 3"] | None = None,
