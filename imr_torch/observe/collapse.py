@@ -232,7 +232,7 @@ def load_collapse_times(*paths: str | Path) -> tuple[CollapseShot, ...]:
         if path.suffix.lower() == ".mat":
             shots += _shots_of_array(path, stated)
             continue
-        shots += _shots_of_table(read_text(path)[0], stated)
+        shots += _shots_of_table(read_text(path), stated)
     names = [shot.experiment_id for shot in shots]
     double = next((name for name in names if names.count(name) > 1), None)
     if not shots or double is not None:
@@ -245,7 +245,7 @@ def load_collapse_times(*paths: str | Path) -> tuple[CollapseShot, ...]:
 
 def _shots_of_array(path: Path, stated: Statement | None) -> list[CollapseShot]:
     """The shots of a MATLAB file."""
-    array = read_matlab(path)[0].values[SHOT_ARRAY]
+    array = read_matlab(path).values[SHOT_ARRAY]
     if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind != "f":
         raise InputDataError(
             f"{path}: {SHOT_ARRAY} has shape {array.shape}; expected one row a shot of Rmax in m, "

@@ -12,7 +12,7 @@ parameter vector, beside the properties of the gel, each with a neutral value of
 does nothing, exactly.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -126,7 +126,7 @@ def find_impossible(
 
 def with_own(
     parameters: ParameterVectors,
-    names: Sequence[str],
+    names: Collection[str],
     deviations: Float[Tensor, "*#batch own"],
 ) -> ParameterVectors:
     """Parameter vectors, SI, with the values that an experiment has.

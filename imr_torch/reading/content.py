@@ -197,7 +197,7 @@ def _describe_shape(value: Any) -> str:
     return str(np.shape(value)) if np.shape(value) else "scalar"
 
 
-def read_npz(path: Path) -> list[Content]:
+def read_npz(path: Path) -> Content:
     """One curve, or one a row, in SI units."""
     arrays = read_arrays(path, ("time_s", "radius_m"))
     time = arrays["time_s"]
@@ -209,7 +209,7 @@ def read_npz(path: Path) -> list[Content]:
             "(designs x repeats x frames) are read by imr-torch diagnose."
         )
     values = {name: x if x.ndim == 1 else list(x) for name, x in arrays.items()}
-    return [Content(path, values)]
+    return Content(path, values)
 
 
 def read_arrays(path: str | Path, names: Collection[str]) -> dict[str, np.ndarray]:

@@ -225,13 +225,13 @@ def read_contents(path: Path) -> list[Content]:
     """
     head = _read_head(path)
     if head.startswith(b"PK") and path.suffix.lower() == ".npz":
-        return read_npz(path)
+        return [read_npz(path)]
     if is_workbook(path, head):
         return read_workbook(path)
     if is_matlab(path, head):
-        return read_matlab_curves(path)
+        return [read_matlab_curves(path)]
     if b"\0" not in head or head.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return read_text(path)
+        return [read_text(path)]
     raise InputDataError(
         f"{path}: unknown container (first bytes {head[:8]!r}); expected text (CSV), a MATLAB "
         "file, .xlsx or .npz: export the curves as CSV with the header "
