@@ -25,7 +25,6 @@ from torch import Tensor
 from imr_torch.errors import InputDataError
 from imr_torch.float64 import tensor
 from imr_torch.observe.nuisance import FLOOR, Nuisance
-from imr_torch.reading.content import Content
 from imr_torch.reading.load import SHOT_ARRAY, SHOT_COLUMNS, is_shot_file
 from imr_torch.reading.matlab import read_matlab
 from imr_torch.reading.sidecar import Sidecar
@@ -228,11 +227,8 @@ def load_collapse_times(*paths: str | Path) -> tuple[CollapseShot, ...]:
                 f"{path}: is no table of collapse times; expected the columns "
                 f"{', '.join(SHOT_COLUMNS)}."
             )
-        stated = Sidecar(path).stated
-        if path.suffix.lower() == ".mat":
-            shots += _shots_of_array(path, stated)
-            continue
-        shots += _shots_of_table(read_text(path), stated)
+        read_shots = _shots_of_array if path.suffix.lower() == ".mat" else _shots_of_table
+        shots += read_shots(path, Sidecar(path).stated)
     names = [shot.experiment_id for shot in shots]
     double = next((name for name in names if names.count(name) > 1), None)
     if not shots or double is not None:
@@ -257,8 +253,9 @@ def _shots_of_array(path: Path, stated: Statement | None) -> list[CollapseShot]:
     ]
 
 
-def _shots_of_table(table: Content, stated: Statement | None) -> list[CollapseShot]:
+def _shots_of_table(path: Path, stated: Statement | None) -> list[CollapseShot]:
     """The shots of a table of text."""
+    table = read_text(path)
     if table.units:
         raise InputDataError(
             f"{table.path}: the row below the header ({', '.join(table.units.values())}) is no "

@@ -65,8 +65,13 @@ def to_experiment(
     (180.9, 0.2)
     """
     top = landmarks.max_radius_m
-    value, sd, remedy = _find_rest_radius(trace, landmarks, rest_radius)
+    value, sd = rest_radius or _measured_rest_radius(trace, landmarks)
     if not 0.0 < value < 1.0:
+        remedy = (
+            "Give another assumed rest radius."
+            if rest_radius
+            else "Give the rest radius with rest_radius=(value, sd)."
+        )
         raise InputDataError(
             f"{trace.where}: R_inf/Rmax is {value:.3f} (R_inf {1e6 * value * top:.1f} um, Rmax "
             f"{1e6 * top:.1f} um); expected a rest radius below the maximum radius. {remedy}"
@@ -83,7 +88,7 @@ def to_experiment(
         rest_radius=min(math.hypot(sd / value, FLOOR.rest_radius), widest),
     )
     design = (surroundings.weber(top), value)
-    exposure = 0.0 if trace.given.exposure_s is None else trace.given.exposure_s / float(scale)
+    exposure = (trace.given.exposure_s or 0.0) / scale
     return Experiment(
         trace.experiment_id,
         design,
@@ -94,12 +99,8 @@ def to_experiment(
     )
 
 
-def _find_rest_radius(
-    trace: RadiusTrace, landmarks: Landmarks, assumed: tuple[float, float] | None
-) -> tuple[float, float, str]:
-    """R_inf/Rmax, its standard deviation, and what to do if it is impossible."""
-    if assumed is not None:
-        return *assumed, "Give another assumed rest radius."
+def _measured_rest_radius(trace: RadiusTrace, landmarks: Landmarks) -> tuple[float, float]:
+    """R_inf/Rmax and its standard deviation."""
     if landmarks.rest_radius_m is None or landmarks.rest_radius_sd_m is None:
         raise InputDataError(
             f"{trace.where} has no rebound and no given "
@@ -108,11 +109,7 @@ def _find_rest_radius(
             "beside the file, or leave the experiment out."
         )
     top = landmarks.max_radius_m
-    return (
-        landmarks.rest_radius_m / top,
-        landmarks.rest_radius_sd_m / top,
-        "Give the rest radius with rest_radius=(value, sd).",
-    )
+    return landmarks.rest_radius_m / top, landmarks.rest_radius_sd_m / top
 
 
 @dataclass(frozen=True)

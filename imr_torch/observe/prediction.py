@@ -17,6 +17,8 @@ from functools import cache
 import numpy as np
 import torch
 from jaxtyping import Float
+from numpy.polynomial.chebyshev import chebpts1
+from numpy.polynomial.polynomial import polyvander2d
 from torch import Tensor
 
 from imr_torch.float64 import tensor
@@ -333,9 +335,7 @@ def _interpolate_collapses(
     step = tensor(steps)
     low = torch.floor(places.reshape(-1, 2).amin(0) / step) * step
     half = 0.5 * (torch.ceil(places.reshape(-1, 2).amax(0) / step) * step - low)
-    unit = torch.cartesian_prod(
-        *(torch.cos(torch.pi * (torch.arange(n).double() + 0.5) / n) for n in nodes)
-    )
+    unit = torch.cartesian_prod(*(torch.from_numpy(chebpts1(n)) for n in nodes))
     at = low + half * (1.0 + unit)
     at[:, 0] = at[:, 0].exp()
     gels, rows = _distinct_gels(parameters, bundled)
@@ -347,8 +347,7 @@ def _interpolate_collapses(
 
     def find_powers(places: Tensor) -> Tensor:
         x, y = (column.numpy() for column in places.unbind(-1))
-        powers = np.polynomial.polynomial.polyvander2d(x, y, [n - 1 for n in nodes])
-        return torch.from_numpy(powers)
+        return torch.from_numpy(polyvander2d(x, y, [n - 1 for n in nodes]))
 
     weights = find_powers((places - low) / half - 1.0) @ torch.linalg.inv(find_powers(unit))
     return (weights * times[..., None, :]).sum(-1)

@@ -191,12 +191,12 @@ def _borrow_rest_radii(landmarks: dict[str, Landmarks], *, least_sd: float = 0.4
     sd = max(least_sd * value, pstdev(ratios))
     for name in lacking:
         top = landmarks[name].max_radius_m
-        found = {
-            "rest_radius_m": value * top,
-            "rest_radius_sd_m": sd * top,
-            "rest_method": "other curves",
-        }
-        landmarks[name] = replace(landmarks[name], **found)
+        landmarks[name] = replace(
+            landmarks[name],
+            rest_radius_m=value * top,
+            rest_radius_sd_m=sd * top,
+            rest_method="other curves",
+        )
     names = ", ".join(f"'{name}'" for name in lacking)
     return [
         f"The record of {names} holds no rebound and no R_inf is stated, so R_inf/Rmax is taken to "

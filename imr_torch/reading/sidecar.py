@@ -291,18 +291,14 @@ def state(
     beside = Sidecar(Path(path))
     kept = {key: value for key, value in values.items() if value is not None}
     beside.override(kept, experiment_id)  # refuses what cannot be meant
-    document = dict(beside.top)
-    entries = {name: dict(entry) for name, entry in beside.entries.items()}
-    own = (
-        document
-        if alone and not entries
-        else entries.setdefault(experiment_id, {"experiment_id": experiment_id})
-    )
+    entries = beside.entries
+    new: Document = {"experiment_id": experiment_id}
+    own = beside.top if alone and not entries else entries.setdefault(experiment_id, new)
     own.pop("override", None)
     own |= {"override": kept} if kept else {}
-    if own == {"experiment_id": experiment_id} and experiment_id not in beside.entries:
+    if own is new and not kept:
         del entries[experiment_id]
-    document |= {"experiments": list(entries.values())} if entries else {}
+    document = beside.top | ({"experiments": list(entries.values())} if entries else {})
     if document or beside.exists:
         write_json(beside.path, document)
     return beside.path
