@@ -129,10 +129,12 @@ class Content:
 
     def _no_numbers(self, name: str, cells: list[str]) -> InputDataError:
         """What to say of the first cell of a column that is no number."""
-        filled = [i for i, cell in enumerate(cells) if cell]
-        worded = [i for i in filled if read_number(cells[i], comma=True) is None]
-        place = (worded or [i for i in filled if read_number(cells[i]) is None])[0]
-        cell = cells[place]
+        place, cell = next(
+            (i, cell)
+            for comma in (True, False)
+            for i, cell in enumerate(cells)
+            if cell and read_number(cell, comma=comma) is None
+        )
         shown = repr(cell) if len(cell) <= 40 else f"{cell[:40]!r}... ({len(cell)} characters)"
         remedy = "write numbers with a decimal point, and a lost frame as NaN."
         if "," in cell:

@@ -67,7 +67,7 @@ class RawCurve:
         """File and experiment, for messages."""
         return f"{self.file}: experiment '{self.experiment_id}'"
 
-    def take_rows(self, index: np.ndarray) -> "RawCurve":
+    def take_rows(self, index: np.ndarray | slice) -> "RawCurve":
         """The curve at some of its rows, in the order of an index."""
         parts = {k: x[index] for k, x in vars(self).items() if isinstance(x, np.ndarray)}
         return replace(self, **parts)
@@ -260,8 +260,7 @@ def _split_curves(content: Content, layout: Layout) -> tuple[list[RawCurve], lis
                 label = column if len(groups) == 1 else f"{group}:{column}"
             elif len(radii) > 1:
                 label = f"{file.stem}_{i:02d}"
-            curve = whole if chosen is None else whole.take_rows(chosen)
-            curves.append(replace(curve, experiment_id=label))
+            curves.append(replace(whole.take_rows(chosen), experiment_id=label))
     return curves, left_out
 
 
@@ -291,7 +290,7 @@ def _vectors_beside(
 
 def _group_rows(
     content: Content, layout: Layout
-) -> tuple[dict[str, np.ndarray | None], list[LeftOut]]:
+) -> tuple[dict[str, np.ndarray | slice], list[LeftOut]]:
     """Row indices of each curve, by experiment column, by separator rows, or all in one."""
     file = str(content.path)
     if layout.experiment is not None:
@@ -305,17 +304,17 @@ def _group_rows(
             )
         return {name: np.array(rows) for name, rows in groups.items()}, []
     if layout.separator is None:
-        return {"": None}, []
+        return {"": slice(None)}, []
     separates = _find_separators(content, layout.separator)
     marks = np.flatnonzero(separates)
     parts = [part[~separates[part]] for part in np.split(np.arange(len(separates)), marks)]
-    aside = {}
-    if len(marks):
-        aside["separator rows between curves"] = marks
-    if len(marks) and 0 < len(parts[0]) < MIN_SAMPLES:
+    aside = {"separator rows between curves": marks}
+    if len(marks) and len(parts[0]) < MIN_SAMPLES:
         aside["stray row(s) before the first separator"] = parts.pop(0)
     left_out = [
-        LeftOut(file, "", row_ranges(content.lines(rows)), reason) for reason, rows in aside.items()
+        LeftOut(file, "", row_ranges(content.lines(rows)), reason)
+        for reason, rows in aside.items()
+        if len(rows)
     ]
     filled = [part for part in parts if len(part)]
     return {f"{content.path.stem}_{i:03d}": part for i, part in enumerate(filled, 1)}, left_out
@@ -324,8 +323,8 @@ def _group_rows(
 def _mark_absent(curve: RawCurve, layout: Layout) -> RawCurve:
     """The curve with radius 0 where the file marks a frame without a bubble."""
     radius = curve.radius.copy()
-    seen = np.flatnonzero(radius > 0.0)
-    absent = (radius == -1.0) | (np.arange(len(radius)) < (seen[0] if len(seen) else 0))
+    begun = np.logical_or.accumulate(radius > 0.0)
+    absent = (radius == -1.0) | (~begun & begun.any())
     absent |= layout.absent == "negative"
     radius[absent & (radius < 0.0) & np.isfinite(radius)] = 0.0
     return replace(curve, radius=radius)

@@ -83,12 +83,10 @@ class Sidecar:
         document = read_json(self.path, expected=_EXPECTED) if self.exists else {}
         if not isinstance(document, dict):
             raise self._refuse_file(f"it holds a {type(document).__name__}")
-        listed = document.get("experiments", [])
+        listed = document.pop("experiments", [])
         if not isinstance(listed, list) or not all(isinstance(entry, dict) for entry in listed):
             raise self._refuse_file("'experiments' is no list of entries")
-        self.top: Document = {
-            name: value for name, value in document.items() if name != "experiments"
-        }
+        self.top: Document = document
         self.entries: dict[str, Document] = {}
         for i, entry in enumerate(listed):
             if "experiment_id" not in entry:
@@ -109,8 +107,9 @@ class Sidecar:
             for name, allowed in (("time_unit", TIMES), ("radius_unit", RADIUS_UNITS))
         }
         medium = self.top.get("medium")
-        stated = isinstance(medium, dict)
-        self.stated = Statement.from_json(medium, str(self.path)) if stated else None
+        self.stated = (
+            Statement.from_json(medium, str(self.path)) if isinstance(medium, dict) else None
+        )
 
     def _refuse_file(self, why: str) -> InputDataError:
         return InputDataError(
