@@ -126,9 +126,7 @@ def _check_place(target: Path, option: str, folder: bool) -> None:
             f"{option} is {str(target)!r}, and {str(nearest)!r} may not be written to; give "
             "another folder."
         )
-    if (
-        not target.exists() or nearest.is_dir()
-    ):  # a file system that takes no files says so here alone
+    if nearest.is_dir():  # a file system that takes no files says so here alone
         with tempfile.TemporaryFile(dir=nearest):
             pass
 

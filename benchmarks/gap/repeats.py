@@ -35,8 +35,7 @@ from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses
 from imr_torch.gap.model_error import model_error
 from imr_torch.gap.shrinkage import beside_nuisances, shrinkage
 from imr_torch.material import LIBRARY
-from imr_torch.observe import ExperimentBatch
-from imr_torch.observe.sets import load_set
+from imr_torch.observe import ExperimentBatch, load_set
 from imr_torch.random import child
 from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
 

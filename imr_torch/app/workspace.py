@@ -33,7 +33,7 @@ from imr_torch.observe import (
     prepare,
     state,
 )
-from imr_torch.reading.readers import is_shot_file
+from imr_torch.reading.load import is_shot_file
 
 LARGEST_FILE = 2**30
 """Bytes of an uploaded file."""

@@ -400,9 +400,9 @@ class Assimilation:
         """
         square = self._residual(model).square().sum(1)
         values = (square / self.batch.mask.sum(1)).sqrt().tolist()
-        mixed = bool((~self.batch.collapse).any())
-        pairs = zip(self.batch.experiments, values, strict=True)
-        return {e.label: value for e, value in pairs if not mixed or e.kind == "radius"}
+        times = self.batch.collapse.tolist()
+        rows = zip(self.batch.experiments, values, times, strict=True)
+        return {e.label: value for e, value, is_time in rows if not is_time or all(times)}
 
     def _residual(self, model: str) -> ExperimentFrames:
         return torch.where(self.batch.mask, self.batch.mean - self[model].prediction, 0.0)

@@ -31,7 +31,7 @@ from imr_torch.observe import (
 )
 from imr_torch.population import SCALE
 from imr_torch.progress import ProgressLine
-from imr_torch.reading.readers import is_shot_file
+from imr_torch.reading.load import is_shot_file
 from imr_torch.results import document_report
 
 

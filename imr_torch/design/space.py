@@ -9,7 +9,7 @@ from torch import Tensor
 
 from imr_torch.errors import InputDataError, ShapeError
 from imr_torch.float64 import tensor
-from imr_torch.reading.readers import read_contents
+from imr_torch.reading.load import read_contents
 from imr_torch.types import Design, Designs
 from imr_torch.units import Surroundings
 

@@ -7,7 +7,7 @@ from imr_torch.gap.examine import Parts, examine
 from imr_torch.gap.medium import MediumSensitivity, medium_sensitivities
 from imr_torch.gap.text import describe
 from imr_torch.material import LIBRARY, Effect, library
-from imr_torch.observe.sets import load_set
+from imr_torch.observe import load_set
 
 __all__ = [
     "LIBRARY",

@@ -109,7 +109,7 @@ def start_apart(hypothesis: Hypothesis, near: ModelFit, alone: Sequence[ModelFit
     for name, scatter in scatters(hypothesis.base).items():
         place = prior.names.index(name)
         of_curves = prior.physical(gels)[:, place]
-        deviations.append(scatter.deviation(of_curves, common[place]) / scatter.relative)
+        deviations.append((of_curves.log() - common[place].log()) / scatter)
     mean = near.mean.clone()
     mean[[near.prior.names.index(name) for name in prior.names]] = gels.mean(0)
     nuisances = torch.cat([fit.nuisances[:, : len(NUISANCES)] for fit in alone])
@@ -127,6 +127,6 @@ def gels_of(fit: ModelFit, hypothesis: Hypothesis) -> dict[str, list[float]]:
     common = dict(zip(fit.prior.names, fit.prior.physical(fit.mean), strict=True))
     between = scatters(hypothesis.base).items()
     return {
-        name: scatter.moved(common[name], scatter.relative * column).tolist()
+        name: (common[name] * (scatter * column).exp()).tolist()
         for (name, scatter), column in zip(between, deviations.unbind(1), strict=True)
     }

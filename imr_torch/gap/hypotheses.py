@@ -24,7 +24,7 @@ from imr_torch.float64 import tensor
 from imr_torch.material import Belief, Effect, ModelBelief
 from imr_torch.material.belief import even_belief
 from imr_torch.material.model_belief import add_parameters
-from imr_torch.observe import NUISANCES, ExperimentBatch, Scatter
+from imr_torch.observe import NUISANCES, ExperimentBatch
 from imr_torch.population import SCALE
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator, coarser
@@ -140,13 +140,13 @@ def may_differ(batch: ExperimentBatch) -> bool:
     return len(batch.experiments) > 1 and all(e.repeats == 1 for e in batch.experiments)
 
 
-def scatters(base: ModelBelief) -> dict[str, Scatter]:
+def scatters(base: ModelBelief) -> dict[str, float]:
     """Parameter of the gel -> its scatter between experiments whose gels differ.
 
     What is inferred of the medium does not differ, nor does the strength of an effect: an effect
     that may differ freely between curves explains anything.
     """
-    return {name: Scatter(SCALE) for name in base.of_gel}
+    return dict.fromkeys(base.of_gel, SCALE)
 
 
 def fit_null(

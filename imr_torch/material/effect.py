@@ -5,7 +5,7 @@ An effect frees one or more entries of the parameter vector that a model leaves 
 ask the library which effects act in a batch and apply their laws; a diagnosis asks it which effects
 it may name. The laws are functions of scalars (:mod:`imr_torch.elementary`), so both engines use
 them; effects of the gel act through a stress term, effects of the camera through
-:mod:`imr_torch.observe.distortion`. Those of the package are declared in
+:mod:`imr_torch.observe.nuisance`. Those of the package are declared in
 :mod:`imr_torch.material.effects`, and the stages that hold their physics attach it by name
 (:func:`give_physics`). A user adds an effect by registering its parameter and one :class:`Effect`.
 """

@@ -7,7 +7,7 @@ Effects of the gel are terms of its stress that a model may lack
 parameter is not neutral. The physics of the bubble and of the liquid around it is in
 :mod:`imr_torch.simulate.effects` and
 :mod:`imr_torch.simulate.setting`; errors of the measurement act in
-:mod:`imr_torch.observe.distortion`. At zero each does nothing, exactly.
+:mod:`imr_torch.observe.nuisance`. At zero each does nothing, exactly.
 """
 
 from imr_torch.files import read_table

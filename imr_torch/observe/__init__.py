@@ -1,18 +1,17 @@
 """Observations: landmarks, noise, and experiments as dimensionless batches; beside what reads files."""
 
 from imr_torch.observe.collapse import CollapseShot, CollapseTime, load_collapse_times
-from imr_torch.observe.convert import to_experiment
+from imr_torch.observe.convert import load_set, to_experiment
 from imr_torch.observe.experiments import Experiment, ExperimentBatch, Film
 from imr_torch.observe.extremes import collapse_time
 from imr_torch.observe.laboratory import SimulatedLaboratory
 from imr_torch.observe.landmarks import Landmarks, find_landmarks
 from imr_torch.observe.medium import UNSTATED_SDS, GelMedium, gel_medium
 from imr_torch.observe.noise import Noise, NoiseLaws, noise_sentences
-from imr_torch.observe.nuisance import NUISANCES, Nuisance, Scatter, displaced
+from imr_torch.observe.nuisance import NUISANCES, Nuisance, displaced
 from imr_torch.observe.plausibility import check_experiment, check_maximum
 from imr_torch.observe.prediction import predict
 from imr_torch.observe.prepare import Prepared, prepare
-from imr_torch.observe.sets import load_set
 from imr_torch.reading import (
     KNOWN_LAYOUTS,
     READERS,
@@ -52,7 +51,6 @@ __all__ = [
     "Prepared",
     "RadiusTrace",
     "Reader",
-    "Scatter",
     "SimulatedLaboratory",
     "Statement",
     "TraceSet",

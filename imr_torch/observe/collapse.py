@@ -25,9 +25,8 @@ from torch import Tensor
 from imr_torch.errors import InputDataError
 from imr_torch.float64 import tensor
 from imr_torch.observe.nuisance import FLOOR, Nuisance
-from imr_torch.reading.content import Content
+from imr_torch.reading.load import SHOT_ARRAY, SHOT_COLUMNS, is_shot_file
 from imr_torch.reading.matlab import read_matlab
-from imr_torch.reading.readers import SHOT_ARRAY, SHOT_COLUMNS, is_shot_file
 from imr_torch.reading.sidecar import Sidecar
 from imr_torch.reading.statement import Statement
 from imr_torch.reading.table import read_text
@@ -137,7 +136,6 @@ class CollapseTime:
     [0.91]
     """
 
-    kind: ClassVar[str] = "collapse"
     has_gaps: ClassVar[bool] = False
     exposure: ClassVar[float] = 0.0
     repeats: ClassVar[int] = 1
@@ -198,10 +196,6 @@ class CollapseTime:
         """Itself: it has one datum."""
         return self
 
-    def until(self, last: float) -> "CollapseTime":
-        """Itself: no window applies."""
-        return self
-
 
 def load_collapse_times(*paths: str | Path) -> tuple[CollapseShot, ...]:
     r"""Read shots from tables with the columns ``experiment_id, rmax_m, stretch, collapse_time_s``,
@@ -233,11 +227,8 @@ def load_collapse_times(*paths: str | Path) -> tuple[CollapseShot, ...]:
                 f"{path}: is no table of collapse times; expected the columns "
                 f"{', '.join(SHOT_COLUMNS)}."
             )
-        stated = Sidecar(path).stated
-        if path.suffix.lower() == ".mat":
-            shots += _shots_of_array(path, stated)
-            continue
-        shots += _shots_of_table(read_text(path)[0], stated)
+        read_shots = _shots_of_array if path.suffix.lower() == ".mat" else _shots_of_table
+        shots += read_shots(path, Sidecar(path).stated)
     names = [shot.experiment_id for shot in shots]
     double = next((name for name in names if names.count(name) > 1), None)
     if not shots or double is not None:
@@ -250,7 +241,7 @@ def load_collapse_times(*paths: str | Path) -> tuple[CollapseShot, ...]:
 
 def _shots_of_array(path: Path, stated: Statement | None) -> list[CollapseShot]:
     """The shots of a MATLAB file."""
-    array = read_matlab(path)[0].values[SHOT_ARRAY]
+    array = read_matlab(path).values[SHOT_ARRAY]
     if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind != "f":
         raise InputDataError(
             f"{path}: {SHOT_ARRAY} has shape {array.shape}; expected one row a shot of Rmax in m, "
@@ -262,8 +253,9 @@ def _shots_of_array(path: Path, stated: Statement | None) -> list[CollapseShot]:
     ]
 
 
-def _shots_of_table(table: Content, stated: Statement | None) -> list[CollapseShot]:
+def _shots_of_table(path: Path, stated: Statement | None) -> list[CollapseShot]:
     """The shots of a table of text."""
+    table = read_text(path)
     if table.units:
         raise InputDataError(
             f"{table.path}: the row below the header ({', '.join(table.units.values())}) is no "

@@ -9,7 +9,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import ClassVar
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -21,7 +20,7 @@ from imr_torch.float64 import randn, tensor
 from imr_torch.material import PARAMETERS
 from imr_torch.observe.collapse import CollapseTime
 from imr_torch.observe.noise import Noise, NoiseLaws, frame_bends, previous
-from imr_torch.observe.nuisance import NUISANCES, Nuisance, Scatter
+from imr_torch.observe.nuisance import NUISANCES, Nuisance
 from imr_torch.simulate import check_designs
 from imr_torch.types import BatchFrames, ExperimentFrames, FrameMask, Frames, FrameValues
 
@@ -53,8 +52,6 @@ class Experiment:
     (2, [2, 2, 1])
     """
 
-    kind: ClassVar[str] = "radius"
-
     label: str
     design: tuple[float, float]
     times: FrameValues
@@ -68,11 +65,7 @@ class Experiment:
     def __post_init__(self) -> None:
         for name in ("times", "radius"):
             object.__setattr__(self, name, getattr(self, name).to("cpu", torch.float64))
-        if (
-            self.radius.ndim != 2
-            or self.times.ndim != 1
-            or self.radius.shape[1] != self.times.shape[0]
-        ):
+        if self.radius.ndim != 2 or self.times.shape != self.radius.shape[1:]:
             raise ShapeError(
                 f"Experiment {self.label!r}: expected radius n_repeats x n_t and times n_t, "
                 f"got {tuple(self.radius.shape)} and {tuple(self.times.shape)}."
@@ -194,9 +187,9 @@ class ExperimentBatch:
         experiments: the experiments: curves, and shots of which the collapse time alone is known
             (one frame, whose value is a time with an error of its own).
         noise: the law of the observation noise of curves.
-        between: parameter -> its scatter between experiments, each of which then has a value of its
-            own: the deviations are nuisances, beside those of the experiments. All experiments have
-            the same parameters where empty.
+        between: positive parameter -> standard deviation of its logarithm between experiments, each
+            of which then has a value of its own: the deviations are nuisances, beside those of the
+            experiments. All experiments have the same parameters where empty.
         noise_laws: what is known of the law where it was inferred; None where it is taken as known.
 
     >>> import torch
@@ -210,14 +203,19 @@ class ExperimentBatch:
 
     experiments: tuple[Experiment | CollapseTime, ...]
     noise: Noise = field(default_factory=Noise)
-    between: Mapping[str, Scatter] = field(default_factory=dict)
+    between: Mapping[str, float] = field(default_factory=dict)
     noise_laws: NoiseLaws | None = None
 
     def __post_init__(self) -> None:
         if not self.experiments:
             raise InputDataError("At least one experiment is needed.")
-        for name in self.between:
+        for name, scatter in self.between.items():
             PARAMETERS[name]
+            if not 0.0 < scatter < math.inf:
+                raise InputDataError(
+                    f"ExperimentBatch.between: the scatter of {name} is {scatter}; it must be "
+                    "positive and finite."
+                )
         gaps = [e.label for e in self.experiments if e.has_gaps]
         if gaps and self.noise.correlation_time > 0.0:
             raise InputDataError(
@@ -227,20 +225,19 @@ class ExperimentBatch:
             )
 
     @cached_property
-    def curves(self) -> "tuple[Experiment, ...]":
+    def curves(self) -> tuple[Experiment, ...]:
         """The experiments that are curves."""
         return tuple(e for e in self.experiments if isinstance(e, Experiment))
 
     @cached_property
     def collapse(self) -> Bool[Tensor, "experiments"]:
         """Experiments whose datum is a collapse time."""
-        return torch.tensor([e.kind == "collapse" for e in self.experiments])
+        return torch.tensor([isinstance(e, CollapseTime) for e in self.experiments])
 
     @cached_property
     def _collapse_sds(self) -> Float[Tensor, "experiments 1"]:
         """Errors of collapse times; 1 for curves."""
-        sds = [[getattr(e, "whole_sd", 1.0)] for e in self.experiments]
-        return tensor(sds)
+        return tensor([[getattr(e, "whole_sd", 1.0)] for e in self.experiments])
 
     @cached_property
     def designs(self) -> Float[Tensor, "experiments 2"]:
@@ -257,8 +254,7 @@ class ExperimentBatch:
         """``E x 1`` tensor: noise of each experiment over the law, by which its squares count as
         often as its weight says; 1 for collapse times.
         """
-        factors = [[e.noise_factor / math.sqrt(e.weight)] for e in self.experiments]
-        return tensor(factors)
+        return tensor([[e.noise_factor / math.sqrt(e.weight)] for e in self.experiments])
 
     @property
     def of_frames(self) -> "ExperimentBatch":
@@ -283,11 +279,15 @@ class ExperimentBatch:
 
         Zeros where that is taken as known.
         """
-        if self.noise_laws is None:
+        laws = self.noise_laws
+        if laws is None:
             return self.times.new_zeros(count, *self.times.shape)
-        logs = self.noise_laws.log_ratios(
-            self.noise, prediction, self.times, self.bends, count, generator=generator
-        )
+        rows = torch.multinomial(laws.weights, count, replacement=True, generator=generator)
+        scales = laws.log_scale_sds[rows] * randn(count, generator=generator)
+        each = [
+            law.sd(prediction, self.times, self.bends).log() for law in (self.noise, *laws.laws)
+        ]
+        logs = (torch.stack(each[1:]) - each[0])[rows] + scales[:, None, None]
         sds = tensor([e.noise_factor_sd for e in self.experiments])
         own = sds * randn(count, len(sds), generator=generator)
         return torch.where(self.mask, logs + own[..., None], 0.0)
@@ -352,8 +352,7 @@ class ExperimentBatch:
 
         Columns as in ``NUISANCES``, then in ``between``.
         """
-        sds = [scatter.relative for scatter in self.between.values()]
-        own = tensor(sds).expand(len(self.experiments), -1)
+        own = tensor(list(self.between.values())).expand(len(self.experiments), -1)
         return torch.cat((torch.stack([e.nuisance.sds() for e in self.experiments]), own), 1)
 
     def sd(self, prediction: BatchFrames) -> BatchFrames:

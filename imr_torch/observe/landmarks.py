@@ -39,10 +39,9 @@ class Landmarks:
             stated" (:class:`imr_torch.observe.Override`).
         rest_radius_m: equilibrium radius in m, or None.
         rest_radius_sd_m: its standard deviation, or None.
-        rest_settled: whether the bubble has come to rest within the record (a quiet tail, at least
-            half a cycle long).
-        rest_method: "settled tail", "last cycles", "first rebound", "as given", "as stated", "not
-            in record", or "other curves" (:func:`imr_torch.observe.prepare`).
+        rest_method: "settled tail" (the bubble has come to rest within the record: a quiet tail, at
+            least half a cycle long), "last cycles", "first rebound", "as given", "as stated", "not in
+            record", or "other curves" (:func:`imr_torch.observe.prepare`).
         collapse_times_s: times of the minima after the maximum radius.
         rebound_times_s: times of the maxima after the first collapse.
         rebound_radii_m: their radii.
@@ -63,7 +62,6 @@ class Landmarks:
     max_method: str
     rest_radius_m: float | None
     rest_radius_sd_m: float | None
-    rest_settled: bool
     rest_method: str
     collapse_times_s: tuple[float, ...]
     rebound_times_s: tuple[float, ...]
@@ -97,7 +95,7 @@ def find_landmarks(trace: RadiusTrace) -> Landmarks:
     curve = Curve.of(trace)
     peak, method = _find_peak(curve)
     minima, maxima = find_extremes(curve)
-    rest, sd, settled, rest_method = _find_rest(curve, minima, maxima)
+    rest, sd, rest_method = _find_rest(curve, minima, maxima)
     return Landmarks(
         max_radius_m=peak.value,
         max_radius_sd_m=peak.value_sd,
@@ -106,7 +104,6 @@ def find_landmarks(trace: RadiusTrace) -> Landmarks:
         max_method=method,
         rest_radius_m=rest,
         rest_radius_sd_m=sd,
-        rest_settled=settled,
         rest_method=rest_method,
         collapse_times_s=tuple(x.time for x in minima),
         rebound_times_s=tuple(x.time for x in maxima),
@@ -236,15 +233,15 @@ def _fit_peak(curve: Curve) -> Extreme | None:
 
 def _find_rest(
     curve: Curve, minima: list[Extreme], maxima: list[Extreme]
-) -> tuple[float | None, float | None, bool, str]:
-    """Rest radius, its sd, whether settled, and the method."""
+) -> tuple[float | None, float | None, str]:
+    """Rest radius, its sd, and the method."""
     given = curve.given
     time = curve.time
     radius = curve.radius
     if given.override is not None and given.override.rest_radius_m is not None:
         stated = given.override.rest_radius_m
         sd = given.override.rest_radius_sd_m or RULES.stated_floor * stated
-        return stated, sd, True, "as stated"
+        return stated, sd, "as stated"
     count = max(5, math.ceil(RULES.tail * len(radius)))
     tail = radius[-count:]
     mean = float(tail.mean())
@@ -256,18 +253,17 @@ def _find_rest(
     came_to_rest = came_down and (len(turns) == 1 or quiet >= float(np.median(np.diff(turns))))
     drift = 0.5 * abs(float(tail[: count // 2].mean() - tail[count // 2 :].mean()))
     if came_to_rest and scatter < RULES.settled_below * mean:
-        return mean, math.hypot(scatter, drift), True, "settled tail"
+        return mean, math.hypot(scatter, drift), "settled tail"
     stated = given.rest_radius_m
     stated_sd = given.rest_radius_sd_m or 0.0
     if stated is not None and given.rest_settled is not False:  # better than what ringing shows
         sure = given.rest_settled or stated_sd
         floor = RULES.stated_floor if sure else RULES.ringing_floor
-        return stated, max(stated_sd, floor * stated), True, "as given"
-    if came_to_rest and scatter < RULES.noisy_tail * frame_roughness(
-        tail
-    ):  # noise may hide ringing
+        return stated, max(stated_sd, floor * stated), "as given"
+    # noise may hide ringing
+    if came_to_rest and scatter < RULES.noisy_tail * frame_roughness(tail):
         sd = math.hypot(scatter, drift, RULES.ringing_floor * mean)
-        return mean, sd, True, "settled tail"
+        return mean, sd, "settled tail"
     if maxima or (minima and time[-1] - minima[0].time > minima[0].time - turns[0]):
         first, last, method = _last_cycles(curve, minima, maxima)
         inside = (time >= first) & (time <= last)
@@ -275,10 +271,10 @@ def _find_rest(
             rest, relative_sd = _rest_while_ringing(curve, inside)
             whole = method == "last cycles"
             floor = RULES.ringing_floor if whole else RULES.partial_floor
-            return rest, rest * math.hypot(floor, relative_sd), False, method
+            return rest, rest * math.hypot(floor, relative_sd), method
     if stated is not None:
-        return stated, max(stated_sd, RULES.ringing_floor * stated), False, "as given"
-    return None, None, False, "not in record"
+        return stated, max(stated_sd, RULES.ringing_floor * stated), "as given"
+    return None, None, "not in record"
 
 
 def _rest_while_ringing(curve: Curve, inside: np.ndarray) -> tuple[float, float]:

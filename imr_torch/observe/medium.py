@@ -219,7 +219,7 @@ def gel_medium(
     base = surroundings or Surroundings()
     statements = [*([command] if command else []), *beside]
     stated = [s.values["temperature"][0] for s in statements if "temperature" in s.values]
-    warm = stated[0] if stated else base.temperature
+    warm = next(iter(stated), base.temperature)
     found: dict[str, tuple[float, float | None, str]] = {}
     notes = []
     for statement in statements:

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
-from imr_torch.float64 import arange, randn
+from imr_torch.float64 import arange
 from imr_torch.types import BroadcastValues, ExperimentFrames, FrameMask, Frames, FrameValues
 
 FEWEST_RESIDUALS = 10
@@ -221,25 +221,6 @@ class NoiseLaws:
     log_scale_sds: Float[Tensor, "laws"]
     of_residuals: bool = True
     frames: "NoiseLaws | None" = None
-
-    def log_ratios(
-        self,
-        law: Noise,
-        radius: ExperimentFrames,
-        times: ExperimentFrames,
-        bends: ExperimentFrames,
-        count: int,
-        *,
-        generator: torch.Generator,
-    ) -> Float[Tensor, "draws experiments frames"]:
-        """Logarithms of the noise of ``count`` laws drawn from the posterior over that of one law,
-        at every frame.
-        """
-        rows = torch.multinomial(self.weights, count, replacement=True, generator=generator)
-        scales = self.log_scale_sds[rows] * randn(count, generator=generator)
-        base = law.sd(radius, times, bends).log()
-        shapes = torch.stack([one.sd(radius, times, bends).log() - base for one in self.laws])
-        return shapes[rows] + scales[:, None, None]
 
     @property
     def log_scale_sd(self) -> float:

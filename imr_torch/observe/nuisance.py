@@ -1,15 +1,21 @@
-"""Nuisance parameters of each experiment: errors of the measured Rmax, time zero and R_inf, and by
-how much a parameter of its gel differs from that of the others.
+"""Measurement errors: those of each experiment (its nuisances), and those that all experiments share
+(:class:`Distortion`).
 
-Each is a standard normal control per experiment times its prior standard deviation, and neutral at
-0: a fit of the gel marginalises over them, so that an error of Rmax is not mistaken for a change of
-modulus.
+Nuisances are errors of the measured Rmax, time zero and R_inf, and by how much a parameter of the
+gel differs from that of the others. Each is a standard normal control per experiment times its
+prior standard deviation, and neutral at 0: a fit of the gel marginalises over them, so that an
+error of Rmax is not mistaken for a change of modulus.
+
+A maximum that was missed, a clock that runs wrong, an exposure that blurs, alike in all
+experiments, are departures that a diagnosis must be able to name; so they are entries of the
+parameter vector, beside the properties of the gel, each with a neutral value of zero at which it
+does nothing, exactly.
 """
 
-import math
-from collections.abc import Mapping
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -17,7 +23,8 @@ from torch import Tensor
 from imr_torch.errors import InputDataError
 from imr_torch.float64 import tensor
 from imr_torch.material import PARAMETERS
-from imr_torch.types import BroadcastValues, Frames
+from imr_torch.simulate import EARLIEST
+from imr_torch.types import BatchParameters, DesignVectors, Frames, FrameTimes, ParameterVectors
 
 NUISANCES = ("max_radius", "time_zero", "rest_radius")
 """The nuisances of one experiment, in the order of tensors of them."""
@@ -61,10 +68,10 @@ FLOOR = Nuisance(max_radius=0.003, time_zero=0.004, rest_radius=0.01)
 
 
 def displaced(
-    designs: Float[Tensor, "*#batch 2"],
-    times: Float[Tensor, "*#batch frames"],
+    designs: DesignVectors,
+    times: FrameTimes,
     shifts: Float[Tensor, "*#batch 3"],
-) -> tuple[Float[Tensor, "*#batch 2"], Float[Tensor, "*#batch frames"], Float[Tensor, "*#batch 1"]]:
+) -> tuple[DesignVectors, FrameTimes, Float[Tensor, "*#batch 1"]]:
     """Design and times that the bubble truly had, given what was measured and the shifts.
 
     Args:
@@ -117,53 +124,139 @@ def find_impossible(
     return ~((scale >= SMALLEST) & ~early & torch.isfinite(shifts).all(-1))
 
 
-@dataclass(frozen=True)
-class Scatter:
-    """How a positive parameter differs between experiments: its logarithm is normal about that of
-    the value in all experiments.
-
-    Args:
-        relative: standard deviation of the logarithm.
-
-    >>> import torch
-    >>> from imr_torch.observe import Scatter
-    >>> value, deviation = torch.tensor(0.2, dtype=torch.float64), torch.tensor(0.3, dtype=torch.float64)
-    >>> round(float(Scatter(0.3).moved(value, deviation)), 3)  # .2 exp(.3)
-    0.27
-    """
-
-    relative: float
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.relative < math.inf:
-            raise InputDataError(
-                f"Scatter.relative is {self.relative}; it must be positive and finite."
-            )
-
-    def moved(self, value: BroadcastValues, deviation: BroadcastValues) -> BroadcastValues:
-        """The parameter of an experiment, SI, whose logarithm deviates from that of a value."""
-        return value * deviation.exp()
-
-    def deviation(self, of_one: BroadcastValues, value: BroadcastValues) -> BroadcastValues:
-        """By how much the logarithm of the parameter of an experiment deviates: inverse of
-        :meth:`moved`.
-        """
-        return of_one.log() - value.log()
-
-
 def with_own(
-    parameters: Float[Tensor, "*#batch parameters"],
-    scatters: Mapping[str, Scatter],
+    parameters: ParameterVectors,
+    names: Collection[str],
     deviations: Float[Tensor, "*#batch own"],
-) -> Float[Tensor, "*#batch parameters"]:
+) -> ParameterVectors:
     """Parameter vectors, SI, with the values that an experiment has.
 
-    Deviations in the order of the scatters.
+    Args:
+        parameters: of all experiments.
+        names: parameters, all positive, of which the experiment has values of its own.
+        deviations: by how much their logarithms differ.
     """
-    columns = PARAMETERS.index(tuple(scatters))
-    own = [
-        s.moved(parameters[..., c], deviations[..., i])
-        for i, (s, c) in enumerate(zip(scatters.values(), columns, strict=True))
-    ]
-    values = torch.stack(own, -1)
-    return parameters.expand(*values.shape[:-1], -1).index_copy(-1, torch.tensor(columns), values)
+    columns = PARAMETERS.index(tuple(names))
+    own = parameters[..., columns] * deviations.exp()
+    return parameters.expand(*own.shape[:-1], -1).index_copy(-1, torch.tensor(columns), own)
+
+
+_NODES, _WEIGHTS = (torch.as_tensor(x) for x in np.polynomial.legendre.leggauss(8))
+_COLUMNS = PARAMETERS.index(
+    (
+        "missed_maximum",
+        "trigger_offset",
+        "rinf_bias",
+        "clock",
+        "exposure_blur",
+        "refraction",
+        "edge_error",
+    )
+)
+"""Where the errors that all experiments share stand in a parameter tensor, those of the geometry
+first and in the order of ``NUISANCES``; a column never moves, since entries are only appended."""
+
+
+@dataclass(frozen=True)
+class Distortion:
+    """The errors of a batch; tensors of ``batch_shape x 1``, to stand beside experiments.
+
+    Args:
+        shifts: common to all experiments, as nuisances are to one.
+        clock: log of true over measured time.
+        blur: exposure, in Rmax/U_c; ``batch_shape x E`` where the exposure of each experiment is
+            known.
+        refraction: relative error of R that grows with R*.
+        edge: measured less true radius, m.
+    """
+
+    shifts: Float[Tensor, "*batch 1 3"]
+    clock: Float[Tensor, "*batch 1"]
+    blur: Float[Tensor, "*batch #experiments"]
+    refraction: Float[Tensor, "*batch 1"]
+    edge: Float[Tensor, "*batch 1"]
+
+    @classmethod
+    def of(
+        cls, parameters: BatchParameters, exposures: Float[Tensor, "#experiments"]
+    ) -> "Distortion | None":
+        """The errors in ``batch_shape x p`` parameters, known ``exposures`` (``E``) added to the
+        blur; None if all are 0.
+        """
+        columns = parameters[..., _COLUMNS]
+        if not columns.any() and not exposures.any():
+            return None
+        clock, blur, refraction, edge = (x[..., None] for x in columns[..., 3:].unbind(-1))
+        return cls(columns[..., None, :3], clock, blur + exposures.to(blur), refraction, edge)
+
+    def shifts_of(
+        self, designs: Float[Tensor, "experiments 2"], max_radius: Float[Tensor, "experiments"]
+    ) -> tuple[Float[Tensor, "*batch #experiments 3"], Float[Tensor, "*batch #experiments 1"]]:
+        """Errors of the measured designs and times, and what the edge's error adds to the radius as
+        filmed.
+
+        Rmax and R_inf are read off the same film, so each holds the same error ``d`` as every
+        frame: the true ones are smaller by ``d``, and ``R* = (R + d)/(Rmax + d)`` is 1 at the
+        maximum whatever the error. A threshold set too high or too low moves the edge so (0.5 to 2
+        pixels are 0.003 to 0.02 in R*). An R_inf that is known otherwise does not hold ``d``, but
+        loses it here.
+
+        Args:
+            designs: measured (We, R_inf*).
+            max_radius: measured, m.
+
+        Returns:
+            ``... x E x 3`` tensor in the order of the nuisances, and ``... x E x 1``, in R*.
+        """
+        edge = self.edge / max_radius
+        moved = torch.stack((-edge, torch.zeros_like(edge), -edge / designs[:, 1]), -1)
+        return self.shifts + moved, edge[..., None]
+
+    def correct_clock(
+        self,
+        designs: Float[Tensor, "*#batch experiments 2"],
+        times: Frames,
+    ) -> tuple[Float[Tensor, "*#batch experiments 2"], Frames]:
+        """True designs (``... x E x 2``) and times (``... x E x T``) of a clock that is wrong."""
+        rate = torch.exp(self.clock)[..., None]
+        slower = torch.cat((1.0 / rate, torch.ones_like(rate)), -1)
+        return designs * slower, times * rate
+
+    def film_radius(
+        self,
+        times: Frames,
+        simulate: Callable[[Tensor], Tensor],
+    ) -> Frames:
+        """Radii as filmed: averaged over the exposure, seen through a lens.
+
+        Args:
+            times: true times of the frames.
+            simulate: true radii at times, for any number of them.
+        """
+        radius = self._average_exposure(times, simulate) if self.blur.any() else simulate(times)
+        return radius * (1.0 + self.refraction[..., None] * radius)
+
+    def _average_exposure(
+        self, times: Tensor, simulate: Callable[[Tensor], Tensor], *, shortest: float = 1e-6
+    ) -> Tensor:
+        """Mean over an exposure centred on each frame, by Gauss-Legendre; one call for the frames
+        and all nodes.
+
+        NaN where an exposure reaches back to before the bubble is simulated. One below
+        ``shortest``, in t*, is taken as an instant: no frame can tell it from none, and its nodes
+        may be one number.
+        """
+        instant = self.blur < shortest
+        early = times[..., 0] - 0.5 * self.blur < EARLIEST
+        # instants, and what reaches too far back, only need distinct times
+        blur = torch.where(instant | early, 1e-3, self.blur)
+        nodes = times[..., None] + 0.5 * blur[..., None, None] * _NODES.to(times)
+        every = torch.cat((times[..., None], nodes), -1).flatten(-2)
+        rising, order = every.sort(-1)
+        place = order.argsort(-1)
+        radius = simulate(rising)
+        radius = radius.gather(-1, place.expand(radius.shape)).unflatten(-1, (-1, 1 + len(_NODES)))
+        mean = 0.5 * (radius[..., 1:] * _WEIGHTS.to(times)).sum(-1)
+        return torch.where(
+            early[..., None], torch.nan, torch.where(instant[..., None], radius[..., 0], mean)
+        )

@@ -1,7 +1,7 @@
 """What would be measured of gels: the radius in each frame, or the time of the first collapse.
 
-Measured designs and times are first taken to the true ones (:mod:`~imr_torch.observe.nuisance`,
-:mod:`~imr_torch.observe.distortion`), at which the bubble is simulated, and the result back.
+Measured designs and times are first taken to the true ones (:mod:`~imr_torch.observe.nuisance`), at
+which the bubble is simulated, and the result back.
 
 The collapse is where the wall's velocity changes sign, by a cubic through radius and velocity at
 both ends of an interval of the output; in two passes the intervals shrink to 1e-6 of the collapse
@@ -17,20 +17,27 @@ from functools import cache
 import numpy as np
 import torch
 from jaxtyping import Float
+from numpy.polynomial.chebyshev import chebpts1
+from numpy.polynomial.polynomial import polyvander2d
 from torch import Tensor
 
 from imr_torch.float64 import tensor
-from imr_torch.observe.distortion import Distortion
 from imr_torch.observe.experiments import ExperimentBatch, Film
-from imr_torch.observe.nuisance import NUISANCES, displaced, find_impossible, with_own
+from imr_torch.observe.nuisance import (
+    NUISANCES,
+    Distortion,
+    displaced,
+    find_impossible,
+    with_own,
+)
 from imr_torch.simulate import EARLIEST, Simulator
 from imr_torch.simulate.growth import AT_MAXIMUM, WithGrowth
-from imr_torch.types import BroadcastValues, ExperimentFrames, Frames
+from imr_torch.types import BroadcastValues, ExperimentFrames, Frames, ParameterVectors
 
 
 def predict(
     simulator: Simulator,
-    parameters: Float[Tensor, "*#batch parameters"],
+    parameters: ParameterVectors,
     film: Film | ExperimentBatch,
     shifts: Float[Tensor, "*#batch experiments nuisances"] | None = None,
     *,
@@ -68,7 +75,8 @@ def predict(
     if bool((film.times < AT_MAXIMUM).any()):
         simulator = WithGrowth(simulator)
     if isinstance(film, Film):
-        return _predict_radii(simulator, parameters, designs, times, shifts, bundled)
+        instant = designs.new_zeros(1)
+        return _predict_radii(simulator, parameters, designs, times, shifts, bundled, instant)
     parts = []
     order = _group_alike(film)
     for rows in order:
@@ -100,7 +108,7 @@ def _predict_radii(
     times: Tensor,
     shifts: Tensor | None,
     bundled: bool,
-    exposures: Tensor | None = None,
+    exposures: Tensor,
 ) -> Tensor:
     """:func:`predict` for curves, with the known exposure of each."""
     truth = _find_truth(simulator, parameters, designs, times, shifts, exposures)
@@ -147,7 +155,7 @@ def _find_truth(
     designs: Tensor,
     times: Tensor,
     shifts: Tensor | None,
-    exposures: Tensor | None = None,
+    exposures: Tensor,
     *,
     earliest_filmed: float = -0.4,
     earliest_grown: float = -1.5,
@@ -180,7 +188,7 @@ def _find_truth(
 
 def _simulate_bubbles(
     simulator: Simulator,
-    parameters: Float[Tensor, "*#batch parameters"],
+    parameters: ParameterVectors,
     designs: Float[Tensor, "*#batch experiments 2"],
     times: Frames,
     *,
@@ -224,9 +232,8 @@ def first_minimum(
     3.142
     """
     turns = (velocity[..., :-1] < 0.0) & (velocity[..., 1:] >= 0.0)
-    left = (
-        (turns.cumsum(-1) == 0).sum(-1, keepdim=True).clamp_max(turns.shape[-1] - 1)
-    )  # intervals before the first
+    before = (turns.cumsum(-1) == 0).sum(-1, keepdim=True)  # intervals before the first
+    left = before.clamp_max(turns.shape[-1] - 1)
     shape = turns.shape[:-1]
 
     def ends(values: Tensor) -> tuple[Tensor, Tensor]:
@@ -246,7 +253,7 @@ def first_minimum(
 
 def predict_collapse(
     simulator: Simulator,
-    parameters: Float[Tensor, "*#batch parameters"],
+    parameters: ParameterVectors,
     designs: Float[Tensor, "experiments 2"],
     measured: Float[Tensor, "experiments"],
     shifts: Float[Tensor, "*#batch experiments 3"] | None = None,
@@ -267,7 +274,8 @@ def predict_collapse(
         nodes: along ln We and R_inf*, at which the times of more shots than nodes are simulated; of
             a gel that collapses freely, times are right to 5e-5.
     """
-    truth = _find_truth(simulator, parameters, designs, measured[:, None], shifts)
+    instant = measured.new_zeros(1)
+    truth = _find_truth(simulator, parameters, designs, measured[:, None], shifts, instant)
     if truth.designs.shape[-2] > math.prod(nodes):
         found = _interpolate_collapses(
             simulator, parameters, truth.designs, measured, bundled, nodes
@@ -327,9 +335,7 @@ def _interpolate_collapses(
     step = tensor(steps)
     low = torch.floor(places.reshape(-1, 2).amin(0) / step) * step
     half = 0.5 * (torch.ceil(places.reshape(-1, 2).amax(0) / step) * step - low)
-    unit = torch.cartesian_prod(
-        *(torch.cos(torch.pi * (torch.arange(n).double() + 0.5) / n) for n in nodes)
-    )
+    unit = torch.cartesian_prod(*(torch.from_numpy(chebpts1(n)) for n in nodes))
     at = low + half * (1.0 + unit)
     at[:, 0] = at[:, 0].exp()
     gels, rows = _distinct_gels(parameters, bundled)
@@ -341,8 +347,7 @@ def _interpolate_collapses(
 
     def find_powers(places: Tensor) -> Tensor:
         x, y = (column.numpy() for column in places.unbind(-1))
-        powers = np.polynomial.polynomial.polyvander2d(x, y, [n - 1 for n in nodes])
-        return torch.from_numpy(powers)
+        return torch.from_numpy(polyvander2d(x, y, [n - 1 for n in nodes]))
 
     weights = find_powers((places - low) / half - 1.0) @ torch.linalg.inv(find_powers(unit))
     return (weights * times[..., None, :]).sum(-1)

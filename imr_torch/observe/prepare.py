@@ -5,6 +5,7 @@ found on the way.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from statistics import fmean, pstdev
 
 import torch
 
@@ -186,16 +187,16 @@ def _borrow_rest_radii(landmarks: dict[str, Landmarks], *, least_sd: float = 0.4
     lacking = [name for name, marks in landmarks.items() if marks.rest_radius_m is None]
     if not ratios or not lacking:
         return []
-    value = sum(ratios) / len(ratios)
-    sd = max(least_sd * value, math.sqrt(sum((x - value) ** 2 for x in ratios) / len(ratios)))
+    value = fmean(ratios)
+    sd = max(least_sd * value, pstdev(ratios))
     for name in lacking:
         top = landmarks[name].max_radius_m
-        found = {
-            "rest_radius_m": value * top,
-            "rest_radius_sd_m": sd * top,
-            "rest_method": "other curves",
-        }
-        landmarks[name] = replace(landmarks[name], **found)
+        landmarks[name] = replace(
+            landmarks[name],
+            rest_radius_m=value * top,
+            rest_radius_sd_m=sd * top,
+            rest_method="other curves",
+        )
     names = ", ".join(f"'{name}'" for name in lacking)
     return [
         f"The record of {names} holds no rebound and no R_inf is stated, so R_inf/Rmax is taken to "

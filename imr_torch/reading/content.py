@@ -1,12 +1,12 @@
 """What a file holds by name, whatever its container: vectors of numbers, lists of vectors, texts.
 
 Every container has one reader, which gives a :class:`Content`; everything after it (names, units,
-curves) is the same for tables of text, workbooks, MATLAB files and ``.npz``.
+curves) is the same for tables of text, workbooks, MATLAB files and ``.npz``, which is read here.
 """
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -129,10 +129,12 @@ class Content:
 
     def _no_numbers(self, name: str, cells: list[str]) -> InputDataError:
         """What to say of the first cell of a column that is no number."""
-        filled = [i for i, cell in enumerate(cells) if cell]
-        worded = [i for i in filled if read_number(cells[i], comma=True) is None]
-        place = (worded or [i for i in filled if read_number(cells[i]) is None])[0]
-        cell = cells[place]
+        place, cell = next(
+            (i, cell)
+            for comma in (True, False)
+            for i, cell in enumerate(cells)
+            if cell and read_number(cell, comma=comma) is None
+        )
         shown = repr(cell) if len(cell) <= 40 else f"{cell[:40]!r}... ({len(cell)} characters)"
         remedy = "write numbers with a decimal point, and a lost frame as NaN."
         if "," in cell:
@@ -195,3 +197,74 @@ def _describe_shape(value: Any) -> str:
         shapes = sorted({str(np.shape(x)) for x in value if not isinstance(x, (dict, list))})
         return f"cell of {len(value)} x {' or '.join(shapes[:3]) or 'struct'}"
     return str(np.shape(value)) if np.shape(value) else "scalar"
+
+
+def read_npz(path: Path) -> Content:
+    """One curve, or one a row, in SI units."""
+    arrays = read_arrays(path, ("time_s", "radius_m"))
+    time = arrays["time_s"]
+    radius = arrays["radius_m"]
+    if radius.ndim not in (1, 2) or time.ndim not in (1, radius.ndim):
+        raise InputDataError(
+            f"{path}: time_s has shape {time.shape} and radius_m {radius.shape}; expected frames, "
+            "or curves x frames, with one time for every radius. Sets of repeated designs "
+            "(designs x repeats x frames) are read by imr-torch diagnose."
+        )
+    values = {name: x if x.ndim == 1 else list(x) for name, x in arrays.items()}
+    return Content(path, values)
+
+
+def read_arrays(path: str | Path, names: Collection[str]) -> dict[str, np.ndarray]:
+    """Arrays of an ``.npz`` file as float64.
+
+    Args:
+        path: the file.
+        names: arrays that it must hold.
+
+    Raises:
+        InputDataError: if the file is missing or no ``.npz``, lacks an array, or declares arrays
+            that are no numbers, or take more than ``LARGEST`` together.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import numpy
+    >>> from imr_torch.reading.content import read_arrays
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     numpy.savez(Path(folder) / "gel.npz", time_s=[0.0, 1e-6])
+    ...     read_arrays(Path(folder) / "gel.npz", ["time_s"])["time_s"].shape
+    (2,)
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputDataError(
+            f"{path}: no such file; check the name and the folder ({path.parent.resolve()})."
+        )
+    arrays = {}
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            missing = [name for name in names if name not in archive.files]
+            if missing:
+                raise InputDataError(
+                    f"{path}: no array {missing[0]!r}; expected {', '.join(names)}, got "
+                    f"{', '.join(archive.files) or 'none'}."
+                )
+            size = sum(archive.zip.getinfo(f"{name}.npy").file_size for name in names)
+            if size > LARGEST:
+                raise InputDataError(
+                    f"{path}: its arrays take {size / 2**30:.3g} GiB, more than "
+                    f"{LARGEST / 2**30:.3g} GiB; it is damaged, or must be divided into several "
+                    "files."
+                )
+            for name in names:
+                array = archive[name]
+                if array.dtype.kind not in "fiub":
+                    raise ValueError(f"array {name!r} holds {array.dtype}, not real numbers")
+                arrays[name] = array.astype(np.float64)
+    except InputDataError:
+        raise
+    except Exception as error:  # zipfile and NumPy each raise their own kinds on damaged files
+        raise InputDataError(
+            f"{path}: cannot be read as .npz arrays of numbers ({error}); write it with "
+            "numpy.savez."
+        ) from error
+    return arrays

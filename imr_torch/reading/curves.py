@@ -50,6 +50,7 @@ class RawCurve:
         rows: ``n`` array of row numbers counted from 1.
         asphericity: ``n`` array, or None: see :class:`imr_torch.reading.RadiusTrace`.
         given: what the laboratory says.
+        left_out: rows that were taken out of it.
     """
 
     file: str
@@ -59,25 +60,27 @@ class RawCurve:
     rows: np.ndarray
     asphericity: np.ndarray | None = None
     given: Given = field(default_factory=Given)
+    left_out: tuple[LeftOut, ...] = ()
 
     @property
     def where(self) -> str:
         """File and experiment, for messages."""
         return f"{self.file}: experiment '{self.experiment_id}'"
 
-    def take_rows(self, index: np.ndarray) -> "RawCurve":
+    def take_rows(self, index: np.ndarray | slice) -> "RawCurve":
         """The curve at some of its rows, in the order of an index."""
         parts = {k: x[index] for k, x in vars(self).items() if isinstance(x, np.ndarray)}
         return replace(self, **parts)
 
-    def leave_out(self, rows: np.ndarray, reason: str) -> tuple["RawCurve", list[LeftOut]]:
-        """The curve without the rows where the ``n`` boolean array ``rows`` holds, and a record of
-        them.
-        """
-        if not rows.any():
-            return self, []
-        record = LeftOut(self.file, self.experiment_id, row_ranges(self.rows[rows]), reason)
-        return self.take_rows(~rows), [record]
+    def leave_out(self, rows: np.ndarray, reason: str) -> "RawCurve":
+        """The curve without the rows where the ``n`` boolean array ``rows`` holds."""
+        return self.note_lost(rows, reason).take_rows(~rows)
+
+    def note_lost(self, rows: np.ndarray, reason: str) -> "RawCurve":
+        """The curve with a record of rows that will be taken out of it, if there are any."""
+        numbers = row_ranges(self.rows[rows])
+        record = LeftOut(self.file, self.experiment_id, numbers, reason)
+        return replace(self, left_out=(*self.left_out, record)) if numbers else self
 
     def refuse_row(self, wrong: np.ndarray, text: str) -> None:
         """Raise for the first row that is wrong; the text may show its radius, its time, and time
@@ -85,12 +88,8 @@ class RawCurve:
         """
         if wrong.any():
             i = int(wrong.argmax())
-            said = text.format(
-                radius=self.radius[i],
-                time=self.time[i],
-                before=self.time[i - 1],
-                row=self.rows[i - 1],
-            )
+            before = {"before": self.time[i - 1], "row": self.rows[i - 1]}
+            said = text.format(radius=self.radius[i], time=self.time[i], **before)
             raise InputDataError(f"{self.where}, row {self.rows[i]}: {said}")
 
 
@@ -123,9 +122,8 @@ def curves_of(content: Content, layout: Layout | None, said: Said, *, sort: bool
         top_m = None if top is None else top * LENGTHS[layout.max_radius_unit]
         rest_m = None if rest is None else rest * scales.metres(layout.rest_radius_unit, top_m)
         converted = _convert_to_si(_mark_absent(curve, layout), layout, scales, top_m, rest_m)
-        converted, peak = _leave_out_peak(converted, layout)
-        trace, dropped = _make_trace(converted, sort=sort)
-        left_out += [*peak, *dropped]
+        trace, dropped = _make_trace(_leave_out_peak(converted, layout), sort=sort)
+        left_out += dropped
         traces += [] if trace is None else [trace]
     if not traces:
         why = "; ".join(f"row(s) {x.rows or '-'}: {x.reason}" for x in left_out[:4])
@@ -179,11 +177,11 @@ def _find_separators(content: Content, value: float) -> np.ndarray:
 
 def _is_possible(content: Content, layout: Layout) -> bool:
     """Whether a bubble may have the radii of a file by a layout."""
+    if layout.radius_unit not in LENGTHS:
+        return True
     largest = float(np.nanmax(content.entries(layout.radius), initial=0.0))
     low, high = RADIUS_RANGE_M
-    return low < largest * LENGTHS.get(layout.radius_unit, math.nan) < high or (
-        layout.radius_unit not in LENGTHS
-    )
+    return low < largest * LENGTHS[layout.radius_unit] < high
 
 
 def _add_declared_units(content: Content, said: Said) -> Said:
@@ -262,8 +260,7 @@ def _split_curves(content: Content, layout: Layout) -> tuple[list[RawCurve], lis
                 label = column if len(groups) == 1 else f"{group}:{column}"
             elif len(radii) > 1:
                 label = f"{file.stem}_{i:02d}"
-            curve = whole if chosen is None else whole.take_rows(chosen)
-            curves.append(replace(curve, experiment_id=label))
+            curves.append(replace(whole.take_rows(chosen), experiment_id=label))
     return curves, left_out
 
 
@@ -293,7 +290,7 @@ def _vectors_beside(
 
 def _group_rows(
     content: Content, layout: Layout
-) -> tuple[dict[str, np.ndarray | None], list[LeftOut]]:
+) -> tuple[dict[str, np.ndarray | slice], list[LeftOut]]:
     """Row indices of each curve, by experiment column, by separator rows, or all in one."""
     file = str(content.path)
     if layout.experiment is not None:
@@ -307,17 +304,17 @@ def _group_rows(
             )
         return {name: np.array(rows) for name, rows in groups.items()}, []
     if layout.separator is None:
-        return {"": None}, []
+        return {"": slice(None)}, []
     separates = _find_separators(content, layout.separator)
     marks = np.flatnonzero(separates)
     parts = [part[~separates[part]] for part in np.split(np.arange(len(separates)), marks)]
-    aside = {}
-    if len(marks):
-        aside["separator rows between curves"] = marks
-    if len(marks) and 0 < len(parts[0]) < MIN_SAMPLES:
+    aside = {"separator rows between curves": marks}
+    if len(marks) and len(parts[0]) < MIN_SAMPLES:
         aside["stray row(s) before the first separator"] = parts.pop(0)
     left_out = [
-        LeftOut(file, "", row_ranges(content.lines(rows)), reason) for reason, rows in aside.items()
+        LeftOut(file, "", row_ranges(content.lines(rows)), reason)
+        for reason, rows in aside.items()
+        if len(rows)
     ]
     filled = [part for part in parts if len(part)]
     return {f"{content.path.stem}_{i:03d}": part for i, part in enumerate(filled, 1)}, left_out
@@ -326,8 +323,8 @@ def _group_rows(
 def _mark_absent(curve: RawCurve, layout: Layout) -> RawCurve:
     """The curve with radius 0 where the file marks a frame without a bubble."""
     radius = curve.radius.copy()
-    seen = np.flatnonzero(radius > 0.0)
-    absent = (radius == -1.0) | (np.arange(len(radius)) < (seen[0] if len(seen) else 0))
+    begun = np.logical_or.accumulate(radius > 0.0)
+    absent = (radius == -1.0) | (~begun & begun.any())
     absent |= layout.absent == "negative"
     radius[absent & (radius < 0.0) & np.isfinite(radius)] = 0.0
     return replace(curve, radius=radius)
@@ -367,15 +364,12 @@ def _convert_to_si(
     return replace(curve, time=time, radius=radius, given=given)
 
 
-def _leave_out_peak(curve: RawCurve, layout: Layout) -> tuple[RawCurve, list[LeftOut]]:
+def _leave_out_peak(curve: RawCurve, layout: Layout) -> RawCurve:
     """The curve without a peak that its source inserted, which is given as the maximum."""
-    chosen = np.zeros(len(curve.radius), dtype=bool)
-    if layout.inserted_peak == "first_row":
-        chosen[:1] = True
-    elif layout.inserted_peak == "time_zero":
-        chosen = curve.time == 0.0
-    if not chosen.any():
-        return curve, []
+    at_peak = {"first_row": np.arange(len(curve.rows)) == 0, "time_zero": curve.time == 0.0}
+    chosen = at_peak.get(layout.inserted_peak or "")
+    if chosen is None or not chosen.any():
+        return curve
     peak = float(curve.radius[chosen][0])
     stated = curve.given.max_radius_m
     if not peak > 0.0 or (stated is not None and abs(peak / stated - 1.0) > 0.01):
@@ -392,7 +386,7 @@ def _leave_out_peak(curve: RawCurve, layout: Layout) -> tuple[RawCurve, list[Lef
 
 def _make_trace(
     curve: RawCurve, *, sort: bool, few: float = 0.02
-) -> tuple[RadiusTrace | None, list[LeftOut]]:
+) -> tuple[RadiusTrace | None, tuple[LeftOut, ...]]:
     """Drop the frames without a bubble and build the trace.
 
     Args:
@@ -410,10 +404,9 @@ def _make_trace(
     """
     radius = curve.radius
     impossible = (radius < RADIUS_RANGE_M[0]) & (radius != 0.0) & ~np.isneginf(radius)
-    left_out: list[LeftOut] = []
     if impossible.sum() <= few * len(radius):
         reason = "radius negative or smaller than a camera sees (lost frames)"
-        curve, left_out = curve.leave_out(impossible, reason)
+        curve = curve.leave_out(impossible, reason)
     for name, values in (("time", curve.time), ("radius", curve.radius)):
         text = f"{name} is {{{name}}}; write NaN for a lost frame."
         curve.refuse_row(np.isinf(values), text)
@@ -422,28 +415,26 @@ def _make_trace(
         "radius is {radius:g} m, which is negative. Write NaN for a lost frame; if such rows "
         "separate curves, write separator=<that number> into --layout.",
     )
-    seen = np.flatnonzero((curve.radius > 0.0) & ~np.isnan(curve.time))
-    index = np.arange(len(curve.radius))
-    first, last = (seen[0], seen[-1]) if len(seen) else (len(index), len(index))
-    empty = ~np.isin(index, seen)
-    for chosen, place in (
-        (index < first, "before the first frame with a bubble (before nucleation)"),
-        ((index > first) & (index < last), "between frames with a bubble (lost frames)"),
-        (index > last, "after the last frame with a bubble (lost frames)"),
+    seen = (curve.radius > 0.0) & ~np.isnan(curve.time)
+    begun = np.logical_or.accumulate(seen)
+    ended = ~np.logical_or.accumulate(seen[::-1])[::-1]
+    for rows, place in (
+        (~begun, "before the first frame with a bubble (before nucleation)"),
+        (begun & ~seen & ~ended, "between frames with a bubble (lost frames)"),
+        (begun & ended, "after the last frame with a bubble (lost frames)"),
     ):
-        left_out += curve.leave_out(empty & chosen, f"radius 0, negative or NaN {place}")[1]
+        curve = curve.note_lost(rows, f"radius 0, negative or NaN {place}")
     curve = curve.take_rows(seen)
     if sort:
         curve = curve.take_rows(np.argsort(curve.time, kind="stable"))
         double = np.diff(curve.time, prepend=-np.inf) <= 0.0
-        curve, record = curve.leave_out(double, "its time is that of another row")
-        left_out += record
+        curve = curve.leave_out(double, "its time is that of another row")
     if len(curve.radius) < MIN_SAMPLES:
         reason = (
             f"only {len(curve.radius)} frame(s) with a bubble; a curve needs at least {MIN_SAMPLES}"
         )
         short = LeftOut(curve.file, curve.experiment_id, row_ranges(curve.rows), reason)
-        return None, [*left_out, short]
+        return None, (*curve.left_out, short)
     step = np.diff(curve.time, prepend=-np.inf)
     what = "repeats" if (step[step <= 0.0] == 0.0)[:1].any() else "goes back from"
     curve.refuse_row(
@@ -455,4 +446,4 @@ def _make_trace(
     radii = torch.from_numpy(curve.radius)
     shape = None if curve.asphericity is None else torch.from_numpy(curve.asphericity)
     trace = RadiusTrace(curve.experiment_id, time, radii, curve.file, curve.given, shape)
-    return trace, left_out
+    return trace, curve.left_out

@@ -1,32 +1,86 @@
 """Reading curves from files, folders and glob patterns.
 
 A :class:`~imr_torch.reading.layout.Layout` says what a file means; without one, its names must be
-those of one of ``KNOWN_LAYOUTS``, or must say the units.
+those of one of ``KNOWN_LAYOUTS``, or must say the units. Further formats are registered: a function
+that recognises a file, and one that reads it; the last one registered is asked first.
 
 A measured pressure, such as the trace of a hydrophone, as driving of a bubble.
 """
 
 import glob
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 
 from imr_torch.errors import InputDataError
+from imr_torch.reading.content import Content, read_npz
 from imr_torch.reading.curves import curves_of
 from imr_torch.reading.layout import TIMES, Layout
+from imr_torch.reading.matlab import is_matlab, read_matlab_curves
 from imr_torch.reading.names import read_heading
-from imr_torch.reading.readers import (
-    find_reader,
-    is_of_registered_format,
-    is_shot_file,
-    read_contents,
-)
 from imr_torch.reading.sidecar import Sidecar
+from imr_torch.reading.table import is_workbook, read_text, read_workbook
 from imr_torch.reading.traces import TraceSet
 from imr_torch.simulate import TabulatedDriving
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".mat", ".xlsx", ".npz")
 """Endings of the files that are read when a folder is named."""
+
+SHOT_COLUMNS = ("experiment_id", "rmax_m", "stretch", "collapse_time_s")
+"""Columns of a table of collapse times."""
+SHOT_ARRAY = "pIMR_array"
+"""Variable of such a table in MATLAB files: Rmax in m, stretch, collapse time in s; one row a shot."""
+
+
+@dataclass(frozen=True)
+class Reader:
+    """A file format.
+
+    Args:
+        name: unique.
+        recognises: whether a file is of this format, from its path and its first 4096 bytes; it
+            should look at the content.
+        read: the curves of a file, in SI units, with what was left out and why. It raises
+            :class:`imr_torch.errors.InputDataError` with file, place, value and remedy where it
+            cannot.
+
+    >>> import torch
+    >>> from imr_torch.reading import RadiusTrace, Reader, TraceSet
+    >>> def read(path):
+    ...     time, radius = torch.tensor([[float(x) for x in line.split(";")] for line in path.read_text().split()[1:]]).T
+    ...     return TraceSet((RadiusTrace(path.stem, 1e-6 * time, 1e-6 * radius, str(path)),))
+    >>> Reader("semicolons", lambda path, head: head.startswith(b"IMR;us;um"), read).name
+    'semicolons'
+    """
+
+    name: str
+    recognises: Callable[[Path, bytes], bool]
+    read: Callable[[Path], TraceSet]
+
+
+READERS: dict[str, Reader] = {}
+"""Name -> reader of a further format; the last one is asked first."""
+
+
+def register_reader(reader: Reader) -> Reader:
+    """Add a file format; its name must be new.
+
+    >>> from imr_torch.reading import READERS, Reader, TraceSet, register_reader
+    >>> reader = Reader("nothing", lambda path, head: head.startswith(b"NOTHING"), lambda path: TraceSet(()))
+    >>> register_reader(reader) is READERS["nothing"]
+    True
+    >>> _ = READERS.pop("nothing")  # undo it here
+    """
+    if reader.name in READERS:
+        raise InputDataError(
+            f"A reader of the name {reader.name!r} is registered already; give this one another "
+            "name."
+        )
+    READERS[reader.name] = reader
+    return reader
 
 
 def load_traces(*paths: str | Path, layout: Layout | None = None, sort: bool = False) -> TraceSet:
@@ -85,36 +139,37 @@ def find_files(*paths: str | Path) -> list[Path]:
     ...     [path.name for path in find_files(folder)]
     ['a.csv', 'b.csv']
     """
-    found: list[Path] = []
     for name in paths:
         if not str(name) or "\0" in str(name):
             raise InputDataError(f"{str(name)!r} names no file or folder; give the name of one.")
+    found: list[Path] = []
     for path in map(Path, paths):
+        inside = [path]
+        lacking = ""
         if path.is_dir():
-            inside = sorted(
-                p
-                for p in path.iterdir()
-                if not p.name.startswith((".", "~$"))
-                and (p.suffix.lower() in SUFFIXES or is_of_registered_format(p))
+            inside = [file for file in path.iterdir() if _is_of_curves(file)]
+            lacking = (
+                "the folder holds no file of curves; expected files that end in "
+                f"{', '.join(SUFFIXES)}"
             )
-            if not inside:
-                raise InputDataError(
-                    f"{path}: the folder holds no file of curves; expected files that end in "
-                    f"{', '.join(SUFFIXES)}."
-                )
-            found += inside
         elif not path.exists() and glob.has_magic(str(path)):
-            inside = sorted(
-                p for p in map(Path, glob.glob(str(path), recursive=True)) if p.is_file()
-            )
-            if not inside:
-                raise InputDataError(
-                    f"{path}: no file fits this pattern; check it and the folder ({Path.cwd()})."
-                )
-            found += inside
-        else:
-            found.append(path)
+            inside = [
+                file for file in map(Path, glob.glob(str(path), recursive=True)) if file.is_file()
+            ]
+            lacking = f"no file fits this pattern; check it and the folder ({Path.cwd()})"
+        if not inside:
+            raise InputDataError(f"{path}: {lacking}.")
+        found += sorted(inside)
     return found
+
+
+def _is_of_curves(path: Path) -> bool:
+    """Whether a file of a folder is one of curves, by its ending or by a registered reader."""
+    if path.name.startswith((".", "~$")):
+        return False
+    if path.suffix.lower() in SUFFIXES:
+        return True
+    return bool(READERS) and path.is_file() and _find_reader(path, _first_bytes(path)) is not None
 
 
 def _load_file(path: Path, layout: Layout | None, sort: bool) -> TraceSet:
@@ -125,7 +180,7 @@ def _load_file(path: Path, layout: Layout | None, sort: bool) -> TraceSet:
             f"{path}: holds collapse times and no curves; characterize takes such shots "
             "(load_collapse_times reads them)."
         )
-    reader = find_reader(path)
+    reader = _find_reader(path, _read_head(path))
     if reader is None:
         contents = read_contents(path)
         traces = TraceSet.join([curves_of(x, layout, beside.said, sort=sort) for x in contents])
@@ -136,6 +191,63 @@ def _load_file(path: Path, layout: Layout | None, sort: bool) -> TraceSet:
             f"{path}: is read as {reader.name!r}, which takes no layout; leave the layout out."
         )
     return beside.added_to(traces)
+
+
+def _find_reader(path: Path, head: bytes) -> Reader | None:
+    """The registered reader that recognises a file; None: it is of a container of the package."""
+    return next((x for x in reversed(READERS.values()) if x.recognises(path, head)), None)
+
+
+def _first_bytes(path: Path) -> bytes:
+    with path.open("rb") as stream:
+        return stream.read(4096)
+
+
+def _read_head(path: Path) -> bytes:
+    """The first bytes of a file that can be one."""
+    if not path.exists():
+        raise InputDataError(
+            f"{path}: no such file; check the name and the folder ({path.parent.resolve()})."
+        )
+    if path.is_dir():
+        raise InputDataError(f"{path}: is a folder; name the files in it.")
+    head = _first_bytes(path)
+    if not head.removeprefix(b"\xef\xbb\xbf").strip():
+        raise InputDataError(f"{path}: the file is empty; export the curve again.")
+    return head
+
+
+def read_contents(path: Path) -> list[Content]:
+    """What a file of one of the package's containers holds: one table, or several sheets.
+
+    Raises:
+        InputDataError: if the file is missing, empty, damaged, or of no known container.
+    """
+    head = _read_head(path)
+    if head.startswith(b"PK") and path.suffix.lower() == ".npz":
+        return [read_npz(path)]
+    if is_workbook(path, head):
+        return read_workbook(path)
+    if is_matlab(path, head):
+        return [read_matlab_curves(path)]
+    if b"\0" not in head or head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return [read_text(path)]
+    raise InputDataError(
+        f"{path}: unknown container (first bytes {head[:8]!r}); expected text (CSV), a MATLAB "
+        "file, .xlsx or .npz: export the curves as CSV with the header "
+        "experiment_id,time_s,radius_m."
+    )
+
+
+def is_shot_file(path: str | Path) -> bool:
+    """Whether a file is a table of collapse times, by its header or its variable."""
+    try:
+        if Path(path).suffix.lower() == ".mat":
+            return SHOT_ARRAY in {name for name, _, _ in scipy.io.whosmat(str(path))}
+        with Path(path).open(encoding="utf-8-sig") as stream:
+            return set(SHOT_COLUMNS) <= {cell.strip() for cell in stream.readline().split(",")}
+    except Exception:  # what cannot be read is reported where it is read
+        return False
 
 
 PRESSURES = {"pa": 1.0, "kpa": 1e3, "mpa": 1e6, "bar": 1e5, "atm": 101325.0}

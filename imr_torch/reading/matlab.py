@@ -24,14 +24,13 @@ def is_matlab(path: Path, head: bytes) -> bool:
     return named or head.startswith((b"MATLAB 5.0", b"MATLAB 7.3", b"\x89HDF"))
 
 
-def read_matlab(path: Path) -> list[Content]:
+def read_matlab(path: Path) -> Content:
     """All variables of a MATLAB file.
 
     Raises:
         InputDataError: if the file cannot be read, or holds no variable.
     """
-    _check_size(path)
-    holds_objects = _has_objects(path)
+    holds_objects = _inspect_file(path)
     if holds_objects and find_spec("matio") is None:
         raise UnsupportedError(
             f"{path}: holds objects of MATLAB (tables, timetables or strings), which need mat-io: "
@@ -62,14 +61,14 @@ def read_matlab(path: Path) -> list[Content]:
         raise InputDataError(
             f"{path}: holds no variables; save the radius and time vectors into it."
         )
-    return [Content(path, values, units=units)]
+    return Content(path, values, units=units)
 
 
-def read_matlab_curves(path: Path) -> list[Content]:
+def read_matlab_curves(path: Path) -> Content:
     """As :func:`read_matlab`; a matrix with one row, or one column, for each entry of a vector
     beside it, such as the times, is a list of curves, the longest if both fit.
     """
-    (content,) = read_matlab(path)
+    content = read_matlab(path)
     arrays = {name: x for name, x in content.values.items() if isinstance(x, np.ndarray)}
     lengths = {array.size for array in arrays.values() if array.ndim == 1}
     for name, array in arrays.items():
@@ -77,24 +76,16 @@ def read_matlab_curves(path: Path) -> list[Content]:
             fitting = [x for x in (array, array.T) if x.shape[1] in lengths]
             curves = max(fitting, key=lambda x: x.shape[1], default=None)
             content.values[name] = array if curves is None else list(curves)
-    return [content]
+    return content
 
 
-def _has_objects(path: Path) -> bool:
-    """Whether a file holds objects: it has a subsystem then, whose place MATLAB 5 heads it with."""
-    try:
-        if h5py.is_hdf5(path):
-            with h5py.File(path) as file:
-                return "#subsystem#" in file
-        with path.open("rb") as stream:
-            head = stream.read(124)
-        return head.startswith(b"MATLAB 5.0") and bool(head[116:].strip(b"\0 "))
-    except Exception:  # a damaged file is reported where it is read
-        return False
+def _inspect_file(path: Path) -> bool:
+    """Whether a file holds objects: it has a subsystem then, whose place MATLAB 5 heads it with.
 
-
-def _check_size(path: Path) -> None:
-    """Refuse a file whose variables would take more memory than ``LARGEST``."""
+    Raises:
+        InputDataError: if its variables would take more memory than ``LARGEST``.
+    """
+    holds_objects = False
     sizes: dict[str, int] = {}
     try:
         if h5py.is_hdf5(path):
@@ -104,11 +95,15 @@ def _check_size(path: Path) -> None:
                     sizes[name] = item.nbytes
 
             with h5py.File(path) as file:
+                holds_objects = "#subsystem#" in file
                 file.visititems(add)
         else:
+            with path.open("rb") as stream:
+                head = stream.read(124)
+            holds_objects = head.startswith(b"MATLAB 5.0") and bool(head[116:].strip(b"\0 "))
             sizes = {name: 8 * math.prod(shape) for name, shape, _ in scipy.io.whosmat(str(path))}
     except Exception:  # a damaged file is reported where it is read
-        return
+        return holds_objects
     if sum(sizes.values()) > LARGEST:
         name = max(sizes, key=lambda name: sizes[name])
         raise InputDataError(
@@ -116,6 +111,7 @@ def _check_size(path: Path) -> None:
             f"{LARGEST / 2**30:.3g} (the largest is '{name}'); it is damaged, or holds more than "
             "curves: save radius and time alone."
         )
+    return holds_objects
 
 
 def _add_values(name: str, value: Any, values: dict[str, Any], units: dict[str, str]) -> None:

@@ -60,6 +60,10 @@ class Heading:
         return self.unit in (*LENGTHS, "px")
 
 
+_COUNTED = Heading("", "", "frames")
+"""The times of a file that has none: its frames are counted."""
+
+
 def unit_of(text: str, units: Collection[str] = tuple(_TABLE["units"])) -> str | None:
     """The unit among some that a text means, or None: ``"µs"``, ``"microseconds"`` and ``"[us]"``
     are ``"us"``.
@@ -101,16 +105,15 @@ def headings_of(content: Content) -> list[Heading]:
             units |= {full: unit for name, unit in of_names for full in content.names_like(name)}
     found = []
     for name, value in content.values.items():
-        cells = isinstance(value, list) and value and all(isinstance(x, np.ndarray) for x in value)
-        if content.is_table or name in vectors or cells or _is_texts(value):
+        cells = _is_list_of(value, np.ndarray) or _is_list_of(value, str)
+        if content.is_table or name in vectors or cells:
             field = name if content.is_table else name.rpartition(".")[2]
-            part = read_heading(field, units.get(name, ""))
-            found.append(Heading(name, part.bare, part.unit))
+            found.append(replace(read_heading(field, units.get(name, "")), name=name))
     return found
 
 
-def _is_texts(value: object) -> bool:
-    return isinstance(value, list) and bool(value) and all(isinstance(x, str) for x in value)
+def _is_list_of(value: object, kind: type) -> bool:
+    return isinstance(value, list) and bool(value) and all(isinstance(x, kind) for x in value)
 
 
 def infer_layout(content: Content, said: Said) -> Layout:
@@ -130,7 +133,8 @@ def infer_layout(content: Content, said: Said) -> Layout:
     if not content.has_header and len(headings) == 2 and said.time_unit and said.radius_unit:
         headings = [Heading("1", "t", None), Heading("2", "R", None)]
     usable = [h for h in headings if h.name in values or h.role or h.unit]
-    usable = [h for h in usable if not _is_texts(content.values[h.name]) or content.is_table]
+    if not content.is_table:
+        usable = [h for h in usable if not _is_list_of(content.values[h.name], str)]
     time = _find_time(usable)
     radii = _find_radii(usable)
     axes = [h for role in ("half axis a", "half axis b") for h in usable if h.role == role]
@@ -144,7 +148,7 @@ def infer_layout(content: Content, said: Said) -> Layout:
         few = len(set(map(str, labels))) * MIN_SAMPLES <= len(labels)
         experiment = experiment if shared and few else None
     proposal = _propose_layout(usable, values, said)
-    if not radii or (time is None and said.frame_interval is None):
+    if not radii or (time == _COUNTED and said.frame_interval is None):
         if not radii and any(name.startswith("struct_best_fit") for name in content.values):
             raise InputDataError(
                 f"{file}: holds the parameters of a fit (struct_best_fit) and no curve; give the "
@@ -161,36 +165,33 @@ def infer_layout(content: Content, said: Said) -> Layout:
         raise InputDataError(
             f"{file}: the columns of radii {listed} differ in their units; write all in one unit."
         )
-    if time is not None:
-        unit = "frames" if time.role == "frames" else time.unit or said.time_unit
-        time = replace(time, unit=unit)
+    unit = "frames" if time.role == "frames" else time.unit or said.time_unit
+    time = replace(time, unit=unit)
     symmetry_axis = radii.pop().name if ellipse else None
     alone = not content.is_table and len(radii) == 1
     by_size = None
-    if alone and time is not None and radii[0].unit is None and time.unit in (None, "s"):
+    if alone and radii[0].unit is None and time.unit in (None, "s"):
         by_size = _possible_unit(content, radii[0], time)
-    if by_size and time is not None:
+    if by_size:
         radii = [replace(radii[0], unit=by_size)]
         time = replace(time, unit="s")
-    clock = [] if time is None else [time]
-    lacking = [f"'{h.name}'" for h in (*radii[:3], *clock) if h.unit is None]
+    lacking = [f"'{h.name}'" for h in (*radii[:3], time) if h.unit is None]
     radius_unit = radii[0].unit
-    if lacking or radius_unit is None:
+    if lacking or radius_unit is None or time.unit is None:
         verb = "has" if len(lacking) == 1 else "have"
         raise InputDataError(f"{file}: {' and '.join(lacking)} {verb} no unit. {proposal}")
-    time_unit = None if time is None else time.unit
     _check_scales(file, said, radii, time)
     rest = _rest_name(content) if alone else None
     return Layout(
         "+".join(h.name for h in radii),
         radius_unit=radius_unit,
         symmetry_axis=symmetry_axis,
-        time=None if time is None else time.name,
-        time_unit=time_unit or "s",
+        time=None if time == _COUNTED else time.name,
+        time_unit=time.unit,
         experiment=None if experiment is None else experiment.name,
-        frame_interval=said.frame_interval if time_unit in (None, "frames") else None,
+        frame_interval=said.frame_interval if time.unit == "frames" else None,
         pixel_size=said.pixel_size,
-        max_radius=said.max_radius if "dimensionless" in (radius_unit, time_unit) else None,
+        max_radius=said.max_radius if "dimensionless" in (radius_unit, time.unit) else None,
         rest_radius=rest,
         rest_radius_unit=radius_unit if rest else "m",
         absent="negative" if by_size else None,
@@ -244,9 +245,7 @@ def _rest_name(content: Content) -> str | None:
     return None
 
 
-def _find_experiment(
-    headings: Sequence[Heading], taken: Sequence[Heading | None]
-) -> Heading | None:
+def _find_experiment(headings: Sequence[Heading], taken: Sequence[Heading]) -> Heading | None:
     return next((h for h in headings if h.role == "experiment" and h not in taken), None)
 
 
@@ -268,35 +267,29 @@ def _check_kinds(file: object, headings: Sequence[Heading], radii: Sequence[Head
         )
 
 
-def _check_scales(
-    file: object,
-    said: Said,
-    radii: Sequence[Heading],
-    time: Heading | None,
-) -> None:
+def _check_scales(file: object, said: Said, radii: Sequence[Heading], time: Heading) -> None:
     """Refuse units whose size is not known."""
     radius_unit = radii[0].unit
-    time_unit = None if time is None else time.unit
     known = f"radius={'+'.join(h.name for h in radii)},radius_unit={radius_unit}"
-    known += f",time={time.name},time_unit={time_unit}" if time is not None else ""
-    dimensionless = "dimensionless" in (radius_unit, time_unit)
+    known += f",time={time.name},time_unit={time.unit}" if time != _COUNTED else ""
+    dimensionless = "dimensionless" in (radius_unit, time.unit)
     for needed, key, setting, meaning in (
         (radius_unit == "px", "pixel_size_m", "pixel_size", "metres per pixel"),
-        (time_unit == "frames", "frame_rate_fps", "frame_interval", "seconds between frames"),
+        (time.unit == "frames", "frame_rate_fps", "frame_interval", "seconds between frames"),
         (dimensionless, "Rmax_m", "max_radius", "metres"),
     ):
         if needed and getattr(said, setting) is None:
             raise InputDataError(
-                f"{file}: radii are in {radius_unit} and times in {time_unit or 'frames'}, and no "
-                f"{setting} is known; write {key} into the JSON file of the same name beside it, "
+                f"{file}: radii are in {radius_unit} and times in {time.unit}, and no {setting} is "
+                f"known; write {key} into the JSON file of the same name beside it, "
                 f'or add --layout "{known},{setting}=<{meaning}>".'
             )
 
 
-def _find_time(headings: Sequence[Heading]) -> Heading | None:
+def _find_time(headings: Sequence[Heading]) -> Heading:
     named = {h.role: h for h in reversed(headings)}
     by_unit = [h for h in headings if h.role is None and h.unit in TIMES]
-    return named.get("time") or next(iter(by_unit), named.get("frames"))
+    return named.get("time") or next(iter(by_unit), named.get("frames", _COUNTED))
 
 
 def _find_radii(headings: Sequence[Heading]) -> list[Heading]:
@@ -315,7 +308,7 @@ def _propose_layout(
     """
     numeric = [h for h in headings if h.name in values]
     time = _find_time(numeric)
-    if time is None and len(numeric) > 1 and _find_radii(numeric)[:1] != numeric[:1]:
+    if time == _COUNTED and len(numeric) > 1 and _find_radii(numeric)[:1] != numeric[:1]:
         time = numeric[0]
     radii = [h for h in _find_radii(numeric) or numeric if h is not time]
     if not radii:
@@ -324,11 +317,11 @@ def _propose_layout(
         )
     top = max(float(np.nanmax(np.abs(values[h.name]), initial=0.0)) for h in radii)
     unit = radii[0].unit or said.radius_unit or _nearest_unit(top, LENGTHS, 2e-4)
-    every = len(radii) > 1 and len(radii) == len(numeric) - (time is not None)
+    every = len(radii) > 1 and len(radii) == len(numeric) - (time in numeric)
     option = f"radius={'*' if every else '+'.join(h.name for h in radii)},radius_unit={unit}"
     option += ",pixel_size=<metres per pixel>" if unit == "px" else ""
     sense = f"a largest radius of {top:.4g} {unit}"
-    if time is None:
+    if time == _COUNTED:
         option += ",frame_interval=<seconds between frames>"
     else:
         span = _finite_span(values[time.name])

@@ -83,12 +83,10 @@ class Sidecar:
         document = read_json(self.path, expected=_EXPECTED) if self.exists else {}
         if not isinstance(document, dict):
             raise self._refuse_file(f"it holds a {type(document).__name__}")
-        listed = document.get("experiments", [])
+        listed = document.pop("experiments", [])
         if not isinstance(listed, list) or not all(isinstance(entry, dict) for entry in listed):
             raise self._refuse_file("'experiments' is no list of entries")
-        self.top: Document = {
-            name: value for name, value in document.items() if name != "experiments"
-        }
+        self.top: Document = document
         self.entries: dict[str, Document] = {}
         for i, entry in enumerate(listed):
             if "experiment_id" not in entry:
@@ -109,8 +107,9 @@ class Sidecar:
             for name, allowed in (("time_unit", TIMES), ("radius_unit", RADIUS_UNITS))
         }
         medium = self.top.get("medium")
-        stated = isinstance(medium, dict)
-        self.stated = Statement.from_json(medium, str(self.path)) if stated else None
+        self.stated = (
+            Statement.from_json(medium, str(self.path)) if isinstance(medium, dict) else None
+        )
 
     def _refuse_file(self, why: str) -> InputDataError:
         return InputDataError(
@@ -291,18 +290,14 @@ def state(
     beside = Sidecar(Path(path))
     kept = {key: value for key, value in values.items() if value is not None}
     beside.override(kept, experiment_id)  # refuses what cannot be meant
-    document = dict(beside.top)
-    entries = {name: dict(entry) for name, entry in beside.entries.items()}
-    own = (
-        document
-        if alone and not entries
-        else entries.setdefault(experiment_id, {"experiment_id": experiment_id})
-    )
+    entries = beside.entries
+    new: Document = {"experiment_id": experiment_id}
+    own = beside.top if alone and not entries else entries.setdefault(experiment_id, new)
     own.pop("override", None)
     own |= {"override": kept} if kept else {}
-    if own == {"experiment_id": experiment_id} and experiment_id not in beside.entries:
+    if own is new and not kept:
         del entries[experiment_id]
-    document |= {"experiments": list(entries.values())} if entries else {}
+    document = beside.top | ({"experiments": list(entries.values())} if entries else {})
     if document or beside.exists:
         write_json(beside.path, document)
     return beside.path

@@ -5,7 +5,6 @@ A statement is a named medium, values, or both: ``"water,temperature=310"``, ``"
 "temperature": 310, "density": [1125, 11]}}``.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -13,6 +12,9 @@ from typing import Any
 from imr_torch.errors import InputDataError
 from imr_torch.files import read_table
 from imr_torch.material.media import named_medium
+
+Stated = tuple[float, float | None]
+"""A value and its standard deviation, which is None where the value is taken as exact."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,7 @@ class Statement:
     """
 
     name: str = ""
-    values: Mapping[str, tuple[float, float | None]] = field(default_factory=dict)
+    values: Mapping[str, Stated] = field(default_factory=dict)
     where: str = "the caller"
 
     def __post_init__(self) -> None:
@@ -93,7 +95,7 @@ class Statement:
     @classmethod
     def from_json(cls, document: Mapping[str, Any], where: str) -> "Statement":
         """Read ``{"name": ..., "density": value or [value, sd], ...}``."""
-        values: dict[str, tuple[float, float | None]] = {}
+        values: dict[str, Stated] = {}
         for key, given in document.items():
             if key == "name":
                 continue
@@ -126,18 +128,16 @@ class Statement:
         return found
 
 
-def _parse_pair(text: str, part: str, where: str) -> tuple[float, float | None]:
+def _parse_pair(text: str, part: str, where: str) -> Stated:
     try:
-        value, *sd = (float(x) for x in text.split(":"))
+        value, *rest = map(float, text.split(":"))
+        (sd,) = rest or (None,)
     except ValueError:
-        value = math.nan
-        sd = [math.nan, math.nan]
-    if len(sd) > 1:
         raise InputDataError(
             f"{where}: {part!r} is not PROPERTY=VALUE or PROPERTY=VALUE:SD, for example "
             "density=1125:11."
-        )
-    return value, sd[0] if sd else None
+        ) from None
+    return value, sd
 
 
 def _check_property(name: str, value: float, sd: float | None, *, widest: float = 0.3) -> None:

@@ -19,7 +19,7 @@ _LONGEST = csv.field_size_limit()  # characters of a field; no number or name is
 _SEPARATOR = re.compile(r"sep=[;,\t]", re.IGNORECASE)
 
 
-def read_text(path: Path) -> list[Content]:
+def read_text(path: Path) -> Content:
     """Read a table of text, with or without header; columns are divided by semicolon, tab, comma or
     blanks.
 
@@ -38,18 +38,18 @@ def read_text(path: Path) -> list[Content]:
     if not lines:
         raise InputDataError(f"{path}: holds no row; export the curve again.")
     mark = _find_mark(lines[0][1], lines[-1][1])
-    rows = [_split_line(path, i, line, mark) for i, line in lines]
-    numbers = [i for i, _ in lines]
-    if mark is None and len(rows) > 1 and len(rows[0]) != len(rows[1]):  # blanks within names
-        rows[0] = re.split(r"\s{2,}", lines[0][1].strip())
+    rows = [(i, _split_line(path, i, line, mark)) for i, line in lines]
+    first, row = rows[0]
+    if mark is None and len(rows) > 1 and len(row) != len(rows[1][1]):  # blanks within names
+        row = re.split(r"\s{2,}", lines[0][1].strip())
+        rows[0] = (first, row)
     comma = mark != ","
-    if comments and _are_numbers(rows[0], comma):
+    if comments and _are_numbers(row, comma):
         header_mark = _find_mark(comments[-1], comments[-1]) if mark is None else mark
         header = _split_line(path, 0, comments[-1], header_mark)
-        if len(header) == len(rows[0]) and not _are_numbers(header, comma):
-            rows = [header, *rows]
-            numbers = [0, *numbers]
-    return [table_content(path, rows, numbers, comma=comma)]
+        if len(header) == len(row) and not _are_numbers(header, comma):
+            rows = [(0, header), *rows]
+    return table_content(path, rows, comma=comma)
 
 
 def _decode_text(path: Path) -> str:
@@ -105,22 +105,22 @@ def _are_numbers(cells: Sequence[str], comma: bool) -> bool:
 
 
 def table_content(
-    path: Path, rows: list[list[str]], numbers: list[int], *, comma: bool = False
+    path: Path, rows: Sequence[tuple[int, list[str]]], *, comma: bool = False
 ) -> Content:
     """The columns of rows of cells, the first of which may be a header and the second the units.
 
     Args:
         path: the file, for messages.
-        rows: the cells of each row.
-        numbers: row numbers for messages.
+        rows: number, for messages, and cells of each row.
         comma: whether ``"1,5"`` is a number.
 
     Raises:
         InputDataError: if there are no rows, rows of different lengths, or two columns of one name.
     """
-    has_header = not _are_numbers(rows[0], comma)
-    names = rows[0] if has_header else [str(i + 1) for i in range(len(rows[0]))]
-    body = list(zip(numbers, rows, strict=True))[has_header:]
+    first = rows[0][1]
+    has_header = not _are_numbers(first, comma)
+    names = first if has_header else [str(i + 1) for i in range(len(first))]
+    body = rows[has_header:]
     units: list[str] = []
     if has_header and len(body) > 1 and _is_unit_row(body[0][1], body[1][1], len(names), comma):
         units = body[0][1]
@@ -211,11 +211,10 @@ def read_workbook(path: Path) -> list[Content]:
         raise InputDataError(f"{path}: every sheet is empty; export the curve again.")
     contents = []
     for title, rows in filled.items():
-        numbers = [i for i, row in enumerate(rows, 1) if any(row)]
         width = max(map(len, rows))
-        square = [rows[i - 1] + [""] * (width - len(rows[i - 1])) for i in numbers]
+        square = [(i, row + [""] * (width - len(row))) for i, row in enumerate(rows, 1) if any(row)]
         place = path if len(filled) == 1 else path.with_name(f"{path.stem} {title}{path.suffix}")
-        contents.append(table_content(place, square, numbers))
+        contents.append(table_content(place, square))
     return contents
 
 

@@ -339,10 +339,6 @@ class TraceSet:
         """The experiment ids, in order."""
         return tuple(trace.experiment_id for trace in self.traces)
 
-    @cached_property
-    def _places(self) -> dict[str, int]:
-        return {name: i for i, name in enumerate(self.ids)}
-
     def __len__(self) -> int:
         return len(self.traces)
 
@@ -351,13 +347,13 @@ class TraceSet:
 
     def __getitem__(self, key: int | str) -> RadiusTrace:
         if isinstance(key, str):
-            if key not in self._places:
+            if key not in self.ids:
                 more = f", ... ({len(self) - 8} more)" if len(self) > 8 else ""
                 raise InputDataError(
                     f"No experiment '{key}' among the {len(self)} loaded: "
                     f"{', '.join(self.ids[:8])}{more}."
                 )
-            return self.traces[self._places[key]]
+            return self.traces[self.ids.index(key)]
         return self.traces[key]
 
     def select(self, ids: Sequence[str]) -> "TraceSet":
@@ -396,12 +392,14 @@ class TraceSet:
                     file = Path(t.source)
                     before = f"{file.parent.name}/" if folder else f"{file.stem}:"
                     new[t.source, t.experiment_id] = f"{before}{t.experiment_id}"
-            for place, t in enumerate(traces):
-                name = new.get((t.source, t.experiment_id), t.experiment_id)
-                traces[place] = replace(t, experiment_id=name)
-            for place, x in enumerate(left_out):
-                name = new.get((x.file, x.experiment_id), x.experiment_id)
-                left_out[place] = replace(x, experiment_id=name)
+            traces = [
+                replace(t, experiment_id=new.get((t.source, t.experiment_id), t.experiment_id))
+                for t in traces
+            ]
+            left_out = [
+                replace(x, experiment_id=new.get((x.file, x.experiment_id), x.experiment_id))
+                for x in left_out
+            ]
             notes += [
                 f"{file}: experiment '{old}' is named '{name}' here."
                 for (file, old), name in new.items()

@@ -3,6 +3,7 @@ and modulus that each looks like.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -181,16 +182,17 @@ def _describe_cycle(
     units = np.array([far * unit, far])
     medium, medium_sd = (units * values for values in fit_medium(frames, curve, contents))
     levels = np.linspace(np.ceil(50.0 * floor) / 50.0, 0.98, 25)
-    growth, collapse = (_read_pressures(_take_branch(curve, side), levels) for side in (-1, 1))
+    growth, growth_sd = _read_pressures(_take_branch(curve, -1), levels)
+    collapse, collapse_sd = _read_pressures(_take_branch(curve, 1), levels)
     return Cycle(
         number=number,
         max_radius_m=top * float(curve.y.max()),
         frames=len(t),
         levels=levels,
-        growth=growth[0],
-        growth_sd=growth[1],
-        collapse=collapse[0],
-        collapse_sd=collapse[1],
+        growth=growth,
+        growth_sd=growth_sd,
+        collapse=collapse,
+        collapse_sd=collapse_sd,
         viscosity=float(medium[0]),
         viscosity_sd=float(medium_sd[0]),
         modulus=float(medium[1]),
@@ -207,18 +209,14 @@ def _take_branch(curve: SmoothCurve, side: int) -> SmoothCurve:
 
 def _read_pressures(branch: SmoothCurve, levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Wall pressure at levels of one branch, and its error; NaN outside of it."""
-    inside = (levels >= branch.y[0]) & (levels <= branch.y[-1])
-    at = np.where(inside, levels, np.nan)
-    return np.interp(at, branch.y, branch.p), np.interp(at, branch.y, branch.p_sd)
+    read = partial(np.interp, levels, branch.y, left=np.nan, right=np.nan)
+    return read(branch.p), read(branch.p_sd)
 
 
 def _find_crossing(branch: SmoothCurve, level: float) -> tuple[float, float]:
     """Time at which a branch passes a level of the maximum, and its error; NaN where it does not."""
-    y = branch.y / branch.y[-1]
-    if y[0] > level:
-        return np.nan, np.nan
-    at, sd, speed = (np.interp(level, y, x) for x in (branch.t, branch.y_sd, branch.u))
-    return float(at), float(sd / abs(speed))
+    read = partial(np.interp, level, branch.y / branch.y[-1], left=np.nan)
+    return read(branch.t), read(branch.y_sd) / abs(read(branch.u))
 
 
 def _chord_and_skewness(curve: SmoothCurve, contents: Contents) -> dict[str, float]:
@@ -239,11 +237,11 @@ def _chord_and_skewness(curve: SmoothCurve, contents: Contents) -> dict[str, flo
         sds[0, 0] = sds[0, 1]
     lossless = 2.0 * contents.lossless_half_chord(0.5) * curve.y[top]
     chord = (times[0, 1] - times[0, 0]) / lossless
-    return {
-        "chord": float(chord),
-        "chord_sd": float(
-            np.hypot(np.sqrt((sds[0] ** 2).sum()) / lossless, curve.y_sd[top] * chord)
-        ),
-        "skewness": float(skewness),
-        "skewness_sd": float(skewness_sd),
+    chord_sd = np.hypot(np.sqrt((sds[0] ** 2).sum()) / lossless, curve.y_sd[top] * chord)
+    found = {
+        "chord": chord,
+        "chord_sd": chord_sd,
+        "skewness": skewness,
+        "skewness_sd": skewness_sd,
     }
+    return {name: float(value) for name, value in found.items()}

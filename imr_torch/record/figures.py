@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from imr_torch.drawing import CYCLE, DATA
+from imr_torch.drawing import CYCLE, DATA, floats
 
 
 def record_figure(record: Mapping[str, Any]) -> Figure:
@@ -54,9 +54,7 @@ def _plot_pressure(record: Mapping[str, Any], ax: Axes, *, most_bands: int = 6) 
         for cycle, style in shots:
             if name == "growth" and cycle["skewness"] is None:  # growth is not recorded
                 continue
-            levels, p, sd = (
-                np.array(cycle[key], dtype=float) for key in ("levels", name, f"{name}_sd")
-            )
+            levels, p, sd = (floats(cycle[key]) for key in ("levels", name, f"{name}_sd"))
             ax.plot(levels, p, color=color, lw=0.8, ls=style)
             if len(shots) <= most_bands:
                 ax.fill_between(levels, p - 1.64 * sd, p + 1.64 * sd, color=color, alpha=0.12, lw=0)

@@ -23,7 +23,7 @@ from imr_torch.gap.hypotheses import (
     scatters,
 )
 from imr_torch.material import LIBRARY, PARAMETERS
-from imr_torch.observe import Experiment, ExperimentBatch, Scatter, SimulatedLaboratory, predict
+from imr_torch.observe import Experiment, ExperimentBatch, SimulatedLaboratory, predict
 from imr_torch.population import GaussianShots, coordinate_units
 from imr_torch.population.closed_form import without_prior
 from tests.gap.synthetic import BASE
@@ -91,10 +91,10 @@ def test_that_sensitivities_to_a_gel_of_its_own_are_those_of_the_bubbles(gels) -
 
 
 def test_that_a_scatter_of_gels_that_is_no_number_is_refused(gels) -> None:
-    with pytest.raises(InputDataError, match=r"Scatter\.relative is 0"):
-        Scatter(0.0)
+    with pytest.raises(InputDataError, match=r"between: the scatter of G is 0"):
+        ExperimentBatch(gels.experiments, between={"G": 0.0})
     with pytest.raises(InputDataError, match="no_such"):
-        ExperimentBatch(gels.experiments, between={"no_such": Scatter(0.3)})
+        ExperimentBatch(gels.experiments, between={"no_such": 0.3})
 
 
 def gaussian_shots(fits, evidence: list[float]) -> GaussianShots:
@@ -120,7 +120,7 @@ def test_that_the_evidence_of_gels_that_differ_is_that_of_the_closed_form(
     """
     assert apart.certificate.converged
     shots = gaussian_shots(alone, [laplace_evidence(fit) for fit in alone])
-    relative = torch.tensor([scatters(BASE)[name].relative for name in BASE.names])
+    relative = torch.tensor([scatters(BASE)[name] for name in BASE.names])
     scatter = relative / coordinate_units(BASE)
     exact = float(shots.given(scatter[None], BASE.mean, torch.cholesky_inverse(BASE.chol)).evidence)
     assert laplace_evidence(apart) == pytest.approx(exact, abs=0.1)

@@ -120,7 +120,7 @@ def test_that_a_settled_tail_gives_the_rest_radius_with_its_scatter() -> None:
     found = find_landmarks(
         trace(time, ringing(time, tau=1.5e-5) + 5e-7 * rng.standard_normal(len(time)))
     )
-    assert (found.rest_settled, found.rest_method) == (True, "settled tail")
+    assert found.rest_method == "settled tail"
     assert found.rest_radius_m == pytest.approx(REST, rel=0.005)
     assert 4e-7 < (found.rest_radius_sd_m or 0) < 7e-7
 
@@ -177,7 +177,7 @@ def test_that_a_single_rebound_gives_a_wide_rest_radius() -> None:
     assert (len(found.collapse_times_s), len(found.rebound_times_s)) == (1, 0)
     time = frames(75)
     found = find_landmarks(trace(time, 0.7 * TOP + 0.3 * ringing(time)))
-    assert (found.rest_settled, found.rest_method) == (False, "first rebound")
+    assert found.rest_method == "first rebound"
     assert found.rest_radius_sd_m >= 0.3 * found.rest_radius_m  # type: ignore[operator]
 
 
@@ -189,7 +189,6 @@ def test_that_a_record_without_rebound_has_no_rest_radius_unless_one_is_given() 
         None,
         "not in record",
     )
-    assert not found.rest_settled
     given = Given(rest_radius_m=1e-4, rest_radius_sd_m=2e-5)
     found = find_landmarks(trace(time, ringing(time), given))
     assert (found.rest_radius_m, found.rest_radius_sd_m, found.rest_method) == (
