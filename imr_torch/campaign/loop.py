@@ -26,7 +26,13 @@ from imr_torch.campaign.learners import Observations
 from imr_torch.campaign.policies import Proposal, Situation
 from imr_torch.campaign.settings import CampaignSettings
 from imr_torch.campaign.stopping import CampaignState
-from imr_torch.design import DesignSearch, InformationGain, Plan, SearchSettings
+from imr_torch.design import (
+    DesignOptimizer,
+    DesignSearch,
+    InformationGain,
+    Plan,
+    finish_search,
+)
 from imr_torch.errors import ImrError, InputDataError
 from imr_torch.files import Document, without_nonfinite
 from imr_torch.float64 import tensor
@@ -254,7 +260,7 @@ class Campaign:
             gain=found.gain,
             gain_sd=found.gain_sd,
             reason=found.reason,
-            search=asdict(search.settings) if search else None,
+            search=search and {"seed": search.optimizer.seed, "initial": search.optimizer.initial},
             pending=without_nonfinite(gain_before)[0],
             evaluations=without_nonfinite(evaluations)[0],
         )
@@ -273,8 +279,8 @@ class Campaign:
         designs = tensor([row.pop("design") for row in rows])
         gains = [InformationGain.from_dict(row) for row in rows]
         pending = InformationGain.from_dict(record["pending"]) if record["pending"] else None
-        settings = SearchSettings(record["search"]["seed"], record["search"]["initial"])
-        return settings.finish_search(self.settings.space, designs, gains, pending)
+        optimizer = DesignOptimizer(self.settings.space, **record["search"])
+        return finish_search(optimizer, designs, gains, pending)
 
     @one_torch_thread()
     def tell(self, *experiments: Experiment, progress: Progress = None) -> Step:

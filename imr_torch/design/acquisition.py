@@ -21,8 +21,7 @@ from torch import Tensor
 
 from imr_torch.design.gain import InformationEstimator, InformationGain, Target
 from imr_torch.design.laplace import Laplace
-from imr_torch.design.plan import Plan
-from imr_torch.design.response import Shot
+from imr_torch.design.response import Plan, Shot
 from imr_torch.design.space import DesignSpace
 from imr_torch.errors import InputDataError, ShapeError, UnsupportedError
 from imr_torch.material import Belief

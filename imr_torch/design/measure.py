@@ -28,11 +28,9 @@ from scipy.optimize import LinearConstraint, minimize
 from torch import Tensor
 
 from imr_torch.assimilate.options import CheckedOptions
-from imr_torch.design.drawing import draw_cloud_controls
 from imr_torch.design.laplace import local_precision
-from imr_torch.design.likelihood import Data, infer_linear
-from imr_torch.design.plan import Plan
-from imr_torch.design.response import Shot, simulate_response
+from imr_torch.design.likelihood import Data, draw_cloud_controls, infer_linear
+from imr_torch.design.response import Plan, Shot, simulate_response
 from imr_torch.design.space import DesignSpace
 from imr_torch.errors import InputDataError
 from imr_torch.float64 import eye, full, tensor, zeros

@@ -12,11 +12,12 @@ from botorch.utils.sampling import manual_seed
 
 from benchmarks.nested import NestedMonteCarlo, PriorContrastive
 from imr_torch.design import (
+    DesignOptimizer,
     ExpectedInformationGain,
     InformationEstimator,
     InformationGain,
     Laplace,
-    SearchSettings,
+    finish_search,
     search_design,
 )
 from imr_torch.errors import InputDataError, ShapeError, UnsupportedError
@@ -224,6 +225,7 @@ def test_that_a_belief_of_one_model_tells_nothing_about_the_model():
 def test_that_settings_of_a_search_rebuild_its_surrogate():
     gain = acquisition(TWO)
     search = search_design(gain, seed=3, evaluations=5, initial=3)
-    again = SearchSettings(3, 3).finish_search(gain.space, search.designs, search.gains, None)
+    optimizer = DesignOptimizer(gain.space, seed=3, initial=3)
+    again = finish_search(optimizer, search.designs, search.gains, None)
     assert torch.equal(again.recommendation.design, search.recommendation.design)
     assert again.recommendation.sd == search.recommendation.sd
