@@ -15,7 +15,7 @@ takes from the errors of many designs the part that all of them share.
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
 import torch
@@ -67,8 +67,11 @@ class InformationGain:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> "InformationGain":
-        """Inverse of ``dataclasses.asdict``, after JSON; old versions wrote a ``bias`` too."""
-        known = {name: value for name, value in values.items() if name != "bias"}
+        """Inverse of ``dataclasses.asdict``, after JSON.
+
+        What else is there, as the design, or the ``bias`` that old versions wrote, is left out.
+        """
+        known = {own.name: values[own.name] for own in fields(cls)}
         known["influence"] = tuple((a, b) for a, b in values["influence"])
         return cls(**known)
 

@@ -19,7 +19,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 
-import scipy  # whose parts are imported when they are used; `stats` takes long
 import torch
 
 from imr_torch.assimilate import (
@@ -43,7 +42,7 @@ from imr_torch.observe import Experiment, ExperimentBatch, Noise
 from imr_torch.observe.noise import FEWEST_RESIDUALS
 from imr_torch.population.closed_form import MOST
 from imr_torch.population.likelihood import ShotLikelihood
-from imr_torch.population.result import BayesFactor, Population, ScaleCheck, Trend
+from imr_torch.population.result import BayesFactor, Population, ScaleCheck
 from imr_torch.population.sampling import (
     Problem,
     WeightedPopulation,
@@ -118,6 +117,13 @@ def fit_shots(
     current = None
     fits = []
     steps = (rounds + 2) * len(labels)  # fits of every round, then draws
+
+    def report_shot(what: str, label: str, done: int, state: str) -> None:
+        if progress:
+            step = f"{what}: {label}"
+            text = f"{step}, {done}/{steps}, {state}"
+            progress(ProgressLine(text, stage="shots", step=step, done=done, of=steps))
+
     for number in range(rounds + 1):
         last = number == rounds
         how = options if last else replace(options, gradient=early[0], agreement=early[1])
@@ -130,11 +136,8 @@ def fit_shots(
             found.append(
                 assimilate(belief, batch, simulator, seed=own, options=how, near=before, warn=False)
             )
-            if progress:
-                done = number * len(labels) + len(found)
-                text = f"shots: {experiment.label}, {done}/{steps}, round {number + 1}"
-                step = f"shots: {experiment.label}"
-                progress(ProgressLine(text, stage="shots", step=step, done=done, of=steps))
+            done = number * len(labels) + len(found)
+            report_shot("shots", experiment.label, done, f"round {number + 1}")
         fits = found
         if not last:
             current = share_noise(fits, law, simulator, widen=number + 1 == rounds)
@@ -143,10 +146,8 @@ def fit_shots(
     weighted = []
     for fit, label in zip(fits, labels, strict=True):
         weighted.append(weigh(fit, simulator, seed=child(seed, "weigh", label), samples=samples))
-        if progress:
-            done = steps - len(labels) + len(weighted)
-            text = f"draws: {label}, {done}/{steps}, {weighted[-1].fits[0].trust}"
-            progress(ProgressLine(text, step=f"draws: {label}", done=done, of=steps))
+        done = steps - len(labels) + len(weighted)
+        report_shot("draws", label, done, weighted[-1].fits[0].trust)
     return tuple(weighted)
 
 
@@ -251,7 +252,6 @@ def infer_population(
         any_scatter=_bayes_factor(evidence, columns),
         by_parameter=by_parameter,
         checks=tuple(checks),
-        trends=_find_trends(shots, fits, names),
     )
 
 
@@ -342,24 +342,4 @@ def _bayes_factor(
         float(difference[0]),
         math.hypot(math.sqrt(own), jackknife_error(difference[1:])),
         all(found.reliable for found in evidence.values()),
-    )
-
-
-def _find_trends(
-    shots: Sequence[ShotLikelihood],
-    fits: Sequence[Assimilation],
-    names: Sequence[str],
-    *,
-    fewest: int = 4,
-) -> tuple[Trend, ...]:
-    """Rank correlation (Kendall) of each parameter of ``fewest`` shots or more with their Weber
-    number, and so with the size of the bubble.
-    """
-    weber = torch.cat([fit.batch.designs[:, 0] for fit in fits])
-    if len(shots) < fewest or float(weber.amin() / weber.amax()) > 1.0 - 1e-6:
-        return ()
-    values = torch.stack([shot.mean for shot in shots], 1)
-    return tuple(
-        Trend(name, *map(float, scipy.stats.kendalltau(weber, own)))
-        for name, own in zip(names, values, strict=True)
     )

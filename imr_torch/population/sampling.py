@@ -212,10 +212,7 @@ def _draw_gels(
         noise = torch.cat((half, -half), 1)
         gels = means[:, e, None] + noise @ given.factor[:, e].mT
         gaussian_part = quadratic_form(gels, gaussian.precision[e], gaussian.linear[e])
-        base = (
-            shot.constant - gaussian.constant[e] + quadratic_form(gels, shot.precision, shot.linear)
-        )
-        left = shot.correct_quadratic(gels) + (base - gaussian_part)[..., None]
+        left = shot.log_probs(gels) - (gaussian.constant[e] + gaussian_part)[..., None]
         chosen = torch.multinomial(torch.softmax(left[..., 0], 1), 1, generator=source)[:, 0]
         shots.append(gels[torch.arange(count), chosen])
         missed.append(torch.logsumexp(left, 1) - math.log(each))
