@@ -7,7 +7,6 @@ simulation-based calibration, Säilynoja, Schmitt, Bürkner & Vehtari, arXiv 250
 """
 
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import scipy  # whose parts are imported when they are used; `stats` takes long
@@ -24,6 +23,7 @@ from imr_torch.assimilate import (
 )
 from imr_torch.calibration.replicate import Arrangement, Replicate, Truth, judge_replicate
 from imr_torch.calibration.statistics import uniformity
+from imr_torch.design import Plan
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.float64 import randn, zeros
 from imr_torch.material import Belief
@@ -179,9 +179,9 @@ def check_near_gel(
     arrangement = Arrangement(
         Belief((fits.prior[model],), zeros(1)),
         (),
-        samples=samples,
-        options=options or SearchOptions(),
-        learn=partial(ExperimentBatch, noise=start),
+        Plan(noise=start),
+        samples,
+        options or SearchOptions(),
         noise_rounds=NOISE_ROUNDS if inferred else 0,
     )
     found = []

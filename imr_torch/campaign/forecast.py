@@ -70,12 +70,14 @@ class ShotForecast:
         """JSON-ready: the expected number, its quantiles of 10, 50 and 90 %, each None where it is
         above the length of the sequence, and the share of the draws that reach the target.
         """
-        mean = float(self.weights @ self.counts)
-        found = [mean, *map(self.quantile, (0.1, 0.5, 0.9))]
-        finite = [count if count < math.inf else None for count in found]
-        names = ("mean", "low", "median", "high")
-        reached = float(self.weights[self.counts < math.inf].sum())
-        return dict(zip(names, finite, strict=True)) | {"reached": reached}
+        found = {
+            "mean": float(self.weights @ self.counts),
+            "low": self.quantile(0.1),
+            "median": self.quantile(0.5),
+            "high": self.quantile(0.9),
+        }
+        finite = {name: count if count < math.inf else None for name, count in found.items()}
+        return finite | {"reached": float(self.weights[self.counts < math.inf].sum())}
 
 
 @one_torch_thread()

@@ -268,7 +268,7 @@ def replay_journal(journal: Journal) -> History:
 
 
 def check_identity(journal: Journal, identity: Document) -> Document:
-    """What the journal of a campaign begins with, as it will read when it comes back from there.
+    """The event that the journal of a campaign begins with, as it will read when it comes back.
 
     Args:
         journal: of the folder; one without events is of no campaign yet.
@@ -286,19 +286,19 @@ def check_identity(journal: Journal, identity: Document) -> Document:
                 f"Campaign: {name} cannot be written to a journal ({error}); give finite numbers, "
                 "text, or dataclasses of them."
             ) from None
-    identity = json.loads(json.dumps(identity))
-    first = journal.events[0] if journal.events else {"event": "start"} | identity
+    start = {"event": "start"} | json.loads(json.dumps(identity))
+    first = journal.events[0] if journal.events else start
     if first["event"] != "start":
         raise InputDataError(
             f"{journal.path}, line 1: event is {first['event']!r}; a campaign begins with 'start'."
         )
-    if names := differing_names(first, {"event": "start"} | identity):
+    if names := differing_names(first, start):
         raise InputDataError(
             f"{journal.path} is the journal of another campaign: {', '.join(names)} differ. "
             "Resume with the same arguments; if another version of imr_torch began it, tell its "
             "curves to a campaign in a new folder."
         )
-    return identity
+    return start
 
 
 def _restore_infinite(values: Document) -> Document:

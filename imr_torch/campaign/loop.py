@@ -93,7 +93,7 @@ class Campaign:
         self.seed = seed
         self.settings = settings or CampaignSettings()
         self.journal = Journal(folder)
-        self._identity = check_identity(
+        self._start = check_identity(
             self.journal,
             {
                 "prior": prior.to_dict(),
@@ -108,7 +108,7 @@ class Campaign:
     def _record_event(self, event: str, **values: Any) -> None:
         """Write an event, after the start of the journal if there is none yet."""
         if not self.journal.events:
-            self.journal.append("start", **self._identity)
+            self.journal.append(**self._start)
         self._history.follow_event(self.journal.append(event, **values), self.journal)
 
     @property

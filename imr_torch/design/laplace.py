@@ -39,7 +39,7 @@ from imr_torch.design.likelihood import (
 from imr_torch.design.response import Response, Shot, simulate_response
 from imr_torch.float64 import ones
 from imr_torch.material import ModelBelief
-from imr_torch.types import DatasetValues, DrawnControls, DrawnValues
+from imr_torch.types import BatchControlMatrix, DatasetValues, DrawnControls, DrawnValues
 
 
 @dataclass(frozen=True)
@@ -167,10 +167,9 @@ def _cut_to_window(data: Data, gels: Response, shot: Shot) -> tuple[Data, Respon
     return Data(data.radius[..., :last], data.window[..., :last]), kept, replace(shot, plan=plan)
 
 
-def local_precision(
-    part: ModelBelief, controls: DrawnControls
-) -> Float[Tensor, "draws controls controls"]:
-    """Precision of a belief at gels, in the controls in which its Gaussian is a standard normal.
+def local_precision(part: ModelBelief, controls: DrawnControls) -> BatchControlMatrix:
+    """Precision of a belief at ``n`` gels (``n x d x d``), in the controls in which its Gaussian is a
+    standard normal.
 
     The Gaussian's own is the identity. Where the posterior is curved, that Gaussian is far wider
     than the posterior is locally, and would count as information what is known already.

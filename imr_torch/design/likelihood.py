@@ -20,7 +20,7 @@ from torch import Tensor
 from imr_torch.assimilate.gauss_newton import NormalEquations, normal_equations
 from imr_torch.design.response import Plan, Response, Rows, Shot, simulate_response
 from imr_torch.float64 import randn
-from imr_torch.types import BroadcastValues, DrawnControls, DrawnValues
+from imr_torch.types import BatchControlMatrix, BroadcastValues, DrawnControls, DrawnValues
 
 
 @dataclass(frozen=True)
@@ -152,13 +152,13 @@ class Linear:
         log_likelihood: of the datum given the gel itself.
         log_evidence: of the datum under the linearised model.
         mean: posterior mean.
-        chol: Cholesky factor of the posterior precision.
+        chol: ``n x d x d`` tensor, Cholesky factor of the posterior precision.
     """
 
     log_likelihood: DrawnValues
     log_evidence: DrawnValues
     mean: DrawnControls
-    chol: Float[Tensor, "draws controls controls"]
+    chol: BatchControlMatrix
 
     @property
     def information(self) -> DrawnValues:
@@ -166,7 +166,7 @@ class Linear:
         return self.chol.diagonal(dim1=-2, dim2=-1).log().sum(-1)
 
     @property
-    def fisher(self) -> Float[Tensor, "draws controls controls"]:
+    def fisher(self) -> BatchControlMatrix:
         """``n x d x d`` tensor ``J^T C^-1 J``, what the data add to the precision."""
         return self.chol @ self.chol.mT - torch.eye(self.chol.shape[-1], dtype=self.chol.dtype)
 

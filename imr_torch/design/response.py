@@ -122,11 +122,10 @@ class Shot:
     negligible: float = 1e-4
 
     def __post_init__(self) -> None:
-        likely = self.belief.log_probabilities.exp() > self.negligible
-        parts = tuple(
-            part for part, keep in zip(self.belief.models, likely.tolist(), strict=True) if keep
-        )
-        object.__setattr__(self, "belief", Belief(parts, self.belief.log_probabilities[likely]))
+        log_probabilities = self.belief.log_probabilities
+        likely = torch.nonzero(log_probabilities.exp() > self.negligible)[:, 0]
+        models = tuple(self.belief.models[row] for row in likely)
+        object.__setattr__(self, "belief", Belief(models, log_probabilities[likely]))
 
     @cached_property
     def film(self) -> Film:
@@ -157,7 +156,7 @@ class Response(Rows):
 
     Args:
         controls: ``n x d`` tensor.
-        radius: R/Rmax.
+        radius: R/Rmax; NaN of gels of which a bubble, or one beside it, could not be simulated.
         by_gel: sensitivity to the controls; ``d = 0`` when not asked for.
         by_nuisance: per standard deviation of the nuisances that are not known exactly.
     """
@@ -174,8 +173,7 @@ class Response(Rows):
     @property
     def good(self) -> Bool[Tensor, "draws"]:
         """Gels all of whose bubbles could be simulated."""
-        seen = torch.cat((self.radius[..., None], self.by_gel, self.by_nuisance), dim=-1)
-        return torch.isfinite(seen).flatten(1).all(1)
+        return torch.isfinite(self.radius).flatten(1).all(1)
 
     def replace_rows(self, rows: Shaped[Tensor, "rows"], others: "Response") -> "Response":
         """These gels with others in the place of some rows."""

@@ -9,6 +9,7 @@ cost is maximised.
 
 import math
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -127,7 +128,8 @@ def search_design(
         waiting += [step.recommendation.design[None] for step in steps]
         own = seed if number == 0 else child(seed, "further design", number)
         make_optimizer = partial(DesignOptimizer, acquisition.space, seed=own, initial=initial)
-        beside = acquisition.with_pending(torch.cat(waiting) if waiting else None)
+        beside = copy(acquisition)
+        beside.set_X_pending(torch.cat(waiting) if waiting else None)
         steps.append(_search_one(beside, make_optimizer, seed, evaluations, batch, progress))
     return replace(steps[-1], earlier=tuple(steps[:-1]))
 

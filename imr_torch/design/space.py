@@ -10,7 +10,7 @@ from torch import Tensor
 from imr_torch.errors import InputDataError, ShapeError
 from imr_torch.float64 import tensor
 from imr_torch.reading.readers import read_contents
-from imr_torch.types import Design, Designs
+from imr_torch.types import Design, Designs, Values
 from imr_torch.units import Surroundings
 
 DESIGN_NAMES = ("We", "R_inf*")
@@ -53,8 +53,8 @@ class DesignSpace:
         """The designs (``n x 2``) that alone can be set; None where all can."""
         return None
 
-    def cost(self, designs: Designs) -> Float[Tensor, "designs"]:
-        """Cost of a shot at each design (``n x 2``) over that of an ordinary one."""
+    def cost(self, designs: Designs) -> Values:
+        """Cost of a shot at each design (``n x 2``), ``n``, over that of an ordinary one."""
         return torch.ones_like(designs[:, 0])
 
     def check_inside(self, X: Real[Tensor, "*batch 2"]) -> None:
@@ -103,7 +103,7 @@ class ListedDesigns(DesignSpace):
         """The designs (``n x 2``)."""
         return tensor(self.rows)[:, :2]
 
-    def cost(self, designs: Designs) -> Float[Tensor, "designs"]:
+    def cost(self, designs: Designs) -> Values:
         """Cost of a shot at each design (``n x 2``), as of the nearest that is listed."""
         nearest = torch.cdist(designs.log(), self.listed.log()).argmin(1)
         return tensor(self.rows)[nearest, 2]

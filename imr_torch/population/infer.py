@@ -27,7 +27,6 @@ from imr_torch.assimilate import (
     Assimilation,
     FrameNoise,
     FrameNoisePrior,
-    Posterior,
     SearchOptions,
     assimilate,
     infer_frame_noise,
@@ -165,13 +164,11 @@ def share_noise(
         simulator: makes the bubbles.
         widen: see :func:`imr_torch.assimilate.noise_estimation.with_inferred_noise`.
     """
-    pairs = [(found.fits[0], found.batch) for found in fits]
-    if (
-        sum(float(batch.mask.sum()) - freedom_of(fit, batch) for fit, batch in pairs)
-        < FEWEST_RESIDUALS
-    ):
+    frames = sum(float(found.batch.mask.sum()) for found in fits)
+    taken = sum(freedom_of(found.fits[0], found.batch) for found in fits)
+    if frames - taken < FEWEST_RESIDUALS:
         return None
-    near = [Posterior(fit.prior, batch, simulator).neighbourhood(fit.point) for fit, batch in pairs]
+    near = [found.fits[0].linearise(found.batch, simulator) for found in fits]
     return infer_frame_noise(near, FrameNoisePrior(law)).for_fits(widen=widen)
 
 
@@ -329,17 +326,16 @@ def _bayes_factor(
 ) -> BayesFactor:
     """Mean evidence of the sets in which one of some parameters varies, over that of the others."""
     means = []
-    own = 0.0
+    variance = 0.0
     for varies in (True, False):
         some = [found for s, found in evidence.items() if varies is bool(set(s) & set(columns))]
         logs = torch.stack([found.log_evidences for found in some])
         means.append(torch.logsumexp(logs, 0) - math.log(len(some)))
-        shares = torch.softmax(logs[:, 0], 0).tolist()
-        errors = [found.evidence_error for found in some]
-        own += sum((p * error) ** 2 for p, error in zip(shares, errors, strict=True))
+        errors = tensor([found.evidence_error for found in some])
+        variance += float((torch.softmax(logs[:, 0], 0) * errors).square().sum())
     difference = means[0] - means[1]
     return BayesFactor(
         float(difference[0]),
-        math.hypot(math.sqrt(own), jackknife_error(difference[1:])),
+        math.hypot(math.sqrt(variance), jackknife_error(difference[1:])),
         all(found.reliable for found in evidence.values()),
     )

@@ -91,11 +91,11 @@ class ShotLikelihood:
             InputDataError: if the fit has no weighted draws.
         """
         (fit,) = shot.fits
-        (label,) = (experiment.label for experiment in shot.batch.experiments)
+        (experiment,) = shot.batch.experiments
         sample = fit.sample
         if sample is None:
             raise InputDataError(
-                f"The fit of {fit.model!r} to {label!r} has no weighted draws; pass it through "
+                f"The fit of {fit.model!r} to {experiment.label!r} has no weighted draws; pass it through "
                 "`weigh` first."
             )
         possible = torch.isfinite(sample.by_experiment.sum(1))
@@ -127,7 +127,7 @@ class ShotLikelihood:
         constant = float(coefficients[0, 0])
         coefficients[:, 0] -= constant
         return cls(
-            label=label,
+            label=experiment.label,
             precision=precision,
             linear=linear,
             constant=constant,

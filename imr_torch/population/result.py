@@ -218,12 +218,8 @@ class Population:
         scatter, in posterior sd.
         """
         column = self.prior.names.index(name)
-        found = []
-        for values in (self.found.centre[:, column], self.found.scatter[:, column]):
-            mean, error = self.found.mean_error(values)
-            sd = float((self.found.weights @ (values - mean).square()).sqrt())
-            found.append(error / sd if sd > 0.0 else 0.0)
-        return found[0], found[1]
+        centre = self.found.relative_error(self.found.centre[:, column])
+        return centre, self.found.relative_error(self.found.scatter[:, column])
 
     def _find_interval(self, controls: Tensor, name: str) -> Interval:
         column = self.prior.names.index(name)
@@ -263,8 +259,8 @@ class Population:
             entry: dict[str, Any] = {
                 "median": self.median(name),
                 "next_shot": self.next_shot(name),
+                "error": dict(zip(("median", "scatter"), self.error(name), strict=True)),
             }
-            entry["error"] = dict(zip(("median", "scatter"), self.error(name), strict=True))
             if name in self.varying:
                 unit = f"{name} in standard deviations of its prior"
                 entry |= {

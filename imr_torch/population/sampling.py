@@ -103,14 +103,15 @@ class WeightedPopulation(SmoothedWeights):
         """5, 50 and 95 % quantile of ``n`` values."""
         return weighted_quantiles(values, self.weights, tensor(LEVELS))
 
-    def mean_error(self, values: DrawnValues) -> tuple[float, float]:
-        """Mean of ``n`` values and its Monte Carlo standard error, by these draws and by those of
-        the shots.
+    def relative_error(self, values: DrawnValues) -> float:
+        """Monte Carlo standard error of the mean of ``n`` values, by these draws and by those of the
+        shots, in posterior standard deviations; 0 where there is no other value.
         """
+        sd = float((self.weights @ (values - self.weights @ values).square()).sqrt())
         weights = torch.softmax(self.log_weights, 0)
         means = weights.mT @ values
-        own = (weights[:, 0].square() @ (values - means[0]).square()).sqrt()
-        return float(self.weights @ values), math.hypot(float(own), jackknife_error(means[1:]))
+        own = float((weights[:, 0].square() @ (values - means[0]).square()).sqrt())
+        return math.hypot(own, jackknife_error(means[1:])) / sd if sd > 0.0 else 0.0
 
 
 def jackknife_error(values: Float[Tensor, "groups"]) -> float:
