@@ -15,9 +15,9 @@ nothing.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations
+from itertools import chain, combinations
 
 import torch
 
@@ -216,26 +216,31 @@ def infer_population(
     units = coordinate_units(prior)
     columns = [names.index(name) for name in (varying or prior.of_gel)]
 
-    def pose_problem(which: Sequence[int], width: float) -> Problem:
+    def draw_population(
+        which: Sequence[int], width: float, count: int, *key: str | int
+    ) -> WeightedPopulation:
         scales = zeros(len(names))
         scales[list(which)] = width / units[list(which)]
-        return Problem(shots, prior, scales)
+        source = generator(child(seed, *key))
+        return sample_population(Problem(shots, prior, scales), count, source)
 
-    found = sample_population(
-        pose_problem(columns, scale), draws, generator(child(seed, "population"))
-    )
-    evidence = _weigh_sets(pose_problem, columns, scale, draws // 2, seed)
+    def draw_sets(width: float) -> dict[tuple[int, ...], WeightedPopulation]:
+        """Of every set of the parameters that may vary."""
+        sizes = range(len(columns) + 1)
+        sets = chain.from_iterable(combinations(columns, size) for size in sizes)
+        return {
+            which: draw_population(which, width, draws // 2, "evidence", *which) for which in sets
+        }
+
+    found = draw_population(columns, scale, draws, "population")
+    evidence = draw_sets(scale)
     checks = []
     for width in (0.5 * scale, 2.0 * scale):
-        other = sample_population(
-            pose_problem(columns, width), draws, generator(child(seed, "population"))
-        )
+        other = draw_population(columns, width, draws, "population")
         intervals = {
             names[i]: other.take_quantiles(other.scatter[:, i] * units[i]).tolist() for i in columns
         }
-        sets = _weigh_sets(pose_problem, columns, width, draws // 2, seed)
-        checks.append(ScaleCheck(width, _bayes_factor(sets, columns), intervals))
-    by_parameter = {names[i]: _bayes_factor(evidence, [i]) for i in columns}
+        checks.append(ScaleCheck(width, _bayes_factor(draw_sets(width), columns), intervals))
     return Population(
         prior=prior,
         shots=shots,
@@ -247,7 +252,7 @@ def infer_population(
         found=found,
         log_evidence=float(found.log_evidences[0]),
         any_scatter=_bayes_factor(evidence, columns),
-        by_parameter=by_parameter,
+        by_parameter={names[i]: _bayes_factor(evidence, [i]) for i in columns},
         checks=tuple(checks),
     )
 
@@ -303,22 +308,6 @@ def _check_shots(
             f"scale is {scale} and draws {draws}; expected a positive scale and at least 500 draws."
         )
     return prior
-
-
-def _weigh_sets(
-    pose_problem: Callable[[Sequence[int], float], Problem],
-    columns: Sequence[int],
-    scale: float,
-    draws: int,
-    seed: int,
-) -> dict[tuple[int, ...], WeightedPopulation]:
-    """Draws for every set of parameters that may vary."""
-    found = {}
-    for size in range(len(columns) + 1):
-        for which in combinations(columns, size):
-            source = generator(child(seed, "evidence", *which))
-            found[which] = sample_population(pose_problem(which, scale), draws, source)
-    return found
 
 
 def _bayes_factor(
