@@ -107,12 +107,14 @@ class Ask:
 
     def rebuild_search(self, space: DesignSpace) -> DesignSearch | None:
         """The search behind the design, told to its optimizer again; None where there was none."""
-        if not self.event["search"]:
+        search = self.event["search"]
+        if not search:
             return None
         rows = self.event["evaluations"]
         before = self.event["pending"]
         return finish_search(
-            DesignOptimizer(space, **self.event["search"]),
+            # old versions wrote more of the search
+            DesignOptimizer(space, seed=search["seed"], initial=search["initial"]),
             tensor([row["design"] for row in rows]),
             [InformationGain.from_dict(row) for row in rows],
             before and InformationGain.from_dict(before),
