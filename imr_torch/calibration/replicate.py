@@ -173,11 +173,13 @@ def judge_replicate(
     """The replicate of a gel that was drawn; arguments as of :func:`calibrate`."""
     started = time.process_time()
     answers: dict[str, Any]
+    learn = arrangement.learn or partial(ExperimentBatch, noise=arrangement.plan.noise)
     try:
+        batch = learn(truth.experiments)
         answers = (
-            _infer_replicate(arrangement, truth, seed, simulator)
+            _infer_replicate(arrangement, truth, batch, seed, simulator)
             if infer is None
-            else _rank_draws(arrangement, truth, seed, infer)
+            else _rank_draws(arrangement, truth, batch, seed, infer)
         )
     except ConvergenceError as error:
         answers = {"failure": str(error)}
@@ -185,16 +187,12 @@ def judge_replicate(
     return Replicate(number, truth.model, redrawn=truth.redrawn, seconds=seconds, **answers)
 
 
-def _prepare_data(arrangement: Arrangement, truth: Truth) -> ExperimentBatch:
-    """What the inference is given."""
-    learn = arrangement.learn or partial(ExperimentBatch, noise=arrangement.plan.noise)
-    return learn(truth.experiments)
-
-
-def _rank_draws(arrangement: Arrangement, truth: Truth, seed: int, infer: Infer) -> dict[str, Any]:
+def _rank_draws(
+    arrangement: Arrangement, truth: Truth, batch: ExperimentBatch, seed: int, infer: Infer
+) -> dict[str, Any]:
     """Where the truth lies among the draws of a function."""
     part = arrangement.prior[truth.model]
-    draws = infer(_prepare_data(arrangement, truth), truth.model, child(seed, "infer"))
+    draws = infer(batch, truth.model, child(seed, "infer"))
     if (
         draws.ndim != 2
         or draws.shape[1] != len(part.names)
@@ -212,10 +210,13 @@ def _rank_draws(arrangement: Arrangement, truth: Truth, seed: int, infer: Infer)
 
 
 def _infer_replicate(
-    arrangement: Arrangement, truth: Truth, seed: int, simulator: Simulator
+    arrangement: Arrangement,
+    truth: Truth,
+    batch: ExperimentBatch,
+    seed: int,
+    simulator: Simulator,
 ) -> dict[str, Any]:
     """What a replicate says of the toolkit's own inference on one gel."""
-    batch = _prepare_data(arrangement, truth)
     fitted = assimilate_estimating_noise(
         arrangement.prior,
         batch,

@@ -135,10 +135,6 @@ class Shot:
             self.designs, self.plan.times.expand(q, -1), self.plan.nuisance.sds().expand(q, -1)
         )
 
-    def forward_model(self, part: ModelBelief) -> ForwardModel:
-        """What the camera would see of one model's gels."""
-        return ForwardModel(part, self.film, self.simulator)
-
 
 class Rows:
     """A dataclass of tensors, one row of each for every gel."""
@@ -200,7 +196,7 @@ def radii(
     >>> radii(shot, part, torch.zeros(3, len(part.names)).double()).shape  # 81 frames
     torch.Size([3, 2, 81])
     """
-    forward = shot.forward_model(part)
+    forward = ForwardModel(part, shot.film, shot.simulator)
     return forward.predict(Point(controls, forward.mean_nuisances(*controls.shape[:-1])))
 
 
@@ -216,7 +212,7 @@ def simulate_response(
         controls: ``n x d`` tensor.
         gel: whether the sensitivity to the gel is wanted.
     """
-    forward = shot.forward_model(part)
+    forward = ForwardModel(part, shot.film, shot.simulator)
     seen = forward.bundle(Point(controls, forward.mean_nuisances(len(controls))), moves_gel=gel)
     by_gel, by_nuisance = forward.slopes(seen)
     good = torch.isfinite(seen).flatten(1).all(1)[:, None, None]  # of the gel and of all beside it

@@ -129,21 +129,22 @@ def load_designs(path: str | Path) -> ListedDesigns:
     names = {name.strip().lower(): name for name in content.values}
     columns = []
     for what, top in (("we", 1e5), ("rinf", 0.999), ("cost", torch.inf)):
-        if what not in names:
-            if what == "cost":
-                columns.append([1.0] * len(columns[0]))
-                continue
+        if what in names:
+            values = content.entries(names[what]).tolist()
+        elif what == "cost":
+            values = [1.0] * len(columns[0])
+        else:
             raise InputDataError(
                 f"{path}: no column {what!r}; expected we, rinf (R_inf/Rmax) and, optional, cost. "
                 f"The file holds: {content.describe()}."
             )
-        columns.append(content.entries(names[what]).tolist())
-        for row, value in enumerate(columns[-1]):
+        for row, value in enumerate(values):
             if not 0.0 < value < top:
                 raise InputDataError(
                     f"{path}: row {content.lines(row)}, column {what!r} is {value:g}; expected a "
                     f"number above 0 and below {top:g}."
                 )
+        columns.append(values)
     rows = tuple(dict.fromkeys(zip(*columns, strict=True)))
     if len(rows) < 2:
         raise InputDataError(f"{path}: holds one design; list 2 or more to choose from.")
